@@ -1,0 +1,125 @@
+"""What can be set of control: servo and effector models, filters, limits.
+
+Law of this file: frozen values in SI units with their ranges; nothing computed.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from annotated_types import Ge, Gt, Le, Len, Lt
+
+Positive = Annotated[float, Gt(0.0)]
+NonNegative = Annotated[float, Ge(0.0)]
+
+
+@dataclass(frozen=True, slots=True)
+class ServoModel:
+    """One axis with its position controller, as identified.
+
+    Attributes:
+        frequency_hz: of the second-order answer.
+        damping: share of critical.
+        dead_time: from a setpoint's cycle to its first effect [s].
+    """
+
+    frequency_hz: Positive
+    damping: Annotated[float, Gt(0.05), Lt(3.0)]
+    dead_time: NonNegative
+
+
+@dataclass(frozen=True, slots=True)
+class EffectorMode:
+    """One elastic mode of the tool's suspension along or about a tcp axis."""
+
+    frequency_hz: Positive
+    damping: Annotated[float, Ge(0.0), Lt(1.0)] = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class AxisLimits:
+    """What an axis may be commanded, of the setpoints' finite differences.
+
+    Attributes:
+        lower, upper: position [rad] or [m].
+        speed: [rad/s] or [m/s].
+        acceleration: [rad/s^2] or [m/s^2].
+        jerk: [rad/s^3] or [m/s^3].
+    """
+
+    lower: float
+    upper: float
+    speed: Positive
+    acceleration: Positive
+    jerk: Positive
+
+
+@dataclass(frozen=True, slots=True)
+class SmoothingSettings:
+    """The impedance law of (13)-(15). ``mass`` 0 switches it off.
+
+    Attributes:
+        mass: M_d [s^2].
+        damper: D_d [s].
+        steps_s: how far the smoothing looks ahead, n_imp * T0 [s].
+    """
+
+    mass: NonNegative = 0.0
+    damper: NonNegative = 0.0
+    steps_s: Positive = 0.24
+
+
+@dataclass(frozen=True, slots=True)
+class FilterSettings:
+    """Reach and training of the inverse filters (reading notes, "The merge", 2).
+
+    Attributes:
+        servo_past_s, servo_future_s: reach of (12) [s].
+        effector_past_s, effector_future_s: reach of (11) [s].
+        band_hz: the band of the training signal.
+        wide_hz: and the band of its tenth part.
+        ridge: weight on the taps.
+    """
+
+    servo_past_s: NonNegative = 0.036
+    servo_future_s: Positive = 0.096
+    effector_past_s: NonNegative = 0.036
+    effector_future_s: NonNegative = 0.012
+    band_hz: Positive = 2.0
+    wide_hz: Positive = 8.0
+    ridge: Positive = 1e-6
+    contact_blend: Positive = 0.06
+
+
+_SERVOS = (
+    ServoModel(4.0, 0.75, 0.036),
+    ServoModel(4.0, 0.80, 0.036),
+    ServoModel(4.5, 0.80, 0.030),
+    ServoModel(5.5, 0.85, 0.024),
+    ServoModel(6.0, 0.85, 0.024),
+    ServoModel(6.5, 0.80, 0.020),
+    ServoModel(4.0, 0.80, 0.036),
+)
+_MODES = tuple(EffectorMode(f) for f in (4.5, 5.0, 6.5, 5.5, 6.0, 7.0))
+_LIMITS = (
+    AxisLimits(-3.2, 3.2, 1.8, 12.0, 1200.0),
+    AxisLimits(-2.4, 0.1, 1.6, 12.0, 1200.0),
+    AxisLimits(-2.0, 2.8, 1.7, 12.0, 1200.0),
+    AxisLimits(-6.1, 6.1, 3.1, 30.0, 3000.0),
+    AxisLimits(-2.1, 2.1, 3.0, 30.0, 3000.0),
+    AxisLimits(-6.1, 6.1, 3.8, 30.0, 3000.0),
+    AxisLimits(-1.0, 4.0, 1.0, 4.0, 400.0),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ControlSettings:
+    """All that can be set of control. Axes are A1..A6, then E1."""
+
+    servos: Annotated[tuple[ServoModel, ...], Len(6, 7)] = _SERVOS
+    effector: Annotated[tuple[EffectorMode, ...], Len(6, 6)] = _MODES
+    limits: Annotated[tuple[AxisLimits, ...], Len(6, 7)] = _LIMITS
+    smoothing: SmoothingSettings = SmoothingSettings()
+    filters: FilterSettings = FilterSettings()
+    horizon_s: Annotated[float, Gt(0.1), Le(2.0)] = 0.492
+    feed_forward: bool = True
+    damping: bool = True

@@ -1,0 +1,43 @@
+"""Everything that enters a sampling step.
+
+Law of this file: a step sees its ``Inputs`` and nothing else, so a recording of them replays
+exactly. Empty means "no new sample"; ``robot`` is None in a step without a telegram.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from linemate.protocol.samples import CameraSample, DistanceSample, RobotSample, WrenchSample
+
+
+class Order(StrEnum):
+    """What the operating state machine lets the step do."""
+
+    HOLD = "hold"
+    TRACK = "track"
+    RETREAT = "retreat"
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """What one sampling step is given.
+
+    Attributes:
+        k: number of the step; steps that were missed count too.
+        stamp_ns: the time of telegram k on the monotonic clock [ns], measured or foreseen.
+        robot: the newest state of the robot that arrived *before* telegram k, or None.
+        distance: new samples, oldest first, bounded.
+        camera: new samples, oldest first, bounded.
+        wrench: new samples, oldest first, bounded.
+        order: what the step may do.
+        start: the edge on which the task begins.
+    """
+
+    k: int
+    stamp_ns: int
+    robot: RobotSample | None
+    distance: tuple[DistanceSample, ...] = ()
+    camera: tuple[CameraSample, ...] = ()
+    wrench: tuple[WrenchSample, ...] = ()
+    order: Order = Order.HOLD
+    start: bool = False

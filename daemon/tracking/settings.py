@@ -1,0 +1,196 @@
+"""What can be set of tracking: noise, gates, classes, blending.
+
+Law of this file: frozen values in SI units with their ranges; nothing computed.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Annotated
+
+from annotated_types import Ge, Gt, Le, Lt
+
+Positive = Annotated[float, Gt(0.0)]
+NonNegative = Annotated[float, Ge(0.0)]
+
+
+class ClassifierKind(StrEnum):
+    """Which classifier decides what the conveyor is doing."""
+
+    RULE = "rule"
+    IMM = "imm"
+    GLR = "glr"
+    NONE = "none"
+
+
+@dataclass(frozen=True, slots=True)
+class DistanceNoise:
+    """The distance sensor as the filter sees it.
+
+    Attributes:
+        deviation: one sigma, quantisation included [m].
+        delay: from measuring to arrival [s].
+        gate: innovation refused beyond this many sigma.
+    """
+
+    deviation: Positive = 0.00038
+    delay: NonNegative = 0.001
+    gate: Positive = 6.0
+
+
+@dataclass(frozen=True, slots=True)
+class CameraNoise:
+    """The camera as the filter sees it: deviations grow with the distance to the object.
+
+    Attributes:
+        lateral: sigma across the line of sight at distance 0 [m].
+        lateral_slope: and for each metre of distance.
+        depth_factor: sigma along the line of sight, as a multiple of the lateral one.
+        angle: sigma of each rotation at distance 0 [rad].
+        angle_slope: and for each metre of distance [rad/m].
+        gate: innovation refused beyond this many sigma.
+        longest_delay: an older exposure is refused [s].
+    """
+
+    lateral: Positive = 0.00025
+    lateral_slope: NonNegative = 0.0012
+    depth_factor: Positive = 2.0
+    angle: Positive = 0.0006
+    angle_slope: NonNegative = 0.004
+    gate: Positive = 5.0
+    longest_delay: Positive = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class TactileNoise:
+    """The force-torque sensor as a deflection of the elastic mount.
+
+    Attributes:
+        deflection: sigma of each translation [m].
+        angle: sigma of each rotation [rad].
+        stiffness: of the mount along tcp x, y, z [N/m].
+        rotational_stiffness: about tcp x, y, z [Nm/rad].
+        contact_force: force that counts as contact [N].
+        overload_force: force beyond which the tool is withdrawn [N].
+    """
+
+    deflection: Positive = 0.00005
+    angle: Positive = 0.0002
+    stiffness: tuple[Positive, Positive, Positive] = (50e3, 50e3, 50e3)
+    rotational_stiffness: tuple[Positive, Positive, Positive] = (2000.0, 2000.0, 2000.0)
+    contact_force: Positive = 15.0
+    overload_force: Positive = 350.0
+
+
+@dataclass(frozen=True, slots=True)
+class SwingMode:
+    """One swing of the object on its hanger, about an axis of the nominal object frame.
+
+    Attributes:
+        axis: 0, 1 or 2, rotation about x, y or z of the nominal frame.
+        frequency_hz: of the swing.
+        damping: share of critical.
+        levers: displacement of the object for each radian of swing, x y z [m/rad].
+    """
+
+    axis: Annotated[int, Ge(0), Le(2)] = 1
+    frequency_hz: Positive = 0.62
+    damping: Annotated[float, Ge(0.0), Lt(0.5)] = 0.0
+    levers: tuple[float, float, float] = (-0.3, 0.0, -0.9)
+
+
+@dataclass(frozen=True, slots=True)
+class FusionSettings:
+    """Process noise of the filter: what the model leaves out.
+
+    Attributes:
+        position: random walk of the object across the conveyor [m/sqrt(s)].
+        angle: random walk of its orientation [rad/sqrt(s)].
+        swing: random walk of the swing's amplitude [rad/sqrt(s)].
+        speed: random walk of the conveyor's speed while running [m/s/sqrt(s)].
+        ripple: deviation of the conveyor's speed ripple [m/s].
+        ripple_time: its correlation time [s].
+        offset: random walk of the distance sensor's offset [m/sqrt(s)].
+        initial_images: images whose median starts the filter.
+    """
+
+    position: Positive = 0.0001
+    angle: Positive = 0.0002
+    swing: Positive = 0.0001
+    speed: Positive = 0.0005
+    ripple: Positive = 0.0003
+    ripple_time: Positive = 1.0
+    offset: Positive = 0.00002
+    initial_images: Annotated[int, Ge(1), Le(50)] = 5
+
+
+@dataclass(frozen=True, slots=True)
+class RuleSettings:
+    """The paper's rule (Sect. III-B).
+
+    Attributes:
+        tentative: prediction error at which another class is tried [m].
+        confirmed: prediction error at which it is confirmed [m].
+        bandwidth: of the speed state the rule's own filter is tuned to [rad/s].
+    """
+
+    tentative: Positive = 0.00122
+    confirmed: Positive = 0.0026
+    bandwidth: Positive = 5.7
+
+
+@dataclass(frozen=True, slots=True)
+class BankSettings:
+    """A bank of hypotheses (Willsky's GLR) or of models (IMM).
+
+    Attributes:
+        perceived: log odds at which a change counts as perceived.
+        stop_confirmed: log odds at which a stop is confirmed.
+        start_confirmed: log odds at which a start is confirmed.
+        amplitude_deviation: of a class's acceleration about its nominal one, a share.
+        penalty: taken from a stop's log odds before it enters the mixed prediction.
+        contact_penalty: the same in contact.
+        longest_onset: age of the oldest onset in the bank [s].
+    """
+
+    perceived: float = 4.0
+    stop_confirmed: float = 9.0
+    start_confirmed: float = 12.0
+    amplitude_deviation: Positive = 0.15
+    penalty: float = 4.0
+    contact_penalty: float = 3.0
+    longest_onset: Positive = 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class MergeSettings:
+    """How a change of prediction enters the horizon (reading notes, "The merge").
+
+    Attributes:
+        along: time constant along the conveyor [s].
+        across: time constant of the other axes [s].
+        blend: time in which the programmed motion gives way to the sensed one [s].
+    """
+
+    along: Positive = 0.025
+    across: Positive = 0.04
+    blend: Positive = 2.5
+
+
+@dataclass(frozen=True, slots=True)
+class TrackingSettings:
+    """All that can be set of tracking.
+
+    ``predict`` False freezes the horizon at the present estimate (ablation ``no-prediction``).
+    """
+
+    distance: DistanceNoise = DistanceNoise()
+    camera: CameraNoise = CameraNoise()
+    tactile: TactileNoise = TactileNoise()
+    swing: tuple[SwingMode, ...] = (SwingMode(),)
+    fusion: FusionSettings = FusionSettings()
+    classifier: ClassifierKind = ClassifierKind.RULE
+    rule: RuleSettings = RuleSettings()
+    bank: BankSettings = BankSettings()
+    merge: MergeSettings = MergeSettings()
+    predict: bool = True
+    mixture: bool = True

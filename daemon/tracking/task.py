@@ -1,0 +1,167 @@
+"""The task as data: what is assembled where, in which phases, beside which conveyor.
+
+Law of this file: frozen values in SI units as a task file gives them, and nothing computed.
+Ranges stand on the fields (``annotated_types``), so that the file's validator and a caller in
+Python are held to the same rules. ``reference`` turns a task into trajectories.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Annotated
+
+from annotated_types import Ge, Gt, Len, Lt
+
+from linemate.protocol.samples import Quaternion, Vector3
+
+Positive = Annotated[float, Gt(0.0)]
+NonNegative = Annotated[float, Ge(0.0)]
+IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
+
+
+class Frame(StrEnum):
+    """The frame a waypoint is given in: the station, or the nominal object as it moves."""
+
+    BASE = "base"
+    OBJECT = "object"
+
+
+class Phase(StrEnum):
+    """What a stretch of the reference trajectory is for."""
+
+    WAIT = "wait"
+    APPROACH = "approach"
+    CONTACT = "contact"
+    SCREWS = "screws"
+    RETREAT = "retreat"
+    DONE = "done"
+
+
+class Gate(StrEnum):
+    """What must have happened before the task may go past a waypoint."""
+
+    NONE = "none"
+    OBJECT_CLOSE = "object_close"
+    SCREWS_FIXED = "screws_fixed"
+    WHEEL_RELEASED = "wheel_released"
+
+
+@dataclass(frozen=True, slots=True)
+class PoseFile:
+    """A pose as a file gives it: position [m] and unit quaternion, w first."""
+
+    position: Vector3
+    quaternion: Quaternion = IDENTITY
+
+
+@dataclass(frozen=True, slots=True)
+class Waypoint:
+    """One point of the reference trajectory x_r.
+
+    Attributes:
+        time: task time at which it is reached [s]; the task's clock starts as the object is close.
+        pose: of the tcp in ``frame``.
+        frame: ``base``, or ``object`` for a point that travels with the nominal object.
+        phase: what the stretch *behind* this waypoint is for.
+        gate: what must hold before the clock passes this waypoint.
+    """
+
+    time: NonNegative
+    pose: PoseFile
+    frame: Frame = Frame.OBJECT
+    phase: Phase = Phase.APPROACH
+    gate: Gate = Gate.NONE
+
+
+@dataclass(frozen=True, slots=True)
+class ConveyorClasses:
+    """The conveyor's classes (Sect. III-B): what a stop and a start look like.
+
+    Attributes:
+        axis: direction of travel in base, a unit vector.
+        nominal_speed: [m/s].
+        deceleration: of a stop [m/s^2].
+        acceleration: of a start [m/s^2].
+        start_position: reading of the distance sensor at which the task's clock starts [m].
+    """
+
+    axis: Vector3 = (0.0, 1.0, 0.0)
+    nominal_speed: Positive = 0.106
+    deceleration: Positive = 0.104
+    acceleration: Positive = 0.013
+    start_position: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectFile:
+    """The object's nominal pose x_o^nom in base at the start position of the conveyor.
+
+    The pose's axes span the frame in which deviations are estimated: y along the conveyor.
+    """
+
+    nominal: PoseFile
+
+
+@dataclass(frozen=True, slots=True)
+class ToolTimes:
+    """When the task asks for the tool's signals, in task time [s].
+
+    Attributes:
+        fix_screws: signal 0 is set.
+        release_wheel: signal 1 is set.
+        fixed_after: without signals, the screws count as fixed this long after [s]; None: wait.
+        released_after: without signals, the wheel counts as released this long after [s].
+    """
+
+    fix_screws: NonNegative = 8.5
+    release_wheel: NonNegative = 14.5
+    fixed_after: Positive | None = None
+    released_after: Positive | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ArmFile:
+    """The arm: where its kinematics are, and what it holds.
+
+    Attributes:
+        urdf: path of the URDF, relative to the task file; a bare name is looked up among the
+            shipped ones too.
+        flange: the URDF's flange frame.
+        linear_axis: the URDF's first joint is the linear axis E1.
+        tcp_in_flange: of the undeflected tool.
+        camera_in_tcp: hand-eye calibration, of the undeflected tool.
+        rest_joints: A1..A6 at rest [rad].
+    """
+
+    rest_joints: tuple[float, float, float, float, float, float]
+    urdf: str = "arm.urdf"
+    flange: str = "flange"
+    linear_axis: bool = True
+    tcp_in_flange: PoseFile = PoseFile((0.0, 0.0, 0.0))
+    camera_in_tcp: PoseFile = PoseFile((0.0, 0.0, 0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class LinearAxisFile:
+    """How the linear axis follows the programme.
+
+    Attributes:
+        travel: speed while the conveyor runs, as a share of its nominal speed.
+        ramp: time in which the axis takes up or loses its speed [s].
+    """
+
+    travel: Annotated[float, Ge(0.0), Lt(1.5)] = 1.0
+    ramp: Positive = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class TaskFile:
+    """One assembly task, whole."""
+
+    name: str
+    arm: ArmFile
+    object: ObjectFile
+    waypoints: Annotated[tuple[Waypoint, ...], Len(2, 100)]
+    conveyor: ConveyorClasses = ConveyorClasses()
+    tool: ToolTimes = ToolTimes()
+    linear_axis: LinearAxisFile = LinearAxisFile()
+    version: Annotated[int, Ge(1), Lt(2)] = 1
