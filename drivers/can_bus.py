@@ -1,0 +1,337 @@
+"""The distance sensor's wire: any python-can bus, by configuration.
+
+Law of this file: python-can's Notifier is not used, for it spins on a broken bus and loses
+exceptions. A bus is built and shut down in a thread, because both may block; it is read by the
+loop where it has a descriptor, else by one thread that feeds a bounded queue. Whatever a plug-in
+raises ends the bus, not the loop, and the bus is opened again with back-off.
+Source: reference/sensors-and-tools.md, 2.
+"""
+
+import asyncio
+import logging
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from typing import Any, Literal, Protocol, TypeVar
+
+import can
+
+from linemate.drivers.backoff import Backoff
+from linemate.drivers.link import LinkStatus, why
+from linemate.drivers.stamps import ArrivalClock, paired_clocks
+from linemate.protocol.errors import ProtocolError
+from linemate.protocol.samples import DistanceSample
+
+T = TypeVar("T")
+
+BUDGET = 32
+QUEUE = 256
+BARREN_WAKES = 500
+BARREN = "bytes come, but no frames"
+THREAD_RECV_S = 0.2
+
+SLCAN_DEFAULTS = {"sleep_after_open": 0, "timeout": 0}
+"""python-can sleeps two seconds at open and blocks a millisecond a read if not told."""
+
+log = logging.getLogger(__name__)
+
+OnDistance = Callable[[DistanceSample], None]
+Path = Literal["auto", "descriptor", "thread"]
+Received = tuple[can.Message, int]
+
+
+class Decoder(Protocol):
+    """What the link needs of a distance codec."""
+
+    def decode(
+        self, can_id: int, data: bytes, stamp_ns: int, extended: bool = False
+    ) -> DistanceSample | None:
+        """Decode one frame; None for a frame of somebody else."""
+
+
+class CanLink:
+    """Hands distance samples to a callback.
+
+    Attributes:
+        status: the link's visible state. Counters: ``frames``, ``samples``, ``other`` (not this
+            sensor's frame), ``refused``, ``garbage`` (not a frame at all), ``error_frames``,
+            ``remote_frames``, ``dropped`` (queue full), ``callback_errors``,
+            ``stamps_refused``, ``opened``, ``lost``.
+    """
+
+    def __init__(
+        self,
+        can_config: Mapping[str, object],
+        decoder: Decoder,
+        on_sample: OnDistance,
+        *,
+        name: str = "distance",
+        path: Path = "auto",
+        backoff: Backoff | None = None,
+    ) -> None:
+        self.status = LinkStatus(name)
+        self._config = _with_defaults(can_config)
+        self._decoder = decoder
+        self._on_sample = on_sample
+        self._path = path
+        self._backoff = backoff or Backoff()
+        self._task: asyncio.Task[None] | None = None
+        self._clock = ArrivalClock()
+        self._barren = 0
+
+    @property
+    def counters(self) -> Counter[str]:
+        """Events by name."""
+        return self.status.counters
+
+    def open(self) -> None:
+        """Start to open the bus on the running loop, and to keep it open."""
+        if self._task is None or self._task.done():
+            self._task = asyncio.get_running_loop().create_task(self._keep_open())
+
+    def close(self) -> None:
+        """Stop; ``wait_closed`` returns when the bus is shut down."""
+        if self._task is not None:
+            self._task.cancel()
+
+    async def wait_closed(self) -> None:
+        """Wait until nothing of the link is left."""
+        if self._task is not None:
+            await asyncio.wait([self._task])
+
+    async def _keep_open(self) -> None:
+        try:
+            while True:
+                self.status.mark_down(await self._live_once())
+                await asyncio.sleep(self._backoff.next_delay())
+        finally:
+            self.status.mark_down("closed")
+
+    async def _live_once(self) -> str:
+        try:
+            bus = await _in_thread(lambda: can.Bus(**self._config), leftover=_shut_down)
+        except Exception as error:  # noqa: BLE001 - a plug-in may raise anything
+            return why(error)
+        try:
+            self.status.mark_up()
+            self._clock = ArrivalClock()
+            self._barren = 0
+            descriptor = _descriptor(bus) if self._path != "thread" else None
+            if descriptor is not None:
+                return await self._watch(bus, descriptor)
+            return await self._read_in_thread(bus)
+        finally:
+            await asyncio.shield(_in_thread(lambda: _shut_down(bus)))
+
+    async def _watch(self, bus: can.BusABC, descriptor: int) -> str:
+        loop = asyncio.get_running_loop()
+        broken: asyncio.Future[str] = loop.create_future()
+        loop.add_reader(descriptor, self._readable, bus, broken)
+        try:
+            return await broken
+        finally:
+            loop.remove_reader(descriptor)
+
+    def _readable(self, bus: can.BusABC, broken: "asyncio.Future[str]") -> None:
+        if broken.done():
+            return
+        reason = self._drain(bus)
+        if reason is not None:
+            broken.set_result(reason)
+
+    def _drain(self, bus: can.BusABC) -> str | None:
+        """Take what waits; a reason ends the bus."""
+        self._barren += 1
+        for _ in range(BUDGET):
+            try:
+                message = bus.recv(0)
+            except (ValueError, LookupError):
+                self.counters["garbage"] += 1
+                continue
+            except Exception as error:  # noqa: BLE001 - a plug-in may raise anything
+                return why(error)
+            if message is None:
+                self._clock.drained(time.monotonic_ns())
+                break
+            self._barren = 0
+            self._take(message, _arrival(self._clock, message))
+        self.counters["stamps_refused"] = self._clock.refused
+        return None if self._barren < BARREN_WAKES else BARREN
+
+    async def _read_in_thread(self, bus: can.BusABC) -> str:
+        loop = asyncio.get_running_loop()
+        pump = _Pump(bus, loop, self._take_queued)
+        thread = threading.Thread(target=pump.run, name=f"can-{self.status.name}", daemon=True)
+        thread.start()
+        try:
+            return await pump.broken
+        finally:
+            pump.stop.set()
+            await asyncio.shield(_in_thread(thread.join))
+
+    def _take_queued(self, pump: "_Pump") -> None:
+        for message, stamp_ns in pump.take():
+            self._take(message, stamp_ns)
+        self.counters["dropped"] += pump.take_dropped()
+        self.counters["garbage"] += pump.take_garbage()
+
+    def _take(self, message: can.Message, stamp_ns: int) -> None:
+        self.counters["frames"] += 1
+        self._backoff.reset()
+        if message.is_error_frame:
+            self.counters["error_frames"] += 1
+            return
+        if message.is_remote_frame:
+            self.counters["remote_frames"] += 1
+            return
+        try:
+            sample = self._decoder.decode(
+                message.arbitration_id,
+                bytes(message.data),
+                stamp_ns,
+                extended=message.is_extended_id,
+            )
+        except ProtocolError as error:
+            self.counters["refused"] += 1
+            log.debug("%s: %s", self.status.name, error)
+            return
+        if sample is None:
+            self.counters["other"] += 1
+            return
+        self.counters["samples"] += 1
+        self.status.last_sample_stamp_ns = sample.stamp_ns
+        self._deliver(sample)
+
+    def _deliver(self, sample: DistanceSample) -> None:
+        try:
+            self._on_sample(sample)
+        except Exception:
+            self.counters["callback_errors"] += 1
+            log.exception("%s: a sample's receiver failed", self.status.name)
+
+
+class _Pump:
+    """Reads a bus without a descriptor in a thread; the loop takes from a bounded queue."""
+
+    def __init__(
+        self,
+        bus: can.BusABC,
+        loop: asyncio.AbstractEventLoop,
+        on_ready: Callable[["_Pump"], None],
+    ) -> None:
+        self.stop = threading.Event()
+        self.broken: asyncio.Future[str] = loop.create_future()
+        self._bus = bus
+        self._loop = loop
+        self._on_ready = on_ready
+        self._lock = threading.Lock()
+        self._queue: deque[Received] = deque()
+        self._dropped = 0
+        self._garbage = 0
+        self._clock = ArrivalClock()
+
+    def run(self) -> None:
+        """Read until told to stop or the bus breaks."""
+        barren = 0
+        while not self.stop.is_set() and barren < BARREN_WAKES:
+            try:
+                message = self._bus.recv(THREAD_RECV_S)
+            except (ValueError, LookupError):
+                barren += 1
+                with self._lock:
+                    self._garbage += 1
+                continue
+            except Exception as error:  # noqa: BLE001 - a plug-in may raise anything
+                self._tell(self._break, why(error))
+                return
+            barren = 0
+            self._put(message)
+        self._tell(self._break, BARREN)
+
+    def take(self) -> list[Received]:
+        """What arrived since the last call."""
+        with self._lock:
+            taken = list(self._queue)
+            self._queue.clear()
+        return taken
+
+    def take_dropped(self) -> int:
+        """How many frames the full queue pushed out since the last call."""
+        with self._lock:
+            dropped, self._dropped = self._dropped, 0
+        return dropped
+
+    def take_garbage(self) -> int:
+        """How many times the bus gave something that is no frame since the last call."""
+        with self._lock:
+            garbage, self._garbage = self._garbage, 0
+        return garbage
+
+    def _put(self, message: can.Message | None) -> None:
+        if message is None:
+            self._clock.drained(time.monotonic_ns())
+            return
+        stamp_ns = _arrival(self._clock, message)
+        with self._lock:
+            was_empty = not self._queue
+            if len(self._queue) >= QUEUE:
+                self._queue.popleft()
+                self._dropped += 1
+            self._queue.append((message, stamp_ns))
+        if was_empty:
+            self._tell(self._on_ready, self)
+
+    def _break(self, reason: str) -> None:
+        if not self.broken.done():
+            self.broken.set_result(reason)
+
+    def _tell(self, callback: Callable[[T], None], argument: T) -> None:
+        try:
+            self._loop.call_soon_threadsafe(callback, argument)
+        except RuntimeError:  # the loop is gone, and nobody is left to tell
+            self.stop.set()
+
+
+def _with_defaults(can_config: Mapping[str, object]) -> dict[str, Any]:
+    if can_config.get("interface") == "slcan":
+        return {**SLCAN_DEFAULTS, **can_config}
+    return dict(can_config)
+
+
+def _descriptor(bus: can.BusABC) -> int | None:
+    """The descriptor to watch, None if the interface has none."""
+    try:
+        descriptor = bus.fileno()
+    except (NotImplementedError, can.CanError, OSError):
+        return None
+    return descriptor if descriptor >= 0 else None
+
+
+def _arrival(clock: ArrivalClock, message: can.Message) -> int:
+    now_ns, wall_ns = paired_clocks()
+    stamp_wall_ns = int(message.timestamp * 1e9) if message.timestamp > 0.0 else None
+    return clock.arrival(stamp_wall_ns, now_ns, wall_ns)
+
+
+def _shut_down(bus: can.BusABC) -> None:
+    try:
+        bus.shutdown()
+    except Exception as error:  # noqa: BLE001 - a dead bus may refuse to die
+        log.debug("shutting a bus down: %s", error)
+
+
+async def _in_thread(work: Callable[[], T], leftover: Callable[[T], None] | None = None) -> T:
+    """Run what may block in a thread; if the caller gives up meanwhile, clean up after it."""
+    loop = asyncio.get_running_loop()
+    future = loop.run_in_executor(None, work)
+
+    def _clean(done: "asyncio.Future[T]") -> None:
+        if leftover is not None and not done.cancelled() and done.exception() is None:
+            loop.run_in_executor(None, leftover, done.result())
+
+    try:
+        return await asyncio.shield(future)
+    except asyncio.CancelledError:
+        future.add_done_callback(_clean)
+        raise

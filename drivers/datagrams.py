@@ -1,0 +1,211 @@
+"""Reading a datagram socket: non-blocking, stamped by the kernel, bounded; and its link.
+
+Law of this file: a read allocates nothing that grows with what a stranger sends; a datagram
+longer than the buffer is known by the kernel's flag and never handed on. asyncio's own
+datagram transport is not used: it takes a 256 KiB buffer for each datagram and has no budget.
+"""
+
+import asyncio
+import socket
+from abc import ABC, abstractmethod
+from collections import Counter
+from dataclasses import dataclass, field
+
+from linemate.drivers.backoff import Backoff
+from linemate.drivers.link import LinkStatus, why
+from linemate.drivers.stamps import (
+    ANCILLARY_BYTES,
+    ArrivalClock,
+    paired_clocks,
+    read_ancillary,
+    request_kernel_stamps,
+)
+
+BUFFER_BYTES = 2048
+
+Address = tuple[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Datagram:
+    """One datagram as it came.
+
+    Attributes:
+        data: its bytes, cut at 2 KiB.
+        stamp_ns: monotonic arrival [ns].
+        source: who sent it.
+        oversize: it was longer than 2 KiB and is incomplete.
+    """
+
+    data: bytes
+    stamp_ns: int
+    source: Address
+    oversize: bool
+
+
+@dataclass(slots=True)
+class DatagramSocket:
+    """A bound, non-blocking UDP socket.
+
+    Attributes:
+        endpoint: the socket itself.
+        clock: maps the kernel's stamps.
+        kernel_drops: datagrams the kernel dropped because nobody read them in time.
+    """
+
+    endpoint: socket.socket
+    clock: ArrivalClock = field(default_factory=ArrivalClock)
+    kernel_drops: int = 0
+    _buffer: bytearray = field(default_factory=lambda: bytearray(BUFFER_BYTES))
+
+    @classmethod
+    def bound(cls, host: str, port: int) -> "DatagramSocket":
+        """Open and bind; no address is ever shared with another process.
+
+        Args:
+            host: local address.
+            port: local port, 0 for any.
+
+        Returns:
+            The open socket.
+
+        Raises:
+            OSError: if the address cannot be bound.
+        """
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        endpoint = socket.socket(family, socket.SOCK_DGRAM)
+        try:
+            endpoint.setblocking(False)
+            request_kernel_stamps(endpoint)
+            endpoint.bind((host, port))
+        except OSError:
+            endpoint.close()
+            raise
+        return cls(endpoint)
+
+    @property
+    def address(self) -> Address:
+        """Where the socket is bound."""
+        host, port = self.endpoint.getsockname()[:2]
+        return str(host), int(port)
+
+    def fileno(self) -> int:
+        """The descriptor to watch."""
+        return self.endpoint.fileno()
+
+    def read(self) -> Datagram | None:
+        """Take one datagram.
+
+        Returns:
+            The oldest waiting datagram, or None if there is none.
+
+        Raises:
+            OSError: if the socket is broken.
+        """
+        try:
+            size, ancillary, flags, source = self.endpoint.recvmsg_into(
+                [self._buffer], ANCILLARY_BYTES
+            )
+        except (BlockingIOError, InterruptedError):
+            self.clock.drained(paired_clocks()[0])
+            return None
+        now_ns, wall_ns = paired_clocks()
+        stamp_wall_ns, drops = read_ancillary(ancillary)
+        if drops is not None:
+            self.kernel_drops = drops
+        return Datagram(
+            data=bytes(memoryview(self._buffer)[:size]),
+            stamp_ns=self.clock.arrival(stamp_wall_ns, now_ns, wall_ns),
+            source=source,
+            oversize=bool(flags & socket.MSG_TRUNC),
+        )
+
+    def close(self) -> None:
+        """Close the socket."""
+        self.endpoint.close()
+
+
+class DatagramLink(ABC):
+    """A bound socket that is watched by the loop and bound again when it breaks.
+
+    Attributes:
+        status: the link's visible state.
+    """
+
+    def __init__(self, name: str, host: str, port: int, backoff: Backoff | None = None) -> None:
+        self.status = LinkStatus(name)
+        self._bind = (host, port)
+        self._backoff = backoff or Backoff()
+        self._socket: DatagramSocket | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._retry: asyncio.TimerHandle | None = None
+
+    @property
+    def counters(self) -> Counter[str]:
+        """Events by name."""
+        return self.status.counters
+
+    @property
+    def address(self) -> Address | None:
+        """Where the link listens, None while it is down."""
+        return self._socket.address if self._socket is not None else None
+
+    def open(self) -> None:
+        """Bind and listen on the running loop; if that fails, try again with back-off."""
+        self._loop = asyncio.get_running_loop()
+        self._forget_retry()
+        if self._socket is not None:
+            return
+        try:
+            self._socket = DatagramSocket.bound(*self._bind)
+        except (OSError, OverflowError) as error:
+            self._down(why(error))
+            return
+        self._loop.add_reader(self._socket.fileno(), self.poll)
+        self._backoff.reset()
+        self.status.mark_up()
+
+    def close(self) -> None:
+        """Stop listening, for good."""
+        self._forget_retry()
+        self._release()
+        self.status.mark_down("closed")
+
+    async def wait_closed(self) -> None:
+        """Let the loop see the closing; nothing of a datagram link outlives ``close``."""
+        await asyncio.sleep(0)
+
+    def poll(self) -> None:
+        """Take what waits, within the budget; what is left waits for the next wake."""
+        transport = self._socket
+        if transport is None:
+            return
+        try:
+            self._read(transport)
+        except OSError as error:
+            self._down(why(error))
+            return
+        self.counters["kernel_drops"] = transport.kernel_drops
+        self.counters["stamps_refused"] = transport.clock.refused
+
+    @abstractmethod
+    def _read(self, transport: DatagramSocket) -> None:
+        """Read and hand on; an OSError means that the socket is broken."""
+
+    def _forget_retry(self) -> None:
+        if self._retry is not None:
+            self._retry.cancel()
+            self._retry = None
+
+    def _release(self) -> None:
+        if self._socket is None or self._loop is None:
+            return
+        self._loop.remove_reader(self._socket.fileno())
+        self._socket.close()
+        self._socket = None
+
+    def _down(self, reason: str) -> None:
+        self._release()
+        self.status.mark_down(reason)
+        if self._loop is not None:
+            self._retry = self._loop.call_later(self._backoff.next_delay(), self.open)

@@ -1,0 +1,64 @@
+"""What every link tells of itself.
+
+Law of this file: a status holds facts that a driver counted, never a judgement. Stamps are
+monotonic nanoseconds. A driver writes it from the event loop alone; anyone may read it there.
+"""
+
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+
+
+@dataclass(slots=True)
+class LinkStatus:
+    """The visible state of one link.
+
+    Attributes:
+        name: the link's name in status and logs.
+        up: the transport is open (it says nothing of samples arriving).
+        since_ns: monotonic time of the last change of ``up`` [ns].
+        last_sample_stamp_ns: arrival of the newest good sample [ns], None before the first.
+        reason: why the link is down, empty while it is up.
+        counters: events by name; every drop, refusal and reopening is one of them.
+    """
+
+    name: str
+    up: bool = False
+    since_ns: int = field(default_factory=time.monotonic_ns)
+    last_sample_stamp_ns: int | None = None
+    reason: str = "not opened"
+    counters: Counter[str] = field(default_factory=Counter)
+
+    def mark_up(self) -> None:
+        """Note that the transport is open now."""
+        self.counters["opened"] += 1
+        self._change(up=True, reason="")
+
+    def mark_down(self, reason: str) -> None:
+        """Note that the transport is gone.
+
+        Args:
+            reason: what an operator should read.
+        """
+        if self.up:
+            self.counters["lost"] += 1
+        self._change(up=False, reason=reason)
+
+    def _change(self, *, up: bool, reason: str) -> None:
+        if up != self.up:
+            self.since_ns = time.monotonic_ns()
+        self.up = up
+        self.reason = reason
+
+
+def why(error: BaseException) -> str:
+    """One line for an operator from an exception.
+
+    Args:
+        error: what a transport raised.
+
+    Returns:
+        The exception's class and text.
+    """
+    text = str(error).strip()
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
