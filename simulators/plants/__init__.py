@@ -1,0 +1,1 @@
+"""Pure, seeded plants: what really happens in a run; they know no daemon, wire or clock."""

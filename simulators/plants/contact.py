@@ -1,0 +1,207 @@
+"""Mating of tool and hub: capture, clamp, screws, release, and everything that is a collision.
+
+Law of this file: a small state machine over (tool, hub) at the ends of substeps. It decides; the
+effector integrates. Bits from the controller: 0 fix the screws, 1 release the wheel; bits back:
+0 screws fixed, 1 wheel released. The first collision is kept, with its time and its reason.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from linemate.simulators.plants import rotation
+from linemate.simulators.plants.effector import EffectorPlant, Six, deflected, deflection_between
+from linemate.simulators.plants.rotation import Pose, Vec
+from linemate.simulators.plants.scenario import Contact
+
+Phase = Literal["free", "clamped", "released"]
+
+FIX_SCREWS = 1
+RELEASE_WHEEL = 2
+SCREWS_FIXED = 1
+WHEEL_RELEASED = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Impact:
+    """The instant at which the tcp reached the hub plane.
+
+    Attributes:
+        time_s: scenario time [s].
+        position: elastic tcp in the hub frame [m]; z is 0 there.
+        rotation: elastic tcp in the hub frame, rotation vector [rad].
+        speed: closing speed along the hub's z [m/s].
+    """
+
+    time_s: float
+    position: Vec
+    rotation: Vec
+    speed: float
+
+
+@dataclass(frozen=True, slots=True)
+class Collision:
+    """What went wrong, when, and with what figures."""
+
+    time_s: float
+    reason: str
+
+
+class ContactPlant:
+    """What tool and hub do to each other."""
+
+    def __init__(self, contact: Contact) -> None:
+        self._contact = contact
+        self.phase: Phase = "free"
+        self.impact: Impact | None = None
+        self.collision: Collision | None = None
+        self.clamped_s: float | None = None
+        self.fixed_s: float | None = None
+        self.released_s: float | None = None
+        self._orders = 0
+        self._screwing_s: float | None = None
+        self._releasing_s: float | None = None
+        self._caught: tuple[Vec, Vec] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        self._before: Vec | None = None
+        self._cleared = False
+
+    def order(self, bits: int) -> None:
+        """Take the controller's bits; they count from the next substep on."""
+        self._orders = bits
+
+    @property
+    def signals(self) -> int:
+        """The tool's bits to the controller."""
+        fixed = SCREWS_FIXED if self.fixed_s is not None else 0
+        return fixed | (WHEEL_RELEASED if self.released_s is not None else 0)
+
+    def turned(self, hub: Pose, t: float) -> Pose:
+        """The hub at time t with the step that the tight screws gave it."""
+        if self._screwing_s is None:
+            return hub
+        age = t - self._screwing_s - self._contact.nutrunner_s
+        if age <= 0.0:
+            return hub
+        share = min(age / self._contact.step_s, 1.0) if self._contact.step_s > 0 else 1.0
+        x, y, z = self._contact.step
+        step = rotation.exp((share * x, share * y, share * z))
+        return hub[0], rotation.compose(hub[1], step)
+
+    def advance(
+        self, t: float, dt: float, effector: EffectorPlant, before: Pose, rigid: Pose, hub: Pose
+    ) -> None:
+        """One substep that ends at t.
+
+        Args:
+            t: scenario time at its end [s].
+            dt: its length [s].
+            effector: integrated here, freely or held.
+            before: rigid tcp at its beginning.
+            rigid: rigid tcp at its end.
+            hub: hub at its end, the screws' step included.
+        """
+        if self.phase == "clamped":
+            self._hold(t, effector, before, rigid, hub)
+            return
+        effector.swing_free(before, rigid)
+        if self.collision is None:
+            self._watch(t, dt, rotation.relative(hub, deflected(rigid, effector.deflection)))
+
+    def held_deflection(self, t: float, rigid: Pose, hub: Pose) -> Six:
+        """Deflection of the clamped tool; the clamp closes from where it caught the hub."""
+        age = t - (self.clamped_s if self.clamped_s is not None else t)
+        share = max(0.0, 1.0 - age / self._contact.close_s) if self._contact.close_s > 0 else 0.0
+        if share == 0.0:
+            return deflection_between(rigid, hub)
+        (x, y, z), (a, b, c) = self._caught
+        turned = rotation.exp((share * a, share * b, share * c))
+        return deflection_between(
+            rigid, rotation.multiply(hub, ((share * x, share * y, share * z), turned))
+        )
+
+    def _hold(
+        self, t: float, effector: EffectorPlant, before: Pose, rigid: Pose, hub: Pose
+    ) -> None:
+        deflection = self.held_deflection(t, rigid, hub)
+        effector.hold(before, rigid, deflection)
+        bent = rotation.norm(deflection[:3])
+        twisted = rotation.norm(deflection[3:])
+        if bent > self._contact.deflection_limit or twisted > self._contact.deflection_angle_limit:
+            self._collide(t, f"mount overloaded: {_figures(bent, twisted)}")
+            self._open(t)
+            return
+        self._work(t)
+
+    def _work(self, t: float) -> None:
+        if not self._orders & FIX_SCREWS:
+            # The nutrunner stops with its order; what it has tightened stays.
+            if self.fixed_s is None:
+                self._screwing_s = None
+        elif self._screwing_s is None:
+            self._screwing_s = t
+        if self._screwing_s is not None and self.fixed_s is None:
+            done = self._screwing_s + self._contact.nutrunner_s + self._contact.step_s
+            self.fixed_s = t if t >= done - 1e-9 else None
+        if not self._orders & RELEASE_WHEEL:
+            self._releasing_s = None
+        elif self._releasing_s is None:
+            self._releasing_s = t
+        if (
+            self._releasing_s is not None
+            and t - self._releasing_s >= self._contact.release_s - 1e-9
+        ):
+            self._open(t)
+
+    def _open(self, t: float) -> None:
+        self.phase = "released"
+        self.released_s = t
+        if self.fixed_s is None and self._screwing_s is not None:
+            self._screwing_s = None
+
+    def _watch(self, t: float, dt: float, tcp: Pose) -> None:
+        """Judge the free tool: does it reach the hub plane, where, and how?"""
+        contact = self._contact
+        (x, y, z), turned = tcp
+        lateral = math.hypot(x, y)
+        before, self._before = self._before, (x, y, z)
+        if self.phase == "released" and not self._cleared:
+            if z > contact.deflection_limit:
+                self._collide(t, f"pushed into the hub after release by {1e3 * z:.1f} mm")
+            elif lateral > contact.drag_limit:
+                self._collide(t, f"dragged along the hub after release by {1e3 * lateral:.1f} mm")
+            self._cleared = z < -contact.clearance
+            return
+        if z < 0.0 or lateral > contact.hub_radius:
+            return
+        twist = rotation.angle(turned)
+        if before is None or before[2] >= 0.0:
+            self._collide(t, f"hit the hub from the side: {_figures(lateral, twist)}")
+            return
+        self._reach(t, dt, before, tcp, twist)
+
+    def _reach(self, t: float, dt: float, before: Vec, tcp: Pose, twist: float) -> None:
+        (x, y, z), turned = tcp
+        share = before[2] / (before[2] - z)
+        at = (before[0] + share * (x - before[0]), before[1] + share * (y - before[1]), 0.0)
+        when = t - dt * (1.0 - share)
+        impact = Impact(when, at, rotation.log(turned), (z - before[2]) / dt)
+        lateral = math.hypot(at[0], at[1])
+        figures = _figures(lateral, twist)
+        if self.phase == "released":
+            self._collide(when, f"hit the hub again after release: {figures}")
+            return
+        self.impact = impact
+        if lateral > self._contact.capture_lateral or twist > self._contact.capture_angle:
+            self._collide(when, f"missed the hub: {figures}")
+            return
+        self.phase = "clamped"
+        self.clamped_s = t
+        self._caught = (tcp[0], impact.rotation)
+
+    def _collide(self, t: float, reason: str) -> None:
+        if self.collision is None:
+            self.collision = Collision(t, reason)
+
+
+def _figures(length: float, turn: float) -> str:
+    return f"{1e3 * length:.1f} mm, {1e3 * turn:.1f} mrad"

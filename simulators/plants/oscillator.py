@@ -1,0 +1,38 @@
+"""The exact step of x'' + 2 zeta w x' + w^2 x = 0, which servos and elastic modes share.
+
+Law of this file: closed form, any damping, any duration. A piecewise linear input needs no more:
+its particular solution is a shifted ramp, and only the difference to it obeys this equation.
+"""
+
+import cmath
+import math
+
+Transition = tuple[float, float, float, float]
+"""Row by row: [x, x'](t + dt) = Phi(dt) [x, x'](t)."""
+
+
+def transition(omega: float, zeta: float, dt: float) -> Transition:
+    """The matrix exponential of the oscillator.
+
+    Args:
+        omega: natural frequency [rad/s], positive.
+        zeta: damping ratio, not negative.
+        dt: duration [s].
+
+    Returns:
+        phi11, phi12, phi21, phi22.
+    """
+    damped = omega * cmath.sqrt(1.0 - zeta * zeta)
+    if abs(damped) * dt < 1e-9:
+        cosine, sine = 1.0, dt
+    else:
+        cosine = cmath.cos(damped * dt).real
+        sine = (cmath.sin(damped * dt) / damped).real
+    shrink = math.exp(-zeta * omega * dt)
+    lean = zeta * omega * sine
+    return (
+        shrink * (cosine + lean),
+        shrink * sine,
+        -shrink * omega * omega * sine,
+        shrink * (cosine - lean),
+    )

@@ -1,0 +1,236 @@
+"""What each sensor makes of the truth: instants, delay, noise, resolution, outliers, blindness.
+
+Law of this file: a sensor is asked at its own instants, in order, and hands out emissions when
+they are due. Each kind of draw (noise, outlier, dropout, delay) has its own stream and is drawn
+at every instant, needed or not, so that one setting never shifts another sensor or another draw.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+from linemate.simulators.plants import rotation
+from linemate.simulators.plants.effector import Six
+from linemate.simulators.plants.rotation import Pose, Vec
+from linemate.simulators.plants.scenario import Camera, DistanceSensor, Effector, ForceTorque
+from linemate.simulators.plants.streams import Draws
+
+
+@dataclass(frozen=True, slots=True)
+class DistanceEmission:
+    """A reading of the distance sensor.
+
+    Attributes:
+        time_s: when it leaves the sensor [s].
+        exposure_s: when it was measured [s].
+        position: [m].
+        strength: of the signal.
+        outlier: truth for judging.
+    """
+
+    time_s: float
+    exposure_s: float
+    position: float
+    strength: float
+    outlier: bool
+
+
+@dataclass(frozen=True, slots=True)
+class CameraEmission:
+    """A pose of the hub in the camera's frame.
+
+    Attributes:
+        time_s: when it leaves the camera [s].
+        exposure_s: middle of the exposure [s].
+        position: hub in camera [m].
+        quaternion: hub in camera, w x y z.
+        covariance: upper triangle row by row, x y z rx ry rz in the camera's frame, or None.
+        outlier: truth for judging.
+    """
+
+    time_s: float
+    exposure_s: float
+    position: Vec
+    quaternion: tuple[float, float, float, float]
+    covariance: tuple[float, ...] | None
+    outlier: bool
+
+
+@dataclass(frozen=True, slots=True)
+class WrenchEmission:
+    """A reading of the force-torque sensor, in the rigid tcp frame.
+
+    Attributes:
+        time_s: when it leaves the sensor [s].
+        exposure_s: when it was measured [s].
+        force: [N].
+        torque: [Nm].
+    """
+
+    time_s: float
+    exposure_s: float
+    force: Vec
+    torque: Vec
+
+
+class _Clock:
+    """Instants of measuring, and delays that keep the order of emission."""
+
+    __slots__ = ("_delay", "_draws", "_first", "_index", "_jitter", "_last", "_period", "next_s")
+
+    def __init__(
+        self, draws: Draws, start: float, period: float, phase: float, delay: float, jitter: float
+    ) -> None:
+        self._draws = draws
+        self._first = start + phase * period
+        self._period, self._delay, self._jitter = period, delay, jitter
+        self._index = 0
+        self._last = -math.inf
+        self.next_s = self._first
+
+    def tick(self) -> float:
+        """Pass on to the next instant; returns the time of emission of this one."""
+        delay = self._delay + self._jitter * (2.0 * self._draws.one() - 1.0)
+        due = max(self.next_s + delay, self._last)
+        self._last = due
+        self._index += 1
+        self.next_s = self._first + self._index * self._period
+        return due
+
+
+class DistanceSensorPlant:
+    """Reads the position of the conveyor unit."""
+
+    def __init__(self, sensor: DistanceSensor, seed: int, start_s: float, cycle_s: float) -> None:
+        self._sensor = sensor
+        self.clock = _Clock(
+            Draws.uniform(seed, "distance.delay"),
+            start_s,
+            cycle_s if sensor.period_s is None else sensor.period_s,
+            sensor.phase,
+            sensor.delay_s,
+            sensor.jitter_s,
+        )
+        self._noise = Draws.normal(seed, "distance.noise")
+        self._chance = Draws.uniform(seed, "distance.outlier")
+        self._dropout = Draws.uniform(seed, "distance.dropout")
+        self.due: deque[DistanceEmission] = deque()
+
+    def measure(self, position: float) -> None:
+        """Measure now.
+
+        Args:
+            position: of the unit [m].
+        """
+        sensor = self._sensor
+        exposure = self.clock.next_s
+        due = self.clock.tick()
+        chance, where = self._chance.take(2)
+        noise = self._noise.one()
+        if self._dropout.one() < sensor.dropout_rate:
+            return
+        outlier = chance < sensor.outlier_rate
+        value = position + sensor.offset + sensor.sigma * noise
+        if outlier:
+            value += sensor.outlier_range * (2.0 * where - 1.0)
+        if sensor.quantisation > 0.0:
+            value = round(value / sensor.quantisation) * sensor.quantisation
+        strength = 30.0 if outlier else 300.0
+        self.due.append(DistanceEmission(due, exposure, value, strength, outlier))
+
+
+class CameraPlant:
+    """Sees the hub relative to the rigid tool."""
+
+    def __init__(self, camera: Camera, seed: int, start_s: float) -> None:
+        self._camera = camera
+        self.clock = _Clock(
+            Draws.uniform(seed, "camera.delay"),
+            start_s,
+            camera.period_s,
+            camera.phase,
+            camera.delay_s,
+            camera.jitter_s,
+        )
+        self._mount: Pose = (camera.position_in_tcp, rotation.exp(camera.rotation_in_tcp))
+        self._noise = Draws.normal(seed, "camera.noise")
+        self._chance = Draws.uniform(seed, "camera.outlier")
+        self._dropout = Draws.uniform(seed, "camera.dropout")
+        self.due: deque[CameraEmission] = deque()
+
+    def measure(self, rigid: Pose, hub: Pose) -> None:
+        """Take an image now.
+
+        Args:
+            rigid: rigid tcp in base.
+            hub: hub in base.
+        """
+        camera = self._camera
+        exposure = self.clock.next_s
+        due = self.clock.tick()
+        chance, *where = self._chance.take(4)
+        noise = self._noise.take(6)
+        dropped = self._dropout.one() < camera.dropout_rate
+        hub_in_tcp = rotation.relative(rigid, hub)
+        distance = rotation.norm(hub_in_tcp[0])
+        if dropped or not camera.blind_below <= distance <= camera.blind_beyond:
+            return
+        (x, y, z), turned = rotation.relative(self._mount, hub_in_tcp)
+        lateral = camera.sigma + camera.sigma_per_metre * distance
+        depth = camera.depth_factor * lateral
+        twist = camera.sigma_rotation + camera.sigma_rotation_per_metre * distance
+        x, y, z = x + lateral * noise[0], y + lateral * noise[1], z + depth * noise[2]
+        outlier = chance < camera.outlier_rate
+        if outlier:
+            a, b, c = (camera.outlier_range * (2.0 * w - 1.0) for w in where)
+            x, y, z = x + a, y + b, z + c
+        # The error turns the seen frame about the camera's axes, as the covariance says.
+        error = rotation.exp((twist * noise[3], twist * noise[4], twist * noise[5]))
+        quaternion = rotation.quaternion(rotation.compose(error, turned))
+        covariance = self._covariance(lateral, depth, twist) if camera.covariance else None
+        self.due.append(CameraEmission(due, exposure, (x, y, z), quaternion, covariance, outlier))
+
+    def _covariance(self, lateral: float, depth: float, twist: float) -> tuple[float, ...]:
+        honesty = self._camera.covariance_honesty
+        p, q, r = (honesty * lateral) ** 2, (honesty * depth) ** 2, (honesty * twist) ** 2
+        o = 0.0
+        return (p, o, o, o, o, o, p, o, o, o, o, q, o, o, o, r, o, o, r, o, r)
+
+
+class ForceTorquePlant:
+    """Feels the deflection of the mount as a wrench."""
+
+    def __init__(self, sensor: ForceTorque, effector: Effector, seed: int, start_s: float) -> None:
+        self._sensor = sensor
+        self._stiffness = effector.stiffness
+        self.clock = _Clock(
+            Draws.uniform(seed, "force_torque.delay"),
+            start_s,
+            sensor.period_s,
+            sensor.phase,
+            sensor.delay_s,
+            sensor.jitter_s,
+        )
+        self._noise = Draws.normal(seed, "force_torque.noise")
+        self._dropout = Draws.uniform(seed, "force_torque.dropout")
+        self.due: deque[WrenchEmission] = deque()
+
+    def measure(self, deflection: Six) -> None:
+        """Measure now.
+
+        Args:
+            deflection: of the mount, in the rigid tcp frame [m, rad].
+        """
+        sensor = self._sensor
+        exposure = self.clock.next_s
+        due = self.clock.tick()
+        n0, n1, n2, n3, n4, n5 = self._noise.take(6)
+        if self._dropout.one() < sensor.dropout_rate:
+            return
+        st, sr = sensor.sigma_translation, sensor.sigma_rotation
+        d0, d1, d2, d3, d4, d5 = deflection
+        b0, b1, b2, b3, b4, b5 = sensor.bias
+        k0, k1, k2, k3, k4, k5 = self._stiffness
+        force = (k0 * (d0 + b0 + st * n0), k1 * (d1 + b1 + st * n1), k2 * (d2 + b2 + st * n2))
+        torque = (k3 * (d3 + b3 + sr * n3), k4 * (d4 + b4 + sr * n4), k5 * (d5 + b5 + sr * n5))
+        self.due.append(WrenchEmission(due, exposure, force, torque))

@@ -1,0 +1,298 @@
+"""The whole plant of one run: conveyor, body, robot, tool, contact and sensors, in scenario time.
+
+Law of this file: time is an argument and only goes forward; the same commands at the same cycles
+give the same world to the byte, however `advance` is cut. Substeps are at most 4 ms and divide
+the cycle; sensors are evaluated at their exact instants. Nobody's wall clock is known here.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from linemate.simulators.plants import rotation
+from linemate.simulators.plants.arm import ArmPlant
+from linemate.simulators.plants.body import BodyPlant
+from linemate.simulators.plants.contact import Collision, ContactPlant, Impact, Phase
+from linemate.simulators.plants.conveyor import ConveyorPlant
+from linemate.simulators.plants.effector import EffectorPlant, Six, deflected
+from linemate.simulators.plants.rotation import Pose
+from linemate.simulators.plants.scenario import Scenario, sample
+from linemate.simulators.plants.sensors import (
+    CameraEmission,
+    CameraPlant,
+    DistanceEmission,
+    DistanceSensorPlant,
+    ForceTorquePlant,
+    WrenchEmission,
+)
+from linemate.simulators.plants.servo import ServoBank
+from linemate.simulators.plants.streams import Draws
+
+SUBSTEP_S = 0.004
+"""Longest substep of the integration [s]."""
+
+_TINY = 1e-9
+
+Matrix = NDArray[np.float64]
+_Emission = TypeVar("_Emission", DistanceEmission, CameraEmission, WrenchEmission)
+
+
+@dataclass(frozen=True, slots=True)
+class RobotTruth:
+    """The robot at one instant.
+
+    Attributes:
+        time_s: scenario time [s].
+        joints: encoders of A1..A6 [rad].
+        external: encoder of E1 [m].
+        joints_true: A1..A6 without encoder noise [rad].
+        external_true: E1 without encoder noise [m].
+        setpoints: interpolated setpoints A1..A6 [rad], E1 [m].
+        velocities: A1..A6 [rad/s], E1 [m/s] at the last substep.
+        tcp_rigid: rigid tcp in base, 4x4.
+    """
+
+    time_s: float
+    joints: tuple[float, ...]
+    external: tuple[float, ...]
+    joints_true: tuple[float, ...]
+    external_true: tuple[float, ...]
+    setpoints: tuple[float, ...]
+    velocities: tuple[float, ...]
+    tcp_rigid: Matrix
+
+
+class World:
+    """One run of the plant, from t = -lead_in_s on."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        scenario = sample(scenario.seed, scenario)
+        self.scenario = scenario
+        seed, start = scenario.seed, -scenario.lead_in_s
+        self._start = start
+        self._substeps = max(1, math.ceil(scenario.cycle_s / SUBSTEP_S - _TINY))
+        self._h = scenario.cycle_s / self._substeps
+        self._conveyor = ConveyorPlant(scenario.conveyor, seed, start)
+        self._body = BodyPlant(scenario.body)
+        self._arm = ArmPlant(scenario.robot)
+        self._servos = ServoBank(
+            scenario.robot.axes, scenario.robot.start, scenario.cycle_s, self._substeps
+        )
+        self._effector = EffectorPlant(scenario.effector, self._h)
+        self._contact = ContactPlant(scenario.contact)
+        self._distance = DistanceSensorPlant(scenario.distance, seed, start, scenario.cycle_s)
+        self._camera = CameraPlant(scenario.camera, seed, start)
+        self._force_torque = ForceTorquePlant(scenario.force_torque, scenario.effector, seed, start)
+        self._encoder_sigmas = tuple(axis.encoder_sigma for axis in scenario.robot.axes)
+        self._encoder_draws = Draws.normal(seed, "robot.encoders")
+        self._encoder_noise: tuple[float, ...] = (0.0,) * 7
+        self._index = 0
+        self._grid = start
+        self._now = start
+        self._rigid = self._arm.tcp(scenario.robot.start)
+        self._hub = self._hub_at(start)
+        self._begin_cycle()
+
+    @property
+    def time_s(self) -> float:
+        """Scenario time reached [s]."""
+        return self._now
+
+    @property
+    def cycle(self) -> int:
+        """Number of the present controller cycle, 0 at the start of the run."""
+        return self._index // self._substeps
+
+    def cycle_start(self, cycle: int) -> float:
+        """Scenario time at which a controller cycle begins [s]."""
+        return self._start + cycle * self._substeps * self._h
+
+    def advance(self, t: float) -> None:
+        """Integrate to scenario time t.
+
+        Args:
+            t: not before the time reached [s].
+
+        Raises:
+            ValueError: when t is in the past.
+        """
+        if t < self._now - _TINY:
+            raise ValueError(f"time runs forward: at {self._now} s, asked for {t} s")
+        following = self._start + (self._index + 1) * self._h
+        while following <= t + _TINY:
+            self._expose(following - _TINY)
+            self._step(following)
+            following = self._start + (self._index + 1) * self._h
+        self._expose(t + _TINY)
+        self._now = max(t, self._grid)
+
+    def command(self, setpoints: tuple[float, ...]) -> None:
+        """Command the setpoints that the controller moves to during the present cycle.
+
+        A reply that arrives late within its cycle may still be given while no axis has moved
+        on it, that is within the shortest dead time after the cycle's start.
+
+        Args:
+            setpoints: A1..A6 [rad], E1 [m], reached at the end of the cycle.
+
+        Raises:
+            ValueError: wrong number, not finite, or too late within the cycle.
+        """
+        values = tuple(float(value) for value in setpoints)
+        if len(values) != 7 or not all(map(math.isfinite, values)):
+            raise ValueError(f"seven finite setpoints wanted, got {setpoints}")
+        self._servos.command(self.cycle, self._age(), values)
+
+    def digital_out(self, bits: int) -> None:
+        """Set the signals to the tool: bit 0 fix the screws, bit 1 release the wheel."""
+        self._contact.order(bits)
+
+    def digital_in(self) -> int:
+        """Signals of the tool: bit 0 screws fixed, bit 1 wheel released."""
+        return self._contact.signals
+
+    def robot_state(self) -> RobotTruth:
+        """The robot now, as its encoders say and as it is."""
+        true = self._joints_at(self._now)
+        read = tuple(q + n for q, n in zip(true, self._encoder_noise, strict=True))
+        return RobotTruth(
+            time_s=self._now,
+            joints=read[:6],
+            external=read[6:],
+            joints_true=true[:6],
+            external_true=true[6:],
+            setpoints=self._servos.setpoints(self.cycle, self._age()),
+            velocities=self._servos.velocities,
+            tcp_rigid=rotation.matrix(self._rigid_at(self._now)),
+        )
+
+    def tcp_of(self, joints: tuple[float, ...]) -> Matrix:
+        """Rigid tcp in base, 4x4, for any joints (A1..A6 [rad], E1 [m])."""
+        return rotation.matrix(self._arm.tcp(joints))
+
+    def take_distance(self) -> list[DistanceEmission]:
+        """Readings of the distance sensor that became due since the last call."""
+        return self._take(self._distance.due)
+
+    def take_camera(self) -> list[CameraEmission]:
+        """Poses of the camera that became due since the last call."""
+        return self._take(self._camera.due)
+
+    def take_wrench(self) -> list[WrenchEmission]:
+        """Readings of the force-torque sensor that became due since the last call."""
+        return self._take(self._force_torque.due)
+
+    def hub_pose(self, t: float | None = None) -> Matrix:
+        """True hub in base, 4x4, at t (default now); in the future without unordered steps."""
+        return rotation.matrix(self._hub_at(self._now if t is None else t))
+
+    def tcp_rigid_pose(self) -> Matrix:
+        """Rigid tcp in base, 4x4, now."""
+        return rotation.matrix(self._rigid_at(self._now))
+
+    def tcp_pose(self) -> Matrix:
+        """True, elastic tcp in base, 4x4, now."""
+        return rotation.matrix(deflected(self._rigid_at(self._now), self.deflection()))
+
+    def deflection(self) -> Six:
+        """Elastic tcp relative to the rigid one, in the rigid tcp frame [m, rad], now."""
+        return self._deflection_at(self._now)
+
+    def unit_position(self, t: float | None = None) -> float:
+        """True position of the conveyor unit [m]."""
+        return self._conveyor.at(self._now if t is None else t)[0]
+
+    def unit_speed(self, t: float | None = None) -> float:
+        """True speed of the conveyor unit [m/s]."""
+        return self._conveyor.at(self._now if t is None else t)[1]
+
+    @property
+    def contact(self) -> Phase:
+        """Free, clamped or released."""
+        return self._contact.phase
+
+    @property
+    def impact(self) -> Impact | None:
+        """The instant at which the tool reached the hub plane."""
+        return self._contact.impact
+
+    @property
+    def collision(self) -> Collision | None:
+        """The first collision, if any."""
+        return self._contact.collision
+
+    @property
+    def screws_fixed_s(self) -> float | None:
+        """When the screws were tight [s]."""
+        return self._contact.fixed_s
+
+    @property
+    def released_s(self) -> float | None:
+        """When the tool let go of the wheel [s]."""
+        return self._contact.released_s
+
+    def _age(self) -> float:
+        return self._now - self.cycle_start(self.cycle)
+
+    def _begin_cycle(self) -> None:
+        self._servos.begin_cycle(self.cycle)
+        if any(self._encoder_sigmas):
+            noise = self._encoder_draws.take(7)
+            self._encoder_noise = tuple(
+                s * n for s, n in zip(self._encoder_sigmas, noise, strict=True)
+            )
+
+    def _step(self, following: float) -> None:
+        self._servos.advance(self._index)
+        rigid = self._arm.tcp(self._servos.positions)
+        hub = self._hub_at(following)
+        self._contact.advance(following, self._h, self._effector, self._rigid, rigid, hub)
+        self._index += 1
+        self._grid, self._rigid, self._hub = following, rigid, hub
+        if self._index % self._substeps == 0:
+            self._begin_cycle()
+
+    def _expose(self, limit: float) -> None:
+        """Let every sensor measure at its instants before `limit`."""
+        clock = self._force_torque.clock
+        while clock.next_s < limit:
+            self._force_torque.measure(self._deflection_at(clock.next_s))
+        clock = self._distance.clock
+        while clock.next_s < limit:
+            self._distance.measure(self._conveyor.at(clock.next_s)[0])
+        clock = self._camera.clock
+        while clock.next_s < limit:
+            t = clock.next_s
+            self._camera.measure(self._rigid_at(t), self._hub_at(t))
+
+    def _on_grid(self, t: float) -> bool:
+        return abs(t - self._grid) < _TINY
+
+    def _hub_at(self, t: float) -> Pose:
+        return self._contact.turned(self._body.hub(self._conveyor.at(t)[0], t), t)
+
+    def _joints_at(self, t: float) -> tuple[float, ...]:
+        if self._on_grid(t):
+            return self._servos.positions
+        return self._servos.peek(self._index, t - self._grid)
+
+    def _rigid_at(self, t: float) -> Pose:
+        return self._rigid if self._on_grid(t) else self._arm.tcp(self._joints_at(t))
+
+    def _deflection_at(self, t: float) -> Six:
+        if self._on_grid(t):
+            return self._effector.deflection
+        rigid = self._rigid_at(t)
+        if self._contact.phase == "clamped":
+            return self._contact.held_deflection(t, rigid, self._hub_at(t))
+        return self._effector.peek(self._rigid, rigid, t - self._grid)
+
+    def _take(self, due: "deque[_Emission]") -> "list[_Emission]":
+        taken: list[_Emission] = []
+        while due and due[0].time_s <= self._now + _TINY:
+            taken.append(due.popleft())
+        return taken
