@@ -1,3 +1,4 @@
+import itertools
 import math
 import re
 import struct
@@ -140,7 +141,9 @@ def test_infinities_of_both_signs_do_not_cancel() -> None:
         ((None, 0, 0), (0, 0, 0)),
     ],
 )
-def test_what_fits_no_bota_frame_is_refused(force: tuple[float, ...], torque: tuple[float, ...]) -> None:
+def test_what_fits_no_bota_frame_is_refused(
+    force: tuple[float, ...], torque: tuple[float, ...]
+) -> None:
     with pytest.raises(WrenchError):
         bota_frame(force, torque)
 
@@ -177,7 +180,7 @@ def test_pieces_of_any_size_give_what_the_whole_gives(device: str, data: st.Data
     whole, pieces = make_decoder(device), make_decoder(device)
     bounds = [0, *cuts, len(wire)]
     expected = fed(whole, wire)
-    assert fed(pieces, *[wire[a:b] for a, b in zip(bounds, bounds[1:], strict=False)]) == expected
+    assert fed(pieces, *[wire[a:b] for a, b in itertools.pairwise(bounds)]) == expected
     assert pieces.counters() == whole.counters()
 
 
@@ -356,7 +359,7 @@ def test_a_refused_command_ends_the_bota_dialogue_with_its_code() -> None:
 
 @pytest.mark.parametrize(
     "command",
-    [b"c,0,1,1,4", b"c,0,1,0,5", b"c,2,1,0,4", b"f,50,0,0,0", b"f,513,0,0,0", b"f,64,2,0,0"],,
+    [b"c,0,1,1,4", b"c,0,1,0,5", b"c,2,1,0,4", b"f,50,0,0,0", b"f,513,0,0,0", b"f,64,2,0,0"],
 )
 def test_the_bota_device_refuses_settings_out_of_range_and_keeps_the_old(command: bytes) -> None:
     sensor = BotaDevice()
