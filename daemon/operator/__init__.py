@@ -1,0 +1,1 @@
+"""What talks to a daemon from outside, through the command protocol alone."""

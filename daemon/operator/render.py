@@ -1,0 +1,92 @@
+"""What the operator's tool prints: plain text and JSON from what the daemon answered.
+
+Law of this file: values in, strings out; nothing is asked, nothing is printed here.
+"""
+
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+
+def as_json(value: object) -> str:
+    """Return ``value`` as JSON; numbers that JSON does not know become null."""
+    return json.dumps(_plain(value), indent=2, sort_keys=False, allow_nan=False)
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(name): _plain(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, bytes):
+        return value.hex()
+    return value
+
+
+def scalar(value: object) -> str:
+    """Return a value as a person reads it."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if value is None:
+        return "-"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(scalar(item) for item in value) + "]"
+    return str(value)
+
+
+def rows(value: Mapping[str, Any], above: str = "") -> list[tuple[str, str]]:
+    """Return a nested map as rows ``dotted.name, value`` in its own order."""
+    listed: list[tuple[str, str]] = []
+    for name, item in value.items():
+        path = f"{above}{name}"
+        if isinstance(item, Mapping) and item:
+            listed += rows(item, f"{path}.")
+        else:
+            listed.append((path, scalar(item) if item != {} else "-"))
+    return listed
+
+
+def table(head: Sequence[str], body: Iterable[Sequence[str]]) -> str:
+    """Return columns as wide as their widest cell, two blanks between them."""
+    lines = [list(head), *(list(row) for row in body)] if head else [list(row) for row in body]
+    if not lines:
+        return ""
+    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
+        for line in lines
+    )
+
+
+def parameter_rows(described: Iterable[Mapping[str, Any]]) -> list[tuple[str, ...]]:
+    """Return the rows of ``param list``: name, value, unit, default, whether live."""
+    return [
+        (
+            str(item["name"]),
+            scalar(item.get("value")),
+            str(item.get("unit") or ""),
+            scalar(item.get("default")),
+            "live" if item.get("live") else "at rest",
+        )
+        for item in described
+    ]
+
+
+def description(item: Mapping[str, Any]) -> str:
+    """Return the paragraph of ``param describe``."""
+    unit = f" {item['unit']}" if item.get("unit") else ""
+    lines = [f"{item['name']} = {scalar(item.get('value'))}{unit}"]
+    if item.get("describe"):
+        lines.append(f"  {item['describe']}")
+    low, high = item.get("min"), item.get("max")
+    if low is not None or high is not None:
+        lines.append(f"  range    {scalar(low)} .. {scalar(high)}{unit}")
+    lines.append(f"  default  {scalar(item.get('default'))}{unit}")
+    when = "at once, at a cycle's boundary" if item.get("live") else "only at rest"
+    lines.append(f"  changes  {when}")
+    return "\n".join(lines)

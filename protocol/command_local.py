@@ -1,0 +1,140 @@
+"""The command protocol on the local socket: the same conversation, vouched for by the kernel.
+
+Law of this file: frames are those of the network without the tag; who sent them is what
+the kernel says of the socket's other end (SO_PEERCRED), so there is nothing to
+authenticate and nothing to replay. Deadlines, roles and the lease hold all the same.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from linemate.protocol.command import (
+    HEADER,
+    MAX_RESULT_BYTES,
+    CommandError,
+    Frame,
+    FrameType,
+    Role,
+    cut_local,
+    encode_result,
+    local_body,
+)
+from linemate.protocol.command_client import ClientCore
+from linemate.protocol.command_rules import NS_PER_MS, ControlLease, Conversation, Order
+
+LOCAL_ROOM_BYTES: Final = MAX_RESULT_BYTES + 256
+LOCAL_LIMIT_BYTES: Final = HEADER.size + LOCAL_ROOM_BYTES
+
+
+@dataclass(frozen=True, slots=True)
+class LocalAccess:
+    """Which local users may do what; the socket's file mode decides first.
+
+    Attributes:
+        operate_uids: user ids that may operate.
+        operate_gids: group ids whose members may operate.
+        view_gids: group ids whose members may view.
+    """
+
+    operate_uids: frozenset[int] = field(default_factory=frozenset)
+    operate_gids: frozenset[int] = field(default_factory=frozenset)
+    view_gids: frozenset[int] = field(default_factory=frozenset)
+
+    def role(self, uid: int, gids: frozenset[int]) -> Role | None:
+        """Return the role of a user with these groups, None for no access."""
+        if uid in self.operate_uids or gids & self.operate_gids:
+            return Role.OPERATE
+        return Role.VIEW if gids & self.view_gids else None
+
+
+class LocalServer:
+    """The daemon's end of one accepted local connection.
+
+    Args:
+        who: the peer's name for logs and the lease.
+        role: its role.
+        lease: shared with all other conversations.
+        counters: shared likewise.
+    """
+
+    def __init__(self, who: str, role: Role, lease: ControlLease, counters: Counter[str]) -> None:
+        self._conversation = Conversation(who, role, lease, LOCAL_ROOM_BYTES, counters)
+        self._counters = counters
+        self._events = 0
+
+    @property
+    def subscribed(self) -> bool:
+        """Whether the peer wants telemetry."""
+        return self._conversation.subscribed
+
+    def on_message(self, data: bytes, now_ns: int) -> Order | bytes | None:
+        """Take one message: an order to carry out, a reply to send, or None (counted)."""
+        self._counters["received"] += 1
+        try:
+            return self._on_frame(cut_local(data), now_ns)
+        except CommandError as error:
+            self._counters[f"dropped_{error.kind}"] += 1
+            return None
+
+    def reply(self, order: Order, result: Mapping[str, Any], now_ns: int) -> bytes:
+        """Return the message that answers an order; see CommandServer.reply."""
+        payload = self._conversation.answer(order.sequence, result, now_ns)
+        return self._reply(order.sequence, payload)
+
+    def fail(self, order: Order, now_ns: int) -> bytes:
+        """Return the message that says a handler broke."""
+        return self._reply(order.sequence, self._conversation.fail(now_ns))
+
+    def event(self, now_ns: int, snapshot: Callable[[], Mapping[str, Any]]) -> bytes | None:
+        """Return the telemetry that is due, None if none is."""
+        if not self._conversation.event_due(now_ns):
+            return None
+        try:
+            packed = encode_result(snapshot())
+        except CommandError as error:
+            self._counters[f"events_{error.kind}"] += 1
+            return None
+        payload = self._conversation.event(packed, now_ns)
+        if payload is None:
+            return None
+        self._events += 1
+        return local_body(FrameType.EVENT, 0, 0, self._events, payload)
+
+    def _on_frame(self, frame: Frame, now_ns: int) -> Order | bytes:
+        if frame.type is FrameType.HELLO:
+            return local_body(FrameType.COOKIE, 0, 0, now_ns // NS_PER_MS)
+        if frame.type is not FrameType.REQUEST or frame.sequence == 0:
+            raise CommandError("direction", frame.type.name)
+        said = self._conversation.ask(frame.payload, frame.sequence, now_ns)
+        return said if isinstance(said, Order) else self._reply(frame.sequence, said)
+
+    @staticmethod
+    def _reply(sequence: int, payload: bytes) -> bytes:
+        return local_body(FrameType.REPLY, 0, 0, sequence, payload)
+
+
+class LocalClient(ClientCore):
+    """A client on the local socket: no key, no tag."""
+
+    def hello(self, now_ns: int) -> bytes:
+        """Return the message that asks for the server's clock."""
+        del now_ns
+        return local_body(FrameType.HELLO, 0, 0, 0)
+
+    def close(self) -> bytes | None:
+        """Return None: closing the socket is enough."""
+        return None
+
+    def _frame(self, kind: FrameType, sequence: int, payload: bytes) -> bytes:
+        return local_body(kind, 0, 0, sequence, payload)
+
+    def _genuine(self, data: bytes) -> Frame:
+        frame = cut_local(data, LOCAL_LIMIT_BYTES)
+        if frame.type not in {FrameType.COOKIE, FrameType.REPLY, FrameType.EVENT}:
+            raise CommandError("direction", frame.type.name)
+        return frame
+
+    def _take_cookie(self, frame: Frame) -> None:
+        del frame
