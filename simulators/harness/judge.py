@@ -1,0 +1,387 @@
+"""The judge: truth rows, the daemon's rows and the controller's counts become ``result.json``.
+
+Law of this file: pure, and the emulator's word alone decides: errors against its own truth,
+telegrams as the controller counted them, limits on the setpoints that it applied. The daemon's
+columns say only what it committed itself to (target), sensed and programmed.
+Errors are kept apart: control (tcp - x_c), plan (x_c - x_f), prediction (x_f - truth),
+total (tcp - truth), where truth is the true hub at the programmed tool-to-hub distance.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from linemate.simulators.harness import poses
+from linemate.simulators.harness.rows import (
+    CLAMPED,
+    FREE,
+    PHASES,
+    STATES,
+    Bools,
+    DaemonEvent,
+    Floats,
+    Rows,
+)
+from linemate.simulators.plants.scenario import AppliedEvent
+
+APPROACH_S = 1.0
+STOP_S = 1.3
+RESTART_S = 2.0
+SCREWS_S = 0.4
+SETTLE_S = 0.5
+LATEST_S = 3.0
+CLEAR_M = 0.05
+
+CONTROL_BAR_MM = 1.0
+CONTROL_BAR_MRAD = 2.0
+"""The paper's figure: control errors in approach, stop and contact stay below these."""
+
+SCREWS_FIXED, WHEEL_RELEASED = 1, 2
+
+ANGLE_QUANTUM = np.radians(0.5e-8)
+LENGTH_QUANTUM = 0.5e-11
+"""Half of the last decimal on the wire: degrees and mm with eight decimals [rad], [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Telegrams:
+    """Telegrams as the controller counted them."""
+
+    sent: int
+    answered: int
+    late: int
+    lost: int
+    refused: int
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """What an axis may be given: position, speed, acceleration, jerk, SI."""
+
+    lower: float
+    upper: float
+    speed: float
+    acceleration: float
+    jerk: float
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """All that a verdict rests on.
+
+    Attributes:
+        rows: of the run.
+        scenario: its name.
+        seed: of the run.
+        cycle_s: the controller's cycle [s].
+        events: stops and starts that took place.
+        telegrams: the controller's counts.
+        bounds: of the seven axes.
+        collision: what hit what, None if nothing did.
+        broken: why the controller broke off, None if it did not.
+        variant: ablation, "default" if none.
+        turnaround_us: p50, p99, p999, max at the controller; None in virtual time.
+    """
+
+    rows: Rows
+    scenario: str
+    seed: int
+    cycle_s: float
+    events: Sequence[AppliedEvent]
+    telegrams: Telegrams
+    bounds: Sequence[Bounds]
+    collision: str | None = None
+    broken: str | None = None
+    variant: str = "default"
+    turnaround_us: Mapping[str, float] | None = None
+
+
+def judge(evidence: Evidence) -> dict[str, Any]:
+    """Judge one run.
+
+    Args:
+        evidence: rows, events, counts.
+
+    Returns:
+        The dict of ``result.json`` (interfaces, section 7).
+    """
+    rows = evidence.rows
+    outcome = _outcome(evidence)
+    spans = windows(rows, evidence.events, evidence.collision is not None)
+    errors = {
+        f"{name}_error": {window: _figures(*pair, mask) for window, mask in spans.items()}
+        for name, pair in compute_errors(rows).items()
+    }
+    detection, alarms = detections(rows.events, evidence.events)
+    result: dict[str, Any] = {
+        "version": 1,
+        "scenario": evidence.scenario,
+        "variant": evidence.variant,
+        "seed": evidence.seed,
+        "cycle_ms": _round(evidence.cycle_s * 1e3),
+        "assembled": outcome == "assembled",
+        "outcome": outcome,
+        "reason": evidence.collision or evidence.broken,
+        "duration_s": _round(rows.t[-1]) if len(rows) else 0.0,
+        "impact_s": _impact_time(rows),
+        **errors,
+        "detection": detection,
+        "false_alarms": alarms,
+        "contact_force_n": _force(rows),
+        "telegrams": asdict(evidence.telegrams),
+        "step_us": percentiles(rows.step_us, {"p50": 50.0, "p99": 99.0, "max": 100.0}),
+        "limits": violations(rows.setpoints, evidence.bounds, evidence.cycle_s),
+    }
+    if evidence.turnaround_us is not None:
+        result["turnaround_us"] = dict(evidence.turnaround_us)
+    result["within_limits"] = within_limits(result)
+    return result
+
+
+def within_limits(result: Mapping[str, Any]) -> bool:
+    """Whether the run assembled within the paper's figures.
+
+    That is: assembled, no setpoint out of its limits, every telegram answered in time, and a
+    control error below 1 mm and 2 mrad in approach, stop and contact.
+    """
+    telegrams = result["telegrams"]
+    spans = (result["control_error"].get(name) for name in ("approach", "stop", "contact"))
+    accurate = all(
+        span is None or (span["max_mm"] < CONTROL_BAR_MM and span["max_mrad"] < CONTROL_BAR_MRAD)
+        for span in spans
+    )
+    lossless = telegrams["late"] == telegrams["lost"] == telegrams["refused"] == 0
+    return bool(
+        result["assembled"] and accurate and lossless and result["limits"]["violations"] == 0
+    )
+
+
+# Errors
+
+
+def compute_errors(rows: Rows) -> dict[str, tuple[Floats, Floats]]:
+    """The four errors of each row.
+
+    Returns:
+        For control, plan, prediction and total: distance [m] and angle [rad], (n,) each,
+        NaN where the daemon had no such pose.
+    """
+    tcp = rows.judged_tcp()
+    aim = poses.compose(rows.hub, poses.relative(rows.part, rows.sensed))
+    return {
+        "control": poses.distance(rows.target, tcp),
+        "plan": poses.distance(rows.sensed, rows.target),
+        "prediction": poses.distance(aim, rows.sensed),
+        "total": poses.distance(aim, tcp),
+    }
+
+
+def _figures(distance: Floats, angle: Floats, mask: Bools) -> dict[str, float] | None:
+    """Maximum and root mean square over a window; None if nothing is known in it."""
+    known = mask & np.isfinite(distance) & np.isfinite(angle)
+    if not known.any():
+        return None
+    mm, mrad = distance[known] * 1e3, angle[known] * 1e3
+    return {
+        "max_mm": _round(mm.max()),
+        "rms_mm": _round(np.sqrt(np.mean(mm**2))),
+        "max_mrad": _round(mrad.max()),
+        "rms_mrad": _round(np.sqrt(np.mean(mrad**2))),
+    }
+
+
+# Windows
+
+
+def windows(rows: Rows, events: Sequence[AppliedEvent], collided: bool = False) -> dict[str, Bools]:
+    """Which rows belong to which window (interfaces, section 7), by the truth alone.
+
+    ``quiet`` is extra: contact after the screws, away from stops and starts.
+    """
+    t = rows.t
+    clamped = rows.contact == CLAMPED
+    impact = int(np.argmax(clamped)) if clamped.any() else None
+    if impact is None and collided:
+        impact = len(t) - 1
+    stop, restart, busy = (np.zeros(len(t), np.bool_) for _ in range(3))
+    for event in events:
+        window, length = (stop, STOP_S) if event.kind == "stop" else (restart, RESTART_S)
+        window |= (t >= event.onset_s) & (t <= event.onset_s + length)
+        busy |= (t >= event.onset_s) & (t <= event.settled_s + SETTLE_S)
+    fixing, before = _screws(rows)
+    return {
+        "approach": _before_impact(t, impact),
+        "stop": stop,
+        "impact": _at_impact(t, impact),
+        "contact": clamped & ~fixing,
+        "restart": restart,
+        "quiet": clamped & ~fixing & ~before & ~busy,
+    }
+
+
+def _before_impact(t: Floats, impact: int | None) -> Bools:
+    if impact is None:
+        return np.zeros(len(t), np.bool_)
+    near: Bools = (t >= t[impact] - APPROACH_S) & (t < t[impact])
+    return near
+
+
+def _at_impact(t: Floats, impact: int | None) -> Bools:
+    # The last row in free space: one later the clamp has already drawn tool and hub together.
+    at = np.zeros(len(t), np.bool_)
+    if impact is not None and impact > 0:
+        at[impact - 1] = True
+    return at
+
+
+def _screws(rows: Rows) -> tuple[Bools, Bools]:
+    """Rows in which the screws are being fixed, and rows before they are."""
+    fixed = (rows.digital_in & SCREWS_FIXED) != 0
+    if not fixed.any():
+        return np.zeros(len(rows), np.bool_), np.ones(len(rows), np.bool_)
+    at = rows.t[int(np.argmax(fixed))]
+    return np.abs(rows.t - at) <= SCREWS_S, rows.t < at
+
+
+def _impact_time(rows: Rows) -> float | None:
+    clamped = rows.contact == CLAMPED
+    return _round(rows.t[int(np.argmax(clamped))]) if clamped.any() else None
+
+
+# Outcome
+
+
+def _outcome(evidence: Evidence) -> str:
+    """In one word how it ended; the first that applies."""
+    rows = evidence.rows
+    rules: tuple[tuple[str, Callable[[], bool]], ...] = (
+        ("collision", lambda: evidence.collision is not None),
+        ("fault", lambda: evidence.broken is not None or not len(rows)),
+        ("fault", lambda: STATES[rows.state[-1]] == "FAULT"),
+        ("assembled", lambda: _is_assembled(rows)),
+        ("retreated", lambda: _has_retreated(rows)),
+    )
+    return next((name for name, applies in rules if applies()), "held")
+
+
+def _is_assembled(rows: Rows) -> bool:
+    """Screws fixed, wheel released, the tool off the hub."""
+    signals = int(rows.digital_in[-1])
+    done = bool(signals & SCREWS_FIXED) and bool(signals & WHEEL_RELEASED)
+    gap = float(np.linalg.norm(rows.tcp[-1, :3] - rows.hub[-1, :3]))
+    return done and bool((rows.contact == CLAMPED).any()) and gap > CLEAR_M
+
+
+def _has_retreated(rows: Rows) -> bool:
+    """The tool was on the hub and is off it again, or the daemon has withdrawn it."""
+    withdrawn = (rows.contact == CLAMPED).any() and rows.contact[-1] == FREE
+    retreat = (rows.phase == PHASES.index("retreat")) | (rows.state == STATES.index("RETREAT"))
+    return bool(withdrawn or retreat.any())
+
+
+# Detection
+
+
+def detections(
+    told: Sequence[DaemonEvent], events: Sequence[AppliedEvent]
+) -> tuple[list[dict[str, Any]], dict[str, int]]:
+    """Latencies of what was told in time, and the count of what was told without reason.
+
+    Args:
+        told: the daemon's events, in order of time.
+        events: stops and starts that took place.
+
+    Returns:
+        One entry an event (latencies after onset [s], None if missed), and false alarms.
+    """
+    entries: list[dict[str, Any]] = []
+    justified: set[int] = set()
+    for i, event in enumerate(events):
+        end = max(event.settled_s, event.onset_s + LATEST_S)
+        if i + 1 < len(events):
+            end = min(end, events[i + 1].onset_s)
+        own = [j for j, e in enumerate(told) if e.kind == event.kind and event.onset_s <= e.t < end]
+        justified.update(own)
+        perceived, confirmed = _latencies([told[j] for j in own], event.onset_s)
+        entries.append(
+            {
+                "event": event.kind,
+                "onset_s": _round(event.onset_s),
+                "perceived_s": perceived,
+                "confirmed_s": confirmed,
+            }
+        )
+    idle = [e.what for j, e in enumerate(told) if j not in justified]
+    alarms = {what: idle.count(what) for what in ("tentative", "confirmed")}
+    return entries, alarms
+
+
+def _latencies(own: Sequence[DaemonEvent], onset: float) -> tuple[float | None, float | None]:
+    """The first confirmation, and the last perception before it that was not taken back."""
+    perceived: float | None = None
+    for event in own:
+        if event.what == "tentative" and perceived is None:
+            perceived = _round(event.t - onset)
+        elif event.what == "cancelled":
+            perceived = None
+        elif event.what == "confirmed":
+            confirmed = _round(event.t - onset)
+            return (confirmed if perceived is None else perceived), confirmed
+    return perceived, None
+
+
+# Limits, forces, percentiles
+
+
+def violations(setpoints: Floats, bounds: Sequence[Bounds], cycle_s: float) -> dict[str, Any]:
+    """Count applied setpoints whose finite differences are out of bounds.
+
+    Args:
+        setpoints: (n, axes) [rad], [m].
+        bounds: one an axis.
+        cycle_s: [s].
+
+    Returns:
+        The number of violations and the worst share of each limit that was used.
+    """
+    lower, upper, speed, acceleration, jerk = np.array(
+        [(b.lower, b.upper, b.speed, b.acceleration, b.jerk) for b in bounds]
+    ).T
+    quantum = np.full(len(bounds), ANGLE_QUANTUM)
+    quantum[6:] = LENGTH_QUANTUM
+    q = setpoints[np.isfinite(setpoints).all(axis=1)]
+    outside = (q < lower - quantum) | (q > upper + quantum)
+    count, worst = int(outside.sum()), {}
+    for order, (name, limit) in enumerate(
+        (("speed", speed), ("acceleration", acceleration), ("jerk", jerk)), start=1
+    ):
+        scale = cycle_s**order
+        size = np.abs(np.diff(q, n=order, axis=0)) / scale
+        allowed = limit * (1.0 + 1e-6) + 2.0**order * quantum / scale
+        count += int((size > allowed).sum())
+        worst[name] = _round((size / limit).max()) if size.size else 0.0
+    return {"violations": count, "worst_share": worst}
+
+
+def _force(rows: Rows) -> dict[str, float] | None:
+    """Contact force on the elastic mount while the tool is clamped [N]."""
+    clamped = (rows.contact == CLAMPED) & np.isfinite(rows.force).all(axis=1)
+    if not clamped.any():
+        return None
+    force = np.linalg.norm(rows.force[clamped], axis=1)
+    return {"max": _round(force.max()), "rms": _round(np.sqrt(np.mean(force**2)))}
+
+
+def percentiles(values: Floats, ranks: Mapping[str, float]) -> dict[str, float | None]:
+    """Percentiles of what was measured; None for each if nothing was."""
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return dict.fromkeys(ranks)
+    return {name: _round(np.percentile(known, rank)) for name, rank in ranks.items()}
+
+
+def _round(value: float) -> float:
+    """Six decimals: nanometres and nanoradians are beyond any claim."""
+    return round(float(value), 6)

@@ -1,0 +1,171 @@
+"""What one run leaves behind for its judge: a row a telegram, the truth beside the daemon's word.
+
+Law of this file: preallocated arrays and the events, nothing computed but poses as seven numbers.
+Row i belongs to telegram i of the controller, sent at scenario time ``t[i]``; an unanswered
+telegram leaves NaN in the daemon's columns. Poses are (n, 7): position [m], quaternion w x y z.
+"""
+
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+AXES = 7
+"""A1..A6 [rad] and E1 [m]."""
+
+FREE, CLAMPED, RELEASED = 0, 1, 2
+"""Codes of the column ``contact``."""
+
+CONTACT_CODES = {"free": FREE, "clamped": CLAMPED, "released": RELEASED}
+
+PHASES = ("", "wait", "approach", "contact", "screws", "retreat", "done")
+"""Codes of the column ``phase``."""
+
+CLASSES = ("", "running", "stopping", "standing", "starting")
+"""Codes of the column ``scenario``."""
+
+STATES = ("", "INIT", "IDLE", "ARMED", "TRACK", "CONTACT", "RETREAT", "HOLD", "FAULT")
+"""Codes of the column ``state``."""
+
+
+@dataclass(frozen=True, slots=True)
+class DaemonEvent:
+    """A change of class as the daemon told it: ("stop", "tentative"), ("start", "confirmed")."""
+
+    t: float
+    kind: str
+    what: str
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """One run, row by row (n telegrams).
+
+    Attributes:
+        t: scenario time of each telegram [s], (n,).
+        tcp: true, elastic tcp in base, (n, 7).
+        tcp_rigid: where the robot holds the tool, without deflection, in base, (n, 7).
+        hub: true hub in base, (n, 7).
+        contact: FREE, CLAMPED or RELEASED, (n,).
+        digital_in: the tool's signals to the daemon (bit 0 fixed, bit 1 released), (n,).
+        unit_position: of the conveyor unit [m], (n,).
+        unit_speed: of the conveyor unit [m/s], (n,).
+        setpoints: applied by the controller from this telegram on, (n, 7).
+        joints: measured axes, (n, 7).
+        force: on the elastic mount, tcp axes [N], (n, 3).
+        answered: the telegram got its reply in time, (n,).
+        command: the daemon's own setpoints, (n, 7).
+        target: x_t(k, 0), the committed x_c(k), in base, (n, 7).
+        sensed: x_f(k, 0) in base, (n, 7).
+        part: estimated hub in base, (n, 7).
+        phase: index into PHASES, (n,).
+        scenario: index into CLASSES, (n,).
+        tentative: the class is not confirmed, (n,).
+        state: index into STATES, (n,).
+        contact_seen: the daemon believes in contact, (n,).
+        task_time: the task's clock [s], NaN before it starts, (n,).
+        speed: estimated speed of the conveyor [m/s], (n,).
+        step_us: computing time of the reply [us], NaN where not measured, (n,).
+        events: changes of class, in order of time.
+    """
+
+    t: Floats
+    tcp: Floats
+    tcp_rigid: Floats
+    hub: Floats
+    contact: Ints
+    digital_in: Ints
+    unit_position: Floats
+    unit_speed: Floats
+    setpoints: Floats
+    joints: Floats
+    force: Floats
+    answered: Bools
+    command: Floats
+    target: Floats
+    sensed: Floats
+    part: Floats
+    phase: Ints
+    scenario: Ints
+    tentative: Bools
+    state: Ints
+    contact_seen: Bools
+    task_time: Floats
+    speed: Floats
+    step_us: Floats
+    events: tuple[DaemonEvent, ...] = ()
+
+    def __len__(self) -> int:
+        """Number of telegrams."""
+        return len(self.t)
+
+    def judged_tcp(self) -> Floats:
+        """The tcp that errors are judged by, (n, 7).
+
+        In free space the elastic tcp; while clamped the rigid one, whose difference to the hub
+        is the deflection, that is the contact force.
+        """
+        clamped = (self.contact == CLAMPED)[:, np.newaxis]
+        return np.where(clamped, self.tcp_rigid, self.tcp)
+
+    def columns_for_report(self) -> dict[str, NDArray[Any]]:
+        """What the report draws, by name; words instead of codes."""
+        return {
+            "time_s": self.t,
+            "target": self.target,
+            "sensed": self.sensed,
+            "part": self.part,
+            "tcp": self.judged_tcp(),
+            "hub": self.hub,
+            "unit_position": self.unit_position,
+            "phase": np.array(PHASES)[self.phase],
+            "scenario": np.array(CLASSES)[self.scenario],
+        }
+
+    def cut(self, n: int) -> "Rows":
+        """The first n rows, with all events."""
+        columns = {f.name: getattr(self, f.name)[:n] for f in fields(self) if f.name != "events"}
+        return replace(self, **columns)
+
+
+_SHAPES: dict[str, tuple[int, ...]] = {
+    "tcp": (7,), "tcp_rigid": (7,), "hub": (7,), "target": (7,), "sensed": (7,), "part": (7,),
+    "setpoints": (AXES,), "joints": (AXES,), "command": (AXES,), "force": (3,),
+}  # fmt: skip
+_INTS = {"contact", "digital_in", "phase", "scenario", "state"}
+_BOOLS = {"answered", "tentative", "contact_seen"}
+
+
+def empty(n: int) -> Rows:
+    """Rows to be filled: floats NaN, integers 0, flags False."""
+    columns: dict[str, Any] = {}
+    for field in fields(Rows):
+        shape = (n, *_SHAPES.get(field.name, ()))
+        if field.name in _INTS:
+            columns[field.name] = np.zeros(shape, np.int64)
+        elif field.name in _BOOLS:
+            columns[field.name] = np.zeros(shape, np.bool_)
+        elif field.name != "events":
+            columns[field.name] = np.full(shape, np.nan)
+    return Rows(**columns)
+
+
+def save(rows: Rows, path: Path) -> None:
+    """Write rows as a compressed numpy archive."""
+    columns = {f.name: getattr(rows, f.name) for f in fields(rows) if f.name != "events"}
+    events = np.array([(e.t, e.kind, e.what) for e in rows.events], dtype="f8,U16,U16")
+    np.savez_compressed(path, allow_pickle=False, events=events, **columns)
+
+
+def load(path: Path) -> Rows:
+    """Read what `save` wrote."""
+    with np.load(path, allow_pickle=False) as archive:
+        columns = {name: archive[name] for name in archive.files}
+    events = tuple(DaemonEvent(float(t), str(k), str(w)) for t, k, w in columns.pop("events"))
+    return Rows(events=events, **columns)
