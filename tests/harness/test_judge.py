@@ -1,0 +1,246 @@
+"""The judge on synthetic rows, whose verdict is known beforehand."""
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from linemate.simulators.harness import judge as judging
+from linemate.simulators.harness.judge import Bounds, Evidence, Telegrams, judge
+from linemate.simulators.harness.rows import (
+    CLAMPED,
+    FREE,
+    PHASES,
+    STATES,
+    DaemonEvent,
+    Rows,
+    empty,
+    load,
+    save,
+)
+from linemate.simulators.plants.scenario import Scenario
+
+CYCLE = 0.012
+EVENTS = Scenario().events
+BOUNDS = (Bounds(-3.0, 3.0, 1.0, 10.0, 1000.0),) * 7
+TELEGRAMS = Telegrams(sent=1500, answered=1500, late=0, lost=0, refused=0)
+IMPACT, RELEASE, FIXED, RELEASED = 6.0, 15.0, 9.5, 14.8
+
+
+def perfect_run() -> Rows:
+    """A run without any error: the tool meets the hub at 6 s and leaves it at 15 s."""
+    rows = empty(1500)
+    rows.t[:] = np.arange(1500) * CYCLE
+    t = rows.t
+    rows.hub[:] = (2.2, 0.0, 1.1, 1.0, 0.0, 0.0, 0.0)
+    rows.hub[:, 1] = 0.1 * t
+    gap = np.maximum(0.0, np.maximum(0.2 * (IMPACT - t), 0.3 * (t - RELEASE)))
+    rows.sensed[:] = rows.hub
+    rows.sensed[:, 0] -= gap
+    for column in (rows.tcp, rows.tcp_rigid, rows.target):
+        column[:] = rows.sensed
+    rows.part[:] = rows.hub
+    rows.contact[(t >= IMPACT) & (t < RELEASE)] = CLAMPED
+    rows.digital_in[t >= FIXED] |= 1
+    rows.digital_in[t >= RELEASED] |= 2
+    rows.setpoints[:] = 0.0
+    rows.force[:] = 0.0
+    rows.answered[:] = True
+    rows.state[:] = STATES.index("TRACK")
+    rows.phase[t >= RELEASE] = PHASES.index("retreat")
+    return rows
+
+
+def evidence(rows: Rows, **changes: Any) -> Evidence:
+    whole = Evidence(rows, "wheel", 0, CYCLE, EVENTS, TELEGRAMS, BOUNDS)
+    return replace(whole, **changes)
+
+
+def told(*events: tuple[float, str, str]) -> tuple[DaemonEvent, ...]:
+    return tuple(DaemonEvent(*event) for event in events)
+
+
+def test_a_run_without_error_is_assembled_within_limits() -> None:
+    result = judge(evidence(perfect_run()))
+    assert (result["assembled"], result["outcome"]) == (True, "assembled")
+    assert result["within_limits"] is True
+    assert result["impact_s"] == pytest.approx(IMPACT)
+    for error in ("control", "plan", "prediction", "total"):
+        for window in ("approach", "stop", "impact", "contact", "restart"):
+            assert result[f"{error}_error"][window]["max_mm"] < 1e-9
+    json.dumps(result, allow_nan=False)
+
+
+def test_each_error_shows_in_its_own_figure_and_in_the_total() -> None:
+    shifts = {
+        "control": ("tcp", "tcp_rigid"),
+        "plan": ("tcp", "tcp_rigid", "target"),
+        "prediction": ("tcp", "tcp_rigid", "target", "sensed", "part"),
+    }
+    for name, columns in shifts.items():
+        rows = perfect_run()
+        for column in columns:
+            getattr(rows, column)[:, 2] += 0.002
+        result = judge(evidence(rows))
+        for error in ("control", "plan", "prediction"):
+            expected = 2.0 if error == name else 0.0
+            assert result[f"{error}_error"]["approach"]["max_mm"] == pytest.approx(expected)
+        assert result["total_error"]["approach"]["rms_mm"] == pytest.approx(2.0)
+
+
+def test_a_turn_is_told_in_milliradians() -> None:
+    rows = perfect_run()
+    for column in (rows.tcp, rows.tcp_rigid):
+        column[:, 3:] = (np.cos(0.0015), 0.0, np.sin(0.0015), 0.0)
+    result = judge(evidence(rows))
+    assert result["control_error"]["contact"]["max_mrad"] == pytest.approx(3.0)
+    assert result["within_limits"] is False
+
+
+def test_the_elastic_tcp_counts_in_free_space_and_the_rigid_one_in_contact() -> None:
+    rows = perfect_run()
+    rows.tcp[:, 0] += 0.001
+    rows.tcp_rigid[:, 0] += 0.003
+    result = judge(evidence(rows))["control_error"]
+    assert result["approach"]["max_mm"] == pytest.approx(1.0)
+    assert result["impact"]["max_mm"] == pytest.approx(1.0)
+    assert result["contact"]["max_mm"] == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize(
+    ("at", "windows"),
+    [
+        (4.9, set()),
+        (5.1, {"approach", "stop"}),
+        (5.995, {"approach", "stop", "impact"}),
+        (6.2, {"stop", "contact"}),
+        (7.0, {"contact"}),
+        (8.9, {"contact"}),
+        (9.05, {"contact", "restart"}),
+        (9.5, {"restart"}),
+        (11.2, {"contact"}),
+        (15.1, set()),
+    ],
+)
+def test_a_spike_shows_in_the_windows_it_falls_in(at: float, windows: set[str]) -> None:
+    rows = perfect_run()
+    row = int(at / CYCLE + 1e-9)
+    rows.tcp[row, 2] += 0.004
+    rows.tcp_rigid[row, 2] += 0.004
+    found = judge(evidence(rows))["total_error"]
+    hit = {name for name in found if found[name] and found[name]["max_mm"] > 3.9}
+    assert hit - {"quiet"} == windows
+
+
+def test_without_contact_there_is_nothing_to_say_of_contact() -> None:
+    rows = perfect_run()
+    rows.contact[:] = FREE
+    result = judge(evidence(rows))
+    assert result["control_error"]["contact"] is None
+    assert result["control_error"]["approach"] is None
+    assert result["impact_s"] is None
+    assert result["outcome"] != "assembled"
+
+
+def test_the_outcome_is_the_emulators_word() -> None:
+    rows = perfect_run()
+    assert judge(evidence(rows, collision="tool hit the hub"))["outcome"] == "collision"
+    assert judge(evidence(rows, broken="KSS29002"))["outcome"] == "fault"
+    unscrewed = perfect_run()
+    unscrewed.digital_in[:] = 0
+    assert judge(evidence(unscrewed))["outcome"] == "retreated"
+    stuck = perfect_run()
+    stuck.digital_in[:] = 0
+    stuck.contact[:] = FREE
+    stuck.phase[:] = 0
+    assert judge(evidence(stuck))["outcome"] == "held"
+    latched = perfect_run()
+    latched.state[-1] = STATES.index("FAULT")
+    assert judge(evidence(latched))["outcome"] == "fault"
+    near = perfect_run()
+    near.tcp[-1] = near.hub[-1]
+    assert judge(evidence(near))["outcome"] != "assembled"
+
+
+def test_a_lost_telegram_is_not_within_limits() -> None:
+    counts = replace(TELEGRAMS, lost=1)
+    result = judge(evidence(perfect_run(), telegrams=counts))
+    assert (result["assembled"], result["within_limits"]) == (True, False)
+
+
+def test_latencies_run_from_the_true_onset() -> None:
+    events = told(
+        (5.16, "stop", "tentative"), (5.28, "stop", "confirmed"),
+        (10.5, "start", "tentative"), (10.8, "start", "confirmed"),
+    )  # fmt: skip
+    stop, start = judge(evidence(replace(perfect_run(), events=events)))["detection"]
+    assert (stop["event"], stop["perceived_s"], stop["confirmed_s"]) == ("stop", 0.16, 0.28)
+    assert (start["event"], start["perceived_s"], start["confirmed_s"]) == ("start", 1.5, 1.8)
+
+
+def test_a_perception_that_was_taken_back_is_not_the_perception() -> None:
+    events = told(
+        (5.1, "stop", "tentative"), (5.12, "stop", "cancelled"),
+        (5.2, "stop", "tentative"), (5.3, "stop", "confirmed"),
+    )  # fmt: skip
+    found, alarms = judging.detections(events, EVENTS)
+    assert (found[0]["perceived_s"], found[0]["confirmed_s"]) == (0.2, 0.3)
+    assert (found[1]["perceived_s"], found[1]["confirmed_s"]) == (None, None)
+    assert alarms == {"tentative": 0, "confirmed": 0}
+
+
+def test_what_is_told_without_reason_is_a_false_alarm() -> None:
+    events = told(
+        (2.0, "stop", "tentative"), (2.1, "stop", "cancelled"), (3.0, "start", "tentative"),
+        (5.2, "start", "tentative"), (5.3, "stop", "confirmed"), (8.0, "start", "confirmed"),
+    )  # fmt: skip
+    found, alarms = judging.detections(events, EVENTS)
+    assert alarms == {"tentative": 3, "confirmed": 1}
+    assert found[0]["perceived_s"] == found[0]["confirmed_s"] == pytest.approx(0.3)
+
+
+def test_setpoints_within_limits_are_no_violation_even_as_rounded_on_the_wire() -> None:
+    t = np.arange(2000) * 0.004
+    # Speed 1 and acceleration 10 at their limits, jerk 100.
+    q = np.tile(0.1 * np.sin(10.0 * t), (7, 1)).T
+    rounded = np.radians(np.round(np.degrees(q), 8))
+    assert judging.violations(rounded, BOUNDS, 0.004)["violations"] == 0
+
+
+@pytest.mark.parametrize(
+    ("bounds", "what"),
+    [
+        (Bounds(-0.05, 3.0, 9.0, 99.0, 999.0), "position"),
+        (Bounds(-3.0, 3.0, 0.9, 99.0, 999.0), "speed"),
+        (Bounds(-3.0, 3.0, 9.0, 9.0, 999.0), "acceleration"),
+        (Bounds(-3.0, 3.0, 9.0, 99.0, 90.0), "jerk"),
+    ],
+)
+def test_each_limit_is_guarded(bounds: Bounds, what: str) -> None:
+    t = np.arange(2000) * 0.004
+    q = np.tile(0.1 * np.sin(10.0 * t), (7, 1)).T
+    found = judging.violations(q, (bounds,) * 7, 0.004)
+    assert found["violations"] > 0, what
+    if what != "position":
+        assert found["worst_share"][what] > 1.0
+
+
+def test_contact_force_is_told_in_newtons() -> None:
+    rows = perfect_run()
+    rows.force[:] = (3.0, 0.0, 4.0)
+    assert judge(evidence(rows))["contact_force_n"] == {"max": 5.0, "rms": 5.0}
+
+
+def test_virtual_time_has_no_computing_time() -> None:
+    assert judge(evidence(perfect_run()))["step_us"] == {"p50": None, "p99": None, "max": None}
+
+
+def test_rows_survive_their_archive(tmp_path: Any) -> None:
+    rows = replace(perfect_run(), events=told((5.1, "stop", "tentative")))
+    save(rows, tmp_path / "rows.npz")
+    again = load(tmp_path / "rows.npz")
+    assert again.events == rows.events
+    assert np.array_equal(again.sensed, rows.sensed)
+    assert judge(evidence(again)) == judge(evidence(rows))
