@@ -1,0 +1,187 @@
+"""The processes that a demonstration starts, and that no end of it may leave behind.
+
+Law of the file: every child leads a process group of its own and dies with its parent, even
+if that is killed; whatever ends the `with` block ends them all, politely first. Only
+processes started here are ever signalled, by their own id.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import Final, NoReturn, Self
+
+PR_SET_PDEATHSIG: Final = 1
+POLITE_S: Final = 4.0
+FIRM_S: Final = 2.0
+LOG_TAIL: Final = 12
+
+_libc = ctypes.CDLL(None, use_errno=True)
+
+
+class ChildError(Exception):
+    """A child ended, or did not get ready, and its last words.
+
+    Attributes:
+        name: which child.
+        tail: the last lines it wrote.
+    """
+
+    def __init__(self, name: str, what: str, tail: Sequence[str]) -> None:
+        super().__init__("\n".join((f"{name} {what}", *(f"  | {line}" for line in tail))))
+        self.name = name
+        self.tail = tuple(tail)
+
+
+class Child:
+    """One started process; its output goes to a file, so that no full pipe can stop it."""
+
+    def __init__(self, name: str, process: subprocess.Popen[bytes], log: Path) -> None:
+        self.name = name
+        self.process = process
+        self.log = log
+
+    @property
+    def pid(self) -> int:
+        """Its process id, which is its group's as well."""
+        return self.process.pid
+
+    def ended(self) -> int | None:
+        """Return the exit code, or None while it runs (negative: ended by that signal)."""
+        return self.process.poll()
+
+    def tail(self) -> list[str]:
+        """Return the last lines of its output."""
+        with suppress(OSError):
+            return self.log.read_text(encoding="utf-8", errors="replace").splitlines()[-LOG_TAIL:]
+        return []
+
+    def check(self) -> None:
+        """Raise ChildError when the process has ended."""
+        code = self.ended()
+        if code is not None:
+            raise ChildError(self.name, f"ended early, exit {code}", self.tail())
+
+    def wait(self, timeout_s: float) -> int | None:
+        """Wait for the end; None when it still runs after timeout_s."""
+        try:
+            return self.process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            return None
+
+    def signal_group(self, number: int) -> None:
+        """Signal the whole group, if anything of it is left."""
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(self.pid, number)
+
+
+class Children:
+    """All children of a run: `with Children() as children: children.start(...)`."""
+
+    def __init__(self) -> None:
+        self._children: list[Child] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.end()
+
+    def __iter__(self) -> Iterator[Child]:
+        return iter(self._children)
+
+    def start(
+        self,
+        name: str,
+        command: Sequence[str],
+        log: Path,
+        environment: Mapping[str, str] | None = None,
+    ) -> Child:
+        """Start a process in a group of its own.
+
+        Args:
+            name: for messages.
+            command: program and arguments.
+            log: file that takes its standard output and error.
+            environment: added to this process's.
+        """
+        parent = os.getpid()
+        with log.open("ab") as output:
+            process = subprocess.Popen(  # noqa: S603 -- our own programs, no shell
+                list(command),
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env={**os.environ, **(environment or {})},
+                start_new_session=True,
+                preexec_fn=lambda: _die_with(parent),  # noqa: PLW1509 -- one C call, no lock
+            )
+        child = Child(name, process, log)
+        self._children.append(child)
+        return child
+
+    def check(self) -> None:
+        """Raise ChildError when any child has ended."""
+        for child in self._children:
+            child.check()
+
+    def end(self) -> None:
+        """End all children, the last started first; returns when none is left."""
+        for child in reversed(self._children):
+            for number, patience_s in ((signal.SIGTERM, POLITE_S), (signal.SIGKILL, FIRM_S)):
+                if child.ended() is None:
+                    child.signal_group(number)
+                    child.wait(patience_s)
+            # The leader may be gone and have left others of its group.
+            child.signal_group(signal.SIGKILL)
+
+
+def wait_until(
+    ready: Callable[[], bool], children: Children, timeout_s: float, what: str, poll_s: float = 0.02
+) -> None:
+    """Wait until something holds while all children live.
+
+    Raises:
+        ChildError: a child ended meanwhile.
+        TimeoutError: it did not come to hold in time; the message names `what`.
+    """
+    end = time.monotonic() + timeout_s
+    while not ready():
+        children.check()
+        if time.monotonic() > end:
+            raise TimeoutError(f"{what}: not within {timeout_s:g} s")
+        time.sleep(poll_s)
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP unwind the stack as Ctrl-C does, so that `with` blocks end."""
+
+    def stop(number: int, _frame: FrameType | None) -> NoReturn:
+        raise KeyboardInterrupt(signal.Signals(number).name)
+
+    numbers = (signal.SIGTERM, signal.SIGHUP)
+    before = [signal.signal(number, stop) for number in numbers]
+    try:
+        yield
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
+
+
+def _die_with(parent: int) -> None:
+    _libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(1)
