@@ -16,7 +16,7 @@ class ArmPlant:
 
     def __init__(self, robot: Robot) -> None:
         self._rows = tuple(
-            (math.cos(link.alpha), math.sin(link.alpha), link.a, link.d, link.theta)
+            (_clean(math.cos(link.alpha)), _clean(math.sin(link.alpha)), link.a, link.d, link.theta)
             for link in robot.links
         )
         self._tcp_in_flange: Pose = (robot.tcp_position, rotation.exp(robot.tcp_rotation))
@@ -34,8 +34,11 @@ class ArmPlant:
         xx, xy, xz, yx, yy, yz, zx, zy, zz = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
         for (ca, sa, a, d, offset), q in zip(self._rows, joints, strict=False):
             # Columns of the rotation: Rx(alpha) turns y and z, Tx(a) moves along x.
-            ux, uy, uz = ca * yx + sa * zx, ca * yy + sa * zy, ca * yz + sa * zz
-            zx, zy, zz = ca * zx - sa * yx, ca * zy - sa * yy, ca * zz - sa * yz
+            if ca:
+                ux, uy, uz = ca * yx + sa * zx, ca * yy + sa * zy, ca * yz + sa * zz
+                zx, zy, zz = ca * zx - sa * yx, ca * zy - sa * yy, ca * zz - sa * yz
+            else:
+                ux, uy, uz, zx, zy, zz = sa * zx, sa * zy, sa * zz, -sa * yx, -sa * yy, -sa * yz
             px, py, pz = px + a * xx + d * zx, py + a * xy + d * zy, pz + a * xz + d * zz
             c, s = math.cos(q + offset), math.sin(q + offset)
             yx, yy, yz = c * ux - s * xx, c * uy - s * xy, c * uz - s * xz
@@ -46,3 +49,8 @@ class ArmPlant:
     def tcp(self, joints: tuple[float, ...]) -> Pose:
         """Rigid tcp in base: where the robot holds the tool without deflection."""
         return rotation.multiply(self.flange(joints), self._tcp_in_flange)
+
+
+def _clean(value: float) -> float:
+    """A cosine or sine of a right angle without its rounding error."""
+    return float(round(value)) if abs(value - round(value)) < 1e-15 else value

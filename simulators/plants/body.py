@@ -2,9 +2,13 @@
 
 Law of this file: a function of time alone, exact rotations. The hub sits off nominal, swings
 about its suspension, and may be pushed. Conveyor frame c: x down, y travel, z towards the car.
+One instant is computed in plain floats, a block of instants in numpy, by the same law.
 """
 
 import math
+
+import numpy as np
+from numpy.typing import NDArray
 
 from linemate.simulators.plants import rotation
 from linemate.simulators.plants.rotation import Pose, Rot, Vec
@@ -12,6 +16,8 @@ from linemate.simulators.plants.scenario import Body, Jerk, Swing
 
 C_IN_BASE: Rot = (0.0, 0.0, 1.0, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0)
 """Orientation of the conveyor frame c in base: columns -Z, Y, X."""
+
+Array = NDArray[np.float64]
 
 
 class BodyPlant:
@@ -59,6 +65,32 @@ class BodyPlant:
             rotation.compose(C_IN_BASE, rotation.compose(turned, self._rotation)),
         )
 
+    def hubs(self, positions: Array, times: Array) -> list[Pose]:
+        """Poses of the hub at many times at once; the same law as `hub`.
+
+        Args:
+            positions: of the conveyor unit, shape (n,) [m].
+            times: scenario times, shape (n,) [s].
+
+        Returns:
+            One pose a time.
+        """
+        turned = np.broadcast_to(np.eye(3), (len(times), 3, 3))
+        for swing in self._swings:
+            turned = turned @ swing.at_many(times)
+        lever = np.array(self._lever)
+        in_c = np.array(self._offset) + turned @ lever - lever
+        for jerk in self._jerks:
+            ages = np.maximum(times - jerk.onset_s, 0.0)
+            in_c = in_c + np.outer(_damped_sine(jerk, ages), jerk.displacement)
+        c_in_base = np.array(C_IN_BASE).reshape(3, 3)
+        place = np.array(self._nominal) + in_c @ c_in_base.T
+        place[:, 1] += positions
+        turn = c_in_base @ turned @ np.array(self._rotation).reshape(3, 3)
+        vectors = map(tuple, place.tolist())
+        rotations = map(tuple, turn.reshape(-1, 9).tolist())
+        return list(zip(vectors, rotations, strict=True))
+
 
 class _Swing:
     """One oscillation, ready for evaluation."""
@@ -78,15 +110,29 @@ class _Swing:
         self._decay = self._omega * swing.damping
 
     def at(self, t: float) -> Rot:
+        """Rotation at one time."""
         angle = self._amplitude * math.exp(-self._decay * t)
         angle *= math.cos(self._omega * t + self._phase)
         x, y, z = self._axis
         return rotation.exp((x * angle, y * angle, z * angle))
 
+    def at_many(self, times: Array) -> Array:
+        """Rotations at many times, shape (n, 3, 3)."""
+        angles = self._amplitude * np.exp(-self._decay * times)
+        angles *= np.cos(self._omega * times + self._phase)
+        x, y, z = self._axis
+        cross = np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
+        sine, versine = np.sin(angles), 2.0 * np.sin(0.5 * angles) ** 2
+        rotations = np.eye(3) + sine[:, None, None] * cross
+        return np.asarray(rotations + versine[:, None, None] * (cross @ cross))
+
 
 def _push(jerk: Jerk, t: float) -> Vec:
-    age = t - jerk.onset_s
-    omega = math.tau * jerk.frequency_hz
-    share = math.exp(-jerk.damping * omega * age) * math.sin(omega * age)
+    share = float(_damped_sine(jerk, np.array([t - jerk.onset_s]))[0])
     x, y, z = jerk.displacement
     return (share * x, share * y, share * z)
+
+
+def _damped_sine(jerk: Jerk, ages: Array) -> Array:
+    omega = math.tau * jerk.frequency_hz
+    return np.asarray(np.exp(-jerk.damping * omega * ages) * np.sin(omega * ages))

@@ -21,6 +21,8 @@ RELEASE_WHEEL = 2
 SCREWS_FIXED = 1
 WHEEL_RELEASED = 2
 
+_TINY = 1e-9
+
 
 @dataclass(frozen=True, slots=True)
 class Impact:
@@ -100,12 +102,13 @@ class ContactPlant:
             rigid: rigid tcp at its end.
             hub: hub at its end, the screws' step included.
         """
+        self._tighten(t)
         if self.phase == "clamped":
             self._hold(t, effector, before, rigid, hub)
             return
         effector.swing_free(before, rigid)
         if self.collision is None:
-            self._watch(t, dt, rotation.relative(hub, deflected(rigid, effector.deflection)))
+            self._watch(t, dt, rigid, effector.deflection, hub)
 
     def held_deflection(self, t: float, rigid: Pose, hub: Pose) -> Six:
         """Deflection of the clamped tool; the clamp closes from where it caught the hub."""
@@ -133,35 +136,43 @@ class ContactPlant:
         self._work(t)
 
     def _work(self, t: float) -> None:
-        if not self._orders & FIX_SCREWS:
-            # The nutrunner stops with its order; what it has tightened stays.
-            if self.fixed_s is None:
-                self._screwing_s = None
-        elif self._screwing_s is None:
-            self._screwing_s = t
-        if self._screwing_s is not None and self.fixed_s is None:
-            done = self._screwing_s + self._contact.nutrunner_s + self._contact.step_s
-            self.fixed_s = t if t >= done - 1e-9 else None
+        """Start and stop the tool's timers as the controller's bits say."""
+        if self._orders & FIX_SCREWS:
+            if self._screwing_s is None:
+                self._screwing_s = t
+        else:
+            self._stop_nutrunner(t)
         if not self._orders & RELEASE_WHEEL:
             self._releasing_s = None
-        elif self._releasing_s is None:
+            return
+        if self._releasing_s is None:
             self._releasing_s = t
-        if (
-            self._releasing_s is not None
-            and t - self._releasing_s >= self._contact.release_s - 1e-9
-        ):
+        if t - self._releasing_s >= self._contact.release_s - _TINY:
             self._open(t)
 
-    def _open(self, t: float) -> None:
-        self.phase = "released"
-        self.released_s = t
-        if self.fixed_s is None and self._screwing_s is not None:
+    def _tighten(self, t: float) -> None:
+        if self._screwing_s is None or self.fixed_s is not None:
+            return
+        done = self._screwing_s + self._contact.nutrunner_s + self._contact.step_s
+        if t >= done - _TINY:
+            self.fixed_s = t
+
+    def _stop_nutrunner(self, t: float) -> None:
+        # Once the wheel begins to seat itself, the screws hold whatever is ordered.
+        if self._screwing_s is not None and t < self._screwing_s + self._contact.nutrunner_s:
             self._screwing_s = None
 
-    def _watch(self, t: float, dt: float, tcp: Pose) -> None:
+    def _open(self, t: float) -> None:
+        self._stop_nutrunner(t)
+        self.phase = "released"
+        self.released_s = t
+
+    def _watch(self, t: float, dt: float, rigid: Pose, deflection: Six, hub: Pose) -> None:
         """Judge the free tool: does it reach the hub plane, where, and how?"""
         contact = self._contact
-        (x, y, z), turned = tcp
+        (px, py, pz), (hx, hy, hz) = rigid[0], hub[0]
+        dx, dy, dz = rotation.apply(rigid[1], deflection[:3])
+        x, y, z = rotation.unapply(hub[1], (px + dx - hx, py + dy - hy, pz + dz - hz))
         lateral = math.hypot(x, y)
         before, self._before = self._before, (x, y, z)
         if self.phase == "released" and not self._cleared:
@@ -173,11 +184,12 @@ class ContactPlant:
             return
         if z < 0.0 or lateral > contact.hub_radius:
             return
+        turned = rotation.between(hub[1], deflected(rigid, deflection)[1])
         twist = rotation.angle(turned)
         if before is None or before[2] >= 0.0:
             self._collide(t, f"hit the hub from the side: {_figures(lateral, twist)}")
             return
-        self._reach(t, dt, before, tcp, twist)
+        self._reach(t, dt, before, ((x, y, z), turned), twist)
 
     def _reach(self, t: float, dt: float, before: Vec, tcp: Pose, twist: float) -> None:
         (x, y, z), turned = tcp

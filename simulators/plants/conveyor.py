@@ -7,12 +7,20 @@ The ripple's speed is linear between grid points, so its position is exact every
 
 import math
 from bisect import bisect_right
+from itertools import accumulate
+
+import numpy as np
+from numpy.typing import NDArray
 
 from linemate.simulators.plants.scenario import Conveyor, applied_events
-from linemate.simulators.plants.streams import Draws
+from linemate.simulators.plants.streams import stream
 
 RIPPLE_STEP_S = 0.004
 """Grid of the random ripple [s]; the same for every cycle, so that cycles see one conveyor."""
+
+_BLOCK = 512
+
+Array = NDArray[np.float64]
 
 
 class ConveyorPlant:
@@ -22,19 +30,20 @@ class ConveyorPlant:
         self._nominal = conveyor.nominal_speed
         self._ripple = conveyor.ripple
         self._start = start_s
-        self._starts, self._segments = _segments(conveyor)
+        self._segments = _segments(conveyor)
+        self._onsets = [segment[0] for segment in self._segments[1:]]
+        self._table = np.array(self._segments)
         self._decay = math.exp(-RIPPLE_STEP_S / self._ripple.correlation_s)
-        self._spread = self._ripple.speed_sigma * math.sqrt(1.0 - self._decay**2)
-        self._draws = Draws.normal(seed, "conveyor.ripple")
+        self._generator = stream(seed, "conveyor.ripple")
+        self._free = self._ripple.speed_sigma * float(self._generator.standard_normal())
         self._omega = math.tau * self._ripple.frequency_hz
         self._phase = self._ripple.phase or 0.0
-        self._free = self._ripple.speed_sigma * self._draws.one()
-        self._speeds = [self._free * self._share(start_s)]
+        self._speeds = [self._free * self.nominal(start_s)[1] / self._nominal]
         self._positions = [0.0]
 
     def nominal(self, t: float) -> tuple[float, float]:
         """Position [m] and speed [m/s] without ripple."""
-        onset, position, speed, acceleration = self._segments[bisect_right(self._starts, t) - 1]
+        onset, position, speed, acceleration = self._segments[bisect_right(self._onsets, t)]
         age = t - onset
         return position + (speed + 0.5 * acceleration * age) * age, speed + acceleration * age
 
@@ -45,74 +54,106 @@ class ConveyorPlant:
             ValueError: before the start of the run.
         """
         position, speed = self.nominal(t)
-        drift, drift_speed = self._random(t)
-        share = speed / self._nominal
+        cell, rest = self._cell(t)
+        drift, after = self._speeds[cell], self._speeds[cell + 1]
+        slope = (after - drift) / RIPPLE_STEP_S
+        amplitude = self._ripple.amplitude * speed / self._nominal
         wave = self._omega * t + self._phase
-        amplitude = share * self._ripple.amplitude
         return (
-            position + drift + amplitude * math.sin(wave),
-            speed + drift_speed + amplitude * self._omega * math.cos(wave),
+            position
+            + self._positions[cell]
+            + (drift + 0.5 * slope * rest) * rest
+            + amplitude * math.sin(wave),
+            speed + drift + slope * rest + amplitude * self._omega * math.cos(wave),
         )
 
-    def _share(self, t: float) -> float:
-        return self.nominal(t)[1] / self._nominal
+    def positions(self, times: Array) -> Array:
+        """Positions at many times at once; the same law as `at`.
 
-    def _random(self, t: float) -> tuple[float, float]:
+        Args:
+            times: scenario times, ascending, shape (n,) [s].
+
+        Returns:
+            Positions, shape (n,) [m].
+        """
+        position, speed = self._nominals(times)
+        self._cell(float(times[-1]))
+        cells = np.maximum((times - self._start) / RIPPLE_STEP_S, 0.0)
+        index = cells.astype(int)
+        rest = (cells - index) * RIPPLE_STEP_S
+        first, last = int(index[0]), int(index[-1]) + 2
+        drifts = np.array(self._speeds[first:last])
+        bases = np.array(self._positions[first:last])
+        drift = drifts[index - first]
+        slope = (drifts[index - first + 1] - drift) / RIPPLE_STEP_S
+        amplitude = self._ripple.amplitude * speed / self._nominal
+        return np.asarray(
+            position
+            + bases[index - first]
+            + (drift + 0.5 * slope * rest) * rest
+            + amplitude * np.sin(self._omega * times + self._phase)
+        )
+
+    def _nominals(self, times: Array) -> tuple[Array, Array]:
+        row = self._table[np.searchsorted(np.array(self._onsets), times, side="right")]
+        age = times - row[:, 0]
+        return (
+            row[:, 1] + (row[:, 2] + 0.5 * row[:, 3] * age) * age,
+            row[:, 2] + row[:, 3] * age,
+        )
+
+    def _cell(self, t: float) -> tuple[int, float]:
         cells = (t - self._start) / RIPPLE_STEP_S
-        if cells < -1e-9:
+        if cells < -1e-6:
             raise ValueError(f"t={t} is before the start of the run at {self._start}")
         cell = max(int(cells), 0)
         while cell + 1 >= len(self._speeds):
             self._extend()
-        rest = (cells - cell) * RIPPLE_STEP_S
-        speed, after = self._speeds[cell], self._speeds[cell + 1]
-        slope = (after - speed) / RIPPLE_STEP_S
-        return (
-            self._positions[cell] + (speed + 0.5 * slope * rest) * rest,
-            speed + slope * rest,
-        )
+        return cell, (cells - cell) * RIPPLE_STEP_S
 
     def _extend(self) -> None:
         # A standing unit has no ripple: the free process goes on, its share fades with the speed.
-        self._free = self._decay * self._free + self._spread * self._draws.one()
-        t = self._start + len(self._speeds) * RIPPLE_STEP_S
-        speed = self._free * self._share(t)
-        half = 0.5 * RIPPLE_STEP_S * (self._speeds[-1] + speed)
-        self._positions.append(self._positions[-1] + half)
-        self._speeds.append(speed)
+        spread = self._ripple.speed_sigma * math.sqrt(1.0 - self._decay**2)
+        draws: list[float] = (spread * self._generator.standard_normal(_BLOCK)).tolist()
+        decay = self._decay
+        _, *free = accumulate(draws, lambda u, draw: decay * u + draw, initial=self._free)
+        self._free = free[-1]
+        count = len(self._speeds)
+        times = self._start + RIPPLE_STEP_S * np.arange(count, count + _BLOCK, dtype=np.float64)
+        speeds = np.array(free) * self._nominals(times)[1] / self._nominal
+        before = np.concatenate(([self._speeds[-1]], speeds[:-1]))
+        steps = 0.5 * RIPPLE_STEP_S * (before + speeds)
+        self._positions += (self._positions[-1] + np.cumsum(steps)).tolist()
+        self._speeds += speeds.tolist()
 
 
 Segment = tuple[float, float, float, float]
 """Onset [s], position [m], speed [m/s], acceleration [m/s^2]."""
 
 
-def _segments(conveyor: Conveyor) -> tuple[list[float], list[Segment]]:
+def _segments(conveyor: Conveyor) -> list[Segment]:
     """Cut the motion into pieces of constant acceleration.
 
     Args:
         conveyor: nominal speed and orders.
 
     Returns:
-        Onsets for bisection (the first minus infinity) and the segments.
+        The segments in order of time; the first runs at nominal speed from ever.
     """
     segments: list[Segment] = [(0.0, 0.0, conveyor.nominal_speed, 0.0)]
-    starts = [-math.inf]
     events = applied_events(conveyor)
     for i, event in enumerate(events):
-        _append(starts, segments, event.onset_s, event.acceleration)
+        position = _position(segments[-1], event.onset_s)
+        segments.append((event.onset_s, position, event.speed, event.acceleration))
         following = events[i + 1].onset_s if i + 1 < len(events) else math.inf
         if event.settled_s < following:
-            _append(starts, segments, event.settled_s, 0.0)
             goal = conveyor.nominal_speed if event.kind == "start" else 0.0
-            onset, position, _, _ = segments[-1]
-            segments[-1] = (onset, position, goal, 0.0)
-    return starts, segments
+            position = _position(segments[-1], event.settled_s)
+            segments.append((event.settled_s, position, goal, 0.0))
+    return segments
 
 
-def _append(starts: list[float], segments: list[Segment], t: float, acceleration: float) -> None:
-    onset, position, speed, before = segments[-1]
+def _position(segment: Segment, t: float) -> float:
+    onset, position, speed, acceleration = segment
     age = t - onset
-    starts.append(t)
-    segments.append(
-        (t, position + (speed + 0.5 * before * age) * age, speed + before * age, acceleration)
-    )
+    return position + (speed + 0.5 * acceleration * age) * age

@@ -1,8 +1,8 @@
 """What each sensor makes of the truth: instants, delay, noise, resolution, outliers, blindness.
 
 Law of this file: a sensor is asked at its own instants, in order, and hands out emissions when
-they are due. Each kind of draw (noise, outlier, dropout, delay) has its own stream and is drawn
-at every instant, needed or not, so that one setting never shifts another sensor or another draw.
+they are due. Each kind of draw (noise, outlier, dropout, delay) has its own stream and advances
+alike at every instant, so that one setting never shifts another sensor or another kind of draw.
 """
 
 import math
@@ -90,8 +90,9 @@ class _Clock:
 
     def tick(self) -> float:
         """Pass on to the next instant; returns the time of emission of this one."""
-        delay = self._delay + self._jitter * (2.0 * self._draws.one() - 1.0)
-        due = max(self.next_s + delay, self._last)
+        due = self.next_s + self._delay
+        if self._jitter:
+            due = max(due + self._jitter * (2.0 * self._draws.one() - 1.0), self._last)
         self._last = due
         self._index += 1
         self.next_s = self._first + self._index * self._period
@@ -127,7 +128,7 @@ class DistanceSensorPlant:
         due = self.clock.tick()
         chance, where = self._chance.take(2)
         noise = self._noise.one()
-        if self._dropout.one() < sensor.dropout_rate:
+        if sensor.dropout_rate and self._dropout.one() < sensor.dropout_rate:
             return
         outlier = chance < sensor.outlier_rate
         value = position + sensor.offset + sensor.sigma * noise
@@ -225,7 +226,7 @@ class ForceTorquePlant:
         exposure = self.clock.next_s
         due = self.clock.tick()
         n0, n1, n2, n3, n4, n5 = self._noise.take(6)
-        if self._dropout.one() < sensor.dropout_rate:
+        if sensor.dropout_rate and self._dropout.one() < sensor.dropout_rate:
             return
         st, sr = sensor.sigma_translation, sensor.sigma_rotation
         d0, d1, d2, d3, d4, d5 = deflection

@@ -23,7 +23,6 @@ class _Piece(NamedTuple):
     since: float  # age of the line at the beginning of the stretch [s]
     length: float  # [s]
     phi: Transition
-    fine: Transition  # of a sixteenth
 
 
 class _Lag(NamedTuple):
@@ -98,7 +97,7 @@ class ServoBank:
         axis = 0
         for lag, y, v in zip(self._lags, self.positions, self.velocities, strict=True):
             for piece in lag.plan[part]:
-                back, since, length, (p11, p12, p21, p22), _ = piece
+                back, since, length, (p11, p12, p21, p22) = piece
                 slot = (cycle - back) % slots
                 slope = slopes[slot][axis]
                 u = nodes[slot][axis] + slope * since
@@ -172,13 +171,7 @@ def _pieces(axis: Axis, omega: float, step: float, substeps: int, part: int) -> 
     cycle, offset = divmod(part - whole, substeps)
 
     def piece(back: int, since: float, length: float) -> _Piece:
-        return _Piece(
-            back,
-            since,
-            length,
-            transition(omega, axis.damping, length),
-            transition(omega, axis.damping, length / _SLICES),
-        )
+        return _Piece(back, since, length, transition(omega, axis.damping, length))
 
     if rest and offset == 0:
         return piece(1 - cycle, substeps * step - rest, rest), piece(-cycle, 0.0, step - rest)
@@ -188,13 +181,7 @@ def _pieces(axis: Axis, omega: float, step: float, substeps: int, part: int) -> 
 def _cut(lag: _Lag, piece: _Piece, length: float) -> _Piece:
     if length == piece.length:
         return piece
-    return _Piece(
-        piece.back,
-        piece.since,
-        length,
-        transition(lag.omega, lag.zeta, length),
-        transition(lag.omega, lag.zeta, length / _SLICES),
-    )
+    return _Piece(piece.back, piece.since, length, transition(lag.omega, lag.zeta, length))
 
 
 def _solve(
@@ -214,8 +201,8 @@ def _solve(
 def _saturated(
     lag: _Lag, piece: _Piece, slope: float, u: float, y: float, v: float
 ) -> tuple[float, float]:
-    p11, p12, p21, p22 = piece.fine
     dt = piece.length / _SLICES
+    p11, p12, p21, p22 = transition(lag.omega, lag.zeta, dt)
     lead = slope * lag.shift
     for i in range(_SLICES):
         now = u + slope * (i * dt) - lead

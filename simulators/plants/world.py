@@ -36,6 +36,7 @@ SUBSTEP_S = 0.004
 """Longest substep of the integration [s]."""
 
 _TINY = 1e-9
+_TRACK_BLOCK = 128
 
 Matrix = NDArray[np.float64]
 _Emission = TypeVar("_Emission", DistanceEmission, CameraEmission, WrenchEmission)
@@ -90,11 +91,12 @@ class World:
         self._encoder_sigmas = tuple(axis.encoder_sigma for axis in scenario.robot.axes)
         self._encoder_draws = Draws.normal(seed, "robot.encoders")
         self._encoder_noise: tuple[float, ...] = (0.0,) * 7
+        self._track: list[Pose] = []
         self._index = 0
         self._grid = start
         self._now = start
         self._rigid = self._arm.tcp(scenario.robot.start)
-        self._hub = self._hub_at(start)
+        self._look_ahead(math.ceil((scenario.duration_s + scenario.lead_in_s) / self._h) + 1)
         self._begin_cycle()
 
     @property
@@ -249,12 +251,20 @@ class World:
     def _step(self, following: float) -> None:
         self._servos.advance(self._index)
         rigid = self._arm.tcp(self._servos.positions)
-        hub = self._hub_at(following)
+        if self._index + 1 >= len(self._track):
+            self._look_ahead(_TRACK_BLOCK)
+        hub = self._contact.turned(self._track[self._index + 1], following)
         self._contact.advance(following, self._h, self._effector, self._rigid, rigid, hub)
         self._index += 1
-        self._grid, self._rigid, self._hub = following, rigid, hub
+        self._grid, self._rigid = following, rigid
         if self._index % self._substeps == 0:
             self._begin_cycle()
+
+    def _look_ahead(self, count: int) -> None:
+        """Compute the hub at the next `count` grid points: it depends on time alone."""
+        begin = len(self._track)
+        times = self._start + self._h * np.arange(begin, begin + count, dtype=np.float64)
+        self._track += self._body.hubs(self._conveyor.positions(times), times)
 
     def _expose(self, limit: float) -> None:
         """Let every sensor measure at its instants before `limit`."""
