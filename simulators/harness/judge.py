@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from linemate.simulators.devices.limits import LIMITS, AxisLimit
 from linemate.simulators.harness import poses
 from linemate.simulators.harness.rows import (
     CLAMPED,
@@ -33,6 +34,7 @@ SCREWS_S = 0.4
 SETTLE_S = 0.5
 LATEST_S = 3.0
 CLEAR_M = 0.05
+DERIVATIVES = ("speed", "acceleration", "jerk")
 
 CONTROL_BAR_MM = 1.0
 CONTROL_BAR_MRAD = 2.0
@@ -57,17 +59,6 @@ class Telegrams:
 
 
 @dataclass(frozen=True, slots=True)
-class Bounds:
-    """What an axis may be given: position, speed, acceleration, jerk, SI."""
-
-    lower: float
-    upper: float
-    speed: float
-    acceleration: float
-    jerk: float
-
-
-@dataclass(frozen=True, slots=True)
 class Evidence:
     """All that a verdict rests on.
 
@@ -78,7 +69,7 @@ class Evidence:
         cycle_s: the controller's cycle [s].
         events: stops and starts that took place.
         telegrams: the controller's counts.
-        bounds: of the seven axes.
+        limits: of the seven axes, the emulator's own.
         collision: what hit what, None if nothing did.
         broken: why the controller broke off, None if it did not.
         variant: ablation, "default" if none.
@@ -91,7 +82,7 @@ class Evidence:
     cycle_s: float
     events: Sequence[AppliedEvent]
     telegrams: Telegrams
-    bounds: Sequence[Bounds]
+    limits: Sequence[AxisLimit] = LIMITS
     collision: str | None = None
     broken: str | None = None
     variant: str = "default"
@@ -132,7 +123,7 @@ def judge(evidence: Evidence) -> dict[str, Any]:
         "contact_force_n": _force(rows),
         "telegrams": asdict(evidence.telegrams),
         "step_us": percentiles(rows.step_us, {"p50": 50.0, "p99": 99.0, "max": 100.0}),
-        "limits": violations(rows.setpoints, evidence.bounds, evidence.cycle_s),
+        "limits": violations(rows.setpoints, rows.answered, evidence.limits, evidence.cycle_s),
     }
     if evidence.turnaround_us is not None:
         result["turnaround_us"] = dict(evidence.turnaround_us)
@@ -335,34 +326,45 @@ def _latencies(own: Sequence[DaemonEvent], onset: float) -> tuple[float | None, 
 # Limits, forces, percentiles
 
 
-def violations(setpoints: Floats, bounds: Sequence[Bounds], cycle_s: float) -> dict[str, Any]:
-    """Count applied setpoints whose finite differences are out of bounds.
+def violations(
+    setpoints: Floats, answered: Bools, limits: Sequence[AxisLimit], cycle_s: float
+) -> dict[str, Any]:
+    """Count applied setpoints whose finite differences are out of limits.
+
+    In a cycle without a reply the controller holds by itself: nobody is blamed for that, and
+    the robot counts as at rest after it (reliability, 2.0).
 
     Args:
         setpoints: (n, axes) [rad], [m].
-        bounds: one an axis.
+        answered: rows in which a fresh reply was applied, (n,).
+        limits: one an axis.
         cycle_s: [s].
 
     Returns:
-        The number of violations and the worst share of each limit that was used.
+        The number of violations, and of each limit the largest share that was used.
     """
-    lower, upper, speed, acceleration, jerk = np.array(
-        [(b.lower, b.upper, b.speed, b.acceleration, b.jerk) for b in bounds]
+    low, high, *highest = np.array(
+        [(b.low, b.high, b.speed, b.acceleration, b.jerk) for b in limits]
     ).T
-    quantum = np.full(len(bounds), ANGLE_QUANTUM)
+    quantum = np.full(len(limits), ANGLE_QUANTUM)
     quantum[6:] = LENGTH_QUANTUM
-    q = setpoints[np.isfinite(setpoints).all(axis=1)]
-    outside = (q < lower - quantum) | (q > upper + quantum)
-    count, worst = int(outside.sum()), {}
-    for order, (name, limit) in enumerate(
-        (("speed", speed), ("acceleration", acceleration), ("jerk", jerk)), start=1
-    ):
-        scale = cycle_s**order
-        size = np.abs(np.diff(q, n=order, axis=0)) / scale
-        allowed = limit * (1.0 + 1e-6) + 2.0**order * quantum / scale
-        count += int((size > allowed).sum())
-        worst[name] = _round((size / limit).max()) if size.size else 0.0
+    fresh = answered & np.isfinite(setpoints).all(axis=1)
+    outside = (setpoints < low - quantum) | (setpoints > high + quantum)
+    count, worst = int(outside[fresh].sum()), {}
+    derivative = setpoints
+    for order, (name, limit) in enumerate(zip(DERIVATIVES, highest, strict=True), start=1):
+        derivative = _slope(derivative, cycle_s)
+        derivative[~fresh] = 0.0
+        allowed = limit * (1.0 + 1e-6) + 2.0**order * quantum / cycle_s**order
+        count += int((np.abs(derivative) > allowed).sum())
+        worst[name] = _round((np.abs(derivative) / limit).max()) if len(derivative) else 0.0
     return {"violations": count, "worst_share": worst}
+
+
+def _slope(values: Floats, cycle_s: float) -> Floats:
+    slope = np.zeros_like(values)
+    slope[1:] = np.diff(values, axis=0) / cycle_s
+    return slope
 
 
 def _force(rows: Rows) -> dict[str, float] | None:

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from linemate.simulators.devices.limits import AxisLimit
 from linemate.simulators.harness import judge as judging
-from linemate.simulators.harness.judge import Bounds, Evidence, Telegrams, judge
+from linemate.simulators.harness.judge import Evidence, Telegrams, judge
 from linemate.simulators.harness.rows import (
     CLAMPED,
     FREE,
@@ -24,7 +25,8 @@ from linemate.simulators.plants.scenario import Scenario
 
 CYCLE = 0.012
 EVENTS = Scenario().events
-BOUNDS = (Bounds(-3.0, 3.0, 1.0, 10.0, 1000.0),) * 7
+LIMITS = (AxisLimit(-3.0, 3.0, 1.0, 10.0, 1000.0),) * 7
+FRESH = np.ones(2000, np.bool_)
 TELEGRAMS = Telegrams(sent=1500, answered=1500, late=0, lost=0, refused=0)
 IMPACT, RELEASE, FIXED, RELEASED = 6.0, 15.0, 9.5, 14.8
 
@@ -54,7 +56,7 @@ def perfect_run() -> Rows:
 
 
 def evidence(rows: Rows, **changes: Any) -> Evidence:
-    whole = Evidence(rows, "wheel", 0, CYCLE, EVENTS, TELEGRAMS, BOUNDS)
+    whole = Evidence(rows, "wheel", 0, CYCLE, EVENTS, TELEGRAMS, LIMITS)
     return replace(whole, **changes)
 
 
@@ -202,29 +204,41 @@ def test_what_is_told_without_reason_is_a_false_alarm() -> None:
 
 
 def test_setpoints_within_limits_are_no_violation_even_as_rounded_on_the_wire() -> None:
-    t = np.arange(2000) * 0.004
-    # Speed 1 and acceleration 10 at their limits, jerk 100.
-    q = np.tile(0.1 * np.sin(10.0 * t), (7, 1)).T
+    t = np.arange(2000) * 0.002
+    # Speed 1 and acceleration 10, both at their limits, jerk 200.
+    q = np.tile(0.025 * (20.0 * t - np.sin(20.0 * t)), (7, 1)).T
     rounded = np.radians(np.round(np.degrees(q), 8))
-    assert judging.violations(rounded, BOUNDS, 0.004)["violations"] == 0
+    assert judging.violations(rounded, FRESH, LIMITS, 0.002)["violations"] == 0
 
 
 @pytest.mark.parametrize(
-    ("bounds", "what"),
+    ("limit", "what"),
     [
-        (Bounds(-0.05, 3.0, 9.0, 99.0, 999.0), "position"),
-        (Bounds(-3.0, 3.0, 0.9, 99.0, 999.0), "speed"),
-        (Bounds(-3.0, 3.0, 9.0, 9.0, 999.0), "acceleration"),
-        (Bounds(-3.0, 3.0, 9.0, 99.0, 90.0), "jerk"),
+        (AxisLimit(-0.05, 3.0, 9.0, 99.0, 999.0), "position"),
+        (AxisLimit(-3.0, 3.0, 0.9, 99.0, 999.0), "speed"),
+        (AxisLimit(-3.0, 3.0, 9.0, 9.0, 999.0), "acceleration"),
+        (AxisLimit(-3.0, 3.0, 9.0, 99.0, 90.0), "jerk"),
     ],
 )
-def test_each_limit_is_guarded(bounds: Bounds, what: str) -> None:
+def test_each_limit_is_guarded(limit: AxisLimit, what: str) -> None:
     t = np.arange(2000) * 0.004
     q = np.tile(0.1 * np.sin(10.0 * t), (7, 1)).T
-    found = judging.violations(q, (bounds,) * 7, 0.004)
+    found = judging.violations(q, FRESH, (limit,) * 7, 0.004)
     assert found["violations"] > 0, what
     if what != "position":
         assert found["worst_share"][what] > 1.0
+
+
+def test_the_controllers_own_halt_is_nobodys_violation_but_the_jump_after_it_is() -> None:
+    q = np.zeros((2000, 7))
+    q[:1000] = 0.9 * 0.004 * np.arange(1000)[:, None]
+    q[:1000] -= q[999]
+    limits = (AxisLimit(-9.0, 9.0, 1.0, 1e9, 1e9),) * 7
+    held = FRESH.copy()
+    held[1000:1010] = False
+    assert judging.violations(q, held, limits, 0.004)["violations"] == 0
+    q[1010:] += 0.005
+    assert judging.violations(q, held, limits, 0.004)["violations"] == 7
 
 
 def test_contact_force_is_told_in_newtons() -> None:
