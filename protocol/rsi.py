@@ -1,0 +1,192 @@
+"""KUKA RSI over Ethernet: the robot's telegram and the sensor's reply, both directions.
+
+Law of this file: the one door to the wire's parts. A codec is made from a real
+RSI_EthernetConfig.xml and serves either end; any bytes give a telegram or RsiError, any
+telegram gives bytes or RsiError. No socket, no clock: what comes when is exchange's business.
+Source: reference/rsi.md, section 1.
+"""
+
+from collections.abc import Iterable, Mapping
+from operator import mul
+from typing import cast
+
+from linemate.protocol.rsi_config import Element, RsiConfig, parse_config
+from linemate.protocol.rsi_layout import Layout, Vector, robot_layout, sensor_layout
+from linemate.protocol.rsi_read import MAX_TELEGRAM_BYTES, Reader, Texts
+from linemate.protocol.rsi_scan import RsiError
+from linemate.protocol.rsi_telegram import Channel, PreparedReply, RobotTelegram, SensorTelegram
+from linemate.protocol.rsi_write import LONG_MAX, LONG_MIN, MAX_IPOC, Writer
+from linemate.protocol.samples import Vector6
+
+__all__ = [
+    "MAX_TELEGRAM_BYTES",
+    "Channel",
+    "Element",
+    "PreparedReply",
+    "RobotTelegram",
+    "RsiCodec",
+    "RsiConfig",
+    "RsiError",
+    "SensorTelegram",
+    "parse_config",
+]
+
+ROBOT_TYPE = "KUKA"
+MAX_DECIMALS = 16
+
+
+class RsiCodec:
+    """Reads and writes the telegrams of one configuration.
+
+    Example::
+
+        codec = RsiCodec(parse_config(xml))
+        telegram = codec.parse_robot(datagram)
+        reply = SensorTelegram(telegram.ipoc, telegram.ipoc_text, joints=..., external=(0.0,))
+        datagram = codec.format_sensor(reply)
+    """
+
+    def __init__(
+        self,
+        config: RsiConfig,
+        linear_external: Iterable[str] = ("E1",),
+        decimals: int = 8,
+        joint_tags: Iterable[str] = ("AK", "AKorr"),
+        external_tags: Iterable[str] = ("EK", "EKorr"),
+    ) -> None:
+        """Make the templates and patterns.
+
+        Args:
+            config: the configuration.
+            linear_external: external axes that are linear (mm on the wire), others in degrees.
+            decimals: digits after the point when writing, 1..16.
+            joint_tags: elements of RECEIVE that mean corrections of A1..A6.
+            external_tags: elements of RECEIVE that mean corrections of E1..E6.
+
+        Raises:
+            RsiError: a configuration that makes no telegram.
+        """
+        if not 1 <= decimals <= MAX_DECIMALS:
+            raise RsiError(f"{decimals} decimals, not 1..{MAX_DECIMALS}")
+        linear = tuple(linear_external)
+        self.config = config
+        self._robot = robot_layout(config, linear)
+        self._sensor = sensor_layout(config, linear, joint_tags, external_tags)
+        self._robot_writer = Writer(self._robot, decimals)
+        self._sensor_writer = Writer(self._sensor, decimals)
+        self.robot_reader = Reader(self._robot, self._robot_writer.example(ROBOT_TYPE))
+        self.sensor_reader = Reader(self._sensor, self._sensor_writer.example(config.sentype))
+
+    def parse_robot(self, data: bytes) -> RobotTelegram:
+        """Read the controller's telegram.
+
+        Raises:
+            RsiError: not a telegram of this configuration; everything configured must be there.
+        """
+        texts, _ = self.robot_reader.read(data)
+        layout = self._robot
+        ipoc, ipoc_text = _ipoc(texts)
+        vectors = {v.name: cast(Vector6, _vector(v, texts)) for v in layout.vectors}
+        return RobotTelegram(
+            ipoc,
+            ipoc_text,
+            vectors.get("joints"),
+            vectors.get("joint_setpoints"),
+            vectors.get("external"),
+            vectors.get("external_setpoints"),
+            vectors.get("tcp"),
+            vectors.get("tcp_setpoint"),
+            None if layout.delay is None else _long("Delay", texts[layout.delay]),
+            _channels(layout, texts),
+        )
+
+    def parse_sensor(self, data: bytes) -> SensorTelegram:
+        """Read the daemon's reply; what is not in it is None, or not among the channels.
+
+        Raises:
+            RsiError: not a reply of this configuration, or part of a vector missing.
+        """
+        texts, sentype = self.sensor_reader.read(data)
+        layout = self._sensor
+        ipoc, ipoc_text = _ipoc(texts)
+        vectors = {v.name: _vector(v, texts) for v in layout.vectors}
+        return SensorTelegram(
+            ipoc,
+            ipoc_text,
+            sentype,
+            cast(Vector6 | None, vectors.get("joints")),
+            vectors.get("external"),
+            _channels(layout, texts),
+            None if layout.message is None else texts[layout.message],
+        )
+
+    def format_robot(self, telegram: RobotTelegram) -> bytes:
+        """Write the controller's telegram; channels that are not given are zero.
+
+        Raises:
+            RsiError: a configured vector or Delay missing, a value that the wire cannot carry.
+        """
+        return self._robot_writer.write(telegram, ROBOT_TYPE)
+
+    def format_sensor(self, telegram: SensorTelegram) -> bytes:
+        """Write the daemon's reply; channels that are not given are zero.
+
+        Raises:
+            RsiError: a configured vector missing, a value that the wire cannot carry, a
+                correction that the configuration has no element for.
+        """
+        return self._sensor_writer.write(telegram, telegram.sentype or self.config.sentype)
+
+    def prepare_sensor(self, telegram: SensorTelegram) -> PreparedReply:
+        """Write the daemon's reply but for its IPOC, which is not looked at.
+
+        Raises:
+            RsiError: as :meth:`format_sensor`.
+        """
+        return self._sensor_writer.prepare(telegram, telegram.sentype or self.config.sentype)
+
+
+def _ipoc(texts: Texts) -> tuple[int, bytes]:
+    text = cast(str, texts[-1])
+    ipoc = int(text)
+    if ipoc > MAX_IPOC:
+        raise RsiError(f"{text} is out of range", element="IPOC")
+    return ipoc, text.encode("ascii")
+
+
+def _vector(vector: Vector, texts: Texts) -> tuple[float, ...] | None:
+    """A vector's values in SI; axes that are not configured are zero."""
+    if vector.contiguous:
+        first = vector.fields[0]
+        raw = cast(list[str], texts[first : first + vector.width])
+        return None if raw[0] is None else tuple(map(mul, map(float, raw), vector.scales))
+    if texts[vector.fields[0]] is None:
+        return None
+    out = [0.0] * vector.width
+    for position, axis, scale in zip(vector.fields, vector.axes, vector.scales, strict=True):
+        out[axis] = float(cast(str, texts[position])) * scale
+    return tuple(out)
+
+
+def _channels(layout: Layout, texts: Texts) -> Mapping[str, Channel]:
+    out: dict[str, Channel] = {}
+    for key, n in layout.channels.items():
+        text = texts[n]
+        if text is not None:
+            out[key] = _channel(key, layout.fields[n].type, text)
+    return out
+
+
+def _channel(key: str, kind: str, text: str) -> Channel:
+    if kind == "LONG":
+        return _long(key, text)
+    if kind == "DOUBLE":
+        return float(text)
+    return text if kind == "STRING" else float(text) != 0.0
+
+
+def _long(key: str, text: str | None) -> int:
+    value = int(cast(str, text))
+    if not LONG_MIN <= value <= LONG_MAX:
+        raise RsiError(f"{value} is out of range", element=key)
+    return value

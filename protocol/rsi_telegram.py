@@ -1,0 +1,78 @@
+"""The two telegrams as values: SI inside, KUKA's words only in the comments.
+
+Law of this file: frozen values, no behaviour, no bytes. A telegram's IPOC is kept twice, as a
+number to reckon with and as the digits on the wire, because it is echoed digit for digit.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from linemate.protocol.samples import Vector6
+
+Channel = float | int | bool | str
+"""A value of a DOUBLE, LONG, BOOL or STRING channel, in the wire's own unit."""
+
+
+@dataclass(frozen=True, slots=True)
+class RobotTelegram:
+    """What the controller says in one cycle.
+
+    Attributes:
+        ipoc: the controller's counter.
+        ipoc_text: its digits verbatim; empty when made here: those of ``ipoc``.
+        joints: measured A1..A6 [rad] (AIPos), None if not configured.
+        joint_setpoints: programmed A1..A6 [rad] (ASPos), None if not configured.
+        external: measured E1..E6 [m] linear, [rad] rotary (EIPos), None if not configured.
+        external_setpoints: programmed E1..E6 (ESPos), None if not configured.
+        tcp: measured x, y, z [m], a, b, c [rad] (RIst), None if not configured.
+        tcp_setpoint: programmed x, y, z, a, b, c without corrections (RSol), or None.
+        delay: the controller's count of late replies, None if not configured.
+        channels: every other value by its name, ``"DiL"``, ``"Digout.o1"``, ``"MACur.A1"``.
+    """
+
+    ipoc: int
+    ipoc_text: bytes = b""
+    joints: Vector6 | None = None
+    joint_setpoints: Vector6 | None = None
+    external: Vector6 | None = None
+    external_setpoints: Vector6 | None = None
+    tcp: Vector6 | None = None
+    tcp_setpoint: Vector6 | None = None
+    delay: int | None = None
+    channels: Mapping[str, Channel] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class SensorTelegram:
+    """What the daemon answers in one cycle: corrections.
+
+    Attributes:
+        ipoc: the counter echoed.
+        ipoc_text: its digits verbatim; empty when made here: those of ``ipoc``.
+        sentype: Sen/@Type; empty when made here: the configured one.
+        joints: corrections of A1..A6 [rad] (AK, AKorr), None if not there.
+        external: corrections of E1.. [m] linear, [rad] rotary (EK, EKorr), as many as are
+            configured, None if not there.
+        channels: every other value by its name, ``"DiO"``, ``"Stop"``, ``"GPIO.01"``.
+        message: text for the pendant (EStr), or None.
+    """
+
+    ipoc: int
+    ipoc_text: bytes = b""
+    sentype: str = ""
+    joints: Vector6 | None = None
+    external: tuple[float, ...] | None = None
+    channels: Mapping[str, Channel] = field(default_factory=dict)
+    message: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedReply:
+    """A reply that lacks only its IPOC, made before its telegram arrives."""
+
+    head: bytes
+    tail: bytes
+
+    def with_ipoc(self, ipoc_text: bytes) -> bytes:
+        """The reply's bytes, ``ipoc_text`` being the digits of the telegram it answers."""
+        return self.head + ipoc_text + self.tail
