@@ -169,7 +169,7 @@ class DatagramLink(ABC):
         """Stop listening, for good."""
         self._forget_retry()
         self._release()
-        self.status.mark_down("closed")
+        self.status.mark_closed()
 
     async def wait_closed(self) -> None:
         """Let the loop see the closing; nothing of a datagram link outlives ``close``."""

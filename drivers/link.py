@@ -44,6 +44,10 @@ class LinkStatus:
             self.counters["lost"] += 1
         self._change(up=False, reason=reason)
 
+    def mark_closed(self) -> None:
+        """Note that the link was closed on purpose: nothing was lost."""
+        self._change(up=False, reason="closed")
+
     def _change(self, *, up: bool, reason: str) -> None:
         if up != self.up:
             self.since_ns = time.monotonic_ns()

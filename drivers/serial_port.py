@@ -137,7 +137,7 @@ class SerialLink:
                 self.status.mark_down(await self._live_once())
                 await asyncio.sleep(self._backoff.next_delay())
         finally:
-            self.status.mark_down("closed")
+            self.status.mark_closed()
 
     async def _live_once(self) -> str:
         line = _Line(self._received)

@@ -1,0 +1,94 @@
+"""A force-torque sensor on a serial line: start-up dialogue and stream.
+
+Law of this file: host bytes in, device bytes out; no port, no clock. It streams when the device's
+own rules say so, and not before the host has talked to it where the device wants that.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from linemate.protocol.wrench import WrenchDevice, bota_frame, ft300_frame, make_device
+
+Encode = Callable[[Sequence[float], Sequence[float], int], bytes]
+
+
+def _bota(force: Sequence[float], torque: Sequence[float], device_us: int) -> bytes:
+    return bota_frame(force, torque, device_us=device_us)
+
+
+def _ft300(force: Sequence[float], torque: Sequence[float], device_us: int) -> bytes:
+    del device_us  # this device has no clock
+    return ft300_frame(force, torque)
+
+
+_ENCODERS: dict[str, Encode] = {"bota": _bota, "robotiq-ft300": _ft300}
+
+
+@dataclass(slots=True)
+class ForceTorqueSensor:
+    """The device's end of the line.
+
+    Attributes:
+        device: one of ``linemate.protocol.wrench.DEVICES``.
+        sent: frames streamed.
+        withheld: readings taken while the device did not stream.
+    """
+
+    device: str = "bota"
+    sent: int = 0
+    withheld: int = 0
+    _talk: WrenchDevice = field(init=False)
+    _encode: Encode = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Resolve the device's name.
+
+        Raises:
+            WrenchError: if there is no such device.
+        """
+        self._talk = make_device(self.device)
+        self._encode = _ENCODERS[self.device]
+
+    @property
+    def streaming(self) -> bool:
+        """The device sends frames."""
+        return self._talk.streaming
+
+    def boot(self) -> bytes:
+        """Power on.
+
+        Returns:
+            What the device prints then.
+        """
+        return self._talk.boot()
+
+    def feed(self, data: bytes) -> bytes:
+        """Take the host's bytes, cut anywhere.
+
+        Args:
+            data: what the host wrote.
+
+        Returns:
+            The answers.
+        """
+        return self._talk.feed(data)
+
+    def frame(self, force: Sequence[float], torque: Sequence[float], device_us: int) -> bytes:
+        """The frame of one reading.
+
+        Args:
+            force: [N].
+            torque: [Nm].
+            device_us: the device's clock [us].
+
+        Returns:
+            Bytes for the host; none while the device does not stream.
+
+        Raises:
+            WrenchError: if the reading does not fit a frame.
+        """
+        if not self._talk.streaming:
+            self.withheld += 1
+            return b""
+        self.sent += 1
+        return self._encode(force, torque, device_us)

@@ -1,0 +1,108 @@
+"""Doing things at absolute instants of the monotonic clock, from an asyncio loop.
+
+Law of this file: an instant is given, never a delay, so lateness does not add up. asyncio's own
+timers round to a millisecond; a timerfd read by the loop wakes within a tenth of one.
+Source: reference/real-time.md, 1.
+"""
+
+import asyncio
+import ctypes
+import heapq
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import count
+
+_TFD_NONBLOCK_CLOEXEC = 0o4000 | 0o2000000
+_TFD_TIMER_ABSTIME = 1
+_NS = 1_000_000_000
+
+
+class _TimeSpec(ctypes.Structure):
+    _fields_ = (("seconds", ctypes.c_long), ("nanoseconds", ctypes.c_long))
+
+
+class _TimerSpec(ctypes.Structure):
+    _fields_ = (("interval", _TimeSpec), ("value", _TimeSpec))
+
+
+_libc = ctypes.CDLL(None, use_errno=True)
+
+
+def _timerfd() -> int:
+    descriptor = int(_libc.timerfd_create(time.CLOCK_MONOTONIC, _TFD_NONBLOCK_CLOEXEC))
+    if descriptor < 0:
+        raise OSError(ctypes.get_errno(), "timerfd_create")
+    return descriptor
+
+
+def _arm(descriptor: int, at_ns: int) -> None:
+    at_ns = max(at_ns, 1)  # zero would disarm
+    spec = _TimerSpec(_TimeSpec(0, 0), _TimeSpec(at_ns // _NS, at_ns % _NS))
+    if _libc.timerfd_settime(descriptor, _TFD_TIMER_ABSTIME, ctypes.byref(spec), None) < 0:
+        raise OSError(ctypes.get_errno(), "timerfd_settime")
+
+
+@dataclass(slots=True)
+class Schedule:
+    """Runs actions in the order of their instants.
+
+    Attributes:
+        worst_ns: how late the latest action ran [ns].
+    """
+
+    worst_ns: int = 0
+    _descriptor: int = -1
+    _armed_ns: int = 0
+    _queue: list[tuple[int, int, Callable[[], None]]] = field(default_factory=list)
+    _order: "count[int]" = field(default_factory=count)
+
+    def open(self) -> None:
+        """Start on the running loop.
+
+        Raises:
+            OSError: if the kernel gives no timer.
+        """
+        self._descriptor = _timerfd()
+        asyncio.get_running_loop().add_reader(self._descriptor, self._expired)
+
+    def close(self) -> None:
+        """Forget what is still to be done."""
+        if self._descriptor >= 0:
+            asyncio.get_running_loop().remove_reader(self._descriptor)
+            os.close(self._descriptor)
+            self._descriptor = -1
+        self._queue.clear()
+
+    def at(self, at_ns: int, action: Callable[[], None]) -> None:
+        """Do something at an instant; at once if it has passed.
+
+        Args:
+            at_ns: monotonic instant [ns].
+            action: what to do; it must not block.
+        """
+        heapq.heappush(self._queue, (at_ns, next(self._order), action))
+        self._rearm()
+
+    def __len__(self) -> int:
+        """How many actions are still to be done."""
+        return len(self._queue)
+
+    def _rearm(self) -> None:
+        if self._queue and self._descriptor >= 0 and self._queue[0][0] != self._armed_ns:
+            self._armed_ns = self._queue[0][0]
+            _arm(self._descriptor, self._armed_ns)
+
+    def _expired(self) -> None:
+        try:
+            os.read(self._descriptor, 8)
+        except BlockingIOError:
+            return
+        self._armed_ns = 0
+        now_ns = time.monotonic_ns()
+        while self._queue and self._queue[0][0] <= now_ns:
+            at_ns, _, action = heapq.heappop(self._queue)
+            self.worst_ns = max(self.worst_ns, now_ns - at_ns)
+            action()
+        self._rearm()

@@ -1,0 +1,166 @@
+"""The distance sensor's link: a real python-can bus, with and without a descriptor."""
+
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+
+import can
+from loops import run, until
+
+from linemate.drivers.backoff import Backoff
+from linemate.drivers.can_bus import CanLink
+from linemate.protocol.distance import DistanceDecoder, DistanceEncoder
+from linemate.protocol.samples import DistanceSample
+from linemate.protocol.slcan import CanFrame
+from linemate.simulators.devices.can_sensor import CanSensor
+from linemate.simulators.devices.slcan_pty import SlcanPty
+
+QUICK = (0.02, 0.1)
+
+
+def _adapter(link: Path) -> SlcanPty:
+    adapter = SlcanPty(CanSensor(DistanceEncoder()), link)
+    adapter.open()
+    return adapter
+
+
+def _link(path: Path, on_sample: Callable[[DistanceSample], None]) -> CanLink:
+    config = {"interface": "slcan", "channel": str(path), "bitrate": 500_000}
+    return CanLink(config, DistanceDecoder(), on_sample, backoff=Backoff(*QUICK))
+
+
+def test_frames_of_an_slcan_adapter_become_stamped_samples(tmp_path: Path) -> None:
+    async def main() -> None:
+        adapter = _adapter(tmp_path / "can")
+        samples: list[DistanceSample] = []
+        link = _link(tmp_path / "can", samples.append)
+        link.open()
+        await until(lambda: adapter.adapter.is_open)
+        assert adapter.adapter.bitrate_code == 6
+        for number in range(10):
+            adapter.emit(0.1 * number)
+        await until(lambda: len(samples) == 10)
+        assert [round(s.position, 4) for s in samples] == [round(0.1 * n, 4) for n in range(10)]
+        assert samples[0].stamp_ns <= samples[-1].stamp_ns
+        link.close()
+        await link.wait_closed()
+        assert not link.status.up
+        await until(lambda: not adapter.adapter.is_open)
+        adapter.close()
+
+    run(main())
+
+
+def test_frames_of_others_and_bad_ones_are_counted_apart(tmp_path: Path) -> None:
+    async def main() -> None:
+        adapter = _adapter(tmp_path / "can")
+        samples: list[DistanceSample] = []
+        link = _link(tmp_path / "can", samples.append)
+        link.open()
+        await until(lambda: adapter.adapter.is_open)
+        adapter.put(CanFrame(0x123, b"\x01"))
+        adapter.put(CanFrame(0x183, b"\x01\x02"))
+        adapter.port.write(b"tXYZ4zz\r")
+        adapter.port.write(b"r1234\r")
+        adapter.emit(0.5)
+        await until(lambda: len(samples) == 1)
+        link.close()
+        await link.wait_closed()
+        adapter.close()
+        assert link.counters["other"] == 1
+        assert link.counters["refused"] == 1
+        assert link.counters["garbage"] == 1
+        assert link.counters["remote_frames"] == 1
+
+    run(main())
+
+
+def test_an_adapter_that_is_unplugged_is_opened_again_when_it_returns(tmp_path: Path) -> None:
+    async def main() -> None:
+        adapter = _adapter(tmp_path / "can")
+        samples: list[DistanceSample] = []
+        link = _link(tmp_path / "can", samples.append)
+        link.open()
+        await until(lambda: adapter.adapter.is_open)
+        adapter.emit(0.1)
+        await until(lambda: len(samples) == 1)
+        adapter.close()
+        await until(lambda: not link.status.up)
+        assert link.status.reason
+        adapter.open()
+        await until(lambda: adapter.adapter.is_open)
+        adapter.emit(0.2)
+        await until(lambda: len(samples) == 2)
+        link.close()
+        await link.wait_closed()
+        adapter.close()
+        assert link.counters["lost"] == 1
+        assert link.counters["opened"] == 2
+
+    run(main())
+
+
+def test_bytes_that_never_become_frames_end_the_bus(tmp_path: Path) -> None:
+    async def main() -> None:
+        adapter = _adapter(tmp_path / "can")
+        samples: list[DistanceSample] = []
+        link = _link(tmp_path / "can", samples.append)
+        link.open()
+        await until(lambda: adapter.adapter.is_open)
+        adapter.port.write(b"\xff\xfe\r")  # python-can keeps undecodable bytes for ever
+        await until(lambda: link.counters["opened"] == 2)
+        await until(lambda: adapter.port.attended)
+        adapter.emit(0.3)
+        await until(lambda: len(samples) == 1)
+        link.close()
+        await link.wait_closed()
+        adapter.close()
+
+    run(main())
+
+
+def test_a_missing_adapter_is_a_reason_and_not_an_exception(tmp_path: Path) -> None:
+    async def main() -> None:
+        link = _link(tmp_path / "none", lambda sample: None)
+        link.open()
+        await until(lambda: "none" in link.status.reason)
+        assert not link.status.up
+        link.close()
+        await link.wait_closed()
+
+    run(main())
+
+
+def test_a_configuration_python_can_refuses_is_a_reason_too() -> None:
+    async def main() -> None:
+        link = CanLink({"interface": "no such"}, DistanceDecoder(), lambda sample: None)
+        link.open()
+        await until(lambda: link.status.reason not in {"", "not opened"})
+        link.close()
+        await link.wait_closed()
+
+    run(main())
+
+
+def test_a_bus_without_a_descriptor_is_read_by_a_thread() -> None:
+    async def main() -> None:
+        samples: list[DistanceSample] = []
+        config = {"interface": "virtual", "channel": "test_can_bus"}
+        link = CanLink(config, DistanceDecoder(), samples.append)
+        link.open()
+        await until(lambda: link.status.up)
+        encoder = DistanceEncoder()
+        sender = await asyncio.to_thread(lambda: can.Bus(**config))
+        try:
+            for number in range(5):
+                can_id, data = encoder.encode(0.1 * number)
+                sender.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+            sender.send(can.Message(is_error_frame=True))
+            await until(lambda: len(samples) == 5 and link.counters["error_frames"] == 1)
+        finally:
+            sender.shutdown()
+        link.close()
+        await link.wait_closed()
+        assert link.counters["dropped"] == 0
+
+    run(main())

@@ -1,0 +1,155 @@
+"""The robot's link on real sockets."""
+
+import asyncio
+import socket
+from collections.abc import Iterator
+from contextlib import closing
+
+import pytest
+from loops import run, until
+
+from linemate.drivers.backoff import Backoff
+from linemate.drivers.rsi_udp import RsiLink
+
+
+@pytest.fixture
+def controller() -> Iterator[socket.socket]:
+    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as endpoint:
+        endpoint.bind(("127.0.0.1", 0))
+        endpoint.settimeout(5.0)
+        yield endpoint
+
+
+def _echo(data: bytes, stamp_ns: int, address: tuple[str, int]) -> bytes | None:
+    assert stamp_ns > 0
+    assert address[0] == "127.0.0.1"
+    return b"re:" + data
+
+
+async def _receive(endpoint: socket.socket) -> bytes:
+    return await asyncio.to_thread(endpoint.recv, 4096)
+
+
+def test_each_telegram_gets_one_reply_at_its_source(controller: socket.socket) -> None:
+    async def main() -> None:
+        link = RsiLink(_echo, port=0)
+        link.open()
+        assert link.address is not None
+        for number in range(5):
+            controller.sendto(b"%d" % number, link.address)
+            assert await _receive(controller) == b"re:%d" % number
+        link.close()
+        assert link.counters["received"] == link.counters["answered"] == 5
+        assert link.turnaround_ns is not None
+        assert link.turnaround_ns > 0
+        assert not link.status.up
+
+    run(main())
+
+
+def test_after_a_stall_only_the_newest_telegram_is_answered(controller: socket.socket) -> None:
+    async def main() -> None:
+        link = RsiLink(_echo, port=0)
+        link.open()
+        assert link.address is not None
+        for number in range(20):
+            controller.sendto(b"%d" % number, link.address)
+        assert await _receive(controller) == b"re:19"
+        link.close()
+        assert link.counters["stale"] == 19
+        assert link.counters["answered"] == 1
+
+    run(main())
+
+
+def test_a_stranger_does_not_displace_the_controller(controller: socket.socket) -> None:
+    async def main() -> None:
+        link = RsiLink(_echo, port=0)
+        link.open()
+        assert link.address is not None
+        with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as stranger:
+            controller.sendto(b"robot", link.address)
+            stranger.sendto(b"junk", link.address)
+            assert await _receive(controller) == b"re:robot"
+        link.close()
+
+    run(main())
+
+
+def test_more_than_two_kilobytes_are_refused_unread(controller: socket.socket) -> None:
+    async def main() -> None:
+        link = RsiLink(_echo, port=0)
+        link.open()
+        assert link.address is not None
+        controller.sendto(b"x" * 2049, link.address)
+        controller.sendto(b"y" * 2048, link.address)
+        assert await _receive(controller) == b"re:" + b"y" * 2048
+        link.close()
+        assert link.counters["oversize"] == 1
+
+    run(main())
+
+
+def test_no_reply_is_sent_when_the_cycle_gives_none(controller: socket.socket) -> None:
+    async def main() -> None:
+        link = RsiLink(lambda data, stamp_ns, address: None, port=0)
+        link.open()
+        assert link.address is not None
+        controller.sendto(b"x", link.address)
+        await until(lambda: link.counters["unanswered"] == 1)
+        link.close()
+        assert link.counters["answered"] == 0
+
+    run(main())
+
+
+def test_a_fault_in_the_cycle_is_counted_and_the_link_lives(controller: socket.socket) -> None:
+    def fault(data: bytes, stamp_ns: int, address: tuple[str, int]) -> bytes | None:
+        if data == b"bad":
+            raise ZeroDivisionError
+        return data
+
+    async def main() -> None:
+        link = RsiLink(fault, port=0)
+        link.open()
+        assert link.address is not None
+        controller.sendto(b"bad", link.address)
+        await until(lambda: link.counters["callback_errors"] == 1)
+        controller.sendto(b"good", link.address)
+        assert await _receive(controller) == b"good"
+        link.close()
+
+    run(main())
+
+
+def test_a_port_that_is_taken_is_tried_again_until_it_is_free() -> None:
+    async def main() -> None:
+        with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as squatter:
+            squatter.bind(("127.0.0.1", 0))
+            port = squatter.getsockname()[1]
+            link = RsiLink(_echo, port=port, backoff=Backoff(0.01, 0.02))
+            link.open()
+            assert not link.status.up
+            assert "in use" in link.status.reason
+        await until(lambda: link.status.up)
+        link.close()
+        assert link.counters["opened"] == 1
+
+    run(main())
+
+
+def test_a_socket_that_breaks_is_bound_again(controller: socket.socket) -> None:
+    async def main() -> None:
+        link = RsiLink(_echo, port=0, backoff=Backoff(0.01, 0.02))
+        link.open()
+        assert link._socket is not None
+        link._down("pulled")
+        assert not link.status.up
+        await until(lambda: link.status.up)
+        assert link.address is not None
+        controller.sendto(b"again", link.address)
+        assert await _receive(controller) == b"re:again"
+        link.close()
+        assert link.counters["lost"] >= 1
+
+    run(main())

@@ -1,0 +1,96 @@
+"""From the kernel's wall clock stamps to monotonic arrivals."""
+
+import socket
+import struct
+import time
+
+import pytest
+
+from linemate.drivers.stamps import (
+    ANCILLARY_BYTES,
+    SO_RXQ_OVFL,
+    SO_TIMESTAMPNS,
+    ArrivalClock,
+    paired_clocks,
+    read_ancillary,
+    request_kernel_stamps,
+)
+
+MS = 1_000_000
+
+
+def _clock(empty_ns: int) -> ArrivalClock:
+    clock = ArrivalClock()
+    clock.drained(empty_ns)
+    return clock
+
+
+def test_an_age_is_taken_off_the_monotonic_clock() -> None:
+    clock = _clock(empty_ns=1_000 * MS)
+    assert clock.arrival(500 * MS, now_ns=1_030 * MS, wall_ns=520 * MS) == 1_010 * MS
+    assert clock.refused == 0
+
+
+def test_an_age_greater_than_the_last_empty_read_is_refused_and_counted() -> None:
+    clock = _clock(empty_ns=1_000 * MS)
+    stamp_ns = clock.arrival(0, now_ns=1_030 * MS, wall_ns=3_600_000 * MS)
+    assert stamp_ns == 1_030 * MS
+    assert clock.refused == 1
+
+
+def test_a_wall_clock_that_stepped_back_cannot_make_a_datum_younger_than_now() -> None:
+    clock = _clock(empty_ns=1_000 * MS)
+    assert clock.arrival(3_600_000 * MS, now_ns=1_030 * MS, wall_ns=0) == 1_030 * MS
+    assert clock.refused == 1
+
+
+def test_the_two_clocks_being_read_apart_is_no_reason_to_refuse() -> None:
+    clock = _clock(empty_ns=1_000 * MS)
+    assert clock.arrival(501_000, now_ns=1_030 * MS, wall_ns=500_000) == 1_030 * MS
+    assert clock.refused == 0
+
+
+def test_data_without_a_kernel_stamp_are_stamped_at_reading() -> None:
+    clock = _clock(empty_ns=0)
+    assert clock.arrival(None, now_ns=7, wall_ns=9) == 7
+    assert clock.missing == 1
+
+
+def test_control_messages_of_others_are_passed_over() -> None:
+    stamp = struct.pack("@ll", 3, 4)
+    ancillary = [
+        (socket.SOL_IP, SO_TIMESTAMPNS, stamp),
+        (socket.SOL_SOCKET, SO_TIMESTAMPNS, stamp[:8]),
+        (socket.SOL_SOCKET, SO_TIMESTAMPNS, stamp),
+        (socket.SOL_SOCKET, SO_RXQ_OVFL, struct.pack("@I", 5)),
+    ]
+    assert read_ancillary(ancillary) == (3_000_000_004, 5)
+
+
+def test_the_paired_clocks_run_together() -> None:
+    first_ns, first_wall_ns = paired_clocks()
+    second_ns, second_wall_ns = paired_clocks()
+    elapsed_ns = (second_ns - first_ns) - (second_wall_ns - first_wall_ns)
+    assert abs(elapsed_ns) < 50 * MS
+
+
+def test_a_datagram_that_waited_is_as_old_as_it_waited() -> None:
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
+    ):
+        receiver.bind(("127.0.0.1", 0))
+        request_kernel_stamps(receiver)
+        clock = ArrivalClock()
+        before_ns = time.monotonic_ns()
+        sender.sendto(b"x", receiver.getsockname())
+        after_ns = time.monotonic_ns()
+        time.sleep(0.03)
+        _, ancillary, _, _ = receiver.recvmsg(16, ANCILLARY_BYTES)
+        now_ns, wall_ns = paired_clocks()
+        stamp_wall_ns, _ = read_ancillary(ancillary)
+        if stamp_wall_ns is None:
+            pytest.skip("this kernel does not stamp")
+        stamp_ns = clock.arrival(stamp_wall_ns, now_ns, wall_ns)
+    assert before_ns - MS <= stamp_ns <= after_ns + 5 * MS
+    assert now_ns - stamp_ns >= 25 * MS
