@@ -1,0 +1,1 @@
+"""Where must the tcp be? Measurements in, a horizon of desired poses out (paper, Sect. III)."""

@@ -18,7 +18,7 @@ class ClassifierKind(StrEnum):
 
     RULE = "rule"
     IMM = "imm"
-    GLR = "glr"
+    BANK = "bank"
     NONE = "none"
 
 
@@ -34,7 +34,7 @@ class DistanceNoise:
 
     deviation: Positive = 0.00038
     delay: NonNegative = 0.001
-    gate: Positive = 6.0
+    gate: Positive = 4.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -41,6 +41,7 @@ class Gate(StrEnum):
 
     NONE = "none"
     OBJECT_CLOSE = "object_close"
+    OBJECT_SEEN = "object_seen"
     SCREWS_FIXED = "screws_fixed"
     WHEEL_RELEASED = "wheel_released"
 

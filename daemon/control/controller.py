@@ -1,0 +1,213 @@
+"""From a horizon of desired poses to the joints' setpoints: (16), (11), kinematics, (12), gate.
+
+Law of this file: a straight line through the paper's Sect. IV; the filters were made at start-up
+and are only applied here. No measured pose of the robot enters: the chain is feed-forward.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from linemate.daemon import rotations
+from linemate.daemon.control import inverse_filter, limits
+from linemate.daemon.control.kinematics import Arm, UnreachableError
+from linemate.daemon.control.settings import ControlSettings
+from linemate.daemon.control.smoothing import smoothing_taps
+from linemate.daemon.horizon import Array, Horizon
+
+AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Controller:
+    """What control needs, compiled.
+
+    Attributes:
+        arm: kinematics.
+        cycle_s: T0 [s].
+        smoothing: taps (n_imp + 1,) of (16).
+        effector: taps (n_l + 1 + n_u, 6) of (11), in the tool's frame.
+        effector_past: n_l.
+        servo: taps (past + 1 + n_rob, axes) of (12).
+        servo_past: steps of (12) in the past.
+        limits: of the last gate.
+        steps: n, the horizon that control reads.
+        contact_steps: over how many steps (11) is blended out before contact.
+    """
+
+    arm: Arm
+    cycle_s: float
+    smoothing: Array
+    effector: Array
+    effector_past: int
+    servo: Array
+    servo_past: int
+    limits: limits.Limits
+    steps: int
+    contact_steps: int
+
+    @property
+    def preview(self) -> int:
+        """n_rob: steps of the future that (12) reads."""
+        return len(self.servo) - 1 - self.servo_past
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ControlState:
+    """What control remembers.
+
+    Attributes:
+        smooth: (n_l, 6) the last x_s(0), oldest first.
+        passed: (servo_past, axes) the last q_d(0), oldest first.
+        desired: (n_rob + 1, axes) q_d of the last step, the next guess.
+        gate: of the commands.
+    """
+
+    smooth: Array
+    passed: Array
+    desired: Array
+    gate: limits.GateState
+
+
+def compile_controller(settings: ControlSettings, arm: Arm, cycle_s: float) -> Controller:
+    """Return the controller with its filters designed.
+
+    Raises:
+        ValueError: fewer servo models or limits than axes, or a model that cannot be inverted.
+    """
+    if len(settings.servos) < arm.axes or len(settings.limits) < arm.axes:
+        raise ValueError(f"the arm has {arm.axes} axes: as many servos and limits are needed")
+    filters = settings.filters
+    taps = inverse_filter.tap_steps(filters.servo_past_s, filters.servo_future_s, cycle_s)
+    servo = np.stack(
+        [
+            inverse_filter.servo_inverse(model, filters, cycle_s)
+            if settings.feed_forward
+            else (taps == 0).astype(float)
+            for model in settings.servos[: arm.axes]
+        ],
+        axis=1,
+    )
+    reach = inverse_filter.tap_steps(filters.effector_past_s, filters.effector_future_s, cycle_s)
+    effector = np.stack(
+        [
+            inverse_filter.effector_inverse(mode, filters, cycle_s)
+            if settings.damping
+            else (reach == 0).astype(float)
+            for mode in settings.effector
+        ],
+        axis=1,
+    )
+    smoothing = smoothing_taps(settings.smoothing, cycle_s)
+    needed = int(taps[-1]) + int(reach[-1]) + len(smoothing) - 1
+    rows = settings.limits[: arm.axes]
+    bounds = limits.Limits(
+        np.maximum([row.lower for row in rows], arm.lower),
+        np.minimum([row.upper for row in rows], arm.upper),
+        np.array([row.speed for row in rows]),
+        np.array([row.acceleration for row in rows]),
+        np.array([row.jerk for row in rows]),
+        AXES[: arm.axes],
+    )
+    return Controller(
+        arm=arm,
+        cycle_s=cycle_s,
+        smoothing=smoothing,
+        effector=effector,
+        effector_past=-int(reach[0]),
+        servo=servo,
+        servo_past=-int(taps[0]),
+        limits=bounds,
+        steps=max(needed, math.ceil(settings.horizon_s / cycle_s)),
+        contact_steps=max(round(filters.contact_blend / cycle_s), 1),
+    )
+
+
+def at_rest(controller: Controller, joints: Array, pose: Array) -> ControlState:
+    """Return the state of a robot that stands at ``joints`` (axes,), its tcp at ``pose`` (6,)."""
+    return ControlState(
+        smooth=np.tile(pose, (controller.effector_past, 1)),
+        passed=np.tile(joints, (controller.servo_past, 1)),
+        desired=np.tile(joints, (controller.preview + 1, 1)),
+        gate=limits.at_rest(joints),
+    )
+
+
+def smooth(controller: Controller, poses: Array, count: int) -> Array:
+    """Return x_s (count, 6) of x_t (n+1, 6), by (16)."""
+    taps = controller.smoothing
+    if len(taps) == 1:
+        return poses[:count]
+    windows = np.lib.stride_tricks.sliding_window_view(poses, len(taps), axis=0)
+    smoothed: Array = windows[:count] @ taps
+    return smoothed
+
+
+def damp(controller: Controller, smoothed: Array, free: Array) -> Array:
+    """Return x_d (n_rob + 1, 6) of x_s, by (11), damped where the tool hangs free.
+
+    Args:
+        controller: with the taps, which act along and about the tool's axes.
+        smoothed: x_s from n_l steps ago to n_rob + n_u ahead.
+        free: (n_rob + 1,) share of (11) at each step.
+    """
+    taps, past = controller.effector, controller.effector_past
+    count = controller.preview + 1
+    here = smoothed[past : past + count]
+    turn = rotations.exp(here[0, 3:])
+    # A change of the rotation vector is a turn about the tool's axes by way of J_r = J_l(-r).
+    body = np.linalg.inv(rotations.left_jacobian_inverse(-here[0, 3:]))
+    change = np.zeros((count, 6))
+    for j in range(len(taps)):
+        if j != past:
+            step = smoothed[j : j + count] - here
+            change[:, :3] += (step[:, :3] @ turn) * taps[j, :3]
+            change[:, 3:] += (step[:, 3:] @ body.T) * taps[j, 3:]
+    change *= free[:, None]
+    desired = here.copy()
+    desired[:, :3] += change[:, :3] @ turn.T
+    desired[:, 3:] += change[:, 3:] @ np.linalg.inv(body).T
+    return desired
+
+
+def follow(
+    controller: Controller, state: ControlState, horizon: Horizon
+) -> tuple[ControlState, str | None]:
+    """Return the state after one step along the horizon; its gate's position is the command.
+
+    Returns:
+        The new state, and None or the reason why the command is not the one desired.
+    """
+    count = controller.preview + 1
+    ahead = len(controller.effector) - 1 - controller.effector_past
+    smoothed = np.concatenate((state.smooth, smooth(controller, horizon.poses, count + ahead)))
+    wanted = damp(controller, smoothed, horizon.free[:count])
+    C = horizon.nominal
+    guesses = np.concatenate((state.desired[1:], 2.0 * state.desired[-1:] - state.desired[-2:-1]))
+    if controller.arm.linear_axis:
+        guesses[:, 6] = horizon.axis[:count]
+    try:
+        desired, _ = controller.arm.follow(
+            guesses, wanted[:, :3] @ C.T, [C @ rotations.exp(r) for r in wanted[:, 3:]]
+        )
+    except UnreachableError as error:
+        return stop(controller, state), str(error)
+    window = np.concatenate((state.passed, desired))
+    command = np.einsum("ij,ij->j", controller.servo, window)
+    gate, held = limits.admit(state.gate, command, controller.limits, controller.cycle_s)
+    past = controller.effector_past
+    return (
+        ControlState(
+            smooth=smoothed[1 : past + 1],
+            passed=window[1 : controller.servo_past + 1],
+            desired=desired,
+            gate=gate,
+        ),
+        held,
+    )
+
+
+def stop(controller: Controller, state: ControlState) -> ControlState:
+    """Return the state after one step of the quickest stop within the limits."""
+    return replace(state, gate=limits.brake(state.gate, controller.limits, controller.cycle_s))

@@ -1,0 +1,137 @@
+"""The last gate before the wire: whatever is desired, the command stays within the limits.
+
+Law of this file: finite, position, speed, acceleration and jerk of the *commands'* finite
+differences; it imports nothing of control or tracking and trusts neither. It looks ahead: a
+command is allowed only while a stop within all limits remains possible after it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from linemate.daemon.horizon import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Limits:
+    """Limits of all axes as arrays (m,), SI."""
+
+    lower: Array
+    upper: Array
+    speed: Array
+    acceleration: Array
+    jerk: Array
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GateState:
+    """The last command and its differences: position, speed, acceleration (m,)."""
+
+    position: Array
+    speed: Array
+    acceleration: Array
+
+
+def at_rest(position: Array) -> GateState:
+    """Return the gate of a robot that stands at ``position`` (m,)."""
+    zero = np.zeros(len(position))
+    return GateState(position, zero, zero)
+
+
+def _ceiling(state_speed: Array, cap: Array, jerk: Array, period: float) -> Array:
+    """Return the largest acceleration after which the speed can still be kept at ``cap``.
+
+    From an acceleration a the speed rises by a^2/2j + aT/2 before jerk can end it, and by aT in
+    this step.
+    """
+    room = cap - state_speed
+    b = 1.5 * period
+    rising = jerk * (np.sqrt(b * b + 2.0 * np.maximum(room, 0.0) / jerk) - b)
+    return np.where(room >= 0.0, rising, room / period)
+
+
+def _speed_before(room: Array, limits: Limits, period: float) -> Array:
+    """Return the speed from which a stop within ``room`` (m,) is possible with jerk limited.
+
+    ``room = c u + u^2 / 2A`` with c the time that jerk needs to build the deceleration up and to
+    let it go, and three steps of margin.
+    """
+    c = 2.0 * limits.acceleration / limits.jerk + 3.0 * period
+    A = limits.acceleration
+    return A * (np.sqrt(c * c + 2.0 * np.maximum(room, 0.0) / A) - c)
+
+
+def _bounds(state: GateState, limits: Limits, period: float) -> tuple[Array, Array]:
+    """Return the least and the largest acceleration (m,) that are allowed now."""
+    p, v, a = state.position, state.speed, state.acceleration
+    step = limits.jerk * period
+    hard_low = np.maximum(a - step, -limits.acceleration)
+    hard_high = np.minimum(a + step, limits.acceleration)
+    up = np.minimum(
+        limits.speed, _speed_before(limits.upper - p - np.maximum(v, 0.0) * period, limits, period)
+    )
+    down = np.minimum(
+        limits.speed, _speed_before(p - limits.lower + np.minimum(v, 0.0) * period, limits, period)
+    )
+    high = np.clip(_ceiling(v, up, limits.jerk, period), hard_low, hard_high)
+    low = np.clip(-_ceiling(-v, down, limits.jerk, period), hard_low, hard_high)
+    return np.minimum(low, high), np.maximum(low, high)
+
+
+def _advance(state: GateState, acceleration: Array, period: float) -> GateState:
+    """Return the gate after one command with the given acceleration."""
+    speed = state.speed + acceleration * period
+    return GateState(state.position + speed * period, speed, acceleration)
+
+
+def admit(
+    state: GateState, desired: Array, limits: Limits, period: float
+) -> tuple[GateState, str | None]:
+    """Return the gate after the command that is nearest to ``desired`` within the limits.
+
+    Args:
+        state: of the commands so far.
+        desired: setpoints (m,), SI.
+        limits: of each axis.
+        period: T0 [s].
+
+    Returns:
+        The new gate, whose ``position`` is the command, and None or what was held back and why.
+    """
+    if not bool(np.isfinite(desired).all()):
+        return brake(state, limits, period), "the command was not finite"
+    wanted = ((desired - state.position) / period - state.speed) / period
+    low, high = _bounds(state, limits, period)
+    taken = np.minimum(np.maximum(wanted, low), high)
+    reached = _advance(state, taken, period)
+    # A rounding of the differences is no violation: a millionth of the acceleration limit.
+    short = np.abs(taken - wanted) > 1e-6 * limits.acceleration
+    if short.any():
+        axes = ", ".join(name for name, held in zip(limits.names, short, strict=True) if held)
+        return reached, f"limited: {axes}"
+    return GateState(desired, reached.speed, taken), None
+
+
+def brake(state: GateState, limits: Limits, period: float) -> GateState:
+    """Return the gate after one step of the quickest stop that jerk and acceleration allow.
+
+    Deceleration is let go in time: the acceleration aimed at is the one whose own decay, at
+    full jerk, ends the remaining speed.
+    """
+    v, a = state.speed, state.acceleration
+    half = 0.5 * limits.jerk * period
+    # The acceleration with which jerk at its limit brings the speed to rest exactly:
+    # |v| = a^2/2j + aT/2 in discrete time, one step of margin.
+    aim = np.sqrt(half * half + 2.0 * limits.jerk * np.abs(v)) - half
+    aim = np.minimum(aim, np.abs(v) / period)
+    target = -np.sign(v) * np.minimum(aim, limits.acceleration)
+    step = limits.jerk * period
+    low, high = _bounds(state, limits, period)
+    taken = np.clip(np.clip(target, a - step, a + step), low, high)
+    return _advance(state, taken, period)
+
+
+def stands(state: GateState) -> bool:
+    """Tell whether the commands stand still: below 1e-4 rad/s or m/s, and no acceleration."""
+    return bool((np.abs(state.speed) < 1e-4).all() and (np.abs(state.acceleration) < 1e-2).all())

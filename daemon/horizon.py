@@ -1,0 +1,32 @@
+"""The only door between tracking and control: the paper's predictive interface x_t(k, i).
+
+Law of this file: a list of poses over the horizon, and nothing that knows how it was made or
+how it will be followed. Poses stand in the *nominal frame* c: its axes are those of the nominal
+object (y along the conveyor), its origin is that of base.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Horizon:
+    """Desired tcp poses at steps k + i, i = 0..n.
+
+    Attributes:
+        poses: (n+1, 6) position [m] and rotation vector [rad] of the tcp in c, so that
+            ``tcp_in_base = (C p, C Exp(r))``.
+        axis: (n+1,) planned position of the linear axis [m].
+        free: (n+1,) 1 where the tool hangs free, 0 where it is clamped to the object; in
+            between while one gives way to the other.
+        nominal: (3, 3) C, the axes of c in base.
+    """
+
+    poses: Array
+    axis: Array
+    free: Array
+    nominal: Array

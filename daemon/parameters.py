@@ -1,0 +1,111 @@
+"""All that a step is told beside its inputs, compiled once at start-up.
+
+Law of this file: settings and a task in, filters and matrices out; slow, and never in the loop.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from linemate.daemon import rotations
+from linemate.daemon.control import controller as control
+from linemate.daemon.control import kinematics
+from linemate.daemon.control.settings import ControlSettings
+from linemate.daemon.tracking import merge
+from linemate.daemon.tracking.classifier_bank import BankClassifier
+from linemate.daemon.tracking.classifier_rule import RuleClassifier
+from linemate.daemon.tracking.conveyor import Classifier
+from linemate.daemon.tracking.reference import compile_reference
+from linemate.daemon.tracking.settings import ClassifierKind, TrackingSettings
+from linemate.daemon.tracking.task import TaskFile
+from linemate.daemon.tracking.tracker import Tracker
+from linemate.daemon.tracking.transverse import Transverse
+
+HISTORY = 0.45  # of the robot's pose, to look up exposures in [s]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Parameters:
+    """What a step needs: both halves, compiled."""
+
+    tracker: Tracker
+    controller: control.Controller
+    cycle_s: float
+
+
+def _classifier(task: TaskFile, settings: TrackingSettings) -> Classifier:
+    """Return the classifier that is set."""
+    deviation = settings.distance.deviation
+    if settings.classifier in {ClassifierKind.RULE, ClassifierKind.NONE}:
+        return RuleClassifier(
+            task.conveyor,
+            settings.fusion,
+            settings.rule,
+            deviation,
+            classes=settings.classifier is ClassifierKind.RULE,
+        )
+    if settings.classifier is ClassifierKind.BANK:
+        return BankClassifier(
+            task.conveyor, settings.fusion, settings.bank, deviation, settings.mixture
+        )
+    raise ValueError(f"tracking.classifier: {settings.classifier} is not there yet")
+
+
+def build(
+    task: TaskFile,
+    urdf_text: str,
+    tracking: TrackingSettings,
+    control_settings: ControlSettings,
+    cycle_s: float,
+) -> Parameters:
+    """Return the parameters of a cell.
+
+    Args:
+        task: what is assembled.
+        urdf_text: the arm, as text.
+        tracking: settings.
+        control_settings: settings.
+        cycle_s: T0 [s].
+
+    Raises:
+        ValueError: settings, task and arm do not fit together; the message says which.
+    """
+    tool = task.arm.tcp_in_flange
+    arm = kinematics.load(
+        urdf_text,
+        task.arm.flange,
+        np.array(tool.position),
+        rotations.matrix(tool.quaternion),
+        linear_axis=task.arm.linear_axis,
+    )
+    controller = control.compile_controller(control_settings, arm, cycle_s)
+    dead_time = max(model.dead_time for model in control_settings.servos[: arm.axes])
+    commit = merge.commit_steps(dead_time, cycle_s)
+    along = merge.merge_matrix(tracking.merge.along, cycle_s, controller.steps - commit)
+    across = merge.merge_matrix(tracking.merge.across, cycle_s, controller.steps - commit)
+    if commit < merge.ORDER:
+        # The merge reads five committed steps; a robot without dead time commits them all the same.
+        commit = merge.ORDER
+        along, across = along[1:], across[1:]
+    camera = task.arm.camera_in_tcp
+    tracker = Tracker(
+        task=task,
+        settings=tracking,
+        reference=compile_reference(task),
+        classifier=_classifier(task, tracking),
+        transverse=Transverse(tracking.fusion, tracking.swing),
+        camera=(np.array(camera.position), rotations.matrix(camera.quaternion)),
+        cycle_s=cycle_s,
+        steps=controller.steps,
+        commit=commit,
+        matrices=np.stack([along if axis == 1 else across for axis in range(6)]),
+        history_length=math.ceil(HISTORY / cycle_s),
+        contact_blend=control_settings.filters.contact_blend,
+    )
+    return Parameters(tracker, controller, cycle_s)
+
+
+def with_classifier(parameters: Parameters, classifier: Classifier) -> Parameters:
+    """Return the parameters with another classifier in the tracker (an oracle, in a campaign)."""
+    return replace(parameters, tracker=replace(parameters.tracker, classifier=classifier))

@@ -1,0 +1,122 @@
+"""Rotations, single and over whole horizons; below both tracking and control.
+
+Law of this file: pure functions of arrays; rotation vectors [rad], matrices (3, 3), quaternions
+w first. Everything is differentiable at zero (series below ``SMALL``).
+"""
+
+import math
+
+import numpy as np
+
+from linemate.daemon.horizon import Array
+from linemate.protocol.samples import Quaternion
+
+SMALL = 1e-6
+
+
+def skew(v: Array) -> Array:
+    """Return the matrix (3, 3) with ``skew(v) @ w == cross(v, w)``."""
+    x, y, z = v
+    return np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
+
+
+def exp(r: Array) -> Array:
+    """Return the rotation matrix (3, 3) of a rotation vector (3,) [rad] (Rodrigues)."""
+    x, y, z = float(r[0]), float(r[1]), float(r[2])
+    angle2 = x * x + y * y + z * z
+    if angle2 < SMALL * SMALL:
+        a, b = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0
+    else:
+        angle = math.sqrt(angle2)
+        a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle2
+    xx, yy, zz = b * x * x, b * y * y, b * z * z
+    xy, xz, yz = b * x * y, b * x * z, b * y * z
+    ax, ay, az = a * x, a * y, a * z
+    return np.array(
+        (
+            (1.0 - yy - zz, xy - az, xz + ay),
+            (xy + az, 1.0 - xx - zz, yz - ax),
+            (xz - ay, yz + ax, 1.0 - xx - yy),
+        )
+    )
+
+
+def log(R: Array) -> Array:
+    """Return the rotation vector (3,) [rad] of a rotation matrix; unique below pi.
+
+    By way of the quaternion, which stays accurate for small and for large angles.
+    """
+    return log_quaternion(quaternion(R))
+
+
+def quaternion(R: Array) -> Quaternion:
+    """Return the unit quaternion, w first and >= 0, of a rotation matrix (Shepperd)."""
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+    trace = a + e + i
+    if trace > 0.0:
+        s = 2.0 * math.sqrt(trace + 1.0)
+        q = (0.25 * s, (h - f) / s, (c - g) / s, (d - b) / s)
+    elif a >= e and a >= i:
+        s = 2.0 * math.sqrt(max(1.0 + a - e - i, 0.0))
+        q = ((h - f) / s, 0.25 * s, (b + d) / s, (c + g) / s)
+    elif e >= i:
+        s = 2.0 * math.sqrt(max(1.0 + e - a - i, 0.0))
+        q = ((c - g) / s, (b + d) / s, 0.25 * s, (f + h) / s)
+    else:
+        s = 2.0 * math.sqrt(max(1.0 + i - a - e, 0.0))
+        q = ((d - b) / s, (c + g) / s, (f + h) / s, 0.25 * s)
+    return q if q[0] >= 0.0 else (-q[0], -q[1], -q[2], -q[3])
+
+
+def log_quaternion(q: Quaternion) -> Array:
+    """Return the rotation vector (3,) [rad] of a unit quaternion, w first."""
+    w, x, y, z = q if q[0] >= 0.0 else (-q[0], -q[1], -q[2], -q[3])
+    n = math.sqrt(x * x + y * y + z * z)
+    scale = 2.0 / w if n < SMALL else 2.0 * math.atan2(n, w) / n
+    return np.array((scale * x, scale * y, scale * z))
+
+
+def matrix(q: Quaternion) -> Array:
+    """Return the rotation matrix (3, 3) of a quaternion, w first, normalised here."""
+    w, x, y, z = q
+    n = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
+    w, x, y, z = w * n, x * n, y * n, z * n
+    return np.array(
+        (
+            (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+            (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+            (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+        )
+    )
+
+
+def left_jacobian_inverse(r: Array) -> Array:
+    """Return J_l^-1(r), so that ``log(exp(d) @ exp(r)) = r + J_l^-1(r) d`` for small d."""
+    angle = math.sqrt(float(r[0]) ** 2 + float(r[1]) ** 2 + float(r[2]) ** 2)
+    W = skew(r)
+    if angle < 1e-4:
+        c = 1.0 / 12.0
+    else:
+        half = 0.5 * angle
+        c = (1.0 - half / math.tan(half)) / (angle * angle)
+    return np.eye(3) - 0.5 * W + c * (W @ W)
+
+
+def exp_many(r: Array) -> Array:
+    """Return rotation matrices (m, 3, 3) of rotation vectors (m, 3)."""
+    angle2 = np.einsum("ij,ij->i", r, r)
+    small = angle2 < SMALL * SMALL
+    safe = np.where(small, 1.0, angle2)
+    angle = np.sqrt(safe)
+    a = np.where(small, 1.0 - angle2 / 6.0, np.sin(angle) / angle)
+    b = np.where(small, 0.5 - angle2 / 24.0, (1.0 - np.cos(angle)) / safe)
+    W = np.zeros((len(r), 3, 3))
+    W[:, 0, 1], W[:, 0, 2] = -r[:, 2], r[:, 1]
+    W[:, 1, 0], W[:, 1, 2] = r[:, 2], -r[:, 0]
+    W[:, 2, 0], W[:, 2, 1] = -r[:, 1], r[:, 0]
+    return np.eye(3) + a[:, None, None] * W + b[:, None, None] * (W @ W)
+
+
+def log_many(R: Array) -> Array:
+    """Return rotation vectors (m, 3) of rotation matrices (m, 3, 3), angles below pi."""
+    return np.array([log(each) for each in R])

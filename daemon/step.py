@@ -1,0 +1,241 @@
+"""One sampling step: ``step(state, inputs, parameters) -> (state, outputs)``.
+
+Law of this file: a straight line through tracking and control, without I/O, clock or chance. What
+arrived before telegram k is in the inputs, the robot's state of k - 1 included, so that the reply
+can be ready before its telegram comes; nothing is lost by it, the commands are feed-forward.
+
+    predict -> correct -> classify -> predict the part over the horizon -> approach -> x_t
+    smooth -> damp -> inverse kinematics -> feed-forward -> limits -> q_c
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from linemate.daemon import rotations
+from linemate.daemon.control import controller as control
+from linemate.daemon.control import limits
+from linemate.daemon.horizon import Array
+from linemate.daemon.inputs import Inputs, Order
+from linemate.daemon.parameters import Parameters
+from linemate.daemon.tracking import tracker as tracking
+from linemate.daemon.tracking.task import Phase
+from linemate.protocol.samples import RobotSample
+
+Pose = tuple[float, float, float, float, float, float, float]
+"""Position [m] and unit quaternion, w first, in base."""
+
+FIX_SCREWS = 1
+RELEASE_WHEEL = 2
+REST_DISTANCE = 0.02  # from the programme's first pose, at most, to start [m]
+REST_ANGLE = 0.05  # [rad]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """Everything a step remembers."""
+
+    tracker: tracking.TrackerState
+    control: control.ControlState
+    moving: bool = False
+    robot: RobotSample | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outputs:
+    """What one step says.
+
+    Attributes:
+        k: number of the step.
+        stamp_ns: its time [ns].
+        command: absolute setpoints q_c, A1..A6 [rad] and E1 [m], within the limits.
+        digital_out: the tool's signals, bit 0 fix the screws, bit 1 release the wheel.
+        phase: of the task.
+        task_time: of the task's clock [s], None before the start.
+        scenario: the class in force.
+        scenario_state: ``confirmed`` or ``tentative``.
+        confidence: log odds of the change that is weighed.
+        events: of the classifier in this step.
+        target: x_c(k) = x_t(k, 0), the committed tcp.
+        sensed: x_f(k, 0), None before the object was seen.
+        part: the object's estimated pose, None before it was seen.
+        speed: of the conveyor [m/s].
+        horizon: (n+1, 6) x_t in the nominal frame, None while the robot does not track.
+        contact: the tool is clamped to the object.
+        overload: the force is beyond what the tool may bear.
+        finished: the task is over, or the retraction is.
+        held: why the command is not the one desired, None if it is.
+        ready: why the task cannot start, None if it can.
+        refused: sightings that the gate refused.
+    """
+
+    k: int
+    stamp_ns: int
+    command: tuple[float, ...]
+    digital_out: int
+    phase: Phase
+    task_time: float | None
+    scenario: str
+    scenario_state: str
+    confidence: float
+    events: tuple[tuple[str, str], ...]
+    target: Pose
+    sensed: Pose | None
+    part: Pose | None
+    speed: float | None
+    horizon: Array | None
+    contact: bool
+    overload: bool
+    finished: bool
+    held: str | None
+    ready: str | None
+    refused: int
+
+
+def _joints(parameters: Parameters, robot: RobotSample) -> Array:
+    """Return a telegram's joints as the controller orders them (axes,)."""
+    if parameters.controller.arm.linear_axis:
+        return np.array((*robot.joints, robot.external[0]))
+    return np.array(robot.joints)
+
+
+def _tcp(parameters: Parameters, joints: Array) -> Array:
+    """Return the undeflected tcp (6,) in c."""
+    position, rotation = parameters.controller.arm.tcp_in_base(joints)
+    C = parameters.tracker.reference.nominal
+    return np.concatenate((C.T @ position, rotations.log(C.T @ rotation)))
+
+
+def _axis(parameters: Parameters, joints: Array) -> float:
+    """Return the linear axis' position [m], 0 without one."""
+    return float(joints[6]) if parameters.controller.arm.linear_axis else 0.0
+
+
+def _in_base(parameters: Parameters, pose: Array) -> Pose:
+    """Return a pose (6,) of c as position and quaternion in base."""
+    C = parameters.tracker.reference.nominal
+    x, y, z = (C @ pose[:3]).tolist()
+    return (x, y, z, *rotations.quaternion(C @ rotations.exp(pose[3:])))
+
+
+def initial(parameters: Parameters, robot: RobotSample) -> State:
+    """Return the state of a robot that stands where a telegram says; its command is that place."""
+    joints = _joints(parameters, robot)
+    pose = _tcp(parameters, joints)
+    return State(
+        tracker=tracking.at_rest(parameters.tracker, pose, _axis(parameters, joints)),
+        control=control.at_rest(parameters.controller, joints, pose),
+        robot=robot,
+    )
+
+
+def step(state: State, inputs: Inputs, parameters: Parameters) -> tuple[State, Outputs]:
+    """Return the state and the outputs of one sampling step.
+
+    Args:
+        state: of the step before, or ``initial``.
+        inputs: everything that entered since, and the order.
+        parameters: compiled.
+    """
+    seen = _measurements(inputs, parameters)
+    state = replace(state, robot=inputs.robot or state.robot)
+    if inputs.order is Order.HOLD:
+        return _hold(state, inputs, seen, parameters)
+    retreat = inputs.order is Order.RETREAT
+    tracker, horizon, report = tracking.track(
+        parameters.tracker, state.tracker, seen, start=inputs.start or retreat, retreat=retreat
+    )
+    steered, held = control.follow(parameters.controller, state.control, horizon)
+    state = State(tracker, steered, moving=True, robot=state.robot)
+    return state, _outputs(state, inputs, report, horizon.poses, held, parameters)
+
+
+def _hold(
+    state: State, inputs: Inputs, seen: tracking.Measurements, parameters: Parameters
+) -> tuple[State, Outputs]:
+    """Return one step of a robot that is to stand: it brakes, and then its plan is rest."""
+    tracker, report = tracking.observe(parameters.tracker, state.tracker, seen)
+    held = "hold"
+    if state.moving:
+        steered = control.stop(parameters.controller, state.control)
+        still = limits.stands(steered.gate)
+        joints = steered.gate.position
+        pose = _tcp(parameters, joints)
+        if still:
+            steered = control.at_rest(parameters.controller, joints, pose)
+        tracker = tracking.rest(parameters.tracker, tracker, pose, _axis(parameters, joints))
+        state = State(tracker, steered, moving=not still, robot=state.robot)
+    else:
+        state = replace(state, tracker=tracker)
+    return state, _outputs(state, inputs, report, None, held, parameters)
+
+
+def _measurements(inputs: Inputs, parameters: Parameters) -> tracking.Measurements:
+    """Return the inputs as tracking sees them."""
+    tcp = stamp = None
+    if inputs.robot is not None:
+        tcp = _tcp(parameters, _joints(parameters, inputs.robot))
+        stamp = inputs.robot.stamp_ns
+    return tracking.Measurements(
+        stamp_ns=inputs.stamp_ns,
+        tcp=tcp,
+        tcp_stamp_ns=stamp or 0,
+        distance=inputs.distance,
+        camera=inputs.camera,
+        wrench=inputs.wrench,
+        digital_in=0 if inputs.robot is None else inputs.robot.digital_in,
+    )
+
+
+def _ready(state: State, parameters: Parameters) -> str | None:
+    """Return why the task cannot start, None if it can."""
+    if state.tracker.belief is None:
+        return "no distance has been measured yet"
+    off = state.tracker.poses[0] - parameters.tracker.reference.poses(np.zeros(1))[0]
+    if float(np.abs(off[:3]).max()) > REST_DISTANCE or float(np.abs(off[3:]).max()) > REST_ANGLE:
+        return (
+            f"the tcp is {1e3 * float(np.linalg.norm(off[:3])):.0f} mm and "
+            f"{1e3 * float(np.linalg.norm(off[3:])):.0f} mrad away from the task's first pose"
+        )
+    return None
+
+
+def _outputs(
+    state: State,
+    inputs: Inputs,
+    report: tracking.Report,
+    poses: Array | None,
+    held: str | None,
+    parameters: Parameters,
+) -> Outputs:
+    """Return what the step says."""
+    tracker = state.tracker
+    signals = 0
+    if tracker.fixing is not None:
+        signals |= FIX_SCREWS
+    if tracker.releasing is not None:
+        signals |= RELEASE_WHEEL
+    withdrawn = tracker.withdrawn is not None and tracker.withdrawn > 1.2 * tracking.AWAY_TIME
+    return Outputs(
+        k=inputs.k,
+        stamp_ns=inputs.stamp_ns,
+        command=tuple(state.control.gate.position.tolist()),
+        digital_out=signals,
+        phase=report.phase if tracker.withdrawn is None else Phase.RETREAT,
+        task_time=tracker.time if tracker.started else None,
+        scenario=report.motion.value,
+        scenario_state="tentative" if report.tentative else "confirmed",
+        confidence=report.confidence,
+        events=report.events,
+        target=_in_base(parameters, tracker.poses[0]),
+        sensed=None if report.sensed is None else _in_base(parameters, report.sensed),
+        part=None if report.part is None else _in_base(parameters, report.part),
+        speed=report.speed,
+        horizon=poses,
+        contact=tracker.contact,
+        overload=report.overload,
+        finished=report.phase is Phase.DONE or withdrawn,
+        held=held,
+        ready=_ready(state, parameters),
+        refused=report.refused,
+    )

@@ -1,0 +1,39 @@
+"""The linear axis follows the programme and stops when the conveyor stops.
+
+Law of this file: a list over the horizon to which each step appends one sample; what is in it
+never changes, so the arm's inverse kinematics can rely on it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from linemate.daemon.horizon import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AxisPlan:
+    """Planned positions (n+1,) [m] and the smoothed speed's three stages [m/s]."""
+
+    positions: Array
+    stages: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+def advance(plan: AxisPlan, target: float, ramp: float, dt: float) -> AxisPlan:
+    """Return the plan one step later, its end heading for ``target`` [m/s].
+
+    Three equal lags make speed, acceleration and jerk continuous; six of their time constants
+    are a ramp.
+    """
+    gain = 1.0 - np.exp(-6.0 * dt / ramp)
+    first, second, third = plan.stages
+    first += gain * (target - first)
+    second += gain * (first - second)
+    third += gain * (second - third)
+    end = plan.positions[-1] + third * dt
+    return AxisPlan(np.append(plan.positions[1:], end), (first, second, third))
+
+
+def at_rest(position: float, steps: int) -> AxisPlan:
+    """Return the plan of an axis that stands, ``steps`` ahead."""
+    return AxisPlan(np.full(steps + 1, position))

@@ -1,0 +1,415 @@
+"""Tracking, one step: measurements in, a horizon of desired poses out.
+
+Law of this file: the straight line through Sect. III, room by room: remember where the robot was,
+predict, correct, classify, predict over the horizon, approach, merge. Pure: time is in the inputs.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from linemate.daemon.horizon import Array, Horizon
+from linemate.daemon.tracking import approach, linear_axis, merge
+from linemate.daemon.tracking.conveyor import Classifier, Motion, Row, Source
+from linemate.daemon.tracking.observation import (
+    History,
+    Sighting,
+    Wrench,
+    mean_wrench,
+    pose_at,
+    remember,
+    sight,
+    touch,
+)
+from linemate.daemon.tracking.reference import Reference, barrier
+from linemate.daemon.tracking.settings import TrackingSettings
+from linemate.daemon.tracking.task import Gate, Phase, TaskFile
+from linemate.daemon.tracking.transverse import Transverse, TransverseState
+from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
+
+TOUCHES = 2  # steps in a row that make a contact
+NEAR = 0.008  # programmed distance below which a force may be a contact [m]
+AWAY = 0.15  # way of an emergency retraction [m]
+AWAY_TIME = 0.6  # and its duration [s]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tracker:
+    """What tracking needs, compiled."""
+
+    task: TaskFile
+    settings: TrackingSettings
+    reference: Reference
+    classifier: Classifier
+    transverse: Transverse
+    camera: tuple[Array, Array]
+    cycle_s: float
+    steps: int
+    commit: int
+    matrices: Array
+    history_length: int
+    contact_blend: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackerState:
+    """What tracking remembers.
+
+    Attributes:
+        history: of the undeflected tcp.
+        belief: of the classifier; None before the first distance.
+        across: belief across the conveyor; None before enough images.
+        sightings: images that wait to start it.
+        poses: (n+1, 6) x_t of the last step.
+        axis: plan of the linear axis.
+        time: task time of step k; it stands before the start.
+        started: the start edge has come.
+        passed: gates that are open.
+        blended: time since the sensed motion began to take over [s], None before.
+        touches: steps in a row with a contact's force.
+        contact: the tool is clamped to the object.
+        fixing, releasing: time since the tool was asked to fix, to release [s]; None before.
+        withdrawn: time since an emergency retraction began [s]; None without.
+    """
+
+    history: History | None
+    belief: Any
+    across: TransverseState | None
+    sightings: tuple[Sighting, ...]
+    poses: Array
+    axis: linear_axis.AxisPlan
+    time: float = 0.0
+    started: bool = False
+    passed: frozenset[Gate] = frozenset()
+    blended: float | None = None
+    touches: int = 0
+    contact: bool = False
+    fixing: float | None = None
+    releasing: float | None = None
+    withdrawn: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Report:
+    """What one step of tracking has to say beside the horizon.
+
+    Attributes:
+        sensed: x_f(k, 0) (6,) in c, or None.
+        part: the object now (6,) in c, or None.
+        speed: of the conveyor [m/s], or None.
+        motion, tentative, confidence, events: of the classifier.
+        phase: of the task.
+        force: mean force [N], or None without a sample.
+        overload: the force is beyond what the tool may bear.
+        refused: sightings that the gate refused in this step.
+    """
+
+    sensed: Array | None
+    part: Array | None
+    speed: float | None
+    motion: Motion
+    tentative: bool
+    confidence: float
+    events: tuple[tuple[str, str], ...]
+    phase: Phase
+    force: Array | None
+    overload: bool
+    refused: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measurements:
+    """One step's samples and where the robot is."""
+
+    stamp_ns: int
+    tcp: Array | None
+    tcp_stamp_ns: int
+    distance: Sequence[DistanceSample]
+    camera: Sequence[CameraSample]
+    wrench: tuple[WrenchSample, ...]
+    digital_in: int
+
+
+def at_rest(tracker: Tracker, pose: Array, axis: float) -> TrackerState:
+    """Return the state of a robot that stands with its tcp at ``pose`` (6,) in c."""
+    return TrackerState(
+        history=None,
+        belief=None,
+        across=None,
+        sightings=(),
+        poses=np.tile(pose, (tracker.steps + 1, 1)),
+        axis=linear_axis.at_rest(axis, tracker.steps),
+    )
+
+
+def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> TrackerState:
+    """Return the state with its plan at rest and the task over; the estimate lives on."""
+    return replace(
+        state,
+        poses=np.tile(pose, (tracker.steps + 1, 1)),
+        axis=linear_axis.at_rest(axis, tracker.steps),
+        time=0.0,
+        started=False,
+        passed=frozenset(),
+        blended=None,
+        touches=0,
+        contact=False,
+        fixing=None,
+        releasing=None,
+        withdrawn=None,
+    )
+
+
+def estimate(
+    tracker: Tracker, state: TrackerState, seen: Measurements
+) -> tuple[TrackerState, int, Wrench | None]:
+    """Return the state with its beliefs one step later, the refused sightings, the wrench."""
+    history = state.history
+    if seen.tcp is not None:
+        history = remember(history, seen.tcp_stamp_ns, seen.tcp, tracker.history_length)
+    state = replace(state, history=history)
+    across = state.across
+    if across is not None:
+        across = tracker.transverse.predict(across, tracker.cycle_s)
+    sightings, wrench = _sightings(tracker, state, seen)
+    rows = [_distance_row(tracker, seen.stamp_ns, sample) for sample in seen.distance]
+    refused = 0
+    waiting = state.sightings
+    for source, sighting, gate in sightings:
+        if across is None:
+            waiting = (*waiting, sighting)[-tracker.settings.fusion.initial_images :]
+            if len(waiting) == tracker.settings.fusion.initial_images:
+                across = tracker.transverse.initial(list(waiting))
+        else:
+            across, taken = tracker.transverse.correct(across, sighting, gate)
+            refused += not taken
+            if not taken:
+                continue
+        rows.append(_along_row(tracker, across, source, sighting, gate))
+    belief = state.belief
+    if belief is None and seen.distance:
+        belief = tracker.classifier.initial(rows[0].value)
+    if belief is not None:
+        belief = tracker.classifier.advance(belief, rows, tracker.cycle_s)
+    return replace(state, belief=belief, across=across, sightings=waiting), refused, wrench
+
+
+def _distance_row(tracker: Tracker, now_ns: int, sample: DistanceSample) -> Row:
+    """Return (10)'s row: the sensor reads the start position as the object is at its origin."""
+    noise = tracker.settings.distance
+    value = sample.position - tracker.task.conveyor.start_position + tracker.reference.origin[1]
+    delay = (now_ns - sample.stamp_ns) * 1e-9 + noise.delay
+    return Row(Source.DISTANCE, float(value), delay, noise.deviation**2, noise.gate)
+
+
+def _along_row(
+    tracker: Tracker,
+    across: TransverseState | None,
+    source: Source,
+    sighting: Sighting,
+    gate: float,
+) -> Row:
+    """Return a sighting's component along the conveyor, its swing taken out."""
+    value = float(sighting.position[1])
+    if across is not None:
+        angles = tracker.transverse.swing_angles(across, np.array((-sighting.delay,)))[:, 0]
+        for mode, angle in zip(tracker.transverse.swing, angles, strict=True):
+            value -= mode.levers[1] * float(angle)
+    return Row(source, value, sighting.delay, float(sighting.variance[1]), gate)
+
+
+def _sightings(
+    tracker: Tracker, state: TrackerState, seen: Measurements
+) -> tuple[list[tuple[Source, Sighting, float]], Wrench | None]:
+    """Return what camera and tactile sensor saw of the object, and the mean wrench."""
+    found: list[tuple[Source, Sighting, float]] = []
+    wrench = mean_wrench(seen.wrench)
+    if state.history is None:
+        return found, wrench
+    settings = tracker.settings
+    for sample in seen.camera:
+        tcp = pose_at(state.history, sample.exposure_ns, tracker.cycle_s)
+        delay = (seen.stamp_ns - sample.exposure_ns) * 1e-9
+        if tcp is not None and delay <= settings.camera.longest_delay:
+            sighting = sight(sample, tcp, tracker.camera, settings.camera, seen.stamp_ns)
+            found.append((Source.CAMERA, sighting, settings.camera.gate))
+    if state.contact and wrench is not None:
+        tcp = pose_at(state.history, wrench.stamp_ns, 2.5 * tracker.cycle_s)
+        if tcp is not None:
+            sighting = touch(wrench, tcp, settings.tactile, seen.stamp_ns)
+            found.append((Source.TACTILE, sighting, settings.camera.gate))
+    return found, wrench
+
+
+def track(
+    tracker: Tracker, state: TrackerState, seen: Measurements, *, start: bool, retreat: bool
+) -> tuple[TrackerState, Horizon, Report]:
+    """Return the state, the horizon x_t(k, 0..n) and a report of one step under way."""
+    state, refused, wrench = estimate(tracker, state, seen)
+    state = _clock(tracker, replace(state, started=state.started or start), seen, retreat)
+    state = _contact(tracker, state, wrench)
+    span = np.arange(tracker.steps + 1) * tracker.cycle_s
+    limit = barrier(tracker.reference, state.time, state.passed)
+    times = np.minimum(state.time + (span if state.started else 0.0 * span), limit)
+    goal = tracker.reference.poses(times)
+    target = part = None
+    if state.across is not None and state.belief is not None:
+        target, part = _sensed(tracker, state, span, times)
+        if state.blended is not None:
+            share = approach.smoothstep((state.blended + span) / tracker.settings.merge.blend)
+            goal = approach.blend(goal, target, share)
+    if state.withdrawn is not None:
+        s = approach.smoothstep((state.withdrawn + span) / AWAY_TIME)
+        goal = approach.withdraw(goal, AWAY * s)
+    poses = merge.merge(state.poses, goal, tracker.matrices, tracker.commit)
+    axis = linear_axis.advance(
+        state.axis, _axis_speed(tracker, state), tracker.task.linear_axis.ramp, tracker.cycle_s
+    )
+    state = replace(state, poses=poses, axis=axis)
+    horizon = Horizon(poses, axis.positions, _free(tracker, times), tracker.reference.nominal)
+    return state, horizon, report(tracker, state, wrench, refused, target, part)
+
+
+def observe(
+    tracker: Tracker, state: TrackerState, seen: Measurements
+) -> tuple[TrackerState, Report]:
+    """Return the state and the report of one step in which the robot does not track."""
+    state, refused, wrench = estimate(tracker, state, seen)
+    target = part = None
+    if state.across is not None and state.belief is not None:
+        target, part = _sensed(tracker, state, np.zeros(1), np.array((state.time,)))
+    return state, report(tracker, state, wrench, refused, target, part)
+
+
+def report(
+    tracker: Tracker,
+    state: TrackerState,
+    wrench: Wrench | None,
+    refused: int,
+    target: Array | None,
+    part: Array | None,
+) -> Report:
+    """Return what one step has to say."""
+    view = tracker.classifier.view(state.belief) if state.belief is not None else None
+    force = None if wrench is None else wrench.force
+    limit = tracker.settings.tactile.overload_force
+    return Report(
+        sensed=None if target is None else target[0],
+        part=None if part is None else part[0],
+        speed=None if view is None else view.speed,
+        motion=Motion.RUNNING if view is None else view.motion,
+        tentative=False if view is None else view.tentative,
+        confidence=0.0 if view is None else view.confidence,
+        events=() if view is None else view.events,
+        phase=tracker.reference.phase(state.time) if state.time > 0.0 else Phase.WAIT,
+        force=force,
+        overload=force is not None and float(np.linalg.norm(force)) > limit,
+        refused=refused,
+    )
+
+
+def _sensed(
+    tracker: Tracker, state: TrackerState, span: Array, times: Array
+) -> tuple[Array, Array]:
+    """Return x_f and the object over the horizon, (9) under the class."""
+    assert state.across is not None  # noqa: S101 - callers have checked
+    ahead = span if tracker.settings.predict else 0.0 * span
+    part = approach.Part(
+        x=float(state.across.x[0]),
+        z=float(state.across.x[1]),
+        along=tracker.classifier.outlook(state.belief, ahead),
+        rotation=state.across.rotation,
+        swing=tracker.transverse.swing_angles(state.across, ahead),
+    )
+    return approach.sensed(part, tracker.transverse.swing, tracker.reference, times)
+
+
+def _clock(
+    tracker: Tracker, state: TrackerState, seen: Measurements, retreat: bool
+) -> TrackerState:
+    """Return the state with the task's clock one step further, as far as its gates let it."""
+    if not state.started:
+        return state
+    T0 = tracker.cycle_s
+    tool = tracker.task.tool
+    passed = set(state.passed)
+    fixed = state.fixing is not None and tool.fixed_after is not None
+    released = state.releasing is not None and tool.released_after is not None
+    if state.belief is not None:
+        view = tracker.classifier.view(state.belief)
+        if view.position + view.offset >= tracker.reference.origin[1]:
+            passed.add(Gate.OBJECT_CLOSE)
+    if state.blended is not None and state.blended >= tracker.settings.merge.blend:
+        passed.add(Gate.OBJECT_SEEN)
+    if seen.digital_in & 1 or (fixed and (state.fixing or 0.0) >= (tool.fixed_after or 0.0)):
+        passed.add(Gate.SCREWS_FIXED)
+    if seen.digital_in & 2 or (
+        released and (state.releasing or 0.0) >= (tool.released_after or 0.0)
+    ):
+        passed.add(Gate.WHEEL_RELEASED)
+    gates = frozenset(passed)
+    time = min(state.time + T0, barrier(tracker.reference, state.time, gates))
+    blended = state.blended
+    if blended is not None:
+        blended += T0
+    elif time > 0.0 and state.across is not None:
+        blended = 0.0
+    return replace(
+        state,
+        passed=gates,
+        time=time,
+        blended=blended,
+        fixing=_since(state.fixing, time >= tool.fix_screws and state.contact, T0),
+        releasing=_since(state.releasing, time >= tool.release_wheel or retreat, T0),
+        withdrawn=_since(state.withdrawn, retreat, T0),
+    )
+
+
+def _since(age: float | None, begun: bool, dt: float) -> float | None:
+    """Return how long something has lasted: None before, 0 as it begins."""
+    if age is not None:
+        return age + dt
+    return 0.0 if begun else None
+
+
+def _contact(tracker: Tracker, state: TrackerState, wrench: Wrench | None) -> TrackerState:
+    """Return the state with contact made or lost."""
+    if state.contact:
+        lost = Gate.WHEEL_RELEASED in state.passed
+        return replace(state, contact=not lost, touches=0)
+    if wrench is None or state.blended is None or Gate.WHEEL_RELEASED in state.passed:
+        return state
+    offset, _ = tracker.reference.relative(np.array((state.time,)))
+    near = abs(float(offset[0, 2])) < NEAR
+    pressed = abs(float(wrench.force[2])) > tracker.settings.tactile.contact_force
+    touches = state.touches + 1 if near and pressed else 0
+    return replace(state, touches=touches, contact=touches >= TOUCHES)
+
+
+def _axis_speed(tracker: Tracker, state: TrackerState) -> float:
+    """Return the speed the linear axis heads for [m/s]."""
+    moving = state.started and 0.0 < state.time < tracker.reference.times[-1]
+    if not moving or state.belief is None:
+        return 0.0
+    view = tracker.classifier.view(state.belief)
+    stopped = view.motion in {Motion.STOPPING, Motion.STANDING} and not view.tentative
+    file = tracker.task
+    return 0.0 if stopped else file.linear_axis.travel * file.conveyor.nominal_speed
+
+
+def _free(tracker: Tracker, times: Array) -> Array:
+    """Return where over the horizon the tool hangs free: not between contact and retreat."""
+    reference = tracker.reference
+    contact = reference.contact_time
+    away = [
+        float(at)
+        for at, phase in zip(reference.times, reference.phases, strict=True)
+        if phase is Phase.RETREAT
+    ]
+    leave = away[0] if away else float("inf")
+    blend = tracker.contact_blend
+    before = np.clip((contact - times) / blend, 0.0, 1.0)
+    after = np.clip((times - leave) / blend, 0.0, 1.0)
+    return np.asarray(np.maximum(before, after))
