@@ -1,0 +1,143 @@
+"""Time-outs and debounce, cycle by cycle in virtual time."""
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from linemate.daemon.service.states import Link, Machine, Signals, State
+from linemate.daemon.service.watch import Facts, Watch, WatchSettings, observe
+
+CYCLE_NS = 4_000_000
+SETTINGS = WatchSettings(healthy_cycles=10)
+
+
+class Run:
+    """Cycles one after another at a fixed period."""
+
+    def __init__(self, state: State = State.IDLE) -> None:
+        self.watch = Watch()
+        self.machine = Machine(state)
+        self.now_ns = 1_000_000_000
+        self.signals = Signals()
+
+    def cycle(self, telegram: bool = True, **facts: bool | int | frozenset[str] | None) -> Signals:
+        self.now_ns += CYCLE_NS
+        given_facts = replace(Facts(self.now_ns, telegram), **facts)  # type: ignore[arg-type]
+        self.watch, self.signals = observe(self.watch, given_facts, self.machine, SETTINGS)
+        return self.signals
+
+    def healthy(self) -> "Run":
+        for _ in range(SETTINGS.healthy_cycles + 1):
+            self.cycle()
+        assert self.signals.link is Link.HEALTHY
+        return self
+
+
+def test_a_new_link_must_prove_itself_before_it_counts_as_healthy() -> None:
+    run = Run()
+    links = [run.cycle().link for _ in range(SETTINGS.healthy_cycles)]
+    assert set(links[:-1]) == {Link.UNPROVEN}
+    assert links[-1] is Link.HEALTHY
+
+
+def test_a_hole_while_proving_begins_the_count_anew() -> None:
+    run = Run()
+    for _ in range(SETTINGS.healthy_cycles - 1):
+        run.cycle()
+    run.cycle(telegram=False)
+    links = [run.cycle().link for _ in range(SETTINGS.healthy_cycles)]
+    assert links.count(Link.HEALTHY) == 1
+
+
+def test_two_missed_telegrams_are_borne_and_the_third_makes_the_link_doubtful() -> None:
+    run = Run(State.TRACK).healthy()
+    links = [run.cycle(telegram=False).link for _ in range(3)]
+    assert links == [Link.HEALTHY, Link.HEALTHY, Link.UNPROVEN]
+
+
+def test_in_contact_eleven_missed_telegrams_are_borne() -> None:
+    run = Run(State.CONTACT).healthy()
+    links = [run.cycle(telegram=False).link for _ in range(12)]
+    assert links == [Link.HEALTHY] * 11 + [Link.UNPROVEN]
+
+
+def test_telegrams_missing_now_and_then_fill_the_bucket() -> None:
+    run = Run(State.TRACK).healthy()
+    links = [run.cycle(telegram=bool(k % 2)).link for k in range(40)]
+    assert Link.UNPROVEN in links
+    rare = Run(State.TRACK).healthy()
+    assert {rare.cycle(telegram=bool(k % 5)).link for k in range(200)} == {Link.HEALTHY}
+
+
+def test_after_100_ms_without_a_telegram_the_link_is_lost_and_must_prove_itself() -> None:
+    run = Run(State.CONTACT).healthy()
+    links = [run.cycle(telegram=False).link for _ in range(25)]
+    assert links[23] is not Link.LOST
+    assert links[24] is Link.LOST
+    assert run.cycle().link is Link.UNPROVEN
+
+
+def test_a_new_session_shows_as_a_loss_for_one_cycle() -> None:
+    run = Run(State.TRACK).healthy()
+    assert run.cycle(new_session=True).link is Link.LOST
+    assert run.cycle().link is Link.UNPROVEN
+
+
+def test_a_position_may_be_older_in_free_space_than_in_contact() -> None:
+    for state, bearable_s in ((State.TRACK, 0.3), (State.CONTACT, 0.14)):
+        run = Run(state)
+        age_ns = round(bearable_s * 1e9)
+        assert run.cycle(position_ns=run.now_ns + CYCLE_NS - age_ns).position_fresh
+        assert not run.cycle(position_ns=run.now_ns + CYCLE_NS - age_ns - 1000).position_fresh
+        assert not run.cycle(position_ns=None).position_fresh
+
+
+def test_a_force_is_needed_only_where_there_is_a_sensor() -> None:
+    run = Run()
+    assert not run.cycle(wrench_ns=None).wrench_fresh
+    assert run.cycle(wrench_ns=None, wrench_expected=False).wrench_fresh
+    assert run.cycle(wrench_ns=run.now_ns).wrench_fresh
+
+
+@pytest.mark.parametrize("what", ["contact", "overload"])
+def test_one_sample_of_force_changes_nothing(what: str) -> None:
+    run = Run()
+    seen = [getattr(run.cycle(**{what: shown}), what) for shown in (True, False, True, True, False)]
+    assert seen == [False, False, False, True, False]
+
+
+def test_a_hold_expires_and_the_count_begins_with_the_state() -> None:
+    run = Run(State.TRACK)
+    for _ in range(5):
+        run.cycle()
+    run.machine = Machine(State.HOLD)
+    run.cycle()
+    run.now_ns += 59_900_000_000
+    assert not run.cycle().expired
+    run.now_ns += 200_000_000
+    assert run.cycle().expired
+    run.machine = Machine(State.TRACK)
+    assert not run.cycle().expired
+
+
+@given(st.lists(st.booleans(), max_size=300), st.sampled_from(list(State)))
+def test_whatever_comes_the_link_is_healthy_only_after_a_proof(
+    telegrams: list[bool], state: State
+) -> None:
+    run = Run(state)
+    row = 0
+    proved = False
+    for telegram in telegrams:
+        row = row + 1 if telegram else 0
+        link = run.cycle(telegram=telegram).link
+        proved = (proved and link is not Link.LOST) or row >= SETTINGS.healthy_cycles
+        assert proved or link is not Link.HEALTHY
+
+
+@given(st.sets(st.sampled_from(["arm", "start", "stop", "retreat", "ack"])))
+def test_orders_pass_through_unchanged(orders: set[str]) -> None:
+    signals = Run().cycle(orders=frozenset(orders))
+    for name in ("arm", "start", "stop", "retreat", "ack"):
+        assert getattr(signals, name) == (name in orders)
