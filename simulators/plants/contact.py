@@ -211,8 +211,7 @@ class ContactPlant:
         self._caught = (tcp[0], impact.rotation)
 
     def _collide(self, t: float, reason: str) -> None:
-        if self.collision is None:
-            self.collision = Collision(t, reason)
+        self.collision = Collision(t, reason)
 
 
 def _figures(length: float, turn: float) -> str:

@@ -84,12 +84,18 @@ def test_changing_one_sensor_shifts_no_other() -> None:
         camera=Camera(dropout_rate=0.5, jitter_s=0.0),
         distance=DistanceSensor(dropout_rate=0.2),
     )  # fmt: skip
-    _, _, wrenches = run(plain, 2.0)[-1]  # type: ignore[misc]
-    distances, images, others = run(changed, 2.0)[-1]  # type: ignore[misc]
-    assert repr(wrenches) == repr(others)
-    whole = {e.exposure_s: e.position for e in run(plain, 2.0)[-1][0]}  # type: ignore[index]
-    assert all(whole[e.exposure_s] == e.position for e in distances)
-    assert images
+    before, after = World(plain), World(changed)
+    before.advance(1.0)
+    after.advance(1.0)
+    assert repr(before.take_wrench()) == repr(after.take_wrench())
+    whole = {e.exposure_s: e.position for e in before.take_distance()}
+    left = after.take_distance()
+    assert all(whole[e.exposure_s] == e.position for e in left)
+    assert 0 < len(left) < len(whole)
+    poses = {e.exposure_s: e.position for e in before.take_camera()}
+    shared = [e for e in after.take_camera() if e.exposure_s in poses]
+    assert shared
+    assert all(poses[e.exposure_s] == e.position for e in shared)
 
 
 def test_both_cycles_see_one_conveyor_and_one_body() -> None:
@@ -97,6 +103,7 @@ def test_both_cycles_see_one_conveyor_and_one_body() -> None:
     slow.advance(10.0)
     fast.advance(10.0)
     for t in np.linspace(-2, 10, 25):
+        assert slow.unit_speed(float(t)) == fast.unit_speed(float(t))
         assert slow.unit_position(float(t)) == fast.unit_position(float(t))
         assert (slow.hub_pose(float(t)) == fast.hub_pose(float(t))).all()
 
@@ -224,7 +231,9 @@ def test_an_oracle_robot_mates_the_wheel_through_a_stop_and_a_restart() -> None:
     axes = tuple(Axis(8.0, 0.8, 0.024, 50.0) for _ in range(7))
     lag = 0.024 + 0.012 + 2 * 0.8 / (math.tau * 8.0)
     robot = Robot(axes=axes, start=(*Robot().start[:6], 0.106 * (lag - 2.0)))  # type: ignore[arg-type]
-    world = World(replace(QUIET, robot=robot, effector=Effector(damping=(0.2,) * 6)))
+    effector = Effector(damping=(0.2,) * 6)
+    feeling = ForceTorque(period_s=0.0017, sigma_translation=0.0, sigma_rotation=0.0)
+    world = World(replace(QUIET, robot=robot, effector=effector, force_torque=feeling))
     q: tuple[float, ...] = world.scenario.robot.start
     phases, worst = [], 0.0
     for k in range(int(13.0 / 0.012)):
@@ -241,6 +250,11 @@ def test_an_oracle_robot_mates_the_wheel_through_a_stop_and_a_restart() -> None:
         world.digital_out((1 if t > 5.0 else 0) | (2 if t > 8.0 else 0))
         if world.contact == "clamped" and t > 2.5:
             worst = max(worst, float(np.linalg.norm(world.deflection()[:3])))
+            assert world.tcp_pose() == pytest.approx(world.hub_pose(), abs=1e-12)
+            bent = world.tcp_rigid_pose()[:3, :3] @ world.deflection()[:3]
+            assert world.tcp_rigid_pose()[:3, 3] + bent == pytest.approx(world.hub_pose()[:3, 3])
+            felt = world.take_wrench()[-1].force
+            assert felt == pytest.approx(50e3 * np.array(world.deflection()[:3]), abs=5.0)
         if world.collision is not None:
             break
     assert world.collision is None
