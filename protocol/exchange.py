@@ -1,0 +1,374 @@
+"""The cyclic exchange seen by the daemon: what each telegram's IPOC and arrival mean.
+
+Law of this file: everything that decides whether a telegram is answered, is a step, or begins
+a new session lives here; what fits into the table is in the table. Pure: stamps are arguments,
+verdicts are return values. A bad counter costs a telegram or two, never the exchange: what
+is refused three times in a row, and is consistent with itself, is the new truth.
+The other role, the controller's, is in exchange_controller and is re-exported here.
+"""
+
+from collections.abc import Hashable
+from dataclasses import dataclass
+from enum import Enum, StrEnum
+
+from linemate.protocol.exchange_controller import (
+    ControllerCounts,
+    ControllerExchange,
+    Judgement,
+)
+
+__all__ = [
+    "TABLE",
+    "ControllerCounts",
+    "ControllerExchange",
+    "Event",
+    "Exchange",
+    "Judgement",
+    "Kind",
+    "State",
+    "Transition",
+    "Verdict",
+]
+
+WINDOW = 100
+"""Cycles that an accepted telegram may lie ahead of the last one."""
+
+CONSISTENT = 3
+"""Telegrams in one line that outvote what was believed before."""
+
+SLACK = 4
+"""Cycles by which IPOC and arrival may disagree: a flipped bit is not a gap."""
+
+SESSION_GAP_S = 2.0
+PEER_GAP_S = 0.1
+
+
+class Kind(StrEnum):
+    """What a telegram is."""
+
+    FIRST = "first"
+    NORMAL = "normal"
+    GAP = "gap"
+    DUPLICATE = "duplicate"
+    BACKWARD = "backward"
+    LATE = "late"
+    NEW_SESSION = "new_session"
+    REFUSED = "refused"
+
+
+class State(Enum):
+    """Where the exchange is."""
+
+    IDLE = "no telegram yet"
+    LEARNING = "a session, its step not yet sure"
+    RUNNING = "a session with its step"
+
+
+class Event(Enum):
+    """What a telegram looks like from where the exchange is."""
+
+    OPENING = "nothing before it, or silence, or another peer after the first one's end"
+    FOREIGN = "another peer while the first one is alive"
+    NEXT = "one step ahead"
+    SETTLED = "the same step for the second time"
+    AHEAD = "some steps ahead, in the window"
+    OVERDUE = "in order, but its step was made by the clock already"
+    SAME = "the same IPOC once more"
+    MISSED = "one that was missed comes after its successor"
+    OLDER = "behind"
+    STRAY = "outside the window, between the steps, or too far ahead of the time that passed"
+    RESUME = "third of a line that goes on from before the doubt"
+    RESYNC = "third of a line that has nothing to do with what was before"
+
+
+@dataclass(frozen=True, slots=True)
+class Transition:
+    """One entry of the table: the next state, the verdict, whether to answer."""
+
+    state: State
+    kind: Kind
+    answer: bool
+
+
+def _in_session(state: State) -> dict[Event, Transition]:
+    """What LEARNING and RUNNING have in common."""
+    return {
+        Event.OPENING: Transition(State.LEARNING, Kind.NEW_SESSION, answer=True),
+        Event.FOREIGN: Transition(state, Kind.REFUSED, answer=False),
+        Event.NEXT: Transition(state, Kind.NORMAL, answer=True),
+        Event.AHEAD: Transition(state, Kind.GAP, answer=True),
+        Event.OVERDUE: Transition(state, Kind.LATE, answer=True),
+        Event.SAME: Transition(state, Kind.DUPLICATE, answer=False),
+        Event.MISSED: Transition(state, Kind.LATE, answer=False),
+        Event.OLDER: Transition(state, Kind.BACKWARD, answer=False),
+        Event.STRAY: Transition(state, Kind.REFUSED, answer=False),
+        Event.RESYNC: Transition(State.RUNNING, Kind.NEW_SESSION, answer=True),
+    }
+
+
+TABLE: dict[State, dict[Event, Transition]] = {
+    State.IDLE: {Event.OPENING: Transition(State.LEARNING, Kind.FIRST, answer=True)},
+    State.LEARNING: {
+        **_in_session(State.LEARNING),
+        Event.SETTLED: Transition(State.RUNNING, Kind.NORMAL, answer=True),
+    },
+    State.RUNNING: {
+        **_in_session(State.RUNNING),
+        Event.RESUME: Transition(State.RUNNING, Kind.GAP, answer=True),
+    },
+}
+
+_DOUBTFUL = frozenset({Event.SAME, Event.MISSED, Event.OLDER, Event.STRAY})
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What to do with one telegram.
+
+    Attributes:
+        kind: what it is.
+        answer: True if it is to be answered. Of several telegrams waiting at once only the
+            newest that is so should be.
+        missed: cycles between it and the telegram accepted before it.
+        steps: sampling steps to make now so that their count follows the controller's cycles:
+            missed cycles included, those already made by the clock taken off.
+        session: number of the session, 1 for the first; a change re-zeroes and disarms.
+        step: the learned IPOC step, None while unknown.
+    """
+
+    kind: Kind
+    answer: bool
+    missed: int
+    steps: int
+    session: int
+    step: int | None
+
+
+@dataclass(slots=True)
+class _Line:
+    """Telegrams that might be a session: the last of them, their step, how many."""
+
+    ipoc: int = 0
+    step: int = 0
+    length: int = 0
+
+    def extend(self, ipoc: int, reach: int) -> None:
+        """Add a telegram; starts again if it does not fit."""
+        delta = ipoc - self.ipoc
+        if self.length and delta == 0:
+            return
+        if self.length and 0 < delta <= reach:
+            self.length = self.length + 1 if delta == self.step else 2
+            self.step = delta
+        else:
+            self.length, self.step = 1, 0
+        self.ipoc = ipoc
+
+
+class Exchange:
+    """The daemon's half: one call a telegram, one call a cycle that passed without one."""
+
+    def __init__(
+        self,
+        cycle_s: float,
+        session_gap_s: float = SESSION_GAP_S,
+        peer_gap_s: float = PEER_GAP_S,
+    ) -> None:
+        """Wait for a first telegram.
+
+        Args:
+            cycle_s: the configured cycle [s]; the IPOC's step is learned, not derived from it.
+            session_gap_s: silence after which the next telegram is a new session [s].
+            peer_gap_s: silence after which another peer may begin a session [s].
+        """
+        self._cycle_ns = max(1, round(cycle_s * 1e9))
+        self._session_gap_ns = round(session_gap_s * 1e9)
+        self._peer_gap_ns = round(peer_gap_s * 1e9)
+        # IPOC counts milliseconds on a real controller and cycles in some simulators.
+        self._reach = WINDOW * max(1, round(cycle_s * 1e3))
+        self._counts = dict.fromkeys(Kind, 0)
+        self._missed_total = 0
+        self._overdue_total = 0
+        self._session = 0
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the session; the next telegram is a first one. Counters stay."""
+        self._state = State.IDLE
+        self._peer: Hashable = None
+        self._step: int | None = None
+        self._last_ipoc = 0
+        self._last_ns = 0
+        self._heard_ns = 0
+        # The last telegram that others confirmed, and the steps made since.
+        self._anchor_ipoc = 0
+        self._anchor_ns = 0
+        self._made = 0
+        self._delta: int | None = None
+        self._missed: frozenset[int] = frozenset()
+        self._doubt = _Line()
+
+    @property
+    def state(self) -> State:
+        """Where the exchange is."""
+        return self._state
+
+    @property
+    def step(self) -> int | None:
+        """The learned IPOC step, None while unknown."""
+        return self._step
+
+    @property
+    def session(self) -> int:
+        """Number of the present session, 0 before the first."""
+        return self._session
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """Telegrams by kind, missed cycles, cycles stepped by the clock, sessions."""
+        return {
+            **{kind.value: count for kind, count in self._counts.items()},
+            "missed": self._missed_total,
+            "overdue": self._overdue_total,
+            "sessions": self._session,
+        }
+
+    def silence_ns(self, now_ns: int) -> int | None:
+        """Time since the last accepted telegram [ns], None before the first."""
+        return None if self._state is State.IDLE else now_ns - self._last_ns
+
+    def on_missing(self) -> None:
+        """The clock made a step because no telegram came in its time."""
+        if self._state is not State.IDLE:
+            self._overdue_total += 1
+            self._made = min(self._made + 1, WINDOW)
+
+    def on_telegram(self, ipoc: int, stamp_ns: int, peer: Hashable = None) -> Verdict:
+        """Judge one telegram.
+
+        Args:
+            ipoc: its counter.
+            stamp_ns: its arrival [ns].
+            peer: who sent it; another value is another controller.
+        """
+        event = self._classify(ipoc, stamp_ns, peer)
+        transition = TABLE[self._state][event]
+        missed, steps = self._apply(event, ipoc, stamp_ns, peer)
+        self._state = transition.state
+        self._counts[transition.kind] += 1
+        self._missed_total += missed
+        return Verdict(transition.kind, transition.answer, missed, steps, self._session, self._step)
+
+    def _classify(self, ipoc: int, stamp_ns: int, peer: Hashable) -> Event:
+        if self._state is State.IDLE:
+            return Event.OPENING
+        if peer != self._peer:
+            alive = stamp_ns - self._heard_ns < self._peer_gap_ns
+            return Event.FOREIGN if alive else Event.OPENING
+        self._heard_ns = stamp_ns
+        if stamp_ns - self._last_ns >= self._session_gap_ns:
+            return Event.OPENING
+        event = self._place(ipoc, stamp_ns)
+        if event not in _DOUBTFUL:
+            return event
+        self._doubt.extend(ipoc, self._reach)
+        if self._doubt.length < CONSISTENT:
+            return event
+        return Event.RESUME if self._goes_on(ipoc, stamp_ns) else Event.RESYNC
+
+    def _place(self, ipoc: int, stamp_ns: int) -> Event:
+        delta = ipoc - self._last_ipoc
+        if delta == 0:
+            return Event.SAME
+        if delta < 0:
+            return Event.MISSED if ipoc in self._missed else Event.OLDER
+        if self._state is State.LEARNING or self._step is None:
+            return self._place_learning(delta)
+        cycles, rest = divmod(delta, self._step)
+        passed = (stamp_ns - self._last_ns) // self._cycle_ns
+        if rest or cycles > min(WINDOW, passed + SLACK):
+            return Event.STRAY
+        if (ipoc - self._anchor_ipoc) // self._step <= self._made:
+            return Event.OVERDUE
+        return Event.NEXT if cycles == 1 else Event.AHEAD
+
+    def _place_learning(self, delta: int) -> Event:
+        """Two equal differences in a row settle the step; before that the last one is it."""
+        if delta > self._reach:
+            return Event.STRAY
+        if delta in {self._delta, self._step}:
+            return Event.SETTLED
+        if self._step is not None and delta % self._step == 0:
+            return Event.AHEAD
+        return Event.NEXT
+
+    def _goes_on(self, ipoc: int, stamp_ns: int) -> bool:
+        """Does the doubtful line continue the one that was confirmed last?"""
+        if self._state is not State.RUNNING or self._doubt.step != self._step:
+            return False
+        cycles, rest = divmod(ipoc - self._anchor_ipoc, self._doubt.step)
+        passed = (stamp_ns - self._anchor_ns) / self._cycle_ns
+        return rest == 0 and 0 < cycles <= WINDOW and abs(passed - cycles) <= SLACK
+
+    def _apply(self, event: Event, ipoc: int, stamp_ns: int, peer: Hashable) -> tuple[int, int]:
+        """Remember the telegram; the missed cycles before it and the steps to make."""
+        match event:
+            case Event.OPENING | Event.RESYNC:
+                self._open(event, ipoc, stamp_ns, peer)
+                return 0, 1
+            case Event.NEXT | Event.SETTLED | Event.AHEAD | Event.OVERDUE:
+                return self._accept(event, ipoc, stamp_ns)
+            case Event.RESUME:
+                return self._resume(ipoc, stamp_ns)
+            case Event.MISSED:
+                self._missed -= {ipoc}
+        return 0, 0
+
+    def _open(self, event: Event, ipoc: int, stamp_ns: int, peer: Hashable) -> None:
+        step = self._doubt.step if event is Event.RESYNC else None
+        self.reset()
+        self._session += 1
+        self._peer = peer
+        self._step = self._delta = step
+        self._heard_ns = stamp_ns
+        self._trust(ipoc, stamp_ns)
+
+    def _trust(self, ipoc: int, stamp_ns: int) -> None:
+        """A telegram beyond doubt: it is the last one and the anchor."""
+        self._last_ipoc = self._anchor_ipoc = ipoc
+        self._last_ns = self._anchor_ns = stamp_ns
+        self._doubt = _Line()
+
+    def _accept(self, event: Event, ipoc: int, stamp_ns: int) -> tuple[int, int]:
+        delta = ipoc - self._last_ipoc
+        if self._state is State.LEARNING:
+            if event is not Event.AHEAD:
+                self._step = delta
+            self._delta = delta
+        step = self._step or delta
+        cycles = delta // step
+        # Accepting relative to the last telegram confirms that one, so it is the new anchor.
+        self._made -= (self._last_ipoc - self._anchor_ipoc) // step
+        steps = max(0, cycles - self._made)
+        self._made += steps
+        if cycles == 1 or self._state is State.LEARNING:
+            self._made -= cycles
+            self._trust(ipoc, stamp_ns)
+        else:
+            self._anchor_ipoc, self._anchor_ns = self._last_ipoc, self._last_ns
+            self._remember_missed(ipoc, step)
+            self._last_ipoc, self._last_ns = ipoc, stamp_ns
+            self._doubt = _Line()
+        return cycles - 1, steps
+
+    def _remember_missed(self, ipoc: int, step: int) -> None:
+        kept = (old for old in self._missed if old > ipoc - WINDOW * step)
+        self._missed = frozenset((*kept, *range(self._last_ipoc + step, ipoc, step)))
+
+    def _resume(self, ipoc: int, stamp_ns: int) -> tuple[int, int]:
+        cycles = (ipoc - self._anchor_ipoc) // self._doubt.step
+        steps = max(0, cycles - self._made)
+        self._made = max(0, self._made - cycles)
+        self._missed = frozenset()
+        self._trust(ipoc, stamp_ns)
+        return cycles - 1, steps

@@ -1,0 +1,304 @@
+"""The cyclic exchange seen by the controller: it owns the IPOC and judges the replies.
+
+Law of this file: which reply counts, what a cycle without one costs, and when the exchange
+breaks off. Pure: stamps and deadlines are arguments. Strict, as reference/rsi.md reads KUKA:
+a late reply, a wrong IPOC and an unreadable reply are all the same as no reply.
+"""
+
+from dataclasses import dataclass
+from enum import Enum, StrEnum
+from typing import Literal
+
+HISTORY = 100
+"""Cycles remembered, to tell a late reply from one that was already given."""
+
+
+class Judgement(StrEnum):
+    """What a reply is, or, at a cycle's end, what became of the cycle."""
+
+    ACCEPTED = "accepted"
+    LATE = "late"
+    DUPLICATE = "duplicate"
+    WRONG_IPOC = "wrong_ipoc"
+    REFUSED = "refused"
+    MISSING = "missing"
+
+
+class State(Enum):
+    """Where the exchange is."""
+
+    BETWEEN = "no cycle open"
+    WAITING = "telegram sent, no good reply yet"
+    ANSWERED = "the cycle's reply is there"
+    BROKEN = "broken off"
+
+
+class Event(Enum):
+    """What happens."""
+
+    OPEN = "a cycle begins"
+    CLOSE = "a cycle ends"
+    BREAK = "the time-out is exceeded"
+    GOOD = "the open cycle's IPOC in time"
+    OVERDUE = "the open cycle's IPOC past the deadline"
+    OLD = "an earlier cycle's IPOC, that cycle unanswered"
+    REPEATED = "the IPOC of a cycle that has its reply"
+    WRONG = "an IPOC never sent"
+    UNREADABLE = "malformed, or of another SENTYPE"
+
+
+_REPLIES = (Event.OLD, Event.REPEATED, Event.WRONG, Event.UNREADABLE)
+
+
+def _same(state: State) -> dict[Event, State]:
+    """Replies that change nothing but the counters."""
+    return dict.fromkeys(_REPLIES, state)
+
+
+TABLE: dict[State, dict[Event, State]] = {
+    State.BETWEEN: {
+        Event.OPEN: State.WAITING,
+        Event.BREAK: State.BROKEN,
+        **_same(State.BETWEEN),
+    },
+    State.WAITING: {
+        Event.CLOSE: State.BETWEEN,
+        Event.GOOD: State.ANSWERED,
+        Event.OVERDUE: State.WAITING,
+        **_same(State.WAITING),
+    },
+    State.ANSWERED: {Event.CLOSE: State.BETWEEN, **_same(State.ANSWERED)},
+    State.BROKEN: _same(State.BROKEN),
+}
+
+JUDGEMENTS: dict[Event, Judgement] = {
+    Event.GOOD: Judgement.ACCEPTED,
+    Event.OVERDUE: Judgement.LATE,
+    Event.OLD: Judgement.LATE,
+    Event.REPEATED: Judgement.DUPLICATE,
+    Event.WRONG: Judgement.WRONG_IPOC,
+    Event.UNREADABLE: Judgement.REFUSED,
+}
+
+
+@dataclass(slots=True)
+class ControllerCounts:
+    """Every cycle that was closed is exactly one of answered, late, refused and lost.
+
+    Attributes:
+        sent: telegrams, the open cycle's included.
+        answered: cycles with a good reply.
+        late: cycles whose reply came after its time.
+        refused: cycles that only got a wrong IPOC, a wrong SENTYPE or something malformed.
+        lost: cycles that got nothing.
+        wrong_ipoc: replies with an IPOC never sent.
+        unreadable: replies malformed or of another SENTYPE.
+        duplicate: replies to a cycle that had one.
+    """
+
+    sent: int = 0
+    answered: int = 0
+    late: int = 0
+    refused: int = 0
+    lost: int = 0
+    wrong_ipoc: int = 0
+    unreadable: int = 0
+    duplicate: int = 0
+
+
+@dataclass(slots=True)
+class _Cycle:
+    """One cycle's fate; ``faulty`` if a reply on top of it was refused."""
+
+    outcome: Judgement = Judgement.MISSING
+    faulty: bool = False
+
+
+class ControllerExchange:
+    """The controller's half.
+
+    Example::
+
+        ipoc = exchange.next_ipoc()            # send the telegram
+        exchange.on_reply(reply.ipoc, stamp_ns, deadline_ns)
+        if exchange.close_cycle() is not Judgement.ACCEPTED: ...   # HOLDON
+        if exchange.broken: ...                # RSITimeout
+    """
+
+    def __init__(
+        self,
+        step: int,
+        timeout: int = 100,
+        rule: Literal["total", "row"] = "total",
+        *,
+        first_ipoc: int = 0,
+        patient: bool = False,
+    ) -> None:
+        """Stand ready before the first cycle.
+
+        Args:
+            step: what the IPOC grows by each cycle (milliseconds on a real controller).
+            timeout: faulty cycles that are tolerated.
+            rule: whether they count as a running total or in a row; KUKA does not say.
+            first_ipoc: the first cycle's IPOC.
+            patient: do not charge cycles before the first good reply. A real controller does.
+
+        Raises:
+            ValueError: a step that is not positive, a negative time-out or IPOC, another rule.
+        """
+        if step < 1 or timeout < 0 or first_ipoc < 0 or rule not in {"total", "row"}:
+            raise ValueError(f"{step=} {timeout=} {rule=} {first_ipoc=}")
+        self._step = step
+        self._timeout = timeout
+        self._rule = rule
+        self._patient = patient
+        self._counts = ControllerCounts()
+        self._delay = 0
+        self.restart(first_ipoc)
+
+    def restart(self, first_ipoc: int) -> None:
+        """Begin a new session, as an operator who starts the programme again; counts stay."""
+        self._state = State.BETWEEN
+        self._first = self._next = first_ipoc
+        self._delay = 0
+        self._row = 0
+        self._heard = False
+        self._cycles: dict[int, _Cycle] = {}
+
+    @property
+    def state(self) -> State:
+        """Where the exchange is."""
+        return self._state
+
+    @property
+    def broken(self) -> bool:
+        """True once the time-out was exceeded: no more telegrams until :meth:`restart`."""
+        return self._state is State.BROKEN
+
+    @property
+    def delay(self) -> int:
+        """What Delay/@D says: faulty cycles of this session."""
+        return self._delay
+
+    @property
+    def row(self) -> int:
+        """Cycles without a good reply, in a row."""
+        return self._row
+
+    @property
+    def counts(self) -> ControllerCounts:
+        """The counters; read only."""
+        return self._counts
+
+    def next_ipoc(self) -> int:
+        """Close the open cycle, if there is one, and open the next: its IPOC.
+
+        Once broken it stays at the last IPOC; look at :attr:`broken` before sending.
+        """
+        self.close_cycle()
+        if self.broken:
+            return self._next - self._step
+        self._move(Event.OPEN)
+        ipoc = self._next
+        self._next += self._step
+        self._counts.sent += 1
+        self._cycles[ipoc] = _Cycle()
+        self._cycles.pop(ipoc - HISTORY * self._step, None)
+        return ipoc
+
+    def on_reply(self, ipoc: int, stamp_ns: int = 0, deadline_ns: int | None = None) -> Judgement:
+        """Judge a readable reply.
+
+        Args:
+            ipoc: the IPOC in it.
+            stamp_ns: its arrival [ns].
+            deadline_ns: end of the open cycle [ns]; a reply at or after it is late. None if
+                the caller closes the cycle in time.
+        """
+        overdue = deadline_ns is not None and stamp_ns >= deadline_ns
+        event = self._classify(ipoc, overdue=overdue)
+        self._move(event)
+        self._count(event, ipoc)
+        return JUDGEMENTS[event]
+
+    def on_unreadable(self) -> Judgement:
+        """Judge a reply that is malformed or of another SENTYPE."""
+        self._move(Event.UNREADABLE)
+        self._counts.unreadable += 1
+        self._blame()
+        return JUDGEMENTS[Event.UNREADABLE]
+
+    def close_cycle(self) -> Judgement | None:
+        """End the open cycle and charge it: what became of it, None if none was open."""
+        if self._state not in {State.WAITING, State.ANSWERED}:
+            return None
+        cycle = self._cycles[self._next - self._step]
+        self._move(Event.CLOSE)
+        answered = cycle.outcome is Judgement.ACCEPTED
+        self._tally(cycle.outcome, 1)
+        self._row = 0 if answered else self._row + self._charged
+        if cycle.faulty or not answered:
+            self._delay += self._charged
+        if (self._delay if self._rule == "total" else self._row) > self._timeout:
+            self._move(Event.BREAK)
+        return cycle.outcome
+
+    @property
+    def _charged(self) -> int:
+        return 0 if self._patient and not self._heard else 1
+
+    def _move(self, event: Event) -> None:
+        self._state = TABLE[self._state][event]
+
+    def _classify(self, ipoc: int, *, overdue: bool) -> Event:
+        behind = self._next - self._step - ipoc
+        if behind < 0 or behind % self._step or ipoc < self._first:
+            return Event.WRONG
+        cycle = self._cycles.get(ipoc)
+        if cycle is not None and cycle.outcome in {Judgement.ACCEPTED, Judgement.LATE}:
+            return Event.REPEATED
+        if behind or self._state is not State.WAITING:
+            return Event.OLD
+        return Event.OVERDUE if overdue else Event.GOOD
+
+    def _count(self, event: Event, ipoc: int) -> None:
+        """What a reply changes in the record of its cycle, or of the open one."""
+        match event:
+            case Event.GOOD:
+                self._heard = True
+                self._cycles[ipoc].outcome = Judgement.ACCEPTED
+            case Event.OVERDUE:
+                self._cycles[ipoc].outcome = Judgement.LATE
+            case Event.OLD:
+                self._count_old(ipoc)
+            case Event.REPEATED:
+                self._counts.duplicate += 1
+            case _:
+                self._counts.wrong_ipoc += 1
+                self._blame()
+
+    def _count_old(self, ipoc: int) -> None:
+        """A closed cycle's reply came after all: it was not lost, it is late."""
+        cycle = self._cycles.get(ipoc)
+        if cycle is not None:
+            self._tally(cycle.outcome, -1)
+            cycle.outcome = Judgement.LATE
+            self._tally(Judgement.LATE, 1)
+
+    def _blame(self) -> None:
+        if self._state in {State.WAITING, State.ANSWERED}:
+            cycle = self._cycles[self._next - self._step]
+            cycle.faulty = True
+            if cycle.outcome is Judgement.MISSING:
+                cycle.outcome = Judgement.REFUSED
+
+    def _tally(self, outcome: Judgement, change: int) -> None:
+        match outcome:
+            case Judgement.ACCEPTED:
+                self._counts.answered += change
+            case Judgement.LATE:
+                self._counts.late += change
+            case Judgement.REFUSED:
+                self._counts.refused += change
+            case _:
+                self._counts.lost += change
