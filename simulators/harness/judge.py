@@ -250,7 +250,7 @@ def _outcome(evidence: Evidence) -> str:
     rules: tuple[tuple[str, Callable[[], bool]], ...] = (
         ("collision", lambda: evidence.collision is not None),
         ("fault", lambda: evidence.broken is not None or not len(rows)),
-        ("fault", lambda: STATES[rows.state[-1]] == "FAULT"),
+        ("fault", lambda: STATES[rows.state[-1]] == "fault"),
         ("assembled", lambda: _is_assembled(rows)),
         ("retreated", lambda: _has_retreated(rows)),
     )
@@ -268,7 +268,7 @@ def _is_assembled(rows: Rows) -> bool:
 def _has_retreated(rows: Rows) -> bool:
     """The tool was on the hub and is off it again, or the daemon has withdrawn it."""
     withdrawn = (rows.contact == CLAMPED).any() and rows.contact[-1] == FREE
-    retreat = (rows.phase == PHASES.index("retreat")) | (rows.state == STATES.index("RETREAT"))
+    retreat = (rows.phase == PHASES.index("retreat")) | (rows.state == STATES.index("retreat"))
     return bool(withdrawn or retreat.any())
 
 

@@ -29,11 +29,11 @@ MAX_NODES = 100_000
 MAX_DEPTH = 30
 
 
-class _Loader(yaml.SafeLoader):
+class Loader(yaml.SafeLoader):
     """YAML as people write it: 1e-3 is a number (YAML 1.1 reads it as text)."""
 
 
-_Loader.add_implicit_resolver(
+Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
     re.compile(r"^[-+]?(\d+(\.\d*)?|\.\d+)[eE][-+]?\d+$"),
     list("-+.0123456789"),
@@ -95,7 +95,7 @@ def read(text: str, file: str) -> Document:
     if len(text) > MAX_CHARACTERS:
         raise FileError([f"{file}:1:1: (whole file): more than {MAX_CHARACTERS} characters"])
     try:
-        node = yaml.compose(text, Loader=_Loader)
+        node = yaml.compose(text, Loader=Loader)
     except yaml.YAMLError as error:
         raise FileError([_yaml_complaint(error, file)]) from error
     reader = _Reader(file)
@@ -161,7 +161,7 @@ class _Reader:
         self.places: dict[Path, Place] = {}
         self.complaints: list[Complaint] = []
         self._file = file
-        self._scalars = _Loader("")
+        self._scalars = Loader("")
         self._nodes = 0
 
     def value(self, node: yaml.Node, path: Path) -> Any:

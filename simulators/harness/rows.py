@@ -30,7 +30,7 @@ PHASES = ("", "wait", "approach", "contact", "screws", "retreat", "done")
 CLASSES = ("", "running", "stopping", "standing", "starting")
 """Codes of the column ``scenario``."""
 
-STATES = ("", "INIT", "IDLE", "ARMED", "TRACK", "CONTACT", "RETREAT", "HOLD", "FAULT")
+STATES = ("", "init", "idle", "armed", "track", "contact", "retreat", "hold", "fault")
 """Codes of the column ``state``."""
 
 
@@ -113,20 +113,6 @@ class Rows:
         """
         clamped = (self.contact == CLAMPED)[:, np.newaxis]
         return np.where(clamped, self.tcp_rigid, self.tcp)
-
-    def columns_for_report(self) -> dict[str, NDArray[Any]]:
-        """What the report draws, by name; words instead of codes."""
-        return {
-            "time_s": self.t,
-            "target": self.target,
-            "sensed": self.sensed,
-            "part": self.part,
-            "tcp": self.judged_tcp(),
-            "hub": self.hub,
-            "unit_position": self.unit_position,
-            "phase": np.array(PHASES)[self.phase],
-            "scenario": np.array(CLASSES)[self.scenario],
-        }
 
     def cut(self, n: int) -> "Rows":
         """The first n rows, with all events."""

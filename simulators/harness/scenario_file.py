@@ -18,6 +18,8 @@ from linemate.simulators.harness import located
 from linemate.simulators.harness.located import Document, FileError
 from linemate.simulators.plants.scenario import Scenario
 
+__all__ = ["DATA", "DEFAULT", "FileError", "check", "load", "parse", "schema", "shipped"]
+
 DATA = Path(__file__).parent / "data"
 DEFAULT = "wheel"
 
@@ -99,6 +101,18 @@ def from_document(document: Document) -> Scenario:
     if "name" in document.value:
         return scenario
     return replace(scenario, name=Path(document.file).stem)
+
+
+def check(plain: dict[str, Any], source: str) -> None:
+    """Refuse plain values that are out of range, where they do not come from a file.
+
+    Raises:
+        FileError: every error at once; ``source`` stands for the file.
+    """
+    document = Document(source, plain, {})
+    complaints = [document.line(path, what) for path, what in _out_of_range(plain)]
+    if complaints:
+        raise FileError(complaints)
 
 
 def to_plain(scenario: Scenario) -> dict[str, Any]:

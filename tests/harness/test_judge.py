@@ -50,7 +50,7 @@ def perfect_run() -> Rows:
     rows.setpoints[:] = 0.0
     rows.force[:] = 0.0
     rows.answered[:] = True
-    rows.state[:] = STATES.index("TRACK")
+    rows.state[:] = STATES.index("track")
     rows.phase[t >= RELEASE] = PHASES.index("retreat")
     return rows
 
@@ -159,7 +159,7 @@ def test_the_outcome_is_the_emulators_word() -> None:
     stuck.phase[:] = 0
     assert judge(evidence(stuck))["outcome"] == "held"
     latched = perfect_run()
-    latched.state[-1] = STATES.index("FAULT")
+    latched.state[-1] = STATES.index("fault")
     assert judge(evidence(latched))["outcome"] == "fault"
     near = perfect_run()
     near.tcp[-1] = near.hub[-1]

@@ -1,0 +1,168 @@
+"""``linemate-sim``: the command line of the emulators and of every kind of run.
+
+Law of this file: arguments only; each command's room is imported when it is asked for, so that
+``--help`` and ``schema`` cost nothing. Exit codes: 0 good, 1 not, 2 usage, 78 a bad file.
+"""
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+
+from linemate.simulators.harness.variants import VARIANTS
+
+EX_CONFIG = 78
+MAX_SEEDS = 100_000
+ROOMS = {
+    "demo": "demo",
+    "run": "run",
+    "campaign": "campaign",
+    "emulator": "emulator",
+    "bench": "bench",
+}
+"""The room that does a command, by its ``main(args) -> int``."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Parse arguments and hand over to the command's room.
+
+    Returns:
+        The exit code.
+    """
+    args = _parser().parse_args(argv)
+    # One thread each: runs are small, parallel and must not depend on how a sum was split.
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    try:
+        return _dispatch(args)
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        # Whoever read the output has gone; a second complaint at exit helps nobody.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+
+
+def _dispatch(args: argparse.Namespace) -> int:
+    if args.command == "schema":
+        return _schema(args.kind)
+    from linemate.simulators.harness.located import FileError
+
+    try:
+        room = import_module(f"linemate.simulators.harness.{ROOMS[args.command]}")
+        return int(room.main(args))
+    except FileError as error:
+        print(error, file=sys.stderr)
+        return EX_CONFIG
+    except ValueError as error:
+        if type(error).__name__ not in {"OverrideError", "UnknownVariantError"}:
+            raise
+        print(f"linemate-sim: {error}", file=sys.stderr)
+        return 2
+
+
+def _schema(kind: str) -> int:
+    from linemate.simulators.harness import report_json, scenario_file
+
+    print(report_json.text(scenario_file.schema(kind)))
+    return 0
+
+
+def seeds(text: str) -> tuple[int, ...]:
+    """One seed, or A..B with both ends."""
+    first, separator, last = text.partition("..")
+    try:
+        low, high = int(first), int(last if separator else first)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} should be N or A..B") from None
+    if low < 0 or high < low or high - low >= MAX_SEEDS:
+        raise argparse.ArgumentTypeError(f"{text!r} is no rising range of at most {MAX_SEEDS}")
+    return tuple(range(low, high + 1))
+
+
+def variants(text: str) -> tuple[str, ...]:
+    """Names of variants, separated by commas."""
+    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    unknown = [name for name in names if name not in VARIANTS]
+    if unknown or not names:
+        known = ", ".join(VARIANTS)
+        raise argparse.ArgumentTypeError(f"no variant {', '.join(unknown) or text!r}; {known}")
+    return names
+
+
+def _count(text: str) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        value = 0
+    if not 1 <= value <= MAX_SEEDS:
+        raise argparse.ArgumentTypeError(f"{text!r} should be 1..{MAX_SEEDS}")
+    return value
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="linemate-sim", description="Emulators of the station, and runs against them."
+    )
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    _add_demo(commands)
+    _add_run(commands)
+    _add_campaign(commands)
+    emulator = commands.add_parser("emulator", help="the emulators alone, in real time")
+    emulator.add_argument("--config", type=Path, required=True, metavar="FILE")
+    bench = commands.add_parser("bench", help="turn-around, lateness, computing time")
+    bench.add_argument("--json", action="store_true")
+    schema = commands.add_parser("schema", help="JSON schema of a file")
+    schema.add_argument("kind", choices=("scenario", "task"))
+    return parser
+
+
+Commands = argparse._SubParsersAction  # noqa: SLF001 -- argparse has no public name for it
+
+
+def _add_common(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--scenario", default="wheel", metavar="NAME|FILE")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="leave results there")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
+def _add_plan(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE",
+        help="e.g. scenario.camera.dropout_rate=0.1, tracking.rule.tentative=2e-3",
+    )  # fmt: skip
+    parser.add_argument("--workers", type=_count, help="processes; all cores by default")
+
+
+def _add_demo(commands: "Commands[argparse.ArgumentParser]") -> None:
+    demo = commands.add_parser("demo", help="daemon and emulators in real time, over real links")
+    _add_common(demo)
+    demo.add_argument("--cycle-ms", type=float, choices=(4, 12), default=12)
+    demo.add_argument("--seed", type=int, default=0, metavar="N")
+
+
+def _add_run(commands: "Commands[argparse.ArgumentParser]") -> None:
+    run = commands.add_parser("run", help="the same chain in virtual time")
+    _add_common(run)
+    _add_plan(run)
+    run.add_argument("--cycle-ms", type=float, metavar="MS", help="instead of the scenario's")
+    run.add_argument("--seed", type=seeds, default=(0,), dest="seeds", metavar="N|A..B")
+    run.add_argument("--variant", choices=tuple(VARIANTS), default="default")
+    run.add_argument("--timing", action="store_true", help="measure computing times as well")
+
+
+def _add_campaign(commands: "Commands[argparse.ArgumentParser]") -> None:
+    campaign = commands.add_parser("campaign", help="many runs, a table of variants")
+    _add_common(campaign)
+    _add_plan(campaign)
+    campaign.add_argument("--cycle-ms", type=float, metavar="MS", help="instead of the scenario's")
+    campaign.add_argument("--seeds", type=_count, default=40, metavar="N")
+    campaign.add_argument("--first-seed", type=int, default=0, metavar="M")
+    campaign.add_argument("--scheduler", choices=("local",), default="local")
+    campaign.add_argument("--variants", type=variants, default=("default",), metavar="A,B,...")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

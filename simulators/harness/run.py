@@ -1,0 +1,83 @@
+"""``linemate-sim run``: the whole chain in virtual time, for one seed or several.
+
+Law of this file: arguments in, results out, an exit code that a script can trust: 0 only if every
+run assembled within limits. What is printed and written is a function of the arguments alone,
+unless computing times are asked for.
+"""
+
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+from linemate.simulators.harness import report_json
+from linemate.simulators.harness.campaign import Job, collect, execute, progress_bar
+from linemate.simulators.harness.rows import Rows
+from linemate.simulators.harness.setup import make
+
+
+def main(args: Namespace) -> int:
+    """Run what the arguments say.
+
+    Args:
+        args: scenario, seeds, variant, overrides, cycle_ms, out, json, timing, workers.
+
+    Returns:
+        0 assembled within limits, 1 not.
+    """
+    setup = make(args.scenario, args.overrides, variant=args.variant, cycle_ms=args.cycle_ms)
+    single = len(args.seeds) == 1
+    jobs = [
+        Job(setup, seed, _folder(args.out, seed, single), timing=args.timing) for seed in args.seeds
+    ]
+    with progress_bar(len(jobs), "run") as progress:
+        results = execute(jobs, args.workers, progress)
+    if args.json:
+        print(report_json.text(results[0] if single else collect(results)))
+    else:
+        print(_told(results))
+    return 0 if all(result["within_limits"] for result in results) else 1
+
+
+def leave(out: Path, result: dict[str, Any], rows: Rows) -> None:
+    """Leave result.json, the report and its plots in a folder."""
+    from linemate.simulators.harness import report
+
+    report_json.write(out / "result.json", result)
+    report.write(out, result, rows)
+
+
+def _folder(out: Path | None, seed: int, single: bool) -> Path | None:
+    if out is None:
+        return None
+    return out if single else out / f"seed-{seed}"
+
+
+def _told(results: list[dict[str, Any]]) -> str:
+    """One run whole, several as a line each."""
+    from linemate.simulators.harness.table import aligned, plain
+
+    if len(results) == 1:
+        return plain(results[0])
+    head = ("seed", "outcome", "control mm", "mrad", "total stop mm", "impact mm", "in limits")
+    lines = aligned(head, [_line(result) for result in results])
+    good = sum(result["within_limits"] for result in results)
+    return "\n".join([*lines, "", f"{len(results)} runs, {good} assembled within limits"])
+
+
+def _line(result: dict[str, Any]) -> tuple[str, ...]:
+    judged = [result["control_error"][w] for w in ("approach", "stop", "contact")]
+    control = [window for window in judged if window is not None]
+    total = result["total_error"]
+    return (
+        str(result["seed"]),
+        result["outcome"],
+        _number(max((w["max_mm"] for w in control), default=None)),
+        _number(max((w["max_mrad"] for w in control), default=None)),
+        _number(total["stop"] and total["stop"]["max_mm"]),
+        _number(total["impact"] and total["impact"]["max_mm"]),
+        "yes" if result["within_limits"] else "no",
+    )
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f}"

@@ -1,0 +1,175 @@
+"""What a run is made of: the plant's truth beside the daemon's settings, and ``--set`` for both.
+
+Law of this file: truth (``scenario``) and belief (``tracking``, ``control``, ``task``) are set
+apart and never copied into each other, so that a run can make the daemon's model wrong. An
+override goes through the same strict validation as a file.
+"""
+
+import difflib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from linemate.daemon.control.settings import ControlSettings
+from linemate.daemon.tracking.settings import TrackingSettings
+from linemate.daemon.tracking.task import TaskFile
+from linemate.simulators.harness import located, scenario_file, tasks, variants
+from linemate.simulators.plants.scenario import Scenario
+
+
+class OverrideError(ValueError):
+    """A ``--set KEY=VALUE`` that cannot be applied.
+
+    Attributes:
+        key: which.
+    """
+
+    def __init__(self, key: str, what: str) -> None:
+        """Keep the key and print it."""
+        super().__init__(f"--set {key}: {what}")
+        self.key = key
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """One run before its seed.
+
+    Attributes:
+        scenario: the plant's truth.
+        tracking: the daemon's.
+        control: the daemon's.
+        task: the daemon's.
+        variant: which transformation has been applied to tracking and control.
+    """
+
+    scenario: Scenario
+    tracking: TrackingSettings = field(default_factory=TrackingSettings)
+    control: ControlSettings = field(default_factory=ControlSettings)
+    task: TaskFile = field(default_factory=tasks.default)
+    variant: str = "default"
+
+
+class _Plain(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+    scenario: Scenario
+    tracking: TrackingSettings
+    control: ControlSettings
+    task: TaskFile
+
+
+ROOTS = ("scenario", "tracking", "control", "task")
+
+
+def make(
+    scenario: str,
+    overrides: Sequence[str] = (),
+    *,
+    variant: str = "default",
+    cycle_ms: float | None = None,
+) -> Setup:
+    """Put a run together.
+
+    Args:
+        scenario: name or file.
+        overrides: ``KEY=VALUE`` each; a key is a path from one of ROOTS, or the end of one
+            that is unique; a value is YAML.
+        variant: applied before the overrides, which have the last word.
+        cycle_ms: instead of the scenario's cycle.
+
+    Raises:
+        FileError, OverrideError, UnknownVariantError: what is wrong.
+    """
+    truth = scenario_file.load(scenario)
+    if cycle_ms is not None:
+        truth = replace(truth, cycle_s=round(cycle_ms * 1e-3, 9))
+    tracking, control = variants.apply(variant, TrackingSettings(), ControlSettings())
+    setup = Setup(truth, tracking, control, variant=variant)
+    return override(setup, overrides) if overrides else setup
+
+
+def override(setup: Setup, overrides: Sequence[str]) -> Setup:
+    """Apply ``KEY=VALUE`` one after another.
+
+    Raises:
+        OverrideError: no such key, an ambiguous one, or a value that does not fit.
+    """
+    whole = _Plain(
+        scenario=setup.scenario, tracking=setup.tracking, control=setup.control, task=setup.task
+    )
+    plain: dict[str, Any] = whole.model_dump(mode="json")
+    for assignment in overrides:
+        key, separator, text = assignment.partition("=")
+        if not separator:
+            raise OverrideError(key, "should be KEY=VALUE")
+        path = _resolve(plain, key)
+        _put(plain, path, _value(key, text))
+        whole = _validated(plain, key)
+    scenario_file.check(scenario_file.to_plain(whole.scenario), "--set")
+    return replace(
+        setup,
+        scenario=whole.scenario,
+        tracking=whole.tracking,
+        control=whole.control,
+        task=whole.task,
+    )
+
+
+def _value(key: str, text: str) -> Any:
+    try:
+        return yaml.load(text, Loader=located.Loader)  # noqa: S506 -- a SafeLoader's child
+    except yaml.YAMLError as error:
+        raise OverrideError(key, f"{text!r} is not YAML") from error
+
+
+def _validated(plain: dict[str, Any], key: str) -> _Plain:
+    try:
+        return _Plain.model_validate_json(json.dumps(plain, default=str), strict=True)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise OverrideError(key, f"{first['msg']} ({place})") from error
+
+
+Path = tuple[str | int, ...]
+
+
+def _resolve(plain: dict[str, Any], key: str) -> Path:
+    """The one path that a key means: itself from a root, or the end of a single path."""
+    parts = tuple(int(part) if part.isdigit() else part for part in key.split("."))
+    known = _paths(plain)
+    if parts[0] in ROOTS:
+        matches = [path for path in known if path == parts]
+    else:
+        matches = [path for path in known if path[-len(parts) :] == parts]
+    if len(matches) == 1:
+        return matches[0]
+    if matches:
+        names = ", ".join(".".join(map(str, path)) for path in matches[:5])
+        raise OverrideError(key, f"could be {names}")
+    every = [".".join(map(str, path)) for path in known]
+    near = difflib.get_close_matches(key, every, n=3, cutoff=0.5)
+    raise OverrideError(key, "no such key" + (f"; near are {', '.join(near)}" if near else ""))
+
+
+def _paths(value: Any, path: Path = ()) -> list[Path]:
+    """Every path there is, branches as well as leaves."""
+    items: list[tuple[str | int, Any]] = []
+    if isinstance(value, dict):
+        items = list(value.items())
+    elif isinstance(value, list):
+        items = list(enumerate(value))
+    found = [path] if path else []
+    for key, item in items:
+        found += _paths(item, (*path, key))
+    return found
+
+
+def _put(plain: dict[str, Any], path: Path, value: Any) -> None:
+    branch: Any = plain
+    for part in path[:-1]:
+        branch = branch[part]
+    branch[path[-1]] = value

@@ -1,0 +1,113 @@
+"""Figures of many runs: median, worst, and a 95 % interval that assumes no distribution.
+
+Law of this file: pure; results in, numbers out. The interval of a median comes from order
+statistics (binomial, distribution-free, no random draws), that of a share from Clopper and
+Pearson. A missed detection is worse than any latency: it counts as infinite and prints as null.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from scipy.stats import beta, binom
+
+CONFIDENCE = 0.95
+
+ERRORS = ("control_error", "plan_error", "prediction_error", "total_error")
+MEASURES = ("max_mm", "rms_mm", "max_mrad", "rms_mrad")
+
+Figure = dict[str, Any]
+
+
+def figures(result: Mapping[str, Any]) -> Iterator[tuple[str, float | None]]:
+    """Name every figure of a run, e.g. ``control_error.stop.max_mm``.
+
+    A window that the run did not have gives nothing; a missed detection gives None.
+    """
+    for error in ERRORS:
+        for window, values in result[error].items():
+            if values is not None:
+                yield from ((f"{error}.{window}.{m}", values[m]) for m in MEASURES)
+    counts: dict[str, int] = {}
+    for entry in result["detection"]:
+        kind = entry["event"]
+        counts[kind] = counts.get(kind, 0) + 1
+        name = kind if counts[kind] == 1 else f"{kind}{counts[kind]}"
+        yield f"detection.{name}.perceived_s", entry["perceived_s"]
+        yield f"detection.{name}.confirmed_s", entry["confirmed_s"]
+    for what, count in result["false_alarms"].items():
+        yield f"false_alarms.{what}", float(count)
+    if result["contact_force_n"] is not None:
+        yield "contact_force_n.max", result["contact_force_n"]["max"]
+    yield "limits.violations", float(result["limits"]["violations"])
+    yield "telegrams.late", float(result["telegrams"]["late"])
+    yield "telegrams.lost", float(result["telegrams"]["lost"])
+
+
+def summarise(results: Sequence[Mapping[str, Any]]) -> dict[str, Figure]:
+    """Summary of one variant's runs, figure by figure, in a fixed order.
+
+    ``assembled`` and ``within_limits`` are shares; their worst is 0 if any run failed.
+    """
+    found: dict[str, list[float]] = {}
+    for result in results:
+        for name, value in figures(result):
+            found.setdefault(name, []).append(math.inf if value is None else value)
+    summary = {
+        name: share([bool(result[name]) for result in results])
+        for name in ("assembled", "within_limits")
+    }
+    return summary | {name: describe(values) for name, values in sorted(found.items())}
+
+
+def describe(values: Sequence[float]) -> Figure:
+    """Median, worst (largest) and 95 % interval of the median, and how many values."""
+    low, high = median_interval(values)
+    return {
+        "median": _finite(_median(sorted(values))),
+        "worst": _finite(max(values)),
+        "ci95": [_finite(low), _finite(high)],
+        "n": len(values),
+    }
+
+
+def share(flags: Sequence[bool]) -> Figure:
+    """Share of true, worst case, and its Clopper-Pearson interval."""
+    n, hits = len(flags), sum(flags)
+    tail = 0.5 * (1.0 - CONFIDENCE)
+    low = float(beta.ppf(tail, hits, n - hits + 1)) if hits else 0.0
+    high = float(beta.ppf(1.0 - tail, hits + 1, n - hits)) if hits < n else 1.0
+    return {
+        "median": round(hits / n, 6),
+        "worst": float(hits == n),
+        "ci95": [round(low, 6), round(high, 6)],
+        "n": n,
+    }
+
+
+def median_interval(values: Sequence[float], confidence: float = CONFIDENCE) -> tuple[float, float]:
+    """Order statistics that enclose the median with at least the confidence asked for.
+
+    With fewer than six values no pair does; then the smallest and the largest are given.
+
+    Source: David and Nagaraja, Order Statistics, 7.1: P(x_(r) < m < x_(n+1-r)) is the binomial
+    probability, n trials of 1/2, of r..n-r.
+    """
+    ordered, n = sorted(values), len(values)
+    below = int(binom.ppf(0.5 * (1.0 - confidence), n, 0.5))
+    # The largest r whose two tails, each P(B <= r - 1), stay within what is left over.
+    while below > 0 and 2.0 * binom.cdf(below - 1, n, 0.5) > 1.0 - confidence:
+        below -= 1
+    rank = max(below, 1)
+    return ordered[rank - 1], ordered[n - rank]
+
+
+def _median(ordered: Sequence[float]) -> float:
+    middle = len(ordered) // 2
+    if len(ordered) % 2:
+        return ordered[middle]
+    return 0.5 * (ordered[middle - 1] + ordered[middle])
+
+
+def _finite(value: float) -> float | None:
+    return round(value, 6) if math.isfinite(value) else None

@@ -1,0 +1,88 @@
+"""Variants of the method: the paper's chain with one part taken away, or changed for another.
+
+Law of this file: a variant is a pure transformation of the daemon's settings and of nothing else;
+the plant, the task and the seed stay what they are, so that two variants differ by the method.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from linemate.daemon.control.settings import ControlSettings
+from linemate.daemon.tracking.settings import ClassifierKind, MergeSettings, TrackingSettings
+
+Settings = tuple[TrackingSettings, ControlSettings]
+Transformation = Callable[[TrackingSettings, ControlSettings], Settings]
+
+_AT_ONCE_S = 1e-3
+"""A time constant far below a cycle: the new plan is taken up as fast as the merge can."""
+
+
+class UnknownVariantError(ValueError):
+    """No such variant.
+
+    Attributes:
+        name: what was asked for.
+    """
+
+    def __init__(self, name: str) -> None:
+        """Name those that there are."""
+        super().__init__(f"no variant {name!r}; there are {', '.join(VARIANTS)}")
+        self.name = name
+
+
+def _classified(kind: ClassifierKind, mixture: bool) -> Transformation:
+    def transform(tracking: TrackingSettings, control: ControlSettings) -> Settings:
+        return replace(tracking, classifier=kind, mixture=mixture), control
+
+    return transform
+
+
+def _default(tracking: TrackingSettings, control: ControlSettings) -> Settings:
+    return tracking, control
+
+
+def _no_prediction(tracking: TrackingSettings, control: ControlSettings) -> Settings:
+    return replace(tracking, predict=False), control
+
+
+def _no_feedforward(tracking: TrackingSettings, control: ControlSettings) -> Settings:
+    return tracking, replace(control, feed_forward=False)
+
+
+def _no_damping(tracking: TrackingSettings, control: ControlSettings) -> Settings:
+    return tracking, replace(control, damping=False)
+
+
+def _no_swing(tracking: TrackingSettings, control: ControlSettings) -> Settings:
+    return replace(tracking, swing=()), control
+
+
+def _no_blend(tracking: TrackingSettings, control: ControlSettings) -> Settings:
+    merge = MergeSettings(along=_AT_ONCE_S, across=_AT_ONCE_S, blend=_AT_ONCE_S)
+    return replace(tracking, merge=merge), control
+
+
+VARIANTS: dict[str, Transformation] = {
+    "default": _default,
+    "imm": _classified(ClassifierKind.IMM, mixture=True),
+    "rule": _classified(ClassifierKind.RULE, mixture=False),
+    "no-classes": _classified(ClassifierKind.NONE, mixture=False),
+    "no-prediction": _no_prediction,
+    "no-feedforward": _no_feedforward,
+    "no-damping": _no_damping,
+    "no-swing": _no_swing,
+    "no-blend": _no_blend,
+}
+
+
+def apply(name: str, tracking: TrackingSettings, control: ControlSettings) -> Settings:
+    """The settings of a variant.
+
+    Raises:
+        UnknownVariantError: no such variant.
+    """
+    try:
+        transform = VARIANTS[name]
+    except KeyError:
+        raise UnknownVariantError(name) from None
+    return transform(tracking, control)

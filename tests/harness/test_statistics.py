@@ -1,0 +1,59 @@
+"""Figures of many runs: known values, coverage, and what missing runs do."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import binom
+
+from linemate.simulators.harness import statistics
+
+
+def test_the_interval_of_a_median_is_the_textbooks() -> None:
+    # Tables of order statistics: n = 10 gives ranks 2 and 9, n = 25 ranks 8 and 18, 40: 14, 27.
+    assert statistics.median_interval(list(range(1, 11))) == (2, 9)
+    assert statistics.median_interval(list(range(1, 26))) == (8, 18)
+    assert statistics.median_interval(list(range(1, 41))) == (14, 27)
+
+
+@given(st.integers(6, 400))
+def test_the_interval_is_the_narrowest_that_covers_with_the_confidence(n: int) -> None:
+    low, high = statistics.median_interval(list(range(1, n + 1)))
+    assert low + high == n + 1
+
+    def coverage(rank: float) -> float:
+        return float(1.0 - 2.0 * binom.cdf(rank - 1, n, 0.5))
+
+    assert coverage(low) >= 0.95
+    assert coverage(low + 1) < 0.95 or low + 1 > n / 2
+
+
+def test_the_interval_covers_the_true_median_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(1)
+    hits = 0
+    for _ in range(400):
+        low, high = statistics.median_interval(rng.exponential(1.0, 40).tolist())
+        hits += low <= math.log(2.0) <= high
+    assert hits >= 0.93 * 400
+
+
+@pytest.mark.parametrize("n", [1, 2, 5])
+def test_few_values_give_their_whole_span(n: int) -> None:
+    values = [float(i) for i in range(n)]
+    assert statistics.median_interval(values) == (0.0, n - 1.0)
+
+
+def test_a_missed_detection_is_the_worst_and_prints_as_null() -> None:
+    described = statistics.describe([0.2, math.inf, 0.3])
+    assert (described["median"], described["worst"]) == (0.3, None)
+
+
+def test_a_share_of_all_is_not_certain() -> None:
+    whole = statistics.share([True] * 40)
+    assert (whole["median"], whole["worst"]) == (1.0, 1.0)
+    # The rule of three, Clopper and Pearson two-sided: (alpha/2)^(1/n).
+    assert whole["ci95"] == [pytest.approx(0.025 ** (1 / 40), abs=1e-6), 1.0]
+    assert statistics.share([True, False])["worst"] == 0.0
+    assert statistics.share([False])["ci95"][0] == 0.0
