@@ -188,7 +188,7 @@ class TrackingSettings:
     tactile: TactileNoise = TactileNoise()
     swing: tuple[SwingMode, ...] = (SwingMode(),)
     fusion: FusionSettings = FusionSettings()
-    classifier: ClassifierKind = ClassifierKind.RULE
+    classifier: ClassifierKind = ClassifierKind.BANK
     rule: RuleSettings = RuleSettings()
     bank: BankSettings = BankSettings()
     merge: MergeSettings = MergeSettings()
