@@ -180,7 +180,8 @@ class Conversation:
             self._subscription = None
             return False
         # From the schedule, so that the rate holds; but a stall is not made up for.
-        subscription.next_ns = max(subscription.next_ns + subscription.period_ns, now_ns + 1)
+        period_ns = subscription.period_ns
+        subscription.next_ns = max(subscription.next_ns + period_ns, now_ns + period_ns // 2)
         return True
 
     @property
