@@ -1,0 +1,74 @@
+"""Overrides and variants: what they change, and what they leave alone."""
+
+from dataclasses import replace
+
+import pytest
+
+from linemate.daemon.control.settings import ControlSettings
+from linemate.daemon.tracking.settings import ClassifierKind, TrackingSettings
+from linemate.simulators.harness import setup, variants
+from linemate.simulators.harness.located import FileError
+from linemate.simulators.harness.setup import OverrideError
+from linemate.simulators.harness.variants import UnknownVariantError
+
+
+def test_an_override_changes_its_key_and_nothing_else() -> None:
+    plain = setup.make("wheel")
+    changed = setup.override(plain, ["tracking.rule.tentative=2e-3"])
+    tracking = replace(plain.tracking, rule=replace(plain.tracking.rule, tentative=2e-3))
+    assert changed == replace(plain, tracking=tracking)
+
+
+def test_truth_and_belief_are_set_apart() -> None:
+    made = setup.make("wheel", ["scenario.conveyor.events.0.acceleration=0.13"])
+    assert made.scenario.events[0].acceleration == -0.13
+    assert made.task.conveyor.deceleration == setup.make("wheel").task.conveyor.deceleration
+
+
+def test_the_end_of_a_key_is_enough_where_it_is_unique() -> None:
+    assert setup.make("wheel", ["feed_forward=false"]).control.feed_forward is False
+    assert setup.make("wheel", ["camera.dropout_rate=0.1"]).scenario.camera.dropout_rate == 0.1
+
+
+@pytest.mark.parametrize(
+    ("override", "what"),
+    [
+        ("tracking.rule.tentativ=1", "near are tracking.rule.tentative"),
+        ("dropout_rate=0.1", "could be"),
+        ("tracking.rule.tentative", "KEY=VALUE"),
+        ("tracking.rule.tentative=-1", "greater than 0"),
+        ("tracking.rule.tentative=x", "valid number"),
+        ("tracking.rule.tentative=.nan", "finite"),
+        ("tracking.rule.tentative={", "YAML"),
+        ("tracking.classifier=best", "tracking.classifier"),
+        ("control.servos=[]", "control.servos"),
+    ],
+)
+def test_an_override_that_does_not_fit_is_refused_with_its_reason(override: str, what: str) -> None:
+    with pytest.raises(OverrideError, match="--set") as caught:
+        setup.make("wheel", [override])
+    assert what in str(caught.value)
+
+
+def test_an_override_of_the_truth_keeps_to_the_files_ranges() -> None:
+    with pytest.raises(FileError, match="at most 1"):
+        setup.make("wheel", ["scenario.camera.dropout_rate=1.5"])
+
+
+def test_every_variant_but_the_default_changes_the_settings() -> None:
+    plain = (TrackingSettings(), ControlSettings())
+    for name in variants.VARIANTS:
+        changed = variants.apply(name, *plain)
+        is_same = changed == plain
+        if name == "rule":
+            is_same = is_same and plain[0].classifier is not ClassifierKind.RULE
+        assert is_same == (name == "default"), name
+
+
+def test_an_unknown_variant_names_those_that_there_are() -> None:
+    with pytest.raises(UnknownVariantError, match="no-damping"):
+        setup.make("wheel", variant="no-luck")
+
+
+def test_the_cycle_on_the_command_line_is_the_plants() -> None:
+    assert setup.make("wheel", cycle_ms=4).scenario.cycle_s == 0.004
