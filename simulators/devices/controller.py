@@ -1,0 +1,416 @@
+"""A strict RSI controller: its telegrams, its judgement of replies, what it makes of them.
+
+Law of this file: cycle by cycle and pure; bytes in and out, the clock is an argument. A reply
+counts only if it is readable, of the right SENTYPE, of the open cycle's IPOC and in time; all
+else is as no answer. Corrections are relative to the start pose, clamped in silence, and watched
+by a monitor that stops. What is missing is held or zero, as the configuration's HOLDON says.
+Source: reference/rsi.md, 1.6.
+"""
+
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from linemate.protocol.exchange import ControllerCounts, ControllerExchange, Judgement
+from linemate.protocol.rsi import (
+    Channel,
+    RobotTelegram,
+    RsiCodec,
+    RsiConfig,
+    RsiError,
+    SensorTelegram,
+)
+from linemate.protocol.samples import Vector6
+from linemate.simulators.devices.limits import LIMITS, AxisLimit, LimitJudge
+
+AXES = 7
+EXTERNAL_AXES = 6
+MESSAGES = 16
+_JOINT_KEYS = tuple(f"A{n}" for n in range(1, 7))
+_CORRECTION_ELEMENTS = {"AK", "AKorr", "EK", "EKorr"}
+
+Seven = tuple[float, float, float, float, float, float, float]
+"""A1..A6 [rad] and E1 [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class RobotReading:
+    """What the controller knows of its robot at a cycle's start.
+
+    Attributes:
+        axes: measured A1..A6 [rad], E1 [m].
+        tcp: measured x, y, z [m], a, b, c [rad] in base.
+        digital_in: signals of the tool.
+    """
+
+    axes: Seven
+    tcp: Vector6
+    digital_in: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerConfig:
+    """How the controller is set up.
+
+    Attributes:
+        cycle_s: 0.012 or 0.004 [s].
+        first_ipoc: counter of the first telegram [ms].
+        timeout: cycles without a good answer that are tolerated.
+        timeout_rule: whether they count as a running total or in a row; KUKA does not say.
+        patient: cycles before the first good reply are not charged.
+        mode: corrections are total offsets or increments.
+        limits: of each axis, for the judge and, as software limits, for the corrections.
+        correction_low: least total correction [rad, m]; None: down to the software limits.
+        correction_high: greatest total correction [rad, m]; None: up to the software limits.
+        monitor: greatest magnitude of the total correction before the robot is stopped
+            [rad, m]; None: wider than the correction limits.
+        decimals: digits after the point in the telegrams.
+    """
+
+    cycle_s: float = 0.012
+    first_ipoc: int = 4_208_163_634
+    timeout: int = 100
+    timeout_rule: Literal["total", "row"] = "total"
+    patient: bool = False
+    mode: Literal["absolute", "relative"] = "absolute"
+    limits: tuple[AxisLimit, ...] = LIMITS
+    correction_low: Seven | None = None
+    correction_high: Seven | None = None
+    monitor: Seven | None = None
+    decimals: int = 8
+
+    @property
+    def ipoc_step(self) -> int:
+        """What the counter grows by each cycle [ms]."""
+        return max(1, round(self.cycle_s * 1e3))
+
+
+@dataclass(frozen=True, slots=True)
+class Applied:
+    """What became of one cycle.
+
+    Attributes:
+        cycle: number of the cycle in this session, 0 for the first.
+        ipoc: its counter.
+        setpoints: where the axes go during it, A1..A6 [rad], E1 [m].
+        digital_out: signals to the tool.
+        outcome: what became of its reply; None after the exchange broke off.
+        clamped: a correction limit held something back.
+    """
+
+    cycle: int
+    ipoc: int
+    setpoints: Seven
+    digital_out: int
+    outcome: Judgement | None
+    clamped: bool
+
+    @property
+    def answered(self) -> bool:
+        """The cycle got a good reply."""
+        return self.outcome is Judgement.ACCEPTED
+
+
+@dataclass(slots=True)
+class _Session:
+    """What is forgotten when the operator starts the programme again."""
+
+    start: Seven
+    low: Seven
+    high: Seven
+    total: list[float]
+    held: dict[str, Channel]
+    tcp: Vector6 | None = None
+    cycle: int = -1
+    ipoc: int = 0
+    reply: SensorTelegram | None = None
+    stopped: str | None = None
+
+
+class RsiController:
+    """The controller's side of RSI, with a robot that stands still in RSI_MOVECORR.
+
+    Example::
+
+        data = controller.telegram()                 # at t_k
+        controller.on_reply(reply, stamp_ns, deadline_ns)
+        applied = controller.end_of_cycle()          # active from t_k on
+
+    Attributes:
+        config: how it is set up.
+        codec: its wire.
+        judge: the emulator's own view of the applied setpoints.
+        refusals: replies refused, by reason.
+        clamped: cycles in which a correction limit held something back.
+        messages: the newest texts for the pendant.
+    """
+
+    def __init__(
+        self,
+        rsi: RsiConfig,
+        read: Callable[[], RobotReading],
+        setpoints: Seven,
+        config: ControllerConfig | None = None,
+    ) -> None:
+        """Stand ready before the first cycle.
+
+        Args:
+            rsi: the site's RSI_EthernetConfig.xml.
+            read: gives the robot's state at a cycle's start.
+            setpoints: where the robot stands, A1..A6 [rad], E1 [m].
+            config: how the controller is set up.
+
+        Raises:
+            RsiError: if the configuration makes no telegram.
+            ValueError: if the time-out or its rule make no sense.
+        """
+        self.config = config = config or ControllerConfig()
+        self.codec = RsiCodec(rsi, decimals=config.decimals)
+        self.judge = LimitJudge(config.cycle_s, config.limits)
+        self.refusals: Counter[str] = Counter()
+        self.clamped = 0
+        self.messages: deque[str] = deque(maxlen=MESSAGES)
+        self._read = read
+        self._holdon = {element.tag: element.holdon for element in rsi.receive}
+        self._sent = _sent_keys(self.codec.config)
+        self._setpoints = setpoints
+        self._digital_out = 0
+        self._exchange = ControllerExchange(
+            config.ipoc_step,
+            config.timeout,
+            config.timeout_rule,
+            first_ipoc=config.first_ipoc,
+            patient=config.patient or rsi.onlysend,
+        )
+        self._session = self._new_session()
+
+    @property
+    def counts(self) -> ControllerCounts:
+        """Telegrams sent, answered, late, lost and refused."""
+        return self._exchange.counts
+
+    @property
+    def delay(self) -> int:
+        """What the telegrams say in Delay."""
+        return self._exchange.delay
+
+    @property
+    def setpoints(self) -> Seven:
+        """Where the axes were sent last, A1..A6 [rad], E1 [m]."""
+        return self._setpoints
+
+    @property
+    def broken(self) -> str | None:
+        """Why the exchange ended, None while it goes on."""
+        if self._session.stopped is not None:
+            return self._session.stopped
+        if self._exchange.broken:
+            return "KSS29002 ETHERNET returns error RSITimeout"
+        return None
+
+    def restart(self, first_ipoc: int | None = None) -> None:
+        """Start the programme again: a new session from where the robot stands.
+
+        Args:
+            first_ipoc: its first counter; None: a second after the last one.
+        """
+        last = self._session.ipoc
+        self._exchange.restart(last + 1000 if first_ipoc is None else first_ipoc)
+        self._session = self._new_session()
+
+    def begin(self) -> None:
+        """Count and charge from the next cycle on, in the same session.
+
+        What came before was only to see that somebody answers.
+        """
+        config = self.config
+        following = self._session.ipoc + config.ipoc_step if self._session.cycle >= 0 else None
+        self._exchange = ControllerExchange(
+            config.ipoc_step,
+            config.timeout,
+            config.timeout_rule,
+            first_ipoc=config.first_ipoc if following is None else following,
+            patient=config.patient or self.codec.config.onlysend,
+        )
+        self._session.cycle = -1
+        self.refusals.clear()
+
+    def telegram(self) -> bytes | None:
+        """Open a cycle.
+
+        Returns:
+            Its telegram; None once the exchange has ended.
+        """
+        session = self._session
+        session.cycle += 1
+        session.reply = None
+        if self.broken is not None:
+            return None
+        session.ipoc = self._exchange.next_ipoc()
+        return self.codec.format_robot(self._describe(session.ipoc, self._read()))
+
+    def on_reply(self, data: bytes, stamp_ns: int = 0, deadline_ns: int | None = None) -> Judgement:
+        """Judge a reply.
+
+        Args:
+            data: a datagram.
+            stamp_ns: its arrival [ns].
+            deadline_ns: end of the open cycle [ns], None if the caller closes it in time.
+
+        Returns:
+            What the reply is.
+        """
+        try:
+            reply = self.codec.parse_sensor(data)
+        except RsiError:
+            return self._refuse("malformed")
+        if reply.sentype != self.codec.config.sentype:
+            return self._refuse("sentype")
+        judgement = self._exchange.on_reply(reply.ipoc, stamp_ns, deadline_ns)
+        if judgement is Judgement.ACCEPTED:
+            self._session.reply = reply
+        else:
+            self.refusals[judgement.value] += 1
+        return judgement
+
+    def end_of_cycle(self) -> Applied:
+        """Close the open cycle and apply what it brought.
+
+        Returns:
+            Where the axes go during it, and what became of it.
+        """
+        session = self._session
+        ended = self.broken is not None
+        outcome = None if ended else self._exchange.close_cycle()
+        clamped = False
+        if not ended and self.broken is None:
+            clamped = self._apply(session)
+        if outcome is Judgement.ACCEPTED and self.broken is None:
+            self.judge.judge(self._setpoints)
+        else:
+            self.judge.hold(self._setpoints)
+        self.clamped += clamped
+        return Applied(
+            session.cycle, session.ipoc, self._setpoints, self._digital_out, outcome, clamped
+        )
+
+    def _new_session(self) -> _Session:
+        start, config = self._setpoints, self.config
+        software = zip(config.limits, start, strict=True)
+        low, high = zip(*((a.low - q, a.high - q) for a, q in software), strict=True)
+        self.judge.start(start)
+        return _Session(
+            start=start,
+            low=config.correction_low or low,
+            high=config.correction_high or high,
+            total=[0.0] * AXES,
+            held={},
+        )
+
+    def _describe(self, ipoc: int, reading: RobotReading) -> RobotTelegram:
+        """The telegram's values; setpoints are the programme's, without corrections."""
+        external = (reading.axes[6],) + (0.0,) * (EXTERNAL_AXES - 1)
+        channels: dict[str, Channel] = {}
+        if "DiL" in self._sent:
+            channels["DiL"] = reading.digital_in
+        session = self._session
+        start = session.start
+        if session.tcp is None:
+            session.tcp = reading.tcp
+        return RobotTelegram(
+            ipoc=ipoc,
+            joints=reading.axes[:6],
+            joint_setpoints=start[:6],
+            external=_six(external),
+            external_setpoints=_six((start[6],) + (0.0,) * (EXTERNAL_AXES - 1)),
+            tcp=reading.tcp,
+            tcp_setpoint=session.tcp,
+            delay=self._exchange.delay,
+            channels=channels,
+        )
+
+    def _refuse(self, reason: str) -> Judgement:
+        self.refusals[reason] += 1
+        return self._exchange.on_unreadable()
+
+    def _apply(self, session: _Session) -> bool:
+        """Move the setpoints; tells whether a limit held something back."""
+        given = {} if session.reply is None else _values(session.reply)
+        if session.reply is not None and session.reply.message:
+            self.messages.append(session.reply.message)
+        values = {tag: self._value(session, given, tag) for tag in self._holdon}
+        if _is_set(values.get("Stop")):
+            session.stopped = "STOP object: the reply asked for it"
+            return False
+        self._digital_out = int(values.get("DiO") or 0)
+        return self._correct(session, values)
+
+    def _value(self, session: _Session, given: dict[str, Channel], tag: str) -> Channel | None:
+        """A receive channel's value in this cycle: fresh, held, or zero."""
+        if tag in given:
+            session.held[tag] = given[tag]
+        elif not self._holdon[tag]:
+            session.held.pop(tag, None)
+        return session.held.get(tag)
+
+    def _correct(self, session: _Session, values: dict[str, Channel | None]) -> bool:
+        clamped = False
+        for tag, value in values.items():
+            axis = _axis(tag)
+            if axis is None:
+                continue
+            correction = float(value or 0.0)
+            if self.config.mode == "relative":
+                correction += session.total[axis]
+            within = min(max(correction, session.low[axis]), session.high[axis])
+            clamped = clamped or within != correction
+            session.total[axis] = within
+        self._watch(session)
+        if session.stopped is None:
+            moved = [a + b for a, b in zip(session.start, session.total, strict=True)]
+            self._setpoints = (moved[0], moved[1], moved[2], moved[3], moved[4], moved[5], moved[6])
+        return clamped
+
+    def _watch(self, session: _Session) -> None:
+        """The monitor object: too great a total correction stops the robot."""
+        if self.config.monitor is None:
+            return
+        for axis, (total, most) in enumerate(zip(session.total, self.config.monitor, strict=True)):
+            if abs(total) > most:
+                name = f"A{axis + 1}" if axis < AXES - 1 else "E1"
+                session.stopped = f"KSS29000 AXISCORRMON {name}: {total:g} exceeds {most:g}"
+                return
+
+
+def _values(reply: SensorTelegram) -> dict[str, Channel]:
+    """What a reply brought, by the tags that a configuration may use."""
+    values: dict[str, Channel] = dict(reply.channels)
+    for n, value in enumerate(reply.joints or (), 1):
+        values[f"AK.A{n}"] = values[f"AKorr.A{n}"] = value
+    for n, value in enumerate(reply.external or (), 1):
+        values[f"EK.E{n}"] = values[f"EKorr.E{n}"] = value
+    return values
+
+
+def _axis(tag: str) -> int | None:
+    """Which of the seven axes a receive element corrects, None if it is no correction."""
+    element, _, axis = tag.partition(".")
+    if element not in _CORRECTION_ELEMENTS:
+        return None
+    if axis in _JOINT_KEYS:
+        return _JOINT_KEYS.index(axis)
+    return AXES - 1 if axis == "E1" else None
+
+
+def _is_set(value: Channel | None) -> bool:
+    return value is not None and not isinstance(value, str) and float(value) != 0.0
+
+
+def _sent_keys(config: RsiConfig) -> set[str]:
+    return {element.tag for element in config.send}
+
+
+def _six(values: tuple[float, ...]) -> Vector6:
+    a, b, c, d, e, f = values
+    return (a, b, c, d, e, f)
