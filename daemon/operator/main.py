@@ -230,6 +230,8 @@ def _keygen(args: argparse.Namespace) -> int:
             ended = before if not before or before.endswith("\n") else before + "\n"
             parse_keys(ended + key_line(key), str(path))
             file.write(ended[len(before) :] + key_line(key) + "\n")
+    except CommandError as error:
+        raise KeyFileError(error.detail) from error
     except (OSError, UnicodeDecodeError) as error:
         raise KeyFileError(f"{path}: {error}") from error
     return OK

@@ -404,7 +404,7 @@ class CommandPort:
 
 def _peer_groups(accepted: socket.socket) -> tuple[int, ...]:
     try:
-        raw = accepted.getsockopt(socket.SOL_SOCKET, SO_PEERGROUPS, 4096)
+        raw = accepted.getsockopt(socket.SOL_SOCKET, SO_PEERGROUPS, 1024)  # Python allows no more
     except OSError:
         return ()
     return struct.unpack(f"{len(raw) // 4}I", raw)

@@ -157,7 +157,7 @@ def test_an_answer_of_any_length_comes_whole_or_is_refused(result: dict[str, str
 def test_the_longest_answer_comes_in_parts_and_a_longer_one_is_refused() -> None:
     room = MAX_RESULT_BYTES - 6  # map head, key "a", bin head
     for length, ok in ((room, True), (room + 1, False)):
-        world = World((ALICE,), lambda *_, n=length: {"a": bytes(n)})  # type: ignore[misc]
+        world = World((ALICE,), lambda *_, n=length: {"a": bytes(n)})
         answer = world.ask(world.client(), "params")
         assert answer is not None
         assert answer.ok is ok
@@ -166,7 +166,7 @@ def test_the_longest_answer_comes_in_parts_and_a_longer_one_is_refused() -> None
 
 def test_no_reply_is_longer_than_a_frame() -> None:
     for length in range(1100, 1200):
-        world = World((ALICE,), lambda *_, n=length: {"a": bytes(n)})  # type: ignore[misc]
+        world = World((ALICE,), lambda *_, n=length: {"a": bytes(n)})
         client = world.client()
         sent = client.request("status", {}, world.now_ns + 500 * MS)
         (reply,) = world.deliver(sent.frame, ("client", id(client)))
@@ -201,7 +201,7 @@ def test_what_a_handler_cannot_say_is_refused_not_raised() -> None:
         ({"a": object()}, "unencodable"),
         ({"refused": "\ud800" * 999}, "refused"),
     ):
-        world = World((ALICE,), lambda *_, r=result: r)  # type: ignore[misc]
+        world = World((ALICE,), lambda *_, r=result: r)
         answer = world.ask(world.client(), "status")
         assert answer is not None
         assert answer.code == code

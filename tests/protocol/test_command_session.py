@@ -448,8 +448,6 @@ def test_any_genuine_payload_gets_an_answer_or_silence_and_never_an_error(
     client.on_datagram(keys.to_client.seal(body), world.now_ns)
 
 
-
-
 @given(st.integers(0, 2**32))
 @settings(max_examples=40, deadline=None)
 def test_on_a_bad_network_every_order_is_carried_out_once_at_most_and_in_time(seed: int) -> None:

@@ -1,0 +1,271 @@
+"""The linemate tool: its words, what it prints and its exit codes, against a real door."""
+
+import json
+import math
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_ends import key_of, open_port, served
+
+from linemate.daemon.operator import render
+from linemate.daemon.operator.main import main
+from linemate.daemon.service.command_server import CommandPort
+from linemate.protocol.command import Role
+from linemate.protocol.command_keys import key_line, parse_keys
+
+ALICE = key_of("alice", Role.OPERATE, 1)
+
+
+class Daemon:
+    """A small honest handler with parameters and a state."""
+
+    def __init__(self) -> None:
+        self.health = "healthy"
+        self.values: dict[str, Any] = {"approach.speed": 0.1, "swing.enabled": True}
+        self.defaults = dict(self.values)
+        self.done: list[str] = []
+
+    def handle(self, op: str, params: dict[str, Any], role: str, who: str) -> dict[str, Any]:
+        self.done.append(op)
+        if op == "status":
+            return {"health": self.health, "state": "idle", "age": {"camera_s": math.nan}}
+        if op == "params":
+            return {"params": self.described(params.get("prefix", ""))}
+        if op == "get":
+            return self.get(params["names"])
+        if op == "set":
+            return self.set(params["values"])
+        if op in {"save", "record"}:
+            return {"path": "/x"}
+        return {"refused": "not armed"} if op == "start" else {}
+
+    def get(self, names: list[str]) -> dict[str, Any]:
+        unknown = [name for name in names if name not in self.values]
+        if unknown:
+            return {"refused": f"no parameter {unknown[0]}"}
+        return {"values": {name: self.values[name] for name in names}}
+
+    def set(self, values: dict[str, Any]) -> dict[str, Any]:
+        if values.get("approach.speed", 0.0) > 0.2:
+            return {"refused": "approach.speed: at most 0.2"}
+        old = {name: self.values[name] for name in values}
+        self.values |= values
+        return {"changed": {n: {"old": old[n], "new": values[n]} for n in values}}
+
+    def described(self, prefix: str) -> list[dict[str, Any]]:
+        return [
+            {
+                "name": name,
+                "value": value,
+                "default": self.defaults[name],
+                "unit": "m/s" if name.endswith("speed") else "",
+                "min": 0.0 if name.endswith("speed") else None,
+                "max": 0.2 if name.endswith("speed") else None,
+                "live": name.endswith("speed"),
+                "describe": f"what {name} is",
+            }
+            for name, value in self.values.items()
+            if name.startswith(prefix)
+        ]
+
+
+@pytest.fixture
+def daemon() -> Daemon:
+    return Daemon()
+
+
+@pytest.fixture
+def port(daemon: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[CommandPort]:
+    monkeypatch.setenv("LINEMATE_SOCKET", str(tmp_path / "command.sock"))
+    with open_port(tmp_path, (ALICE,), daemon.handle) as port, served(port):
+        yield port
+
+
+pytestmark = pytest.mark.usefixtures("port")
+Out = pytest.CaptureFixture[str]
+
+
+@pytest.mark.parametrize(("health", "code"), [("healthy", 0), ("degraded", 1), ("fault", 1)])
+def test_status_exits_by_health(daemon: Daemon, capsys: Out, health: str, code: int) -> None:
+    daemon.health = health
+    assert main(["status"]) == code
+    out = capsys.readouterr().out
+    assert health in out
+    assert "age.camera_s" in out
+
+
+def test_status_prints_json_that_everybody_can_read(capsys: Out) -> None:
+    assert main(["status", "--json"]) == 0
+    read = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    assert read == {"health": "healthy", "state": "idle", "age": {"camera_s": None}}
+
+
+def test_status_of_nobody_exits_3(capsys: Out, tmp_path: Path) -> None:
+    assert main(["status", "--socket", str(tmp_path / "nobody")]) == 3
+    assert "no answer" in capsys.readouterr().err
+
+
+def test_status_can_be_watched(daemon: Daemon, capsys: Out) -> None:
+    assert main(["status", "--watch", "--for", "0.3", "--interval", "0.05"]) == 0
+    assert "healthy" in capsys.readouterr().out
+    assert daemon.done.count("status") >= 3
+
+
+@pytest.mark.parametrize("op", ["arm", "stop", "retreat", "ack"])
+def test_operating_does_what_it_says(daemon: Daemon, op: str) -> None:
+    assert main([op]) == 0
+    assert daemon.done == [op]
+
+
+def test_a_refusal_exits_1_with_the_reason(capsys: Out) -> None:
+    assert main(["start"]) == 1
+    assert capsys.readouterr().err == "linemate: refused: not armed\n"
+
+
+def test_recordings_are_begun_and_ended(daemon: Daemon, capsys: Out) -> None:
+    assert main(["record", "start"]) == 0
+    assert capsys.readouterr().out == "path  /x\n"
+    assert main(["record", "stop", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"path": "/x"}
+    assert daemon.done == ["record", "record"]
+
+
+def test_parameters_are_listed_described_and_compared(daemon: Daemon, capsys: Out) -> None:
+    assert main(["param", "list"]) == 0
+    listed = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in listed] == ["name", "approach.speed", "swing.enabled"]
+    assert main(["param", "list", "swing"]) == 0
+    assert "approach" not in capsys.readouterr().out
+    assert main(["param", "describe", "approach.speed"]) == 0
+    described = capsys.readouterr().out
+    assert all(word in described for word in ("0.1 m/s", "0 .. 0.2", "at once", "what approach"))
+    assert main(["param", "diff", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == []
+    daemon.values["swing.enabled"] = False
+    assert main(["param", "diff"]) == 0
+    assert "swing.enabled  no" in capsys.readouterr().out
+
+
+def test_a_parameter_that_is_not_there_exits_1(capsys: Out) -> None:
+    assert main(["param", "describe", "approach"]) == 1
+    assert main(["param", "get", "approach"]) == 1
+    assert capsys.readouterr().err.count("no parameter approach") == 2
+
+
+def test_parameters_are_got_and_set(daemon: Daemon, capsys: Out) -> None:
+    assert main(["param", "get", "approach.speed"]) == 0
+    assert capsys.readouterr().out == "0.1\n"
+    assert main(["param", "set", "approach.speed=0.15", "swing.enabled=false"]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "approach.speed: 0.1 -> 0.15",
+        "swing.enabled: yes -> no",
+    ]
+    assert daemon.values == {"approach.speed": 0.15, "swing.enabled": False}
+    assert main(["param", "get", "approach.speed", "swing.enabled", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == daemon.values
+    assert main(["param", "save"]) == 0
+    assert "/x" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("value", ["0.3", "NaN", "-Infinity"])
+def test_nonsense_is_not_set(daemon: Daemon, value: str) -> None:
+    before = dict(daemon.values)
+    assert main(["param", "set", f"approach.speed={value}"]) == 1
+    assert daemon.values == before
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        [],
+        ["dance"],
+        ["param"],
+        ["param", "set", "novalue"],
+        ["record", "pause"],
+        ["status", "--udp", "host:99999"],
+        ["status", "--timeout", "-1"],
+        ["keygen", "x", "root"],
+    ],
+)
+def test_wrong_usage_exits_2(words: list[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(words)
+    assert caught.value.code == 2
+
+
+def test_the_tool_speaks_udp_with_a_key(port: CommandPort, tmp_path: Path, capsys: Out) -> None:
+    key = tmp_path / "key"
+    assert main(["keygen", "bob", "view", "--out", str(key)]) == 0
+    assert main(["keygen", "ann", "operate", "--out", str(key)]) == 0
+    assert main(["keygen", "ann", "operate", "--out", str(key)]) == 2
+    assert key.stat().st_mode & 0o777 == 0o600
+    keys = parse_keys(key.read_text())
+    assert [made.name for made in keys] == ["bob", "ann"]
+    port.replace_keys(keys)
+    address = "{}:{}".format(*(port.udp_address or ()))
+    there = ["--udp", address, "--key", str(key)]
+    assert main(["status", *there]) == 0
+    assert main(["stop", *there]) == 1
+    assert "may view" in capsys.readouterr().err
+    assert main(["stop", *there, "--key-name", "ann"]) == 0
+    assert main(["stop", *there, "--key-name", "eve"]) == 2
+
+
+def test_a_key_can_be_printed(capsys: Out) -> None:
+    assert main(["keygen", "bob", "view"]) == 0
+    (key,) = parse_keys(capsys.readouterr().out)
+    assert (key.name, key.role) == ("bob", Role.VIEW)
+
+
+def test_a_key_is_not_put_where_others_can_read(tmp_path: Path) -> None:
+    shared = tmp_path / "shared"
+    shared.write_text(key_line(ALICE) + "\n")
+    shared.chmod(0o644)
+    assert main(["keygen", "bob", "view", "--out", str(shared)]) == 2
+    assert shared.read_text() == key_line(ALICE) + "\n"
+    link = tmp_path / "link"
+    link.symlink_to(tmp_path / "elsewhere")
+    assert main(["keygen", "bob", "view", "--out", str(link)]) == 2
+    assert not (tmp_path / "elsewhere").exists()
+
+
+def test_a_key_is_put_on_a_line_of_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "keys"
+    path.write_text(key_line(ALICE))
+    path.chmod(0o600)
+    assert main(["keygen", "bob", "view", "--out", str(path)]) == 0
+    assert [key.name for key in parse_keys(path.read_text())] == ["alice", "bob"]
+
+
+def test_a_status_imports_nothing_heavy(tmp_path: Path) -> None:
+    code = (
+        "import sys; from linemate.daemon.operator.main import main; code = main(['status']);"
+        "heavy = {'numpy', 'scipy', 'asyncio', 'rich', 'pydantic', 'yaml', 'pinocchio'};"
+        "print(heavy & set(sys.modules)); sys.exit(code)"
+    )
+    began = time.monotonic()
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
+        env=dict(os.environ),
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == "set()"
+    assert time.monotonic() - began < 10.0
+
+
+def test_a_table_of_nothing_is_empty() -> None:
+    assert render.table((), []) == ""
+    assert render.rows({"a": {}, "b": {"c": [1, True, None]}}) == [
+        ("a", "-"),
+        ("b.c", "[1, yes, -]"),
+    ]
