@@ -48,6 +48,8 @@ class Writer:
         Raises:
             RsiError: as :meth:`write`.
         """
+        if not (sender.isascii() and sender.isprintable()):
+            raise RsiError(f"{sender!r:.64} is no printable ASCII text", element="Type")
         head, tail = self._around_ipoc(self._values(telegram), sender)
         if len(head) + len(tail) > MAX_TELEGRAM_BYTES - MAX_IPOC_DIGITS:
             raise RsiError(f"{len(head) + len(tail)} bytes, at most {MAX_TELEGRAM_BYTES}")
