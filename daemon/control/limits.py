@@ -5,7 +5,7 @@ differences; it imports nothing of control or tracking and trusts neither. It lo
 command is allowed only while a stop within all limits remains possible after it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,17 +26,25 @@ class Limits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GateState:
-    """The last command and its differences: position, speed, acceleration (m,)."""
+    """The last command and its differences, and what had been desired.
+
+    Attributes:
+        position, speed, acceleration: of the commands (m,).
+        desired: the last desired setpoint (m,).
+        desired_speed: and its difference (m,).
+    """
 
     position: Array
     speed: Array
     acceleration: Array
+    desired: Array
+    desired_speed: Array
 
 
 def at_rest(position: Array) -> GateState:
     """Return the gate of a robot that stands at ``position`` (m,)."""
     zero = np.zeros(len(position))
-    return GateState(position, zero, zero)
+    return GateState(position, zero, zero, position, zero)
 
 
 def _ceiling(state_speed: Array, cap: Array, jerk: Array, period: float) -> Array:
@@ -79,10 +87,29 @@ def _bounds(state: GateState, limits: Limits, period: float) -> tuple[Array, Arr
     return np.minimum(low, high), np.maximum(low, high)
 
 
-def _advance(state: GateState, acceleration: Array, period: float) -> GateState:
+def _advance(state: GateState, acceleration: Array, period: float, desired: Array) -> GateState:
     """Return the gate after one command with the given acceleration."""
     speed = state.speed + acceleration * period
-    return GateState(state.position + speed * period, speed, acceleration)
+    return GateState(
+        state.position + speed * period,
+        speed,
+        acceleration,
+        desired,
+        (desired - state.desired) / period,
+    )
+
+
+def _catch_up(state: GateState, desired: Array, period: float) -> Array:
+    """Return the acceleration that leads back to what is desired without overshoot.
+
+    Taken where the direct way is closed: to be on the desired setpoint in one step from some way
+    off is a bang-bang that never ends. Critically damped, twelve steps to settle.
+    """
+    speed = (desired - state.desired) / period
+    change = (speed - state.desired_speed) / period
+    w = 0.25 / period
+    off = desired - (state.position + state.speed * period)
+    return change + 2.0 * w * (speed - state.speed) + w * w * off
 
 
 def admit(
@@ -103,14 +130,16 @@ def admit(
         return brake(state, limits, period), "the command was not finite"
     wanted = ((desired - state.position) / period - state.speed) / period
     low, high = _bounds(state, limits, period)
-    taken = np.minimum(np.maximum(wanted, low), high)
-    reached = _advance(state, taken, period)
     # A rounding of the differences is no violation: a millionth of the acceleration limit.
-    short = np.abs(taken - wanted) > 1e-6 * limits.acceleration
+    margin = 1e-6 * limits.acceleration
+    short = (wanted < low - margin) | (wanted > high + margin)
     if short.any():
+        wanted = np.where(short, _catch_up(state, desired, period), wanted)
+        taken = np.minimum(np.maximum(wanted, low), high)
         axes = ", ".join(name for name, held in zip(limits.names, short, strict=True) if held)
-        return reached, f"limited: {axes}"
-    return GateState(desired, reached.speed, taken), None
+        return _advance(state, taken, period, desired), f"limited: {axes}"
+    reached = _advance(state, wanted, period, desired)
+    return replace(reached, position=desired), None
 
 
 def brake(state: GateState, limits: Limits, period: float) -> GateState:
@@ -129,7 +158,8 @@ def brake(state: GateState, limits: Limits, period: float) -> GateState:
     step = limits.jerk * period
     low, high = _bounds(state, limits, period)
     taken = np.clip(np.clip(target, a - step, a + step), low, high)
-    return _advance(state, taken, period)
+    after = _advance(state, taken, period, state.position)
+    return replace(after, desired=after.position, desired_speed=after.speed)
 
 
 def stands(state: GateState) -> bool:

@@ -94,7 +94,7 @@ class SwingMode:
 
     axis: Annotated[int, Ge(0), Le(2)] = 1
     frequency_hz: Positive = 0.62
-    damping: Annotated[float, Ge(0.0), Lt(0.5)] = 0.0
+    damping: Annotated[float, Ge(0.0), Lt(0.5)] = 0.002
     levers: tuple[float, float, float] = (-0.3, 0.0, -0.9)
 
 
@@ -152,9 +152,9 @@ class BankSettings:
         longest_onset: age of the oldest onset in the bank [s].
     """
 
-    perceived: float = 4.0
-    stop_confirmed: float = 9.0
-    start_confirmed: float = 12.0
+    perceived: float = 6.0
+    stop_confirmed: float = 10.0
+    start_confirmed: float = 14.0
     amplitude_deviation: Positive = 0.15
     penalty: float = 4.0
     contact_penalty: float = 3.0
