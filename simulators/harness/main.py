@@ -48,7 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _dispatch(args: argparse.Namespace) -> int:
     if args.command == "schema":
         return _schema(args.kind)
-    from linemate.simulators.harness.located import FileError
+    from linemate.daemon.service.documents import FileError
 
     try:
         room = import_module(f"linemate.simulators.harness.{ROOMS[args.command]}")

@@ -11,20 +11,15 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict
-
-from linemate.daemon.tracking.task import TaskFile
-from linemate.simulators.harness import located
-from linemate.simulators.harness.located import Document, FileError
+from linemate.daemon.service import documents, task_file
+from linemate.daemon.service.documents import Complaint, FileError
 from linemate.simulators.plants.scenario import Scenario
-
-__all__ = ["DATA", "DEFAULT", "FileError", "check", "load", "parse", "schema", "shipped"]
 
 DATA = Path(__file__).parent / "data"
 DEFAULT = "wheel"
 
 CYCLES_S = (0.001, 0.002, 0.004, 0.008, 0.012)
-"""Cycles that the plant's substep divides."""
+"""Cycles whose substeps are the same for every one of them, or shorter."""
 
 RANGES: dict[str, tuple[float | None, float | None]] = {
     "acceleration": (1e-4, 10.0),
@@ -32,9 +27,7 @@ RANGES: dict[str, tuple[float | None, float | None]] = {
     "frequency_hz": (1e-3, 500.0),
     "damping": (0.0, 3.0),
     "correlation_s": (1e-3, None),
-    "phase": (None, None),
     "period_s": (1e-3, 10.0),
-    "cycle_s": (min(CYCLES_S), max(CYCLES_S)),
     "lead_in_s": (0.0, 600.0),
     "duration_s": (0.0, 1e6),
     "close_s": (1e-3, 10.0),
@@ -47,18 +40,9 @@ RANGES: dict[str, tuple[float | None, float | None]] = {
 }
 """Lowest and highest value of the fields of that name; tuples item by item."""
 
-NOT_NEGATIVE = ("rate", "sigma", "delay_s", "jitter_s", "dead_time_s", "quantisation", "range")
-SHARES = ("rate", "outlier_rate", "dropout_rate")
-
-
-class _ScenarioFile(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-    scenario: Scenario
-
-
-class _TaskFile(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-    task: TaskFile
+SHARES = ("outlier_rate", "dropout_rate")
+NOT_NEGATIVE = ("sigma", "delay_s", "jitter_s", "dead_time_s", "quantisation", "range")
+"""How the names of fields begin or end that are never negative."""
 
 
 def shipped() -> tuple[str, ...]:
@@ -70,49 +54,31 @@ def load(name: str) -> Scenario:
     """Load a scenario by name, or by the path of its file.
 
     Raises:
-        FileError: there is no such file, or what is wrong in it.
+        FileError: there is no such file, or everything that is wrong in it.
     """
-    path = DATA / f"{name}.yaml" if name in shipped() else Path(name)
+    known = shipped()
+    path = DATA / f"{name}.yaml" if name in known else Path(name)
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        known = ", ".join(shipped())
-        raise FileError([f"{name}:1:1: (whole file): {error}; shipped are {known}"]) from error
-    return parse(text, path.name if name in shipped() else name)
+        data = path.read_bytes()
+    except (OSError, ValueError) as error:
+        what = f"{error}; shipped are {', '.join(known)}"
+        raise FileError([f"{name}:1:1: (file): {what}"]) from error
+    return parse(data, str(path))
 
 
-def parse(text: str, file: str) -> Scenario:
-    """Read a scenario from YAML.
+def parse(data: bytes, name: str) -> Scenario:
+    """Read a scenario from YAML; the file's stem names it unless it does so itself.
 
     Args:
-        text: of the file.
-        file: its name, for messages.
+        data: the file's bytes.
+        name: of the file, for messages.
 
     Raises:
         FileError: every error at once, as ``file:line:col: key: what``.
     """
-    return from_document(located.read(text, file))
-
-
-def from_document(document: Document) -> Scenario:
-    """Fill a scenario from plain values; the file's stem names it unless it does so itself."""
-    model = located.validate(document, _ScenarioFile, "scenario", _out_of_range)
-    scenario = model.scenario
-    if "name" in document.value:
-        return scenario
-    return replace(scenario, name=Path(document.file).stem)
-
-
-def check(plain: dict[str, Any], source: str) -> None:
-    """Refuse plain values that are out of range, where they do not come from a file.
-
-    Raises:
-        FileError: every error at once; ``source`` stands for the file.
-    """
-    document = Document(source, plain, {})
-    complaints = [document.line(path, what) for path, what in _out_of_range(plain)]
-    if complaints:
-        raise FileError(complaints)
+    document = documents.read(data, name)
+    scenario = documents.fill(document, Scenario, complaints)
+    return scenario if "name" in document.value else replace(scenario, name=Path(name).stem)
 
 
 def to_plain(scenario: Scenario) -> dict[str, Any]:
@@ -128,20 +94,35 @@ def schema(kind: str) -> dict[str, Any]:
         kind: "scenario" or "task".
 
     Raises:
-        KeyError: another kind.
+        ValueError: another kind.
     """
-    models: dict[str, type[BaseModel]] = {"scenario": _ScenarioFile, "task": _TaskFile}
-    whole = models[kind].model_json_schema()
-    definitions = whole["$defs"]
-    root = definitions.pop("Scenario" if kind == "scenario" else "TaskFile")
-    if kind == "scenario":
-        for definition in (root, *definitions.values()):
-            _add_ranges(definition)
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **root,
-        "$defs": definitions,
-    }
+    if kind == "task":
+        return task_file.schema()
+    if kind != "scenario":
+        raise ValueError(f"no schema {kind!r}; there are scenario and task")
+    whole = documents.schema(Scenario, "linemate scenario")
+    for definition in (whole, *whole["$defs"].values()):
+        _add_ranges(definition)
+    return whole
+
+
+def complaints(value: Any, path: documents.Path = ()) -> Iterator[Complaint]:
+    """Plain values that are out of their field's range; of what is no number nothing is said."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from complaints(item, (*path, key))
+    elif isinstance(value, list):
+        for i, item in enumerate(value):
+            yield from complaints(item, (*path, i))
+    elif isinstance(value, (int, float)) and not isinstance(value, bool):
+        name = next((part for part in reversed(path) if isinstance(part, str)), "")
+        low, high = _range(name)
+        if low is not None and value < low:
+            yield Complaint(path, f"should be at least {low}, not {value}")
+        elif high is not None and value > high:
+            yield Complaint(path, f"should be at most {high}, not {value}")
+        elif name == "cycle_s" and value not in CYCLES_S:
+            yield Complaint(path, f"should be one of {', '.join(map(str, CYCLES_S))}, not {value}")
 
 
 def _range(name: str) -> tuple[float | None, float | None]:
@@ -150,26 +131,8 @@ def _range(name: str) -> tuple[float | None, float | None]:
         return RANGES[name]
     if name in SHARES:
         return 0.0, 1.0
-    negative = not any(name.endswith(end) or name.startswith(end) for end in NOT_NEGATIVE)
-    return (None if negative else 0.0), None
-
-
-def _out_of_range(value: Any, path: located.Path = ()) -> Iterator[tuple[located.Path, str]]:
-    if isinstance(value, dict):
-        for key, item in value.items():
-            yield from _out_of_range(item, (*path, key))
-    elif isinstance(value, list):
-        for i, item in enumerate(value):
-            yield from _out_of_range(item, (*path, i))
-    elif isinstance(value, (int, float)) and not isinstance(value, bool):
-        name = next((part for part in reversed(path) if isinstance(part, str)), "")
-        low, high = _range(name)
-        if low is not None and value < low:
-            yield path, f"should be at least {low}, not {value}"
-        elif high is not None and value > high:
-            yield path, f"should be at most {high}, not {value}"
-        elif name == "cycle_s" and value not in CYCLES_S:
-            yield path, f"should be one of {', '.join(map(str, CYCLES_S))}, not {value}"
+    is_size = any(name.startswith(part) or name.endswith(part) for part in NOT_NEGATIVE)
+    return (0.0 if is_size else None), None
 
 
 def _add_ranges(definition: dict[str, Any]) -> None:

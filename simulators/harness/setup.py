@@ -9,16 +9,21 @@ import difflib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Any
 
-import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from linemate.daemon.control.settings import ControlSettings
+from linemate.daemon.service import documents, task_file
+from linemate.daemon.service.documents import FileError
+from linemate.daemon.service.files import DAEMON_DATA
 from linemate.daemon.tracking.settings import TrackingSettings
 from linemate.daemon.tracking.task import TaskFile
-from linemate.simulators.harness import located, scenario_file, tasks, variants
+from linemate.simulators.harness import scenario_file, variants
 from linemate.simulators.plants.scenario import Scenario
+
+TASK = "wheel.yaml"
 
 
 class OverrideError(ValueError):
@@ -34,6 +39,12 @@ class OverrideError(ValueError):
         self.key = key
 
 
+@cache
+def shipped_task() -> task_file.Task:
+    """The task that comes with the daemon: the wheel onto the hub."""
+    return task_file.load(DAEMON_DATA / TASK)
+
+
 @dataclass(frozen=True, slots=True)
 class Setup:
     """One run before its seed.
@@ -43,13 +54,15 @@ class Setup:
         tracking: the daemon's.
         control: the daemon's.
         task: the daemon's.
+        urdf: text of the task's URDF.
         variant: which transformation has been applied to tracking and control.
     """
 
     scenario: Scenario
     tracking: TrackingSettings = field(default_factory=TrackingSettings)
     control: ControlSettings = field(default_factory=ControlSettings)
-    task: TaskFile = field(default_factory=tasks.default)
+    task: TaskFile = field(default_factory=lambda: shipped_task().file)
+    urdf: str = field(default_factory=lambda: shipped_task().urdf, repr=False)
     variant: str = "default"
 
 
@@ -108,7 +121,6 @@ def override(setup: Setup, overrides: Sequence[str]) -> Setup:
         path = _resolve(plain, key)
         _put(plain, path, _value(key, text))
         whole = _validated(plain, key)
-    scenario_file.check(scenario_file.to_plain(whole.scenario), "--set")
     return replace(
         setup,
         scenario=whole.scenario,
@@ -119,15 +131,21 @@ def override(setup: Setup, overrides: Sequence[str]) -> Setup:
 
 
 def _value(key: str, text: str) -> Any:
+    """A value as a scenario file would have it."""
     try:
-        return yaml.load(text, Loader=located.Loader)  # noqa: S506 -- a SafeLoader's child
-    except yaml.YAMLError as error:
+        document = documents.read(f"value: {text}".encode(), "--set")
+    except FileError as error:
         raise OverrideError(key, f"{text!r} is not YAML") from error
+    if document.complaints:
+        raise OverrideError(key, document.complaints[0].what)
+    return document.value["value"]
 
 
 def _validated(plain: dict[str, Any], key: str) -> _Plain:
+    for complaint in scenario_file.complaints(plain["scenario"]):
+        raise OverrideError(key, f"{complaint.what} ({documents.spelled(complaint.path)})")
     try:
-        return _Plain.model_validate_json(json.dumps(plain, default=str), strict=True)
+        return _Plain.model_validate_json(json.dumps(plain), strict=True)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])

@@ -7,14 +7,14 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from linemate.daemon.service.documents import FileError
 from linemate.simulators.harness import scenario_file
-from linemate.simulators.harness.located import FileError
 from linemate.simulators.plants.scenario import Scenario, sample
 
 
 def complaints(text: str) -> list[str]:
     with pytest.raises(FileError) as caught:
-        scenario_file.parse(text, "x.yaml")
+        scenario_file.parse(text.encode(), "x.yaml")
     return list(caught.value.lines)
 
 
@@ -30,7 +30,7 @@ def test_the_default_scenario_is_the_papers_experiment() -> None:
 
 
 def test_an_empty_file_is_the_default_scenario() -> None:
-    assert scenario_file.parse("", "default.yaml") == Scenario(name="default")
+    assert scenario_file.parse(b"", "default.yaml") == Scenario(name="default")
 
 
 def test_every_error_is_told_at_once_in_order_with_its_place() -> None:
@@ -46,15 +46,15 @@ def test_every_error_is_told_at_once_in_order_with_its_place() -> None:
         "cycle_s: 0.005\n"
     )
     assert [line.split(": ")[:2] for line in complaints(text)] == [
-        ["x.yaml:1:1", "lead_in_s"],
+        ["x.yaml:1:12", "lead_in_s"],
         ["x.yaml:2:1", "conveyr"],
-        ["x.yaml:4:3", "conveyor.nominal_speed"],
-        ["x.yaml:6:7", "conveyor.events.0.kind"],
-        ["x.yaml:6:30", "conveyor.events.0.acceleration"],
-        ["x.yaml:7:6", "conveyor.events.1.acceleration"],
-        ["x.yaml:7:19", "conveyor.events.1.onset_s"],
-        ["x.yaml:8:10", "camera.dropout_rate"],
-        ["x.yaml:9:1", "cycle_s"],
+        ["x.yaml:4:18", "conveyor.nominal_speed"],
+        ["x.yaml:6:13", "conveyor.events[0].kind"],
+        ["x.yaml:6:44", "conveyor.events[0].acceleration"],
+        ["x.yaml:7:6", "conveyor.events[1].acceleration"],
+        ["x.yaml:7:28", "conveyor.events[1].onset_s"],
+        ["x.yaml:8:29", "camera.dropout_rate"],
+        ["x.yaml:9:10", "cycle_s"],
     ]
 
 
@@ -64,8 +64,8 @@ def test_every_error_is_told_at_once_in_order_with_its_place() -> None:
         ("a: {", "not YAML"),
         ("- 1", "mapping"),
         ("a: &a [*a]", "levels"),
-        ("seed: !!python/object:os.system x", "cannot be read"),
-        ("seed: yes", "valid integer"),
+        ("seed: !!python/object:os.system x", "tags"),
+        ("seed: yes", "quoted text"),
         ("seed: 1.5", "valid integer"),
         ("conveyor: 3", "conveyor"),
         ("contact: {step: [1, 2]}", "contact.step"),
@@ -81,22 +81,22 @@ def test_a_missing_file_names_those_that_are_shipped() -> None:
 
 
 def test_numbers_may_be_written_with_an_exponent() -> None:
-    assert scenario_file.parse("camera: {sigma: 1e-3}", "x.yaml").camera.sigma == 1e-3
+    assert scenario_file.parse(b"camera: {sigma: 1e-3}", "x.yaml").camera.sigma == 1e-3
 
 
 @given(st.integers(0, 2**32))
 def test_a_drawn_scenario_survives_its_own_file(seed: int) -> None:
     drawn = sample(seed, Scenario())
     text = yaml.safe_dump(scenario_file.to_plain(drawn))
-    assert scenario_file.parse(text, "x.yaml") == drawn
+    assert scenario_file.parse(text.encode(), "x.yaml") == drawn
 
 
-@given(st.text(max_size=200))
-def test_any_text_gives_a_scenario_or_the_one_error(text: str) -> None:
+@given(st.binary(max_size=200))
+def test_any_bytes_give_a_scenario_or_the_one_error(data: bytes) -> None:
     try:
-        assert isinstance(scenario_file.parse(text, "x.yaml"), Scenario)
+        assert isinstance(scenario_file.parse(data, "x.yaml"), Scenario)
     except FileError as error:
-        assert all(line.startswith("x.yaml:") for line in error.lines)
+        assert all(line.startswith("x.yaml:") for line in error.lines)  # noqa: PT017
 
 
 def test_the_schemas_know_every_key_and_the_ranges() -> None:

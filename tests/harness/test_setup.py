@@ -7,7 +7,6 @@ import pytest
 from linemate.daemon.control.settings import ControlSettings
 from linemate.daemon.tracking.settings import ClassifierKind, TrackingSettings
 from linemate.simulators.harness import setup, variants
-from linemate.simulators.harness.located import FileError
 from linemate.simulators.harness.setup import OverrideError
 from linemate.simulators.harness.variants import UnknownVariantError
 
@@ -51,7 +50,7 @@ def test_an_override_that_does_not_fit_is_refused_with_its_reason(override: str,
 
 
 def test_an_override_of_the_truth_keeps_to_the_files_ranges() -> None:
-    with pytest.raises(FileError, match="at most 1"):
+    with pytest.raises(OverrideError, match="at most 1"):
         setup.make("wheel", ["scenario.camera.dropout_rate=1.5"])
 
 
