@@ -31,6 +31,7 @@ class Inputs:
         wrench: new samples, oldest first, bounded.
         order: what the step may do.
         start: the edge on which the task begins.
+        sent: the command of the step before reached the wire; a robot that got none holds.
     """
 
     k: int
@@ -41,3 +42,4 @@ class Inputs:
     wrench: tuple[WrenchSample, ...] = ()
     order: Order = Order.HOLD
     start: bool = False
+    sent: bool = True

@@ -33,12 +33,18 @@ REST_ANGLE = 0.05  # [rad]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class State:
-    """Everything a step remembers."""
+    """Everything a step remembers.
+
+    Attributes:
+        tracker, control: of the two halves.
+        applied: (axes,) the last command that reached the wire.
+        moving: the robot has not come to rest since it last tracked.
+    """
 
     tracker: tracking.TrackerState
     control: control.ControlState
+    applied: Array
     moving: bool = False
-    robot: RobotSample | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,7 +131,7 @@ def initial(parameters: Parameters, robot: RobotSample) -> State:
     return State(
         tracker=tracking.at_rest(parameters.tracker, pose, _axis(parameters, joints)),
         control=control.at_rest(parameters.controller, joints, pose),
-        robot=robot,
+        applied=joints,
     )
 
 
@@ -138,7 +144,7 @@ def step(state: State, inputs: Inputs, parameters: Parameters) -> tuple[State, O
         parameters: compiled.
     """
     seen = _measurements(inputs, parameters)
-    state = replace(state, robot=inputs.robot or state.robot)
+    state = _applied(state, sent=inputs.sent)
     if inputs.order is Order.HOLD:
         return _hold(state, inputs, seen, parameters)
     retreat = inputs.order is Order.RETREAT
@@ -146,8 +152,16 @@ def step(state: State, inputs: Inputs, parameters: Parameters) -> tuple[State, O
         parameters.tracker, state.tracker, seen, start=inputs.start or retreat, retreat=retreat
     )
     steered, held = control.follow(parameters.controller, state.control, horizon)
-    state = State(tracker, steered, moving=True, robot=state.robot)
+    state = State(tracker, steered, state.applied, moving=True)
     return state, _outputs(state, inputs, report, horizon.poses, held, parameters)
+
+
+def _applied(state: State, *, sent: bool) -> State:
+    """Return the state with its gate at what the robot has: without a command it holds."""
+    if sent:
+        return replace(state, applied=state.control.gate.position)
+    gate = limits.at_rest(state.applied)
+    return replace(state, control=replace(state.control, gate=gate))
 
 
 def _hold(
@@ -164,7 +178,7 @@ def _hold(
         if still:
             steered = control.at_rest(parameters.controller, joints, pose)
         tracker = tracking.rest(parameters.tracker, tracker, pose, _axis(parameters, joints))
-        state = State(tracker, steered, moving=not still, robot=state.robot)
+        state = State(tracker, steered, state.applied, moving=not still)
     else:
         state = replace(state, tracker=tracker)
     return state, _outputs(state, inputs, report, None, held, parameters)

@@ -189,7 +189,7 @@ def follow(
         guesses[:, 6] = horizon.axis[:count]
     try:
         desired, _ = controller.arm.follow(
-            guesses, wanted[:, :3] @ C.T, [C @ rotations.exp(r) for r in wanted[:, 3:]]
+            guesses, wanted[:, :3] @ C.T, rotations.exp_each(wanted[:, 3:], C)
         )
     except UnreachableError as error:
         return stop(controller, state), str(error)

@@ -84,9 +84,9 @@ class Arm:
             residual = float(np.abs(error).max())
             if residual < tolerance:
                 return np.concatenate((q[1:7], q[:1])) if self.linear_axis else q
-            J = pin.getFrameJacobian(
-                self.model, self.data, self.flange, pin.ReferenceFrame.LOCAL
-            )[:, arm]
+            J = pin.getFrameJacobian(self.model, self.data, self.flange, pin.ReferenceFrame.LOCAL)[
+                :, arm
+            ]
             step = np.linalg.lstsq(J, error, rcond=1e-6)[0]
             q[arm] += step * min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-12))
         raise UnreachableError(residual)
@@ -130,9 +130,7 @@ class Arm:
         return joints, largest
 
 
-def load(
-    urdf: str, flange: str, position: Array, rotation: Array, *, linear_axis: bool
-) -> Arm:
+def load(urdf: str, flange: str, position: Array, rotation: Array, *, linear_axis: bool) -> Arm:
     """Return the arm of a URDF text with its tool.
 
     Args:

@@ -1,0 +1,1 @@
+"""The process: configuration, loop, clock, states, recorder, doors."""

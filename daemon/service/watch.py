@@ -38,7 +38,7 @@ class WatchSettings:
     """
 
     link_lost_s: Positive = 0.1
-    healthy_cycles: Count = 250
+    healthy_cycles: Count = 80
     missed: Count = 3
     missed_in_contact: Count = 12
     leak_limit: Count = 10

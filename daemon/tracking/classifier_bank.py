@@ -198,9 +198,7 @@ class BankClassifier:
             bank.B + rho * (nu / S),
             bank.age,
         )
-        return replace(
-            state, x=state.x + K * nu, P=state.P - np.outer(K, Ph), bank=bank, refused=0
-        )
+        return replace(state, x=state.x + K * nu, P=state.P - np.outer(K, Ph), bank=bank, refused=0)
 
     def _plausible(self, state: BankState, nu: float, rho: Array, gate: float) -> bool:
         """Tell whether an innovation lies in the range that the live hypotheses span."""
@@ -262,10 +260,10 @@ class BankClassifier:
         limit = settings.stop_confirmed if word == "stop" else settings.start_confirmed
         state = replace(state, odds=odds)
         if odds > limit:
-            events = ((word, "confirmed"),)
-            if not state.tentative:
-                events = ((word, "tentative"), *events)
-            return self._accept(replace(state, events=(*state.events, *events)), motion)
+            events = [*state.events, (word, "tentative"), (word, "confirmed")]
+            if state.tentative:
+                events.remove((word, "tentative"))
+            return self._accept(replace(state, events=tuple(events)), motion)
         if not state.tentative and odds > settings.perceived:
             return replace(state, tentative=True, events=(*state.events, (word, "tentative")))
         if state.tentative and odds < CALM:

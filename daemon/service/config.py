@@ -1,0 +1,241 @@
+"""The configuration file with everything that it names, checked before anything is opened.
+
+Law of this file: one reading tells every error of every file, as ``file:line:col: key: what``;
+what passes here can be started without another surprise from a file. Nothing is bound, opened
+for writing or changed.
+"""
+
+import ipaddress
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+from linemate.daemon.service import documents, files, task_file
+from linemate.daemon.service.command_server import CommandPortError, read_keys
+from linemate.daemon.service.documents import Complaint, FileError
+from linemate.daemon.service.files import UnreadableError
+from linemate.daemon.service.settings import Config
+from linemate.daemon.service.task_file import Task
+from linemate.protocol.command_keys import Key
+from linemate.protocol.distance import DistanceDecoder, DistanceError
+from linemate.protocol.rsi import RsiCodec
+from linemate.protocol.rsi_config import RsiConfig, parse_config
+from linemate.protocol.rsi_scan import RsiError
+
+T = TypeVar("T")
+
+MAX_LINK_BYTES = 1_048_576
+CREDENTIAL = "credential:"
+
+_ADDRESSES = (
+    ("rsi", "bind"),
+    ("rsi", "peer"),
+    ("camera", "bind"),
+    ("command", "udp", "bind"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Station:
+    """All that a daemon is started with.
+
+    Attributes:
+        path: of the configuration file.
+        config: what it says.
+        task: the task and the arm.
+        rsi: the controller's own configuration.
+        dbc: the distance sensor's, None without one.
+        keys: pre-shared keys of the command port.
+        texts: the files by role, for recordings: config, task, urdf, rsi, dbc.
+    """
+
+    path: Path
+    config: Config
+    task: Task
+    rsi: RsiConfig
+    dbc: str | None
+    keys: tuple[Key, ...]
+    texts: dict[str, str] = field(repr=False)
+
+    @property
+    def rsi_port(self) -> int:
+        """The port telegrams come to."""
+        port = self.config.rsi.port
+        return self.rsi.port if port is None else port
+
+
+def load(path: Path) -> Station:
+    """Load a configuration file and everything that it names.
+
+    Raises:
+        FileError: every error at once.
+    """
+    try:
+        data = files.read(path, documents.MAX_BYTES)
+    except UnreadableError as error:
+        raise FileError([f"{path}:1:1: (file): {error}"]) from error
+    document = documents.read(data, str(path))
+    named = _Named(path.parent, document.value)
+    try:
+        config = documents.fill(document, Config, named.complaints)
+    except FileError as error:
+        raise FileError([*error.lines, *named.elsewhere]) from error
+    if named.elsewhere or named.task is None or named.rsi is None:
+        raise FileError(named.elsewhere)
+    texts = {"config": data.decode("utf-8-sig"), **named.texts}
+    return Station(path, config, named.task, named.rsi, named.dbc, named.keys, texts)
+
+
+def schema() -> dict[str, Any]:
+    """The JSON schema of configuration files."""
+    return documents.schema(Config, "linemate configuration")
+
+
+class _Named:
+    """The files that a configuration names, and what is wrong with them.
+
+    Works on plain values, so that their errors come together with the file's own.
+    """
+
+    def __init__(self, base: Path, value: Any) -> None:
+        self.task: Task | None = None
+        self.rsi: RsiConfig | None = None
+        self.dbc: str | None = None
+        self.keys: tuple[Key, ...] = ()
+        self.texts: dict[str, str] = {}
+        self.elsewhere: list[str] = []
+        self._decoder: tuple[str, str, str] | None = None
+        self._base = base
+        self._value = value
+
+    def complaints(self, _: Any) -> Iterator[Complaint]:
+        """Read all files; what is wrong in the task file goes to ``elsewhere``."""
+        yield from self._attempt(("task",), self._read_task)
+        yield from self._attempt(("rsi", "config"), self._read_rsi)
+        yield from self._attempt(("distance", "dbc"), self._read_dbc)
+        yield from self._attempt(("distance", "message"), self._look_at_message)
+        yield from self._attempt(("command", "udp", "keys"), self._read_keys)
+        yield from self._attempt(("recording", "directory"), self._look_at_directory)
+        yield from self._attempt(("command", "socket"), self._look_at_socket)
+        yield from self._attempt(("distance", "can"), self._look_at_can)
+        for path in _ADDRESSES:
+            yield from self._attempt(path, partial(self._look_at_address, path))
+        yield from self._attempt(("command", "udp", "bind"), self._look_at_consent)
+
+    def _attempt(self, path: tuple[str, ...], read: Callable[[], None]) -> Iterator[Complaint]:
+        try:
+            read()
+        except FileError as error:
+            self.elsewhere.extend(error.lines)
+        except (UnreadableError, RsiError, DistanceError, CommandPortError, ValueError) as error:
+            yield Complaint(path, str(error))
+
+    def _get(self, *path: str, kind: type[T], default: T | None = None) -> T | None:
+        """A value of the right kind, the default where it is not given, else None."""
+        value = self._value
+        for part in path:
+            if not isinstance(value, dict):
+                return None
+            if part not in value:
+                return default
+            value = value[part]
+        return value if isinstance(value, kind) else None
+
+    def _has(self, section: str) -> bool:
+        return self._get(section, kind=dict) is not None
+
+    def _read_task(self) -> None:
+        name = self._get("task", kind=str)
+        if name:
+            path = files.find(name, self._base, files.DAEMON_DATA)
+            self.task = task_file.load(path)
+            self.texts |= {"task": self.task.text, "urdf": self.task.urdf}
+
+    def _read_rsi(self) -> None:
+        name = self._get("rsi", "config", kind=str, default="rsi_joints.xml")
+        if not self._has("rsi"):
+            name = "rsi_joints.xml"
+        if name:
+            path = files.find(name, self._base, files.PROTOCOL_DATA)
+            data = files.read(path, MAX_LINK_BYTES)
+            self.rsi = parse_config(data)
+            RsiCodec(self.rsi)
+            self.texts["rsi"] = data.decode("utf-8", errors="replace")
+
+    def _read_dbc(self) -> None:
+        if not self._has("distance"):
+            return
+        name = self._get("distance", "dbc", kind=str, default="distance.dbc")
+        message = self._get("distance", "message", kind=str, default="CIA406_TPDO1")
+        signal = self._get("distance", "signal", kind=str, default="Position")
+        if name and message and signal:
+            path = files.find(name, self._base, files.PROTOCOL_DATA)
+            text = files.read_text(path, MAX_LINK_BYTES)
+            self.dbc = self.texts["dbc"] = text
+            self._decoder = (text, message, signal)
+
+    def _look_at_message(self) -> None:
+        if self._decoder is not None:
+            DistanceDecoder(*self._decoder)
+
+    def _read_keys(self) -> None:
+        name = self._get("command", "udp", "keys", kind=str)
+        if name:
+            self.keys = read_keys(key_path(name, self._base))
+            if not self.keys:
+                raise ValueError("holds no key; make one with `linemate keygen`")
+
+    def _look_at_directory(self) -> None:
+        name = self._get("recording", "directory", kind=str)
+        if name and not os.access(self._base / name, os.W_OK | os.X_OK):
+            raise ValueError(f"not a directory that can be written: {self._base / name}")
+
+    def _look_at_socket(self) -> None:
+        name = self._get("command", "socket", kind=str)
+        if name is None:
+            return
+        path = self._base / name
+        if len(os.fsencode(path)) > 107:
+            raise ValueError("longer than the 107 bytes a socket's path may have")
+        if not path.parent.is_dir():
+            raise ValueError(f"no such directory: {path.parent}")
+
+    def _look_at_can(self) -> None:
+        can: dict[str, Any] = self._get("distance", "can", kind=dict) or {}
+        nested = [key for key, value in can.items() if isinstance(value, (dict, list))]
+        if nested:
+            raise ValueError(f"should hold plain values: {', '.join(nested)}")
+        if self._has("distance") and self._get("distance", "can", "interface", kind=str) is None:
+            raise ValueError("needs an interface: slcan, socketcan, ...")
+
+    def _look_at_address(self, path: tuple[str, ...]) -> None:
+        text = self._get(*path, kind=str)
+        if text is not None:
+            ipaddress.ip_address(text)
+
+    def _look_at_consent(self) -> None:
+        text = self._get("command", "udp", "bind", kind=str, default="127.0.0.1")
+        remote = self._get("command", "udp", "allow_remote", kind=bool, default=False)
+        if text and not remote and not ipaddress.ip_address(text).is_loopback:
+            raise ValueError(f"{text} can be reached by others; say allow_remote: true")
+
+
+def key_path(name: str, base: Path) -> Path:
+    """Where a key file is.
+
+    Args:
+        name: a path, or ``credential:NAME`` for systemd's LoadCredential.
+        base: directory of the configuration file.
+
+    Raises:
+        ValueError: a credential where systemd gave none.
+    """
+    if not name.startswith(CREDENTIAL):
+        return base / name
+    directory = os.environ.get("CREDENTIALS_DIRECTORY")
+    if directory is None:
+        raise ValueError("no credentials here: systemd's LoadCredential gives them")
+    return Path(directory) / Path(name.removeprefix(CREDENTIAL)).name

@@ -1,0 +1,399 @@
+"""The cyclic heart of the daemon: a telegram in, a reply out; no socket, no clock, no await.
+
+Law of this file: it owns everything that changes from cycle to cycle (exchange, operating state,
+the step's state, the samples that wait) and does the same in real and in virtual time. Whoever
+calls it brings bytes and stamps and takes bytes away; the reply first, ``take_log`` after it.
+"""
+
+from collections import deque
+from collections.abc import Hashable
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from linemate.daemon import step as stepping
+from linemate.daemon.inputs import Inputs
+from linemate.daemon.parameters import Parameters
+from linemate.daemon.service import states, watch
+from linemate.daemon.service.states import Machine
+from linemate.daemon.tracking.task import Phase
+from linemate.protocol.exchange import Exchange
+from linemate.protocol.rsi import PreparedReply, RobotTelegram, RsiCodec, RsiError, SensorTelegram
+from linemate.protocol.samples import CameraSample, DistanceSample, RobotSample, WrenchSample
+
+Sample = TypeVar("Sample")
+
+LONGEST_LOG = 256
+CATCH_UP_S = 0.3  # steps made at once after a gap, at most
+
+
+@dataclass(frozen=True, slots=True)
+class LogEntry:
+    """One step as the recorder wants it: the IPOC it answered (None: none), in and out."""
+
+    ipoc: int | None
+    state: str
+    inputs: Inputs
+    outputs: stepping.Outputs
+
+
+@dataclass(frozen=True, slots=True)
+class _Prepared:
+    """A step made before its telegram: what it assumed, and its reply but for the IPOC."""
+
+    stamp_ns: int
+    reply: PreparedReply
+    entry: LogEntry
+
+
+class Inbox(Generic[Sample]):
+    """Samples that wait for the next step: bounded, the oldest dropped and counted."""
+
+    def __init__(self, size: int) -> None:
+        self._samples: deque[Sample] = deque(maxlen=size)
+        self.taken = 0
+        self.dropped = 0
+
+    def put(self, sample: Sample) -> None:
+        """Add the newest sample."""
+        if len(self._samples) == self._samples.maxlen:
+            self.dropped += 1
+        self._samples.append(sample)
+
+    def take(self) -> tuple[Sample, ...]:
+        """Return all that wait, oldest first."""
+        if not self._samples:
+            return ()
+        samples = tuple(self._samples)
+        self._samples.clear()
+        self.taken += len(samples)
+        return samples
+
+
+class Cycle:
+    """What the daemon does each cycle."""
+
+    def __init__(
+        self,
+        parameters: Parameters,
+        codec: RsiCodec,
+        watch_settings: watch.WatchSettings | None = None,
+        *,
+        absolute: bool = True,
+        wrench_expected: bool = True,
+    ) -> None:
+        """Wait for the first telegram.
+
+        Args:
+            parameters: of the step.
+            codec: of the robot's telegrams.
+            watch_settings: time-outs and debounce.
+            absolute: corrections are offsets from the start (#ABSOLUTE), else increments.
+            wrench_expected: there is a force-torque sensor.
+        """
+        self.parameters = parameters
+        self.codec = codec
+        self.exchange = Exchange(parameters.cycle_s)
+        self.machine = Machine()
+        self.distance: Inbox[DistanceSample] = Inbox(32)
+        self.camera: Inbox[CameraSample] = Inbox(16)
+        self.wrench: Inbox[WrenchSample] = Inbox(64)
+        self.refused = 0
+        self.last_refusal: str | None = None
+        self.inline = 0
+        self.prepared = 0
+        self.steps = 0
+        self.log_dropped = 0
+        self.last: LogEntry | None = None
+        self._settings = watch_settings or watch.WatchSettings()
+        self._absolute = absolute
+        self._wrench_expected = wrench_expected
+        self._watch = watch.Watch()
+        self._signals = states.Signals()
+        self._orders: set[str] = set()
+        self._state: stepping.State | None = None
+        self._robot: RobotSample | None = None
+        self._start: tuple[float, ...] = ()
+        self._sent: tuple[float, ...] | None = None
+        self._was_sent = True
+        self._new_session = False
+        self._stamp_ns = 0
+        self._position_ns: int | None = None
+        self._wrench_ns: int | None = None
+        self._ready: _Prepared | None = None
+        self._log: deque[LogEntry] = deque(maxlen=LONGEST_LOG)
+        tags = {element.tag for element in codec.config.receive}
+        self._writes_external = any(tag.startswith(("EK.", "EKorr.")) for tag in tags)
+        self._writes_signals = "DiO" in tags
+
+    # Samples.
+
+    def feed_distance(self, sample: DistanceSample) -> None:
+        """Take a sample of the distance sensor for the next step."""
+        self.distance.put(sample)
+
+    def feed_camera(self, sample: CameraSample) -> None:
+        """Take a camera's pose for the next step."""
+        self.camera.put(sample)
+
+    def feed_wrench(self, sample: WrenchSample) -> None:
+        """Take a wrench for the next step."""
+        self.wrench.put(sample)
+
+    # Orders.
+
+    def order(self, op: str, who: str = "") -> str | None:
+        """Take an operator's order for the next step.
+
+        Args:
+            op: arm, start, stop, retreat or ack.
+            who: gave it; for the log of the caller.
+
+        Returns:
+            None, or why it is refused.
+        """
+        del who
+        reason = states.refusal(self.machine, self._signals, op)
+        if reason is not None and op == "arm" and self.last is not None:
+            reason = self.last.outputs.ready or reason
+        if reason is None:
+            self._orders.add(op)
+        return reason
+
+    # The cycle.
+
+    def on_telegram(self, data: bytes, stamp_ns: int, peer: Hashable = None) -> bytes | None:
+        """Return the reply to one telegram, None if it is not to be answered.
+
+        Args:
+            data: the datagram.
+            stamp_ns: its arrival [ns].
+            peer: who sent it.
+        """
+        try:
+            telegram = self.codec.parse_robot(data)
+            robot = self._robot_sample(telegram, stamp_ns)
+        except RsiError as error:
+            self.refused += 1
+            self.last_refusal = str(error)
+            return None
+        verdict = self.exchange.on_telegram(telegram.ipoc, stamp_ns, peer)
+        if not verdict.answer:
+            return None
+        if self._state is None or verdict.kind in {"first", "new_session"}:
+            self._open_session(robot)
+        reply = self._answer(telegram, stamp_ns, verdict.steps)
+        self._robot = robot
+        return reply
+
+    def prepare(self, stamp_ns: int) -> bool:
+        """Make the step of a telegram that is expected at ``stamp_ns``; True if it is ready."""
+        if self._state is None or self._ready is not None:
+            return False
+        entry = self._step(stamp_ns, telegram=True)
+        self._ready = _Prepared(stamp_ns, self._reply(entry), entry)
+        return True
+
+    def on_missing(self, stamp_ns: int) -> None:
+        """Make the step of a cycle whose telegram did not come, as its deadline passes."""
+        self.exchange.on_missing()
+        if self._state is None:
+            return
+        if self._ready is not None:
+            self._note(self._ready.entry, None)
+            self._ready = None
+        else:
+            self._note(self._step(stamp_ns, telegram=False), None)
+        self._was_sent = False
+
+    def take_log(self) -> list[LogEntry]:
+        """Return the steps since the last call, oldest first; to be called after the reply."""
+        entries = list(self._log)
+        self._log.clear()
+        return entries
+
+    def _robot_sample(self, telegram: RobotTelegram, stamp_ns: int) -> RobotSample:
+        """Return what a telegram says of the robot.
+
+        Raises:
+            RsiError: the configuration sends no joints, or no linear axis that the arm has.
+        """
+        external = telegram.external or ()
+        if telegram.joints is None:
+            raise RsiError("the telegram has no AIPos: the daemon needs the joints")
+        if self.parameters.controller.arm.linear_axis and not external:
+            raise RsiError("the telegram has no EIPos: the task's arm has a linear axis")
+        signals = telegram.channels.get("DiL", 0)
+        return RobotSample(
+            stamp_ns=stamp_ns,
+            ipoc=telegram.ipoc,
+            joints=telegram.joints,
+            external=external,
+            delay=telegram.delay,
+            digital_in=int(signals) if isinstance(signals, (int, float)) else 0,
+        )
+
+    def _open_session(self, robot: RobotSample) -> None:
+        """Begin anew where the robot stands: corrections are zero there, arming is needed."""
+        self._new_session = self._state is not None
+        self._state = stepping.initial(self.parameters, robot)
+        self._start = self._axes(robot)
+        self._sent = None
+        self._robot = robot
+        self._ready = None
+        self._was_sent = True
+
+    def _axes(self, robot: RobotSample) -> tuple[float, ...]:
+        """Return a telegram's axes in the controller's order."""
+        if self.parameters.controller.arm.linear_axis:
+            return (*robot.joints, robot.external[0])
+        return robot.joints
+
+    def _answer(self, telegram: RobotTelegram, stamp_ns: int, steps: int) -> bytes:
+        """Return the reply after as many steps as the controller made cycles."""
+        ready, self._ready = self._ready, None
+        period = round(self.parameters.cycle_s * 1e9)
+        if ready is not None and steps <= 1:
+            self.prepared += 1
+            entry, reply = ready.entry, ready.reply
+        else:
+            if ready is not None:
+                self._note(ready.entry, None)
+                self._was_sent = False
+                steps -= 1
+            most = max(1, round(CATCH_UP_S / self.parameters.cycle_s))
+            for back in range(min(steps, most) - 1, 0, -1):
+                self._note(self._step(stamp_ns - back * period, telegram=False), None)
+                self._was_sent = False
+            self.inline += 1
+            entry = self._step(stamp_ns, telegram=True)
+            reply = self._reply(entry)
+        self._note(entry, telegram.ipoc)
+        self._was_sent = True
+        self._sent = entry.outputs.command
+        return reply.with_ipoc(telegram.ipoc_text)
+
+    def _step(self, stamp_ns: int, *, telegram: bool) -> LogEntry:
+        """Make one sampling step: operating state first, then the pure step."""
+        distance, camera, wrench = self.distance.take(), self.camera.take(), self.wrench.take()
+        if distance:
+            self._position_ns = distance[-1].stamp_ns
+        if camera:
+            self._position_ns = max(self._position_ns or 0, camera[-1].stamp_ns)
+        if wrench:
+            self._wrench_ns = wrench[-1].stamp_ns
+        before = self.machine
+        self._decide(stamp_ns, telegram=telegram)
+        started = self.machine is not before and self.machine.state is states.State.TRACK
+        inputs = Inputs(
+            k=self.steps,
+            stamp_ns=stamp_ns,
+            robot=self._robot,
+            distance=distance,
+            camera=camera,
+            wrench=wrench,
+            order=states.order(self.machine),
+            start=started,
+            sent=self._was_sent,
+        )
+        self._robot = None
+        assert self._state is not None  # noqa: S101 - a session is open
+        self._state, outputs = stepping.step(self._state, inputs, self.parameters)
+        self.steps += 1
+        self._stamp_ns = stamp_ns
+        return LogEntry(None, self.machine.state.value, inputs, outputs)
+
+    def _decide(self, stamp_ns: int, *, telegram: bool) -> None:
+        """Move the operating state on what was seen up to now."""
+        outputs = self.last.outputs if self.last is not None else None
+        facts = watch.Facts(
+            stamp_ns=stamp_ns,
+            telegram=telegram,
+            new_session=self._new_session,
+            position_ns=self._position_ns,
+            wrench_ns=self._wrench_ns,
+            wrench_expected=self._wrench_expected,
+            ready=outputs is not None and outputs.ready is None,
+            contact=outputs is not None and outputs.contact,
+            overload=outputs is not None and outputs.overload,
+            done=outputs is not None and outputs.phase is Phase.RETREAT,
+            clear=outputs is not None and outputs.finished,
+            orders=frozenset(self._orders),
+        )
+        self._orders.clear()
+        self._new_session = False
+        self._watch, self._signals = watch.observe(self._watch, facts, self.machine, self._settings)
+        self.machine = states.transition(self.machine, self._signals)
+
+    def _reply(self, entry: LogEntry) -> PreparedReply:
+        """Return the reply to a step but for the IPOC: corrections, or increments."""
+        command = entry.outputs.command
+        origin = self._start if self._absolute else (self._sent or self._start)
+        offsets = tuple(c - o for c, o in zip(command, origin, strict=True))
+        return self.codec.prepare_sensor(
+            SensorTelegram(
+                ipoc=0,
+                joints=offsets[:6],  # type: ignore[arg-type]
+                external=offsets[6:] if self._writes_external else None,
+                channels={"DiO": entry.outputs.digital_out} if self._writes_signals else {},
+            )
+        )
+
+    def _note(self, entry: LogEntry, ipoc: int | None) -> None:
+        """Remember a step for the log."""
+        if ipoc is not None:
+            entry = LogEntry(ipoc, entry.state, entry.inputs, entry.outputs)
+        self.last = entry
+        if len(self._log) == LONGEST_LOG:
+            self.log_dropped += 1
+        self._log.append(entry)
+
+    # What others may know.
+
+    def status(self) -> dict[str, Any]:
+        """Return what an operator wants to know; plain values only."""
+        entry = self.last
+        status: dict[str, Any] = {
+            "state": self.machine.state.value,
+            "because": self.machine.because,
+            "latched": self.machine.latched,
+            "link": self._signals.link.value,
+            "steps": self.steps,
+            "prepared": self.prepared,
+            "inline": self.inline,
+            "telegrams": {**self.exchange.counters, "unreadable": self.refused},
+            "last_refusal": self.last_refusal,
+            "unfit": states.unfit(self._signals),
+            "dropped": {
+                "distance": self.distance.dropped,
+                "camera": self.camera.dropped,
+                "wrench": self.wrench.dropped,
+                "log": self.log_dropped,
+            },
+            "ages_s": {
+                "position": self._age(self._position_ns),
+                "wrench": self._age(self._wrench_ns),
+            },
+        }
+        if entry is not None:
+            outputs = entry.outputs
+            status |= {
+                "phase": outputs.phase.value,
+                "task_time": outputs.task_time,
+                "scenario": outputs.scenario,
+                "scenario_state": outputs.scenario_state,
+                "confidence": outputs.confidence,
+                "speed": outputs.speed,
+                "contact": outputs.contact,
+                "overload": outputs.overload,
+                "held": outputs.held,
+                "ready": outputs.ready,
+                "target": outputs.target,
+                "sensed": outputs.sensed,
+                "part": outputs.part,
+                "command": outputs.command,
+            }
+        return status
+
+    def _age(self, stamp_ns: int | None) -> float | None:
+        """Return how old a stamp is at the last step [s]."""
+        return None if stamp_ns is None else (self._stamp_ns - stamp_ns) * 1e-9

@@ -1,0 +1,336 @@
+"""YAML files, read strictly: frozen dataclasses, or every error at once with its place.
+
+Law of this file: bytes in; values or complaints out, for any bytes. A plain value that YAML 1.1
+and 1.2 read differently (``no``, ``010``, ``12:30``, ``1_000``, a date) is refused and never
+guessed at; ``1e-3`` is a number. Keys given twice or unknown are errors, as is what is not finite.
+"""
+
+import json
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError, create_model
+
+T = TypeVar("T")
+
+Path = tuple[str | int, ...]
+"""Keys and indices from the file's root."""
+
+Place = tuple[int, int]
+"""Line and column, from 1."""
+
+MAX_BYTES = 262_144
+MAX_NODES = 20_000
+MAX_DEPTH = 20
+
+_NULL = frozenset({"", "~", "null", "Null", "NULL"})
+_BOOL = {"true": True, "True": True, "TRUE": True, "false": False, "False": False, "FALSE": False}
+_INTEGER = re.compile(r"[-+]?(0|[1-9][0-9]{0,30})|0x[0-9a-fA-F]{1,16}")
+_FLOAT = re.compile(r"[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?")
+_NOT_FINITE = re.compile(r"[-+]?\.?(inf|nan|infinity)", re.IGNORECASE)
+_AMBIGUOUS = (
+    (re.compile(r"y|n|yes|no|on|off", re.IGNORECASE), "true, false or a quoted text"),
+    (re.compile(r"[-+]?0[0-9]+|0[ob][0-9]+"), "a number without leading zeros or a quoted text"),
+    (re.compile(r"[-+]?[0-9]+(:[0-5]?[0-9])+(\.[0-9]*)?"), "a quoted text"),
+    (re.compile(r"[-+]?[0-9][0-9.]*_[0-9_.]*"), "a number without separators or a quoted text"),
+    (re.compile(r"[0-9]{4}-[0-9]{1,2}-[0-9]{1,2}([Tt ].*)?"), "a quoted text"),
+)
+
+
+class FileError(Exception):
+    """Everything that is wrong with one file or several.
+
+    Attributes:
+        lines: one ``file:line:col: key: what`` an error.
+    """
+
+    def __init__(self, lines: Sequence[str]) -> None:
+        """Keep the lines and print them."""
+        super().__init__("\n".join(lines))
+        self.lines = tuple(lines)
+
+
+@dataclass(frozen=True, slots=True)
+class Complaint:
+    """One thing that is wrong.
+
+    Attributes:
+        path: where in the values.
+        what: for whoever wrote the file.
+        at_key: it is the key that is wrong, not its value.
+        place: where, if the path does not say it.
+    """
+
+    path: Path
+    what: str
+    at_key: bool = False
+    place: Place | None = None
+
+
+@dataclass(slots=True)
+class Document:
+    """What a file says.
+
+    Attributes:
+        name: of the file, for messages.
+        value: plain values: dict, list, str, int, float, bool, None.
+        values, keys: where each value and each key stands.
+        complaints: what could not be read.
+    """
+
+    name: str
+    value: Any = None
+    values: dict[Path, Place] = field(default_factory=dict)
+    keys: dict[Path, Place] = field(default_factory=dict)
+    complaints: list[Complaint] = field(default_factory=list)
+
+    def place(self, complaint: Complaint) -> Place:
+        """The nearest known place of a complaint."""
+        path = complaint.path
+        if complaint.place is not None:
+            return complaint.place
+        if complaint.at_key and path in self.keys:
+            return self.keys[path]
+        while path and path not in self.values:
+            path = path[:-1]
+        return self.values.get(path, (1, 1))
+
+    def line(self, complaint: Complaint) -> str:
+        """A complaint as ``file:line:col: key: what``."""
+        line, column = self.place(complaint)
+        return f"{self.name}:{line}:{column}: {spelled(complaint.path)}: {complaint.what}"
+
+    def lines(self, complaints: Iterable[Complaint]) -> list[str]:
+        """Complaints in the order of their places, each said once."""
+        ordered = sorted(complaints, key=lambda c: (self.place(c), spelled(c.path)))
+        return list(dict.fromkeys(map(self.line, ordered)))
+
+
+def spelled(path: Path) -> str:
+    """A path as an operator writes it: ``waypoints[2].time``."""
+    text = ""
+    for part in path:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
+    return text or "(file)"
+
+
+def read(data: bytes, name: str) -> Document:
+    """Read YAML and keep places.
+
+    Args:
+        data: the file's bytes.
+        name: of the file, for messages.
+
+    Returns:
+        A document; what could not be read stands in its complaints.
+
+    Raises:
+        FileError: not UTF-8, not YAML, or beyond reason.
+    """
+    if len(data) > MAX_BYTES:
+        raise FileError([f"{name}:1:1: (file): longer than {MAX_BYTES} bytes"])
+    text = _decoded(data, name)
+    try:
+        node = yaml.compose(text, Loader=yaml.BaseLoader)
+    except (yaml.YAMLError, ValueError, OverflowError) as error:
+        # ValueError: PyYAML lets chr() speak of an escape beyond Unicode.
+        raise FileError([_not_yaml(error, text, name)]) from error
+    except RecursionError as error:
+        raise FileError([f"{name}:1:1: (file): nested too deep"]) from error
+    document = Document(name, {})
+    if node is not None:
+        _Walk(document).whole(node)
+    return document
+
+
+def fill(
+    document: Document,
+    target: type[T],
+    check: Callable[[Any], Iterable[Complaint]] = lambda _: (),
+) -> T:
+    """Make a dataclass of a document: no unknown key, no text for a number.
+
+    Args:
+        document: what a file says.
+        target: a dataclass of dataclasses with annotated ranges.
+        check: what else is wrong with the plain values; they may be of any kind.
+
+    Raises:
+        FileError: every error at once.
+    """
+    found = list(document.complaints)
+    filled: T | None = None
+    try:
+        wrapped = _model(target).model_validate_json(json.dumps({"root": document.value}))
+        filled = getattr(wrapped, "root")  # noqa: B009 -- the model is made at run time
+    except ValidationError as error:
+        unread = {complaint.path for complaint in found}
+        wrong = (_complaint(dict(one)) for one in error.errors(include_url=False))
+        found.extend(complaint for complaint in wrong if complaint.path not in unread)
+    said = {complaint.path for complaint in found}
+    found.extend(c for c in check(document.value) if c.path not in said)
+    if found or filled is None:
+        raise FileError(document.lines(found))
+    return filled
+
+
+def schema(target: type[Any], title: str) -> dict[str, Any]:
+    """The JSON schema of a file.
+
+    Args:
+        target: the dataclass that the file fills.
+        title: of the schema.
+    """
+    whole = _model(target).model_json_schema()
+    definitions: dict[str, Any] = whole.pop("$defs")
+    root = definitions.pop(target.__name__)
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **root,
+        "title": title,
+        "$defs": definitions,
+    }
+
+
+def _model(target: type[Any]) -> type[BaseModel]:
+    """One document under one key, so that stdlib dataclasses inherit the strict settings."""
+    strict = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+    fields: dict[str, Any] = {"root": (target, ...)}
+    return create_model(f"{target.__name__}File", __config__=strict, **fields)
+
+
+def _complaint(error: Mapping[str, Any]) -> Complaint:
+    kind, message, path = error["type"], str(error["msg"]), tuple(error["loc"][1:])
+    if kind in {"unexpected_keyword_argument", "extra_forbidden"}:
+        return Complaint(path, "unknown key", at_key=True)
+    if kind in {"missing", "missing_argument"}:
+        return Complaint(path, "missing")
+    what = message.removeprefix("Input ").replace("an object", "a mapping")
+    return Complaint(path, what + _shown(error.get("input")))
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, (dict, list)):
+        return ""
+    text = "nothing" if value is None else json.dumps(value, ensure_ascii=False)
+    return f", not {text if len(text) <= 60 else text[:57] + '...'}"
+
+
+def _decoded(data: bytes, name: str) -> str:
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        before = data[: error.start]
+        line = before.count(b"\n") + 1
+        column = error.start - (before.rfind(b"\n") + 1) + 1
+        what = f"not UTF-8: byte 0x{data[error.start]:02x}"
+        raise FileError([f"{name}:{line}:{column}: (file): {what}"]) from error
+
+
+def _not_yaml(error: Exception, text: str, name: str) -> str:
+    mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
+    problem = getattr(error, "problem", None) or getattr(error, "reason", None) or str(error)
+    if mark is not None:
+        line, column = mark.line + 1, mark.column + 1
+    else:
+        before = text[: getattr(error, "position", 0)]
+        line, column = before.count("\n") + 1, len(before) - (before.rfind("\n") + 1) + 1
+    return f"{name}:{line}:{column}: (file): not YAML: {' '.join(str(problem).split())}"
+
+
+@dataclass(slots=True)
+class _Walk:
+    """Goes through a node tree, builds values and notes places."""
+
+    document: Document
+    nodes: int = 0
+
+    def whole(self, node: yaml.Node) -> None:
+        """The file's root, which is a mapping or nothing."""
+        value = self.value(node, ())
+        if value is None:
+            return
+        if isinstance(value, dict):
+            self.document.value = value
+        else:
+            self._complain((), "should be a mapping of keys to values")
+
+    def value(self, node: yaml.Node, path: Path) -> Any:
+        """The node's plain value."""
+        self.nodes += 1
+        # An alias of aliases grows a small file into a large one, or into an endless one.
+        if self.nodes > MAX_NODES or len(path) > MAX_DEPTH:
+            what = f"more than {MAX_NODES} values or {MAX_DEPTH} levels"
+            raise FileError([f"{self.document.name}:1:1: (file): {what}"])
+        self.document.values[path] = _place(node)
+        if not node.tag.startswith("tag:yaml.org,2002:") or node.tag[18:] not in _TAGS:
+            self._complain(path, f"tags are not understood: {node.tag}")
+            return None
+        if isinstance(node, yaml.MappingNode):
+            return dict(self._items(node, path))
+        if isinstance(node, yaml.ScalarNode):
+            return self._scalar(node.value, path, plain=node.style is None)
+        return [self.value(item, (*path, i)) for i, item in enumerate(node.value)]
+
+    def _items(self, node: yaml.MappingNode, path: Path) -> Iterator[tuple[str, Any]]:
+        first: dict[str, Place] = {}
+        for key_node, value_node in node.value:
+            if not isinstance(key_node, yaml.ScalarNode):
+                self._complain(path, "a key should be a text")
+                continue
+            key = key_node.value
+            here = (*path, key)
+            if key in first:
+                what = f"given twice, first in line {first[key][0]}"
+                self._complain(here, what, _place(key_node))
+                continue
+            first[key] = self.document.keys[here] = _place(key_node)
+            yield key, self.value(value_node, here)
+
+    def _scalar(self, text: str, path: Path, *, plain: bool) -> Any:
+        if not plain:
+            return text
+        try:
+            return _plain(text)
+        except ValueError as error:
+            self._complain(path, str(error))
+            return None
+
+    def _complain(self, path: Path, what: str, place: Place | None = None) -> None:
+        self.document.complaints.append(Complaint(path, what, place=place))
+
+
+_TAGS = frozenset({"str", "map", "seq"})
+
+
+def _plain(text: str) -> Any:
+    """The value of an unquoted scalar.
+
+    Raises:
+        ValueError: not finite, or read differently by other readers.
+    """
+    if text in _NULL:
+        return None
+    if text in _BOOL:
+        return _BOOL[text]
+    if _INTEGER.fullmatch(text):
+        return int(text, 0)
+    if _NOT_FINITE.fullmatch(text):
+        raise ValueError(f"should be a finite number, not {text}")
+    for pattern, instead in _AMBIGUOUS:
+        if pattern.fullmatch(text):
+            raise ValueError(f"{text} means different things to different readers; give {instead}")
+    if not _FLOAT.fullmatch(text):
+        return text
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"should be a finite number, not {text}")
+    return number
+
+
+def _place(node: yaml.Node) -> Place:
+    return node.start_mark.line + 1, node.start_mark.column + 1

@@ -1,0 +1,198 @@
+"""What a configuration file can say: the links, the doors, the host, and the method's settings.
+
+Law of this file: frozen values with their ranges and nothing computed; SI units unless a name
+says otherwise. Paths are as written; ``config`` resolves them. A section that is left out is a
+link or a door that is not opened.
+"""
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Annotated, Any, Literal
+
+from annotated_types import Ge, Gt, Le, Len
+
+from linemate.daemon.control.settings import ControlSettings
+from linemate.daemon.service.watch import WatchSettings
+from linemate.daemon.tracking.settings import TrackingSettings
+
+Positive = Annotated[float, Gt(0.0)]
+Port = Annotated[int, Ge(0), Le(65535)]
+Text = Annotated[str, Len(1, 4096)]
+Count = Annotated[int, Ge(1), Le(1_000_000)]
+
+
+class Corrections(StrEnum):
+    """How the controller's correction objects read the reply."""
+
+    ABSOLUTE = "absolute"
+    RELATIVE = "relative"
+
+
+@dataclass(frozen=True, slots=True)
+class RsiSettings:
+    """The robot controller's link.
+
+    Attributes:
+        config: the controller's own RSI_EthernetConfig.xml; a bare name may be a shipped one.
+        bind: numeric address to listen on.
+        port: None takes the file's, 0 any.
+        cycle_ms: of the controller; KUKA has 12 and 4, the others are for measurements.
+        corrections: ``absolute`` (AK(k) = q_c(k) - q_start) or ``relative``.
+        linear_axes: external axes that are linear, the others turn.
+        peer: the only address that is answered, None: whoever comes first.
+    """
+
+    config: Text = "rsi_joints.xml"
+    bind: Text = "127.0.0.1"
+    port: Port | None = None
+    cycle_ms: Literal[1, 2, 4, 12] = 12
+    corrections: Corrections = Corrections.ABSOLUTE
+    linear_axes: Annotated[tuple[str, ...], Len(0, 6)] = ("E1",)
+    peer: Text | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class DistanceSettings:
+    """The distance sensor's link.
+
+    Attributes:
+        can: handed to ``can.Bus`` unchanged: interface, channel and whatever it wants.
+        dbc: a bare name may be a shipped one.
+        message, signal: in the DBC.
+        strength: signal of the signal strength, None: found by itself.
+        can_id: instead of the DBC's.
+        step_m: worth of one count instead of the DBC's [m].
+    """
+
+    can: dict[str, Any]
+    dbc: Text = "distance.dbc"
+    message: Text = "CIA406_TPDO1"
+    signal: Text = "Position"
+    strength: Text | None = None
+    can_id: Annotated[int, Ge(0), Le(0x1FFFFFFF)] | None = None
+    step_m: Positive | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CameraSettings:
+    """The camera's link.
+
+    Attributes:
+        bind: numeric address to listen on.
+        port: 0 takes any.
+        frame, object, source: the only ones accepted, None for any.
+    """
+
+    bind: Text = "127.0.0.1"
+    port: Port = 49153
+    frame: Text | None = "camera"
+    object: Text | None = "hub"
+    source: Text | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ForceTorqueSettings:
+    """The force-torque sensor's link.
+
+    Attributes:
+        url: a tty, a pty or ``socket://host:port``.
+        device: whose stream it is.
+        baudrate: None takes the device's.
+        dialogue: hold the device's start-up dialogue; off for one that streams by itself.
+    """
+
+    url: Text
+    device: Literal["bota", "robotiq-ft300"] = "bota"
+    baudrate: Annotated[int, Ge(1200), Le(10_000_000)] | None = None
+    dialogue: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class UdpSettings:
+    """The command protocol's UDP port.
+
+    Attributes:
+        keys: file of the pre-shared keys, which others must not read. With systemd's
+            LoadCredential give its name with ``credential:`` before it.
+        bind: numeric address.
+        port: 0 takes any.
+        allow_remote: explicit consent to an address that others can reach.
+    """
+
+    keys: Text
+    bind: Text = "127.0.0.1"
+    port: Port = 49160
+    allow_remote: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class CommandSettings:
+    """The doors for operators.
+
+    Attributes:
+        socket: path of the local socket, None for none.
+        udp: the UDP port, None for none.
+        budget: messages handled after each reply to the robot, at most.
+    """
+
+    socket: Text | None = None
+    udp: UdpSettings | None = None
+    budget: Annotated[int, Ge(1), Le(64)] = 8
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingSettings:
+    """Recordings.
+
+    Attributes:
+        directory: where they are written; it must exist.
+        at_start: record from the start of the daemon; else when ordered.
+        queue: steps that may wait for the disk before any is dropped.
+        chunk_kib: size of a chunk of the file.
+        flush_s: what a power cut may lose at most.
+    """
+
+    directory: Text
+    at_start: bool = False
+    queue: Count = 4096
+    chunk_kib: Annotated[int, Ge(1), Le(4096)] = 64
+    flush_s: Positive = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class RealtimeSettings:
+    """What is asked of the host; each refusal is told and never fatal.
+
+    Attributes:
+        priority: of SCHED_FIFO, None leaves the scheduler alone.
+        lock_memory: mlockall.
+        cpus: the only cores used, empty leaves them alone.
+        timer_slack_ns: None leaves it alone.
+        cpu_dma_latency_us: deepest sleep allowed to the cores, None leaves it alone.
+        freeze_collector: freeze and disable the garbage collector once ready.
+    """
+
+    priority: Annotated[int, Ge(1), Le(98)] | None = None
+    lock_memory: bool = False
+    cpus: Annotated[tuple[Annotated[int, Ge(0), Le(4095)], ...], Len(0, 1024)] = ()
+    timer_slack_ns: Annotated[int, Ge(1), Le(1_000_000)] | None = None
+    cpu_dma_latency_us: Annotated[int, Ge(0), Le(1_000_000)] | None = None
+    freeze_collector: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Config:
+    """A configuration file, whole."""
+
+    task: Text
+    rsi: RsiSettings = RsiSettings()
+    distance: DistanceSettings | None = None
+    camera: CameraSettings | None = None
+    force_torque: ForceTorqueSettings | None = None
+    command: CommandSettings = CommandSettings()
+    recording: RecordingSettings | None = None
+    realtime: RealtimeSettings = RealtimeSettings()
+    watch: WatchSettings = field(default_factory=WatchSettings)
+    tracking: TrackingSettings = field(default_factory=TrackingSettings)
+    control: ControlSettings = field(default_factory=ControlSettings)
+    version: Annotated[int, Ge(1), Le(1)] = 1
