@@ -328,6 +328,19 @@ def test_what_is_set_arrives_as_it_was_said(values: dict[str, Any], deadline_ms:
     assert request.params == {"values": values}
 
 
+@pytest.mark.parametrize("count", [1, 15, 16, 40])
+def test_as_many_values_as_fit_can_be_set_at_once(count: int) -> None:
+    values = {f"p{i}": i for i in range(count)}
+    assert decode_request(encode_request("set", {"values": values}, 1)).params == {"values": values}
+
+
+def test_a_name_that_stands_twice_among_many_is_refused() -> None:
+    twice = b"".join(msgpack.packb(f"p{i % 19}") + b"\x01" for i in range(20))
+    payload = b"\x83\xa2op\xa3set\xa1t\x01\xa1p\x81\xa6values\xde\x00\x14" + twice
+    with pytest.raises(CommandError, match="twice"):
+        decode_request(payload)
+
+
 @pytest.mark.parametrize(
     ("op", "params"),
     [

@@ -120,6 +120,17 @@ def test_a_stop_that_was_overtaken_is_carried_out_all_the_same() -> None:
     assert world.done == [("start", "alice"), ("stop", "alice")]
 
 
+def test_a_late_stop_does_not_let_an_older_start_pass() -> None:
+    world = World((ALICE,))
+    client = world.client()
+    stop = client.request("stop", {}, world.now_ns + 500 * MS)
+    start = client.request("start", {}, world.now_ns + 500 * MS)
+    assert world.ask(client, "retreat").ok  # type: ignore[union-attr]
+    for late in (stop, start):
+        world.deliver(late.frame, ("client", id(client)))
+    assert world.done == [("retreat", "alice"), ("stop", "alice")]
+
+
 def test_a_look_does_not_overtake_an_order() -> None:
     world = World((ALICE,))
     client = world.client()

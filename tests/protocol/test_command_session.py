@@ -158,6 +158,7 @@ def test_the_window_takes_each_sequence_once_and_none_too_old(sequences: list[in
         if expected:
             window.take(sequence)
             taken.add(sequence)
+        assert window._seen < 1 << 64
 
 
 def test_a_request_held_back_beyond_its_deadline_is_refused_as_expired() -> None:
@@ -350,6 +351,22 @@ def test_nobodys_last_session_is_taken_away() -> None:
     world.now_ns += 61 * S
     assert world.ask(world.client(keys[-1]), "status") is not None
     assert world.server.sessions == 1
+
+
+def test_a_session_in_use_is_neither_idle_nor_the_first_to_go() -> None:
+    world = World((ALICE,))
+    used = world.client(ALICE)
+    assert world.ask(used, "status") is not None
+    for _ in range(MAX_SESSIONS + 3):
+        world.now_ns += 20 * S
+        assert world.ask(used, "status") is not None
+        assert world.ask(world.client(ALICE), "status") is not None
+    for _ in range(MAX_SESSIONS):
+        world.now_ns += MS
+        assert world.ask(world.client(ALICE), "status") is not None
+        assert world.ask(used, "status") is not None
+    assert world.server.counters["sessions_evicted"] > 0
+    assert world.server.counters["sessions_idle"] > 0
 
 
 def test_sessions_of_a_key_that_is_taken_away_end_and_stay_ended() -> None:
