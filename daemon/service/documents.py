@@ -168,8 +168,8 @@ def fill(
         wrapped = _model(target).model_validate_json(json.dumps({"root": document.value}))
         filled = getattr(wrapped, "root")  # noqa: B009 -- the model is made at run time
     except ValidationError as error:
-        unread = {complaint.path for complaint in found}
-        wrong = (_complaint(dict(one)) for one in error.errors(include_url=False))
+        unread = {complaint.path for complaint in found if complaint.place is None}
+        wrong = [one for one in map(_complaint, error.errors(include_url=False)) if one]
         found.extend(complaint for complaint in wrong if complaint.path not in unread)
     said = {complaint.path for complaint in found}
     found.extend(c for c in check(document.value) if c.path not in said)
@@ -203,14 +203,25 @@ def _model(target: type[Any]) -> type[BaseModel]:
     return create_model(f"{target.__name__}File", __config__=strict, **fields)
 
 
-def _complaint(error: Mapping[str, Any]) -> Complaint:
+def _complaint(error: Mapping[str, Any]) -> Complaint | None:
     kind, message, path = error["type"], str(error["msg"]), tuple(error["loc"][1:])
+    if kind in {"too_short", "too_long"} and isinstance(error["input"], list):
+        return _wrong_length(path, error["ctx"], len(error["input"]))
     if kind in {"unexpected_keyword_argument", "extra_forbidden"}:
         return Complaint(path, "unknown key", at_key=True)
     if kind in {"missing", "missing_argument"}:
         return Complaint(path, "missing")
     what = message.removeprefix("Input ").replace("an object", "a mapping")
     return Complaint(path, what + _shown(error.get("input")))
+
+
+def _wrong_length(path: Path, limits: Mapping[str, Any], given: int) -> Complaint | None:
+    """Pydantic leaves bad items out of the count; only the file's own count matters here."""
+    least, most = limits.get("min_length", 0), limits.get("max_length") or given
+    if least <= given <= most:
+        return None
+    bound = f"at least {least}" if given < least else f"at most {most}"
+    return Complaint(path, f"should have {bound} items, not {given}")
 
 
 def _shown(value: object) -> str:

@@ -1,0 +1,198 @@
+"""Configuration files: what is told about a bad one, and what a good one resolves to."""
+
+import base64
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from linemate.daemon.control.settings import ControlSettings
+from linemate.daemon.service import config
+from linemate.daemon.service.documents import FileError
+from linemate.daemon.service.settings import Corrections
+from linemate.daemon.tracking.settings import TrackingSettings
+
+Write = Callable[[str], Path]
+
+KEY = f"panel operate {base64.b64encode(bytes(range(32))).decode()}\n"
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    def write(text: str) -> Path:
+        path = tmp_path / "linemated.yaml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+def errors(path: Path) -> list[str]:
+    with pytest.raises(FileError) as caught:
+        config.load(path)
+    return [line.removeprefix(f"{path}:") for line in caught.value.lines]
+
+
+def test_the_shortest_file_names_a_task_and_takes_every_default(write: Write) -> None:
+    station = config.load(write("task: wheel.yaml\n"))
+    assert station.task.file.name == "wheel"
+    assert station.config.rsi.corrections is Corrections.ABSOLUTE
+    assert station.rsi_port == station.rsi.port == 49152
+    assert station.config.tracking == TrackingSettings()
+    assert station.config.control == ControlSettings()
+    assert station.dbc is None
+    assert set(station.texts) == {"config", "task", "urdf", "rsi"}
+
+
+def test_every_section_can_be_given(write: Write, tmp_path: Path) -> None:
+    keys = tmp_path / "keys"
+    keys.write_text(KEY)
+    keys.chmod(0o400)
+    station = config.load(
+        write(
+            """
+task: wheel.yaml
+rsi: {config: rsi_joints_setpoints.xml, port: 0, cycle_ms: 4, corrections: relative}
+distance:
+  can: {interface: slcan, channel: /dev/ttyACM0, bitrate: 500000, ttyBaudrate: 115200}
+  message: TF03
+  signal: Distance
+camera: {port: 0, frame: null}
+force_torque: {url: "socket://127.0.0.1:5000", device: robotiq-ft300}
+command: {socket: command.sock, udp: {port: 0, keys: keys}}
+recording: {directory: .}
+realtime: {priority: 60, cpus: [1], lock_memory: true, timer_slack_ns: 1}
+watch: {healthy_cycles: 50}
+tracking: {classifier: rule, distance: {deviation: 1e-3}}
+control: {horizon_s: 0.25}
+"""
+        )
+    )
+    assert station.rsi_port == 0
+    assert station.config.distance is not None
+    assert station.config.distance.can["ttyBaudrate"] == 115200
+    assert station.dbc is not None
+    assert [key.name for key in station.keys] == ["panel"]
+    assert station.config.tracking.distance.deviation == 1e-3
+    assert station.config.tracking.distance.gate == TrackingSettings().distance.gate
+
+
+def test_every_error_of_every_file_is_told_at_once(write: Write, tmp_path: Path) -> None:
+    (tmp_path / "task.yaml").write_text("name: 3\narm: {urdf: none.urdf}\n")
+    path = write(
+        """
+task: task.yaml
+rsi: {config: nope.xml, cycle_ms: 5, bind: localhost}
+distance: {can: {channel: x}, message: Missing}
+camera: {port: 70000, port: 1}
+command: {socket: /nonexistent/s, udp: {bind: 192.0.2.1, keys: keys}}
+recording: {directory: none}
+tracking: {distance: {deviation: .nan}}
+watch: {wrench_s: -1}
+speeling: 1
+"""
+    )
+    lines = errors(path)
+    own = [line.split(": ")[1] for line in lines if not line.startswith(str(tmp_path))]
+    assert own == [
+        "rsi.config",
+        "rsi.cycle_ms",
+        "rsi.bind",
+        "distance.can",
+        "distance.message",
+        "camera.port",
+        "camera.port",
+        "command.socket",
+        "command.udp.bind",
+        "command.udp.keys",
+        "recording.directory",
+        "tracking.distance.deviation",
+        "watch.wrench_s",
+        "speeling",
+    ]
+    others = [line for line in lines if line.startswith(str(tmp_path / "task.yaml"))]
+    assert len(others) == 5
+    assert any("name: should be a valid string, not 3" in line for line in others)
+    assert any("arm.urdf: no such file" in line for line in others)
+
+
+def test_a_missing_file_is_told_in_the_same_form(tmp_path: Path) -> None:
+    (line,) = errors(tmp_path / "none.yaml")
+    assert line.startswith("1:1: (file): ")
+    assert line.endswith("No such file or directory")
+
+
+def test_a_file_beyond_the_limit_is_not_read(write: Write) -> None:
+    (line,) = errors(write("#" * 10_000_000))
+    assert "longer than" in line
+
+
+def test_a_controller_file_that_makes_no_telegram_is_told_at_its_key(
+    write: Write, tmp_path: Path
+) -> None:
+    (tmp_path / "rsi.xml").write_text("<ROOT><CONFIG></CONFIG></ROOT>")
+    (line,) = errors(write("task: wheel.yaml\nrsi: {config: rsi.xml}\n"))
+    assert line.startswith("2:15: rsi.config: ")
+
+
+def test_keys_that_others_can_read_are_refused(write: Write, tmp_path: Path) -> None:
+    keys = tmp_path / "keys"
+    keys.write_text(KEY)
+    keys.chmod(0o644)
+    (line,) = errors(write("task: wheel.yaml\ncommand: {udp: {keys: keys}}\n"))
+    assert "command.udp.keys" in line
+    assert "0644" in line
+    keys.chmod(0o600)
+    keys.write_text("# none\n")
+    (line,) = errors(write("task: wheel.yaml\ncommand: {udp: {keys: keys}}\n"))
+    assert "holds no key" in line
+
+
+def test_keys_can_be_a_credential_of_systemd(
+    write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = "task: wheel.yaml\ncommand: {udp: {keys: 'credential:link.key'}}\n"
+    monkeypatch.delenv("CREDENTIALS_DIRECTORY", raising=False)
+    (line,) = errors(write(text))
+    assert "LoadCredential" in line
+    (tmp_path / "credentials").mkdir()
+    key = tmp_path / "credentials" / "link.key"
+    key.write_text(KEY)
+    key.chmod(0o400)
+    monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(key.parent))
+    assert config.load(write(text)).keys[0].name == "panel"
+
+
+def test_a_remote_command_port_needs_consent(write: Write, tmp_path: Path) -> None:
+    keys = tmp_path / "keys"
+    keys.write_text(KEY)
+    keys.chmod(0o400)
+    section = "command: {{udp: {{keys: keys, bind: 0.0.0.0, allow_remote: {}}}}}"
+    (line,) = errors(write("task: wheel.yaml\n" + section.format("false")))
+    assert "allow_remote" in line
+    assert config.load(write("task: wheel.yaml\n" + section.format("true"))).keys
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "task:",
+        "task: 3",
+        "task: {}",
+        "task: ''",
+        "[]",
+        "rsi: 3",
+        "distance: []",
+        "command: {udp: 1}",
+        "camera: null",
+    ],
+)
+def test_sections_of_any_kind_are_told_and_nothing_else_happens(write: Write, text: str) -> None:
+    assert errors(write(text))
+
+
+def test_the_schema_covers_every_section() -> None:
+    schema = config.schema()
+    assert {"rsi", "distance", "camera", "tracking", "control"} <= set(schema["properties"])
+    assert schema["required"] == ["task"]
