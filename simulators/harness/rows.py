@@ -120,6 +120,12 @@ class Rows:
         return replace(self, **columns)
 
 
+TRUTH = (
+    "t", "tcp", "tcp_rigid", "hub", "contact", "digital_in", "unit_position", "unit_speed",
+    "setpoints", "joints", "force", "answered",
+)  # fmt: skip
+"""Columns that the emulator fills (``devices.truth``); the others are the daemon's word."""
+
 _SHAPES: dict[str, tuple[int, ...]] = {
     "tcp": (7,), "tcp_rigid": (7,), "hub": (7,), "target": (7,), "sensed": (7,), "part": (7,),
     "setpoints": (AXES,), "joints": (AXES,), "command": (AXES,), "force": (3,),

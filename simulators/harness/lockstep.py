@@ -1,0 +1,323 @@
+"""Virtual time: the world, the pure devices and the daemon's cycle, hand in hand.
+
+Law of this file: no socket and no clock (a stopwatch only if computing times are asked for). Every
+datum crosses as bytes, through the emulator's encoder and the daemon's decoder, stamped with its
+own instant of emission; so one seed gives one run, to the byte. The controller stops for nobody:
+cycle k begins at -lead_in + k T0, and its reply takes no time.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+from linemate.daemon.control.settings import ControlSettings
+from linemate.daemon.parameters import Parameters, build
+from linemate.daemon.service.cycle import Cycle, LogEntry
+from linemate.daemon.service.states import State
+from linemate.daemon.tracking.settings import TrackingSettings
+from linemate.daemon.tracking.task import TaskFile
+from linemate.protocol.camera import CameraDecoder
+from linemate.protocol.distance import DistanceDecoder, DistanceEncoder
+from linemate.protocol.rsi import RsiCodec, parse_config
+from linemate.protocol.wrench import make_decoder, make_host
+from linemate.simulators.devices.camera_sender import CameraSender
+from linemate.simulators.devices.can_sensor import CanSensor
+from linemate.simulators.devices.controller import ControllerConfig, RsiController
+from linemate.simulators.devices.force_torque import ForceTorqueSensor
+from linemate.simulators.devices.robot_plant import RobotPlant
+from linemate.simulators.devices.truth import TruthLog
+from linemate.simulators.harness import rows as columns
+from linemate.simulators.harness.judge import Evidence, Telegrams
+from linemate.simulators.harness.rows import DaemonEvent, Rows
+from linemate.simulators.harness.setup import Setup
+from linemate.simulators.plants.scenario import sample
+from linemate.simulators.plants.world import World
+
+RSI_CONFIG = "rsi_joints.xml"
+DEVICE = "bota"
+
+EPOCH_NS = 1_000_000_000_000
+"""The monotonic stamp at which a run begins; any other would do."""
+
+CAMERA_CLOCK_NS = 86_400_000_000_123
+"""The camera's clock minus the host's: the daemon has to learn it."""
+
+AFTER_COLLISION_S = 0.2
+DIALOGUE_TURNS = 100
+
+OnStep = Callable[[LogEntry], None]
+
+
+@lru_cache(maxsize=8)
+def parameters(
+    task: TaskFile,
+    urdf: str,
+    tracking: TrackingSettings,
+    control: ControlSettings,
+    cycle_s: float,
+) -> Parameters:
+    """The daemon's parameters, compiled once for all the seeds of a process."""
+    return build(task, urdf, tracking, control, cycle_s)
+
+
+def run(
+    setup: Setup, seed: int, *, timing: bool = False, on_step: OnStep | None = None
+) -> Evidence:
+    """Run one seed to its end.
+
+    Args:
+        setup: what the run is made of.
+        seed: of the plant's draws.
+        timing: measure computing times with the host's clock.
+        on_step: given every step that the daemon made, after its reply.
+
+    Returns:
+        What the judge wants to know.
+
+    Raises:
+        ValueError: settings, task and arm do not fit together.
+    """
+    lockstep = Lockstep(setup, seed, timing=timing, on_step=on_step)
+    while lockstep.turn():
+        pass
+    return lockstep.evidence()
+
+
+class Lockstep:
+    """One run, a telegram at a time.
+
+    Attributes:
+        world: the plant.
+        controller: the pure RSI controller.
+        cycle: the daemon's.
+    """
+
+    def __init__(
+        self, setup: Setup, seed: int, *, timing: bool = False, on_step: OnStep | None = None
+    ) -> None:
+        """Set everything up at the beginning of the lead-in."""
+        scenario = sample(seed, setup.scenario)
+        self._setup, self._scenario = setup, scenario
+        self.world = World(scenario)
+        self._plant = RobotPlant(self.world)
+        rsi = parse_config(_shipped(RSI_CONFIG))
+        self.controller = RsiController(
+            rsi, self._plant.read, self._plant.start, ControllerConfig(cycle_s=scenario.cycle_s)
+        )
+        compiled = parameters(
+            setup.task, setup.urdf, setup.tracking, setup.control, scenario.cycle_s
+        )
+        self.cycle = Cycle(compiled, RsiCodec(rsi))
+        self._wires = _Wires(self.world, self.cycle, setup.task.conveyor.start_position)
+        self._operator = _Operator(self.cycle)
+        n = _count(scenario.lead_in_s + scenario.duration_s, scenario.cycle_s)
+        self._truth = TruthLog(n)
+        self._daemon = _DaemonLog(n)
+        self._left = n
+        self._timing, self._on_step = timing, on_step
+
+    def turn(self) -> bool:
+        """Exchange one telegram.
+
+        Returns:
+            Whether the run goes on.
+        """
+        world = self.world
+        self._wires.carry()
+        self._operator.look()
+        data = self.controller.telegram()
+        self._truth.begin(world, self._plant.axes)
+        t, stamp_ns = world.time_s, self._wires.stamp(world.time_s)
+        if data is not None:
+            begun = time.perf_counter_ns() if self._timing else 0
+            reply = self.cycle.on_telegram(data, stamp_ns)
+            if self._timing:
+                self._daemon.step_us = (time.perf_counter_ns() - begun) * 1e-3
+            if reply is not None:
+                self.controller.on_reply(reply, stamp_ns)
+        applied = self.controller.end_of_cycle()
+        self._truth.end(applied)
+        self._log(t)
+        self._plant.apply(applied)
+        self._left -= 1
+        return self._left > 0 and data is not None and not self._is_over()
+
+    def evidence(self) -> Evidence:
+        """What the judge wants to know of the run so far."""
+        counts, collision = self.controller.counts, self.world.collision
+        return Evidence(
+            rows=_joined(self._truth, self._daemon),
+            scenario=self._scenario.name,
+            seed=self._scenario.seed,
+            cycle_s=self._scenario.cycle_s,
+            events=self._scenario.events,
+            telegrams=Telegrams(
+                counts.sent, counts.answered, counts.late, counts.lost, counts.refused
+            ),
+            limits=self.controller.config.limits,
+            collision=None if collision is None else collision.reason,
+            broken=self.controller.broken,
+            variant=self._setup.variant,
+        )
+
+    def _log(self, t: float) -> None:
+        for entry in self.cycle.take_log():
+            self._daemon.note(t, entry)
+            if self._on_step is not None:
+                self._on_step(entry)
+        self._daemon.end_row()
+
+    def _is_over(self) -> bool:
+        collision = self.world.collision
+        return collision is not None and self.world.time_s > collision.time_s + AFTER_COLLISION_S
+
+
+class _Wires:
+    """What sensors emit, carried to the daemon as bytes."""
+
+    def __init__(self, world: World, cycle: Cycle, mount: float) -> None:
+        self._world, self._cycle = world, cycle
+        self._begin_s = -world.scenario.lead_in_s
+        self._can = CanSensor(DistanceEncoder(), mount)
+        self._can_decoder = DistanceDecoder()
+        self._camera = CameraSender(clock_offset_ns=CAMERA_CLOCK_NS)
+        self._camera_decoder = CameraDecoder()
+        self._force_torque = ForceTorqueSensor(DEVICE)
+        self._wrench_decoder = make_decoder(DEVICE)
+        self._talk()
+
+    def stamp(self, t: float) -> int:
+        """The monotonic stamp of a scenario time [ns]."""
+        return EPOCH_NS + round((t - self._begin_s) * 1e9)
+
+    def carry(self) -> None:
+        """Bring over everything that was emitted up to now."""
+        self._carry_distance()
+        self._carry_camera()
+        self._carry_wrench()
+
+    def _carry_distance(self) -> None:
+        for emission in self._world.take_distance():
+            frame = self._can.frame(emission.position, emission.strength)
+            if frame is None:
+                continue
+            found = self._can_decoder.decode(
+                frame.can_id, frame.data, self.stamp(emission.time_s), frame.extended
+            )
+            if found is not None:
+                self._cycle.feed_distance(found)
+
+    def _carry_camera(self) -> None:
+        for emission in self._world.take_camera():
+            stamp_ns = self.stamp(emission.time_s)
+            data = self._camera.datagram(
+                emission.position,
+                emission.quaternion,
+                emission.covariance,
+                exposure_ns=self.stamp(emission.exposure_s),
+                sent_ns=stamp_ns,
+            )
+            self._cycle.feed_camera(self._camera_decoder.feed(data, stamp_ns))
+
+    def _carry_wrench(self) -> None:
+        for emission in self._world.take_wrench():
+            device_us = round((emission.exposure_s - self._begin_s) * 1e6)
+            data = self._force_torque.frame(emission.force, emission.torque, device_us)
+            for found in self._wrench_decoder.feed(data, self.stamp(emission.time_s)):
+                self._cycle.feed_wrench(found)
+
+    def _talk(self) -> None:
+        """Hold the force-torque sensor's start-up dialogue before the run."""
+        host = make_host(DEVICE)
+        now_ns = EPOCH_NS
+        sent = host.begin(now_ns).send
+        self._force_torque.boot()
+        for _ in range(DIALOGUE_TURNS):
+            if host.running:
+                return
+            now_ns += 10_000_000
+            answer = self._force_torque.feed(sent)
+            sent = host.feed(answer, now_ns).send or host.on_time(now_ns).send
+        raise RuntimeError(f"the {DEVICE} never began to stream: {host.failure}")
+
+
+class _Operator:
+    """Arms and starts the task as soon as the daemon lets it, once."""
+
+    def __init__(self, cycle: Cycle) -> None:
+        self._cycle = cycle
+        self._started = False
+
+    def look(self) -> None:
+        """Give the next order if it is due."""
+        if self._started:
+            return
+        state = self._cycle.machine.state
+        if state is State.IDLE:
+            self._cycle.order("arm")
+        elif state is State.ARMED:
+            self._started = self._cycle.order("start") is None
+
+
+class _DaemonLog:
+    """The daemon's columns, a row a telegram."""
+
+    def __init__(self, n: int) -> None:
+        self.columns = columns.empty(n)
+        self.events: list[DaemonEvent] = []
+        self.step_us = float("nan")
+        self._row = 0
+
+    def note(self, t: float, entry: LogEntry) -> None:
+        """Take a step; only one that answered a telegram fills a row."""
+        outputs = entry.outputs
+        self.events += [DaemonEvent(t, kind, what) for kind, what in outputs.events]
+        if entry.ipoc is None:
+            return
+        row, rows = self._row, self.columns
+        rows.command[row, : len(outputs.command)] = outputs.command
+        rows.target[row] = outputs.target
+        if outputs.sensed is not None:
+            rows.sensed[row] = outputs.sensed
+        if outputs.part is not None:
+            rows.part[row] = outputs.part
+        if outputs.task_time is not None:
+            rows.task_time[row] = outputs.task_time
+        if outputs.speed is not None:
+            rows.speed[row] = outputs.speed
+        rows.phase[row] = _PHASES[outputs.phase.value]
+        rows.scenario[row] = _CLASSES[outputs.scenario]
+        rows.tentative[row] = outputs.scenario_state == "tentative"
+        rows.state[row] = _STATES[entry.state]
+        rows.contact_seen[row] = outputs.contact
+        rows.step_us[row] = self.step_us
+
+    def end_row(self) -> None:
+        """The telegram's row is complete."""
+        self._row += 1
+
+
+_PHASES = {name: i for i, name in enumerate(columns.PHASES)}
+_CLASSES = {name: i for i, name in enumerate(columns.CLASSES)}
+_STATES = {name: i for i, name in enumerate(columns.STATES)}
+
+
+def _joined(truth: TruthLog, daemon: _DaemonLog) -> Rows:
+    """Truth and the daemon's word side by side."""
+    found = truth.columns()
+    shared: dict[str, Any] = {name: found[name] for name in columns.TRUTH}
+    told = daemon.columns.cut(len(truth))
+    return replace(told, events=tuple(daemon.events), **shared)
+
+
+def _count(length_s: float, cycle_s: float) -> int:
+    """Telegrams of a run; both ends may be a rounding error away from a whole number."""
+    return max(1, round(length_s / cycle_s - 1e-6))
+
+
+def _shipped(name: str) -> bytes:
+    from linemate.daemon.service.files import PROTOCOL_DATA
+
+    return (PROTOCOL_DATA / name).read_bytes()
