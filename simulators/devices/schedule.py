@@ -50,9 +50,11 @@ class Schedule:
 
     Attributes:
         worst_ns: how late the latest action ran [ns].
+        on_error: gets what an action raises; without it the loop's handler does.
     """
 
     worst_ns: int = 0
+    on_error: Callable[[Exception], None] | None = None
     _descriptor: int = -1
     _armed_ns: int = 0
     _queue: list[tuple[int, int, Callable[[], None]]] = field(default_factory=list)
@@ -104,5 +106,13 @@ class Schedule:
         while self._queue and self._queue[0][0] <= now_ns:
             at_ns, _, action = heapq.heappop(self._queue)
             self.worst_ns = max(self.worst_ns, now_ns - at_ns)
-            action()
+            self._run(action)
         self._rearm()
+
+    def _run(self, action: Callable[[], None]) -> None:
+        try:
+            action()
+        except Exception as error:
+            if self.on_error is None:
+                raise
+            self.on_error(error)

@@ -1,0 +1,172 @@
+"""The RSI controller on a UDP socket, in real time.
+
+Law of this file: one telegram a cycle on an absolute schedule, and never more: when this process
+itself was held up, the schedule slips as a whole (counted), because a real controller neither
+sends late nor in bursts. Replies are judged by the kernel's stamps, not by when they are read.
+"""
+
+import asyncio
+import time
+from dataclasses import dataclass
+from typing import Protocol
+
+from linemate.protocol.exchange import Judgement
+from linemate.simulators.devices.controller import Applied, RsiController
+from linemate.simulators.devices.endpoint import Address, Endpoint
+from linemate.simulators.devices.schedule import Schedule
+from linemate.simulators.devices.turnaround import TurnAround
+
+BUDGET = 32
+SLIP_AFTER = 0.25
+"""Share of a cycle by which a telegram may go out late before the schedule slips."""
+
+
+class Plant(Protocol):
+    """What the controller moves, told of each cycle twice."""
+
+    def begin_cycle(self, at_ns: int) -> None:
+        """A telegram has gone out.
+
+        Args:
+            at_ns: the instant at which its cycle began [ns].
+        """
+
+    def end_cycle(self, applied: Applied, turnaround_ns: int | None) -> None:
+        """A cycle's fate is known, at its end at the latest.
+
+        Args:
+            applied: what the controller applies during it.
+            turnaround_ns: how long its good reply took [ns], None without one.
+        """
+
+
+@dataclass(slots=True)
+class Pace:
+    """How well the schedule was kept.
+
+    Attributes:
+        slips: how often the schedule slipped.
+        slipped_ns: by how much in all [ns].
+        latest_ns: the latest telegram after its instant, slips apart [ns].
+        unsent: telegrams the kernel would not take.
+    """
+
+    slips: int = 0
+    slipped_ns: int = 0
+    latest_ns: int = 0
+    unsent: int = 0
+
+
+class ControllerUdp:
+    """Drives a controller's cycles.
+
+    Attributes:
+        controller: the pure controller.
+        turnaround: how long good replies took.
+        pace: how well the schedule was kept.
+    """
+
+    def __init__(
+        self,
+        controller: RsiController,
+        plant: Plant,
+        schedule: Schedule,
+        target: Address,
+        bind: Address = ("127.0.0.1", 0),
+    ) -> None:
+        self.controller = controller
+        self.turnaround = TurnAround()
+        self.pace = Pace()
+        self._plant = plant
+        self._schedule = schedule
+        self._target = target
+        self._bind = bind
+        self._cycle_ns = round(controller.config.cycle_s * 1e9)
+        self._endpoint: Endpoint | None = None
+        self._due_ns = 0
+        self._sent_ns = 0
+        self._elapsed_ns: int | None = None
+        self._is_open = False
+        self._running = False
+
+    @property
+    def address(self) -> Address | None:
+        """Where replies go, None while closed."""
+        return None if self._endpoint is None else self._endpoint.address
+
+    def open(self, first_ns: int | None = None) -> None:
+        """Bind, and send the first telegram at an instant.
+
+        Args:
+            first_ns: that instant [ns]; None: a cycle from now.
+
+        Raises:
+            OSError: if the address cannot be bound.
+        """
+        self._endpoint = Endpoint.bound(*self._bind)
+        asyncio.get_running_loop().add_reader(self._endpoint.link, self._drain)
+        self._due_ns = time.monotonic_ns() + self._cycle_ns if first_ns is None else first_ns
+        self._running = True
+        self._schedule.at(self._due_ns, self._tick)
+
+    def begin_counting(self) -> None:
+        """Forget what was counted so far; the schedule goes on."""
+        self.controller.begin()
+        self.turnaround.clear()
+        self.pace = Pace()
+
+    def stop(self) -> None:
+        """Open no further cycle."""
+        self._running = False
+
+    def close(self) -> None:
+        """Send no more, hear no more."""
+        self._running = False
+        if self._endpoint is not None:
+            asyncio.get_running_loop().remove_reader(self._endpoint.link)
+            self._endpoint.close()
+            self._endpoint = None
+
+    def _tick(self) -> None:
+        if not self._running:
+            return
+        self._slip()
+        self._drain()
+        self._finish()
+        if not self._running:
+            return
+        data = self.controller.telegram()
+        self._is_open = True
+        self._elapsed_ns = None
+        self._sent_ns = time.monotonic_ns()
+        if data is not None and self._endpoint is not None:
+            self.pace.unsent += not self._endpoint.send(data, self._target)
+        begun_ns, self._due_ns = self._due_ns, self._due_ns + self._cycle_ns
+        self._schedule.at(self._due_ns, self._tick)
+        self._plant.begin_cycle(begun_ns)
+
+    def _slip(self) -> None:
+        late_ns = time.monotonic_ns() - self._due_ns
+        if late_ns > SLIP_AFTER * self._cycle_ns:
+            self.pace.slips += 1
+            self.pace.slipped_ns += late_ns
+            self._due_ns += late_ns
+        else:
+            self.pace.latest_ns = max(self.pace.latest_ns, late_ns)
+
+    def _drain(self) -> None:
+        """Judge what waits; a good reply ends the cycle's uncertainty at once."""
+        for _ in range(BUDGET):
+            received = None if self._endpoint is None else self._endpoint.receive()
+            if received is None:
+                return
+            data, stamp_ns = received
+            judgement = self.controller.on_reply(data, stamp_ns, self._due_ns)
+            if judgement is Judgement.ACCEPTED:
+                self._elapsed_ns = max(stamp_ns - self._sent_ns, 0)
+                self.turnaround.add(self._elapsed_ns)
+
+    def _finish(self) -> None:
+        if self._is_open:
+            self._is_open = False
+            self._plant.end_cycle(self.controller.end_of_cycle(), self._elapsed_ns)

@@ -1,0 +1,430 @@
+"""All devices of a station and the world behind them, in real time, in one process.
+
+Law of this file: the world's clock is the controller's cycle count; cycle k begins at scenario
+time -lead_in + k T0, whatever the host does. Sensors emit at their own instants in between. What
+happened is written down from the plant's and the controller's side alone.
+"""
+
+import asyncio
+import gc
+import json
+import os
+import signal
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from typing import Any, TextIO
+
+from linemate.protocol.distance import DistanceEncoder
+from linemate.protocol.rsi import parse_config
+from linemate.simulators.devices.camera_sender import CameraSender
+from linemate.simulators.devices.camera_udp import CameraUdp
+from linemate.simulators.devices.can_sensor import CanSensor
+from linemate.simulators.devices.controller import Applied, RsiController
+from linemate.simulators.devices.controller_udp import ControllerUdp
+from linemate.simulators.devices.emulator_config import SHIPPED_RSI, EmulatorConfig
+from linemate.simulators.devices.force_torque import ForceTorqueSensor
+from linemate.simulators.devices.pty_port import PtyPort
+from linemate.simulators.devices.robot_plant import RobotPlant
+from linemate.simulators.devices.schedule import Schedule
+from linemate.simulators.devices.serial_pty import SerialPty
+from linemate.simulators.devices.slcan_pty import SlcanPty
+from linemate.simulators.devices.truth import TruthLog
+from linemate.simulators.plants.scenario import Scenario
+from linemate.simulators.plants.world import World
+
+NEWEST = 500
+SPARE_ROWS = 100
+MAX_ROWS = 200_000
+_BEFORE_S = 1e-6
+
+__all__ = [
+    "SHIPPED_RSI",
+    "Emulator",
+    "EmulatorConfig",
+    "EmulatorResult",
+    "OnState",
+    "run_emulator",
+    "serve",
+]
+
+OnState = Callable[[dict[str, Any]], None]
+
+
+@dataclass(frozen=True, slots=True)
+class EmulatorResult:
+    """What a run leaves behind.
+
+    Attributes:
+        facts: of the run as a whole: counters, limits, collision, why it ended.
+        truth: a row a telegram.
+    """
+
+    facts: dict[str, Any]
+    truth: TruthLog
+
+
+class Emulator:
+    """The devices and their world.
+
+    Attributes:
+        config: how they are set up.
+        world: the plant.
+        link: the controller on its socket.
+        can: the distance sensor behind its adapter.
+        camera: the camera.
+        force_torque: the sensor on its line.
+        truth: what happened.
+    """
+
+    def __init__(self, config: EmulatorConfig, on_state: OnState | None = None) -> None:
+        """Set everything up; no port is opened yet.
+
+        Args:
+            config: the station.
+            on_state: told when it is ready, how it goes, and how it ended.
+
+        Raises:
+            OSError: a file that cannot be read.
+            ProtocolError: a configuration that makes no telegram or no message.
+            ValueError: a scenario or controller that makes no sense.
+        """
+        self.config = config
+        self.world = World(config.scenario)
+        self.truth = TruthLog(_rows(config.scenario))
+        self._plant = RobotPlant(self.world)
+        rsi = parse_config(config.rsi_xml.read_bytes())
+        controller = RsiController(
+            rsi,
+            self._plant.read,
+            self._plant.start,
+            replace(
+                config.controller,
+                cycle_s=config.scenario.cycle_s,
+                patient=config.controller.patient or config.wait_answered > 0,
+            ),
+        )
+        self._schedule = Schedule()
+        target = config.robot_target or (rsi.ip, rsi.port)
+        self.link = ControllerUdp(controller, self, self._schedule, target, config.robot_bind)
+        encoder = DistanceEncoder(config.dbc, config.dbc_message, config.dbc_signal)
+        self.can = SlcanPty(CanSensor(encoder, config.distance_mount), config.can_link)
+        self.force_torque = SerialPty(
+            ForceTorqueSensor(config.force_torque_device), config.serial_link
+        )
+        self.camera = CameraUdp(
+            CameraSender(
+                config.camera_source,
+                config.camera_frame,
+                config.camera_object,
+                round(config.camera_clock_offset_s * 1e9),
+            ),
+            config.camera_target,
+        )
+        self._robot_target = target
+        self._on_state = on_state
+        self._waiting = config.wait_answered > 0
+        self._row = 0
+        self._cycle_s = config.scenario.cycle_s
+        self._look_ahead_s = min(
+            self._cycle_s, *(axis.dead_time_s for axis in config.scenario.robot.axes)
+        )
+        self._begun_ns = 0
+        self._begun_s = self.world.time_s
+        self._told_s = -1e9
+        self._waits = 0
+        self._ended: asyncio.Future[str] | None = None
+
+    async def run(self, stop: asyncio.Event | None = None) -> EmulatorResult:
+        """Open all ports, run to the end, close all ports.
+
+        Args:
+            stop: ends the run early when set.
+
+        Returns:
+            What happened.
+
+        Raises:
+            OSError: a port that cannot be opened.
+        """
+        self._ended = asyncio.get_running_loop().create_future()
+        self._schedule.on_error = self._failed
+        reason = "cancelled"
+        try:
+            self._open()
+            self._tell(self.ready())
+            reason = await self._end(self._ended, stop)
+        finally:
+            self._close()
+            facts = self.facts(reason)
+            if self.config.truth is not None:
+                self.truth.save(self.config.truth, facts)
+            self._tell({"event": "end", **facts})
+        return EmulatorResult(facts, self.truth)
+
+    def begin_cycle(self, at_ns: int) -> None:
+        """A telegram has gone out: its row begins, the sensors' near future is laid out.
+
+        Args:
+            at_ns: the instant at which the cycle began [ns].
+        """
+        if self._waiting:
+            self._tell_sometimes(self._waits * self._cycle_s)
+            self._waits += 1
+            return
+        self._begun_ns, self._begun_s = at_ns, self.world.time_s
+        self.truth.begin(self.world, self._plant.axes)
+        ahead_s = self._look_ahead_s - _BEFORE_S
+        if ahead_s > 0.0:
+            # No axis moves on this cycle's setpoints before the shortest dead time has passed.
+            self.world.advance(self._begun_s + ahead_s)
+            self._lay_out()
+        self._tell_sometimes(self._begun_s)
+
+    def end_cycle(self, applied: Applied, turnaround_ns: int | None) -> None:
+        """A cycle's fate is known: the world goes to the next one.
+
+        Args:
+            applied: what the controller applies during it.
+            turnaround_ns: how long its good reply took [ns], None without one.
+        """
+        if self._waiting:
+            self._row = self._row + 1 if applied.answered else 0
+            if self._row >= self.config.wait_answered:
+                self._waiting = False
+                self.link.begin_counting()
+            return
+        self.truth.end(applied, turnaround_ns)
+        self._plant.apply(applied)
+        self._lay_out()
+        self._look_for_end()
+
+    def ready(self) -> dict[str, Any]:
+        """Where everything is to be found."""
+        return {
+            "event": "ready",
+            "version": 1,
+            "pid": os.getpid(),
+            "robot": {"source": self.link.address, "target": self._robot_target},
+            "camera": {"target": self.config.camera_target},
+            "can": {
+                "interface": "slcan",
+                "channel": _found(self.can.port),
+            },
+            "force_torque": {
+                "url": _found(self.force_torque.port),
+                "device": self.config.force_torque_device,
+            },
+        }
+
+    def state(self) -> dict[str, Any]:
+        """How it goes."""
+        world = self.world
+        away = world.tcp_pose()[:3, 3] - world.hub_pose()[:3, 3]
+        return {
+            "event": "state",
+            "time_s": world.time_s,
+            "waiting": self._waiting,
+            "contact": world.contact,
+            "unit_position": world.unit_position(),
+            "unit_speed": world.unit_speed(),
+            "tcp_to_hub": [float(value) for value in away],
+            "digital_in": world.digital_in(),
+            "telegrams": self._telegrams(),
+            "delay": self.link.controller.delay,
+            "broken": self.link.controller.broken,
+            "turnaround_us": self.link.turnaround.summary_us(NEWEST),
+            "violations": self.link.controller.judge.violations,
+            "collision": None if world.collision is None else world.collision.reason,
+            "slips": self.link.pace.slips,
+        }
+
+    def facts(self, reason: str) -> dict[str, Any]:
+        """The run as a whole.
+
+        Args:
+            reason: why it ended.
+        """
+        controller, world, scenario = self.link.controller, self.world, self.world.scenario
+        judge = controller.judge
+        return {
+            "version": 1,
+            "reason": reason,
+            "scenario": scenario.name,
+            "seed": scenario.seed,
+            "cycle_s": scenario.cycle_s,
+            "time_s": world.time_s,
+            "telegrams": self._telegrams(),
+            "refusals": dict(controller.refusals),
+            "delay": controller.delay,
+            "broken": controller.broken,
+            "clamped": controller.clamped,
+            "messages": list(controller.messages),
+            "turnaround_us": self.link.turnaround.summary_us(),
+            "pace": asdict(self.link.pace),
+            "limits": {
+                "violations": judge.violations,
+                "kinds": dict(judge.counts),
+                "worst": dict(judge.worst),
+                "evidence": [asdict(violation) for violation in judge.evidence],
+            },
+            "impact": None if world.impact is None else asdict(world.impact),
+            "collision": None if world.collision is None else asdict(world.collision),
+            "screws_fixed_s": world.screws_fixed_s,
+            "released_s": world.released_s,
+            "contact": world.contact,
+            "rows_dropped": self.truth.dropped,
+            "links": {
+                "can": self.can.counters(),
+                "camera": self.camera.counters(),
+                "force_torque": self.force_torque.counters(),
+            },
+        }
+
+    def _open(self) -> None:
+        self._schedule.open()
+        self.can.open()
+        self.force_torque.open()
+        self.camera.open()
+        self.link.open()
+
+    def _close(self) -> None:
+        self.link.close()
+        self.camera.close()
+        self.force_torque.close()
+        self.can.close()
+        self._schedule.close()
+
+    @staticmethod
+    async def _end(ended: "asyncio.Future[str]", stop: asyncio.Event | None) -> str:
+        if stop is None:
+            return await ended
+        stopping = asyncio.create_task(stop.wait())
+        stopping.add_done_callback(lambda _: None if ended.done() else ended.set_result("stopped"))
+        try:
+            return await ended
+        finally:
+            stopping.cancel()
+
+    def _failed(self, error: Exception) -> None:
+        if self._ended is not None and not self._ended.done():
+            self._ended.set_exception(error)
+
+    def _lay_out(self) -> None:
+        """Put what the sensors emit in this cycle on the schedule."""
+        world = self.world
+        for distance in world.take_distance():
+            self._at(distance.time_s, partial(self.can.emit, distance.position, distance.strength))
+        for wrench in world.take_wrench():
+            device_us = round((wrench.exposure_s + world.scenario.lead_in_s) * 1e6)
+            self._at(
+                wrench.time_s,
+                partial(self.force_torque.emit, wrench.force, wrench.torque, device_us),
+            )
+        for pose in world.take_camera():
+            age_ns = round((pose.time_s - pose.exposure_s) * 1e9)
+            self._at(
+                pose.time_s,
+                partial(self.camera.emit, pose.position, pose.quaternion, pose.covariance, age_ns),
+            )
+
+    def _at(self, time_s: float, action: Callable[[], None]) -> None:
+        self._schedule.at(self._begun_ns + round((time_s - self._begun_s) * 1e9), action)
+
+    def _look_for_end(self) -> None:
+        now_s, config = self.world.time_s, self.config
+        hit = self.world.collision
+        hit_s = None if hit is None else hit.time_s
+        if now_s >= config.scenario.duration_s:
+            self._end_with("duration")
+        elif _passed(now_s, hit_s, config.end_after_collision_s):
+            self._end_with("collision")
+        elif _passed(now_s, self.world.released_s, config.end_after_release_s):
+            self._end_with("released")
+
+    def _end_with(self, reason: str) -> None:
+        self.link.stop()
+        if self._ended is not None and not self._ended.done():
+            self._ended.set_result(reason)
+
+    def _telegrams(self) -> dict[str, int]:
+        return asdict(self.link.controller.counts)
+
+    def _tell_sometimes(self, now_s: float) -> None:
+        if self._on_state is not None and now_s - self._told_s >= self.config.state_period_s:
+            self._told_s = now_s
+            self._tell(self.state())
+
+    def _tell(self, state: dict[str, Any]) -> None:
+        if self._on_state is not None:
+            self._on_state(state)
+
+
+async def run_emulator(
+    config: EmulatorConfig,
+    on_state: OnState | None = None,
+    stop: asyncio.Event | None = None,
+) -> EmulatorResult:
+    """Run a station of emulated devices to its end.
+
+    Args:
+        config: the station.
+        on_state: told when it is ready, how it goes, and how it ended; it must not block.
+        stop: ends the run early when set.
+
+    Returns:
+        What happened.
+
+    Raises:
+        OSError: a port or file that cannot be opened.
+        ProtocolError: a configuration that makes no telegram or no message.
+        ValueError: a scenario or controller that makes no sense.
+    """
+    return await Emulator(config, on_state).run(stop)
+
+
+def serve(config: EmulatorConfig, out: TextIO = sys.stdout, priority: int = 0) -> EmulatorResult:
+    """The body of an emulator process: a JSON line for each state; SIGTERM and SIGINT end it.
+
+    Args:
+        config: the station.
+        out: takes the lines.
+        priority: of SCHED_FIFO, where the host grants it; 0 leaves the scheduler alone.
+
+    Returns:
+        What happened.
+    """
+
+    def tell(state: dict[str, Any]) -> None:
+        print(json.dumps(state), file=out, flush=True)
+
+    async def body() -> EmulatorResult:
+        stop = asyncio.Event()
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, stop.set)
+        emulator = Emulator(config, tell)
+        if priority > 0:
+            with suppress(OSError):  # without the right to it, telegrams go out less evenly
+                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        gc.collect()
+        gc.freeze()
+        gc.disable()  # a collection in motion would be a late telegram
+        return await emulator.run(stop)
+
+    return asyncio.run(body())
+
+
+def _rows(scenario: Scenario) -> int:
+    cycles = (scenario.lead_in_s + scenario.duration_s) / scenario.cycle_s
+    return min(round(cycles) + SPARE_ROWS, MAX_ROWS)
+
+
+def _found(port: PtyPort) -> str:
+    return port.path if port.link is None else str(port.link)
+
+
+def _passed(now_s: float, since_s: float | None, wait_s: float | None) -> bool:
+    return since_s is not None and wait_s is not None and now_s >= since_s + wait_s

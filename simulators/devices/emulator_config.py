@@ -1,0 +1,71 @@
+"""How a station of emulated devices is set up.
+
+Law of this file: values only. What the daemon is told of the same station is its own affair; the
+two meet on the wire.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from linemate import protocol
+from linemate.protocol.distance import SHIPPED_DBC
+from linemate.simulators.devices.controller import ControllerConfig
+from linemate.simulators.devices.endpoint import Address
+from linemate.simulators.plants.scenario import Scenario
+
+SHIPPED_RSI = Path(next(iter(protocol.__path__))) / "data" / "rsi_joints.xml"
+"""RSI_EthernetConfig.xml: {RIst, AIPos, EIPos, Delay} and the tool's signals."""
+
+
+@dataclass(frozen=True, slots=True)
+class EmulatorConfig:
+    """A station of emulated devices.
+
+    Attributes:
+        scenario: the world and its sensors.
+        controller: how the controller is set up; its cycle is the scenario's.
+        rsi_xml: the site's RSI_EthernetConfig.xml.
+        robot_target: where telegrams go; None: to IP_NUMBER and PORT of the configuration.
+        robot_bind: where the controller sends from, port 0 for any.
+        camera_target: where poses go.
+        camera_source: camera id.
+        camera_frame: frame the poses are given in.
+        camera_object: object they are of.
+        camera_clock_offset_s: the camera's clock minus this host's monotonic one [s].
+        can_link: symbolic link to make for the slcan pty, None for none.
+        dbc: describes the distance sensor's message.
+        dbc_message: its name.
+        dbc_signal: the distance in it.
+        distance_mount: what the sensor reads when the conveyor unit is at s = 0 [m].
+        serial_link: symbolic link to make for the force-torque pty, None for none.
+        force_torque_device: "bota" or "robotiq-ft300".
+        wait_answered: the world stands still until so many telegrams in a row were answered;
+            until then nothing is charged.
+        end_after_release_s: end so long after the tool let go of the part [s]; None: do not.
+        end_after_collision_s: end so long after a collision [s]; None: do not.
+        state_period_s: how often the state is told [s].
+        truth: file that takes the truth at the end, None for none.
+    """
+
+    scenario: Scenario = field(default_factory=Scenario)
+    controller: ControllerConfig = field(default_factory=ControllerConfig)
+    rsi_xml: Path = SHIPPED_RSI
+    robot_target: Address | None = None
+    robot_bind: Address = ("127.0.0.1", 0)
+    camera_target: Address = ("127.0.0.1", 49200)
+    camera_source: str = "camera"
+    camera_frame: str = "camera"
+    camera_object: str = "hub"
+    camera_clock_offset_s: float = 86_400.0
+    can_link: Path | None = None
+    dbc: Path = SHIPPED_DBC
+    dbc_message: str = "CIA406_TPDO1"
+    dbc_signal: str = "Position"
+    distance_mount: float = 0.0
+    serial_link: Path | None = None
+    force_torque_device: str = "bota"
+    wait_answered: int = 0
+    end_after_release_s: float | None = None
+    end_after_collision_s: float | None = None
+    state_period_s: float = 0.1
+    truth: Path | None = None

@@ -1,0 +1,67 @@
+"""The world as a controller sees and moves it, cycle by cycle: the same in real and virtual time.
+
+Law of this file: units and frames between the plant and the wire's values, nothing else. A
+cycle's setpoints are commanded within that cycle; the world is never ahead of the next telegram.
+"""
+
+from linemate.protocol.samples import Vector6
+from linemate.protocol.units import rotation_to_abc
+from linemate.simulators.devices.controller import Applied, RobotReading, Seven
+from linemate.simulators.plants.world import World
+
+
+class RobotPlant:
+    """Reads and commands a world.
+
+    Attributes:
+        world: the plant.
+        cycle: the controller's cycle that is open, counted from the start of the run.
+        axes: what was last read, A1..A6 [rad], E1 [m].
+    """
+
+    def __init__(self, world: World) -> None:
+        self.world = world
+        self.cycle = 0
+        self.axes = self.start
+
+    @property
+    def start(self) -> Seven:
+        """Where the robot stands at the beginning, A1..A6 [rad], E1 [m]."""
+        return seven(self.world.scenario.robot.start)
+
+    def read(self) -> RobotReading:
+        """What the controller's telegram says of the robot now."""
+        truth = self.world.robot_state()
+        rows = truth.tcp_rigid.tolist()
+        (r11, r12, r13, x), (r21, r22, r23, y), (r31, r32, r33, z) = rows[:3]
+        a, b, c = rotation_to_abc(((r11, r12, r13), (r21, r22, r23), (r31, r32, r33)))
+        tcp: Vector6 = (x, y, z, a, b, c)
+        self.axes = seven(truth.joints + truth.external)
+        return RobotReading(self.axes, tcp, digital_in=self.world.digital_in())
+
+    def apply(self, applied: Applied) -> None:
+        """Command what the controller applies in the open cycle, and go to the next one.
+
+        Args:
+            applied: the open cycle's outcome.
+        """
+        self.world.command(applied.setpoints)
+        self.world.digital_out(applied.digital_out)
+        self.cycle += 1
+        self.world.advance(self.world.cycle_start(self.cycle))
+
+
+def seven(values: tuple[float, ...]) -> Seven:
+    """Seven values, A1..A6 and E1.
+
+    Args:
+        values: as many.
+
+    Returns:
+        The same.
+
+    Raises:
+        ValueError: if there are not seven.
+    """
+    a, b, c, d, e, f, g = values
+    return (a, b, c, d, e, f, g)
