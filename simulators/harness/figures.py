@@ -123,8 +123,10 @@ def control_error(rows: Rows, result: Mapping[str, Any]) -> Figure:
                 axes.axhline(bound, color=GREY, lw=0.6, ls=(0, (1, 2)))
             for i, colour in enumerate(COLOURS):
                 axes.plot(rows.t, values[:, i], color=colour, lw=0.8)
-            reach = np.nanmax(np.abs(values[rows.t >= 0.0]), initial=0.0)
-            axes.set_ylim(-max(1.2 * limit, 1.05 * reach), max(1.2 * limit, 1.05 * reach))
+            # What is beyond three times the limit may leave the picture, which is of the rest.
+            reach = float(np.nanmax(np.abs(values[rows.t >= 0.0]), initial=0.0))
+            bound = min(max(1.2 * limit, 1.05 * reach), 3.0 * limit)
+            axes.set_ylim(-bound, bound)
         _events((left, right), rows, result)
         keys = _axis_keys()
         keys.append(Line2D([], [], color=GREY, lw=0.6, ls=(0, (1, 2)), label="limit"))
@@ -175,16 +177,19 @@ def _panels(left: str, right: str) -> tuple[Figure, tuple[Axes, Axes]]:
 
 
 def _events(panels: tuple[Axes, Axes], rows: Rows, result: Mapping[str, Any]) -> None:
-    """Mark the conveyor's true stops and starts and the changes of phase along the top."""
+    """Mark true stops, starts and contact, and the retreat, along the top."""
     marks = [
         (float(entry["onset_s"]), str(entry["event"]))
         for entry in result.get("detection") or ()
         if entry.get("onset_s") is not None
     ]
     marks += [
-        (float(rows.t[at]), PHASES[rows.phase[at]])
-        for at in np.flatnonzero(np.diff(rows.phase)) + 1
-        if PHASES[rows.phase[at]] in {"contact", "retreat"}
+        (float(rows.t[int(np.argmax(holds))]), name)
+        for name, holds in (
+            ("contact", rows.contact == CLAMPED),
+            ("retreat", rows.phase == PHASES.index("retreat")),
+        )
+        if holds.any()
     ]
     for axes in panels:
         # As in the paper, the plot begins when the car reaches the start position.
