@@ -146,23 +146,24 @@ class Verdict:
 
 @dataclass(slots=True)
 class _Line:
-    """Telegrams that might be a session: the last of them, their step, how many."""
+    """The last telegrams, accepted or not, as far as they are equally far apart."""
 
     ipoc: int = 0
     step: int = 0
     length: int = 0
 
-    def extend(self, ipoc: int, reach: int) -> None:
-        """Add a telegram; starts again if it does not fit."""
+    def extend(self, ipoc: int, reach: int) -> bool:
+        """Add a telegram: True if it is one of enough in one line."""
         delta = ipoc - self.ipoc
         if self.length and delta == 0:
-            return
+            return False
         if self.length and 0 < delta <= reach:
             self.length = self.length + 1 if delta == self.step else 2
             self.step = delta
         else:
             self.length, self.step = 1, 0
         self.ipoc = ipoc
+        return self.length >= CONSISTENT
 
 
 class Exchange:
@@ -206,7 +207,7 @@ class Exchange:
         self._made = 0
         self._delta: int | None = None
         self._missed: frozenset[int] = frozenset()
-        self._doubt = _Line()
+        self._line = _Line()
 
     @property
     def state(self) -> State:
@@ -268,11 +269,9 @@ class Exchange:
         self._heard_ns = stamp_ns
         if stamp_ns - self._last_ns >= self._session_gap_ns:
             return Event.OPENING
+        in_line = self._line.extend(ipoc, self._reach)
         event = self._place(ipoc, stamp_ns)
-        if event not in _DOUBTFUL:
-            return event
-        self._doubt.extend(ipoc, self._reach)
-        if self._doubt.length < CONSISTENT:
+        if event not in _DOUBTFUL or not in_line:
             return event
         return Event.RESUME if self._goes_on(ipoc, stamp_ns) else Event.RESYNC
 
@@ -282,31 +281,31 @@ class Exchange:
             return Event.SAME
         if delta < 0:
             return Event.MISSED if ipoc in self._missed else Event.OLDER
-        if self._state is State.LEARNING or self._step is None:
-            return self._place_learning(delta)
-        cycles, rest = divmod(delta, self._step)
         passed = (stamp_ns - self._last_ns) // self._cycle_ns
+        if self._state is State.LEARNING or self._step is None:
+            return self._place_learning(delta, passed)
+        cycles, rest = divmod(delta, self._step)
         if rest or cycles > min(WINDOW, passed + SLACK):
             return Event.STRAY
         if (ipoc - self._anchor_ipoc) // self._step <= self._made:
             return Event.OVERDUE
         return Event.NEXT if cycles == 1 else Event.AHEAD
 
-    def _place_learning(self, delta: int) -> Event:
+    def _place_learning(self, delta: int, passed: int) -> Event:
         """Two equal differences in a row settle the step; before that the last one is it."""
         if delta > self._reach:
             return Event.STRAY
         if delta in {self._delta, self._step}:
             return Event.SETTLED
-        if self._step is not None and delta % self._step == 0:
-            return Event.AHEAD
-        return Event.NEXT
+        if self._step is None or delta % self._step or delta // self._step > passed + 1:
+            return Event.NEXT
+        return Event.AHEAD
 
     def _goes_on(self, ipoc: int, stamp_ns: int) -> bool:
         """Does the doubtful line continue the one that was confirmed last?"""
-        if self._state is not State.RUNNING or self._doubt.step != self._step:
+        if self._state is not State.RUNNING or self._line.step != self._step:
             return False
-        cycles, rest = divmod(ipoc - self._anchor_ipoc, self._doubt.step)
+        cycles, rest = divmod(ipoc - self._anchor_ipoc, self._line.step)
         passed = (stamp_ns - self._anchor_ns) / self._cycle_ns
         return rest == 0 and 0 < cycles <= WINDOW and abs(passed - cycles) <= SLACK
 
@@ -325,11 +324,12 @@ class Exchange:
         return 0, 0
 
     def _open(self, event: Event, ipoc: int, stamp_ns: int, peer: Hashable) -> None:
-        step = self._doubt.step if event is Event.RESYNC else None
+        line = self._line if event is Event.RESYNC else _Line(ipoc, 0, 1)
         self.reset()
+        self._line = line
         self._session += 1
         self._peer = peer
-        self._step = self._delta = step
+        self._step = self._delta = line.step or None
         self._heard_ns = stamp_ns
         self._trust(ipoc, stamp_ns)
 
@@ -337,7 +337,6 @@ class Exchange:
         """A telegram beyond doubt: it is the last one and the anchor."""
         self._last_ipoc = self._anchor_ipoc = ipoc
         self._last_ns = self._anchor_ns = stamp_ns
-        self._doubt = _Line()
 
     def _accept(self, event: Event, ipoc: int, stamp_ns: int) -> tuple[int, int]:
         delta = ipoc - self._last_ipoc
@@ -358,7 +357,6 @@ class Exchange:
             self._anchor_ipoc, self._anchor_ns = self._last_ipoc, self._last_ns
             self._remember_missed(ipoc, step)
             self._last_ipoc, self._last_ns = ipoc, stamp_ns
-            self._doubt = _Line()
         return cycles - 1, steps
 
     def _remember_missed(self, ipoc: int, step: int) -> None:
@@ -366,7 +364,7 @@ class Exchange:
         self._missed = frozenset((*kept, *range(self._last_ipoc + step, ipoc, step)))
 
     def _resume(self, ipoc: int, stamp_ns: int) -> tuple[int, int]:
-        cycles = (ipoc - self._anchor_ipoc) // self._doubt.step
+        cycles = (ipoc - self._anchor_ipoc) // self._line.step
         steps = max(0, cycles - self._made)
         self._made = max(0, self._made - cycles)
         self._missed = frozenset()

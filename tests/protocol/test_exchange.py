@@ -1,0 +1,695 @@
+"""The cyclic exchange: both roles alone, then as a pair over a link that loses."""
+
+from dataclasses import dataclass, field
+from importlib.resources import files
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from linemate.protocol.exchange import (
+    CONSISTENT,
+    TABLE,
+    WINDOW,
+    ControllerExchange,
+    Exchange,
+    Judgement,
+    Kind,
+    State,
+    Verdict,
+)
+from linemate.protocol.exchange_controller import HISTORY
+from linemate.protocol.exchange_controller import TABLE as CONTROLLER_TABLE
+from linemate.protocol.exchange_controller import Event as ControllerEvent
+from linemate.protocol.exchange_controller import State as ControllerState
+from linemate.protocol.rsi import (
+    RobotTelegram,
+    RsiCodec,
+    RsiError,
+    SensorTelegram,
+    parse_config,
+)
+
+CYCLE_S = 0.012
+CYCLE_NS = 12_000_000
+STEP = 12
+FIRST = 4208163634
+
+
+class Feed:
+    """An exchange that is fed telegrams by cycle number: IPOC and stamp agree unless told."""
+
+    def __init__(self, step: int = STEP, cycle_s: float = CYCLE_S) -> None:
+        self.exchange = Exchange(cycle_s)
+        self.step = step
+        self.cycle_ns = round(cycle_s * 1e9)
+
+    def __call__(
+        self, cycle: float, ipoc_cycle: float | None = None, peer: object = None
+    ) -> Verdict:
+        at = cycle if ipoc_cycle is None else ipoc_cycle
+        ipoc = FIRST + round(at * self.step)
+        return self.exchange.on_telegram(ipoc, round(cycle * self.cycle_ns), peer)
+
+    def kinds(self, *cycles: float) -> list[str]:
+        return [self(cycle).kind.value for cycle in cycles]
+
+
+def running(step: int = STEP) -> Feed:
+    """A session whose step is settled; the last telegram is that of cycle 4."""
+    feed = Feed(step)
+    assert feed.kinds(0, 1, 2, 3, 4) == ["first", "normal", "normal", "normal", "normal"]
+    assert feed.exchange.state is State.RUNNING
+    return feed
+
+
+# --- the daemon's role ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("step", [12, 4, 1, 7])
+def test_the_ipoc_step_is_learned(step: int) -> None:
+    feed = Feed(step)
+    first = feed(0)
+    assert first == Verdict(Kind.FIRST, answer=True, missed=0, steps=1, session=1, step=None)
+    assert feed(1).step == step
+    assert feed(2) == Verdict(Kind.NORMAL, answer=True, missed=0, steps=1, session=1, step=step)
+    assert feed.exchange.step == step
+    assert feed.exchange.session == 1
+
+
+@pytest.mark.parametrize(
+    ("cycles", "kinds"),
+    [
+        ((0, 1, 3, 4, 5), ["first", "normal", "gap", "normal", "normal"]),
+        ((0, 2, 3, 4, 5), ["first", "normal", "normal", "normal", "normal"]),
+        ((0, 2, 4, 5, 6, 7), ["first", "normal", "normal", "refused", "normal", "new_session"]),
+    ],
+)
+def test_telegrams_lost_while_learning_do_not_fix_a_wrong_step(
+    cycles: tuple[int, ...], kinds: list[str]
+) -> None:
+    feed = Feed()
+    assert feed.kinds(*cycles) == kinds
+    assert feed.exchange.step == STEP
+    assert feed(cycles[-1] + 1).kind is Kind.NORMAL
+
+
+def test_a_gap_says_how_many_cycles_passed() -> None:
+    feed = running()
+    verdict = feed(8)
+    assert (verdict.kind, verdict.answer, verdict.missed, verdict.steps) == (Kind.GAP, True, 3, 4)
+    assert feed(9).kind is Kind.NORMAL
+    assert feed.exchange.counters["missed"] == 3
+    assert feed.exchange.counters["gap"] == 1
+
+
+def test_the_same_telegram_twice_is_answered_once() -> None:
+    feed = running()
+    verdict = feed(4.1, 4)
+    assert (verdict.kind, verdict.answer, verdict.steps) == (Kind.DUPLICATE, False, 0)
+    assert feed(5).kind is Kind.NORMAL
+
+
+def test_a_telegram_after_its_successor_is_late_and_not_answered() -> None:
+    feed = running()
+    assert feed(6).kind is Kind.GAP
+    late = feed(6.1, 5)
+    assert (late.kind, late.answer, late.steps) == (Kind.LATE, False, 0)
+    assert feed(6.2, 5).kind is Kind.BACKWARD
+    assert feed(7).kind is Kind.NORMAL
+
+
+def test_a_telegram_seen_long_ago_is_backward() -> None:
+    feed = running()
+    verdict = feed(4.5, 2)
+    assert (verdict.kind, verdict.answer) == (Kind.BACKWARD, False)
+    assert feed(5).kind is Kind.NORMAL
+
+
+def test_a_telegram_whose_step_the_clock_made_is_late_but_answered() -> None:
+    feed = running()
+    feed.exchange.on_missing()
+    late = feed(5.7, 5)
+    assert (late.kind, late.answer, late.steps, late.missed) == (Kind.LATE, True, 0, 0)
+    assert feed(6).steps == 1
+    assert feed.exchange.counters["overdue"] == 1
+
+
+def test_steps_of_the_clock_are_taken_off_a_gap() -> None:
+    feed = running()
+    feed.exchange.on_missing()
+    feed.exchange.on_missing()
+    verdict = feed(8)
+    assert (verdict.kind, verdict.missed, verdict.steps) == (Kind.GAP, 3, 2)
+    assert feed(9).steps == 1
+
+
+def test_steps_that_the_clock_made_too_many_are_made_good() -> None:
+    feed = running()
+    for _ in range(3):
+        feed.exchange.on_missing()
+    assert feed(7, 5).steps == 0
+    assert feed(7.1, 6).steps == 0
+    assert feed(7.2, 7).steps == 0
+    assert feed(8).steps == 1
+
+
+def test_a_clock_before_the_first_telegram_owes_nothing() -> None:
+    feed = Feed()
+    feed.exchange.on_missing()
+    assert feed.exchange.counters["overdue"] == 0
+    assert feed.exchange.silence_ns(5) is None
+    assert feed(0).steps == 1
+    assert feed.exchange.silence_ns(5) == 5
+
+
+@pytest.mark.parametrize("ahead", [1e6 / STEP, WINDOW + 1, 2.5, -1e6, -FIRST / STEP, 50])
+def test_a_counter_that_jumps_for_good_is_a_new_session_at_the_third_telegram(ahead: float) -> None:
+    feed = running()
+    verdicts = [feed(5 + n, 5 + n + ahead) for n in range(5)]
+    assert [v.answer for v in verdicts] == [False, False, True, True, True]
+    assert [v.kind for v in verdicts[2:]] == [Kind.NEW_SESSION, Kind.NORMAL, Kind.NORMAL]
+    assert {v.session for v in verdicts[2:]} == {2}
+    assert verdicts[2].steps == 1
+    assert feed.exchange.state is State.RUNNING
+
+
+def test_a_new_session_may_have_another_step() -> None:
+    feed = running()
+    kinds = [feed.exchange.on_telegram(n, (5 + n) * CYCLE_NS).kind for n in range(5)]
+    assert kinds[2:] == [Kind.NEW_SESSION, Kind.NORMAL, Kind.NORMAL]
+    assert feed.exchange.step == 1
+
+
+def test_a_gap_may_be_as_wide_as_the_window_and_no_wider() -> None:
+    feed = running()
+    assert feed(4 + WINDOW).kind is Kind.GAP
+    assert feed(4 + 2 * WINDOW + 1).kind is Kind.REFUSED
+
+
+def test_a_gap_without_the_time_for_it_is_a_flipped_bit() -> None:
+    feed = running()
+    assert feed(5, 5 + 16).kind is Kind.REFUSED
+    assert feed(6).kind is Kind.GAP
+
+
+@pytest.mark.parametrize(
+    ("silence_s", "kind"), [(1.0, Kind.GAP), (1.99, Kind.REFUSED), (2.0, Kind.NEW_SESSION)]
+)
+def test_silence_ends_a_session(silence_s: float, kind: Kind) -> None:
+    feed = running()
+    cycles = round(silence_s / CYCLE_S)
+    ipoc = FIRST + STEP * (4 + cycles)
+    verdict = feed.exchange.on_telegram(ipoc, 4 * CYCLE_NS + round(silence_s * 1e9))
+    assert verdict.kind is kind
+    assert verdict.session == (2 if kind is Kind.NEW_SESSION else 1)
+
+
+def test_a_counter_that_stands_still_is_a_new_session_after_the_silence() -> None:
+    feed = running()
+    answered = [n for n in range(5, 500) if feed(n, 4).answer]
+    assert answered == [4 + 167, 4 + 2 * 167]
+
+
+def test_another_peer_is_refused_while_the_first_one_lives() -> None:
+    feed = Feed()
+    for n in range(5):
+        assert feed(n, peer="first").answer
+        assert feed(n + 0.5, n + 1000, peer="second").kind is Kind.REFUSED
+    assert feed(12, 1012, peer="second").kind is Kind.REFUSED
+    taken_over = feed(13, 1013, peer="second")
+    assert (taken_over.kind, taken_over.session) == (Kind.NEW_SESSION, 2)
+    assert feed(13.5, 13, peer="first").kind is Kind.REFUSED
+    assert feed(14, 1014, peer="second").kind is Kind.NORMAL
+
+
+def test_a_reset_begins_with_a_first_telegram_again() -> None:
+    feed = running()
+    feed.exchange.reset()
+    verdict = feed(5)
+    assert (verdict.kind, verdict.session) == (Kind.FIRST, 2)
+    assert feed.exchange.counters["first"] == 2
+
+
+@pytest.mark.parametrize("step", [12, 4, 1])
+@pytest.mark.parametrize("position", range(8))
+def test_a_flipped_bit_costs_at_most_three_answers(step: int, position: int) -> None:
+    for bit in range(40):
+        feed = Feed(step)
+        verdicts = []
+        for n in range(position + 10):
+            flip = 1 << bit if n == position else 0
+            verdicts.append(feed.exchange.on_telegram((FIRST + n * step) ^ flip, n * CYCLE_NS))
+        after = verdicts[position:]
+        assert [verdict.answer for verdict in after].count(False) <= 3
+        # Late where a small flip looked like a gap, and its steps were made too early.
+        assert {verdict.kind for verdict in after[4:]} <= {Kind.NORMAL, Kind.LATE}
+        assert after[-1].kind is Kind.NORMAL
+        assert feed.exchange.step == step
+        assert position < 4 or feed.exchange.session == 1
+
+
+PEERS = st.sampled_from([None, "a"])
+NOISE = st.lists(
+    st.tuples(
+        st.one_of(st.integers(-5, 40).map(lambda n: FIRST + 4 * n), st.integers(0, 2**40)),
+        st.integers(0, 30_000_000),
+        PEERS,
+        st.booleans(),
+    ),
+    max_size=40,
+)
+
+
+@settings(max_examples=300)
+@given(NOISE, st.integers(0, 2**40), st.integers(1, 1000))
+@example([(FIRST + 4 * n, 4_000_000, None, False) for n in (0, 2, 4)], FIRST + 20, 4)
+def test_whatever_came_before_a_clean_line_is_answered_from_its_third_telegram(
+    noise: list[tuple[int, int, str | None, bool]], start: int, step: int
+) -> None:
+    exchange = Exchange(CYCLE_S)
+    now = 0
+    for ipoc, wait, peer, missing in noise:
+        now += wait
+        if missing:
+            exchange.on_missing()
+        verdict = exchange.on_telegram(ipoc, now, peer)
+        assert verdict.missed >= 0
+        assert verdict.steps >= 0
+        assert verdict.answer or not verdict.steps
+    now += 150_000_000
+    for n in range(12):
+        now += CYCLE_NS
+        verdict = exchange.on_telegram(start + n * step, now, "a")
+        assert verdict.answer or n < CONSISTENT - 1
+
+
+@given(st.lists(st.sampled_from(["ok", "lost", "lost and stepped", "late"]), max_size=60))
+def test_steps_follow_the_controllers_cycles(fates: list[str]) -> None:
+    """Whoever makes a step, the clock or a telegram: at each answer k is the controller's."""
+    feed = running()
+    made = 4
+    lost = 0
+    for cycle, fate in enumerate(fates, start=5):
+        if fate == "lost" and lost < WINDOW - 2:
+            lost += 1
+            continue
+        if fate in {"late", "lost and stepped"}:
+            feed.exchange.on_missing()
+            made += 1
+        if fate == "lost and stepped":
+            lost += 1
+            continue
+        verdict = feed(cycle)
+        lost = 0
+        made += verdict.steps
+        assert verdict.answer
+        assert made == cycle
+
+
+def test_every_state_knows_every_event_that_can_reach_it() -> None:
+    in_session = set(TABLE[State.RUNNING]) & set(TABLE[State.LEARNING])
+    assert len(in_session) == 10
+    for row in TABLE.values():
+        for transition in row.values():
+            fresh = transition.kind in {Kind.FIRST, Kind.NORMAL, Kind.GAP, Kind.NEW_SESSION}
+            assert transition.answer is fresh or transition.kind is Kind.LATE
+
+
+# --- the controller's role -----------------------------------------------------------------
+
+
+def controller(**settings_: object) -> ControllerExchange:
+    return ControllerExchange(**({"step": 4, "timeout": 3, "first_ipoc": 1000} | settings_))
+
+
+def test_a_reply_in_time_with_its_ipoc_is_accepted() -> None:
+    exchange = controller()
+    for n in range(5):
+        ipoc = exchange.next_ipoc()
+        assert ipoc == 1000 + 4 * n
+        assert exchange.on_reply(ipoc, stamp_ns=3, deadline_ns=4) is Judgement.ACCEPTED
+        assert exchange.state is ControllerState.ANSWERED
+        assert exchange.close_cycle() is Judgement.ACCEPTED
+        assert exchange.close_cycle() is None
+    assert exchange.delay == exchange.row == 0
+    assert (exchange.counts.sent, exchange.counts.answered) == (5, 5)
+
+
+def test_a_reply_at_the_deadline_is_late_and_its_cycle_is_charged() -> None:
+    exchange = controller()
+    ipoc = exchange.next_ipoc()
+    assert exchange.on_reply(ipoc, stamp_ns=4, deadline_ns=4) is Judgement.LATE
+    assert exchange.on_reply(ipoc, stamp_ns=3, deadline_ns=4) is Judgement.DUPLICATE
+    assert exchange.close_cycle() is Judgement.LATE
+    assert (exchange.delay, exchange.row) == (1, 1)
+    assert exchange.counts.late == 1
+    assert exchange.counts.lost == exchange.counts.answered == 0
+
+
+def test_a_reply_in_the_next_cycle_is_late_and_charged_once() -> None:
+    exchange = controller()
+    old = exchange.next_ipoc()
+    new = exchange.next_ipoc()
+    assert (exchange.delay, exchange.counts.lost) == (1, 1)
+    assert exchange.on_reply(old) is Judgement.LATE
+    assert (exchange.delay, exchange.counts.lost, exchange.counts.late) == (1, 0, 1)
+    assert exchange.on_reply(old) is Judgement.DUPLICATE
+    assert exchange.on_reply(new) is Judgement.ACCEPTED
+    exchange.close_cycle()
+    assert exchange.on_reply(new) is Judgement.DUPLICATE
+    assert (exchange.delay, exchange.row) == (1, 0)
+
+
+def test_a_reply_between_cycles_is_late() -> None:
+    exchange = controller()
+    ipoc = exchange.next_ipoc()
+    assert exchange.close_cycle() is Judgement.MISSING
+    assert exchange.on_reply(ipoc) is Judgement.LATE
+
+
+def test_a_second_reply_is_a_duplicate_and_costs_nothing() -> None:
+    exchange = controller()
+    ipoc = exchange.next_ipoc()
+    exchange.on_reply(ipoc)
+    assert exchange.on_reply(ipoc) is Judgement.DUPLICATE
+    assert exchange.close_cycle() is Judgement.ACCEPTED
+    assert exchange.delay == 0
+    assert exchange.counts.duplicate == 1
+
+
+@pytest.mark.parametrize("wrong", [1004, 1001, 996, 0, 10**9, -4])
+def test_an_ipoc_never_sent_is_wrong_and_the_same_as_no_answer(wrong: int) -> None:
+    exchange = controller()
+    assert exchange.on_reply(wrong) is Judgement.WRONG_IPOC
+    assert exchange.delay == 0
+    exchange.next_ipoc()
+    assert exchange.on_reply(wrong) is Judgement.WRONG_IPOC
+    assert exchange.close_cycle() is Judgement.REFUSED
+    assert (exchange.delay, exchange.counts.refused, exchange.counts.lost) == (1, 1, 0)
+    assert exchange.counts.wrong_ipoc == 2
+
+
+def test_an_unreadable_reply_is_the_same_as_no_answer() -> None:
+    exchange = controller()
+    exchange.next_ipoc()
+    assert exchange.on_unreadable() is Judgement.REFUSED
+    assert exchange.on_unreadable() is Judgement.REFUSED
+    assert exchange.close_cycle() is Judgement.REFUSED
+    assert (exchange.delay, exchange.counts.refused, exchange.counts.unreadable) == (1, 1, 2)
+
+
+def test_a_bad_reply_beside_a_good_one_is_charged_but_the_cycle_is_answered() -> None:
+    exchange = controller()
+    for first_bad in (True, False):
+        ipoc = exchange.next_ipoc()
+        if first_bad:
+            exchange.on_unreadable()
+        assert exchange.on_reply(ipoc) is Judgement.ACCEPTED
+        if not first_bad:
+            exchange.on_reply(5)
+        assert exchange.close_cycle() is Judgement.ACCEPTED
+    assert (exchange.delay, exchange.row, exchange.counts.answered) == (2, 0, 2)
+
+
+def run(exchange: ControllerExchange, pattern: str) -> int:
+    """Cycles that the pattern of answers (``.``) and silences (``x``) lasts."""
+    for n, answer in enumerate(pattern):
+        ipoc = exchange.next_ipoc()
+        if exchange.broken:
+            return n
+        if answer == ".":
+            exchange.on_reply(ipoc)
+    exchange.close_cycle()
+    return len(pattern)
+
+
+@pytest.mark.parametrize(
+    ("rule", "pattern", "lasts"),
+    [
+        ("total", "x.x.x.......", 12),
+        ("total", "x.x.x..x.....", 8),
+        ("total", "xxxx..", 4),
+        ("row", "x.x.x.x.x.x.", 12),
+        ("row", "xxx.xxx.xxx.", 12),
+        ("row", "..xxxx.....", 6),
+    ],
+)
+def test_the_timeout_breaks_off_by_its_rule(rule: str, pattern: str, lasts: int) -> None:
+    exchange = controller(rule=rule)
+    assert run(exchange, pattern) == lasts
+    assert exchange.broken is (lasts < len(pattern))
+
+
+def test_a_broken_exchange_stays_so_until_it_is_started_again() -> None:
+    exchange = controller(timeout=0)
+    last = exchange.next_ipoc()
+    assert exchange.next_ipoc() == last
+    assert exchange.broken
+    assert exchange.next_ipoc() == last
+    assert exchange.on_reply(last) is Judgement.LATE
+    assert exchange.on_reply(last) is Judgement.DUPLICATE
+    assert exchange.on_reply(last + 4) is Judgement.WRONG_IPOC
+    assert exchange.on_unreadable() is Judgement.REFUSED
+    assert exchange.broken
+    assert (exchange.counts.sent, exchange.delay) == (1, 1)
+    exchange.restart(8)
+    assert not exchange.broken
+    assert (exchange.next_ipoc(), exchange.delay, exchange.row) == (8, 0, 0)
+    assert exchange.counts.sent == 2
+
+
+def test_a_patient_controller_charges_nothing_before_the_first_answer() -> None:
+    exchange = controller(patient=True)
+    assert run(exchange, "xxxxxxxx.xxx") == 12
+    assert (exchange.delay, exchange.row, exchange.counts.lost) == (3, 3, 11)
+    assert run(exchange, "xx") == 1
+    assert exchange.broken
+
+
+def test_a_very_old_reply_is_late_and_forgotten() -> None:
+    exchange = controller(timeout=1000)
+    first = exchange.next_ipoc()
+    for _ in range(HISTORY + 5):
+        exchange.next_ipoc()
+    assert exchange.on_reply(first) is Judgement.LATE
+    assert (exchange.counts.late, exchange.counts.lost) == (0, HISTORY + 5)
+
+
+@pytest.mark.parametrize(
+    "bad", [{"step": 0}, {"timeout": -1}, {"first_ipoc": -1}, {"rule": "sometimes"}]
+)
+def test_a_controller_that_cannot_be_is_refused(bad: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match="="):
+        controller(**bad)
+
+
+@given(
+    st.lists(
+        st.one_of(
+            st.sampled_from(["next", "close", "unreadable"]),
+            st.tuples(st.integers(-3, 110), st.integers(0, 3), st.booleans()),
+        ),
+        max_size=150,
+    )
+)
+def test_every_closed_cycle_is_counted_exactly_once(
+    calls: list[str | tuple[int, int, bool]],
+) -> None:
+    exchange = controller(timeout=100, rule="row")
+    for call in calls:
+        match call:
+            case "next":
+                exchange.next_ipoc()
+            case "close":
+                exchange.close_cycle()
+            case "unreadable":
+                exchange.on_unreadable()
+            case (behind, odd, late):
+                newest = 1000 + 4 * (exchange.counts.sent - 1)
+                exchange.on_reply(newest - 4 * behind + odd, 9, 5 if late else None)
+        counts = exchange.counts
+        is_open = exchange.state in {ControllerState.WAITING, ControllerState.ANSWERED}
+        closed = counts.answered + counts.late + counts.refused + counts.lost
+        assert closed + is_open == counts.sent
+        assert exchange.delay <= counts.sent
+        assert min(counts.answered, counts.late, counts.refused, counts.lost) >= 0
+
+
+def test_a_cycle_is_opened_and_closed_only_where_it_can_be() -> None:
+    for state, row in CONTROLLER_TABLE.items():
+        is_open = state in {ControllerState.WAITING, ControllerState.ANSWERED}
+        assert (ControllerEvent.CLOSE in row) is is_open
+        assert (ControllerEvent.OPEN in row) is (state is ControllerState.BETWEEN)
+        assert (ControllerEvent.GOOD in row) is (state is ControllerState.WAITING)
+
+
+# --- the pair ------------------------------------------------------------------------------
+
+CONFIG = parse_config((files("linemate.protocol") / "data" / "rsi_joints.xml").read_bytes())
+
+
+@dataclass
+class ExchangePair:
+    """Both ends on one link: real codecs, real exchanges, bytes in between, no socket.
+
+    A fate a cycle and direction: how the link treats the datagram. What is delayed arrives at
+    the head of the next cycle, before that cycle's own datagram.
+    """
+
+    step: int = 4
+    robot: RsiCodec = field(default_factory=lambda: RsiCodec(CONFIG))
+    sensor: RsiCodec = field(default_factory=lambda: RsiCodec(CONFIG))
+    now_ns: int = 0
+    refused: int = 0
+    answers: int = 0
+    kinds: list[Kind] = field(default_factory=list)
+    judgements: list[Judgement | None] = field(default_factory=list)
+    held_up: dict[str, list[bytes]] = field(default_factory=lambda: {"down": [], "up": []})
+
+    def __post_init__(self) -> None:
+        self.controller = ControllerExchange(self.step, 10_000, first_ipoc=FIRST)
+        self.daemon = Exchange(0.004)
+
+    def cycle(self, down: str = "ok", up: str = "ok") -> None:
+        self.now_ns += 4_000_000
+        telegram = RobotTelegram(
+            self.controller.next_ipoc(),
+            joints=(0.1,) * 6,
+            external=(0.0,) * 6,
+            tcp=(0.0,) * 6,
+            delay=self.controller.delay,
+        )
+        replies = []
+        for data in self.link("down", down, self.robot.format_robot(telegram)):
+            replies += self.answer(data)
+        for data in self.link("up", up, *replies):
+            self.judge(data)
+        self.judgements.append(self.controller.close_cycle())
+
+    def link(self, direction: str, fate: str, *datagrams: bytes) -> list[bytes]:
+        arriving, self.held_up[direction] = self.held_up[direction], []
+        for data in datagrams:
+            match fate:
+                case "lost":
+                    pass
+                case "twice":
+                    arriving += [data, data]
+                case "held up":
+                    self.held_up[direction].append(data)
+                case "garbled":
+                    arriving.append(data.replace(b"<IPOC>", b"<IPOC>9"))
+                case "cut":
+                    arriving.append(data[: len(data) // 2])
+                case _:
+                    arriving.append(data)
+        return arriving
+
+    def answer(self, data: bytes) -> list[bytes]:
+        try:
+            telegram = self.sensor.parse_robot(data)
+        except RsiError:
+            self.refused += 1
+            return []
+        verdict = self.daemon.on_telegram(telegram.ipoc, self.now_ns)
+        self.kinds.append(verdict.kind)
+        if not verdict.answer:
+            return []
+        self.answers += 1
+        reply = SensorTelegram(telegram.ipoc, joints=(0.0,) * 6, external=(0.0,))
+        return [self.sensor.prepare_sensor(reply).with_ipoc(telegram.ipoc_text)]
+
+    def judge(self, data: bytes) -> None:
+        try:
+            reply = self.robot.parse_sensor(data)
+        except RsiError:
+            self.controller.on_unreadable()
+        else:
+            self.controller.on_reply(reply.ipoc)
+
+
+@pytest.mark.parametrize("step", [12, 4, 1])
+def test_on_a_good_link_every_telegram_is_answered(step: int) -> None:
+    pair = ExchangePair(step)
+    for _ in range(50):
+        pair.cycle()
+    assert pair.judgements == [Judgement.ACCEPTED] * 50
+    assert pair.kinds == [Kind.FIRST] + [Kind.NORMAL] * 49
+    assert pair.daemon.step == step
+    assert pair.controller.delay == 0
+
+
+def test_what_the_link_does_is_seen_at_both_ends() -> None:
+    pair = ExchangePair()
+    fates = [
+        ("ok", "ok", Judgement.ACCEPTED),
+        ("ok", "ok", Judgement.ACCEPTED),
+        ("ok", "ok", Judgement.ACCEPTED),
+        ("lost", "ok", Judgement.MISSING),
+        ("ok", "lost", Judgement.MISSING),
+        ("twice", "ok", Judgement.ACCEPTED),
+        ("ok", "twice", Judgement.ACCEPTED),
+        ("cut", "ok", Judgement.MISSING),
+        ("ok", "cut", Judgement.REFUSED),
+        ("garbled", "ok", Judgement.MISSING),
+        ("ok", "garbled", Judgement.REFUSED),
+        ("ok", "held up", Judgement.MISSING),
+        ("ok", "ok", Judgement.ACCEPTED),
+        ("held up", "ok", Judgement.MISSING),
+        ("ok", "ok", Judgement.ACCEPTED),
+    ]
+    for down, up, _ in fates:
+        pair.cycle(down, up)
+    assert pair.judgements == [judgement for _, _, judgement in fates]
+    assert pair.refused == 1
+    assert pair.daemon.counters == {
+        "first": 1,
+        "normal": 8,
+        "gap": 3,
+        "duplicate": 1,
+        "backward": 0,
+        "late": 0,
+        "new_session": 0,
+        "refused": 1,
+        "missed": 3,
+        "overdue": 0,
+        "sessions": 1,
+    }
+    counts = pair.controller.counts
+    assert (counts.sent, counts.answered, counts.late) == (15, 7, 2)
+    assert (counts.lost, counts.refused, counts.duplicate) == (4, 2, 1)
+    assert (counts.wrong_ipoc, counts.unreadable) == (1, 1)
+    assert pair.controller.delay == 8
+
+
+def test_a_controller_started_again_is_a_new_session() -> None:
+    pair = ExchangePair()
+    for _ in range(5):
+        pair.cycle()
+    pair.controller.restart(0)
+    for _ in range(5):
+        pair.cycle()
+    assert pair.kinds[-3:] == [Kind.NEW_SESSION, Kind.NORMAL, Kind.NORMAL]
+    assert pair.judgements[5:] == [Judgement.MISSING] * 2 + [Judgement.ACCEPTED] * 3
+    assert pair.daemon.session == 2
+
+
+FATES = st.sampled_from(["ok", "ok", "ok", "lost", "twice", "held up", "garbled", "cut"])
+
+
+@settings(max_examples=100)
+@given(st.lists(st.tuples(FATES, FATES), max_size=30))
+def test_after_any_link_has_come_to_its_senses_the_exchange_goes_on(
+    fates: list[tuple[str, str]],
+) -> None:
+    pair = ExchangePair()
+    for down, up in fates:
+        pair.cycle(down, up)
+    for _ in range(10):
+        pair.cycle()
+    assert pair.judgements[-6:] == [Judgement.ACCEPTED] * 6
+    assert pair.answers <= len(pair.kinds)
+    # Charged: every cycle without a good reply, and those with a bad one beside the good.
+    counts = pair.controller.counts
+    unanswered = counts.sent - counts.answered
+    assert 0 <= pair.controller.delay - unanswered <= counts.wrong_ipoc + counts.unreadable
