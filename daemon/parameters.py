@@ -18,7 +18,7 @@ from linemate.daemon.tracking.classifier_rule import RuleClassifier
 from linemate.daemon.tracking.conveyor import Classifier
 from linemate.daemon.tracking.reference import compile_reference
 from linemate.daemon.tracking.settings import ClassifierKind, TrackingSettings
-from linemate.daemon.tracking.task import TaskFile
+from linemate.daemon.tracking.task import Phase, TaskFile
 from linemate.daemon.tracking.tracker import Tracker
 from linemate.daemon.tracking.transverse import Transverse
 
@@ -89,10 +89,11 @@ def build(
         commit = merge.ORDER
         along, across = along[1:], across[1:]
     camera = task.arm.camera_in_tcp
+    reference = compile_reference(task)
     tracker = Tracker(
         task=task,
         settings=tracking,
-        reference=compile_reference(task),
+        reference=reference,
         classifier=_classifier(task, tracking),
         transverse=Transverse(tracking.fusion, tracking.swing),
         camera=(np.array(camera.position), rotations.matrix(camera.quaternion)),
@@ -102,6 +103,8 @@ def build(
         matrices=np.stack([along if axis == 1 else across for axis in range(6)]),
         history_length=math.ceil(HISTORY / cycle_s),
         contact_blend=control_settings.filters.contact_blend,
+        span=np.arange(controller.steps + 1) * cycle_s,
+        leave=reference.time_of(Phase.RETREAT),
     )
     return Parameters(tracker, controller, cycle_s)
 

@@ -12,6 +12,7 @@ from linemate.daemon.horizon import Array
 from linemate.protocol.samples import Quaternion
 
 SMALL = 1e-6
+EYE = np.eye(3)
 
 
 def skew(v: Array) -> Array:
@@ -99,7 +100,19 @@ def left_jacobian_inverse(r: Array) -> Array:
     else:
         half = 0.5 * angle
         c = (1.0 - half / math.tan(half)) / (angle * angle)
-    return np.eye(3) - 0.5 * W + c * (W @ W)
+    return EYE - 0.5 * W + c * (W @ W)
+
+
+def left_jacobian(r: Array) -> Array:
+    """Return J_l(r), so that ``exp(r + e) = exp(J_l(r) e) @ exp(r)`` for small e."""
+    angle2 = float(r[0]) ** 2 + float(r[1]) ** 2 + float(r[2]) ** 2
+    if angle2 < 1e-8:
+        a, b = 0.5, 1.0 / 6.0
+    else:
+        angle = math.sqrt(angle2)
+        a, b = (1.0 - math.cos(angle)) / angle2, (angle - math.sin(angle)) / (angle2 * angle)
+    W = skew(r)
+    return EYE + a * W + b * (W @ W)
 
 
 def exp_many(r: Array) -> Array:
@@ -114,7 +127,7 @@ def exp_many(r: Array) -> Array:
     W[:, 0, 1], W[:, 0, 2] = -r[:, 2], r[:, 1]
     W[:, 1, 0], W[:, 1, 2] = r[:, 2], -r[:, 0]
     W[:, 2, 0], W[:, 2, 1] = -r[:, 1], r[:, 0]
-    return np.eye(3) + a[:, None, None] * W + b[:, None, None] * (W @ W)
+    return EYE + a[:, None, None] * W + b[:, None, None] * (W @ W)
 
 
 def log_many(R: Array) -> Array:

@@ -205,7 +205,7 @@ def _ready(state: State, parameters: Parameters) -> str | None:
     """Return why the task cannot start, None if it can."""
     if state.tracker.belief is None:
         return "no distance has been measured yet"
-    off = state.tracker.poses[0] - parameters.tracker.reference.poses(np.zeros(1))[0]
+    off = state.tracker.poses[0] - parameters.tracker.reference.poses(np.zeros(1))[0][0]
     if float(np.abs(off[:3]).max()) > REST_DISTANCE or float(np.abs(off[3:]).max()) > REST_ANGLE:
         return (
             f"the tcp is {1e3 * float(np.linalg.norm(off[:3])):.0f} mm and "

@@ -157,17 +157,19 @@ def damp(controller: Controller, smoothed: Array, free: Array) -> Array:
     here = smoothed[past : past + count]
     turn = rotations.exp(here[0, 3:])
     # A change of the rotation vector is a turn about the tool's axes by way of J_r = J_l(-r).
-    body = np.linalg.inv(rotations.left_jacobian_inverse(-here[0, 3:]))
-    change = np.zeros((count, 6))
-    for j in range(len(taps)):
-        if j != past:
-            step = smoothed[j : j + count] - here
-            change[:, :3] += (step[:, :3] @ turn) * taps[j, :3]
-            change[:, 3:] += (step[:, 3:] @ body.T) * taps[j, 3:]
+    body = rotations.left_jacobian(-here[0, 3:])
+    back = rotations.left_jacobian_inverse(-here[0, 3:])
+    tool = np.empty_like(smoothed)
+    tool[:, :3] = smoothed[:, :3] @ turn
+    tool[:, 3:] = smoothed[:, 3:] @ body.T
+    # The taps sum to 1: the filter's change is its answer less what goes in.
+    change = -tool[past : past + count]
+    for j, tap in enumerate(taps):
+        change += tool[j : j + count] * tap
     change *= free[:, None]
     desired = here.copy()
     desired[:, :3] += change[:, :3] @ turn.T
-    desired[:, 3:] += change[:, 3:] @ np.linalg.inv(body).T
+    desired[:, 3:] += change[:, 3:] @ back.T
     return desired
 
 

@@ -11,8 +11,9 @@ import numpy as np
 
 from linemate.daemon import rotations
 from linemate.daemon.horizon import Array
-from linemate.daemon.tracking.reference import Reference
 from linemate.daemon.tracking.settings import SwingMode
+
+_GENERATORS = tuple(rotations.skew(axis) for axis in np.eye(3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,33 +46,34 @@ def part_poses(part: Part, modes: Sequence[SwingMode]) -> tuple[Array, Array, Ar
     turns = np.zeros((count, 3))
     for mode, angles in zip(modes, part.swing, strict=True):
         levers = np.array(mode.levers)
-        axis = np.zeros(3)
-        axis[mode.axis] = 1.0
         positions += angles[:, None] * levers
-        positions += (0.5 * angles * angles)[:, None] * np.cross(axis, levers)
-        turns += angles[:, None] * axis
+        positions += (0.5 * angles * angles)[:, None] * (_GENERATORS[mode.axis] @ levers)
+        turns[:, mode.axis] += angles
     base = rotations.log(part.rotation)
     vectors = base + turns @ rotations.left_jacobian_inverse(base).T
     return positions, vectors, turns
 
 
 def sensed(
-    part: Part, modes: Sequence[SwingMode], reference: Reference, times: Array
+    part: Part, modes: Sequence[SwingMode], relative: Array, *, turned: bool
 ) -> tuple[Array, Array]:
     """Return x_f (m, 6), the sensed tcp with its programmed distance, and the object (m, 6).
 
     Args:
         part: over the horizon.
         modes: of its swing.
-        reference: the programme.
-        times: (m,) task times.
+        relative: (m, 6) programmed tcp in the nominal object, (x_o^nom)^-1 x_r.
+        turned: the programme turns the tcp against the object.
     """
     positions, vectors, turns = part_poses(part, modes)
-    offset, programmed = reference.relative(times)
-    arm = offset @ part.rotation.T
-    tcp = np.empty((len(times), 6))
-    tcp[:, :3] = positions + arm + np.cross(turns, arm)
-    if reference.turned and bool(np.abs(programmed).max() > 0.0):
+    programmed = relative[:, 3:]
+    arm = relative[:, :3] @ part.rotation.T
+    tcp = np.empty((len(arm), 6))
+    x, y, z = turns.T
+    tcp[:, 0] = positions[:, 0] + arm[:, 0] + y * arm[:, 2] - z * arm[:, 1]
+    tcp[:, 1] = positions[:, 1] + arm[:, 1] + z * arm[:, 0] - x * arm[:, 2]
+    tcp[:, 2] = positions[:, 2] + arm[:, 2] + x * arm[:, 1] - y * arm[:, 0]
+    if turned and bool(np.abs(programmed).max() > 0.0):
         own = rotations.exp_many(vectors) @ rotations.exp_many(programmed)
         tcp[:, 3:] = rotations.log_many(own)
     else:

@@ -27,6 +27,7 @@ class Reference:
         phases: of the stretch behind each waypoint.
         gates: of each waypoint.
         turned: some waypoint is turned against the object.
+        contact_time: when contact is planned [s]; infinity if it is not.
     """
 
     nominal: Array
@@ -38,12 +39,12 @@ class Reference:
     phases: tuple[Phase, ...]
     gates: tuple[Gate, ...]
     turned: bool
+    contact_time: float
 
-    @property
-    def contact_time(self) -> float:
-        """When contact is planned [s]; infinity if the task has none."""
+    def time_of(self, *phases: Phase) -> float:
+        """Return when the first of some phases begins [s]; infinity if the task has none."""
         for time, phase in zip(self.times, self.phases, strict=True):
-            if phase in {Phase.CONTACT, Phase.SCREWS}:
+            if phase in phases:
                 return float(time)
         return float("inf")
 
@@ -53,29 +54,30 @@ class Reference:
             return Phase.DONE
         return self.phases[max(int(np.searchsorted(self.times, time, side="right")) - 1, 0)]
 
-    def object_at(self, times: Array) -> Array:
-        """Return x_o^nom as positions (m, 3) in c; the nominal object is not turned in c."""
-        positions = np.tile(self.origin, (len(times), 1))
-        positions[:, 1] += self.speed * times
-        return positions
+    def poses(self, times: Array) -> tuple[Array, Array]:
+        """Return x_r and (x_o^nom)^-1 x_r at task times; past its ends it stays with them.
 
-    def poses(self, times: Array) -> Array:
-        """Return x_r (m, 6) in c at task times (m,); before and after, it stays with its end."""
-        t = np.clip(times, self.times[0], self.times[-1])
-        i = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.times) - 2)
+        Args:
+            times: (m,) [s].
+
+        Returns:
+            The tcp (m, 6) in c and the tcp (m, 6) in the nominal object, which is not turned in
+            c: position [m] and rotation vector [rad].
+        """
+        t = np.minimum(np.maximum(times, self.times[0]), self.times[-1])
+        i = np.searchsorted(self.times[1:-1], t, side="right")
         s = (t - self.times[i]) / (self.times[i + 1] - self.times[i])
-        s = s * s * s * (10.0 + s * (6.0 * s - 15.0))
-        moving = np.zeros((len(t), 6))
-        moving[:, :3] = self.object_at(times)
-        here = self.points[i] + self.travels[i, None] * moving
-        there = self.points[i + 1] + self.travels[i + 1, None] * moving
-        between: Array = here + s[:, None] * (there - here)
-        return between
-
-    def relative(self, times: Array) -> tuple[Array, Array]:
-        """Return (x_o^nom)^-1 x_r: positions (m, 3) and rotation vectors (m, 3) of the tcp."""
-        poses = self.poses(times)
-        return poses[:, :3] - self.object_at(times), poses[:, 3:]
+        s = (s * s * s * (10.0 + s * (6.0 * s - 15.0)))[:, None]
+        here, there = self.points[i], self.points[i + 1]
+        travels = self.travels[i]
+        poses = here + s * (there - here)
+        share = travels + s[:, 0] * (self.travels[i + 1] - travels)
+        relative = poses.copy()
+        relative[:, 1] -= (1.0 - share) * self.speed * times
+        relative[:, :3] -= (1.0 - share)[:, None] * self.origin
+        poses[:, 1] += share * self.speed * times
+        poses[:, :3] += share[:, None] * self.origin
+        return poses, relative
 
 
 def compile_reference(task: TaskFile) -> Reference:
@@ -100,6 +102,9 @@ def compile_reference(task: TaskFile) -> Reference:
         else:
             row[:3] = point.pose.position
         row[3:] = rotations.log(R)
+    contact = [
+        point.time for point in task.waypoints if point.phase in {Phase.CONTACT, Phase.SCREWS}
+    ]
     return Reference(
         nominal=C,
         origin=C.T @ np.array(task.object.nominal.position),
@@ -110,6 +115,7 @@ def compile_reference(task: TaskFile) -> Reference:
         phases=tuple(point.phase for point in task.waypoints),
         gates=tuple(point.gate for point in task.waypoints),
         turned=bool(np.abs(points[:, 3:]).max() > 1e-12),
+        contact_time=min(contact, default=float("inf")),
     )
 
 

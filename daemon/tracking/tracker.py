@@ -4,6 +4,7 @@ Law of this file: the straight line through Sect. III, room by room: remember wh
 predict, correct, classify, predict over the horizon, approach, merge. Pure: time is in the inputs.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -37,7 +38,21 @@ AWAY_TIME = 0.6  # and its duration [s]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tracker:
-    """What tracking needs, compiled."""
+    """What tracking needs, compiled.
+
+    Attributes:
+        task, settings: as given.
+        reference, classifier, transverse: the models.
+        camera: position (3,) and rotation (3, 3) of the camera in the tcp.
+        cycle_s: T0 [s].
+        steps: n.
+        commit: nc, the last step that a merge keeps.
+        matrices: (6, n - nc, 5) of the merge.
+        history_length: poses of the robot that are remembered.
+        contact_blend: time in which the tool goes from hanging free to clamped [s].
+        span: (n+1,) times of the horizon from now [s].
+        leave: task time at which the tool leaves the object [s].
+    """
 
     task: TaskFile
     settings: TrackingSettings
@@ -51,6 +66,8 @@ class Tracker:
     matrices: Array
     history_length: int
     contact_blend: float
+    span: Array
+    leave: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,6 +89,7 @@ class TrackerState:
         contact: the tool is clamped to the object.
         fixing, releasing: time since the tool was asked to fix, to release [s]; None before.
         withdrawn: time since an emergency retraction began [s]; None without.
+        distance: programmed, from the tcp to the object along its z [m].
     """
 
     history: History | None
@@ -89,6 +107,7 @@ class TrackerState:
     fixing: float | None = None
     releasing: float | None = None
     withdrawn: float | None = None
+    distance: float = math.inf
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,6 +178,7 @@ def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> Tra
         fixing=None,
         releasing=None,
         withdrawn=None,
+        distance=math.inf,
     )
 
 
@@ -250,13 +270,14 @@ def track(
     state, refused, wrench = estimate(tracker, state, seen)
     state = _clock(tracker, replace(state, started=state.started or start), seen, retreat)
     state = _contact(tracker, state, wrench)
-    span = np.arange(tracker.steps + 1) * tracker.cycle_s
+    span = tracker.span
     limit = barrier(tracker.reference, state.time, state.passed)
     times = np.minimum(state.time + (span if state.started else 0.0 * span), limit)
-    goal = tracker.reference.poses(times)
+    goal, relative = tracker.reference.poses(times)
+    state = replace(state, distance=float(relative[0, 2]))
     target = part = None
     if state.across is not None and state.belief is not None:
-        target, part = _sensed(tracker, state, span, times)
+        target, part = _sensed(tracker, state, span, relative)
         if state.blended is not None:
             share = approach.smoothstep((state.blended + span) / tracker.settings.merge.blend)
             goal = approach.blend(goal, target, share)
@@ -279,7 +300,8 @@ def observe(
     state, refused, wrench = estimate(tracker, state, seen)
     target = part = None
     if state.across is not None and state.belief is not None:
-        target, part = _sensed(tracker, state, np.zeros(1), np.array((state.time,)))
+        _, relative = tracker.reference.poses(np.array((state.time,)))
+        target, part = _sensed(tracker, state, np.zeros(1), relative)
     return state, report(tracker, state, wrench, refused, target, part)
 
 
@@ -311,7 +333,7 @@ def report(
 
 
 def _sensed(
-    tracker: Tracker, state: TrackerState, span: Array, times: Array
+    tracker: Tracker, state: TrackerState, span: Array, relative: Array
 ) -> tuple[Array, Array]:
     """Return x_f and the object over the horizon, (9) under the class."""
     assert state.across is not None  # noqa: S101 - callers have checked
@@ -323,7 +345,9 @@ def _sensed(
         rotation=state.across.rotation,
         swing=tracker.transverse.swing_angles(state.across, ahead),
     )
-    return approach.sensed(part, tracker.transverse.swing, tracker.reference, times)
+    return approach.sensed(
+        part, tracker.transverse.swing, relative, turned=tracker.reference.turned
+    )
 
 
 def _clock(
@@ -381,8 +405,7 @@ def _contact(tracker: Tracker, state: TrackerState, wrench: Wrench | None) -> Tr
         return replace(state, contact=not lost, touches=0)
     if wrench is None or state.blended is None or Gate.WHEEL_RELEASED in state.passed:
         return state
-    offset, _ = tracker.reference.relative(np.array((state.time,)))
-    near = abs(float(offset[0, 2])) < NEAR
+    near = abs(state.distance) < NEAR
     pressed = abs(float(wrench.force[2])) > tracker.settings.tactile.contact_force
     touches = state.touches + 1 if near and pressed else 0
     return replace(state, touches=touches, contact=touches >= TOUCHES)
@@ -401,15 +424,7 @@ def _axis_speed(tracker: Tracker, state: TrackerState) -> float:
 
 def _free(tracker: Tracker, times: Array) -> Array:
     """Return where over the horizon the tool hangs free: not between contact and retreat."""
-    reference = tracker.reference
-    contact = reference.contact_time
-    away = [
-        float(at)
-        for at, phase in zip(reference.times, reference.phases, strict=True)
-        if phase is Phase.RETREAT
-    ]
-    leave = away[0] if away else float("inf")
     blend = tracker.contact_blend
-    before = np.clip((contact - times) / blend, 0.0, 1.0)
-    after = np.clip((times - leave) / blend, 0.0, 1.0)
-    return np.asarray(np.maximum(before, after))
+    before = (tracker.reference.contact_time - times) / blend
+    after = (times - tracker.leave) / blend
+    return np.asarray(np.minimum(np.maximum(np.maximum(before, after), 0.0), 1.0))
