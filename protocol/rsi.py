@@ -6,7 +6,7 @@ telegram gives bytes or RsiError. No socket, no clock: what comes when is exchan
 Source: reference/rsi.md, section 1.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from operator import mul
 from typing import cast
 
@@ -15,7 +15,7 @@ from linemate.protocol.rsi_layout import Layout, Vector, robot_layout, sensor_la
 from linemate.protocol.rsi_read import MAX_TELEGRAM_BYTES, Reader, Texts
 from linemate.protocol.rsi_scan import RsiError
 from linemate.protocol.rsi_telegram import Channel, PreparedReply, RobotTelegram, SensorTelegram
-from linemate.protocol.rsi_write import LONG_MAX, LONG_MIN, MAX_IPOC, Writer
+from linemate.protocol.rsi_write import Writer
 from linemate.protocol.samples import Vector6
 
 __all__ = [
@@ -72,6 +72,8 @@ class RsiCodec:
         self.config = config
         self._robot = robot_layout(config, linear)
         self._sensor = sensor_layout(config, linear, joint_tags, external_tags)
+        self._robot_vectors = _Vectors(self._robot.vectors)
+        self._sensor_vectors = _Vectors(self._sensor.vectors)
         self._robot_writer = Writer(self._robot, decimals)
         self._sensor_writer = Writer(self._sensor, decimals)
         self.robot_reader = Reader(self._robot, self._robot_writer.example(ROBOT_TYPE))
@@ -86,17 +88,17 @@ class RsiCodec:
         texts, _ = self.robot_reader.read(data)
         layout = self._robot
         ipoc, ipoc_text = _ipoc(texts)
-        vectors = {v.name: cast(Vector6, _vector(v, texts)) for v in layout.vectors}
+        vector = self._robot_vectors.read(texts).get
         return RobotTelegram(
             ipoc,
             ipoc_text,
-            vectors.get("joints"),
-            vectors.get("joint_setpoints"),
-            vectors.get("external"),
-            vectors.get("external_setpoints"),
-            vectors.get("tcp"),
-            vectors.get("tcp_setpoint"),
-            None if layout.delay is None else _long("Delay", texts[layout.delay]),
+            vector("joints"),
+            vector("joint_setpoints"),
+            vector("external"),
+            vector("external_setpoints"),
+            vector("tcp"),
+            vector("tcp_setpoint"),
+            None if layout.delay is None else int(cast(str, texts[layout.delay])),
             _channels(layout, texts),
         )
 
@@ -109,13 +111,13 @@ class RsiCodec:
         texts, sentype = self.sensor_reader.read(data)
         layout = self._sensor
         ipoc, ipoc_text = _ipoc(texts)
-        vectors = {v.name: _vector(v, texts) for v in layout.vectors}
+        vector = self._sensor_vectors.read(texts).get
         return SensorTelegram(
             ipoc,
             ipoc_text,
             sentype,
-            cast(Vector6 | None, vectors.get("joints")),
-            vectors.get("external"),
+            vector("joints"),
+            vector("external"),
             _channels(layout, texts),
             None if layout.message is None else texts[layout.message],
         )
@@ -148,18 +150,36 @@ class RsiCodec:
 
 def _ipoc(texts: Texts) -> tuple[int, bytes]:
     text = cast(str, texts[-1])
-    ipoc = int(text)
-    if ipoc > MAX_IPOC:
-        raise RsiError(f"{text} is out of range", element="IPOC")
-    return ipoc, text.encode("ascii")
+    return int(text), text.encode("ascii")
+
+
+class _Vectors:
+    """Converts the vectors of one layout: all in one sweep where they lie in one block."""
+
+    def __init__(self, vectors: tuple[Vector, ...]) -> None:
+        self._vectors = sorted(vectors, key=lambda vector: vector.fields[0])
+        fields = [n for vector in self._vectors for n in vector.fields]
+        first = fields[0] if fields else 0
+        self._is_block = all(vector.contiguous for vector in vectors) and fields == list(
+            range(first, first + len(fields))
+        )
+        self._block = slice(first, first + len(fields))
+        self._scales = [scale for vector in self._vectors for scale in vector.scales]
+        self._parts = [
+            (v.name, slice(v.fields[0] - first, v.fields[-1] - first + 1)) for v in self._vectors
+        ]
+
+    def read(self, texts: Texts) -> dict[str, Vector6 | None]:
+        """The vectors by name in SI; typed as six numbers, external ones may be fewer."""
+        if not self._is_block or None in texts:
+            return {v.name: cast(Vector6 | None, _vector(v, texts)) for v in self._vectors}
+        raw = cast(Sequence[str], texts[self._block])
+        numbers = tuple(map(mul, map(float, raw), self._scales))
+        return {name: numbers[part] for name, part in self._parts}
 
 
 def _vector(vector: Vector, texts: Texts) -> tuple[float, ...] | None:
-    """A vector's values in SI; axes that are not configured are zero."""
-    if vector.contiguous:
-        first = vector.fields[0]
-        raw = cast(list[str], texts[first : first + vector.width])
-        return None if raw[0] is None else tuple(map(mul, map(float, raw), vector.scales))
+    """One vector's values in SI; axes that are not configured are zero."""
     if texts[vector.fields[0]] is None:
         return None
     out = [0.0] * vector.width
@@ -173,20 +193,13 @@ def _channels(layout: Layout, texts: Texts) -> Mapping[str, Channel]:
     for key, n in layout.channels.items():
         text = texts[n]
         if text is not None:
-            out[key] = _channel(key, layout.fields[n].type, text)
+            out[key] = _channel(layout.fields[n].type, text)
     return out
 
 
-def _channel(key: str, kind: str, text: str) -> Channel:
+def _channel(kind: str, text: str) -> Channel:
     if kind == "LONG":
-        return _long(key, text)
+        return int(text)
     if kind == "DOUBLE":
         return float(text)
     return text if kind == "STRING" else float(text) != 0.0
-
-
-def _long(key: str, text: str | None) -> int:
-    value = int(cast(str, text))
-    if not LONG_MIN <= value <= LONG_MAX:
-        raise RsiError(f"{value} is out of range", element=key)
-    return value

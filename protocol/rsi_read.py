@@ -14,6 +14,8 @@ from linemate.protocol.rsi_layout import Field, Layout
 from linemate.protocol.rsi_scan import BLANK, Document, RsiError, Span, scan, unescape
 
 MAX_TELEGRAM_BYTES = 2048
+MAX_IPOC = 2**64 - 1
+LONG_MIN, LONG_MAX = -(2**31), 2**32 - 1
 
 # Telegrams of a foreign shape before a pattern is made for it, doubled each time: compiling
 # one costs a millisecond or two, so whoever alternates shapes must not be able to keep us at it.
@@ -26,13 +28,14 @@ _IPOC = re.compile(r"[0-9]{1,20}", re.ASCII)
 _TRUTHS = {"TRUE": "1", "FALSE": "0"}
 _TRAILING = "\0" + BLANK
 
+# Short enough to be in range whatever the digits; what is longer goes the tolerant way.
 _FAST_GROUPS = {
     "DOUBLE": r"(-?[0-9]{1,16}(?:\.[0-9]{0,32})?)",
     "BOOL": r"(-?[0-9]{1,16}(?:\.[0-9]{0,32})?)",
-    "LONG": r"(-?[0-9]{1,10})(?:\.0{0,32})?",
+    "LONG": r"(-?[0-9]{1,9})(?:\.0{0,32})?",
     "STRING": r"([^\"'<>&]*+)",
 }
-_FAST_IPOC = r"([0-9]{1,20})"
+_FAST_IPOC = r"([0-9]{1,19})"
 _FAST_UNKNOWN = r"[^\"'<>&]*+"
 
 Texts = Sequence[str | None]
@@ -102,8 +105,8 @@ class Reader:
             raise RsiError(f"root is <{document.root[:32]}>, not <{self._layout.root}>")
         found = self._found(text, document)
         ipoc = found.get(_IPOC_KEY, "").strip(BLANK)
-        if not _IPOC.fullmatch(ipoc):
-            raise RsiError("missing or not digits", element="IPOC")
+        if not _IPOC.fullmatch(ipoc) or int(ipoc) > MAX_IPOC:
+            raise RsiError("missing, not digits or out of range", element="IPOC")
         texts: list[str | None] = []
         try:
             texts.extend(self._text(field, found) for field in self._layout.fields)
@@ -198,6 +201,8 @@ def _checked(field: Field, raw: str) -> str:
         whole = _WHOLE.fullmatch(text)
         if whole is None:
             raise RsiError(f"{text[:32]!r} is no whole number", element=field.key)
+        if not LONG_MIN <= int(whole[1]) <= LONG_MAX:
+            raise RsiError(f"{text[:32]} is out of range", element=field.key)
         return whole[1]
     if field.type == "BOOL":
         text = _TRUTHS.get(text.upper(), text)

@@ -9,13 +9,11 @@ import math
 from collections.abc import Sequence
 
 from linemate.protocol.rsi_layout import Field, Layout, Vector
-from linemate.protocol.rsi_read import MAX_TELEGRAM_BYTES
+from linemate.protocol.rsi_read import LONG_MAX, LONG_MIN, MAX_IPOC, MAX_TELEGRAM_BYTES
 from linemate.protocol.rsi_scan import RsiError, escape
 from linemate.protocol.rsi_telegram import Channel, PreparedReply, RobotTelegram, SensorTelegram
 
-MAX_IPOC = 2**64 - 1
 MAX_IPOC_DIGITS = 20
-LONG_MIN, LONG_MAX = -(2**31), 2**32 - 1
 # Far beyond any axis or length on a robot, and short enough to be read back by any parser.
 MAX_MAGNITUDE = 1e12
 

@@ -346,7 +346,7 @@ def test_document_types_and_long_datagrams_are_refused_unparsed() -> None:
         (b'D="15"', b'D="15" D="15"', "Delay.D"),
         (b'D="15"', b'D="1.5"', "Delay.D"),
         (b'D="15"', b'D="99999999999"', "Delay.D"),
-        (b'D="15"', b'D="4294967296"', "Delay"),
+        (b'D="15"', b'D="4294967296"', "Delay.D"),
         (b'D="15"', b'D=""', "Delay.D"),
         (b'A1="0.00000"', b'A1="nan"', "AIPos.A1"),
         (b'A1="0.00000"', b'A1="inf"', "AIPos.A1"),
