@@ -1,0 +1,64 @@
+"""What several tests of the service share: the shipped task, compiled once, and some steps."""
+
+import pytest
+
+from linemate.daemon import parameters as compiling
+from linemate.daemon import step as stepping
+from linemate.daemon.control.settings import ControlSettings
+from linemate.daemon.inputs import Inputs, Order
+from linemate.daemon.parameters import Parameters
+from linemate.daemon.service import task_file
+from linemate.daemon.service.cycle import LogEntry
+from linemate.daemon.service.files import DAEMON_DATA
+from linemate.daemon.service.task_file import Task
+from linemate.daemon.tracking.settings import TrackingSettings
+from linemate.protocol.samples import CameraSample, DistanceSample, RobotSample, WrenchSample
+
+CYCLE_NS = 12_000_000
+
+
+@pytest.fixture(scope="session")
+def task() -> Task:
+    return task_file.load(DAEMON_DATA / "wheel.yaml")
+
+
+@pytest.fixture(scope="session")
+def parameters(task: Task) -> Parameters:
+    return compiling.build(task.file, task.urdf, TrackingSettings(), ControlSettings(), 0.012)
+
+
+@pytest.fixture(scope="session")
+def entries(task: Task, parameters: Parameters) -> tuple[LogEntry, ...]:
+    """Twenty steps of a robot that begins to track a slowly moving object."""
+    rest = task.file.arm.rest_joints
+    state = stepping.initial(parameters, RobotSample(0, 0, rest, (0.0,) * 6))
+    made: list[LogEntry] = []
+    for k in range(20):
+        stamp = 1_000_000_000 + k * CYCLE_NS
+        inputs = Inputs(
+            k=k,
+            stamp_ns=stamp,
+            robot=RobotSample(stamp - CYCLE_NS, 12 * k, rest, (0.1 / 3.0,) * 6, 0, 1),
+            distance=(DistanceSample(stamp - 1_000_000, 0.00127 * k, 77.0),),
+            camera=(
+                CameraSample(
+                    stamp - 2_000_000,
+                    stamp - 100_000_000,
+                    "cam",
+                    "camera",
+                    "hub",
+                    k,
+                    (0.1, 0.2, 0.7),
+                    (1.0, 0.0, 0.0, 0.0),
+                    tuple(1e-7 * (i + 1) for i in range(21)),
+                ),
+            )
+            if k % 3 == 0
+            else (),
+            wrench=(WrenchSample(stamp, (0.1, -0.2, 0.3), (0.0, -0.0, 1e-9), 0, 5, 21.5),) * 3,
+            order=Order.TRACK if k > 10 else Order.HOLD,
+            start=k == 11,
+        )
+        state, outputs = stepping.step(state, inputs, parameters)
+        made.append(LogEntry(12 * k if k != 7 else None, "track", inputs, outputs))
+    return tuple(made)

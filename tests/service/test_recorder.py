@@ -1,0 +1,186 @@
+"""Recordings: complete, readable after a sudden death, and never in the way."""
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from mcap.exceptions import McapError
+from mcap.reader import NonSeekingReader, make_reader
+
+from linemate.daemon.recording import StepRecord, decode, differences
+from linemate.daemon.service.cycle import LogEntry
+from linemate.daemon.service.recorder import LAYOUT, METADATA, TOPIC, Recorder, StepFile
+
+Entries = tuple[LogEntry, ...]
+TEXTS = {"config": "task: wheel.yaml\n", "urdf": "<robot/>"}
+
+
+def wait_for(holds: Callable[[], bool]) -> None:
+    end = time.monotonic() + 10.0
+    while not holds():
+        assert time.monotonic() < end
+        time.sleep(0.002)
+
+
+def read(path: Path) -> list[StepRecord]:
+    with path.open("rb") as stream:
+        return [decode(message.data) for _, _, message in make_reader(stream).iter_messages(TOPIC)]
+
+
+@pytest.fixture
+def recorder(tmp_path: Path) -> Recorder:
+    return Recorder(tmp_path, TEXTS)
+
+
+def test_a_recording_holds_every_step_and_all_that_a_replay_needs(
+    recorder: Recorder, entries: Entries
+) -> None:
+    assert recorder.start() is None
+    recorder.take(entries[:12])
+    recorder.take(entries[12:])
+    recorder.close()
+    path = Path(recorder.status.file)
+    records = read(path)
+    assert [record.inputs for record in records] == [entry.inputs for entry in entries]
+    for record, entry in zip(records, entries, strict=True):
+        assert differences(record, entry.outputs) == ()
+    with path.open("rb") as stream:
+        (metadata,) = make_reader(stream).iter_metadata()
+    assert metadata.name == METADATA
+    assert metadata.metadata["urdf"] == "<robot/>"
+    assert "stamp_ns" in json.loads(metadata.metadata[LAYOUT])["Inputs"]
+    assert recorder.status.written == len(entries)
+    assert not recorder.status.recording
+
+
+def test_steps_outside_of_a_recording_are_not_taken(recorder: Recorder, entries: Entries) -> None:
+    recorder.take(entries)
+    assert recorder.stop() == "nothing is being recorded"
+    assert not list(recorder.directory.iterdir())
+
+
+def test_a_second_start_is_refused_and_a_later_one_makes_another_file(
+    recorder: Recorder, entries: Entries
+) -> None:
+    assert recorder.start() is None
+    assert "already" in str(recorder.start())
+    recorder.close()
+    time.sleep(0.002)  # names count milliseconds
+    assert recorder.start() is None
+    recorder.close()
+    assert len(list(recorder.directory.glob("*.mcap"))) == 2
+
+
+def test_a_full_queue_drops_steps_and_counts_them(recorder: Recorder, entries: Entries) -> None:
+    recorder.queue = 15
+    recorder.status.recording = True  # a thread that never comes to write
+    recorder.take(entries)
+    assert recorder.status.dropped == 5
+
+
+def test_a_directory_that_is_gone_is_a_reason_and_no_exception(
+    recorder: Recorder, tmp_path: Path
+) -> None:
+    recorder.directory = tmp_path / "gone"
+    assert "No such file" in str(recorder.start())
+
+
+def test_a_step_that_cannot_be_packed_is_counted(recorder: Recorder, entries: Entries) -> None:
+    recorder.start()
+    bad = LogEntry(1, "idle", entries[0].inputs, None)  # type: ignore[arg-type]
+    recorder.take([LogEntry(1, object(), entries[0].inputs, entries[0].outputs), bad])  # type: ignore[arg-type]
+    recorder.close()
+    assert recorder.status.unfit == 1
+    assert recorder.status.written == 1
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_a_full_disk_ends_the_recording_and_nothing_else(
+    recorder: Recorder, entries: Entries, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full = Path("/dev/full").open("wb")  # noqa: SIM115 -- the recorder closes it
+    monkeypatch.setattr(Path, "open", lambda *_: full)
+    assert recorder.start() is None
+    monkeypatch.undo()
+    recorder.take(entries)
+    recorder.close()
+    assert "No space left" in recorder.status.failure
+    assert not recorder.status.recording
+    recorder.take(entries)
+    assert full.closed
+
+
+def test_chunks_stay_small_and_are_compressed(entries: Entries) -> None:
+    class Kept(io.BytesIO):
+        def close(self) -> None:
+            """Keep what was written."""
+
+    stream = Kept()
+    file = StepFile(stream, TEXTS, chunk_bytes=1024)
+    data = b"a step that compresses well" * 4
+    for k in range(200):
+        file.write(k, data)
+    file.close()
+    stream.seek(0)
+    summary = make_reader(stream).get_summary()
+    assert summary is not None
+    assert len(summary.chunk_indexes) > 10
+    assert all(c.uncompressed_size < 2 * 1024 for c in summary.chunk_indexes)
+    assert all(c.compressed_size < c.uncompressed_size for c in summary.chunk_indexes)
+
+
+def test_the_cycle_does_not_wait_for_a_disk_that_hangs(
+    recorder: Recorder, entries: Entries, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    free = threading.Event()
+    monkeypatch.setattr(StepFile, "write", lambda *_: free.wait(10.0))
+    recorder.queue = 50
+    recorder.start()
+    began = time.perf_counter()
+    for _ in range(20):
+        recorder.take(entries)
+    assert time.perf_counter() - began < 1.0
+    assert recorder.status.dropped >= 340
+    free.set()
+    recorder.close()
+
+
+KILLED = """
+import sys, time
+from pathlib import Path
+from linemate.daemon.service.recorder import Recorder
+from linemate.daemon import recording
+recorder = Recorder(Path(sys.argv[1]), {}, flush_s=0.05)
+recorder.start()
+for k in range(100):
+    recorder._waiting.append((k, b"step %d" % k))
+while recorder.status.written < 100 or Path(recorder.status.file).stat().st_size < 500:
+    time.sleep(0.001)
+print(recorder.status.file, flush=True)
+time.sleep(30)
+"""
+
+
+def test_a_killed_process_leaves_a_file_that_can_be_read(tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-c", KILLED, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    path = process.stdout.readline().strip()
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    process.stdout.close()
+    found: list[bytes] = []
+    with Path(path).open("rb") as stream:
+        messages = NonSeekingReader(stream).iter_messages(log_time_order=False)
+        with pytest.raises(McapError):
+            found.extend(message.data for _, _, message in messages)
+    assert found == [b"step %d" % k for k in range(100)]
