@@ -339,6 +339,18 @@ def test_a_key_without_a_session_gets_a_place_in_a_full_table() -> None:
     assert world.ask(hers[1], "status") is not None
 
 
+def test_a_key_that_has_a_session_pays_for_another_with_its_own() -> None:
+    world = World((ALICE, BOB))
+    hers = [world.client(ALICE) for _ in range(MAX_SESSIONS - 1)]
+    for client in hers:
+        assert world.ask(client, "status") is not None
+    first = world.client(BOB)
+    assert world.ask(first, "status") is not None
+    assert world.ask(world.client(BOB), "status") is not None
+    assert world.ask(first, "status") is None
+    assert all(world.ask(client, "status") for client in hers)
+
+
 def test_nobodys_last_session_is_taken_away() -> None:
     keys = tuple(key_of(f"k{i}", seed=i + 10) for i in range(MAX_SESSIONS + 1))
     world = World(keys)
