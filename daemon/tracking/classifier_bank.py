@@ -12,8 +12,8 @@ needs no bank of its own.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -71,7 +71,7 @@ class BankState:
     bank: Bank
     age: float = 0.0
     since: float = 0.0
-    refused: int = 0
+    refused: Mapping[Source, int] = field(default_factory=dict)
     odds: float = -30.0
     tentative: bool = False
     contact: bool = False
@@ -182,14 +182,16 @@ class BankClassifier:
         u = np.maximum(bank.age - row.delay, 0.0)
         rho = 0.5 * self._change(state.motion) * u * u - bank.absorbed @ h
         if not self._plausible(state, nu, rho, row.gate * math.sqrt(S)):
-            if state.refused + 1 < REFUSALS:
-                return replace(state, refused=state.refused + 1)
-            # Locked out: the filter is wrong, not eight sensors' readings in a row.
+            refusals = state.refused.get(row.source, 0) + 1
+            if refusals < REFUSALS:
+                return replace(state, refused={**state.refused, row.source: refusals})
+            # Locked out: the filter is wrong, not eight of one sensor's readings in a row.
             P = state.P.copy()
             P[Y, Y] += nu * nu
             P[V, V] += (0.5 * self.conveyor.nominal_speed) ** 2
+            P[OFFSET, OFFSET] += nu * nu
             return replace(
-                state, P=P, bank=empty_bank(), age=0.0, refused=0, odds=-30.0, tentative=False
+                state, P=P, bank=empty_bank(), age=0.0, refused={}, odds=-30.0, tentative=False
             )
         K = Ph / S
         bank = Bank(
@@ -198,7 +200,12 @@ class BankClassifier:
             bank.B + rho * (nu / S),
             bank.age,
         )
-        return replace(state, x=state.x + K * nu, P=state.P - np.outer(K, Ph), bank=bank, refused=0)
+        refused = state.refused
+        if refused.get(row.source):
+            refused = {**refused, row.source: 0}
+        return replace(
+            state, x=state.x + K * nu, P=state.P - np.outer(K, Ph), bank=bank, refused=refused
+        )
 
     def _plausible(self, state: BankState, nu: float, rho: Array, gate: float) -> bool:
         """Tell whether an innovation lies in the range that the live hypotheses span."""

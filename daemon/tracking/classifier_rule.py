@@ -6,8 +6,8 @@ The filter is (2)-(7) with the states y, x7 and x10, its speed as adaptive as th
 be: a stiffer speed state would perceive a start sooner, but this is the paper's method.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -50,7 +50,7 @@ class RuleState:
     cruise: float
     age: float = 0.0
     since: float = 0.0
-    refused: int = 0
+    refused: Mapping[Source, int] = field(default_factory=dict)
     trial: Trial | None = None
     events: tuple[tuple[str, str], ...] = ()
 
@@ -140,14 +140,19 @@ class RuleClassifier:
         """Return (2)-(4) for one row, gated; after some refusals in a row the filter widens."""
         innovation, h, S = self._innovation(state, row)
         if innovation * innovation > row.gate**2 * max(S, (self.rule.confirmed / 2.0) ** 2):
-            if state.refused + 1 < REFUSALS:
-                return replace(state, refused=state.refused + 1)
-            P = state.P + np.diag((innovation**2, 0.25 * self.conveyor.nominal_speed**2, 0.0))
+            refusals = state.refused.get(row.source, 0) + 1
+            if refusals < REFUSALS:
+                return replace(state, refused={**state.refused, row.source: refusals})
+            wide = (innovation**2, 0.25 * self.conveyor.nominal_speed**2, innovation**2)
+            P = state.P + np.diag(wide)
             state = replace(state, P=P)
             S = float(h @ P @ h) + row.variance
         K = state.P @ h / S
         return replace(
-            state, x=state.x + K * innovation, P=state.P - np.outer(K, h @ state.P), refused=0
+            state,
+            x=state.x + K * innovation,
+            P=state.P - np.outer(K, h @ state.P),
+            refused={**state.refused, row.source: 0},
         )
 
     def _judge(self, state: RuleState, row: Row) -> RuleState:

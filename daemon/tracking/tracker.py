@@ -34,6 +34,8 @@ TOUCHES = 2  # steps in a row that make a contact
 NEAR = 0.008  # programmed distance below which a force may be a contact [m]
 AWAY = 0.15  # way of an emergency retraction [m]
 AWAY_TIME = 0.6  # and its duration [s]
+AGREEING = 4  # readings of the distance sensor that start the filter, against an outlier first
+AGREEMENT = 0.015  # when they lie within this [m]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,6 +92,7 @@ class TrackerState:
         fixing, releasing: time since the tool was asked to fix, to release [s]; None before.
         withdrawn: time since an emergency retraction began [s]; None without.
         distance: programmed, from the tcp to the object along its z [m].
+        readings: of the distance sensor, before the first belief [m].
     """
 
     history: History | None
@@ -108,6 +111,7 @@ class TrackerState:
     releasing: float | None = None
     withdrawn: float | None = None
     distance: float = math.inf
+    readings: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -208,12 +212,16 @@ def estimate(
             if not taken:
                 continue
         rows.append(_along_row(tracker, across, source, sighting, gate))
-    belief = state.belief
-    if belief is None and seen.distance:
-        belief = tracker.classifier.initial(rows[0].value)
-    if belief is not None:
+    belief, readings = state.belief, state.readings
+    if belief is None:
+        heard = (*readings, *(row.value for row in rows if row.source is Source.DISTANCE))
+        readings = heard[-AGREEING:]
+        if len(readings) == AGREEING and max(readings) - min(readings) < AGREEMENT:
+            belief = tracker.classifier.initial(readings[-1])
+    else:
         belief = tracker.classifier.advance(belief, rows, tracker.cycle_s)
-    return replace(state, belief=belief, across=across, sightings=waiting), refused, wrench
+    state = replace(state, belief=belief, across=across, sightings=waiting, readings=readings)
+    return state, refused, wrench
 
 
 def _distance_row(tracker: Tracker, now_ns: int, sample: DistanceSample) -> Row:

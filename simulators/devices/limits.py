@@ -40,7 +40,7 @@ class AxisLimit:
 
 def _rotary(low_deg: float, high_deg: float, speed_deg: float) -> AxisLimit:
     return AxisLimit(
-        math.radians(low_deg), math.radians(high_deg), math.radians(speed_deg), 15.0, 300.0
+        math.radians(low_deg), math.radians(high_deg), math.radians(speed_deg), 75.0, 25_000.0
     )
 
 
@@ -51,9 +51,10 @@ LIMITS: tuple[AxisLimit, ...] = (
     _rotary(-350.0, 350.0, 136.0),
     _rotary(-122.5, 122.5, 129.0),
     _rotary(-350.0, 350.0, 206.0),
-    AxisLimit(-5.0, 5.0, 1.5, 5.0, 100.0),
+    AxisLimit(-5.0, 6.5, 1.5, 5.0, 500.0),
 )
-"""A heavy six-axis arm on a linear axis, A1..A6 and E1."""
+"""A heavy six-axis arm on a linear axis, A1..A6 and E1: limits of setpoints, which lead a slow
+servo and so ask for several times the acceleration and jerk that the arm itself makes."""
 
 
 @dataclass(frozen=True, slots=True)
