@@ -45,7 +45,7 @@ class CameraUdp:
         position: Sequence[float],
         quaternion: Sequence[float],
         covariance: Sequence[float] | None,
-        age_ns: int,
+        exposure_ns: int,
     ) -> None:
         """Send one pose now.
 
@@ -53,12 +53,12 @@ class CameraUdp:
             position: object in the camera's frame [m].
             quaternion: its orientation, w x y z.
             covariance: 21 values of the upper triangle [m, rad], or None.
-            age_ns: how long ago the middle of the exposure was [ns].
+            exposure_ns: monotonic middle of the exposure [ns].
         """
         now_ns = time.monotonic_ns()
         self.put(
             self.sender.datagram(
-                position, quaternion, covariance, exposure_ns=now_ns - age_ns, sent_ns=now_ns
+                position, quaternion, covariance, exposure_ns=exposure_ns, sent_ns=now_ns
             )
         )
 

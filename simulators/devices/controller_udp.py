@@ -64,6 +64,8 @@ class ControllerUdp:
         controller: the pure controller.
         turnaround: how long good replies took.
         pace: how well the schedule was kept.
+        is_mute: a fault keeps telegrams from leaving.
+        is_deaf: a fault keeps replies from arriving.
     """
 
     def __init__(
@@ -77,6 +79,8 @@ class ControllerUdp:
         self.controller = controller
         self.turnaround = TurnAround()
         self.pace = Pace()
+        self.is_mute = False
+        self.is_deaf = False
         self._plant = plant
         self._schedule = schedule
         self._target = target
@@ -115,6 +119,17 @@ class ControllerUdp:
         self.turnaround.clear()
         self.pace = Pace()
 
+    def put(self, data: bytes) -> bool:
+        """Send any datagram to the daemon.
+
+        Args:
+            data: the datagram.
+
+        Returns:
+            Whether the kernel took it.
+        """
+        return self._endpoint is not None and self._endpoint.send(data, self._target)
+
     def stop(self) -> None:
         """Open no further cycle."""
         self._running = False
@@ -139,8 +154,8 @@ class ControllerUdp:
         self._is_open = True
         self._elapsed_ns = None
         self._sent_ns = time.monotonic_ns()
-        if data is not None and self._endpoint is not None:
-            self.pace.unsent += not self._endpoint.send(data, self._target)
+        if data is not None and not self.is_mute:
+            self.pace.unsent += not self.put(data)
         begun_ns, self._due_ns = self._due_ns, self._due_ns + self._cycle_ns
         self._schedule.at(self._due_ns, self._tick)
         self._plant.begin_cycle(begun_ns)
@@ -161,6 +176,8 @@ class ControllerUdp:
             if received is None:
                 return
             data, stamp_ns = received
+            if self.is_deaf:
+                continue
             judgement = self.controller.on_reply(data, stamp_ns, self._due_ns)
             if judgement is Judgement.ACCEPTED:
                 self._elapsed_ns = max(stamp_ns - self._sent_ns, 0)

@@ -9,8 +9,10 @@ import asyncio
 import gc
 import json
 import os
+import random
 import signal
 import sys
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
@@ -25,6 +27,7 @@ from linemate.simulators.devices.can_sensor import CanSensor
 from linemate.simulators.devices.controller import Applied, RsiController
 from linemate.simulators.devices.controller_udp import ControllerUdp
 from linemate.simulators.devices.emulator_config import SHIPPED_RSI, EmulatorConfig
+from linemate.simulators.devices.faults import GARBAGE_BYTES, Faults
 from linemate.simulators.devices.force_torque import ForceTorqueSensor
 from linemate.simulators.devices.pty_port import PtyPort
 from linemate.simulators.devices.robot_plant import RobotPlant
@@ -107,6 +110,8 @@ class Emulator:
             ),
         )
         self._schedule = Schedule()
+        self._faults = Faults(config.scenario.faults)
+        self._junk = random.Random(config.scenario.seed)  # noqa: S311 - noise, not a secret
         target = config.robot_target or (rsi.ip, rsi.port)
         self.link = ControllerUdp(controller, self, self._schedule, target, config.robot_bind)
         encoder = DistanceEncoder(config.dbc, config.dbc_message, config.dbc_signal)
@@ -135,6 +140,7 @@ class Emulator:
         self._begun_s = self.world.time_s
         self._told_s = -1e9
         self._waits = 0
+        self._silenced: Counter[str] = Counter()
         self._ended: asyncio.Future[str] | None = None
 
     async def run(self, stop: asyncio.Event | None = None) -> EmulatorResult:
@@ -175,6 +181,7 @@ class Emulator:
             self._waits += 1
             return
         self._begun_ns, self._begun_s = at_ns, self.world.time_s
+        self._suffer(self._begun_s)
         self.truth.begin(self.world, self._plant.axes)
         ahead_s = self._look_ahead_s - _BEFORE_S
         if ahead_s > 0.0:
@@ -276,6 +283,7 @@ class Emulator:
             "released_s": world.released_s,
             "contact": world.contact,
             "rows_dropped": self.truth.dropped,
+            "silenced": dict(self._silenced),
             "links": {
                 "can": self.can.counters(),
                 "camera": self.camera.counters(),
@@ -312,26 +320,67 @@ class Emulator:
         if self._ended is not None and not self._ended.done():
             self._ended.set_exception(error)
 
+    def _suffer(self, now_s: float) -> None:
+        """Let the scenario's faults take hold, let go, and strike."""
+        self.link.is_mute = self._faults.in_force("robot", "silence", now_s) is not None
+        self.link.is_deaf = self._faults.in_force("robot", "deafness", now_s) is not None
+        for fault in self._faults.strike(now_s):
+            if fault.kind == "garbage":
+                for _ in range(fault.count):
+                    self._put(fault.link, self._junk.randbytes(int(fault.value) or GARBAGE_BYTES))
+            else:
+                device = self.can if fault.link == "distance" else self.force_torque
+                device.close()
+                self._at(fault.at_s + fault.duration_s, device.open)
+
+    def _put(self, link: str, data: bytes) -> None:
+        match link:
+            case "robot":
+                self.link.put(data)
+            case "camera":
+                self.camera.put(data)
+            case "distance":
+                self.can.port.write(data)
+            case _:
+                self.force_torque.port.write(data)
+
     def _lay_out(self) -> None:
         """Put what the sensors emit in this cycle on the schedule."""
         world = self.world
         for distance in world.take_distance():
-            self._at(distance.time_s, partial(self.can.emit, distance.position, distance.strength))
+            self._emit(
+                "distance",
+                distance.time_s,
+                partial(self.can.emit, distance.position, distance.strength),
+            )
         for wrench in world.take_wrench():
             device_us = round((wrench.exposure_s + world.scenario.lead_in_s) * 1e6)
-            self._at(
+            self._emit(
+                "force_torque",
                 wrench.time_s,
                 partial(self.force_torque.emit, wrench.force, wrench.torque, device_us),
             )
         for pose in world.take_camera():
-            age_ns = round((pose.time_s - pose.exposure_s) * 1e9)
-            self._at(
+            seen_ns = self._instant(pose.exposure_s)
+            self._emit(
+                "camera",
                 pose.time_s,
-                partial(self.camera.emit, pose.position, pose.quaternion, pose.covariance, age_ns),
+                partial(self.camera.emit, pose.position, pose.quaternion, pose.covariance, seen_ns),
             )
 
+    def _emit(self, link: str, time_s: float, action: Callable[[], None]) -> None:
+        if self._faults.in_force(link, "silence", time_s) is not None:
+            self._silenced[link] += 1
+            return
+        delay = self._faults.in_force(link, "delay", time_s)
+        self._at(time_s if delay is None else time_s + delay.value, action)
+
     def _at(self, time_s: float, action: Callable[[], None]) -> None:
-        self._schedule.at(self._begun_ns + round((time_s - self._begun_s) * 1e9), action)
+        self._schedule.at(self._instant(time_s), action)
+
+    def _instant(self, time_s: float) -> int:
+        """The monotonic instant of a scenario time [ns]."""
+        return self._begun_ns + round((time_s - self._begun_s) * 1e9)
 
     def _look_for_end(self) -> None:
         now_s, config = self.world.time_s, self.config

@@ -56,7 +56,7 @@ class Schedule:
     worst_ns: int = 0
     on_error: Callable[[Exception], None] | None = None
     _descriptor: int = -1
-    _armed_ns: int = 0
+    _armed_ns: int = -1
     _queue: list[tuple[int, int, Callable[[], None]]] = field(default_factory=list)
     _order: "count[int]" = field(default_factory=count)
 
@@ -101,7 +101,7 @@ class Schedule:
             os.read(self._descriptor, 8)
         except BlockingIOError:
             return
-        self._armed_ns = 0
+        self._armed_ns = -1
         now_ns = time.monotonic_ns()
         while self._queue and self._queue[0][0] <= now_ns:
             at_ns, _, action = heapq.heappop(self._queue)

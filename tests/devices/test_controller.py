@@ -270,8 +270,8 @@ def test_before_the_beginning_nothing_is_charged() -> None:
 
 
 def test_a_correction_beyond_its_limit_is_clamped_in_silence() -> None:
-    low: Seven = (-0.01,) * 7  # type: ignore[assignment]
-    high: Seven = (0.01,) * 7  # type: ignore[assignment]
+    low: Seven = (-0.01,) * 7
+    high: Seven = (0.01,) * 7
     peer = Peer(_controller(ControllerConfig(correction_low=low, correction_high=high)))
     applied = peer.cycle((0.02, -0.02, 0.0, 0.0, 0.0, 0.0))
     assert applied.clamped
@@ -289,7 +289,7 @@ def test_corrections_reach_to_the_software_limits_and_not_beyond() -> None:
 
 
 def test_the_monitor_stops_the_robot() -> None:
-    monitor: Seven = (0.005,) * 7  # type: ignore[assignment]
+    monitor: Seven = (0.005,) * 7
     peer = Peer(_controller(ControllerConfig(monitor=monitor)))
     applied = peer.cycle(_step(0.006))
     assert applied.setpoints == START

@@ -32,7 +32,7 @@ def _hold(data: bytes, stamp_ns: int, address: tuple[str, int]) -> bytes | None:
             telegram.ipoc,
             telegram.ipoc_text,
             joints=(0.0,) * 6,
-            external=(0.0,),  # type: ignore[arg-type]
+            external=(0.0,),
         )
     )
 
