@@ -100,12 +100,14 @@ def judge(evidence: Evidence) -> dict[str, Any]:
     """
     rows = evidence.rows
     outcome = _outcome(evidence)
-    spans = windows(rows, evidence.events, evidence.collision is not None)
+    # What the run did not live to see was not missed.
+    events = [e for e in evidence.events if len(rows) and e.onset_s < rows.t[-1]]
+    spans = windows(rows, events, evidence.collision is not None)
     errors = {
         f"{name}_error": {window: _figures(*pair, mask) for window, mask in spans.items()}
         for name, pair in compute_errors(rows).items()
     }
-    detection, alarms = detections(rows.events, evidence.events)
+    detection, alarms = detections(rows.events, events)
     result: dict[str, Any] = {
         "version": 1,
         "scenario": evidence.scenario,

@@ -182,6 +182,11 @@ def test_latencies_run_from_the_true_onset() -> None:
     assert (start["event"], start["perceived_s"], start["confirmed_s"]) == ("start", 1.5, 1.8)
 
 
+def test_what_a_run_did_not_live_to_see_was_not_missed() -> None:
+    result = judge(evidence(perfect_run().cut(600)))
+    assert [entry["event"] for entry in result["detection"]] == ["stop"]
+
+
 def test_a_perception_that_was_taken_back_is_not_the_perception() -> None:
     events = told(
         (5.1, "stop", "tentative"), (5.12, "stop", "cancelled"),
