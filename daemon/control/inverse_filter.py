@@ -42,8 +42,9 @@ def servo_pulse(model: ServoModel, cycle_s: float) -> Array:
     over the cycle *after* its telegram, then the dead time, then the servo. A setpoint is thus a
     triangle of ramps, whose answers are known in closed form.
     """
-    omega = 2.0 * math.pi * model.frequency_hz
-    length = math.ceil((model.dead_time + 12.0 / (omega * min(model.damping, 1.0))) / cycle_s) + 3
+    omega, z = 2.0 * math.pi * model.frequency_hz, model.damping
+    slowest = omega * (z - math.sqrt(max(z * z - 1.0, 0.0)))  # of the poles' decays
+    length = math.ceil((model.dead_time + 12.0 / slowest) / cycle_s) + 3
     t = np.arange(length) * cycle_s - model.dead_time
 
     def ramp(shift: int) -> Array:
