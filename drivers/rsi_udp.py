@@ -1,12 +1,15 @@
 """The robot controller's wire: a UDP socket that answers telegrams.
 
 Law of this file: bytes in, bytes out. It never sends unasked, never waits, and knows no XML.
-After a stall only the newest telegram of each sender is handed on; the older ones are counted,
-for an answer to them would be late. Source: reference/rsi.md, 1.1; reference/reliability.md, 0.
+After a stall only the newest telegram of each sender is answered; the older ones are counted,
+for an answer to them would be late. An older one is looked at only if what came after it was
+not worth an answer, so that junk cannot push a telegram aside.
+Source: reference/rsi.md, 1.1; reference/reliability.md, 0.
 """
 
 import logging
 import time
+from collections import deque
 from collections.abc import Callable
 
 from linemate.drivers.backoff import Backoff
@@ -14,6 +17,7 @@ from linemate.drivers.datagrams import Address, Datagram, DatagramLink, Datagram
 
 BUDGET = 64
 SENDERS = 4
+LOOK_BACK = 4
 
 log = logging.getLogger(__name__)
 
@@ -45,41 +49,49 @@ class RsiLink(DatagramLink):
         self._on_telegram = on_telegram
 
     def _read(self, transport: DatagramSocket) -> None:
-        newest: dict[Address, Datagram] = {}
+        waiting: dict[Address, deque[Datagram]] = {}
         for _ in range(BUDGET):
             datagram = transport.read()
             if datagram is None:
                 break
-            self._keep(newest, datagram)
-        for datagram in newest.values():
-            self._answer(transport, datagram)
+            self._keep(waiting, datagram)
+        for datagrams in waiting.values():
+            while datagrams and not self._answer(transport, datagrams.pop()):
+                pass
+            self.counters["stale"] += len(datagrams)
 
-    def _keep(self, newest: dict[Address, Datagram], datagram: Datagram) -> None:
+    def _keep(self, waiting: dict[Address, deque[Datagram]], datagram: Datagram) -> None:
         self.counters["received"] += 1
         if datagram.oversize:
             self.counters["oversize"] += 1
-        elif datagram.source in newest:
+            return
+        datagrams = waiting.get(datagram.source)
+        if datagrams is None:
+            if len(waiting) >= SENDERS:
+                self.counters["crowded"] += 1
+                return
+            datagrams = waiting[datagram.source] = deque()
+        elif len(datagrams) >= LOOK_BACK:
+            datagrams.popleft()
             self.counters["stale"] += 1
-            newest[datagram.source] = datagram
-        elif len(newest) < SENDERS:
-            newest[datagram.source] = datagram
-        else:
-            self.counters["crowded"] += 1
+        datagrams.append(datagram)
 
-    def _answer(self, transport: DatagramSocket, datagram: Datagram) -> None:
+    def _answer(self, transport: DatagramSocket, datagram: Datagram) -> bool:
+        """Whether the telegram was worth an answer."""
         reply = self._ask(datagram)
         if reply is None:
             self.counters["unanswered"] += 1
-            return
+            return False
         try:
             transport.endpoint.sendto(reply, datagram.source)
         except OSError as error:
             self.counters["send_errors"] += 1
             log.debug("%s: reply not sent: %s", self.status.name, error)
-            return
+            return True
         self.counters["answered"] += 1
         self.status.last_sample_stamp_ns = datagram.stamp_ns
         self.turnaround_ns = time.monotonic_ns() - datagram.stamp_ns
+        return True
 
     def _ask(self, datagram: Datagram) -> bytes | None:
         try:

@@ -15,18 +15,21 @@ from linemate.drivers.rsi_udp import RsiLink
 from linemate.drivers.serial_port import SerialLink
 from linemate.protocol.camera import CameraDecoder
 from linemate.protocol.distance import DistanceDecoder
-from linemate.protocol.rsi import RsiCodec, SensorTelegram, parse_config
+from linemate.protocol.rsi import RsiCodec, RsiError, SensorTelegram, parse_config
 from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
 from linemate.protocol.wrench import make_decoder, make_host
 from linemate.simulators.devices.emulator import SHIPPED_RSI, Emulator, EmulatorConfig
 from linemate.simulators.devices.truth import load
-from linemate.simulators.plants.scenario import Camera, Scenario
+from linemate.simulators.plants.scenario import Camera, Fault, Scenario
 
 CODEC = RsiCodec(parse_config(SHIPPED_RSI.read_bytes()))
 
 
 def _hold(data: bytes, stamp_ns: int, address: tuple[str, int]) -> bytes | None:
-    telegram = CODEC.parse_robot(data)
+    try:
+        telegram = CODEC.parse_robot(data)
+    except RsiError:
+        return None
     return CODEC.format_sensor(
         SensorTelegram(
             telegram.ipoc,
@@ -218,5 +221,39 @@ def test_a_lost_run_still_closes_every_port(tmp_path: Path) -> None:
         assert emulator.link.address is None
         assert not (tmp_path / "can").is_symlink()
         assert not (tmp_path / "ft").is_symlink()
+
+    run(main(), 60.0)
+
+
+def test_faults_of_a_scenario_hit_their_link_and_leave_the_others_alone(tmp_path: Path) -> None:
+    faults = (
+        Fault(0.2, "camera", "garbage", count=5),
+        Fault(0.2, "robot", "garbage", count=2),
+        Fault(0.3, "distance", "unplug", duration_s=0.2),
+        Fault(0.3, "force_torque", "unplug", duration_s=0.2),
+        Fault(0.4, "camera", "silence", duration_s=0.3),
+        Fault(0.4, "robot", "deafness", duration_s=0.048),
+    )
+
+    async def main() -> None:
+        station = Station(tmp_path)
+        station.open()
+        scenario = replace(_scenario(0.3, 2.0), faults=faults)
+        emulator = Emulator(station.config(scenario=scenario, wait_answered=3))
+        result = await emulator.run()
+        await station.close()
+        facts = result.facts
+        assert facts["broken"] is None
+        assert station.camera.counters["refused"] == 5
+        assert station.robot.counters["unanswered"] == 2
+        assert station.can.counters["lost"] == 1
+        assert station.force_torque.counters["lost"] == 1
+        assert facts["silenced"] == {"camera": 12}
+        held = result.truth.columns()
+        deaf = (held["t"] >= 0.4) & (held["t"] < 0.4 + 0.047)
+        assert not held["answered"][deaf].any()
+        # Both ports came back and were opened again.
+        assert station.can.counters["opened"] == 2
+        assert station.force_torque.counters["opened"] == 2
 
     run(main(), 60.0)

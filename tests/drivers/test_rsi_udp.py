@@ -76,6 +76,21 @@ def test_a_stranger_does_not_displace_the_controller(controller: socket.socket) 
     run(main())
 
 
+def test_junk_behind_a_telegram_does_not_push_it_aside(controller: socket.socket) -> None:
+    async def main() -> None:
+        link = RsiLink(lambda data, *_: None if data == b"junk" else data, port=0)
+        link.open()
+        assert link.address is not None
+        for data in (b"old", b"newest", b"junk", b"junk"):
+            controller.sendto(data, link.address)
+        assert await _receive(controller) == b"newest"
+        link.close()
+        assert link.counters["unanswered"] == 2
+        assert link.counters["stale"] == 1
+
+    run(main())
+
+
 def test_more_than_two_kilobytes_are_refused_unread(controller: socket.socket) -> None:
     async def main() -> None:
         link = RsiLink(_echo, port=0)
