@@ -1,6 +1,6 @@
 """What this machine is, and what it grants: said beside every figure that depends on it.
 
-Law of the file: asks the kernel, changes nothing that it does not put back, and never fails:
+Law of the file: asks the kernel, changes nothing unasked, and never fails:
 what cannot be found out is None or a reason.
 """
 
@@ -41,6 +41,15 @@ def missing_rights() -> str | None:
         limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
         return f"SCHED_FIFO {PRIORITY} refused ({error.strerror}; RLIMIT_RTPRIO is {limit})"
     os.sched_setscheduler(0, policy, parameters)
+    return None
+
+
+def take_priority(priority: int) -> str | None:
+    """Ask for SCHED_FIFO for this process; return why it was refused, None if granted."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except (OSError, ValueError) as error:
+        return f"SCHED_FIFO {priority} refused ({error})"
     return None
 
 

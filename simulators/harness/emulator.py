@@ -1,0 +1,103 @@
+"""``linemate-sim emulator``: a file becomes a station of emulated devices, in real time.
+
+Law of this file: the file's keys are those of ``EmulatorConfig``, with a scenario by name or path
+in the place of its values; relative paths are relative to the file. A line of JSON for each state
+goes to standard output, everything else to standard error.
+"""
+
+import sys
+from argparse import Namespace
+from dataclasses import MISSING, Field, field, fields, make_dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from linemate.daemon.service import documents
+from linemate.daemon.service.documents import Complaint, FileError
+from linemate.protocol.errors import ProtocolError
+from linemate.simulators.devices.emulator import serve
+from linemate.simulators.devices.emulator_config import EmulatorConfig
+from linemate.simulators.harness import host, scenario_file
+
+OWN = ("scenario", "seed", "cycle_ms", "priority")
+EX_UNAVAILABLE = 69
+
+
+def _default(one: "Field[Any]") -> Any:
+    if one.default_factory is not MISSING:
+        return field(default_factory=one.default_factory)
+    return field(default=one.default)
+
+
+EmulatorFile = make_dataclass(
+    "EmulatorFile",
+    [
+        ("scenario", str, field(default=scenario_file.DEFAULT)),
+        ("seed", int | None, field(default=None)),
+        ("cycle_ms", float | None, field(default=None)),
+        ("priority", int | None, field(default=None)),
+        *((f.name, f.type, _default(f)) for f in fields(EmulatorConfig) if f.name != "scenario"),
+    ],
+    frozen=True,
+)
+"""What a file may say: EmulatorConfig's fields, and of the scenario its name, its seed (instead of
+its own), its cycle, and the priority of SCHED_FIFO to ask for."""
+
+
+def load(path: Path) -> tuple[EmulatorConfig, int | None]:
+    """Read a file.
+
+    Returns:
+        The station, and the real-time priority to ask for.
+
+    Raises:
+        FileError: every error at once.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise FileError([f"{path}:1:1: (file): {error.strerror}"]) from error
+    document = documents.read(data, str(path))
+    told: Any = documents.fill(document, EmulatorFile)
+    try:
+        scenario = scenario_file.load(_scenario_name(told.scenario, path.parent))
+        if told.seed is not None:
+            scenario = replace(scenario, seed=told.seed)
+        if told.cycle_ms is not None:
+            scenario = replace(scenario, cycle_s=round(told.cycle_ms * 1e-3, 9))
+        values = {f.name: getattr(told, f.name) for f in fields(told) if f.name not in OWN}
+        placed = {
+            name: path.parent / value if isinstance(value, Path) else value
+            for name, value in values.items()
+        }
+        return EmulatorConfig(scenario=scenario, **placed), told.priority
+    except ValueError as error:
+        raise FileError([document.line(Complaint((), str(error)))]) from error
+
+
+def main(args: Namespace) -> int:
+    """Run a station to its end, or until it is told to end.
+
+    Args:
+        args: config.
+
+    Returns:
+        0; 69 when a port or device cannot be had.
+
+    Raises:
+        FileError: what is wrong with the file.
+    """
+    config, priority = load(args.config)
+    if priority is not None:
+        refused = host.take_priority(priority)
+        if refused is not None:
+            print(f"linemate-sim emulator: {refused}", file=sys.stderr)
+    try:
+        serve(config)
+    except (OSError, ProtocolError) as error:
+        print(f"linemate-sim emulator: {error}", file=sys.stderr)
+        return EX_UNAVAILABLE
+    return 0
+
+
+def _scenario_name(name: str, base: Path) -> str:
+    return name if name in scenario_file.shipped() else str(base / name)
