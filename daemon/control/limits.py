@@ -128,6 +128,8 @@ def admit(
     """
     if not bool(np.isfinite(desired).all()):
         return brake(state, limits, period), "the command was not finite"
+    # All that is far beyond the limits is alike, and its differences must not overflow.
+    desired = np.minimum(np.maximum(desired, limits.lower - 1.0), limits.upper + 1.0)
     wanted = ((desired - state.position) / period - state.speed) / period
     low, high = _bounds(state, limits, period)
     # A rounding of the differences is no violation: a millionth of the acceleration limit.
