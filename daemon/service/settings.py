@@ -169,6 +169,7 @@ class RealtimeSettings:
         cpus: the only cores used, empty leaves them alone.
         timer_slack_ns: None leaves it alone.
         cpu_dma_latency_us: deepest sleep allowed to the cores, None leaves it alone.
+        lead_ms: how long before its telegram a reply is prepared; 0: when the telegram comes.
         freeze_collector: freeze and disable the garbage collector once ready.
     """
 
@@ -177,6 +178,7 @@ class RealtimeSettings:
     cpus: Annotated[tuple[Annotated[int, Ge(0), Le(4095)], ...], Len(0, 1024)] = ()
     timer_slack_ns: Annotated[int, Ge(1), Le(1_000_000)] | None = None
     cpu_dma_latency_us: Annotated[int, Ge(0), Le(1_000_000)] | None = None
+    lead_ms: Annotated[float, Ge(0.0), Le(5.0)] = 0.0
     freeze_collector: bool = True
 
 

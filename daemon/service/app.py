@@ -1,0 +1,418 @@
+"""The process around the cycle: links in, replies out, and everything else afterwards.
+
+Law of this file: it wires and decides nothing about the robot; that is the cycle's. From a
+telegram to its reply there is no await, no log and no file. Recording, operators, status and the
+collector come after the reply, each with a budget; what fails there costs itself and no reply.
+"""
+
+import asyncio
+import contextlib
+import logging
+import os
+import signal
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from linemate.daemon.inputs import Order
+from linemate.daemon.parameters import Parameters
+from linemate.daemon.service import parameter_list, realtime, schedule, states
+from linemate.daemon.service.clock import Clock
+from linemate.daemon.service.command_server import (
+    CommandPort,
+    CommandPortError,
+    LocalDoor,
+    UdpDoor,
+    read_keys,
+)
+from linemate.daemon.service.config import Station, key_path
+from linemate.daemon.service.cycle import Cycle
+from linemate.daemon.service.histogram import Histogram
+from linemate.daemon.service.notify import Notifier
+from linemate.daemon.service.recorder import Recorder
+from linemate.daemon.service.schedule import Due, Kind
+from linemate.daemon.service.settings import Corrections
+from linemate.daemon.service.states import State
+from linemate.daemon.service.status import LinkView, Snapshot, status, telemetry
+from linemate.drivers.camera_udp import CameraLink
+from linemate.drivers.can_bus import CanLink
+from linemate.drivers.datagrams import Address
+from linemate.drivers.rsi_udp import RsiLink
+from linemate.drivers.serial_port import SerialLink
+from linemate.protocol.camera import CameraDecoder
+from linemate.protocol.distance import DistanceDecoder
+from linemate.protocol.rsi import RsiCodec
+from linemate.protocol.wrench import BAUD_RATES, make_decoder, make_host
+
+ORDERS = frozenset({"arm", "start", "stop", "retreat", "ack"})
+REST_PATIENCE_S = 4.0
+STATUS_EVERY_NS = 1_000_000_000
+SAY_EVERY = 1000
+"""A fault of the cycle is logged once in so many."""
+
+log = logging.getLogger(__name__)
+
+Link = RsiLink | CanLink | CameraLink | SerialLink
+Handler = Callable[[Mapping[str, Any], str], dict[str, Any]]
+
+
+class StartError(Exception):
+    """The daemon cannot run; the message says why."""
+
+
+class App:
+    """One daemon.
+
+    Args:
+        station: everything from files.
+        parameters: of the step.
+        host: what the host granted.
+        notifier: the service manager.
+
+    Attributes:
+        cycle: the heart.
+        counters: what went wrong around it, by name.
+    """
+
+    def __init__(
+        self,
+        station: Station,
+        parameters: Parameters,
+        host: realtime.Host,
+        notifier: Notifier,
+    ) -> None:
+        self.counters: Counter[str] = Counter()
+        self._station = station
+        self._host = host
+        self._notifier = notifier
+        config = station.config
+        self.cycle = Cycle(
+            parameters,
+            RsiCodec(station.rsi, config.rsi.linear_axes),
+            config.watch,
+            absolute=config.rsi.corrections is Corrections.ABSOLUTE,
+            wrench_expected=config.force_torque is not None,
+        )
+        self._robot = RsiLink(self._on_telegram, config.rsi.bind, station.rsi_port)
+        self._sensors = tuple(_sensors(station, self.cycle))
+        self._commands = _command_port(station, self._handle, self._telemetry)
+        self._recorder = _recorder(station)
+        self._clock = Clock(
+            self._on_due,
+            self._failed,
+            self._robot.poll,
+            schedule.free(
+                round(parameters.cycle_s * 1e9),
+                time.monotonic_ns(),
+                round(config.realtime.lead_ms * 1e6),
+            ),
+        )
+        self._collector = realtime.Collector()
+        self._turnaround = Histogram()
+        self._stepping = Histogram()
+        self._began_ns = time.monotonic_ns()
+        self._told_ns = 0
+        self._telegram_ns: int | None = None
+        self._after_waits = False
+        self._command: tuple[float, ...] = ()
+        self._resting = 0
+        self._cycled = asyncio.Event()
+        self._end: asyncio.Event | None = None
+        listed = tuple(parameter_list.every(config))
+        self._operations: dict[str, Handler] = {
+            "status": lambda _params, _who: self.status(),
+            "params": lambda params, _who: parameter_list.described(listed, params),
+            "get": lambda params, _who: parameter_list.values(listed, params),
+            "record": lambda params, _who: self._record(params["action"]),
+            "set": lambda _params, _who: {"refused": parameter_list.FIXED},
+            "save": lambda _params, _who: {"refused": parameter_list.FIXED},
+        }
+
+    # The life of the process.
+
+    async def run(self, on_ready: Callable[[dict[str, Any]], None] = lambda _: None) -> None:
+        """Open everything, serve until told to end, come to rest, close everything.
+
+        Args:
+            on_ready: told where the daemon listens once it does.
+
+        Raises:
+            StartError: a port that the daemon cannot do without is taken.
+        """
+        loop = asyncio.get_running_loop()
+        self._end = asyncio.Event()
+        try:
+            self._open()
+            for number in (signal.SIGTERM, signal.SIGINT):
+                loop.add_signal_handler(number, self._end.set)
+            loop.add_signal_handler(signal.SIGHUP, self._reload)
+            on_ready(self.listening())
+            self._notifier.ready(self._line())
+            log.info("ready: %s", self.listening())
+            await self._end.wait()
+            self._notifier.stopping()
+            await self._come_to_rest()
+        finally:
+            await self._close()
+
+    def end(self) -> None:
+        """End as by SIGTERM."""
+        if self._end is not None:
+            self._end.set()
+
+    def _open(self) -> None:
+        self._robot.open()
+        if self._robot.address is None:
+            raise StartError(f"the robot's port cannot be opened: {self._robot.status.reason}")
+        try:
+            self._commands.open()
+        except CommandPortError as error:
+            raise StartError(str(error)) from error
+        for link in self._sensors:
+            link.open()
+        self._clock.open()
+        recording = self._station.config.recording
+        if recording is not None and recording.at_start and self._recorder is not None:
+            reason = self._recorder.start()
+            if reason is not None:
+                log.error("not recording: %s", reason)
+        if self._station.config.realtime.freeze_collector:
+            self._collector.freeze()
+
+    async def _close(self) -> None:
+        self._clock.close()
+        self._commands.close()
+        links: tuple[Link, ...] = (self._robot, *self._sensors)
+        for link in links:
+            link.close()
+        for link in links:
+            await link.wait_closed()
+        if self._recorder is not None:
+            self._recorder.take(self.cycle.take_log())
+            await asyncio.to_thread(self._recorder.close)
+        self._host.close()
+        self._collector.thaw()
+
+    async def _come_to_rest(self) -> None:
+        """Hold in free space, retreat from contact, and wait for the robot to stand."""
+        if self.cycle.machine.state in states.MOVING:
+            log.info("ending: the robot is brought to rest first")
+            self.cycle.order("stop", "the end of the daemon")
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(REST_PATIENCE_S):
+                while not self._at_rest():
+                    self._cycled.clear()
+                    await self._cycled.wait()
+        if not self._at_rest():
+            log.warning("ending although the robot moves: %s", self.cycle.machine.state)
+
+    def _at_rest(self) -> bool:
+        state = self.cycle.machine.state
+        if state is State.HOLD:
+            return self._resting >= 2
+        return state not in states.MOVING
+
+    def _reload(self) -> None:
+        """SIGHUP: take the keys anew; sessions of keys that are gone end."""
+        self._notifier.reloading()
+        udp = self._station.config.command.udp
+        if udp is not None:
+            try:
+                keys = read_keys(key_path(udp.keys, self._station.path.parent))
+            except (CommandPortError, ValueError) as error:
+                log.error("keys are not reloaded: %s", error)  # noqa: TRY400 - an operator's line
+            else:
+                self._commands.replace_keys(keys)
+                log.info("keys reloaded: %d", len(keys))
+        self._notifier.ready(self._line())
+
+    # The cycle.
+
+    def _on_telegram(self, data: bytes, stamp_ns: int, source: Address) -> bytes | None:
+        peer = self._station.config.rsi.peer
+        if peer is not None and source[0] != peer:
+            self.counters["foreign_telegrams"] += 1
+            return None
+        began_ns = time.monotonic_ns()
+        try:
+            reply = self.cycle.on_telegram(data, stamp_ns, source)
+        except Exception as error:  # noqa: BLE001 - an unanswered telegram stops the robot
+            self._failed(error)
+            return None
+        if reply is None:
+            return None
+        self._stepping.add(time.monotonic_ns() - began_ns)
+        self._telegram_ns = stamp_ns
+        self._clock.telegram(stamp_ns)
+        self._later(answered=True)
+        return reply
+
+    def _on_due(self, due: Due) -> None:
+        if due.kind is Kind.PREPARE:
+            self.cycle.prepare(due.stamp_ns)
+            return
+        lost_s = self._station.config.watch.link_lost_s
+        if self._telegram_ns is None or due.stamp_ns - self._telegram_ns > lost_s * 1e9:
+            self._clock.run_free()
+        self.cycle.on_missing(due.stamp_ns)
+        self._later(answered=False)
+
+    def _later(self, *, answered: bool) -> None:
+        """Do the rest in the loop's next turn: the link sends the reply in this one."""
+        if not self._after_waits:
+            self._after_waits = True
+            asyncio.get_running_loop().call_soon(self._after, answered)
+
+    def _after(self, answered: bool) -> None:
+        self._after_waits = False
+        if answered and self._robot.turnaround_ns is not None:
+            self._turnaround.add(self._robot.turnaround_ns)
+        try:
+            self._tell()
+        except Exception as error:  # noqa: BLE001 - what fails here costs no reply
+            self._failed(error)
+
+    def _tell(self) -> None:
+        now_ns = time.monotonic_ns()
+        entries = self.cycle.take_log()
+        for entry in entries:
+            same = entry.outputs.command == self._command
+            self._resting = self._resting + 1 if same else 0
+            self._command = entry.outputs.command
+        self._cycled.set()
+        if self._recorder is not None:
+            self._recorder.take(entries)
+        self._commands.poll(self._station.config.command.budget)
+        self._notifier.alive(now_ns)
+        if now_ns - self._told_ns >= STATUS_EVERY_NS:
+            self._told_ns = now_ns
+            if self._notifier.address:
+                self._notifier.send(f"STATUS={self._line()}")
+        moving = bool(entries) and entries[-1].inputs.order is not Order.HOLD
+        self._collector.slack(moving=moving)
+
+    def _failed(self, error: Exception) -> None:
+        """Count a fault of our own; the log must not drown in it."""
+        count = self.counters["faults"]
+        self.counters["faults"] += 1
+        if count % SAY_EVERY == 0:
+            log.error("fault %d in the cycle", count + 1, exc_info=error)
+
+    # Operators.
+
+    def _handle(self, op: str, params: dict[str, Any], role: str, who: str) -> Mapping[str, Any]:
+        del role  # judged by the protocol
+        if op in ORDERS:
+            reason = self.cycle.order(op, who)
+            if reason is not None:
+                return {"refused": reason}
+            return {"state": str(self.cycle.machine.state)}
+        handler = self._operations.get(op)
+        return {"refused": f"no such operation: {op}"} if handler is None else handler(params, who)
+
+    def _record(self, action: str) -> dict[str, Any]:
+        if self._recorder is None:
+            return {"refused": "the configuration names no directory for recordings"}
+        reason = self._recorder.start() if action == "start" else self._recorder.stop()
+        return {"refused": reason} if reason else {"file": self._recorder.status.file}
+
+    def status(self) -> dict[str, Any]:
+        """What an operator wants to know; plain values."""
+        return status(self._snapshot())
+
+    def _telemetry(self) -> dict[str, Any]:
+        return telemetry(self.cycle)
+
+    def _snapshot(self) -> Snapshot:
+        links = [LinkView(self._robot.status, self._robot.address)]
+        links += [LinkView(link.status, getattr(link, "address", None)) for link in self._sensors]
+        return Snapshot(
+            task=self._station.task.file.name,
+            now_ns=time.monotonic_ns(),
+            began_ns=self._began_ns,
+            cycle=self.cycle,
+            links=tuple(links),
+            clock=self._clock,
+            turnaround=self._turnaround,
+            stepping=self._stepping,
+            recorder=None if self._recorder is None else self._recorder.status,
+            commands=self._commands.status(),
+            refusals=self._host.refusals(),
+            counters=self.counters,
+        )
+
+    def _line(self) -> str:
+        machine = self.cycle.machine
+        return f"{machine.state.upper()} ({machine.because}), {self.cycle.steps} steps"
+
+    def listening(self) -> dict[str, Any]:
+        """Where the daemon listens, ports that the system chose among them."""
+        command = self._station.config.command
+        camera = [link.address for link in self._sensors if isinstance(link, CameraLink)]
+        socket = command.socket and str(self._station.path.parent / command.socket)
+        return {
+            "pid": os.getpid(),
+            "robot": self._robot.address,
+            "camera": camera[0] if camera else None,
+            "command": {"socket": socket, "udp": self._commands.udp_address},
+        }
+
+
+def _sensors(station: Station, cycle: Cycle) -> Iterator[CanLink | CameraLink | SerialLink]:
+    config = station.config
+    if config.distance is not None and station.dbc is not None:
+        distance = config.distance
+        decoder = DistanceDecoder(
+            station.dbc,
+            distance.message,
+            distance.signal,
+            strength=distance.strength,
+            can_id=distance.can_id,
+            step=distance.step_m,
+        )
+        yield CanLink(distance.can, decoder, cycle.feed_distance)
+    if config.camera is not None:
+        camera = config.camera
+        poses = CameraDecoder(camera.frame, camera.object, camera.source)
+        yield CameraLink(poses, cycle.feed_camera, camera.bind, camera.port)
+    if config.force_torque is not None:
+        wrench = config.force_torque
+        yield SerialLink(
+            wrench.url,
+            make_decoder(wrench.device),
+            cycle.feed_wrench,
+            baudrate=wrench.baudrate or BAUD_RATES[wrench.device],
+            host=partial(make_host, wrench.device) if wrench.dialogue else None,
+        )
+
+
+def _command_port(
+    station: Station,
+    handle: Callable[[str, dict[str, Any], str, str], Mapping[str, Any]],
+    snapshot: Callable[[], Mapping[str, Any]],
+) -> CommandPort:
+    command = station.config.command
+    local = udp = None
+    if command.socket is not None:
+        local = LocalDoor(station.path.parent / command.socket)
+    if command.udp is not None:
+        door = command.udp
+        udp = UdpDoor(door.bind, door.port, station.keys, door.allow_remote)
+    return CommandPort(handle, snapshot, local, udp)
+
+
+def _recorder(station: Station) -> Recorder | None:
+    settings = station.config.recording
+    if settings is None:
+        return None
+    directory = station.path.parent / settings.directory
+    return Recorder(
+        Path(directory),
+        dict(station.texts),
+        settings.queue,
+        settings.chunk_kib * 1024,
+        settings.flush_s,
+    )

@@ -1,0 +1,108 @@
+"""``linemated``, the service.
+
+Law of this file: the command line, the order of start-up and the exit codes: 0 ended as told,
+1 cannot run, 2 usage, 78 bad configuration with every error as ``file:line:col: key: what``.
+"""
+
+import argparse
+import asyncio
+import json
+import logging
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+# Before numpy is imported: a second thread of the algebra costs more than it brings, and wakes
+# on the other core when the loop wants to sleep.
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+OK = 0
+CANNOT_RUN = 1
+BAD_CONFIGURATION = 78
+
+log = logging.getLogger("linemated")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the daemon; the exit code."""
+    arguments = _parser().parse_args(argv)
+    logging.basicConfig(
+        level=arguments.log.upper(), stream=sys.stderr, format="%(levelname)s %(name)s: %(message)s"
+    )
+    # Imported late, so that a wrong command line is answered at once.
+    from linemate.daemon.service import config
+    from linemate.daemon.service.documents import FileError
+
+    try:
+        station = config.load(arguments.config)
+        parameters = _compiled(station)
+    except FileError as error:
+        print("\n".join(error.lines), file=sys.stderr)
+        return BAD_CONFIGURATION
+    if arguments.check:
+        print(f"{arguments.config}: good")
+        return OK
+    return _serve(station, parameters, arguments.ready_fd)
+
+
+def _compiled(station: Any) -> Any:
+    """Compile the step's parameters.
+
+    Raises:
+        FileError: settings, task and arm do not fit together.
+    """
+    from linemate.daemon import parameters
+    from linemate.daemon.service.documents import FileError
+
+    config = station.config
+    cycle_s = config.rsi.cycle_ms * 1e-3
+    try:
+        return parameters.build(
+            station.task.file, station.task.urdf, config.tracking, config.control, cycle_s
+        )
+    except ValueError as error:
+        raise FileError([f"{station.path}:1:1: (file): {error}"]) from error
+
+
+def _serve(station: Any, parameters: Any, ready_fd: int | None) -> int:
+    from linemate.daemon.service import realtime
+    from linemate.daemon.service.app import App, StartError
+    from linemate.daemon.service.notify import Notifier
+
+    host = realtime.ask(station.config.realtime)
+    for refusal in host.refusals():
+        log.warning("%s", refusal)
+    app = App(station, parameters, host, Notifier.from_environment())
+    try:
+        asyncio.run(app.run(lambda listening: _tell(listening, ready_fd)))
+    except StartError as error:
+        log.error("%s", error)  # noqa: TRY400 - a line for an operator, not a trace
+        return CANNOT_RUN
+    return OK
+
+
+def _tell(listening: dict[str, Any], ready_fd: int | None) -> None:
+    """Write one line of JSON for whoever started us, and close."""
+    if ready_fd is None:
+        return
+    with os.fdopen(ready_fd, "w", encoding="utf-8") as pipe:
+        pipe.write(json.dumps(listening) + "\n")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="linemated", description="The linemate daemon.")
+    parser.add_argument("--config", type=Path, required=True, metavar="FILE", help="YAML")
+    parser.add_argument("--check", action="store_true", help="validate every file and end")
+    parser.add_argument(
+        "--ready-fd", type=int, metavar="N", help="write a line of JSON with the ports here"
+    )
+    levels = ("debug", "info", "warning", "error")
+    parser.add_argument("--log", choices=levels, default="info", help="what is logged")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,73 @@
+"""What systemd is told: ready, stopping, reloading, a line of status, and that we live.
+
+Law of this file: datagrams to $NOTIFY_SOCKET and nothing else; without systemd it does nothing,
+and it never blocks and never raises. Source: sd_notify(3).
+"""
+
+import os
+import socket
+import time
+from dataclasses import dataclass
+
+
+@dataclass(slots=True)
+class Notifier:
+    """The service manager, if there is one.
+
+    Attributes:
+        address: of its socket, empty if there is none.
+        watchdog_s: how often it wants to hear that we live [s], None if it does not.
+    """
+
+    address: str = ""
+    watchdog_s: float | None = None
+    _fed_ns: int = 0
+
+    @classmethod
+    def from_environment(cls) -> "Notifier":
+        """Find the service manager in the environment."""
+        address = os.environ.get("NOTIFY_SOCKET", "")
+        usec = os.environ.get("WATCHDOG_USEC", "")
+        pid = os.environ.get("WATCHDOG_PID", str(os.getpid()))
+        watched = usec.isdigit() and int(usec) > 0 and pid == str(os.getpid())
+        return cls(address, int(usec) / 1e6 if watched else None)
+
+    def send(self, *lines: str) -> bool:
+        """Send assignments such as ``READY=1``.
+
+        Returns:
+            Whether somebody took them.
+        """
+        if not self.address:
+            return False
+        # An abstract socket is written with @ and addressed with a zero byte.
+        address = "\0" + self.address[1:] if self.address[0] == "@" else self.address
+        try:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as manager:
+                manager.setblocking(False)
+                manager.sendto("\n".join(lines).encode(), address)
+        except OSError:
+            return False
+        return True
+
+    def ready(self, status: str) -> None:
+        """The ports are open."""
+        self.send("READY=1", f"STATUS={status}")
+
+    def reloading(self) -> None:
+        """A reload begins; ``ready`` ends it."""
+        self.send("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
+
+    def stopping(self) -> None:
+        """The end begins."""
+        self.send("STOPPING=1")
+
+    def alive(self, now_ns: int) -> None:
+        """A cycle was completed; the manager hears of it a few times in its period.
+
+        Args:
+            now_ns: monotonic time [ns].
+        """
+        if self.watchdog_s is not None and now_ns - self._fed_ns >= self.watchdog_s / 3.0 * 1e9:
+            self._fed_ns = now_ns
+            self.send("WATCHDOG=1")

@@ -1,0 +1,202 @@
+"""What is asked of the host for real time.
+
+Law of this file: every request is one function with one outcome; a refusal is a sentence with
+what it costs and how to allow it, and never fatal: the daemon runs as well as the host lets it.
+Source: reference/real-time.md, sections 1, 4 and 5.
+"""
+
+import ctypes
+import gc
+import os
+import resource
+import struct
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from linemate.daemon.service.settings import RealtimeSettings
+
+MCL_CURRENT: Final = 1
+MCL_FUTURE: Final = 2
+PR_SET_TIMERSLACK: Final = 29
+CAP_IPC_LOCK: Final = 14
+DMA_LATENCY: Final = Path("/dev/cpu_dma_latency")
+SWITCH_S: Final = 0.0005
+"""A thread that computes may keep the loop waiting this long for the interpreter [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of one request.
+
+    Attributes:
+        what: was asked for.
+        granted: or not.
+        message: for an operator; empty if granted.
+    """
+
+    what: str
+    granted: bool
+    message: str = ""
+
+
+@dataclass(slots=True)
+class Host:
+    """What the host granted; holds what must stay open.
+
+    Attributes:
+        outcomes: in the order of the requests.
+        latency_fd: while it is open the cores sleep lightly; None if that was not asked for.
+    """
+
+    outcomes: list[Outcome] = field(default_factory=list)
+    latency_fd: int | None = None
+
+    def refusals(self) -> tuple[str, ...]:
+        """Sentences for the log and the status."""
+        return tuple(o.message for o in self.outcomes if not o.granted)
+
+    def close(self) -> None:
+        """Let the cores sleep deeply again."""
+        if self.latency_fd is not None:
+            os.close(self.latency_fd)
+            self.latency_fd = None
+
+
+def ask(settings: RealtimeSettings) -> Host:
+    """Ask the host for everything that is configured.
+
+    Call it before threads are started, so that they share the cores but not the priority.
+
+    Args:
+        settings: what to ask for.
+    """
+    sys.setswitchinterval(SWITCH_S)
+    host = Host()
+    for what, request in _requests(settings, host):
+        try:
+            request()
+        except OSError as error:
+            reason = error.strerror or str(error)
+            host.outcomes.append(Outcome(what, granted=False, message=_sentence(what, reason)))
+        else:
+            host.outcomes.append(Outcome(what, granted=True))
+    return host
+
+
+def _requests(settings: RealtimeSettings, host: Host) -> Iterator[tuple[str, Callable[[], None]]]:
+    if settings.cpus:
+        yield "cpus", lambda: os.sched_setaffinity(0, settings.cpus)
+    if settings.priority is not None:
+        priority = settings.priority
+        yield "priority", lambda: _fifo(priority)
+    if settings.lock_memory:
+        yield "lock_memory", _lock_memory
+    if settings.timer_slack_ns is not None:
+        slack_ns = settings.timer_slack_ns
+        yield "timer_slack", lambda: _libc("prctl", PR_SET_TIMERSLACK, slack_ns, 0, 0, 0)
+    if settings.cpu_dma_latency_us is not None:
+        latency_us = settings.cpu_dma_latency_us
+        yield "cpu_dma_latency", lambda: _hold_latency(host, latency_us)
+
+
+_COSTS = {
+    "cpus": "the daemon may be moved between cores (a reply now and then 0.1 ms later); "
+    "check realtime.cpus against this machine",
+    "priority": "other programs may delay replies by tens of milliseconds; allow it with "
+    "LimitRTPRIO= or AmbientCapabilities=CAP_SYS_NICE in the unit",
+    "lock_memory": "a page fault may delay a reply by milliseconds; allow it with "
+    "LimitMEMLOCK=infinity in the unit",
+    "timer_slack": "timers may be 50 us late",
+    "cpu_dma_latency": "a sleeping core may answer 0.1 ms late; allow it with "
+    "DeviceAllow=/dev/cpu_dma_latency rw in the unit",
+}
+
+
+def _sentence(what: str, reason: str) -> str:
+    return f"realtime.{what} was refused ({reason}): {_COSTS[what]}"
+
+
+def _fifo(priority: int) -> None:
+    # Threads and children fall back to the ordinary class: the disk must not outrank a sensor.
+    policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+    os.sched_setscheduler(0, policy, os.sched_param(priority))
+
+
+def _lock_memory() -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    if hard != soft:
+        resource.setrlimit(resource.RLIMIT_MEMLOCK, (hard, hard))
+    # Under a finite limit MCL_FUTURE would make a later allocation fail, which kills the daemon.
+    unlimited = hard == resource.RLIM_INFINITY or _may_lock_all()
+    _libc("mlockall", MCL_CURRENT | (MCL_FUTURE if unlimited else 0))
+
+
+def _may_lock_all() -> bool:
+    """Whether the limit does not hold for this process."""
+    status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
+    for line in status.splitlines():
+        if line.startswith("CapEff:"):
+            return bool(int(line.split()[1], 16) >> CAP_IPC_LOCK & 1)
+    return False
+
+
+def _hold_latency(host: Host, latency_us: int) -> None:
+    fd = os.open(DMA_LATENCY, os.O_WRONLY | os.O_CLOEXEC)
+    try:
+        os.write(fd, struct.pack("@i", latency_us))
+    except OSError:
+        os.close(fd)
+        raise
+    host.latency_fd = fd
+
+
+def _libc(name: str, *arguments: int) -> None:
+    function = getattr(ctypes.CDLL(None, use_errno=True), name)
+    if function(*(ctypes.c_ulong(argument) for argument in arguments)) != 0:
+        error = ctypes.get_errno()
+        raise OSError(error, os.strerror(error))
+
+
+@dataclass(slots=True)
+class Collector:
+    """The garbage collector, in hand: it runs in the slack after a reply and nowhere else.
+
+    Attributes:
+        every: cycles between two quick collections.
+        quick, full: collections made.
+    """
+
+    every: int = 250
+    quick: int = 0
+    full: int = 0
+    _cycles: int = 0
+
+    def freeze(self) -> None:
+        """Everything made so far is there to stay."""
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+
+    def thaw(self) -> None:
+        """Give the collector back."""
+        gc.enable()
+        gc.unfreeze()
+
+    def slack(self, *, moving: bool) -> None:
+        """Collect the youngest now and then; everything only while nothing moves.
+
+        Args:
+            moving: the robot is being led.
+        """
+        self._cycles += 1
+        if self._cycles % self.every:
+            return
+        if moving or self._cycles % (40 * self.every):
+            gc.collect(1)
+            self.quick += 1
+        else:
+            gc.collect()
+            self.full += 1

@@ -1,0 +1,140 @@
+"""The daemon's sampling schedule: which step is due when.
+
+Law of this file: pure; stamps in, steps out. The controller is master: every telegram re-phases
+the schedule, and without one the schedule makes the step by itself, on an absolute grid
+(``next += T0``, never ``now + T0``), so that k stays right. Arrivals are late and never early, so
+the phase follows the early ones at once and the late ones slowly. Source: reference/real-time.md.
+"""
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+LATE_SHARE = 0.02
+"""How much of an arrival's lateness enters the phase."""
+
+MOST_AT_ONCE = 25
+"""Steps made after a stall; what is older is skipped and counted."""
+
+
+class Kind(StrEnum):
+    """What is to be done."""
+
+    PREPARE = "prepare"
+    MISSING = "missing"
+
+
+@dataclass(frozen=True, slots=True)
+class Due:
+    """One thing that is due.
+
+    Attributes:
+        kind: make the step ahead of its telegram, or because its telegram did not come.
+        stamp_ns: the time of the telegram it is for [ns].
+    """
+
+    kind: Kind
+    stamp_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """Where the schedule stands.
+
+    Attributes:
+        period_ns: T0 [ns].
+        next_ns: when the next telegram is expected [ns].
+        grace_ns: how long after that it counts as missing [ns].
+        lead_ns: how long before that its step is prepared [ns], 0: never.
+        prepared: it has been.
+        locked: telegrams set the phase; else it runs free.
+        skipped: cycles of which no step was made, after stalls.
+    """
+
+    period_ns: int
+    next_ns: int
+    grace_ns: int
+    lead_ns: int = 0
+    prepared: bool = False
+    locked: bool = False
+    skipped: int = 0
+
+
+def free(period_ns: int, now_ns: int, lead_ns: int = 0) -> Schedule:
+    """A schedule that runs free from now on.
+
+    Args:
+        period_ns: T0 [ns].
+        now_ns: monotonic time [ns].
+        lead_ns: how long before a telegram its step is prepared [ns], 0: never.
+
+    Raises:
+        ValueError: a lead that would begin before the deadline of the telegram before.
+    """
+    grace_ns = period_ns // 2
+    if not 0 <= lead_ns < period_ns - grace_ns:
+        raise ValueError(f"a lead of {lead_ns} ns does not fit into a cycle of {period_ns} ns")
+    return Schedule(period_ns, now_ns + period_ns, grace_ns, lead_ns)
+
+
+def on_telegram(schedule: Schedule, stamp_ns: int) -> Schedule:
+    """A telegram was answered.
+
+    Args:
+        schedule: before it.
+        stamp_ns: its arrival [ns].
+    """
+    period_ns = schedule.period_ns
+    # The grid line it belongs to: the nearest one, which may be past already or to come.
+    cycles = round((stamp_ns - schedule.next_ns) / period_ns)
+    expected_ns = schedule.next_ns + cycles * period_ns
+    late_ns = stamp_ns - expected_ns
+    if schedule.locked and late_ns > 0:
+        phase_ns = expected_ns + round(LATE_SHARE * late_ns)
+    else:
+        phase_ns = stamp_ns
+    return replace(schedule, next_ns=phase_ns + period_ns, prepared=False, locked=True)
+
+
+def run_free(schedule: Schedule) -> Schedule:
+    """The robot is gone: the next telegram sets the phase, however late it seems."""
+    return replace(schedule, locked=False)
+
+
+def wake_ns(schedule: Schedule) -> int:
+    """When something is due next [ns]."""
+    if schedule.lead_ns and not schedule.prepared:
+        return schedule.next_ns - schedule.lead_ns
+    return schedule.next_ns + schedule.grace_ns
+
+
+def on_wake(schedule: Schedule, now_ns: int) -> tuple[Schedule, tuple[Due, ...]]:
+    """Find what is due.
+
+    Args:
+        schedule: before.
+        now_ns: monotonic time [ns].
+
+    Returns:
+        The schedule after it, and what is to be done, in this order.
+    """
+    due: list[Due] = []
+    schedule = _skip(schedule, now_ns)
+    while schedule.next_ns + schedule.grace_ns <= now_ns:
+        due.append(Due(Kind.MISSING, schedule.next_ns))
+        schedule = replace(schedule, next_ns=schedule.next_ns + schedule.period_ns, prepared=False)
+    if schedule.lead_ns and not schedule.prepared and wake_ns(schedule) <= now_ns:
+        due.append(Due(Kind.PREPARE, schedule.next_ns))
+        schedule = replace(schedule, prepared=True)
+    return schedule, tuple(due)
+
+
+def _skip(schedule: Schedule, now_ns: int) -> Schedule:
+    overdue = (now_ns - schedule.next_ns - schedule.grace_ns) // schedule.period_ns + 1
+    excess = overdue - MOST_AT_ONCE
+    if excess <= 0:
+        return schedule
+    return replace(
+        schedule,
+        next_ns=schedule.next_ns + excess * schedule.period_ns,
+        skipped=schedule.skipped + excess,
+    )

@@ -1,0 +1,144 @@
+"""What operators are shown: a status in full, and telemetry that fits into a datagram.
+
+Law of this file: facts in, plain values out; it asks nobody and changes nothing. ``health`` is a
+judgement over all of them, with every complaint beside it. Keys are stable: scripts read them.
+"""
+
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from linemate.daemon.service.clock import Clock
+from linemate.daemon.service.cycle import Cycle
+from linemate.daemon.service.histogram import Histogram
+from linemate.daemon.service.recorder import RecorderStatus
+from linemate.daemon.service.states import State
+from linemate.drivers.datagrams import Address
+from linemate.drivers.link import LinkStatus
+
+VERSION = 1
+STALE_S = 1.0
+SHOWN = (
+    "phase",
+    "task_time",
+    "scenario",
+    "scenario_state",
+    "confidence",
+    "speed",
+    "contact",
+    "held",
+    "target",
+    "sensed",
+    "part",
+    "command",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class LinkView:
+    """A link's status and where it listens."""
+
+    status: LinkStatus
+    address: Address | None
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """Everything that a status is made of."""
+
+    task: str
+    now_ns: int
+    began_ns: int
+    cycle: Cycle
+    links: tuple[LinkView, ...]
+    clock: Clock
+    turnaround: Histogram
+    stepping: Histogram
+    recorder: RecorderStatus | None
+    commands: Mapping[str, Any]
+    refusals: tuple[str, ...]
+    counters: Mapping[str, int]
+
+
+def status(snapshot: Snapshot) -> dict[str, Any]:
+    """The whole status.
+
+    Args:
+        snapshot: of this moment.
+    """
+    cycle = snapshot.cycle.status()
+    links = {view.status.name: _link(view, snapshot.now_ns) for view in snapshot.links}
+    complaints = tuple(_complaints(snapshot, cycle, links))
+    faulty = snapshot.cycle.machine.state is State.FAULT or snapshot.cycle.machine.latched
+    schedule = snapshot.clock.schedule
+    lateness = snapshot.clock.lateness
+    return {
+        "version": VERSION,
+        "health": "fault" if faulty else "degraded" if complaints else "healthy",
+        "complaints": complaints,
+        "task": snapshot.task,
+        "pid": os.getpid(),
+        "uptime_s": round((snapshot.now_ns - snapshot.began_ns) / 1e9, 3),
+        **cycle,
+        "links": links,
+        "turnaround_us": snapshot.turnaround.summary_us(),
+        "step_us": snapshot.stepping.summary_us(),
+        "clock": {
+            "locked": schedule.locked,
+            "skipped": schedule.skipped,
+            "wakes": lateness.wakes,
+            "late_wakes": lateness.late,
+            "worst_us": round(lateness.worst_ns / 1e3, 1),
+        },
+        "recording": None if snapshot.recorder is None else asdict(snapshot.recorder),
+        "commands": dict(snapshot.commands),
+        "host": snapshot.refusals,
+        "faults": snapshot.counters.get("faults", 0),
+    }
+
+
+def telemetry(cycle: Cycle) -> dict[str, Any]:
+    """What subscribers are sent, up to 50 times a second.
+
+    Args:
+        cycle: the heart.
+    """
+    shown: dict[str, Any] = {"state": cycle.machine.state.value, "k": cycle.steps}
+    if cycle.last is not None:
+        outputs = cycle.last.outputs
+        shown["stamp_ns"] = outputs.stamp_ns
+        shown |= {name: getattr(outputs, name) for name in SHOWN}
+    return shown
+
+
+def _link(view: LinkView, now_ns: int) -> dict[str, Any]:
+    link = view.status
+    newest_ns = link.last_sample_stamp_ns
+    return {
+        "up": link.up,
+        "since_s": round((now_ns - link.since_ns) / 1e9, 3),
+        "age_s": None if newest_ns is None else round((now_ns - newest_ns) / 1e9, 4),
+        "reason": link.reason,
+        "address": view.address,
+        "counters": dict(link.counters),
+    }
+
+
+def _complaints(
+    snapshot: Snapshot, cycle: Mapping[str, Any], links: Mapping[str, Mapping[str, Any]]
+) -> Iterator[str]:
+    machine = snapshot.cycle.machine
+    if machine.state is State.FAULT:
+        yield f"fault: {machine.because}"
+    for name, link in links.items():
+        if not link["up"]:
+            yield f"link {name} is down: {link['reason']}"
+        elif link["age_s"] is None or link["age_s"] > STALE_S:
+            yield f"link {name} is silent"
+    if cycle["link"] != "healthy" and links["robot"]["up"]:
+        yield f"the robot link is {cycle['link']}"
+    if snapshot.recorder is not None and snapshot.recorder.failure:
+        yield f"recording ended: {snapshot.recorder.failure}"
+    if snapshot.counters.get("faults"):
+        yield f"{snapshot.counters['faults']} faults in the cycle, see the log"
