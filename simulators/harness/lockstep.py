@@ -18,34 +18,22 @@ from linemate.daemon.service.cycle import Cycle, LogEntry
 from linemate.daemon.service.states import State
 from linemate.daemon.tracking.settings import TrackingSettings
 from linemate.daemon.tracking.task import TaskFile
-from linemate.protocol.camera import CameraDecoder
-from linemate.protocol.distance import DistanceDecoder, DistanceEncoder
 from linemate.protocol.rsi import RsiCodec, parse_config
-from linemate.protocol.wrench import make_decoder, make_host
-from linemate.simulators.devices.camera_sender import CameraSender
-from linemate.simulators.devices.can_sensor import CanSensor
 from linemate.simulators.devices.controller import ControllerConfig, RsiController
-from linemate.simulators.devices.force_torque import ForceTorqueSensor
+from linemate.simulators.devices.faults import Faults
 from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.devices.truth import TruthLog
 from linemate.simulators.harness import rows as columns
 from linemate.simulators.harness.judge import Evidence, Telegrams
 from linemate.simulators.harness.rows import DaemonEvent, Rows
 from linemate.simulators.harness.setup import Setup
+from linemate.simulators.harness.variants import SetupError
+from linemate.simulators.harness.wires import Wires
 from linemate.simulators.plants.scenario import sample
 from linemate.simulators.plants.world import World
 
 RSI_CONFIG = "rsi_joints.xml"
-DEVICE = "bota"
-
-EPOCH_NS = 1_000_000_000_000
-"""The monotonic stamp at which a run begins; any other would do."""
-
-CAMERA_CLOCK_NS = 86_400_000_000_123
-"""The camera's clock minus the host's: the daemon has to learn it."""
-
 AFTER_COLLISION_S = 0.2
-DIALOGUE_TURNS = 100
 
 OnStep = Callable[[LogEntry], None]
 
@@ -58,8 +46,15 @@ def parameters(
     control: ControlSettings,
     cycle_s: float,
 ) -> Parameters:
-    """The daemon's parameters, compiled once for all the seeds of a process."""
-    return build(task, urdf, tracking, control, cycle_s)
+    """The daemon's parameters, compiled once for all the seeds of a process.
+
+    Raises:
+        SetupError: settings, task and arm do not fit together.
+    """
+    try:
+        return build(task, urdf, tracking, control, cycle_s)
+    except ValueError as error:
+        raise SetupError(str(error)) from error
 
 
 def run(
@@ -77,7 +72,7 @@ def run(
         What the judge wants to know.
 
     Raises:
-        ValueError: settings, task and arm do not fit together.
+        SetupError: settings, task and arm do not fit together.
     """
     lockstep = Lockstep(setup, seed, timing=timing, on_step=on_step)
     while lockstep.turn():
@@ -92,6 +87,7 @@ class Lockstep:
         world: the plant.
         controller: the pure RSI controller.
         cycle: the daemon's.
+        wires: the sensors' way to the daemon.
     """
 
     def __init__(
@@ -110,7 +106,9 @@ class Lockstep:
             setup.task, setup.urdf, setup.tracking, setup.control, scenario.cycle_s
         )
         self.cycle = Cycle(compiled, RsiCodec(rsi))
-        self._wires = _Wires(self.world, self.cycle, setup.task.conveyor.start_position)
+        self._faults = Faults(scenario.faults)
+        mount = setup.task.conveyor.start_position
+        self.wires = Wires(self.world, self.cycle, self._faults, mount)
         self._operator = _Operator(self.cycle)
         n = _count(scenario.lead_in_s + scenario.duration_s, scenario.cycle_s)
         self._truth = TruthLog(n)
@@ -124,19 +122,13 @@ class Lockstep:
         Returns:
             Whether the run goes on.
         """
-        world = self.world
-        self._wires.carry()
+        self.wires.carry()
         self._operator.look()
         data = self.controller.telegram()
-        self._truth.begin(world, self._plant.axes)
-        t, stamp_ns = world.time_s, self._wires.stamp(world.time_s)
+        self._truth.begin(self.world, self._plant.axes)
+        t = self.world.time_s
         if data is not None:
-            begun = time.perf_counter_ns() if self._timing else 0
-            reply = self.cycle.on_telegram(data, stamp_ns)
-            if self._timing:
-                self._daemon.step_us = (time.perf_counter_ns() - begun) * 1e-3
-            if reply is not None:
-                self.controller.on_reply(reply, stamp_ns)
+            self._exchange(data, t)
         applied = self.controller.end_of_cycle()
         self._truth.end(applied)
         self._log(t)
@@ -162,6 +154,19 @@ class Lockstep:
             variant=self._setup.variant,
         )
 
+    def _exchange(self, data: bytes, t: float) -> None:
+        """Bring a telegram to the daemon and its reply back, unless a fault is in the way."""
+        stamp_ns = self.wires.stamp(t)
+        if self._faults.in_force("robot", "silence", t) is not None:
+            self.cycle.on_missing(stamp_ns)
+            return
+        begun = time.perf_counter_ns() if self._timing else 0
+        reply = self.cycle.on_telegram(data, stamp_ns)
+        if self._timing:
+            self._daemon.step_us = (time.perf_counter_ns() - begun) * 1e-3
+        if reply is not None and self._faults.in_force("robot", "deafness", t) is None:
+            self.controller.on_reply(reply, stamp_ns)
+
     def _log(self, t: float) -> None:
         for entry in self.cycle.take_log():
             self._daemon.note(t, entry)
@@ -172,75 +177,6 @@ class Lockstep:
     def _is_over(self) -> bool:
         collision = self.world.collision
         return collision is not None and self.world.time_s > collision.time_s + AFTER_COLLISION_S
-
-
-class _Wires:
-    """What sensors emit, carried to the daemon as bytes."""
-
-    def __init__(self, world: World, cycle: Cycle, mount: float) -> None:
-        self._world, self._cycle = world, cycle
-        self._begin_s = -world.scenario.lead_in_s
-        self._can = CanSensor(DistanceEncoder(), mount)
-        self._can_decoder = DistanceDecoder()
-        self._camera = CameraSender(clock_offset_ns=CAMERA_CLOCK_NS)
-        self._camera_decoder = CameraDecoder()
-        self._force_torque = ForceTorqueSensor(DEVICE)
-        self._wrench_decoder = make_decoder(DEVICE)
-        self._talk()
-
-    def stamp(self, t: float) -> int:
-        """The monotonic stamp of a scenario time [ns]."""
-        return EPOCH_NS + round((t - self._begin_s) * 1e9)
-
-    def carry(self) -> None:
-        """Bring over everything that was emitted up to now."""
-        self._carry_distance()
-        self._carry_camera()
-        self._carry_wrench()
-
-    def _carry_distance(self) -> None:
-        for emission in self._world.take_distance():
-            frame = self._can.frame(emission.position, emission.strength)
-            if frame is None:
-                continue
-            found = self._can_decoder.decode(
-                frame.can_id, frame.data, self.stamp(emission.time_s), frame.extended
-            )
-            if found is not None:
-                self._cycle.feed_distance(found)
-
-    def _carry_camera(self) -> None:
-        for emission in self._world.take_camera():
-            stamp_ns = self.stamp(emission.time_s)
-            data = self._camera.datagram(
-                emission.position,
-                emission.quaternion,
-                emission.covariance,
-                exposure_ns=self.stamp(emission.exposure_s),
-                sent_ns=stamp_ns,
-            )
-            self._cycle.feed_camera(self._camera_decoder.feed(data, stamp_ns))
-
-    def _carry_wrench(self) -> None:
-        for emission in self._world.take_wrench():
-            device_us = round((emission.exposure_s - self._begin_s) * 1e6)
-            data = self._force_torque.frame(emission.force, emission.torque, device_us)
-            for found in self._wrench_decoder.feed(data, self.stamp(emission.time_s)):
-                self._cycle.feed_wrench(found)
-
-    def _talk(self) -> None:
-        """Hold the force-torque sensor's start-up dialogue before the run."""
-        host = make_host(DEVICE)
-        now_ns = EPOCH_NS
-        sent = host.begin(now_ns).send
-        self._force_torque.boot()
-        for _ in range(DIALOGUE_TURNS):
-            if host.running:
-                return
-            now_ns += 10_000_000
-            answer = self._force_torque.feed(sent)
-            sent = host.feed(answer, now_ns).send or host.on_time(now_ns).send
-        raise RuntimeError(f"the {DEVICE} never began to stream: {host.failure}")
 
 
 class _Operator:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
-from linemate.simulators.harness.variants import VARIANTS
+from linemate.simulators.harness.variants import VARIANTS, SetupError
 
 EX_CONFIG = 78
 MAX_SEEDS = 100_000
@@ -56,9 +56,7 @@ def _dispatch(args: argparse.Namespace) -> int:
     except FileError as error:
         print(error, file=sys.stderr)
         return EX_CONFIG
-    except ValueError as error:
-        if type(error).__name__ not in {"OverrideError", "UnknownVariantError"}:
-            raise
+    except SetupError as error:
         print(f"linemate-sim: {error}", file=sys.stderr)
         return 2
 

@@ -13,6 +13,7 @@ from typing import Any
 
 from linemate.daemon.service import documents, task_file
 from linemate.daemon.service.documents import Complaint, FileError
+from linemate.simulators.devices.faults import KINDS
 from linemate.simulators.plants.scenario import Scenario
 
 DATA = Path(__file__).parent / "data"
@@ -106,14 +107,30 @@ def schema(kind: str) -> dict[str, Any]:
     return whole
 
 
-def complaints(value: Any, path: documents.Path = ()) -> Iterator[Complaint]:
+def complaints(value: Any) -> Iterator[Complaint]:
+    """What is wrong with the plain values of a scenario beside their kinds."""
+    yield from _out_of_range(value)
+    faults = value.get("faults") if isinstance(value, dict) else None
+    for i, fault in enumerate(faults if isinstance(faults, list) else ()):
+        if not isinstance(fault, dict) or not {"link", "kind"} <= fault.keys():
+            continue
+        kinds = KINDS.get(str(fault["link"]))
+        if kinds is None:
+            what = f"should be one of {', '.join(KINDS)}, not {fault['link']!r}"
+            yield Complaint(("faults", i, "link"), what)
+        elif fault["kind"] not in kinds:
+            what = f"should be one of {', '.join(kinds)}, not {fault['kind']!r}"
+            yield Complaint(("faults", i, "kind"), what)
+
+
+def _out_of_range(value: Any, path: documents.Path = ()) -> Iterator[Complaint]:
     """Plain values that are out of their field's range; of what is no number nothing is said."""
     if isinstance(value, dict):
         for key, item in value.items():
-            yield from complaints(item, (*path, key))
+            yield from _out_of_range(item, (*path, key))
     elif isinstance(value, list):
         for i, item in enumerate(value):
-            yield from complaints(item, (*path, i))
+            yield from _out_of_range(item, (*path, i))
     elif isinstance(value, (int, float)) and not isinstance(value, bool):
         name = next((part for part in reversed(path) if isinstance(part, str)), "")
         low, high = _range(name)

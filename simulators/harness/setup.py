@@ -21,12 +21,13 @@ from linemate.daemon.service.files import DAEMON_DATA
 from linemate.daemon.tracking.settings import TrackingSettings
 from linemate.daemon.tracking.task import TaskFile
 from linemate.simulators.harness import scenario_file, variants
+from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.plants.scenario import Scenario
 
 TASK = "wheel.yaml"
 
 
-class OverrideError(ValueError):
+class OverrideError(SetupError):
     """A ``--set KEY=VALUE`` that cannot be applied.
 
     Attributes:

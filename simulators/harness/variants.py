@@ -17,7 +17,11 @@ _AT_ONCE_S = 1e-3
 """A time constant far below a cycle: the new plan is taken up as fast as the merge can."""
 
 
-class UnknownVariantError(ValueError):
+class SetupError(ValueError):
+    """What was asked for cannot be run; the message says why."""
+
+
+class UnknownVariantError(SetupError):
     """No such variant.
 
     Attributes:

@@ -94,6 +94,57 @@ def test_every_sensor_reaches_the_step_through_its_wire() -> None:
     assert 0.084 < min(delays) <= max(delays) < 0.116
 
 
+@pytest.mark.parametrize(
+    ("fault", "most"),
+    [
+        ("{at_s: -0.3, link: camera, kind: garbage, count: 30}", 0),
+        ("{at_s: -0.3, link: distance, kind: garbage, count: 30}", 0),
+        ("{at_s: -0.3, link: force_torque, kind: garbage, count: 30, value: 200}", 0),
+        ("{at_s: -0.3, link: robot, kind: garbage, count: 30}", 0),
+        ("{at_s: -0.3, link: camera, kind: silence, duration_s: 0.2}", 0),
+        ("{at_s: -0.3, link: force_torque, kind: unplug, duration_s: 0.05}", 0),
+        ("{at_s: -0.3, link: robot, kind: silence, duration_s: 0.03}", 3),
+        ("{at_s: -0.3, link: robot, kind: deafness, duration_s: 0.03}", 3),
+    ],
+)
+def test_a_fault_costs_no_telegram_but_its_own_and_no_limit(fault: str, most: int) -> None:
+    evidence, _ = told(0, *SHORT, f"scenario.faults=[{fault}]")
+    counts = evidence.telegrams
+    assert (counts.lost > 0) == (most > 0)
+    assert counts.sent == counts.answered + counts.lost
+    assert counts.lost <= most
+    assert judge(evidence)["limits"]["violations"] == 0
+
+
+def test_junk_on_a_wire_is_refused_and_counted() -> None:
+    faults = "[{at_s: -0.3, link: camera, kind: garbage, count: 7}]"
+    made = setup.make("wheel", [*SHORT, f"scenario.faults={faults}"])
+    run = lockstep.Lockstep(made, 0)
+    while run.turn():
+        pass
+    assert run.wires.refused["camera"] == 7
+
+
+def test_a_delayed_sample_is_stamped_at_its_arrival() -> None:
+    fault = (
+        "scenario.faults=[{at_s: -9.0, link: distance, kind: delay, duration_s: 99, value: 0.1}]"
+    )
+    (_, late), (_, usual) = told(0, *SHORT, fault), told(0, *SHORT)
+
+    def stamps(entries: list[LogEntry]) -> list[int]:
+        return [sample.stamp_ns for entry in entries for sample in entry.inputs.distance]
+
+    shifted = [stamp + 100_000_000 for stamp in stamps(usual)]
+    assert np.abs(np.array(stamps(late)) - shifted[: len(stamps(late))]).max() <= 1
+
+
+def test_a_silent_robot_ends_the_exchange() -> None:
+    fault = "scenario.faults=[{at_s: 0.0, link: robot, kind: silence, duration_s: 9}]"
+    evidence, _ = told(0, *SHORT, fault, "scenario.duration_s=2.0")
+    assert evidence.broken is not None
+    assert judge(evidence)["outcome"] == "fault"
+
+
 def test_a_collision_ends_the_run() -> None:
     evidence = lockstep.run(setup.make("wheel", variant="no-feedforward"), 0)
     assert evidence.collision is not None

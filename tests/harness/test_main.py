@@ -58,6 +58,11 @@ def test_a_bad_override_ends_with_2(capsys: pytest.CaptureFixture[str]) -> None:
     assert "--set tracking.rule.tentative" in capsys.readouterr().err
 
 
+def test_settings_that_do_not_fit_together_end_with_2(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "--set", "task.arm.flange=no_such_frame"]) == 2
+    assert "linemate-sim: " in capsys.readouterr().err
+
+
 def test_help_does_not_load_the_numeric_libraries() -> None:
     script = (
         "import sys\n"

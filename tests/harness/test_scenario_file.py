@@ -69,6 +69,10 @@ def test_every_error_is_told_at_once_in_order_with_its_place() -> None:
         ("seed: 1.5", "valid integer"),
         ("conveyor: 3", "conveyor"),
         ("contact: {step: [1, 2]}", "contact.step"),
+        ("faults: [{at_s: 1, link: fax, kind: silence}]", "faults[0].link"),
+        ("faults: [{at_s: 1, link: camera, kind: deafness}]", "faults[0].kind"),
+        ("faults: [1]", "faults[0]"),
+        ("faults: 1", "faults"),
     ],
 )
 def test_a_broken_file_is_refused_with_a_reason(text: str, what: str) -> None:
