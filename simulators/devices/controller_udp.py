@@ -17,6 +17,9 @@ from linemate.simulators.devices.schedule import Schedule
 from linemate.simulators.devices.turnaround import TurnAround
 
 BUDGET = 32
+GRACE_NS = 500_000
+"""How long the plant's computing waits for the reply: on a small machine it would delay it."""
+
 SLIP_AFTER = 0.25
 """Share of a cycle by which a telegram may go out late before the schedule slips."""
 
@@ -25,7 +28,7 @@ class Plant(Protocol):
     """What the controller moves, told of each cycle twice."""
 
     def begin_cycle(self, at_ns: int) -> None:
-        """A telegram has gone out.
+        """A telegram has gone out, and its reply is there or takes its time.
 
         Args:
             at_ns: the instant at which its cycle began [ns].
@@ -87,10 +90,13 @@ class ControllerUdp:
         self._bind = bind
         self._cycle_ns = round(controller.config.cycle_s * 1e9)
         self._endpoint: Endpoint | None = None
+        self._grace_ns = min(GRACE_NS, self._cycle_ns // 4)
         self._due_ns = 0
+        self._begun_ns = 0
         self._sent_ns = 0
         self._elapsed_ns: int | None = None
         self._is_open = False
+        self._is_begun = True
         self._running = False
 
     @property
@@ -156,9 +162,16 @@ class ControllerUdp:
         self._sent_ns = time.monotonic_ns()
         if data is not None and not self.is_mute:
             self.pace.unsent += not self.put(data)
-        begun_ns, self._due_ns = self._due_ns, self._due_ns + self._cycle_ns
+        self._begun_ns, self._due_ns = self._due_ns, self._due_ns + self._cycle_ns
+        self._is_begun = False
+        self._schedule.at(self._sent_ns + self._grace_ns, self._begin)
         self._schedule.at(self._due_ns, self._tick)
-        self._plant.begin_cycle(begun_ns)
+
+    def _begin(self) -> None:
+        """Let the plant compute, once the daemon had the processor for its reply."""
+        if not self._is_begun:
+            self._is_begun = True
+            self._plant.begin_cycle(self._begun_ns)
 
     def _slip(self) -> None:
         late_ns = time.monotonic_ns() - self._due_ns
@@ -182,8 +195,10 @@ class ControllerUdp:
             if judgement is Judgement.ACCEPTED:
                 self._elapsed_ns = max(stamp_ns - self._sent_ns, 0)
                 self.turnaround.add(self._elapsed_ns)
+                self._begin()
 
     def _finish(self) -> None:
         if self._is_open:
             self._is_open = False
+            self._begin()
             self._plant.end_cycle(self.controller.end_of_cycle(), self._elapsed_ns)

@@ -181,7 +181,6 @@ class Emulator:
             self._waits += 1
             return
         self._begun_ns, self._begun_s = at_ns, self.world.time_s
-        self._suffer(self._begun_s)
         self.truth.begin(self.world, self._plant.axes)
         ahead_s = self._look_ahead_s - _BEFORE_S
         if ahead_s > 0.0:
@@ -201,11 +200,13 @@ class Emulator:
             self._row = self._row + 1 if applied.answered else 0
             if self._row >= self.config.wait_answered:
                 self._waiting = False
+                self._suffer(self.world.time_s)
                 self.link.begin_counting()
             return
         self.truth.end(applied, turnaround_ns)
         self._plant.apply(applied)
         self._lay_out()
+        self._suffer(self.world.time_s)
         self._look_for_end()
 
     def ready(self) -> dict[str, Any]:
@@ -297,6 +298,8 @@ class Emulator:
         self.force_torque.open()
         self.camera.open()
         self.link.open()
+        if not self._waiting:
+            self._suffer(self.world.time_s)
 
     def _close(self) -> None:
         self.link.close()
@@ -321,7 +324,7 @@ class Emulator:
             self._ended.set_exception(error)
 
     def _suffer(self, now_s: float) -> None:
-        """Let the scenario's faults take hold, let go, and strike."""
+        """Let faults take hold, let go and strike, before a telegram goes out."""
         self.link.is_mute = self._faults.in_force("robot", "silence", now_s) is not None
         self.link.is_deaf = self._faults.in_force("robot", "deafness", now_s) is not None
         for fault in self._faults.strike(now_s):

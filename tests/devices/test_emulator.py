@@ -239,21 +239,27 @@ def test_faults_of_a_scenario_hit_their_link_and_leave_the_others_alone(tmp_path
         station = Station(tmp_path)
         station.open()
         scenario = replace(_scenario(0.3, 2.0), faults=faults)
-        emulator = Emulator(station.config(scenario=scenario, wait_answered=3))
+        lived: dict[str, tuple[int, int]] = {}
+
+        def note(state: dict[str, Any]) -> None:
+            if state["event"] == "end":  # before the emulator's own end unplugs both again
+                for link in (station.can, station.force_torque):
+                    counters = link.counters
+                    lived[link.status.name] = (counters["opened"], counters["lost"])
+
+        emulator = Emulator(station.config(scenario=scenario, wait_answered=3), note)
         result = await emulator.run()
         await station.close()
         facts = result.facts
         assert facts["broken"] is None
         assert station.camera.counters["refused"] == 5
-        assert station.robot.counters["unanswered"] == 2
-        assert station.can.counters["lost"] == 1
-        assert station.force_torque.counters["lost"] == 1
+        robot = station.robot.counters
+        assert robot["unanswered"] + robot["stale"] >= 2
+        assert result.facts["telegrams"]["refused"] == 0
+        assert lived == {"distance": (2, 1), "force_torque": (2, 1)}
         assert facts["silenced"] == {"camera": 12}
         held = result.truth.columns()
         deaf = (held["t"] >= 0.4) & (held["t"] < 0.4 + 0.047)
         assert not held["answered"][deaf].any()
-        # Both ports came back and were opened again.
-        assert station.can.counters["opened"] == 2
-        assert station.force_torque.counters["opened"] == 2
 
     run(main(), 60.0)
