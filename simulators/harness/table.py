@@ -40,11 +40,10 @@ def error_rows(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """List every window of every error: name, window, max mm, rms mm, max mrad, rms mrad."""
     rows: list[tuple[str, ...]] = []
     for key, name in ERRORS.items():
-        windows = result.get(key) or {}
+        windows = {name: span for name, span in (result.get(key) or {}).items() if span}
         known = [window for window in WINDOWS if window in windows]
         for window in known + [window for window in windows if window not in WINDOWS]:
-            values = windows[window] or {}
-            figures = (values.get(k) for k in ("max_mm", "rms_mm", "max_mrad", "rms_mrad"))
+            figures = (windows[window].get(k) for k in ("max_mm", "rms_mm", "max_mrad", "rms_mrad"))
             rows.append((name, window, *(number(figure, 3) for figure in figures)))
             name = ""  # noqa: PLW2901 -- a name heads its group once
     return rows
