@@ -20,7 +20,7 @@ from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
 from linemate.protocol.wrench import make_decoder, make_host
 from linemate.simulators.devices.emulator import SHIPPED_RSI, Emulator, EmulatorConfig
 from linemate.simulators.devices.truth import load
-from linemate.simulators.plants.scenario import Camera, Fault, Scenario
+from linemate.simulators.plants.scenario import Camera, DistanceSensor, Fault, Scenario
 
 CODEC = RsiCodec(parse_config(SHIPPED_RSI.read_bytes()))
 
@@ -134,33 +134,34 @@ def test_all_four_links_live_and_the_truth_is_kept(tmp_path: Path) -> None:
 
 
 def test_readings_arrive_when_the_world_says(tmp_path: Path) -> None:
-    """A reading's stamp, put on the unit's true path, must give the reading."""
+    """A reading put on the unit's true path at its stamp is as old as the sensor's delay."""
 
     async def main() -> None:
         station = Station(tmp_path)
         station.open()
-        await until(lambda: station.robot.status.up)
-        emulator = Emulator(station.config(wait_answered=3))
-        begun: list[tuple[int, float]] = []
+        exact = DistanceSensor(sigma=0.0, quantisation=0.0, outlier_rate=0.0, delay_s=0.002)
+        scenario = replace(_scenario(), distance=exact)
+        emulator = Emulator(station.config(scenario=scenario, wait_answered=3))
+        cycles: list[tuple[int, float]] = []
         begin = emulator.begin_cycle
 
         def note(at_ns: int) -> None:
-            begun.append((at_ns, emulator.world.time_s))
+            if not emulator._waiting:
+                cycles.append((at_ns, emulator.world.time_s))
             begin(at_ns)
 
         emulator.begin_cycle = note  # type: ignore[method-assign]
         await emulator.run()
         await station.close()
-        assert emulator.link.pace.unsent == 0
-        ran = [pair for pair in begun if pair[1] > -0.4]
-        errors = []
+        ages = []
         for sample in station.distances:
-            at_ns, at_s = max((p for p in ran if p[0] <= sample.stamp_ns), default=(0, 0.0))
-            if at_ns:
-                seen = emulator.world.unit_position(at_s + (sample.stamp_ns - at_ns) / 1e9)
-                errors.append(sample.position - 1.0 - seen)
-        assert len(errors) > 20
-        assert abs(float(np.median(errors))) < 0.5e-3
+            at_ns, at_s = max(pair for pair in cycles if pair[0] <= sample.stamp_ns)
+            arrived_s = at_s + (sample.stamp_ns - at_ns) * 1e-9
+            seen = emulator.world.unit_position(arrived_s) - (sample.position - 1.0)
+            ages.append(seen / emulator.world.unit_speed(arrived_s))
+        assert len(ages) > 20
+        # Never early but for the frame's 0.1 mm; a busy host makes some late, but not all.
+        assert 0.001 < min(ages) < 0.005
 
     run(main(), 60.0)
 
