@@ -1,0 +1,162 @@
+"""The phase lock follows a controller's grid through late, lost and shifted telegrams."""
+
+import random
+from collections.abc import Iterator
+
+import pytest
+
+from linemate.daemon.service.phase import AFRESH, LEARNT, MARGIN_NS, WINDOW, Lead, PhaseLock
+
+MS = 1_000_000
+START = 7_000_000_000_123
+
+
+def late_arrivals(period_ns: float, count: int, seed: int = 1) -> Iterator[tuple[int, int]]:
+    """Grid lines and arrivals: mostly a few us late, now and then a ms."""
+    draw = random.Random(seed)
+    for n in range(count):
+        line = START + round(n * period_ns)
+        late = draw.expovariate(1 / 8_000) + (draw.random() < 0.02) * draw.uniform(0, 1.5e6)
+        yield line, line + round(late)
+
+
+def test_before_the_first_telegram_nothing_is_expected_and_nothing_refused() -> None:
+    lock = PhaseLock(4 * MS)
+    assert lock.expected_ns() is None
+    assert lock.measured_ns is None
+    assert lock.refusal is None
+    assert lock.period_ns == 4 * MS
+
+
+@pytest.mark.parametrize("cycle_ms", [1, 2, 4, 12])
+@pytest.mark.parametrize("drift", [0.0, 80e-6, -80e-6, 0.03, -0.03])
+def test_the_next_telegram_is_foreseen_within_some_microseconds(
+    cycle_ms: int, drift: float
+) -> None:
+    period = cycle_ms * MS * (1.0 + drift)
+    lock = PhaseLock(cycle_ms * MS)
+    errors = []
+    for n, (line, stamp) in enumerate(late_arrivals(period, 3000)):
+        expected = lock.expected_ns()
+        if expected is not None and n > 200:
+            errors.append(expected - line)
+        lock.arrival(stamp)
+    # Above the grid by at most what the earliest of a window is late, below it hardly.
+    assert max(errors) < 20_000
+    assert min(errors) > -20_000
+    assert lock.measured_ns == pytest.approx(period, rel=2e-5)
+    assert lock.refusal is None
+
+
+def test_a_late_telegram_moves_nothing() -> None:
+    lock = PhaseLock(4 * MS)
+    for n in range(100):
+        lock.arrival(START + n * 4 * MS)
+    lock.arrival(START + 100 * 4 * MS + 1_700_000)
+    assert lock.expected_ns() == START + 101 * 4 * MS
+
+
+def test_lost_telegrams_are_counted_by_their_ipoc_and_not_by_time() -> None:
+    lock = PhaseLock(4 * MS)
+    n = 0
+    for _ in range(60):
+        step = 3 if n % 7 == 0 else 1
+        n += step
+        lock.arrival(START + n * 4 * MS, step)
+    assert lock.period_ns == 4 * MS
+    assert lock.expected_ns() == START + (n + 1) * 4 * MS
+    assert lock.expected_ns(ahead=5) == START + (n + 5) * 4 * MS
+
+
+def test_a_controller_that_pauses_is_followed_again_after_a_few_telegrams() -> None:
+    lock = PhaseLock(4 * MS)
+    for n in range(500):
+        lock.arrival(START + n * 4 * MS)
+    moved = START + 500 * 4 * MS + 3 * MS
+    for n in range(AFRESH):
+        lock.arrival(moved + n * 4 * MS)
+    assert lock.expected_ns() == moved + AFRESH * 4 * MS
+    assert lock.relocks == 1
+    assert lock.period_ns == 4 * MS
+
+
+def test_a_phase_that_comes_earlier_is_followed_at_once() -> None:
+    lock = PhaseLock(12 * MS)
+    for n in range(100):
+        lock.arrival(START + n * 12 * MS)
+    lock.arrival(START + 100 * 12 * MS - 2 * MS)
+    assert lock.expected_ns() == START + 101 * 12 * MS - 2 * MS
+
+
+def test_a_small_shift_is_followed_within_a_window() -> None:
+    lock = PhaseLock(12 * MS)
+    for n in range(1000):
+        lock.arrival(START + n * 12 * MS)
+    for n in range(1000, 1000 + WINDOW):
+        lock.arrival(START + n * 12 * MS + MS)
+    expected = lock.expected_ns()
+    assert expected is not None
+    assert abs(expected - (START + (1000 + WINDOW) * 12 * MS + MS)) < 20_000
+
+
+@pytest.mark.parametrize(
+    ("nominal_ms", "real_ms", "refused"),
+    [(4, 3.9, False), (4, 4.1, False), (4, 4.21, True), (4, 3.79, True), (4, 12, True),
+     (12, 4, True)],
+)  # fmt: skip
+def test_a_cycle_outside_five_per_cent_is_refused_with_both_figures(
+    nominal_ms: int, real_ms: float, refused: bool
+) -> None:
+    lock = PhaseLock(nominal_ms * MS)
+    for n in range(80):
+        lock.arrival(START + round(n * real_ms * MS))
+    reason = lock.refusal
+    assert (reason is not None) == refused
+    if reason is not None:
+        assert f"{real_ms:.3f} ms" in reason
+        assert f"{nominal_ms} ms" in reason
+
+
+def test_a_period_is_not_believed_after_a_few_telegrams() -> None:
+    lock = PhaseLock(4 * MS)
+    for n in range(LEARNT):
+        lock.arrival(START + n * 12 * MS)
+        assert lock.refusal is None
+    lock.arrival(START + LEARNT * 12 * MS)
+    assert lock.refusal is not None
+
+
+def test_another_session_begins_from_what_is_configured() -> None:
+    lock = PhaseLock(4 * MS)
+    for n in range(100):
+        lock.arrival(START + n * 12 * MS)
+    lock.restart()
+    assert lock.refusal is None
+    assert lock.expected_ns() is None
+    lock.arrival(START)
+    assert lock.expected_ns() == START + 4 * MS
+
+
+def test_the_lead_begins_long_and_settles_a_little_above_the_slowest_of_a_thousand() -> None:
+    lead = Lead(4 * MS)
+    assert lead.lead_ns == int(0.45 * 4 * MS)
+    draw = random.Random(3)
+    costs = [round(draw.uniform(200_000, 300_000)) for _ in range(1023)] + [1_200_000]
+    draw.shuffle(costs)
+    for cost in costs:
+        lead.note(cost)
+    assert max(c for c in costs if c < MS) + MARGIN_NS == lead.lead_ns
+
+
+def test_the_lead_forgets_a_bad_time_and_never_exceeds_its_share() -> None:
+    lead = Lead(MS)
+    for _ in range(64):
+        lead.note(5 * MS)
+    assert lead.lead_ns == lead.most_ns == int(0.45 * MS)
+    for _ in range(2000):
+        lead.note(100_000)
+    assert lead.lead_ns == 100_000 + MARGIN_NS
+
+
+def test_long_cycles_have_no_longer_lead_than_needed() -> None:
+    assert Lead(12 * MS).most_ns == 2 * MS
