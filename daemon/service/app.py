@@ -36,7 +36,7 @@ from linemate.daemon.service.recorder import Recorder
 from linemate.daemon.service.schedule import Due, Kind
 from linemate.daemon.service.settings import Corrections
 from linemate.daemon.service.states import State
-from linemate.daemon.service.status import LinkView, Snapshot, status, telemetry
+from linemate.daemon.service.status import LinkView, Rates, Snapshot, status, telemetry
 from linemate.drivers.camera_udp import CameraLink
 from linemate.drivers.can_bus import CanLink
 from linemate.drivers.datagrams import Address
@@ -98,6 +98,8 @@ class App:
         )
         self._robot = RsiLink(self._on_telegram, config.rsi.bind, station.rsi_port)
         self._sensors = tuple(_sensors(station, self.cycle))
+        self._links: tuple[Link, ...] = (self._robot, *self._sensors)
+        self._rates = Rates()
         self._commands = _command_port(station, self._handle, self._telemetry)
         self._recorder = _recorder(station)
         self._clock = Clock(
@@ -185,10 +187,9 @@ class App:
     async def _close(self) -> None:
         self._clock.close()
         self._commands.close()
-        links: tuple[Link, ...] = (self._robot, *self._sensors)
-        for link in links:
+        for link in self._links:
             link.close()
-        for link in links:
+        for link in self._links:
             await link.wait_closed()
         if self._recorder is not None:
             self._recorder.take(self.cycle.take_log())
@@ -289,6 +290,7 @@ class App:
         self._notifier.alive(now_ns)
         if now_ns - self._told_ns >= STATUS_EVERY_NS:
             self._told_ns = now_ns
+            self._rates.take((link.status for link in self._links), now_ns)
             if self._notifier.address:
                 self._notifier.send(f"STATUS={self._line()}")
         moving = bool(entries) and entries[-1].inputs.order is not Order.HOLD
@@ -327,8 +329,10 @@ class App:
         return telemetry(self.cycle)
 
     def _snapshot(self) -> Snapshot:
-        links = [LinkView(self._robot.status, self._robot.address)]
-        links += [LinkView(link.status, getattr(link, "address", None)) for link in self._sensors]
+        links = [
+            LinkView(link.status, getattr(link, "address", None), self._rates.of(link.status.name))
+            for link in self._links
+        ]
         return Snapshot(
             task=self._station.task.file.name,
             now_ns=time.monotonic_ns(),

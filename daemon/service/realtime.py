@@ -136,9 +136,8 @@ def _lock_memory() -> None:
 
 def _may_lock_all() -> bool:
     """Whether the limit does not hold for this process."""
-    status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
-    for line in status.splitlines():
-        if line.startswith("CapEff:"):
+    for line in Path("/proc/self/status").read_bytes().splitlines():
+        if line.startswith(b"CapEff:"):
             return bool(int(line.split()[1], 16) >> CAP_IPC_LOCK & 1)
     return False
 

@@ -5,8 +5,8 @@ judgement over all of them, with every complaint beside it. Keys are stable: scr
 """
 
 import os
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from linemate.daemon.service.clock import Clock
@@ -19,6 +19,9 @@ from linemate.drivers.link import LinkStatus
 
 VERSION = 1
 STALE_S = 1.0
+RATED = {"robot": "answered"}
+"""What a link's rate counts, if not samples."""
+
 SHOWN = (
     "phase",
     "task_time",
@@ -37,10 +40,40 @@ SHOWN = (
 
 @dataclass(frozen=True, slots=True)
 class LinkView:
-    """A link's status and where it listens."""
+    """A link's status, where it listens, and samples (or telegrams) a second."""
 
     status: LinkStatus
     address: Address | None
+    rate_hz: float | None = None
+
+
+@dataclass(slots=True)
+class Rates:
+    """How much comes in, taken about once a second."""
+
+    _counts: dict[str, int] = field(default_factory=dict)
+    _rates: dict[str, float] = field(default_factory=dict)
+    _taken_ns: int | None = None
+
+    def take(self, links: Iterable[LinkStatus], now_ns: int) -> None:
+        """Count anew.
+
+        Args:
+            links: every link.
+            now_ns: monotonic time [ns].
+        """
+        counts = {link.name: link.counters[RATED.get(link.name, "samples")] for link in links}
+        if self._taken_ns is not None and now_ns > self._taken_ns:
+            span_s = (now_ns - self._taken_ns) / 1e9
+            self._rates = {
+                name: round((count - self._counts.get(name, 0)) / span_s, 2)
+                for name, count in counts.items()
+            }
+        self._counts, self._taken_ns = counts, now_ns
+
+    def of(self, name: str) -> float | None:
+        """The last rate of a link [Hz], None in the first second."""
+        return self._rates.get(name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +150,7 @@ def _link(view: LinkView, now_ns: int) -> dict[str, Any]:
     newest_ns = link.last_sample_stamp_ns
     return {
         "up": link.up,
+        "rate_hz": view.rate_hz,
         "since_s": round((now_ns - link.since_ns) / 1e9, 3),
         "age_s": None if newest_ns is None else round((now_ns - newest_ns) / 1e9, 4),
         "reason": link.reason,

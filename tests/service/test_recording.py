@@ -3,6 +3,7 @@
 import struct
 from dataclasses import replace
 
+import msgpack
 import numpy as np
 import pytest
 from hypothesis import given
@@ -57,7 +58,7 @@ def test_minus_zero_is_not_zero(entries: tuple[LogEntry, ...]) -> None:
 def test_any_float_and_any_stamp_come_back_exactly(number: float, stamp: int) -> None:
     inputs = Inputs(0, 5, None, (DistanceSample(stamp, number),))
     packed = recording._pack(inputs)
-    again = recording._inputs(recording.msgpack.unpackb(packed, use_list=False), recording.LAYOUT)
+    again = recording._inputs(msgpack.unpackb(packed, use_list=False), recording.LAYOUT)
     (sample,) = again.distance
     assert struct.pack("<d", sample.position) == struct.pack("<d", number)
     assert sample.stamp_ns == stamp

@@ -1,0 +1,108 @@
+"""What is asked of the host: granted or refused, never fatal. In a process of its own."""
+
+import gc
+import json
+import os
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+
+from linemate.daemon.service.realtime import Collector, ask
+from linemate.daemon.service.settings import RealtimeSettings
+
+ASK = """
+import ctypes, json, os, sys, threading
+from linemate.daemon.service.realtime import ask
+from linemate.daemon.service.settings import RealtimeSettings
+if sys.argv[2] == "drop":
+    os.setgid(65534)
+    os.setuid(65534)
+host = ask(RealtimeSettings(**json.loads(sys.argv[1])))
+inherited = []
+thread = threading.Thread(target=lambda: inherited.append(os.sched_getscheduler(0)))
+thread.start(); thread.join()
+print(json.dumps({
+    "outcomes": [[o.what, o.granted, o.message] for o in host.outcomes],
+    "policy": os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK,
+    "cpus": sorted(os.sched_getaffinity(0)),
+    "slack": ctypes.CDLL(None).prctl(30, 0, 0, 0, 0),
+    "thread": inherited[0],
+}))
+"""
+
+
+def asked(drop: bool = False, **settings: Any) -> dict[str, Any]:
+    done = subprocess.run(
+        [sys.executable, "-c", ASK, json.dumps(settings), "drop" if drop else ""],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    answer: dict[str, Any] = json.loads(done.stdout)
+    return answer
+
+
+def test_nothing_is_asked_by_default() -> None:
+    assert ask(RealtimeSettings()).outcomes == []
+
+
+def test_every_request_is_granted_or_refused_with_its_cost() -> None:
+    answer = asked(
+        priority=10, cpus=[0], lock_memory=True, timer_slack_ns=1000, cpu_dma_latency_us=100
+    )
+    by_name = {what: (granted, message) for what, granted, message in answer["outcomes"]}
+    assert list(by_name) == ["cpus", "priority", "lock_memory", "timer_slack", "cpu_dma_latency"]
+    for what, (granted, message) in by_name.items():
+        assert granted == (not message)
+        assert granted or message.startswith(f"realtime.{what} was refused (")
+    assert answer["cpus"] == [0]
+    if by_name["priority"][0]:
+        assert answer["policy"] == os.SCHED_FIFO
+        assert answer["thread"] == os.SCHED_OTHER
+
+
+def test_the_timer_slack_of_an_ordinary_process_is_as_configured() -> None:
+    assert asked(timer_slack_ns=1000)["slack"] == 1000
+
+
+def test_a_core_that_is_not_there_is_refused_in_words() -> None:
+    (outcome,) = asked(cpus=[4000])["outcomes"]
+    assert not outcome[1]
+    assert "realtime.cpus" in outcome[2]
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs rights to give up")
+def test_without_rights_every_refusal_tells_how_to_allow_it() -> None:
+    answer = asked(drop=True, priority=50, lock_memory=True)
+    assert answer["policy"] == os.SCHED_OTHER
+    priority, _ = answer["outcomes"]
+    assert not priority[1]
+    assert "LimitRTPRIO" in priority[2]
+
+
+def test_the_collector_runs_in_the_slack_and_fully_only_at_rest() -> None:
+    collector = Collector(every=10)
+    collections: list[int] = []
+
+    def note(phase: str, info: dict[str, int]) -> None:
+        if phase == "start":
+            collections.append(info["generation"])
+
+    collector.freeze()
+    gc.callbacks.append(note)
+    try:
+        for _ in range(1000):
+            collector.slack(moving=True)
+        assert set(collections) == {1}
+        assert len(collections) == 100
+        for _ in range(1000):
+            collector.slack(moving=False)
+        assert collections.count(2) == 3
+        assert (collector.quick, collector.full) == (197, 3)
+        assert not gc.isenabled()
+    finally:
+        gc.callbacks.remove(note)
+        collector.thaw()
+    assert gc.isenabled()
