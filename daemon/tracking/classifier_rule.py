@@ -2,8 +2,9 @@
 
 Law of this file: tentative when the old class predicts worse than one threshold, confirmed when
 the old class, no longer corrected, goes on getting worse, cancelled when the new one is inferior.
-The filter is (2)-(7) with the states y, x7 and x10, its speed as adaptive as the rule needs it to
-be: a stiffer speed state would perceive a start sooner, but this is the paper's method.
+The estimate is (2)-(7) with the states y, x7 and x10 and all sensors. The prediction errors are
+those of a watch beside it, on the distance sensor alone, its speed as adaptive as the rule needs it
+to be: a stiffer one would perceive a start sooner, but this is the paper's method.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,8 +18,10 @@ from linemate.daemon.tracking.settings import FusionSettings, RuleSettings
 from linemate.daemon.tracking.task import ConveyorClasses
 
 OFFSET_DEVIATION = 0.1  # of x10 before anything but the distance sensor saw the object [m]
-SETTLING = 0.5  # the rule is silent until the speed has been seen [s]
+SETTLING = 0.5  # the rule is silent until the speed of a class has been seen [s]
 REFUSALS = 3  # gated rows in a row after which the filter widens
+FADING = 0.7  # of the squared errors that compare two classes, a reading
+LONGEST_TRIAL = 1.0  # [s]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,7 +30,7 @@ class Trial:
 
     Attributes:
         old: class before.
-        position, speed: where the old class has the object, uncorrected since.
+        position, speed: what the old class expects to be read, uncorrected since [m, m/s].
         old_error, new_error: squared prediction errors since, fading.
         age: [s].
     """
@@ -42,10 +45,26 @@ class Trial:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RuleState:
-    """Belief of the rule: x = (y, x7 [m/s], x10), its covariance, the class and its trial."""
+    """Belief of the rule.
+
+    Attributes:
+        x: y [m], x7 [m/s], x10 [m].
+        P: covariance of x.
+        w: the watch: what the distance sensor should read [m], and its speed [m/s].
+        W: covariance of w.
+        motion: class in force.
+        cruise: speed at which a start ends [m/s].
+        age: of the belief [s].
+        since: how long the class has been acting [s].
+        refused: rows gated in a row, by sensor.
+        trial: of a class, or None.
+        events: of the last step.
+    """
 
     x: Array
     P: Array
+    w: Array
+    W: Array
     motion: Motion
     cruise: float
     age: float = 0.0
@@ -74,7 +93,8 @@ class RuleClassifier:
             ((variance + offset, 0.0, -offset), (0.0, nominal**2, 0.0), (-offset, 0.0, offset))
         )
         x = np.array((position, 0.5 * nominal, 0.0))
-        return RuleState(x, P, Motion.RUNNING, nominal)
+        w = np.array((position, 0.5 * nominal))
+        return RuleState(x, P, w, np.diag((variance, nominal**2)), Motion.RUNNING, nominal)
 
     def _acceleration(self, motion: Motion) -> float:
         """Return b's acceleration of a class."""
@@ -85,11 +105,10 @@ class RuleClassifier:
     def _speed_noise(self, dt: float) -> float:
         """Return Q77 for the bandwidth that is set.
 
-        A filter that sees the position with variance R each dt and lets the speed walk by q each
-        step has its poles at ``w^4 = q / (R dt^3)`` or so; solved for q.
+        A filter that sees a position with variance R each dt, its speed walking by q each step,
+        settles with both poles at ``w^4 = q / (R dt^2)``, damped by 0.7.
         """
-        w = self.rule.bandwidth
-        return self.distance_deviation**2 * (w * w * dt) ** 2 * dt
+        return self.distance_deviation**2 * self.rule.bandwidth**4 * dt * dt
 
     def _predict(self, state: RuleState, dt: float) -> RuleState:
         """Return (5), (6) with the class in A and b."""
@@ -99,11 +118,15 @@ class RuleClassifier:
         way = float(travel(v, a, state.cruise, times)[0])
         speed = v + a * dt
         motion = state.motion
+        reading, pace = state.w.tolist()
+        reading += float(travel(pace, a, state.cruise, times)[0])
+        pace += a * dt
         if motion is Motion.STOPPING and speed <= 0.0:
-            speed, motion = 0.0, Motion.STANDING
+            speed, pace, motion = 0.0, 0.0, Motion.STANDING
         elif motion is Motion.STARTING and speed >= state.cruise:
-            speed, motion = state.cruise, Motion.RUNNING
+            speed, pace, motion = state.cruise, state.cruise, Motion.RUNNING
         F = np.array(((1.0, dt, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+        G = F[:2, :2]
         q = self._speed_noise(dt)
         Q = np.diag((q * dt * dt / 3.0 + 1e-12, q, self.fusion.offset**2 * dt))
         trial = state.trial
@@ -120,6 +143,8 @@ class RuleClassifier:
             state,
             x=np.array((y + way, speed, o)),
             P=F @ state.P @ F.T + Q,
+            w=np.array((reading, pace)),
+            W=G @ state.W @ G.T + Q[:2, :2],
             motion=motion,
             age=state.age + dt,
             since=state.since + dt,
@@ -155,63 +180,84 @@ class RuleClassifier:
             refused={**state.refused, row.source: 0},
         )
 
-    def _judge(self, state: RuleState, row: Row) -> RuleState:
-        """Return the state with its class weighed against one row, before the correction."""
-        if not self.classes or row.source is Source.CAMERA or state.age < SETTLING:
-            return state
-        innovation, _, S = self._innovation(state, row)
-        if state.trial is None:
-            big = abs(innovation) > self.rule.tentative
-            if not big or innovation**2 > row.gate**2 * max(S, (self.rule.confirmed / 2.0) ** 2):
-                return state
-            return self._try(state, innovation)
+    def _watch(self, state: RuleState, row: Row) -> RuleState:
+        """Return the state with its class weighed against one distance reading."""
+        a = self._acceleration(state.motion)
+        h = np.array((1.0, -row.delay))
+        S = float(h @ state.W @ h) + row.variance
+        error = row.value - float(h @ state.w) - 0.5 * a * min(row.delay, state.since) ** 2
+        wild = error * error > row.gate**2 * max(S, (self.rule.confirmed / 2.0) ** 2)
+        if wild and state.refused.get(row.source, 0) + 1 < REFUSALS:
+            return state  # an outlier, unless it stays: the estimate counts them
+        if self.classes and state.age > SETTLING and not wild:
+            state = self._judge(state, row, error)
+        K = state.W @ h / S
+        return replace(state, w=state.w + K * error, W=state.W - np.outer(K, h @ state.W))
+
+    def _judge(self, state: RuleState, row: Row, error: float) -> RuleState:
+        """Return the state with a class tried, confirmed or cancelled by a prediction error."""
         trial = state.trial
-        offset = float(state.x[2]) if row.source is Source.DISTANCE else 0.0
-        old = row.value - trial.position - offset + trial.speed * row.delay
-        fade = 0.7
+        if trial is None:
+            if abs(error) < self.rule.tentative or state.since < SETTLING:
+                return state
+            return self._try(state, error)
+        old = row.value - trial.position + trial.speed * row.delay
         trial = replace(
             trial,
-            old_error=fade * trial.old_error + old * old,
-            new_error=fade * trial.new_error + innovation * innovation,
+            old_error=FADING * trial.old_error + old * old,
+            new_error=FADING * trial.new_error + error * error,
         )
+        word = _word(state.motion)
         worse = old > 0.0 if state.motion is Motion.STARTING else old < 0.0
         if worse and abs(old) > self.rule.confirmed and trial.old_error > trial.new_error:
-            word = _word(state.motion)
-            return replace(state, trial=None, events=(*state.events, (word, "confirmed")))
-        if trial.new_error > trial.old_error or trial.age > 1.0:
-            word = _word(state.motion)
-            x = np.array((trial.position, trial.speed, state.x[2]))
-            return replace(
-                state,
-                x=x,
-                motion=trial.old,
-                trial=None,
-                events=(*state.events, (word, "cancelled")),
-            )
+            events = (*state.events, (word, "confirmed"))
+            return replace(state, trial=None, since=0.0, events=events)
+        if trial.new_error > trial.old_error or trial.age > LONGEST_TRIAL:
+            return self._cancel(state, trial, word)
         return replace(state, trial=trial)
 
-    def _try(self, state: RuleState, innovation: float) -> RuleState:
+    def _cancel(self, state: RuleState, trial: Trial, word: str) -> RuleState:
+        """Return the state in its old class again: an outlier is assumed."""
+        x = state.x.copy()
+        x[1] += trial.speed - state.w[1]
+        return replace(
+            state,
+            x=x,
+            w=np.array((trial.position, trial.speed)),
+            motion=trial.old,
+            since=SETTLING,
+            trial=None,
+            events=(*state.events, (word, "cancelled")),
+        )
+
+    def _try(self, state: RuleState, error: float) -> RuleState:
         """Return the state with the class of least prediction error applied tentatively."""
-        motion = state.motion
-        if innovation < 0.0 and motion in {Motion.RUNNING, Motion.STARTING}:
+        if error < 0.0 and state.motion in {Motion.RUNNING, Motion.STARTING}:
             new, width = Motion.STOPPING, 0.2 * self.conveyor.deceleration
-        elif innovation > 0.0 and motion in {Motion.STANDING, Motion.STOPPING}:
+        elif error > 0.0 and state.motion in {Motion.STANDING, Motion.STOPPING}:
             new, width = Motion.STARTING, 0.8 * self.conveyor.acceleration
         else:
             return state
-        trial = Trial(motion, float(state.x[0]), float(state.x[1]), innovation**2, 0.0, 0.0)
+        trial = Trial(state.motion, float(state.w[0]), float(state.w[1]), error**2, 0.0, 0.0)
         # The speed has changed since the onset by what the filter could not follow.
-        P = state.P + np.diag((0.0, width * width, 0.0))
-        event = (_word(new), "tentative")
+        wide = np.array((0.0, width * width))
         return replace(
-            state, P=P, motion=new, trial=trial, since=0.15, events=(*state.events, event)
+            state,
+            P=state.P + np.diag((*wide, 0.0)),
+            W=state.W + np.diag(wide),
+            motion=new,
+            trial=trial,
+            since=0.15,
+            events=(*state.events, (_word(new), "tentative")),
         )
 
     def advance(self, state: RuleState, rows: Sequence[Row], dt: float) -> RuleState:
         """Return the belief one step later."""
         state = self._predict(state, dt)
         for row in rows:
-            state = self._correct(self._judge(state, row), row)
+            if row.source is Source.DISTANCE:
+                state = self._watch(state, row)
+            state = self._correct(state, row)
         if state.motion is Motion.RUNNING and state.trial is None and state.age > SETTLING:
             return self._settle(state, dt)
         return state

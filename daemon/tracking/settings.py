@@ -134,8 +134,8 @@ class RuleSettings:
     """
 
     tentative: Positive = 0.00122
-    confirmed: Positive = 0.0026
-    bandwidth: Positive = 5.7
+    confirmed: Positive = 0.0034
+    bandwidth: Positive = 6.4
 
 
 @dataclass(frozen=True, slots=True)
