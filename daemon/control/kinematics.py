@@ -84,6 +84,8 @@ class Arm:
             residual = float(np.abs(error).max())
             if residual < tolerance:
                 return np.concatenate((q[1:7], q[:1])) if self.linear_axis else q
+            if not np.isfinite(residual):
+                break  # a pose that is no number; least squares would raise something else
             J = pin.getFrameJacobian(self.model, self.data, self.flange, pin.ReferenceFrame.LOCAL)[
                 :, arm
             ]
@@ -119,7 +121,10 @@ class Arm:
             pin.forwardKinematics(model, data, q[i])
             here = pin.updateFramePlacement(model, data, flange)
             errors[i] = pin.log6(here.actInv(pin.SE3(rotations[i], positions[i]) * off)).vector
-        steps = np.linalg.solve(J, errors.T).T
+        try:
+            steps = np.linalg.solve(J, errors.T).T
+        except np.linalg.LinAlgError as error:  # a stretched wrist or elbow, exactly
+            raise UnreachableError(float(np.abs(errors).max())) from error
         joints = guesses.copy()
         joints[:, :6] += steps
         largest = float(np.abs(errors).max())
