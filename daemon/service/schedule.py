@@ -9,7 +9,7 @@ the phase follows the early ones at once and the late ones slowly. Source: refer
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-LATE_SHARE = 0.02
+LATE_SHARE = 0.1
 """How much of an arrival's lateness enters the phase."""
 
 MOST_AT_ONCE = 25

@@ -1,0 +1,333 @@
+"""The whole service on the loopback: a controller, an operator, a camera, in one short session."""
+
+import asyncio
+import contextlib
+import os
+import signal
+import socket
+import threading
+import time
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from loops import run, until
+from mcap.reader import make_reader
+
+from linemate.daemon.operator.client import Client, RefusedError
+from linemate.daemon.parameters import Parameters
+from linemate.daemon.recording import decode
+from linemate.daemon.service import config, realtime
+from linemate.daemon.service.app import App, StartError
+from linemate.daemon.service.files import PROTOCOL_DATA
+from linemate.daemon.service.notify import Notifier
+from linemate.daemon.service.recorder import TOPIC
+from linemate.daemon.service.task_file import Task
+from linemate.protocol.rsi import RobotTelegram, RsiCodec, SensorTelegram
+from linemate.protocol.rsi_config import parse_config
+
+CYCLE_S = 0.012
+CONFIG = """
+task: wheel.yaml
+rsi: {port: 0}
+camera: {port: 0}
+command: {socket: c.sock}
+recording: {directory: ., at_start: true}
+realtime: {freeze_collector: false}
+watch: {healthy_cycles: 10}
+"""
+
+SHIPPED = PROTOCOL_DATA / "rsi_joints.xml"
+
+
+class Controller:
+    """A controller that sends a telegram each cycle and keeps every reply."""
+
+    def __init__(self, target: tuple[str, int], rest: tuple[float, ...]) -> None:
+        self.codec = RsiCodec(parse_config(SHIPPED.read_bytes()))
+        self.replies: list[SensorTelegram] = []
+        self.sent: list[int] = []
+        self._rest = rest
+        self._ipoc = 4_000_000
+        self._next_s = time.monotonic()
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        self._socket.connect(target)
+
+    def send(self) -> None:
+        self._ipoc += 12
+        telegram = RobotTelegram(
+            self._ipoc,
+            joints=self._rest,  # type: ignore[arg-type]
+            external=(0.0,) * 6,
+            tcp=(0.0,) * 6,
+            delay=0,
+            channels={"DiL": 0},
+        )
+        self.sent.append(self._ipoc)
+        self._socket.send(self.codec.format_robot(telegram))
+
+    def send_bytes(self, data: bytes) -> None:
+        self._socket.send(data)
+
+    def skip(self) -> None:
+        """A cycle whose telegram is lost on its way."""
+        self._ipoc += 12
+
+    async def take(self) -> None:
+        self._next_s += CYCLE_S
+        await asyncio.sleep(self._next_s - time.monotonic())
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                self.replies.append(self.codec.parse_sensor(self._socket.recv(2048)))
+
+    async def cycles(self, count: int) -> None:
+        for _ in range(count):
+            self.send()
+            await self.take()
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class Running:
+    """A daemon that serves in this loop."""
+
+    def __init__(self, app: App, listening: dict[str, Any], folder: Path) -> None:
+        self.app = app
+        self.listening = listening
+        self.folder = folder
+        self.controllers: list[Controller] = []
+
+    def controller(self, task: Task) -> Controller:
+        """A controller that sends here; closed with the daemon."""
+        target = tuple(self.listening["robot"])
+        self.controllers.append(Controller(target, task.file.arm.rest_joints))
+        return self.controllers[-1]
+
+    async def ask(self, op: str, params: dict[str, Any] | None = None) -> dict[str, Any]:
+        def call() -> dict[str, Any]:
+            with Client.local(self.folder / "c.sock") as client:
+                return client.call(op, params, 5.0)
+
+        return await asyncio.to_thread(call)
+
+
+Serve = Callable[..., contextlib.AbstractAsyncContextManager[Running]]
+
+
+@pytest.fixture
+def serve(tmp_path: Path, parameters: Parameters) -> Serve:
+    @contextlib.asynccontextmanager
+    async def serve(text: str = CONFIG, notifier: Notifier | None = None) -> AsyncIterator[Running]:
+        path = tmp_path / "linemated.yaml"
+        path.write_text(text)
+        station = config.load(path)
+        app = App(
+            station, parameters, realtime.ask(station.config.realtime), notifier or Notifier()
+        )
+        ready: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
+        serving = asyncio.create_task(app.run(ready.set_result))
+        either: list[asyncio.Future[Any]] = [serving, ready]
+        await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
+        if serving.done():
+            serving.result()
+        running = Running(app, ready.result(), tmp_path)
+        try:
+            yield running
+        finally:
+            app.end()
+            await serving
+            for controller in running.controllers:
+                controller.close()
+
+    return serve
+
+
+def test_every_telegram_is_answered_at_rest_and_recorded(
+    serve: Serve, tmp_path: Path, task: Task
+) -> None:
+    async def main() -> None:
+        async with serve() as running:
+            controller = running.controller(task)
+            await controller.cycles(20)
+            status = running.app.status()
+            assert status["state"] == "idle"
+            assert status["telegrams"]["normal"] == 19
+            assert status["turnaround_us"]["max"] is not None
+            assert status["links"]["robot"]["up"]
+            assert status["complaints"] == ("link camera is silent",)
+            assert status["health"] == "degraded"
+        assert [reply.ipoc for reply in controller.replies] == controller.sent
+        assert all(reply.joints == (0.0,) * 6 for reply in controller.replies)
+
+    run(main())
+    (path,) = tmp_path.glob("*.mcap")
+    with path.open("rb") as stream:
+        records = [decode(m.data) for _, _, m in make_reader(stream).iter_messages(TOPIC)]
+    answered = [record for record in records if record.ipoc is not None]
+    assert len(answered) == 20
+    assert [record.inputs.k for record in records] == list(range(len(records)))
+
+
+def test_a_missing_telegram_makes_its_step_and_the_next_one_is_answered(
+    serve: Serve, task: Task
+) -> None:
+    async def main() -> None:
+        async with serve() as running:
+            controller = running.controller(task)
+            await controller.cycles(5)
+            for _ in range(3):
+                controller.skip()
+                await controller.take()
+            await controller.cycles(5)
+            status = running.app.status()
+            assert status["telegrams"]["gap"] >= 1
+            assert status["telegrams"]["overdue"] >= 2
+            assert status["steps"] >= 13
+            assert len(controller.replies) == 10
+
+    run(main())
+
+
+def test_garbage_on_every_port_is_counted_and_hurts_nobody(serve: Serve, task: Task) -> None:
+    async def main() -> None:
+        async with serve() as running:
+            controller = running.controller(task)
+            await controller.cycles(3)
+            for junk in (b"", b"\x00" * 100, b"<!DOCTYPE x>", b"<Rob>" * 300, os.urandom(700)):
+                controller.send_bytes(junk)
+                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as anybody:
+                    anybody.sendto(junk, tuple(running.listening["camera"]))
+                await controller.take()
+            await controller.cycles(5)
+            status = running.app.status()
+            assert status["telegrams"]["unreadable"] >= 4
+            assert status["links"]["camera"]["counters"]["refused"] >= 4
+            assert status["faults"] == 0
+            assert len(controller.replies) == 8
+
+    run(main())
+
+
+def test_operators_are_answered_while_telegrams_come_and_while_none_do(
+    serve: Serve, task: Task
+) -> None:
+    async def main() -> None:
+        async with serve() as running:
+            with pytest.raises(RefusedError, match="the state is INIT"):
+                await running.ask("arm")
+            controller = running.controller(task)
+            exchange = asyncio.create_task(controller.cycles(30))
+            listed = (await running.ask("params", {"prefix": "watch."}))["params"]
+            assert {one["name"] for one in listed} >= {"watch.healthy_cycles"}
+            got = await running.ask("get", {"names": ["watch.healthy_cycles"]})
+            assert got["values"] == {"watch.healthy_cycles": 10}
+            with pytest.raises(RefusedError, match="configuration file"):
+                await running.ask("set", {"values": {"watch.healthy_cycles": 1}})
+            stopped = await running.ask("record", {"action": "stop"})
+            assert stopped["file"].endswith(".mcap")
+            with pytest.raises(RefusedError, match="nothing is being recorded"):
+                await running.ask("record", {"action": "stop"})
+            await exchange
+            with pytest.raises(RefusedError, match="distance"):
+                await running.ask("arm")
+
+    run(main())
+
+
+def test_a_second_daemon_on_the_same_port_says_so_and_ends(serve: Serve) -> None:
+    async def main() -> None:
+        async with serve() as running:
+            port = running.listening["robot"][1]
+            with pytest.raises(StartError, match="robot's port"):
+                async with serve(f"task: wheel.yaml\nrsi: {{port: {port}}}\n"):
+                    pass
+
+    run(main())
+
+
+def test_a_fault_in_the_cycle_is_counted_and_the_daemon_goes_on(
+    serve: Serve, task: Task, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fail(_: object) -> None:
+        raise ValueError("planted")
+
+    async def main() -> None:
+        async with serve() as running:
+            controller = running.controller(task)
+            await controller.cycles(3)
+            with monkeypatch.context() as planted:
+                planted.setattr(
+                    running.app.cycle,
+                    "_reply",
+                    lambda _: (_ for _ in ()).throw(ValueError("planted")),
+                )
+                await controller.cycles(3)
+            await controller.cycles(3)
+            status = await running.ask("status")
+            assert status["faults"] == 3
+            assert "faults in the cycle" in " ".join(status["complaints"])
+            assert len(controller.replies) == 6
+        assert caplog.text.count("fault 1 in the cycle") == 1
+        assert "fault 2" not in caplog.text
+
+    run(main())
+
+
+def test_sigterm_ends_and_sighup_reloads_and_systemd_hears_of_both(
+    serve: Serve, tmp_path: Path
+) -> None:
+    async def main() -> None:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+            manager.bind(str(tmp_path / "notify"))
+            manager.settimeout(5.0)
+            notifier = Notifier(str(tmp_path / "notify"), watchdog_s=0.03)
+            async with serve(notifier=notifier) as running:
+                heard: list[bytes] = []
+
+                def listen() -> None:
+                    while not heard or b"STOPPING=1" not in heard[-1]:
+                        heard.append(manager.recv(300))
+
+                listener = threading.Thread(target=listen)
+                listener.start()
+                await until(lambda: heard.count(b"WATCHDOG=1") >= 2)
+                os.kill(os.getpid(), signal.SIGHUP)
+                await until(lambda: any(b"RELOADING=1" in one for one in heard))
+                os.kill(os.getpid(), signal.SIGTERM)
+                await asyncio.to_thread(listener.join)
+                assert heard[0].startswith(b"READY=1\nSTATUS=INIT")
+                assert running.app.cycle.steps == 0
+
+    run(main())
+
+
+def test_a_foreign_peer_is_not_answered_where_one_is_named(serve: Serve, task: Task) -> None:
+    async def main() -> None:
+        text = CONFIG.replace("{port: 0}\ncamera", "{port: 0, peer: 127.0.0.9}\ncamera")
+        async with serve(text) as running:
+            controller = running.controller(task)
+            await controller.cycles(3)
+            assert controller.replies == []
+            assert running.app.counters["foreign_telegrams"] == 3
+
+    run(main())
+
+
+def test_an_end_while_the_robot_moves_brings_it_to_rest_first(serve: Serve, task: Task) -> None:
+    from linemate.daemon.service.states import Machine, State
+
+    async def main() -> None:
+        async with serve() as running:
+            controller = running.controller(task)
+            await controller.cycles(15)
+            running.app.cycle.machine = Machine(State.TRACK)
+            running.app.end()
+            with contextlib.suppress(ConnectionRefusedError):  # it has ended meanwhile
+                await controller.cycles(50)
+            assert running.app.cycle.machine.state is State.HOLD
+            assert len(controller.replies) < 50
+
+    run(main())

@@ -1,0 +1,60 @@
+"""Parameters as operators see them: everything comes from the settings themselves."""
+
+from dataclasses import replace
+
+import pytest
+
+from linemate.daemon.service.parameter_list import Described, described, every, values
+from linemate.daemon.service.settings import Config
+from linemate.daemon.service.watch import WatchSettings
+from linemate.protocol.command import MAX_RESULT_BYTES, encode_result
+
+CONFIG = replace(Config("t"), watch=WatchSettings(healthy_cycles=7))
+
+
+@pytest.fixture(scope="module")
+def listed() -> tuple[Described, ...]:
+    return tuple(every(CONFIG))
+
+
+def test_a_parameter_has_value_default_range_unit_and_meaning(
+    listed: tuple[Described, ...],
+) -> None:
+    by_name = {one["name"]: one for one in listed}
+    assert by_name["watch.healthy_cycles"] == {
+        "name": "watch.healthy_cycles",
+        "value": 7,
+        "default": 250 if WatchSettings().healthy_cycles == 250 else WatchSettings().healthy_cycles,
+        "live": False,
+        "min": 1,
+        "max": 100_000,
+        "describe": by_name["watch.healthy_cycles"]["describe"],
+    }
+    deviation = by_name["tracking.distance.deviation"]
+    assert deviation["unit"] == "m"
+    assert deviation["min"] == 0.0
+    assert "sigma" in deviation["describe"]
+
+
+def test_items_of_lists_have_names_of_their_own(listed: tuple[Described, ...]) -> None:
+    names = [one["name"] for one in listed]
+    assert "control.servos.6.frequency_hz" in names
+    assert "tracking.swing.0.levers" in names
+    assert len(names) == len(set(names)) > 80
+
+
+def test_a_prefix_picks_and_a_wrong_name_is_refused(listed: tuple[Described, ...]) -> None:
+    picked = described(listed, {"prefix": "control.limits.0."})["params"]
+    assert {one["name"].rpartition(".")[2] for one in picked} == {
+        "lower",
+        "upper",
+        "speed",
+        "acceleration",
+        "jerk",
+    }
+    assert values(listed, {"names": ["watch.missed"]}) == {"values": {"watch.missed": 3}}
+    assert "nonsense" in values(listed, {"names": ["watch.missed", "nonsense"]})["refused"]
+
+
+def test_the_whole_list_fits_into_one_answer(listed: tuple[Described, ...]) -> None:
+    assert len(encode_result(described(listed, {}))) < MAX_RESULT_BYTES

@@ -1,0 +1,44 @@
+"""What is installed beside the program: its first configuration and its unit."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from linemate.daemon.service import config
+
+SYSTEMD = Path(__file__).parents[2] / "systemd"
+
+
+def test_the_shipped_configuration_is_good_where_its_directories_are(tmp_path: Path) -> None:
+    text = (SYSTEMD / "linemated.yaml").read_text(encoding="utf-8")
+    for directory in ("/run/linemate", "/var/lib/linemate"):
+        assert directory in text
+        text = text.replace(directory, str(tmp_path))
+    path = tmp_path / "linemated.yaml"
+    path.write_text(text, encoding="utf-8")
+    station = config.load(path)
+    assert station.task.file.name == "wheel"
+    assert station.config.rsi.cycle_ms == 12
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze here")
+def test_the_unit_is_understood_and_leaves_little_exposed(tmp_path: Path) -> None:
+    text = (SYSTEMD / "linemated.service").read_text(encoding="utf-8")
+    unit = tmp_path / "linemated.service"
+    unit.write_text(text.replace("/opt/linemate/bin/linemated", "/bin/true"), encoding="utf-8")
+    verified = subprocess.run(
+        ["systemd-analyze", "verify", "--man=no", str(unit)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (verified.returncode, verified.stderr) == (0, "")
+    judged = subprocess.run(
+        ["systemd-analyze", "security", "--offline=true", "--threshold=25", str(unit)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert judged.returncode == 0, judged.stdout
