@@ -200,6 +200,7 @@ class Emulator:
             self._row = self._row + 1 if applied.answered else 0
             if self._row >= self.config.wait_answered:
                 self._waiting = False
+                self._told_s = -1e9  # the wait was told in its own time
                 self._suffer(self.world.time_s)
                 self.link.begin_counting()
             return
