@@ -6,6 +6,7 @@ instant of a step that answered no telegram.
 """
 
 import json
+import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -43,7 +44,8 @@ def read_steps(path: Path) -> Iterator[StepRecord]:
             layout = _layout(reader.iter_metadata())
             for _, _, message in reader.iter_messages([TOPIC], log_time_order=False):
                 yield recording.decode(message.data, layout)
-        except McapError as error:
+        except (McapError, OSError, struct.error) as error:
+            # OSError as well: the package seeks before the beginning of a file that is too short.
             raise RecordingError(f"{path}: {error}") from error
 
 

@@ -1,0 +1,180 @@
+"""The demonstration, shortened: real processes, real links, real time, and nothing left behind.
+
+The machine may be loaded: what is compared here is who says what, never how many microseconds.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from linemate.simulators.harness import demo, joined, scenario_file
+from linemate.simulators.harness.processes import ChildError
+from linemate.simulators.plants.scenario import Scenario
+
+SHORT_S = 3.0
+DEMO = [sys.executable, "-m", "linemate.simulators.harness.main", "demo"]
+
+
+@dataclass(frozen=True)
+class Ended:
+    code: int
+    out: Path
+    told: str
+    errors: str
+
+    @property
+    def result(self) -> dict[str, Any]:
+        found: dict[str, Any] = json.loads((self.out / "result.json").read_text())
+        return found
+
+
+def children_of(folder: Path) -> list[int]:
+    """Processes whose command line names a file below a folder."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                line = (entry / "cmdline").read_bytes()
+            except OSError:
+                continue
+            if os.fsencode(folder) in line and b"--config" in line:
+                found.append(int(entry.name))
+    return found
+
+
+def environment(folder: Path) -> dict[str, str]:
+    """Temporary directories are made below a folder, so that what is left there can be seen."""
+    return {**os.environ, "TMPDIR": str(folder)}
+
+
+@pytest.fixture(scope="module")
+def ended(tmp_path_factory: pytest.TempPathFactory) -> Ended:
+    base = tmp_path_factory.mktemp("demo")
+    (base / "tmp").mkdir()
+    scenario = base / "short.yaml"
+    plain = scenario_file.to_plain(replace(scenario_file.load("wheel"), duration_s=SHORT_S))
+    scenario.write_text(yaml.safe_dump({**plain, "name": "short"}))
+    done = subprocess.run(
+        [*DEMO, "--scenario", str(scenario), "--seed", "5", "--out", str(base / "out"), "--json"],
+        env=environment(base / "tmp"),
+        capture_output=True,
+        text=True,
+        timeout=150.0,
+        check=False,
+    )
+    assert list((base / "tmp").iterdir()) == []
+    assert children_of(base / "tmp") == []
+    return Ended(done.returncode, base / "out", done.stdout, done.stderr)
+
+
+def test_a_run_that_ends_before_the_wheel_is_on_is_not_called_assembled(ended: Ended) -> None:
+    assert ended.code == 1, ended.errors
+    assert ended.result["assembled"] is False
+    assert ended.result["outcome"] in {"held", "retreated", "fault"}
+    assert json.loads(ended.told) == ended.result
+
+
+def test_results_report_figures_and_recording_are_left(ended: Ended) -> None:
+    names = {path.name for path in ended.out.iterdir()}
+    assert names == {
+        "result.json",
+        "report.html",
+        "fig4.png",
+        "fig5.png",
+        "short-seed5-12ms.mcap",
+    }
+
+
+def test_the_controller_counted_every_telegram(ended: Ended) -> None:
+    told = ended.result["telegrams"]
+    sent = told["sent"]
+    lead_in_s = scenario_file.load("wheel").lead_in_s
+    assert sent == pytest.approx((lead_in_s + SHORT_S) / 0.012, abs=3)
+    assert told["answered"] + told["late"] + told["lost"] + told["refused"] == sent
+    assert told["refused"] == 0
+    assert told["answered"] > 0.5 * sent
+    turnaround = ended.result["turnaround_us"]
+    assert 0.0 < turnaround["p50"] <= turnaround["p99"] <= turnaround["max"]
+
+
+def test_both_sides_tell_of_the_same_run(ended: Ended) -> None:
+    steps = list(joined.read_steps(ended.out / "short-seed5-12ms.mcap"))
+    answered = {step.ipoc for step in steps if step.ipoc is not None}
+    told = ended.result["telegrams"]
+    # The daemon answered before the counting began, and may have been late as well.
+    assert len(answered) >= told["answered"]
+    tracked = [step for step in steps if step.state == "track"]
+    assert tracked
+    assert any(step.inputs.camera for step in tracked)
+    assert any(step.inputs.distance for step in tracked)
+    assert any(step.inputs.wrench for step in tracked)
+    if told["late"] == told["lost"] == 0:
+        moved = [
+            abs(tracked[-1].outputs["command"][axis] - tracked[0].outputs["command"][axis])
+            for axis in range(6)
+        ]
+        assert max(moved) > 0.01
+
+
+def test_progress_goes_to_standard_error_as_plain_lines(ended: Ended) -> None:
+    assert "track" in ended.errors
+    assert "\x1b[" not in ended.errors
+    assert len(ended.errors.splitlines()) < 100
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_ends_everything_that_was_started(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    with subprocess.Popen(
+        [*DEMO, "--out", str(tmp_path / "out")],
+        env=environment(tmp_path),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as demo:
+        end = time.monotonic() + 60.0
+        while len(children_of(tmp_path)) < 2 and time.monotonic() < end:
+            time.sleep(0.05)
+        assert len(children_of(tmp_path)) == 2
+        demo.send_signal(number)
+        _, errors = demo.communicate(timeout=60.0)
+    assert demo.returncode == 130, errors
+    assert children_of(tmp_path) == []
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_daemon_that_does_not_start_is_told_with_its_own_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    sound = demo.Station.daemon_file
+    monkeypatch.setattr(demo.Station, "daemon_file", lambda station: {**sound(station), "bogus": 1})
+    with pytest.raises(ChildError, match=r"(?s)daemon did not start.*bogus: unknown key"):
+        demo._run(demo.Station(tmp_path, Scenario()))
+    assert children_of(tmp_path) == []
+
+
+def test_a_broken_scenario_is_refused_before_anything_starts(tmp_path: Path) -> None:
+    scenario = tmp_path / "broken.yaml"
+    scenario.write_text("duration_s: soon\nbogus: 1\n")
+    done = subprocess.run(
+        [*DEMO, "--scenario", str(scenario), "--out", str(tmp_path / "out")],
+        capture_output=True,
+        text=True,
+        timeout=60.0,
+        check=False,
+    )
+    assert done.returncode == 78
+    assert "broken.yaml:1:13: duration_s" in done.stderr
+    assert "broken.yaml:2:1: bogus" in done.stderr
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,67 @@
+"""An emulator's file is read strictly, and its paths are relative to it."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from linemate.daemon.service.documents import FileError
+from linemate.simulators.harness import emulator
+
+
+def test_names_seeds_and_paths_are_taken_from_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "emulator.yaml"
+    path.write_text(
+        "scenario: wheel\nseed: 7\ncycle_ms: 4\npriority: 60\ncan_link: can\n"
+        "robot_target: [127.0.0.1, 50000]\ntruth: /elsewhere/truth.npz\n"
+    )
+    config, priority = emulator.load(path)
+    assert config.scenario.seed == 7
+    assert config.scenario.cycle_s == 0.004
+    assert config.can_link == tmp_path / "can"
+    assert config.truth == Path("/elsewhere/truth.npz")
+    assert config.robot_target == ("127.0.0.1", 50000)
+    assert priority == 60
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("bogus: 1", "1:1: bogus: unknown key"),
+        ("seed: x\ncycle_ms: soon", "2:11: cycle_ms"),
+        ("scenario: nowhere.yaml", "nowhere.yaml"),
+        ("robot_target: [127.0.0.1]", "robot_target"),
+    ],
+)
+def test_what_is_wrong_is_told_with_its_place(text: str, complaint: str, tmp_path: Path) -> None:
+    path = tmp_path / "emulator.yaml"
+    path.write_text(text + "\n")
+    with pytest.raises(FileError, match=complaint):
+        emulator.load(path)
+
+
+def test_a_missing_file_is_an_error_with_its_name(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match=r"gone\.yaml:1:1"):
+        emulator.load(tmp_path / "gone.yaml")
+
+
+def test_the_process_tells_where_everything_is_and_ends_as_told(tmp_path: Path) -> None:
+    path = tmp_path / "emulator.yaml"
+    path.write_text("can_link: can\nserial_link: ft\ntruth: truth.npz\nwait_answered: 10\n")
+    command = [sys.executable, "-m", "linemate.simulators.harness.main", "emulator"]
+    with subprocess.Popen(
+        [*command, "--config", str(path)], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        ready = json.loads(process.stdout.readline())
+        assert ready["event"] == "ready"
+        assert os.path.realpath(ready["can"]["channel"]).startswith("/dev/pts/")
+        process.send_signal(signal.SIGTERM)
+        told = [json.loads(line) for line in process.stdout]
+        assert process.wait(20.0) == 0
+    assert told[-1]["event"] == "end"
+    assert (tmp_path / "truth.npz").exists()

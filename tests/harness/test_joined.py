@@ -1,0 +1,89 @@
+"""The join of truth and recording gives the very rows that virtual time gives directly."""
+
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from linemate.daemon import recording
+from linemate.daemon.recording import RecordingError
+from linemate.daemon.service.cycle import LogEntry
+from linemate.daemon.service.recorder import StepFile
+from linemate.simulators.harness import joined, setup
+from linemate.simulators.harness.lockstep import Lockstep
+from linemate.simulators.harness.rows import Rows
+
+
+@pytest.fixture(scope="module")
+def run() -> tuple[Lockstep, list[LogEntry]]:
+    made = setup.make("wheel")
+    scenario = replace(made.scenario, duration_s=1.5, cycle_s=0.012)
+    entries: list[LogEntry] = []
+    lockstep = Lockstep(replace(made, scenario=scenario), seed=2, on_step=entries.append)
+    while lockstep.turn():
+        pass
+    return lockstep, entries
+
+
+def recorded(entries: list[LogEntry], path: Path) -> Path:
+    file = StepFile(path.open("xb"), {"task": "wheel"})
+    for entry in entries:
+        data = recording.encode(entry.ipoc, entry.state, entry.inputs, entry.outputs)
+        file.write(entry.inputs.stamp_ns, data)
+    file.close()
+    return path
+
+
+def assert_same(found: Rows, wanted: Rows, but: tuple[str, ...] = ()) -> None:
+    for field in fields(Rows):
+        if field.name in {"events", "step_us", *but}:
+            continue
+        given, due = getattr(found, field.name), getattr(wanted, field.name)
+        np.testing.assert_array_equal(given, due, err_msg=field.name)
+
+
+def columns(lockstep: Lockstep) -> dict[str, Any]:
+    return lockstep._truth.columns()
+
+
+def test_joined_rows_are_those_of_virtual_time(
+    run: tuple[Lockstep, list[LogEntry]], tmp_path: Path
+) -> None:
+    lockstep, entries = run
+    wanted = lockstep.evidence().rows
+    path = recorded(entries, tmp_path / "run.mcap")
+    found = joined.join(columns(lockstep), joined.read_steps(path))
+    assert_same(found, wanted)
+    assert [(e.kind, e.what) for e in found.events] == [(e.kind, e.what) for e in wanted.events]
+    assert np.isfinite(found.target).all()
+
+
+def test_a_step_that_was_not_recorded_leaves_its_row_unknown_and_no_other(
+    run: tuple[Lockstep, list[LogEntry]], tmp_path: Path
+) -> None:
+    lockstep, entries = run
+    gone = len(entries) // 2
+    path = recorded(entries[:gone] + entries[gone + 1 :], tmp_path / "run.mcap")
+    found = joined.join(columns(lockstep), joined.read_steps(path))
+    unknown = np.flatnonzero(np.isnan(found.target).any(axis=1))
+    assert unknown.tolist() == [gone]
+
+
+def test_order_does_not_matter_and_foreign_telegrams_fill_no_row(
+    run: tuple[Lockstep, list[LogEntry]], tmp_path: Path
+) -> None:
+    lockstep, entries = run
+    foreign = replace(entries[0], ipoc=1)
+    path = recorded([foreign, *entries], tmp_path / "run.mcap")
+    found = joined.join(columns(lockstep), joined.read_steps(path))
+    assert_same(found, lockstep.evidence().rows)
+
+
+@pytest.mark.parametrize("data", [b"", b"\x89MCAP0\r\n", bytes(200)])
+def test_what_is_no_recording_is_refused(data: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "broken.mcap"
+    path.write_bytes(data)
+    with pytest.raises(RecordingError):
+        list(joined.read_steps(path))
