@@ -239,5 +239,5 @@ def test_a_urdf_that_cannot_be_says_what_is_wrong(
 
 
 def test_a_missing_flange_is_answered_with_the_frames_there_are() -> None:
-    with pytest.raises(KinematicsError, match="it has .*flange"):
+    with pytest.raises(KinematicsError, match=r"it has .*flange"):
         load(flange="tool0")
