@@ -27,7 +27,7 @@ from linemate.simulators.devices.can_sensor import CanSensor
 from linemate.simulators.devices.controller import Applied, RsiController
 from linemate.simulators.devices.controller_udp import ControllerUdp
 from linemate.simulators.devices.emulator_config import SHIPPED_RSI, EmulatorConfig
-from linemate.simulators.devices.faults import GARBAGE_BYTES, Faults
+from linemate.simulators.devices.faults import GARBAGE_BYTES, REAL, Faults
 from linemate.simulators.devices.force_torque import ForceTorqueSensor
 from linemate.simulators.devices.pty_port import PtyPort
 from linemate.simulators.devices.robot_plant import RobotPlant
@@ -110,7 +110,7 @@ class Emulator:
             ),
         )
         self._schedule = Schedule()
-        self._faults = Faults(config.scenario.faults)
+        self._faults = Faults(config.scenario.faults, REAL)
         self._junk = random.Random(config.scenario.seed)  # noqa: S311 - noise, not a secret
         target = config.robot_target or (rsi.ip, rsi.port)
         self.link = ControllerUdp(controller, self, self._schedule, target, config.robot_bind)

@@ -1,38 +1,97 @@
-"""A scenario's timed faults: which are in force, which strike now.
+"""A scenario's timed faults: which there are, which are in force, which strike now.
 
 Law of this file: pure; scenario time is an argument. The list is checked when it is read, so that
-a misspelt fault is an error at the start and not a run without its fault.
+a misspelt fault is an error at the start and not a run without its fault. What a fault does to
+bytes is in ``faulty_link``, what it does to a sensor's reading in ``faulty_sensor``.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 
 from linemate.simulators.plants.scenario import Fault
 
-KINDS: dict[str, tuple[str, ...]] = {
+MEANINGS: dict[str, str] = {
+    "silence": "nothing gets through for duration_s",
+    "deafness": "replies are lost for duration_s",
+    "garbage": "count pieces of junk of value bytes (64 if 0) arrive at once",
+    "unplug": "the port is gone for duration_s",
+    "loss": "each piece is lost with probability value",
+    "delay": "each piece comes value seconds later",
+    "jitter": "each piece comes later by an exponential time of mean value seconds",
+    "duplicate": "each piece comes twice with probability value",
+    "reorder": "each piece is overtaken by the next one with probability value",
+    "flip": "count bits of a piece are flipped with probability value",
+    "truncate": "a piece is cut somewhere with probability value",
+    "stuck": "the reading stays as it was when the fault began",
+    "scale": "the reading is multiplied by value: a wrong unit or sign",
+    "offset": "value is added to component number count of the reading (0: to all) [m or N]",
+    "drift": "the same, growing by value a second",
+    "nan": "with probability value a component is NaN, infinite, huge, denormal or -0",
+    "clock_step": "the sensor's clock is value seconds ahead",
+    "clock_rate": "the sensor's clock gains value seconds a second",
+    "clock_frozen": "the sensor's clock stands",
+    "ipoc_flip": "one bit of the telegram's counter is flipped with probability value",
+    "restart": "the programme ends and begins anew duration_s later, from where the robot stands",
+    "second": "another controller sends telegrams of its own for duration_s",
+    "drives_off": "the axes stand braked for duration_s, then the programme begins anew",
+    "stall": "the daemon does nothing for duration_s",
+    "crash": "the daemon is gone and begins anew duration_s later",
+    "arm": "an operator's order",
+    "start": "an operator's order",
+    "stop": "an operator's order",
+    "retreat": "an operator's order",
+    "ack": "an operator's order",
+}
+"""What each kind does, and what ``value``, ``count`` and ``duration_s`` are to it."""
+
+REAL: dict[str, tuple[str, ...]] = {
     "robot": ("silence", "deafness", "garbage"),
     "distance": ("silence", "delay", "garbage", "unplug"),
     "camera": ("silence", "delay", "garbage"),
     "force_torque": ("silence", "delay", "garbage", "unplug"),
 }
-"""What can happen to each link.
+"""What the emulators can do on real links."""
 
-``silence``: nothing is sent for ``duration_s``. ``deafness``: replies are lost for ``duration_s``.
-``delay``: what is sent within ``duration_s`` leaves ``value`` seconds later. ``garbage``: ``count``
-pieces of junk of ``value`` bytes (64 if 0). ``unplug``: the port is gone for ``duration_s``.
-"""
+_PIECES = ("loss", "jitter", "duplicate", "flip", "truncate")
+_READINGS = ("stuck", "scale", "offset", "drift")
+_CLOCKS = ("clock_step", "clock_rate", "clock_frozen")
 
-STRIKING = ("garbage", "unplug")
+KINDS: dict[str, tuple[str, ...]] = {
+    "robot": (
+        *REAL["robot"],
+        *_PIECES,
+        "delay",
+        "reorder",
+        "ipoc_flip",
+        "restart",
+        "second",
+        "drives_off",
+    ),
+    "reply": ("silence", "loss", "delay", "jitter", "duplicate", "reorder", "truncate"),
+    "distance": (*REAL["distance"], *_PIECES, *_READINGS),
+    "camera": (*REAL["camera"], *_PIECES, "reorder", *_READINGS, "nan", *_CLOCKS),
+    "force_torque": (*REAL["force_torque"], *_PIECES, *_READINGS, "nan", *_CLOCKS),
+    "daemon": ("stall", "crash"),
+    "operator": ("arm", "start", "stop", "retreat", "ack"),
+}
+"""What can happen to each link in virtual time. ``robot`` is the telegrams' way to the daemon,
+``reply`` the way back. A reply has no ``flip``: a wrong digit in a well-formed reply is a command,
+and nobody but UDP's checksum can tell."""
+
+STRIKING = frozenset({"garbage", "unplug", "restart", "drives_off", "crash", *KINDS["operator"]})
 GARBAGE_BYTES = 64
 
 
 class Faults:
     """The faults of one run."""
 
-    def __init__(self, faults: Iterable[Fault] = ()) -> None:
+    def __init__(
+        self, faults: Iterable[Fault] = (), kinds: Mapping[str, tuple[str, ...]] = KINDS
+    ) -> None:
         """Check the list.
 
         Args:
             faults: of a scenario.
+            kinds: what there is; ``REAL`` refuses what only virtual time can do.
 
         Raises:
             ValueError: a link or kind that there is not.
@@ -41,7 +100,11 @@ class Faults:
         self._struck = 0
         self._strikes = [fault for fault in self._faults if fault.kind in STRIKING]
         for fault in self._faults:
-            _check(fault)
+            _check(fault, kinds)
+
+    def of(self, link: str) -> tuple[Fault, ...]:
+        """All faults of a link, in the order of their beginning."""
+        return tuple(fault for fault in self._faults if fault.link == link)
 
     def in_force(self, link: str, kind: str, time_s: float) -> Fault | None:
         """The fault of a kind that a link suffers at a time.
@@ -57,7 +120,7 @@ class Faults:
         for fault in self._faults:
             if fault.at_s > time_s:
                 return None
-            if (fault.link, fault.kind) == (link, kind) and time_s < fault.at_s + fault.duration_s:
+            if (fault.link, fault.kind) == (link, kind) and holds(fault, time_s):
                 return fault
         return None
 
@@ -75,11 +138,16 @@ class Faults:
             yield self._strikes[self._struck - 1]
 
 
-def _check(fault: Fault) -> None:
-    kinds = KINDS.get(fault.link)
-    if kinds is None:
-        raise ValueError(f"fault at {fault.at_s} s: no link {fault.link!r}; {', '.join(KINDS)}")
-    if fault.kind not in kinds:
+def holds(fault: Fault, time_s: float) -> bool:
+    """Whether a fault is in force at a scenario time [s]."""
+    return fault.at_s <= time_s < fault.at_s + fault.duration_s
+
+
+def _check(fault: Fault, kinds: Mapping[str, tuple[str, ...]]) -> None:
+    known = kinds.get(fault.link)
+    if known is None:
+        raise ValueError(f"fault at {fault.at_s} s: no link {fault.link!r}; {', '.join(kinds)}")
+    if fault.kind not in known:
         raise ValueError(
-            f"fault at {fault.at_s} s: {fault.link} has no {fault.kind!r}; {', '.join(kinds)}"
+            f"fault at {fault.at_s} s: {fault.link} has no {fault.kind!r}; {', '.join(known)}"
         )

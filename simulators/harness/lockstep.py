@@ -20,7 +20,8 @@ from linemate.daemon.tracking.settings import TrackingSettings
 from linemate.daemon.tracking.task import TaskFile
 from linemate.protocol.rsi import RsiCodec, parse_config
 from linemate.simulators.devices.controller import ControllerConfig, RsiController
-from linemate.simulators.devices.faults import Faults
+from linemate.simulators.devices.faults import KINDS, Faults
+from linemate.simulators.devices.faulty_link import FaultyLink
 from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.devices.truth import TruthLog
 from linemate.simulators.harness import rows as columns
@@ -33,6 +34,13 @@ from linemate.simulators.plants.scenario import sample
 from linemate.simulators.plants.world import World
 
 RSI_CONFIG = "rsi_joints.xml"
+
+TIMELESS: dict[str, tuple[str, ...]] = {
+    **{link: KINDS[link] for link in ("distance", "camera", "force_torque")},
+    "robot": ("silence", "deafness", "garbage", "loss", "flip", "truncate", "ipoc_flip"),
+    "reply": ("silence", "loss", "truncate"),
+}
+"""Faults for which an exchange that takes no time is enough; ``dst_run`` has the others."""
 AFTER_COLLISION_S = 0.2
 
 OnStep = Callable[[LogEntry], None]
@@ -106,7 +114,10 @@ class Lockstep:
             setup.task, setup.urdf, setup.tracking, setup.control, scenario.cycle_s
         )
         self.cycle = Cycle(compiled, RsiCodec(rsi))
-        self._faults = Faults(scenario.faults)
+        self._faults = Faults(scenario.faults, TIMELESS)
+        self._ways = tuple(
+            FaultyLink(name, self._faults, scenario.seed) for name in ("robot", "reply")
+        )
         mount = setup.task.conveyor.start_position
         self.wires = Wires(self.world, self.cycle, self._faults, mount)
         self._operator = _Operator(self.cycle)
@@ -157,15 +168,20 @@ class Lockstep:
     def _exchange(self, data: bytes, t: float) -> None:
         """Bring a telegram to the daemon and its reply back, unless a fault is in the way."""
         stamp_ns = self.wires.stamp(t)
-        if self._faults.in_force("robot", "silence", t) is not None:
+        there, back = self._ways
+        arrived = there.carry(data, t)
+        if not arrived:
             self.cycle.on_missing(stamp_ns)
             return
         begun = time.perf_counter_ns() if self._timing else 0
-        reply = self.cycle.on_telegram(data, stamp_ns)
+        reply = self.cycle.on_telegram(arrived[0][1], stamp_ns)
         if self._timing:
             self._daemon.step_us = (time.perf_counter_ns() - begun) * 1e-3
-        if reply is not None and self._faults.in_force("robot", "deafness", t) is None:
-            self.controller.on_reply(reply, stamp_ns)
+        if reply is None:
+            self.cycle.on_missing(stamp_ns)
+        elif self._faults.in_force("robot", "deafness", t) is None:
+            for _, piece in back.carry(reply, t):
+                self.controller.on_reply(piece, stamp_ns)
 
     def _log(self, t: float) -> None:
         for entry in self.cycle.take_log():

@@ -18,10 +18,13 @@ from linemate.protocol.wrench import make_decoder, make_host
 from linemate.simulators.devices.camera_sender import CameraSender
 from linemate.simulators.devices.can_sensor import CanSensor
 from linemate.simulators.devices.faults import GARBAGE_BYTES, Faults
+from linemate.simulators.devices.faulty_link import FaultyLink
+from linemate.simulators.devices.faulty_sensor import FaultySensor
 from linemate.simulators.devices.force_torque import ForceTorqueSensor
 from linemate.simulators.plants.world import World
 
 DEVICE = "bota"
+SENSORS = ("distance", "camera", "force_torque")
 
 EPOCH_NS = 1_000_000_000_000
 """The monotonic stamp at which a run begins; any other would do."""
@@ -42,7 +45,8 @@ class Wires:
 
     Attributes:
         refused: what a decoder did not accept, by link.
-        silenced: what a fault kept from leaving, by link.
+        links: the ways to the daemon, with what their faults did.
+        sensors: the sensors behind them, with what their faults did.
     """
 
     def __init__(self, world: World, cycle: Cycle, faults: Faults, mount: float) -> None:
@@ -54,21 +58,33 @@ class Wires:
             faults: of the scenario.
             mount: what the distance sensor reads when the conveyor unit is at s = 0 [m].
         """
+        seed = world.scenario.seed
         self.refused: Counter[str] = Counter()
-        self.silenced: Counter[str] = Counter()
-        self._world, self._cycle, self._faults = world, cycle, faults
+        self.links = {
+            name: FaultyLink(name, faults, seed, ordered=name != "camera") for name in SENSORS
+        }
+        self.sensors = {name: FaultySensor(name, faults, seed) for name in SENSORS}
+        self._world, self._faults = world, faults
         self._begin_s = -world.scenario.lead_in_s
-        self._junk = random.Random(world.scenario.seed)  # noqa: S311 -- noise, not a secret
+        self._junk = random.Random(seed)  # noqa: S311 -- noise, not a secret
         self._can = CanSensor(DistanceEncoder(), mount)
-        self._can_decoder = DistanceDecoder()
         self._camera = CameraSender(clock_offset_ns=CAMERA_CLOCK_NS)
-        self._camera_decoder = CameraDecoder()
         self._force_torque = ForceTorqueSensor(DEVICE)
-        self._wrench_decoder = make_decoder(DEVICE)
-        self._is_faulty = bool(world.scenario.faults)
         self._under_way: list[Arrival] = []
         self._count = 0
         _talk(self._force_torque)
+        self.connect(cycle)
+
+    def connect(self, cycle: Cycle) -> None:
+        """Lead all links to a daemon that knows nothing yet.
+
+        Args:
+            cycle: of the daemon.
+        """
+        self._cycle = cycle
+        self._can_decoder = DistanceDecoder()
+        self._camera_decoder = CameraDecoder()
+        self._wrench_decoder = make_decoder(DEVICE)
 
     def stamp(self, t: float) -> int:
         """The monotonic stamp of a scenario time [ns]."""
@@ -90,49 +106,53 @@ class Wires:
             except ProtocolError:
                 self.refused[link] += 1
 
+    def discard(self) -> None:
+        """Bring over nothing: what arrives by now finds nobody."""
+        self._emit()
+        now_s = self._world.time_s
+        while self._under_way and self._under_way[0][0] <= now_s + _TINY:
+            heapq.heappop(self._under_way)
+
     def _emit(self) -> None:
         """Encode what became due, at its own instant."""
         for distance in self._world.take_distance():
-            if not self._is_silent("distance", distance.time_s):
-                send = partial(self._distance, distance.position, distance.strength)
-                self._put("distance", distance.time_s, send)
+            (position,) = self.sensors["distance"].reading((distance.position,), distance.time_s)
+            frame = self._can.frame(position, distance.strength)
+            if frame is not None:
+                head = frame.can_id, frame.extended
+                self._send("distance", frame.data, distance.time_s, partial(self._distance, *head))
         for pose in self._world.take_camera():
-            if not self._is_silent("camera", pose.time_s):
-                data = self._camera.datagram(
-                    pose.position,
-                    pose.quaternion,
-                    pose.covariance,
-                    exposure_ns=self.stamp(pose.exposure_s),
-                    sent_ns=self.stamp(pose.time_s),
-                )
-                self._put("camera", pose.time_s, partial(self._pose, data))
+            sensor = self.sensors["camera"]
+            reading = (*pose.position, *pose.quaternion)
+            values = sensor.reading(reading, pose.exposure_s, additive=3)
+            data = self._camera.datagram(
+                values[:3],
+                values[3:],
+                pose.covariance,
+                exposure_ns=self.stamp(sensor.clock(pose.exposure_s)),
+                sent_ns=self.stamp(sensor.clock(pose.time_s)),
+            )
+            self._send("camera", data, pose.time_s, self._pose)
         for wrench in self._world.take_wrench():
-            if not self._is_silent("force_torque", wrench.time_s):
-                device_us = round((wrench.exposure_s - self._begin_s) * 1e6)
-                data = self._force_torque.frame(wrench.force, wrench.torque, device_us)
-                self._put("force_torque", wrench.time_s, partial(self._stream, data))
+            sensor = self.sensors["force_torque"]
+            values = sensor.reading((*wrench.force, *wrench.torque), wrench.exposure_s)
+            shown_s = sensor.clock(wrench.exposure_s)
+            device_us = round((shown_s - self._begin_s) * 1e6)
+            data = self._force_torque.frame(values[:3], values[3:], device_us)
+            self._send("force_torque", data, wrench.time_s, self._stream)
 
-    def _is_silent(self, link: str, time_s: float) -> bool:
-        """A link that is unplugged says as little as one that is silent."""
-        if not self._is_faulty:
-            return False
-        silent = any(
-            self._faults.in_force(link, kind, time_s) is not None for kind in ("silence", "unplug")
-        )
-        self.silenced[link] += silent
-        return silent
+    def _send(
+        self, link: str, data: bytes, time_s: float, receive: Callable[[bytes, int], None]
+    ) -> None:
+        for arrival_s, piece in self.links[link].carry(data, time_s):
+            self._put(link, arrival_s, partial(receive, piece))
 
-    def _put(self, link: str, time_s: float, arrive: Callable[[int], None]) -> None:
-        delay = self._faults.in_force(link, "delay", time_s) if self._is_faulty else None
-        arrival_s = time_s if delay is None else time_s + delay.value
+    def _put(self, link: str, arrival_s: float, arrive: Callable[[int], None]) -> None:
         self._count += 1
         heapq.heappush(self._under_way, (arrival_s, self._count, link, arrive))
 
-    def _distance(self, position: float, strength: float, stamp_ns: int) -> None:
-        frame = self._can.frame(position, strength)
-        if frame is None:
-            return
-        found = self._can_decoder.decode(frame.can_id, frame.data, stamp_ns, frame.extended)
+    def _distance(self, can_id: int, extended: bool, data: bytes, stamp_ns: int) -> None:
+        found = self._can_decoder.decode(can_id, data, stamp_ns, extended)
         if found is not None:
             self._cycle.feed_distance(found)
 
