@@ -22,10 +22,16 @@ VERSION = 1
 
 _KINDS = (Inputs, Outputs, RobotSample, DistanceSample, CameraSample, WrenchSample)
 
+_IN_BASE = {"target_c": "target", "sensed_c": "sensed", "part_c": "part"}
+"""Poses that a step keeps in the nominal frame; a recording tells them in base."""
+
 LAYOUT: dict[str, tuple[str, ...]] = {
-    kind.__name__: tuple(field.name for field in fields(kind)) for kind in _KINDS
+    kind.__name__: tuple(
+        _IN_BASE.get(field.name, field.name) for field in fields(kind) if field.name != "nominal"
+    )
+    for kind in _KINDS
 }
-"""The fields of each kind, in the order in which they are written."""
+"""The values of each kind, in the order in which they are written."""
 
 _VALUES: dict[type[Any], Callable[[Any], Any]] = {
     kind: attrgetter(*LAYOUT[kind.__name__]) for kind in _KINDS
