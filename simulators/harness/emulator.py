@@ -65,7 +65,7 @@ def load(path: Path) -> tuple[EmulatorConfig, int | None]:
         if told.cycle_ms is not None:
             scenario = replace(scenario, cycle_s=round(told.cycle_ms * 1e-3, 9))
         values = {f.name: getattr(told, f.name) for f in fields(told) if f.name not in OWN}
-        placed = {
+        placed: dict[str, Any] = {
             name: path.parent / value if isinstance(value, Path) else value
             for name, value in values.items()
         }

@@ -29,10 +29,10 @@ COLOURS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class LinkGlimpse:
-    """One link: its name, samples a second, the age of its newest sample [ms], trouble in words."""
+    """One link: its name, samples so far, the age of the newest [ms], trouble in words."""
 
     name: str
-    rate_hz: float | None = None
+    samples: int | None = None
     age_ms: float | None = None
     trouble: str = ""
 
@@ -106,7 +106,7 @@ class Lines:
     def show(self, glimpse: Glimpse) -> None:
         """Print a line if something changed or the last one is old."""
         key = (glimpse.state, glimpse.phase, glimpse.scenario, glimpse.tentative, glimpse.missed)
-        if key == self._last and glimpse.time_s - self._told_s < QUIET_LINE_S:
+        if key == self._last and abs(glimpse.time_s - self._told_s) < QUIET_LINE_S:
             return
         self._last, self._told_s = key, glimpse.time_s
         self.console.print(line(glimpse), markup=False, soft_wrap=True)
@@ -149,7 +149,7 @@ def line(glimpse: Glimpse) -> str:
         parts.append(f"slack {glimpse.slack_us / 1e3:.1f} ms")
     if glimpse.missed is not None:
         parts.append(f"missed {glimpse.missed}")
-    parts += [f"{link.name}: {link.trouble}" for link in glimpse.links if link.trouble]
+    parts += [f"{link.name} down" for link in glimpse.links if link.trouble]
     if glimpse.held:
         parts.append(f"held: {glimpse.held}")
     return "  ".join(part for part in parts if part)
@@ -172,10 +172,10 @@ def picture(title: str, glimpse: Glimpse, events: list[str]) -> RenderableType:
     if glimpse.held:
         facts.add_row("held", Text(glimpse.held, style="yellow"))
     links = Table(box=None, pad_edge=False, header_style="dim")
-    for name, side in (("link", "left"), ("1/s", "right"), ("age ms", "right"), ("", "left")):
+    for name, side in (("link", "left"), ("samples", "right"), ("age ms", "right"), ("", "left")):
         links.add_column(name, justify="right" if side == "right" else "left")
     for one in glimpse.links:
-        links.add_row(one.name, *map(_number, (one.rate_hz, one.age_ms)), Text(one.trouble, "red"))
+        links.add_row(one.name, *map(_number, (one.samples, one.age_ms)), Text(one.trouble, "red"))
     return Group(head, "", facts, "", links, "", *(Text(event, style="dim") for event in events))
 
 

@@ -12,7 +12,7 @@ import os
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType, TracebackType
@@ -76,6 +76,20 @@ class Child:
         except subprocess.TimeoutExpired:
             return None
 
+    def end(self) -> int | None:
+        """End it, politely first, and with it whatever is left of its group.
+
+        Returns:
+            Its exit code.
+        """
+        for number, patience_s in ((signal.SIGTERM, POLITE_S), (signal.SIGKILL, FIRM_S)):
+            if self.ended() is None:
+                self.signal_group(number)
+                self.wait(patience_s)
+        # The leader may be gone and have left others of its group.
+        self.signal_group(signal.SIGKILL)
+        return self.ended()
+
     def signal_group(self, number: int) -> None:
         """Signal the whole group, if anything of it is left."""
         with suppress(ProcessLookupError, PermissionError):
@@ -107,7 +121,7 @@ class Children:
         name: str,
         command: Sequence[str],
         log: Path,
-        environment: Mapping[str, str] | None = None,
+        keep: Sequence[int] = (),
     ) -> Child:
         """Start a process in a group of its own.
 
@@ -115,7 +129,7 @@ class Children:
             name: for messages.
             command: program and arguments.
             log: file that takes its standard output and error.
-            environment: added to this process's.
+            keep: file descriptors that it inherits.
         """
         parent = os.getpid()
         with log.open("ab") as output:
@@ -124,7 +138,7 @@ class Children:
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
-                env={**os.environ, **(environment or {})},
+                pass_fds=keep,
                 start_new_session=True,
                 preexec_fn=lambda: _die_with(parent),  # noqa: PLW1509 -- one C call, no lock
             )
@@ -140,12 +154,7 @@ class Children:
     def end(self) -> None:
         """End all children, the last started first; returns when none is left."""
         for child in reversed(self._children):
-            for number, patience_s in ((signal.SIGTERM, POLITE_S), (signal.SIGKILL, FIRM_S)):
-                if child.ended() is None:
-                    child.signal_group(number)
-                    child.wait(patience_s)
-            # The leader may be gone and have left others of its group.
-            child.signal_group(signal.SIGKILL)
+            child.end()
 
 
 def wait_until(

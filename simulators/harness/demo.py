@@ -1,0 +1,384 @@
+"""``linemate-sim demo``: daemon and emulators as separate processes, in real time, over real links.
+
+Law of this file: this process only starts, watches, orders and judges; not one datum of the run
+passes through it. What it knows of the run in the end comes from two files, the emulator's truth
+and the daemon's recording. However it ends, nothing that it started is left.
+"""
+
+import json
+import os
+import shutil
+import sys
+import tempfile
+import time
+from argparse import Namespace
+from collections.abc import Mapping
+from contextlib import closing, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from select import select
+from typing import Any
+
+import yaml
+
+from linemate.daemon.operator.client import Client, NoAnswerError, RefusedError
+from linemate.simulators.harness import host, joined, live, report_json, scenario_file, table
+from linemate.simulators.harness.judge import judge
+from linemate.simulators.harness.live import Glimpse, LinkGlimpse, View
+from linemate.simulators.harness.processes import (
+    Child,
+    ChildError,
+    Children,
+    interruptible,
+    wait_until,
+)
+from linemate.simulators.harness.run import leave
+from linemate.simulators.harness.setup import shipped_task
+from linemate.simulators.plants.scenario import Scenario
+
+START_S = 60.0
+STALL_S = 30.0
+END_S = 15.0
+LOOK_S = 0.1
+DAEMON_PRIORITY = 70
+EMULATOR_PRIORITY = 60
+SETTLE_S = 2.5
+"""A daemon's link that was not there is tried again within 2 s."""
+
+EX_UNAVAILABLE = 69
+
+
+class DemoError(Exception):
+    """The demonstration could not be brought to its end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Station:
+    """Where everything of one run is.
+
+    Attributes:
+        folder: temporary, for ports, logs and configurations.
+        scenario: of the run.
+    """
+
+    folder: Path
+    scenario: Scenario
+
+    @property
+    def truth(self) -> Path:
+        """The emulator's account."""
+        return self.folder / "truth.npz"
+
+    @property
+    def command_socket(self) -> Path:
+        """The daemon's door."""
+        return self.folder / "command.sock"
+
+    def daemon_file(self) -> dict[str, Any]:
+        """What the daemon is told; it learns of the emulator's plant nothing at all."""
+        return {
+            "task": "wheel.yaml",
+            "rsi": {"port": 0, "cycle_ms": round(1e3 * self.scenario.cycle_s)},
+            "distance": {"can": {"interface": "slcan", "channel": str(self.folder / "can")}},
+            "camera": {"port": 0},
+            "force_torque": {"url": str(self.folder / "force-torque")},
+            "command": {"socket": str(self.command_socket)},
+            "recording": {"directory": str(self.folder), "at_start": True},
+            "realtime": {"priority": DAEMON_PRIORITY, "lock_memory": True},
+        }
+
+    def emulator_file(self, listening: Mapping[str, Any]) -> dict[str, Any]:
+        """What the emulator is told; it learns of the daemon where it listens, no more.
+
+        Args:
+            listening: the daemon's own word, ports that the system chose among it.
+        """
+        return {
+            "scenario": "scenario.yaml",
+            "priority": EMULATOR_PRIORITY,
+            "robot_target": listening["robot"],
+            "camera_target": listening["camera"],
+            # Where the task's own distance sensor stands.
+            "distance_mount": shipped_task().file.conveyor.start_position,
+            "can_link": "can",
+            "serial_link": "force-torque",
+            # The world waits until the links stand, so that the run is the same on any machine.
+            "wait_answered": round(SETTLE_S / self.scenario.cycle_s),
+            "end_after_collision_s": 0.2,
+            "truth": str(self.truth),
+        }
+
+    def write(self, name: str, value: Mapping[str, Any]) -> Path:
+        """Write one of the files that the processes read."""
+        path = self.folder / f"{name}.yaml"
+        path.write_text(yaml.safe_dump(value, sort_keys=False), encoding="utf-8")
+        return path
+
+
+class Emulated:
+    """The emulator as this process sees it: the lines it prints."""
+
+    def __init__(self, child: Child) -> None:
+        self.child = child
+        self.ready: dict[str, Any] | None = None
+        self.state: dict[str, Any] = {}
+        self.end: dict[str, Any] | None = None
+        self._stream = child.log.open(encoding="utf-8", errors="replace")
+        self._rest = ""
+
+    def look(self) -> None:
+        """Take in what it has printed since."""
+        *lines, self._rest = (self._rest + self._stream.read()).split("\n")
+        for text in lines:
+            with suppress(ValueError):
+                self._take(json.loads(text))
+
+    def _take(self, told: Any) -> None:
+        match told:
+            case {"event": "ready"}:
+                self.ready = told
+            case {"event": "state"}:
+                self.state = told
+            case {"event": "end"}:
+                self.end = told
+            case _:  # a complaint on standard error that happens to be JSON
+                pass
+
+    def close(self) -> None:
+        """Look no more."""
+        self._stream.close()
+
+
+def main(args: Namespace) -> int:
+    """Run the demonstration.
+
+    Args:
+        args: scenario, cycle_ms, seed, out, json.
+
+    Returns:
+        0 assembled within limits, 1 not, 69 when it could not be brought to its end.
+
+    Raises:
+        FileError: what is wrong with the scenario's file.
+    """
+    truth = scenario_file.load(args.scenario)
+    scenario = replace(truth, seed=args.seed, cycle_s=round(args.cycle_ms * 1e-3, 9))
+    out = args.out or Path("out/demo")
+    refused = host.missing_rights()
+    if refused is not None:
+        print(_cost(refused), file=sys.stderr)
+    try:
+        with interruptible():
+            result = perform(scenario, out)
+    except (DemoError, ChildError, TimeoutError, NoAnswerError, RefusedError) as error:
+        print(f"linemate-sim demo: {error}", file=sys.stderr)
+        return EX_UNAVAILABLE
+    print(report_json.text(result) if args.json else _told(result, out))
+    return 0 if result["within_limits"] else 1
+
+
+def perform(scenario: Scenario, out: Path) -> dict[str, Any]:
+    """Run a scenario with everything in its place, judge it, and leave the results.
+
+    Args:
+        scenario: of the emulated station, seed and cycle included.
+        out: takes result.json, report.html, fig4.png, fig5.png and the recording.
+
+    Returns:
+        The result, as in result.json.
+
+    Raises:
+        ChildError: a process ended early.
+        DemoError, NoAnswerError, RefusedError, TimeoutError: what else went wrong.
+    """
+    with tempfile.TemporaryDirectory(prefix="linemate-") as name:
+        station = Station(Path(name), scenario)
+        status = _run(station)
+        recording = _only_recording(station.folder)
+        evidence = joined.evidence(station.truth, recording, scenario)
+        result = judge(evidence)
+        result["step_us"] = _step_us(status) or result["step_us"]
+        result["notes"] = _notes(status)
+        leave(out, result, evidence.rows)
+        kept = out / f"{scenario.name}-seed{scenario.seed}-{result['cycle_ms']:g}ms.mcap"
+        shutil.move(recording, kept)
+    return result
+
+
+def _run(station: Station) -> dict[str, Any]:
+    """Start both processes, see the run through, end both; return the daemon's last status."""
+    scenario, folder = station.scenario, station.folder
+    title = f"{scenario.name}, seed {scenario.seed}, {1e3 * scenario.cycle_s:g} ms"
+    with Children() as children, live.view(title) as view:
+        daemon, listening = _start_daemon(station, children)
+        station.write("scenario", scenario_file.to_plain(scenario))
+        told = station.write("emulator", station.emulator_file(listening))
+        child = children.start(
+            "emulator",
+            _command("simulators.harness.main", "emulator", "--config", str(told)),
+            folder / "emulator.log",
+        )
+        with closing(Emulated(child)) as emulated:
+            wait_until(lambda: _is_ready(emulated), children, START_S, "the emulator's links")
+            with Client.local(station.command_socket) as client:
+                status = _watch(station, emulated, daemon, client, view)
+        if daemon.end() != 0:
+            raise ChildError("daemon", "did not end well", daemon.tail())
+    return status
+
+
+def _start_daemon(station: Station, children: Children) -> tuple[Child, dict[str, Any]]:
+    """Start the daemon, and wait for its word of where it listens."""
+    told = station.write("daemon", station.daemon_file())
+    reading, writing = os.pipe()
+    with os.fdopen(reading, encoding="utf-8") as pipe:
+        try:
+            command = _command("daemon.service.main", "--config", str(told))
+            command += ["--ready-fd", str(writing)]
+            log = station.folder / "daemon.log"
+            daemon = children.start("daemon", command, log, keep=[writing])
+        finally:
+            os.close(writing)
+        # Readable when it has told, and as well when it has ended without a word.
+        wait_until(lambda: bool(select([pipe], [], [], 0)[0]), children, START_S, "the daemon")
+        line = pipe.readline()
+    if not line:
+        daemon.wait(END_S)
+        raise ChildError("daemon", "did not start", daemon.tail())
+    listening: dict[str, Any] = json.loads(line)
+    return daemon, listening
+
+
+def _watch(
+    station: Station, emulated: Emulated, daemon: Child, client: Client, view: View
+) -> dict[str, Any]:
+    """Arm, start, and look on until the emulator has ended; return the daemon's last status."""
+    operator = _Operator(client)
+    status: dict[str, Any] = {}
+    moved = time.monotonic()
+    last_s: float | None = None
+    while emulated.child.ended() is None:
+        daemon.check()
+        emulated.look()
+        status = operator.look()
+        view.show(_glimpse(station.scenario.cycle_s, emulated.state, status))
+        now_s = None if emulated.state.get("waiting", True) else emulated.state.get("time_s")
+        if now_s != last_s:
+            last_s, moved = now_s, time.monotonic()
+        if time.monotonic() - moved > STALL_S:
+            said = operator.refusal or f"the daemon is {status.get('state')}"
+            raise DemoError(f"nothing has moved for {STALL_S:g} s; {said}")
+        time.sleep(LOOK_S)
+    emulated.look()
+    if emulated.child.ended() != 0 or emulated.end is None:
+        raise ChildError("emulator", "did not end well", emulated.child.tail())
+    return status
+
+
+class _Operator:
+    """Arms and starts as soon as the daemon lets it, once, and reads the status."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+        self._started = False
+        self.refusal: str | None = None
+
+    def look(self) -> dict[str, Any]:
+        """Give the order that is due, and return the status."""
+        status = self._client.call("status", timeout_s=2.0)
+        order = {"idle": "arm", "armed": "start"}.get(str(status.get("state")))
+        if order is not None and not self._started:
+            try:
+                self._client.call(order, timeout_s=2.0)
+                self._started = order == "start"
+            except RefusedError as error:
+                self.refusal = f"{order} refused: {error}"
+        return status
+
+
+def _is_ready(emulated: Emulated) -> bool:
+    emulated.look()
+    return emulated.ready is not None
+
+
+def _glimpse(cycle_s: float, state: Mapping[str, Any], status: Mapping[str, Any]) -> Glimpse:
+    """What there is to see: the emulator's state and the daemon's status."""
+    waiting = bool(state.get("waiting", True))
+    telegrams = state.get("telegrams") or {}
+    turnaround = None if waiting else state.get("turnaround_us")
+    errors = []
+    if status.get("sensed") and status.get("target"):
+        pairs = zip(status["sensed"][:3], status["target"][:3], strict=True)
+        plan = 1e3 * sum((a - b) ** 2 for a, b in pairs) ** 0.5
+        errors.append(("plan", f"{plan:.2f} mm"))
+    if state.get("tcp_to_hub"):
+        away = 1e3 * sum(value**2 for value in state["tcp_to_hub"]) ** 0.5
+        errors.append(("tcp to hub", f"{away:.1f} mm"))
+    return Glimpse(
+        time_s=float(state.get("time_s", 0.0)),
+        state=str(status.get("state", "")),
+        phase=str(status.get("phase", "")),
+        task_time=status.get("task_time"),
+        scenario=str(status.get("scenario", "")),
+        tentative=status.get("scenario_state") == "tentative",
+        speed=status.get("speed"),
+        errors=tuple(errors),
+        links=_links(status),
+        slack_us=None if turnaround is None else 1e6 * cycle_s - turnaround["max"],
+        cycle_us=1e6 * cycle_s,
+        missed=None if waiting else sum(telegrams[kind] for kind in ("late", "lost", "refused")),
+        held="the world waits until the links stand" if waiting else status.get("held"),
+    )
+
+
+def _links(status: Mapping[str, Any]) -> tuple[LinkGlimpse, ...]:
+    links: Mapping[str, Mapping[str, Any]] = status.get("links") or {}
+    return tuple(
+        LinkGlimpse(
+            name,
+            told["counters"].get("samples", told["counters"].get("answered")),
+            None if told["age_s"] is None else 1e3 * told["age_s"],
+            "" if told["up"] else str(told["reason"]),
+        )
+        for name, told in links.items()
+    )
+
+
+def _step_us(status: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The daemon's own measurement of its steps, which no one else can make."""
+    told = status.get("step_us")
+    return told if isinstance(told, dict) else None
+
+
+def _notes(status: Mapping[str, Any]) -> list[str]:
+    """What whoever reads the result should know: what the host refused, what was not recorded."""
+    notes = [str(refusal) for refusal in status.get("host") or ()]
+    dropped = (status.get("recording") or {}).get("dropped")
+    if dropped:
+        notes.append(f"{dropped} steps were not recorded")
+    return notes
+
+
+def _cost(refused: str) -> str:
+    return (
+        f"without real-time rights ({refused}): replies come in time only while the machine has "
+        "nothing else to do; under load they may be late by tens of milliseconds. Grant "
+        "RLIMIT_RTPRIO (ulimit -r 98) or CAP_SYS_NICE to be rid of that."
+    )
+
+
+def _only_recording(folder: Path) -> Path:
+    found = sorted(folder.glob("*.mcap"))
+    if len(found) != 1:
+        raise DemoError(f"{len(found)} recordings of the daemon where there should be one")
+    return found[0]
+
+
+def _told(result: dict[str, Any], out: Path) -> str:
+    return f"{table.plain(result)}\n\n{out}/: " + ", ".join(
+        sorted(path.name for path in out.iterdir() if path.is_file())
+    )
+
+
+def _command(module: str, *words: str) -> list[str]:
+    return [sys.executable, "-m", f"linemate.{module}", *words]
