@@ -5,7 +5,9 @@ PYTHON ?= python3
 ARGS ?=
 PYTEST ?= .venv/bin/python -m pytest
 PREFIX ?= /opt/linemate
-DESTDIR ?=
+ETC ?= /etc/linemate
+UNITS ?= /etc/systemd/system
+BIN ?= /usr/local/bin
 
 .PHONY: help demo test lint format bench install clean
 
@@ -39,26 +41,41 @@ bench: .venv/.ok
 
 # Debian's python3 has no ensurepip and its pip refuses the system's site-packages:
 # an environment without pip, filled by a pip from outside, needs neither.
-.venv/.ok: pyproject.toml constraints.txt
+define environment
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
 		echo "linemate needs Python 3.11 or later; $(PYTHON) is $$($(PYTHON) --version 2>&1)." \
 		     "Another one: make PYTHON=python3.12 $(MAKECMDGOALS)" >&2; exit 1; }
-	$(PYTHON) -m venv --without-pip .venv
-	@set -e; what="-c constraints.txt -e .[dev]"; \
+	$(PYTHON) -m venv --without-pip $(1)
+	@set -e; what="-c constraints.txt $(2)"; \
 	if $(PYTHON) -m pip --version >/dev/null 2>&1; then \
-		set -x; $(PYTHON) -m pip --python .venv/bin/python install -q $$what; \
+		set -x; $(PYTHON) -m pip --python $(1)/bin/python install -q $$what; \
 	elif command -v uv >/dev/null; then \
-		set -x; uv pip install -q --python .venv/bin/python $$what; \
-	elif .venv/bin/python -m ensurepip >/dev/null 2>&1; then \
-		set -x; .venv/bin/python -m pip install -q $$what; \
+		set -x; uv pip install -q --python $(1)/bin/python $$what; \
+	elif $(1)/bin/python -m ensurepip >/dev/null 2>&1; then \
+		set -x; $(1)/bin/python -m pip install -q $$what; \
 	else \
 		echo "no way to install packages; on Debian: apt install python3-pip libgomp1 make" >&2; \
 		exit 1; \
 	fi
-	@.venv/bin/python -c 'import pinocchio' || { \
+	@$(1)/bin/python -c 'import pinocchio' || { \
 		echo "pinocchio does not load; its usual missing library is libgomp:" \
 		     "apt install libgomp1, then make again" >&2; exit 1; }
+endef
+
+.venv/.ok: pyproject.toml constraints.txt
+	$(call environment,.venv,-e .[dev])
 	@touch $@
+
+# As root. A configuration that is there already is left as it is.
+install:
+	$(call environment,$(PREFIX),.)
+	install -d $(UNITS) $(ETC) $(BIN)
+	sed 's|/opt/linemate|$(PREFIX)|g; s|/etc/linemate|$(ETC)|g' systemd/linemated.service \
+		> $(UNITS)/linemated.service
+	test -e $(ETC)/linemated.yaml || install -m 644 systemd/linemated.yaml $(ETC)/
+	ln -sf $(PREFIX)/bin/linemated $(PREFIX)/bin/linemate $(PREFIX)/bin/linemate-sim $(BIN)/
+	@echo "next: edit $(ETC)/linemated.yaml, then" \
+	      "systemctl daemon-reload && systemctl enable --now linemated"
 
 clean:
 	rm -rf out build .coverage .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -1,0 +1,1 @@
+"""The daemon: one pure sampling step, and the process that carries it."""

@@ -1,0 +1,1 @@
+"""The emulated station, and the runs against it."""

@@ -1,0 +1,1 @@
+"""The only room that sees the daemon and the plants together: runs, demo, judge, reports."""
