@@ -175,14 +175,15 @@ class App:
             raise StartError(str(error)) from error
         for link in self._sensors:
             link.open()
-        self._clock.open()
         recording = self._station.config.recording
         if recording is not None and recording.at_start and self._recorder is not None:
             reason = self._recorder.start()
             if reason is not None:
                 log.error("not recording: %s", reason)
         if self._station.config.realtime.freeze_collector:
+            # A last full collection takes some 50 ms: before the clock runs.
             self._collector.freeze()
+        self._clock.open()
 
     async def _close(self) -> None:
         self._clock.close()
