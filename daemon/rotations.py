@@ -141,3 +141,25 @@ def exp_each(r: Array, before: Array) -> Array:
     For some ten of them a loop is quicker than ``exp_many``.
     """
     return np.array([before @ exp(each) for each in r])
+
+
+def exp_quaternion(x: float, y: float, z: float) -> Quaternion:
+    """Return the unit quaternion, w first, of a rotation vector's components [rad]."""
+    angle = math.sqrt(x * x + y * y + z * z)
+    scale = 0.5 - angle * angle / 48.0 if angle < SMALL else math.sin(0.5 * angle) / angle
+    return (math.cos(0.5 * angle), scale * x, scale * y, scale * z)
+
+
+def multiply(p: Quaternion, q: Quaternion) -> Quaternion:
+    """Return the quaternion of rotation p after rotation q, w >= 0."""
+    a, b, c, d = p
+    w, x, y, z = q
+    product = (
+        a * w - b * x - c * y - d * z,
+        a * x + b * w + c * z - d * y,
+        a * y - b * z + c * w + d * x,
+        a * z + b * y - c * x + d * w,
+    )
+    if product[0] >= 0.0:
+        return product
+    return (-product[0], -product[1], -product[2], -product[3])

@@ -19,6 +19,7 @@ from linemate.daemon.horizon import Array
 from linemate.daemon.inputs import Inputs, Order
 from linemate.daemon.parameters import Parameters
 from linemate.daemon.tracking import tracker as tracking
+from linemate.daemon.tracking.reference import Reference
 from linemate.daemon.tracking.task import Phase
 from linemate.protocol.samples import RobotSample
 
@@ -62,9 +63,9 @@ class Outputs:
         scenario_state: ``confirmed`` or ``tentative``.
         confidence: log odds of the change that is weighed.
         events: of the classifier in this step.
-        target: x_c(k) = x_t(k, 0), the committed tcp.
-        sensed: x_f(k, 0), None before the object was seen.
-        part: the object's estimated pose, None before it was seen.
+        target: x_c(k) = x_t(k, 0), the committed tcp in base.
+        sensed: x_f(k, 0) in base, None before the object was seen.
+        part: the object's estimated pose in base, None before it was seen.
         speed: of the conveyor [m/s].
         horizon: (n+1, 6) x_t in the nominal frame, None while the robot does not track.
         contact: the tool is clamped to the object.
@@ -117,11 +118,15 @@ def _axis(parameters: Parameters, joints: Array) -> float:
     return float(joints[6]) if parameters.controller.arm.linear_axis else 0.0
 
 
-def _in_base(parameters: Parameters, pose: Array) -> Pose:
-    """Return a pose (6,) of c as position and quaternion in base."""
-    C = parameters.tracker.reference.nominal
-    x, y, z = (C @ pose[:3]).tolist()
-    return (x, y, z, *rotations.quaternion(C @ rotations.exp(pose[3:])))
+def _in_base(reference: Reference, pose: Array) -> Pose:
+    """Return a pose (6,) of c as position and quaternion in base; plain floats, it is hot."""
+    x, y, z, rx, ry, rz = pose.tolist()
+    (a, b, c), (d, e, f), (g, h, i) = reference.axes
+    position = (a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z)
+    return (
+        *position,
+        *rotations.multiply(reference.quaternion, rotations.exp_quaternion(rx, ry, rz)),
+    )
 
 
 def initial(parameters: Parameters, robot: RobotSample) -> State:
@@ -205,7 +210,7 @@ def _ready(state: State, parameters: Parameters) -> str | None:
     """Return why the task cannot start, None if it can."""
     if state.tracker.belief is None:
         return "no distance has been measured yet"
-    off = state.tracker.poses[0] - parameters.tracker.reference.poses(np.zeros(1))[0][0]
+    off = state.tracker.poses[0] - parameters.tracker.reference.rest
     if float(np.abs(off[:3]).max()) > REST_DISTANCE or float(np.abs(off[3:]).max()) > REST_ANGLE:
         return (
             f"the tcp is {1e3 * float(np.linalg.norm(off[:3])):.0f} mm and "
@@ -223,7 +228,7 @@ def _outputs(
     parameters: Parameters,
 ) -> Outputs:
     """Return what the step says."""
-    tracker = state.tracker
+    tracker, reference = state.tracker, parameters.tracker.reference
     signals = 0
     if tracker.fixing is not None:
         signals |= FIX_SCREWS
@@ -241,15 +246,15 @@ def _outputs(
         scenario_state="tentative" if report.tentative else "confirmed",
         confidence=report.confidence,
         events=report.events,
-        target=_in_base(parameters, tracker.poses[0]),
-        sensed=None if report.sensed is None else _in_base(parameters, report.sensed),
-        part=None if report.part is None else _in_base(parameters, report.part),
+        target=_in_base(reference, tracker.poses[0]),
+        sensed=None if report.sensed is None else _in_base(reference, report.sensed),
+        part=None if report.part is None else _in_base(reference, report.part),
         speed=report.speed,
         horizon=poses,
         contact=tracker.contact,
         overload=report.overload,
         finished=report.phase is Phase.DONE or withdrawn,
         held=held,
-        ready=_ready(state, parameters),
+        ready="under way" if state.moving else _ready(state, parameters),
         refused=report.refused,
     )

@@ -12,6 +12,8 @@ import pinocchio as pin
 
 from linemate.daemon.horizon import Array
 
+_LOCAL = pin.ReferenceFrame.LOCAL
+
 
 class KinematicsError(ValueError):
     """A URDF that this arm cannot be: the message says what is missing."""
@@ -42,6 +44,7 @@ class Arm:
     data: Any
     flange: int
     tcp_in_flange: Any
+    flange_in_tcp: Any
     linear_axis: bool
     lower: Array
     upper: Array
@@ -73,7 +76,7 @@ class Arm:
         Raises:
             UnreachableError: no convergence in 50 iterations.
         """
-        target = pin.SE3(rotation, position) * self.tcp_in_flange.inverse()
+        target = pin.SE3(rotation, position) * self.flange_in_tcp
         q = self._order(guess).copy()
         arm = slice(1, 7) if self.linear_axis else slice(0, 6)
         residual = np.inf
@@ -109,24 +112,27 @@ class Arm:
             UnreachableError: a pose that no iteration reaches.
         """
         model, data, flange = self.model, self.data, self.flange
-        off = self.tcp_in_flange.inverse()
+        off = self.flange_in_tcp
         arm = slice(1, 7) if self.linear_axis else slice(0, 6)
         q = np.column_stack((guesses[:, 6], guesses[:, :6])) if self.linear_axis else guesses
-        middle = q[len(q) // 2]
-        pin.computeJointJacobians(model, data, middle)
-        pin.updateFramePlacement(model, data, flange)
-        J = pin.getFrameJacobian(model, data, flange, pin.ReferenceFrame.LOCAL)[:, arm]
+        targets = rotations @ off.rotation
+        places = positions + rotations @ off.translation
         errors = np.empty((len(q), 6))
+        middle = len(q) // 2
         for i in range(len(q)):
-            pin.forwardKinematics(model, data, q[i])
-            here = pin.updateFramePlacement(model, data, flange)
-            errors[i] = pin.log6(here.actInv(pin.SE3(rotations[i], positions[i]) * off)).vector
-        try:
-            steps = np.linalg.solve(J, errors.T).T
-        except np.linalg.LinAlgError as error:  # a stretched wrist or elbow, exactly
-            raise UnreachableError(float(np.abs(errors).max())) from error
+            if i == middle:
+                pin.computeJointJacobians(model, data, q[i])
+                here = pin.updateFramePlacement(model, data, flange)
+                J = pin.getFrameJacobian(model, data, flange, _LOCAL)[:, arm]
+            else:
+                pin.framesForwardKinematics(model, data, q[i])
+                here = data.oMf[flange]
+            errors[i] = pin.log6(here.actInv(pin.SE3(targets[i], places[i]))).vector
         joints = guesses.copy()
-        joints[:, :6] += steps
+        try:
+            joints[:, :6] += np.linalg.solve(J, errors.T).T
+        except np.linalg.LinAlgError:
+            raise UnreachableError(float("inf")) from None
         largest = float(np.abs(errors).max())
         # The one Jacobian leaves a share of the correction that grows with its square.
         if not largest < 0.01:
@@ -167,6 +173,7 @@ def load(urdf: str, flange: str, position: Array, rotation: Array, *, linear_axi
         model.createData(),
         model.getFrameId(flange),
         pin.SE3(rotation, position),
+        pin.SE3(rotation, position).inverse(),
         linear_axis,
         np.array(lower),
         np.array(upper),

@@ -99,17 +99,41 @@ def _advance(state: GateState, acceleration: Array, period: float, desired: Arra
     )
 
 
-def _catch_up(state: GateState, desired: Array, period: float) -> Array:
+def _catch_up(state: GateState, desired: Array, limits: Limits, period: float) -> Array:
     """Return the acceleration that leads back to what is desired without overshoot.
 
     Taken where the direct way is closed: to be on the desired setpoint in one step from some way
-    off is a bang-bang that never ends. Critically damped, twelve steps to settle.
+    off is a bang-bang that never ends. The way left is closed at the speed from which half the
+    acceleration still stops in time, the speed reached as quickly as jerk lets it settle.
     """
     speed = (desired - state.desired) / period
     change = (speed - state.desired_speed) / period
-    w = 0.25 / period
+    gain = np.minimum(0.25 / period, 0.25 * limits.jerk / limits.acceleration)
+    half = 0.5 * limits.acceleration
     off = desired - (state.position + state.speed * period)
-    return change + 2.0 * w * (speed - state.speed) + w * w * off
+    c = 1.0 / gain + limits.acceleration / limits.jerk
+    closing = np.sign(off) * half * (np.sqrt(c * c + 2.0 * np.abs(off) / half) - c)
+    caught: Array = change + gain * (speed + closing - state.speed)
+    return caught
+
+
+def _stays(
+    state: GateState, wanted: Array, desired: Array, limits: Limits, period: float
+) -> Array:
+    """Tell for each axis whether it could stay on what is desired once it is there.
+
+    An axis that has followed so far always can. One that comes back from some way off may arrive
+    so fast that the next step throws it off again, for ever.
+    """
+    speed = (desired - state.desired) / period
+    arriving = state.speed + wanted * period
+    following = (2.0 * speed - state.desired_speed - arriving) / period
+    margin = 1e-6 * limits.acceleration
+    calm = np.abs(following) <= limits.acceleration + margin
+    smooth = np.abs(following - wanted) <= limits.jerk * period + margin
+    on_track = state.position == state.desired
+    stays: Array = on_track | (calm & smooth)
+    return stays
 
 
 def admit(
@@ -135,8 +159,9 @@ def admit(
     # A rounding of the differences is no violation: a millionth of the acceleration limit.
     margin = 1e-6 * limits.acceleration
     short = (wanted < low - margin) | (wanted > high + margin)
+    short |= ~_stays(state, wanted, desired, limits, period)
     if short.any():
-        wanted = np.where(short, _catch_up(state, desired, period), wanted)
+        wanted = np.where(short, _catch_up(state, desired, limits, period), wanted)
         taken = np.minimum(np.maximum(wanted, low), high)
         axes = ", ".join(name for name, held in zip(limits.names, short, strict=True) if held)
         return _advance(state, taken, period, desired), f"limited: {axes}"

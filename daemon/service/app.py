@@ -19,7 +19,7 @@ from typing import Any
 
 from linemate.daemon.inputs import Order
 from linemate.daemon.parameters import Parameters
-from linemate.daemon.service import parameter_list, realtime, schedule, states
+from linemate.daemon.service import parameter_list, realtime, states
 from linemate.daemon.service.clock import Clock
 from linemate.daemon.service.command_server import (
     CommandPort,
@@ -29,14 +29,16 @@ from linemate.daemon.service.command_server import (
     read_keys,
 )
 from linemate.daemon.service.config import Station, key_path
-from linemate.daemon.service.cycle import Cycle
-from linemate.daemon.service.histogram import Histogram
+from linemate.daemon.service.cycle import Cycle, LogEntry
+from linemate.daemon.service.incidents import IncidentFiles
 from linemate.daemon.service.notify import Notifier
+from linemate.daemon.service.pace import Pace
 from linemate.daemon.service.recorder import Recorder
 from linemate.daemon.service.schedule import Due, Kind
 from linemate.daemon.service.settings import Corrections
 from linemate.daemon.service.states import State
 from linemate.daemon.service.status import LinkView, Rates, Snapshot, status, telemetry
+from linemate.daemon.service.timing import CycleTimes, Timing
 from linemate.drivers.camera_udp import CameraLink
 from linemate.drivers.can_bus import CanLink
 from linemate.drivers.datagrams import Address
@@ -102,19 +104,20 @@ class App:
         self._rates = Rates()
         self._commands = _command_port(station, self._handle, self._telemetry)
         self._recorder = _recorder(station)
+        period_ns = round(parameters.cycle_s * 1e9)
+        lead_ms = config.realtime.lead_ms
+        lead_ns = None if lead_ms is None else round(lead_ms * 1e6)
         self._clock = Clock(
             self._on_due,
             self._failed,
-            self._robot.poll,
-            schedule.free(
-                round(parameters.cycle_s * 1e9),
-                time.monotonic_ns(),
-                round(config.realtime.lead_ms * 1e6),
-            ),
+            self._look,
+            Pace.free(period_ns, time.monotonic_ns(), lead_ns),
         )
         self._collector = realtime.Collector()
-        self._turnaround = Histogram()
-        self._stepping = Histogram()
+        self._timing = Timing(period_ns)
+        self._incidents = IncidentFiles(_folder(station, config.realtime.incidents))
+        self._arrival: int | None = None
+        self._times: _Times = _Times()
         self._began_ns = time.monotonic_ns()
         self._told_ns = 0
         self._telegram_ns: int | None = None
@@ -239,6 +242,7 @@ class App:
             self.counters["foreign_telegrams"] += 1
             return None
         began_ns = time.monotonic_ns()
+        ready = self.cycle.prepared
         try:
             reply = self.cycle.on_telegram(data, stamp_ns, source)
         except Exception as error:  # noqa: BLE001 - an unanswered telegram stops the robot
@@ -246,33 +250,56 @@ class App:
             return None
         if reply is None:
             return None
-        self._stepping.add(time.monotonic_ns() - began_ns)
+        if self.cycle.prepared == ready:
+            self._times.step_ns = time.monotonic_ns() - began_ns
         self._telegram_ns = stamp_ns
-        self._clock.telegram(stamp_ns)
-        self._later(answered=True)
+        self._arrival = stamp_ns
+        self._later()
         return reply
+
+    def _look(self) -> None:
+        """Answer telegrams that wait, so that none is called missing that is there already."""
+        self._robot.poll()
+        self._follow()
+
+    def _follow(self) -> None:
+        """Let the clock follow the telegram that was answered: after the reply, for it takes time."""
+        stamp_ns, self._arrival = self._arrival, None
+        verdict = self.cycle.verdict
+        if stamp_ns is None or verdict is None:
+            return
+        schedule = self._clock.schedule
+        self._times.expected_ns = schedule.next_ns if schedule.locked else None
+        self._times.lead_ns = schedule.lead_ns
+        anew = verdict.kind in {exchange.Kind.FIRST, exchange.Kind.NEW_SESSION}
+        self._clock.telegram(stamp_ns, verdict.missed + 1, anew=anew)
 
     def _on_due(self, due: Due) -> None:
         if due.kind is Kind.PREPARE:
+            self._times.woken_late_ns = self._clock.lateness.last_ns
+            began_ns = time.monotonic_ns()
             self.cycle.prepare(due.stamp_ns)
+            self._times.step_ns = time.monotonic_ns() - began_ns
             return
         lost_s = self._station.config.watch.link_lost_s
         if self._telegram_ns is None or due.stamp_ns - self._telegram_ns > lost_s * 1e9:
             self._clock.run_free()
+        elif self._clock.schedule.locked:
+            self._timing.incident("a telegram was missing", due.stamp_ns)
+        self._times.expected_ns = due.stamp_ns
         self.cycle.on_missing(due.stamp_ns)
-        self._later(answered=False)
+        self._later()
 
-    def _later(self, *, answered: bool) -> None:
+    def _later(self) -> None:
         """Do the rest in the loop's next turn: the link sends the reply in this one."""
         if not self._after_waits:
             self._after_waits = True
-            asyncio.get_running_loop().call_soon(self._after, answered)
+            asyncio.get_running_loop().call_soon(self._after)
 
-    def _after(self, answered: bool) -> None:
+    def _after(self) -> None:
         self._after_waits = False
-        if answered and self._robot.turnaround_ns is not None:
-            self._turnaround.add(self._robot.turnaround_ns)
         try:
+            self._follow()
             self._tell()
         except Exception as error:  # noqa: BLE001 - what fails here costs no reply
             self._failed(error)

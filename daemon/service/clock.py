@@ -1,6 +1,6 @@
-"""The sampling clock: a timerfd that the loop watches, driven by the schedule.
+"""The sampling clock: a timerfd that the loop watches, driven by the pace.
 
-Law of this file: the timer and nothing else; which step is due is ``schedule``'s. asyncio's own
+Law of this file: the timer and nothing else; which step is due is ``pace``'s. asyncio's own
 timers round to a millisecond, a timerfd wakes within 0.1 ms. Stamps are absolute, so a late wake
 does not delay the next one. Source: reference/real-time.md, sections 1 and 5.
 """
@@ -14,8 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from linemate.daemon.service import schedule as scheduling
-from linemate.daemon.service.schedule import Due, Schedule
+from linemate.daemon.service.pace import Pace
+from linemate.daemon.service.schedule import Due, Kind, Schedule
 
 CLOCK_MONOTONIC: Final = 1
 TFD_FLAGS: Final = os.O_NONBLOCK | os.O_CLOEXEC
@@ -109,18 +109,23 @@ class Clock:
         on_due: does it; what it raises is the caller's to count and never stops the clock.
         on_error: told of what ``on_due`` raised.
         look: takes telegrams that wait, so that none is called missing that is there already.
-        schedule: where it stands.
+        pace: which step is due when.
         lateness: of the wakes.
     """
 
     on_due: Callable[[Due], None]
     on_error: Callable[[Exception], None]
     look: Callable[[], None]
-    schedule: Schedule
+    pace: Pace
     lateness: Lateness = field(default_factory=Lateness)
     _timer: Timer | None = None
     _loop: asyncio.AbstractEventLoop | None = None
     _armed_ns: int = 0
+
+    @property
+    def schedule(self) -> Schedule:
+        """Where the schedule stands."""
+        return self.pace.schedule
 
     def open(self) -> None:
         """Run on the running loop."""
@@ -136,21 +141,23 @@ class Clock:
             self._timer.close()
             self._timer = None
 
-    def telegram(self, stamp_ns: int) -> None:
+    def telegram(self, stamp_ns: int, cycles: int = 1, *, anew: bool = False) -> None:
         """A telegram was answered: follow it.
 
         Args:
             stamp_ns: its arrival [ns].
+            cycles: of the controller since the telegram before.
+            anew: it begins a session.
         """
-        self.schedule = scheduling.on_telegram(self.schedule, stamp_ns)
+        self.pace.telegram(stamp_ns, cycles, anew=anew)
         self._arm()
 
     def run_free(self) -> None:
         """The robot is gone; keep the period alone."""
-        self.schedule = scheduling.run_free(self.schedule)
+        self.pace.run_free()
 
     def _arm(self) -> None:
-        self._armed_ns = scheduling.wake_ns(self.schedule)
+        self._armed_ns = self.pace.wake_ns
         if self._timer is not None:
             self._timer.arm(self._armed_ns)
 
@@ -158,14 +165,17 @@ class Clock:
         if self._timer is None or self._timer.read() == 0:
             return
         now_ns = time.monotonic_ns()
+        armed_ns = self._armed_ns
         # A telegram in the same turn of the loop may have moved the wake into the future.
-        if now_ns >= self._armed_ns:
-            self.lateness.note(now_ns - self._armed_ns, self.schedule.period_ns // 4)
+        if now_ns >= armed_ns:
+            self.lateness.note(now_ns - armed_ns, self.schedule.period_ns // 4)
         self.look()
-        self.schedule, due = scheduling.on_wake(self.schedule, now_ns)
-        for one in due:
+        for one in self.pace.wake(now_ns):
             try:
                 self.on_due(one)
             except Exception as error:  # noqa: BLE001 - the clock must outlive a fault
                 self.on_error(error)
+            if one.kind is Kind.PREPARE:
+                began_ns = one.stamp_ns - self.schedule.lead_ns
+                self.pace.prepared(time.monotonic_ns() - began_ns)
         self._arm()

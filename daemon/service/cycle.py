@@ -16,7 +16,7 @@ from linemate.daemon.parameters import Parameters
 from linemate.daemon.service import states, watch
 from linemate.daemon.service.states import Machine
 from linemate.daemon.tracking.task import Phase
-from linemate.protocol.exchange import Exchange
+from linemate.protocol.exchange import Exchange, Verdict
 from linemate.protocol.rsi import PreparedReply, RobotTelegram, RsiCodec, RsiError, SensorTelegram
 from linemate.protocol.samples import CameraSample, DistanceSample, RobotSample, WrenchSample
 
@@ -104,6 +104,7 @@ class Cycle:
         self.steps = 0
         self.log_dropped = 0
         self.last: LogEntry | None = None
+        self.verdict: Verdict | None = None
         self._settings = watch_settings or watch.WatchSettings()
         self._absolute = absolute
         self._wrench_expected = wrench_expected
@@ -176,7 +177,7 @@ class Cycle:
             self.refused += 1
             self.last_refusal = str(error)
             return None
-        verdict = self.exchange.on_telegram(telegram.ipoc, stamp_ns, peer)
+        verdict = self.verdict = self.exchange.on_telegram(telegram.ipoc, stamp_ns, peer)
         if not verdict.answer:
             return None
         if self._state is None or verdict.kind in {"first", "new_session"}:

@@ -95,6 +95,26 @@ def on_telegram(schedule: Schedule, stamp_ns: int) -> Schedule:
     return replace(schedule, next_ns=phase_ns + period_ns, prepared=False, locked=True)
 
 
+def follow(schedule: Schedule, next_ns: int, period_ns: int, lead_ns: int) -> Schedule:
+    """A telegram was answered, and somebody foresees the next one.
+
+    Args:
+        schedule: before it.
+        next_ns: when the next telegram is expected [ns].
+        period_ns: the controller's cycle [ns].
+        lead_ns: how long before it the step is prepared [ns], 0: never.
+    """
+    return Schedule(
+        period_ns=period_ns,
+        next_ns=next_ns,
+        grace_ns=period_ns // 2,
+        lead_ns=lead_ns,
+        prepared=False,
+        locked=True,
+        skipped=schedule.skipped,
+    )
+
+
 def run_free(schedule: Schedule) -> Schedule:
     """The robot is gone: the next telegram sets the phase, however late it seems."""
     return replace(schedule, locked=False)
@@ -102,7 +122,7 @@ def run_free(schedule: Schedule) -> Schedule:
 
 def wake_ns(schedule: Schedule) -> int:
     """When something is due next [ns]."""
-    if schedule.lead_ns and not schedule.prepared:
+    if _prepares(schedule):
         return schedule.next_ns - schedule.lead_ns
     return schedule.next_ns + schedule.grace_ns
 
@@ -122,10 +142,15 @@ def on_wake(schedule: Schedule, now_ns: int) -> tuple[Schedule, tuple[Due, ...]]
     while schedule.next_ns + schedule.grace_ns <= now_ns:
         due.append(Due(Kind.MISSING, schedule.next_ns))
         schedule = replace(schedule, next_ns=schedule.next_ns + schedule.period_ns, prepared=False)
-    if schedule.lead_ns and not schedule.prepared and wake_ns(schedule) <= now_ns:
+    if _prepares(schedule) and wake_ns(schedule) <= now_ns:
         due.append(Due(Kind.PREPARE, schedule.next_ns))
         schedule = replace(schedule, prepared=True)
     return schedule, tuple(due)
+
+
+def _prepares(schedule: Schedule) -> bool:
+    """Nothing is prepared for a robot that is not there."""
+    return schedule.locked and not schedule.prepared and schedule.lead_ns > 0
 
 
 def _skip(schedule: Schedule, now_ns: int) -> Schedule:

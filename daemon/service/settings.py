@@ -169,7 +169,10 @@ class RealtimeSettings:
         cpus: the only cores used, empty leaves them alone.
         timer_slack_ns: None leaves it alone.
         cpu_dma_latency_us: deepest sleep allowed to the cores, None leaves it alone.
-        lead_ms: how long before its telegram a reply is prepared; 0: when the telegram comes.
+        lead_ms: how long before its telegram a reply is prepared; 0: when the telegram comes;
+            None: as long before as steps have lately needed.
+        incidents: directory for the times of the last two seconds, written when a deadline is
+            missed or a fault is entered; it must exist. None keeps them nowhere.
         freeze_collector: freeze and disable the garbage collector once ready.
     """
 
@@ -178,7 +181,8 @@ class RealtimeSettings:
     cpus: Annotated[tuple[Annotated[int, Ge(0), Le(4095)], ...], Len(0, 1024)] = ()
     timer_slack_ns: Annotated[int, Ge(1), Le(1_000_000)] | None = None
     cpu_dma_latency_us: Annotated[int, Ge(0), Le(1_000_000)] | None = None
-    lead_ms: Annotated[float, Ge(0.0), Le(5.0)] = 0.0
+    lead_ms: Annotated[float, Ge(0.0), Le(5.0)] | None = None
+    incidents: Text | None = None
     freeze_collector: bool = True
 
 

@@ -14,6 +14,7 @@ needs no bank of its own.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -53,6 +54,17 @@ class Bank:
     A: Array
     B: Array
     age: Array
+
+
+@lru_cache(maxsize=16)
+def _transition(dt: float, ripple_time: float) -> Array:
+    """Return A of (5): ripple is a speed that dies out."""
+    F = np.eye(5)
+    F[Y, V], F[Y, RIPPLE], F[Y, ACCELERATION] = dt, dt, 0.5 * dt * dt
+    F[V, ACCELERATION] = dt
+    F[RIPPLE, RIPPLE] = math.exp(-dt / ripple_time)
+    F.setflags(write=False)
+    return F
 
 
 def empty_bank() -> Bank:
@@ -108,15 +120,6 @@ class BankClassifier:
             Motion.STARTING: -(stop + start),
         }[motion]
 
-    def _transition(self, dt: float) -> Array:
-        """Return A of (5): ripple is a speed that dies out."""
-        F = np.eye(5)
-        decay = math.exp(-dt / self.fusion.ripple_time)
-        F[Y, V], F[Y, RIPPLE], F[Y, ACCELERATION] = dt, dt, 0.5 * dt * dt
-        F[V, ACCELERATION] = dt
-        F[RIPPLE, RIPPLE] = decay
-        return F
-
     def _process_noise(self, state: BankState, dt: float) -> Array:
         """Return the diagonal of Q: the ripple is stationary and stands with the conveyor."""
         fusion = self.fusion
@@ -136,22 +139,22 @@ class BankClassifier:
 
     def _predict(self, state: BankState, dt: float) -> BankState:
         """Return (5), (6), the bank one step older, and a new hypothesis "now"."""
-        F = self._transition(dt)
+        F = _transition(dt, self.fusion.ripple_time)
         x = F @ state.x
         P = F @ state.P @ F.T
         P.flat[::6] += self._process_noise(state, dt)
         bank = state.bank
         if state.age > SETTLING:
-            keep = min(len(bank.age), round(self.bank.longest_onset / dt) - 1)
-            absorbed = np.zeros((keep + 1, 5))
-            absorbed[1:] = bank.absorbed[:keep] @ F.T
-            zero = np.zeros(1)
-            bank = Bank(
-                absorbed,
-                np.concatenate((zero, bank.A[:keep])),
-                np.concatenate((zero, bank.B[:keep])),
-                np.concatenate((zero, bank.age[:keep])) + dt,
-            )
+            size = min(len(bank.age) + 1, round(self.bank.longest_onset / dt))
+            absorbed = np.zeros((size, 5))
+            evidence = np.zeros((3, size))
+            if size > 1:
+                absorbed[1:] = bank.absorbed[: size - 1] @ F.T
+                evidence[0, 1:] = bank.A[: size - 1]
+                evidence[1, 1:] = bank.B[: size - 1]
+                evidence[2, 1:] = bank.age[: size - 1]
+            evidence[2] += dt
+            bank = Bank(absorbed, evidence[0], evidence[1], evidence[2])
         state = replace(
             state, x=x, P=P, bank=bank, age=state.age + dt, since=state.since + dt, events=()
         )
@@ -172,45 +175,47 @@ class BankClassifier:
         seen = 1.0 if row.source is Source.DISTANCE else 0.0
         return np.array((1.0, -row.delay, -row.delay, seen, row.delay * back - 0.5 * back * back))
 
-    def _correct(self, state: BankState, row: Row) -> BankState:
-        """Return (2)-(4) for one row, null filter and bank alike, gated."""
-        h = self._row(row, state.since)
-        Ph = state.P @ h
-        S = float(h @ Ph) + row.variance
-        nu = row.value - float(h @ state.x)
-        bank = state.bank
-        u = np.maximum(bank.age - row.delay, 0.0)
-        rho = 0.5 * self._change(state.motion) * u * u - bank.absorbed @ h
-        if not self._plausible(state, nu, rho, row.gate * math.sqrt(S)):
-            refusals = state.refused.get(row.source, 0) + 1
-            if refusals < REFUSALS:
-                return replace(state, refused={**state.refused, row.source: refusals})
-            # Locked out: the filter is wrong, not eight of one sensor's readings in a row.
-            P = state.P.copy()
-            P[Y, Y] += nu * nu
-            P[V, V] += (0.5 * self.conveyor.nominal_speed) ** 2
-            P[OFFSET, OFFSET] += nu * nu
-            return replace(
-                state, P=P, bank=empty_bank(), age=0.0, refused={}, odds=-30.0, tentative=False
-            )
-        K = Ph / S
-        bank = Bank(
-            bank.absorbed + np.outer(rho, K),
-            bank.A + rho * rho / S,
-            bank.B + rho * (nu / S),
-            bank.age,
-        )
-        refused = state.refused
-        if refused.get(row.source):
-            refused = {**refused, row.source: 0}
+    def _correct(self, state: BankState, rows: Sequence[Row]) -> BankState:
+        """Return (2)-(4) for some rows, null filter and bank alike, each gated."""
+        x, P, bank, refused = state.x, state.P, state.bank, state.refused
+        absorbed, A, B = bank.absorbed, bank.A, bank.B
+        half = 0.5 * self._change(state.motion)
+        for row in rows:
+            h = self._row(row, state.since)
+            Ph = P @ h
+            S = float(h @ Ph) + row.variance
+            nu = row.value - float(h @ x)
+            u = np.maximum(bank.age - row.delay, 0.0)
+            rho = half * u * u - absorbed @ h
+            gate = row.gate * math.sqrt(S)
+            if abs(nu) > gate and not self._plausible(state, nu, rho, gate):
+                refusals = refused.get(row.source, 0) + 1
+                refused = {**refused, row.source: refusals}
+                if refusals >= REFUSALS:
+                    return self._widened(replace(state, x=x, P=P), nu)
+                continue
+            if refused.get(row.source):
+                refused = {**refused, row.source: 0}
+            K = Ph / S
+            x = x + K * nu
+            P = P - K[:, None] * Ph
+            absorbed = absorbed + rho[:, None] * K
+            A = A + rho * rho / S
+            B = B + rho * (nu / S)
+        return replace(state, x=x, P=P, bank=Bank(absorbed, A, B, bank.age), refused=refused)
+
+    def _widened(self, state: BankState, nu: float) -> BankState:
+        """Return the state opened up: the filter is wrong, not eight of one sensor's readings."""
+        P = state.P.copy()
+        P[Y, Y] += nu * nu
+        P[OFFSET, OFFSET] += nu * nu
+        P[V, V] += (0.5 * self.conveyor.nominal_speed) ** 2
         return replace(
-            state, x=state.x + K * nu, P=state.P - np.outer(K, Ph), bank=bank, refused=refused
+            state, P=P, bank=empty_bank(), age=0.0, refused={}, odds=-30.0, tentative=False
         )
 
     def _plausible(self, state: BankState, nu: float, rho: Array, gate: float) -> bool:
         """Tell whether an innovation lies in the range that the live hypotheses span."""
-        if abs(nu) < gate:
-            return True
         if not state.tentative or len(rho) == 0:
             return False
         expected = float(self._weights(state.bank) @ rho)
@@ -250,9 +255,11 @@ class BankClassifier:
     def advance(self, state: BankState, rows: Sequence[Row], dt: float) -> BankState:
         """Return the belief one step later, its class decided."""
         state = self._predict(state, dt)
-        state = replace(state, contact=any(row.source is Source.TACTILE for row in rows))
-        for row in rows:
-            state = self._correct(state, row)
+        if rows:
+            state = self._correct(state, rows)
+        contact = any(row.source is Source.TACTILE for row in rows)
+        if contact is not state.contact:
+            state = replace(state, contact=contact)
         return self._settle(self._decide(state), dt)
 
     def _decide(self, state: BankState) -> BankState:
@@ -266,6 +273,8 @@ class BankClassifier:
         settings = self.bank
         limit = settings.stop_confirmed if word == "stop" else settings.start_confirmed
         state = replace(state, odds=odds)
+        if odds < min(limit, settings.perceived) and not state.tentative:
+            return state
         if odds > limit:
             events = [*state.events, (word, "tentative"), (word, "confirmed")]
             if state.tentative:

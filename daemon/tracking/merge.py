@@ -67,5 +67,5 @@ def merge(old: Array, goal: Array, matrices: Array, commit: int) -> Array:
     merged = np.empty_like(goal)
     merged[: commit + 1] = old[1 : commit + 2]
     history = (merged[: commit + 1] - goal[: commit + 1])[: commit - ORDER : -1]  # (5, d)
-    merged[commit + 1 :] = goal[commit + 1 :] + np.einsum("dij,jd->id", matrices, history)
+    merged[commit + 1 :] = goal[commit + 1 :] + (matrices @ history.T[:, :, None])[:, :, 0].T
     return merged

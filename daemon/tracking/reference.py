@@ -11,6 +11,7 @@ import numpy as np
 from linemate.daemon import rotations
 from linemate.daemon.horizon import Array
 from linemate.daemon.tracking.task import Frame, Gate, Phase, TaskFile
+from linemate.protocol.samples import Quaternion
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,6 +29,9 @@ class Reference:
         gates: of each waypoint.
         turned: some waypoint is turned against the object.
         contact_time: when contact is planned [s]; infinity if it is not.
+        rest: (6,) the first pose, where the robot waits, in c.
+        axes: C as plain floats.
+        quaternion: C as a quaternion.
     """
 
     nominal: Array
@@ -40,6 +44,9 @@ class Reference:
     gates: tuple[Gate, ...]
     turned: bool
     contact_time: float
+    rest: Array
+    axes: tuple[tuple[float, ...], ...]
+    quaternion: Quaternion
 
     def time_of(self, *phases: Phase) -> float:
         """Return when the first of some phases begins [s]; infinity if the task has none."""
@@ -102,19 +109,24 @@ def compile_reference(task: TaskFile) -> Reference:
         else:
             row[:3] = point.pose.position
         row[3:] = rotations.log(R)
+    origin = C.T @ np.array(task.object.nominal.position)
+    travels = np.array([float(point.frame is Frame.OBJECT) for point in task.waypoints])
     contact = [
         point.time for point in task.waypoints if point.phase in {Phase.CONTACT, Phase.SCREWS}
     ]
     return Reference(
         nominal=C,
-        origin=C.T @ np.array(task.object.nominal.position),
+        origin=origin,
         speed=task.conveyor.nominal_speed,
         times=times,
         points=points,
-        travels=np.array([float(point.frame is Frame.OBJECT) for point in task.waypoints]),
+        travels=travels,
         phases=tuple(point.phase for point in task.waypoints),
         gates=tuple(point.gate for point in task.waypoints),
         turned=bool(np.abs(points[:, 3:]).max() > 1e-12),
+        axes=tuple(tuple(row) for row in C.tolist()),
+        quaternion=rotations.quaternion(C),
+        rest=points[0] + travels[0] * np.concatenate((origin, np.zeros(3))),
         contact_time=min(contact, default=float("inf")),
     )
 

@@ -8,6 +8,7 @@ of (8): the oscillator is in A, and no phase grows with k.
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from linemate.daemon.tracking.settings import FusionSettings, SwingMode
 
 X, Z, TURN = 0, 1, 2  # rows of x, z, and of the first of three turns
 STATIC = 5  # states that do not swing
+_ACROSS = np.array((0, 2))
+_SEEN = np.array((0, 2, 3, 4, 5))
 SWING_DEVIATION = 0.008  # of a swing nobody has seen yet [rad]
 REFUSALS = 4  # gated sightings in a row after which the filter widens
 
@@ -67,18 +70,10 @@ class Transverse:
 
     def predict(self, state: TransverseState, dt: float) -> TransverseState:
         """Return (5), (6): what stands stays, what swings turns its phase."""
-        size = len(state.x)
-        F = np.eye(size)
-        noise = np.empty(size)
-        noise[:TURN] = self.fusion.position**2 * dt
-        noise[TURN:STATIC] = self.fusion.angle**2 * dt
-        noise[STATIC:] = self.fusion.swing**2 * dt
-        for m, mode in enumerate(self.swing):
-            i = STATIC + 2 * m
-            F[i : i + 2, i : i + 2] = _oscillation(mode, dt)
+        F, noise = _model(self.fusion, self.swing, dt)
         P = F @ state.P @ F.T
-        P.flat[:: size + 1] += noise
-        return replace(state, x=F @ state.x, P=P)
+        P.flat[:: len(noise) + 1] += noise
+        return TransverseState(F @ state.x, P, state.rotation, state.refused)
 
     def rows(self, delay: float) -> Array:
         """Return the rows (5, n) of (8) for x, z and the three turns, ``delay`` s ago."""
@@ -97,32 +92,32 @@ class Transverse:
     ) -> tuple[TransverseState, bool]:
         """Return the belief after one sighting, and whether it was believed.
 
-        One component after another, (2)-(4); a sighting of which any component lies beyond the
-        gate is refused whole. After some refusals in a row the filter widens instead: gates that
-        cannot open again would lock a real step out for ever.
+        (2)-(4) for all components at once, which for independent noise is the same as one after
+        another; a sighting of which any component lies beyond the gate is refused whole. After
+        some refusals in a row the filter widens instead: gates that cannot open again would lock
+        a real step out for ever.
         """
         H = self.rows(sighting.delay)
         swing = H[TURN:STATIC, STATIC:] @ state.x[STATIC:]
         turn = rotations.log(sighting.rotation @ (rotations.exp(swing) @ state.rotation).T)
         measured = np.empty(STATIC)
-        measured[:TURN] = sighting.position[[0, 2]] - H[:TURN] @ state.x
+        measured[:TURN] = sighting.position[_ACROSS] - H[:TURN] @ state.x
         measured[TURN:] = turn
-        variance = sighting.variance[[0, 2, 3, 4, 5]]
-        S = np.einsum("ij,jk,ik->i", H, state.P, H) + variance
-        if bool((measured * measured > gate * gate * S).any()):
+        P, variance = state.P, sighting.variance[_SEEN]
+        PH = P @ H.T
+        S = H @ PH
+        S.flat[:: STATIC + 1] += variance
+        if bool((measured * measured > gate * gate * S.diagonal()).any()):
             if state.refused + 1 < REFUSALS:
                 return replace(state, refused=state.refused + 1), False
-            P = state.P.copy()
+            P = P.copy()
             P.flat[: STATIC * (len(P) + 1) : len(P) + 1] += measured * measured
-            state = replace(state, P=P)
-        x, P = state.x.copy(), state.P
-        start = x.copy()
-        for i in range(STATIC):
-            h = H[i]
-            Ph = P @ h
-            K = Ph / (float(h @ Ph) + variance[i])
-            x = x + K * (measured[i] - float(h @ (x - start)))
-            P = P - np.outer(K, Ph)
+            PH = P @ H.T
+            S = H @ PH
+            S.flat[:: STATIC + 1] += variance
+        K = np.linalg.solve(S, PH.T).T
+        x = state.x + K @ measured
+        P = P - K @ PH.T
         rotation = rotations.exp(x[TURN:STATIC]) @ state.rotation
         x[TURN:STATIC] = 0.0
         return TransverseState(x, 0.5 * (P + P.T), rotation), True
@@ -137,6 +132,22 @@ class Transverse:
                 c * np.cos(w * times) + s * np.sin(w * times)
             )
         return angles
+
+
+@lru_cache(maxsize=16)
+def _model(fusion: FusionSettings, swing: tuple[SwingMode, ...], dt: float) -> tuple[Array, Array]:
+    """Return A of (5) and the diagonal of Q: what stands stays, what swings turns its phase."""
+    size = STATIC + 2 * len(swing)
+    F = np.eye(size)
+    noise = np.empty(size)
+    noise[:TURN] = fusion.position**2 * dt
+    noise[TURN:STATIC] = fusion.angle**2 * dt
+    noise[STATIC:] = fusion.swing**2 * dt
+    for m, mode in enumerate(swing):
+        i = STATIC + 2 * m
+        F[i : i + 2, i : i + 2] = _oscillation(mode, dt)
+    F.setflags(write=False)
+    return F, noise
 
 
 def _oscillation(mode: SwingMode, dt: float) -> Array:

@@ -51,7 +51,7 @@ LIMITS: tuple[AxisLimit, ...] = (
     _rotary(-350.0, 350.0, 136.0),
     _rotary(-122.5, 122.5, 129.0),
     _rotary(-350.0, 350.0, 206.0),
-    AxisLimit(-5.0, 6.5, 1.5, 5.0, 500.0),
+    AxisLimit(-5.0, 6.5, 1.5, 15.0, 4000.0),
 )
 """A heavy six-axis arm on a linear axis, A1..A6 and E1: limits of setpoints, which lead a slow
 servo and so ask for several times the acceleration and jerk that the arm itself makes."""

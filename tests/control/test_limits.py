@@ -199,7 +199,7 @@ def caught_up(jump: float, period: float) -> tuple[Run, Array]:
 
 
 @pytest.mark.parametrize("period", CYCLES)
-@pytest.mark.parametrize("jump", [0.001, 0.02, 0.3, -0.3])
+@pytest.mark.parametrize("jump", [0.01, 0.02, 0.3, -0.3])
 def test_after_a_jump_the_arm_catches_up_and_passes_again_bit_for_bit(
     jump: float, period: float
 ) -> None:
@@ -209,9 +209,6 @@ def test_after_a_jump_the_arm_catches_up_and_passes_again_bit_for_bit(
     assert np.array_equal(result.commands[-50:, :6], desired[-50:, :6])
 
 
-@pytest.mark.xfail(
-    strict=True, reason="at 4 ms the gate lands on E1's setpoint too fast to stay there, for ever"
-)
 @pytest.mark.parametrize("jump", [0.001, -0.3])
 def test_after_a_jump_the_linear_axis_catches_up_too(jump: float) -> None:
     result, desired = caught_up(jump, 0.004)
