@@ -1,0 +1,326 @@
+"""Across the conveyor: found, believed, predicted; with filterpy and chi-square as witnesses."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import linalg, stats
+
+from linemate.daemon import rotations
+from linemate.daemon.horizon import Array
+from linemate.daemon.tracking.observation import Sighting
+from linemate.daemon.tracking.settings import CameraNoise, FusionSettings, SwingMode
+from linemate.daemon.tracking.transverse import STATIC, TURN, Transverse, TransverseState
+
+T0 = 0.012
+FRAME = 0.025  # of a camera with 40 Hz
+MODE = SwingMode()
+FILTER = Transverse(FusionSettings(), (MODE,))
+GATE = CameraNoise().gate
+CHECKS = 4  # instants of a run at which its NEES is taken
+OMEGA = 2.0 * math.pi * MODE.frequency_hz
+VARIANCE = np.array((0.3e-3, 0.3e-3, 0.6e-3, 0.8e-3, 0.8e-3, 0.8e-3)) ** 2
+OFF = math.radians(23.0) * np.array((0.4, -0.5, 0.768))
+
+
+def angle(t: float | Array, amplitude: float = 0.006, phase: float = 0.7) -> Array:
+    """The swing (8), written by its own formula: begins at ``phase`` and dies out."""
+    decay = np.exp(-MODE.damping * OMEGA * np.asarray(t))
+    return np.asarray(amplitude * decay * np.cos(OMEGA * np.asarray(t) + phase))
+
+
+def seen(
+    place: Array, rotation: Array, swing: float, delay: float, noise: Array | None = None
+) -> Sighting:
+    """What is measured of an object at rest at ``place`` that is turned by ``swing`` about y."""
+    off = np.zeros(6) if noise is None else noise
+    position = place + swing * np.array(MODE.levers) + off[:3]
+    turned = rotations.exp(off[3:]) @ rotations.exp(np.array((0.0, swing, 0.0))) @ rotation
+    return Sighting(position, turned, delay, VARIANCE)
+
+
+PLACE = np.array((-1.06, 0.3, 2.17))
+
+
+def run(
+    seconds: float,
+    *,
+    amplitude: float = 0.0,
+    delay: float = 0.1,
+    jitter: float = 0.0,
+    seed: int | None = None,
+    rotation: Array | None = None,
+) -> TransverseState:
+    """A filter that starts as the tracker starts it and then runs at 12 ms with 40 images/s."""
+    rng = np.random.default_rng(seed)
+    turned = rotations.exp(OFF) if rotation is None else rotation
+
+    def look(now: float) -> Sighting:
+        late = delay + jitter * rng.uniform(-1.0, 1.0)
+        noise = rng.normal(0.0, np.sqrt(VARIANCE)) if seed is not None else None
+        return seen(PLACE, turned, float(angle(now - late, amplitude)), late, noise)
+
+    state = FILTER.initial([look(-FRAME * i) for i in range(4, -1, -1)])
+    due = FRAME
+    for k in range(1, round(seconds / T0) + 1):
+        state = FILTER.predict(state, T0)
+        while due <= k * T0:
+            state, taken = FILTER.correct(state, look(k * T0), GATE)
+            assert taken
+            due += FRAME
+    return state
+
+
+def off(state: TransverseState, rotation: Array) -> float:
+    return float(np.linalg.norm(rotations.log(state.rotation @ rotation.T)))
+
+
+def test_an_object_at_rest_and_23_degrees_off_is_found() -> None:
+    state = run(4.0)
+    assert np.allclose(state.x[:2], PLACE[[0, 2]], atol=1e-6)
+    assert off(state, rotations.exp(OFF)) < 1e-6
+    noisy = run(4.0, seed=1)
+    assert np.abs(noisy.x[:2] - PLACE[[0, 2]]).max() < 4e-4
+    assert off(noisy, rotations.exp(OFF)) < 6e-4
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3), st.floats(0.0, 2.5))
+def test_the_orientation_may_be_off_by_any_turn(axis: list[float], size: float) -> None:
+    turn = np.array(axis) * size / max(float(np.linalg.norm(axis)), 0.1)
+    sightings = [seen(PLACE, rotations.exp(turn), 0.0, 0.1)] * 5
+    state = FILTER.initial(sightings)
+    assert off(state, rotations.exp(turn)) < 1e-9
+
+
+def test_the_median_of_the_first_images_forgives_two_outliers_in_five() -> None:
+    good = seen(PLACE, rotations.exp(OFF), 0.0, 0.1)
+    way, turn = np.array((0.03, 0.0, -0.02)), np.array((0.05, 0.0, -0.04))
+    bad = seen(PLACE + way, rotations.exp(OFF + turn), 0.0, 0.1)
+    worse = seen(PLACE + 2.0 * way, rotations.exp(OFF + 2.0 * turn), 0.0, 0.1)
+    state = FILTER.initial([bad, good, good, worse, good])
+    assert np.allclose(state.x[:2], PLACE[[0, 2]])
+    assert off(state, rotations.exp(OFF)) < 1e-3
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.0853, 0.1, 0.21])
+def test_the_swing_is_found_from_delayed_sightings_and_predicted(delay: float) -> None:
+    seconds = 6.0
+    state = run(seconds, amplitude=0.006, delay=delay)
+    ahead = np.linspace(0.0, 0.5, 40)
+    known = angle(seconds + ahead, 0.006)
+    assert np.abs(FILTER.swing_angles(state, ahead)[0] - known).max() < 0.03e-3
+    found = float(np.hypot(*state.x[STATIC:]))
+    assert found == pytest.approx(0.006 * math.exp(-MODE.damping * OMEGA * seconds), rel=0.01)
+    assert off(state, rotations.exp(OFF)) < 0.05e-3
+    assert np.allclose(state.x[:2], PLACE[[0, 2]], atol=0.03e-3)
+
+
+def test_delays_that_jitter_cost_nothing_for_each_is_measured() -> None:
+    seconds = 6.0
+    state = run(seconds, amplitude=0.006, jitter=0.015)
+    ahead = np.linspace(0.0, 0.5, 40)
+    assert np.abs(FILTER.swing_angles(state, ahead)[0] - angle(seconds + ahead)).max() < 0.03e-3
+
+
+def test_the_swing_a_while_ago_is_what_the_rows_take_it_for() -> None:
+    state = run(3.0, amplitude=0.006)
+    for delay in (0.0, 0.05, 0.2):
+        rows = FILTER.rows(delay)[:, STATIC:] @ state.x[STATIC:]
+        back = float(FILTER.swing_angles(state, np.array((-delay,)))[0, 0])
+        levers = MODE.levers
+        known = (levers[0] * back, levers[2] * back, 0.0, back, 0.0)
+        assert np.allclose(rows, known, atol=1e-12)
+
+
+def test_the_swing_carries_on_while_the_camera_is_blind() -> None:
+    state = run(6.0, amplitude=0.006)
+    for _ in range(round(1.5 / T0)):
+        state = FILTER.predict(state, T0)
+    assert float(FILTER.swing_angles(state, np.zeros(1))[0, 0]) == pytest.approx(
+        float(angle(7.5)), abs=0.06e-3
+    )
+
+
+@pytest.mark.parametrize(
+    "jump",
+    [
+        ((0.0, 0.0, 0.0), (0.0012, -0.0015, 0.0)),  # the screws
+        ((0.05, 0.0, -0.05), (0.0, 0.0, 0.0)),
+        ((0.0, 0.0, 0.0), (0.2, -0.1, 0.3)),
+        ((1.0, 0.0, 1.0), (1.0, 0.5, -0.5)),
+    ],
+)
+def test_no_real_step_is_locked_out(
+    jump: tuple[tuple[float, float, float], tuple[float, float, float]],
+) -> None:
+    state = run(3.0)
+    place, rotation = PLACE + jump[0], rotations.exp(np.array(jump[1])) @ rotations.exp(OFF)
+    taken = 0
+    for _ in range(60):
+        state = FILTER.predict(FILTER.predict(state, T0), T0)
+        state, believed = FILTER.correct(state, seen(place, rotation, 0.0, 0.1), GATE)
+        taken += believed
+    assert taken > 50
+    assert np.abs(state.x[:2] - place[[0, 2]]).max() < 0.02 * max(np.abs(jump[0]).max(), 0.01)
+    assert off(state, rotation) < 0.05 * max(float(np.linalg.norm(jump[1])), 0.01)
+
+
+def test_single_outliers_are_refused_and_change_nothing() -> None:
+    state = run(3.0)
+    for axis in (0, 2):
+        wrong = seen(PLACE + 0.03 * np.eye(3)[axis], rotations.exp(OFF), 0.0, 0.1)
+        after, believed = FILTER.correct(state, wrong, GATE)
+        assert not believed
+        assert np.array_equal(after.x, state.x)
+        assert np.array_equal(after.P, state.P)
+        assert after.refused == 1
+        good, believed = FILTER.correct(after, seen(PLACE, rotations.exp(OFF), 0.0, 0.1), GATE)
+        assert believed
+        assert good.refused == 0
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    st.integers(0, 10_000),
+    st.lists(st.tuples(st.floats(-0.2, 0.2), st.floats(-0.4, 0.4), st.floats(0.0, 0.3))),
+)
+def test_the_covariance_stays_symmetric_and_positive_whatever_is_seen(
+    seed: int, shocks: list[tuple[float, float, float]]
+) -> None:
+    state = FILTER.initial([seen(PLACE, rotations.exp(OFF), 0.0, 0.1)] * 5)
+    rng = np.random.default_rng(seed)
+    for shift, turn, delay in shocks:
+        state = FILTER.predict(state, float(rng.choice((T0, 0.004, 0.1))))
+        place = PLACE + shift * rng.normal(size=3)
+        rotation = rotations.exp(turn * rng.normal(size=3)) @ rotations.exp(OFF)
+        state, _ = FILTER.correct(state, seen(place, rotation, 0.0, delay), GATE)
+        assert np.allclose(state.P, state.P.T, rtol=0.0, atol=1e-15)
+        assert np.linalg.eigvalsh(state.P)[0] > 0.0
+        assert np.allclose(state.rotation @ state.rotation.T, np.eye(3), atol=1e-9)
+
+
+def test_the_covariance_stays_positive_over_minutes_at_250_hz() -> None:
+    state = FILTER.initial([seen(PLACE, rotations.exp(OFF), 0.0, 0.1)] * 5)
+    for k in range(6000):
+        state = FILTER.predict(state, 0.02)
+        if k % 2 == 0:
+            state, _ = FILTER.correct(state, seen(PLACE, rotations.exp(OFF), 0.0, 0.1), GATE)
+    assert np.linalg.eigvalsh(state.P)[0] > 0.0
+    assert np.allclose(state.rotation @ state.rotation.T, np.eye(3), atol=1e-12)
+
+
+def transition(dt: float, size: int, modes: tuple[SwingMode, ...]) -> Array:
+    """A of (5) by scipy's exponential of the oscillators' equation."""
+    generator = np.zeros((size, size))
+    for m, mode in enumerate(modes):
+        w, i = 2.0 * math.pi * mode.frequency_hz, STATIC + 2 * m
+        d = -mode.damping * w
+        generator[i : i + 2, i : i + 2] = ((d, w), (-w, d))
+    return np.asarray(linalg.expm(generator * dt))
+
+
+def witness(state: TransverseState, modes: tuple[SwingMode, ...]) -> KalmanFilter:
+    """filterpy's filter with the same model; its state holds the turn that ours folds away."""
+    size = len(state.x)
+    kf = KalmanFilter(dim_x=size, dim_z=STATIC)
+    kf.x = state.x.copy()
+    kf.x[TURN:STATIC] = rotations.log(state.rotation)
+    kf.P = state.P.copy()
+    fusion = FusionSettings()
+    rates = [fusion.position] * 2 + [fusion.angle] * 3 + [fusion.swing] * (size - STATIC)
+    kf.Q = np.diag(np.array(rates) ** 2) * T0
+    kf.F = transition(T0, size, modes)
+    kf.R = np.diag(VARIANCE[[0, 2, 3, 4, 5]])
+    return kf
+
+
+@pytest.mark.parametrize(
+    "modes",
+    [(MODE,), (MODE, SwingMode(axis=1, frequency_hz=0.9, damping=0.01, levers=(0.2, 0.0, 0.5)))],
+    ids=["one swing", "two swings"],
+)
+def test_the_recursion_is_filterpys(modes: tuple[SwingMode, ...]) -> None:
+    """Turns about y alone commute, so that the error-state filter is linear and must agree."""
+    own = Transverse(FusionSettings(), modes)
+    rng = np.random.default_rng(11)
+    tilt = np.array((0.0, 0.15, 0.0))
+    state = own.initial([seen(PLACE, rotations.exp(tilt), 0.0, 0.1)] * 5)
+    kf = witness(state, modes)
+    size = len(state.x)
+    for k in range(200):
+        state = own.predict(state, T0)
+        kf.predict()
+        if k % 2:
+            continue
+        delay = float(rng.uniform(0.05, 0.15))
+        noise = rng.normal(0.0, np.sqrt(VARIANCE)) * (1, 1, 1, 0, 1, 0)
+        sighting = seen(PLACE, rotations.exp(tilt), float(angle(k * T0 - delay)), delay, noise)
+        state, taken = own.correct(state, sighting, 50.0)
+        assert taken
+        H = np.zeros((STATIC, size))
+        H[:, :STATIC] = np.eye(STATIC)
+        back = transition(-delay, size, modes)
+        for m, mode in enumerate(modes):
+            row = back[STATIC + 2 * m]
+            H[0] += mode.levers[0] * row
+            H[1] += mode.levers[2] * row
+            H[TURN + mode.axis] += row
+        turn = rotations.log(sighting.rotation)
+        kf.update(np.concatenate((sighting.position[[0, 2]], turn)), H=H)
+    static = np.r_[0, 1, STATIC:size]
+    assert np.allclose(state.x[static], kf.x[static], atol=1e-12)
+    assert np.allclose(rotations.log(state.rotation), kf.x[TURN:STATIC], atol=1e-12)
+    assert np.allclose(state.P, kf.P, rtol=1e-8, atol=1e-18)
+
+
+def squared_errors(seed: int, late: int, fusion: FusionSettings) -> list[float]:
+    """NEES of one run whose truth is the filter's own model, at some instants far apart."""
+    rng = np.random.default_rng(seed)
+    size = STATIC + 2
+    start = np.diag(np.r_[(2e-3,) * 2, (5e-3,) * 3, (4e-3,) * 2] ** 2)
+    F = transition(T0, size, (MODE,))
+    own = Transverse(fusion, (MODE,))
+    walk = np.r_[(fusion.position,) * 2, (fusion.angle,) * 3, (fusion.swing,) * 2] * math.sqrt(T0)
+    first = rng.multivariate_normal(np.zeros(size), start)
+    truth = [first.copy()]
+    rotation = [rotations.exp(first[TURN:STATIC]) @ rotations.exp(OFF)]
+    state = TransverseState(np.zeros(size), start, rotations.exp(OFF))
+    state = replace(state, x=np.r_[PLACE[[0, 2]], np.zeros(size - 2)])
+    truth[0][:2] += PLACE[[0, 2]]
+    found = []
+    for k in range(1, CHECKS * 60 + 1):
+        kick = walk * rng.normal(size=size)
+        truth.append(F @ truth[-1] + kick)
+        rotation.append(rotations.exp(kick[TURN:STATIC]) @ rotation[-1])
+        state = own.predict(state, T0)
+        if k % 2 == 0 and k >= late:
+            then = truth[k - late]
+            place = np.array((then[0], 0.0, then[1]))
+            sighting = seen(
+                place, rotation[k - late], then[STATIC], late * T0, rng.normal(0, np.sqrt(VARIANCE))
+            )
+            state, _ = own.correct(state, sighting, 8.0)
+        if k % 60 == 0:
+            error = truth[-1] - state.x
+            error[TURN:STATIC] = rotations.log(rotation[-1] @ state.rotation.T)
+            found.append(float(error @ np.linalg.solve(state.P, error)))
+    return found
+
+
+# A sighting's row knows how the swing came here from then, but not what else has walked since:
+# with a delay the model matches only where next to nothing walks.
+@pytest.mark.parametrize(
+    ("late", "fusion"),
+    [(0, FusionSettings()), (8, FusionSettings(position=1e-5, angle=2e-5, swing=1e-5))],
+    ids=["at once", "96 ms late"],
+)
+def test_the_covariance_is_honest(late: int, fusion: FusionSettings) -> None:
+    """NEES over seeded runs of a matching model lies in its 95 % band."""
+    nees = np.array([squared_errors(seed, late, fusion) for seed in range(24)])
+    low, high = stats.chi2.ppf((0.025, 0.975), nees.size * (STATIC + 2)) / nees.size
+    assert low < nees.mean() < high
