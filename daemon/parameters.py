@@ -19,7 +19,7 @@ from linemate.daemon.tracking.conveyor import Classifier
 from linemate.daemon.tracking.reference import compile_reference
 from linemate.daemon.tracking.settings import ClassifierKind, TrackingSettings
 from linemate.daemon.tracking.task import Phase, TaskFile
-from linemate.daemon.tracking.tracker import Tracker
+from linemate.daemon.tracking.tracker import Foresight, Tracker
 from linemate.daemon.tracking.transverse import Transverse
 
 HISTORY = 0.45  # of the robot's pose, to look up exposures in [s]
@@ -109,6 +109,6 @@ def build(
     return Parameters(tracker, controller, cycle_s)
 
 
-def with_classifier(parameters: Parameters, classifier: Classifier) -> Parameters:
-    """Return the parameters with another classifier in the tracker (an oracle, in a campaign)."""
-    return replace(parameters, tracker=replace(parameters.tracker, classifier=classifier))
+def with_foresight(parameters: Parameters, foresight: Foresight) -> Parameters:
+    """Return the parameters with an oracle instead of an estimate (the variant of a campaign)."""
+    return replace(parameters, tracker=replace(parameters.tracker, foresight=foresight))

@@ -81,6 +81,26 @@ def sensed(
     return tcp, np.concatenate((positions, vectors), axis=1)
 
 
+def known(
+    positions: Array, vectors: Array, relative: Array, *, turned: bool
+) -> tuple[Array, Array]:
+    """Return x_f (m, 6) and the object (m, 6) where the object's poses are known.
+
+    Args:
+        positions: (m, 3) of the object.
+        vectors: (m, 3) rotation vectors of the object.
+        relative: (m, 6) programmed tcp in the nominal object.
+        turned: the programme turns the tcp against the object.
+    """
+    R = rotations.exp_many(vectors)
+    tcp = np.empty((len(positions), 6))
+    tcp[:, :3] = positions + (R @ relative[:, :3, None])[:, :, 0]
+    tcp[:, 3:] = vectors
+    if turned:
+        tcp[:, 3:] = rotations.log_many(R @ rotations.exp_many(relative[:, 3:]))
+    return tcp, np.concatenate((positions, vectors), axis=1)
+
+
 def smoothstep(s: Array) -> Array:
     """Return the seventh-order step (m,) from 0 to 1: its first three derivatives end at 0."""
     s = np.clip(s, 0.0, 1.0)

@@ -5,7 +5,7 @@ predict, correct, classify, predict over the horizon, approach, merge. Pure: tim
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -38,6 +38,9 @@ AGREEING = 4  # readings of the distance sensor that start the filter, against a
 AGREEMENT = 0.015  # when they lie within this [m]
 
 
+Foresight = Callable[[int, Array], tuple[Array, Array]]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Tracker:
     """What tracking needs, compiled.
@@ -54,6 +57,9 @@ class Tracker:
         contact_blend: time in which the tool goes from hanging free to clamped [s].
         span: (n+1,) times of the horizon from now [s].
         leave: task time at which the tool leaves the object [s].
+        foresight: the true object at a stamp [ns] and times from it (m,) [s], as positions (m, 3)
+            and rotation vectors (m, 3) in c, taken instead of the estimate; an oracle, for
+            campaigns only.
     """
 
     task: TaskFile
@@ -70,6 +76,7 @@ class Tracker:
     contact_blend: float
     span: Array
     leave: float
+    foresight: Foresight | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -285,7 +292,7 @@ def track(
     state = replace(state, distance=float(relative[0, 2]))
     target = part = None
     if state.across is not None and state.belief is not None:
-        target, part = _sensed(tracker, state, span, relative)
+        target, part = _sensed(tracker, state, seen.stamp_ns, span, relative)
         if state.blended is not None:
             share = approach.smoothstep((state.blended + span) / tracker.settings.merge.blend)
             goal = approach.blend(goal, target, share)
@@ -309,7 +316,7 @@ def observe(
     target = part = None
     if state.across is not None and state.belief is not None:
         _, relative = tracker.reference.poses(np.array((state.time,)))
-        target, part = _sensed(tracker, state, np.zeros(1), relative)
+        target, part = _sensed(tracker, state, seen.stamp_ns, np.zeros(1), relative)
     return state, report(tracker, state, wrench, refused, target, part)
 
 
@@ -341,11 +348,14 @@ def report(
 
 
 def _sensed(
-    tracker: Tracker, state: TrackerState, span: Array, relative: Array
+    tracker: Tracker, state: TrackerState, stamp_ns: int, span: Array, relative: Array
 ) -> tuple[Array, Array]:
     """Return x_f and the object over the horizon, (9) under the class."""
     assert state.across is not None  # noqa: S101 - callers have checked
     ahead = span if tracker.settings.predict else 0.0 * span
+    if tracker.foresight is not None:
+        positions, vectors = tracker.foresight(stamp_ns, ahead)
+        return approach.known(positions, vectors, relative, turned=tracker.reference.turned)
     part = approach.Part(
         x=float(state.across.x[0]),
         z=float(state.across.x[1]),
