@@ -1,6 +1,7 @@
 """What several tests of the service share: the shipped task, compiled once, and some steps."""
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from linemate.daemon import parameters as compiling
 from linemate.daemon import step as stepping
@@ -15,6 +16,10 @@ from linemate.daemon.tracking.settings import TrackingSettings
 from linemate.protocol.samples import CameraSample, DistanceSample, RobotSample, WrenchSample
 
 CYCLE_NS = 12_000_000
+
+# How long an example takes says something of the machine's other work, not of the program.
+settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("patient")
 
 
 @pytest.fixture(scope="session")
