@@ -30,6 +30,7 @@ T = TypeVar("T")
 MAX_LINK_BYTES = 1_048_576
 CREDENTIAL = "credential:"
 
+_CORRECTION = {"A": "AK", "E": "EK"}
 _ADDRESSES = (
     ("rsi", "bind"),
     ("rsi", "peer"),
@@ -115,6 +116,7 @@ class _Named:
         """Read all files; what is wrong in the task file goes to ``elsewhere``."""
         yield from self._attempt(("task",), self._read_task)
         yield from self._attempt(("rsi", "config"), self._read_rsi)
+        yield from self._attempt(("rsi", "config"), self._look_at_axes)
         yield from self._attempt(("distance", "dbc"), self._read_dbc)
         yield from self._attempt(("distance", "message"), self._look_at_message)
         yield from self._attempt(("command", "udp", "keys"), self._read_keys)
@@ -164,6 +166,23 @@ class _Named:
             self.rsi = parse_config(data)
             RsiCodec(self.rsi)
             self.texts["rsi"] = data.decode("utf-8", errors="replace")
+
+    def _look_at_axes(self) -> None:
+        """The controller must tell every axis that the task's arm has, and take its correction."""
+        if self.rsi is None or self.task is None:
+            return
+        wanted_in, wanted_out = ["DEF_AIPos"], [f"A{i}" for i in range(1, 7)]
+        if self.task.file.arm.linear_axis:
+            wanted_in, wanted_out = [*wanted_in, "DEF_EIPos"], [*wanted_out, "E1"]
+        sent = {element.tag for element in self.rsi.send}
+        parts = [element.tag.partition(".") for element in self.rsi.receive]
+        taken = {axis for word, _, axis in parts if word in {"AK", "AKorr", "EK", "EKorr"}}
+        missing = [f"SEND {tag}" for tag in wanted_in if tag not in sent]
+        missing += [
+            f"RECEIVE {_CORRECTION[axis[0]]}.{axis}" for axis in wanted_out if axis not in taken
+        ]
+        if missing:
+            raise ValueError(f"the task's arm needs {', '.join(missing)}")
 
     def _read_dbc(self) -> None:
         if not self._has("distance"):

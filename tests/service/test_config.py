@@ -9,6 +9,7 @@ import pytest
 from linemate.daemon.control.settings import ControlSettings
 from linemate.daemon.service import config
 from linemate.daemon.service.documents import FileError
+from linemate.daemon.service.files import PROTOCOL_DATA
 from linemate.daemon.service.settings import Corrections
 from linemate.daemon.tracking.settings import TrackingSettings
 
@@ -133,6 +134,16 @@ def test_a_controller_file_that_makes_no_telegram_is_told_at_its_key(
     (tmp_path / "rsi.xml").write_text("<ROOT><CONFIG></CONFIG></ROOT>")
     (line,) = errors(write("task: wheel.yaml\nrsi: {config: rsi.xml}\n"))
     assert line.startswith("2:15: rsi.config: ")
+
+
+def test_a_controller_file_without_an_axis_of_the_arm_is_told(write: Write, tmp_path: Path) -> None:
+    xml = (PROTOCOL_DATA / "rsi_joints.xml").read_text(encoding="utf-8")
+    assert "DEF_EIPos" in xml
+    assert "EK.E1" in xml
+    bare = xml.replace("DEF_EIPos", "DEF_EPos9").replace("EK.E1", "Spare")
+    (tmp_path / "rsi.xml").write_text(bare, encoding="utf-8")
+    (line,) = errors(write("task: wheel.yaml\nrsi: {config: rsi.xml}\n"))
+    assert line == "2:15: rsi.config: the task's arm needs SEND DEF_EIPos, RECEIVE EK.E1"
 
 
 def test_keys_that_others_can_read_are_refused(write: Write, tmp_path: Path) -> None:
