@@ -20,6 +20,7 @@ from typing import Any
 from linemate.daemon.inputs import Order
 from linemate.daemon.parameters import Parameters
 from linemate.daemon.service import parameter_list, realtime, states
+from linemate.daemon.service.account import Account
 from linemate.daemon.service.clock import Clock
 from linemate.daemon.service.command_server import (
     CommandPort,
@@ -29,7 +30,7 @@ from linemate.daemon.service.command_server import (
     read_keys,
 )
 from linemate.daemon.service.config import Station, key_path
-from linemate.daemon.service.cycle import Cycle, LogEntry
+from linemate.daemon.service.cycle import Cycle
 from linemate.daemon.service.incidents import IncidentFiles
 from linemate.daemon.service.notify import Notifier
 from linemate.daemon.service.pace import Pace
@@ -38,7 +39,7 @@ from linemate.daemon.service.schedule import Due, Kind
 from linemate.daemon.service.settings import Corrections
 from linemate.daemon.service.states import State
 from linemate.daemon.service.status import LinkView, Rates, Snapshot, status, telemetry
-from linemate.daemon.service.timing import CycleTimes, Timing
+from linemate.daemon.service.timing import Timing
 from linemate.drivers.camera_udp import CameraLink
 from linemate.drivers.can_bus import CanLink
 from linemate.drivers.datagrams import Address
@@ -46,6 +47,7 @@ from linemate.drivers.rsi_udp import RsiLink
 from linemate.drivers.serial_port import SerialLink
 from linemate.protocol.camera import CameraDecoder
 from linemate.protocol.distance import DistanceDecoder
+from linemate.protocol.exchange import Kind as Telegram
 from linemate.protocol.rsi import RsiCodec
 from linemate.protocol.wrench import BAUD_RATES, make_decoder, make_host
 
@@ -114,10 +116,9 @@ class App:
             Pace.free(period_ns, time.monotonic_ns(), lead_ns),
         )
         self._collector = realtime.Collector()
-        self._timing = Timing(period_ns)
+        self._account = Account(Timing(period_ns))
         self._incidents = IncidentFiles(_folder(station, config.realtime.incidents))
         self._arrival: int | None = None
-        self._times: _Times = _Times()
         self._began_ns = time.monotonic_ns()
         self._told_ns = 0
         self._telegram_ns: int | None = None
@@ -242,7 +243,7 @@ class App:
             self.counters["foreign_telegrams"] += 1
             return None
         began_ns = time.monotonic_ns()
-        ready = self.cycle.prepared
+        prepared = self.cycle.prepared
         try:
             reply = self.cycle.on_telegram(data, stamp_ns, source)
         except Exception as error:  # noqa: BLE001 - an unanswered telegram stops the robot
@@ -250,8 +251,8 @@ class App:
             return None
         if reply is None:
             return None
-        if self.cycle.prepared == ready:
-            self._times.step_ns = time.monotonic_ns() - began_ns
+        if self.cycle.prepared == prepared:
+            self._account.stepped(time.monotonic_ns() - began_ns)
         self._telegram_ns = stamp_ns
         self._arrival = stamp_ns
         self._later()
@@ -263,30 +264,28 @@ class App:
         self._follow()
 
     def _follow(self) -> None:
-        """Let the clock follow the telegram that was answered: after the reply, for it takes time."""
+        """Let the clock follow the telegram that was answered; after the reply, it takes time."""
         stamp_ns, self._arrival = self._arrival, None
         verdict = self.cycle.verdict
         if stamp_ns is None or verdict is None:
             return
-        schedule = self._clock.schedule
-        self._times.expected_ns = schedule.next_ns if schedule.locked else None
-        self._times.lead_ns = schedule.lead_ns
-        anew = verdict.kind in {exchange.Kind.FIRST, exchange.Kind.NEW_SESSION}
+        self._account.expected(self._clock.schedule)
+        anew = verdict.kind in {Telegram.FIRST, Telegram.NEW_SESSION}
         self._clock.telegram(stamp_ns, verdict.missed + 1, anew=anew)
 
     def _on_due(self, due: Due) -> None:
         if due.kind is Kind.PREPARE:
-            self._times.woken_late_ns = self._clock.lateness.last_ns
             began_ns = time.monotonic_ns()
-            self.cycle.prepare(due.stamp_ns)
-            self._times.step_ns = time.monotonic_ns() - began_ns
+            if self.cycle.prepare(due.stamp_ns):
+                late_ns = self._clock.lateness.last_ns
+                self._account.prepared(late_ns, time.monotonic_ns() - began_ns)
             return
         lost_s = self._station.config.watch.link_lost_s
         if self._telegram_ns is None or due.stamp_ns - self._telegram_ns > lost_s * 1e9:
             self._clock.run_free()
         elif self._clock.schedule.locked:
-            self._timing.incident("a telegram was missing", due.stamp_ns)
-        self._times.expected_ns = due.stamp_ns
+            self._account.missing(due.stamp_ns)
+        self._account.expected(self._clock.schedule)
         self.cycle.on_missing(due.stamp_ns)
         self._later()
 
@@ -312,6 +311,11 @@ class App:
             self._resting = self._resting + 1 if same else 0
             self._command = entry.outputs.command
         self._cycled.set()
+        self._account.close(entries, self._robot.turnaround_ns)
+        incident = self._account.take_incident()
+        if incident is not None:
+            self._incidents.take(incident)
+        self._incidents.slack()
         if self._recorder is not None:
             self._recorder.take(entries)
         self._commands.poll(self._station.config.command.budget)
@@ -336,7 +340,8 @@ class App:
     def _handle(self, op: str, params: dict[str, Any], role: str, who: str) -> Mapping[str, Any]:
         del role  # judged by the protocol
         if op in ORDERS:
-            reason = self.cycle.order(op, who)
+            reason = self._clock.pace.phase.refusal if op == "arm" else None
+            reason = reason or self.cycle.order(op, who)
             if reason is not None:
                 return {"refused": reason}
             return {"state": str(self.cycle.machine.state)}
@@ -368,8 +373,7 @@ class App:
             cycle=self.cycle,
             links=tuple(links),
             clock=self._clock,
-            turnaround=self._turnaround,
-            stepping=self._stepping,
+            timing=self._account.timing,
             recorder=None if self._recorder is None else self._recorder.status,
             commands=self._commands.status(),
             refusals=self._host.refusals(),
@@ -434,6 +438,10 @@ def _command_port(
         door = command.udp
         udp = UdpDoor(door.bind, door.port, station.keys, door.allow_remote)
     return CommandPort(handle, snapshot, local, udp)
+
+
+def _folder(station: Station, name: str | None) -> Path | None:
+    return None if name is None else Path(station.path.parent / name)
 
 
 def _recorder(station: Station) -> Recorder | None:

@@ -6,21 +6,22 @@ calls it brings bytes and stamps and takes bytes away; the reply first, ``take_l
 """
 
 from collections import deque
-from collections.abc import Hashable
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
 from linemate.daemon import step as stepping
 from linemate.daemon.inputs import Inputs
 from linemate.daemon.parameters import Parameters
 from linemate.daemon.service import states, watch
-from linemate.daemon.service.states import Machine
+from linemate.daemon.service.states import Machine, Signals
 from linemate.daemon.tracking.task import Phase
 from linemate.protocol.exchange import Exchange, Verdict
 from linemate.protocol.rsi import PreparedReply, RobotTelegram, RsiCodec, RsiError, SensorTelegram
 from linemate.protocol.samples import CameraSample, DistanceSample, RobotSample, WrenchSample
 
 Sample = TypeVar("Sample")
+OnTransition = Callable[[Machine, Signals, Machine], None]
 
 LONGEST_LOG = 256
 CATCH_UP_S = 0.3  # steps made at once after a gap, at most
@@ -38,9 +39,9 @@ class LogEntry:
 
 @dataclass(frozen=True, slots=True)
 class _Prepared:
-    """A step made before its telegram: what it assumed, and its reply but for the IPOC."""
+    """A step made before its telegram: the state it began with, its reply but for the IPOC."""
 
-    stamp_ns: int
+    before: stepping.State
     reply: PreparedReply
     entry: LogEntry
 
@@ -101,9 +102,11 @@ class Cycle:
         self.last_refusal: str | None = None
         self.inline = 0
         self.prepared = 0
+        self.replies_lost = 0
         self.steps = 0
         self.log_dropped = 0
         self.last: LogEntry | None = None
+        self.on_transition: OnTransition | None = None
         self.verdict: Verdict | None = None
         self._settings = watch_settings or watch.WatchSettings()
         self._absolute = absolute
@@ -114,7 +117,12 @@ class Cycle:
         self._state: stepping.State | None = None
         self._robot: RobotSample | None = None
         self._start: tuple[float, ...] = ()
-        self._sent: tuple[float, ...] | None = None
+        # The command of the last reply while its fate is open, and the last one that was taken.
+        self._given: tuple[float, ...] | None = None
+        self._taken: tuple[float, ...] = ()
+        self._delay: int | None = None
+        self._was_lost = False
+        self._is_loss_untold = False
         self._was_sent = True
         self._new_session = False
         self._stamp_ns = 0
@@ -182,6 +190,7 @@ class Cycle:
             return None
         if self._state is None or verdict.kind in {"first", "new_session"}:
             self._open_session(robot)
+        self._settle(telegram.delay, verdict.missed + 1)
         reply = self._answer(telegram, stamp_ns, verdict.steps)
         self._robot = robot
         return reply
@@ -190,8 +199,9 @@ class Cycle:
         """Make the step of a telegram that is expected at ``stamp_ns``; True if it is ready."""
         if self._state is None or self._ready is not None:
             return False
+        before = self._state
         entry = self._step(stamp_ns, telegram=True)
-        self._ready = _Prepared(stamp_ns, self._reply(entry), entry)
+        self._ready = _Prepared(before, self._reply(entry), entry)
         return True
 
     def on_missing(self, stamp_ns: int) -> None:
@@ -238,7 +248,10 @@ class Cycle:
         self._new_session = self._state is not None
         self._state = stepping.initial(self.parameters, robot)
         self._start = self._axes(robot)
-        self._sent = None
+        self._given = None
+        self._taken = self._start
+        self._delay = robot.delay
+        self._was_lost = False
         self._robot = robot
         self._ready = None
         self._was_sent = True
@@ -249,29 +262,64 @@ class Cycle:
             return (*robot.joints, robot.external[0])
         return robot.joints
 
+    def _settle(self, delay: int | None, cycles: int) -> None:
+        """Find out whether the controller took the last reply.
+
+        It counts every cycle without a good one. If as many are new as have passed, then the
+        last reply was not taken either: the robot holds, and the gate must begin from there.
+        """
+        given, self._given = self._given, None
+        before, self._delay = self._delay, delay
+        if given is None:
+            return
+        self._was_lost = None not in {delay, before} and (delay or 0) - (before or 0) == cycles
+        if self._was_lost:
+            self.replies_lost += 1
+            self._is_loss_untold = True
+        else:
+            self._taken = given
+
     def _answer(self, telegram: RobotTelegram, stamp_ns: int, steps: int) -> bytes:
         """Return the reply after as many steps as the controller made cycles."""
         ready, self._ready = self._ready, None
-        period = round(self.parameters.cycle_s * 1e9)
         if ready is not None and steps <= 1:
             self.prepared += 1
+            if self._was_lost:
+                ready = self._again(ready)
             entry, reply = ready.entry, ready.reply
         else:
             if ready is not None:
                 self._note(ready.entry, None)
                 self._was_sent = False
                 steps -= 1
-            most = max(1, round(CATCH_UP_S / self.parameters.cycle_s))
-            for back in range(min(steps, most) - 1, 0, -1):
-                self._note(self._step(stamp_ns - back * period, telegram=False), None)
-                self._was_sent = False
+            self._catch_up(stamp_ns, steps)
             self.inline += 1
             entry = self._step(stamp_ns, telegram=True)
             reply = self._reply(entry)
         self._note(entry, telegram.ipoc)
-        self._was_sent = True
-        self._sent = entry.outputs.command
+        self._was_sent, self._was_lost = True, False
+        self._given = entry.outputs.command
         return reply.with_ipoc(telegram.ipoc_text)
+
+    def _again(self, ready: _Prepared) -> _Prepared:
+        """Make a prepared step once more: the reply before it was not taken."""
+        inputs = replace(ready.entry.inputs, sent=False, applied=self._taken)
+        self._state, outputs = stepping.step(ready.before, inputs, self.parameters)
+        entry = replace(ready.entry, inputs=inputs, outputs=outputs)
+        return _Prepared(ready.before, self._reply(entry), entry)
+
+    def _catch_up(self, stamp_ns: int, steps: int) -> None:
+        """Make the steps of cycles whose telegrams did not come and were not missed yet."""
+        period = round(self.parameters.cycle_s * 1e9)
+        most = max(1, round(CATCH_UP_S / self.parameters.cycle_s))
+        for back in range(min(steps, most) - 1, 0, -1):
+            self._note(self._step(stamp_ns - back * period, telegram=False), None)
+            self._was_sent = False
+
+    @property
+    def _held(self) -> tuple[float, ...]:
+        """Where the robot is, as far as is known: an open reply counts as taken."""
+        return self._taken if self._given is None else self._given
 
     def _step(self, stamp_ns: int, *, telegram: bool) -> LogEntry:
         """Make one sampling step: operating state first, then the pure step."""
@@ -285,6 +333,7 @@ class Cycle:
         before = self.machine
         self._decide(stamp_ns, telegram=telegram)
         started = self.machine is not before and self.machine.state is states.State.TRACK
+        arrived = self._was_sent and not self._was_lost
         inputs = Inputs(
             k=self.steps,
             stamp_ns=stamp_ns,
@@ -294,7 +343,8 @@ class Cycle:
             wrench=wrench,
             order=states.order(self.machine),
             start=started,
-            sent=self._was_sent,
+            sent=arrived,
+            applied=None if arrived else self._held,
         )
         self._robot = None
         assert self._state is not None  # noqa: S101 - a session is open
@@ -306,9 +356,11 @@ class Cycle:
     def _decide(self, stamp_ns: int, *, telegram: bool) -> None:
         """Move the operating state on what was seen up to now."""
         outputs = self.last.outputs if self.last is not None else None
+        before = self.machine
         facts = watch.Facts(
             stamp_ns=stamp_ns,
-            telegram=telegram,
+            # A link that carries telegrams but no replies is no link.
+            telegram=telegram and not self._is_loss_untold,
             new_session=self._new_session,
             position_ns=self._position_ns,
             wrench_ns=self._wrench_ns,
@@ -321,14 +373,16 @@ class Cycle:
             orders=frozenset(self._orders),
         )
         self._orders.clear()
-        self._new_session = False
+        self._new_session = self._is_loss_untold = False
         self._watch, self._signals = watch.observe(self._watch, facts, self.machine, self._settings)
-        self.machine = states.transition(self.machine, self._signals)
+        self.machine = states.transition(before, self._signals)
+        if self.on_transition is not None:
+            self.on_transition(before, self._signals, self.machine)
 
     def _reply(self, entry: LogEntry) -> PreparedReply:
         """Return the reply to a step but for the IPOC: corrections, or increments."""
         command = entry.outputs.command
-        origin = self._start if self._absolute else (self._sent or self._start)
+        origin = self._start if self._absolute else self._held
         offsets = tuple(c - o for c, o in zip(command, origin, strict=True))
         return self.codec.prepare_sensor(
             SensorTelegram(
@@ -361,6 +415,7 @@ class Cycle:
             "steps": self.steps,
             "prepared": self.prepared,
             "inline": self.inline,
+            "replies_lost": self.replies_lost,
             "telegrams": {**self.exchange.counters, "unreadable": self.refused},
             "last_refusal": self.last_refusal,
             "unfit": states.unfit(self._signals),

@@ -50,7 +50,9 @@ class IncidentFiles:
             return
         self._name = f"incident-{incident.at_ns}.csv"
         self._lines = iter(incident.lines())
-        log.warning("%s: the last %d cycles go to %s", incident.why, len(incident.cycles), self._name)
+        log.warning(
+            "%s: the last %d cycles go to %s", incident.why, len(incident.cycles), self._name
+        )
 
     def slack(self) -> None:
         """Make a little more text; hand it to the thread when it is whole."""

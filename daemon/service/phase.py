@@ -173,7 +173,7 @@ REFRESH: Final = 32
 MOST_SHARE: Final = 0.45
 """Of a cycle: more would begin before the telegram before has had its deadline."""
 
-MOST_NS: Final = 2_000_000
+MOST_NS: Final = 4_000_000
 MARGIN_NS: Final = 40_000
 
 

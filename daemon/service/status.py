@@ -11,9 +11,9 @@ from typing import Any
 
 from linemate.daemon.service.clock import Clock
 from linemate.daemon.service.cycle import Cycle
-from linemate.daemon.service.histogram import Histogram
 from linemate.daemon.service.recorder import RecorderStatus
 from linemate.daemon.service.states import State
+from linemate.daemon.service.timing import Timing
 from linemate.drivers.datagrams import Address
 from linemate.drivers.link import LinkStatus
 
@@ -86,8 +86,7 @@ class Snapshot:
     cycle: Cycle
     links: tuple[LinkView, ...]
     clock: Clock
-    turnaround: Histogram
-    stepping: Histogram
+    timing: Timing
     recorder: RecorderStatus | None
     commands: Mapping[str, Any]
     refusals: tuple[str, ...]
@@ -106,6 +105,8 @@ def status(snapshot: Snapshot) -> dict[str, Any]:
     faulty = snapshot.cycle.machine.state is State.FAULT or snapshot.cycle.machine.latched
     schedule = snapshot.clock.schedule
     lateness = snapshot.clock.lateness
+    phase = snapshot.clock.pace.phase
+    measured_ns = phase.measured_ns
     return {
         "version": VERSION,
         "health": "fault" if faulty else "degraded" if complaints else "healthy",
@@ -115,10 +116,12 @@ def status(snapshot: Snapshot) -> dict[str, Any]:
         "uptime_s": round((snapshot.now_ns - snapshot.began_ns) / 1e9, 3),
         **cycle,
         "links": links,
-        "turnaround_us": snapshot.turnaround.summary_us(),
-        "step_us": snapshot.stepping.summary_us(),
+        **snapshot.timing.summary(),
         "clock": {
             "locked": schedule.locked,
+            "period_ms": None if measured_ns is None else round(measured_ns * 1e-6, 5),
+            "lead_ms": round(schedule.lead_ns * 1e-6, 4),
+            "relocks": phase.relocks,
             "skipped": schedule.skipped,
             "wakes": lateness.wakes,
             "late_wakes": lateness.late,
@@ -172,6 +175,8 @@ def _complaints(
             yield f"link {name} is silent"
     if cycle["link"] != "healthy" and links["robot"]["up"]:
         yield f"the robot link is {cycle['link']}"
+    if snapshot.clock.pace.phase.refusal:
+        yield snapshot.clock.pace.phase.refusal
     if snapshot.recorder is not None and snapshot.recorder.failure:
         yield f"recording ended: {snapshot.recorder.failure}"
     if snapshot.counters.get("faults"):

@@ -8,8 +8,8 @@ import time
 import pytest
 from loops import run, until
 
-from linemate.daemon.service import schedule
 from linemate.daemon.service.clock import Clock, Timer
+from linemate.daemon.service.pace import Pace
 from linemate.daemon.service.schedule import Due, Kind
 
 T = 4_000_000
@@ -56,7 +56,7 @@ def test_without_telegrams_the_clock_steps_by_itself_on_its_grid() -> None:
             lambda due: stamps.append(due.stamp_ns),
             lambda error: pytest.fail(str(error)),
             lambda: None,
-            schedule.free(T, began_ns),
+            Pace.free(T, began_ns),
         )
         clock.open()
         await until(lambda: len(stamps) >= 5)
@@ -78,7 +78,7 @@ def test_a_telegram_puts_the_step_off_and_a_preparation_comes_before_it() -> Non
             told.append,
             lambda error: pytest.fail(str(error)),
             lambda: None,
-            schedule.free(50 * T, time.monotonic_ns(), 20 * T),
+            Pace.free(50 * T, time.monotonic_ns(), 20 * T),
         )
         clock.open()
         stamp_ns = time.monotonic_ns() - 28 * T
@@ -103,7 +103,7 @@ def test_telegrams_that_wait_are_taken_before_any_is_called_missing() -> None:
             told.append,
             lambda error: pytest.fail(str(error)),
             look,
-            schedule.free(T, time.monotonic_ns()),
+            Pace.free(T, time.monotonic_ns()),
         )
         clock.open()
         await until(lambda: clock.lateness.wakes >= 3)
@@ -120,7 +120,7 @@ def test_what_a_step_raises_is_told_and_the_clock_goes_on() -> None:
         def fail(due: Due) -> None:
             raise RuntimeError(str(due.stamp_ns))
 
-        clock = Clock(fail, errors.append, lambda: None, schedule.free(T, time.monotonic_ns()))
+        clock = Clock(fail, errors.append, lambda: None, Pace.free(T, time.monotonic_ns()))
         clock.open()
         await until(lambda: len(errors) >= 3)
         clock.close()

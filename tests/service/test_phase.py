@@ -158,5 +158,5 @@ def test_the_lead_forgets_a_bad_time_and_never_exceeds_its_share() -> None:
     assert lead.lead_ns == 100_000 + MARGIN_NS
 
 
-def test_long_cycles_have_no_longer_lead_than_needed() -> None:
-    assert Lead(12 * MS).most_ns == 2 * MS
+def test_a_long_cycle_has_no_longer_lead_than_a_slow_host_needs() -> None:
+    assert Lead(12 * MS).most_ns == 4 * MS
