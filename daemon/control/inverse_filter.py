@@ -51,7 +51,8 @@ def servo_pulse(model: ServoModel, cycle_s: float) -> Array:
         return ramp_response(t - shift * cycle_s, omega, model.damping)
 
     h: Array = (ramp(0) - 2.0 * ramp(1) + ramp(2)) / cycle_s
-    return h / h.sum()
+    normed: Array = h / h.sum()
+    return normed
 
 
 def _response(pulse: Array, omega: Array, cycle_s: float) -> Array:
@@ -92,7 +93,7 @@ def _band(settings: FilterSettings) -> tuple[Array, Array]:
 def tap_steps(past_s: float, future_s: float, cycle_s: float) -> Array:
     """Return the steps (m,) that an inverse filter reads, from past to future."""
     past, future = round(past_s / cycle_s), round(future_s / cycle_s)
-    return np.arange(-past, future + 1)
+    return np.arange(-past, future + 1, dtype=np.float64)
 
 
 def servo_inverse(model: ServoModel, settings: FilterSettings, cycle_s: float) -> Array:

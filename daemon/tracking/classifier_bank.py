@@ -226,7 +226,8 @@ class BankClassifier:
         s2 = self.bank.amplitude_deviation**2
         spread = 1.0 + s2 * bank.A
         ratio: Array = (bank.B * bank.B * s2 + 2.0 * bank.B - bank.A) / (2.0 * spread)
-        return ratio - 0.5 * np.log(spread)
+        evidence: Array = ratio - 0.5 * np.log(spread)
+        return evidence
 
     def _weights(self, bank: Bank) -> Array:
         """Return the posterior weights (m,) of the onsets."""

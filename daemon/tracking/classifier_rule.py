@@ -275,7 +275,8 @@ class RuleClassifier:
     def outlook(self, state: RuleState, times: Array) -> Array:
         """Return positions (m,) at ``times`` under the class in force, tentative or not."""
         y, v, _ = state.x.tolist()
-        return y + travel(v, self._acceleration(state.motion), state.cruise, times)
+        positions: Array = y + travel(v, self._acceleration(state.motion), state.cruise, times)
+        return positions
 
     def view(self, state: RuleState) -> View:
         """Return what the rule says."""
