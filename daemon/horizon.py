@@ -25,9 +25,11 @@ class Horizon:
         free: (n+1,) 1 where the tool hangs free, 0 where it is clamped to the object; in
             between while one gives way to the other.
         nominal: (3, 3) C, the axes of c in base.
+        committed: nc; ``poses[:nc + 1]`` are the last list's ``poses[1:nc + 2]``, bit for bit.
     """
 
     poses: Array
     axis: Array
     free: Array
     nominal: Array
+    committed: int = 0

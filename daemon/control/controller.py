@@ -144,16 +144,18 @@ def smooth(controller: Controller, poses: Array, count: int) -> Array:
     return smoothed
 
 
-def damp(controller: Controller, smoothed: Array, free: Array) -> Array:
-    """Return x_d (n_rob + 1, 6) of x_s, by (11), damped where the tool hangs free.
+def damp(controller: Controller, smoothed: Array, free: Array, first: int = 0) -> Array:
+    """Return x_d (n_rob + 1 - first, 6) of x_s, by (11), damped where the tool hangs free.
 
     Args:
         controller: with the taps, which act along and about the tool's axes.
         smoothed: x_s from n_l steps ago to n_rob + n_u ahead.
         free: (n_rob + 1,) share of (11) at each step.
+        first: the first step that is wanted.
     """
     taps, past = controller.effector, controller.effector_past
-    count = controller.preview + 1
+    smoothed = smoothed[first:]
+    count = controller.preview + 1 - first
     here = smoothed[past : past + count]
     turn = rotations.exp(here[0, 3:])
     # A change of the rotation vector is a turn about the tool's axes by way of J_r = J_l(-r).
@@ -166,7 +168,7 @@ def damp(controller: Controller, smoothed: Array, free: Array) -> Array:
     change = -tool[past : past + count]
     for j, tap in enumerate(taps):
         change += tool[j : j + count] * tap
-    change *= free[:, None]
+    change *= free[first:, None]
     desired = here.copy()
     desired[:, :3] += change[:, :3] @ turn.T
     desired[:, 3:] += change[:, 3:] @ back.T
@@ -178,23 +180,30 @@ def follow(
 ) -> tuple[ControlState, str | None]:
     """Return the state after one step along the horizon; its gate's position is the command.
 
+    Joints whose poses, and all that (16) and (11) read of them, were committed before are the
+    last step's and are not solved again.
+
     Returns:
         The new state, and None or the reason why the command is not the one desired.
     """
     count = controller.preview + 1
     ahead = len(controller.effector) - 1 - controller.effector_past
+    reach = ahead + len(controller.smoothing) - 1
+    kept = min(max(horizon.committed - reach + 1, 0), count - 1)
     smoothed = np.concatenate((state.smooth, smooth(controller, horizon.poses, count + ahead)))
-    wanted = damp(controller, smoothed, horizon.free[:count])
+    wanted = damp(controller, smoothed, horizon.free[:count], kept)
     C = horizon.nominal
-    guesses = np.concatenate((state.desired[1:], 2.0 * state.desired[-1:] - state.desired[-2:-1]))
+    last = state.desired
+    guesses = np.concatenate((last[kept + 1 :], 2.0 * last[-1:] - last[-2:-1]))
     if controller.arm.linear_axis:
-        guesses[:, 6] = horizon.axis[:count]
+        guesses[:, 6] = horizon.axis[kept:count]
     try:
-        desired, _ = controller.arm.follow(
+        solved, _ = controller.arm.follow(
             guesses, wanted[:, :3] @ C.T, rotations.exp_each(wanted[:, 3:], C)
         )
     except UnreachableError as error:
         return stop(controller, state), str(error)
+    desired = np.concatenate((last[1 : kept + 1], solved))
     window = np.concatenate((state.passed, desired))
     command = np.einsum("ij,ij->j", controller.servo, window)
     gate, held = limits.admit(state.gate, command, controller.limits, controller.cycle_s)

@@ -6,7 +6,7 @@ biased by the answers' noise (reading notes, point 8).
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,9 @@ import numpy as np
 from linemate.daemon.control.inverse_filter import servo_pulse
 from linemate.daemon.control.settings import ServoModel
 from linemate.daemon.horizon import Array
+
+Residuals = Callable[[Array], Array]
+"""From free parameters (3,) to what is left (m,)."""
 
 FREQUENCY_HZ = (0.5, 25.0)
 DAMPING = (0.2, 2.0)
@@ -128,7 +131,7 @@ def fit(
 def _summary(
     passages: Sequence[Passage],
     masks: list[Array],
-    residuals: "Residuals",
+    residuals: Residuals,
     theta: Array,
     cycle_s: float,
     left_out: int,
@@ -137,7 +140,7 @@ def _summary(
     e = residuals(theta)
     if len(e) < 20:
         return None
-    J = _jacobian(residuals, theta, e)
+    J = _jacobian(residuals, theta)
     model = _model(theta)
     chain = np.diag((model.frequency_hz, model.damping, 1.0))
     variance = float(e @ e) / max(len(e) - 4, 1)
@@ -160,14 +163,6 @@ def _summary(
         left_out=left_out,
         converged=converged,
     )
-
-
-class Residuals:
-    """Type of a function from parameters (3,) to residuals (m,)."""
-
-    def __call__(self, theta: Array) -> Array:
-        """Return the residuals."""
-        raise NotImplementedError
 
 
 def _begins_moving(passage: Passage) -> bool:
@@ -198,9 +193,8 @@ def _model(theta: Array) -> ServoModel:
     )
 
 
-def _jacobian(residuals: Residuals, theta: Array, e: Array) -> Array:
+def _jacobian(residuals: Residuals, theta: Array) -> Array:
     """Return the derivatives (m, 3) of the residuals, central where the bounds let them be."""
-    del e
     columns = []
     for i, step in enumerate(_STEPS):
         shift = np.zeros(3)
@@ -217,7 +211,7 @@ def _descend(residuals: Residuals, theta: Array) -> tuple[Array, bool]:
     e = residuals(theta)
     cost, damping = float(e @ e), 1e-3
     for _ in range(ITERATIONS):
-        J = _jacobian(residuals, theta, e)
+        J = _jacobian(residuals, theta)
         A, g = J.T @ J, J.T @ e
         diagonal = np.maximum(A.diagonal(), 1e-12 * float(A.diagonal().max()) + 1e-300)
         moved = False

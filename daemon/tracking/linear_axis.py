@@ -4,6 +4,7 @@ Law of this file: a list over the horizon to which each step appends one sample;
 never changes, so the arm's inverse kinematics can rely on it.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,13 +26,15 @@ def advance(plan: AxisPlan, target: float, ramp: float, dt: float) -> AxisPlan:
     Three equal lags make speed, acceleration and jerk continuous; six of their time constants
     are a ramp.
     """
-    gain = 1.0 - np.exp(-6.0 * dt / ramp)
+    gain = 1.0 - math.exp(-6.0 * dt / ramp)
     first, second, third = plan.stages
     first += gain * (target - first)
     second += gain * (first - second)
     third += gain * (second - third)
-    end = plan.positions[-1] + third * dt
-    return AxisPlan(np.append(plan.positions[1:], end), (first, second, third))
+    positions = np.empty_like(plan.positions)
+    positions[:-1] = plan.positions[1:]
+    positions[-1] = plan.positions[-1] + third * dt
+    return AxisPlan(positions, (first, second, third))
 
 
 def at_rest(position: float, steps: int) -> AxisPlan:

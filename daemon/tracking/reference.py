@@ -4,6 +4,7 @@ Law of this file: what is programmed, before any sensor. Poses are (6,) or (m, 6
 between two waypoints is run through by a quintic of time, each end moving as its frame does.
 """
 
+from bisect import bisect_right
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +31,7 @@ class Reference:
         turned: some waypoint is turned against the object.
         contact_time: when contact is planned [s]; infinity if it is not.
         rest: (6,) the first pose, where the robot waits, in c.
+        starts: times of the waypoints but the last, as plain floats.
         axes: C as plain floats.
         quaternion: C as a quaternion.
     """
@@ -45,6 +47,7 @@ class Reference:
     turned: bool
     contact_time: float
     rest: Array
+    starts: tuple[float, ...]
     axes: tuple[tuple[float, ...], ...]
     quaternion: Quaternion
 
@@ -65,25 +68,46 @@ class Reference:
         """Return x_r and (x_o^nom)^-1 x_r at task times; past its ends it stays with them.
 
         Args:
-            times: (m,) [s].
+            times: (m,) [s], rising.
 
         Returns:
             The tcp (m, 6) in c and the tcp (m, 6) in the nominal object, which is not turned in
             c: position [m] and rotation vector [rad].
         """
-        t = np.minimum(np.maximum(times, self.times[0]), self.times[-1])
-        i = np.searchsorted(self.times[1:-1], t, side="right")
-        s = (t - self.times[i]) / (self.times[i + 1] - self.times[i])
-        s = (s * s * s * (10.0 + s * (6.0 * s - 15.0)))[:, None]
+        first, last = self._segment(float(times[0])), self._segment(float(times[-1]))
+        if first == last:
+            return self._within(first, times)
+        poses, relative = np.empty((2, len(times), 6))
+        start = 0
+        for segment in range(first, last + 1):
+            end = len(times)
+            if segment < last:
+                end = int(np.searchsorted(times, self.times[segment + 1]))
+            part = slice(start, end)
+            if end > start:
+                poses[part], relative[part] = self._within(segment, times[part])
+            start = end
+        return poses, relative
+
+    def _segment(self, time: float) -> int:
+        """Return the number of the stretch that a task time lies in."""
+        return min(max(bisect_right(self.starts, time) - 1, 0), len(self.starts) - 1)
+
+    def _within(self, i: int, times: Array) -> tuple[Array, Array]:
+        """Return x_r and (x_o^nom)^-1 x_r (m, 6) at times of one stretch."""
+        begin, end = self.times[i], self.times[i + 1]
+        s = (np.minimum(np.maximum(times, begin), end) - begin) / (end - begin)
+        s = s * s * s * (10.0 + s * (6.0 * s - 15.0))
         here, there = self.points[i], self.points[i + 1]
-        travels = self.travels[i]
-        poses = here + s * (there - here)
-        share = travels + s[:, 0] * (self.travels[i + 1] - travels)
+        poses = here + s[:, None] * (there - here)
         relative = poses.copy()
-        relative[:, 1] -= (1.0 - share) * self.speed * times
-        relative[:, :3] -= (1.0 - share)[:, None] * self.origin
-        poses[:, 1] += share * self.speed * times
+        share = self.travels[i] + s * (self.travels[i + 1] - self.travels[i])
+        way = self.speed * times
+        base = 1.0 - share
+        relative[:, :3] -= base[:, None] * self.origin
+        relative[:, 1] -= base * way
         poses[:, :3] += share[:, None] * self.origin
+        poses[:, 1] += share * way
         return poses, relative
 
 
@@ -124,6 +148,7 @@ def compile_reference(task: TaskFile) -> Reference:
         phases=tuple(point.phase for point in task.waypoints),
         gates=tuple(point.gate for point in task.waypoints),
         turned=bool(np.abs(points[:, 3:]).max() > 1e-12),
+        starts=tuple(times[:-1].tolist()),
         axes=tuple(tuple(row) for row in C.tolist()),
         quaternion=rotations.quaternion(C),
         rest=points[0] + travels[0] * np.concatenate((origin, np.zeros(3))),

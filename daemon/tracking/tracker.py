@@ -304,7 +304,8 @@ def track(
         state.axis, _axis_speed(tracker, state), tracker.task.linear_axis.ramp, tracker.cycle_s
     )
     state = replace(state, poses=poses, axis=axis)
-    horizon = Horizon(poses, axis.positions, _free(tracker, times), tracker.reference.nominal)
+    free = _free(tracker, times)
+    horizon = Horizon(poses, axis.positions, free, tracker.reference.nominal, tracker.commit)
     return state, horizon, report(tracker, state, wrench, refused, target, part)
 
 
