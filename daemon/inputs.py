@@ -31,7 +31,9 @@ class Inputs:
         wrench: new samples, oldest first, bounded.
         order: what the step may do.
         start: the edge on which the task begins.
-        sent: the command of the step before reached the wire; a robot that got none holds.
+        sent: the command of the step before reached the robot; one that got none holds.
+        applied: where it holds then, A1..A6 [rad] and E1 [m], as far as the controller has told
+            since; None: at the last command that was sent.
     """
 
     k: int
@@ -43,3 +45,4 @@ class Inputs:
     order: Order = Order.HOLD
     start: bool = False
     sent: bool = True
+    applied: tuple[float, ...] | None = None

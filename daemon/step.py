@@ -149,7 +149,7 @@ def step(state: State, inputs: Inputs, parameters: Parameters) -> tuple[State, O
         parameters: compiled.
     """
     seen = _measurements(inputs, parameters)
-    state = _applied(state, sent=inputs.sent)
+    state = _applied(state, inputs)
     if inputs.order is Order.HOLD:
         return _hold(state, inputs, seen, parameters)
     retreat = inputs.order is Order.RETREAT
@@ -161,12 +161,13 @@ def step(state: State, inputs: Inputs, parameters: Parameters) -> tuple[State, O
     return state, _outputs(state, inputs, report, horizon.poses, held, parameters)
 
 
-def _applied(state: State, *, sent: bool) -> State:
+def _applied(state: State, inputs: Inputs) -> State:
     """Return the state with its gate at what the robot has: without a command it holds."""
-    if sent:
+    if inputs.sent:
         return replace(state, applied=state.control.gate.position)
-    gate = limits.at_rest(state.applied)
-    return replace(state, control=replace(state.control, gate=gate))
+    applied = state.applied if inputs.applied is None else np.array(inputs.applied)
+    gate = limits.at_rest(applied)
+    return replace(state, applied=applied, control=replace(state.control, gate=gate))
 
 
 def _hold(

@@ -209,12 +209,15 @@ class RsiController:
             return "KSS29002 ETHERNET returns error RSITimeout"
         return None
 
-    def restart(self, first_ipoc: int | None = None) -> None:
+    def restart(self, first_ipoc: int | None = None, setpoints: Seven | None = None) -> None:
         """Start the programme again: a new session from where the robot stands.
 
         Args:
             first_ipoc: its first counter; None: a second after the last one.
+            setpoints: where that is, A1..A6 [rad], E1 [m]; None: where it was sent last.
         """
+        if setpoints is not None:
+            self._setpoints = setpoints
         last = self._session.ipoc
         self._exchange.restart(last + 1000 if first_ipoc is None else first_ipoc)
         self._session = self._new_session()
