@@ -1,0 +1,170 @@
+"""The bank's evidence is a likelihood ratio: against a second filter for every hypothesis."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conveyor_truth import DEVIATION, NOMINAL, STOP, T0, Truth
+from filterpy.kalman import KalmanFilter
+from scipy import integrate
+
+from linemate.daemon.horizon import Array
+from linemate.daemon.tracking.classifier_bank import SETTLING, BankClassifier, BankState
+from linemate.daemon.tracking.conveyor import Motion, Row, Source
+from linemate.daemon.tracking.settings import BankSettings, FusionSettings
+from linemate.daemon.tracking.task import ConveyorClasses
+
+NEVER = 1e9
+# Without ripple the filter's own noise does not depend on what it believes of the speed.
+FUSION = FusionSettings(ripple=1e-9)
+SETTINGS = BankSettings(perceived=NEVER, stop_confirmed=NEVER, start_confirmed=NEVER)
+BANK = BankClassifier(ConveyorClasses(), FUSION, SETTINGS, DEVIATION)
+CAMERA_DELAY = 0.1
+
+
+def measured(truth: Truth, seed: int) -> list[list[Row]]:
+    """Rows of some steps: a distance at each, a late camera at every second."""
+    rng = np.random.default_rng(seed)
+    steps = []
+    for k in range(round(1.2 / T0)):
+        t = k * T0
+        value = float(truth.at(t - 0.001)) + rng.normal(0.0, DEVIATION)
+        rows = [Row(Source.DISTANCE, value, 0.001, DEVIATION**2, NEVER)]
+        if k % 2:
+            value = float(truth.at(t - CAMERA_DELAY)) + rng.normal(0.0, 5e-4)
+            rows.append(Row(Source.CAMERA, value, CAMERA_DELAY, 25e-8, NEVER))
+        steps.append(rows)
+    return steps
+
+
+def told(steps: list[list[Row]], bank: BankClassifier = BANK) -> tuple[BankState, int, BankState]:
+    """The state before the bank has hypotheses, its step, and the state at the end."""
+    state = bank.initial(steps[0][0].value)
+    start, first = state, 0
+    for k, rows in enumerate(steps[1:], 1):
+        state = bank.advance(state, rows, T0)
+        if len(state.bank.age) == 0:
+            start, first = state, k
+    return start, first, state
+
+
+def log_likelihood(
+    start: BankState, steps: list[list[Row]], onset: float, amplitude: float, first: int
+) -> float:
+    """A whole filter of its own, filterpy's, whose world has had a change since ``onset``."""
+    kf = KalmanFilter(dim_x=5, dim_z=1)
+    kf.x, kf.P = start.x.copy(), start.P.copy()
+    kf.F = np.eye(5)
+    kf.F[0, 1] = kf.F[0, 2] = kf.F[1, 4] = T0
+    kf.F[0, 4], kf.F[2, 2] = 0.5 * T0 * T0, math.exp(-T0 / FUSION.ripple_time)
+    kf.Q = np.diag((1e-12, FUSION.speed**2 * T0, 0.0, FUSION.offset**2 * T0, 0.0))
+    total = 0.0
+    for k, rows in enumerate(steps[first + 1 :], first + 1):
+        kf.predict()
+        for row in rows:
+            moved = max(k * T0 - row.delay - onset, 0.0)
+            change = -0.5 * STOP * moved * moved
+            seen = 1.0 if row.source is Source.DISTANCE else 0.0
+            H = np.array(((1.0, -row.delay, -row.delay, seen, 0.0),))
+            kf.update(
+                np.array((row.value - amplitude * change,)), R=np.array(((row.variance,),)), H=H
+            )
+            total += float(kf.log_likelihood)
+    return total
+
+
+@pytest.mark.parametrize("events", [(), ((0.95, -STOP),)], ids=["running on", "a stop at 0.95 s"])
+def test_evidence_is_the_likelihood_ratio_of_a_filter_for_each_hypothesis(
+    events: tuple[tuple[float, float], ...],
+) -> None:
+    steps = measured(Truth(1.5, events), seed=3)
+    start, first, state = told(steps)
+    assert start.age <= SETTLING + 1e-9
+    evidence = BANK._evidence(state.bank)
+    now = (len(steps) - 1) * T0
+    null = log_likelihood(start, steps, now, 0.0, first)
+    for j in (2, 12, 30, len(evidence) - 1):
+        onset = now - float(state.bank.age[j])
+        full, opposite = (
+            log_likelihood(start, steps, onset, amplitude, first) - null
+            for amplitude in (1.0, -1.0)
+        )
+        # A linear filter's likelihood is a parabola of the amplitude: three filters tell it all.
+        A, B = -(full + opposite), 0.5 * (full - opposite)
+        assert state.bank.A[j] == pytest.approx(A, rel=1e-6)
+        assert state.bank.B[j] == pytest.approx(B, rel=1e-6, abs=1e-6)
+        assert evidence[j] == pytest.approx(integrated(A, B), rel=1e-6, abs=1e-6)
+
+
+def integrated(A: float, B: float) -> float:
+    """ln of the mean of exp(a B - a^2 A / 2) over amplitudes a ~ N(1, s^2), by quadrature."""
+    s = SETTINGS.amplitude_deviation
+    peak = (B * s * s + 1.0) / (A * s * s + 1.0)
+
+    def exponent(a: float) -> float:
+        return a * B - 0.5 * a * a * A - 0.5 * ((a - 1.0) / s) ** 2
+
+    width = s / math.sqrt(1.0 + s * s * A)
+    total, _ = integrate.quad(
+        lambda a: math.exp(exponent(a) - exponent(peak)), peak - 9 * width, peak + 9 * width
+    )
+    return exponent(peak) + math.log(total / (s * math.sqrt(2.0 * math.pi)))
+
+
+def test_the_best_hypothesis_is_the_onset_that_was() -> None:
+    steps = measured(Truth(1.5, ((0.9, -STOP),)), seed=4)
+    _, _, state = told(steps)
+    best = state.bank.age[int(np.argmax(BANK._evidence(state.bank)))]
+    assert best == pytest.approx(1.2 - 0.9, abs=0.06)
+    assert state.odds > 10.0
+
+
+@pytest.mark.parametrize("share", [0.75, 1.0, 1.25])
+def test_the_amplitude_of_a_stop_is_found_with_its_onset(share: float) -> None:
+    truth = Truth(3.5, ((1.0, -share * STOP),), ripple=0.0)
+    bank = replace(BANK, bank=BankSettings(), mixture=False)
+    state = bank.initial(float(truth.at(-1.5)))
+    errors = {}
+    for t in np.arange(-1.5 + T0, 1.6, T0):
+        value = float(truth.at(t - 0.001))
+        state = bank.advance(state, [Row(Source.DISTANCE, value, 0.001, DEVIATION**2, 4.0)], T0)
+        ahead = np.array((0.4,))
+        errors[float(t)] = float((bank.outlook(state, ahead) - truth.at(t + ahead))[0])
+    assert state.motion is Motion.STOPPING
+    assert state.x[4] == pytest.approx(-share * STOP, rel=0.12)
+    late = [abs(error) for t, error in errors.items() if t > 1.45]
+    assert max(late) < 0.003
+
+
+def test_the_bank_never_grows_beyond_its_oldest_onset() -> None:
+    state = BANK.initial(0.0)
+    for k in range(1, 300):
+        state = BANK.advance(state, measured_row(NOMINAL * k * T0), T0)
+        assert len(state.bank.age) <= round(SETTINGS.longest_onset / T0)
+        assert all(len(each) == len(state.bank.age) for each in arrays(state))
+    assert float(state.bank.age.max()) <= SETTINGS.longest_onset + 1e-9
+    assert (np.diff(state.bank.age) > 0.0).all()
+
+
+def measured_row(value: float) -> list[Row]:
+    return [Row(Source.DISTANCE, value, 0.0, DEVIATION**2, NEVER)]
+
+
+def arrays(state: BankState) -> list[Array]:
+    return [state.bank.absorbed, state.bank.A, state.bank.B]
+
+
+def test_the_covariance_stays_symmetric_and_positive_through_a_stop_and_a_start() -> None:
+    truth = Truth(6.0, ((0.5, -STOP), (3.0, 0.013)))
+    bank = replace(BANK, bank=BankSettings(), fusion=FusionSettings())
+    rng = np.random.default_rng(1)
+    state = bank.initial(float(truth.at(-1.5)))
+    motions = set()
+    for t in np.arange(-1.5 + T0, 6.0, T0):
+        value = float(truth.at(t)) + rng.normal(0.0, DEVIATION)
+        state = bank.advance(state, [Row(Source.DISTANCE, value, 0.0, DEVIATION**2, 4.0)], T0)
+        motions.add(state.motion)
+        assert np.allclose(state.P, state.P.T, rtol=0.0, atol=1e-12)
+        assert np.linalg.eigvalsh(0.5 * (state.P + state.P.T))[0] > -1e-12
+    assert motions == {Motion.RUNNING, Motion.STOPPING, Motion.STANDING, Motion.STARTING}
