@@ -43,6 +43,21 @@ class Datagram:
     oversize: bool
 
 
+@dataclass(frozen=True, slots=True)
+class Received:
+    """One datagram before anybody asked when it came: what the kernel handed over."""
+
+    data: bytes
+    ancillary: list[tuple[int, int, bytes]]
+    flags: int
+    source: Address
+
+    @property
+    def oversize(self) -> bool:
+        """It was longer than 2 KiB and is incomplete."""
+        return bool(self.flags & socket.MSG_TRUNC)
+
+
 @dataclass(slots=True)
 class DatagramSocket:
     """A bound, non-blocking UDP socket.
@@ -102,22 +117,41 @@ class DatagramSocket:
         Raises:
             OSError: if the socket is broken.
         """
+        received = self.receive()
+        if received is None:
+            self.clock.drained(paired_clocks()[0])
+            return None
+        return self.stamped(received)
+
+    def receive(self) -> Received | None:
+        """Take one datagram without its time, for whoever must answer first.
+
+        Raises:
+            OSError: if the socket is broken.
+        """
         try:
             size, ancillary, flags, source = self.endpoint.recvmsg_into(
                 [self._buffer], ANCILLARY_BYTES
             )
         except (BlockingIOError, InterruptedError):
-            self.clock.drained(paired_clocks()[0])
             return None
+        return Received(bytes(memoryview(self._buffer)[:size]), ancillary, flags, source)
+
+    def stamped(self, received: Received) -> Datagram:
+        """Tell when a datagram came.
+
+        Args:
+            received: the datagram; not long ago, for its age is counted from now.
+        """
         now_ns, wall_ns = paired_clocks()
-        stamp_wall_ns, drops = read_ancillary(ancillary)
+        stamp_wall_ns, drops = read_ancillary(received.ancillary)
         if drops is not None:
             self.kernel_drops = drops
         return Datagram(
-            data=bytes(memoryview(self._buffer)[:size]),
+            data=received.data,
             stamp_ns=self.clock.arrival(stamp_wall_ns, now_ns, wall_ns),
-            source=source,
-            oversize=bool(flags & socket.MSG_TRUNC),
+            source=received.source,
+            oversize=received.oversize,
         )
 
     def close(self) -> None:

@@ -238,6 +238,24 @@ class Exchange:
         """Time since the last accepted telegram [ns], None before the first."""
         return None if self._state is State.IDLE else now_ns - self._last_ns
 
+    def foresees(self, ipoc: int, peer: Hashable = None) -> bool:
+        """Is this the one telegram that goes on as everything did?
+
+        Args:
+            ipoc: its counter.
+            peer: who sent it.
+
+        Returns:
+            True if ``on_telegram`` will call it normal and ask for one step.
+        """
+        return (
+            self._state is State.RUNNING
+            and not self._made
+            and self._step is not None
+            and ipoc - self._last_ipoc == self._step
+            and peer == self._peer
+        )
+
     def on_missing(self) -> None:
         """The clock made a step because no telegram came in its time."""
         if self._state is not State.IDLE:

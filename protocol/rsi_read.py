@@ -85,6 +85,19 @@ class Reader:
         groups = match.groups()
         return (groups if self._order is None else self._order(groups)), self._type
 
+    def glance(self, data: bytes) -> Texts | None:
+        """The texts of a telegram in the shape last seen, None for any other.
+
+        What is returned would be accepted by :meth:`read` with the same texts.
+        """
+        if len(data) > MAX_TELEGRAM_BYTES or b"<!" in data:
+            return None
+        match = self._pattern.fullmatch(data.decode("latin-1"))
+        if match is None:
+            return None
+        groups = match.groups()
+        return groups if self._order is None else self._order(groups)
+
     def _read_tolerantly(self, text: str, data: bytes) -> tuple[Texts, str]:
         self.tolerant += 1
         text = text.rstrip(_TRAILING)

@@ -54,6 +54,9 @@ from linemate.protocol.wrench import BAUD_RATES, make_decoder, make_host
 ORDERS = frozenset({"arm", "start", "stop", "retreat", "ack"})
 REST_PATIENCE_S = 4.0
 STATUS_EVERY_NS = 1_000_000_000
+PATIENCE_NS = 1_000_000
+"""How long beyond its time the loop waits for a telegram whose reply is ready [ns]."""
+
 SAY_EVERY = 1000
 """A fault of the cycle is logged once in so many."""
 
@@ -114,6 +117,7 @@ class App:
             self._failed,
             self._look,
             Pace.free(period_ns, time.monotonic_ns(), lead_ns),
+            attend=self._attend,
         )
         self._collector = realtime.Collector()
         self._account = Account(Timing(period_ns))
@@ -257,6 +261,17 @@ class App:
         self._arrival = stamp_ns
         self._later()
         return reply
+
+    def _attend(self, due: Due) -> None:
+        """Wait for the telegram whose reply is ready; until then nothing else is to be done."""
+        patience_ns = min(PATIENCE_NS, self._clock.schedule.period_ns // 4)
+        self._robot.attend(due.stamp_ns + patience_ns, self._express)
+
+    def _express(self, data: bytes, source: Address) -> bytes | None:
+        peer = self._station.config.rsi.peer
+        if peer is not None and source[0] != peer:
+            return None
+        return self.cycle.express(data, source)
 
     def _look(self) -> None:
         """Answer telegrams that wait, so that none is called missing that is there already."""

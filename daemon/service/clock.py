@@ -111,6 +111,7 @@ class Clock:
         look: takes telegrams that wait, so that none is called missing that is there already.
         pace: which step is due when.
         lateness: of the wakes.
+        attend: waits for the telegram whose step is made.
     """
 
     on_due: Callable[[Due], None]
@@ -118,6 +119,7 @@ class Clock:
     look: Callable[[], None]
     pace: Pace
     lateness: Lateness = field(default_factory=Lateness)
+    attend: Callable[[Due], None] = lambda _: None
     _timer: Timer | None = None
     _loop: asyncio.AbstractEventLoop | None = None
     _armed_ns: int = 0
@@ -178,4 +180,5 @@ class Clock:
             if one.kind is Kind.PREPARE:
                 began_ns = one.stamp_ns - self.schedule.lead_ns
                 self.pace.prepared(time.monotonic_ns() - began_ns)
+                self.attend(one)
         self._arm()

@@ -18,12 +18,21 @@ from linemate.daemon.service.states import Machine, Signals
 from linemate.daemon.tracking.task import Phase
 from linemate.protocol.exchange import Exchange, Verdict
 from linemate.protocol.rsi import PreparedReply, RobotTelegram, RsiCodec, RsiError, SensorTelegram
-from linemate.protocol.samples import CameraSample, DistanceSample, RobotSample, WrenchSample
+from linemate.protocol.samples import (
+    CameraSample,
+    DistanceSample,
+    RobotSample,
+    Vector6,
+    WrenchSample,
+)
 
 Sample = TypeVar("Sample")
 OnTransition = Callable[[Machine, Signals, Machine], None]
 
 LONGEST_LOG = 256
+LONGEST_JUMP = 0.05
+"""Of a joint from one telegram to the next, before a reply is looked at twice [rad]."""
+
 CATCH_UP_S = 0.3  # steps made at once after a gap, at most
 
 
@@ -108,6 +117,7 @@ class Cycle:
         self.last: LogEntry | None = None
         self.on_transition: OnTransition | None = None
         self.verdict: Verdict | None = None
+        self._wrench_clock = WrenchClock()
         self._settings = watch_settings or watch.WatchSettings()
         self._absolute = absolute
         self._wrench_expected = wrench_expected
@@ -116,6 +126,7 @@ class Cycle:
         self._orders: set[str] = set()
         self._state: stepping.State | None = None
         self._robot: RobotSample | None = None
+        self._joints: Vector6 | None = None
         self._start: tuple[float, ...] = ()
         # The command of the last reply while its fate is open, and the last one that was taken.
         self._given: tuple[float, ...] | None = None
@@ -146,7 +157,7 @@ class Cycle:
 
     def feed_wrench(self, sample: WrenchSample) -> None:
         """Take a wrench for the next step."""
-        self.wrench.put(sample)
+        self.wrench.put(self._wrench_clock.date(sample))
 
     # Orders.
 
@@ -193,7 +204,33 @@ class Cycle:
         self._settle(telegram.delay, verdict.missed + 1)
         reply = self._answer(telegram, stamp_ns, verdict.steps)
         self._robot = robot
+        self._joints = robot.joints
         return reply
+
+    def express(self, data: bytes, peer: Hashable = None) -> bytes | None:
+        """Return the reply that is ready, if this is the telegram that it was made for.
+
+        ``on_telegram`` has to follow at once, and returns the same reply.
+
+        Args:
+            data: the datagram.
+            peer: who sent it.
+
+        Returns:
+            None if nothing is ready, or counter, sender, shape or the robot's place are not what
+            was assumed.
+        """
+        if self._ready is None:
+            return None
+        seen = self.codec.glance_robot(data)
+        if seen is None or not self.exchange.foresees(seen[0], peer):
+            return None
+        joints = seen[2]
+        if joints is None or self._joints is None:
+            return None
+        if any(abs(a - b) > LONGEST_JUMP for a, b in zip(joints, self._joints, strict=True)):
+            return None
+        return self._ready.reply.with_ipoc(seen[1])
 
     def prepare(self, stamp_ns: int) -> bool:
         """Make the step of a telegram that is expected at ``stamp_ns``; True if it is ready."""
