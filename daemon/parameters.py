@@ -14,6 +14,7 @@ from linemate.daemon.control import kinematics
 from linemate.daemon.control.settings import ControlSettings
 from linemate.daemon.tracking import merge
 from linemate.daemon.tracking.classifier_bank import BankClassifier
+from linemate.daemon.tracking.classifier_imm import ImmClassifier
 from linemate.daemon.tracking.classifier_rule import RuleClassifier
 from linemate.daemon.tracking.conveyor import Classifier
 from linemate.daemon.tracking.reference import compile_reference
@@ -49,7 +50,7 @@ def _classifier(task: TaskFile, settings: TrackingSettings) -> Classifier:
         return BankClassifier(
             task.conveyor, settings.fusion, settings.bank, deviation, settings.mixture
         )
-    raise ValueError(f"tracking.classifier: {settings.classifier} is not there yet")
+    return ImmClassifier(task.conveyor, settings.fusion, settings.bank, settings.imm, deviation)
 
 
 def build(

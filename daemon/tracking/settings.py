@@ -162,6 +162,21 @@ class BankSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class ImmSettings:
+    """The interacting multiple model filter.
+
+    Attributes:
+        rate: of stops and of starts, prior [1/s].
+        perceived: odds of another class at which a change counts as perceived.
+        confirmed: and at which it is confirmed.
+    """
+
+    rate: Positive = 0.1
+    perceived: Annotated[float, Gt(0.0), Lt(1.0)] = 0.8
+    confirmed: Annotated[float, Gt(0.0), Lt(1.0)] = 0.995
+
+
+@dataclass(frozen=True, slots=True)
 class MergeSettings:
     """How a change of prediction enters the horizon (reading notes, "The merge").
 
@@ -191,6 +206,7 @@ class TrackingSettings:
     classifier: ClassifierKind = ClassifierKind.BANK
     rule: RuleSettings = RuleSettings()
     bank: BankSettings = BankSettings()
+    imm: ImmSettings = ImmSettings()
     merge: MergeSettings = MergeSettings()
     predict: bool = True
     mixture: bool = True
