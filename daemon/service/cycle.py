@@ -25,6 +25,7 @@ from linemate.protocol.samples import (
     Vector6,
     WrenchSample,
 )
+from linemate.protocol.wrench_clock import WrenchClock
 
 Sample = TypeVar("Sample")
 OnTransition = Callable[[Machine, Signals, Machine], None]
