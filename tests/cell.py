@@ -1,0 +1,157 @@
+"""The shipped cell for tests of the step and of the cycle, and inputs to drive them with."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from linemate.daemon import rotations
+from linemate.daemon.control.settings import ControlSettings
+from linemate.daemon.inputs import Inputs, Order
+from linemate.daemon.parameters import Parameters, build
+from linemate.daemon.service import task_file
+from linemate.daemon.service.files import DAEMON_DATA
+from linemate.daemon.step import Outputs, State, initial, step
+from linemate.daemon.tracking.settings import TrackingSettings
+from linemate.protocol.samples import CameraSample, DistanceSample, RobotSample, WrenchSample
+
+EPOCH_NS = 7_000_000_000_000
+TASK = task_file.load(DAEMON_DATA / "wheel.yaml")
+REST = TASK.file.arm.rest_joints
+AXIS = 0.3
+SPEED = 0.106
+LEAD_S = 1.5
+"""The object passes the start position this long after the first step."""
+
+SWING = 0.004
+TURN = rotations.exp(np.array((0.05, -0.25, 0.2)))
+OFF = np.array((0.03, -0.02, 0.04))
+"""The object in c beside its nominal pose, and its turn."""
+
+
+@cache
+def parameters(cycle_s: float = 0.012) -> Parameters:
+    """The shipped task with default settings, compiled once."""
+    return build(TASK.file, TASK.urdf, TrackingSettings(), ControlSettings(), cycle_s)
+
+
+def robot_sample(
+    stamp_ns: int,
+    command: tuple[float, ...] | None = None,
+    digital_in: int = 0,
+) -> RobotSample:
+    """What an ideal robot says: it is where it was commanded."""
+    joints = (*REST, AXIS) if command is None else command
+    arm: Any = joints[:6]
+    return RobotSample(stamp_ns, 1, arm, joints[6:7], 0, digital_in)
+
+
+def object_at(t: float) -> tuple[np.ndarray, np.ndarray]:
+    """The object in c (position, rotation) at scenario time t [s]: off, turned and swinging."""
+    phi = SWING * np.cos(2 * np.pi * 0.62 * t)
+    nominal = rotations.matrix(TASK.file.object.nominal.quaternion).T @ np.array(
+        TASK.file.object.nominal.position
+    )
+    place = nominal + OFF + np.array((-0.3 * phi, SPEED * t, -0.9 * phi))
+    return place, rotations.exp(np.array((0.0, phi, 0.0))) @ TURN
+
+
+class World:
+    """Inputs for a robot that obeys, an object that moves steadily, and clean sensors."""
+
+    def __init__(self, parameters: Parameters, *, camera: bool = True, distance: bool = True):
+        """Begin at rest."""
+        self.parameters = parameters
+        self.period_ns = round(parameters.cycle_s * 1e9)
+        self.k = 0
+        self.state: State = initial(parameters, robot_sample(EPOCH_NS))
+        self.command: tuple[float, ...] = (*REST, AXIS)
+        self.outputs: Outputs | None = None
+        self.camera, self.distance = camera, distance
+        self._camera_due = 0.02
+        self._poses: list[tuple[int, np.ndarray, np.ndarray]] = []
+
+    @property
+    def stamp_ns(self) -> int:
+        """Time of the next step [ns]."""
+        return EPOCH_NS + self.k * self.period_ns
+
+    @property
+    def time(self) -> float:
+        """Scenario time of the next step [s]."""
+        return (self.stamp_ns - EPOCH_NS) * 1e-9 - LEAD_S
+
+    def inputs(self, order: Order = Order.HOLD, **changes: Any) -> Inputs:
+        """What the next step is given."""
+        stamp_ns = self.stamp_ns
+        robot = robot_sample(stamp_ns - self.period_ns, self.command)
+        distance: tuple[DistanceSample, ...] = ()
+        if self.distance:
+            seen_ns = stamp_ns - 1_000_000
+            position = SPEED * (self.time - 0.002)
+            distance = (DistanceSample(seen_ns, position, 1.0),)
+        made = Inputs(self.k, stamp_ns, robot, distance, self._camera(), (self._wrench(),), order)
+        return replace(made, **changes)
+
+    def _wrench(self) -> WrenchSample:
+        return WrenchSample(self.stamp_ns - 2_000_000, (0.1, 0.2, 0.1), (0.0, 0.01, 0.0))
+
+    def _camera(self) -> tuple[CameraSample, ...]:
+        """An image every 25 ms, a tenth of a second late, from where the robot then was."""
+        arm = self.parameters.controller.arm
+        C = self.parameters.tracker.reference.nominal
+        position, rotation = arm.tcp_in_base(np.array(self.command))
+        self._poses.append((self.stamp_ns - self.period_ns, C.T @ position, C.T @ rotation))
+        elapsed = (self.stamp_ns - EPOCH_NS) * 1e-9
+        if not self.camera or elapsed - 0.1 < self._camera_due:
+            return ()
+        exposure_ns, tcp, R_tcp = min(
+            self._poses, key=lambda pose: abs(pose[0] - EPOCH_NS - self._camera_due * 1e9)
+        )
+        self._camera_due += 0.025
+        del self._poses[:-60]
+        camera, R_camera = self.parameters.tracker.camera
+        place, turned = object_at((exposure_ns - EPOCH_NS) * 1e-9 - LEAD_S)
+        R = R_tcp @ R_camera
+        x, y, z = (R.T @ (place - tcp - R_tcp @ camera)).tolist()
+        return (
+            CameraSample(
+                self.stamp_ns,
+                exposure_ns,
+                "cam1",
+                "camera",
+                "hub",
+                self.k,
+                (x, y, z),
+                rotations.quaternion(R.T @ turned),
+            ),
+        )
+
+    def step(self, order: Order = Order.HOLD, **changes: Any) -> Outputs:
+        """Make the next step."""
+        return self.take(self.inputs(order, **changes))
+
+    def take(self, inputs: Inputs) -> Outputs:
+        """Make a step with these inputs."""
+        self.state, self.outputs = step(self.state, inputs, self.parameters)
+        self.command = self.outputs.command
+        self.k += 1
+        return self.outputs
+
+    def run(
+        self,
+        seconds: float,
+        order: Order = Order.HOLD,
+        each: Callable[[Outputs], None] | None = None,
+        **changes: Any,
+    ) -> Outputs:
+        """Make steps for some time."""
+        outputs = None
+        for _ in range(round(seconds / self.parameters.cycle_s)):
+            outputs = self.step(order, **changes)
+            if each is not None:
+                each(outputs)
+        assert outputs is not None
+        return outputs
