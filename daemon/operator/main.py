@@ -8,6 +8,7 @@ when something is watched. Exit codes: 0 done or healthy, 1 refused or not healt
 
 import argparse
 import contextlib
+import dataclasses
 import json
 import os
 import sys
@@ -237,6 +238,19 @@ def _keygen(args: argparse.Namespace) -> int:
     return OK
 
 
+def _doctor(args: argparse.Namespace) -> int:
+    from linemate.daemon.operator import doctor
+
+    findings = doctor.examine(doctor.Host())
+    if args.json:
+        print(render.as_json([dataclasses.asdict(finding) for finding in findings]))
+    else:
+        print(render.table((), [(f.name, str(f.grade), f.what) for f in findings]))
+        costs = [f"{f.name}: {f.cost}" for f in findings if f.cost]
+        print("\n".join(["", *costs] if costs else ["", "nothing is lacking"]))
+    return NOT_OK if doctor.is_lacking(findings) else OK
+
+
 # --- the command line ---------------------------------------------------------------------
 
 
@@ -298,6 +312,10 @@ def _parser() -> argparse.ArgumentParser:
     record = commands.add_parser("record", parents=[common], help="recordings")
     record.add_argument("action", choices=("start", "stop"))
     record.set_defaults(run=_operate, op="record")
+
+    doctor = commands.add_parser("doctor", help="what this host lacks for real time and links")
+    doctor.add_argument("--json", action="store_true", help="print JSON")
+    doctor.set_defaults(run=_doctor)
 
     keygen = commands.add_parser("keygen", help="make a key and print its line")
     keygen.add_argument("name")

@@ -1,0 +1,317 @@
+"""`linemate doctor`: what this host lacks for real time and for the links, and what that costs.
+
+Law of this file: it looks and changes nothing that stays; each check is one function with one
+finding, and what does not exist here (no CAN, no serial port) is not a lack. Light imports only.
+Source: reference/real-time.md, 1 and 2; reference/sensors-and-tools.md, 8.
+"""
+
+import ctypes
+import fcntl
+import os
+import resource
+import struct
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Final
+
+FIFO_PRIORITY: Final = 70
+CAP_IPC_LOCK: Final = 14
+CAN_TYPE: Final = "280"
+"""ARPHRD_CAN."""
+
+GOOD_CLOCKS: Final = frozenset(
+    {"tsc", "kvm-clock", "arch_sys_counter", "hyperv_clocksource_tsc_page"}
+)
+DEEP_SLEEP_US: Final = 50
+"""A core that takes longer than this to wake is worth holding awake."""
+
+TIOCGSERIAL: Final = 0x541E
+SERIAL_STRUCT: Final = 72
+FLAGS_AT: Final = 16
+ASYNC_LOW_LATENCY: Final = 1 << 13
+
+
+class Grade(StrEnum):
+    """How a check ended."""
+
+    GOOD = "good"
+    ADVICE = "could be better"
+    LACK = "lacking"
+    ABSENT = "not here"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One check's outcome.
+
+    Attributes:
+        name: what was looked at.
+        grade: how it is.
+        what: was found.
+        cost: what it costs and how to change it; empty if it is good.
+    """
+
+    name: str
+    grade: Grade
+    what: str
+    cost: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Host:
+    """Where the kernel tells of itself.
+
+    Attributes:
+        root: of the file system; another one in tests.
+    """
+
+    root: Path = Path("/")
+
+    def read(self, path: str) -> str | None:
+        """The text of a file of the kernel's, None if there is none."""
+        try:
+            return (self.root / path).read_text(encoding="utf-8", errors="replace").strip()
+        except OSError:
+            return None
+
+    def each(self, pattern: str) -> list[Path]:
+        """Files by pattern, in order."""
+        return sorted(self.root.glob(pattern))
+
+
+def examine(host: Host) -> tuple[Finding, ...]:
+    """Make every check.
+
+    Args:
+        host: this one.
+    """
+    return (*(check(host) for check in CHECKS), *_can(host), *_serial(host))
+
+
+def is_lacking(findings: Iterable[Finding]) -> bool:
+    """Whether anything is missing that costs replies or links."""
+    return any(finding.grade is Grade.LACK for finding in findings)
+
+
+# --- the scheduler and memory -------------------------------------------------------------
+
+
+def fifo(_: Host) -> Finding:
+    """May a process started here have a real-time priority?"""
+    name = "SCHED_FIFO"
+    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
+    except OSError as error:
+        limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
+        return Finding(
+            name, Grade.LACK, f"refused: {error.strerror}; RLIMIT_RTPRIO is {limit}",
+            "on a busy machine replies come 20 to 40 ms late; LimitRTPRIO=98 in the unit, or "
+            "ulimit -r 98, or CAP_SYS_NICE",
+        )  # fmt: skip
+    os.sched_setscheduler(0, policy, parameters)
+    return Finding(name, Grade.GOOD, f"granted at {FIFO_PRIORITY}")
+
+
+def locked_memory(host: Host) -> Finding:
+    """May it keep its memory from being paged out?"""
+    name = "mlockall"
+    hard = resource.getrlimit(resource.RLIMIT_MEMLOCK)[1]
+    if hard == resource.RLIM_INFINITY:
+        return Finding(name, Grade.GOOD, "no limit")
+    status = host.read("proc/self/status") or ""
+    effective = [line.split()[1] for line in status.splitlines() if line.startswith("CapEff:")]
+    if effective and int(effective[0], 16) >> CAP_IPC_LOCK & 1:
+        return Finding(name, Grade.GOOD, "CAP_IPC_LOCK")
+    return Finding(
+        name, Grade.LACK, f"at most {hard >> 10} KiB",
+        "a page fault in a reply costs milliseconds; LimitMEMLOCK=infinity in the unit",
+    )  # fmt: skip
+
+
+def timer_slack(host: Host) -> Finding:
+    """How late may the kernel make timers of the ordinary class?"""
+    slack = host.read("proc/self/timerslack_ns")
+    if slack is None:
+        return Finding("timer slack", Grade.ABSENT, "the kernel does not tell")
+    grade = Grade.GOOD if int(slack) <= 50_000 else Grade.ADVICE
+    cost = "" if grade is Grade.GOOD else "every sleep may be late by as much"
+    return Finding("timer slack", grade, f"{int(slack) / 1000:g} us", cost)
+
+
+def throttling(host: Host) -> Finding:
+    """Does the kernel stop a real-time process that takes too much?"""
+    name, runtime = "real-time throttling", host.read("proc/sys/kernel/sched_rt_runtime_us")
+    period = host.read("proc/sys/kernel/sched_rt_period_us")
+    if runtime is None or period is None:
+        return Finding(name, Grade.ABSENT, "the kernel does not tell")
+    if int(runtime) < 0:
+        return Finding(name, Grade.GOOD, "off")
+    share = int(runtime) / max(1, int(period))
+    grade = Grade.GOOD if share >= 0.9 else Grade.LACK
+    cost = "" if grade is Grade.GOOD else "the daemon is stopped for the rest of each second"
+    return Finding(name, grade, f"at {share:.0%} of a core", cost)
+
+
+# --- the kernel and the processor ---------------------------------------------------------
+
+
+def cores(_: Host) -> Finding:
+    """Is there one for everything else?"""
+    count = len(os.sched_getaffinity(0))
+    if count > 1:
+        return Finding("cores", Grade.GOOD, str(count))
+    cost = "recording and operators take turns with the cycle; realtime.cpus cannot help"
+    return Finding("cores", Grade.ADVICE, "1", cost)
+
+
+def preemption(host: Host) -> Finding:
+    """Can a real-time process interrupt the kernel?"""
+    name = "kernel preemption"
+    if host.read("sys/kernel/realtime") == "1":
+        return Finding(name, Grade.GOOD, "PREEMPT_RT")
+    version = host.read("proc/version") or ""
+    found = next((w for w in ("PREEMPT_RT", "PREEMPT_DYNAMIC", "PREEMPT") if w in version), None)
+    if found == "PREEMPT_RT":
+        return Finding(name, Grade.GOOD, found)
+    return Finding(
+        name, Grade.ADVICE, found or "none",
+        "now and then the kernel keeps the processor for some ms; good for 12 and 4 ms, "
+        "for 1 ms take a PREEMPT_RT kernel",
+    )  # fmt: skip
+
+
+def clock_source(host: Host) -> Finding:
+    """How dear is it to read the clock?"""
+    where = "sys/devices/system/clocksource/clocksource0/"
+    name, current = "clock source", host.read(where + "current_clocksource")
+    if current is None:
+        return Finding(name, Grade.ABSENT, "the kernel does not tell")
+    if current in GOOD_CLOCKS:
+        return Finding(name, Grade.GOOD, current)
+    others = host.read(where + "available_clocksource") or ""
+    return Finding(
+        name, Grade.LACK, current,
+        f"each reading is a system call of a microsecond, dozens a cycle; there is: {others}",
+    )  # fmt: skip
+
+
+def governor(host: Host) -> Finding:
+    """Does the processor slow down between two cycles?"""
+    files = host.each("sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor")
+    found = sorted({path.read_text(encoding="ascii").strip() for path in files})
+    if not found:
+        return Finding("governor", Grade.ABSENT, "no frequency scaling")
+    if found == ["performance"]:
+        return Finding("governor", Grade.GOOD, "performance")
+    return Finding(
+        "governor", Grade.ADVICE, ", ".join(found),
+        "a step takes up to three times as long; cpupower frequency-set -g performance",
+    )  # fmt: skip
+
+
+def deep_sleep(host: Host) -> Finding:
+    """How long does a core take to wake, and may we keep it from sleeping deeply?"""
+    name = "cpu_dma_latency"
+    latencies = [
+        int(text)
+        for path in host.each("sys/devices/system/cpu/cpu0/cpuidle/state*/latency")
+        if (text := path.read_text(encoding="ascii").strip()).isdigit()
+    ]
+    deepest = max(latencies, default=0)
+    if deepest <= DEEP_SLEEP_US:
+        return Finding(name, Grade.GOOD, f"cores wake within {deepest} us")
+    device = host.root / "dev/cpu_dma_latency"
+    if os.access(device, os.W_OK):
+        return Finding(
+            name, Grade.GOOD, f"cores take {deepest} us to wake; realtime.cpu_dma_latency_us helps"
+        )
+    return Finding(
+        name, Grade.ADVICE, f"cores take {deepest} us to wake",
+        f"a reply comes {deepest} us late after a pause; DeviceAllow=/dev/cpu_dma_latency rw",
+    )  # fmt: skip
+
+
+def openmp(_: Host) -> Finding:
+    """Is the library there that pinocchio's wheel does not bring along?"""
+    try:
+        ctypes.CDLL("libgomp.so.1")
+    except OSError:
+        return Finding(
+            "libgomp1", Grade.LACK, "not found", "the daemon does not start; apt install libgomp1"
+        )
+    return Finding("libgomp1", Grade.GOOD, "found")
+
+
+CHECKS: Final[tuple[Callable[[Host], Finding], ...]] = (
+    fifo, locked_memory, throttling, timer_slack, deep_sleep, cores, preemption, clock_source,
+    governor, openmp,
+)  # fmt: skip
+
+
+# --- the links ----------------------------------------------------------------------------
+
+
+def _can(host: Host) -> Iterator[Finding]:
+    """Are the kernel's CAN interfaces up?"""
+    found = False
+    for path in host.each("sys/class/net/*/type"):
+        if path.read_text(encoding="ascii").strip() != CAN_TYPE:
+            continue
+        found = True
+        interface = path.parent.name
+        state = host.read(f"sys/class/net/{interface}/operstate") or "unknown"
+        if state in {"up", "unknown"} and _is_up(host, interface):
+            yield Finding(f"CAN {interface}", Grade.GOOD, "up")
+        else:
+            yield Finding(
+                f"CAN {interface}", Grade.LACK, state,
+                f"no distance from it; ip link set {interface} up type can bitrate 500000 "
+                "restart-ms 100",
+            )  # fmt: skip
+    if not found:
+        yield Finding("CAN", Grade.ABSENT, "no interface of the kernel's; slcan needs none")
+
+
+def _is_up(host: Host, interface: str) -> bool:
+    flags = host.read(f"sys/class/net/{interface}/flags") or "0x0"
+    return bool(int(flags, 16) & 1)
+
+
+def _serial(host: Host) -> Iterator[Finding]:
+    """Do serial adapters hand on what they have at once?"""
+    ports = host.each("sys/class/tty/ttyUSB*") + host.each("sys/class/tty/ttyACM*")
+    if not ports:
+        yield Finding("serial", Grade.ABSENT, "no adapter")
+    for port in ports:
+        name = f"serial {port.name}"
+        timer = host.read(f"sys/class/tty/{port.name}/device/latency_timer")
+        if timer is not None and timer.isdigit() and int(timer) > 1:
+            yield Finding(
+                name, Grade.LACK, f"holds bytes back for {timer} ms",
+                f"the force is up to {timer} ms old; echo 1 > /sys/class/tty/{port.name}/device/"
+                "latency_timer, or setserial low_latency",
+            )  # fmt: skip
+        elif timer is None and _is_slow(host.root / "dev" / port.name):
+            yield Finding(
+                name, Grade.ADVICE, "not low_latency",
+                f"bytes may be held back for some ms; setserial /dev/{port.name} low_latency",
+            )  # fmt: skip
+        else:
+            yield Finding(name, Grade.GOOD, "hands on at once")
+
+
+def _is_slow(device: Path) -> bool:
+    """Whether a serial driver says that it may wait for more; False if it does not say."""
+    with suppress(OSError, struct.error):
+        fd = os.open(device, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
+        try:
+            told = fcntl.ioctl(fd, TIOCGSERIAL, bytes(SERIAL_STRUCT))
+            (flags,) = struct.unpack_from("@i", told, FLAGS_AT)
+            return not flags & ASYNC_LOW_LATENCY
+        finally:
+            os.close(fd)
+    return False
