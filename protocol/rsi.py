@@ -103,19 +103,22 @@ class RsiCodec:
             _channels(layout, texts),
         )
 
-    def glance_robot(self, data: bytes) -> tuple[int, bytes, Vector6 | None] | None:
-        """The counter and the joints of a telegram, in a third of the time.
+    def glance_robot(self, data: bytes) -> tuple[int, bytes, Vector6 | None, int | None] | None:
+        """The counter, the joints and the Delay of a telegram, in a third of the time.
 
         Returns:
-            IPOC, its digits, and A1..A6 [rad] or None if they are not configured; None for a
-            telegram that needs :meth:`parse_robot`, which accepts whatever is returned here.
+            IPOC, its digits, A1..A6 [rad] or None if they are not configured, and the Delay or
+            None likewise; None for a telegram that needs :meth:`parse_robot`, which accepts
+            whatever is returned here.
         """
         texts = self.robot_reader.glance(data)
         if texts is None:
             return None
         ipoc, ipoc_text = _ipoc(texts)
         joints = None if self._joints is None else _vector(self._joints, texts)
-        return ipoc, ipoc_text, cast(Vector6 | None, joints)
+        place = self._robot.delay
+        delay = None if place is None else int(cast(str, texts[place]))
+        return ipoc, ipoc_text, cast(Vector6 | None, joints), delay
 
     def parse_sensor(self, data: bytes) -> SensorTelegram:
         """Read the daemon's reply; what is not in it is None, or not among the channels.

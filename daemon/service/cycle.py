@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
+from xml.sax.saxutils import escape
 
 from linemate.daemon import step as stepping
 from linemate.daemon.inputs import Inputs
@@ -16,7 +17,7 @@ from linemate.daemon.parameters import Parameters
 from linemate.daemon.service import states, watch
 from linemate.daemon.service.states import Machine, Signals
 from linemate.daemon.tracking.task import Phase
-from linemate.protocol.exchange import Exchange, Verdict
+from linemate.protocol.exchange import Exchange, Kind, Verdict
 from linemate.protocol.rsi import PreparedReply, RobotTelegram, RsiCodec, RsiError, SensorTelegram
 from linemate.protocol.samples import (
     CameraSample,
@@ -35,6 +36,10 @@ LONGEST_JUMP = 0.05
 """Of a joint from one telegram to the next, before a reply is looked at twice [rad]."""
 
 CATCH_UP_S = 0.3  # steps made at once after a gap, at most
+JOINED_S = 0.15  # unanswered for longer before its first telegram here: it was under way before
+FOREIGN = "the robot's programme was under way before this daemon: start it anew"
+PEERS = 4  # programmes that are remembered
+SLACK = 4  # cycles by which counter and clock may disagree
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +59,19 @@ class _Prepared:
     before: stepping.State
     reply: PreparedReply
     entry: LogEntry
+
+
+@dataclass(frozen=True, slots=True)
+class _Programme:
+    """What is remembered of a controller's programme, as of its last answered telegram."""
+
+    ipoc: int
+    step: int | None
+    stamp_ns: int
+    delay: int | None
+    start: tuple[float, ...]
+    taken: tuple[float, ...]
+    given: tuple[float, ...]
 
 
 class Inbox(Generic[Sample]):
@@ -113,6 +131,8 @@ class Cycle:
         self.inline = 0
         self.prepared = 0
         self.replies_lost = 0
+        self.remade = 0
+        self.is_foreign = False
         self.steps = 0
         self.log_dropped = 0
         self.last: LogEntry | None = None
@@ -135,6 +155,7 @@ class Cycle:
         self._delay: int | None = None
         self._was_lost = False
         self._is_loss_untold = False
+        self._programmes: dict[Hashable, _Programme] = {}
         self._was_sent = True
         self._new_session = False
         self._stamp_ns = 0
@@ -145,6 +166,8 @@ class Cycle:
         tags = {element.tag for element in codec.config.receive}
         self._writes_external = any(tag.startswith(("EK.", "EKorr.")) for tag in tags)
         self._writes_signals = "DiO" in tags
+        sentype = escape(codec.config.sentype)
+        self._bare = PreparedReply(f'<Sen Type="{sentype}"><IPOC>'.encode(), b"</IPOC></Sen>")
 
     # Samples.
 
@@ -200,12 +223,15 @@ class Cycle:
         verdict = self.verdict = self.exchange.on_telegram(telegram.ipoc, stamp_ns, peer)
         if not verdict.answer:
             return None
-        if self._state is None or verdict.kind in {"first", "new_session"}:
-            self._open_session(robot)
+        if verdict.kind in {Kind.FIRST, Kind.NEW_SESSION}:
+            self._meet(robot, peer)
+        if self.is_foreign:
+            return self._reply_bare(telegram, stamp_ns)
         self._settle(telegram.delay, verdict.missed + 1)
         reply = self._answer(telegram, stamp_ns, verdict.steps)
         self._robot = robot
         self._joints = robot.joints
+        self._remember(robot, peer)
         return reply
 
     def express(self, data: bytes, peer: Hashable = None) -> bytes | None:
@@ -221,12 +247,15 @@ class Cycle:
             None if nothing is ready, or counter, sender, shape or the robot's place are not what
             was assumed.
         """
-        if self._ready is None:
+        if self._ready is None or not self._ready.entry.inputs.sent:
             return None
         seen = self.codec.glance_robot(data)
         if seen is None or not self.exchange.foresees(seen[0], peer):
             return None
-        joints = seen[2]
+        joints, delay = seen[2:]
+        if delay != self._delay:
+            # The controller may have thrown the last reply away.
+            return None
         if joints is None or self._joints is None:
             return None
         if any(abs(a - b) > LONGEST_JUMP for a, b in zip(joints, self._joints, strict=True)):
@@ -281,18 +310,61 @@ class Cycle:
             digital_in=int(signals) if isinstance(signals, (int, float)) else 0,
         )
 
-    def _open_session(self, robot: RobotSample) -> None:
-        """Begin anew where the robot stands: corrections are zero there, arming is needed."""
+    def _meet(self, robot: RobotSample, peer: Hashable) -> None:
+        """Find out whether a programme has begun, and open a session with it.
+
+        Absolute corrections count from where a programme began. One that was under way before
+        this process cannot be told where that was; it is only asked to hold.
+        """
+        known = self._programmes.get(peer)
+        cycle_s = self.parameters.cycle_s
+        if known is not None and (held := _goes_on(known, robot, cycle_s)) is not None:
+            self._open_session(robot, known.start, held)
+            return
+        unanswered_s = (robot.delay or 0) * cycle_s
+        self.is_foreign = self._absolute and known is None and unanswered_s > JOINED_S
+        if not self.is_foreign:
+            axes = self._axes(robot)
+            self._open_session(robot, axes, axes)
+
+    def _open_session(
+        self, robot: RobotSample, start: tuple[float, ...], held: tuple[float, ...]
+    ) -> None:
+        """Begin anew with a robot that holds; arming is needed."""
+        self.is_foreign = False
         self._new_session = self._state is not None
-        self._state = stepping.initial(self.parameters, robot)
-        self._start = self._axes(robot)
+        external = (held[6], *robot.external[1:]) if len(held) > 6 else robot.external
+        there = replace(robot, joints=held[:6], external=external)  # type: ignore[arg-type]
+        self._state = stepping.initial(self.parameters, there)
+        self._start = start
         self._given = None
-        self._taken = self._start
+        self._taken = held
         self._delay = robot.delay
         self._was_lost = False
         self._robot = robot
         self._ready = None
         self._was_sent = True
+
+    def _remember(self, robot: RobotSample, peer: Hashable) -> None:
+        """Remember a programme as of a telegram that was answered."""
+        if peer not in self._programmes and len(self._programmes) == PEERS:
+            self._programmes.pop(next(iter(self._programmes)))
+        self._programmes[peer] = _Programme(
+            robot.ipoc,
+            self.exchange.step,
+            robot.stamp_ns,
+            robot.delay,
+            self._start,
+            self._taken,
+            self._held,
+        )
+
+    def _reply_bare(self, telegram: RobotTelegram, stamp_ns: int) -> bytes:
+        """Return a reply without corrections: the controller keeps those that it has."""
+        if self._state is not None:
+            self._note(self._step(stamp_ns, telegram=False), None)
+            self._was_sent = False
+        return self._bare.with_ipoc(telegram.ipoc_text)
 
     def _axes(self, robot: RobotSample) -> tuple[float, ...]:
         """Return a telegram's axes in the controller's order."""
@@ -319,11 +391,14 @@ class Cycle:
 
     def _answer(self, telegram: RobotTelegram, stamp_ns: int, steps: int) -> bytes:
         """Return the reply after as many steps as the controller made cycles."""
+        if steps == 0 and not self._was_sent and not self._was_lost and self.last is not None:
+            # The clock was ahead of a late telegram: its step is made, only not yet sent.
+            self.last = replace(self.last, ipoc=telegram.ipoc)
+            return self._give(self.last, self._reply(self.last), telegram)
         ready, self._ready = self._ready, None
         if ready is not None and steps <= 1:
             self.prepared += 1
-            if self._was_lost:
-                ready = self._again(ready)
+            ready = self._confirmed(ready)
             entry, reply = ready.entry, ready.reply
         else:
             if ready is not None:
@@ -335,16 +410,30 @@ class Cycle:
             entry = self._step(stamp_ns, telegram=True)
             reply = self._reply(entry)
         self._note(entry, telegram.ipoc)
+        return self._give(entry, reply, telegram)
+
+    def _give(self, entry: LogEntry, reply: PreparedReply, telegram: RobotTelegram) -> bytes:
+        """Return a reply as it goes to the wire; its fate is open."""
         self._was_sent, self._was_lost = True, False
         self._given = entry.outputs.command
         return reply.with_ipoc(telegram.ipoc_text)
 
-    def _again(self, ready: _Prepared) -> _Prepared:
-        """Make a prepared step once more: the reply before it was not taken."""
-        inputs = replace(ready.entry.inputs, sent=False, applied=self._taken)
+    def _confirmed(self, ready: _Prepared) -> _Prepared:
+        """Return a prepared step, made once more if what it assumed of the robot is not so."""
+        sent, applied = self._fate()
+        inputs = ready.entry.inputs
+        if (inputs.sent, inputs.applied) == (sent, applied):
+            return ready
+        self.remade += 1
+        inputs = replace(inputs, sent=sent, applied=applied)
         self._state, outputs = stepping.step(ready.before, inputs, self.parameters)
         entry = replace(ready.entry, inputs=inputs, outputs=outputs)
         return _Prepared(ready.before, self._reply(entry), entry)
+
+    def _fate(self) -> tuple[bool, tuple[float, ...] | None]:
+        """Return whether the last step's command is the robot's, and where it holds if not."""
+        arrived = self._was_sent and not self._was_lost
+        return arrived, None if arrived else self._held
 
     def _catch_up(self, stamp_ns: int, steps: int) -> None:
         """Make the steps of cycles whose telegrams did not come and were not missed yet."""
@@ -371,7 +460,7 @@ class Cycle:
         before = self.machine
         self._decide(stamp_ns, telegram=telegram)
         started = self.machine is not before and self.machine.state is states.State.TRACK
-        arrived = self._was_sent and not self._was_lost
+        sent, applied = self._fate()
         inputs = Inputs(
             k=self.steps,
             stamp_ns=stamp_ns,
@@ -381,8 +470,8 @@ class Cycle:
             wrench=wrench,
             order=states.order(self.machine),
             start=started,
-            sent=arrived,
-            applied=None if arrived else self._held,
+            sent=sent,
+            applied=applied,
         )
         self._robot = None
         assert self._state is not None  # noqa: S101 - a session is open
@@ -454,6 +543,7 @@ class Cycle:
             "prepared": self.prepared,
             "inline": self.inline,
             "replies_lost": self.replies_lost,
+            "foreign": FOREIGN if self.is_foreign else None,
             "telegrams": {**self.exchange.counters, "unreadable": self.refused},
             "last_refusal": self.last_refusal,
             "unfit": states.unfit(self._signals),
@@ -491,3 +581,22 @@ class Cycle:
     def _age(self, stamp_ns: int | None) -> float | None:
         """Return how old a stamp is at the last step [s]."""
         return None if stamp_ns is None else (self._stamp_ns - stamp_ns) * 1e-9
+
+
+def _goes_on(known: _Programme, robot: RobotSample, cycle_s: float) -> tuple[float, ...] | None:
+    """Return where the robot holds if a programme is the one remembered, None if it is not.
+
+    One that goes on has counted on in the time that passed, and has every cycle since in its
+    Delay, as a running total or in a row.
+    """
+    if known.step is None or known.delay is None or robot.delay is None:
+        return None
+    cycles, rest = divmod(robot.ipoc - known.ipoc, known.step)
+    passed = (robot.stamp_ns - known.stamp_ns) * 1e-9 / cycle_s
+    if rest or abs(passed - cycles) > SLACK:
+        return None
+    if robot.delay == known.delay + cycles:
+        return known.taken
+    if robot.delay in {cycles - 1, known.delay + cycles - 1}:
+        return known.given
+    return None
