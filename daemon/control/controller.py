@@ -12,7 +12,7 @@ import numpy as np
 from linemate.daemon import rotations
 from linemate.daemon.control import inverse_filter, limits
 from linemate.daemon.control.kinematics import Arm, UnreachableError
-from linemate.daemon.control.settings import ControlSettings
+from linemate.daemon.control.settings import BrakeSettings, ControlSettings
 from linemate.daemon.control.smoothing import smoothing_taps
 from linemate.daemon.horizon import Array, Horizon
 
@@ -32,6 +32,7 @@ class Controller:
         servo: taps (past + 1 + n_rob, axes) of (12).
         servo_past: steps of (12) in the past.
         limits: of the last gate.
+        gentle: with which a hold comes to rest.
         steps: n, the horizon that control reads.
         contact_steps: over how many steps (11) is blended out before contact.
     """
@@ -44,6 +45,7 @@ class Controller:
     servo: Array
     servo_past: int
     limits: limits.Limits
+    gentle: limits.Limits
     steps: int
     contact_steps: int
 
@@ -119,8 +121,21 @@ def compile_controller(settings: ControlSettings, arm: Arm, cycle_s: float) -> C
         servo=servo,
         servo_past=-int(taps[0]),
         limits=bounds,
+        gentle=_gentle(settings.brake, bounds),
         steps=max(needed, math.ceil(settings.horizon_s / cycle_s)),
         contact_steps=max(round(filters.contact_blend / cycle_s), 1),
+    )
+
+
+def _gentle(brake: BrakeSettings, bounds: limits.Limits) -> limits.Limits:
+    """Return the limits of a stop: never more than those of the gate."""
+    axes = len(bounds.names)
+    acceleration = np.array((*(brake.acceleration,) * 6, brake.axis_acceleration)[:axes])
+    jerk = np.array((*(brake.jerk,) * 6, brake.axis_jerk)[:axes])
+    return replace(
+        bounds,
+        acceleration=np.minimum(acceleration, bounds.acceleration),
+        jerk=np.minimum(jerk, bounds.jerk),
     )
 
 
@@ -220,5 +235,6 @@ def follow(
 
 
 def stop(controller: Controller, state: ControlState) -> ControlState:
-    """Return the state after one step of the quickest stop within the limits."""
-    return replace(state, gate=limits.brake(state.gate, controller.limits, controller.cycle_s))
+    """Return the state after one step of a gentle stop within the limits."""
+    gate = limits.brake(state.gate, controller.limits, controller.cycle_s, controller.gentle)
+    return replace(state, gate=gate)

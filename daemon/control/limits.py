@@ -214,23 +214,35 @@ def admit(
     return GateState(*np.array(rows).T), reason
 
 
-def brake(state: GateState, limits: Limits, period: float) -> GateState:
-    """Return the gate after one step of the quickest stop that jerk and acceleration allow.
+def brake(
+    state: GateState, limits: Limits, period: float, gentle: Limits | None = None
+) -> GateState:
+    """Return the gate after one step of a stop.
 
     Deceleration is let go in time: the acceleration aimed at is the one whose own decay, at
     full jerk, ends the remaining speed: |v| = a^2/2j + aT/2 in discrete time.
+
+    Args:
+        state: of the commands so far.
+        limits: never left.
+        period: T0 [s].
+        gentle: acceleration and jerk to stop with; None: those of ``limits``, the quickest stop.
     """
     rows = []
-    for bounds, p, v, a in zip(
+    for bounds, soft, p, v, a in zip(
         limits.axes,
+        (gentle or limits).axes,
         state.position.tolist(),
         state.speed.tolist(),
         state.acceleration.tolist(),
         strict=True,
     ):
-        step = bounds.jerk * period
-        aim = math.sqrt(0.25 * step * step + 2.0 * bounds.jerk * abs(v)) - 0.5 * step
-        aim = min(aim, abs(v) / period, bounds.acceleration)
+        step = soft.jerk * period
+        aim = math.sqrt(0.25 * step * step + 2.0 * soft.jerk * abs(v)) - 0.5 * step
+        aim = min(aim, abs(v) / period, soft.acceleration)
+        # What is left of a motion's own acceleration is let go at once.
+        if abs(a) > soft.acceleration:
+            step = bounds.jerk * period
         low, high = _range(p, v, a, bounds, period)
         taken = _clip(_clip(-math.copysign(aim, v), a - step, a + step), low, high)
         speed = v + taken * period

@@ -54,6 +54,23 @@ class AxisLimits:
 
 
 @dataclass(frozen=True, slots=True)
+class BrakeSettings:
+    """How a robot that is told to hold comes to rest; the tool's mount rings less if gently.
+
+    Attributes:
+        acceleration: of A1..A6 [rad/s^2].
+        jerk: [rad/s^3].
+        axis_acceleration: of E1 [m/s^2].
+        axis_jerk: [m/s^3].
+    """
+
+    acceleration: Positive = 1.0
+    jerk: Positive = 25.0
+    axis_acceleration: Positive = 2.0
+    axis_jerk: Positive = 50.0
+
+
+@dataclass(frozen=True, slots=True)
 class SmoothingSettings:
     """The impedance law of (13)-(15). ``mass`` 0 switches it off.
 
@@ -121,6 +138,7 @@ class ControlSettings:
     effector: Annotated[tuple[EffectorMode, ...], Len(6, 6)] = _MODES
     limits: Annotated[tuple[AxisLimits, ...], Len(6, 7)] = _LIMITS
     smoothing: SmoothingSettings = SmoothingSettings()
+    brake: BrakeSettings = BrakeSettings()
     filters: FilterSettings = FilterSettings()
     horizon_s: Annotated[float, Gt(0.1), Le(2.0)] = 0.492
     feed_forward: bool = True
