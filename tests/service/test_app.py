@@ -34,7 +34,7 @@ rsi: {port: 0}
 camera: {port: 0}
 command: {socket: c.sock}
 recording: {directory: ., at_start: true}
-realtime: {freeze_collector: false}
+realtime: {freeze_collector: false, lead_ms: 0}
 watch: {healthy_cycles: 10}
 """
 
@@ -154,7 +154,8 @@ def test_every_telegram_is_answered_at_rest_and_recorded(
             await controller.cycles(20)
             status = running.app.status()
             assert status["state"] == "idle"
-            assert status["telegrams"]["normal"] == 19
+            # On a busy machine the clock's deadline may come before one of them.
+            assert sum(status["telegrams"][kind] for kind in ("normal", "gap", "late")) == 19
             assert status["turnaround_us"]["max"] is not None
             assert status["links"]["robot"]["up"]
             assert status["complaints"] == ("link camera is silent",)
