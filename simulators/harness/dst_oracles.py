@@ -1,0 +1,202 @@
+"""Who judges a simulated run: what must hold whatever happens.
+
+Law of this file: an oracle looks and blames, it never helps. Applied setpoints are judged by the
+emulator's own judge; transitions by the invariants of reference/reliability.md, section 4, here
+anew and not from the table; the rest is that nothing is lost, nothing grows and nothing is NaN.
+"""
+
+import math
+from collections import Counter
+from typing import Any
+
+import numpy as np
+
+from linemate.daemon.service.cycle import Cycle, LogEntry
+from linemate.daemon.service.states import Link, Machine, Signals, State
+from linemate.simulators.devices.limits import LimitJudge
+
+MOST_EVIDENCE = 5
+QUIET = frozenset({State.INIT, State.IDLE, State.ARMED, State.FAULT})
+RUNNING = frozenset({State.TRACK, State.CONTACT})
+BRAKING_S = 0.5
+"""After a state that moves the commands may change for so long while they come to rest [s]."""
+STILL = 1e-9
+NOTABLE_A_SECOND = 40
+"""Changes of state and of class in any second: each is a line in the log at most."""
+MOST_BYTES = 2_000_000
+"""What a daemon may remember from step to step."""
+
+
+class Oracle:
+    """Sees everything the daemon does in one run.
+
+    Attributes:
+        violations: what was found, at most ``MOST_EVIDENCE``.
+        states: operating states seen.
+        story: changes of the operating state, in order.
+    """
+
+    def __init__(self, cycle_s: float) -> None:
+        """Have seen nothing."""
+        self.violations: list[str] = []
+        self.states: set[str] = set()
+        self.story: list[str] = []
+        self._cycle_s = cycle_s
+        self._now_s = 0.0
+        self._open_orders: set[str] = set()
+        self._notable: Counter[int] = Counter()
+        self._command: tuple[float, ...] = ()
+        self._session = 0
+        self._resting = 0
+        self._sized_s = -math.inf
+
+    def blame(self, what: str) -> None:
+        """Note a violation."""
+        if len(self.violations) < MOST_EVIDENCE:
+            self.violations.append(f"{what} (at {self._now_s:.3f} s)")
+
+    def attend(self, cycle: Cycle) -> None:
+        """Look at a daemon's transitions from now on."""
+        cycle.on_transition = self._transition
+        self._open_orders.clear()
+        self._command = ()
+
+    def ordered(self, op: str, cycle: Cycle, reason: str | None) -> None:
+        """An operator gave an order; taken or refused with a reason."""
+        if reason is None:
+            self._open_orders.add(op)
+        elif not reason:
+            self.blame(f"order: {op} was refused without a reason")
+        elif op == "stop" or (op == "retreat" and cycle.machine.state in RUNNING):
+            self.blame(f"order: {op} was refused: {reason}")
+
+    def reply(self, data: bytes) -> None:
+        """A reply left the daemon: no exponent, no NaN, no Inf, one of its own size."""
+        body = data.lower()
+        if b"nan" in body or b"inf" in body.replace(b"info", b"") or len(data) > 2048:
+            self.blame(f"reply: {data[:200]!r}")
+
+    def look(self, cycle: Cycle, now_s: float) -> None:
+        """Look at what a daemon did in one cycle of the controller."""
+        self._now_s = now_s
+        self.states.add(str(cycle.machine.state))
+        for entry in cycle.take_log():
+            self._judge_step(entry, cycle.exchange.session)
+        if cycle.log_dropped:
+            self.blame("queue: steps were dropped from the log")
+        if now_s - self._sized_s > 1.0:
+            self._sized_s = now_s
+            size = weigh(cycle)
+            if size > MOST_BYTES:
+                self.blame(f"growth: the daemon remembers {size} bytes")
+
+    def judge(self, judge: LimitJudge) -> None:
+        """Look at what was applied, when the run is over."""
+        for found in judge.evidence[:2]:
+            self.blame(
+                f"limits: {found.kind} of axis {found.axis} is {found.value:.6g}, limit"
+                f" {found.limit:.6g}, in cycle {found.cycle}; {judge.violations} in all"
+            )
+        worst = max(self._notable.values(), default=0)
+        if worst > NOTABLE_A_SECOND:
+            self.blame(f"log: {worst} notable events in a second")
+
+    def _judge_step(self, entry: LogEntry, session: int) -> None:
+        outputs = entry.outputs
+        for name in ("command", "target", "sensed", "part"):
+            values = getattr(outputs, name)
+            if values is not None and not all(map(math.isfinite, values)):
+                self.blame(f"finite: {name} is {values}")
+        if outputs.speed is not None and not math.isfinite(outputs.speed):
+            self.blame(f"finite: speed is {outputs.speed}")
+        self._notable[int(self._now_s)] += len(outputs.events)
+        state = State(entry.state)
+        moved = len(self._command) == len(outputs.command) and any(
+            abs(a - b) > STILL for a, b in zip(self._command, outputs.command, strict=True)
+        )
+        if session != self._session:
+            self._session, moved = session, False
+        self._command = outputs.command
+        self._resting = self._resting + 1 if state in QUIET else 0
+        if moved and self._resting * self._cycle_s > BRAKING_S:
+            self.blame(f"I1: motion in {state.upper()}")
+
+    def _transition(self, before: Machine, signals: Signals, after: Machine) -> None:
+        self._take_orders(signals)
+        self._persisting(signals, after)
+        for name, holds in invariants(before, signals, after):
+            if not holds:
+                self.blame(f"{name}: {before} -> {after} on {signals}")
+        if before.state is not after.state:
+            self._notable[int(self._now_s)] += 1
+            self.story.append(f"{self._now_s:.3f} {after.state} {after.because}")
+
+    def _take_orders(self, signals: Signals) -> None:
+        """Every accepted order is in the very next decision."""
+        for op in self._open_orders:
+            if not getattr(signals, op):
+                self.blame(f"order: {op} was accepted and lost")
+        self._open_orders.clear()
+
+    def _persisting(self, signals: Signals, after: Machine) -> None:
+        """I8: trouble ends tracking at once."""
+        trouble = signals.overload or not (signals.position_fresh and signals.wrench_fresh)
+        if trouble and after.state in RUNNING:
+            self.blame(f"I8: {after.state.upper()} goes on with {signals}")
+
+
+def invariants(before: Machine, s: Signals, after: Machine) -> tuple[tuple[str, bool], ...]:
+    """The invariants of one transition, each with whether it holds.
+
+    Args:
+        before: where the machine stood.
+        s: what it saw.
+        after: where it stands.
+    """
+    a, b = before.state, after.state
+    fresh = s.position_fresh and s.wrench_fresh
+    fit = s.link is Link.HEALTHY and fresh and s.ready
+    fit = fit and not (s.contact or s.overload or s.fault)
+    acknowledged = a is State.FAULT and b is State.IDLE
+    entered = a is not b
+    return (
+        ("I2", a is not State.FAULT or not entered or (b is State.IDLE and s.ack)),
+        (
+            "I3",
+            b is not State.TRACK
+            or not entered
+            or (a in {State.ARMED, State.HOLD} and s.start and fit),
+        ),
+        (
+            "I4",
+            a is not State.CONTACT or not entered or s.link is Link.LOST or b is State.RETREAT,
+        ),
+        ("I5", s.link is not Link.LOST or b in {State.INIT, State.FAULT}),
+        ("I6", acknowledged or not before.latched or after.latched),
+        ("I6", acknowledged or not s.fault or after.latched),
+        (
+            "I11",
+            b is not State.CONTACT or not entered or (a is State.TRACK and s.contact and fresh),
+        ),
+        ("I12", b is not State.ARMED or not entered or (a is State.IDLE and s.arm and fit)),
+        ("I13", not s.stop or b not in {*RUNNING, State.ARMED}),
+        ("I13", not s.retreat or b not in {*RUNNING, State.ARMED, State.HOLD}),
+        ("I13", not (s.stop or s.retreat) or b is not State.RETREAT or not after.programmed),
+    )
+
+
+def weigh(value: Any, depth: int = 0) -> int:
+    """Bytes of arrays and items of collections behind a value, its slots and attributes."""
+    if isinstance(value, np.ndarray):
+        return int(value.nbytes)
+    if isinstance(value, (str, bytes)):
+        return len(value)
+    if depth > 6 or value is None or isinstance(value, (bool, int, float, type)):
+        return 8
+    if isinstance(value, dict):
+        return sum(weigh(item, depth + 1) for item in value.values()) + 8 * len(value)
+    if isinstance(value, (tuple, list, set, frozenset)) or hasattr(value, "maxlen"):
+        return sum(weigh(item, depth + 1) for item in value) + 8
+    names = [*getattr(value, "__dict__", ()), *getattr(type(value), "__slots__", ())]
+    skipped = {"parameters", "codec", "on_transition", "on_step"}
+    return sum(weigh(getattr(value, n, None), depth + 1) for n in names if n not in skipped) + 8
