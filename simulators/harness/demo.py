@@ -22,6 +22,7 @@ from typing import Any
 import yaml
 
 from linemate.daemon.operator.client import Client, NoAnswerError, RefusedError
+from linemate.simulators.devices import truth
 from linemate.simulators.harness import host, joined, live, report_json, scenario_file, table
 from linemate.simulators.harness.judge import judge
 from linemate.simulators.harness.live import Glimpse, LinkGlimpse, View
@@ -161,8 +162,8 @@ def main(args: Namespace) -> int:
     Raises:
         FileError: what is wrong with the scenario's file.
     """
-    truth = scenario_file.load(args.scenario)
-    scenario = replace(truth, seed=args.seed, cycle_s=round(args.cycle_ms * 1e-3, 9))
+    scenario = scenario_file.load(args.scenario)
+    scenario = replace(scenario, seed=args.seed, cycle_s=round(args.cycle_ms * 1e-3, 9))
     out = args.out or Path("out/demo")
     refused = host.missing_rights()
     if refused is not None:
@@ -198,7 +199,7 @@ def perform(scenario: Scenario, out: Path) -> dict[str, Any]:
         evidence = joined.evidence(station.truth, recording, scenario)
         result = judge(evidence)
         result["step_us"] = _step_us(status) or result["step_us"]
-        result["notes"] = _notes(status)
+        result["notes"] = _notes(status, truth.load(station.truth)[1])
         leave(out, result, evidence.rows)
         kept = out / f"{scenario.name}-seed{scenario.seed}-{result['cycle_ms']:g}ms.mcap"
         shutil.move(recording, kept)
@@ -350,9 +351,25 @@ def _step_us(status: Mapping[str, Any]) -> dict[str, Any] | None:
     return told if isinstance(told, dict) else None
 
 
-def _notes(status: Mapping[str, Any]) -> list[str]:
-    """What whoever reads the result should know: what the host refused, what was not recorded."""
+def _notes(status: Mapping[str, Any], facts: Mapping[str, Any]) -> list[str]:
+    """What whoever reads the result should know: refusals of the host, and what it cost.
+
+    Args:
+        status: the daemon's last.
+        facts: the emulator's.
+    """
     notes = [str(refusal) for refusal in status.get("host") or ()]
+    missed = {kind: facts["telegrams"][kind] for kind in ("late", "lost", "refused")}
+    if any(missed.values()):
+        told = ", ".join(f"{count} {kind}" for kind, count in missed.items() if count)
+        notes.append(f"telegrams without a good reply in time count against the run: {told}")
+    pace = facts["pace"]
+    if pace["slips"]:
+        held_ms = pace["slipped_ns"] / 1e6
+        notes.append(
+            f"the emulators themselves were held up {pace['slips']} times, {held_ms:.0f} ms in "
+            "all: the machine had other work, or its host did"
+        )
     dropped = (status.get("recording") or {}).get("dropped")
     if dropped:
         notes.append(f"{dropped} steps were not recorded")
