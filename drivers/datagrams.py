@@ -6,6 +6,7 @@ datagram transport is not used: it takes a 256 KiB buffer for each datagram and 
 """
 
 import asyncio
+import select
 import socket
 from abc import ABC, abstractmethod
 from collections import Counter
@@ -72,6 +73,11 @@ class DatagramSocket:
     clock: ArrivalClock = field(default_factory=ArrivalClock)
     kernel_drops: int = 0
     _buffer: bytearray = field(default_factory=lambda: bytearray(BUFFER_BYTES))
+    _alone: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Note what to wait for."""
+        self._alone = (self.endpoint.fileno(),)
 
     @classmethod
     def bound(cls, host: str, port: int) -> "DatagramSocket":
@@ -124,7 +130,7 @@ class DatagramSocket:
         return self.stamped(received)
 
     def receive(self) -> Received | None:
-        """Take one datagram without its time, for whoever must answer first.
+        """Take one datagram without its time.
 
         Raises:
             OSError: if the socket is broken.
@@ -136,6 +142,27 @@ class DatagramSocket:
         except (BlockingIOError, InterruptedError):
             return None
         return Received(bytes(memoryview(self._buffer)[:size]), ancillary, flags, source)
+
+    def wait(self, timeout_ns: int) -> Received | None:
+        """Sleep until a datagram comes, for whoever must answer it first.
+
+        Args:
+            timeout_ns: how long at most [ns].
+
+        Returns:
+            The datagram without its time, or None.
+
+        Raises:
+            OSError: if the socket is broken.
+            ValueError: a descriptor beyond those that can be waited for so.
+        """
+        # A socket's own time-out counts in ticks of the kernel, poll in milliseconds.
+        if not select.select(self._alone, (), (), max(0, timeout_ns) * 1e-9)[0]:
+            return None
+        try:
+            return Received(*self.endpoint.recvmsg(BUFFER_BYTES, ANCILLARY_BYTES))
+        except (BlockingIOError, InterruptedError):
+            return None
 
     def stamped(self, received: Received) -> Datagram:
         """Tell when a datagram came.

@@ -74,10 +74,15 @@ class RsiCodec:
         self._sensor = sensor_layout(config, linear, joint_tags, external_tags)
         self._robot_vectors = _Vectors(self._robot.vectors)
         self._sensor_vectors = _Vectors(self._sensor.vectors)
-        self._joints = next((v for v in self._robot.vectors if v.name == "joints"), None)
+        joints = next((v for v in self._robot.vectors if v.name == "joints"), None)
+        whole = joints is not None and len(joints.fields) == joints.width
+        glanced = joints.fields if joints is not None and whole else ()
+        self._glance_scales = joints.scales if joints is not None and whole else ()
+        if self._robot.delay is not None:
+            glanced = (*glanced, self._robot.delay)
         self._robot_writer = Writer(self._robot, decimals)
         self._sensor_writer = Writer(self._sensor, decimals)
-        self.robot_reader = Reader(self._robot, self._robot_writer.example(ROBOT_TYPE))
+        self.robot_reader = Reader(self._robot, self._robot_writer.example(ROBOT_TYPE), glanced)
         self.sensor_reader = Reader(self._sensor, self._sensor_writer.example(config.sentype))
 
     def parse_robot(self, data: bytes) -> RobotTelegram:
@@ -114,11 +119,11 @@ class RsiCodec:
         texts = self.robot_reader.glance(data)
         if texts is None:
             return None
-        ipoc, ipoc_text = _ipoc(texts)
-        joints = None if self._joints is None else _vector(self._joints, texts)
-        place = self._robot.delay
-        delay = None if place is None else int(cast(str, texts[place]))
-        return ipoc, ipoc_text, cast(Vector6 | None, joints), delay
+        ipoc_text = texts[-1]
+        numbers = tuple(map(mul, map(float, texts), self._glance_scales))
+        joints = cast(Vector6, numbers) if numbers else None
+        delay = None if self._robot.delay is None else int(texts[-2])
+        return int(ipoc_text), ipoc_text.encode("ascii"), joints, delay
 
     def parse_sensor(self, data: bytes) -> SensorTelegram:
         """Read the daemon's reply; what is not in it is None, or not among the channels.

@@ -7,7 +7,7 @@ The fast way accepts a subset of what the tolerant way accepts, with the same re
 """
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from operator import itemgetter
 
 from linemate.protocol.rsi_layout import Field, Layout
@@ -53,9 +53,16 @@ class Reader:
         tolerant: telegrams, good or bad, that went the tolerant way.
     """
 
-    def __init__(self, layout: Layout, example: str) -> None:
-        """Learn the shape of ``example``, a telegram in the codec's own writing."""
+    def __init__(self, layout: Layout, example: str, glanced: Sequence[int] = ()) -> None:
+        """Learn the shape of ``example``, a telegram in the codec's own writing.
+
+        Args:
+            layout: of the telegrams.
+            example: one of them.
+            glanced: positions of the fields that :meth:`glance` returns.
+        """
         self._layout = layout
+        self._glanced = (*glanced, len(layout.fields))
         self._positions: dict[_Key, int] = {
             (field.element, field.attribute): n for n, field in enumerate(layout.fields)
         }
@@ -85,18 +92,15 @@ class Reader:
         groups = match.groups()
         return (groups if self._order is None else self._order(groups)), self._type
 
-    def glance(self, data: bytes) -> Texts | None:
-        """The texts of a telegram in the shape last seen, None for any other.
+    def glance(self, data: bytes) -> Sequence[str] | None:
+        """The glanced texts of a telegram in the shape last seen, then the IPOC's; else None.
 
-        What is returned would be accepted by :meth:`read` with the same texts.
+        Whatever is returned would be accepted by :meth:`read`, with the same texts.
         """
         if len(data) > MAX_TELEGRAM_BYTES or b"<!" in data:
             return None
-        match = self._pattern.fullmatch(data.decode("latin-1"))
-        if match is None:
-            return None
-        groups = match.groups()
-        return groups if self._order is None else self._order(groups)
+        match = self._glance.fullmatch(data.decode("latin-1"))
+        return None if match is None else match.group(*self._glanced_groups)
 
     def _read_tolerantly(self, text: str, data: bytes) -> tuple[Texts, str]:
         self.tolerant += 1
@@ -158,19 +162,26 @@ class Reader:
                 raise RsiError("missing", element=self._layout.fields[missing[0]].key)
 
     def _learn(self, text: str, document: Document) -> None:
-        """Make the pattern of a telegram that was accepted and is complete."""
-        pattern: list[str] = []
-        order: list[int] = []
+        """Make the patterns of a telegram that was accepted and is complete."""
+        parts: list[tuple[str, int | None]] = []
         end = 0
         for span in document.spans:
             position = self._positions.get((span.element, span.attribute))
-            pattern += (re.escape(text[end : span.start]), self._group(position))
+            parts.append((re.escape(text[end : span.start]), position))
             end = span.end
-            if position is not None:
-                order.append(position)
-        pattern.append(re.escape(text[end:]) + r"[\0 \t\r\n]*")
-        self._pattern = re.compile("".join(pattern), re.ASCII)
+        rest = re.escape(text[end:]) + r"[\0 \t\r\n]*"
+        order = [position for _, position in parts if position is not None]
+        self._pattern = _compiled((literal + self._group(at) for literal, at in parts), rest)
         self._order = _permutation(order)
+        self._glance = _compiled(
+            (
+                literal + (self._group(at) if at in self._glanced else _silent(self._group(at)))
+                for literal, at in parts
+            ),
+            rest,
+        )
+        seen = [position for position in order if position in self._glanced]
+        self._glanced_groups = tuple(1 + seen.index(position) for position in self._glanced)
         self._type = _type_of(document)
         self._strangers = 0
 
@@ -180,6 +191,15 @@ class Reader:
         if position == len(self._layout.fields):
             return _FAST_IPOC
         return _FAST_GROUPS[self._layout.fields[position].type]
+
+
+def _compiled(parts: Iterable[str], rest: str) -> re.Pattern[str]:
+    return re.compile("".join(parts) + rest, re.ASCII)
+
+
+def _silent(group: str) -> str:
+    """The same group, its text not kept."""
+    return "(?:" + group.removeprefix("(") if group.startswith("(") else group
 
 
 def _permutation(order: list[int]) -> Callable[[tuple[str, ...]], tuple[str, ...]] | None:

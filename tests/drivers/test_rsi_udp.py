@@ -2,6 +2,7 @@
 
 import asyncio
 import socket
+import time
 from collections.abc import Iterator
 from contextlib import closing
 
@@ -114,6 +115,82 @@ def test_no_reply_is_sent_when_the_cycle_gives_none(controller: socket.socket) -
         await until(lambda: link.counters["unanswered"] == 1)
         link.close()
         assert link.counters["answered"] == 0
+
+    run(main())
+
+
+def test_a_reply_that_is_ready_goes_out_before_its_telegram_is_judged(
+    controller: socket.socket,
+) -> None:
+    async def main() -> None:
+        order: list[str] = []
+
+        def judge(data: bytes, stamp_ns: int, address: tuple[str, int]) -> bytes:
+            # The reply is out already: whoever asked has it before this is over.
+            order.append(controller.recv(100).decode())
+            return b"re:" + data
+
+        def express(data: bytes, address: tuple[str, int]) -> bytes | None:
+            order.append("express")
+            return b"re:" + data
+
+        link = RsiLink(judge, port=0)
+        link.open()
+        assert link.address is not None
+        controller.sendto(b"1", link.address)
+        assert link.attend(time.monotonic_ns() + 1_000_000_000, express)
+        link.close()
+        assert order == ["express", "re:1"]
+        assert link.counters["received"] == link.counters["answered"] == 1
+        assert link.counters["express"] == 1
+        assert link.counters["hasty"] == 0
+        assert link.turnaround_ns is not None
+        assert link.turnaround_ns > 0
+
+    run(main())
+
+
+def test_a_telegram_that_nothing_is_ready_for_takes_the_usual_way(
+    controller: socket.socket,
+) -> None:
+    async def main() -> None:
+        link = RsiLink(_echo, port=0)
+        link.open()
+        assert link.address is not None
+        for number in range(3):
+            controller.sendto(b"%d" % number, link.address)
+        assert link.attend(time.monotonic_ns() + 1_000_000_000, lambda _data, _source: None)
+        assert await _receive(controller) == b"re:0"
+        assert await _receive(controller) == b"re:2"
+        link.close()
+        assert link.counters["express"] == 0
+        assert link.counters["stale"] == 1
+
+    run(main())
+
+
+def test_waiting_for_a_telegram_ends_at_its_time(controller: socket.socket) -> None:
+    async def main() -> None:
+        link = RsiLink(_echo, port=0)
+        assert not link.attend(time.monotonic_ns() + 1_000_000_000, lambda _data, _source: None)
+        link.open()
+        until_ns = time.monotonic_ns() + 3_000_000
+        assert not link.attend(until_ns, lambda _data, _source: pytest.fail("nothing came"))
+        assert until_ns <= time.monotonic_ns() < until_ns + 1_000_000_000
+        link.close()
+
+    run(main())
+
+
+def test_a_reply_that_its_telegram_does_not_deserve_is_counted(controller: socket.socket) -> None:
+    async def main() -> None:
+        link = RsiLink(lambda _data, _stamp, _source: None, port=0)
+        link.open()
+        assert link.address is not None
+        controller.sendto(b"1", link.address)
+        assert link.attend(time.monotonic_ns() + 1_000_000_000, lambda _data, _source: b"rash")
+        link.close()
+        assert link.counters["hasty"] == 1
 
     run(main())
 
