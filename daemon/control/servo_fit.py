@@ -10,11 +10,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from linemate.daemon.control.inverse_filter import servo_pulse
 from linemate.daemon.control.settings import ServoModel
 from linemate.daemon.horizon import Array
 
+Mask = NDArray[np.bool_]
 Residuals = Callable[[Array], Array]
 """From free parameters (3,) to what is left (m,)."""
 
@@ -130,7 +132,7 @@ def fit(
 
 def _summary(
     passages: Sequence[Passage],
-    masks: list[Array],
+    masks: list[Mask],
     residuals: Residuals,
     theta: Array,
     cycle_s: float,
@@ -174,7 +176,7 @@ def _begins_moving(passage: Passage) -> bool:
     return float(np.abs(known - passage.commands[0]).max()) > 1e-6 + 1e-4 * reach
 
 
-def _centred(e: Array, mask: Array) -> Array:
+def _centred(e: Array, mask: Mask) -> Array:
     kept = e[mask]
     return kept - kept.mean() if len(kept) else kept
 
@@ -234,7 +236,7 @@ def _descend(residuals: Residuals, theta: Array) -> tuple[Array, bool]:
     return theta, False
 
 
-def _drop(e: Array, masks: list[Array]) -> int:
+def _drop(e: Array, masks: list[Mask]) -> int:
     """Take gross outliers out of the masks; return how many."""
     deviation = 1.4826 * float(np.median(np.abs(e - np.median(e))))
     # Residuals of clean encoders are tiny and heavy-tailed: only what stands out twice is gross.

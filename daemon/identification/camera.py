@@ -1,0 +1,120 @@
+"""The camera's place in the tool and its stamps, where the robot's motion tells them.
+
+Law of this file: pure; read off the fitted scene. A direction that only the prior holds is not
+observable and is refused with what would tell it: a hand-eye position shows itself only when the
+tool turns, a stamp error only when tool and object move against each other.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from linemate.daemon.horizon import Array
+from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
+from linemate.daemon.identification.scene import Scene, Views
+from linemate.daemon.identification.tape import Images
+
+POSITION_DEVIATION = 0.0015  # [m]
+ANGLE_DEVIATION = 0.004  # [rad]
+STAMP_DEVIATION = 0.003  # [s]
+LOSSES = 5.0  # images in a row that count as lost ones
+
+
+@dataclass(frozen=True, slots=True)
+class CameraResult:
+    """What is known of the camera.
+
+    Attributes:
+        position: three outcomes, what must be added to the hand-eye position in the tcp [m].
+        rotation: three outcomes, a turn about the camera's axes to be added [rad].
+        stamp_error: what must be added to the exposures' stamps [s].
+        latency: from exposure to arrival, as stamped; its deviation is the spread [s].
+        period: between exposures [s].
+    """
+
+    position: tuple[Outcome, ...]
+    rotation: tuple[Outcome, ...]
+    stamp_error: Outcome
+    latency: Outcome
+    period: Outcome
+
+
+def identify_camera(
+    scene: Scene | None, seen: Sequence[Views], images: Sequence[Images]
+) -> CameraResult:
+    """Return what a fitted scene tells of the camera."""
+    latency, period = _times(images)
+    if scene is None:
+        refusal = Refusal("too few images of the object in free space")
+        three = (refusal, refusal, refusal)
+        return CameraResult(three, three, refusal, latency, period)
+    deviations = np.sqrt(np.maximum(scene.covariance[-7:, -7:].diagonal(), 0.0))
+    turned = max(_turned(view) for view in seen)
+    basis = f"{sum(len(view.times) for view in seen)} images, tool turned by {turned:.2f} rad"
+    position = tuple(
+        _told(
+            float(scene.hand_eye[i]),
+            float(deviations[i]),
+            POSITION_DEVIATION,
+            basis,
+            f"not observable: the tool turned by only {turned:.2f} rad while it looked "
+            f"(known to +-{1e3 * deviations[i]:.1f} mm)",
+        )
+        for i in range(3)
+    )
+    rotation = tuple(
+        _told(
+            float(scene.hand_eye[3 + i]),
+            float(deviations[3 + i]),
+            ANGLE_DEVIATION,
+            basis,
+            "not observable: the tool did not move enough while it looked "
+            f"(known to +-{1e3 * deviations[3 + i]:.1f} mrad)",
+        )
+        for i in range(3)
+    )
+    stamp = _told(
+        scene.stamp_error,
+        float(deviations[6]),
+        STAMP_DEVIATION,
+        f"{basis}, relative speed up to {max(_relative_speed(view) for view in seen):.2f} m/s",
+        "not observable: tool and object hardly move against each other "
+        f"(known to +-{1e3 * deviations[6]:.1f} ms)",
+    )
+    return CameraResult(position, rotation, stamp, latency, period)
+
+
+def _told(value: float, deviation: float, limit: float, basis: str, reason: str) -> Outcome:
+    return Estimate(value, deviation, basis) if deviation <= limit else Refusal(reason)
+
+
+def _turned(view: Views) -> float:
+    """Return by how much the tool turned while it looked [rad]."""
+    poses = view.way.spline(view.times)
+    return float(np.ptp(poses[:, 3:], axis=0).max())
+
+
+def _relative_speed(view: Views) -> float:
+    rates: Array = view.way.rates(view.times)[:, :3].copy()
+    rates[:, 1] -= view.speed
+    return float(np.percentile(np.linalg.norm(rates, axis=1), 95))
+
+
+def _times(images: Sequence[Images]) -> tuple[Outcome, Outcome]:
+    """Return latency and period as stamped."""
+    delays = np.concatenate([i.arrivals - i.exposures for i in images] or [np.zeros(0)])
+    gaps = np.concatenate([np.diff(np.sort(i.exposures)) for i in images] or [np.zeros(0)])
+    if len(delays) < 10 or len(gaps) < 10:
+        refusal = Refusal("fewer than ten images")
+        return refusal, refusal
+    basis = f"{len(delays)} images, longest {1e3 * float(delays.max()):.0f} ms"
+    latency = Estimate(float(np.mean(delays)), float(np.std(delays)), basis)
+    usual = float(np.median(gaps))
+    spread = float(1.4826 * np.median(np.abs(gaps - usual)))
+    # A camera that sees nothing for longer is blind, not lossy.
+    steps = np.round(gaps / usual)
+    lost = float(np.sum(steps[(steps > 1.0) & (steps <= LOSSES)] - 1.0))
+    return latency, Estimate(
+        usual, spread, f"{len(gaps)} images, {100.0 * lost / (lost + len(gaps)):.1f} % missing"
+    )

@@ -1,0 +1,268 @@
+"""How noisy the sensors are, and how fine: distance, camera, force and torque.
+
+Law of this file: pure; noise is what a smooth motion leaves over a short window, so that no model
+of the station enters. Outliers are counted apart, never averaged in.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+
+from linemate.daemon.horizon import Array
+from linemate.daemon.identification import scene as scenes
+from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
+from linemate.daemon.identification.scene import Camera, Scene, Views
+from linemate.daemon.identification.tape import Tape
+
+DISTANCE_WINDOW = 0.3  # in which the conveyor moves along a parabola [s]
+WRENCH_WINDOW = 0.06  # in which the tool's ringing is a cubic [s]
+LEAST = 100
+MOVING = 5.0  # steps of the resolution within a window
+GATE = 5.0
+SLOPE_SHARE = 0.25  # deviation of a slope that is told, of its value
+SLOPE_LEAST = 3e-4  # and in any case [m/m]
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseResult:
+    """What is known of the sensors' noise.
+
+    Attributes:
+        distance: deviation of a reading, quantisation included [m].
+        resolution: step of the readings [m].
+        distance_outliers: share of the readings.
+        lateral, lateral_slope, depth_factor, angle, angle_slope: of the camera, as in
+            ``CameraNoise`` [m, m/m, 1, rad, rad/m].
+        honesty: the camera's errors over those it states.
+        camera_outliers: share of the images.
+        force, torque: deviation of a reading, mean of the axes [N, Nm].
+    """
+
+    distance: Outcome
+    resolution: Outcome
+    distance_outliers: Outcome
+    lateral: Outcome
+    lateral_slope: Outcome
+    depth_factor: Outcome
+    angle: Outcome
+    angle_slope: Outcome
+    honesty: Outcome
+    camera_outliers: Outcome
+    force: Outcome
+    torque: Outcome
+
+
+def identify_noise(
+    tapes: Sequence[Tape], scene: Scene | None, seen: Sequence[Views], camera: Camera
+) -> NoiseResult:
+    """Return the noise of every sensor."""
+    distance, resolution, wild = distance_noise([tape.distances for tape in tapes])
+    lateral, slope, depth, angle, angle_slope, honesty, wild_images = camera_noise(
+        scene, seen, camera
+    )
+    force, torque = wrench_noise(tapes)
+    return NoiseResult(
+        distance=distance,
+        resolution=resolution,
+        distance_outliers=wild,
+        lateral=lateral,
+        lateral_slope=slope,
+        depth_factor=depth,
+        angle=angle,
+        angle_slope=angle_slope,
+        honesty=honesty,
+        camera_outliers=wild_images,
+        force=force,
+        torque=torque,
+    )
+
+
+def distance_noise(recordings: Sequence[Array]) -> tuple[Outcome, Outcome, Outcome]:
+    """Return deviation, resolution and share of outliers of the distance sensor.
+
+    Args:
+        recordings: (d, 2) times [s] and readings [m] each.
+    """
+    long = [readings for readings in recordings if len(readings) >= LEAST]
+    if not long:
+        refusal = Refusal("fewer than a hundred readings of the distance sensor")
+        return refusal, refusal, refusal
+    wild = [scenes.outliers(readings[:, 1]) for readings in long]
+    total = sum(len(readings) for readings in long)
+    step = _resolution(np.concatenate([readings[:, 1] for readings in long]))
+    told = _distance_deviation([r[~out] for r, out in zip(long, wild, strict=True)], step)
+    count = sum(int(out.sum()) for out in wild)
+    outliers = Estimate(
+        count / total, math.sqrt(max(count, 1)) / total, f"{count} of {total} readings"
+    )
+    if step is None:
+        none = Refusal("no step shows in the readings: it lies below their noise")
+        return told, none, outliers
+    basis = f"all of {total} readings are multiples of it"
+    return told, Estimate(step, 1e-6, basis), outliers
+
+
+def _distance_deviation(clean: Sequence[Array], step: float | None) -> Outcome:
+    """Return the deviation of a reading, its resolution included.
+
+    Where the conveyor stands, a coarse reading repeats itself and hides its noise: what counts is
+    how it reads while the conveyor moves over several of its steps.
+    """
+    windows = [w for r in clean for w in _windows(r[:, 0], r[:, 1:], DISTANCE_WINDOW, 2)]
+    moving = [e for e, way in windows if step is None or way > MOVING * step]
+    basis = " while the conveyor moves" if step is not None else ""
+    if sum(map(len, moving)) < LEAST:
+        if step is not None:
+            return Refusal(
+                f"the conveyor hardly moves: noise hides below the resolution, {1e3 * step:.2g} mm"
+            )
+        return Refusal("fewer than a hundred readings of the distance sensor")
+    e = np.concatenate(moving)[:, 0]
+    e = e[np.abs(e) < GATE * max(1.4826 * float(np.median(np.abs(e))), 1e-9)]
+    deviation = float(np.sqrt(np.mean(e * e)))
+    return Estimate(deviation, deviation / math.sqrt(2.0 * len(e)), f"{len(e)} readings{basis}")
+
+
+def _resolution(values: Array) -> float | None:
+    """Return the step of which all values are multiples, apart from a zero; None if none shows."""
+    distinct = np.unique(np.round(values, 7))
+    if len(distinct) < 5 or len(distinct) > 0.5 * len(values):
+        return None
+    gaps = np.diff(distinct)
+    step = float(np.median(gaps[gaps < 1.5 * float(np.percentile(gaps, 20))]))
+    off = (distinct - distinct[0]) / step
+    if float(np.abs(off - np.round(off)).max()) > 0.1:
+        return None
+    return float(distinct[-1] - distinct[0]) / round(float(off[-1]))
+
+
+def _windows(times: Array, values: Array, window: float, order: int) -> list[tuple[Array, float]]:
+    """Return what polynomials over short windows leave (m, d), and the way in each window.
+
+    The rest is scaled to a single reading's deviation, for the polynomial takes its share.
+    """
+    found = []
+    begin = 0
+    while begin < len(times):
+        end = int(np.searchsorted(times, times[begin] + window))
+        t, y = times[begin:end], values[begin:end]
+        begin = end
+        free = len(t) - order - 1
+        if free < 3:
+            continue
+        A = np.vander((t - t.mean()) / window, order + 1)
+        smooth = A @ np.linalg.lstsq(A, y, rcond=None)[0]
+        scale = math.sqrt(len(t) / free)
+        found.append(((y - smooth) * scale, float(np.ptp(smooth[:, 0]))))
+    return found
+
+
+def camera_noise(scene: Scene | None, seen: Sequence[Views], camera: Camera) -> tuple[Outcome, ...]:
+    """Return lateral, slope, depth factor, angle, slope, honesty and outliers of the camera."""
+    if scene is None:
+        return (Refusal("too few images of the object in free space"),) * 7
+    errors = np.concatenate([scenes.left(scene, i, view, camera) for i, view in enumerate(seen)])
+    stated = np.concatenate([view.deviations for view in seen])
+    ranges = np.concatenate([view.ranges for view in seen])
+    weighed = np.abs(errors / stated)
+    scale = 1.4826 * float(np.median(weighed))
+    good = weighed.max(axis=1) < GATE * scale
+    wild = len(good) - int(good.sum())
+    e, d = errors[good], ranges[good]
+    basis = f"{len(e)} images from {d.min():.2f} to {d.max():.2f} m"
+    position = _growing(e[:, :3], d, basis, depth=True)
+    angle = _growing(e[:, 3:], d, basis, depth=False)
+    ratio = float(np.sqrt(np.mean((e / stated[good]) ** 2)))
+    honesty = Estimate(ratio, ratio / math.sqrt(12.0 * len(e)), basis)
+    outliers = Estimate(wild / len(good), math.sqrt(max(wild, 1)) / len(good), basis)
+    return (*position, angle[0], angle[1], honesty, outliers)
+
+
+def _growing(e: Array, d: Array, basis: str, *, depth: bool) -> tuple[Outcome, ...]:
+    """Return deviation at distance 0, its slope and, for positions, the factor along z.
+
+    The likelihood of errors that grow with the distance; its curvature tells the doubt.
+    """
+    centre = float(d.mean())
+
+    def cost(theta: Array) -> float:
+        sigma = math.exp(theta[0]) + theta[1] * (d - centre)
+        if float(sigma.min()) <= 0.0:
+            return 1e12
+        factor = math.exp(theta[2]) if depth else 1.0
+        total = 0.0
+        for i in range(3):
+            s = sigma * (factor if i == 2 else 1.0)
+            total += float(np.sum(np.log(s) + 0.5 * (e[:, i] / s) ** 2))
+        return total
+
+    level = math.log(float(np.sqrt(np.mean(e[:, :2] ** 2))))
+    start = np.array((level, 0.0, 0.0))[: 3 if depth else 2]
+    solved = minimize(cost, start, method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 1e-6})
+    theta = solved.x
+    covariance = np.linalg.pinv(_curvature(cost, theta), hermitian=True)
+    middle, slope = math.exp(theta[0]), float(theta[1])
+    zero = middle - slope * centre
+    row = np.array((middle, -centre, 0.0))[: len(theta)]
+    doubts = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
+    doubt_zero = float(np.sqrt(max(row @ covariance @ row, 0.0)))
+    told: tuple[Outcome, ...]
+    limit = max(SLOPE_SHARE * abs(slope), SLOPE_LEAST)
+    if doubts[1] > limit or zero <= 0.0:
+        refusal = Refusal(
+            f"the images lie too close together ({basis}): {1e3 * middle:.2f} at {centre:.2f} m, "
+            f"growing by {1e3 * slope:.1f} +-{1e3 * doubts[1]:.1f} a metre [mm or mrad]"
+        )
+        told = (refusal, refusal)
+    else:
+        told = (Estimate(zero, doubt_zero, basis), Estimate(slope, float(doubts[1]), basis))
+    if depth:
+        factor = math.exp(theta[2])
+        told = (*told, Estimate(factor, factor * float(doubts[2]), basis))
+    return told
+
+
+def _curvature(cost: Callable[[Array], float], theta: Array) -> Array:
+    """Return the second derivatives of a cost at its minimum."""
+    steps = np.array((1e-2, 1e-5, 1e-2))[: len(theta)]
+    n = len(theta)
+    H = np.zeros((n, n))
+    for i in range(n):
+        for j in range(n):
+            a, b = np.zeros(n), np.zeros(n)
+            a[i], b[j] = steps[i], steps[j]
+            around = (
+                cost(theta + a + b)
+                - cost(theta + a - b)
+                - cost(theta - a + b)
+                + cost(theta - a - b)
+            )
+            H[i, j] = around / (4.0 * steps[i] * steps[j])
+    return H
+
+
+def wrench_noise(tapes: Sequence[Tape]) -> tuple[Outcome, Outcome]:
+    """Return the deviation of a force and of a torque, in free space."""
+    left: list[Array] = []
+    for tape in tapes:
+        times = tape.wrenches[:, 0]
+        free = ~tape.in_contact(times, 0.5)
+        windows = _windows(times[free], tape.wrenches[free, 1:], WRENCH_WINDOW, 3)
+        left += [e for e, _ in windows]
+    e = np.concatenate(left) if left else np.zeros((0, 6))
+    if len(e) < LEAST:
+        refusal = Refusal("fewer than a hundred wrenches in free space")
+        return refusal, refusal
+    spread = 1.4826 * np.median(np.abs(e), axis=0)
+    keep = (np.abs(e) < GATE * np.maximum(spread, 1e-12)).all(axis=1)
+    deviations = np.sqrt(np.mean(e[keep] ** 2, axis=0))
+    basis = f"{int(keep.sum())} wrenches in free space"
+    count = 3.0 * float(keep.sum())
+    force, torque = (float(np.sqrt(np.mean(part**2))) for part in (deviations[:3], deviations[3:]))
+    return (
+        Estimate(force, force / math.sqrt(2.0 * count), basis),
+        Estimate(torque, torque / math.sqrt(2.0 * count), basis),
+    )

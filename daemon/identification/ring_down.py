@@ -1,0 +1,205 @@
+"""The tool's elastic modes: what rings on after the robot has come to rest.
+
+Law of this file: pure; only stretches in which the robot stands and nothing is touched, one mode
+along or about each axis of the tool. The frequency is the natural one, as the damping filter's
+model has it. Amplitudes and zeros of each stretch are linear and are projected out.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from linemate.daemon.control.settings import EffectorMode
+from linemate.daemon.horizon import Array
+from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
+from linemate.daemon.identification.tape import Tape, way
+
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+STILL = (0.002, 0.002)  # speed of the tcp below which the robot stands [m/s, rad/s]
+SHORTEST = 0.5  # of a stretch [s]
+LONGEST = 4.0  # behind it only noise is left [s]
+AFTER_CONTACT = 0.5  # [s]
+SEARCH_HZ = (1.5, 20.0)
+DAMPING = (1e-4, 0.5)
+PERIODS = 3.0  # that a stretch must hold
+CLEAR = 12.0  # amplitude over its own deviation
+FREQUENCY_SHARE = 0.02
+DAMPING_DEVIATION = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stretch:
+    """One stretch of rest.
+
+    Attributes:
+        times: (n,) since its begin [s].
+        values: (n, 6) force [N] and torque [Nm].
+    """
+
+    times: Array
+    values: Array
+
+
+@dataclass(frozen=True, slots=True)
+class ModeResult:
+    """One axis of the tool.
+
+    Attributes:
+        axis: 0..5.
+        mode: what goes into an overlay, None if refused.
+        frequency_hz, damping: outcomes.
+        noise: deviation of a single reading [N, Nm], None if refused.
+    """
+
+    axis: int
+    mode: EffectorMode | None
+    frequency_hz: Outcome
+    damping: Outcome
+    noise: float | None
+
+
+def stretches(tape: Tape) -> list[Stretch]:
+    """Return where the robot stands in free space while the force-torque sensor reads."""
+    if len(tape.wrenches) < 10:
+        return []
+    times = tape.wrenches[:, 0]
+    path = way(tape)
+    rates = np.abs(path.rates(times))
+    still = (rates[:, :3].max(axis=1) < STILL[0]) & (rates[:, 3:].max(axis=1) < STILL[1])
+    still &= path.known(times) & ~tape.in_contact(times, AFTER_CONTACT)
+    edges = np.flatnonzero(np.diff(np.concatenate(((False,), still, (False,)))))
+    found = []
+    for begin, end in pairwise(edges):
+        if not still[begin] or times[end - 1] - times[begin] < SHORTEST:
+            continue
+        rows = slice(begin, begin + int(np.searchsorted(times[begin:end] - times[begin], LONGEST)))
+        found.append(Stretch(times[rows] - times[begin], tape.wrenches[rows, 1:]))
+    return found
+
+
+def identify_modes(tapes: Sequence[Tape]) -> tuple[ModeResult, ...]:
+    """Return the elastic mode of each of the tool's six axes."""
+    found = [stretch for tape in tapes for stretch in stretches(tape)]
+    return tuple(_mode(axis, found) for axis in range(6))
+
+
+def _refused(axis: int, reason: str) -> ModeResult:
+    refusal = Refusal(reason)
+    return ModeResult(axis, None, refusal, refusal, None)
+
+
+def _mode(axis: int, found: list[Stretch]) -> ModeResult:
+    if not found:
+        return _refused(axis, "the robot never stands still in free space while a wrench is read")
+    fitted = _fit(axis, found, _search(axis, found))
+    f, z = fitted.frequency_hz, fitted.damping
+    if fitted.clear < CLEAR:
+        return _refused(
+            axis, f"not enough excitation: what rings is {fitted.clear:.1f} times its deviation"
+        )
+    longest = max(float(stretch.times[-1]) for stretch in found)
+    if longest * f < PERIODS:
+        return _refused(axis, f"too short: {longest:.1f} s of rest for {f:.1f} Hz")
+    if not fitted.deviations[0] < FREQUENCY_SHARE * f:
+        return _refused(axis, f"its frequency is known only to +-{fitted.deviations[0]:.2g} Hz")
+    if not fitted.deviations[1] < DAMPING_DEVIATION or not DAMPING[0] < z < 0.95 * DAMPING[1]:
+        return _refused(axis, f"its damping is known only to +-{fitted.deviations[1]:.2g}")
+    basis = f"{len(found)} stretches of rest, ringing {fitted.clear:.0f} times its deviation"
+    return ModeResult(
+        axis,
+        EffectorMode(f, z),
+        Estimate(f, fitted.deviations[0], basis),
+        Estimate(z, fitted.deviations[1], basis),
+        fitted.noise,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Fitted:
+    frequency_hz: float
+    damping: float
+    deviations: tuple[float, float]
+    noise: float
+    clear: float
+
+
+def _basis(t: Array, frequency_hz: float, damping: float) -> Array:
+    """Return what one stretch may be made of (n, 4): a mode's ringing, a zero, a drift."""
+    w = 2.0 * math.pi * frequency_hz
+    decay = np.exp(-damping * w * t)
+    damped = w * math.sqrt(max(1.0 - damping * damping, 1e-6)) * t
+    columns = (decay * np.cos(damped), decay * np.sin(damped), np.ones_like(t), t)
+    return np.column_stack(columns)
+
+
+def _left(axis: int, found: list[Stretch], frequency_hz: float, damping: float) -> Array:
+    """Return what a mode leaves of all stretches (n,)."""
+    rest = []
+    for stretch in found:
+        A = _basis(stretch.times, frequency_hz, damping)
+        y = stretch.values[:, axis]
+        rest.append(y - A @ np.linalg.lstsq(A, y, rcond=None)[0])
+    return np.concatenate(rest)
+
+
+def _search(axis: int, found: list[Stretch]) -> tuple[float, float]:
+    """Return a frequency and a damping near the best: the highest peak of all spectra together."""
+    longest = max(float(stretch.times[-1]) for stretch in found)
+    grid = np.arange(SEARCH_HZ[0], SEARCH_HZ[1], 0.2 / longest)
+    power = np.zeros(len(grid))
+    for stretch in found:
+        A = _basis(stretch.times, 1.0, 0.0)[:, 2:]
+        y = stretch.values[:, axis]
+        rest = y - A @ np.linalg.lstsq(A, y, rcond=None)[0]
+        turns = np.exp(-2j * math.pi * np.outer(grid, stretch.times))
+        power += np.abs(turns @ rest) ** 2 / len(rest)
+    peak = float(grid[int(np.argmax(power))])
+    near = [(peak + shift, z) for shift in (-0.1, 0.0, 0.1) for z in (0.005, 0.02, 0.08)]
+    return min(near, key=lambda pair: float(np.sum(_left(axis, found, *pair) ** 2)))
+
+
+def _fit(axis: int, found: list[Stretch], start: tuple[float, float]) -> _Fitted:
+    """Return the best frequency and damping near ``start``."""
+
+    def residuals(theta: Array) -> Array:
+        return _left(axis, found, math.exp(theta[0]), math.exp(theta[1]))
+
+    solved = least_squares(
+        residuals,
+        (math.log(start[0]), math.log(start[1])),
+        bounds=(
+            (math.log(0.8 * start[0]), math.log(DAMPING[0])),
+            (math.log(1.25 * start[0]), math.log(DAMPING[1])),
+        ),
+        x_scale=(0.01, 0.5),
+        jac="3-point",
+    )
+    f, z = math.exp(solved.x[0]), math.exp(solved.x[1])
+    e = solved.fun
+    free = max(len(e) - 4 * len(found) - 2, 1)
+    variance = float(e @ e) / free
+    slope: Array = np.asarray(solved.jac, dtype=float)
+    inverse = np.linalg.pinv(slope.T @ slope, hermitian=True)
+    deviations = np.sqrt(np.maximum(inverse.diagonal() * variance, 0.0)) * (f, z)
+    return _Fitted(
+        f, z, (float(deviations[0]), float(deviations[1])), math.sqrt(variance),
+        _clear(axis, found, f, z, variance),
+    )  # fmt: skip
+
+
+def _clear(
+    axis: int, found: list[Stretch], frequency_hz: float, damping: float, variance: float
+) -> float:
+    """Return how often the ringing of all stretches together exceeds its own deviation."""
+    with_mode = float(np.sum(_left(axis, found, frequency_hz, damping) ** 2))
+    without = 0.0
+    for stretch in found:
+        A = _basis(stretch.times, frequency_hz, damping)[:, 2:]
+        y = stretch.values[:, axis]
+        rest = y - A @ np.linalg.lstsq(A, y, rcond=None)[0]
+        without += float(rest @ rest)
+    return math.sqrt(max(without - with_mode, 0.0) / max(variance, 1e-300))

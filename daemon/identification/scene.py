@@ -1,0 +1,432 @@
+"""The object as the camera saw it: rest, swing, hand-eye offset and stamp error in one fit.
+
+Law of this file: pure; one weighted least squares over all images of all recordings. What belongs
+to a recording (pose at rest, amplitude and phase of each swing) is fitted beside what belongs to
+the cell (frequency, damping, axis and levers of each swing, hand-eye offset, stamp error). Weak
+priors on the latter two keep the fit regular; what they alone hold is not observable. Poses in c.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from linemate.daemon import rotations
+from linemate.daemon.horizon import Array
+from linemate.daemon.identification.tape import Images, Mask, Tape, Way, way
+from linemate.daemon.tracking.settings import CameraNoise
+
+PRIORS = np.array((0.05, 0.05, 0.05, 0.1, 0.1, 0.1, 0.05))
+"""Deviations of hand-eye position [m], hand-eye rotation [rad] and stamp error [s]."""
+
+WINDOW = 0.15  # of the distance sensor's readings around an exposure, either side [s]
+JUMP = 0.015  # reading that departs so far from its neighbours' median is an outlier [m]
+LEAST_READINGS = 6
+GATE = 5.0
+CONTACT_MARGIN = 0.1  # around a contact, in which images are not placed [s]
+ITERATIONS = 15
+LEAST_IMAGES = 40
+ALONG = 0.0003  # deviation of the conveyor's position as the distance sensor tells it [m]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Views:
+    """The images of one stretch of a recording that can be placed.
+
+    Attributes:
+        times: (m,) exposures since the recording's begin [s].
+        positions, rotations: (m, 3), (m, 3, 3) object in the camera.
+        along, speed: (m,) the conveyor's position and speed, as the distance sensor tells [m, m/s].
+        way: of the robot.
+        deviations: (m, 6) of position and rotation in the camera [m, rad].
+        middle: time to which phases refer [s].
+        ranges: (m,) distance from tcp to object [m].
+    """
+
+    times: Array
+    positions: Array
+    rotations: Array
+    along: Array
+    speed: Array
+    way: Way
+    deviations: Array
+    middle: float
+    ranges: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """One swing as it is fitted.
+
+    Attributes:
+        axis: 0..2, the axis of c about which it turns most.
+        frequency_hz, damping: of the swing.
+        direction: (3,) turn for each radian about ``axis``.
+        levers: (3,) displacement for each radian about ``axis`` [m/rad].
+    """
+
+    axis: int
+    frequency_hz: float
+    damping: float
+    direction: tuple[float, float, float]
+    levers: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rest:
+    """The object in one recording.
+
+    Attributes:
+        position: (3,) at rest, the conveyor's reading taken out [m].
+        rotation: (3, 3) at rest.
+        amplitudes: (modes, 2) cosine and sine part at the middle [rad].
+    """
+
+    position: Array
+    rotation: Array
+    amplitudes: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """Everything that is fitted.
+
+    Attributes:
+        modes: of the swing.
+        rests: one a recording.
+        hand_eye: (6,) what must be added to the hand-eye pose: position in the tcp [m] and a turn
+            about the camera's axes [rad].
+        stamp_error: what must be added to the exposures' stamps [s].
+        covariance: of the shared parameters: for each mode frequency, damping, two directions,
+            three levers; then hand-eye and stamp error. Empty before a fit.
+        doubts: (recordings, 6) deviations of position and rotation at rest [m, rad].
+        chi2: of an average residual, 1 where the stated deviations are honest.
+    """
+
+    modes: tuple[Mode, ...]
+    rests: tuple[Rest, ...]
+    hand_eye: Array
+    stamp_error: float
+    covariance: Array
+    doubts: Array
+    chi2: float
+
+
+Camera = tuple[Array, Array]
+"""Position (3,) and rotation (3, 3) of the camera in the tcp, as configured."""
+
+
+def views(
+    tape: Tape, camera: Camera, noise: CameraNoise, distance_delay: float = 0.0
+) -> list[Views]:
+    """Return the images of a recording that can be placed, a stretch of free space at a time.
+
+    What is done in contact may leave the object turned (fixed screws do): before and after are
+    two scenes. A stretch of too few images is left out.
+
+    Args:
+        tape: of the recording.
+        camera: as configured.
+        noise: of the camera, where it states none.
+        distance_delay: of the distance sensor, from measuring to arrival [s].
+    """
+    images = tape.images
+    path = way(tape)
+    along, speed, told = conveyor(
+        tape.distances - np.array((distance_delay, 0.0)), images.exposures
+    )
+    known = path.known(images.exposures) & told
+    known &= ~tape.in_contact(images.exposures, CONTACT_MARGIN)
+    contacts = np.searchsorted(tape.contact[:, 0], images.exposures)
+    stretches = [np.flatnonzero(known & (contacts == i)) for i in range(len(tape.contact) + 1)]
+    return [
+        _view(images, rows, path, (along[rows], speed[rows]), camera, noise)
+        for rows in stretches
+        if len(rows) >= LEAST_IMAGES
+    ]
+
+
+def _view(
+    images: Images,
+    rows: NDArray[np.intp],
+    path: Way,
+    conveyed: tuple[Array, Array],
+    camera: Camera,
+    noise: CameraNoise,
+) -> Views:
+    positions = images.positions[rows]
+    ranges = np.linalg.norm(camera[0] + positions @ camera[1].T, axis=1)
+    lateral = noise.lateral + noise.lateral_slope * ranges
+    angle = noise.angle + noise.angle_slope * ranges
+    modelled = np.column_stack(
+        (lateral, lateral, noise.depth_factor * lateral, angle, angle, angle)
+    )
+    stated = images.deviations[rows]
+    times = images.exposures[rows]
+    return Views(
+        times=times,
+        positions=positions,
+        rotations=images.rotations[rows],
+        along=conveyed[0],
+        speed=conveyed[1],
+        way=path,
+        deviations=np.where(np.isfinite(stated) & (stated > 0.0), stated, modelled),
+        middle=float(times.mean()),
+        ranges=ranges,
+    )
+
+
+def conveyor(distances: Array, times: Array) -> tuple[Array, Array, Mask]:
+    """Return the conveyor's position, speed and whether they are known, at times (m,).
+
+    A straight line is too stiff where the conveyor brakes: a local parabola.
+    """
+    position, speed = np.zeros(len(times)), np.zeros(len(times))
+    known = np.zeros(len(times), dtype=bool)
+    clean = distances[~outliers(distances[:, 1])] if len(distances) else distances
+    for i, t in enumerate(times):
+        begin, end = np.searchsorted(clean[:, 0], (t - WINDOW, t + WINDOW))
+        near = clean[begin:end]
+        if len(near) < LEAST_READINGS or not near[0, 0] <= t <= near[-1, 0]:
+            continue
+        u = near[:, 0] - t
+        A = np.column_stack((np.ones_like(u), u, u * u))
+        here = np.linalg.lstsq(A, near[:, 1], rcond=None)[0]
+        position[i], speed[i], known[i] = here[0], here[1], True
+    return position, speed, known
+
+
+def outliers(readings: Array, reach: int = 3, jump: float = JUMP) -> Mask:
+    """Return which readings (n,) lie far from the median of their neighbours."""
+    if len(readings) < 2 * reach + 1:
+        return np.zeros(len(readings), dtype=bool)
+    padded = np.pad(readings, reach, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1)
+    far: Mask = np.abs(readings - np.median(windows, axis=1)) > jump
+    return far
+
+
+def placed(view: Views, camera: Camera) -> tuple[Array, Array]:
+    """Return the object's positions (m, 3), the conveyor taken out, and rotations (m, 3, 3)."""
+    p, R = view.way.at(view.times)
+    positions = p + np.einsum("nij,nj->ni", R, camera[0] + view.positions @ camera[1].T)
+    positions[:, 1] -= view.along
+    return positions, R @ camera[1] @ view.rotations
+
+
+def at_rest(view: Views, camera: Camera) -> Rest:
+    """Return a first guess of an object that does not swing."""
+    positions, turned = placed(view, camera)
+    first = turned[len(turned) // 2]
+    turn = np.median(rotations.log_many(turned @ first.T), axis=0)
+    return Rest(np.median(positions, axis=0), rotations.exp(turn) @ first, np.zeros((0, 2)))
+
+
+def swing(mode: Mode, amplitude: Array, t: Array) -> Array:
+    """Return the angle (m,) of one swing at times since the middle."""
+    w = 2.0 * math.pi * mode.frequency_hz
+    decay = np.exp(-mode.damping * w * t)
+    angle: Array = decay * (amplitude[0] * np.cos(w * t) + amplitude[1] * np.sin(w * t))
+    return angle
+
+
+def left(scene: Scene, index: int, view: Views, camera: Camera) -> Array:
+    """Return what the scene leaves of one recording's images (m, 6), in the camera [m, rad]."""
+    rest = scene.rests[index]
+    t = view.times + scene.stamp_error
+    p, R = view.way.at(t)
+    camera_R = R @ (camera[1] @ rotations.exp(scene.hand_eye[3:]))
+    camera_p = p + R @ (camera[0] + scene.hand_eye[:3])
+    place = np.tile(rest.position, (len(t), 1))
+    place[:, 1] += view.along + view.speed * scene.stamp_error
+    turned = np.broadcast_to(rest.rotation, (len(t), 3, 3))
+    for mode, amplitude in zip(scene.modes, rest.amplitudes, strict=True):
+        phi = swing(mode, amplitude, t - view.middle)
+        direction, levers = np.array(mode.direction), np.array(mode.levers)
+        place += phi[:, None] * levers
+        place += (0.5 * phi * phi)[:, None] * np.cross(direction, levers)
+        turned = rotations.exp_many(phi[:, None] * direction) @ turned
+    seen = np.einsum("nji,nj->ni", camera_R, place - camera_p)
+    expected = np.swapaxes(camera_R, 1, 2) @ turned
+    e = np.empty((len(t), 6))
+    e[:, :3] = view.positions - seen
+    e[:, 3:] = rotations.log_many(view.rotations @ np.swapaxes(expected, 1, 2))
+    return e
+
+
+def fit(
+    scene: Scene, seen: Sequence[Views], camera: Camera, *, shared: bool = True
+) -> tuple[Scene, tuple[Mask, ...]]:
+    """Return the best scene near a guess, and which images (m,) of each recording took part.
+
+    Args:
+        scene: the guess.
+        seen: one a recording.
+        camera: as configured.
+        shared: fit hand-eye offset and stamp error too.
+    """
+    kept = [np.ones(len(view.times), dtype=bool) for view in seen]
+    for round_ in range(3):
+        scene = _descend(scene, seen, camera, kept, shared)
+        if round_ == 2:
+            break
+        scale = math.sqrt(_chi2(scene, seen, camera, kept))
+        for i, view in enumerate(seen):
+            weighed = left(scene, i, view, camera) / _spread(view)
+            kept[i] = np.abs(weighed).max(axis=1) < GATE * max(scale, 0.2)
+    A, _ = _normal(scene, seen, camera, kept, shared)
+    chi2 = _chi2(scene, seen, camera, kept)
+    covariance = np.linalg.pinv(A, hermitian=True) * max(chi2, 1e-12)
+    first = _size(scene) - _shared_size(scene)
+    deviations = np.sqrt(np.maximum(covariance.diagonal()[:first], 0.0))
+    doubts = deviations.reshape(len(scene.rests), -1)[:, :6]
+    shared_part = covariance[first:, first:]
+    return replace(scene, covariance=shared_part, doubts=doubts, chi2=chi2), tuple(kept)
+
+
+def _spread(view: Views) -> Array:
+    """Return the deviations (m, 6) of an image against the scene, the conveyor's own included."""
+    spread = view.deviations.copy()
+    spread[:, :3] = np.hypot(spread[:, :3], ALONG)
+    return spread
+
+
+def _robust_chi2(values: Array) -> float:
+    return float((1.4826 * np.median(np.abs(values))) ** 2)
+
+
+def _chi2(scene: Scene, seen: Sequence[Views], camera: Camera, kept: list[Mask]) -> float:
+    weighed = [
+        (left(scene, i, view, camera) / _spread(view))[kept[i]] for i, view in enumerate(seen)
+    ]
+    return max(_robust_chi2(np.concatenate(weighed)), 1e-12)
+
+
+def _descend(
+    scene: Scene, seen: Sequence[Views], camera: Camera, kept: list[Mask], shared: bool
+) -> Scene:
+    """Return the scene after Gauss-Newton steps, halved where they overshoot."""
+    cost = _cost(scene, seen, camera, kept)
+    for _ in range(ITERATIONS):
+        A, g = _normal(scene, seen, camera, kept, shared)
+        scale = np.sqrt(np.maximum(A.diagonal(), 1e-300))
+        step = -np.linalg.lstsq(A / np.outer(scale, scale), g / scale, rcond=1e-12)[0] / scale
+        for _ in range(8):
+            trial = _moved(scene, step)
+            cost_trial = _cost(trial, seen, camera, kept)
+            if cost_trial <= cost:
+                break
+            step = 0.5 * step
+        else:
+            return scene
+        gain, scene, cost = cost - cost_trial, trial, cost_trial
+        if gain < 1e-9 * cost:
+            break
+    return scene
+
+
+def _cost(scene: Scene, seen: Sequence[Views], camera: Camera, kept: list[Mask]) -> float:
+    prior = np.append(scene.hand_eye, scene.stamp_error) / PRIORS
+    total = float(prior @ prior)
+    for i, view in enumerate(seen):
+        weighed = (left(scene, i, view, camera) / _spread(view))[kept[i]]
+        total += float(np.sum(weighed * weighed))
+    return total
+
+
+def _shared_size(scene: Scene) -> int:
+    return 7 * len(scene.modes) + 7
+
+
+def _size(scene: Scene) -> int:
+    return len(scene.rests) * (6 + 2 * len(scene.modes)) + _shared_size(scene)
+
+
+def _steps(scene: Scene) -> Array:
+    """Return the steps of the numeric derivatives."""
+    own = np.tile((1e-5,) * 6 + (1e-6,) * 2 * len(scene.modes), len(scene.rests))
+    mode = (1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4)
+    return np.concatenate((own, np.tile(mode, len(scene.modes)), (1e-5,) * 6, (1e-5,)))
+
+
+def _normal(
+    scene: Scene,
+    seen: Sequence[Views],
+    camera: Camera,
+    kept: list[Mask],
+    shared: bool,
+) -> tuple[Array, Array]:
+    """Return the normal matrix and the gradient of the cost."""
+    size, own = _size(scene), 6 + 2 * len(scene.modes)
+    steps, common = _steps(scene), len(scene.rests) * own
+    A, g = np.zeros((size, size)), np.zeros(size)
+    for i, view in enumerate(seen):
+        spread = _spread(view)
+        columns = [*range(i * own, (i + 1) * own), *range(common, size)]
+        J = []
+        for column in columns:
+            shift = np.zeros(size)
+            shift[column] = steps[column]
+            high = left(_moved(scene, shift), i, view, camera)
+            low = left(_moved(scene, -shift), i, view, camera)
+            J.append((((high - low) / spread)[kept[i]] / (2.0 * steps[column])).ravel())
+        jacobian = np.column_stack(J)
+        e = (left(scene, i, view, camera) / spread)[kept[i]].ravel()
+        A[np.ix_(columns, columns)] += jacobian.T @ jacobian
+        g[columns] += jacobian.T @ e
+    prior = np.append(scene.hand_eye, scene.stamp_error)
+    A[np.arange(size - 7, size), np.arange(size - 7, size)] += PRIORS**-2.0
+    g[size - 7 :] += prior / PRIORS**2
+    if not shared:
+        A[size - 7 :, :], A[:, size - 7 :] = 0.0, 0.0
+        A[np.arange(size - 7, size), np.arange(size - 7, size)] = 1.0
+        g[size - 7 :] = 0.0
+    return A, g
+
+
+def _moved(scene: Scene, step: Array) -> Scene:
+    """Return the scene a step away; a rotation moves by a turn about the axes of c."""
+    own = 6 + 2 * len(scene.modes)
+    rests = []
+    for i, rest in enumerate(scene.rests):
+        part = step[i * own : (i + 1) * own]
+        rests.append(
+            Rest(
+                rest.position + part[:3],
+                rotations.exp(part[3:6]) @ rest.rotation,
+                rest.amplitudes + part[6:].reshape(-1, 2),
+            )
+        )
+    modes = []
+    for m, mode in enumerate(scene.modes):
+        begin = len(scene.rests) * own + 7 * m
+        modes.append(_moved_mode(mode, step[begin : begin + 7]))
+    return replace(
+        scene,
+        modes=tuple(modes),
+        rests=tuple(rests),
+        hand_eye=scene.hand_eye + step[-7:-1],
+        stamp_error=scene.stamp_error + float(step[-1]),
+    )
+
+
+def _moved_mode(mode: Mode, step: Array) -> Mode:
+    direction = list(mode.direction)
+    for value, i in zip(step[2:4].tolist(), others(mode.axis), strict=True):
+        direction[i] += value
+    levers = (np.array(mode.levers) + step[4:7]).tolist()
+    return replace(
+        mode,
+        frequency_hz=mode.frequency_hz + float(step[0]),
+        damping=mode.damping + float(step[1]),
+        direction=(direction[0], direction[1], direction[2]),
+        levers=(levers[0], levers[1], levers[2]),
+    )
+
+
+def others(axis: int) -> tuple[int, int]:
+    """Return the two other axes."""
+    rest = [i for i in range(3) if i != axis]
+    return rest[0], rest[1]

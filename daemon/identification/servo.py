@@ -1,0 +1,110 @@
+"""Each axis' servo: frequency, damping and dead time of its forward model, with their doubt.
+
+Law of this file: pure; every axis for itself, all recordings of it together. An axis that hardly
+moved, or moved too smoothly to tell its frequency from its dead time, is refused.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from linemate.daemon.control import servo_fit
+from linemate.daemon.control.servo_fit import Passage, ServoFit
+from linemate.daemon.control.settings import ServoModel
+from linemate.daemon.horizon import Array
+from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
+from linemate.daemon.identification.tape import Tape
+
+LEAST_LAG = 1e-5  # root mean square by which the answer must depart from the setpoint [rad, m]
+FREQUENCY_SHARE = 0.02  # largest deviation of a frequency that is told, of its value
+DAMPING_DEVIATION = 0.05
+DEAD_TIME_DEVIATION = 0.002  # [s]
+MISFIT = 0.1  # share of the motion that may be left over
+LEAST_MISFIT = 1e-6  # no servo is linear beyond this, whatever the residual says [rad, m]
+
+
+@dataclass(frozen=True, slots=True)
+class ServoResult:
+    """One axis.
+
+    Attributes:
+        axis: 0..5 for A1..A6, 6 for E1.
+        model: what goes into an overlay, None if refused.
+        frequency_hz, damping, dead_time: outcomes.
+    """
+
+    axis: int
+    model: ServoModel | None
+    frequency_hz: Outcome
+    damping: Outcome
+    dead_time: Outcome
+
+
+def identify_servos(tapes: Sequence[Tape]) -> tuple[ServoResult, ...]:
+    """Return every axis' servo.
+
+    Args:
+        tapes: of one cell, at one cycle time.
+    """
+    if not tapes:
+        return ()
+    axes = tapes[0].commands.shape[1]
+    cycle_s = float(np.mean([tape.cycle_s for tape in tapes]))
+    return tuple(
+        _judged(
+            axis,
+            servo_fit.fit(
+                [Passage(t.commands[:, axis], t.answers[:, axis]) for t in tapes], cycle_s
+            ),
+        )
+        for axis in range(axes)
+    )
+
+
+def _judged(axis: int, found: ServoFit | None) -> ServoResult:
+    refusal = _refusal(found)
+    if refusal is not None or found is None:
+        refusal = refusal or Refusal("too few answers in the recording")
+        return ServoResult(axis, None, refusal, refusal, refusal)
+    deviations = _deviations(found)
+    basis = f"{found.rows} answers, {found.residual:.1e} left of {found.motion:.1e}"
+    model = found.model
+    return ServoResult(
+        axis,
+        model,
+        Estimate(model.frequency_hz, float(deviations[0]), basis),
+        Estimate(model.damping, float(deviations[1]), basis),
+        Estimate(model.dead_time, float(deviations[2]), basis),
+    )
+
+
+def _refusal(found: ServoFit | None) -> Refusal | None:
+    """Return why a fit is not believed, None if it is."""
+    if found is None:
+        return Refusal("too few answers in the recording")
+    if found.motion < LEAST_LAG:
+        return Refusal(f"the axis hardly moved: it lags {found.motion:.1e} rad or m behind")
+    if not found.converged:
+        return Refusal("no second-order servo within reason explains the answers")
+    if found.residual > MISFIT * found.motion:
+        share = found.residual / found.motion
+        return Refusal(f"a second-order servo leaves {100.0 * share:.0f} % of the lag unexplained")
+    deviations = _deviations(found)
+    shares = (
+        ("frequency", deviations[0] / found.model.frequency_hz, FREQUENCY_SHARE, "%", 100.0),
+        ("damping", deviations[1], DAMPING_DEVIATION, "", 1.0),
+        ("dead time", deviations[2], DEAD_TIME_DEVIATION, "ms", 1e3),
+    )
+    for name, deviation, limit, unit, scale in shares:
+        if not deviation <= limit:
+            doubt = f"+-{scale * deviation:.2g} {unit}".rstrip()
+            return Refusal(f"not enough excitation: its {name} is known only to {doubt}")
+    return None
+
+
+def _deviations(found: ServoFit) -> Array:
+    """Return the deviations (3,) of frequency [Hz], damping and dead time [s]."""
+    misfit = max(LEAST_MISFIT / max(found.residual, 1e-15), 1.0)
+    deviations: Array = misfit * np.sqrt(np.maximum(found.covariance.diagonal(), 0.0))
+    return deviations

@@ -1,0 +1,253 @@
+"""A recording as arrays: what was commanded, answered, seen and felt, each at its own time.
+
+Law of this file: pure; steps in, arrays out, nothing judged. Times are seconds since the first
+step; poses stand in the nominal frame c of the task, whose y axis lies along the conveyor. A
+setpoint that did not reach the wire is replaced by the one the controller held.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from linemate.daemon import rotations
+from linemate.daemon.horizon import Array
+from linemate.daemon.inputs import Inputs
+
+Mask = NDArray[np.bool_]
+
+Kinematics = Callable[[Array], tuple[Array, Array]]
+"""From joints (axes,) to position (3,) and rotation (3, 3) of the undeflected tcp in base."""
+
+LONGEST_GAP = 2.5  # cycles between two of the robot's poses, to interpolate between them
+
+
+class Step(Protocol):
+    """One recorded step."""
+
+    @property
+    def ipoc(self) -> int | None:
+        """Of the telegram it answered."""
+
+    @property
+    def inputs(self) -> Inputs:
+        """What entered it."""
+
+    @property
+    def command(self) -> tuple[float, ...]:
+        """Setpoints it gave."""
+
+    @property
+    def contact(self) -> bool:
+        """The tool was clamped."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Images:
+    """What the camera saw.
+
+    Attributes:
+        exposures: (m,) [s].
+        arrivals: (m,) [s].
+        positions: (m, 3) object in the camera [m].
+        rotations: (m, 3, 3) object in the camera.
+        deviations: (m, 6) as the camera states them, NaN where it does not.
+    """
+
+    exposures: Array
+    arrivals: Array
+    positions: Array
+    rotations: Array
+    deviations: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tape:
+    """One recording.
+
+    Attributes:
+        cycle_s: T0 [s].
+        commands: (n, axes) setpoint in force from each step on [rad, m].
+        answers: (n, axes) measured at each step's telegram, NaN without one [rad, m].
+        robot_times: (m,) of the robot's telegrams [s].
+        tcp: (m, 6) undeflected tcp in c, position [m] and rotation vector [rad].
+        distances: (d, 2) arrival [s] and reading [m].
+        images: of the camera.
+        wrenches: (w, 7) arrival [s], force [N], torque [Nm].
+        contact: (c, 2) begin and end of each contact [s].
+    """
+
+    cycle_s: float
+    commands: Array
+    answers: Array
+    robot_times: Array
+    tcp: Array
+    distances: Array
+    images: Images
+    wrenches: Array
+    contact: Array
+
+    def in_contact(self, times: Array, margin: float = 0.0) -> Mask:
+        """Return for each time (m,) whether the tool was clamped, ``margin`` s around included."""
+        inside = np.zeros(len(times), dtype=bool)
+        for begin, end in self.contact:
+            inside |= (times >= begin - margin) & (times <= end + margin)
+        return inside
+
+
+def make_tape(steps: Iterable[Step], kinematics: Kinematics, nominal: Array) -> Tape:
+    """Return a recording's arrays.
+
+    Args:
+        steps: oldest first.
+        kinematics: of the arm with its tool.
+        nominal: (3, 3) C, the nominal object's axes in base.
+
+    Raises:
+        ValueError: the steps are too few, or tell of no robot.
+    """
+    rows = list(steps)
+    if len(rows) < 20:
+        raise ValueError(f"a recording of {len(rows)} steps is too short")
+    epoch = rows[0].inputs.stamp_ns
+    robots = [step.inputs.robot for step in rows if step.inputs.robot is not None]
+    if len(robots) < 20:
+        raise ValueError("the recording has no telegrams of a robot")
+    axes = len(rows[0].command)
+    joints = np.array([(*robot.joints, *robot.external)[:axes] for robot in robots])
+    if joints.shape[1] != axes:
+        raise ValueError(f"the robot told {joints.shape[1]} axes, {axes} were commanded")
+    row_of = {step.ipoc: i for i, step in enumerate(rows) if step.ipoc is not None}
+    answers = np.full((len(rows), axes), np.nan)
+    for robot, measured in zip(robots, joints, strict=True):
+        if robot.ipoc in row_of:
+            answers[row_of[robot.ipoc]] = measured
+    times = _seconds([robot.stamp_ns for robot in robots], epoch)
+    span = rows[-1].inputs.k - rows[0].inputs.k
+    first, last = rows[0].inputs.stamp_ns, rows[-1].inputs.stamp_ns
+    return Tape(
+        cycle_s=(last - first) * 1e-9 / span,
+        commands=_in_force(rows, joints[0]),
+        answers=answers,
+        robot_times=times,
+        tcp=_poses(joints, kinematics, nominal),
+        distances=_distances(rows, epoch),
+        images=_images(rows, epoch),
+        wrenches=_wrenches(rows, epoch),
+        contact=_contacts(rows, epoch),
+    )
+
+
+def _seconds(stamps_ns: list[int], epoch_ns: int) -> Array:
+    return np.array([stamp - epoch_ns for stamp in stamps_ns], dtype=float) * 1e-9
+
+
+def _in_force(rows: list[Step], at_first: Array) -> Array:
+    """Return the setpoints (n, axes) that the controller had; it holds where none came."""
+    held = tuple(at_first.tolist())
+    commands = []
+    for step in rows:
+        if step.ipoc is not None:
+            held = step.command
+        commands.append(held)
+    return np.array(commands)
+
+
+def _poses(joints: Array, kinematics: Kinematics, nominal: Array) -> Array:
+    """Return the tcp (m, 6) in c; its rotation vector never jumps by a turn."""
+    poses = np.empty((len(joints), 6))
+    for row, q in zip(poses, joints, strict=True):
+        position, rotation = kinematics(q)
+        row[:3] = nominal.T @ position
+        row[3:] = rotations.log(nominal.T @ rotation)
+    return poses
+
+
+def _distances(rows: list[Step], epoch: int) -> Array:
+    samples = [sample for step in rows for sample in step.inputs.distance]
+    stamps = _seconds([sample.stamp_ns for sample in samples], epoch)
+    readings = np.array([sample.position for sample in samples], dtype=float)
+    return np.column_stack((stamps, readings)).reshape(-1, 2)
+
+
+def _images(rows: list[Step], epoch: int) -> Images:
+    samples = [sample for step in rows for sample in step.inputs.camera]
+    deviations = np.full((len(samples), 6), np.nan)
+    for row, sample in zip(deviations, samples, strict=True):
+        if sample.covariance is not None:
+            diagonal = [sample.covariance[i] for i in (0, 6, 11, 15, 18, 20)]
+            row[:] = np.sqrt(np.maximum(diagonal, 0.0))
+    return Images(
+        exposures=_seconds([sample.exposure_ns for sample in samples], epoch),
+        arrivals=_seconds([sample.stamp_ns for sample in samples], epoch),
+        positions=np.array([sample.position for sample in samples], dtype=float).reshape(-1, 3),
+        rotations=np.array(
+            [rotations.matrix(sample.quaternion) for sample in samples], dtype=float
+        ).reshape(-1, 3, 3),
+        deviations=deviations,
+    )
+
+
+def _wrenches(rows: list[Step], epoch: int) -> Array:
+    samples = [sample for step in rows for sample in step.inputs.wrench]
+    stamps = _seconds([sample.stamp_ns for sample in samples], epoch)
+    wrenches = np.array([(*sample.force, *sample.torque) for sample in samples], dtype=float)
+    return np.column_stack((stamps, wrenches.reshape(-1, 6))).reshape(-1, 7)
+
+
+def _contacts(rows: list[Step], epoch: int) -> Array:
+    found: list[tuple[float, float]] = []
+    begin: float | None = None
+    for step in rows:
+        now = (step.inputs.stamp_ns - epoch) * 1e-9
+        if step.contact and begin is None:
+            begin = now
+        elif not step.contact and begin is not None:
+            found.append((begin, now))
+            begin = None
+    if begin is not None:
+        found.append((begin, (rows[-1].inputs.stamp_ns - epoch) * 1e-9))
+    return np.array(found).reshape(-1, 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Way:
+    """Where the undeflected tcp was, at any time.
+
+    Attributes:
+        spline: of position and rotation vector.
+        times: (m,) of the telegrams it was made of [s].
+        gap: longest stretch without one that is bridged [s].
+    """
+
+    spline: CubicSpline
+    times: Array
+    gap: float
+
+    def known(self, times: Array) -> Mask:
+        """Return for each time (m,) whether telegrams lie close enough around it."""
+        after = np.clip(np.searchsorted(self.times, times), 1, len(self.times) - 1)
+        inside = (times >= self.times[0]) & (times <= self.times[-1])
+        close = self.times[after] - self.times[after - 1] <= self.gap
+        known: Mask = inside & close
+        return known
+
+    def at(self, times: Array) -> tuple[Array, Array]:
+        """Return positions (m, 3) and rotations (m, 3, 3) in c at times (m,)."""
+        poses = self.spline(times)
+        return poses[:, :3], rotations.exp_many(poses[:, 3:])
+
+    def rates(self, times: Array) -> Array:
+        """Return the derivatives (m, 6) of position and rotation vector."""
+        rates: Array = self.spline(times, 1)
+        return rates
+
+
+def way(tape: Tape) -> Way:
+    """Return the robot's way through a recording."""
+    keep = np.concatenate(((True,), np.diff(tape.robot_times) > 0.0))
+    times = tape.robot_times[keep]
+    return Way(CubicSpline(times, tape.tcp[keep]), times, LONGEST_GAP * tape.cycle_s)
