@@ -33,6 +33,8 @@ class Parameters:
     tracker: Tracker
     controller: control.Controller
     cycle_s: float
+    settings: ControlSettings
+    """What the controller was compiled of; the tracker keeps its own."""
 
 
 def _classifier(task: TaskFile, settings: TrackingSettings) -> Classifier:
@@ -107,7 +109,7 @@ def build(
         span=np.arange(controller.steps + 1) * cycle_s,
         leave=reference.time_of(Phase.RETREAT),
     )
-    return Parameters(tracker, controller, cycle_s)
+    return Parameters(tracker, controller, cycle_s, control_settings)
 
 
 def with_foresight(parameters: Parameters, foresight: Foresight) -> Parameters:

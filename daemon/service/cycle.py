@@ -15,7 +15,7 @@ from linemate.daemon import step as stepping
 from linemate.daemon.inputs import Inputs
 from linemate.daemon.parameters import Parameters
 from linemate.daemon.service import states, watch
-from linemate.daemon.service.states import Machine, Signals
+from linemate.daemon.service.states import Machine, Signals, State
 from linemate.daemon.tracking.task import Phase
 from linemate.protocol.exchange import Exchange, Kind, Verdict
 from linemate.protocol.rsi import PreparedReply, RobotTelegram, RsiCodec, RsiError, SensorTelegram
@@ -35,6 +35,7 @@ LONGEST_LOG = 256
 LONGEST_JUMP = 0.05
 """Of a joint from one telegram to the next, before a reply is looked at twice [rad]."""
 
+SETTLED = 0.3  # a retreat is over when no axis is quicker [rad/s, m/s]; it may follow the object
 CATCH_UP_S = 0.3  # steps made at once after a gap, at most
 JOINED_S = 0.15  # unanswered for longer before its first telegram here: it was under way before
 FOREIGN = "the robot's programme was under way before this daemon: start it anew"
@@ -44,19 +45,38 @@ SLACK = 4  # cycles by which counter and clock may disagree
 
 @dataclass(frozen=True, slots=True)
 class LogEntry:
-    """One step as the recorder wants it: the IPOC it answered (None: none), in and out."""
+    """One step as the recorder wants it.
+
+    Attributes:
+        ipoc: the one it answered, None if it answered none.
+        state: the operating state.
+        inputs, outputs: in and out.
+        before, after: the step's own state; where ``before`` is not the ``after`` of the entry
+            before, a session began anew, or steps are missing.
+        parameters: it was made with.
+    """
 
     ipoc: int | None
     state: str
     inputs: Inputs
     outputs: stepping.Outputs
+    before: stepping.State | None = None
+    after: stepping.State | None = None
+    parameters: Parameters | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Swap:
+    """Parameters that wait for the next step; ``anew``: the step begins anew where it stands."""
+
+    parameters: Parameters
+    anew: bool
 
 
 @dataclass(frozen=True, slots=True)
 class _Prepared:
-    """A step made before its telegram: the state it began with, its reply but for the IPOC."""
+    """A step made before its telegram, its reply but for the IPOC."""
 
-    before: stepping.State
     reply: PreparedReply
     entry: LogEntry
 
@@ -101,7 +121,7 @@ class Inbox(Generic[Sample]):
 class Cycle:
     """What the daemon does each cycle."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0915 - everything that changes, in one place
         self,
         parameters: Parameters,
         codec: RsiCodec,
@@ -155,6 +175,7 @@ class Cycle:
         self._delay: int | None = None
         self._was_lost = False
         self._is_loss_untold = False
+        self._pace = 0.0
         self._programmes: dict[Hashable, _Programme] = {}
         self._was_sent = True
         self._new_session = False
@@ -162,6 +183,7 @@ class Cycle:
         self._position_ns: int | None = None
         self._wrench_ns: int | None = None
         self._ready: _Prepared | None = None
+        self._swap: _Swap | None = None
         self._log: deque[LogEntry] = deque(maxlen=LONGEST_LOG)
         tags = {element.tag for element in codec.config.receive}
         self._writes_external = any(tag.startswith(("EK.", "EKorr.")) for tag in tags)
@@ -202,6 +224,46 @@ class Cycle:
         if reason is None:
             self._orders.add(op)
         return reason
+
+    # Parameters.
+
+    def swap(self, parameters: Parameters, *, anew: bool = False) -> None:
+        """Take other parameters from the next step on.
+
+        Args:
+            parameters: of the step; of the same cycle time.
+            anew: the step's state does not fit them: begin anew where the robot stands. Only
+                for one that does (``stands``).
+        """
+        anew = anew or (self._swap is not None and self._swap.anew)
+        self._swap = _Swap(parameters, anew)
+
+    def watch_by(self, settings: watch.WatchSettings) -> None:
+        """Take other time-outs and debounce from the next step on."""
+        self._settings = settings
+
+    @property
+    def stands(self) -> bool:
+        """Whether the robot is at rest and nothing is about to move it."""
+        at_rest = self.machine.state in {State.INIT, State.IDLE, State.HOLD, State.FAULT}
+        return at_rest and not self._orders and (self._state is None or not self._state.moving)
+
+    def trial(self) -> tuple[stepping.State, Inputs] | None:
+        """Return the state and the inputs of the last step, to try parameters on."""
+        if self.last is None or self.last.before is None:
+            return None
+        return self.last.before, self.last.inputs
+
+    def _apply_swap(self) -> None:
+        """Between two steps: what was to be swapped is."""
+        swap, self._swap = self._swap, None
+        if swap is None:
+            return
+        self.parameters = swap.parameters
+        if swap.anew and self._state is not None:
+            held = tuple(self._state.control.gate.position.tolist())
+            there = RobotSample(self._stamp_ns, 0, held[:6], held[6:])
+            self._state = stepping.initial(self.parameters, there)
 
     # The cycle.
 
@@ -266,9 +328,8 @@ class Cycle:
         """Make the step of a telegram that is expected at ``stamp_ns``; True if it is ready."""
         if self._state is None or self._ready is not None:
             return False
-        before = self._state
         entry = self._step(stamp_ns, telegram=True)
-        self._ready = _Prepared(before, self._reply(entry), entry)
+        self._ready = _Prepared(self._reply(entry), entry)
         return True
 
     def on_missing(self, stamp_ns: int) -> None:
@@ -426,9 +487,11 @@ class Cycle:
             return ready
         self.remade += 1
         inputs = replace(inputs, sent=sent, applied=applied)
-        self._state, outputs = stepping.step(ready.before, inputs, self.parameters)
-        entry = replace(ready.entry, inputs=inputs, outputs=outputs)
-        return _Prepared(ready.before, self._reply(entry), entry)
+        before, made_with = ready.entry.before, ready.entry.parameters
+        assert before is not None and made_with is not None  # noqa: PT018, S101 - as _step made it
+        self._state, outputs = stepping.step(before, inputs, made_with)
+        entry = replace(ready.entry, inputs=inputs, outputs=outputs, after=self._state)
+        return _Prepared(self._reply(entry), entry)
 
     def _fate(self) -> tuple[bool, tuple[float, ...] | None]:
         """Return whether the last step's command is the robot's, and where it holds if not."""
@@ -457,6 +520,7 @@ class Cycle:
             self._position_ns = max(self._position_ns or 0, camera[-1].stamp_ns)
         if wrench:
             self._wrench_ns = wrench[-1].stamp_ns
+        self._apply_swap()
         before = self.machine
         self._decide(stamp_ns, telegram=telegram)
         started = self.machine is not before and self.machine.state is states.State.TRACK
@@ -475,10 +539,12 @@ class Cycle:
         )
         self._robot = None
         assert self._state is not None  # noqa: S101 - a session is open
-        self._state, outputs = stepping.step(self._state, inputs, self.parameters)
+        told, made_with = self._state, self.parameters
+        self._state, outputs = stepping.step(told, inputs, made_with)
         self.steps += 1
         self._stamp_ns = stamp_ns
-        return LogEntry(None, self.machine.state.value, inputs, outputs)
+        state = self.machine.state.value
+        return LogEntry(None, state, inputs, outputs, told, self._state, made_with)
 
     def _decide(self, stamp_ns: int, *, telegram: bool) -> None:
         """Move the operating state on what was seen up to now."""
@@ -496,7 +562,7 @@ class Cycle:
             contact=outputs is not None and outputs.contact,
             overload=outputs is not None and outputs.overload,
             done=outputs is not None and outputs.phase is Phase.RETREAT,
-            clear=outputs is not None and outputs.finished,
+            clear=outputs is not None and outputs.finished and self._pace < SETTLED,
             orders=frozenset(self._orders),
         )
         self._orders.clear()
@@ -523,7 +589,18 @@ class Cycle:
     def _note(self, entry: LogEntry, ipoc: int | None) -> None:
         """Remember a step for the log."""
         if ipoc is not None:
-            entry = LogEntry(ipoc, entry.state, entry.inputs, entry.outputs)
+            entry = LogEntry(
+                ipoc,
+                entry.state,
+                entry.inputs,
+                entry.outputs,
+                entry.before,
+                entry.after,
+                entry.parameters,
+            )
+        if self.last is not None:
+            moved = zip(self.last.outputs.command, entry.outputs.command, strict=True)
+            self._pace = max(abs(b - a) for a, b in moved) / self.parameters.cycle_s
         self.last = entry
         if len(self._log) == LONGEST_LOG:
             self.log_dropped += 1
