@@ -50,7 +50,12 @@ def _classifier(task: TaskFile, settings: TrackingSettings) -> Classifier:
         )
     if settings.classifier is ClassifierKind.BANK:
         return BankClassifier(
-            task.conveyor, settings.fusion, settings.bank, deviation, settings.mixture
+            task.conveyor,
+            settings.fusion,
+            settings.bank,
+            deviation,
+            settings.mixture,
+            settings.jerk,
         )
     return ImmClassifier(task.conveyor, settings.fusion, settings.bank, settings.imm, deviation)
 

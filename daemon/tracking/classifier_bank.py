@@ -1,14 +1,10 @@
-"""A generalized likelihood ratio test over a bank of onsets (Willsky), acting before it is sure.
+"""A generalized likelihood ratio test over a bank of onsets, acting before it is sure.
 
-Law of this file: one null filter that believes in the class in force, and a bank of hypotheses
-"another class began u seconds ago". A hypothesis needs no history: its raw signature is analytic
-in its age, what the null filter has absorbed of it is propagated with the filter's own F and K,
-and two sums a hypothesis hold all evidence (reading notes, "One bank for everything"):
-
-    rho = d - h'f,   A += rho^2 / S,   B += rho nu / S,   f <- F f + K rho.
-
-The amplitude of a class is N(1, s^2) and integrated out, so that a deceleration known to +-25 %
-needs no bank of its own.
+Law of this file: one null filter that believes in the class in force, and two banks beside it:
+"another class began u seconds ago", whose deceleration is known to +-25 %, and, while the tool
+touches the object, "somebody pushed the body u seconds ago", a damped sine that force sensor and
+camera see and the distance sensor does not. They compete: a stop counts by its odds against no
+change *and* against a push.
 """
 
 import math
@@ -19,16 +15,20 @@ from functools import lru_cache
 import numpy as np
 
 from linemate.daemon.horizon import Array
+from linemate.daemon.tracking import hypotheses
 from linemate.daemon.tracking.conveyor import Motion, Row, Source, View, travel
-from linemate.daemon.tracking.settings import BankSettings, FusionSettings
+from linemate.daemon.tracking.hypotheses import Bank, Prior
+from linemate.daemon.tracking.settings import BankSettings, FusionSettings, JerkSettings
 from linemate.daemon.tracking.task import ConveyorClasses
 
-Y, V, RIPPLE, OFFSET, ACCELERATION = range(5)
+Y, V, RIPPLE, OFFSET, ACCELERATION, PUSH, QUADRATURE = range(7)
+STATES = 7
 OFFSET_DEVIATION = 0.1  # of x10 before anything but the distance sensor saw the object [m]
 SETTLING = 0.6  # the bank is empty until the speed has been seen [s]
-REFUSALS = 8  # gated rows in a row after which the filter widens
+REFUSALS = 8  # gated rows of one sensor in a row after which the filter widens
 REST_DEVIATION = 0.002  # of the speed when a stop is taken to have ended [m/s]
 CALM = 2.0  # log odds below which a tentative change is cancelled
+STILL = (0.0,)  # the frequencies of a change of class: none
 
 _STOP = (Motion.STOPPING, "stop")
 _START = (Motion.STARTING, "start")
@@ -41,50 +41,39 @@ _NEXT = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bank:
-    """Hypotheses by age, youngest first.
+class BankState:
+    """Belief of the bank.
 
     Attributes:
-        absorbed: f (m, 5), what the null filter has taken in of each signature.
-        A, B: (m,) evidence.
-        age: (m,) time since each onset [s].
+        x: y, speed, ripple, x10, acceleration, and a push with its quadrature [m].
+        P: covariance.
+        motion: class in force.
+        cruise: speed at which a start ends [m/s].
+        bank: of changes of class.
+        pushes: of pushes of the body.
+        omega: frequency of the push in x [rad/s].
+        age: of the belief [s].
+        since: how long the class has been acting [s].
+        refused: rows gated in a row, by sensor.
+        odds: of a change, log, against no change and against a push.
+        push_odds: of a push, log, against both others.
+        tentative: a change has been perceived.
+        contact: the tactile sensor took part in the last step.
+        events: of the last step.
     """
-
-    absorbed: Array
-    A: Array
-    B: Array
-    age: Array
-
-
-@lru_cache(maxsize=16)
-def _transition(dt: float, ripple_time: float) -> Array:
-    """Return A of (5): ripple is a speed that dies out."""
-    F = np.eye(5)
-    F[Y, V], F[Y, RIPPLE], F[Y, ACCELERATION] = dt, dt, 0.5 * dt * dt
-    F[V, ACCELERATION] = dt
-    F[RIPPLE, RIPPLE] = math.exp(-dt / ripple_time)
-    F.setflags(write=False)
-    return F
-
-
-def empty_bank() -> Bank:
-    """Return a bank without hypotheses."""
-    return Bank(np.zeros((0, 5)), np.zeros(0), np.zeros(0), np.zeros(0))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BankState:
-    """Belief: x = (y, v, ripple, x10, acceleration), its covariance, class and bank."""
 
     x: Array
     P: Array
     motion: Motion
     cruise: float
     bank: Bank
+    pushes: Bank
+    omega: float
     age: float = 0.0
     since: float = 0.0
     refused: Mapping[Source, int] = field(default_factory=dict)
     odds: float = -30.0
+    push_odds: float = -30.0
     tentative: bool = False
     contact: bool = False
     events: tuple[tuple[str, str], ...] = ()
@@ -99,16 +88,27 @@ class BankClassifier:
     bank: BankSettings
     distance_deviation: float
     mixture: bool = True
+    jerk: JerkSettings = field(default_factory=JerkSettings)
 
     def initial(self, position: float) -> BankState:
         """Return the belief at a first distance reading; the speed is not known yet."""
         nominal = self.conveyor.nominal_speed
         offset = OFFSET_DEVIATION**2
-        P = np.diag((0.0, nominal**2, self.fusion.ripple**2, offset, 0.0))
+        P = np.diag((0.0, nominal**2, self.fusion.ripple**2, offset, 0.0, 0.0, 0.0))
         P[Y, Y] = self.distance_deviation**2 + offset
         P[Y, OFFSET] = P[OFFSET, Y] = -offset
-        x = np.array((position, 0.5 * nominal, 0.0, 0.0, 0.0))
-        return BankState(x, P, Motion.RUNNING, nominal, empty_bank())
+        x = np.array((position, 0.5 * nominal, 0.0, 0.0, 0.0, 0.0, 0.0))
+        return BankState(
+            x=x,
+            P=P,
+            motion=Motion.RUNNING,
+            cruise=nominal,
+            bank=hypotheses.empty(STATES),
+            pushes=hypotheses.empty(STATES),
+            omega=2.0 * math.pi * self.jerk.frequencies_hz[0],
+        )
+
+    # The models.
 
     def _change(self, motion: Motion) -> float:
         """Return the acceleration that the change out of a class adds [m/s^2]."""
@@ -120,6 +120,22 @@ class BankClassifier:
             Motion.STARTING: -(stop + start),
         }[motion]
 
+    @property
+    def _prior(self) -> Prior:
+        """Return what is known of a change's amplitude, as a share of its nominal one."""
+        return Prior(1.0, self.bank.amplitude_deviation**2)
+
+    @property
+    def _push_prior(self) -> Prior:
+        """Return what is known of a push's amplitude [m]."""
+        return Prior(0.0, self.jerk.deviation**2)
+
+    def _class_acceleration(self, motion: Motion) -> float:
+        """Return the nominal acceleration of a class [m/s^2]."""
+        if motion is Motion.STOPPING:
+            return -self.conveyor.deceleration
+        return self.conveyor.acceleration if motion is Motion.STARTING else 0.0
+
     def _process_noise(self, state: BankState, dt: float) -> Array:
         """Return the diagonal of Q: the ripple is stationary and stands with the conveyor."""
         fusion = self.fusion
@@ -129,34 +145,50 @@ class BankClassifier:
         ripple = (fusion.ripple * share) ** 2 * (1.0 - decay)
         rate = (0.05 * abs(self._class_acceleration(state.motion))) ** 2 * dt if moving else 0.0
         speed = fusion.speed * (1.0 if state.motion is not Motion.STANDING else 0.3)
-        return np.array((1e-12, speed**2 * dt, ripple, fusion.offset**2 * dt, rate))
+        return np.array((1e-12, speed**2 * dt, ripple, fusion.offset**2 * dt, rate, 0.0, 0.0))
 
-    def _class_acceleration(self, motion: Motion) -> float:
-        """Return the nominal acceleration of a class [m/s^2]."""
-        if motion is Motion.STOPPING:
-            return -self.conveyor.deceleration
-        return self.conveyor.acceleration if motion is Motion.STARTING else 0.0
+    def _row(self, row: Row, state: BankState) -> Array:
+        """Return h of (1), (8), (10) with the delay in it; the class acts since its onset."""
+        tau = row.delay
+        back = min(tau, state.since)
+        acceleration = tau * back - 0.5 * back * back
+        if row.source is Source.DISTANCE:
+            return np.array((1.0, -tau, -tau, 1.0, acceleration, 0.0, 0.0))
+        w = state.omega
+        grown = math.exp(self.jerk.damping * w * tau)
+        push, quadrature = grown * math.cos(w * tau), -grown * math.sin(w * tau)
+        return np.array((1.0, -tau, -tau, 0.0, acceleration, push, quadrature))
+
+    def _pushed(self, ages: Array, omega: Array) -> tuple[Array, Array]:
+        """Return a push of amplitude 1 and its quadrature (m,), ``ages`` after its onset."""
+        late = np.maximum(ages, 0.0)
+        fade = np.where(ages > 0.0, np.exp(-self.jerk.damping * omega * late), 0.0)
+        return fade * np.sin(omega * late), fade * np.cos(omega * late)
+
+    # The filter.
 
     def _predict(self, state: BankState, dt: float) -> BankState:
-        """Return (5), (6), the bank one step older, and a new hypothesis "now"."""
-        F = _transition(dt, self.fusion.ripple_time)
-        x = F @ state.x
+        """Return (5), (6), the banks one step older, and new hypotheses "now"."""
+        F = _transition(dt, self.fusion.ripple_time, state.omega, self.jerk.damping)
         P = F @ state.P @ F.T
-        P.flat[::6] += self._process_noise(state, dt)
-        bank = state.bank
+        P.flat[:: STATES + 1] += self._process_noise(state, dt)
+        bank, pushes = state.bank, state.pushes
         if state.age > SETTLING:
-            size = min(len(bank.age) + 1, round(self.bank.longest_onset / dt))
-            absorbed = np.zeros((size, 5))
-            evidence = np.zeros((3, size))
-            if size > 1:
-                absorbed[1:] = bank.absorbed[: size - 1] @ F.T
-                evidence[0, 1:] = bank.A[: size - 1]
-                evidence[1, 1:] = bank.B[: size - 1]
-                evidence[2, 1:] = bank.age[: size - 1]
-            evidence[2] += dt
-            bank = Bank(absorbed, evidence[0], evidence[1], evidence[2])
+            bank = hypotheses.aged(bank, F, dt, self.bank.longest_onset, STILL)
+            if state.contact:
+                omegas = self.jerk.omegas
+                pushes = hypotheses.aged(pushes, F, dt, self.jerk.longest_onset, omegas)
+            elif len(pushes):
+                pushes = hypotheses.empty(STATES)
         state = replace(
-            state, x=x, P=P, bank=bank, age=state.age + dt, since=state.since + dt, events=()
+            state,
+            x=F @ state.x,
+            P=P,
+            bank=bank,
+            pushes=pushes,
+            age=state.age + dt,
+            since=state.since + dt,
+            events=(),
         )
         return self._end_of_class(state)
 
@@ -169,26 +201,21 @@ class BankClassifier:
             return _enter(state, Motion.RUNNING, v, 2.0 * REST_DEVIATION)
         return state
 
-    def _row(self, row: Row, since: float) -> Array:
-        """Return h of (1), (8), (10) with the delay in it; the class acts since its onset."""
-        back = min(row.delay, since)
-        seen = 1.0 if row.source is Source.DISTANCE else 0.0
-        return np.array((1.0, -row.delay, -row.delay, seen, row.delay * back - 0.5 * back * back))
-
     def _correct(self, state: BankState, rows: Sequence[Row]) -> BankState:
-        """Return (2)-(4) for some rows, null filter and bank alike, each gated."""
-        x, P, bank, refused = state.x, state.P, state.bank, state.refused
-        absorbed, A, B = bank.absorbed, bank.A, bank.B
+        """Return (2)-(4) for some rows, null filter and banks alike, each gated."""
+        x, P, bank, pushes, refused = state.x, state.P, state.bank, state.pushes, state.refused
         half = 0.5 * self._change(state.motion)
         for row in rows:
-            h = self._row(row, state.since)
+            h = self._row(row, state)
             Ph = P @ h
             S = float(h @ Ph) + row.variance
             nu = row.value - float(h @ x)
             u = np.maximum(bank.age - row.delay, 0.0)
-            rho = half * u * u - absorbed @ h
+            signature = half * u * u
             gate = row.gate * math.sqrt(S)
-            if abs(nu) > gate and not self._plausible(state, nu, rho, gate):
+            if abs(nu) > gate and not self._plausible(
+                state, nu, signature - bank.absorbed @ h, gate
+            ):
                 refusals = refused.get(row.source, 0) + 1
                 refused = {**refused, row.source: refusals}
                 if refusals >= REFUSALS:
@@ -199,10 +226,13 @@ class BankClassifier:
             K = Ph / S
             x = x + K * nu
             P = P - K[:, None] * Ph
-            absorbed = absorbed + rho[:, None] * K
-            A = A + rho * rho / S
-            B = B + rho * (nu / S)
-        return replace(state, x=x, P=P, bank=Bank(absorbed, A, B, bank.age), refused=refused)
+            bank = hypotheses.learned(bank, signature, h, K, S, nu)
+            if len(pushes):
+                pushed = np.zeros(len(pushes))
+                if row.source is not Source.DISTANCE:
+                    pushed, _ = self._pushed(pushes.age - row.delay, pushes.omega)
+                pushes = hypotheses.learned(pushes, pushed, h, K, S, nu)
+        return replace(state, x=x, P=P, bank=bank, pushes=pushes, refused=refused)
 
     def _widened(self, state: BankState, nu: float) -> BankState:
         """Return the state opened up: the filter is wrong, not eight of one sensor's readings."""
@@ -210,48 +240,16 @@ class BankClassifier:
         P[Y, Y] += nu * nu
         P[OFFSET, OFFSET] += nu * nu
         P[V, V] += (0.5 * self.conveyor.nominal_speed) ** 2
-        return replace(
-            state, P=P, bank=empty_bank(), age=0.0, refused={}, odds=-30.0, tentative=False
-        )
+        return replace(_cleared(state), P=P, age=0.0, refused={})
 
     def _plausible(self, state: BankState, nu: float, rho: Array, gate: float) -> bool:
         """Tell whether an innovation lies in the range that the live hypotheses span."""
         if not state.tentative or len(rho) == 0:
             return False
-        expected = float(self._weights(state.bank) @ rho)
+        expected = float(hypotheses.weights(state.bank, self._prior) @ rho)
         return min(0.0, expected) - gate < nu < max(0.0, expected) + gate
 
-    def _evidence(self, bank: Bank) -> Array:
-        """Return each hypothesis' log likelihood ratio (m,), its amplitude integrated out."""
-        s2 = self.bank.amplitude_deviation**2
-        spread = 1.0 + s2 * bank.A
-        ratio: Array = (bank.B * bank.B * s2 + 2.0 * bank.B - bank.A) / (2.0 * spread)
-        evidence: Array = ratio - 0.5 * np.log(spread)
-        return evidence
-
-    def _weights(self, bank: Bank) -> Array:
-        """Return the posterior weights (m,) of the onsets."""
-        evidence = self._evidence(bank)
-        weights = np.exp(evidence - evidence.max())
-        normed: Array = weights / weights.sum()
-        return normed
-
-    def _amplitude(self, bank: Bank) -> Array:
-        """Return the posterior mean amplitude (m,) of each hypothesis."""
-        s2 = self.bank.amplitude_deviation**2
-        mean: Array = (bank.B * s2 + 1.0) / (bank.A * s2 + 1.0)
-        return mean
-
-    def _shift(self, state: BankState) -> Array:
-        """Return by how much each hypothesis moves the null estimate (m, 5): alpha (D - f)."""
-        bank = state.bank
-        change = self._change(state.motion)
-        raw = np.zeros((len(bank.age), 5))
-        raw[:, Y] = 0.5 * change * bank.age**2
-        raw[:, V] = change * bank.age
-        raw[:, ACCELERATION] = change
-        shift: Array = (raw - bank.absorbed) * self._amplitude(bank)[:, None]
-        return shift
+    # The decision.
 
     def advance(self, state: BankState, rows: Sequence[Row], dt: float) -> BankState:
         """Return the belief one step later, its class decided."""
@@ -264,51 +262,72 @@ class BankClassifier:
         return self._settle(self._decide(state), dt)
 
     def _decide(self, state: BankState) -> BankState:
-        """Return the state with a change perceived, confirmed or cancelled."""
-        if len(state.bank.age) == 0:
-            return replace(state, odds=-30.0)
-        evidence = self._evidence(state.bank)
-        top = float(evidence.max())
-        odds = top + math.log(float(np.exp(evidence - top).sum()))
+        """Return the state with a change perceived, confirmed or cancelled, or a push taken."""
+        stop = hypotheses.odds(state.bank, self._prior)
+        push = hypotheses.odds(state.pushes, self._push_prior)
+        odds = stop - _softplus(push)
+        push_odds = push - _softplus(stop)
         motion, word = _NEXT[state.motion]
         settings = self.bank
         limit = settings.stop_confirmed if word == "stop" else settings.start_confirmed
-        state = replace(state, odds=odds)
-        if odds < min(limit, settings.perceived) and not state.tentative:
-            return state
+        state = replace(state, odds=odds, push_odds=push_odds)
         if odds > limit:
             events = [*state.events, (word, "tentative"), (word, "confirmed")]
             if state.tentative:
                 events.remove((word, "tentative"))
             return self._accept(replace(state, events=tuple(events)), motion)
+        if push_odds > self.jerk.confirmed:
+            return self._accept_push(state)
         if not state.tentative and odds > settings.perceived:
             return replace(state, tentative=True, events=(*state.events, (word, "tentative")))
         if state.tentative and odds < CALM:
             return replace(state, tentative=False, events=(*state.events, (word, "cancelled")))
         return state
 
+    def _raw_change(self, state: BankState) -> Array:
+        """Return D (m, 7) of the changes of class at amplitude 1."""
+        age = state.bank.age
+        change = self._change(state.motion)
+        raw = np.zeros((len(age), STATES))
+        raw[:, Y] = 0.5 * change * age**2
+        raw[:, V] = change * age
+        raw[:, ACCELERATION] = change
+        return raw
+
+    def _raw_push(self, state: BankState) -> Array:
+        """Return D (m, 7) of the pushes at amplitude 1."""
+        raw = np.zeros((len(state.pushes), STATES))
+        raw[:, PUSH], raw[:, QUADRATURE] = self._pushed(state.pushes.age, state.pushes.omega)
+        return raw
+
     def _accept(self, state: BankState, motion: Motion) -> BankState:
-        """Return the state in its new class: moments over the onsets, the bank cleared."""
-        bank = state.bank
-        weights = self._weights(bank)
-        shift = self._shift(state)
-        mean = weights @ shift
-        off = shift - mean
-        s2 = self.bank.amplitude_deviation**2
-        unit = shift / np.maximum(np.abs(self._amplitude(bank)), 1e-3)[:, None]
-        spread = (weights * s2 / (1.0 + s2 * bank.A))[:, None] * unit
-        P = state.P + off.T @ (weights[:, None] * off) + unit.T @ spread
-        x = state.x + mean
+        """Return the state in its new class, the banks cleared."""
+        mean, spread = hypotheses.moments(state.bank, self._raw_change(state), self._prior)
+        since = float(hypotheses.weights(state.bank, self._prior) @ state.bank.age)
         return replace(
-            state,
-            x=x,
-            P=P,
-            motion=motion,
-            bank=empty_bank(),
-            since=float(weights @ bank.age),
-            odds=-30.0,
-            tentative=False,
+            _cleared(state), x=state.x + mean, P=state.P + spread, motion=motion, since=since
         )
+
+    def _accept_push(self, state: BankState) -> BankState:
+        """Return the state with the body's swing after a push in it, the banks cleared."""
+        prior = self._push_prior
+        mean, spread = hypotheses.moments(state.pushes, self._raw_push(state), prior)
+        events = [*state.events, ("push", "confirmed")]
+        if state.tentative:
+            events.append((_NEXT[state.motion][1], "cancelled"))
+        return replace(
+            _cleared(state),
+            x=state.x + mean,
+            P=state.P + spread,
+            omega=self._push_omega(state),
+            events=tuple(events),
+        )
+
+    def _push_omega(self, state: BankState) -> float:
+        """Return the frequency that the pushes' evidence prefers [rad/s]."""
+        share = hypotheses.weights(state.pushes, self._push_prior)
+        best = max(self.jerk.omegas, key=lambda w: float(share[state.pushes.omega == w].sum()))
+        return float(best)
 
     def _settle(self, state: BankState, dt: float) -> BankState:
         """Return the state with its first class found and the cruising speed learnt slowly."""
@@ -322,48 +341,62 @@ class BankClassifier:
             return replace(state, cruise=state.cruise + dt * (speed - state.cruise))
         return state
 
+    # The prediction.
+
     def outlook(self, state: BankState, times: Array) -> Array:
         """Return positions (m,) at ``times``: the class in force, mixed with what is suspected."""
-        null = self._future(state.x, state.motion, state.cruise, times)
-        share = self._share(state)
-        if share < 1e-4:
-            return null
-        bank = state.bank
-        mean = state.x + self._weights(bank) @ self._shift(state)
-        motion, _ = _NEXT[state.motion]
-        other = self._future(mean, motion, state.cruise, times)
-        return null + share * (other - null)
+        null = self._future(state.x, state.motion, state.cruise, state.omega, times)
+        change, push = self._shares(state)
+        mixed = null
+        if change > 1e-4:
+            mean, _ = hypotheses.moments(state.bank, self._raw_change(state), self._prior)
+            motion, _ = _NEXT[state.motion]
+            other = self._future(state.x + mean, motion, state.cruise, state.omega, times)
+            mixed = mixed + change * (other - null)
+        if push > 1e-4:
+            mean, _ = hypotheses.moments(state.pushes, self._raw_push(state), self._push_prior)
+            omega = self._push_omega(state)
+            other = self._future(state.x + mean, state.motion, state.cruise, omega, times)
+            mixed = mixed + push * (other - null)
+        return mixed
 
-    def _share(self, state: BankState) -> float:
-        """Return the weight of the suspected change in the prediction.
+    def _shares(self, state: BankState) -> tuple[float, float]:
+        """Return the weights of a suspected change and of a suspected push in the prediction.
 
-        Only a running conveyor is doubted: while it brakes or stands, a mixture does harm.
+        Only a running or standing conveyor is doubted: while it brakes or starts, a mixture does
+        harm. A penalty keeps quiet tracking quiet.
         """
-        if not self.mixture or len(state.bank.age) == 0:
-            return 0.0
+        if not self.mixture or not len(state.bank):
+            return 0.0, 0.0
         if state.motion is Motion.RUNNING:
             penalty = self.bank.contact_penalty if state.contact else self.bank.penalty
         elif state.motion is Motion.STANDING:
             penalty = 0.0
         else:
-            return 0.0
-        return 1.0 / (1.0 + math.exp(min(penalty - state.odds, 50.0)))
+            return 0.0, 0.0
+        stop = math.exp(min(hypotheses.odds(state.bank, self._prior) - penalty, 50.0))
+        push = math.exp(min(hypotheses.odds(state.pushes, self._push_prior) - penalty, 50.0))
+        total = 1.0 + stop + push
+        return stop / total, push / total
 
-    def _future(self, x: Array, motion: Motion, cruise: float, times: Array) -> Array:
+    def _future(self, x: Array, motion: Motion, cruise: float, omega: float, times: Array) -> Array:
         """Return positions (m,) of one hypothesis under its class."""
-        y, v, r, _, a = x.tolist()
+        y, v, r, _, a, push, quadrature = x.tolist()
         tau = self.fusion.ripple_time
         way = travel(v, a if motion in {Motion.STOPPING, Motion.STARTING} else 0.0, cruise, times)
-        ripple: Array = y + way + r * tau * (1.0 - np.exp(-times / tau))
-        return ripple
+        future: Array = y + way + r * tau * (1.0 - np.exp(-times / tau))
+        if abs(push) + abs(quadrature) > 1e-6:
+            swing = push * np.cos(omega * times) + quadrature * np.sin(omega * times)
+            future = future + np.exp(-self.jerk.damping * omega * times) * swing
+        return future
 
     def view(self, state: BankState) -> View:
         """Return what the bank believes."""
         return View(
-            position=float(state.x[Y]),
+            position=float(state.x[Y] + state.x[PUSH]),
             speed=float(state.x[V] + state.x[RIPPLE]),
             offset=float(state.x[OFFSET]),
-            deviation=math.sqrt(max(float(state.P[Y, Y]), 0.0)),
+            deviation=math.sqrt(max(float(state.P[Y, Y] + state.P[PUSH, PUSH]), 0.0)),
             speed_deviation=math.sqrt(max(float(state.P[V, V] + state.P[RIPPLE, RIPPLE]), 0.0)),
             motion=state.motion,
             tentative=state.tentative,
@@ -372,19 +405,42 @@ class BankClassifier:
         )
 
 
+@lru_cache(maxsize=32)
+def _transition(dt: float, ripple_time: float, omega: float, damping: float) -> Array:
+    """Return A of (5): ripple is a speed that dies out, a push a swing that does."""
+    F = np.eye(STATES)
+    F[Y, V], F[Y, RIPPLE], F[Y, ACCELERATION] = dt, dt, 0.5 * dt * dt
+    F[V, ACCELERATION] = dt
+    F[RIPPLE, RIPPLE] = math.exp(-dt / ripple_time)
+    fade = math.exp(-damping * omega * dt)
+    c, s = fade * math.cos(omega * dt), fade * math.sin(omega * dt)
+    F[PUSH, PUSH] = F[QUADRATURE, QUADRATURE] = c
+    F[PUSH, QUADRATURE], F[QUADRATURE, PUSH] = s, -s
+    F.setflags(write=False)
+    return F
+
+
+def _softplus(value: float) -> float:
+    """Return ln(1 + e^value)."""
+    return value if value > 30.0 else math.log1p(math.exp(value))
+
+
+def _cleared(state: BankState) -> BankState:
+    """Return the state without a hypothesis."""
+    return replace(
+        state,
+        bank=hypotheses.empty(STATES),
+        pushes=hypotheses.empty(STATES),
+        odds=-30.0,
+        push_odds=-30.0,
+        tentative=False,
+    )
+
+
 def _enter(state: BankState, motion: Motion, speed: float, deviation: float) -> BankState:
     """Return the state in a class without acceleration; the speed stays free to be corrected."""
     x, P = state.x.copy(), state.P.copy()
     x[V], x[ACCELERATION] = speed, 0.0
     P[ACCELERATION, :] = P[:, ACCELERATION] = 0.0
     P[V, V] += deviation**2
-    return replace(
-        state,
-        x=x,
-        P=P,
-        motion=motion,
-        bank=empty_bank(),
-        since=0.0,
-        odds=-30.0,
-        tentative=False,
-    )
+    return replace(_cleared(state), x=x, P=P, motion=motion, since=0.0)

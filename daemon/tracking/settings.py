@@ -3,11 +3,12 @@
 Law of this file: frozen values in SI units with their ranges; nothing computed.
 """
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated
 
-from annotated_types import Ge, Gt, Le, Lt
+from annotated_types import Ge, Gt, Le, Len, Lt
 
 Positive = Annotated[float, Gt(0.0)]
 NonNegative = Annotated[float, Ge(0.0)]
@@ -69,6 +70,8 @@ class TactileNoise:
         angle: sigma of each rotation [rad].
         stiffness: of the mount along tcp x, y, z [N/m].
         rotational_stiffness: about tcp x, y, z [Nm/rad].
+        gate: innovation refused beyond this many sigma; wide, for steps here are real (the
+            screws' 1.5 mrad, a stop) and the device's own CRC keeps nonsense out.
         contact_force: force that counts as contact [N].
         overload_force: force beyond which the tool is withdrawn [N].
     """
@@ -77,6 +80,7 @@ class TactileNoise:
     angle: Positive = 0.0002
     stiffness: tuple[Positive, Positive, Positive] = (50e3, 50e3, 50e3)
     rotational_stiffness: tuple[Positive, Positive, Positive] = (2000.0, 2000.0, 2000.0)
+    gate: Positive = 20.0
     contact_force: Positive = 15.0
     overload_force: Positive = 350.0
 
@@ -117,8 +121,8 @@ class FusionSettings:
     angle: Positive = 0.0002
     swing: Positive = 0.0001
     speed: Positive = 0.0005
-    ripple: Positive = 0.0003
-    ripple_time: Positive = 1.0
+    ripple: Positive = 0.001
+    ripple_time: Positive = 0.2
     offset: Positive = 0.00002
     initial_images: Annotated[int, Ge(1), Le(50)] = 5
 
@@ -159,6 +163,30 @@ class BankSettings:
     penalty: float = 4.0
     contact_penalty: float = 3.0
     longest_onset: Positive = 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class JerkSettings:
+    """A push of the body, as by a hand or a second robot: the hypothesis beside the classes.
+
+    Attributes:
+        frequencies_hz: at which a pushed body may swing along the conveyor.
+        damping: share of critical.
+        deviation: of the amplitude [m].
+        confirmed: log odds at which a push is taken.
+        longest_onset: age of the oldest onset in the bank [s].
+    """
+
+    frequencies_hz: Annotated[tuple[Positive, ...], Len(1, 8)] = (1.5, 0.5)
+    damping: Annotated[float, Ge(0.0), Lt(1.0)] = 0.15
+    deviation: Positive = 0.002
+    confirmed: float = 6.0
+    longest_onset: Positive = 0.5
+
+    @property
+    def omegas(self) -> tuple[float, ...]:
+        """The frequencies [rad/s]."""
+        return tuple(2.0 * math.pi * each for each in self.frequencies_hz)
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,6 +235,7 @@ class TrackingSettings:
     rule: RuleSettings = RuleSettings()
     bank: BankSettings = BankSettings()
     imm: ImmSettings = ImmSettings()
+    jerk: JerkSettings = JerkSettings()
     merge: MergeSettings = MergeSettings()
     predict: bool = True
     mixture: bool = True

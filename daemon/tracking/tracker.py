@@ -274,7 +274,7 @@ def _sightings(
         tcp = pose_at(state.history, wrench.stamp_ns, 2.5 * tracker.cycle_s)
         if tcp is not None:
             sighting = touch(wrench, tcp, settings.tactile, seen.stamp_ns)
-            found.append((Source.TACTILE, sighting, settings.camera.gate))
+            found.append((Source.TACTILE, sighting, settings.tactile.gate))
     return found, wrench
 
 
