@@ -150,8 +150,7 @@ class Cycle:
         self.last_refusal: str | None = None
         self.inline = 0
         self.prepared = 0
-        self.replies_lost = 0
-        self.remade = 0
+        self.replies_lost = self.remade = 0
         self.is_foreign = False
         self.steps = 0
         self.log_dropped = 0
