@@ -18,8 +18,8 @@ from linemate.simulators.devices.limits import LimitJudge
 MOST_EVIDENCE = 5
 QUIET = frozenset({State.INIT, State.IDLE, State.ARMED, State.FAULT})
 RUNNING = frozenset({State.TRACK, State.CONTACT})
-BRAKING_S = 0.5
-"""After a state that moves the commands may change for so long while they come to rest [s]."""
+JERKING_S = 0.4
+"""What a stop may take beyond speed over deceleration, for its jerk is limited [s]."""
 STILL = 1e-9
 NOTABLE_A_SECOND = 40
 """Changes of state and of class in any second: each is a line in the log at most."""
@@ -36,12 +36,19 @@ class Oracle:
         story: changes of the operating state, in order.
     """
 
-    def __init__(self, cycle_s: float) -> None:
-        """Have seen nothing."""
+    def __init__(self, cycle_s: float, braking: tuple[float, ...]) -> None:
+        """Have seen nothing.
+
+        Args:
+            cycle_s: of the controller [s].
+            braking: what each axis stops with [rad/s^2, m/s^2].
+        """
         self.violations: list[str] = []
         self.states: set[str] = set()
         self.story: list[str] = []
         self._cycle_s = cycle_s
+        self._braking = braking
+        self._speeds = (0.0,) * len(braking)
         self._now_s = 0.0
         self._open_orders: set[str] = set()
         self._notable: Counter[int] = Counter()
@@ -111,14 +118,20 @@ class Oracle:
             self.blame(f"finite: speed is {outputs.speed}")
         self._notable[int(self._now_s)] += len(outputs.events)
         state = State(entry.state)
-        moved = len(self._command) == len(outputs.command) and any(
-            abs(a - b) > STILL for a, b in zip(self._command, outputs.command, strict=True)
-        )
-        if session != self._session:
-            self._session, moved = session, False
+        if session != self._session or len(self._command) != len(outputs.command):
+            self._session, self._command = session, outputs.command
+        moves = [
+            (new - old) / self._cycle_s
+            for old, new in zip(self._command, outputs.command, strict=True)
+        ]
         self._command = outputs.command
-        self._resting = self._resting + 1 if state in QUIET else 0
-        if moved and self._resting * self._cycle_s > BRAKING_S:
+        if state not in QUIET:
+            self._resting, self._speeds = 0, tuple(moves)
+            return
+        self._resting += 1
+        needed = (abs(v) / a for v, a in zip(self._speeds, self._braking, strict=True))
+        moved = max(map(abs, moves)) > STILL
+        if moved and self._resting * self._cycle_s > JERKING_S + max(needed):
             self.blame(f"I1: motion in {state.upper()}")
 
     def _transition(self, before: Machine, signals: Signals, after: Machine) -> None:

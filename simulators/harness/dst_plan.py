@@ -21,6 +21,9 @@ FIRST_S = -0.4
 BLIP_S, OUTAGE_S = 0.012, 0.6
 """Shortest and longest fault that lasts [s]."""
 
+EARLIEST_STOP_S = 0.6
+"""A conveyor that stops before the estimate of its speed has settled is no fault of a link [s]."""
+
 START_UP_S = 0.3
 """A daemon that has crashed cannot be there again sooner: measured [s]."""
 
@@ -124,7 +127,7 @@ def draw(seed: int) -> Plan:
 def _events(chance: random.Random, duration_s: float) -> tuple[ConveyorEvent, ...]:
     if chance.random() < 0.4:
         return ()
-    stop_s = round(chance.uniform(-0.2, duration_s), 3)
+    stop_s = round(chance.uniform(EARLIEST_STOP_S, duration_s), 3)
     stop = ConveyorEvent("stop", stop_s, Conveyor().events[0].acceleration)
     if chance.random() < 0.5:
         return (stop,)

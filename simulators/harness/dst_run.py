@@ -59,7 +59,9 @@ LOOK_BACK = 4
 PATIENCE_S = 5.0
 """After the last fault the operator must be able to track again within this time [s]."""
 HOMING_S = 0.5
-"""How long the programme takes to drive the robot to its rest pose, without RSI [s]."""
+HOMING_SPEED = 0.8
+"""How the programme drives the robot to its rest pose, without RSI: for so long at least [s], an
+axis at so much in the mean at most [rad/s, m/s]; it is not charged to the daemon's time."""
 DITHERING_S = 0.2
 """How long the operator waits for what is held to go on before beginning anew [s]."""
 
@@ -181,7 +183,8 @@ class Simulation:
             ),
         )
         faults = Faults(scenario.faults, KINDS)
-        self.oracle = Oracle(CYCLE_S)
+        brake = CONTROL.brake
+        self.oracle = Oracle(CYCLE_S, (*(brake.acceleration,) * 6, brake.axis_acceleration))
         self.cycle = self._daemon()
         self.wires = Wires(
             self.world, self.cycle, Faults(scenario.faults), task().file.conveyor.start_position
@@ -242,7 +245,7 @@ class Simulation:
         quiet_s = max(self.plan.quiet_s, self._robot.quiet_s)
         if self.tracked_s >= quiet_s:
             return False
-        if self.now_s - quiet_s > PATIENCE_S:
+        if self.now_s - quiet_s > PATIENCE_S + self._robot.homing_s:
             machine = self.cycle.machine
             self.oracle.blame(
                 f"liveness: {machine.state} ({machine.because}) {PATIENCE_S:g} s after the last"
@@ -408,13 +411,17 @@ class _Robot:
         self._paused_until_s: float | None = None
         self._braked_until_s: float | None = None
         self._pose = self._plant.start
+        self._from = self._pose
+        self._took_s = 1.0
         self._sent = False
         self.quiet_s = float("-inf")
+        self.homing_s = 0.0
 
     def pause(self, now_s: float, duration_s: float) -> None:
         """End the programme; it begins anew after some time."""
+        if self._paused_until_s is None:
+            self._from = self._pose = self._controller.setpoints
         self._paused_until_s = max(now_s + duration_s, self._paused_until_s or now_s)
-        self._pose = self._controller.setpoints
 
     def brake(self, now_s: float, duration_s: float) -> None:
         """Drives off: the axes stand where they were sent last, whatever comes."""
@@ -424,8 +431,11 @@ class _Robot:
 
     def home(self, now_s: float) -> None:
         """Drive to the rest pose without RSI; the programme begins anew there."""
-        self._paused_until_s = now_s + HOMING_S
-        self._pose = self._plant.start
+        self._from, self._pose = self._controller.setpoints, self._plant.start
+        way = max(abs(a - b) for a, b in zip(self._from, self._pose, strict=True))
+        self._took_s = max(HOMING_S, way / HOMING_SPEED)
+        self._paused_until_s = now_s + self._took_s
+        self.homing_s += self._took_s
 
     @property
     def is_paused(self) -> bool:
@@ -463,7 +473,11 @@ class _Robot:
 
     def _stand(self) -> None:
         world, plant = self._simulation.world, self._plant
-        world.command(self._pose)
+        left_s = (self._paused_until_s or world.time_s) - world.time_s
+        share = min(max(1.0 - left_s / self._took_s, 0.0), 1.0)
+        share = share**3 * (10.0 + share * (6.0 * share - 15.0))
+        moved = (a + share * (b - a) for a, b in zip(self._from, self._pose, strict=True))
+        world.command(tuple(moved))
         plant.cycle += 1
         world.advance(world.cycle_start(plant.cycle))
 
