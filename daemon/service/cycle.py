@@ -121,7 +121,7 @@ class Inbox(Generic[Sample]):
 class Cycle:
     """What the daemon does each cycle."""
 
-    def __init__(  # noqa: PLR0915 - everything that changes, in one place
+    def __init__(
         self,
         parameters: Parameters,
         codec: RsiCodec,
