@@ -2,7 +2,7 @@
 
 import pytest
 
-from linemate.simulators.devices.faults import Faults
+from linemate.simulators.devices.faults import KINDS, MEANINGS, REAL, Faults
 from linemate.simulators.plants.scenario import Fault
 
 
@@ -33,3 +33,15 @@ def test_each_strike_comes_once_and_in_order() -> None:
 def test_a_fault_that_there_is_not_is_refused_at_once(link: str, kind: str) -> None:
     with pytest.raises(ValueError, match=r"fault at 1\.0 s"):
         Faults([Fault(1.0, link, kind)])
+
+
+def test_every_kind_that_a_link_can_suffer_is_explained_and_no_other() -> None:
+    assert {kind for kinds in KINDS.values() for kind in kinds} == set(MEANINGS)
+    assert all(set(kinds) <= set(KINDS[link]) for link, kinds in REAL.items())
+
+
+def test_what_only_virtual_time_can_do_is_refused_on_real_links() -> None:
+    fault = Fault(1.0, "robot", "ipoc_flip", duration_s=1.0)
+    Faults([fault])
+    with pytest.raises(ValueError, match="robot has no 'ipoc_flip'"):
+        Faults([fault], REAL)
