@@ -1,6 +1,7 @@
 """The shipped cell for tests of the step and of the cycle, and inputs to drive them with."""
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -20,10 +21,13 @@ from linemate.protocol.samples import CameraSample, DistanceSample, RobotSample,
 EPOCH_NS = 7_000_000_000_000
 TASK = task_file.load(DAEMON_DATA / "wheel.yaml")
 REST = TASK.file.arm.rest_joints
-AXIS = 0.3
+AXIS = 0.0
 SPEED = 0.106
 LEAD_S = 1.5
 """The object passes the start position this long after the first step."""
+
+MOUNT = TASK.file.conveyor.start_position
+"""What the distance sensor reads as the object passes the start position [m]."""
 
 SWING = 0.004
 TURN = rotations.exp(np.array((0.05, -0.25, 0.2)))
@@ -59,7 +63,10 @@ def object_at(t: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 class World:
-    """Inputs for a robot that obeys, an object that moves steadily, and clean sensors."""
+    """Inputs for a robot that does what is desired, a steady object, and clean sensors.
+
+    The robot is where the servos should bring it, q_d(0), and not where the setpoints lead them.
+    """
 
     def __init__(self, parameters: Parameters, *, camera: bool = True, distance: bool = True):
         """Begin at rest."""
@@ -72,6 +79,12 @@ class World:
         self.camera, self.distance = camera, distance
         self._camera_due = 0.02
         self._poses: list[tuple[int, np.ndarray, np.ndarray]] = []
+
+    def fork(self) -> "World":
+        """Another world with the same past: states are values, only the poses are a list."""
+        other = copy(self)
+        other._poses = list(self._poses)
+        return other
 
     @property
     def stamp_ns(self) -> int:
@@ -86,26 +99,50 @@ class World:
     def inputs(self, order: Order = Order.HOLD, **changes: Any) -> Inputs:
         """What the next step is given."""
         stamp_ns = self.stamp_ns
-        robot = robot_sample(stamp_ns - self.period_ns, self.command)
+        robot = robot_sample(stamp_ns - self.period_ns, self.joints)
         distance: tuple[DistanceSample, ...] = ()
         if self.distance:
             seen_ns = stamp_ns - 1_000_000
-            position = SPEED * (self.time - 0.002)
+            position = MOUNT + SPEED * (self.time - 0.002)
             distance = (DistanceSample(seen_ns, position, 1.0),)
         made = Inputs(self.k, stamp_ns, robot, distance, self._camera(), (self._wrench(),), order)
         return replace(made, **changes)
 
+    @property
+    def joints(self) -> tuple[float, ...]:
+        """Where the robot is."""
+        return tuple(self.state.control.desired[0].tolist())
+
+    @property
+    def clamped(self) -> bool:
+        """The tool is where the task has it on the object."""
+        time = self.outputs.task_time if self.outputs is not None else None
+        return time is not None and 5.95 < time < 15.0
+
     def _wrench(self) -> WrenchSample:
-        return WrenchSample(self.stamp_ns - 2_000_000, (0.1, 0.2, 0.1), (0.0, 0.01, 0.0))
+        """Nothing but a breath while free; clamped, what the mount's stiffness makes of the way."""
+        stamp_ns = self.stamp_ns - self.period_ns
+        if not self.clamped:
+            return WrenchSample(stamp_ns, (0.1, 0.2, 0.1), (0.0, 0.01, 0.0))
+        tcp, R = self._tcp()
+        place, turned = object_at((stamp_ns - EPOCH_NS) * 1e-9 - LEAD_S)
+        tactile = TrackingSettings().tactile
+        fx, fy, fz = (R.T @ (place - tcp) * np.array(tactile.stiffness)).tolist()
+        turn = rotations.log(R.T @ turned)
+        mx, my, mz = (turn * np.array(tactile.rotational_stiffness)).tolist()
+        return WrenchSample(stamp_ns, (fx, fy, fz), (mx, my, mz))
+
+    def _tcp(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where the robot has its tcp now, in c."""
+        C = self.parameters.tracker.reference.nominal
+        position, rotation = self.parameters.controller.arm.tcp_in_base(np.array(self.joints))
+        return C.T @ position, C.T @ rotation
 
     def _camera(self) -> tuple[CameraSample, ...]:
         """An image every 25 ms, a tenth of a second late, from where the robot then was."""
-        arm = self.parameters.controller.arm
-        C = self.parameters.tracker.reference.nominal
-        position, rotation = arm.tcp_in_base(np.array(self.command))
-        self._poses.append((self.stamp_ns - self.period_ns, C.T @ position, C.T @ rotation))
+        self._poses.append((self.stamp_ns - self.period_ns, *self._tcp()))
         elapsed = (self.stamp_ns - EPOCH_NS) * 1e-9
-        if not self.camera or elapsed - 0.1 < self._camera_due:
+        if not self.camera or self.clamped or elapsed - 0.1 < self._camera_due:
             return ()
         exposure_ns, tcp, R_tcp = min(
             self._poses, key=lambda pose: abs(pose[0] - EPOCH_NS - self._camera_due * 1e9)

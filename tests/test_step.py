@@ -1,0 +1,433 @@
+"""One sampling step: pure, committed to what it has said, and never beyond its limits."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from cell import AXIS, EPOCH_NS, REST, World, object_at, parameters, robot_sample
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from linemate.daemon import rotations
+from linemate.daemon.horizon import Array
+from linemate.daemon.inputs import Inputs, Order
+from linemate.daemon.step import FIX_SCREWS, RELEASE_WHEEL, Outputs, State, initial, step
+from linemate.daemon.tracking.task import Phase
+from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
+
+P = parameters()
+HOME = (*REST, AXIS)
+C = P.tracker.reference.nominal
+
+
+@dataclass(frozen=True, repr=False)
+class Told:
+    """A run, step by step: the state before, the inputs, the outputs."""
+
+    states: list[State]
+    inputs: list[Inputs]
+    outputs: list[Outputs]
+
+    def at(self, task_time: float) -> Outputs:
+        """The first outputs at or after a task time."""
+        return next(o for o in self.outputs if (o.task_time or 0.0) >= task_time - 1e-9)
+
+
+def watched(world: World, told: Told, order: Order, **changes: Any) -> Outputs:
+    inputs = world.inputs(order, **changes)
+    told.states.append(world.state)
+    told.inputs.append(inputs)
+    told.outputs.append(world.take(inputs))
+    return told.outputs[-1]
+
+
+@pytest.fixture(scope="module")
+def assembly() -> Told:
+    """The whole task beside a conveyor that never stops: the tool does what it is asked for."""
+    world, told = World(P), Told([], [], [])
+    for _ in range(100):
+        watched(world, told, Order.HOLD)
+    watched(world, told, Order.TRACK, start=True)
+    for _ in range(1700):
+        asked = told.outputs[-1].digital_out
+        robot = robot_sample(world.stamp_ns - world.period_ns, world.joints, asked)
+        outputs = watched(world, told, Order.TRACK, robot=robot)
+        if outputs.finished:
+            break
+    return told
+
+
+def text(outputs: Outputs) -> str:
+    """Everything that a step says, to the last bit."""
+    horizon = None if outputs.horizon is None else outputs.horizon.tobytes()
+    return repr((replace(outputs, horizon=None), horizon))
+
+
+def assert_within(commands: Sequence[Sequence[float]] | Array, cycle_s: float = 0.012) -> None:
+    """Position, speed, acceleration and jerk of commands that begin at rest."""
+    bounds = P.controller.limits
+    rows = np.array([*[commands[0]] * 3, *commands])
+    assert np.isfinite(rows).all()
+    assert (rows >= bounds.lower - 1e-12).all()
+    assert (rows <= bounds.upper + 1e-12).all()
+    grain = 8.0 * np.spacing(4.0)
+    nib = 4e-6 * bounds.acceleration
+    for order, limit in enumerate((bounds.speed, bounds.acceleration, bounds.jerk), 1):
+        rates = np.abs(np.diff(rows, n=order, axis=0)) / cycle_s**order
+        assert (rates <= limit + nib * cycle_s ** (2 - order) + grain / cycle_s**order).all()
+
+
+# Purity.
+
+
+def test_the_same_state_and_inputs_give_the_same_outputs_bit_for_bit(assembly: Told) -> None:
+    for k in range(0, len(assembly.inputs), 23):
+        _, again = step(assembly.states[k], assembly.inputs[k], P)
+        assert text(again) == text(assembly.outputs[k])
+
+
+def test_a_recording_of_the_inputs_replays_bit_for_bit(assembly: Told) -> None:
+    state = initial(P, robot_sample(EPOCH_NS))
+    for inputs, outputs in list(zip(assembly.inputs, assembly.outputs, strict=True))[:350]:
+        state, again = step(state, inputs, P)
+        assert text(again) == text(outputs)
+
+
+def test_two_robots_may_take_turns_in_one_process() -> None:
+    """Nothing is kept outside the state: interleaving two runs changes neither."""
+    alone, one, two = tracking(1.6), tracking(1.6), tracking(1.0)
+    alone.run(0.5, Order.TRACK)
+    one.run(0.5, Order.TRACK, each=lambda _: two.step(Order.TRACK))
+    assert one.outputs is not None
+    assert alone.outputs is not None
+    assert text(one.outputs) == text(alone.outputs)
+
+
+# What was promised.
+
+
+def test_what_is_committed_is_kept_bit_for_bit(assembly: Told) -> None:
+    """x_t(k, i) == x_t(k-1, i+1) for i <= nc, in every step that tracks after one that did."""
+    nc = P.tracker.commit
+    assert nc == 5
+    tracked = 0
+    for before, after in zip(assembly.outputs, assembly.outputs[1:], strict=False):
+        if before.horizon is None or after.horizon is None:
+            continue
+        tracked += 1
+        assert np.array_equal(after.horizon[: nc + 1], before.horizon[1 : nc + 2])
+    assert tracked > 1000
+
+
+def test_the_target_is_the_value_that_was_committed_first(assembly: Told) -> None:
+    nc = P.tracker.commit
+    for k in range(200, len(assembly.outputs), 37):
+        promised = assembly.outputs[k - nc].horizon
+        assert promised is not None
+        target = assembly.outputs[k].target
+        assert np.allclose(C @ promised[nc, :3], target[:3], atol=1e-12)
+        turn = rotations.log(C @ rotations.exp(promised[nc, 3:]) @ rotations.matrix(target[3:]).T)
+        assert np.abs(turn).max() < 1e-9
+
+
+def test_no_measured_pose_of_the_robot_enters_the_command() -> None:
+    """The chain is feed-forward: a robot that says it is elsewhere is commanded the same."""
+    honest, lying = World(P, camera=False), World(P, camera=False)
+    for world in (honest, lying):
+        world.run(0.3)
+        world.step(Order.TRACK, start=True)
+    joints = (0.1, -1.5, 1.7, 0.2, 1.2, 0.1, 0.4)
+    for _ in range(150):
+        one = honest.step(Order.TRACK)
+        robot = robot_sample(lying.stamp_ns, joints)
+        assert lying.step(Order.TRACK, robot=robot).command == one.command
+
+
+def test_the_task_is_done_from_start_to_end(assembly: Told) -> None:
+    phases = [outputs.phase for outputs in assembly.outputs]
+    order = [phase for i, phase in enumerate(phases) if i == 0 or phase is not phases[i - 1]]
+    assert order == [
+        Phase.WAIT,
+        Phase.APPROACH,
+        Phase.CONTACT,
+        Phase.SCREWS,
+        Phase.CONTACT,
+        Phase.RETREAT,
+        Phase.DONE,
+    ]
+    assert assembly.outputs[-1].finished
+    assert {outputs.held for outputs in assembly.outputs[101:]} == {None}
+
+
+def test_the_tool_is_asked_when_the_task_says(assembly: Told) -> None:
+    assert assembly.at(8.45).digital_out == 0
+    assert assembly.at(8.55).digital_out == FIX_SCREWS
+    assert assembly.at(14.45).digital_out == FIX_SCREWS
+    assert assembly.at(14.55).digital_out == FIX_SCREWS | RELEASE_WHEEL
+
+
+def test_contact_is_felt_where_the_task_plans_it_and_lost_when_the_wheel_is(
+    assembly: Told,
+) -> None:
+    touched = [o.task_time or 0.0 for o in assembly.outputs if o.contact]
+    assert 5.9 < touched[0] < 6.1
+    assert touched[-1] < 15.1
+    assert len(touched) > 500
+
+
+def test_the_tcp_is_where_the_object_wants_it_once_it_is_close(assembly: Told) -> None:
+    for outputs, inputs in zip(assembly.outputs, assembly.inputs, strict=True):
+        time = outputs.task_time
+        if time is None or outputs.sensed is None or outputs.part is None or not 5.0 < time < 5.9:
+            continue
+        assert np.abs(np.array(outputs.target[:3]) - outputs.sensed[:3]).max() < 5e-4
+        place, turned = object_at((inputs.stamp_ns - EPOCH_NS) * 1e-9 - 1.5)
+        assert np.abs(C @ place - outputs.part[:3]).max() < 1.5e-3
+        off = rotations.log(C @ turned @ rotations.matrix(outputs.part[3:]).T)
+        assert np.abs(off).max() < 1.5e-3
+
+
+def test_the_commands_of_a_whole_task_stay_within_the_limits(assembly: Told) -> None:
+    assert_within([outputs.command for outputs in assembly.outputs])
+
+
+# Holding.
+
+
+junk = st.floats(-10.0, 10.0)
+distances = st.builds(
+    lambda late, position: DistanceSample(EPOCH_NS - late, position, 1.0),
+    st.integers(0, 50_000_000),
+    junk,
+)
+wrenches = st.builds(
+    lambda force, torque: WrenchSample(EPOCH_NS, force, torque),
+    st.tuples(*[st.floats(-500, 500)] * 3),
+    st.tuples(*[st.floats(-50, 50)] * 3),
+)
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    st.lists(
+        st.tuples(st.lists(distances, max_size=3), st.lists(wrenches, max_size=3), st.booleans()),
+        max_size=30,
+    )
+)
+def test_hold_never_moves_a_robot_at_rest(
+    steps: list[tuple[list[DistanceSample], list[WrenchSample], bool]],
+) -> None:
+    state = initial(P, robot_sample(EPOCH_NS))
+    for k, (distance, wrench, telegram) in enumerate(steps, 1):
+        now = EPOCH_NS + k * 12_000_000
+        inputs = Inputs(
+            k,
+            now,
+            robot_sample(now) if telegram else None,
+            tuple(replace(each, stamp_ns=each.stamp_ns + k * 12_000_000) for each in distance),
+            (),
+            tuple(replace(each, stamp_ns=now) for each in wrench),
+        )
+        state, outputs = step(state, inputs, P)
+        assert outputs.command == HOME
+        assert outputs.held == "hold"
+        assert outputs.digital_out == 0
+
+
+@pytest.mark.parametrize("order", list(Order))
+def test_a_step_without_any_sample_works(order: Order) -> None:
+    state = initial(P, robot_sample(EPOCH_NS))
+    for k in range(1, 30):
+        now = EPOCH_NS + k * 12_000_000
+        state, outputs = step(state, Inputs(k, now, None, order=order), P)
+        assert np.isfinite(outputs.command).all()
+        assert outputs.part is None
+        assert outputs.speed is None
+        assert outputs.ready is not None
+    if order is not Order.RETREAT:
+        assert np.allclose(outputs.command, HOME, atol=1e-9)
+
+
+_TRACKING: dict[float, World] = {}
+
+
+def tracking(seconds: float) -> World:
+    """A world whose robot has tracked for some time, past the start position."""
+    if seconds not in _TRACKING:
+        world = World(P)
+        world.run(1.2)
+        world.step(Order.TRACK, start=True)
+        for _ in range(round(seconds / P.cycle_s)):
+            world.step(Order.TRACK)
+        _TRACKING[seconds] = world
+    return _TRACKING[seconds].fork()
+
+
+def test_hold_in_motion_comes_to_rest_within_the_limits_and_stays_there(assembly: Told) -> None:
+    k = next(i for i, outputs in enumerate(assembly.outputs) if (outputs.task_time or 0.0) > 2.0)
+    before = [outputs.command for outputs in assembly.outputs[:k]]
+    state = assembly.states[k]
+    assert np.abs(state.control.gate.speed).max() > 0.05
+    commands = []
+    for inputs in assembly.inputs[k : k + 80]:
+        state, outputs = step(state, replace(inputs, order=Order.HOLD), P)
+        commands.append(outputs.command)
+    assert_within([*before, *commands])
+    assert len(set(commands[-20:])) == 1
+    assert not state.moving
+
+
+def test_after_a_hold_the_task_can_begin_anew_only_from_its_first_pose() -> None:
+    world = tracking(2.4)
+    world.run(0.8, Order.HOLD)
+    assert world.outputs is not None
+    assert world.outputs.task_time is None
+    assert world.outputs.ready is not None
+    assert "away from the task's first pose" in world.outputs.ready
+
+
+def test_ready_says_what_is_missing() -> None:
+    world = World(P, distance=False)
+    assert world.run(0.3).ready == "no distance has been measured yet"
+    assert World(P).run(0.3).ready is None
+
+
+# Retreat.
+
+
+def test_a_retreat_withdraws_straight_back_and_says_when_it_is_over() -> None:
+    world = tracking(2.4)
+    outputs = world.outputs
+    assert outputs is not None
+    commands = [outputs.command]
+    world.run(0.3, Order.RETREAT, each=lambda o: commands.append(o.command))
+    assert world.outputs is not None
+    assert not world.outputs.finished
+    assert world.outputs.phase is Phase.RETREAT
+    assert world.outputs.digital_out & RELEASE_WHEEL
+    world.run(1.2, Order.RETREAT, each=lambda o: commands.append(o.command))
+    assert world.outputs.finished
+    assert world.outputs.sensed is not None
+    tool = rotations.matrix(world.outputs.target[3:])
+    way = tool.T @ (np.array(world.outputs.target[:3]) - world.outputs.sensed[:3])
+    assert way[2] < -0.1
+    assert np.isfinite(commands).all()
+
+
+# Whatever comes in.
+
+
+BAD = (float("nan"), float("inf"), float("-inf"), 1e308, -1e308, 1e12)
+
+
+def spoiled(inputs: Inputs, where: str, value: float) -> Inputs:
+    """Inputs with one number that no sensor could mean; decoders refuse it, the step survives."""
+    if where == "distance":
+        return replace(inputs, distance=(DistanceSample(inputs.stamp_ns, value, 1.0),))
+    if where == "force":
+        sample = WrenchSample(inputs.stamp_ns, (0.0, value, value), (0.0, 0.0, value))
+        return replace(inputs, wrench=(sample,))
+    if where in {"camera", "turn"}:
+        place = (0.0, value, 0.4) if where == "camera" else (0.0, 0.0, 0.4)
+        quaternion = (1.0, 0.0, value, 0.0) if where == "turn" else (1.0, 0.0, 0.0, 0.0)
+        sample = CameraSample(
+            inputs.stamp_ns,
+            inputs.stamp_ns - 50_000_000,
+            "c",
+            "camera",
+            "hub",
+            1,
+            place,
+            quaternion,
+        )
+        return replace(inputs, camera=(sample,))
+    assert inputs.robot is not None
+    joints: Any = (*inputs.robot.joints[:4], value, 0.0)
+    return replace(inputs, robot=replace(inputs.robot, joints=joints))
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("where", ["distance", "force", "camera", "turn", "robot"])
+@pytest.mark.parametrize("value", BAD)
+def test_no_number_reaches_the_command_that_is_none(where: str, value: float) -> None:
+    world = tracking(1.0)
+    commands = [world.command]
+    for k in range(30):
+        inputs = world.inputs(Order.TRACK)
+        if k in {5, 6, 7, 8, 9, 20}:
+            inputs = spoiled(inputs, where, value)
+        commands.append(world.take(inputs).command)
+    assert_within(commands)
+
+
+@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(list(Order)),
+            st.integers(1, 25),
+            st.sampled_from(("all", "no camera", "no distance", "nothing", "unsent", "outlier")),
+        ),
+        min_size=1,
+        max_size=5,
+    )
+)
+def test_whatever_is_ordered_and_lost_the_robots_setpoints_stay_within_the_limits(
+    stretches: list[tuple[Order, int, str]],
+) -> None:
+    world = tracking(1.6)
+    applied = [world.command]
+    for order, length, what in stretches:
+        for i in range(length):
+            inputs = world.inputs(order)
+            if what == "nothing":
+                inputs = replace(inputs, robot=None, distance=(), camera=(), wrench=())
+            elif what == "no camera":
+                inputs = replace(inputs, camera=())
+            elif what == "no distance":
+                inputs = replace(inputs, distance=())
+            elif what == "outlier":
+                inputs = replace(inputs, distance=(DistanceSample(inputs.stamp_ns, 1.0 * i, 1.0),))
+            elif what == "unsent" and i == length // 2:
+                # The reply before did not arrive: the robot stands where it was.
+                inputs = replace(inputs, sent=False)
+                assert_steady(applied[:-1])
+                applied = [applied[max(len(applied) - 2, 0)]]
+            applied.append(world.take(inputs).command)
+    assert_steady(applied)
+
+
+def assert_steady(commands: list[tuple[float, ...]]) -> None:
+    """As ``assert_within``, but the first of them may have been in motion."""
+    bounds = P.controller.limits
+    rows = np.array(commands)
+    assert np.isfinite(rows).all()
+    assert (rows >= bounds.lower - 1e-12).all()
+    assert (rows <= bounds.upper + 1e-12).all()
+    for order, limit in enumerate((bounds.speed, bounds.acceleration, bounds.jerk), 1):
+        rates = np.abs(np.diff(rows, n=order, axis=0)) / 0.012**order
+        assert (rates <= limit * (1 + 1e-5) + 1e-14 / 0.012**order).all()
+
+
+def test_a_reply_that_was_lost_is_taken_up_from_where_the_robot_stands() -> None:
+    world = tracking(2.4)
+    commands = [world.command]
+    world.run(0.12, Order.TRACK, each=lambda o: commands.append(o.command))
+    stood = commands[-2]
+    outputs = world.step(Order.TRACK, sent=False)
+    limits = P.controller.limits
+    first = np.abs(np.array(outputs.command) - stood)
+    assert (first <= limits.jerk * 0.012**3 * (1 + 1e-6)).all()
+    assert outputs.held is not None
+    world.run(0.5, Order.TRACK)
+    assert world.outputs is not None
+    assert world.outputs.held is None
+
+
+def test_where_the_robot_holds_may_be_told() -> None:
+    world = tracking(1.0)
+    stands = tuple(q + 0.001 for q in world.command)
+    outputs = world.step(Order.HOLD, sent=False, applied=stands)
+    assert np.allclose(outputs.command, stands, atol=1e-9)
