@@ -1,0 +1,47 @@
+"""The daemon's own clock alone in a process, to be held beside a C program that only wakes.
+
+Law of this file: the clock as the daemon runs it and nothing due; it speaks as
+``bench_floor timer`` does: ``ready``, and on SIGUSR1 ``late COUNT P50 P99 MAX`` [ns].
+"""
+
+import asyncio
+import gc
+import signal
+import sys
+import time
+
+from linemate.daemon.service.clock import Clock
+from linemate.daemon.service.pace import Pace
+from linemate.daemon.service.schedule import Due
+
+
+async def run(period_ns: int) -> None:
+    """Wake until ended."""
+    late_ns: list[int] = []
+
+    def woken(_: Due) -> None:
+        late_ns.append(clock.lateness.last_ns)
+
+    def tell() -> None:
+        found, count = sorted(late_ns), len(late_ns)
+        late_ns.clear()
+        told = (
+            (found[count // 2], found[count - 1 - count // 100], found[-1]) if found else (0,) * 3
+        )
+        print("late", count, *told, flush=True)
+
+    def fail(error: Exception) -> None:
+        raise error
+
+    clock = Clock(woken, fail, lambda: None, Pace.free(period_ns, time.monotonic_ns()))
+    asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, tell)
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    clock.open()
+    print("ready", flush=True)
+    await asyncio.Event().wait()
+
+
+if __name__ == "__main__":
+    asyncio.run(run(int(sys.argv[1])))
