@@ -15,6 +15,8 @@ from linemate.simulators.harness.variants import VARIANTS, SetupError
 
 EX_CONFIG = 78
 MAX_SEEDS = 100_000
+MAX_ROUND_S = 3600.0
+BENCH_PARTS = ("turnaround", "wakeup", "step", "virtual")
 ROOMS = {
     "demo": "demo",
     "run": "run",
@@ -110,11 +112,36 @@ def _parser() -> argparse.ArgumentParser:
     _add_campaign(commands)
     emulator = commands.add_parser("emulator", help="the emulators alone, in real time")
     emulator.add_argument("--config", type=Path, required=True, metavar="FILE")
-    bench = commands.add_parser("bench", help="turn-around, lateness, computing time")
-    bench.add_argument("--json", action="store_true")
+    _add_bench(commands)
     schema = commands.add_parser("schema", help="JSON schema of a file")
     schema.add_argument("kind", choices=("scenario", "task"))
     return parser
+
+
+def _cycles(text: str) -> tuple[int, ...]:
+    """Cycles in ms, separated by commas."""
+    names = tuple(dict.fromkeys(text.split(",")))
+    if not set(names) <= {"12", "4", "2", "1"}:
+        raise argparse.ArgumentTypeError(f"{text!r} should be of 12, 4, 2 and 1")
+    return tuple(map(int, names))
+
+
+def _parts(text: str) -> tuple[str, ...]:
+    """Parts of the bench, separated by commas."""
+    names = tuple(dict.fromkeys(text.split(",")))
+    if not set(names) <= set(BENCH_PARTS):
+        raise argparse.ArgumentTypeError(f"{text!r} should be of {', '.join(BENCH_PARTS)}")
+    return names
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.1 <= value <= MAX_ROUND_S:
+        raise argparse.ArgumentTypeError(f"{text!r} should be 0.1..{MAX_ROUND_S:g} seconds")
+    return value
 
 
 Commands = argparse._SubParsersAction  # noqa: SLF001 -- argparse has no public name for it
@@ -124,6 +151,22 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scenario", default="wheel", metavar="NAME|FILE")
     parser.add_argument("--out", type=Path, metavar="DIR", help="leave results there")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
+def _add_bench(commands: "Commands[argparse.ArgumentParser]") -> None:
+    bench = commands.add_parser("bench", help="turn-around, lateness, computing time")
+    bench.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    bench.add_argument("--rounds", type=_count, default=5, metavar="N", help="5")
+    bench.add_argument(
+        "--round-s", type=_seconds, default=0.8, metavar="S", help="length of a round; 0.8"
+    )
+    bench.add_argument(
+        "--cycles", type=_cycles, default=(12, 4, 2, 1), metavar="MS,...", help="of 12, 4, 2, 1"
+    )
+    bench.add_argument(
+        "--parts", type=_parts, default=BENCH_PARTS, metavar="A,...", help=", ".join(BENCH_PARTS)
+    )
+    bench.add_argument("--plot", type=Path, metavar="FILE", help="draw the ratios")
 
 
 def _add_plan(parser: argparse.ArgumentParser) -> None:
