@@ -13,7 +13,7 @@ from functools import lru_cache
 from typing import Any
 
 from linemate.daemon.control.settings import ControlSettings
-from linemate.daemon.parameters import Parameters, build
+from linemate.daemon.parameters import Parameters, build, with_foresight
 from linemate.daemon.service.cycle import Cycle, LogEntry
 from linemate.daemon.service.states import State
 from linemate.daemon.tracking.settings import TrackingSettings
@@ -25,10 +25,11 @@ from linemate.simulators.devices.faulty_link import FaultyLink
 from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.devices.truth import TruthLog
 from linemate.simulators.harness import rows as columns
+from linemate.simulators.harness.foresight import Oracle
 from linemate.simulators.harness.judge import Evidence, Telegrams
 from linemate.simulators.harness.rows import DaemonEvent, Rows
 from linemate.simulators.harness.setup import Setup
-from linemate.simulators.harness.variants import SetupError
+from linemate.simulators.harness.variants import ORACLE, SetupError
 from linemate.simulators.harness.wires import Wires
 from linemate.simulators.plants.scenario import sample
 from linemate.simulators.plants.world import World
@@ -113,6 +114,9 @@ class Lockstep:
         compiled = parameters(
             setup.task, setup.urdf, setup.tracking, setup.control, scenario.cycle_s
         )
+        if setup.variant == ORACLE:
+            oracle = Oracle(self.world, compiled.tracker.reference.nominal, scenario.cycle_s)
+            compiled = with_foresight(compiled, oracle)
         self.cycle = Cycle(compiled, RsiCodec(rsi))
         self._faults = Faults(scenario.faults, TIMELESS)
         self._ways = tuple(

@@ -2,6 +2,7 @@
 
 Law of this file: a variant is a pure transformation of the daemon's settings and of nothing else;
 the plant, the task and the seed stay what they are, so that two variants differ by the method.
+One of them, ``oracle``, is told the future beside its settings: what prediction alone costs.
 """
 
 from collections.abc import Callable
@@ -66,7 +67,11 @@ def _no_blend(tracking: TrackingSettings, control: ControlSettings) -> Settings:
     return replace(tracking, merge=merge), control
 
 
+ORACLE = "oracle"
+"""The variant whose prediction is the plant's true future; ``foresight`` gives it."""
+
 VARIANTS: dict[str, Transformation] = {
+    ORACLE: _default,
     "default": _default,
     "imm": _classified(ClassifierKind.IMM, mixture=True),
     "rule": _classified(ClassifierKind.RULE, mixture=False),
