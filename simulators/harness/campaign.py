@@ -13,11 +13,15 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from linemate.simulators.harness.setup import Setup
 
 Progress = Callable[[], None]
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+LOCAL = "local"
 
 KEY_FIGURES = (
     ("assembled", "assembled", 1.0),
@@ -65,26 +69,48 @@ def perform(job: Job) -> dict[str, Any]:
 
 
 def execute(
-    jobs: Sequence[Job], workers: int | None = None, progress: Progress = lambda: None
+    jobs: Sequence[Job],
+    workers: int | None = None,
+    progress: Progress = lambda: None,
+    scheduler: str = LOCAL,
 ) -> list[dict[str, Any]]:
-    """Run jobs on local cores.
+    """Run jobs on local cores, or on a dask cluster.
 
     Args:
         jobs: what to run.
         workers: processes; None takes the cores there are, 1 stays in this process.
         progress: called after each run.
+        scheduler: "local", or the address of a cluster's scheduler, which has its own workers.
 
     Returns:
         Results in the order of the jobs.
+
+    Raises:
+        SetupError: a job or the cluster cannot be used.
     """
-    wanted = min(workers or available_cores(), len(jobs))
+    return spread(perform, jobs, workers, progress, scheduler)
+
+
+def spread(
+    function: Callable[[Item], Result],
+    items: Sequence[Item],
+    workers: int | None = None,
+    progress: Progress = lambda: None,
+    scheduler: str = LOCAL,
+) -> list[Result]:
+    """Call a module's function with each item, where the scheduler says; see ``execute``."""
+    if scheduler != LOCAL:
+        from linemate.simulators.harness import cluster
+
+        return cluster.execute(function, items, scheduler, progress)
+    wanted = min(workers or available_cores(), len(items))
     if wanted <= 1:
-        return [_noted(perform(job), progress) for job in jobs]
+        return [_noted(function(item), progress) for item in items]
     with _pool(wanted) as pool:
-        return [_noted(result, progress) for result in pool.map(perform, jobs)]
+        return [_noted(result, progress) for result in pool.map(function, items)]
 
 
-def _noted(result: dict[str, Any], progress: Progress) -> dict[str, Any]:
+def _noted(result: Result, progress: Progress) -> Result:
     progress()
     return result
 
@@ -134,13 +160,18 @@ def main(args: Namespace) -> int:
     """``linemate-sim campaign``: runs, and a table of variants.
 
     Args:
-        args: seeds, first_seed, scenario, variants, overrides, cycle_ms, workers, json, out.
+        args: seeds, first_seed, scenario, variants, overrides, cycle_ms, workers, scheduler,
+            detection, json, out.
 
     Returns:
         The exit code: 0 when every run was made, whatever came of it.
     """
     from linemate.simulators.harness import report_json, setup
 
+    if args.detection is not None:
+        from linemate.simulators.harness import detection
+
+        return detection.main(args)
     seeds = range(args.first_seed, args.first_seed + args.seeds)
     jobs = [
         Job(made, seed)
@@ -151,7 +182,7 @@ def main(args: Namespace) -> int:
         for seed in seeds
     ]
     with progress_bar(len(jobs), "campaign") as progress:
-        results = execute(jobs, args.workers, progress)
+        results = execute(jobs, args.workers, progress, args.scheduler)
     whole = collect(results)
     if args.out is not None:
         report_json.write(args.out / "campaign.json", whole)

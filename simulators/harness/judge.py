@@ -7,6 +7,7 @@ Errors are kept apart: control (tcp - x_c), plan (x_c - x_f), prediction (x_f - 
 total (tcp - truth), where truth is the true hub at the programmed tool-to-hub distance.
 """
 
+from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -289,13 +290,28 @@ def detections(
     Returns:
         One entry an event (latencies after onset [s], None if missed), and false alarms.
     """
+    entries, idle = attribute(told, events)
+    words = [event.what for event in idle]
+    return entries, {what: words.count(what) for what in ("tentative", "confirmed")}
+
+
+def attribute(
+    told: Sequence[DaemonEvent], events: Sequence[AppliedEvent]
+) -> tuple[list[dict[str, Any]], list[DaemonEvent]]:
+    """Give each event what was told of it; see ``detections``.
+
+    Returns:
+        One entry an event, and what was told without reason.
+    """
     entries: list[dict[str, Any]] = []
     justified: set[int] = set()
+    times = [event.t for event in told]
     for i, event in enumerate(events):
         end = max(event.settled_s, event.onset_s + LATEST_S)
         if i + 1 < len(events):
             end = min(end, events[i + 1].onset_s)
-        own = [j for j, e in enumerate(told) if e.kind == event.kind and event.onset_s <= e.t < end]
+        span = range(bisect_left(times, event.onset_s), bisect_left(times, end))
+        own = [j for j in span if told[j].kind == event.kind]
         justified.update(own)
         perceived, confirmed = _latencies([told[j] for j in own], event.onset_s)
         entries.append(
@@ -306,9 +322,7 @@ def detections(
                 "confirmed_s": confirmed,
             }
         )
-    idle = [e.what for j, e in enumerate(told) if j not in justified]
-    alarms = {what: idle.count(what) for what in ("tentative", "confirmed")}
-    return entries, alarms
+    return entries, [event for j, event in enumerate(told) if j not in justified]
 
 
 def _latencies(own: Sequence[DaemonEvent], onset: float) -> tuple[float | None, float | None]:

@@ -17,6 +17,7 @@ EX_CONFIG = 78
 MAX_SEEDS = 100_000
 MAX_ROUND_S = 3600.0
 BENCH_PARTS = ("turnaround", "wakeup", "step", "virtual")
+MAX_HOURS = 10_000.0
 ROOMS = {
     "demo": "demo",
     "run": "run",
@@ -92,6 +93,16 @@ def variants(text: str) -> tuple[str, ...]:
     return names
 
 
+def scheduler(text: str) -> str:
+    """Where runs are made: ``local``, or a dask scheduler's address."""
+    from linemate.simulators.harness import cluster
+
+    if text != "local" and not cluster.is_address(text):
+        schemes = ", ".join(cluster.SCHEMES)
+        raise argparse.ArgumentTypeError(f"{text!r} is neither local nor an address; {schemes}")
+    return text
+
+
 def _count(text: str) -> int:
     try:
         value = int(text)
@@ -99,6 +110,16 @@ def _count(text: str) -> int:
         value = 0
     if not 1 <= value <= MAX_SEEDS:
         raise argparse.ArgumentTypeError(f"{text!r} should be 1..{MAX_SEEDS}")
+    return value
+
+
+def _hours(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value <= MAX_HOURS:
+        raise argparse.ArgumentTypeError(f"{text!r} should be hours, at most {MAX_HOURS:g}")
     return value
 
 
@@ -201,7 +222,14 @@ def _add_campaign(commands: "Commands[argparse.ArgumentParser]") -> None:
     campaign.add_argument("--cycle-ms", type=float, metavar="MS", help="instead of the scenario's")
     campaign.add_argument("--seeds", type=_count, default=40, metavar="N")
     campaign.add_argument("--first-seed", type=int, default=0, metavar="M")
-    campaign.add_argument("--scheduler", choices=("local",), default="local")
+    campaign.add_argument(
+        "--scheduler", type=scheduler, default="local", metavar="local|ADDRESS",
+        help="local cores, or a dask scheduler such as tcp://127.0.0.1:8786 (extra 'cluster')",
+    )  # fmt: skip
+    campaign.add_argument(
+        "--detection", type=_hours, metavar="HOURS",
+        help="conveyor, sensors and classifier alone: latencies, false alarms, jerks",
+    )  # fmt: skip
     campaign.add_argument("--variants", type=variants, default=("default",), metavar="A,B,...")
 
 
