@@ -89,13 +89,10 @@ def build(
     )
     controller = control.compile_controller(control_settings, arm, cycle_s)
     dead_time = max(model.dead_time for model in control_settings.servos[: arm.axes])
-    commit = merge.commit_steps(dead_time, cycle_s)
+    # The merge reads five committed steps; a robot without dead time commits them all the same.
+    commit = max(merge.commit_steps(dead_time, cycle_s), merge.ORDER)
     along = merge.merge_matrix(tracking.merge.along, cycle_s, controller.steps - commit)
     across = merge.merge_matrix(tracking.merge.across, cycle_s, controller.steps - commit)
-    if commit < merge.ORDER:
-        # The merge reads five committed steps; a robot without dead time commits them all the same.
-        commit = merge.ORDER
-        along, across = along[1:], across[1:]
     camera = task.arm.camera_in_tcp
     reference = compile_reference(task)
     tracker = Tracker(
