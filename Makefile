@@ -17,6 +17,7 @@ help:
 	@echo "make lint     ruff, mypy, import walls"
 	@echo "make format   ruff's formatting and safe fixes"
 	@echo "make bench    what a step costs on this machine"
+	@echo "make dst      seeded fault runs in virtual time, SEEDS=FIRST:LAST; ARGS=... for options"
 	@echo "make install  into PREFIX=$(PREFIX), with units and a first configuration"
 
 demo: .venv/.ok
@@ -38,6 +39,9 @@ format: .venv/.ok
 
 bench: .venv/.ok
 	.venv/bin/linemate-sim bench $(ARGS)
+
+dst: .venv/.ok
+	@.venv/bin/python -m linemate.simulators.harness.dst $(SEEDS) $(ARGS)
 
 # Debian's python3 has no ensurepip and its pip refuses the system's site-packages:
 # an environment without pip, filled by a pip from outside, needs neither.

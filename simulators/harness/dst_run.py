@@ -308,7 +308,10 @@ class Simulation:
                     break
 
     def _answer(self, data: bytes, peer: str, stamp_ns: int, now_ns: int) -> bool:
+        sent = self.cycle.express(data, peer)
         reply = self.cycle.on_telegram(data, stamp_ns, peer)
+        if sent is not None and sent != reply:
+            self.oracle.blame(f"express: {sent!r} was sent, {reply!r} was meant")
         if reply is None:
             return False
         self._answered_ns = stamp_ns

@@ -1,0 +1,186 @@
+"""A short share of the swarm, what once failed, and that the swarm would notice."""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from linemate.daemon.service.cycle import Cycle
+from linemate.daemon.service.states import Link, Machine, Signals, State
+from linemate.simulators.harness import dst, dst_oracles, dst_plan, dst_run
+from linemate.simulators.harness.dst_plan import Plan, draw
+from linemate.simulators.plants.scenario import ConveyorEvent, Fault
+
+REGRESSIONS = Path(__file__).parent / "regressions.txt"
+FIT = Signals(link=Link.HEALTHY, position_fresh=True, wrench_fresh=True, ready=True)
+LOSSY = Plan(1, faults=(Fault(0.3, "reply", "loss", 0.9, 0.3),))
+
+
+def regressions() -> list[str]:
+    lines = REGRESSIONS.read_text(encoding="utf-8").splitlines()
+    return [line for line in lines if line and not line.startswith("#")]
+
+
+@pytest.mark.parametrize("seed", [0, 2, 3, 6, 7, 10])
+def test_a_seed_is_lived_through_without_a_violation(seed: int) -> None:
+    assert dst_run.run(draw(seed)).violations == ()
+
+
+@pytest.mark.parametrize("line", regressions())
+def test_what_once_failed_does_not_fail_again(line: str) -> None:
+    assert dst_run.run(dst_plan.from_line(line)).violations == ()
+
+
+def test_one_plan_leaves_one_trace_whatever_the_process_and_its_hash_seed() -> None:
+    plan = draw(3)
+    here = dst_run.run(plan).digest
+    told = subprocess.run(
+        [sys.executable, "-m", "linemate.simulators.harness.dst", "--trace", "3"],
+        env={**os.environ, "PYTHONHASHSEED": "12345"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert told.stdout.split() == ["3", here]
+    assert dst_run.run(replace(plan, seed=4)).digest != here
+
+
+def test_without_trouble_the_wheel_is_on_the_hub_and_every_telegram_answered() -> None:
+    simulation = dst_run.Simulation(Plan(0, duration_s=2.6))
+    while simulation.turn():
+        pass
+    counts = simulation.controller.counts
+    assert counts.answered == counts.sent > 200
+    assert simulation.world.released_s is not None
+    assert simulation.world.collision is None
+    assert simulation.oracle.states >= {"init", "idle", "armed", "track", "contact", "retreat"}
+
+
+def test_a_plan_is_one_line_and_comes_back_from_it() -> None:
+    for seed in range(40):
+        plan = draw(seed)
+        assert "\n" not in plan.to_line()
+        assert dst_plan.from_line(plan.to_line()) == plan
+
+
+def test_half_of_the_seeds_are_calm_and_the_others_reach_every_kind_of_fault() -> None:
+    plans = [draw(seed) for seed in range(2000)]
+    assert all(not plan.faults for plan in plans[::4])
+    assert all(len(plan.faults) == 1 for plan in plans[1::4])
+    from linemate.simulators.devices.faults import KINDS
+
+    seen = {(fault.link, fault.kind) for plan in plans for fault in plan.faults}
+    assert seen == {(link, kind) for link, kinds in KINDS.items() for kind in kinds}
+    assert all(plan.duration_s >= 2.0 for plan in plans)
+
+
+# The swarm would notice.
+
+
+def test_a_daemon_that_does_not_look_at_delay_breaks_the_limits(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert dst_run.run(LOSSY).violations == ()
+
+    def settle(cycle: Cycle, delay: int | None, cycles: int) -> None:
+        del delay, cycles
+        cycle._taken, cycle._given = cycle._given or cycle._taken, None
+
+    monkeypatch.setattr(Cycle, "_settle", settle)
+    assert any(what.startswith("limits:") for what in dst_run.run(LOSSY).violations)
+
+
+def test_an_exception_in_the_daemon_is_a_violation(monkeypatch: pytest.MonkeyPatch) -> None:
+    def decide(cycle: Cycle, stamp_ns: int, *, telegram: bool) -> None:
+        raise ZeroDivisionError(f"{cycle.steps} {stamp_ns} {telegram}")
+
+    monkeypatch.setattr(Cycle, "_decide", decide)
+    (what,) = dst_run.run(Plan(1)).violations
+    assert what.startswith("exception: ZeroDivisionError in test_dst.py")
+
+
+def test_an_operators_order_that_gets_lost_is_a_violation(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Cycle, "order", lambda _cycle, _op, _who="": None)
+    violations = dst_run.run(Plan(1)).violations
+    assert any(what.startswith("order: arm was accepted and lost") for what in violations)
+
+
+def test_a_daemon_that_cannot_begin_again_is_a_violation(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Cycle, "order", lambda _cycle, _op, _who="": "not today")
+    plan = Plan(1, faults=(Fault(0.1, "camera", "loss", 0.1, 0.5),))
+    (what,) = dst_run.run(plan).violations
+    assert what.startswith("liveness: idle")
+
+
+@pytest.mark.parametrize(
+    ("name", "before", "signals", "after"),
+    [
+        ("I2", Machine(State.FAULT, latched=True), FIT, Machine(State.IDLE)),
+        ("I3", Machine(State.ARMED), FIT, Machine(State.TRACK)),
+        ("I3", Machine(State.RETREAT), replace(FIT, start=True), Machine(State.TRACK)),
+        ("I4", Machine(State.CONTACT), FIT, Machine(State.HOLD)),
+        ("I5", Machine(State.TRACK), replace(FIT, link=Link.LOST), Machine(State.HOLD)),
+        ("I6", Machine(State.HOLD, latched=True), FIT, Machine(State.HOLD)),
+        ("I6", Machine(State.HOLD), replace(FIT, fault=True), Machine(State.HOLD)),
+        ("I11", Machine(State.HOLD), replace(FIT, contact=True), Machine(State.CONTACT)),
+        ("I12", Machine(State.IDLE), FIT, Machine(State.ARMED)),
+        ("I13", Machine(State.TRACK), replace(FIT, retreat=True), Machine(State.CONTACT)),
+        ("I13", Machine(State.TRACK), replace(FIT, stop=True), Machine(State.TRACK)),
+    ],
+)
+def test_an_oracle_tells_a_wrong_transition(
+    name: str, before: Machine, signals: Signals, after: Machine
+) -> None:
+    broken = {n for n, holds in dst_oracles.invariants(before, signals, after) if not holds}
+    assert name in broken
+
+
+# Shrinking and the command.
+
+
+def test_shrinking_leaves_the_one_fault_that_matters(monkeypatch: pytest.MonkeyPatch) -> None:
+    guilty = Fault(1.0, "camera", "flip", 0.1, 0.5)
+    others = tuple(Fault(0.1 * i, "distance", "loss", 0.1, 0.5) for i in range(5))
+    plan = Plan(
+        9,
+        duration_s=3.0,
+        lead_ms=3.0,
+        eager=True,
+        events=(ConveyorEvent("stop", 1.0, 0.1),),
+        faults=(*others[:3], guilty, *others[3:]),
+    )
+
+    def live(plan: Plan) -> tuple[tuple[str, ...], str]:
+        return (("limits: of axis 3",) if guilty in plan.faults else ("order: lost",)), ""
+
+    monkeypatch.setattr(dst, "_live", live)
+    assert dst.shrink(plan, "limits") == Plan(9, duration_s=2.0, faults=(guilty,))
+
+
+def test_a_plan_that_failed_is_kept_once_for_each_kind(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(dst, "_live", lambda _plan: (("limits: far too fast",), "trace"))
+    monkeypatch.setattr(dst, "_different", lambda _traces: iter(()))
+    path = tmp_path / "kept.txt"
+    assert dst.main(["1:4", "--workers", "1", "--keep", str(path)]) == 1
+    comment, line = path.read_text(encoding="utf-8").splitlines()
+    assert comment == "# limits: far too fast"
+    assert dst_plan.from_line(line).faults == ()
+    assert capsys.readouterr().out.splitlines()[-1] == "3 runs, 3 violations"
+
+
+def test_the_last_line_counts_the_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    assert dst.main(["1:2", "--workers", "1", "--forget"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "1 runs, 0 violations"
+
+
+@pytest.mark.parametrize("text", ["", "5", "5:5", "7:3", "a:b", "0:99999999999"])
+def test_seeds_that_are_none_are_refused(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert dst.main([text]) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert told.err.startswith("dst: ")
