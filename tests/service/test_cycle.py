@@ -1,0 +1,518 @@
+"""The cyclic heart: a telegram in, a reply out, with the real codec and in virtual time."""
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from linemate.daemon.inputs import Order
+from linemate.daemon.parameters import Parameters
+from linemate.daemon.service.cycle import CATCH_UP_S, LONGEST_LOG, Cycle, Inbox
+from linemate.daemon.service.states import State
+from linemate.daemon.service.task_file import Task
+from linemate.daemon.tracking.task import Phase
+from linemate.protocol.rsi import RobotTelegram, RsiCodec, SensorTelegram, parse_config
+from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
+
+PERIOD = 12_000_000
+START = 9_000_000_000
+XML = files("linemate.protocol").joinpath("data", "rsi_joints.xml").read_bytes()
+CODEC = RsiCodec(parse_config(XML))
+SPEED = 0.106
+LEAD_S = 1.4
+"""The unit passes the start position this long after the first telegram."""
+
+
+class Station:
+    """A controller that takes each reply at once, and sensors that are always fresh."""
+
+    def __init__(self, parameters: Parameters, task: Task, **options: Any) -> None:
+        """Begin at the task's rest."""
+        self.parameters = parameters
+        self.cycle = Cycle(parameters, CODEC, **options)
+        self.start = (*task.file.arm.rest_joints, 0.0)
+        self.mount = task.file.conveyor.start_position
+        self.axes = self.start
+        self.held = self.start
+        self.absolute = bool(options.get("absolute", True))
+        self.k = 0
+        self.ipoc, self.step = 4_208_111_000, 12
+        self.delay = 0
+        self.offset_ns = 0
+        self.commands = [self.start]
+
+    @property
+    def stamp_ns(self) -> int:
+        return START + self.k * PERIOD + self.offset_ns
+
+    def telegram(self, **changed: Any) -> bytes:
+        a, b, c, d, e, f, axis = self.axes
+        made = RobotTelegram(
+            ipoc=self.ipoc,
+            joints=(a, b, c, d, e, f),
+            external=(axis, 0.0, 0.0, 0.0, 0.0, 0.0),
+            tcp=(0.0,) * 6,
+            delay=self.delay,
+            channels={"DiL": 0},
+        )
+        return CODEC.format_robot(replace(made, **changed))
+
+    def feed(self) -> None:
+        stamp_ns = self.stamp_ns - 3_000_000
+        t = (stamp_ns - START) * 1e-9 - LEAD_S
+        self.cycle.feed_distance(DistanceSample(stamp_ns, self.mount + SPEED * t, 1.0))
+        self.cycle.feed_wrench(WrenchSample(stamp_ns, (0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
+
+    def exchange(self, *, lost: bool = False, feed: bool = True) -> SensorTelegram:
+        """One cycle; a lost reply is counted and the robot holds."""
+        if feed:
+            self.feed()
+        reply = self.cycle.on_telegram(self.telegram(), self.stamp_ns)
+        assert reply is not None
+        told = CODEC.parse_sensor(reply)
+        self.next()
+        if lost:
+            self.delay += 1
+        else:
+            self.take(told)
+        return told
+
+    def take(self, told: SensorTelegram) -> None:
+        assert told.joints is not None
+        assert told.external is not None
+        origin = self.start if self.absolute else self.axes
+        offsets = (*told.joints, told.external[0])
+        self.axes = tuple(o + d for o, d in zip(origin, offsets, strict=True))
+        self.commands.append(self.axes)
+
+    def next(self, cycles: int = 1) -> None:
+        """Time goes on."""
+        self.k += cycles
+        self.ipoc += cycles * self.step
+
+    def run(self, cycles: int) -> None:
+        for _ in range(cycles):
+            self.exchange()
+
+    def track(self, cycles: int = 0) -> "Station":
+        """Get the task going: healthy, armed, started."""
+        self.run(90)
+        assert self.cycle.order("arm") is None
+        self.run(2)
+        assert self.cycle.order("start") is None
+        self.run(2 + cycles)
+        assert self.cycle.machine.state is State.TRACK
+        return self
+
+
+@pytest.fixture
+def station(parameters: Parameters, task: Task) -> Station:
+    return Station(parameters, task)
+
+
+def zero(told: SensorTelegram) -> bool:
+    assert told.joints is not None
+    assert told.external is not None
+    return not any((*told.joints, *told.external)) and told.channels["DiO"] == 0
+
+
+# One telegram, one reply.
+
+
+@pytest.mark.parametrize("step", [1, 4, 12])
+@pytest.mark.parametrize("first", [b"0", b"0000000000", b"4208111000", b"0004294967295"])
+def test_every_telegram_gets_one_reply_with_its_ipoc_to_the_digit(
+    station: Station, first: bytes, step: int
+) -> None:
+    for k in range(8):
+        station.feed()
+        digits = str(int(first) + k * step).zfill(len(first)).encode()
+        data = station.telegram(ipoc=int(digits), ipoc_text=digits)
+        reply = station.cycle.on_telegram(data, station.stamp_ns)
+        assert reply is not None
+        assert re.findall(rb"<IPOC>(.*?)</IPOC>", reply) == [digits]
+        station.next()
+    assert station.cycle.steps == 8
+    assert [entry.ipoc for entry in station.cycle.take_log()] == [
+        int(first) + k * step for k in range(8)
+    ]
+
+
+def test_the_first_reply_is_zero_wherever_the_robot_stands(station: Station) -> None:
+    station.start = station.axes = (0.3, -1.2, 1.4, 0.2, 0.9, -0.7, 2.5)
+    assert zero(station.exchange())
+
+
+def test_a_robot_that_nobody_has_started_is_told_to_stay_for_ever(station: Station) -> None:
+    assert all(zero(station.exchange()) for _ in range(200))
+    assert station.cycle.machine.state is State.IDLE
+
+
+def test_what_was_answered_once_is_not_answered_again(station: Station) -> None:
+    station.run(5)
+    station.feed()
+    data = station.telegram()
+    assert station.cycle.on_telegram(data, station.stamp_ns) is not None
+    steps = station.cycle.steps
+    assert station.cycle.on_telegram(data, station.stamp_ns + 100_000) is None
+    older = station.telegram(ipoc=station.ipoc - 3 * station.step)
+    assert station.cycle.on_telegram(older, station.stamp_ns + 200_000) is None
+    assert station.cycle.steps == steps
+    counters = station.cycle.status()["telegrams"]
+    assert (counters["duplicate"], counters["backward"]) == (1, 1)
+
+
+def test_the_step_sees_the_robot_of_the_telegram_before(station: Station) -> None:
+    """So that the reply can be ready before its telegram comes."""
+    station.run(4)
+    for entry in station.cycle.take_log()[1:]:
+        assert entry.inputs.robot is not None
+        assert entry.ipoc is not None
+        assert entry.inputs.robot.ipoc == entry.ipoc - station.step
+        assert entry.inputs.robot.stamp_ns == entry.inputs.stamp_ns - PERIOD
+
+
+# Telegrams that do not come.
+
+
+@pytest.mark.parametrize("missing", [1, 3, 10])
+def test_a_gap_makes_the_steps_that_were_missed(station: Station, missing: int) -> None:
+    station.run(20)
+    station.cycle.take_log()
+    station.next(missing)
+    station.exchange()
+    log = station.cycle.take_log()
+    assert [entry.ipoc is None for entry in log] == [True] * missing + [False]
+    assert [entry.inputs.k for entry in log] == list(range(20, 21 + missing))
+    stamps = [entry.inputs.stamp_ns for entry in log]
+    assert np.diff(stamps).tolist() == [PERIOD] * missing
+    assert station.cycle.status()["telegrams"]["missed"] == missing
+
+
+def test_a_long_gap_is_caught_up_with_in_bounded_time(station: Station) -> None:
+    station.run(20)
+    station.cycle.take_log()
+    station.next(80)
+    station.exchange()
+    assert len(station.cycle.take_log()) == round(CATCH_UP_S / 0.012)
+
+
+@pytest.mark.parametrize("missing", [1, 4])
+def test_steps_that_the_clock_made_are_not_made_again(station: Station, missing: int) -> None:
+    station.run(20)
+    for _ in range(missing):
+        station.feed()
+        station.cycle.on_missing(station.stamp_ns)
+        station.next()
+    station.exchange()
+    assert station.cycle.steps == 21 + missing
+    ks = [entry.inputs.k for entry in station.cycle.take_log()]
+    assert ks == list(range(21 + missing))
+
+
+def test_without_a_session_the_clock_makes_no_steps(station: Station) -> None:
+    station.cycle.on_missing(START)
+    assert station.cycle.steps == 0
+    assert not station.cycle.prepare(START)
+
+
+def test_a_gap_in_motion_is_taken_up_from_where_the_robot_holds(station: Station) -> None:
+    station.track(60)
+    assert station.cycle.last is not None
+    assert station.cycle.last.outputs.phase is Phase.APPROACH
+    held = np.array(station.axes)
+    station.next(2)
+    station.exchange()
+    # At rest before it: no more than a first step's jerk away.
+    first = np.abs(np.array(station.axes) - held)
+    limits = station.parameters.controller.limits
+    assert (first <= limits.jerk * 0.012**3 * 1.001 + 1e-9).all()
+    assert first.max() > 0.0
+
+
+def test_a_reply_that_the_controller_did_not_take_is_noticed_by_its_delay(
+    station: Station,
+) -> None:
+    station.track(60)
+    held = np.array(station.axes)
+    station.exchange(lost=True)
+    station.exchange()
+    limits = station.parameters.controller.limits
+    first = np.abs(np.array(station.axes) - held)
+    assert (first <= limits.jerk * 0.012**3 * 1.001 + 1e-9).all()
+    assert station.cycle.replies_lost == 1
+
+
+# Sessions.
+
+
+def moved(station: Station) -> Station:
+    """Mid-motion, and then silence for longer than a session lives."""
+    station.track(80)
+    assert np.abs(np.array(station.axes) - station.start).max() > 0.005
+    station.next(200)
+    return station
+
+
+def test_a_new_session_begins_with_zero_where_the_robot_is_and_needs_arming(
+    station: Station,
+) -> None:
+    moved(station)
+    # The programme was started anew: another counter, corrections from here on.
+    station.ipoc, station.delay = 77, 0
+    station.start = station.axes
+    assert zero(station.exchange())
+    assert station.cycle.machine.state not in {State.TRACK, State.ARMED}
+    for _ in range(120):
+        assert zero(station.exchange())
+    assert station.cycle.order("start") is not None
+    assert station.cycle.status()["telegrams"]["sessions"] == 2
+
+
+def test_a_link_that_was_lost_in_motion_latches_a_fault(station: Station) -> None:
+    station.track(30)
+    for _ in range(12):
+        station.feed()
+        station.cycle.on_missing(station.stamp_ns)
+        station.next()
+    station.run(100)
+    assert station.cycle.machine.state is State.FAULT
+    assert station.cycle.order("arm") is not None
+    assert station.cycle.order("ack") is None
+    station.run(2)
+    assert station.cycle.machine.state is State.IDLE
+
+
+# Orders.
+
+
+def test_orders_are_refused_with_a_reason_until_they_mean_something(station: Station) -> None:
+    assert station.cycle.order("arm") is not None
+    station.exchange()
+    assert station.cycle.order("arm") is not None
+    assert station.cycle.order("start") is not None
+    assert station.cycle.order("dance") == "no such order: dance"
+    station.run(90)
+    assert station.cycle.order("start") is not None
+    assert station.cycle.order("arm") is None
+    station.exchange()
+    assert station.cycle.machine.state is State.ARMED
+
+
+def test_a_start_is_one_edge_for_the_step(station: Station) -> None:
+    station.track(20)
+    starts = [entry.inputs.start for entry in station.cycle.take_log()]
+    assert starts.count(True) == 1
+    orders = [entry.inputs.order for entry in station.cycle.take_log()]
+    assert set(orders) <= {Order.TRACK}
+
+
+def test_a_stop_in_motion_comes_to_rest_within_the_limits(station: Station) -> None:
+    station.track(80)
+    assert station.cycle.order("stop") is None
+    station.run(60)
+    assert station.cycle.machine.state is State.HOLD
+    assert station.commands[-1] == pytest.approx(station.commands[-10], abs=1e-9)
+    bounds = station.parameters.controller.limits
+    rows = np.array(station.commands)
+    # Eight decimals of a degree or a millimetre on the wire.
+    grain = np.radians(1e-8)
+    for order, limit in enumerate((bounds.speed, bounds.acceleration, bounds.jerk), 1):
+        rates = np.abs(np.diff(rows, n=order, axis=0)) / 0.012**order
+        assert (rates <= limit * 1.0001 + 2**order * grain / 0.012**order).all()
+
+
+def test_a_sensor_that_falls_silent_holds_the_robot(station: Station) -> None:
+    station.track(30)
+    for _ in range(40):
+        station.cycle.feed_wrench(WrenchSample(station.stamp_ns, (0, 0, 0), (0, 0, 0)))
+        station.exchange(feed=False)
+    assert station.cycle.machine.state is State.HOLD
+    assert "position" in station.cycle.machine.because
+
+
+# Prepared replies.
+
+
+def camera_samples(stamp_ns: int, k: int) -> Iterator[CameraSample]:
+    if k % 2 == 0:
+        yield CameraSample(
+            stamp_ns - 1_000_000,
+            stamp_ns - 100_000_000,
+            "cam1",
+            "camera",
+            "hub",
+            k,
+            (0.09, 0.01, 0.51),
+            (0.99, 0.1, 0.0, 0.1),
+        )
+
+
+def test_prepared_and_in_line_replies_are_the_same_bytes_in_motion(
+    parameters: Parameters, task: Task
+) -> None:
+    one, other = Station(parameters, task), Station(parameters, task)
+    for k in range(200):
+        orders = {90: "arm", 92: "start"}
+        replies = []
+        for station, ahead in ((one, False), (other, True)):
+            if k in orders:
+                assert station.cycle.order(orders[k]) is None
+            station.feed()
+            for sample in camera_samples(station.stamp_ns, k):
+                station.cycle.feed_camera(sample)
+            if ahead and k > 0:
+                assert station.cycle.prepare(station.stamp_ns)
+            replies.append(station.cycle.on_telegram(station.telegram(), station.stamp_ns))
+            told = replies[-1]
+            assert told is not None
+            station.take(CODEC.parse_sensor(told))
+            station.next()
+        assert replies[0] == replies[1]
+    assert np.abs(np.array(one.axes) - one.start).max() > 0.001
+    assert (one.cycle.prepared, one.cycle.inline) == (0, 200)
+    assert (other.cycle.prepared, other.cycle.inline) == (199, 1)
+
+
+def test_a_prepared_step_whose_telegram_does_not_come_is_not_sent(station: Station) -> None:
+    station.track(60)
+    held = np.array(station.axes)
+    station.feed()
+    assert station.cycle.prepare(station.stamp_ns)
+    station.cycle.on_missing(station.stamp_ns)
+    station.next()
+    station.exchange()
+    limits = station.parameters.controller.limits
+    first = np.abs(np.array(station.axes) - held)
+    assert (first <= limits.jerk * 0.012**3 * 1.001 + 1e-9).all()
+
+
+# Whatever comes in.
+
+
+@settings(max_examples=60)
+@given(st.lists(st.binary(max_size=300), min_size=1, max_size=5))
+@example([b"", b"<Rob>", b"<Rob Type='KUKA'></Rob>", b"\x00" * 3000, b"<!DOCTYPE x>"])
+def test_garbage_is_counted_and_costs_nothing(
+    parameters: Parameters, task: Task, junk: list[bytes]
+) -> None:
+    station = Station(parameters, task)
+    station.run(2)
+    for data in junk:
+        assert station.cycle.on_telegram(data, station.stamp_ns) is None
+    assert station.cycle.refused == len(junk)
+    assert station.cycle.steps == 2
+    assert station.cycle.status()["telegrams"]["unreadable"] == len(junk)
+    assert station.cycle.last_refusal
+    assert zero(station.exchange())
+
+
+def test_a_good_telegram_cut_anywhere_is_refused_or_complete(station: Station) -> None:
+    station.run(2)
+    data = station.telegram()
+    for end in range(0, len(data), 7):
+        assert station.cycle.on_telegram(data[:end], station.stamp_ns) is None
+    assert station.cycle.on_telegram(data, station.stamp_ns) is not None
+
+
+@pytest.mark.parametrize(
+    ("cut", "says"), [("AIPos", "no AIPos"), ("EIPos", "no EIPos")], ids=["joints", "axis"]
+)
+def test_a_configuration_without_what_the_daemon_needs_is_refused_by_name(
+    parameters: Parameters, task: Task, cut: str, says: str
+) -> None:
+    xml = re.sub(rf'<ELEMENT TAG="DEF_{cut}"[^>]*/>'.encode(), b"", XML)
+    codec = RsiCodec(parse_config(xml))
+    cycle = Cycle(parameters, codec)
+    telegram = RobotTelegram(
+        ipoc=1,
+        joints=None if cut == "AIPos" else (0.0,) * 6,
+        external=None if cut == "EIPos" else (0.0,) * 6,
+        tcp=(0.0,) * 6,
+        delay=0,
+        channels={"DiL": 0},
+    )
+    assert cycle.on_telegram(codec.format_robot(telegram), START) is None
+    assert cycle.last_refusal is not None
+    assert says in cycle.last_refusal
+
+
+def test_inboxes_are_bounded_and_what_is_dropped_is_counted_and_oldest(station: Station) -> None:
+    station.run(2)
+    for i in range(1000):
+        stamp_ns = station.stamp_ns - 1_000_000 + i
+        station.cycle.feed_distance(DistanceSample(stamp_ns, 0.9, 1.0))
+        station.cycle.feed_wrench(WrenchSample(stamp_ns, (0, 0, 0), (0, 0, 0)))
+        for sample in camera_samples(stamp_ns, 0):
+            station.cycle.feed_camera(sample)
+    newest = station.stamp_ns - 1_000_000 + 999
+    station.exchange(feed=False)
+    entry = station.cycle.take_log()[-1]
+    dropped = station.cycle.status()["dropped"]
+    for name, samples in (
+        ("distance", entry.inputs.distance),
+        ("camera", entry.inputs.camera),
+        ("wrench", entry.inputs.wrench),
+    ):
+        assert len(samples) + dropped[name] == 1000
+        assert len(samples) <= 64
+    assert entry.inputs.distance[-1].stamp_ns == newest
+
+
+@settings(max_examples=50)
+@given(st.integers(1, 20), st.lists(st.one_of(st.none(), st.integers()), max_size=80))
+def test_an_inbox_loses_nothing_without_counting_it(size: int, story: list[int | None]) -> None:
+    """``None`` takes, anything else is put: all that was put is taken, waits or is counted."""
+    inbox: Inbox[int] = Inbox(size)
+    put: list[int] = []
+    taken: list[int] = []
+    for what in story:
+        if what is None:
+            taken += inbox.take()
+        else:
+            inbox.put(what)
+            put.append(what)
+    waiting = inbox.take()
+    assert len(waiting) <= size
+    assert len(taken) + len(waiting) + inbox.dropped == len(put)
+    assert inbox.taken == len(taken) + len(waiting)
+    assert list(waiting) == put[len(put) - len(waiting) :]
+
+
+def test_a_log_that_nobody_takes_is_bounded_and_counted(station: Station) -> None:
+    station.run(LONGEST_LOG + 30)
+    assert station.cycle.log_dropped == 30
+    log = station.cycle.take_log()
+    assert len(log) == LONGEST_LOG
+    assert log[-1].ipoc == station.ipoc - station.step
+    assert station.cycle.take_log() == []
+
+
+# What is told.
+
+
+def test_the_status_is_plain_at_every_moment(station: Station) -> None:
+    json.dumps(station.cycle.status())
+    station.exchange()
+    json.dumps(station.cycle.status())
+    station.track(60)
+    told = json.loads(json.dumps(station.cycle.status(), allow_nan=False))
+    assert told["state"] == "track"
+    assert told["steps"] == station.cycle.steps
+    assert told["speed"] == pytest.approx(SPEED, abs=0.002)
+    assert told["ages_s"]["position"] == pytest.approx(0.003)
+
+
+def test_increments_add_up_to_the_corrections(parameters: Parameters, task: Task) -> None:
+    absolute = Station(parameters, task).track(70)
+    relative = Station(parameters, task, absolute=False).track(70)
+    assert np.abs(np.array(absolute.axes) - absolute.start).max() > 0.001
+    # Each increment is rounded by the wire, and the sum of roundings is not.
+    assert np.allclose(absolute.axes, relative.axes, atol=170 * np.radians(0.5e-8))
