@@ -136,13 +136,19 @@ class BankClassifier:
             return -self.conveyor.deceleration
         return self.conveyor.acceleration if motion is Motion.STARTING else 0.0
 
+    def _ripple(self, state: BankState) -> tuple[float, float]:
+        """Return the ripple's deviation [m/s] and its correlation time [s]."""
+        if state.contact:
+            return self.fusion.contact_ripple, self.fusion.contact_ripple_time
+        return self.fusion.ripple, self.fusion.ripple_time
+
     def _process_noise(self, state: BankState, dt: float) -> Array:
         """Return the diagonal of Q: the ripple is stationary and stands with the conveyor."""
         fusion = self.fusion
         share = min(max(float(state.x[V]) / self.conveyor.nominal_speed, 0.0), 1.0)
-        decay = math.exp(-2.0 * dt / fusion.ripple_time)
+        ripple, time = self._ripple(state)
         moving = state.motion in {Motion.STOPPING, Motion.STARTING}
-        ripple = (fusion.ripple * share) ** 2 * (1.0 - decay)
+        ripple = (ripple * share) ** 2 * (1.0 - math.exp(-2.0 * dt / time))
         rate = (0.05 * abs(self._class_acceleration(state.motion))) ** 2 * dt if moving else 0.0
         speed = fusion.speed * (1.0 if state.motion is not Motion.STANDING else 0.3)
         return np.array((1e-12, speed**2 * dt, ripple, fusion.offset**2 * dt, rate, 0.0, 0.0))
@@ -169,7 +175,7 @@ class BankClassifier:
 
     def _predict(self, state: BankState, dt: float) -> BankState:
         """Return (5), (6), the banks one step older, and new hypotheses "now"."""
-        F = _transition(dt, self.fusion.ripple_time, state.omega, self.jerk.damping)
+        F = _transition(dt, self._ripple(state)[1], state.omega, self.jerk.damping)
         P = F @ state.P @ F.T
         P.flat[:: STATES + 1] += self._process_noise(state, dt)
         bank, pushes = state.bank, state.pushes
@@ -345,18 +351,18 @@ class BankClassifier:
 
     def outlook(self, state: BankState, times: Array) -> Array:
         """Return positions (m,) at ``times``: the class in force, mixed with what is suspected."""
-        null = self._future(state.x, state.motion, state.cruise, state.omega, times)
+        null = self._future(state, state.x, state.motion, state.omega, times)
         change, push = self._shares(state)
         mixed = null
         if change > 1e-4:
             mean, _ = hypotheses.moments(state.bank, self._raw_change(state), self._prior)
             motion, _ = _NEXT[state.motion]
-            other = self._future(state.x + mean, motion, state.cruise, state.omega, times)
+            other = self._future(state, state.x + mean, motion, state.omega, times)
             mixed = mixed + change * (other - null)
         if push > 1e-4:
             mean, _ = hypotheses.moments(state.pushes, self._raw_push(state), self._push_prior)
             omega = self._push_omega(state)
-            other = self._future(state.x + mean, state.motion, state.cruise, omega, times)
+            other = self._future(state, state.x + mean, state.motion, omega, times)
             mixed = mixed + push * (other - null)
         return mixed
 
@@ -379,10 +385,12 @@ class BankClassifier:
         total = 1.0 + stop + push
         return stop / total, push / total
 
-    def _future(self, x: Array, motion: Motion, cruise: float, omega: float, times: Array) -> Array:
+    def _future(
+        self, state: BankState, x: Array, motion: Motion, omega: float, times: Array
+    ) -> Array:
         """Return positions (m,) of one hypothesis under its class."""
+        cruise, tau = state.cruise, self._ripple(state)[1]
         y, v, r, _, a, push, quadrature = x.tolist()
-        tau = self.fusion.ripple_time
         way = travel(v, a if motion in {Motion.STOPPING, Motion.STARTING} else 0.0, cruise, times)
         future: Array = y + way + r * tau * (1.0 - np.exp(-times / tau))
         if abs(push) + abs(quadrature) > 1e-6:

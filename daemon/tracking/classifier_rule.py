@@ -57,6 +57,7 @@ class RuleState:
         age: of the belief [s].
         since: how long the class has been acting [s].
         refused: rows gated in a row, by sensor.
+        wild: readings that the watch gated in a row.
         trial: of a class, or None.
         events: of the last step.
     """
@@ -70,6 +71,7 @@ class RuleState:
     age: float = 0.0
     since: float = 0.0
     refused: Mapping[Source, int] = field(default_factory=dict)
+    wild: int = 0
     trial: Trial | None = None
     events: tuple[tuple[str, str], ...] = ()
 
@@ -187,9 +189,15 @@ class RuleClassifier:
         S = float(h @ state.W @ h) + row.variance
         error = row.value - float(h @ state.w) - 0.5 * a * min(row.delay, state.since) ** 2
         wild = error * error > row.gate**2 * max(S, (self.rule.confirmed / 2.0) ** 2)
-        if wild and state.refused.get(row.source, 0) + 1 < REFUSALS:
-            return state  # an outlier, unless it stays: the estimate counts them
-        if self.classes and state.age > SETTLING and not wild:
+        if wild and state.wild + 1 < REFUSALS:
+            return replace(state, wild=state.wild + 1)
+        if wild:  # it stays: the sensor has moved, or the watch is wrong
+            w = np.array((row.value + state.w[1] * row.delay, state.w[1]))
+            W = np.diag((row.variance, (0.5 * self.conveyor.nominal_speed) ** 2))
+            return replace(state, w=w, W=W, wild=0, age=0.0, trial=None)
+        if state.wild:
+            state = replace(state, wild=0)
+        if self.classes and state.age > SETTLING:
             state = self._judge(state, row, error)
         K = state.W @ h / S
         return replace(state, w=state.w + K * error, W=state.W - np.outer(K, h @ state.W))

@@ -113,6 +113,9 @@ class FusionSettings:
         speed: random walk of the conveyor's speed while running [m/s/sqrt(s)].
         ripple: deviation of the conveyor's speed ripple [m/s].
         ripple_time: its correlation time [s].
+        contact_ripple: the same while the tool touches the object [m/s]: a sensor that sees
+            0.05 mm sees every ripple, and a generic one needs no frequency and costs nothing there.
+        contact_ripple_time: its correlation time [s].
         offset: random walk of the distance sensor's offset [m/sqrt(s)].
         initial_images: images whose median starts the filter.
     """
@@ -121,8 +124,10 @@ class FusionSettings:
     angle: Positive = 0.0002
     swing: Positive = 0.0001
     speed: Positive = 0.0005
-    ripple: Positive = 0.001
-    ripple_time: Positive = 0.2
+    ripple: Positive = 0.0003
+    ripple_time: Positive = 1.0
+    contact_ripple: Positive = 0.001
+    contact_ripple_time: Positive = 0.2
     offset: Positive = 0.00002
     initial_images: Annotated[int, Ge(1), Le(50)] = 5
 

@@ -10,6 +10,7 @@ from filterpy.kalman import KalmanFilter
 from scipy import integrate
 
 from linemate.daemon.horizon import Array
+from linemate.daemon.tracking import hypotheses
 from linemate.daemon.tracking.classifier_bank import SETTLING, BankClassifier, BankState
 from linemate.daemon.tracking.conveyor import Motion, Row, Source
 from linemate.daemon.tracking.settings import BankSettings, FusionSettings
@@ -54,7 +55,7 @@ def log_likelihood(
 ) -> float:
     """A whole filter of its own, filterpy's, whose world has had a change since ``onset``."""
     kf = KalmanFilter(dim_x=5, dim_z=1)
-    kf.x, kf.P = start.x.copy(), start.P.copy()
+    kf.x, kf.P = start.x[:5].copy(), start.P[:5, :5].copy()
     kf.F = np.eye(5)
     kf.F[0, 1] = kf.F[0, 2] = kf.F[1, 4] = T0
     kf.F[0, 4], kf.F[2, 2] = 0.5 * T0 * T0, math.exp(-T0 / FUSION.ripple_time)
@@ -81,7 +82,7 @@ def test_evidence_is_the_likelihood_ratio_of_a_filter_for_each_hypothesis(
     steps = measured(Truth(1.5, events), seed=3)
     start, first, state = told(steps)
     assert start.age <= SETTLING + 1e-9
-    evidence = BANK._evidence(state.bank)
+    evidence = hypotheses.evidence(state.bank, BANK._prior)
     now = (len(steps) - 1) * T0
     null = log_likelihood(start, steps, now, 0.0, first)
     for j in (2, 12, 30, len(evidence) - 1):
@@ -115,7 +116,7 @@ def integrated(A: float, B: float) -> float:
 def test_the_best_hypothesis_is_the_onset_that_was() -> None:
     steps = measured(Truth(1.5, ((0.9, -STOP),)), seed=4)
     _, _, state = told(steps)
-    best = state.bank.age[int(np.argmax(BANK._evidence(state.bank)))]
+    best = state.bank.age[int(np.argmax(hypotheses.evidence(state.bank, BANK._prior)))]
     assert best == pytest.approx(1.2 - 0.9, abs=0.06)
     assert state.odds > 10.0
 

@@ -193,21 +193,7 @@ def test_two_outliers_in_a_row_confirm_nothing(classifier: Classifier) -> None:
     assert np.abs(told.position_errors(truth, 0.0)).max() < 0.0012
 
 
-@pytest.mark.parametrize(
-    "classifier",
-    [
-        pytest.param(
-            RULE,
-            marks=pytest.mark.xfail(
-                strict=True,
-                reason="the rule's watch counts on the estimate's refusals, and stays locked out",
-            ),
-        ),
-        BANK,
-        IMM,
-    ],
-    ids=["rule", "bank", "imm"],
-)
+@pytest.mark.parametrize("classifier", [RULE, BANK, IMM], ids=["rule", "bank", "imm"])
 @pytest.mark.parametrize("shift", [-0.1, 1.0])
 def test_a_sensor_that_has_really_moved_does_not_lock_the_filter_out(
     classifier: Classifier, shift: float
