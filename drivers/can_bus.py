@@ -146,11 +146,11 @@ class CanLink:
         for _ in range(BUDGET):
             try:
                 message = bus.recv(0)
-            except (ValueError, LookupError):
+            except Exception as error:  # noqa: BLE001 - a plug-in may raise anything
+                if not _is_garbage(bus, error):
+                    return why(error)
                 self.counters["garbage"] += 1
                 continue
-            except Exception as error:  # noqa: BLE001 - a plug-in may raise anything
-                return why(error)
             if message is None:
                 self._clock.drained(time.monotonic_ns())
                 break
@@ -237,14 +237,14 @@ class _Pump:
         while not self.stop.is_set() and barren < BARREN_WAKES:
             try:
                 message = self._bus.recv(THREAD_RECV_S)
-            except (ValueError, LookupError):
+            except Exception as error:  # noqa: BLE001 - a plug-in may raise anything
+                if not _is_garbage(self._bus, error):
+                    self._tell(self._break, why(error))
+                    return
                 barren += 1
                 with self._lock:
                     self._garbage += 1
                 continue
-            except Exception as error:  # noqa: BLE001 - a plug-in may raise anything
-                self._tell(self._break, why(error))
-                return
             barren = 0
             self._put(message)
         self._tell(self._break, BARREN)
@@ -306,6 +306,15 @@ def _descriptor(bus: can.BusABC) -> int | None:
     except (NotImplementedError, can.CanError, OSError):
         return None
     return descriptor if descriptor >= 0 else None
+
+
+def _is_garbage(bus: can.BusABC, error: Exception) -> bool:
+    """Was it only a frame that cannot be read? Then the bus lives."""
+    kept = getattr(bus, "_buffer", None)
+    if isinstance(error.__cause__, UnicodeDecodeError) and isinstance(kept, bytearray):
+        kept.clear()  # slcan keeps a line that is no text, and would stumble over it for ever
+        return True
+    return isinstance(error, (ValueError, LookupError))
 
 
 def _arrival(clock: ArrivalClock, message: can.Message) -> int:

@@ -100,6 +100,26 @@ def test_an_adapter_that_is_unplugged_is_opened_again_when_it_returns(tmp_path: 
     run(main())
 
 
+def test_bytes_that_are_no_text_cost_their_line_and_not_the_bus(tmp_path: Path) -> None:
+    async def main() -> None:
+        adapter = _adapter(tmp_path / "can")
+        samples: list[DistanceSample] = []
+        link = _link(tmp_path / "can", samples.append)
+        link.open()
+        await until(lambda: adapter.adapter.is_open)
+        for junk in (b"\xff\xfe\r", b"t183\xff\r", b"\x80\a"):
+            adapter.port.write(junk)
+            adapter.emit(0.4)
+        await until(lambda: len(samples) == 3)
+        link.close()
+        await link.wait_closed()
+        adapter.close()
+        assert link.counters["garbage"] == 3
+        assert link.counters["lost"] == 0
+
+    run(main())
+
+
 def test_bytes_that_never_become_frames_end_the_bus(tmp_path: Path) -> None:
     async def main() -> None:
         adapter = _adapter(tmp_path / "can")
@@ -107,8 +127,9 @@ def test_bytes_that_never_become_frames_end_the_bus(tmp_path: Path) -> None:
         link = _link(tmp_path / "can", samples.append)
         link.open()
         await until(lambda: adapter.adapter.is_open)
-        adapter.port.write(b"\xff\xfe\r")  # python-can keeps undecodable bytes for ever
-        await until(lambda: link.counters["opened"] == 2)
+        while link.counters["opened"] < 2:
+            adapter.port.write(b"x\r")
+            await asyncio.sleep(0.001)
         while not samples:
             adapter.emit(0.3)
             await asyncio.sleep(0.01)
