@@ -38,6 +38,8 @@ MAX_CONNECTIONS: Final = 16
 TICK_S: Final = 0.02  # telemetry's fastest period
 SO_PEERGROUPS: Final = 59  # missing from the socket module
 SO_ATTACH_FILTER: Final = 26
+SO_MEMINFO: Final = 55
+MEMINFO: Final = struct.Struct("9I")
 UCRED: Final = struct.Struct("3i")
 
 log = logging.getLogger(__name__)
@@ -239,7 +241,7 @@ class CommandPort:
             "sessions": self._server.sessions,
             "connections": len(self._connections),
             "control": self._lease.holder,
-            "counters": dict(self.counters),
+            "counters": dict(self.counters) | _kernel_drops(self._datagrams),
         }
 
     def _tick(self) -> None:
@@ -471,6 +473,17 @@ def _bind(door: UdpDoor) -> socket.socket:
         raise CommandPortError(f"command port {address}:{door.port}: {error}") from error
     _filter_in_kernel(bound)
     return bound
+
+
+def _kernel_drops(bound: socket.socket | None) -> dict[str, int]:
+    """What the kernel dropped at the UDP port: junk by the filter, and what found no room."""
+    if bound is None:
+        return {}
+    try:
+        raw = bound.getsockopt(socket.SOL_SOCKET, SO_MEMINFO, MEMINFO.size)
+        return {"kernel_drops": MEMINFO.unpack(raw)[-1]}
+    except (OSError, struct.error):  # an older kernel
+        return {}
 
 
 def _filter_in_kernel(bound: socket.socket) -> None:

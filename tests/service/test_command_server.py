@@ -311,6 +311,7 @@ def test_junk_is_dropped_by_the_kernel_before_it_costs_a_read(tmp_path: Path) ->
         for _ in range(10):
             port.poll()
         assert port.counters["received"] - before == 1
+        assert port.status()["counters"]["kernel_drops"] == 5
         assert port.counters["dropped_version"] == 1
         assert ask(port, end, core, "status").ok
 
