@@ -125,6 +125,12 @@ def differences(record: StepRecord, outputs: Outputs) -> tuple[str, ...]:
     )
 
 
+def plain(outputs: Outputs) -> dict[str, Any]:
+    """Outputs by the name of their fields, as a recording tells them: plain values."""
+    made = zip(LAYOUT["Outputs"], _VALUES[Outputs](outputs), strict=True)
+    return {name: msgpack.unpackb(_pack(value), use_list=False) for name, value in made}
+
+
 def digest(array: np.ndarray[Any, Any]) -> bytes:
     """What stands for an array in a recording: 8 bytes that change with any bit of it."""
     exact = np.ascontiguousarray(array, dtype=np.float64)

@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, TypeVar
 
 import yaml
@@ -196,6 +197,7 @@ def schema(target: type[Any], title: str) -> dict[str, Any]:
     }
 
 
+@cache
 def _model(target: type[Any]) -> type[BaseModel]:
     """One document under one key, so that stdlib dataclasses inherit the strict settings."""
     strict = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
