@@ -204,12 +204,14 @@ def test_a_pose_that_cannot_be_reached_brakes_and_says_so(bad: float) -> None:
     assert np.array_equal(after.gate.position, REST)
 
 
-def test_a_stop_is_the_gates_brake_and_leaves_the_plan_alone() -> None:
+def test_a_stop_is_the_gates_gentle_brake_and_leaves_the_plan_alone() -> None:
     controller = made(PLAIN)
     state = control.at_rest(controller, REST, pose_of(REST))
     moving = replace(state, gate=replace(state.gate, speed=np.full(7, 0.1)))
     stopped = control.stop(controller, moving)
-    known = limits.brake(moving.gate, controller.limits, controller.cycle_s)
+    known = limits.brake(
+        moving.gate, controller.limits, controller.cycle_s, controller.gentle
+    )
     assert np.array_equal(stopped.gate.position, known.position)
     assert stopped.passed is moving.passed
     assert isinstance(stopped, ControlState)

@@ -1,6 +1,7 @@
 """The bank's evidence is a likelihood ratio: against a second filter for every hypothesis."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +21,7 @@ NEVER = 1e9
 # Without ripple the filter's own noise does not depend on what it believes of the speed.
 FUSION = FusionSettings(ripple=1e-9)
 SETTINGS = BankSettings(perceived=NEVER, stop_confirmed=NEVER, start_confirmed=NEVER)
+PRIOR = hypotheses.Prior(1.0, SETTINGS.amplitude_deviation**2)
 BANK = BankClassifier(ConveyorClasses(), FUSION, SETTINGS, DEVIATION)
 CAMERA_DELAY = 0.1
 
@@ -169,3 +171,49 @@ def test_the_covariance_stays_symmetric_and_positive_through_a_stop_and_a_start(
         assert np.allclose(state.P, state.P.T, rtol=0.0, atol=1e-12)
         assert np.linalg.eigvalsh(0.5 * (state.P + state.P.T))[0] > -1e-12
     assert motions == {Motion.RUNNING, Motion.STOPPING, Motion.STANDING, Motion.STARTING}
+
+
+# In contact: the force sensor sees the body, the distance sensor the conveyor.
+
+CONTACT = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), DEVIATION)
+TOUCH = 0.00005
+
+
+def in_contact(
+    truth: Truth, push: Callable[[float], float], seconds: float, seed: int
+) -> list[tuple[float, str, str]]:
+    """Events of a bank in contact whose body is pushed; the push starts at 0 s or later."""
+    rng = np.random.default_rng(seed)
+    state = CONTACT.initial(float(truth.at(-1.5)))
+    events = []
+    for t in np.arange(-1.5 + T0, seconds, T0):
+        read = round((float(truth.at(t - 0.001)) + rng.normal(0.0, 0.00025)) * 1e3) / 1e3
+        felt = float(truth.at(t - 0.006)) + push(t - 0.006) + rng.normal(0.0, TOUCH)
+        rows = [
+            Row(Source.DISTANCE, read, 0.001, DEVIATION**2, 4.0),
+            Row(Source.TACTILE, felt, 0.006, TOUCH**2, 5.0),
+        ]
+        state = CONTACT.advance(state, rows, T0)
+        events += [(float(t), kind, what) for kind, what in CONTACT.view(state).events]
+    return events
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_in_contact_a_stop_is_confirmed_beside_the_hypothesis_of_a_push(seed: int) -> None:
+    truth = Truth(1.0, ((0.4, -STOP),), seed=seed)
+    events = in_contact(truth, lambda _: 0.0, 0.9, seed)
+    confirmed = [t for t, kind, what in events if (kind, what) == ("stop", "confirmed")]
+    assert len(confirmed) == 1
+    assert 0.4 < confirmed[0] < 0.4 + 0.2
+
+
+@pytest.mark.parametrize("size", [0.001, -0.002, 0.003])
+@pytest.mark.parametrize("frequency_hz", [1.0, 2.0])
+def test_a_push_of_the_body_is_not_taken_for_a_stop(size: float, frequency_hz: float) -> None:
+    w = 2.0 * math.pi * frequency_hz
+
+    def push(t: float) -> float:
+        return size * math.exp(-0.1 * w * max(t, 0.0)) * math.sin(w * max(t, 0.0))
+
+    events = in_contact(Truth(1.3, seed=5), push, 1.2, 5)
+    assert not [t for t, kind, what in events if (kind, what) == ("stop", "confirmed")]
