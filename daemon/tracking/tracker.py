@@ -200,11 +200,10 @@ def estimate(
     history = state.history
     if seen.tcp is not None:
         history = remember(history, seen.tcp_stamp_ns, seen.tcp, tracker.history_length)
-    state = replace(state, history=history)
     across = state.across
     if across is not None:
         across = tracker.transverse.predict(across, tracker.cycle_s)
-    sightings, wrench = _sightings(tracker, state, seen)
+    sightings, wrench = _sightings(tracker, history, seen, touching=state.contact)
     rows = [_distance_row(tracker, seen.stamp_ns, sample) for sample in seen.distance]
     refused = 0
     waiting = state.sightings
@@ -227,7 +226,14 @@ def estimate(
             belief = tracker.classifier.initial(readings[-1])
     else:
         belief = tracker.classifier.advance(belief, rows, tracker.cycle_s)
-    state = replace(state, belief=belief, across=across, sightings=waiting, readings=readings)
+    state = replace(
+        state,
+        history=history,
+        belief=belief,
+        across=across,
+        sightings=waiting,
+        readings=readings,
+    )
     return state, refused, wrench
 
 
@@ -256,22 +262,22 @@ def _along_row(
 
 
 def _sightings(
-    tracker: Tracker, state: TrackerState, seen: Measurements
+    tracker: Tracker, history: History | None, seen: Measurements, *, touching: bool
 ) -> tuple[list[tuple[Source, Sighting, float]], Wrench | None]:
     """Return what camera and tactile sensor saw of the object, and the mean wrench."""
     found: list[tuple[Source, Sighting, float]] = []
     wrench = mean_wrench(seen.wrench)
-    if state.history is None:
+    if history is None:
         return found, wrench
     settings = tracker.settings
     for sample in seen.camera:
-        tcp = pose_at(state.history, sample.exposure_ns, tracker.cycle_s)
+        tcp = pose_at(history, sample.exposure_ns, tracker.cycle_s)
         delay = (seen.stamp_ns - sample.exposure_ns) * 1e-9
         if tcp is not None and delay <= settings.camera.longest_delay:
             sighting = sight(sample, tcp, tracker.camera, settings.camera, seen.stamp_ns)
             found.append((Source.CAMERA, sighting, settings.camera.gate))
-    if state.contact and wrench is not None:
-        tcp = pose_at(state.history, wrench.stamp_ns, 2.5 * tracker.cycle_s)
+    if touching and wrench is not None:
+        tcp = pose_at(history, wrench.stamp_ns, 2.5 * tracker.cycle_s)
         if tcp is not None:
             sighting = touch(wrench, tcp, settings.tactile, seen.stamp_ns)
             found.append((Source.TACTILE, sighting, settings.tactile.gate))
@@ -283,17 +289,20 @@ def track(
 ) -> tuple[TrackerState, Horizon, Report]:
     """Return the state, the horizon x_t(k, 0..n) and a report of one step under way."""
     state, refused, wrench = estimate(tracker, state, seen)
-    state = _clock(tracker, replace(state, started=state.started or start), seen, retreat)
+    if start and not state.started:
+        state = replace(state, started=True)
+    state = _clock(tracker, state, seen, retreat)
     state = _contact(tracker, state, wrench)
     span = tracker.span
     limit = barrier(tracker.reference, state.time, state.passed)
     times = np.minimum(state.time + (span if state.started else 0.0 * span), limit)
     goal, relative = tracker.reference.poses(times)
-    state = replace(state, distance=float(relative[0, 2]))
     target = part = None
     if state.across is not None and state.belief is not None:
         target, part = _sensed(tracker, state, seen.stamp_ns, span, relative)
-        if state.blended is not None:
+        if state.blended is not None and state.blended >= tracker.settings.merge.blend:
+            goal = target
+        elif state.blended is not None:
             share = approach.smoothstep((state.blended + span) / tracker.settings.merge.blend)
             goal = approach.blend(goal, target, share)
     if state.withdrawn is not None:
@@ -303,7 +312,7 @@ def track(
     axis = linear_axis.advance(
         state.axis, _axis_speed(tracker, state), tracker.task.linear_axis.ramp, tracker.cycle_s
     )
-    state = replace(state, poses=poses, axis=axis)
+    state = replace(state, poses=poses, axis=axis, distance=float(relative[0, 2]))
     free = _free(tracker, times)
     horizon = Horizon(poses, axis.positions, free, tracker.reference.nominal, tracker.commit)
     return state, horizon, report(tracker, state, wrench, refused, target, part)
@@ -444,6 +453,8 @@ def _axis_speed(tracker: Tracker, state: TrackerState) -> float:
 def _free(tracker: Tracker, times: Array) -> Array:
     """Return where over the horizon the tool hangs free: not between contact and retreat."""
     blend = tracker.contact_blend
+    if times[-1] <= tracker.reference.contact_time - blend:
+        return np.ones(len(times))
     before = (tracker.reference.contact_time - times) / blend
     after = (times - tracker.leave) / blend
     return np.asarray(np.minimum(np.maximum(np.maximum(before, after), 0.0), 1.0))
