@@ -95,6 +95,18 @@ def _load(dbc: str | Path) -> Database:
         raise DistanceError(f"not a DBC: {error}") from error
 
 
+def message_names(dbc: str | Path) -> tuple[str, ...]:
+    """What a DBC describes.
+
+    Args:
+        dbc: the DBC's text, or the path of its file.
+
+    Raises:
+        DistanceError: it cannot be read.
+    """
+    return tuple(message.name for message in _load(dbc).messages)
+
+
 def _scale(signal: Signal, step: float | None, unit: float) -> _Scale:
     """What a signal's counts are worth; ``step`` [m] replaces the DBC's factor."""
     factor = float(signal.scale) if step is None else step / unit

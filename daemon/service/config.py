@@ -20,7 +20,7 @@ from linemate.daemon.service.files import UnreadableError
 from linemate.daemon.service.settings import Config
 from linemate.daemon.service.task_file import Task
 from linemate.protocol.command_keys import Key
-from linemate.protocol.distance import DistanceDecoder, DistanceError
+from linemate.protocol.distance import DistanceDecoder, DistanceError, message_names
 from linemate.protocol.rsi import RsiCodec
 from linemate.protocol.rsi_config import RsiConfig, parse_config
 from linemate.protocol.rsi_scan import RsiError
@@ -37,6 +37,7 @@ _ADDRESSES = (
     ("camera", "bind"),
     ("command", "udp", "bind"),
 )
+_DIRECTORIES = (("recording", "directory"), ("realtime", "incidents"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,10 +118,13 @@ class _Named:
         yield from self._attempt(("task",), self._read_task)
         yield from self._attempt(("rsi", "config"), self._read_rsi)
         yield from self._attempt(("rsi", "config"), self._look_at_axes)
+        yield from self._attempt(("rsi", "linear_axes"), self._look_at_linear_axes)
         yield from self._attempt(("distance", "dbc"), self._read_dbc)
         yield from self._attempt(("distance", "message"), self._look_at_message)
+        yield from self._attempt(("distance", "strength"), self._look_at_strength)
         yield from self._attempt(("command", "udp", "keys"), self._read_keys)
-        yield from self._attempt(("recording", "directory"), self._look_at_directory)
+        for directory in _DIRECTORIES:
+            yield from self._attempt(directory, partial(self._look_at_directory, directory))
         yield from self._attempt(("command", "socket"), self._look_at_socket)
         yield from self._attempt(("distance", "can"), self._look_at_can)
         for path in _ADDRESSES:
@@ -184,6 +188,14 @@ class _Named:
         if missing:
             raise ValueError(f"the task's arm needs {', '.join(missing)}")
 
+    def _look_at_linear_axes(self) -> None:
+        """Millimetres read as degrees would be another place."""
+        linear = self._get("rsi", "linear_axes", kind=list)
+        if linear is None or self.task is None or not self.task.file.arm.linear_axis:
+            return
+        if "E1" not in linear:
+            raise ValueError("the task's arm stands on E1, which is linear")
+
     def _read_dbc(self) -> None:
         if not self._has("distance"):
             return
@@ -193,12 +205,20 @@ class _Named:
         if name and message and signal:
             path = files.find(name, self._base, files.PROTOCOL_DATA)
             text = files.read_text(path, MAX_LINK_BYTES)
+            message_names(text)
             self.dbc = self.texts["dbc"] = text
             self._decoder = (text, message, signal)
 
     def _look_at_message(self) -> None:
         if self._decoder is not None:
-            DistanceDecoder(*self._decoder)
+            decoder, self._decoder = self._decoder, None
+            DistanceDecoder(*decoder)
+            self._decoder = decoder
+
+    def _look_at_strength(self) -> None:
+        strength = self._get("distance", "strength", kind=str)
+        if self._decoder is not None and strength:
+            DistanceDecoder(*self._decoder, strength=strength)
 
     def _read_keys(self) -> None:
         name = self._get("command", "udp", "keys", kind=str)
@@ -207,8 +227,8 @@ class _Named:
             if not self.keys:
                 raise ValueError("holds no key; make one with `linemate keygen`")
 
-    def _look_at_directory(self) -> None:
-        name = self._get("recording", "directory", kind=str)
+    def _look_at_directory(self, path: tuple[str, ...]) -> None:
+        name = self._get(*path, kind=str)
         if name and not os.access(self._base / name, os.W_OK | os.X_OK):
             raise ValueError(f"not a directory that can be written: {self._base / name}")
 

@@ -19,6 +19,7 @@ Positive = Annotated[float, Gt(0.0)]
 Port = Annotated[int, Ge(0), Le(65535)]
 Text = Annotated[str, Len(1, 4096)]
 Count = Annotated[int, Ge(1), Le(1_000_000)]
+ExternalAxis = Literal["E1", "E2", "E3", "E4", "E5", "E6"]
 
 
 class Corrections(StrEnum):
@@ -47,7 +48,7 @@ class RsiSettings:
     port: Port | None = None
     cycle_ms: Literal[1, 2, 4, 12] = 12
     corrections: Corrections = Corrections.ABSOLUTE
-    linear_axes: Annotated[tuple[str, ...], Len(0, 6)] = ("E1",)
+    linear_axes: Annotated[tuple[ExternalAxis, ...], Len(0, 6)] = ("E1",)
     peer: Text | None = None
 
 

@@ -146,6 +146,33 @@ def test_a_controller_file_without_an_axis_of_the_arm_is_told(write: Write, tmp_
     assert line == "2:15: rsi.config: the task's arm needs SEND DEF_EIPos, RECEIVE EK.E1"
 
 
+def test_axes_that_would_be_read_in_the_wrong_unit_are_told(write: Write) -> None:
+    (line,) = errors(write("task: wheel.yaml\nrsi: {linear_axes: [E2]}\n"))
+    assert line == "2:20: rsi.linear_axes: the task's arm stands on E1, which is linear"
+    (line,) = errors(write("task: wheel.yaml\nrsi: {linear_axes: [E1, Q1]}\n"))
+    assert line.startswith("2:25: rsi.linear_axes[1]: ")
+
+
+def test_what_a_dbc_lacks_is_told_at_the_key_that_names_it(write: Write, tmp_path: Path) -> None:
+    (tmp_path / "bad.dbc").write_text("BO_ nonsense\n")
+    text = "task: wheel.yaml\ndistance: {{can: {{interface: slcan}}, {}}}\n"
+    for named, key in (
+        ("dbc: bad.dbc", "dbc"),
+        ("message: Nope", "message"),
+        ("signal: Nope", "message"),
+        ("strength: Nope", "strength"),
+        ("message: Nope, strength: Nope", "message"),
+    ):
+        (line,) = errors(write(text.format(named)))
+        assert f": distance.{key}: distance: " in line
+
+
+def test_directories_that_are_not_there_are_told(write: Write) -> None:
+    text = "task: wheel.yaml\nrecording: {directory: none}\nrealtime: {incidents: none}\n"
+    told = [line.split(": ")[1] for line in errors(write(text))]
+    assert told == ["recording.directory", "realtime.incidents"]
+
+
 def test_keys_that_others_can_read_are_refused(write: Write, tmp_path: Path) -> None:
     keys = tmp_path / "keys"
     keys.write_text(KEY)
