@@ -32,6 +32,7 @@ Sample = TypeVar("Sample")
 OnTransition = Callable[[Machine, Signals, Machine], None]
 
 LONGEST_LOG = 256
+AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
 LONGEST_JUMP = 0.05
 """Of a joint from one telegram to the next, before a reply is looked at twice [rad]."""
 
@@ -121,7 +122,7 @@ class Inbox(Generic[Sample]):
 class Cycle:
     """What the daemon does each cycle."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0915 - all that changes, in one place
         self,
         parameters: Parameters,
         codec: RsiCodec,
@@ -152,6 +153,7 @@ class Cycle:
         self.prepared = 0
         self.replies_lost = self.remade = 0
         self.is_foreign = False
+        self.astray: str | None = None
         self.steps = 0
         self.log_dropped = 0
         self.last: LogEntry | None = None
@@ -175,11 +177,16 @@ class Cycle:
         self._was_lost = False
         self._is_loss_untold = False
         self._pace = 0.0
+        lag = round(self._settings.follow_s / parameters.cycle_s)
+        self._lately: deque[tuple[float, ...]] = deque(maxlen=max(2, lag))
+        self._bearable = parameters.tracker.settings.tactile.overload_force
+        self._was_much = self._is_overloaded = False
         self._programmes: dict[Hashable, _Programme] = {}
         self._was_sent = True
         self._new_session = False
         self._stamp_ns = 0
-        self._position_ns: int | None = None
+        self._distance_ns: int | None = None
+        self._camera_ns: int | None = None
         self._wrench_ns: int | None = None
         self._ready: _Prepared | None = None
         self._swap: _Swap | None = None
@@ -289,6 +296,7 @@ class Cycle:
         if self.is_foreign:
             return self._reply_bare(telegram, stamp_ns)
         self._settle(telegram.delay, verdict.missed + 1)
+        self._stray(robot)
         reply = self._answer(telegram, stamp_ns, verdict.steps)
         self._robot = robot
         self._joints = robot.joints
@@ -399,6 +407,9 @@ class Cycle:
         self._start = start
         self._given = None
         self._taken = held
+        self._lately.clear()
+        self._lately.append(held)
+        self.astray = None
         self._delay = robot.delay
         self._was_lost = False
         self._robot = robot
@@ -513,12 +524,7 @@ class Cycle:
     def _step(self, stamp_ns: int, *, telegram: bool) -> LogEntry:
         """Make one sampling step: operating state first, then the pure step."""
         distance, camera, wrench = self.distance.take(), self.camera.take(), self.wrench.take()
-        if distance:
-            self._position_ns = distance[-1].stamp_ns
-        if camera:
-            self._position_ns = max(self._position_ns or 0, camera[-1].stamp_ns)
-        if wrench:
-            self._wrench_ns = wrench[-1].stamp_ns
+        self._see(distance, camera, wrench)
         self._apply_swap()
         before = self.machine
         self._decide(stamp_ns, telegram=telegram)
@@ -545,21 +551,60 @@ class Cycle:
         state = self.machine.state.value
         return LogEntry(None, state, inputs, outputs, told, self._state, made_with)
 
+    @property
+    def _heard(self) -> tuple[int, ...]:
+        """When each of the sensors of the position was heard last [ns]."""
+        times = (self._distance_ns, self._camera_ns)
+        return tuple(stamp_ns for stamp_ns in times if stamp_ns is not None)
+
+    def _see(
+        self,
+        distance: tuple[DistanceSample, ...],
+        camera: tuple[CameraSample, ...],
+        wrench: tuple[WrenchSample, ...],
+    ) -> None:
+        """Note when each sensor was heard last, and whether two forces in a row were too great."""
+        if distance:
+            self._distance_ns = distance[-1].stamp_ns
+        if camera:
+            self._camera_ns = camera[-1].stamp_ns
+        if wrench:
+            self._wrench_ns = wrench[-1].stamp_ns
+        self._is_overloaded = False
+        for sample in wrench:
+            x, y, z = sample.force
+            much = x * x + y * y + z * z > self._bearable**2
+            self._is_overloaded |= much and self._was_much
+            self._was_much = much
+
+    def _stray(self, robot: RobotSample) -> None:
+        """Note which axis is not where the commands of the last moments led it."""
+        far = self._settings.follow_tolerance
+        self.astray = None
+        for n, ways in enumerate(zip(*self._lately, self._axes(robot), strict=True)):
+            *sent, q = ways
+            if not min(sent) - far <= q <= max(sent) + far:
+                self.astray = f"{AXES[n]} is at {q:.3f}, it was sent to {sent[-1]:.3f} (rad, m)"
+                return
+
     def _decide(self, stamp_ns: int, *, telegram: bool) -> None:
         """Move the operating state on what was seen up to now."""
         outputs = self.last.outputs if self.last is not None else None
         before = self.machine
+        under_way = outputs is not None and (outputs.task_time or 0.0) > 0.0 and self._heard
         facts = watch.Facts(
             stamp_ns=stamp_ns,
             # A link that carries telegrams but no replies is no link.
             telegram=telegram and not self._is_loss_untold,
             new_session=self._new_session,
-            position_ns=self._position_ns,
+            position_ns=max(self._heard, default=None),
+            slower_ns=min(self._heard) if under_way else None,
             wrench_ns=self._wrench_ns,
             wrench_expected=self._wrench_expected,
             ready=outputs is not None and outputs.ready is None,
             contact=outputs is not None and outputs.contact,
-            overload=outputs is not None and outputs.overload,
+            astray=self.astray is not None,
+            overload=self._is_overloaded,
             done=outputs is not None and outputs.phase is Phase.RETREAT,
             clear=outputs is not None and outputs.finished and self._pace < SETTLED,
             orders=frozenset(self._orders),
@@ -601,6 +646,7 @@ class Cycle:
             moved = zip(self.last.outputs.command, entry.outputs.command, strict=True)
             self._pace = max(abs(b - a) for a, b in moved) / self.parameters.cycle_s
         self.last = entry
+        self._lately.append(entry.outputs.command)
         if len(self._log) == LONGEST_LOG:
             self.log_dropped += 1
         self._log.append(entry)
@@ -619,6 +665,7 @@ class Cycle:
             "prepared": self.prepared,
             "inline": self.inline,
             "replies_lost": self.replies_lost,
+            "astray": self.astray,
             "foreign": FOREIGN if self.is_foreign else None,
             "telegrams": {**self.exchange.counters, "unreadable": self.refused},
             "last_refusal": self.last_refusal,
@@ -630,7 +677,9 @@ class Cycle:
                 "log": self.log_dropped,
             },
             "ages_s": {
-                "position": self._age(self._position_ns),
+                "position": self._age(max(self._heard, default=None)),
+                "distance": self._age(self._distance_ns),
+                "camera": self._age(self._camera_ns),
                 "wrench": self._age(self._wrench_ns),
             },
         }

@@ -30,9 +30,14 @@ class WatchSettings:
         leak_limit: level of the leaky bucket (+2 a missed cycle, -1 a good one) that does too.
         position_s: age of the newest position beyond which tracking stops [s].
         position_in_contact_s: the same in contact, which is coasted on the prediction [s].
+        one_sensor_s: age of the older of distance and camera beyond which tracking stops [s]; in
+            contact the force-torque sensor stands in for them.
         wrench_s: age of the newest force [s].
         cycles_of_contact: in a row, before contact counts.
-        cycles_of_overload: in a row, before overload counts.
+        cycles_of_overload: in a row, before overload counts; one is two samples in a row.
+        follow_s: the robot is at most so long behind its commands [s].
+        follow_tolerance: and so far beside where they led it in that time [rad, m].
+        cycles_astray: in a row beyond that, before it counts as a fault: the drives are off.
         longest_hold_s: [s].
         longest_retreat_s: [s].
     """
@@ -44,9 +49,13 @@ class WatchSettings:
     leak_limit: Count = 10
     position_s: Positive = 0.3
     position_in_contact_s: Positive = 0.14
+    one_sensor_s: Positive = 1.0
     wrench_s: Positive = 0.1
     cycles_of_contact: Count = 2
-    cycles_of_overload: Count = 2
+    cycles_of_overload: Count = 1
+    follow_s: Positive = 0.25
+    follow_tolerance: Positive = 0.01
+    cycles_astray: Count = 5
     longest_hold_s: Positive = 60.0
     longest_retreat_s: Positive = 20.0
 
@@ -60,8 +69,11 @@ class Facts:
         telegram: the cycle has a telegram.
         new_session: the controller has started anew.
         position_ns: arrival of the newest accepted position, distance or camera [ns], or None.
+        slower_ns: the same of that sensor of the two whose newest is older [ns]; None while the
+            task waits, for the object may be out of the camera's sight.
         wrench_ns: arrival of the newest force [ns], or None.
         wrench_expected: there is a force-torque sensor.
+        astray: the robot is not where its commands led it.
         ready, object_left, contact, overload, done, clear, fault: as in ``Signals``, raw.
         orders: accepted orders that came since the last cycle.
     """
@@ -70,8 +82,10 @@ class Facts:
     telegram: bool
     new_session: bool = False
     position_ns: int | None = None
+    slower_ns: int | None = None
     wrench_ns: int | None = None
     wrench_expected: bool = True
+    astray: bool = False
     ready: bool = False
     object_left: bool = False
     contact: bool = False
@@ -92,7 +106,7 @@ class Watch:
         good: cycles with a telegram, in a row since the link came.
         missed: cycles without one, in a row.
         leak: level of the leaky bucket.
-        contact, overload: cycles in a row that showed it.
+        contact, overload, astray: cycles in a row that showed it.
         state: the operating state as last seen.
         since_ns: when it was entered [ns].
     """
@@ -104,6 +118,7 @@ class Watch:
     leak: int = 0
     contact: int = 0
     overload: int = 0
+    astray: int = 0
     state: State = State.INIT
     since_ns: int = 0
 
@@ -139,6 +154,7 @@ def _count(watch: Watch, facts: Facts, state: State, settings: WatchSettings) ->
         leak=max(0, min(leak, settings.leak_limit)),
         contact=watch.contact + 1 if facts.contact else 0,
         overload=watch.overload + 1 if facts.overload else 0,
+        astray=watch.astray + 1 if facts.astray else 0,
         state=state,
         since_ns=watch.since_ns if state is watch.state else facts.stamp_ns,
     )
@@ -166,10 +182,12 @@ def _signals(watch: Watch, facts: Facts, settings: WatchSettings) -> Signals:
     stamp_ns = facts.stamp_ns
     coasting = watch.state in IN_CONTACT
     oldest_s = settings.position_in_contact_s if coasting else settings.position_s
+    both = coasting or facts.slower_ns is None
+    both = both or _age_s(facts.slower_ns, stamp_ns) <= settings.one_sensor_s
     wrench_fresh = _age_s(facts.wrench_ns, stamp_ns) <= settings.wrench_s
     return Signals(
         link=watch.link,
-        position_fresh=_age_s(facts.position_ns, stamp_ns) <= oldest_s,
+        position_fresh=_age_s(facts.position_ns, stamp_ns) <= oldest_s and both,
         wrench_fresh=wrench_fresh or not facts.wrench_expected,
         ready=facts.ready,
         object_left=facts.object_left,
@@ -178,7 +196,7 @@ def _signals(watch: Watch, facts: Facts, settings: WatchSettings) -> Signals:
         done=facts.done,
         clear=facts.clear,
         expired=_expired(watch, stamp_ns, settings),
-        fault=facts.fault,
+        fault=facts.fault or watch.astray >= settings.cycles_astray,
         arm="arm" in facts.orders,
         start="start" in facts.orders,
         stop="stop" in facts.orders,

@@ -276,6 +276,126 @@ def test_a_new_session_begins_with_zero_where_the_robot_is_and_needs_arming(
     assert station.cycle.status()["telegrams"]["sessions"] == 2
 
 
+def test_a_programme_that_was_under_way_before_the_daemon_is_only_asked_to_hold(
+    station: Station,
+) -> None:
+    moved = list(station.axes)
+    moved[0] += 0.2
+    station.axes, station.delay = tuple(moved), 40
+    for _ in range(120):
+        told = station.cycle.on_telegram(station.telegram(), station.stamp_ns)
+        assert told == b'<Sen Type="ImFree"><IPOC>%d</IPOC></Sen>' % station.ipoc
+        station.next()
+    status = station.cycle.status()
+    assert status["state"] == "init"
+    assert "start it anew" in status["foreign"]
+    # Started anew: its corrections count from where it stands now.
+    station.ipoc, station.delay, station.start = 5_000, 0, station.axes
+    told = None
+    for _ in range(6):
+        reply = station.cycle.on_telegram(station.telegram(), station.stamp_ns)
+        station.next()
+        if reply is not None:
+            told = CODEC.parse_sensor(reply)
+    assert told is not None
+    assert zero(told)
+    assert station.cycle.status()["foreign"] is None
+
+
+def test_a_programme_that_goes_on_after_a_long_silence_keeps_its_start(station: Station) -> None:
+    moved(station)
+    held = station.axes
+    station.delay = 200  # every cycle of the silence was counted
+    told = station.exchange()
+    assert told.joints is not None
+    assert station.axes == pytest.approx(held, abs=1e-9)
+    assert not zero(told)
+    assert station.cycle.machine.state not in {State.TRACK, State.ARMED}
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_after_another_controller_the_first_one_is_known_again(
+    station: Station, *, lost: bool
+) -> None:
+    station.track(80)
+    held = station.axes
+    station.feed()
+    reply = station.cycle.on_telegram(station.telegram(), station.stamp_ns)
+    assert reply is not None
+    station.next()
+    if not lost:
+        station.take(CODEC.parse_sensor(reply))
+        held = station.axes
+    for k in range(30):
+        station.offset_ns = 5_000_000
+        alien = station.telegram(ipoc=9 + 12 * k, delay=0)
+        station.cycle.on_telegram(alien, station.stamp_ns, "another")
+        station.next()
+    station.next(20)
+    station.offset_ns = 0
+    station.delay = 50 + lost
+    station.exchange()
+    assert station.axes == pytest.approx(held, abs=1e-9)
+
+
+def test_a_telegram_that_comes_after_its_step_gets_that_step(station: Station) -> None:
+    station.track(60)
+    station.feed()
+    steps = station.cycle.steps
+    station.cycle.on_missing(station.stamp_ns)
+    made = station.cycle.last
+    station.offset_ns = 7_000_000
+    station.exchange(feed=False)
+    station.offset_ns = 0
+    assert station.cycle.steps == steps + 1
+    assert made is not None
+    assert station.axes == pytest.approx(made.outputs.command, abs=1e-9)
+    station.exchange()
+    assert station.cycle.steps == steps + 2
+
+
+def test_a_robot_that_does_not_go_where_it_is_sent_is_held_with_the_axis_named(
+    station: Station,
+) -> None:
+    station.track(60)
+    braked = station.axes
+    for _ in range(60):
+        station.exchange()
+        station.axes = braked
+        if station.cycle.machine.state is not State.TRACK:
+            break
+    assert station.cycle.machine.state in {State.HOLD, State.FAULT}
+    assert station.cycle.machine.latched
+    assert "it was sent to" in station.cycle.status()["astray"]
+    station.run(3)
+    assert station.cycle.machine.state is State.FAULT
+
+
+@pytest.mark.parametrize(("forces", "retreats"), [((900.0,), False), ((900.0, 900.0), True)])
+def test_one_sample_of_overload_is_ignored_and_the_second_is_not(
+    station: Station, forces: tuple[float, ...], *, retreats: bool
+) -> None:
+    station.track(30)
+    for i, force in enumerate((0.0, *forces, 0.0)):
+        stamp_ns = station.stamp_ns - 8_000_000 + 2_000_000 * i
+        station.cycle.feed_wrench(WrenchSample(stamp_ns, (0.0, force, 0.0), (0.0,) * 3))
+    station.exchange()
+    assert (station.cycle.machine.state is State.RETREAT) == retreats
+
+
+def test_two_samples_of_overload_in_two_cycles_are_two_in_a_row(station: Station) -> None:
+    station.track(30)
+    for _ in range(2):
+        station.exchange()
+        station.cycle.feed_wrench(WrenchSample(station.stamp_ns, (0.0, 0.0, 500.0), (0.0,) * 3))
+        station.exchange(feed=False)
+    assert station.cycle.machine.state is State.TRACK
+    for _ in range(2):
+        station.cycle.feed_wrench(WrenchSample(station.stamp_ns, (0.0, 0.0, 500.0), (0.0,) * 3))
+        station.exchange(feed=False)
+    assert station.cycle.machine.state is State.RETREAT
+
+
 def test_a_link_that_was_lost_in_motion_latches_a_fault(station: Station) -> None:
     station.track(30)
     for _ in range(12):

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -101,11 +100,29 @@ def test_a_force_is_needed_only_where_there_is_a_sensor() -> None:
     assert run.cycle(wrench_ns=run.now_ns).wrench_fresh
 
 
-@pytest.mark.parametrize("what", ["contact", "overload"])
-def test_one_sample_of_force_changes_nothing(what: str) -> None:
+def test_one_cycle_of_contact_changes_nothing() -> None:
     run = Run()
-    seen = [getattr(run.cycle(**{what: shown}), what) for shown in (True, False, True, True, False)]
+    seen = [run.cycle(contact=shown).contact for shown in (True, False, True, True, False)]
     assert seen == [False, False, False, True, False]
+
+
+def test_one_sensor_alone_is_borne_for_a_second_while_the_task_is_under_way() -> None:
+    for state, bearable_s in ((State.TRACK, 1.0), (State.ARMED, 1.0), (State.CONTACT, 1e6)):
+        run = Run(state)
+        for age_s in (0.5, 0.999, 1.001, 3.0):
+            now_ns = run.now_ns + CYCLE_NS
+            signals = run.cycle(position_ns=now_ns, slower_ns=now_ns - round(age_s * 1e9))
+            assert signals.position_fresh == (age_s <= bearable_s)
+    assert run.cycle(position_ns=run.now_ns, slower_ns=None).position_fresh
+
+
+def test_a_robot_that_is_elsewhere_for_five_cycles_in_a_row_is_a_fault() -> None:
+    run = Run(State.TRACK)
+    assert not any(run.cycle(astray=True).fault for _ in range(4))
+    assert not run.cycle(astray=False).fault
+    seen = [run.cycle(astray=True).fault for _ in range(6)]
+    assert seen == [False] * 4 + [True] * 2
+    assert not run.cycle(astray=False).fault
 
 
 def test_a_hold_expires_and_the_count_begins_with_the_state() -> None:
