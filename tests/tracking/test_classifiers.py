@@ -41,7 +41,7 @@ IMM = ImmClassifier(CONVEYOR, FUSION, BankSettings(), ImmSettings(), NOISE)
 CONSTANT = RuleClassifier(CONVEYOR, FUSION, RuleSettings(), NOISE, classes=False)
 
 each = pytest.mark.parametrize("classifier", [RULE, BANK, IMM], ids=["rule", "bank", "imm"])
-SEEDS = range(4)
+SEEDS = range(3)
 STOPPED = NOMINAL / STOP  # how long a stop takes [s]
 STARTED = NOMINAL / START
 
@@ -148,7 +148,7 @@ def test_a_view_is_tentative_from_trial_to_verdict(classifier: Classifier) -> No
 
 @each
 def test_a_conveyor_that_runs_on_is_left_in_peace(classifier: Classifier) -> None:
-    truth = Truth(25.0, seed=11)
+    truth = Truth(10.0, seed=11)
     told = tell(classifier, truth)
     assert told.count("confirmed") == 0
     assert np.abs(told.position_errors(truth, 0.0)).max() < 0.0012
@@ -161,13 +161,13 @@ def test_outliers_of_100_mm_neither_confirm_nor_disturb(
     classifier: Classifier, events: tuple[tuple[float, float], ...]
 ) -> None:
     """A reading of nonsense is as good as none: the belief is that of a gap, to the last bit."""
-    truth = Truth(6.0, events, seed=2)
+    truth = Truth(4.0, events, seed=2)
     times = np.arange(-LEAD + 0.5, truth.seconds, T0)
     clean = Sensor(seed=2).read(truth, times)
     rng = np.random.default_rng(8)
     wrong = (rng.random(len(times)) < 0.03) & (times > 0.0)
     wrong[1:] &= ~wrong[:-1]  # at most one in a row; two are another test
-    assert wrong.sum() > 8
+    assert wrong.sum() > 5
     jumps = clean + rng.choice((-0.1, 0.1), len(times))
     told = tell(classifier, truth, readings=np.where(wrong, jumps, clean))
     gaps = tell(classifier, truth, readings=np.where(wrong, np.nan, clean))
@@ -220,11 +220,11 @@ def test_a_sensor_that_is_silent_for_half_a_second_is_survived(classifier: Class
 
 @each
 @pytest.mark.parametrize("source", [Source.DISTANCE, Source.CAMERA])
-@pytest.mark.parametrize("delay", [0.0123, 0.1, 0.25])
+@pytest.mark.parametrize("delay", [0.0123, 0.25])
 def test_delayed_rows_tell_the_same_of_a_constant_speed_as_rows_without_delay(
     classifier: Classifier, delay: float, source: Source
 ) -> None:
-    times = np.arange(0.0, 6.0, T0)
+    times = np.arange(0.0, 4.0, T0)
     prompt = late = classifier.initial(0.0)
     for t in times[1:]:
         known = [row(NOMINAL * t, delay=0.0)]
