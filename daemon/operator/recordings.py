@@ -1,21 +1,27 @@
-"""Recordings read back: the texts of the cell and the steps, from MCAP files.
+"""Recordings read back: the texts of the cell, the steps and what a replay needs, from MCAP files.
 
 Law of this file: only reading. A recording that ends early is read as far as it goes; what is no
 recording is refused with its place. Heavy imports come with the first file.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from mcap.records import Message
+
     from linemate.daemon.recording import StepRecord
+    from linemate.daemon.replay import Piece
 
 TOPIC = "/linemate/step"
+STATE = "/linemate/state"
+PARAMETERS = "/linemate/parameters"
 METADATA = "linemate"
 LAYOUT = "layout"
 MOST_STEPS = 2_000_000
+LONGEST_RECORD = 64 * 1_048_576
 
 
 class UnreadableRecordingError(Exception):
@@ -43,49 +49,99 @@ def read(path: Path) -> Recording:
     Raises:
         UnreadableRecordingError: it cannot be opened, or is no recording.
     """
-    import json
-
-    from linemate.daemon.recording import RecordingError, decode
+    from linemate.daemon.recording import StepRecord
+    from linemate.daemon.replay import Broken, Texts
 
     texts: dict[str, str] = {}
     steps: list[StepRecord] = []
-    layout = None
     whole = True
-    try:
-        with path.open("rb") as stream:
-            for record in _records(stream):
-                if record is None:
-                    whole = False
-                elif isinstance(record, dict):
-                    texts = record
-                    layout = {
-                        name: tuple(fields) for name, fields in json.loads(texts[LAYOUT]).items()
-                    }
-                elif layout is not None and len(steps) < MOST_STEPS:
-                    steps.append(decode(record, layout))
-    except OSError as error:
-        raise UnreadableRecordingError(f"{path}: {error.strerror}") from error
-    except (RecordingError, ValueError, KeyError, AttributeError) as error:
-        raise UnreadableRecordingError(f"{path}: not a linemate recording: {error}") from error
-    if layout is None:
-        raise UnreadableRecordingError(f"{path}: not a linemate recording")
+    for piece in pieces(path):
+        if isinstance(piece, Texts):
+            texts = dict(piece.texts)
+        elif isinstance(piece, Broken):
+            whole = False
+        elif isinstance(piece, StepRecord) and len(steps) < MOST_STEPS:
+            steps.append(piece)
     return Recording(texts, tuple(steps), whole)
 
 
-def _records(stream: Any) -> Iterator[dict[str, str] | bytes | None]:
-    """Return metadata as dict, messages as bytes, and None if the file breaks off."""
-    from mcap.exceptions import McapError
-    from mcap.records import Channel, Message, Metadata
-    from mcap.stream_reader import StreamReader
+def pieces(path: Path) -> Iterator["Piece"]:
+    """Return what a replay needs, in its order, as it is read.
 
-    topics: set[int] = set()
+    Raises:
+        UnreadableRecordingError: it cannot be opened, or is no recording.
+    """
+    from mcap.records import Message, Metadata
+
+    from linemate.daemon.recording import RecordingError
+    from linemate.daemon.replay import Broken, Texts
+
+    layout: dict[str, tuple[str, ...]] | None = None
+    topics: dict[int, str] = {}
     try:
-        for record in StreamReader(stream).records:
-            if isinstance(record, Metadata) and record.name == METADATA:
-                yield dict(record.metadata)
-            elif isinstance(record, Channel) and record.topic == TOPIC:
-                topics.add(record.id)
-            elif isinstance(record, Message) and record.channel_id in topics:
-                yield record.data
-    except (McapError, EOFError, RuntimeError):
-        yield None
+        with path.open("rb") as stream:
+            for record in records(stream, topics):
+                if isinstance(record, Metadata) and record.name == METADATA:
+                    layout = _layout(record.metadata)
+                    yield Texts(dict(record.metadata))
+                elif isinstance(record, Message) and layout is not None:
+                    yield from _piece(topics[record.channel_id], record, layout)
+                elif isinstance(record, str):
+                    yield Broken(record)
+    except OSError as error:
+        raise UnreadableRecordingError(f"{path}: {error.strerror}") from error
+    except (RecordingError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UnreadableRecordingError(f"{path}: not a linemate recording: {error}") from error
+    if layout is None:
+        raise UnreadableRecordingError(f"{path}: not a linemate recording")
+
+
+def records(stream: Any, topics: dict[int, str] | None = None) -> Iterator[Any]:
+    """Return the records of an MCAP file in their order, and why it breaks off, if it does.
+
+    Args:
+        stream: open for reading.
+        topics: takes the topic of each channel as it comes.
+
+    Returns:
+        Records of the package ``mcap``; a text at last where the file breaks off.
+    """
+    from mcap.exceptions import McapError
+    from mcap.records import Channel
+    from mcap.stream_reader import CRCValidationError, StreamReader
+    from zstandard import ZstdError
+
+    try:
+        reader = StreamReader(stream, validate_crcs=True, record_size_limit=LONGEST_RECORD)
+        for record in reader.records:
+            if isinstance(record, Channel) and topics is not None:
+                topics[record.id] = record.topic
+            yield record
+    except (McapError, EOFError, RuntimeError, ZstdError, CRCValidationError) as error:
+        yield f"{type(error).__name__}: {error}".rstrip(": ")
+
+
+def _piece(
+    topic: str, message: "Message", layout: Mapping[str, tuple[str, ...]]
+) -> "Iterable[Piece]":
+    import json
+
+    import msgpack
+
+    from linemate.daemon.recording import decode
+    from linemate.daemon.replay import InForce, StateBefore
+
+    if topic == TOPIC:
+        yield decode(message.data, layout)
+    elif topic == STATE:
+        k, data, anew = msgpack.unpackb(message.data)
+        yield StateBefore(k, data, anew)
+    elif topic == PARAMETERS:
+        told = json.loads(message.data)
+        yield InForce(told["k"], told["settings"])
+
+
+def _layout(metadata: Mapping[str, str]) -> dict[str, tuple[str, ...]]:
+    import json
+
+    return {name: tuple(fields) for name, fields in json.loads(metadata[LAYOUT]).items()}

@@ -53,7 +53,7 @@ class Kind(Enum):
     """What an item is; its payload in brackets."""
 
     STEP = auto()  # bytes of recording.encode
-    STATE = auto()  # (k, State)
+    STATE = auto()  # (k, State, whether it is not what the step before led to)
     PARAMETERS = auto()  # (k, Parameters, who, changed)
     SHOWN = auto()  # viewer_messages.Glimpse
     TIMING = auto()  # CycleTimes
@@ -116,10 +116,10 @@ class Feed:
         if entry.parameters is not None and entry.parameters is not self._parameters:
             yield Item(Kind.PARAMETERS, stamp, self._change(inputs.k, entry.parameters))
             self._parameters = entry.parameters
-        is_due = entry.before is not self._after or stamp - self._state_ns >= STATE_NS
-        if entry.before is not None and is_due:
+        anew = entry.before is not self._after
+        if entry.before is not None and (anew or stamp - self._state_ns >= STATE_NS):
             self._state_ns = stamp
-            yield Item(Kind.STATE, stamp, (inputs.k, entry.before))
+            yield Item(Kind.STATE, stamp, (inputs.k, entry.before, anew))
         self._after = entry.after
         yield Item(Kind.STEP, stamp, data)
         if self._state != entry.state:
@@ -196,9 +196,9 @@ class StepFile:
         if item.kind is Kind.STEP:
             self.write(stamp, payload)
         elif item.kind is Kind.STATE:
-            k, state = payload
+            k, state, anew = payload
             try:
-                data = msgpack.packb([k, snapshot.encode(state)])
+                data = msgpack.packb([k, snapshot.encode(state), anew])
             except snapshot.SnapshotError as error:
                 self._say(stamp, f"steps from {k} on cannot be replayed: {error}")
             else:
