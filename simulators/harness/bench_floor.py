@@ -116,12 +116,16 @@ class Words:
 
     def __init__(self, child: Child) -> None:
         self.child = child
-        self._stream = child.log.open(encoding="utf-8")
+        self._read = 0
         self._rest = ""
 
     def new(self) -> list[list[str]]:
         """The words of every whole line since the last call."""
-        *lines, self._rest = (self._rest + self._stream.read()).split("\n")
+        with self.child.log.open("rb") as log:
+            log.seek(self._read)
+            data = log.read()
+        self._read += len(data)
+        *lines, self._rest = (self._rest + data.decode("ascii", "replace")).split("\n")
         return [line.split() for line in lines]
 
     def await_line(self, head: str, children: Children) -> list[str]:
@@ -135,10 +139,6 @@ class Words:
         wait_until(there, children, PATIENCE_S, f"{self.child.name}: {head}", poll_s=0.005)
         return found[-1]
 
-    def close(self) -> None:
-        """Listen no more."""
-        self._stream.close()
-
 
 def start_echo(children: Children, program: Path | None, folder: Path, place: Place) -> int:
     """Start the echo.
@@ -148,9 +148,7 @@ def start_echo(children: Children, program: Path | None, folder: Path, place: Pl
     """
     command = [sys.executable, "-c", PYTHON_ECHO] if program is None else [str(program), "echo"]
     child = children.start("echo", command, folder / "echo.log")
-    words = Words(child)
-    port = int(words.await_line("port", children)[1])
-    words.close()
+    port = int(Words(child).await_line("port", children)[1])
     place.give(child.pid)
     return port
 

@@ -2,6 +2,7 @@
 
 import json
 from argparse import Namespace
+from pathlib import Path
 
 import pytest
 
@@ -52,20 +53,51 @@ def test_every_round_does_the_same_work(tape: Tape) -> None:
     assert len(set(once)) > 1
 
 
+MODE = {
+    "p50_us": 90.0, "p99_us": 160.0, "echo_p50_us": 60.0, "echo_p99_us": 110.0, "p50_ratio": 1.5,
+    "p99_ratio": 1.45, "late": 2, "late_unexplained": 0, "cycles": 500, "prepared": 0.998,
+}  # fmt: skip
+MEASURED = {
+    "version": 1,
+    "machine": host.machine(),
+    "rounds": 5,
+    "notes": ["a remark"],
+    "echo": "c",
+    "turnaround": {
+        "4ms": {"idle": MODE, "loaded": MODE, "inline": MODE | {"p99_us": None, "prepared": 0.0}}
+    },
+    "cpu_per_cycle_us": 350.0,
+    "start_s": 1.5,
+    "wakeup": {"p99_us": 80.0, "c_p99_us": 62.0, "p99_ratio": 1.29},
+    "step_us": {"42": 250.0, "125": 300.5, "500": 420.0},
+    bench.VIRTUAL: 21.3,
+}
+ARGUMENTS = {"rounds": 5, "round_s": 0.8, "cycles": (4,), "parts": bench.PARTS, "plot": None}
+
+
 def test_figures_are_printed_as_json_and_as_a_table(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    measured = {
-        "version": 1,
-        "machine": host.machine(),
-        "rounds": 5,
-        "step_us": {"42": 250.0, "125": 300.5, "500": 420.0},
-        bench.VIRTUAL: 21.3,
-    }
-    monkeypatch.setattr(bench, "measure_all", lambda: measured)
-    assert bench.main(Namespace(json=True)) == 0
+    monkeypatch.setattr(bench, "measure_all", lambda _: MEASURED)
+    assert bench.main(Namespace(json=True, **ARGUMENTS)) == 0
     assert json.loads(capsys.readouterr().out)["step_us"]["125"] == 300.5
-    assert bench.main(Namespace(json=False)) == 0
+    picture = tmp_path / "bench.png"
+    assert bench.main(Namespace(json=False, **(ARGUMENTS | {"plot": picture}))) == 0
     told = capsys.readouterr().out
     assert "horizon 42 at 12 ms" in told
     assert "21.3 times real time" in told
+    assert "beside a bare C echo" in told
+    assert "note: a remark" in told
+    (line,) = [line for line in told.splitlines() if "inline" in line]
+    assert line.split() == ["4ms", "inline", "90", "60", "\N{EN DASH}", "110", "1.50", "1.45", "2",
+                            "0", "500", "0.0"]  # fmt: skip
+    assert picture.stat().st_size > 1000
+
+
+def test_a_bench_measures_only_what_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bench, "HORIZONS", {42: 0.012})
+    options = bench.Options(rounds=1, parts=("step",))
+    result = bench.measure_all(options)
+    assert set(result) == {"version", "machine", "rounds", "notes", "step_us"}
+    assert set(result["step_us"]) == {"42"}
+    assert result["step_us"]["42"] > 0.0

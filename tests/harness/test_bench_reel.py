@@ -1,0 +1,68 @@
+"""What a station said is said again, at any cycle."""
+
+import itertools
+from pathlib import Path
+
+import pytest
+
+from linemate.simulators.harness import bench_player
+from linemate.simulators.harness.bench_reel import DISTANCE_NS, Reel
+
+MS = 1_000_000
+
+
+def reel(cycles: int = 10) -> Reel:
+    """A robot whose joints and axis rise by 1 a ms, and its sensors."""
+    return Reel(
+        robot=[(12 * MS * k, *(12.0 * k,) * 7, k // 5) for k in range(cycles)],
+        distance=[(12 * MS * k + 2 * MS, 1.0 + 0.012 * k) for k in range(cycles)],
+        camera=[(25 * MS * k, 25 * MS * k - 90 * MS, (0.1, 0.2, 0.7), (1.0, 0.0, 0.0, 0.0), None)
+                for k in range(4)],
+        wrench=[(4 * MS * k, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3)) for k in range(3 * cycles)],
+    )  # fmt: skip
+
+
+def test_between_two_telegrams_the_robot_is_on_the_line_between_them() -> None:
+    axes, signals = reel().axes(30 * MS)
+    assert axes == (30.0,) * 7
+    assert signals == 0
+    assert reel().axes(60 * MS) == ((60.0,) * 7, 1)
+    assert reel().axes(0)[0] == (0.0,) * 7
+
+
+def test_beyond_its_end_the_robot_stays() -> None:
+    assert reel().axes(10_000 * MS)[0] == (108.0,) * 7
+
+
+def test_the_distance_sensor_speaks_once_a_cycle_and_no_faster_than_it_can() -> None:
+    for cycle in (12 * MS, 4 * MS, MS):
+        rows = reel().thinned(cycle)
+        steps = {b[0] - a[0] for a, b in itertools.pairwise(rows)}
+        assert steps == {max(cycle, DISTANCE_NS)}
+        for at, reading in rows:
+            assert reading == pytest.approx(1.0 + 0.001 * (at - 2 * MS) / MS)
+
+
+def test_a_reel_comes_back_from_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "reel.json"
+    reel().write(path)
+    again = Reel.read(path)
+    assert again.axes(30 * MS) == reel().axes(30 * MS)
+    assert again.length_ns == reel().length_ns == 108 * MS
+
+
+def test_a_players_telegrams_are_read_by_the_daemons_codec() -> None:
+    from importlib.resources import files
+
+    from linemate.protocol.rsi import RsiCodec, parse_config
+
+    xml = files("linemate.protocol").joinpath("data", "rsi_joints.xml").read_bytes()
+    codec = RsiCodec(parse_config(xml))
+    telegrams = bench_player._telegrams(reel(), 4 * MS)
+    assert len(telegrams) == 27
+    head, tail = telegrams[5]
+    told = codec.parse_robot(b"%b%d%b" % (head, 100_000_020, tail))
+    assert told.ipoc == 100_000_020
+    assert told.joints == pytest.approx((20.0,) * 6)
+    assert told.external is not None
+    assert told.external[0] == pytest.approx(20.0)
