@@ -172,7 +172,8 @@ def fill(
         unread = {complaint.path for complaint in found if complaint.place is None}
         wrong = [one for one in map(_complaint, error.errors(include_url=False)) if one]
         found.extend(complaint for complaint in wrong if complaint.path not in unread)
-    said = {complaint.path for complaint in found}
+    # A key given twice says nothing of its value.
+    said = {complaint.path for complaint in found if complaint.place is None}
     found.extend(c for c in check(document.value) if c.path not in said)
     if found or filled is None:
         raise FileError(document.lines(found))

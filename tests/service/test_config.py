@@ -167,6 +167,12 @@ def test_what_a_dbc_lacks_is_told_at_the_key_that_names_it(write: Write, tmp_pat
         assert f": distance.{key}: distance: " in line
 
 
+def test_a_key_given_twice_does_not_hide_what_is_wrong_with_its_value(write: Write) -> None:
+    first, second = errors(write("task: wheel.yaml\nrsi: {bind: here, bind: there}\n"))
+    assert first.startswith("2:13: rsi.bind: 'here' ")
+    assert second.startswith("2:19: rsi.bind: given twice")
+
+
 def test_directories_that_are_not_there_are_told(write: Write) -> None:
     text = "task: wheel.yaml\nrecording: {directory: none}\nrealtime: {incidents: none}\n"
     told = [line.split(": ")[1] for line in errors(write(text))]
