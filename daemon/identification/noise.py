@@ -22,6 +22,7 @@ WRENCH_WINDOW = 0.06  # in which the tool's ringing is a cubic [s]
 LEAST = 100
 MOVING = 5.0  # steps of the resolution within a window
 GATE = 5.0
+DECIMALS = 7  # of a reading that are looked at [m]
 SLOPE_SHARE = 0.25  # deviation of a slope that is told, of its value
 SLOPE_LEAST = 3e-4  # and in any case [m/m]
 
@@ -127,14 +128,13 @@ def _distance_deviation(clean: Sequence[Array], step: float | None) -> Outcome:
 
 
 def _resolution(values: Array) -> float | None:
-    """Return the step of which all values are multiples, apart from a zero; None if none shows."""
-    distinct = np.unique(np.round(values, 7))
-    if len(distinct) < 5 or len(distinct) > 0.5 * len(values):
+    """Return the step of which all differences of readings are multiples, None if none shows."""
+    distinct = np.unique(np.round(values, DECIMALS))
+    if len(distinct) < 5:
         return None
-    gaps = np.diff(distinct)
-    step = float(np.median(gaps[gaps < 1.5 * float(np.percentile(gaps, 20))]))
+    step = float(np.diff(distinct).min())
     off = (distinct - distinct[0]) / step
-    if float(np.abs(off - np.round(off)).max()) > 0.1:
+    if step < 30.0 * 10.0**-DECIMALS or float(np.abs(off - np.round(off)).max()) > 0.1:
         return None
     return float(distinct[-1] - distinct[0]) / round(float(off[-1]))
 

@@ -27,6 +27,7 @@ LEAST_READINGS = 6
 GATE = 5.0
 CONTACT_MARGIN = 0.1  # around a contact, in which images are not placed [s]
 ITERATIONS = 15
+SETTLED = 1e-7  # share of the cost that a further step must gain
 LEAST_IMAGES = 40
 ALONG = 0.0003  # deviation of the conveyor's position as the distance sensor tells it [m]
 
@@ -220,7 +221,7 @@ def at_rest(view: Views, camera: Camera) -> Rest:
     """Return a first guess of an object that does not swing."""
     positions, turned = placed(view, camera)
     first = turned[len(turned) // 2]
-    turn = np.median(rotations.log_many(turned @ first.T), axis=0)
+    turn = np.median(turns(turned @ first.T), axis=0)
     return Rest(np.median(positions, axis=0), rotations.exp(turn) @ first, np.zeros((0, 2)))
 
 
@@ -252,7 +253,7 @@ def left(scene: Scene, index: int, view: Views, camera: Camera) -> Array:
     expected = np.swapaxes(camera_R, 1, 2) @ turned
     e = np.empty((len(t), 6))
     e[:, :3] = view.positions - seen
-    e[:, 3:] = rotations.log_many(view.rotations @ np.swapaxes(expected, 1, 2))
+    e[:, 3:] = turns(view.rotations @ np.swapaxes(expected, 1, 2))
     return e
 
 
@@ -322,7 +323,7 @@ def _descend(
         else:
             return scene
         gain, scene, cost = cost - cost_trial, trial, cost_trial
-        if gain < 1e-9 * cost:
+        if gain < SETTLED * cost:
             break
     return scene
 
@@ -365,15 +366,13 @@ def _normal(
     for i, view in enumerate(seen):
         spread = _spread(view)
         columns = [*range(i * own, (i + 1) * own), *range(common, size)]
-        J = []
-        for column in columns:
+        e = (left(scene, i, view, camera) / spread)[kept[i]].ravel()
+        jacobian = np.empty((len(e), len(columns)))
+        for j, column in enumerate(columns):
             shift = np.zeros(size)
             shift[column] = steps[column]
-            high = left(_moved(scene, shift), i, view, camera)
-            low = left(_moved(scene, -shift), i, view, camera)
-            J.append((((high - low) / spread)[kept[i]] / (2.0 * steps[column])).ravel())
-        jacobian = np.column_stack(J)
-        e = (left(scene, i, view, camera) / spread)[kept[i]].ravel()
+            moved = (left(_moved(scene, shift), i, view, camera) / spread)[kept[i]].ravel()
+            jacobian[:, j] = (moved - e) / steps[column]
         A[np.ix_(columns, columns)] += jacobian.T @ jacobian
         g[columns] += jacobian.T @ e
     prior = np.append(scene.hand_eye, scene.stamp_error)
@@ -424,6 +423,21 @@ def _moved_mode(mode: Mode, step: Array) -> Mode:
         direction=(direction[0], direction[1], direction[2]),
         levers=(levers[0], levers[1], levers[2]),
     )
+
+
+def turns(R: Array) -> Array:
+    """Return rotation vectors (m, 3) of rotation matrices (m, 3, 3), well below half a turn.
+
+    All at once: `rotations.log_many` is exact up to half a turn, one after another.
+    """
+    sine = 0.5 * np.stack(
+        (R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]), axis=1
+    )
+    length = np.linalg.norm(sine, axis=1)
+    angle = np.arctan2(length, 0.5 * (np.trace(R, axis1=1, axis2=2) - 1.0))
+    stretch = np.where(length < 1e-9, 1.0, angle / np.maximum(length, 1e-9))
+    vectors: Array = sine * stretch[:, None]
+    return vectors
 
 
 def others(axis: int) -> tuple[int, int]:

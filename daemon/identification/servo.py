@@ -87,9 +87,6 @@ def _refusal(found: ServoFit | None) -> Refusal | None:
         return Refusal(f"the axis hardly moved: it lags {found.motion:.1e} rad or m behind")
     if not found.converged:
         return Refusal("no second-order servo within reason explains the answers")
-    if found.residual > MISFIT * found.motion:
-        share = found.residual / found.motion
-        return Refusal(f"a second-order servo leaves {100.0 * share:.0f} % of the lag unexplained")
     deviations = _deviations(found)
     shares = (
         ("frequency", deviations[0] / found.model.frequency_hz, FREQUENCY_SHARE, "%", 100.0),
@@ -100,6 +97,9 @@ def _refusal(found: ServoFit | None) -> Refusal | None:
         if not deviation <= limit:
             doubt = f"+-{scale * deviation:.2g} {unit}".rstrip()
             return Refusal(f"not enough excitation: its {name} is known only to {doubt}")
+    if found.residual > MISFIT * found.motion:
+        share = found.residual / found.motion
+        return Refusal(f"a second-order servo leaves {100.0 * share:.0f} % of the lag unexplained")
     return None
 
 

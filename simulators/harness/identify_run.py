@@ -7,9 +7,8 @@ nothing of the plant's scenario reaches the overlay but by way of the wires.
 """
 
 import argparse
-import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,6 +25,7 @@ from linemate.daemon.service.files import DAEMON_DATA
 from linemate.daemon.service.recorder import StepFile
 from linemate.daemon.tracking.settings import SwingMode, TrackingSettings
 from linemate.simulators.harness import lockstep, scenario_file
+from linemate.simulators.harness.overlay import laid_over
 from linemate.simulators.harness.setup import Setup, override, shipped_task
 from linemate.simulators.plants.scenario import Scenario
 
@@ -71,7 +71,7 @@ def identified(plan: Plan, folder: Path) -> Identified:
     found = identify.from_files(files)
     if not plan.wheels:
         return found
-    wheel = overlaid(_belief(plan, "wheel"), found.overlay)
+    wheel = laid_over(_belief(plan, "wheel"), found.overlay)
     files += [
         record(wheel, plan.seed + 100 + i, folder / f"wheel-{i}.mcap") for i in range(plan.wheels)
     ]
@@ -102,24 +102,6 @@ def record(setup: Setup, seed: int, path: Path) -> Path:
     finally:
         file.close()
     return path
-
-
-def overlaid(setup: Setup, overlay: Mapping[str, Any]) -> Setup:
-    """Return a run with an overlay laid over the daemon's settings.
-
-    Raises:
-        OverrideError: the overlay does not fit.
-    """
-    return override(setup, [f"{path}={json.dumps(value)}" for path, value in leaves(overlay)])
-
-
-def leaves(overlay: Mapping[str, Any], path: str = "") -> list[tuple[str, Any]]:
-    """Return an overlay's values by path; a list is one value."""
-    found: list[tuple[str, Any]] = []
-    for key, value in overlay.items():
-        here = f"{path}.{key}" if path else str(key)
-        found += leaves(value, here) if isinstance(value, Mapping) else [(here, value)]
-    return found
 
 
 def _exercise(plan: Plan) -> Setup:

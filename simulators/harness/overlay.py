@@ -1,0 +1,62 @@
+"""Overlays: identified parameters laid over the daemon's settings of a run.
+
+Law of this file: an overlay has the sections of a configuration (``tracking``, ``control``) and,
+where the hand-eye pose was found wrong, ``task.arm.camera_in_tcp``. It reaches beliefs only; one
+that speaks of the scenario, the truth, is refused. A list is one value and replaces the old one.
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from linemate.daemon.service import documents, files
+from linemate.daemon.service.documents import FileError
+from linemate.daemon.service.files import UnreadableError
+from linemate.simulators.harness.setup import Setup, override
+from linemate.simulators.harness.variants import SetupError
+
+SHIPPED = Path(__file__).with_name("data") / "parameters" / "identified.yaml"
+"""What was identified of the default cell, by `identify_run`, from recordings."""
+
+SECTIONS = ("tracking", "control", "task")
+
+
+def load(path: Path = SHIPPED) -> dict[str, Any]:
+    """Return an overlay's plain values.
+
+    Raises:
+        FileError: no file, no YAML, or a section that is none of a daemon's.
+    """
+    try:
+        data = files.read(path, documents.MAX_BYTES)
+    except UnreadableError as error:
+        raise FileError([f"{path}:1:1: (file): {error}"]) from error
+    document = documents.read(data, str(path))
+    lines = document.lines(document.complaints)
+    value = document.value if isinstance(document.value, dict) else {}
+    lines += [f"{path}:1:1: {key}: unknown section" for key in value if key not in SECTIONS]
+    if lines:
+        raise FileError(lines)
+    return value
+
+
+def laid_over(setup: Setup, overlay: Mapping[str, Any]) -> Setup:
+    """Return a run whose daemon believes an overlay.
+
+    Raises:
+        SetupError: the overlay does not fit.
+    """
+    strange = [key for key in overlay if key not in SECTIONS]
+    if strange:
+        raise SetupError(f"an overlay has no section {', '.join(strange)}")
+    return override(setup, [f"{path}={json.dumps(value)}" for path, value in leaves(overlay)])
+
+
+def leaves(overlay: Mapping[str, Any], path: str = "") -> list[tuple[str, Any]]:
+    """Return an overlay's values by path; a list is one value."""
+    found: list[tuple[str, Any]] = []
+    for key, value in overlay.items():
+        here = f"{path}.{key}" if path else str(key)
+        found += leaves(value, here) if isinstance(value, Mapping) else [(here, value)]
+    return found

@@ -1,0 +1,175 @@
+"""Swing, hand-eye pose, stamps and offset from images: the truth within its doubt, or a reason."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tapes import CAMERA, Sight, seen, tape
+
+from linemate.daemon.identification import scene
+from linemate.daemon.identification.camera import CameraResult, identify_camera
+from linemate.daemon.identification.offset import identify_offset
+from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
+from linemate.daemon.identification.scene import Scene, Views
+from linemate.daemon.identification.swing import SwingResult, identify_swings, look
+from linemate.daemon.identification.tape import Tape
+from linemate.daemon.tracking.settings import CameraNoise
+
+Found = tuple[Scene | None, list[Views]]
+
+
+def looked(*tapes: Tape) -> Found:
+    views = [view for one in tapes for view in scene.views(one, CAMERA, CameraNoise())]
+    return look(views, CAMERA), views
+
+
+def swings(*tapes: Tape) -> tuple[SwingResult, ...]:
+    return identify_swings(*looked(*tapes))
+
+
+def within(outcome: Outcome, true: float, times: float = 4.0) -> bool:
+    assert isinstance(outcome, Estimate), outcome
+    assert outcome.deviation > 0.0
+    return abs(outcome.value - true) <= times * outcome.deviation
+
+
+def test_the_default_swing_is_told_within_its_doubt() -> None:
+    (result,) = swings(seen(Sight()))
+    assert result.mode is not None
+    assert result.mode.axis == 1
+    assert within(result.frequency_hz, 0.62)
+    assert within(result.damping, 0.002)
+    for lever, true in zip(result.levers, (-0.3, 0.0, -0.9), strict=True):
+        assert within(lever, true)
+    assert isinstance(result.frequency_hz, Estimate)
+    assert result.frequency_hz.deviation < 0.002
+
+
+def test_doubts_are_honest_over_many_recordings() -> None:
+    offs = []
+    for seed in range(5):
+        result = swings(seen(Sight(seconds=10.0, seed=seed)))[0]
+        assert isinstance(result.frequency_hz, Estimate)
+        offs.append((result.frequency_hz.value - 0.62) / result.frequency_hz.deviation)
+    assert max(map(abs, offs)) < 4.0
+    assert 0.3 < float(np.sqrt(np.mean(np.square(offs)))) < 2.0
+
+
+def test_two_swings_about_two_axes_are_told_apart() -> None:
+    both = (
+        (0.62, 0.002, (0.0, 0.006, 0.0), (0.9, 0.0, -0.3)),
+        (1.1, 0.01, (0.005, 0.0, 0.0), (0.9, 0.0, -0.3)),
+    )
+    results = swings(seen(Sight(seconds=18.0, swings=both)))
+    told = sorted((r.mode for r in results if r.mode), key=lambda mode: mode.frequency_hz)
+    assert [mode.axis for mode in told] == [1, 0]
+    assert [mode.frequency_hz for mode in told] == pytest.approx([0.62, 1.1], rel=0.01)
+    assert told[1].levers == pytest.approx((0.0, 0.3, 0.0), abs=0.06)
+
+
+def test_an_object_at_rest_does_not_swing() -> None:
+    (result,) = swings(seen(Sight(swings=())))
+    assert isinstance(result.frequency_hz, Refusal)
+    assert "nothing swings" in result.frequency_hz.reason
+
+
+def test_an_oblique_swing_is_refused_but_its_frequency_told() -> None:
+    oblique = ((0.62, 0.002, (0.0, 0.005, 0.004), (0.9, 0.0, -0.3)),)
+    result = swings(seen(Sight(swings=oblique)))[0]
+    assert result.mode is None
+    assert within(result.frequency_hz, 0.62)
+    assert isinstance(result.levers[0], Refusal)
+    assert "off the nearest" in result.levers[0].reason
+
+
+def test_too_short_a_recording_is_refused() -> None:
+    result = swings(seen(Sight(seconds=4.0)))[0]
+    assert result.mode is None
+
+
+def test_no_images_tell_nothing() -> None:
+    found, views = looked(tape())
+    assert found is None
+    assert isinstance(identify_swings(found, views)[0].frequency_hz, Refusal)
+    result = identify_camera(found, views, [tape().images])
+    assert isinstance(result.stamp_error, Refusal)
+    assert isinstance(result.latency, Refusal)
+    assert isinstance(identify_offset(found, views, [], 0.0, 0.0).sensor, Refusal)
+
+
+def camera(*tapes: Tape) -> CameraResult:
+    return identify_camera(*looked(*tapes), [one.images for one in tapes])
+
+
+def test_a_camera_that_hangs_crooked_and_stamps_late_is_found_out() -> None:
+    crooked = (0.004, -0.003, 0.005, 0.006, -0.004, 0.008)
+    result = camera(seen(Sight(hand_eye=crooked, stamp_error=0.006)))
+    for outcome, true in zip((*result.position, *result.rotation), crooked, strict=True):
+        assert within(outcome, true)
+    assert within(result.stamp_error, 0.006)
+    assert isinstance(result.stamp_error, Estimate)
+    assert result.stamp_error.deviation < 0.002
+
+
+def test_a_good_camera_is_left_alone_before_a_moving_object_too() -> None:
+    result = camera(seen(Sight(speed=0.106)))
+    for outcome in (*result.position, *result.rotation, result.stamp_error):
+        assert within(outcome, 0.0)
+    assert isinstance(result.latency, Estimate)
+    assert result.latency.value == pytest.approx(0.1)
+    assert isinstance(result.period, Estimate)
+    assert result.period.value == pytest.approx(0.025)
+
+
+def test_a_tool_that_does_not_turn_tells_no_place_of_the_camera() -> None:
+    result = camera(seen(Sight(turning=0.0)))
+    for outcome in result.position:
+        assert isinstance(outcome, Refusal)
+        assert "turned by only" in outcome.reason
+
+
+def test_a_tool_at_rest_before_an_object_at_rest_tells_no_delay() -> None:
+    result = camera(seen(Sight(turning=0.0, moving=0.0, range_swing=0.0, swings=())))
+    assert isinstance(result.stamp_error, Refusal)
+    assert isinstance(result.rotation[2], Refusal)
+
+
+def test_a_swing_is_found_beside_a_crooked_camera() -> None:
+    crooked = (0.004, -0.003, 0.005, 0.006, -0.004, 0.008)
+    result = swings(seen(Sight(hand_eye=crooked)))[0]
+    assert within(result.frequency_hz, 0.62)
+    assert within(result.levers[2], -0.9)
+
+
+def test_the_offset_of_a_recording_is_told_and_the_sensors_only_over_bodies() -> None:
+    found, views = looked(seen(Sight(offset=0.012)))
+    result = identify_offset(found, views, [0], 0.0, 0.02)
+    assert within(result.recordings[0], 0.012)
+    assert isinstance(result.sensor, Refusal)
+    assert found is not None
+    (rest,) = found.rests
+    off = (-0.04, -0.03, -0.01, 0.02, 0.025, 0.035)
+    bodies = tuple(replace(rest, position=rest.position + np.array((0.0, x, 0.0))) for x in off)
+    many = replace(found, rests=bodies, doubts=np.tile(found.doubts, (6, 1)))
+    shared = identify_offset(many, views * 6, list(range(6)), 0.0, 0.02).sensor
+    assert within(shared, 0.012)
+    same_body = identify_offset(many, views * 6, [0, 0, 0, 1, 1, 1], 0.0, 0.02).sensor
+    assert isinstance(same_body, Refusal)
+
+
+def test_before_and_after_a_contact_are_two_scenes() -> None:
+    one = replace(seen(Sight()), contact=np.array([[8.0, 10.0]]))
+    before, after = scene.views(one, CAMERA, CameraNoise())
+    assert before.times.max() < 7.95
+    assert after.times.min() > 10.05
+
+
+def test_the_conveyor_is_read_through_outliers_and_steps() -> None:
+    t = np.arange(0.0, 3.0, 0.012)
+    readings = np.round(0.106 * t + 2.5e-4 * np.random.default_rng(0).normal(size=len(t)), 3)
+    readings[50] += 0.08
+    asked = np.array([0.01, 0.6, 1.5, 2.9, 5.0])
+    position, speed, known = scene.conveyor(np.column_stack((t, readings)), asked)
+    assert known.tolist() == [True, True, True, True, False]
+    assert position[1:4] == pytest.approx(0.106 * asked[1:4], abs=6e-4)
+    assert speed[1:3] == pytest.approx(0.106, abs=0.01)
