@@ -1,0 +1,130 @@
+"""The parts of a cycle make its account, and a bad moment leaves a file."""
+
+import asyncio
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from loops import run, until
+
+from linemate.daemon.service.account import Account
+from linemate.daemon.service.cycle import LogEntry
+from linemate.daemon.service.incidents import LINES_A_CYCLE, MOST_FILES, IncidentFiles
+from linemate.daemon.service.schedule import follow, free
+from linemate.daemon.service.states import State
+from linemate.daemon.service.timing import CycleTimes, Incident, Timing
+
+T = 12_000_000
+
+
+def test_a_prepared_cycle_is_accounted_for_with_its_parts(entries: tuple[LogEntry, ...]) -> None:
+    account = Account(Timing(T))
+    entry = replace(entries[3], ipoc=36)
+    account.prepared(woken_late_ns=20_000, step_ns=300_000)
+    account.expected(follow(free(T, 0), entry.inputs.stamp_ns - 5_000, T, 500_000))
+    account.close([entry], turnaround_ns=70_000)
+    (told,) = account.timing.last()
+    assert told == CycleTimes(
+        ipoc=36, arrival_ns=entry.inputs.stamp_ns, expected_ns=entry.inputs.stamp_ns - 5_000,
+        woken_late_ns=20_000, lead_ns=500_000, step_ns=300_000, turnaround_ns=70_000,
+        prepared=True, state=entry.state,
+    )  # fmt: skip
+    ages = account.timing.ages
+    assert ages["distance"].greatest_ns == 1_000_000
+    assert ages["camera"].greatest_ns == 2_000_000
+
+
+def test_what_was_of_one_cycle_is_not_of_the_next(entries: tuple[LogEntry, ...]) -> None:
+    account = Account(Timing(T))
+    account.prepared(woken_late_ns=20_000, step_ns=300_000)
+    account.close([replace(entries[0], ipoc=12)], turnaround_ns=70_000)
+    account.stepped(900_000)
+    account.close([replace(entries[1], ipoc=24)], turnaround_ns=950_000)
+    account.close([replace(entries[2], ipoc=None)], turnaround_ns=950_000)
+    first, second, third = account.timing.last()
+    assert (first.prepared, second.prepared, third.prepared) == (True, False, False)
+    assert (second.woken_late_ns, second.step_ns) == (None, 900_000)
+    assert (third.step_ns, third.turnaround_ns) == (None, None)
+
+
+def test_after_a_stall_only_the_last_step_has_the_measured_times(
+    entries: tuple[LogEntry, ...],
+) -> None:
+    account = Account(Timing(T))
+    account.stepped(900_000)
+    account.close([replace(e, ipoc=None) for e in entries[:3]] + [replace(entries[3], ipoc=48)], 5)
+    assert [told.step_ns for told in account.timing.last()] == [None, None, None, 900_000]
+
+
+def test_entering_a_fault_takes_the_ring_once(entries: tuple[LogEntry, ...]) -> None:
+    account = Account(Timing(T))
+    account.close([replace(entries[0], state=State.TRACK.value)], None)
+    assert account.take_incident() is None
+    for n in (1, 2):
+        account.close([replace(entries[n], state=State.FAULT.value)], None)
+    incident = account.take_incident()
+    assert incident is not None
+    assert incident.why == "a fault was entered"
+    assert [cycle.state for cycle in incident.cycles] == ["track", "fault"]
+    assert account.timing.incidents == 1
+
+
+def ring(cycles: int) -> Incident:
+    one = CycleTimes(1, 2, 3, 4, 5, 6, 7, prepared=True, state="track")
+    return Incident("a reply was late", 77, (one,) * cycles)
+
+
+def test_an_incident_is_written_a_few_lines_a_cycle(tmp_path: Path) -> None:
+    async def main() -> None:
+        files = IncidentFiles(tmp_path)
+        files.take(ring(50))
+        cycles = 0
+        while not files.written:
+            files.slack()
+            cycles += 1
+            await asyncio.sleep(0)
+            assert cycles < 100_000
+        assert cycles >= 52 // LINES_A_CYCLE
+
+    run(main())
+    (path,) = tmp_path.iterdir()
+    with path.open(encoding="ascii") as text:
+        assert "a reply was late" in next(text)
+        assert len(list(csv.DictReader(text))) == 50
+
+
+def test_the_number_of_files_is_bounded_and_one_is_written_at_a_time(tmp_path: Path) -> None:
+    async def main() -> None:
+        files = IncidentFiles(tmp_path, written=MOST_FILES - 1)
+        files.take(ring(3))
+        files.take(ring(3))
+        assert files.refused == 1
+        files.slack()
+        await until(lambda: files.written == MOST_FILES)
+        files.take(ring(3))
+        files.slack()
+        assert files.refused == 2
+
+    run(main())
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_file_that_cannot_be_written_is_counted(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def main() -> None:
+        files = IncidentFiles(tmp_path / "nowhere")
+        files.take(ring(3))
+        files.slack()
+        await until(lambda: files.failed == 1)
+        assert "was not written" in caplog.text
+
+    run(main())
+
+
+def test_without_a_directory_nothing_is_kept() -> None:
+    files = IncidentFiles(None)
+    files.take(ring(3))
+    files.slack()
+    assert (files.refused, files.written) == (1, 0)
