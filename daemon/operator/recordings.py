@@ -82,7 +82,7 @@ def pieces(path: Path) -> Iterator["Piece"]:
         with path.open("rb") as stream:
             for record in records(stream, topics):
                 if isinstance(record, Metadata) and record.name == METADATA:
-                    layout = _layout(record.metadata)
+                    layout = layout_of(record.metadata)
                     yield Texts(dict(record.metadata))
                 elif isinstance(record, Message) and layout is not None:
                     yield from _piece(topics[record.channel_id], record, layout)
@@ -96,28 +96,46 @@ def pieces(path: Path) -> Iterator["Piece"]:
         raise UnreadableRecordingError(f"{path}: not a linemate recording")
 
 
-def records(stream: Any, topics: dict[int, str] | None = None) -> Iterator[Any]:
+def records(
+    stream: Any, topics: dict[int, str] | None = None, *, chunks: bool = False
+) -> Iterator[Any]:
     """Return the records of an MCAP file in their order, and why it breaks off, if it does.
 
     Args:
         stream: open for reading.
         topics: takes the topic of each channel as it comes.
+        chunks: leave chunks as they are.
 
     Returns:
         Records of the package ``mcap``; a text at last where the file breaks off.
     """
+    import struct
+
     from mcap.exceptions import McapError
     from mcap.records import Channel
     from mcap.stream_reader import CRCValidationError, StreamReader
     from zstandard import ZstdError
 
     try:
-        reader = StreamReader(stream, validate_crcs=True, record_size_limit=LONGEST_RECORD)
+        reader = StreamReader(
+            stream,
+            emit_chunks=chunks,
+            validate_crcs=True,
+            record_size_limit=LONGEST_RECORD,
+        )
         for record in reader.records:
             if isinstance(record, Channel) and topics is not None:
                 topics[record.id] = record.topic
             yield record
-    except (McapError, EOFError, RuntimeError, ZstdError, CRCValidationError) as error:
+    except (
+        McapError,
+        EOFError,
+        RuntimeError,
+        ValueError,
+        struct.error,  # a record cut short: the package unpacks what is not there
+        ZstdError,
+        CRCValidationError,
+    ) as error:
         yield f"{type(error).__name__}: {error}".rstrip(": ")
 
 
@@ -141,7 +159,12 @@ def _piece(
         yield InForce(told["k"], told["settings"])
 
 
-def _layout(metadata: Mapping[str, str]) -> dict[str, tuple[str, ...]]:
+def layout_of(metadata: Mapping[str, str]) -> dict[str, tuple[str, ...]]:
+    """Return the fields of a recording's steps, as it tells them itself.
+
+    Raises:
+        KeyError, ValueError: it does not.
+    """
     import json
 
     return {name: tuple(fields) for name, fields in json.loads(metadata[LAYOUT]).items()}
