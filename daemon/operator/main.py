@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from linemate.daemon.operator import identify, render, replay
+from linemate.daemon.operator import export, identify, render, replay
 from linemate.daemon.operator.client import (
     DEFAULT_PORT,
     DEFAULT_TIMEOUT_S,
@@ -315,6 +315,7 @@ def _parser() -> argparse.ArgumentParser:
 
     identify.add_parser(commands)
     replay.add_parser(commands)
+    export.add_parsers(commands)
     doctor = commands.add_parser("doctor", help="what this host lacks for real time and links")
     doctor.add_argument("--json", action="store_true", help="print JSON")
     doctor.set_defaults(run=_doctor)

@@ -10,7 +10,6 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any, TypeVar
 
 import yaml
@@ -198,12 +197,16 @@ def schema(target: type[Any], title: str) -> dict[str, Any]:
     }
 
 
-@cache
 def _model(target: type[Any]) -> type[BaseModel]:
     """One document under one key, so that stdlib dataclasses inherit the strict settings."""
-    strict = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-    fields: dict[str, Any] = {"root": (target, ...)}
-    return create_model(f"{target.__name__}File", __config__=strict, **fields)
+    if target not in _MODELS:
+        strict = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+        fields: dict[str, Any] = {"root": (target, ...)}
+        _MODELS[target] = create_model(f"{target.__name__}File", __config__=strict, **fields)
+    return _MODELS[target]
+
+
+_MODELS: dict[type[Any], type[BaseModel]] = {}
 
 
 def _complaint(error: Mapping[str, Any]) -> Complaint | None:
