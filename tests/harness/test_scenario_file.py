@@ -53,6 +53,7 @@ def test_every_error_is_told_at_once_in_order_with_its_place() -> None:
         ["x.yaml:6:44", "conveyor.events[0].acceleration"],
         ["x.yaml:7:6", "conveyor.events[1].acceleration"],
         ["x.yaml:7:28", "conveyor.events[1].onset_s"],
+        ["x.yaml:8:24", "camera.dropout_rate"],
         ["x.yaml:8:29", "camera.dropout_rate"],
         ["x.yaml:9:10", "cycle_s"],
     ]
