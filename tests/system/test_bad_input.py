@@ -1,0 +1,529 @@
+"""A daemon and its emulators, each on real links, given what nobody should ever send them.
+
+Law of this file: whatever comes, it is counted where an operator can see it, each telegram is
+still answered, and the robot does not move. The emulator's controller says what was answered, its
+judge what was applied; the daemon's own word is only believed for its counters.
+"""
+
+import asyncio
+import os
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Self, TypeVar
+
+import msgspec
+import numpy as np
+import pytest
+from daemon_process import DaemonProcess
+
+from linemate.protocol import camera
+from linemate.protocol.command import Role
+from linemate.protocol.command_keys import key_line, make_key
+from linemate.protocol.exchange import ControllerCounts
+from linemate.protocol.rsi import SensorTelegram
+from linemate.protocol.slcan import CanFrame, format_frame
+from linemate.simulators.devices.controller import ControllerConfig, RsiController
+from linemate.simulators.devices.emulator import Emulator, EmulatorConfig, EmulatorResult
+from linemate.simulators.plants.scenario import Camera, Scenario
+
+T = TypeVar("T")
+
+LONGEST_S = 240.0
+PATIENCE_S = 40.0
+ROUNDS = 10
+JUNK = (
+    b"",
+    b"\x00",
+    b"\xff" * 500,
+    bytes(range(256)),
+    b"<!DOCTYPE Rob SYSTEM 'file:///etc/passwd'>",
+    b"<Rob Type='KUKA'><IPOC>1</IPOC>",
+    b"<Rob>" * 300,
+    b"{}" * 700,
+    os.urandom(700),
+    b"A" * 2048,
+    b"B" * 2049,
+    b"C" * 4000,
+)
+
+TEXT = """
+task: wheel.yaml
+rsi: {port: 0}
+distance: {can: {interface: slcan, channel: FOLDER/can}}
+camera: {port: 0}
+force_torque: {url: FOLDER/ft}
+command: {socket: c.sock, udp: {port: 0, keys: keys}}
+watch: {healthy_cycles: 10, link_lost_s: 1.0, missed: 50, leak_limit: 1000}
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Glimpse:
+    """What the controller counted up to an instant, and what the daemon says of itself."""
+
+    counts: ControllerCounts
+    row: int
+    status: dict[str, Any]
+
+
+def at(value: Any, *path: str) -> Any:
+    """What stands at a path; 0 where nothing was counted."""
+    for key in path:
+        value = value.get(key, 0)
+    return value
+
+
+class Station:
+    """The emulators in a thread of their own, beside a daemon in a process of its own."""
+
+    def __init__(self, daemon: DaemonProcess) -> None:
+        self.daemon = daemon
+        self._loop = asyncio.new_event_loop()
+        self._stop = asyncio.Event()
+        self._running: asyncio.Future[EmulatorResult] | None = None
+        self._thread = threading.Thread(target=self._loop.run_forever)
+        camera_model = Camera(dropout_rate=0.0, blind_beyond=10.0)
+        self.emulator = Emulator(
+            EmulatorConfig(
+                scenario=Scenario(lead_in_s=1.0, duration_s=LONGEST_S, camera=camera_model),
+                controller=ControllerConfig(timeout=100_000),
+                robot_target=daemon.robot(),
+                camera_target=tuple(daemon.listening["camera"]),
+                can_link=daemon.folder / "can",
+                serial_link=daemon.folder / "ft",
+                wait_answered=3,
+            )
+        )
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        self._running = asyncio.run_coroutine_threadsafe(  # type: ignore[assignment]
+            self.emulator.run(self._stop), self._loop
+        )
+        try:
+            self.cycles(1)
+            self.status_once(
+                lambda s: (
+                    s["state"] == "idle"
+                    and all(one["age_s"] is not None for one in s["links"].values())
+                )
+            )
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._loop.call_soon_threadsafe(self._stop.set)
+        assert self._running is not None
+        try:
+            self._running.result(PATIENCE_S)  # type: ignore[call-arg]
+        finally:
+            self._loop.call_soon_threadsafe(self._loop.stop)
+            self._thread.join()
+            self._loop.close()
+
+    def do(self, action: Callable[..., T], *args: object) -> T:
+        """Call something in the emulators' own thread."""
+
+        async def call() -> T:
+            return action(*args)
+
+        return asyncio.run_coroutine_threadsafe(call(), self._loop).result(PATIENCE_S)
+
+    def until(self, condition: Callable[[], bool]) -> None:
+        """Wait until something holds in the emulators."""
+        end = time.monotonic() + PATIENCE_S
+        while not self.do(condition):
+            assert self._running is None or not self._running.done(), self._running
+            assert time.monotonic() < end, "it did not happen in time"
+            time.sleep(0.005)
+
+    def cycles(self, count: int) -> None:
+        """Wait for so many of the controller's cycles to pass."""
+        wanted = self.rows() + count
+        self.until(lambda: len(self.emulator.truth) >= wanted)
+
+    def rows(self) -> int:
+        """Cycles written down so far."""
+        return self.do(lambda: len(self.emulator.truth))
+
+    def glimpse(self) -> Glimpse:
+        """Everything as of now; the status last, so that it is not older than the counts."""
+        counts, row = self.do(
+            lambda: (replace(self.emulator.link.controller.counts), len(self.emulator.truth))
+        )
+        return Glimpse(counts, row, self.daemon.status())
+
+    def status_once(self, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+        """The daemon's first status that meets a condition."""
+        return self.daemon.status_once(condition, PATIENCE_S)
+
+    def shown(self, *path: str) -> Any:
+        """What ``linemate status --json`` shows at a path; 0 where nothing was counted."""
+        return at(self.daemon.status_by_tool()[1], *path)
+
+    def until_counted(self, action: Callable[[], object], *path: str) -> None:
+        """Do something, once or again, until a count of the daemon's has risen."""
+        before = at(self.daemon.status(), *path)
+        end = time.monotonic() + PATIENCE_S
+        while at(self.daemon.status(), *path) == before:
+            assert time.monotonic() < end, f"{path} stays at {before}"
+            self.do(action)
+            self.cycles(3)
+
+    @contextmanager
+    def unharmed(self) -> Iterator[Glimpse]:
+        """Whatever happens in here, telegrams are answered and the robot stays where it is."""
+        before = self.glimpse()
+        yield before
+        self.cycles(20)
+        after = self.glimpse()
+        end = time.monotonic() + PATIENCE_S
+        while _unanswered(before, after) > 0:  # a busy machine's answers are on their way
+            assert time.monotonic() < end, _told(before, after)
+            self.cycles(1)
+            after = self.glimpse()
+        assert after.counts.answered > before.counts.answered
+        assert after.counts.duplicate == before.counts.duplicate
+        assert after.status["faults"] == 0
+        assert after.status["links"]["robot"]["counters"].get("callback_errors", 0) == 0
+        assert after.status["commands"]["counters"].get("handler_errors", 0) == 0
+        judge = self.emulator.link.controller.judge
+        assert judge.violations == 0, judge.evidence
+        columns = self.do(self.emulator.truth.columns)
+        np.testing.assert_array_equal(np.ptp(columns["setpoints"][: after.row], axis=0), 0.0)
+        assert self.emulator.link.controller.broken is None
+
+
+def _unanswered(before: Glimpse, after: Glimpse) -> int:
+    """Telegrams without any answer, beside those that the daemon tells it never could answer.
+
+    After a stall only the newest telegram of those that wait is worth an answer.
+    """
+    old, new = (one.status["links"]["robot"]["counters"] for one in (before, after))
+    owned = sum(new.get(name, 0) - old.get(name, 0) for name in ("stale", "kernel_drops"))
+    return after.counts.lost - before.counts.lost - owned
+
+
+def _told(before: Glimpse, after: Glimpse) -> str:
+    """Both sides' counts side by side."""
+    return "\n".join(
+        f"{g.counts} {g.status['links']['robot']['counters']} {g.status['telegrams']}"
+        for g in (before, after)
+    )
+
+
+@pytest.fixture(scope="module")
+def station(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Station]:
+    folder = tmp_path_factory.mktemp("station")
+    keys = folder / "keys"
+    keys.write_text(key_line(make_key("panel", Role.OPERATE, bytes(range(32)))))
+    keys.chmod(0o400)
+    with (
+        DaemonProcess(folder, TEXT.replace("FOLDER", str(folder))) as daemon,
+        Station(daemon) as running,
+    ):
+        yield running
+
+
+@pytest.fixture
+def stranger() -> Iterator[socket.socket]:
+    """Somebody else on this host."""
+    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as port:
+        port.bind(("127.0.0.1", 0))
+        port.setblocking(False)
+        yield port
+
+
+def throw(
+    station: Station, port: socket.socket, target: Sequence[Any], junk: Sequence[bytes]
+) -> int:
+    """Send all of it so many times, never faster than the daemon can take it; how many."""
+    for _ in range(ROUNDS):
+        for data in junk:
+            port.sendto(data, tuple(target))
+        station.daemon.status()
+    return ROUNDS * len(junk)
+
+
+def heard(port: socket.socket) -> bytes | None:
+    try:
+        return port.recv(4096)
+    except BlockingIOError:
+        return None
+
+
+# What comes to the daemon.
+
+
+def test_garbage_at_the_robots_port_is_counted_and_every_telegram_answered(
+    station: Station, stranger: socket.socket
+) -> None:
+    target = station.daemon.robot()
+    with station.unharmed() as before:
+        sent = throw(station, stranger, target, JUNK)
+        for junk in JUNK[:9]:  # and from the controller's own address, which is no stranger's
+            station.do(station.emulator.link.put, junk)
+            station.cycles(1)
+        assert heard(stranger) is None
+    links = station.shown("links", "robot", "counters")
+    old = before.status["links"]["robot"]["counters"]
+    fresh = {name: count - old.get(name, 0) for name, count in links.items()}
+    assert fresh["received"] >= sent + 9
+    assert fresh["oversize"] >= 20
+    assert fresh["unanswered"] >= 9
+    assert fresh["received"] == sum(
+        fresh.get(name, 0) for name in ("answered", "unanswered", "stale", "oversize", "crowded")
+    )
+    told = station.shown("telegrams")
+    assert told["unreadable"] - before.status["telegrams"]["unreadable"] >= 9
+    assert told["new_session"] == before.status["telegrams"]["new_session"]
+    assert station.shown("last_refusal")
+
+
+def test_telegrams_with_a_wrong_counter_are_counted_and_not_answered(station: Station) -> None:
+    controller = station.emulator.link.controller
+    codec = controller.codec
+
+    def again(ipoc: int) -> None:
+        """The open cycle's telegram once more, with another counter."""
+        reading = controller._describe(ipoc, controller._read())
+        station.emulator.link.put(codec.format_robot(reading))
+
+    def wrong(offset: int) -> None:
+        again(controller._session.ipoc + offset)
+
+    with station.unharmed() as before:
+        for offset, kind in (
+            (0, "duplicate"),
+            (-12, "backward"),
+            (-1200, "backward"),
+            (5, "refused"),
+            (1_000_003, "refused"),
+            (10**15, "refused"),
+        ):
+            # Of several that wait at once only the newest is judged: on a busy machine, try again.
+            station.until_counted(partial(wrong, offset), "telegrams", kind)
+        for counter in (b"-1", b"1e6", b"0x10", b"", b"9" * 400, b"nan"):
+            telegram = codec.format_robot(controller._describe(7, controller._read()))
+            assert b">7</IPOC>" in telegram
+            unreadable = telegram.replace(b">7</", b">" + counter + b"</")
+            station.until_counted(
+                partial(station.emulator.link.put, unreadable), "telegrams", "unreadable"
+            )
+        assert controller.counts.wrong_ipoc == before.counts.wrong_ipoc
+    assert station.shown("telegrams", "new_session") == before.status["telegrams"]["new_session"]
+
+
+def test_a_second_controllers_flawless_telegrams_are_refused_while_the_first_one_lives(
+    station: Station, stranger: socket.socket
+) -> None:
+    controller = station.emulator.link.controller
+    with station.unharmed() as before:
+        for ipoc in range(12_000, 12_000 + 20 * 12, 12):
+            telegram = codec_telegram(controller, ipoc)
+            stranger.sendto(telegram, station.daemon.robot())
+            station.cycles(1)
+        assert heard(stranger) is None
+    told = station.shown("telegrams")
+    assert told["refused"] >= before.status["telegrams"]["refused"] + 15
+    assert told["new_session"] == before.status["telegrams"]["new_session"]
+
+
+def codec_telegram(controller: RsiController, ipoc: int) -> bytes:
+    """A telegram of a robot that stands elsewhere."""
+    reading = controller._describe(ipoc, controller._read())
+    return controller.codec.format_robot(replace(reading, joints=(0.1,) * 6))
+
+
+def test_garbage_at_the_cameras_port_is_counted_and_poses_still_come(
+    station: Station, stranger: socket.socket
+) -> None:
+    good = camera.CameraMessage(
+        v=1,
+        src="camera",
+        seq=10**6,
+        t_exp=0,
+        t_tx=0,
+        frame="camera",
+        obj="hub",
+        p=(0.0, 0.0, 1.0),
+        q=(1.0, 0.0, 0.0, 0.0),
+    )
+    nan = float("nan")
+    broken = [
+        msgspec.structs.replace(good, p=(nan, 0.0, 0.0)),
+        msgspec.structs.replace(good, p=(0.0, float("inf"), 0.0)),
+        msgspec.structs.replace(good, q=(1.0, 1.0, 0.0, 0.0)),
+        msgspec.structs.replace(good, q=(nan,) * 4),
+        msgspec.structs.replace(good, cov=(-1.0,) * 21),
+        msgspec.structs.replace(good, frame="elsewhere"),
+        msgspec.structs.replace(good, obj="door"),
+    ]
+    target = station.daemon.listening["camera"]
+    with station.unharmed() as before:
+        junk = (*JUNK, *map(camera.encode, broken), camera.encode(good)[:40])
+        sent = throw(station, stranger, target, junk)
+        old = before.status["links"]["camera"]["counters"]
+        station.status_once(
+            lambda s: s["links"]["camera"]["counters"]["samples"] > old["samples"] + 5
+        )
+    counters = station.shown("links", "camera", "counters")
+    fresh = {name: count - old.get(name, 0) for name, count in counters.items()}
+    assert fresh["refused"] + fresh["oversize"] + fresh["kernel_drops"] >= sent
+    assert fresh["refused"] > fresh["oversize"] > 0
+
+
+def test_garbage_at_the_command_ports_is_counted_and_operators_still_answered(
+    station: Station, stranger: socket.socket
+) -> None:
+    target = station.daemon.listening["command"]["udp"]
+    forged = [b"LM" + bytes((1, kind)) + os.urandom(60) for kind in range(12)]
+    with station.unharmed() as before:
+        throw(station, stranger, target, (*JUNK, *forged, b"LM", b"LM" + bytes(1300)))
+        with closing(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)) as local:
+            local.connect(station.daemon.listening["command"]["socket"])
+            for junk in (b"x", b"LM", *forged, os.urandom(1500)):
+                local.send(junk)
+            station.cycles(5)
+    counters, old = station.shown("commands", "counters"), before.status["commands"]["counters"]
+    assert counters["kernel_drops"] >= old.get("kernel_drops", 0) + 10 * (len(JUNK) + 1)
+    dropped = sum(count for name, count in counters.items() if name.startswith("dropped_"))
+    assert dropped >= 10 * len(forged) + len(forged)
+    assert counters.get("orders", 0) >= old.get("orders", 0)
+    assert station.shown("state") == "idle"
+
+
+def test_garbage_on_the_can_adapters_line_is_counted_and_frames_still_come(
+    station: Station,
+) -> None:
+    can = station.emulator.can
+
+    def write(data: bytes) -> None:
+        can.port.write(data)
+
+    with station.unharmed() as before:
+        for junk, kind in (
+            *((junk[:64], "garbage") for junk in (b"\xff" * 64, bytes(range(128, 192)))),
+            (b"t1838FFFF", "refused"),  # says 8 bytes, has 2
+            (b"tXYZ4000000", "garbage"),
+            (b"t183", "garbage"),
+            (format_frame(CanFrame(0x183, b"\x01\x02")), "refused"),  # too short for the message
+            (format_frame(CanFrame(0x7FF, bytes(8))), "other"),
+            (format_frame(CanFrame(0x183, remote=True, length=4)), "remote_frames"),
+        ):
+            station.until_counted(
+                partial(write, junk + b"\r"), "links", "distance", "counters", kind
+            )
+        for junk in (*JUNK, b"\r\r\a\a\r", b"\0" * 3000):
+            station.do(write, junk)
+            station.cycles(1)
+        old = before.status["links"]["distance"]["counters"]
+        station.status_once(
+            lambda s: s["links"]["distance"]["counters"]["samples"] > old["samples"] + 40
+        )
+    assert station.shown("links", "distance", "counters", "lost") == old.get("lost", 0)
+
+
+def test_garbage_on_the_force_torque_line_is_counted_and_wrenches_still_come(
+    station: Station,
+) -> None:
+    with station.unharmed() as before:
+        for junk in (*JUNK[:9], b"\xaa" * 200, os.urandom(1000)):
+            station.do(station.emulator.force_torque.port.write, junk)
+            station.cycles(1)
+        old = before.status["links"]["force_torque"]["counters"]
+        station.status_once(
+            lambda s: s["links"]["force_torque"]["counters"]["samples"] > old["samples"] + 100
+        )
+    counters = station.shown("links", "force_torque", "counters")
+    assert counters["garbage_bytes"] > old.get("garbage_bytes", 0) + 500
+    assert counters["resyncs"] > old.get("resyncs", 0)
+
+
+@pytest.mark.parametrize("name", ["distance", "force_torque"])
+def test_a_port_that_is_unplugged_is_told_and_reopened_when_it_is_back(
+    station: Station, name: str
+) -> None:
+    device = station.emulator.can if name == "distance" else station.emulator.force_torque
+    with station.unharmed() as before:
+        old = before.status["links"][name]["counters"]
+        station.do(device.close)
+        down = station.status_once(lambda s: not s["links"][name]["up"])
+        assert down["health"] == "degraded"
+        assert any(f"link {name} is down" in complaint for complaint in down["complaints"])
+        code, shown = station.daemon.status_by_tool()
+        assert code == 1
+        assert shown["links"][name]["reason"]
+        station.do(device.open)
+        station.status_once(
+            lambda s: (
+                s["links"][name]["up"]
+                and s["links"][name]["counters"]["samples"] > old["samples"] + 20
+            )
+        )
+    counters = station.shown("links", name, "counters")
+    assert counters["lost"] == old.get("lost", 0) + 1
+    assert counters["opened"] == old["opened"] + 1
+    station.status_once(lambda s: not any(name in complaint for complaint in s["complaints"]))
+
+
+# What comes to the emulators.
+
+
+def test_wrong_replies_are_counted_by_the_controller_and_move_nothing(
+    station: Station, stranger: socket.socket
+) -> None:
+    link = station.emulator.link
+    assert link.address is not None
+    sample = station.do(
+        lambda: link.controller.codec.format_sensor(
+            SensorTelegram(1, joints=(0.5,) * 6, external=(1.0,), channels={"DiO": 3})
+        )
+    )
+    assert b"<IPOC>1<" in sample
+    foreign = sample.replace(b"ImFree", b"Somebody")
+    with station.unharmed():
+        old = station.do(lambda: dict(link.controller.refusals))
+        for data in (*JUNK, sample, foreign, sample[:-9]):
+            stranger.sendto(data, link.address)
+            station.cycles(1)
+        station.until(
+            lambda: link.controller.refusals["malformed"] >= old.get("malformed", 0) + len(JUNK)
+        )
+    refusals = link.controller.refusals
+    assert refusals["wrong_ipoc"] == old.get("wrong_ipoc", 0) + 1
+    assert refusals["sentype"] == old.get("sentype", 0) + 1
+    # The telegrams' Delay has told it to the daemon, which goes on.
+    assert station.shown("state") == "idle"
+
+
+def test_a_host_that_writes_nonsense_to_the_devices_is_refused_and_served_on(
+    station: Station,
+) -> None:
+    can, force_torque = station.emulator.can, station.emulator.force_torque
+    with station.unharmed() as before:
+        refused = can.adapter.refused
+        for device, junk in (
+            (can, b"Q9\rS9\rtzz\r\xff\xfe\r" + b"t" * 500 + b"\r"),
+            (force_torque, bytes(200) + b"c,1,2\rm9\r,,,\r\xff"),
+        ):
+            port = os.open(device.port.path, os.O_WRONLY | os.O_NOCTTY)
+            try:
+                os.write(port, junk)
+            finally:
+                os.close(port)
+        station.until(lambda: can.adapter.refused >= refused + 3)
+        station.status_once(
+            lambda s: all(
+                s["links"][name]["counters"]["samples"]
+                > before.status["links"][name]["counters"]["samples"] + 100
+                for name in ("distance", "force_torque")
+            )
+        )
