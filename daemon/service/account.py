@@ -63,22 +63,31 @@ class Account:
         """
         self.timing.incident("a telegram was missing", at_ns)
 
-    def close(self, entries: Sequence[LogEntry], turnaround_ns: int | None) -> None:
+    def close(
+        self, entries: Sequence[LogEntry], turnaround_ns: int | None
+    ) -> tuple[CycleTimes, ...]:
         """The cycle is over.
 
         Args:
             entries: its steps, more than one only after a stall.
             turnaround_ns: of the reply, None if there was none [ns].
+
+        Returns:
+            What they took, one for each step.
         """
+        closed = []
         for entry in entries:
             last = entry is entries[-1]
             self._ages(entry)
-            self.timing.note(self._times(entry, turnaround_ns, measured=last))
+            times = self._times(entry, turnaround_ns, measured=last)
+            self.timing.note(times)
+            closed.append(times)
             if entry.state == State.FAULT and self._state not in {State.FAULT, ""}:
                 self.timing.incident("a fault was entered", entry.inputs.stamp_ns)
             self._state = entry.state
         self._expected_ns = self._woken_late_ns = self._step_ns = None
         self._prepared = False
+        return tuple(closed)
 
     def take_incident(self) -> Incident | None:
         """Return the ring that waits to be written, once."""

@@ -34,12 +34,13 @@ from linemate.daemon.service.cycle import Cycle
 from linemate.daemon.service.incidents import IncidentFiles
 from linemate.daemon.service.notify import Notifier
 from linemate.daemon.service.pace import Pace
-from linemate.daemon.service.recorder import Recorder
+from linemate.daemon.service.recorder import MIB, Recorder, Rotation
 from linemate.daemon.service.schedule import Due, Kind
 from linemate.daemon.service.settings import Corrections
 from linemate.daemon.service.states import State
 from linemate.daemon.service.status import LinkView, Rates, Snapshot, status, telemetry
 from linemate.daemon.service.timing import Timing
+from linemate.daemon.service.viewer_messages import INFO
 from linemate.drivers.camera_udp import CameraLink
 from linemate.drivers.can_bus import CanLink
 from linemate.drivers.datagrams import Address
@@ -129,6 +130,7 @@ class App:
         self._after_waits = False
         self._command: tuple[float, ...] = ()
         self._resting = 0
+        self._links_up: dict[str, bool] = {}
         self._cycled = asyncio.Event()
         self._end: asyncio.Event | None = None
         listed = tuple(parameter_list.every(config))
@@ -326,22 +328,36 @@ class App:
             self._resting = self._resting + 1 if same else 0
             self._command = entry.outputs.command
         self._cycled.set()
-        self._account.close(entries, self._robot.turnaround_ns)
+        times = self._account.close(entries, self._robot.turnaround_ns)
         incident = self._account.take_incident()
         if incident is not None:
             self._incidents.take(incident)
         self._incidents.slack()
         if self._recorder is not None:
-            self._recorder.take(entries)
+            self._recorder.take(entries, times)
         self._commands.poll(self._station.config.command.budget)
         self._notifier.alive(now_ns)
         if now_ns - self._told_ns >= STATUS_EVERY_NS:
             self._told_ns = now_ns
             self._rates.take((link.status for link in self._links), now_ns)
+            self._tell_links(now_ns)
             if self._notifier.address:
                 self._notifier.send(f"STATUS={self._line()}")
         moving = bool(entries) and entries[-1].inputs.order is not Order.HOLD
         self._collector.slack(moving=moving)
+
+    def _tell_links(self, now_ns: int) -> None:
+        """Record which links came and went."""
+        for link in self._links:
+            up = link.status.up
+            if self._links_up.get(link.status.name) != up:
+                self._links_up[link.status.name] = up
+                reason = "" if up else f": {link.status.reason}"
+                self._say(f"link {link.status.name} is {'up' if up else 'down'}{reason}", now_ns)
+
+    def _say(self, text: str, now_ns: int, level: int = INFO) -> None:
+        if self._recorder is not None:
+            self._recorder.say(now_ns, text, level)
 
     def _failed(self, error: Exception) -> None:
         """Count a fault of our own; the log must not drown in it."""
@@ -357,6 +373,8 @@ class App:
         if op in ORDERS:
             reason = self._clock.pace.phase.refusal if op == "arm" else None
             reason = reason or self.cycle.order(op, who)
+            outcome = f", refused: {reason}" if reason else ""
+            self._say(f"{who} ordered {op}{outcome}", time.monotonic_ns())
             if reason is not None:
                 return {"refused": reason}
             return {"state": str(self.cycle.machine.state)}
@@ -367,6 +385,7 @@ class App:
         if self._recorder is None:
             return {"refused": "the configuration names no directory for recordings"}
         reason = self._recorder.start() if action == "start" else self._recorder.stop()
+        self._links_up.clear()
         return {"refused": reason} if reason else {"file": self._recorder.status.file}
 
     def status(self) -> dict[str, Any]:
@@ -470,4 +489,10 @@ def _recorder(station: Station) -> Recorder | None:
         settings.queue,
         settings.chunk_kib * 1024,
         settings.flush_s,
+        Rotation(
+            settings.rotate_mib * MIB,
+            settings.rotate_min * 60.0,
+            None if settings.total_mib is None else settings.total_mib * MIB,
+            settings.reserve_mib * MIB,
+        ),
     )

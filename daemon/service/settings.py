@@ -148,16 +148,24 @@ class RecordingSettings:
     Attributes:
         directory: where they are written; it must exist.
         at_start: record from the start of the daemon; else when ordered.
-        queue: steps that may wait for the disk before any is dropped.
+        queue: messages that may wait for the disk before any step is dropped.
         chunk_kib: size of a chunk of the file.
-        flush_s: what a power cut may lose at most.
+        flush_s: what a sudden end of the process may lose at most [s].
+        rotate_mib: size at which the next file begins.
+        rotate_min: age at which the next file begins [min].
+        total_mib: of all recordings in the directory, the oldest go; None keeps them all.
+        reserve_mib: left free on the disk: with less a recording ends.
     """
 
     directory: Text
     at_start: bool = False
     queue: Count = 4096
     chunk_kib: Annotated[int, Ge(1), Le(4096)] = 64
-    flush_s: Positive = 0.5
+    flush_s: Annotated[float, Gt(0.0), Le(10.0)] = 0.5
+    rotate_mib: Annotated[int, Ge(1), Le(65_536)] = 512
+    rotate_min: Annotated[float, Ge(0.01), Le(10_080.0)] = 60.0
+    total_mib: Annotated[int, Ge(1), Le(100_000_000)] | None = None
+    reserve_mib: Annotated[int, Ge(0), Le(1_000_000)] = 64
 
 
 @dataclass(frozen=True, slots=True)
