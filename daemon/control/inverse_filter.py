@@ -63,18 +63,29 @@ def _response(pulse: Array, omega: Array, cycle_s: float) -> Array:
 
 
 def _fit(
-    response: Array, omega: Array, weight: Array, taps: Array, cycle_s: float, ridge: float
+    response: Array,
+    omega: Array,
+    weight: Array,
+    taps: Array,
+    delay: float,
+    cycle_s: float,
+    ridge: float,
 ) -> Array:
-    """Return the taps (m,) that minimise ``weight |R H - 1|^2 + ridge |R|^2``, sum R = 1."""
+    """Return the taps (m,) that minimise ``weight |R H - 1|^2 + ridge |R|^2``.
+
+    They sum to 1, so that rest is exact, and lead by the model's delay [steps], so that a ramp
+    is: without it a 4 Hz servo keeps 36 um on a 106 mm/s ramp.
+    """
     shift = np.exp(1j * np.outer(omega * cycle_s, taps)) * response[:, None]
     A = np.vstack((shift.real, shift.imag)) * np.tile(weight, 2)[:, None]
     b = np.concatenate((np.ones(len(omega)), np.zeros(len(omega)))) * np.tile(weight, 2)
     m = len(taps)
     scale = ridge * len(omega)
-    normal = np.zeros((m + 1, m + 1))
+    normal = np.zeros((m + 2, m + 2))
     normal[:m, :m] = A.T @ A + scale * np.eye(m)
     normal[:m, m] = normal[m, :m] = 1.0
-    right = np.concatenate((A.T @ b, (1.0,)))
+    normal[:m, m + 1] = normal[m + 1, :m] = taps
+    right = np.concatenate((A.T @ b, (1.0, delay)))
     fitted: Array = np.linalg.solve(normal, right)[:m]
     return fitted
 
@@ -99,9 +110,11 @@ def tap_steps(past_s: float, future_s: float, cycle_s: float) -> Array:
 def servo_inverse(model: ServoModel, settings: FilterSettings, cycle_s: float) -> Array:
     """Return the taps of (12) for one axis, over ``tap_steps`` of the servo's reach."""
     omega, weight = _band(settings)
-    response = _response(servo_pulse(model, cycle_s), omega, cycle_s)
+    pulse = servo_pulse(model, cycle_s)
+    response = _response(pulse, omega, cycle_s)
+    delay = float(np.arange(len(pulse)) @ pulse)
     taps = tap_steps(settings.servo_past_s, settings.servo_future_s, cycle_s)
-    return _fit(response, omega, weight, taps, cycle_s, settings.ridge)
+    return _fit(response, omega, weight, taps, delay, cycle_s, settings.ridge)
 
 
 def effector_inverse(mode: EffectorMode, settings: FilterSettings, cycle_s: float) -> Array:
@@ -115,4 +128,4 @@ def effector_inverse(mode: EffectorMode, settings: FilterSettings, cycle_s: floa
     s = 1j * omega
     response = (2.0 * mode.damping * w * s + w * w) / (s * s + 2.0 * mode.damping * w * s + w * w)
     taps = tap_steps(settings.effector_past_s, settings.effector_future_s, cycle_s)
-    return _fit(response, omega, weight, taps, cycle_s, settings.ridge)
+    return _fit(response, omega, weight, taps, 0.0, cycle_s, settings.ridge)

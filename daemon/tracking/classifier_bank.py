@@ -219,7 +219,8 @@ class BankClassifier:
             u = np.maximum(bank.age - row.delay, 0.0)
             signature = half * u * u
             gate = row.gate * math.sqrt(S)
-            if abs(nu) > gate and not self._plausible(
+            # Written so that a NaN is refused too.
+            if not abs(nu) <= gate and not self._plausible(
                 state, nu, signature - bank.absorbed @ h, gate
             ):
                 refusals = refused.get(row.source, 0) + 1

@@ -143,7 +143,7 @@ class ImmClassifier:
         nu = row.value - state.x @ h
         counts = dict(state.refused)
         live = state.mu > 0.01
-        if bool((nu[live] ** 2 > row.gate**2 * S[live]).all()):
+        if not bool((nu[live] ** 2 <= row.gate**2 * S[live]).any()):
             counts[row.source] = counts.get(row.source, 0) + 1
             if counts[row.source] < REFUSALS:
                 return replace(state, refused=tuple(counts.items()))

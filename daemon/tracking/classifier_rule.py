@@ -166,7 +166,7 @@ class RuleClassifier:
     def _correct(self, state: RuleState, row: Row) -> RuleState:
         """Return (2)-(4) for one row, gated; after some refusals in a row the filter widens."""
         innovation, h, S = self._innovation(state, row)
-        if innovation * innovation > row.gate**2 * max(S, (self.rule.confirmed / 2.0) ** 2):
+        if not innovation * innovation <= row.gate**2 * max(S, (self.rule.confirmed / 2.0) ** 2):
             refusals = state.refused.get(row.source, 0) + 1
             if refusals < REFUSALS:
                 return replace(state, refused={**state.refused, row.source: refusals})
@@ -188,7 +188,7 @@ class RuleClassifier:
         h = np.array((1.0, -row.delay))
         S = float(h @ state.W @ h) + row.variance
         error = row.value - float(h @ state.w) - 0.5 * a * min(row.delay, state.since) ** 2
-        wild = error * error > row.gate**2 * max(S, (self.rule.confirmed / 2.0) ** 2)
+        wild = not error * error <= row.gate**2 * max(S, (self.rule.confirmed / 2.0) ** 2)
         if wild and state.wild + 1 < REFUSALS:
             return replace(state, wild=state.wild + 1)
         if wild:  # it stays: the sensor has moved, or the watch is wrong

@@ -75,6 +75,11 @@ class Transverse:
         P.flat[:: len(noise) + 1] += noise
         return TransverseState(F @ state.x, P, state.rotation, state.refused)
 
+    def _walk(self, delay: float) -> Array:
+        """Return the variance (5,) that the object has walked since a sighting ``delay`` s ago."""
+        x, turn = self.fusion.position**2, self.fusion.angle**2
+        return np.array((x, x, turn, turn, turn)) * max(delay, 0.0)
+
     def rows(self, delay: float) -> Array:
         """Return the rows (5, n) of (8) for x, z and the three turns, ``delay`` s ago."""
         H = np.zeros((STATIC, STATIC + 2 * len(self.swing)))
@@ -103,11 +108,11 @@ class Transverse:
         measured = np.empty(STATIC)
         measured[:TURN] = sighting.position[_ACROSS] - H[:TURN] @ state.x
         measured[TURN:] = turn
-        P, variance = state.P, sighting.variance[_SEEN]
+        P, variance = state.P, sighting.variance[_SEEN] + self._walk(sighting.delay)
         PH = P @ H.T
         S = H @ PH
         S.flat[:: STATIC + 1] += variance
-        if bool((measured * measured > gate * gate * S.diagonal()).any()):
+        if not bool((measured * measured <= gate * gate * S.diagonal()).all()):
             if state.refused + 1 < REFUSALS:
                 return replace(state, refused=state.refused + 1), False
             P = P.copy()
