@@ -9,15 +9,24 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader, make_reader
 
+from linemate.daemon import step as stepping
+from linemate.daemon.operator.recordings import pieces
+from linemate.daemon.operator.recordings import read as read_recording
+from linemate.daemon.parameters import Parameters
 from linemate.daemon.recording import StepRecord, decode, differences
+from linemate.daemon.replay import Verdict, replay
 from linemate.daemon.service.cycle import LogEntry
-from linemate.daemon.service.recorder import LAYOUT, METADATA, TOPIC, Recorder, StepFile
+from linemate.daemon.service.recorder import LAYOUT, METADATA, TOPIC, Recorder, Rotation, StepFile
+from linemate.daemon.service.step_file import TIMING
+from linemate.daemon.service.task_file import Task
+from linemate.daemon.service.timing import CycleTimes
 
 Entries = tuple[LogEntry, ...]
 TEXTS = {"config": "task: wheel.yaml\n", "urdf": "<robot/>"}
@@ -184,3 +193,120 @@ def test_a_killed_process_leaves_a_file_that_can_be_read(tmp_path: Path) -> None
         with pytest.raises(McapError):
             found.extend(message.data for _, _, message in messages)
     assert found == [b"step %d" % k for k in range(100)]
+
+
+def chained(entries: Entries, parameters: Parameters) -> Entries:
+    """The same steps with the states between them, as the cycle hands them on."""
+    rest = entries[0].inputs.robot
+    assert rest is not None
+    state = stepping.initial(parameters, rest)
+    made = []
+    for entry in entries:
+        before = state
+        state, outputs = stepping.step(state, entry.inputs, parameters)
+        made.append(
+            replace(entry, outputs=outputs, before=before, after=state, parameters=parameters)
+        )
+    return tuple(made)
+
+
+def replayed(path: Path) -> list[Verdict]:
+    return list(replay(pieces(path)))
+
+
+def test_a_file_that_is_full_is_followed_by_one_that_stands_for_itself(
+    tmp_path: Path, task: Task, entries: Entries, parameters: Parameters
+) -> None:
+    texts = {"task": task.text, "urdf": task.urdf}
+    recorder = Recorder(tmp_path, texts, flush_s=0.01, rotation=Rotation(size_bytes=1))
+    steps = chained(entries, parameters)
+    assert recorder.start() is None
+    recorder.take(steps[:8])
+    wait_for(lambda: recorder._is_full)
+    recorder.take(steps[8:])
+    wait_for(lambda: recorder.status.files == 2)
+    recorder.close()
+    first, second = sorted(tmp_path.glob("*.mcap"))
+    assert recorder.status.file == str(second)
+    assert [v.k for v in replayed(first)] == list(range(8))
+    assert [v.k for v in replayed(second)] == list(range(8, 20))
+    for verdict in (*replayed(first), *replayed(second)):
+        assert not verdict.changes
+        assert verdict.unmade is verdict.begun is None
+
+
+def test_a_file_that_is_old_is_followed_by_the_next(tmp_path: Path, entries: Entries) -> None:
+    recorder = Recorder(tmp_path, TEXTS, flush_s=0.01, rotation=Rotation(age_s=0.02))
+    assert recorder.start() is None
+    for _ in range(3):
+        wait_for(lambda: recorder._is_full)
+        recorder.take(entries[:1])
+        wait_for(lambda: not recorder._is_full)
+    recorder.close()
+    assert recorder.status.files == len(list(tmp_path.glob("*.mcap"))) == 4
+
+
+def test_the_oldest_recordings_make_room_and_nothing_else_is_touched(
+    tmp_path: Path, entries: Entries
+) -> None:
+    names = ["linemate-20200101T000000.000Z.mcap", "linemate-20210101T000000.000Z.mcap"]
+    for name in (*names, "mine.mcap", "linemate-notes.txt"):
+        (tmp_path / name).write_bytes(b"x" * 1000)
+    recorder = Recorder(tmp_path, TEXTS, rotation=Rotation(total_bytes=1500))
+    assert recorder.start() is None
+    recorder.take(entries)
+    recorder.close()
+    left = {path.name for path in tmp_path.iterdir()}
+    assert names[0] not in left
+    assert {names[1], "mine.mcap", "linemate-notes.txt"} <= left
+    assert len(left) == 4
+
+
+def test_a_disk_that_is_nearly_full_ends_the_recording_with_its_file_readable(
+    tmp_path: Path, entries: Entries
+) -> None:
+    recorder = Recorder(tmp_path, TEXTS, flush_s=0.01, rotation=Rotation(reserve_bytes=2**60))
+    assert recorder.start() is None
+    recorder.take(entries)
+    wait_for(lambda: not recorder.status.recording)
+    assert "MiB are free" in recorder.status.failure
+    assert len(read_recording(Path(recorder.status.file)).steps) == len(entries)
+
+
+def test_dropped_steps_are_bridged_so_that_the_rest_replays(
+    tmp_path: Path, task: Task, entries: Entries, parameters: Parameters
+) -> None:
+    recorder = Recorder(tmp_path, {"task": task.text, "urdf": task.urdf})
+    steps = chained(entries, parameters)
+    assert recorder.start() is None
+    recorder.take(steps[:5])
+    recorder.queue = 0
+    recorder.take(steps[5:9])
+    recorder.queue = 4096
+    recorder.take(steps[9:])
+    recorder.close()
+    assert recorder.status.dropped == 4
+    verdicts = replayed(Path(recorder.status.file))
+    assert [v.k for v in verdicts] == [*range(5), *range(9, 20)]
+    assert all(not v.changes and v.unmade is v.begun is None for v in verdicts)
+
+
+def test_the_lines_for_people_and_the_times_of_cycles_stand_beside_the_steps(
+    recorder: Recorder, entries: Entries
+) -> None:
+    recorder.start()
+    recorder.say(7, "link camera is down: nobody sends")
+    times = CycleTimes(1, 8, None, None, 0, 100, 200, False, "idle")
+    recorder.take(entries, [times])
+    recorder.close()
+    with Path(recorder.status.file).open("rb") as stream:
+        told: dict[str, list[object]] = {}
+        for _, channel, message in make_reader(stream).iter_messages(["/log", TIMING]):
+            told.setdefault(channel.topic, []).append(json.loads(message.data))
+    messages = [line["message"] for line in told["/log"]]  # type: ignore[index]
+    assert messages[0] == "link camera is down: nobody sends"
+    assert "state: track" in messages
+    assert told[TIMING] == [
+        {"ipoc": 1, "arrival_ns": 8, "lead_ns": 0, "step_ns": 100, "turnaround_ns": 200,
+         "prepared": False, "state": "idle"}
+    ]  # fmt: skip
