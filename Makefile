@@ -9,7 +9,7 @@ ETC ?= /etc/linemate
 UNITS ?= /etc/systemd/system
 BIN ?= /usr/local/bin
 
-.PHONY: help demo test lint format bench install clean
+.PHONY: help demo test lint format bench accuracy install clean
 
 help:
 	@echo "make demo     the wheel assembly in real time, ARGS=... for options; leaves out/demo"
@@ -18,6 +18,7 @@ help:
 	@echo "make format   ruff's formatting and safe fixes"
 	@echo "make bench    what a step costs on this machine"
 	@echo "make dst      seeded fault runs in virtual time, SEEDS=FIRST:LAST; ARGS=... for options"
+	@echo "make accuracy the tables of docs/accuracy.md, in hours; ARGS=--short for a few runs"
 	@echo "make install  into PREFIX=$(PREFIX), with units and a first configuration"
 
 demo: .venv/.ok
@@ -42,6 +43,9 @@ bench: .venv/.ok
 
 dst: .venv/.ok
 	@.venv/bin/python -m linemate.simulators.harness.dst $(SEEDS) $(ARGS)
+
+accuracy: .venv/.ok
+	.venv/bin/python -m linemate.simulators.harness.accuracy $(ARGS)
 
 # Debian's python3 has no ensurepip and its pip refuses the system's site-packages:
 # an environment without pip, filled by a pip from outside, needs neither.

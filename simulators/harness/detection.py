@@ -202,20 +202,17 @@ def table(whole: Mapping[str, Any]) -> str:
     variants = whole["detection"]
     lines: list[str] = []
     for kind, label in LABELS.items():
-        cells = {
-            name: dict(_cells(kinds[kind])) for name, kinds in variants.items() if kind in kinds
-        }
-        names = list(dict.fromkeys(name for found in cells.values() for name in found))
-        rows = [(name, *(found.get(name, "-") for found in cells.values())) for name in names]
+        drilled = {name: kinds[kind] for name, kinds in variants.items() if kind in kinds}
+        told = {name: dict(cells(found)) for name, found in drilled.items()}
+        names = list(dict.fromkeys(name for found in told.values() for name in found))
+        rows = [(name, *(found.get(name, "-") for found in told.values())) for name in names]
         if rows:
-            lines += [*aligned((label, *cells), rows), ""]
-    legend = (
-        "latencies: median [95 % interval] (95th percentile; worst), missed of all; rates: an hour"
-    )
-    return "\n".join([*lines, legend])
+            lines += [*aligned((label, *told), rows), ""]
+    return "\n".join([*lines, LEGEND])
 
 
-def _cells(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+def cells(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Name and print every figure of one kind of drill."""
     if "hours" in found:
         hours = found["hours"]
         yield "hours running, standing", f"{hours['running']:.2f}, {hours['standing']:.2f}"

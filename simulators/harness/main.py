@@ -35,9 +35,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit code.
     """
     args = _parser().parse_args(argv)
-    # One thread each: runs are small, parallel and must not depend on how a sum was split.
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
+    one_thread()
     try:
         return _dispatch(args)
     except KeyboardInterrupt:
@@ -46,6 +44,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         # Whoever read the output has gone; a second complaint at exit helps nobody.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+
+
+def one_thread() -> None:
+    """One thread each: runs are small, parallel and must not depend on how a sum was split."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
 
 
 def _dispatch(args: argparse.Namespace) -> int:

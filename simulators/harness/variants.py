@@ -73,6 +73,7 @@ ORACLE = "oracle"
 VARIANTS: dict[str, Transformation] = {
     ORACLE: _default,
     "default": _default,
+    "bank": _classified(ClassifierKind.BANK, mixture=True),
     "imm": _classified(ClassifierKind.IMM, mixture=True),
     "rule": _classified(ClassifierKind.RULE, mixture=False),
     "no-classes": _classified(ClassifierKind.NONE, mixture=False),
