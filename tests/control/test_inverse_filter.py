@@ -151,7 +151,8 @@ def test_the_reach_is_that_of_the_reading_notes() -> None:
 
 
 # Residuals [m] at 12 ms: of a swing of 8 mm, of a ramp of 106 mm/s, of eight sines of 1 mm.
-BOUNDS = {"swing": 12e-6, "ramp": 45e-6, "band": 6e-6}
+# A ramp is exact by construction; the band pays for it with a hundredth of what it has.
+BOUNDS = {"swing": 3e-6, "ramp": 1e-6, "band": 6.2e-6}
 
 
 @pytest.mark.parametrize("cycle_s", CYCLES)

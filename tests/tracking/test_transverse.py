@@ -271,7 +271,8 @@ def test_the_recursion_is_filterpys(modes: tuple[SwingMode, ...]) -> None:
             H[1] += mode.levers[2] * row
             H[TURN + mode.axis] += row
         turn = rotations.log(sighting.rotation)
-        kf.update(np.concatenate((sighting.position[[0, 2]], turn)), H=H)
+        R = np.diag(sighting.variance[[0, 2, 3, 4, 5]] + own._walk(delay))
+        kf.update(np.concatenate((sighting.position[[0, 2]], turn)), R=R, H=H)
     static = np.r_[0, 1, STATIC:size]
     assert np.allclose(state.x[static], kf.x[static], atol=1e-12)
     assert np.allclose(rotations.log(state.rotation), kf.x[TURN:STATIC], atol=1e-12)
