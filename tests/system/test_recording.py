@@ -1,0 +1,78 @@
+"""A real daemon's recording: it replays to the bit, and a sudden death costs its last second."""
+
+import contextlib
+import signal
+import socket
+import time
+from pathlib import Path
+
+from daemon_process import DaemonProcess
+
+from linemate.daemon.operator import main as tool
+from linemate.daemon.operator.recordings import read
+from linemate.daemon.service import task_file
+from linemate.daemon.service.files import DAEMON_DATA, PROTOCOL_DATA
+from linemate.protocol.rsi import RobotTelegram, RsiCodec, parse_config
+
+CYCLE_S = 0.012
+TEXT = """
+task: wheel.yaml
+rsi: {port: 0}
+camera: {port: 0}
+command: {socket: c.sock}
+recording: {directory: ., at_start: true}
+"""
+
+
+def exchange(daemon: DaemonProcess, seconds: float) -> int:
+    """Send telegrams of a robot that stands; how many were answered."""
+    codec = RsiCodec(parse_config((PROTOCOL_DATA / "rsi_joints.xml").read_bytes()))
+    rest = task_file.load(DAEMON_DATA / "wheel.yaml").file.arm.rest_joints
+    answered = 0
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot:
+        robot.connect(daemon.robot())
+        robot.setblocking(False)
+        begin = time.monotonic()
+        for k in range(round(seconds / CYCLE_S)):
+            telegram = RobotTelegram(
+                4_000_000 + 12 * k,
+                joints=rest,
+                external=(0.0,) * 6,
+                tcp=(0.0,) * 6,
+                delay=0,
+                channels={"DiL": 0},
+            )
+            robot.send(codec.format_robot(telegram))
+            time.sleep(max(0.0, begin + (k + 1) * CYCLE_S - time.monotonic()))
+            with contextlib.suppress(BlockingIOError):
+                while robot.recv(2048):
+                    answered += 1
+    return answered
+
+
+def test_what_a_daemon_recorded_replays_to_the_bit(tmp_path: Path) -> None:
+    with DaemonProcess(tmp_path, TEXT) as daemon:
+        answered = exchange(daemon, 1.5)
+        assert daemon.end()[0] == 0
+    (path,) = tmp_path.glob("linemate-*.mcap")
+    recording = read(path)
+    assert recording.whole
+    assert sum(step.ipoc is not None for step in recording.steps) >= 0.9 * answered > 0
+    assert tool.main(["replay", str(path)]) == 0
+
+
+def test_a_daemon_that_is_killed_loses_its_last_second_at_most(tmp_path: Path) -> None:
+    with DaemonProcess(tmp_path, TEXT) as daemon:
+        answered = exchange(daemon, 3.0)
+        daemon.process.send_signal(signal.SIGKILL)
+        killed_ns = time.monotonic_ns()
+        daemon.process.wait(10.0)
+    (path,) = tmp_path.glob("linemate-*.mcap")
+    recording = read(path)
+    assert not recording.whole
+    steps = recording.steps
+    assert answered > 100
+    assert killed_ns - steps[-1].inputs.stamp_ns < 1_000_000_000
+    assert [step.inputs.k for step in steps] == list(range(len(steps)))
+    assert tool.main(["recover", str(path)]) == 0
+    assert tool.main(["replay", str(path.with_name(f"{path.stem}-recovered.mcap"))]) == 0
