@@ -360,6 +360,7 @@ class _Run:
             "camera": {"port": 0},
             "force_torque": {"url": player["force_torque"]},
             "command": {"socket": "command.sock"},
+            "recording": {"directory": ".", "at_start": True},
             "realtime": {
                 **({"priority": place.priority, "lock_memory": True} if place.priority else {}),
                 "cpus": [place.cpu],
