@@ -152,7 +152,7 @@ def test_the_reach_is_that_of_the_reading_notes() -> None:
 
 # Residuals [m] at 12 ms: of a swing of 8 mm, of a ramp of 106 mm/s, of eight sines of 1 mm.
 # A ramp is exact by construction; the band pays for it with a hundredth of what it has.
-BOUNDS = {"swing": 3e-6, "ramp": 1e-6, "band": 6.2e-6}
+BOUNDS = {"swing": 5e-6, "ramp": 2e-6, "band": 6.2e-6}
 
 
 @pytest.mark.parametrize("cycle_s", CYCLES)
