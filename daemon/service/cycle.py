@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 from xml.sax.saxutils import escape
 
 from linemate.daemon import step as stepping
-from linemate.daemon.inputs import Inputs
+from linemate.daemon.inputs import Inputs, Order
 from linemate.daemon.parameters import Parameters
 from linemate.daemon.service import states, watch
 from linemate.daemon.service.states import Machine, Signals, State
@@ -36,6 +36,9 @@ AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
 LONGEST_JUMP = 0.05
 """Of a joint from one telegram to the next, before a reply is looked at twice [rad]."""
 
+RESTING = 10  # telegrams from which is told that a robot rests
+STILL = 2e-4  # and how far apart they are [rad, m]
+BESIDE = 5e-4  # from where it was when the session began [rad, m]
 SETTLED = 0.3  # a retreat is over when no axis is quicker [rad/s, m/s]; it may follow the object
 CATCH_UP_S = 0.3  # steps made at once after a gap, at most
 JOINED_S = 0.15  # unanswered for longer before its first telegram here: it was under way before
@@ -151,7 +154,7 @@ class Cycle:
         self.last_refusal: str | None = None
         self.inline = 0
         self.prepared = 0
-        self.replies_lost = self.remade = 0
+        self.replies_lost = self.remade = self.openings = 0
         self.is_foreign = False
         self.astray: str | None = None
         self.steps = 0
@@ -178,6 +181,7 @@ class Cycle:
         self._is_loss_untold = False
         self._pace = 0.0
         lag = round(self._settings.follow_s / parameters.cycle_s)
+        self._rest: deque[tuple[float, ...]] = deque(maxlen=RESTING)
         self._lately: deque[tuple[float, ...]] = deque(maxlen=max(2, lag))
         self._bearable = parameters.tracker.settings.tactile.overload_force
         self._was_much = self._is_overloaded = False
@@ -296,7 +300,7 @@ class Cycle:
         if self.is_foreign:
             return self._reply_bare(telegram, stamp_ns)
         self._settle(telegram.delay, verdict.missed + 1)
-        self._stray(robot)
+        self._look_where(robot)
         reply = self._answer(telegram, stamp_ns, verdict.steps)
         self._robot = robot
         self._joints = robot.joints
@@ -400,6 +404,7 @@ class Cycle:
     ) -> None:
         """Begin anew with a robot that holds; arming is needed."""
         self.is_foreign = False
+        self.openings += 1
         self._new_session = self._state is not None
         external = (held[6], *robot.external[1:]) if len(held) > 6 else robot.external
         there = replace(robot, joints=held[:6], external=external)  # type: ignore[arg-type]
@@ -407,6 +412,7 @@ class Cycle:
         self._start = start
         self._given = None
         self._taken = held
+        self._rest.clear()
         self._lately.clear()
         self._lately.append(held)
         self.astray = None
@@ -577,11 +583,30 @@ class Cycle:
             self._is_overloaded |= much and self._was_much
             self._was_much = much
 
-    def _stray(self, robot: RobotSample) -> None:
+    def _look_where(self, robot: RobotSample) -> None:
+        """Note an axis that is not where it was sent; look for a better start before motion.
+
+        A session may begin while the robot still comes to rest; corrections count from there.
+        """
+        axes = self._axes(robot)
+        if self._held != self._start or states.order(self.machine) is not Order.HOLD:
+            self._rest.clear()
+            self._stray(axes)
+            return
+        self.astray = None
+        self._rest.append(axes)
+        if len(self._rest) < RESTING:
+            return
+        still = all(max(ways) - min(ways) < STILL for ways in zip(*self._rest, strict=True))
+        beside = any(abs(q - start) > BESIDE for q, start in zip(axes, self._start, strict=True))
+        if still and beside:
+            self._open_session(robot, axes, axes)
+
+    def _stray(self, axes: tuple[float, ...]) -> None:
         """Note which axis is not where the commands of the last moments led it."""
         far = self._settings.follow_tolerance
         self.astray = None
-        for n, ways in enumerate(zip(*self._lately, self._axes(robot), strict=True)):
+        for n, ways in enumerate(zip(*self._lately, axes, strict=True)):
             *sent, q = ways
             if not min(sent) - far <= q <= max(sent) + far:
                 self.astray = f"{AXES[n]} is at {q:.3f}, it was sent to {sent[-1]:.3f} (rad, m)"

@@ -88,7 +88,7 @@ class Oracle:
         self._now_s = now_s
         self.states.add(str(cycle.machine.state))
         for entry in cycle.take_log():
-            self._judge_step(entry, cycle.exchange.session)
+            self._judge_step(entry, cycle.openings)
         if cycle.log_dropped:
             self.blame("queue: steps were dropped from the log")
         if now_s - self._sized_s > 1.0:

@@ -14,7 +14,9 @@ from typing import Any
 from linemate.simulators.devices.faults import KINDS
 from linemate.simulators.plants.scenario import Conveyor, ConveyorEvent, Fault
 
-SHORTEST_S, LONGEST_S = 2.0, 3.2
+SHORTEST_S, LONGEST_S = 1.5, 2.5
+"""Scenario time at which a run may end [s]; the lead-in comes before."""
+
 FIRST_S = -0.4
 """When trouble begins at the earliest, in scenario time; the daemon is hardly ready then [s]."""
 

@@ -302,6 +302,24 @@ def test_a_programme_that_was_under_way_before_the_daemon_is_only_asked_to_hold(
     assert station.cycle.status()["foreign"] is None
 
 
+def test_a_robot_that_comes_to_rest_after_its_session_began_counts_from_where_it_rests(
+    station: Station,
+) -> None:
+    true = station.start
+    for k in range(40):
+        station.axes = (true[0] - 0.02 * 0.8**k, *true[1:])
+        station.feed()
+        reply = station.cycle.on_telegram(station.telegram(), station.stamp_ns)
+        assert reply is not None
+        assert zero(CODEC.parse_sensor(reply))
+        station.next()
+    station.axes = true
+    station.track(60)
+    assert station.cycle.last is not None
+    assert station.cycle.last.outputs.command == pytest.approx(station.axes, abs=2e-4)
+    assert station.cycle.status()["astray"] is None
+
+
 def test_a_programme_that_goes_on_after_a_long_silence_keeps_its_start(station: Station) -> None:
     moved(station)
     held = station.axes
