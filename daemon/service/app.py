@@ -121,6 +121,7 @@ class App:
             attend=self._attend,
         )
         self._collector = realtime.Collector()
+        self._companions = realtime.Companions(host.granted("priority"))
         self._account = Account(Timing(period_ns))
         self._incidents = IncidentFiles(_folder(station, config.realtime.incidents))
         self._arrival: int | None = None
@@ -339,6 +340,7 @@ class App:
         self._notifier.alive(now_ns)
         if now_ns - self._told_ns >= STATUS_EVERY_NS:
             self._told_ns = now_ns
+            self._companions.look()
             self._rates.take((link.status for link in self._links), now_ns)
             self._tell_links(now_ns)
             if self._notifier.address:

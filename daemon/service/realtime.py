@@ -54,6 +54,10 @@ class Host:
     outcomes: list[Outcome] = field(default_factory=list)
     latency_fd: int | None = None
 
+    def granted(self, what: str) -> bool:
+        """Whether something was asked for and granted."""
+        return any(outcome.granted for outcome in self.outcomes if outcome.what == what)
+
     def refusals(self) -> tuple[str, ...]:
         """Sentences for the log and the status."""
         return tuple(o.message for o in self.outcomes if not o.granted)
@@ -120,7 +124,7 @@ def _sentence(what: str, reason: str) -> str:
 
 
 def _fifo(priority: int) -> None:
-    # Threads and children fall back to the ordinary class: the disk must not outrank a sensor.
+    # Children and threads fall back to the ordinary class; threads get the least priority later.
     policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
     os.sched_setscheduler(0, policy, os.sched_param(priority))
 
@@ -157,6 +161,45 @@ def _libc(name: str, *arguments: int) -> None:
     if function(*(ctypes.c_ulong(argument) for argument in arguments)) != 0:
         error = ctypes.get_errno()
         raise OSError(error, os.strerror(error))
+
+
+COMPANION_PRIORITY: Final = 1
+"""Of the other threads: above every ordinary program, below everything in real time."""
+
+TASKS: Final = Path("/proc/self/task")
+
+
+@dataclass(slots=True)
+class Companions:
+    """The other threads, which hold the interpreter now and then.
+
+    While one does, the loop waits for it; if it belonged to the ordinary class, a busy machine
+    would make both wait (measured: p99 of a wake 3 ms instead of 0.6 ms).
+
+    Attributes:
+        wanted: the loop has a real-time priority, so they get the least one.
+        granted, refused: threads.
+    """
+
+    wanted: bool
+    granted: int = 0
+    refused: int = 0
+    _known: frozenset[int] = frozenset()
+
+    def look(self) -> None:
+        """Give new threads their priority; now and then, in the slack."""
+        if not self.wanted:
+            return
+        found = frozenset(int(task.name) for task in TASKS.iterdir()) - {os.getpid()}
+        for thread in found - self._known:
+            try:
+                least = os.sched_param(COMPANION_PRIORITY)
+                os.sched_setscheduler(thread, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, least)
+            except OSError:  # it has ended meanwhile, or the host has changed its mind
+                self.refused += 1
+            else:
+                self.granted += 1
+        self._known = found
 
 
 @dataclass(slots=True)

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from linemate.daemon.service.realtime import Collector, ask
+from linemate.daemon.service.realtime import Collector, Companions, ask
 from linemate.daemon.service.settings import RealtimeSettings
 
 ASK = """
@@ -106,3 +106,41 @@ def test_the_collector_runs_in_the_slack_and_fully_only_at_rest() -> None:
         gc.callbacks.remove(note)
         collector.thaw()
     assert gc.isenabled()
+
+
+COMPANIONS = """
+import json, os, threading
+from linemate.daemon.service.realtime import Companions, ask
+from linemate.daemon.service.settings import RealtimeSettings
+host = ask(RealtimeSettings(priority=10))
+companions = Companions(host.granted("priority"))
+end = threading.Event()
+threads = [threading.Thread(target=end.wait) for _ in range(2)]
+for thread in threads:
+    thread.start()
+companions.look()
+companions.look()
+seen = [(os.sched_getscheduler(t.native_id), os.sched_getparam(t.native_id).sched_priority)
+        for t in threads]
+own = os.sched_getparam(0).sched_priority
+end.set()
+print(json.dumps([companions.wanted, companions.granted, own, seen]))
+"""
+
+
+def test_other_threads_get_the_least_priority_once_the_loop_has_one() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", COMPANIONS], capture_output=True, text=True, check=True
+    )
+    wanted, granted, own, seen = json.loads(done.stdout)
+    if not wanted:
+        pytest.skip("no real-time rights here")
+    assert granted == 2
+    assert own == 10
+    assert seen == [[os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 1]] * 2
+
+
+def test_without_a_priority_the_other_threads_are_left_alone() -> None:
+    companions = Companions(wanted=False)
+    companions.look()
+    assert (companions.granted, companions.refused) == (0, 0)
