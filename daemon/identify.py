@@ -24,7 +24,7 @@ from linemate.daemon.identification.ring_down import ModeResult, identify_modes
 from linemate.daemon.identification.servo import ServoResult, identify_servos
 from linemate.daemon.identification.swing import SwingResult, identify_swings
 from linemate.daemon.identification.tape import Tape, make_tape
-from linemate.daemon.inputs import Inputs
+from linemate.daemon.inputs import Inputs, Order
 from linemate.daemon.recording import StepRecord
 from linemate.daemon.service import documents, task_file
 from linemate.daemon.service.documents import Document, FileError
@@ -86,6 +86,7 @@ class _Step:
     inputs: Inputs
     command: tuple[float, ...]
     contact: bool
+    limited: bool
 
 
 def identify(recordings: Sequence[Recorded]) -> Identified:
@@ -186,7 +187,13 @@ def _tapes(recordings: Sequence[Recorded], cell: _Cell) -> list[Tape]:
     tapes = []
     for recorded in recordings:
         steps = [
-            _Step(s.ipoc, s.inputs, tuple(s.outputs["command"]), bool(s.outputs["contact"]))
+            _Step(
+                s.ipoc,
+                s.inputs,
+                tuple(s.outputs["command"]),
+                bool(s.outputs["contact"]),
+                s.inputs.order is not Order.HOLD and s.outputs["held"] is not None,
+            )
             for s in recorded.steps
         ]
         try:

@@ -22,6 +22,8 @@ Mask = NDArray[np.bool_]
 Kinematics = Callable[[Array], tuple[Array, Array]]
 """From joints (axes,) to position (3,) and rotation (3, 3) of the undeflected tcp in base."""
 
+STRAINED = 1.0  # after limited setpoints, in which answers are left out [s]
+AROUND = 0.05  # over which a speed is told, to either side [s]
 LONGEST_GAP = 2.5  # cycles between two of the robot's poses, to interpolate between them
 
 
@@ -43,6 +45,10 @@ class Step(Protocol):
     @property
     def contact(self) -> bool:
         """The tool was clamped."""
+
+    @property
+    def limited(self) -> bool:
+        """Its setpoints were at the limits of the last gate, or the brake's."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +77,8 @@ class Tape:
     Attributes:
         cycle_s: T0 [s].
         commands: (n, axes) setpoint in force from each step on [rad, m].
-        answers: (n, axes) measured at each step's telegram, NaN without one [rad, m].
+        answers: (n, axes) measured at each step's telegram, NaN without one, and NaN for a while
+            after setpoints at their limits: no servo follows those linearly [rad, m].
         robot_times: (m,) of the robot's telegrams [s].
         tcp: (m, 6) undeflected tcp in c, position [m] and rotation vector [rad].
         distances: (d, 2) arrival [s] and reading [m].
@@ -125,11 +132,11 @@ def make_tape(steps: Iterable[Step], kinematics: Kinematics, nominal: Array) -> 
     for robot, measured in zip(robots, joints, strict=True):
         if robot.ipoc in row_of:
             answers[row_of[robot.ipoc]] = measured
+    cycle_s = _cycle(rows)
+    answers[_strained(rows, round(STRAINED / cycle_s))] = np.nan
     times = _seconds([robot.stamp_ns for robot in robots], epoch)
-    span = rows[-1].inputs.k - rows[0].inputs.k
-    first, last = rows[0].inputs.stamp_ns, rows[-1].inputs.stamp_ns
     return Tape(
-        cycle_s=(last - first) * 1e-9 / span,
+        cycle_s=cycle_s,
         commands=_in_force(rows, joints[0]),
         answers=answers,
         robot_times=times,
@@ -139,6 +146,21 @@ def make_tape(steps: Iterable[Step], kinematics: Kinematics, nominal: Array) -> 
         wrenches=_wrenches(rows, epoch),
         contact=_contacts(rows, epoch),
     )
+
+
+def _cycle(rows: list[Step]) -> float:
+    """Return T0 [s]: missed steps count too."""
+    first, last = rows[0].inputs, rows[-1].inputs
+    return (last.stamp_ns - first.stamp_ns) * 1e-9 / (last.k - first.k)
+
+
+def _strained(rows: list[Step], steps: int) -> Mask:
+    """Return which steps (n,) come within ``steps`` after one whose setpoints were limited."""
+    strained, left = np.zeros(len(rows), dtype=bool), 0
+    for i, step in enumerate(rows):
+        left = steps if step.limited else max(left - 1, 0)
+        strained[i] = left > 0
+    return strained
 
 
 def _seconds(stamps_ns: list[int], epoch_ns: int) -> Array:
@@ -241,8 +263,14 @@ class Way:
         return poses[:, :3], rotations.exp_many(poses[:, 3:])
 
     def rates(self, times: Array) -> Array:
-        """Return the derivatives (m, 6) of position and rotation vector."""
-        rates: Array = self.spline(times, 1)
+        """Return the speeds (m, 6) of position and rotation vector at times (m,).
+
+        Over a stretch, for the derivative of a noisy encoder is mostly noise.
+        """
+        before = np.maximum(times - AROUND, self.times[0])
+        after = np.minimum(times + AROUND, self.times[-1])
+        span = np.maximum(after - before, 1e-9)[:, None]
+        rates: Array = (self.spline(after) - self.spline(before)) / span
         return rates
 
 

@@ -1,6 +1,6 @@
 """Recorded steps become arrays: who answered what, and what the controller held."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 
 import numpy as np
@@ -22,6 +22,7 @@ class Step:
     inputs: Inputs
     command: tuple[float, ...]
     contact: bool = False
+    limited: bool = False
 
 
 def kinematics(joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -105,6 +106,14 @@ def test_contacts_are_remembered_with_begin_and_end() -> None:
     assert tape.in_contact(asked, 0.05).tolist() == [True, True, True]
     endless = make_tape(steps(touching=range(50, 60)), kinematics, NOMINAL)
     assert endless.contact[0, 1] == pytest.approx(59 * 0.012)
+
+
+def test_answers_to_setpoints_at_their_limits_are_left_out_for_a_while() -> None:
+    made = steps(200)
+    made[50] = replace(made[50], limited=True)
+    answers = make_tape(made, kinematics, NOMINAL).answers[:, 0]
+    assert np.isfinite(answers[[49, 140]]).all()
+    assert np.isnan(answers[50:130]).all()
 
 
 def test_too_little_to_work_with_is_refused() -> None:
