@@ -25,6 +25,8 @@ from linemate.drivers.stamps import (
 BUFFER_BYTES = 2048
 
 Address = tuple[str, int]
+RawDatagram = tuple[bytes, list[tuple[int, int, bytes]], int, Address]
+"""Bytes, control messages, flags and source, as the kernel hands them over."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,14 +145,14 @@ class DatagramSocket:
             return None
         return Received(bytes(memoryview(self._buffer)[:size]), ancillary, flags, source)
 
-    def wait(self, timeout_ns: int) -> Received | None:
+    def wait(self, timeout_ns: int) -> RawDatagram | None:
         """Sleep until a datagram comes, for whoever must answer it first.
 
         Args:
             timeout_ns: how long at most [ns].
 
         Returns:
-            The datagram without its time, or None.
+            What ``Received`` is made of, when there is time for it; None if nothing came.
 
         Raises:
             OSError: if the socket is broken.
@@ -160,7 +162,7 @@ class DatagramSocket:
         if not select.select(self._alone, (), (), max(0, timeout_ns) * 1e-9)[0]:
             return None
         try:
-            return Received(*self.endpoint.recvmsg(BUFFER_BYTES, ANCILLARY_BYTES))
+            return self.endpoint.recvmsg(BUFFER_BYTES, ANCILLARY_BYTES)
         except (BlockingIOError, InterruptedError):
             return None
 

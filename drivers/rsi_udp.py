@@ -15,7 +15,13 @@ from collections import deque
 from collections.abc import Callable
 
 from linemate.drivers.backoff import Backoff
-from linemate.drivers.datagrams import Address, Datagram, DatagramLink, DatagramSocket
+from linemate.drivers.datagrams import (
+    Address,
+    Datagram,
+    DatagramLink,
+    DatagramSocket,
+    Received,
+)
 from linemate.drivers.link import why
 
 BUDGET = 64
@@ -68,7 +74,8 @@ class RsiLink(DatagramLink):
 
         Args:
             until_ns: when to give up [ns].
-            express: gives the reply that is ready for a telegram, None if it takes more.
+            express: gives the reply that is ready for a telegram, None if it takes more; it must
+                give none for a datagram of 2 KiB or more, for that may be incomplete.
 
         Returns:
             Whether a telegram came.
@@ -88,15 +95,15 @@ class RsiLink(DatagramLink):
             # Whatever the way to the reply needs is in the processor's caches when it counts.
             express(*self._last)
             left_ns = until_ns - time.monotonic_ns()
-        received = transport.wait(left_ns)
-        if received is None:
+        raw = transport.wait(left_ns)
+        if raw is None:
             return False
-        data, source = received.data, received.source
-        reply = None if received.oversize else express(data, source)
+        data, source = raw[0], raw[3]
+        reply = express(data, source)
         if reply is not None:
             transport.endpoint.sendto(reply, source)
             sent_ns = time.monotonic_ns()
-        datagram = transport.stamped(received)
+        datagram = transport.stamped(Received(*raw))
         self.counters["received"] += 1
         if reply is None:
             self._take_first(transport, datagram)

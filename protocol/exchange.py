@@ -238,23 +238,15 @@ class Exchange:
         """Time since the last accepted telegram [ns], None before the first."""
         return None if self._state is State.IDLE else now_ns - self._last_ns
 
-    def foresees(self, ipoc: int, peer: Hashable = None) -> bool:
-        """Is this the one telegram that goes on as everything did?
-
-        Args:
-            ipoc: its counter.
-            peer: who sent it.
+    def foreseen(self) -> tuple[int, Hashable] | None:
+        """The one telegram that would go on as everything did: its counter and who sends it.
 
         Returns:
-            True if ``on_telegram`` will call it normal and ask for one step.
+            What ``on_telegram`` will call normal, asking for one step; None if there is no such.
         """
-        return (
-            self._state is State.RUNNING
-            and not self._made
-            and self._step is not None
-            and ipoc - self._last_ipoc == self._step
-            and peer == self._peer
-        )
+        if self._state is not State.RUNNING or self._made or self._step is None:
+            return None
+        return self._last_ipoc + self._step, self._peer
 
     def on_missing(self) -> None:
         """The clock made a step because no telegram came in its time."""

@@ -6,7 +6,7 @@ telegram gives bytes or RsiError. No socket, no clock: what comes when is exchan
 Source: reference/rsi.md, section 1.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import mul
 from typing import cast
 
@@ -108,22 +108,48 @@ class RsiCodec:
             _channels(layout, texts),
         )
 
-    def glance_robot(self, data: bytes) -> tuple[int, bytes, Vector6 | None, int | None] | None:
-        """The counter, the joints and the Delay of a telegram, in a third of the time.
+    def expect_robot(
+        self, ipoc: int, delay: int | None, joints: Vector6, reach: float
+    ) -> Callable[[bytes], bool] | None:
+        """Make what tells in the least time whether a datagram is the telegram that is expected.
+
+        Made before the telegram comes, so that nothing is left to do then but to compare.
+
+        Args:
+            ipoc: its counter.
+            delay: its Delay, None if none is configured.
+            joints: where the robot was [rad].
+            reach: how far from there a joint may be [rad].
 
         Returns:
-            IPOC, its digits, A1..A6 [rad] or None if they are not configured, and the Delay or
-            None likewise; None for a telegram that needs :meth:`parse_robot`, which accepts
-            whatever is returned here.
+            True for a telegram of the shape last seen, with this counter and Delay and all joints
+            within reach: :meth:`parse_robot` accepts it. None if telegrams carry no such values.
         """
-        texts = self.robot_reader.glance(data)
-        if texts is None:
+        if not self._glance_scales or (delay is None) != (self._robot.delay is None):
             return None
-        ipoc_text = texts[-1]
-        numbers = tuple(map(mul, map(float, texts), self._glance_scales))
-        joints = cast(Vector6, numbers) if numbers else None
-        delay = None if self._robot.delay is None else int(texts[-2])
-        return int(ipoc_text), ipoc_text.encode("ascii"), joints, delay
+        match, places = self.robot_reader.glance
+        wanted = [b"%d" % ipoc] if delay is None else [b"%d" % delay, b"%d" % ipoc]
+        low = [(q - reach) / scale for q, scale in zip(joints, self._glance_scales, strict=True)]
+        high = [(q + reach) / scale for q, scale in zip(joints, self._glance_scales, strict=True)]
+        a0, b0, c0, d0, e0, f0 = low
+        a1, b1, c1, d1, e1, f1 = high
+
+        def is_expected(data: bytes) -> bool:
+            found = match(data)
+            if found is None or len(data) > MAX_TELEGRAM_BYTES:
+                return False
+            a, b, c, d, e, f, *rest = found.group(*places)
+            return (
+                rest == wanted
+                and a0 < float(a) < a1
+                and b0 < float(b) < b1
+                and c0 < float(c) < c1
+                and d0 < float(d) < d1
+                and e0 < float(e) < e1
+                and f0 < float(f) < f1
+            )
+
+        return is_expected
 
     def parse_sensor(self, data: bytes) -> SensorTelegram:
         """Read the daemon's reply; what is not in it is None, or not among the channels.

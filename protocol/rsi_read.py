@@ -7,7 +7,7 @@ The fast way accepts a subset of what the tolerant way accepts, with the same re
 """
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from operator import itemgetter
 
 from linemate.protocol.rsi_layout import Field, Layout
@@ -60,7 +60,7 @@ class Reader:
         Args:
             layout: of the telegrams.
             example: one of them.
-            glanced: positions of the fields that :meth:`glance` returns.
+            glanced: positions of the fields that :attr:`glance` finds.
         """
         self._layout = layout
         self._glanced = (*glanced, len(layout.fields))
@@ -93,15 +93,15 @@ class Reader:
         groups = match.groups()
         return (groups if self._order is None else self._order(groups)), self._type
 
-    def glance(self, data: bytes) -> Sequence[str] | None:
-        """The glanced texts of a telegram in the shape last seen, then the IPOC's; else None.
+    @property
+    def glance(self) -> tuple[Callable[[bytes], re.Match[bytes] | None], tuple[int, ...]]:
+        """How to tell in the least time a telegram of the shape last seen.
 
-        Whatever is returned would be accepted by :meth:`read`, with the same texts.
+        Returns:
+            What matches a whole datagram of that shape, and the groups of the glanced fields, the
+            IPOC's the last. What it matches is accepted by :meth:`read`, with the same texts.
         """
-        if len(data) > MAX_TELEGRAM_BYTES or b"<!" in data:
-            return None
-        match = self._glance.fullmatch(data.decode("latin-1"))
-        return None if match is None else match.group(*self._glanced_groups)
+        return self._glance.fullmatch, self._glanced_groups
 
     def _read_tolerantly(self, text: str, data: bytes) -> tuple[Texts, str]:
         self.tolerant += 1
@@ -172,15 +172,14 @@ class Reader:
             end = span.end
         rest = re.escape(text[end:]) + r"[\0 \t\r\n]*"
         order = [position for _, position in parts if position is not None]
-        self._pattern = _compiled((literal + self._group(at) for literal, at in parts), rest)
+        whole = (literal + self._group(at) for literal, at in parts)
+        self._pattern = re.compile("".join(whole) + rest, re.ASCII)
         self._order = _permutation(order)
-        self._glance = _compiled(
-            (
-                literal + (self._group(at) if at in self._glanced else _silent(self._group(at)))
-                for literal, at in parts
-            ),
-            rest,
+        glanced = (
+            literal + (self._group(at) if at in self._glanced else _silent(self._group(at)))
+            for literal, at in parts
         )
+        self._glance = re.compile(("".join(glanced) + rest).encode("latin-1"), re.ASCII)
         seen = [position for position in order if position in self._glanced]
         self._glanced_groups = tuple(1 + seen.index(position) for position in self._glanced)
         self._type = _type_of(document)
@@ -192,10 +191,6 @@ class Reader:
         if position == len(self._layout.fields):
             return _FAST_IPOC
         return _FAST_GROUPS[self._layout.fields[position].type]
-
-
-def _compiled(parts: Iterable[str], rest: str) -> re.Pattern[str]:
-    return re.compile("".join(parts) + rest, re.ASCII)
 
 
 def _silent(group: str) -> str:

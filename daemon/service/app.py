@@ -267,14 +267,10 @@ class App:
 
     def _attend(self, due: Due) -> None:
         """Wait for the telegram whose reply is ready; until then nothing else is to be done."""
-        patience_ns = min(PATIENCE_NS, self._clock.schedule.period_ns // 4)
-        self._robot.attend(due.stamp_ns + patience_ns, self._express)
-
-    def _express(self, data: bytes, source: Address) -> bytes | None:
-        peer = self._station.config.rsi.peer
-        if peer is not None and source[0] != peer:
-            return None
-        return self.cycle.express(data, source)
+        express = self.cycle.express()
+        if express is not None:
+            patience_ns = min(PATIENCE_NS, self._clock.schedule.period_ns // 4)
+            self._robot.attend(due.stamp_ns + patience_ns, express)
 
     def _look(self) -> None:
         """Answer telegrams that wait, so that none is called missing that is there already."""

@@ -29,6 +29,9 @@ from linemate.protocol.samples import (
 from linemate.protocol.wrench_clock import WrenchClock
 
 Sample = TypeVar("Sample")
+
+Express = Callable[..., bytes | None]
+"""Gives the reply to a datagram and its sender, or None."""
 OnTransition = Callable[[Machine, Signals, Machine], None]
 
 LONGEST_LOG = 256
@@ -307,33 +310,31 @@ class Cycle:
         self._remember(robot, peer)
         return reply
 
-    def express(self, data: bytes, peer: Hashable = None) -> bytes | None:
-        """Return the reply that is ready, if this is the telegram that it was made for.
+    def express(self) -> Express | None:
+        """Return what answers in the least time the telegram that the ready reply was made for.
 
         ``on_telegram`` has to follow at once, and returns the same reply.
 
-        Args:
-            data: the datagram.
-            peer: who sent it.
-
         Returns:
-            None if nothing is ready, or counter, sender, shape or the robot's place are not what
-            was assumed.
+            Takes a datagram and its sender and gives the reply; None if counter, sender, shape,
+            Delay (the controller may have thrown the last reply away) or the robot's place are
+            not what was assumed. None at once if nothing is ready or foreseen.
         """
-        if self._ready is None or not self._ready.entry.inputs.sent:
+        ready, foreseen = self._ready, self.exchange.foreseen()
+        if ready is None or not ready.entry.inputs.sent or foreseen is None:
             return None
-        seen = self.codec.glance_robot(data)
-        if seen is None or not self.exchange.foresees(seen[0], peer):
+        ipoc, expected_peer = foreseen
+        if self._joints is None:
             return None
-        joints, delay = seen[2:]
-        if delay != self._delay:
-            # The controller may have thrown the last reply away.
+        is_expected = self.codec.expect_robot(ipoc, self._delay, self._joints, LONGEST_JUMP)
+        if is_expected is None:
             return None
-        if joints is None or self._joints is None:
-            return None
-        if any(abs(a - b) > LONGEST_JUMP for a, b in zip(joints, self._joints, strict=True)):
-            return None
-        return self._ready.reply.with_ipoc(seen[1])
+        reply = ready.reply.with_ipoc(b"%d" % ipoc)
+
+        def answer(data: bytes, peer: Hashable = None) -> bytes | None:
+            return reply if peer == expected_peer and is_expected(data) else None
+
+        return answer
 
     def prepare(self, stamp_ns: int) -> bool:
         """Make the step of a telegram that is expected at ``stamp_ns``; True if it is ready."""

@@ -16,7 +16,8 @@ def approach(*, prepared: bool) -> tuple[Lockstep, list[LogEntry]]:
 
     def on_telegram(data: bytes, stamp_ns: int) -> bytes | None:
         run.cycle.prepare(stamp_ns)
-        early = run.cycle.express(data)
+        express = run.cycle.express()
+        early = None if express is None else express(data)
         reply = in_line(data, stamp_ns)
         assert early in {None, reply}
         return reply

@@ -148,11 +148,14 @@ def serve(tmp_path: Path, parameters: Parameters) -> Serve:
 def test_every_telegram_is_answered_at_rest_and_recorded(
     serve: Serve, tmp_path: Path, task: Task
 ) -> None:
+    overdue: list[int] = []
+
     async def main() -> None:
         async with serve() as running:
             controller = running.controller(task)
             await controller.cycles(20)
             status = running.app.status()
+            overdue.append(status["telegrams"]["overdue"])
             assert status["state"] == "idle"
             # On a busy machine the clock's deadline may come before one of them.
             assert sum(status["telegrams"][kind] for kind in ("normal", "gap", "late")) == 19
@@ -168,7 +171,8 @@ def test_every_telegram_is_answered_at_rest_and_recorded(
     with path.open("rb") as stream:
         records = [decode(m.data) for _, _, m in make_reader(stream).iter_messages(TOPIC)]
     answered = [record for record in records if record.ipoc is not None]
-    assert len(answered) == 20
+    # A step that the clock made before its late telegram is recorded without it.
+    assert 20 - overdue[0] <= len(answered) <= 20
     assert [record.inputs.k for record in records] == list(range(len(records)))
 
 
