@@ -14,10 +14,17 @@ from linemate.daemon.horizon import Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AxisPlan:
-    """Planned positions (n+1,) [m] and the smoothed speed's three stages [m/s]."""
+    """What the axis will do.
+
+    Attributes:
+        positions: planned (n+1,) [m].
+        stages: of the smoothed speed [m/s].
+        target: the speed it heads for [m/s].
+    """
 
     positions: Array
     stages: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    target: float = 0.0
 
 
 def advance(plan: AxisPlan, target: float, ramp: float, dt: float) -> AxisPlan:
@@ -34,7 +41,7 @@ def advance(plan: AxisPlan, target: float, ramp: float, dt: float) -> AxisPlan:
     positions = np.empty_like(plan.positions)
     positions[:-1] = plan.positions[1:]
     positions[-1] = plan.positions[-1] + third * dt
-    return AxisPlan(positions, (first, second, third))
+    return AxisPlan(positions, (first, second, third), target)
 
 
 def at_rest(position: float, steps: int) -> AxisPlan:

@@ -228,7 +228,10 @@ class MergeSettings:
 class TrackingSettings:
     """All that can be set of tracking.
 
-    ``predict`` False freezes the horizon at the present estimate (ablation ``no-prediction``).
+    Attributes:
+        classifier: which one decides what the conveyor is doing.
+        predict: False freezes the horizon at the present estimate (ablation ``no-prediction``).
+        mixture: the bank's prediction weighs its hypotheses; False takes the class in force.
     """
 
     distance: DistanceNoise = DistanceNoise()
