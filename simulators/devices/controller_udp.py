@@ -151,9 +151,11 @@ class ControllerUdp:
     def _tick(self) -> None:
         if not self._running:
             return
-        self._slip()
+        slipped = self._slip()
         self._drain()
         self._finish()
+        if slipped:
+            self.controller.judge.slip()
         if not self._running:
             return
         data = self.controller.telegram()
@@ -173,14 +175,17 @@ class ControllerUdp:
             self._is_begun = True
             self._plant.begin_cycle(self._begun_ns)
 
-    def _slip(self) -> None:
+    def _slip(self) -> bool:
+        """Shift the schedule if this process was held up; whether it was."""
         late_ns = time.monotonic_ns() - self._due_ns
-        if late_ns > SLIP_AFTER * self._cycle_ns:
+        slips = late_ns > SLIP_AFTER * self._cycle_ns
+        if slips:
             self.pace.slips += 1
             self.pace.slipped_ns += late_ns
             self._due_ns += late_ns
         else:
             self.pace.latest_ns = max(self.pace.latest_ns, late_ns)
+        return slips
 
     def _drain(self) -> None:
         """Judge what waits; a good reply ends the cycle's uncertainty at once."""

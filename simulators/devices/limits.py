@@ -4,6 +4,8 @@ Law of this file: finite differences of what the controller really applied, one 
 limits that are the emulator's and not the daemon's. The wire has finite decimals, so each
 difference is granted what rounding alone can make of it. In a cycle without a fresh reply the
 controller holds by itself; nobody is blamed for that, and the robot counts as at rest after it.
+A schedule that slipped held the robot as well for whoever has a clock, and did not for the plant:
+what would tell the two apart is not judged.
 Source: reference/reliability.md, 2.0 (ENV).
 """
 
@@ -99,6 +101,7 @@ class LimitJudge:
     _speed: tuple[float, ...] = ()
     _acceleration: tuple[float, ...] = ()
     _cycle: int = 0
+    _unsure: int = 0
 
     @property
     def violations(self) -> int:
@@ -122,6 +125,10 @@ class LimitJudge:
         self._cycle += 1
         self._rest(tuple(setpoints))
 
+    def slip(self) -> None:
+        """The schedule slipped between the last cycle and the next one: it may be at rest."""
+        self._unsure = 2
+
     def judge(self, setpoints: Sequence[float]) -> None:
         """A cycle in which a fresh reply was applied.
 
@@ -140,19 +147,18 @@ class LimitJudge:
             quantum = 0.5 * 10.0**-WIRE_DECIMALS * _UNITS[axis]
             self._position_within(axis, position[axis], limit, quantum)
             self._within(axis, "speed", speed[axis], limit.speed, 2.0 * quantum / period)
-            self._within(
-                axis,
-                "acceleration",
-                acceleration[axis],
-                limit.acceleration,
-                4.0 * quantum / period**2,
-            )
-            self._within(axis, "jerk", jerk[axis], limit.jerk, 8.0 * quantum / period**3)
+            if self._unsure < 2:
+                grace = 4.0 * quantum / period**2
+                self._within(axis, "acceleration", acceleration[axis], limit.acceleration, grace)
+            if self._unsure < 1:
+                self._within(axis, "jerk", jerk[axis], limit.jerk, 8.0 * quantum / period**3)
         self._position, self._speed, self._acceleration = position, speed, acceleration
+        self._unsure = max(0, self._unsure - 1)
 
     def _rest(self, position: tuple[float, ...]) -> None:
         self._position = position
         self._speed = self._acceleration = (0.0,) * len(position)
+        self._unsure = 0
 
     def _position_within(self, axis: int, value: float, limit: AxisLimit, grace: float) -> None:
         if not limit.low - grace <= value <= limit.high + grace:

@@ -103,3 +103,26 @@ def test_what_is_not_a_number_is_an_excess() -> None:
     judge = _judge()
     _feed(judge, [math.nan])
     assert judge.counts["position"] == 1
+
+
+@pytest.mark.parametrize("goes_on", [True, False])
+def test_after_a_slip_going_on_and_beginning_from_rest_are_both_granted(goes_on: bool) -> None:
+    judge = _judge()
+    there = _ramp(jerk=40.0, acceleration=1.5, speed=0.2, count=60)
+    _feed(judge, there)
+    judge.slip()
+    fresh = _ramp(jerk=40.0, acceleration=1.5, speed=0.2, count=30)
+    onward = [0.2 * T0 * n for n in range(1, 31)]
+    _feed(judge, [there[-1] + x for x in (onward if goes_on else fresh)])
+    assert judge.violations == 0
+
+
+def test_after_a_slip_speed_is_judged_at_once_and_the_rest_soon() -> None:
+    judge = _judge()
+    judge.slip()
+    _feed(judge, [0.6 * T0])
+    assert judge.counts == {"speed": 1}
+    _feed(judge, [0.6 * T0])
+    assert judge.counts == {"speed": 1, "acceleration": 1}
+    _feed(judge, [0.6 * T0])
+    assert judge.counts == {"speed": 1, "acceleration": 1, "jerk": 1}
