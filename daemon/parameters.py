@@ -114,6 +114,25 @@ def build(
     return Parameters(tracker, controller, cycle_s, control_settings)
 
 
+def retuned(parameters: Parameters, tracking: TrackingSettings) -> Parameters:
+    """Return parameters with other numbers in the estimator; quick, between two steps.
+
+    Only for what changes no shape of a step's state and nothing of the plan: noise, gates, the
+    classifiers' thresholds. The same as ``build`` would make.
+
+    Args:
+        parameters: as they are.
+        tracking: settings, which differ from theirs in nothing else.
+    """
+    tracker = replace(
+        parameters.tracker,
+        settings=tracking,
+        classifier=_classifier(parameters.tracker.task, tracking),
+        transverse=Transverse(tracking.fusion, tracking.swing),
+    )
+    return replace(parameters, tracker=tracker)
+
+
 def with_foresight(parameters: Parameters, foresight: Foresight) -> Parameters:
     """Return the parameters with an oracle instead of an estimate (the variant of a campaign)."""
     return replace(parameters, tracker=replace(parameters.tracker, foresight=foresight))

@@ -5,7 +5,7 @@ frozen set, whole or not at all. What does not fit is told as ``name: what``.
 """
 
 import difflib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from typing import Any
@@ -82,18 +82,23 @@ def changed(settings: Settings, values: Mapping[str, Any]) -> Settings:
     Raises:
         SettingError: a name that there is not, or a value that does not fit; every one of them.
     """
-    touched = sorted({name.partition(".")[0] for name in values})
-    known = dict(leaves(settings))
-    wrong = [_unknown(name, known) for name in values if name not in known]
+    trees = {
+        section: plain(getattr(settings, section))
+        for section in {name.partition(".")[0] for name in values}
+        if section in SECTIONS
+    }
+    wrong = [name for name, value in values.items() if not _put(trees, name.split("."), value)]
     if wrong:
-        raise SettingError("; ".join(wrong))
-    made: dict[str, Any] = {}
-    for section in touched:
-        tree = plain(getattr(settings, section))
-        for name, value in values.items():
-            if name.startswith(f"{section}."):
-                _put(tree, name.split(".")[1:], value)
-        made[section] = read(section, tree)
+        known = [name for name, _ in leaves(settings)]
+        raise SettingError("; ".join(_unknown(name, known) for name in wrong))
+    made, errors = {}, []
+    for section, tree in trees.items():
+        try:
+            made[section] = read(section, tree)
+        except SettingError as error:
+            errors.append(str(error))
+    if errors:
+        raise SettingError("; ".join(errors))
     return Settings(
         tracking=made.get("tracking", settings.tracking),
         control=made.get("control", settings.control),
@@ -132,15 +137,41 @@ def difference(tree: Any, base: Any) -> Any:
     return {} if tree == base and type(tree) is type(base) else tree
 
 
-def _put(tree: Any, path: list[str], value: Any) -> None:
+def _put(tree: Any, path: list[str], value: Any) -> bool:
+    """Put a value where another is; False if there is none, or a branch."""
     branch = tree
     for part in path[:-1]:
-        branch = branch[int(part)] if isinstance(branch, list) else branch[part]
-    last = path[-1]
-    branch[last] = list(value) if isinstance(value, tuple) else value
+        branch = _below(branch, part)
+    old = _below(branch, path[-1])
+    if old is _NOTHING or _is_branch(old):
+        return False
+    new = list(value) if isinstance(value, tuple) else value
+    if isinstance(branch, list):
+        branch[int(path[-1])] = new
+    else:
+        branch[path[-1]] = new
+    return True
 
 
-def _unknown(name: str, known: Mapping[str, Any]) -> str:
+_NOTHING = object()
+
+
+def _below(branch: Any, part: str) -> Any:
+    if isinstance(branch, dict):
+        return branch.get(part, _NOTHING)
+    if isinstance(branch, list) and _is_branch(branch) and part.isdecimal():
+        return branch[int(part)] if int(part) < len(branch) else _NOTHING
+    return _NOTHING
+
+
+def _is_branch(value: Any) -> bool:
+    """Whether a value has parts with names of their own; a list of plain values has not."""
+    if isinstance(value, list):
+        return bool(value) and isinstance(value[0], dict)
+    return isinstance(value, dict)
+
+
+def _unknown(name: str, known: Sequence[str]) -> str:
     near = difflib.get_close_matches(name, known, n=2, cutoff=0.6)
     return f"no parameter {name}" + (f"; near are {', '.join(near)}" if near else "")
 

@@ -29,7 +29,12 @@ class ServoModel:
 
 @dataclass(frozen=True, slots=True)
 class EffectorMode:
-    """One elastic mode of the tool's suspension along or about a tcp axis."""
+    """One elastic mode of the tool's suspension along or about a tcp axis.
+
+    Attributes:
+        frequency_hz: of the mode.
+        damping: share of critical.
+    """
 
     frequency_hz: Positive
     damping: Annotated[float, Ge(0.0), Lt(1.0)] = 0.02
@@ -95,6 +100,7 @@ class FilterSettings:
         band_hz: the band of the training signal.
         wide_hz: and the band of its tenth part.
         ridge: weight on the taps.
+        contact_blend: time in which the tool goes from hanging free to clamped [s].
     """
 
     servo_past_s: NonNegative = 0.036
@@ -132,7 +138,13 @@ _LIMITS = (
 
 @dataclass(frozen=True, slots=True)
 class ControlSettings:
-    """All that can be set of control. Axes are A1..A6, then E1."""
+    """All that can be set of control. Axes are A1..A6, then E1.
+
+    Attributes:
+        horizon_s: how far tracking looks ahead for control [s].
+        feed_forward: invert the servos' answers; False commands what is desired.
+        damping: invert the tool's elastic modes; False leaves them to ring.
+    """
 
     servos: Annotated[tuple[ServoModel, ...], Len(6, 7)] = _SERVOS
     effector: Annotated[tuple[EffectorMode, ...], Len(6, 6)] = _MODES

@@ -42,6 +42,9 @@ NOT_OK: Final = 1
 USAGE: Final = 2
 NO_ANSWER: Final = 3
 
+COMPILE_S: Final = 4.5
+"""What a daemon may take for parameters that it has to compile, or for its disk [s]."""
+
 HEALTHY: Final = "healthy"
 
 
@@ -86,10 +89,13 @@ def _client(args: argparse.Namespace) -> Client:
 
 
 def _ask(
-    args: argparse.Namespace, op: str, params: Mapping[str, Any] | None = None
+    args: argparse.Namespace,
+    op: str,
+    params: Mapping[str, Any] | None = None,
+    timeout_s: float = DEFAULT_TIMEOUT_S,
 ) -> dict[str, Any]:
     with _client(args) as client:
-        return client.call(op, params, getattr(args, "timeout", DEFAULT_TIMEOUT_S))
+        return client.call(op, params, getattr(args, "timeout", timeout_s))
 
 
 # --- status -------------------------------------------------------------------------------
@@ -148,7 +154,13 @@ def _param_list(args: argparse.Namespace) -> int:
 
 def _param_diff(args: argparse.Namespace) -> int:
     listed = _described(args)
-    return _print_parameters(args, [item for item in listed if item["value"] != item["default"]])
+    rows = render.difference_rows(listed)
+    if args.json:
+        names = {row[0] for row in rows}
+        print(render.as_json([item for item in listed if item["name"] in names]))
+    elif rows:
+        print(render.table(("name", "value", "file", "default", "unit", ""), rows))
+    return OK
 
 
 def _print_parameters(args: argparse.Namespace, listed: list[dict[str, Any]]) -> int:
@@ -181,10 +193,12 @@ def _param_get(args: argparse.Namespace) -> int:
 
 
 def _param_set(args: argparse.Namespace) -> int:
-    answer = _ask(args, "set", {"values": dict(args.assignments)})
+    answer = _ask(args, "set", {"values": dict(args.assignments)}, COMPILE_S)
     if args.json:
         print(render.as_json(answer))
         return OK
+    if not answer.get("changed"):
+        print("nothing to change")
     for name, change in answer.get("changed", {}).items():
         print(f"{name}: {render.scalar(change['old'])} -> {render.scalar(change['new'])}")
     return OK
@@ -205,7 +219,7 @@ def _assignment(text: str) -> tuple[str, object]:
 
 def _operate(args: argparse.Namespace) -> int:
     params = {"action": args.action} if args.op == "record" else {}
-    answer = _ask(args, args.op, params)
+    answer = _ask(args, args.op, params, COMPILE_S if args.op == "save" else DEFAULT_TIMEOUT_S)
     if args.json:
         print(render.as_json(answer))
     elif answer:
@@ -344,7 +358,9 @@ def _add_param(parser: argparse.ArgumentParser, common: argparse.ArgumentParser)
     describing = verbs.add_parser("describe", parents=[common], help="what one means")
     describing.add_argument("name", metavar="NAME")
     describing.set_defaults(run=_param_describe)
-    diffing = verbs.add_parser("diff", parents=[common], help="those that are not the default")
+    diffing = verbs.add_parser(
+        "diff", parents=[common], help="those that are not the default, or not as in the file"
+    )
     diffing.set_defaults(run=_param_diff)
 
 

@@ -71,9 +71,33 @@ def parameter_rows(described: Iterable[Mapping[str, Any]]) -> list[tuple[str, ..
             scalar(item.get("value")),
             str(item.get("unit") or ""),
             scalar(item.get("default")),
-            "live" if item.get("live") else "at rest",
+            str(item.get("change") or ""),
         )
         for item in described
+    ]
+
+
+_WHEN = {
+    "live": "at once, between two cycles",
+    "idle": "while the robot stands idle",
+    "restart": "with a restart, in the configuration file",
+}
+
+
+def difference_rows(described: Iterable[Mapping[str, Any]]) -> list[tuple[str, ...]]:
+    """Return the rows of ``param diff``: what is not as in the file, or not the default."""
+    return [
+        (
+            str(item["name"]),
+            scalar(item.get("value")),
+            scalar(item.get("file", item.get("value"))),
+            scalar(item.get("default")),
+            str(item.get("unit") or ""),
+            "unsaved" if item.get("unsaved") else "",
+        )
+        for item in described
+        if item.get("value") != item.get("default")
+        or item.get("value") != item.get("file", item.get("value"))
     ]
 
 
@@ -87,6 +111,15 @@ def description(item: Mapping[str, Any]) -> str:
     if low is not None or high is not None:
         lines.append(f"  range    {scalar(low)} .. {scalar(high)}{unit}")
     lines.append(f"  default  {scalar(item.get('default'))}{unit}")
-    when = "at once, at a cycle's boundary" if item.get("live") else "only at rest"
+    if item.get("choices"):
+        lines.append(f"  one of   {', '.join(map(scalar, item['choices']))}")
+    if "file" in item and item["file"] != item.get("value"):
+        lines.append(f"  file     {scalar(item['file'])}{unit}")
+    when = _WHEN.get(str(item.get("change")), "")
+    if item.get("in_contact") is False:
+        when += ", not in contact"
     lines.append(f"  changes  {when}")
+    if item.get("by"):
+        kept = "not saved" if item.get("unsaved") else "saved"
+        lines.append(f"  set by   {item['by']}, {kept}")
     return "\n".join(lines)

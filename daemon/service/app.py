@@ -19,7 +19,7 @@ from typing import Any
 
 from linemate.daemon.inputs import Order
 from linemate.daemon.parameters import Parameters
-from linemate.daemon.service import parameter_list, realtime, states
+from linemate.daemon.service import realtime, states
 from linemate.daemon.service.account import Account
 from linemate.daemon.service.clock import Clock
 from linemate.daemon.service.command_server import (
@@ -34,13 +34,13 @@ from linemate.daemon.service.cycle import Cycle
 from linemate.daemon.service.incidents import IncidentFiles
 from linemate.daemon.service.notify import Notifier
 from linemate.daemon.service.pace import Pace
+from linemate.daemon.service.parameter_desk import Answer, Desk
 from linemate.daemon.service.recorder import MIB, Recorder, Rotation
 from linemate.daemon.service.schedule import Due, Kind
 from linemate.daemon.service.settings import Corrections
 from linemate.daemon.service.states import State
 from linemate.daemon.service.status import LinkView, Rates, Snapshot, status, telemetry
 from linemate.daemon.service.timing import Timing
-from linemate.daemon.service.viewer_messages import INFO
 from linemate.drivers.camera_udp import CameraLink
 from linemate.drivers.can_bus import CanLink
 from linemate.drivers.datagrams import Address
@@ -64,7 +64,7 @@ SAY_EVERY = 1000
 log = logging.getLogger(__name__)
 
 Link = RsiLink | CanLink | CameraLink | SerialLink
-Handler = Callable[[Mapping[str, Any], str], dict[str, Any]]
+Handler = Callable[[Mapping[str, Any], str], Answer | asyncio.Future[Answer]]
 
 
 class StartError(Exception):
@@ -134,14 +134,14 @@ class App:
         self._links_up: dict[str, bool] = {}
         self._cycled = asyncio.Event()
         self._end: asyncio.Event | None = None
-        listed = tuple(parameter_list.every(config))
+        self._desk = Desk(station, self.cycle, self._explain, self._say)
         self._operations: dict[str, Handler] = {
             "status": lambda _params, _who: self.status(),
-            "params": lambda params, _who: parameter_list.described(listed, params),
-            "get": lambda params, _who: parameter_list.values(listed, params),
+            "params": lambda params, _who: self._desk.describe(params),
+            "get": lambda params, _who: self._desk.get(params),
             "record": lambda params, _who: self._record(params["action"]),
-            "set": lambda _params, _who: {"refused": parameter_list.FIXED},
-            "save": lambda _params, _who: {"refused": parameter_list.FIXED},
+            "set": lambda params, who: self._desk.set(params["values"], who),
+            "save": lambda _params, who: self._desk.save(who),
         }
 
     # The life of the process.
@@ -338,24 +338,28 @@ class App:
             self._told_ns = now_ns
             self._companions.look()
             self._rates.take((link.status for link in self._links), now_ns)
-            self._tell_links(now_ns)
+            self._tell_links()
             if self._notifier.address:
                 self._notifier.send(f"STATUS={self._line()}")
         moving = bool(entries) and entries[-1].inputs.order is not Order.HOLD
         self._collector.slack(moving=moving)
 
-    def _tell_links(self, now_ns: int) -> None:
+    def _tell_links(self) -> None:
         """Record which links came and went."""
         for link in self._links:
             up = link.status.up
             if self._links_up.get(link.status.name) != up:
                 self._links_up[link.status.name] = up
                 reason = "" if up else f": {link.status.reason}"
-                self._say(f"link {link.status.name} is {'up' if up else 'down'}{reason}", now_ns)
+                self._say(f"link {link.status.name} is {'up' if up else 'down'}{reason}")
 
-    def _say(self, text: str, now_ns: int, level: int = INFO) -> None:
+    def _say(self, text: str) -> None:
         if self._recorder is not None:
-            self._recorder.say(now_ns, text, level)
+            self._recorder.say(time.monotonic_ns(), text)
+
+    def _explain(self, parameters: Parameters, who: str, changed: Mapping[str, Any]) -> None:
+        if self._recorder is not None:
+            self._recorder.explain(parameters, who, changed)
 
     def _failed(self, error: Exception) -> None:
         """Count a fault of our own; the log must not drown in it."""
@@ -366,13 +370,15 @@ class App:
 
     # Operators.
 
-    def _handle(self, op: str, params: dict[str, Any], role: str, who: str) -> Mapping[str, Any]:
+    def _handle(
+        self, op: str, params: dict[str, Any], role: str, who: str
+    ) -> Answer | asyncio.Future[Answer]:
         del role  # judged by the protocol
         if op in ORDERS:
             reason = self._clock.pace.phase.refusal if op == "arm" else None
             reason = reason or self.cycle.order(op, who)
             outcome = f", refused: {reason}" if reason else ""
-            self._say(f"{who} ordered {op}{outcome}", time.monotonic_ns())
+            self._say(f"{who} ordered {op}{outcome}")
             if reason is not None:
                 return {"refused": reason}
             return {"state": str(self.cycle.machine.state)}
@@ -459,7 +465,7 @@ def _sensors(station: Station, cycle: Cycle) -> Iterator[CanLink | CameraLink | 
 
 def _command_port(
     station: Station,
-    handle: Callable[[str, dict[str, Any], str, str], Mapping[str, Any]],
+    handle: Callable[[str, dict[str, Any], str, str], Answer | asyncio.Future[Answer]],
     snapshot: Callable[[], Mapping[str, Any]],
 ) -> CommandPort:
     command = station.config.command

@@ -29,8 +29,10 @@ from linemate.protocol.command_local import LocalAccess, LocalServer
 from linemate.protocol.command_rules import REFUSED, ControlLease, Order
 from linemate.protocol.command_session import CommandServer
 
-Handler = Callable[[str, dict[str, Any], str, str], Mapping[str, Any]]
-"""``handle(op, params, role, who) -> result``; ``{"refused": reason}`` says no."""
+Result = Mapping[str, Any]
+Handler = Callable[[str, dict[str, Any], str, str], Result | asyncio.Future[Any]]
+"""``handle(op, params, role, who) -> result``; ``{"refused": reason}`` says no. A promise of a
+result is answered when it is kept."""
 Snapshot = Callable[[], Mapping[str, Any]]
 
 RECEIVE_BYTES: Final = 2048
@@ -277,15 +279,18 @@ class CommandPort:
             self._send_datagram(door, reply, address)
         if received.request is not None:
             request = received.request
-            result = self._carry_out(request.order)
-            now_ns = self._now_ns()
-            answer = (
-                self._server.fail(request, now_ns)
-                if result is None
-                else self._server.reply(request, result, now_ns)
-            )
-            if answer is not None:
-                self._send_datagram(door, answer, address)
+
+            def answer(result: Result | None) -> None:
+                now_ns = self._now_ns()
+                reply = (
+                    self._server.fail(request, now_ns)
+                    if result is None
+                    else self._server.reply(request, result, now_ns)
+                )
+                if reply is not None and self._datagrams is door:
+                    self._send_datagram(door, reply, address)
+
+            self._carry_out(request.order, answer)
         return True
 
     def _send_datagram(self, door: socket.socket, data: bytes, address: Any) -> None:
@@ -332,16 +337,24 @@ class CommandPort:
             self._drop(connection, "ended")
             return True
         said = connection.server.on_message(data, self._now_ns())
-        if isinstance(said, Order):
-            result = self._carry_out(said)
+        if not isinstance(said, Order):
+            if said is not None:
+                self._send_local(connection, said)
+            return True
+        order = said
+
+        def answer(result: Result | None) -> None:
             now_ns = self._now_ns()
-            said = (
-                connection.server.fail(said, now_ns)
+            server = connection.server
+            reply = (
+                server.fail(order, now_ns)
                 if result is None
-                else connection.server.reply(said, result, now_ns)
+                else server.reply(order, result, now_ns)
             )
-        if said is not None:
-            self._send_local(connection, said)
+            if self._connections.get(connection.socket.fileno()) is connection:
+                self._send_local(connection, reply)
+
+        self._carry_out(order, answer)
         return True
 
     def _send_local(self, connection: _Connection, data: bytes) -> None:
@@ -389,15 +402,35 @@ class CommandPort:
                 log.exception("telemetry failed; said once")
             return {}
 
-    def _carry_out(self, order: Order) -> Mapping[str, Any] | None:
-        """Give an order to the handler; None if that raised."""
+    def _carry_out(self, order: Order, answer: Callable[[Result | None], None]) -> None:
+        """Give an order to the handler, and its result to ``answer``: None if that raised."""
         try:
             result = self._handle(order.op, order.params, str(order.role), order.who)
-        except Exception:
+        except Exception as error:  # noqa: BLE001
             # The robot's cycle calls this; a fault in a handler must stay in its request.
-            self.counters["handler_errors"] += 1
-            log.exception("order %s of %s failed", order.op, order.who)
-            return None
+            self._failed(order, error)
+            answer(None)
+            return
+        if not isinstance(result, asyncio.Future):
+            answer(self._carried_out(order, result))
+            return
+
+        def kept(promise: asyncio.Future[Any]) -> None:
+            error = asyncio.CancelledError() if promise.cancelled() else promise.exception()
+            if error is None:
+                answer(self._carried_out(order, promise.result()))
+            else:
+                self._failed(order, error)
+                answer(None)
+
+        result.add_done_callback(kept)
+
+    def _failed(self, order: Order, error: BaseException) -> None:
+        self.counters["handler_errors"] += 1
+        log.error("order %s of %s failed", order.op, order.who, exc_info=error)
+
+    @staticmethod
+    def _carried_out(order: Order, result: Result) -> Result:
         if OPERATIONS[order.op].role is Role.OPERATE:
             outcome = f"refused: {result[REFUSED]}" if REFUSED in result else dict(result)
             log.info("%s ordered %s %r: %r", order.who, order.op, order.params, outcome)

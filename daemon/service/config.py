@@ -13,12 +13,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from linemate.daemon.service import documents, files, task_file
+from linemate.daemon.service import documents, files, overlay, task_file
 from linemate.daemon.service.command_server import CommandPortError, read_keys
 from linemate.daemon.service.documents import Complaint, FileError
 from linemate.daemon.service.files import UnreadableError
 from linemate.daemon.service.settings import Config
 from linemate.daemon.service.task_file import Task
+from linemate.daemon.settings_tree import Settings
 from linemate.protocol.command_keys import Key
 from linemate.protocol.distance import DistanceDecoder, DistanceError, message_names
 from linemate.protocol.rsi import RsiCodec
@@ -52,6 +53,8 @@ class Station:
         dbc: the distance sensor's, None without one.
         keys: pre-shared keys of the command port.
         texts: the files by role, for recordings: config, task, urdf, rsi, dbc.
+        written: the parameters as the user wrote them, without what operators saved.
+        state: directory for what operators save, None if there is none.
     """
 
     path: Path
@@ -61,6 +64,8 @@ class Station:
     dbc: str | None
     keys: tuple[Key, ...]
     texts: dict[str, str] = field(repr=False)
+    written: Settings
+    state: Path | None = None
 
     @property
     def rsi_port(self) -> int:
@@ -88,7 +93,19 @@ def load(path: Path) -> Station:
     if named.elsewhere or named.task is None or named.rsi is None:
         raise FileError(named.elsewhere)
     texts = {"config": data.decode("utf-8-sig"), **named.texts}
-    return Station(path, config, named.task, named.rsi, named.dbc, named.keys, texts)
+    written = overlay.laid(document, config, path.parent, saved=False)
+    config = overlay.laid(document, config, path.parent)
+    return Station(
+        path,
+        config,
+        named.task,
+        named.rsi,
+        named.dbc,
+        named.keys,
+        texts,
+        overlay.settings_of(written),
+        overlay.directory(config, path.parent),
+    )
 
 
 def schema() -> dict[str, Any]:
@@ -125,6 +142,7 @@ class _Named:
         yield from self._attempt(("command", "udp", "keys"), self._read_keys)
         for directory in _DIRECTORIES:
             yield from self._attempt(directory, partial(self._look_at_directory, directory))
+        yield from self._attempt(("state",), self._look_at_state)
         yield from self._attempt(("command", "socket"), self._look_at_socket)
         yield from self._attempt(("distance", "can"), self._look_at_can)
         for path in _ADDRESSES:
@@ -229,6 +247,11 @@ class _Named:
 
     def _look_at_directory(self, path: tuple[str, ...]) -> None:
         name = self._get(*path, kind=str)
+        if name and not os.access(self._base / name, os.W_OK | os.X_OK):
+            raise ValueError(f"not a directory that can be written: {self._base / name}")
+
+    def _look_at_state(self) -> None:
+        name = self._get("state", kind=str)
         if name and not os.access(self._base / name, os.W_OK | os.X_OK):
             raise ValueError(f"not a directory that can be written: {self._base / name}")
 

@@ -197,9 +197,19 @@ class RealtimeSettings:
 
 @dataclass(frozen=True, slots=True)
 class Config:
-    """A configuration file, whole."""
+    """A configuration file, whole.
+
+    Attributes:
+        task: what is assembled; a bare name may be a shipped one.
+        overlays: files of parameters laid over tracking, control and watch, in this order, such
+            as ``linemate identify`` writes; what operators saved comes last.
+        state: directory for what operators save; None takes the service manager's.
+        version: of the file's layout.
+    """
 
     task: Text
+    overlays: Annotated[tuple[Text, ...], Len(0, 16)] = ()
+    state: Text | None = None
     rsi: RsiSettings = RsiSettings()
     distance: DistanceSettings | None = None
     camera: CameraSettings | None = None

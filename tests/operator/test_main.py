@@ -67,7 +67,7 @@ class Daemon:
                 "unit": "m/s" if name.endswith("speed") else "",
                 "min": 0.0 if name.endswith("speed") else None,
                 "max": 0.2 if name.endswith("speed") else None,
-                "live": name.endswith("speed"),
+                "change": "live" if name.endswith("speed") else "idle",
                 "describe": f"what {name} is",
             }
             for name, value in self.values.items()

@@ -230,7 +230,9 @@ def test_operators_are_answered_while_telegrams_come_and_while_none_do(
             got = await running.ask("get", {"names": ["watch.healthy_cycles"]})
             assert got["values"] == {"watch.healthy_cycles": 10}
             with pytest.raises(RefusedError, match="configuration file"):
-                await running.ask("set", {"values": {"watch.healthy_cycles": 1}})
+                await running.ask("set", {"values": {"rsi.cycle_ms": 4}})
+            changed = await running.ask("set", {"values": {"watch.healthy_cycles": 9}})
+            assert changed["changed"] == {"watch.healthy_cycles": {"old": 10, "new": 9}}
             stopped = await running.ask("record", {"action": "stop"})
             assert stopped["file"].endswith(".mcap")
             with pytest.raises(RefusedError, match="nothing is being recorded"):

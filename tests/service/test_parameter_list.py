@@ -4,7 +4,16 @@ from dataclasses import replace
 
 import pytest
 
-from linemate.daemon.service.parameter_list import Described, described, every, values
+from linemate.daemon.service.parameter_list import (
+    RULES,
+    Change,
+    Described,
+    Rule,
+    described,
+    every,
+    rule,
+    values,
+)
 from linemate.daemon.service.settings import Config
 from linemate.daemon.service.watch import WatchSettings
 from linemate.protocol.command import MAX_RESULT_BYTES, encode_result
@@ -25,7 +34,9 @@ def test_a_parameter_has_value_default_range_unit_and_meaning(
         "name": "watch.healthy_cycles",
         "value": 7,
         "default": 250 if WatchSettings().healthy_cycles == 250 else WatchSettings().healthy_cycles,
-        "live": False,
+        "live": True,
+        "change": "live",
+        "type": "int",
         "min": 1,
         "max": 100_000,
         "describe": by_name["watch.healthy_cycles"]["describe"],
@@ -54,6 +65,32 @@ def test_a_prefix_picks_and_a_wrong_name_is_refused(listed: tuple[Described, ...
     }
     assert values(listed, {"names": ["watch.missed"]}) == {"values": {"watch.missed": 3}}
     assert "nonsense" in values(listed, {"names": ["watch.missed", "nonsense"]})["refused"]
+
+
+def test_every_parameter_says_what_it_means_and_what_it_may_be(
+    listed: tuple[Described, ...],
+) -> None:
+    assert [one["name"] for one in listed if not one.get("describe")] == []
+    assert {one["type"] for one in listed} <= {"bool", "int", "float", "text", "list", "map"}
+    by_name = {one["name"]: one for one in listed}
+    assert by_name["tracking.classifier"]["choices"] == ["rule", "imm", "bank", "none"]
+    assert by_name["rsi.cycle_ms"]["choices"] == [1, 2, 4, 12]
+
+
+def test_a_parameter_changes_live_idle_or_with_a_restart(listed: tuple[Described, ...]) -> None:
+    change = {one["name"]: one["change"] for one in listed}
+    assert change["tracking.distance.deviation"] == "live"
+    assert change["tracking.distance.delay"] == "idle"
+    assert change["control.servos.3.damping"] == "idle"
+    assert change["rsi.port"] if "rsi.port" in change else change["rsi.bind"] == "restart"
+    assert rule("tracking.tactile.contact_force") == Rule(Change.LIVE, in_contact=False)
+    assert rule("command.socket").change is Change.RESTART
+
+
+def test_every_rule_is_of_a_parameter_that_there_is(listed: tuple[Described, ...]) -> None:
+    names = [one["name"] for one in listed]
+    for prefix in RULES:
+        assert any(name == prefix or name.startswith(f"{prefix}.") for name in names), prefix
 
 
 def test_the_whole_list_fits_into_one_answer(listed: tuple[Described, ...]) -> None:

@@ -1,0 +1,369 @@
+"""Parameters of a running daemon: all of a change or none, at the right time, and kept."""
+
+import asyncio
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from loops import run
+
+from linemate.daemon import parameters as compiling
+from linemate.daemon import settings_tree as tree
+from linemate.daemon.parameters import Parameters
+from linemate.daemon.service import config, overlay
+from linemate.daemon.service.cycle import Cycle
+from linemate.daemon.service.documents import FileError
+from linemate.daemon.service.parameter_desk import Desk
+from linemate.daemon.service.states import Machine, State
+from linemate.daemon.service.task_file import Task
+from linemate.protocol.rsi import RobotTelegram, RsiCodec
+from linemate.protocol.samples import DistanceSample
+
+CYCLE_NS = 12_000_000
+TEXT = "task: wheel.yaml\nstate: .\ncontrol: {brake: {jerk: 20.0}}\n"
+NOISE = "tracking.distance.deviation"
+SERVO = "control.servos.2.frequency_hz"
+
+
+class Standing:
+    """A daemon's desk with a cycle that a robot at rest keeps going."""
+
+    def __init__(self, folder: Path, parameters: Parameters, task: Task) -> None:
+        self.path = folder / "linemated.yaml"
+        if not self.path.exists():
+            self.path.write_text(TEXT)
+        self.station = config.load(self.path)
+        self.cycle = Cycle(parameters, RsiCodec(self.station.rsi))
+        self.told: list[tuple[Parameters, str, Any]] = []
+        self.lines: list[str] = []
+        self.desk = Desk(
+            self.station, self.cycle, lambda *what: self.told.append(what), self.lines.append
+        )
+        self._rest = task.file.arm.rest_joints
+        self._k = 0
+
+    def cycles(self, count: int) -> None:
+        for _ in range(count):
+            self._k += 1
+            stamp = 10**12 + self._k * CYCLE_NS
+            self.cycle.feed_distance(DistanceSample(stamp - 10**6, 0.00127 * self._k))
+            telegram = RobotTelegram(
+                4_000_000 + 12 * self._k,
+                joints=self._rest,
+                external=(0.0,) * 6,
+                tcp=(0.0,) * 6,
+                delay=0,
+                channels={"DiL": 0},
+            )
+            assert self.cycle.on_telegram(self.cycle.codec.format_robot(telegram), stamp)
+
+    def set(self, **values: Any) -> dict[str, Any]:
+        """Set, and wait for the promise if there is one."""
+        named = {name.replace("__", "."): value for name, value in values.items()}
+        return self.assign(named)
+
+    def assign(self, values: dict[str, Any], who: str = "uid:7") -> dict[str, Any]:
+        answer = self.desk.set(values, who)
+        return answer if isinstance(answer, dict) else {"promise": answer}
+
+
+Make = Callable[[], Standing]
+
+
+@pytest.fixture
+def make(tmp_path: Path, parameters: Parameters, task: Task) -> Make:
+    return lambda: Standing(tmp_path, parameters, task)
+
+
+def in_state(cycle: Cycle, state: State) -> None:
+    cycle.machine = Machine(state)
+
+
+async def kept(answer: dict[str, Any]) -> dict[str, Any]:
+    """The answer that was promised."""
+    return await answer["promise"]
+
+
+def test_a_live_change_is_in_force_with_the_next_step_and_in_none_before(make: Make) -> None:
+    async def main() -> None:
+        here = make()
+        here.cycles(10)
+        before = here.cycle.last
+        answer = here.assign({NOISE: 0.001})
+        assert answer == {"changed": {NOISE: {"old": 0.00038, "new": 0.001}}}
+        assert here.cycle.parameters.tracker.settings.distance.deviation == 0.00038
+        here.cycles(1)
+        last = here.cycle.last
+        assert before is not None
+        assert last is not None
+        assert last.parameters is here.told[0][0]
+        assert last.parameters.tracker.settings.distance.deviation == 0.001
+        assert last.before is before.after
+        assert here.told[0][1:] == ("uid:7", {NOISE: {"old": 0.00038, "new": 0.001}})
+        assert here.desk.get({"names": [NOISE]}) == {"values": {NOISE: 0.001}}
+        assert "uid:7 set" in here.lines[0]
+
+    run(main())
+
+
+def test_a_live_change_compiles_to_what_a_start_would(make: Make, task: Task) -> None:
+    async def main() -> None:
+        here = make()
+        here.assign({NOISE: 0.001, "tracking.bank.perceived": 5.0, "tracking.camera.gate": 4.0})
+        here.cycles(1)
+        settings = here.desk.settings
+        fresh = compiling.build(
+            task.file, task.urdf, settings.tracking, here.cycle.parameters.settings, 0.012
+        )
+        made = here.cycle.parameters.tracker
+        assert made.settings == fresh.tracker.settings
+        assert repr(made.classifier) == repr(fresh.tracker.classifier)
+        assert repr(made.transverse) == repr(fresh.tracker.transverse)
+
+    run(main())
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        ({NOISE: -1.0}, "tracking.distance.deviation: should be greater than 0"),
+        ({NOISE: "small"}, "tracking.distance.deviation"),
+        ({NOISE: True}, "tracking.distance.deviation"),
+        ({NOISE: None}, "tracking.distance.deviation"),
+        ({NOISE: [1.0]}, "tracking.distance.deviation"),
+        ({"tracking.nonsense": 1}, "no parameter tracking.nonsense"),
+        ({"tracking.distance": 1}, "no parameter tracking.distance"),
+        ({"nonsense": 1}, "no parameter nonsense"),
+        ({"control.servos.9.damping": 1.0}, "no parameter control.servos.9.damping"),
+        ({"tracking.classifier": "oracle"}, "tracking.classifier"),
+        ({"watch.missed": 0}, "watch.missed"),
+        ({"watch.missed": 2.5}, "watch.missed"),
+        ({"rsi.cycle_ms": 4}, "the configuration file"),
+        ({"command.socket": "/tmp/x"}, "the configuration file"),
+    ],
+)
+def test_what_does_not_fit_is_refused_with_its_name_and_nothing_of_it_is_taken(
+    make: Make, values: dict[str, Any], reason: str
+) -> None:
+    async def main() -> None:
+        here = make()
+        here.cycles(5)
+        settings, made_with = here.desk.settings, here.cycle.parameters
+        answer = here.assign({"watch.healthy_cycles": 33, **values})
+        assert reason in answer["refused"]
+        here.cycles(2)
+        assert here.desk.settings is settings
+        assert here.cycle.parameters is made_with
+        assert here.desk.get({"names": ["watch.healthy_cycles"]})["values"] != {
+            "watch.healthy_cycles": 33
+        }
+        assert not here.told
+        assert not here.desk.history
+
+    run(main())
+
+
+def test_every_error_of_a_change_is_told_at_once(make: Make) -> None:
+    async def main() -> None:
+        answer = make().assign({NOISE: -1.0, "tracking.camera.gate": 0.0, "watch.missed": -3})
+        for name in (NOISE, "tracking.camera.gate", "watch.missed"):
+            assert name in answer["refused"]
+
+    run(main())
+
+
+def test_what_needs_the_compiler_begins_anew_where_the_robot_stands(make: Make) -> None:
+    async def main() -> None:
+        here = make()
+        here.cycles(20)
+        last = here.cycle.last
+        assert last is not None
+        answer = await kept(here.assign({SERVO: 5.0, "control.horizon_s": 0.6}))
+        assert set(answer["changed"]) == {SERVO, "control.horizon_s"}
+        here.cycles(2)
+        now = here.cycle.last
+        assert now is not None
+        assert now.outputs.command == last.outputs.command
+        assert now.parameters is here.told[0][0]
+        assert here.cycle.parameters.settings.servos[2].frequency_hz == 5.0
+        assert here.cycle.parameters.controller.steps == 50
+
+    run(main())
+
+
+def test_the_loop_answers_while_the_compiler_runs_and_one_change_waits_for_another(
+    make: Make,
+) -> None:
+    async def main() -> None:
+        here = make()
+        here.cycles(5)
+        promise = here.assign({SERVO: 5.0})["promise"]
+        assert "compiled" in here.assign({NOISE: 0.001})["refused"]
+        cycles = 0
+        while not promise.done():
+            here.cycles(1)
+            cycles += 1
+            await asyncio.sleep(0)
+        assert cycles > 0
+        assert "changed" in promise.result()
+        assert "changed" in here.assign({NOISE: 0.001})
+        here.cycles(1)
+        made = here.cycle.parameters
+        assert (made.settings.servos[2].frequency_hz, made.tracker.settings.distance.deviation) == (
+            5.0,
+            0.001,
+        )
+
+    run(main())
+
+
+def test_a_live_change_keeps_a_compiled_one_that_waits_for_its_step(make: Make) -> None:
+    async def main() -> None:
+        here = make()
+        here.cycles(5)
+        await kept(here.assign({SERVO: 5.0}))
+        here.assign({NOISE: 0.001})
+        here.cycles(1)
+        assert here.cycle.parameters.settings.servos[2].frequency_hz == 5.0
+        assert here.cycle.parameters.tracker.settings.distance.deviation == 0.001
+
+    run(main())
+
+
+@pytest.mark.parametrize("state", [State.ARMED, State.TRACK, State.CONTACT, State.RETREAT])
+def test_the_robots_model_does_not_change_while_it_may_move(make: Make, state: State) -> None:
+    async def main() -> None:
+        here = make()
+        here.cycles(5)
+        in_state(here.cycle, state)
+        assert SERVO in here.assign({SERVO: 5.0})["refused"]
+        if state is State.CONTACT:
+            refused = here.assign({"tracking.tactile.contact_force": 20.0})["refused"]
+            assert "not change in contact" in refused
+        if state is State.TRACK:
+            assert "changed" in here.assign({"tracking.tactile.contact_force": 20.0})
+        assert "changed" in here.assign({NOISE: 0.001})
+
+    run(main())
+
+
+def test_a_compiled_change_is_not_taken_by_a_robot_that_moved_meanwhile(make: Make) -> None:
+    async def main() -> None:
+        here = make()
+        here.cycles(5)
+        answer = here.assign({SERVO: 5.0})
+        in_state(here.cycle, State.ARMED)
+        assert "meanwhile" in (await kept(answer))["refused"]
+        here.cycles(1)
+        assert here.cycle.parameters.settings.servos[2].frequency_hz == 4.5
+        assert not here.told
+
+    run(main())
+
+
+def test_what_is_already_so_changes_nothing(make: Make) -> None:
+    async def main() -> None:
+        here = make()
+        assert here.assign({NOISE: 0.00038, SERVO: 4.5}) == {"changed": {}}
+        assert not here.desk.history
+
+    run(main())
+
+
+def test_what_was_saved_is_in_force_after_a_restart_and_the_users_file_is_as_it_was(
+    make: Make, tmp_path: Path
+) -> None:
+    async def main() -> None:
+        here = make()
+        here.cycles(5)
+        here.assign({NOISE: 0.001, "watch.missed": 4})
+        await kept(here.assign({SERVO: 5.0}))
+        (listed,) = here.desk.describe({"prefix": NOISE})["params"]
+        assert (listed["by"], listed["unsaved"], listed["file"]) == ("uid:7", True, 0.00038)
+        answer = here.desk.save("uid:7")
+        assert isinstance(answer, asyncio.Future)
+        assert (await answer)["saved"] == str(tmp_path / overlay.NAME)
+        (listed,) = here.desk.describe({"prefix": NOISE})["params"]
+        assert "unsaved" not in listed
+        assert here.path.read_text() == TEXT
+        again = make()
+        assert again.desk.settings == here.desk.settings
+        assert again.station.written.tracking.distance.deviation == 0.00038
+        assert again.desk.settings.control.brake.jerk == 20.0
+        again.assign({NOISE: 0.00038, "watch.missed": 3})
+        await kept(again.assign({SERVO: 4.5}))
+        saved = again.desk.save("uid:7")
+        assert isinstance(saved, asyncio.Future)
+        await saved
+        assert not (tmp_path / overlay.NAME).exists()
+
+    run(main())
+
+
+def test_who_changed_what_is_in_the_log_of_changes(make: Make, tmp_path: Path) -> None:
+    async def main() -> None:
+        here = make()
+        here.assign({NOISE: 0.001}, "panel")
+        saved = here.desk.save("panel")
+        assert isinstance(saved, asyncio.Future)
+        await saved
+        await asyncio.get_running_loop().shutdown_default_executor()
+        first, second = map(json.loads, overlay.last_lines(tmp_path, 10))
+        assert first["who"] == "panel"
+        assert first["changed"] == {NOISE: {"old": 0.00038, "new": 0.001}}
+        assert second["saved"].endswith(overlay.NAME)
+
+    run(main())
+
+
+def test_a_disk_that_refuses_is_a_refusal(make: Make, tmp_path: Path) -> None:
+    async def main() -> None:
+        here = make()
+        here.assign({"watch.missed": 4})
+        (tmp_path / overlay.NAME).mkdir()
+        saved = here.desk.save("uid:7")
+        assert isinstance(saved, asyncio.Future)
+        assert "not saved" in (await saved)["refused"]
+
+    run(main())
+    assert [path.name for path in tmp_path.glob(".parameters*")] == []
+
+
+def test_without_a_directory_nothing_is_saved_and_the_reason_says_what_to_do(
+    tmp_path: Path, parameters: Parameters, task: Task
+) -> None:
+    (tmp_path / "linemated.yaml").write_text("task: wheel.yaml\n")
+
+    async def main() -> None:
+        answer = Standing(tmp_path, parameters, task).desk.save("uid:7")
+        assert isinstance(answer, dict)
+        assert "StateDirectory" in answer["refused"]
+
+    run(main())
+
+
+def test_overlays_are_laid_in_their_order_and_told_by_their_own_place(tmp_path: Path) -> None:
+    path = tmp_path / "linemated.yaml"
+    path.write_text("task: wheel.yaml\nstate: .\noverlays: [one.yaml]\nwatch: {missed: 5}\n")
+    (tmp_path / "one.yaml").write_text("watch: {missed: 6, leak_limit: 12}\n")
+    (tmp_path / overlay.NAME).write_text("watch: {missed: 7}\n")
+    station = config.load(path)
+    assert (station.config.watch.missed, station.config.watch.leak_limit) == (7, 12)
+    assert station.written.watch.missed == 6
+    (tmp_path / overlay.NAME).write_text("watch:\n  missed: no\nrsi: {port: 1}\n")
+    with pytest.raises(FileError) as caught:
+        config.load(path)
+    where = tmp_path / overlay.NAME
+    assert any(line.startswith(f"{where}:2:11: watch.missed") for line in caught.value.lines)
+    assert any(line.startswith(f"{where}:3:1: rsi") for line in caught.value.lines)
+
+
+def test_a_difference_laid_over_its_base_gives_the_whole() -> None:
+    base = {"a": 1, "b": {"c": [1, 2], "d": 2.0}, "e": "x"}
+    whole = {"a": 1, "b": {"c": [1, 3], "d": 2.0}, "e": "y"}
+    over = tree.difference(whole, base)
+    assert over == {"b": {"c": [1, 3]}, "e": "y"}
+    assert tree.laid_over(base, over) == whole
+    assert tree.difference(base, base) == {}
