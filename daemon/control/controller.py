@@ -12,6 +12,7 @@ import numpy as np
 from linemate.daemon import rotations
 from linemate.daemon.control import inverse_filter, limits
 from linemate.daemon.control.kinematics import Arm, UnreachableError
+from linemate.daemon.control.limits import Limits
 from linemate.daemon.control.settings import BrakeSettings, ControlSettings
 from linemate.daemon.control.smoothing import smoothing_taps
 from linemate.daemon.horizon import Array, Horizon
@@ -44,8 +45,8 @@ class Controller:
     effector_past: int
     servo: Array
     servo_past: int
-    limits: limits.Limits
-    gentle: limits.Limits
+    limits: Limits
+    gentle: Limits
     steps: int
     contact_steps: int
 
@@ -104,7 +105,7 @@ def compile_controller(settings: ControlSettings, arm: Arm, cycle_s: float) -> C
     smoothing = smoothing_taps(settings.smoothing, cycle_s)
     needed = int(taps[-1]) + int(reach[-1]) + len(smoothing) - 1
     rows = settings.limits[: arm.axes]
-    bounds = limits.Limits(
+    bounds = Limits(
         np.maximum([row.lower for row in rows], arm.lower),
         np.minimum([row.upper for row in rows], arm.upper),
         np.array([row.speed for row in rows]),
@@ -127,7 +128,7 @@ def compile_controller(settings: ControlSettings, arm: Arm, cycle_s: float) -> C
     )
 
 
-def _gentle(brake: BrakeSettings, bounds: limits.Limits) -> limits.Limits:
+def _gentle(brake: BrakeSettings, bounds: Limits) -> Limits:
     """Return the limits of a stop: never more than those of the gate."""
     axes = len(bounds.names)
     acceleration = np.array((*(brake.acceleration,) * 6, brake.axis_acceleration)[:axes])

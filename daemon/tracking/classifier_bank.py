@@ -235,7 +235,7 @@ class BankClassifier:
             P = P - K[:, None] * Ph
             bank = hypotheses.learned(bank, signature, h, K, S, nu)
             if len(pushes):
-                pushed = np.zeros(len(pushes))
+                pushed: Array = np.zeros(len(pushes))
                 if row.source is not Source.DISTANCE:
                     pushed, _ = self._pushed(pushes.age - row.delay, pushes.omega)
                 pushes = hypotheses.learned(pushes, pushed, h, K, S, nu)
