@@ -19,6 +19,7 @@ import can
 
 from linemate.drivers.backoff import Backoff
 from linemate.drivers.link import LinkStatus, why
+from linemate.drivers.read_ahead import ReadAhead
 from linemate.drivers.stamps import ArrivalClock, paired_clocks
 from linemate.protocol.errors import ProtocolError
 from linemate.protocol.samples import DistanceSample
@@ -33,6 +34,9 @@ THREAD_RECV_S = 0.2
 
 SLCAN_DEFAULTS = {"sleep_after_open": 0, "timeout": 0}
 """python-can sleeps two seconds at open and blocks a millisecond a read if not told."""
+
+SERIAL_PORT = "serialPortOrig"
+"""Where python-can's slcan keeps its port."""
 
 log = logging.getLogger(__name__)
 
@@ -110,7 +114,7 @@ class CanLink:
 
     async def _live_once(self) -> str:
         try:
-            bus = await _in_thread(lambda: can.Bus(**self._config), leftover=_shut_down)
+            bus = await _in_thread(lambda: _opened(self._config), leftover=_shut_down)
         except Exception as error:  # noqa: BLE001 - a plug-in may raise anything
             return why(error)
         try:
@@ -297,6 +301,14 @@ def _with_defaults(can_config: Mapping[str, object]) -> dict[str, Any]:
     if can_config.get("interface") == "slcan":
         return {**SLCAN_DEFAULTS, **can_config}
     return dict(can_config)
+
+
+def _opened(can_config: Mapping[str, Any]) -> can.BusABC:
+    """A bus, one on a serial line reading in portions."""
+    bus = can.Bus(**can_config)
+    if hasattr(bus, SERIAL_PORT):
+        setattr(bus, SERIAL_PORT, ReadAhead(getattr(bus, SERIAL_PORT)))
+    return bus
 
 
 def _descriptor(bus: can.BusABC) -> int | None:
