@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any, Self, TypeVar
 
 import msgspec
@@ -21,6 +22,8 @@ import numpy as np
 import pytest
 from daemon_process import DaemonProcess
 
+from linemate.daemon.control.settings import ControlSettings
+from linemate.daemon.operator.client import Client, RefusedError
 from linemate.protocol import camera
 from linemate.protocol.command import Role
 from linemate.protocol.command_keys import key_line, make_key
@@ -29,13 +32,18 @@ from linemate.protocol.rsi import SensorTelegram
 from linemate.protocol.slcan import CanFrame, format_frame
 from linemate.simulators.devices.controller import ControllerConfig, RsiController
 from linemate.simulators.devices.emulator import Emulator, EmulatorConfig, EmulatorResult
+from linemate.simulators.devices.limits import LIMITS
+from linemate.simulators.harness import scenario_file
+from linemate.simulators.harness.setup import shipped_task
 from linemate.simulators.plants.scenario import Camera, Scenario
 
 T = TypeVar("T")
 
 LONGEST_S = 240.0
+QUIET = Scenario(lead_in_s=1.0, camera=Camera(dropout_rate=0.0, blind_beyond=10.0))
 PATIENCE_S = 40.0
 ROUNDS = 10
+ON_ITS_WAY = 0.02
 JUNK = (
     b"",
     b"\x00",
@@ -58,8 +66,20 @@ distance: {can: {interface: slcan, channel: FOLDER/can}}
 camera: {port: 0}
 force_torque: {url: FOLDER/ft}
 command: {socket: c.sock, udp: {port: 0, keys: keys}}
-watch: {healthy_cycles: 10, link_lost_s: 1.0, missed: 50, leak_limit: 1000}
+watch:
+  # A busy machine's own stalls shall not end what is looked at here.
+  {healthy_cycles: 10, link_lost_s: 1.0, missed: 50, leak_limit: 1000, position_s: 2, wrench_s: 2}
 """
+
+
+def robots_limits() -> str:
+    """The emulated robot's limits for the daemon's file, as a site copies its own robot's."""
+    rows = [
+        f"{{lower: {robot.low}, upper: {robot.high}, speed: {robot.speed},"
+        f" acceleration: {own.acceleration}, jerk: {own.jerk}}}"
+        for robot, own in zip(LIMITS, ControlSettings().limits, strict=True)
+    ]
+    return f"control: {{limits: [{', '.join(rows)}]}}\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,21 +101,21 @@ def at(value: Any, *path: str) -> Any:
 class Station:
     """The emulators in a thread of their own, beside a daemon in a process of its own."""
 
-    def __init__(self, daemon: DaemonProcess) -> None:
+    def __init__(self, daemon: DaemonProcess, scenario: Scenario = QUIET) -> None:
         self.daemon = daemon
         self._loop = asyncio.new_event_loop()
         self._stop = asyncio.Event()
         self._running: asyncio.Future[EmulatorResult] | None = None
         self._thread = threading.Thread(target=self._loop.run_forever)
-        camera_model = Camera(dropout_rate=0.0, blind_beyond=10.0)
         self.emulator = Emulator(
             EmulatorConfig(
-                scenario=Scenario(lead_in_s=1.0, duration_s=LONGEST_S, camera=camera_model),
+                scenario=replace(scenario, duration_s=LONGEST_S),
                 controller=ControllerConfig(timeout=100_000),
                 robot_target=daemon.robot(),
                 camera_target=tuple(daemon.listening["camera"]),
                 can_link=daemon.folder / "can",
                 serial_link=daemon.folder / "ft",
+                distance_mount=shipped_task().file.conveyor.start_position,
                 wait_answered=3,
             )
         )
@@ -177,6 +197,33 @@ class Station:
             self.do(action)
             self.cycles(3)
 
+    def order(self, op: str, timeout_s: float = 4.5) -> str | None:
+        """Give the daemon an order; why it is refused, or None."""
+        with Client.local(self.daemon.listening["command"]["socket"]) as client:
+            try:
+                client.call(op, None, timeout_s)
+            except RefusedError as refused:
+                return str(refused)
+        return None
+
+    def travelled(self) -> float:
+        """How far any setpoint has been from another [rad, m]."""
+        setpoints = self.do(self.emulator.truth.columns)["setpoints"]
+        return float(np.ptp(setpoints, axis=0).max())
+
+    def set_going(self) -> str:
+        """Arm and start until the robot is on its way; what was said last if it never is."""
+        end = time.monotonic() + PATIENCE_S
+        told = ""
+        while self.travelled() < ON_ITS_WAY and time.monotonic() < end:
+            status = self.daemon.status()
+            order = {"idle": "arm", "armed": "start"}.get(status["state"])
+            told = (order and self.order(order)) or f"{status['state']}, {status['because']}"
+            if status["state"] not in {"init", "idle", "armed", "track"}:
+                break
+            self.cycles(1)
+        return told
+
     @contextmanager
     def unharmed(self) -> Iterator[Glimpse]:
         """Whatever happens in here, telegrams are answered and the robot stays where it is."""
@@ -219,16 +266,20 @@ def _told(before: Glimpse, after: Glimpse) -> str:
     )
 
 
-@pytest.fixture(scope="module")
-def station(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Station]:
-    folder = tmp_path_factory.mktemp("station")
+@contextmanager
+def serving(folder: Path) -> Iterator[DaemonProcess]:
+    """A daemon with every link and door."""
     keys = folder / "keys"
     keys.write_text(key_line(make_key("panel", Role.OPERATE, bytes(range(32)))))
     keys.chmod(0o400)
-    with (
-        DaemonProcess(folder, TEXT.replace("FOLDER", str(folder))) as daemon,
-        Station(daemon) as running,
-    ):
+    text = TEXT.replace("FOLDER", str(folder)) + robots_limits()
+    with DaemonProcess(folder, text) as daemon:
+        yield daemon
+
+
+@pytest.fixture(scope="module")
+def station(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Station]:
+    with serving(tmp_path_factory.mktemp("station")) as daemon, Station(daemon) as running:
         yield running
 
 
@@ -527,3 +578,36 @@ def test_a_host_that_writes_nonsense_to_the_devices_is_refused_and_served_on(
                 for name in ("distance", "force_torque")
             )
         )
+
+
+# While it moves.
+
+
+def test_what_comes_while_the_robot_moves_never_makes_it_move_beyond_its_limits(
+    tmp_path: Path, stranger: socket.socket
+) -> None:
+    wheel = replace(scenario_file.load("wheel"), lead_in_s=5.0)
+    with serving(tmp_path) as daemon, Station(daemon, wheel) as station:
+        told = station.set_going()
+        if station.travelled() < ON_ITS_WAY:
+            pytest.skip(f"the machine is too busy for the robot to get on its way: {told}")
+        listening = daemon.listening
+        for junk in JUNK:
+            for target in (listening["robot"], listening["camera"], listening["command"]["udp"]):
+                stranger.sendto(junk, tuple(target))
+            station.do(station.emulator.can.port.write, junk)
+            station.do(station.emulator.force_torque.port.write, junk)
+            station.cycles(2)
+        devices = (station.emulator.can, station.emulator.force_torque)
+        for device in devices:
+            station.do(device.close)
+        station.status_once(lambda s: s["state"] not in {"armed", "track", "contact"})
+        for device in devices:
+            station.do(device.open)
+        station.cycles(20)
+        status = daemon.status()
+        judge = station.emulator.link.controller.judge
+        assert status["faults"] == 0
+        assert judge.violations == 0, judge.evidence
+        assert station.emulator.world.collision is None
+        assert station.emulator.link.controller.broken is None
