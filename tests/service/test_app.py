@@ -50,6 +50,7 @@ class Controller:
         self.sent: list[int] = []
         self._rest = rest
         self._ipoc = 4_000_000
+        self.cycle_s = CYCLE_S
         self._next_s = time.monotonic()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
@@ -76,7 +77,7 @@ class Controller:
         self._ipoc += 12
 
     async def take(self) -> None:
-        self._next_s += CYCLE_S
+        self._next_s += self.cycle_s
         await asyncio.sleep(self._next_s - time.monotonic())
         with contextlib.suppress(BlockingIOError):
             while True:
@@ -251,6 +252,24 @@ def test_a_second_daemon_on_the_same_port_says_so_and_ends(serve: Serve) -> None
             with pytest.raises(StartError, match="robot's port"):
                 async with serve(f"task: wheel.yaml\nrsi: {{port: {port}}}\n"):
                     pass
+
+    run(main())
+
+
+def test_a_controller_of_another_cycle_is_answered_and_not_armed_for(
+    serve: Serve, task: Task
+) -> None:
+    async def main() -> None:
+        async with serve() as running:
+            controller = running.controller(task)
+            controller.cycle_s = 0.014
+            sending = asyncio.create_task(controller.cycles(10_000))
+            reason = "ms and 12 ms is configured"
+            await until(lambda: reason in " ".join(running.app.status()["complaints"]))
+            with pytest.raises(RefusedError, match=reason):
+                await running.ask("arm")
+            sending.cancel()
+            assert controller.replies
 
     run(main())
 
