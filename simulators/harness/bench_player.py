@@ -1,9 +1,9 @@
 """Plays a reel to a daemon over its real links, and takes the time of every reply.
 
-Law of this file: a process of its own with light imports. All bytes are made beforehand; in the
-loop it sleeps until the next instant, sends, and reads stamps that the kernel gave. In every
-cycle it asks the daemon and, half a cycle later, a program that only echoes, so that both meet
-the same machine. It never polls and never waits for a reply.
+Law of this file: a process of its own with light imports. In the loop it sleeps until the next
+instant, sends, and reads stamps that the kernel gave; the robot it plays goes where it is sent.
+In every cycle it asks the daemon and, half a cycle later, a program that only echoes, so that
+both meet the same machine. It never polls and never waits for a reply.
 
 Messages of its socket, JSON: out ``{"can": , "force_torque": }``; in ``{"robot": , "camera": ,
 "echo": }`` begins the play; in ``{"measure": CYCLES, "file": }``; out ``{"measured": }``.
@@ -104,13 +104,15 @@ class Asked:
         self._waiting[ipoc] = (time.time_ns(), index)
         self._ear.endpoint.sendto(data, self._ear.target)
 
-    def hear(self) -> None:
-        """Take the replies that have come."""
+    def hear(self) -> bytes | None:
+        """Take the replies that have come, and return the last."""
+        data = None
         for data, stamp_ns in self._ear.arrivals():
             begin = data.find(b"<IPOC>") + 6
             sent = self._waiting.pop(int(data[begin : data.find(b"<", begin)]), None)
             if sent is not None and sent[1] >= 0:
                 self.took_ns[sent[1]] = max(1, stamp_ns - sent[0])
+        return data
 
     def clear(self) -> None:
         """Begin to count anew."""
@@ -140,6 +142,52 @@ class Port:
                 os.write(self._master, data)
 
 
+class Arm:
+    """An ideal robot: it is where the last reply sent it; its tool's signals are the reel's."""
+
+    def __init__(self, reel: Reel) -> None:
+        xml = files("linemate.protocol").joinpath("data", "rsi_joints.xml").read_bytes()
+        self._codec = RsiCodec(parse_config(xml))
+        self._reel = reel
+        self._start, _ = reel.axes(0)
+        self._axes = self._start
+
+    def rest(self) -> None:
+        """Stand where the reel begins; a new session counts corrections from there."""
+        self._axes = self._start
+
+    def follow(self, reply: bytes | None) -> None:
+        """Go where a reply says.
+
+        Args:
+            reply: absolute corrections, or None to stay.
+        """
+        if reply is None:
+            return
+        told = self._codec.parse_sensor(reply)
+        offsets = (*(told.joints or (0.0,) * 6), *(told.external or (0.0,))[:1])
+        self._axes = tuple(a + b for a, b in zip(self._start, offsets, strict=True))
+
+    def telegram(self, ipoc: int, at_ns: int) -> bytes:
+        """Say where it is.
+
+        Args:
+            ipoc: the telegram's counter.
+            at_ns: after the reel's begin [ns].
+        """
+        _, signals = self._reel.axes(at_ns)
+        return self._codec.format_robot(
+            RobotTelegram(
+                ipoc=ipoc,
+                joints=self._axes[:6],  # type: ignore[arg-type]
+                external=(self._axes[6], 0.0, 0.0, 0.0, 0.0, 0.0),
+                tcp=(0.0,) * 6,
+                delay=0,
+                channels={"DiL": signals},
+            )
+        )
+
+
 class Player:
     """The loop."""
 
@@ -150,7 +198,8 @@ class Player:
         self._sensor = ForceTorqueSensor("bota")
         self._can = Port(self._adapter.feed)
         self._serial = Port(self._sensor.feed)
-        self._telegrams = _telegrams(reel, cycle_ns)
+        self._arm = Arm(reel)
+        self._cycles = reel.length_ns // cycle_ns
         self._actions = self._sorted(reel)
         self._camera_target: Address = ("127.0.0.1", 0)
         self._camera = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -177,7 +226,7 @@ class Player:
             if after_ns is None:
                 return
             begin_ns = after_ns
-            played_ns += self._cycle_ns * len(self._telegrams)
+            played_ns += self._cycle_ns * self._cycles
 
     def _pass(self, begin_ns: int, played_ns: int) -> int | None:
         """Play the reel once.
@@ -191,13 +240,14 @@ class Player:
         """
         cycle_ns, actions, coming = self._cycle_ns, self._actions, 0
         due_ns = begin_ns
-        for number, (head, tail) in enumerate(self._telegrams):
+        self._arm.rest()
+        for number in range(self._cycles):
             due_ns = self._sleep(due_ns)
-            self._robot.hear()
+            self._arm.follow(self._robot.hear())
             self._echo.hear()
             counting = self._left > 0 and number >= SETTLE
             ipoc = FIRST_IPOC + 4 * number
-            telegram = b"%b%d%b" % (head, ipoc, tail)
+            telegram = self._arm.telegram(ipoc, number * cycle_ns)
             self._robot.ask(telegram, ipoc, counted=counting)
             # Sensors speak between the reply and the echo, so that neither is disturbed by them.
             self._sleep(due_ns + cycle_ns // 4)
@@ -221,7 +271,7 @@ class Player:
         self._left -= 1
         if self._left == 0:
             self._sleep(time.monotonic_ns() + self._cycle_ns // 4)
-            self._robot.hear()
+            self._arm.follow(self._robot.hear())
             self._echo.hear()
             self._leave()
 
@@ -314,28 +364,6 @@ class Player:
         self, at_ns: int, force: Sequence[float], torque: Sequence[float], played_ns: int
     ) -> None:
         self._serial.write(self._sensor.frame(force, torque, (at_ns + played_ns) // 1000))
-
-
-def _telegrams(reel: Reel, cycle_ns: int) -> list[tuple[bytes, bytes]]:
-    """Every telegram of the reel without its IPOC."""
-    xml = files("linemate.protocol").joinpath("data", "rsi_joints.xml").read_bytes()
-    codec = RsiCodec(parse_config(xml))
-    mark = b"987654321"
-    found = []
-    for at_ns in range(0, reel.length_ns, cycle_ns):
-        axes, signals = reel.axes(at_ns)
-        telegram = RobotTelegram(
-            ipoc=int(mark),
-            ipoc_text=mark,
-            joints=axes[:6],  # type: ignore[arg-type]
-            external=(axes[6], 0.0, 0.0, 0.0, 0.0, 0.0),
-            tcp=(0.0,) * 6,
-            delay=0,
-            channels={"DiL": signals},
-        )
-        head, _, tail = codec.format_robot(telegram).partition(mark)
-        found.append((head, tail))
-    return found
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -1,14 +1,17 @@
 """What a station said is said again, at any cycle."""
 
 import itertools
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
 
+from linemate.protocol.rsi import RsiCodec, SensorTelegram, parse_config
 from linemate.simulators.harness import bench_player
 from linemate.simulators.harness.bench_reel import DISTANCE_NS, Reel
 
 MS = 1_000_000
+XML = files("linemate.protocol").joinpath("data", "rsi_joints.xml").read_bytes()
 
 
 def reel(cycles: int = 10) -> Reel:
@@ -51,18 +54,17 @@ def test_a_reel_comes_back_from_its_file(tmp_path: Path) -> None:
     assert again.length_ns == reel().length_ns == 108 * MS
 
 
-def test_a_players_telegrams_are_read_by_the_daemons_codec() -> None:
-    from importlib.resources import files
-
-    from linemate.protocol.rsi import RsiCodec, parse_config
-
-    xml = files("linemate.protocol").joinpath("data", "rsi_joints.xml").read_bytes()
-    codec = RsiCodec(parse_config(xml))
-    telegrams = bench_player._telegrams(reel(), 4 * MS)
-    assert len(telegrams) == 27
-    head, tail = telegrams[5]
-    told = codec.parse_robot(b"%b%d%b" % (head, 100_000_020, tail))
+def test_the_players_robot_goes_where_it_is_sent_and_the_daemons_codec_reads_it() -> None:
+    codec = RsiCodec(parse_config(XML))
+    arm = bench_player.Arm(reel())
+    reply = SensorTelegram(ipoc=1, joints=(0.1, 0.0, 0.0, 0.0, 0.0, -0.2), external=(0.3,))
+    arm.follow(codec.format_sensor(reply))
+    arm.follow(None)
+    told = codec.parse_robot(arm.telegram(100_000_020, 60 * MS))
     assert told.ipoc == 100_000_020
-    assert told.joints == pytest.approx((20.0,) * 6)
+    assert told.joints == pytest.approx((0.1, 0.0, 0.0, 0.0, 0.0, -0.2))
     assert told.external is not None
-    assert told.external[0] == pytest.approx(20.0)
+    assert told.external[0] == pytest.approx(0.3)
+    assert told.channels["DiL"] == 1
+    arm.rest()
+    assert codec.parse_robot(arm.telegram(1, 0)).joints == pytest.approx((0.0,) * 6)
