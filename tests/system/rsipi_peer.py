@@ -21,7 +21,8 @@ LATE = re.compile(r"no reply in time")
 def control(config: str, cycle_ms: int, cycles: int, joints: list[float]) -> dict[str, Any]:
     """Be the controller for so many cycles; what it counted.
 
-    Late cycles come with the monotonic time from the first one's telegram to the next reply.
+    Cycles without a good reply come with the monotonic times of their beginning and end, for it
+    does not count all of them: not those at either end, nor a silence that it takes for a restart.
     """
     from RSIPI.rsi_echo_server import EchoServer
 
@@ -31,21 +32,24 @@ def control(config: str, cycle_ms: int, cycles: int, joints: list[float]) -> dic
         server_address = property(lambda _: ("127.0.0.1", 0), lambda *_: None)
 
         def __init__(self) -> None:
-            self.sent = self.accepted = 0
-            self.late: list[tuple[float, float, int]] = []
+            self.sent = self.accepted = self.late = 0
+            self.sent_s = 0.0
+            self.unanswered: list[tuple[float, float]] = []
             self.wrong: list[str] = []
-            super().__init__(config, delay_ms=cycle_ms, mode="absolute")
+            super().__init__(config, delay_ms=cycle_ms, mode="absolute", timeout_packets=cycles)
             for pose in (self.state["AIPos"], self.base_pose["AIPos"]):
                 pose.update({f"A{i + 1}": joint for i, joint in enumerate(joints)})
 
         def receive_and_process(self) -> bool | None:
             accepted: bool | None = super().receive_and_process()
             self.accepted += accepted is True
+            if self.sent and not accepted:
+                self.unanswered.append((self.sent_s, time.monotonic()))
             return accepted
 
         def _register_faulty_packet(self, reason: str, count: int = 1) -> None:
             if LATE.match(reason):
-                self.late.append((self._unanswered_since - cycle_ms / 1e3, time.monotonic(), count))
+                self.late += count
             else:
                 self.wrong.append(reason)
             super()._register_faulty_packet(reason, count)
@@ -54,6 +58,7 @@ def control(config: str, cycle_ms: int, cycles: int, joints: list[float]) -> dic
             self.running = self.sent < cycles
             if self.running:
                 self.sent += 1
+                self.sent_s = time.monotonic()
                 super().send_once()
 
     controller = Controller()
@@ -64,6 +69,7 @@ def control(config: str, cycle_ms: int, cycles: int, joints: list[float]) -> dic
         "sent": controller.sent,
         "accepted": controller.accepted,
         "late": controller.late,
+        "unanswered": controller.unanswered,
         "wrong": controller.wrong,
         "faulty": controller.faulty_packets,
         "joints": list(controller.state["AIPos"].values()),
