@@ -15,6 +15,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
+import numpy as np
+
 from linemate.daemon import parameters as compiling
 from linemate.daemon import settings_tree as tree
 from linemate.daemon import step as stepping
@@ -225,7 +227,8 @@ class Desk:
             return None
         state, inputs = tried
         try:
-            _, outputs = stepping.step(state, replace(inputs, start=False), made)
+            with np.errstate(over="raise", invalid="raise", divide="raise"):
+                _, outputs = stepping.step(state, replace(inputs, start=False), made)
         except (ValueError, ArithmeticError, IndexError) as error:
             return f"the next step could not be made: {type(error).__name__}: {error}"
         told = (*outputs.command, *outputs.target, outputs.confidence)

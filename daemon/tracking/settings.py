@@ -10,8 +10,18 @@ from typing import Annotated
 
 from annotated_types import Ge, Gt, Le, Len, Lt
 
-Positive = Annotated[float, Gt(0.0)]
-NonNegative = Annotated[float, Ge(0.0)]
+# Wide of anything that was ever measured, and narrow enough that a covariance keeps its sign in
+# 64 bits whatever is set while the filter runs.
+Length = Annotated[float, Ge(1e-5), Le(0.05)]
+Angle = Annotated[float, Ge(1e-5), Le(0.1)]
+Slope = Annotated[float, Ge(0.0), Le(0.1)]
+Walk = Annotated[float, Ge(1e-7), Le(0.01)]
+Sigmas = Annotated[float, Ge(1.0), Le(100.0)]
+LogOdds = Annotated[float, Ge(-100.0), Le(1000.0)]
+Constant = Annotated[float, Ge(0.01), Le(100.0)]
+Frequency = Annotated[float, Ge(0.01), Le(50.0)]
+Force = Annotated[float, Ge(0.5), Le(10_000.0)]
+Stiffness = Annotated[float, Ge(1.0), Le(1e8)]
 
 
 class ClassifierKind(StrEnum):
@@ -33,9 +43,9 @@ class DistanceNoise:
         gate: innovation refused beyond this many sigma.
     """
 
-    deviation: Positive = 0.00038
-    delay: NonNegative = 0.001
-    gate: Positive = 4.0
+    deviation: Length = 0.00038
+    delay: Annotated[float, Ge(0.0), Le(0.1)] = 0.001
+    gate: Sigmas = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,13 +62,13 @@ class CameraNoise:
         longest_delay: an older exposure is refused [s].
     """
 
-    lateral: Positive = 0.00025
-    lateral_slope: NonNegative = 0.0012
-    depth_factor: Positive = 2.0
-    angle: Positive = 0.0006
-    angle_slope: NonNegative = 0.004
-    gate: Positive = 5.0
-    longest_delay: Positive = 0.3
+    lateral: Length = 0.00025
+    lateral_slope: Slope = 0.0012
+    depth_factor: Annotated[float, Ge(0.1), Le(20.0)] = 2.0
+    angle: Angle = 0.0006
+    angle_slope: Slope = 0.004
+    gate: Sigmas = 5.0
+    longest_delay: Annotated[float, Gt(0.0), Le(1.0)] = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,13 +86,13 @@ class TactileNoise:
         overload_force: force beyond which the tool is withdrawn [N].
     """
 
-    deflection: Positive = 0.00005
-    angle: Positive = 0.0002
-    stiffness: tuple[Positive, Positive, Positive] = (50e3, 50e3, 50e3)
-    rotational_stiffness: tuple[Positive, Positive, Positive] = (2000.0, 2000.0, 2000.0)
-    gate: Positive = 20.0
-    contact_force: Positive = 15.0
-    overload_force: Positive = 350.0
+    deflection: Length = 0.00005
+    angle: Angle = 0.0002
+    stiffness: tuple[Stiffness, Stiffness, Stiffness] = (50e3, 50e3, 50e3)
+    rotational_stiffness: tuple[Stiffness, Stiffness, Stiffness] = (2000.0, 2000.0, 2000.0)
+    gate: Sigmas = 20.0
+    contact_force: Force = 15.0
+    overload_force: Force = 350.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +107,7 @@ class SwingMode:
     """
 
     axis: Annotated[int, Ge(0), Le(2)] = 1
-    frequency_hz: Positive = 0.62
+    frequency_hz: Frequency = 0.62
     damping: Annotated[float, Ge(0.0), Lt(0.5)] = 0.002
     levers: tuple[float, float, float] = (-0.3, 0.0, -0.9)
 
@@ -120,15 +130,15 @@ class FusionSettings:
         initial_images: images whose median starts the filter.
     """
 
-    position: Positive = 0.0001
-    angle: Positive = 0.0002
-    swing: Positive = 0.0001
-    speed: Positive = 0.0005
-    ripple: Positive = 0.0003
-    ripple_time: Positive = 1.0
-    contact_ripple: Positive = 0.001
-    contact_ripple_time: Positive = 0.2
-    offset: Positive = 0.00002
+    position: Walk = 0.0001
+    angle: Walk = 0.0002
+    swing: Walk = 0.0001
+    speed: Walk = 0.0005
+    ripple: Walk = 0.0003
+    ripple_time: Constant = 1.0
+    contact_ripple: Walk = 0.001
+    contact_ripple_time: Constant = 0.2
+    offset: Walk = 0.00002
     initial_images: Annotated[int, Ge(1), Le(50)] = 5
 
 
@@ -142,9 +152,9 @@ class RuleSettings:
         bandwidth: of the speed state the rule's own filter is tuned to [rad/s].
     """
 
-    tentative: Positive = 0.00122
-    confirmed: Positive = 0.0034
-    bandwidth: Positive = 6.4
+    tentative: Length = 0.00122
+    confirmed: Length = 0.0034
+    bandwidth: Annotated[float, Ge(0.1), Le(100.0)] = 6.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,13 +171,13 @@ class BankSettings:
         longest_onset: age of the oldest onset in the bank [s].
     """
 
-    perceived: float = 6.0
-    stop_confirmed: float = 10.0
-    start_confirmed: float = 14.0
-    amplitude_deviation: Positive = 0.15
-    penalty: float = 4.0
-    contact_penalty: float = 3.0
-    longest_onset: Positive = 1.5
+    perceived: LogOdds = 6.0
+    stop_confirmed: LogOdds = 10.0
+    start_confirmed: LogOdds = 14.0
+    amplitude_deviation: Annotated[float, Ge(0.01), Le(2.0)] = 0.15
+    penalty: LogOdds = 4.0
+    contact_penalty: LogOdds = 3.0
+    longest_onset: Annotated[float, Ge(0.1), Le(5.0)] = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,11 +192,11 @@ class JerkSettings:
         longest_onset: age of the oldest onset in the bank [s].
     """
 
-    frequencies_hz: Annotated[tuple[Positive, ...], Len(1, 8)] = (1.5, 0.5)
+    frequencies_hz: Annotated[tuple[Frequency, ...], Len(1, 8)] = (1.5, 0.5)
     damping: Annotated[float, Ge(0.0), Lt(1.0)] = 0.15
-    deviation: Positive = 0.002
-    confirmed: float = 6.0
-    longest_onset: Positive = 0.5
+    deviation: Length = 0.002
+    confirmed: LogOdds = 6.0
+    longest_onset: Annotated[float, Ge(0.05), Le(5.0)] = 0.5
 
     @property
     def omegas(self) -> tuple[float, ...]:
@@ -204,7 +214,7 @@ class ImmSettings:
         confirmed: and at which it is confirmed.
     """
 
-    rate: Positive = 0.1
+    rate: Annotated[float, Ge(1e-4), Le(10.0)] = 0.1
     perceived: Annotated[float, Gt(0.0), Lt(1.0)] = 0.8
     confirmed: Annotated[float, Gt(0.0), Lt(1.0)] = 0.995
 
@@ -219,9 +229,9 @@ class MergeSettings:
         blend: time in which the programmed motion gives way to the sensed one [s].
     """
 
-    along: Positive = 0.025
-    across: Positive = 0.04
-    blend: Positive = 2.5
+    along: Annotated[float, Ge(1e-4), Le(1.0)] = 0.025
+    across: Annotated[float, Ge(1e-4), Le(1.0)] = 0.04
+    blend: Annotated[float, Ge(1e-3), Le(20.0)] = 2.5
 
 
 @dataclass(frozen=True, slots=True)

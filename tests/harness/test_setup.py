@@ -35,7 +35,7 @@ def test_the_end_of_a_key_is_enough_where_it_is_unique() -> None:
         ("tracking.rule.tentativ=1", "near are tracking.rule.tentative"),
         ("dropout_rate=0.1", "could be"),
         ("tracking.rule.tentative", "KEY=VALUE"),
-        ("tracking.rule.tentative=-1", "greater than 0"),
+        ("tracking.rule.tentative=-1", "greater than"),
         ("tracking.rule.tentative=x", "valid number"),
         ("tracking.rule.tentative=.nan", "finite"),
         ("tracking.rule.tentative={", "YAML"),
