@@ -53,6 +53,9 @@ class Endpoint:
         except OSError:
             link.close()
             raise
+        except OverflowError as error:  # Python's own word for a port that there is not
+            link.close()
+            raise OSError(str(error)) from error
         return cls(link)
 
     @property

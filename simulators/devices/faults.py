@@ -34,6 +34,7 @@ MEANINGS: dict[str, str] = {
     "second": "another controller sends telegrams of its own for duration_s",
     "drives_off": "the axes stand braked for duration_s, then the programme begins anew",
     "stall": "the daemon does nothing for duration_s",
+    "wall_step": "the host's wall clock is stepped by value seconds",
     "crash": "the daemon is gone and begins anew duration_s later",
     "arm": "an operator's order",
     "start": "an operator's order",
@@ -70,14 +71,16 @@ KINDS: dict[str, tuple[str, ...]] = {
     "distance": (*REAL["distance"], *_PIECES, *_READINGS),
     "camera": (*REAL["camera"], *_PIECES, "reorder", *_READINGS, "nan", *_CLOCKS),
     "force_torque": (*REAL["force_torque"], *_PIECES, *_READINGS, "nan", *_CLOCKS),
-    "daemon": ("stall", "crash"),
+    "daemon": ("stall", "crash", "wall_step"),
     "operator": ("arm", "start", "stop", "retreat", "ack"),
 }
 """What can happen to each link in virtual time. ``robot`` is the telegrams' way to the daemon,
 ``reply`` the way back. A reply has no ``flip``: a wrong digit in a well-formed reply is a command,
 and nobody but UDP's checksum can tell."""
 
-STRIKING = frozenset({"garbage", "unplug", "restart", "drives_off", "crash", *KINDS["operator"]})
+STRIKING = frozenset(
+    {"garbage", "unplug", "restart", "drives_off", "crash", "wall_step", *KINDS["operator"]}
+)
 GARBAGE_BYTES = 64
 
 

@@ -63,8 +63,17 @@ class Oracle:
             self.violations.append(f"{what} (at {self._now_s:.3f} s)")
 
     def attend(self, cycle: Cycle) -> None:
-        """Look at a daemon's transitions from now on."""
+        """Look at a daemon's transitions and steps from now on."""
+        take_log = cycle.take_log
+
+        def overheard() -> list[LogEntry]:
+            entries = take_log()
+            for entry in entries:
+                self._judge_step(entry, cycle.openings)
+            return entries
+
         cycle.on_transition = self._transition
+        cycle.take_log = overheard  # type: ignore[method-assign]
         self._open_orders.clear()
         self._command = ()
 
@@ -87,8 +96,6 @@ class Oracle:
         """Look at what a daemon did in one cycle of the controller."""
         self._now_s = now_s
         self.states.add(str(cycle.machine.state))
-        for entry in cycle.take_log():
-            self._judge_step(entry, cycle.openings)
         if cycle.log_dropped:
             self.blame("queue: steps were dropped from the log")
         if now_s - self._sized_s > 1.0:

@@ -47,11 +47,12 @@ RANGES: dict[str, tuple[float, float]] = {
     "drift": (1e-3, 0.5),
     "clock_step": (0.01, 3600.0),
     "clock_rate": (1e-3, 0.5),
+    "wall_step": (1e-3, 3600.0),
     "garbage": (1.0, 1472.0),
 }
 """Least and greatest ``value`` of a kind; drawn evenly on a logarithmic scale."""
 
-SIGNED = frozenset({"scale", "offset", "drift", "clock_step", "clock_rate"})
+SIGNED = frozenset({"scale", "offset", "drift", "clock_step", "clock_rate", "wall_step"})
 NEWTONS_PER_METRE = 1e3
 """An offset of the force-torque sensor is that much greater than one of a length."""
 

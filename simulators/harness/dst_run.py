@@ -1,38 +1,40 @@
 """One plan, lived through in virtual time: daemon, network, controller, robot and operator.
 
 Law of this file: no socket and no clock; everything happens in the order of its time, and what
-happens at one time in the order in which it was ordered. The daemon is its cycle, its schedule
-and its codecs, bytes in and bytes out; who judges it is ``dst_oracles``.
+happens at one time in the order in which it was ordered. The daemon is the whole service, shell
+and drivers included, on a virtual loop; who judges it is ``dst_oracles``.
 """
 
-import heapq
+import asyncio
+import contextlib
+import logging
 import struct
 import traceback
-from collections.abc import Callable
+from collections import Counter
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from hashlib import blake2b
 from pathlib import Path
+from typing import Any
 
-from linemate.daemon.control.settings import AxisLimits, ControlSettings
+from linemate.daemon.control.settings import AxisLimits
 from linemate.daemon.parameters import Parameters
-from linemate.daemon.service import schedule as scheduling
-from linemate.daemon.service import task_file
-from linemate.daemon.service.cycle import Cycle
-from linemate.daemon.service.schedule import Due, Schedule
+from linemate.daemon.service import config, realtime
+from linemate.daemon.service.app import App
+from linemate.daemon.service.config import Station
+from linemate.daemon.service.notify import Notifier
 from linemate.daemon.service.states import State
-from linemate.daemon.service.watch import WatchSettings
-from linemate.daemon.tracking.settings import MergeSettings, TrackingSettings
-from linemate.protocol.rsi import RsiCodec, RsiConfig, parse_config
+from linemate.drivers.datagrams import Address
 from linemate.simulators.devices.controller import ControllerConfig, RobotReading, RsiController
-from linemate.simulators.devices.faults import KINDS, Faults
+from linemate.simulators.devices.faults import Faults
 from linemate.simulators.devices.faulty_link import FaultyLink
 from linemate.simulators.devices.limits import AxisLimit
 from linemate.simulators.devices.robot_plant import RobotPlant, seven
 from linemate.simulators.harness.dst_oracles import Oracle
 from linemate.simulators.harness.dst_plan import Plan
-from linemate.simulators.harness.lockstep import RSI_CONFIG, parameters
-from linemate.simulators.harness.wires import EPOCH_NS, Wires
+from linemate.simulators.harness.lockstep import parameters
+from linemate.simulators.harness.virtual import EPOCH_NS, VirtualLoop, VirtualTime, inhabited
+from linemate.simulators.harness.wires import Emitters
 from linemate.simulators.plants.scenario import (
     Body,
     Contact,
@@ -45,34 +47,43 @@ from linemate.simulators.plants.scenario import (
 )
 from linemate.simulators.plants.world import World
 
-TASK = Path(__file__).parent / "data" / "tasks" / "dst.yaml"
+DAEMON_FILE = Path(__file__).parent / "data" / "tasks" / "dst_daemon.yaml"
 CYCLE_S = 0.012
 LEAD_IN_S = 0.6
 
 TRANSIT_NS = 60_000
 """One way on the wire."""
 THINKING_NS = 400_000
-"""From a telegram to its reply."""
-LOOK_BACK = 4
-"""Telegrams of a sender that are looked at after a stall, as the driver does."""
+"""From a telegram to its reply, for a daemon whose steps take no time."""
+TALKING_NS = 1_000_000
+"""From a host's bytes to the answer of a device on a serial line."""
+AHEAD_S = 1e-6
+"""The world is lived through up to so long before a cycle's end while its reply is open; no axis
+moves on it before its dead time is over [s]."""
 
 PATIENCE_S = 5.0
 """After the last fault the operator must be able to track again within this time [s]."""
+LAST_PATIENCE_S = 12.0
+MOST_BREAKS = 3
+"""However long the programme drives, and however often the exchange has to be begun anew."""
 HOMING_S = 0.5
 HOMING_SPEED = 0.8
 """How the programme drives the robot to its rest pose, without RSI: for so long at least [s], an
 axis at so much in the mean at most [rad/s, m/s]; it is not charged to the daemon's time."""
 DITHERING_S = 0.2
 """How long the operator waits for what is held to go on before beginning anew [s]."""
+ENDING_EVERY = 8
+"""One seed in so many is ended as by SIGTERM and has to come to rest."""
+ENDING_S = 5.0
 
-SETTINGS = WatchSettings(healthy_cycles=20)
-TRACKING = replace(TrackingSettings(), merge=MergeSettings(blend=0.5))
-CONTROL = ControlSettings()
-
-_SECOND = "another controller"
-_FIRST = "the controller"
+RSI_PORT, CAMERA_PORT = 49152, 49153
+DAEMON: Address = ("127.0.0.1", RSI_PORT)
+FIRST: Address = ("127.0.0.1", 50_000)
+SECOND: Address = ("127.0.0.1", 50_001)
+CAMERA: Address = ("127.0.0.1", 50_002)
 _SECOND_IPOC = 77_000
 _SEVEN = struct.Struct("<7d")
+_CYCLE_NS = round(CYCLE_S * 1e9)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,27 +106,24 @@ class Outcome:
 
 
 @cache
-def task() -> task_file.Task:
-    """The short task."""
-    return task_file.load(TASK)
-
-
-@cache
-def rsi() -> RsiConfig:
-    """The robot's wire."""
-    from linemate.daemon.service.files import PROTOCOL_DATA
-
-    return parse_config((PROTOCOL_DATA / RSI_CONFIG).read_bytes())
+def station(lead_ms: float | None = None) -> Station:
+    """The daemon's configuration, and how early it prepares its replies [ms]."""
+    if lead_ms is None:
+        return config.load(DAEMON_FILE)
+    plain = station()
+    realtime_settings = replace(plain.config.realtime, lead_ms=lead_ms)
+    return replace(plain, config=replace(plain.config, realtime=realtime_settings))
 
 
 def compiled() -> Parameters:
     """The daemon's parameters, once a process."""
-    return parameters(task().file, task().urdf, TRACKING, CONTROL, CYCLE_S)
+    task, said = station().task, station().config
+    return parameters(task.file, task.urdf, said.tracking, said.control, CYCLE_S)
 
 
 def rest_pose() -> Vector7:
     """Where the task begins, A1..A6 [rad], E1 [m]."""
-    return seven((*task().file.arm.rest_joints, 0.0))
+    return seven((*station().task.file.arm.rest_joints, 0.0))
 
 
 def scenario_of(plan: Plan) -> Scenario:
@@ -141,13 +149,7 @@ def run(plan: Plan) -> Outcome:
         What became of it; whatever goes wrong in the daemon is a violation.
     """
     simulation = Simulation(plan)
-    try:
-        while simulation.turn():
-            pass
-    except Exception as error:  # noqa: BLE001 - an exception is the finding
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        where = f"{Path(place.filename).name}:{place.lineno}"
-        simulation.oracle.blame(f"exception: {type(error).__name__} in {where}: {error}")
+    simulation.live()
     return simulation.outcome()
 
 
@@ -160,99 +162,147 @@ class Simulation:
     """One plan under way.
 
     Attributes:
+        plan: what is lived through.
         world: the plant.
         controller: its RSI.
-        cycle: the daemon's; another one after a crash.
+        app: the daemon, None while there is none.
         oracle: the judge.
+        robot: the controller's programme.
+        tracked_s: when the daemon tracked last [s].
     """
 
     def __init__(self, plan: Plan) -> None:
         """Begin at the lead-in, daemon and controller just started."""
         self.plan = plan
-        scenario = scenario_of(plan)
+        scenario, control = scenario_of(plan), station().config.control
         self.world = World(scenario)
-        self._plant = RobotPlant(self.world)
+        self.plant = RobotPlant(self.world)
         self.controller = RsiController(
-            rsi(),
-            self._plant.read,
-            self._plant.start,
+            station().rsi,
+            self.plant.read,
+            self.plant.start,
             ControllerConfig(
                 cycle_s=CYCLE_S,
                 timeout_rule="row" if plan.rule == "row" else "total",
-                limits=tuple(_same(limit) for limit in CONTROL.limits),
+                limits=tuple(_same(limit) for limit in control.limits),
             ),
         )
-        faults = Faults(scenario.faults, KINDS)
-        brake = CONTROL.brake
+        brake = control.brake
         self.oracle = Oracle(CYCLE_S, (*(brake.acceleration,) * 6, brake.axis_acceleration))
-        self.cycle = self._daemon()
-        self.wires = Wires(
-            self.world, self.cycle, Faults(scenario.faults), task().file.conveyor.start_position
-        )
-        self._faults = faults
-        self._there = FaultyLink("robot", faults, plan.seed)
-        self._back = FaultyLink("reply", faults, plan.seed)
-        self._schedule = self._fresh_schedule(EPOCH_NS)
-        self._answered_ns: int | None = None
-        self._robot = _Robot(self)
-        self._second: RsiController | None = None
-        self._operator = _Operator(self)
-        self._queue: list[_Event] = []
-        self._ordered = 0
-        self._cycle = -1
-        self._down_ns = 0
-        self._deaf_ns = 0
-        self._hash = blake2b(digest_size=16)
+        self.app: App | None = None
+        self.robot = _Robot(self)
+        self.operator = _Operator(self)
         self.tracked_s = float("-inf")
+        self._faults = Faults(scenario.faults)
+        mount = station().task.file.conveyor.start_position
+        self._emitters = Emitters(self.world, Faults(scenario.faults), mount, _ns)
+        self._there = FaultyLink("robot", self._faults, plan.seed)
+        self._back = FaultyLink("reply", self._faults, plan.seed)
+        self._second: RsiController | None = None
+        self._cycle = 0
+        self._is_over = False
+        self._hash = blake2b(digest_size=16)
+        self._time = VirtualTime()
+        self._time.on_datagram = self._replied
+        self._time.on_line = self._talk
+        self._loop: VirtualLoop | None = None
+        self._process: asyncio.Task[None] | None = None
+        self._log = _LogCounter(self._time)
 
-    # Time.
+    # The life of a run.
 
-    @property
-    def now_s(self) -> float:
-        """Scenario time of the open controller cycle [s]."""
-        return self.world.time_s
+    def live(self) -> None:
+        """Live through all of it."""
+        with inhabited(self._time), self._log.listening():
+            self._loop = loop = VirtualLoop(self._time)
+            loop.set_exception_handler(self._unhandled)
+            try:
+                self._time.at(EPOCH_NS, self._begin_cycle)
+                loop.run_until_complete(self._main())
+            except Exception as error:  # noqa: BLE001 - an exception is the finding
+                self._blame(error)
+            finally:
+                loop.close()
+        if self._log.worst > MOST_LINES:
+            self.oracle.blame(f"log: {self._log.worst} lines in a second: {self._log.example}")
 
-    def turn(self) -> bool:
-        """Live through one cycle of the controller.
+    async def _main(self) -> None:
+        self._over = asyncio.Event()
+        self._boot()
+        await self._over.wait()
+        if self.app is not None and self._process is not None:
+            if self.plan.seed % ENDING_EVERY == 0 and not self.oracle.violations:
+                await self._end_gently(self.app, self._process)
+            await self._kill()
 
-        Returns:
-            Whether the run goes on.
-        """
-        self._cycle += 1
-        begins_ns = EPOCH_NS + self._cycle * _CYCLE_NS
-        for fault in self._faults.strike(self.now_s):
-            self._strike(fault)
-        self._sense(begins_ns)
-        self._operator.look(self.now_s)
-        data = self._robot.telegram(self.now_s)
-        if data is not None:
-            self._hash.update(data)
-            for at_s, piece in self._there.carry(data, self.now_s):
-                self._post(_ns(at_s) + TRANSIT_NS, partial_telegram(piece, _FIRST))
-        self._impostor(begins_ns)
-        self._live_until(begins_ns + _CYCLE_NS)
-        self._hash.update(_SEVEN.pack(*self._robot.close()))
-        self.oracle.look(self.cycle, self.now_s)
-        if self.cycle.machine.state in {State.TRACK, State.CONTACT}:
-            self.tracked_s = self.now_s
-        return self._goes_on()
+    async def _end_gently(self, app: App, process: "asyncio.Task[None]") -> None:
+        """End it as by SIGTERM: it has to come to rest first."""
+        moved = app.cycle.machine.state in {State.TRACK, State.CONTACT, State.RETREAT}
+        app.end()
+        await asyncio.wait([process], timeout=ENDING_S)
+        if not process.done():
+            self.oracle.blame("end: the daemon is still there after it was told to end")
+        elif moved and app.cycle.machine.state in {State.TRACK, State.CONTACT}:
+            self.oracle.blame(f"end: it ended in {app.cycle.machine.state.upper()}")
 
-    def _goes_on(self) -> bool:
-        if self.oracle.violations:
-            return False
-        if self.now_s < self.plan.duration_s:
-            return True
-        quiet_s = max(self.plan.quiet_s, self._robot.quiet_s)
-        if self.tracked_s >= quiet_s:
-            return False
-        if self.now_s - quiet_s > PATIENCE_S + self._robot.homing_s:
-            machine = self.cycle.machine
-            self.oracle.blame(
-                f"liveness: {machine.state} ({machine.because}) {PATIENCE_S:g} s after the last"
-                f" fault; {self._operator.refusal}"
-            )
-            return False
-        return True
+    def _boot(self) -> None:
+        """Start the daemon's process."""
+        assert self._loop is not None  # noqa: S101 - a run is under way
+        app = App(station(self.plan.lead_ms), compiled(), realtime.Host(), Notifier())
+        self.app = app
+        self.oracle.attend(app.cycle)
+        self._process = self._loop.create_task(app.run())
+        self._process.add_done_callback(self._ended)
+
+    def _ended(self, process: "asyncio.Task[None]") -> None:
+        if process is self._process and not process.cancelled():
+            error = process.exception()
+            if error is not None:
+                self._blame(error)
+
+    async def _kill(self) -> None:
+        """The process is gone at once."""
+        process, self._process = self._process, None
+        app, self.app = self.app, None
+        if process is None or app is None:
+            return
+        self._look_at(app)
+        process.cancel()
+        with contextlib.suppress(asyncio.CancelledError, Exception):
+            await process
+
+    def _crash(self, duration_s: float) -> None:
+        assert self._loop is not None  # noqa: S101 - a run is under way
+        if self.app is None:
+            return
+        self._dying = self._loop.create_task(self._kill())
+        self._time.at(self._time.now_ns + round(duration_s * 1e9), self._revive)
+
+    def _revive(self) -> None:
+        if self.app is None and not self._is_over:
+            self._boot()
+
+    def _blame(self, error: BaseException) -> None:
+        frames = traceback.extract_tb(error.__traceback__)
+        where = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "nowhere"
+        self.oracle.blame(f"exception: {type(error).__name__} in {where}: {error}")
+
+    def _unhandled(self, _loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        error = context.get("exception")
+        if error is not None:
+            self._blame(error)
+        else:
+            self.oracle.blame(f"exception: {context.get('message')}")
+
+    def _look_at(self, app: App) -> None:
+        """What the shell has counted and nobody should have."""
+        counters: Counter[str] = Counter(app.counters)
+        for link in app._links:  # noqa: SLF001 - what an operator sees through status
+            for name in ("callback_errors", "hasty"):
+                counters[name] += link.counters[name]
+        for name in ("faults", "callback_errors", "hasty"):
+            if counters[name]:
+                self.oracle.blame(f"exception: {counters[name]} {name}: {self._log.example}")
 
     def outcome(self) -> Outcome:
         """What has become of the plan."""
@@ -262,79 +312,118 @@ class Simulation:
             self.plan,
             tuple(self.oracle.violations),
             self._hash.hexdigest(),
-            self._cycle + 1,
+            self._cycle,
             frozenset(self.oracle.states),
         )
 
-    def _post(self, at_ns: int, event: "_Action") -> None:
-        self._ordered += 1
-        heapq.heappush(self._queue, (at_ns, self._ordered, event))
+    # The controller's cycle.
 
-    def _live_until(self, end_ns: int) -> None:
-        """Let everything happen that is due before a time."""
-        while True:
-            wake_ns = max(scheduling.wake_ns(self._schedule), self._deaf_ns)
-            next_ns = self._queue[0][0] if self._queue else end_ns
-            if min(wake_ns, next_ns) >= end_ns:
-                return
-            if wake_ns < next_ns:
-                self._wake(wake_ns)
-            else:
-                _, _, action = heapq.heappop(self._queue)
-                action(self, next_ns)
+    @property
+    def now_s(self) -> float:
+        """Scenario time at which the open cycle began [s]."""
+        return self.world.cycle_start(self._cycle)
 
-    # The network.
-
-    def arrive(self, data: bytes, peer: str, at_ns: int) -> None:
-        """A telegram comes to the daemon's port."""
-        if at_ns < self._down_ns:
+    def _begin_cycle(self) -> None:
+        """Close a cycle of the controller and open the next one."""
+        if self._cycle or self.robot.is_open:
+            self._hash.update(_SEVEN.pack(*self.robot.close()))
+            self._cycle += 1
+            self._look()
+        if self._is_over:
+            self._time.at(EPOCH_NS + (self._cycle + 1) * _CYCLE_NS, self._begin_cycle)
+            self._exchange()
             return
-        if at_ns < self._deaf_ns:
-            self._post(self._deaf_ns, _Waiting(data, peer, at_ns))
+        for fault in self._faults.strike(self.now_s):
+            self._strike(fault)
+        self._stall()
+        self.operator.look(self.now_s)
+        self._exchange()
+        self._time.at(EPOCH_NS + (self._cycle + 1) * _CYCLE_NS, self._begin_cycle)
+
+    def _exchange(self) -> None:
+        """Send the telegram, and let the sensors see the cycle."""
+        now_s = self.now_s
+        data = self.robot.telegram(now_s)
+        if data is not None:
+            self._hash.update(data)
+            for at_s, piece in self._there.carry(data, now_s):
+                self._send(_ns(at_s) + TRANSIT_NS, piece, FIRST, RSI_PORT)
+        self._impostor(now_s)
+        self.world.advance(self.world.cycle_start(self._cycle + 1) - AHEAD_S)
+        self._plug(now_s)
+        for at_s, link, piece in self._emitters.collect():
+            match link:
+                case "camera":
+                    self._send(_ns(at_s), piece, CAMERA, CAMERA_PORT)
+                case "robot":
+                    self._send(_ns(at_s), piece, FIRST, RSI_PORT)
+                case "distance":
+                    self._time.at(_ns(at_s), partial(self._frame, piece))
+                case _:
+                    self._time.at(_ns(at_s), partial(self._line, piece))
+
+    def _look(self) -> None:
+        """Judge the cycle that was closed."""
+        app = self.app
+        if app is None:
             return
-        self._answer(data, peer, at_ns, at_ns)
+        self.oracle.look(app.cycle, self.now_s)
+        if app.cycle.machine.state in {State.TRACK, State.CONTACT}:
+            self.tracked_s = self.now_s
+        if not self._is_over and not self._goes_on(app):
+            self._is_over = True
+            self._over.set()
 
-    def drain(self, at_ns: int, first: "_Waiting") -> None:
-        """After a stall: the newest telegram that is worth an answer, of each sender."""
-        waiting = [first]
-        while self._queue and self._queue[0][0] == at_ns:
-            if not isinstance(self._queue[0][2], _Waiting):
-                break
-            waiting.append(heapq.heappop(self._queue)[2])  # type: ignore[arg-type]
-        for peer in dict.fromkeys(one.peer for one in waiting):
-            newest = [one for one in reversed(waiting) if one.peer == peer][:LOOK_BACK]
-            for one in newest:
-                if self._answer(one.data, peer, one.stamp_ns, at_ns):
-                    break
-
-    def _answer(self, data: bytes, peer: str, stamp_ns: int, now_ns: int) -> bool:
-        sent = self.cycle.express(data, peer)
-        reply = self.cycle.on_telegram(data, stamp_ns, peer)
-        if sent is not None and sent != reply:
-            self.oracle.blame(f"express: {sent!r} was sent, {reply!r} was meant")
-        if reply is None:
+    def _goes_on(self, app: App) -> bool:
+        if self.oracle.violations:
             return False
-        self._answered_ns = stamp_ns
-        self._schedule = scheduling.on_telegram(self._schedule, stamp_ns)
-        self._hash.update(reply)
-        self.oracle.reply(reply)
-        if peer == _SECOND:
+        if self.now_s < self.plan.duration_s:
             return True
-        sent_s = _seconds(now_ns + THINKING_NS)
-        if self._faults.in_force("robot", "deafness", self.now_s) is None:
-            for at_s, piece in self._back.carry(reply, sent_s):
-                self._post(_ns(at_s) + TRANSIT_NS, partial_reply(piece))
+        quiet_s = max(self.plan.quiet_s, self.robot.quiet_s)
+        if self.tracked_s >= quiet_s:
+            return False
+        patience_s = min(PATIENCE_S + self.robot.homing_s, LAST_PATIENCE_S)
+        if self.now_s - max(quiet_s, 0.0) > patience_s or self.robot.breaks > MOST_BREAKS:
+            machine = app.cycle.machine
+            self.oracle.blame(
+                f"liveness: {machine.state} ({machine.because}) {PATIENCE_S:g} s after the last"
+                f" fault; {self.operator.refusal}"
+            )
+            return False
         return True
 
-    def _impostor(self, begins_ns: int) -> None:
+    def _strike(self, fault: Fault) -> None:
+        match fault.link, fault.kind:
+            case "robot", "restart":
+                self.robot.pause(self.now_s, fault.duration_s)
+            case "robot", "drives_off":
+                self.robot.brake(self.now_s, fault.duration_s)
+            case "daemon", "crash":
+                self._crash(fault.duration_s)
+            case "daemon", "wall_step":
+                self._time.wall_step_ns += round(fault.value * 1e9)
+            case "operator", order:
+                self.operator.order(order)
+
+    def _stall(self) -> None:
+        fault = self._faults.in_force("daemon", "stall", self.now_s)
+        if fault is not None:
+            self._time.stalled_until_ns = _ns(fault.at_s + fault.duration_s)
+
+    @property
+    def is_stalled(self) -> bool:
+        """The daemon takes no orders now."""
+        return self._time.now_ns < self._time.stalled_until_ns
+
+    def _impostor(self, now_s: float) -> None:
         """Another controller that stands still and asks for answers."""
-        if self._faults.in_force("robot", "second", self.now_s) is None:
+        if self._faults.in_force("robot", "second", now_s) is None:
             self._second = None
             return
         if self._second is None:
-            pose = self._plant.start
+            pose = self.plant.start
             self._second = RsiController(
-                rsi(),
+                station().rsi,
                 lambda: RobotReading(pose, (0.0,) * 6),
                 pose,
                 ControllerConfig(cycle_s=CYCLE_S, first_ipoc=_SECOND_IPOC),
@@ -342,66 +431,95 @@ class Simulation:
         data = self._second.telegram()
         self._second.end_of_cycle()
         if data is not None:
-            self._post(begins_ns + _CYCLE_NS // 3, partial_telegram(data, _SECOND))
+            self._send(_ns(now_s) + _CYCLE_NS // 3, data, SECOND, RSI_PORT)
 
-    # The daemon.
+    # The network.
 
-    def _daemon(self) -> Cycle:
-        cycle = Cycle(compiled(), RsiCodec(rsi()), SETTINGS)
-        self.oracle.attend(cycle)
-        return cycle
+    def _send(self, at_ns: int, data: bytes, source: Address, port: int) -> None:
+        self._time.at(at_ns, partial(self._arrive, data, source, port))
 
-    def _fresh_schedule(self, now_ns: int) -> Schedule:
-        return scheduling.free(_CYCLE_NS, now_ns, round(self.plan.lead_ms * 1e6))
+    def _arrive(self, data: bytes, source: Address, port: int) -> None:
+        socket = self._time.sockets.get(port)
+        if socket is not None:
+            socket.put(data, source)
 
-    def _sense(self, now_ns: int) -> None:
-        if now_ns < self._down_ns:
-            self.wires.discard()
-        elif now_ns >= self._deaf_ns:
-            self.wires.carry()
-
-    def _wake(self, now_ns: int) -> None:
-        self._schedule, due = scheduling.on_wake(self._schedule, now_ns)
-        for one in due:
-            self._on_due(one)
-
-    def _on_due(self, due: Due) -> None:
-        """As the service does it."""
-        if due.kind is scheduling.Kind.PREPARE:
-            self.cycle.prepare(due.stamp_ns)
+    def _replied(self, data: bytes, source: Address, target: Address) -> None:
+        """The daemon has sent a datagram."""
+        del source
+        self._hash.update(data)
+        self.oracle.reply(data)
+        if target != FIRST:
             return
-        lost_ns = SETTINGS.link_lost_s * 1e9
-        if self._answered_ns is None or due.stamp_ns - self._answered_ns > lost_ns:
-            self._schedule = scheduling.run_free(self._schedule)
-        self.cycle.on_missing(due.stamp_ns)
+        if self._faults.in_force("robot", "deafness", self.now_s) is None:
+            sent_s = _seconds(self._time.now_ns + THINKING_NS)
+            for at_s, piece in self._back.carry(data, sent_s):
+                self._time.at(_ns(at_s) + TRANSIT_NS, partial(self._hear, piece))
 
-    def _strike(self, fault: Fault) -> None:
-        now_ns = EPOCH_NS + self._cycle * _CYCLE_NS
-        end_ns = now_ns + round(fault.duration_s * 1e9)
-        match fault.link, fault.kind:
-            case "robot", "restart":
-                self._robot.pause(self.now_s, fault.duration_s)
-            case "robot", "drives_off":
-                self._robot.brake(self.now_s, fault.duration_s)
-            case "daemon", "crash":
-                self._down_ns = self._deaf_ns = end_ns
-                self.cycle = self._daemon()
-                self.wires.connect(self.cycle)
-                self._schedule = self._fresh_schedule(end_ns)
-                self._answered_ns = None
-            case "operator", order:
-                self._operator.order(order)
+    def _hear(self, data: bytes) -> None:
+        self.controller.on_reply(data, self._time.now_ns)
+
+    def _frame(self, data: bytes) -> None:
+        can_id, extended = self._emitters.frame
+        for bus in self._time.buses:
+            bus.put(can_id, data, extended=extended)
+
+    def _line(self, data: bytes) -> None:
+        for line in self._time.lines:
+            line.put(data)
+
+    def _talk(self, data: bytes | None) -> None:
+        """The host has written to the force-torque sensor, or opened its port."""
+        device = self._emitters.force_torque
+        answer = device.boot() if data is None else device.feed(data)
+        if answer:
+            self._time.at(self._time.now_ns + TALKING_NS, partial(self._line, answer))
+
+    def _plug(self, now_s: float) -> None:
+        for link in ("distance", "force_torque"):
+            if self._faults.in_force(link, "unplug", now_s) is None:
+                self._time.unplugged.discard(link)
+            else:
+                self._time.unplugged.add(link)
+
+
+MOST_LINES = 10
+"""Of the daemon's log in any second."""
+
+
+class _LogCounter(logging.Handler):
+    """Counts the daemon's lines, second by second of virtual time."""
+
+    def __init__(self, time: VirtualTime) -> None:
+        super().__init__(logging.INFO)
+        self.example = ""
+        self._time = time
+        self._lines: Counter[int] = Counter()
 
     @property
-    def is_stalled(self) -> bool:
-        """The daemon takes no orders now."""
-        return EPOCH_NS + self._cycle * _CYCLE_NS < self._deaf_ns
+    def worst(self) -> int:
+        """Most lines in a second."""
+        return max(self._lines.values(), default=0)
 
-    def stall(self) -> None:
-        """Look for a stall that begins or goes on."""
-        fault = self._faults.in_force("daemon", "stall", self.now_s)
-        if fault is not None:
-            self._deaf_ns = max(self._deaf_ns, _ns(fault.at_s + fault.duration_s))
+    def emit(self, record: logging.LogRecord) -> None:
+        """Count a line."""
+        self._lines[self._time.now_ns // 10**9] += 1
+        error = record.exc_info[1] if record.exc_info else None
+        self.example = f"{record.getMessage()} {error!r}"[:300] if error else record.getMessage()
+
+    @contextlib.contextmanager
+    def listening(self) -> Any:
+        """Listen to the daemon and to its drivers."""
+        logger = logging.getLogger("linemate")
+        level, propagate = logger.level, logger.propagate
+        logger.addHandler(self)
+        logger.setLevel(logging.INFO)
+        logger.propagate = False
+        try:
+            yield
+        finally:
+            logger.removeHandler(self)
+            logger.setLevel(level)
+            logger.propagate = propagate
 
 
 class _Robot:
@@ -410,15 +528,16 @@ class _Robot:
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
         self._controller = simulation.controller
-        self._plant = simulation._plant  # noqa: SLF001 - two halves of one thing
+        self._plant = simulation.plant
         self._paused_until_s: float | None = None
         self._braked_until_s: float | None = None
         self._pose = self._plant.start
         self._from = self._pose
         self._took_s = 1.0
-        self._sent = False
+        self._sent = self._is_open = False
         self.quiet_s = float("-inf")
         self.homing_s = 0.0
+        self.breaks = 0
 
     def pause(self, now_s: float, duration_s: float) -> None:
         """End the programme; it begins anew after some time."""
@@ -441,17 +560,24 @@ class _Robot:
         self.homing_s += self._took_s
 
     @property
+    def is_open(self) -> bool:
+        """A cycle is open."""
+        return self._is_open
+
+    @property
     def is_paused(self) -> bool:
         """No telegrams come."""
         return self._paused_until_s is not None
 
     def telegram(self, now_s: float) -> bytes | None:
         """Open a cycle."""
+        self._is_open = True
         if self._braked_until_s is not None and now_s >= self._braked_until_s:
             self._braked_until_s = None
             self.pause(now_s, CYCLE_S)
         if self._controller.broken is not None and self._paused_until_s is None:
             self.quiet_s = now_s
+            self.breaks += 1
             self.home(now_s)
         if self._paused_until_s is not None and now_s >= self._paused_until_s:
             self._paused_until_s = None
@@ -497,10 +623,13 @@ class _Operator:
     def order(self, op: str) -> bool:
         """Give an order; whether it was taken."""
         simulation = self._simulation
-        if simulation.is_stalled:
+        app = simulation.app
+        if simulation.is_stalled or app is None:
             return False
-        reason = simulation.cycle.order(op, "operator")
-        simulation.oracle.ordered(op, simulation.cycle, reason)
+        answer = app._handle(op, {}, "operate", "operator")  # noqa: SLF001
+        # Only a set or a save is answered later.
+        reason = answer.get("refused") if isinstance(answer, dict) else "answered later"
+        simulation.oracle.ordered(op, app.cycle, reason)
         if reason is not None:
             self.refusal = f"{op}: {reason}"
         return reason is None
@@ -508,27 +637,28 @@ class _Operator:
     def look(self, now_s: float) -> None:
         """Give the next order if it is due."""
         simulation = self._simulation
-        simulation.stall()
-        if simulation.is_stalled or simulation._robot.is_paused:  # noqa: SLF001 - halves of one
+        app = simulation.app
+        if simulation.is_stalled or simulation.robot.is_paused or app is None:
             return
         quiet = now_s >= simulation.plan.quiet_s
         if self._started and not (quiet or simulation.plan.eager):
             return
         if quiet and simulation.tracked_s >= simulation.plan.quiet_s > float("-inf"):
             return
-        self._act(now_s, simulation.cycle.machine.state)
+        self._act(now_s, app)
 
-    def _act(self, now_s: float, state: State) -> None:
-        waits = state is State.HOLD or self._simulation.cycle.is_foreign
+    def _act(self, now_s: float, app: App) -> None:
+        state = app.cycle.machine.state
+        waits = state is State.HOLD or app.cycle.is_foreign
         self._waited_s = self._waited_s + CYCLE_S if waits else 0.0
-        if self._simulation.cycle.is_foreign:
+        if app.cycle.is_foreign:
             if self._waited_s > DITHERING_S:
-                self._simulation._robot.home(now_s)  # noqa: SLF001 - halves of one thing
+                self._simulation.robot.home(now_s)
             return
         match state:
             case State.IDLE:
                 if not self.order("arm") and "away from the task's first pose" in self.refusal:
-                    self._simulation._robot.home(now_s)  # noqa: SLF001 - halves of one thing
+                    self._simulation.robot.home(now_s)
             case State.ARMED:
                 self._started = self.order("start") or self._started
             case State.HOLD:
@@ -536,37 +666,6 @@ class _Operator:
                     self.order("stop")
             case State.FAULT:
                 self.order("ack")
-
-
-_CYCLE_NS = round(CYCLE_S * 1e9)
-_Action = Callable[[Simulation, int], None]
-_Event = tuple[int, int, _Action]
-
-
-@dataclass(frozen=True, slots=True)
-class _Waiting:
-    """A telegram in the socket of a daemon that does not read."""
-
-    data: bytes
-    peer: str
-    stamp_ns: int
-
-    def __call__(self, simulation: Simulation, at_ns: int) -> None:
-        simulation.drain(at_ns, self)
-
-
-def partial_telegram(data: bytes, peer: str) -> _Action:
-    """A telegram on its way."""
-    return lambda simulation, at_ns: simulation.arrive(data, peer, at_ns)
-
-
-def partial_reply(data: bytes) -> _Action:
-    """A reply on its way."""
-
-    def arrive(simulation: Simulation, at_ns: int) -> None:
-        simulation.controller.on_reply(data, at_ns)
-
-    return arrive
 
 
 def _ns(time_s: float) -> int:

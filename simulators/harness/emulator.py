@@ -16,6 +16,7 @@ from linemate.daemon.service.documents import Complaint, FileError
 from linemate.protocol.errors import ProtocolError
 from linemate.simulators.devices.emulator import serve
 from linemate.simulators.devices.emulator_config import EmulatorConfig
+from linemate.simulators.devices.faults import REAL, Faults
 from linemate.simulators.harness import host, scenario_file
 
 OWN = ("scenario", "seed", "cycle_ms", "priority")
@@ -64,6 +65,7 @@ def load(path: Path) -> tuple[EmulatorConfig, int | None]:
             scenario = replace(scenario, seed=told.seed)
         if told.cycle_ms is not None:
             scenario = replace(scenario, cycle_s=round(told.cycle_ms * 1e-3, 9))
+        Faults(scenario.faults, REAL)
         values = {f.name: getattr(told, f.name) for f in fields(told) if f.name not in OWN}
         placed: dict[str, Any] = {
             name: path.parent / value if isinstance(value, Path) else value

@@ -7,8 +7,7 @@ but bytes and a stamp in between; a scenario's faults act there. What a decoder 
 import heapq
 import random
 from collections import Counter
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Iterator
 
 from linemate.daemon.service.cycle import Cycle
 from linemate.protocol.camera import CameraDecoder
@@ -21,6 +20,7 @@ from linemate.simulators.devices.faults import GARBAGE_BYTES, Faults
 from linemate.simulators.devices.faulty_link import FaultyLink
 from linemate.simulators.devices.faulty_sensor import FaultySensor
 from linemate.simulators.devices.force_torque import ForceTorqueSensor
+from linemate.simulators.plants.sensors import CameraEmission, WrenchEmission
 from linemate.simulators.plants.world import World
 
 DEVICE = "bota"
@@ -32,21 +32,101 @@ EPOCH_NS = 1_000_000_000_000
 CAMERA_CLOCK_NS = 86_400_000_000_123
 """The camera's clock minus the host's: the daemon has to learn it."""
 
-SHORT_FRAME = 3
+CAN_BYTES = 8
 DIALOGUE_TURNS = 100
 _TINY = 1e-9
 
-Arrival = tuple[float, int, str, Callable[[int], None]]
-"""When [s], a number that keeps the order, on which link, and what to do with its stamp."""
+Arrival = tuple[float, int, str, bytes]
+"""When [s], a number that keeps the order, on which link, and what."""
+
+
+class Emitters:
+    """The three sensors, encoded, on the way through their links.
+
+    Attributes:
+        links: the ways to the daemon, with what their faults did.
+        sensors: the sensors behind them, with what their faults did.
+        force_torque: the device that has to be talked to before it streams.
+        frame: identifier of the distance sensor's frames, and whether it is a long one.
+    """
+
+    def __init__(
+        self, world: World, faults: Faults, mount: float, stamp: Callable[[float], int]
+    ) -> None:
+        """Switch everything on.
+
+        Args:
+            world: whose sensors emit.
+            faults: of the scenario.
+            mount: what the distance sensor reads when the conveyor unit is at s = 0 [m].
+            stamp: the monotonic stamp of a scenario time [ns].
+        """
+        seed = world.scenario.seed
+        self.links = {
+            name: FaultyLink(name, faults, seed, ordered=name != "camera") for name in SENSORS
+        }
+        self.sensors = {name: FaultySensor(name, faults, seed) for name in SENSORS}
+        self.force_torque = ForceTorqueSensor(DEVICE)
+        encoder = DistanceEncoder()
+        self.frame = encoder.can_id, encoder.extended
+        self._world, self._faults, self._stamp = world, faults, stamp
+        self._begin_s = -world.scenario.lead_in_s
+        self._junk = random.Random(seed)  # noqa: S311 -- noise, not a secret
+        self._can = CanSensor(encoder, mount)
+        self._camera = CameraSender(clock_offset_ns=CAMERA_CLOCK_NS)
+
+    def collect(self) -> Iterator[tuple[float, str, bytes]]:
+        """What has left since the last call.
+
+        Yields:
+            When it arrives [s], on which link, and the bytes; ``garbage`` of the scenario among
+            them, on the robot's link too.
+        """
+        for distance in self._world.take_distance():
+            (position,) = self.sensors["distance"].reading((distance.position,), distance.time_s)
+            frame = self._can.frame(position, distance.strength)
+            if frame is not None:
+                yield from self._carry("distance", frame.data, distance.time_s)
+        for pose in self._world.take_camera():
+            yield from self._carry("camera", self._datagram(pose), pose.time_s)
+        for wrench in self._world.take_wrench():
+            yield from self._carry("force_torque", self._streamed(wrench), wrench.time_s)
+        now_s = self._world.time_s
+        for fault in self._faults.strike(now_s):
+            if fault.kind == "garbage":
+                for _ in range(fault.count):
+                    junk = self._junk.randbytes(int(fault.value) or GARBAGE_BYTES)
+                    yield now_s, fault.link, junk[:CAN_BYTES] if fault.link == "distance" else junk
+
+    def _carry(self, link: str, data: bytes, time_s: float) -> Iterator[tuple[float, str, bytes]]:
+        for arrival_s, piece in self.links[link].carry(data, time_s):
+            yield arrival_s, link, piece
+
+    def _datagram(self, pose: CameraEmission) -> bytes:
+        sensor = self.sensors["camera"]
+        reading = (*pose.position, *pose.quaternion)
+        values = sensor.reading(reading, pose.exposure_s, additive=3)
+        return self._camera.datagram(
+            values[:3],
+            values[3:],
+            pose.covariance,
+            exposure_ns=self._stamp(sensor.clock(pose.exposure_s)),
+            sent_ns=self._stamp(sensor.clock(pose.time_s)),
+        )
+
+    def _streamed(self, wrench: WrenchEmission) -> bytes:
+        sensor = self.sensors["force_torque"]
+        values = sensor.reading((*wrench.force, *wrench.torque), wrench.exposure_s)
+        device_us = round((sensor.clock(wrench.exposure_s) - self._begin_s) * 1e6)
+        return self.force_torque.frame(values[:3], values[3:], device_us)
 
 
 class Wires:
-    """The three sensors' links, and junk on any of the four.
+    """The three sensors' links to a cycle, and junk on any of the four.
 
     Attributes:
         refused: what a decoder did not accept, by link.
-        links: the ways to the daemon, with what their faults did.
-        sensors: the sensors behind them, with what their faults did.
+        emitters: the other end.
     """
 
     def __init__(self, world: World, cycle: Cycle, faults: Faults, mount: float) -> None:
@@ -58,33 +138,22 @@ class Wires:
             faults: of the scenario.
             mount: what the distance sensor reads when the conveyor unit is at s = 0 [m].
         """
-        seed = world.scenario.seed
         self.refused: Counter[str] = Counter()
-        self.links = {
-            name: FaultyLink(name, faults, seed, ordered=name != "camera") for name in SENSORS
-        }
-        self.sensors = {name: FaultySensor(name, faults, seed) for name in SENSORS}
-        self._world, self._faults = world, faults
+        self.emitters = Emitters(world, faults, mount, self.stamp)
+        self._world, self._cycle = world, cycle
         self._begin_s = -world.scenario.lead_in_s
-        self._junk = random.Random(seed)  # noqa: S311 -- noise, not a secret
-        self._can = CanSensor(DistanceEncoder(), mount)
-        self._camera = CameraSender(clock_offset_ns=CAMERA_CLOCK_NS)
-        self._force_torque = ForceTorqueSensor(DEVICE)
-        self._under_way: list[Arrival] = []
-        self._count = 0
-        _talk(self._force_torque)
-        self.connect(cycle)
-
-    def connect(self, cycle: Cycle) -> None:
-        """Lead all links to a daemon that knows nothing yet.
-
-        Args:
-            cycle: of the daemon.
-        """
-        self._cycle = cycle
         self._can_decoder = DistanceDecoder()
         self._camera_decoder = CameraDecoder()
         self._wrench_decoder = make_decoder(DEVICE)
+        self._receivers: dict[str, Callable[[bytes, int], object]] = {
+            "distance": self._distance,
+            "camera": self._pose,
+            "force_torque": self._stream,
+            "robot": cycle.on_telegram,
+        }
+        self._under_way: list[Arrival] = []
+        self._count = 0
+        _talk(self.emitters.force_torque)
 
     def stamp(self, t: float) -> int:
         """The monotonic stamp of a scenario time [ns]."""
@@ -92,66 +161,20 @@ class Wires:
 
     def carry(self) -> None:
         """Bring over everything that has arrived by now."""
-        self._emit()
+        for arrival_s, link, data in self.emitters.collect():
+            self._count += 1
+            heapq.heappush(self._under_way, (arrival_s, self._count, link, data))
         now_s = self._world.time_s
-        for fault in self._faults.strike(now_s):
-            if fault.kind == "garbage":
-                for _ in range(fault.count):
-                    junk = self._junk.randbytes(int(fault.value) or GARBAGE_BYTES)
-                    self._put(fault.link, now_s, partial(self._garbage, fault.link, junk))
         while self._under_way and self._under_way[0][0] <= now_s + _TINY:
-            time_s, _, link, arrive = heapq.heappop(self._under_way)
+            time_s, _, link, data = heapq.heappop(self._under_way)
             try:
-                arrive(self.stamp(time_s))
+                self._receivers[link](data, self.stamp(time_s))
             except ProtocolError:
                 self.refused[link] += 1
 
-    def discard(self) -> None:
-        """Bring over nothing: what arrives by now finds nobody."""
-        self._emit()
-        now_s = self._world.time_s
-        while self._under_way and self._under_way[0][0] <= now_s + _TINY:
-            heapq.heappop(self._under_way)
-
-    def _emit(self) -> None:
-        """Encode what became due, at its own instant."""
-        for distance in self._world.take_distance():
-            (position,) = self.sensors["distance"].reading((distance.position,), distance.time_s)
-            frame = self._can.frame(position, distance.strength)
-            if frame is not None:
-                head = frame.can_id, frame.extended
-                self._send("distance", frame.data, distance.time_s, partial(self._distance, *head))
-        for pose in self._world.take_camera():
-            sensor = self.sensors["camera"]
-            reading = (*pose.position, *pose.quaternion)
-            values = sensor.reading(reading, pose.exposure_s, additive=3)
-            data = self._camera.datagram(
-                values[:3],
-                values[3:],
-                pose.covariance,
-                exposure_ns=self.stamp(sensor.clock(pose.exposure_s)),
-                sent_ns=self.stamp(sensor.clock(pose.time_s)),
-            )
-            self._send("camera", data, pose.time_s, self._pose)
-        for wrench in self._world.take_wrench():
-            sensor = self.sensors["force_torque"]
-            values = sensor.reading((*wrench.force, *wrench.torque), wrench.exposure_s)
-            shown_s = sensor.clock(wrench.exposure_s)
-            device_us = round((shown_s - self._begin_s) * 1e6)
-            data = self._force_torque.frame(values[:3], values[3:], device_us)
-            self._send("force_torque", data, wrench.time_s, self._stream)
-
-    def _send(
-        self, link: str, data: bytes, time_s: float, receive: Callable[[bytes, int], None]
-    ) -> None:
-        for arrival_s, piece in self.links[link].carry(data, time_s):
-            self._put(link, arrival_s, partial(receive, piece))
-
-    def _put(self, link: str, arrival_s: float, arrive: Callable[[int], None]) -> None:
-        self._count += 1
-        heapq.heappush(self._under_way, (arrival_s, self._count, link, arrive))
-
-    def _distance(self, can_id: int, extended: bool, data: bytes, stamp_ns: int) -> None:
+    def _distance(self, data: bytes, stamp_ns: int) -> None:
+        # An adapter drops junk on its line; what reaches a decoder is a frame, good or bad.
+        can_id, extended = self.emitters.frame
         found = self._can_decoder.decode(can_id, data, stamp_ns, extended)
         if found is not None:
             self._cycle.feed_distance(found)
@@ -162,19 +185,6 @@ class Wires:
     def _stream(self, data: bytes, stamp_ns: int) -> None:
         for found in self._wrench_decoder.feed(data, stamp_ns):
             self._cycle.feed_wrench(found)
-
-    def _garbage(self, link: str, junk: bytes, stamp_ns: int) -> None:
-        match link:
-            case "robot":
-                self._cycle.on_telegram(junk, stamp_ns)
-            case "camera":
-                self._pose(junk, stamp_ns)
-            case "distance":
-                # An adapter drops junk on its line; what can reach a decoder is a bad frame.
-                decoder = self._can_decoder
-                decoder.decode(decoder.can_id, junk[:SHORT_FRAME], stamp_ns, decoder.extended)
-            case _:
-                self._stream(junk, stamp_ns)
 
 
 def _talk(sensor: ForceTorqueSensor) -> None:

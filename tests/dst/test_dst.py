@@ -1,5 +1,6 @@
 """A short share of the swarm, what once failed, and that the swarm would notice."""
 
+import logging
 import os
 import subprocess
 import sys
@@ -50,10 +51,12 @@ def test_one_plan_leaves_one_trace_whatever_the_process_and_its_hash_seed() -> N
 
 def test_without_trouble_the_wheel_is_on_the_hub_and_every_telegram_answered() -> None:
     simulation = dst_run.Simulation(Plan(0, duration_s=2.6))
-    while simulation.turn():
-        pass
+    simulation.live()
+    assert simulation.outcome().violations == ()
     counts = simulation.controller.counts
-    assert counts.answered == counts.sent > 200
+    # The last cycle is still open.
+    assert counts.answered == counts.sent - 1 > 200
+    assert counts.late == counts.lost == counts.refused == 0
     assert simulation.world.released_s is not None
     assert simulation.world.collision is None
     assert simulation.oracle.states >= {"init", "idle", "armed", "track", "contact", "retreat"}
@@ -98,8 +101,8 @@ def test_an_exception_in_the_daemon_is_a_violation(monkeypatch: pytest.MonkeyPat
         raise ZeroDivisionError(f"{cycle.steps} {stamp_ns} {telegram}")
 
     monkeypatch.setattr(Cycle, "_decide", decide)
-    (what,) = dst_run.run(Plan(1)).violations
-    assert what.startswith("exception: ZeroDivisionError in test_dst.py")
+    violations = dst_run.run(Plan(1)).violations
+    assert any("faults: fault 1 in the cycle ZeroDivisionError" in what for what in violations)
 
 
 def test_an_operators_order_that_gets_lost_is_a_violation(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -111,8 +114,25 @@ def test_an_operators_order_that_gets_lost_is_a_violation(monkeypatch: pytest.Mo
 def test_a_daemon_that_cannot_begin_again_is_a_violation(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Cycle, "order", lambda _cycle, _op, _who="": "not today")
     plan = Plan(1, faults=(Fault(0.1, "camera", "loss", 0.1, 0.5),))
-    (what,) = dst_run.run(plan).violations
-    assert what.startswith("liveness: idle")
+    assert dst_run.run(plan).violations[0].startswith("liveness: idle")
+
+
+def test_a_daemon_that_talks_too_much_is_a_violation(monkeypatch: pytest.MonkeyPatch) -> None:
+    order = Cycle.order
+
+    def chatty(cycle: Cycle, op: str, who: str = "") -> str | None:
+        logging.getLogger("linemate.daemon").warning("%s wants to %s", who, op)
+        return order(cycle, op, who)
+
+    monkeypatch.setattr(Cycle, "order", chatty)
+    assert any(what.startswith("log: ") for what in dst_run.run(Plan(1)).violations)
+
+
+def test_an_end_in_motion_comes_to_rest_first() -> None:
+    simulation = dst_run.Simulation(Plan(8, duration_s=0.9))
+    simulation.live()
+    assert simulation.outcome().violations == ()
+    assert simulation.oracle.story[-1].endswith("hold stopped")
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,7 @@ LINEMATE_SIM = (sys.executable, "-m", "linemate.simulators.harness.main")
 TOLD = re.compile(r"(?P<file>/[^:]+):(?P<line>\d+):(?P<column>\d+): (?P<key>[^:]+): (?P<what>.+)")
 BAD_CONFIGURATION = 78
 CANNOT_RUN = 1
+UNAVAILABLE = 69
 END_S = 3.0
 
 Error = tuple[str, str, str, str]
@@ -172,6 +173,23 @@ cable: red
         ("wait_answered", "1.5"),
         ("cable", "cable: red"),
     ]
+
+
+def test_an_emulator_that_cannot_do_what_it_is_told_says_so(tmp_path: Path, held: int) -> None:
+    (tmp_path / "scenario.yaml").write_text(
+        "faults: [{at_s: 1, link: robot, kind: ipoc_flip, value: 0.1}]\n", encoding="utf-8"
+    )
+    path = tmp_path / "emulator.yaml"
+    emulate = (*LINEMATE_SIM, "emulator", "--config", str(path))
+    path.write_text("scenario: scenario.yaml\n", encoding="utf-8")
+    ((_, _, _, what),) = errors(ended(*emulate))
+    assert what.startswith("fault at 1.0 s: robot has no 'ipoc_flip'")
+    for port in (held, 70_000):
+        path.write_text(f"robot_bind: [127.0.0.1, {port}]\n", encoding="utf-8")
+        done = ended(*emulate)
+        assert done.returncode == UNAVAILABLE
+        assert done.stderr.startswith(b"linemate-sim emulator: ")
+        assert done.stderr.count(b"\n") == 1
 
 
 def test_a_good_file_is_checked_without_binding_what_it_names(tmp_path: Path, held: int) -> None:

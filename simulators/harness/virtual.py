@@ -1,0 +1,478 @@
+"""Virtual time: an event loop whose select advances a clock, and ports that are only memory.
+
+Law of this file: nothing sleeps, nothing touches the host's network, threads are not started; what
+is ordered for one instant happens in the order in which it was ordered. The daemon's own shell
+runs on it unchanged: only where it would ask the kernel for something (the clock, a socket, a
+timer, a bus, a line) does it get one of these. Outside ``inhabited`` nothing is replaced.
+"""
+
+import asyncio
+import contextlib
+import heapq
+import math
+import select as select_module
+import selectors
+import socket
+import struct
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import Executor
+from functools import cache
+from typing import Any, TypeVar
+
+import can
+import serialx
+
+from linemate.daemon.service import clock as daemon_clock
+from linemate.drivers.datagrams import Address, DatagramSocket
+from linemate.drivers.stamps import SO_TIMESTAMPNS
+from linemate.protocol import distance as distance_codec
+
+T = TypeVar("T")
+
+EPOCH_NS = 10**17
+"""The monotonic instant at which virtual time begins: later than any host's own."""
+
+WALL_NS = 1_700_000_000 * 10**9
+"""The wall clock's at that instant."""
+
+FIRST_DESCRIPTOR = 900
+"""Descriptors that no real file of a process of ours has, and that select can be given."""
+
+RECEIVE_QUEUE = 256
+"""Datagrams that wait in a socket before the kernel drops new ones."""
+
+_TIMESPEC = struct.Struct("@ll")
+
+
+class DeadlockError(RuntimeError):
+    """Everybody waits and nothing is to come."""
+
+
+class Port:
+    """Something that a loop can watch.
+
+    Attributes:
+        world: whose time it lives in.
+    """
+
+    def __init__(self, world: "VirtualTime") -> None:
+        self.world = world
+        self._descriptor = world.register(self)
+
+    def fileno(self) -> int:
+        """Its descriptor."""
+        return self._descriptor
+
+    @property
+    def is_ready(self) -> bool:
+        """Reading would give something."""
+        raise NotImplementedError
+
+    def forget(self) -> None:
+        """It is no longer there."""
+        self.world.ports.pop(self._descriptor, None)
+
+
+class VirtualTime:
+    """A clock and what is to happen.
+
+    Attributes:
+        now_ns: monotonic [ns].
+        wall_step_ns: how far the wall clock has been stepped [ns].
+        stalled_until_ns: the process gets no processor before [ns].
+        ports: what can be watched, by descriptor.
+        sockets: bound UDP ports.
+        devices: what is behind a bus and a line, by name.
+    """
+
+    def __init__(self) -> None:
+        self.now_ns = EPOCH_NS
+        self.wall_step_ns = 0
+        self.stalled_until_ns = 0
+        self.ports: dict[int, Port] = {}
+        self.sockets: dict[int, VirtualSocket] = {}
+        self.buses: list[VirtualBus] = []
+        self.lines: list[VirtualLine] = []
+        self.unplugged: set[str] = set()
+        self.on_datagram: Callable[[bytes, Address, Address], None] = lambda _d, _s, _t: None
+        self.on_line: Callable[[bytes | None], None] = lambda _data: None
+        self._queue: list[tuple[int, int, Callable[[], None]]] = []
+        self._ordered = 0
+        self._descriptors = FIRST_DESCRIPTOR
+
+    @property
+    def wall_ns(self) -> int:
+        """The wall clock [ns]."""
+        return self.now_ns - EPOCH_NS + WALL_NS + self.wall_step_ns
+
+    def register(self, port: Port) -> int:
+        """Give a port a descriptor, the lowest that is free, as the kernel does."""
+        descriptor = FIRST_DESCRIPTOR
+        while descriptor in self.ports:
+            descriptor += 1
+        self.ports[descriptor] = port
+        return descriptor
+
+    def at(self, at_ns: int, action: Callable[[], None]) -> None:
+        """Let something happen at an instant, now if it is past [ns]."""
+        self._ordered += 1
+        heapq.heappush(self._queue, (max(at_ns, self.now_ns), self._ordered, action))
+
+    @property
+    def next_ns(self) -> int | None:
+        """When something happens next [ns]."""
+        return self._queue[0][0] if self._queue else None
+
+    def happen(self) -> None:
+        """Go on to what happens next and let it."""
+        at_ns, _, action = heapq.heappop(self._queue)
+        self.now_ns = max(self.now_ns, at_ns)
+        action()
+
+    def pass_until(self, end_ns: int) -> None:
+        """Let everything happen that is due until an instant [ns]."""
+        while self._queue and self._queue[0][0] <= end_ns:
+            self.happen()
+        self.now_ns = max(self.now_ns, end_ns)
+
+
+class VirtualSocket(Port):
+    """A UDP socket as ``DatagramSocket`` needs it."""
+
+    def __init__(self, world: VirtualTime, address: Address) -> None:
+        super().__init__(world)
+        self._address = address
+        self._waiting: deque[tuple[bytes, Address, int]] = deque()
+        world.sockets[address[1]] = self
+
+    @property
+    def is_ready(self) -> bool:
+        """A datagram waits."""
+        return bool(self._waiting)
+
+    def put(self, data: bytes, source: Address) -> None:
+        """A datagram arrives; the kernel stamps it, or drops it."""
+        if len(self._waiting) < RECEIVE_QUEUE:
+            self._waiting.append((data, source, self.world.wall_ns))
+
+    def recvmsg(
+        self, size: int, _ancillary_bytes: int = 0
+    ) -> tuple[bytes, list[tuple[int, int, bytes]], int, Address]:
+        """As a socket's own."""
+        if not self._waiting:
+            raise BlockingIOError
+        data, source, wall_ns = self._waiting.popleft()
+        stamp = _TIMESPEC.pack(*divmod(wall_ns, 10**9))
+        ancillary = [(socket.SOL_SOCKET, SO_TIMESTAMPNS, stamp)]
+        return data[:size], ancillary, socket.MSG_TRUNC if len(data) > size else 0, source
+
+    def recvmsg_into(
+        self, buffers: list[bytearray], ancillary_bytes: int = 0
+    ) -> tuple[int, list[tuple[int, int, bytes]], int, Address]:
+        """As a socket's own."""
+        (buffer,) = buffers
+        data, ancillary, flags, source = self.recvmsg(len(buffer), ancillary_bytes)
+        buffer[: len(data)] = data
+        return len(data), ancillary, flags, source
+
+    def sendto(self, data: bytes, target: Address) -> int:
+        """As a socket's own."""
+        self.world.on_datagram(bytes(data), self._address, target)
+        return len(data)
+
+    def getsockname(self) -> Address:
+        """As a socket's own."""
+        return self._address
+
+    def close(self) -> None:
+        """As a socket's own."""
+        self.world.sockets.pop(self._address[1], None)
+        self.forget()
+
+
+class VirtualTimer(Port):
+    """A timer as the sampling clock needs it."""
+
+    def __init__(self, world: VirtualTime) -> None:
+        super().__init__(world)
+        self._at_ns: int | None = None
+
+    @property
+    def is_ready(self) -> bool:
+        """It has expired and nobody has read it."""
+        return self._at_ns is not None and self._at_ns <= self.world.now_ns
+
+    def arm(self, at_ns: int) -> None:
+        """Expire once [ns]."""
+        self._at_ns = at_ns
+        # Time only stops where something happens.
+        self.world.at(at_ns, _nothing)
+
+    def read(self) -> int:
+        """How often it has expired since the last read."""
+        if not self.is_ready:
+            return 0
+        self._at_ns = None
+        return 1
+
+    def close(self) -> None:
+        """It is no longer there."""
+        self.forget()
+
+
+class VirtualBus(Port):
+    """A CAN bus as ``CanLink`` needs it; frames wait with the adapter's stamps."""
+
+    def __init__(self, world: VirtualTime) -> None:
+        if "distance" in world.unplugged:
+            raise can.CanInitializationError("no such device")
+        super().__init__(world)
+        self._waiting: deque[can.Message] = deque(maxlen=RECEIVE_QUEUE)
+        world.buses.append(self)
+
+    @property
+    def is_ready(self) -> bool:
+        """A frame waits, or the bus has gone."""
+        return bool(self._waiting) or "distance" in self.world.unplugged
+
+    def put(self, can_id: int, data: bytes, *, extended: bool) -> None:
+        """A frame arrives."""
+        self._waiting.append(
+            can.Message(
+                timestamp=self.world.wall_ns * 1e-9,
+                arbitration_id=can_id,
+                data=data,
+                is_extended_id=extended,
+            )
+        )
+
+    def recv(self, _timeout: float | None = None) -> can.Message | None:
+        """As a bus's own."""
+        if "distance" in self.world.unplugged:
+            raise can.CanOperationError("the device has gone")
+        return self._waiting.popleft() if self._waiting else None
+
+    def shutdown(self) -> None:
+        """As a bus's own."""
+        if self in self.world.buses:
+            self.world.buses.remove(self)
+        self.forget()
+
+
+class VirtualLine(Port):
+    """A serial line as ``SerialLink`` needs it."""
+
+    def __init__(
+        self, world: VirtualTime, loop: asyncio.AbstractEventLoop, protocol: asyncio.Protocol
+    ) -> None:
+        super().__init__(world)
+        self._loop = loop
+        self._protocol = protocol
+        self._waiting = bytearray()
+        self._open = True
+        world.lines.append(self)
+        loop.add_reader(self.fileno(), self._read)
+
+    @property
+    def is_ready(self) -> bool:
+        """Bytes wait, or the line has gone."""
+        return bool(self._waiting) or "force_torque" in self.world.unplugged
+
+    def put(self, data: bytes) -> None:
+        """Bytes arrive; the kernel's buffer is as long as a tty's."""
+        self._waiting += data[: max(0, 4096 - len(self._waiting))]
+
+    def write(self, data: bytes) -> None:
+        """As a transport's own: the device hears it."""
+        self.world.on_line(data)
+
+    def abort(self) -> None:
+        """As a transport's own."""
+        self._end(None)
+
+    def _read(self) -> None:
+        if "force_torque" in self.world.unplugged:
+            self._end(OSError("the device has gone"))
+            return
+        data, self._waiting = bytes(self._waiting), bytearray()
+        if data:
+            self._protocol.data_received(data)
+
+    def _end(self, error: Exception | None) -> None:
+        if not self._open:
+            return
+        self._open = False
+        self._loop.remove_reader(self.fileno())
+        self.world.lines.remove(self)
+        self.forget()
+        self._loop.call_soon(self._protocol.connection_lost, error)
+
+
+class _Selector(selectors.BaseSelector):
+    """Waits by letting time pass."""
+
+    def __init__(self, world: VirtualTime) -> None:
+        self._world = world
+        self._keys: dict[int, selectors.SelectorKey] = {}
+        self.has_work: Callable[[], bool] = lambda: False
+
+    def register(self, fileobj: Any, events: int, data: Any = None) -> selectors.SelectorKey:
+        descriptor = fileobj if isinstance(fileobj, int) else fileobj.fileno()
+        key = selectors.SelectorKey(fileobj, descriptor, events, data)
+        self._keys[descriptor] = key
+        return key
+
+    def unregister(self, fileobj: Any) -> selectors.SelectorKey:
+        descriptor = fileobj if isinstance(fileobj, int) else fileobj.fileno()
+        return self._keys.pop(descriptor)
+
+    def modify(self, fileobj: Any, events: int, data: Any = None) -> selectors.SelectorKey:
+        return self.register(fileobj, events, data)
+
+    def get_map(self) -> Mapping[Any, selectors.SelectorKey]:
+        return self._keys
+
+    def get_key(self, fileobj: Any) -> selectors.SelectorKey:
+        return self._keys[fileobj if isinstance(fileobj, int) else fileobj.fileno()]
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        world = self._world
+        end_ns = None if timeout is None else world.now_ns + math.ceil(max(timeout, 0.0) * 1e9)
+        while True:
+            if world.stalled_until_ns > world.now_ns:
+                world.pass_until(world.stalled_until_ns)
+            ready = self._ready()
+            if ready or self.has_work():
+                return ready
+            next_ns = world.next_ns
+            if next_ns is None and end_ns is None:
+                raise DeadlockError("everybody waits and nothing is to come")
+            if end_ns is not None and (next_ns is None or next_ns > end_ns):
+                world.now_ns = max(world.now_ns, end_ns)
+                return []
+            world.happen()
+
+    def _ready(self) -> list[tuple[selectors.SelectorKey, int]]:
+        ports = self._world.ports
+        return [
+            (key, selectors.EVENT_READ)
+            for descriptor, key in self._keys.items()
+            if descriptor in ports and ports[descriptor].is_ready
+        ]
+
+
+class VirtualLoop(asyncio.SelectorEventLoop):
+    """asyncio's own loop on virtual time.
+
+    Attributes:
+        world: its time.
+    """
+
+    def __init__(self, world: VirtualTime) -> None:
+        selector = _Selector(world)
+        super().__init__(selector)
+        self.world = world
+        # Seconds in a float are no finer this long after the epoch.
+        self._clock_resolution = 1e-7
+        selector.has_work = lambda: bool(self._ready)  # type: ignore[attr-defined]
+
+    def time(self) -> float:
+        """Monotonic [s]."""
+        return self.world.now_ns * 1e-9
+
+    def run_in_executor(  # type: ignore[override]
+        self, executor: Executor | None, func: Callable[..., T], *args: Any
+    ) -> "asyncio.Future[T]":
+        """There are no threads here: done at once."""
+        del executor
+        future: asyncio.Future[T] = self.create_future()
+        try:
+            future.set_result(func(*args))
+        except Exception as error:  # noqa: BLE001 - whoever waits gets it
+            future.set_exception(error)
+        return future
+
+    def add_signal_handler(  # type: ignore[override]
+        self, sig: int, callback: Callable[..., Any], *args: Any
+    ) -> None:
+        """A simulated process gets no signals from the host."""
+
+    def remove_signal_handler(self, sig: int) -> bool:
+        """A simulated process gets no signals from the host."""
+        del sig
+        return False
+
+
+@contextlib.contextmanager
+def inhabited(world: VirtualTime) -> Iterator[None]:
+    """Let clocks, sockets, timers, buses and lines of this process be virtual ones."""
+
+    def bound(host: str, port: int) -> DatagramSocket:
+        if port in world.sockets:
+            raise OSError(98, "Address already in use")
+        return DatagramSocket(VirtualSocket(world, (host, port)))  # type: ignore[arg-type]
+
+    def wait(
+        readable: Iterable[Any],
+        writable: Iterable[Any],
+        strange: Iterable[Any],
+        timeout: Any = None,
+    ) -> tuple[list[Any], list[Any], list[Any]]:
+        watched = list(readable)
+        ports = [world.ports[one] for one in watched if one in world.ports]
+        if not ports:
+            found = select(watched, list(writable), list(strange), timeout)
+            return found[0], found[1], found[2]
+        end_ns = world.now_ns + math.ceil(max(0.0, timeout) * 1e9)
+        while not any(port.is_ready for port in ports):
+            next_ns = world.next_ns
+            if next_ns is None or next_ns > end_ns:
+                world.now_ns = max(world.now_ns, end_ns)
+                return [], [], []
+            world.happen()
+            if world.stalled_until_ns > world.now_ns:
+                world.pass_until(world.stalled_until_ns)
+        return [port.fileno() for port in ports if port.is_ready], [], []
+
+    async def connect(
+        loop: asyncio.AbstractEventLoop,
+        factory: Callable[[], asyncio.Protocol],
+        *_args: Any,
+        **_options: Any,
+    ) -> tuple[VirtualLine, asyncio.Protocol]:
+        if "force_torque" in world.unplugged:
+            raise OSError(2, "No such file or directory")
+        protocol = factory()
+        line = VirtualLine(world, loop, protocol)
+        world.on_line(None)
+        return line, protocol
+
+    select = select_module.select
+    replaced: list[tuple[Any, str, Any]] = [
+        (time, "monotonic_ns", lambda: world.now_ns),
+        (time, "time_ns", lambda: world.wall_ns),
+        (DatagramSocket, "bound", bound),
+        (select_module, "select", wait),
+        (daemon_clock, "Timer", lambda: VirtualTimer(world)),
+        (can, "Bus", lambda **_config: VirtualBus(world)),
+        (serialx, "create_serial_connection", connect),
+        # A DBC is parsed once a process: it takes longer than the second that is simulated.
+        (distance_codec, "_load", _load_once),
+    ]
+    kept = [(owner, name, vars(owner)[name]) for owner, name, _ in replaced]
+    try:
+        for owner, name, virtual in replaced:
+            setattr(owner, name, virtual)
+        yield
+    finally:
+        for owner, name, real in kept:
+            setattr(owner, name, real)
+
+
+_load_once = cache(distance_codec._load)  # noqa: SLF001 - pure, only slow
+
+
+def _nothing() -> None:
+    """An instant at which a timer may expire."""
