@@ -45,6 +45,7 @@ HORIZONS: Final = {42: 0.012, 125: 0.004, 500: 0.004}
 CYCLES_MS: Final = (12, 4, 2, 1)
 CPU_CYCLE_MS: Final = 4
 PARTS: Final = ("turnaround", "wakeup", "step", "virtual")
+LEAD_IN_S: Final = 2.5
 SETTLE_S: Final = 4.0
 """What is played beside the rounds: between them, and until the daemon works [s]."""
 
@@ -176,7 +177,7 @@ class Options:
     """
 
     rounds: int = ROUNDS
-    round_s: float = 0.8
+    round_s: float = 0.6
     cycles_ms: tuple[int, ...] = CYCLES_MS
     parts: tuple[str, ...] = PARTS
 
@@ -264,7 +265,7 @@ def record_reel(measured_s: float) -> Reel:
     made = setup.make("wheel", cycle_ms=12.0)
     longest = made.scenario.duration_s
     duration = min(longest, 2.0 * measured_s + SETTLE_S)
-    scenario = replace(made.scenario, duration_s=duration)
+    scenario = replace(made.scenario, lead_in_s=LEAD_IN_S, duration_s=duration)
     entries: list[LogEntry] = []
     run = Lockstep(replace(made, scenario=scenario), seed=0, on_step=entries.append)
     while run.turn():

@@ -183,7 +183,7 @@ def _add_bench(commands: "Commands[argparse.ArgumentParser]") -> None:
     bench.add_argument("--json", action="store_true", help="print JSON instead of a table")
     bench.add_argument("--rounds", type=_count, default=5, metavar="N", help="5")
     bench.add_argument(
-        "--round-s", type=_seconds, default=0.8, metavar="S", help="length of a round; 0.8"
+        "--round-s", type=_seconds, default=0.6, metavar="S", help="length of a round; 0.6"
     )
     bench.add_argument(
         "--cycles", type=_cycles, default=(12, 4, 2, 1), metavar="MS,...", help="of 12, 4, 2, 1"
