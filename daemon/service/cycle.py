@@ -5,6 +5,7 @@ the step's state, the samples that wait) and does the same in real and in virtua
 calls it brings bytes and stamps and takes bytes away; the reply first, ``take_log`` after it.
 """
 
+import math
 from collections import deque
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
@@ -42,6 +43,8 @@ LONGEST_JUMP = 0.05
 RESTING = 10  # telegrams from which is told that a robot rests
 STILL = 2e-4  # and how far apart they are [rad, m]
 BESIDE = 5e-4  # from where it was when the session began [rad, m]
+BRAKING = 1.0  # a tool that is told to hold slows down by so much at least [m/s^2]
+STOPPING = 0.15  # and its robot is so long behind its commands, the jerk's time included [s]
 SETTLED = 0.3  # a retreat is over when no axis is quicker [rad/s, m/s]; it may follow the object
 CATCH_UP_S = 0.3  # steps made at once after a gap, at most
 JOINED_S = 0.15  # unanswered for longer before its first telegram here: it was under way before
@@ -183,6 +186,7 @@ class Cycle:
         self._was_lost = False
         self._is_loss_untold = False
         self._pace = 0.0
+        self._gap: float | None = None
         lag = round(self._settings.follow_s / parameters.cycle_s)
         self._rest: deque[tuple[float, ...]] = deque(maxlen=RESTING)
         self._lately: deque[tuple[float, ...]] = deque(maxlen=max(2, lag))
@@ -629,6 +633,7 @@ class Cycle:
             wrench_expected=self._wrench_expected,
             ready=outputs is not None and outputs.ready is None,
             contact=outputs is not None and outputs.contact,
+            gap_m=self._gap,
             astray=self.astray is not None,
             overload=self._is_overloaded,
             done=outputs is not None and outputs.phase is Phase.RETREAT,
@@ -671,6 +676,7 @@ class Cycle:
         if self.last is not None:
             moved = zip(self.last.outputs.command, entry.outputs.command, strict=True)
             self._pace = max(abs(b - a) for a, b in moved) / self.parameters.cycle_s
+            self._gap = _gap(self.last.outputs, entry.outputs, self.parameters.cycle_s)
         self.last = entry
         self._lately.append(entry.outputs.command)
         if len(self._log) == LONGEST_LOG:
@@ -732,6 +738,15 @@ class Cycle:
     def _age(self, stamp_ns: int | None) -> float | None:
         """Return how old a stamp is at the last step [s]."""
         return None if stamp_ns is None else (self._stamp_ns - stamp_ns) * 1e-9
+
+
+def _gap(before: stepping.Outputs, now: stepping.Outputs, period: float) -> float | None:
+    """Return what a stop would leave between tool and object [m], None while it is not seen."""
+    if now.part is None or now.task_time is None:
+        return None
+    gap = math.dist(now.target[:3], now.part[:3])
+    speed = max(0.0, (math.dist(before.target[:3], now.part[:3]) - gap) / period)
+    return gap - speed * STOPPING - speed * speed / (2.0 * BRAKING)
 
 
 def _goes_on(known: _Programme, robot: RobotSample, cycle_s: float) -> tuple[float, ...] | None:

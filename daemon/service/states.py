@@ -48,7 +48,7 @@ class Signals:
         wrench_fresh: the force-torque sensor too, or there is none.
         ready: the estimate is consistent and the object may be tracked.
         object_left: the object has left the window while it was tracked.
-        contact: the tool touches the object.
+        contact: the tool touches the object, or is so near that to stop would end there.
         overload: the force is beyond what the tool bears.
         done: the task has come to its own retreat, or to its end.
         clear: a retreat is over: free, away and at rest.
@@ -206,6 +206,7 @@ TABLE: tuple[Row, ...] = (
     Row(TRACK, HOLD, "no fresh force", lambda s, _: not s.wrench_fresh),
     Row(TRACK, HOLD, "the object has left", lambda s, _: s.object_left and not s.contact),
     Row(TRACK, HOLD, "telegrams missing", lambda s, m: _shaky(s, m) and not s.contact),
+    Row(TRACK, RETREAT, "telegrams missing in contact", _shaky),
     Row(TRACK, RETREAT, "the task retreats", _done, programmed=True),
     Row(TRACK, CONTACT, "contact", _contact),
     Row(CONTACT, FAULT, "robot link lost in motion", _lost, latches=True),

@@ -35,6 +35,7 @@ class WatchSettings:
         wrench_s: age of the newest force [s].
         cycles_of_contact: in a row, before contact counts.
         cycles_of_overload: in a row, before overload counts; one is two samples in a row.
+        near_m: a stop that leaves less to the object, which moves and swings, is a retreat [m].
         follow_s: the robot is at most so long behind its commands [s].
         follow_tolerance: and so far beside where they led it in that time [rad, m].
         cycles_astray: in a row beyond that, before it counts as a fault: the drives are off.
@@ -53,6 +54,7 @@ class WatchSettings:
     wrench_s: Positive = 0.1
     cycles_of_contact: Count = 2
     cycles_of_overload: Count = 1
+    near_m: Positive = 0.03
     follow_s: Positive = 0.25
     follow_tolerance: Positive = 0.01
     cycles_astray: Count = 5
@@ -73,6 +75,7 @@ class Facts:
             task waits, for the object may be out of the camera's sight.
         wrench_ns: arrival of the newest force [ns], or None.
         wrench_expected: there is a force-torque sensor.
+        gap_m: that a stop would leave between tool and object [m]; None while it is not seen.
         astray: the robot is not where its commands led it.
         ready, object_left, contact, overload, done, clear, fault: as in ``Signals``, raw.
         orders: accepted orders that came since the last cycle.
@@ -85,6 +88,7 @@ class Facts:
     slower_ns: int | None = None
     wrench_ns: int | None = None
     wrench_expected: bool = True
+    gap_m: float | None = None
     astray: bool = False
     ready: bool = False
     object_left: bool = False
@@ -184,19 +188,26 @@ def _signals(watch: Watch, facts: Facts, settings: WatchSettings) -> Signals:
     oldest_s = settings.position_in_contact_s if coasting else settings.position_s
     both = coasting or facts.slower_ns is None
     both = both or _age_s(facts.slower_ns, stamp_ns) <= settings.one_sensor_s
+    position_fresh = _age_s(facts.position_ns, stamp_ns) <= oldest_s and both
     wrench_fresh = _age_s(facts.wrench_ns, stamp_ns) <= settings.wrench_s
+    wrench_fresh = wrench_fresh or not facts.wrench_expected
+    fault = facts.fault or watch.astray >= settings.cycles_astray
+    trouble = fault or "stop" in facts.orders or watch.link is not Link.HEALTHY
+    trouble = trouble or not (position_fresh and wrench_fresh)
+    near = facts.gap_m is not None and facts.gap_m < settings.near_m
     return Signals(
         link=watch.link,
-        position_fresh=_age_s(facts.position_ns, stamp_ns) <= oldest_s and both,
-        wrench_fresh=wrench_fresh or not facts.wrench_expected,
+        position_fresh=position_fresh,
+        wrench_fresh=wrench_fresh,
         ready=facts.ready,
         object_left=facts.object_left,
-        contact=watch.contact >= settings.cycles_of_contact,
+        # Whoever has to stop this near is as good as in contact.
+        contact=watch.contact >= settings.cycles_of_contact or (near and trouble),
         overload=watch.overload >= settings.cycles_of_overload,
         done=facts.done,
         clear=facts.clear,
         expired=_expired(watch, stamp_ns, settings),
-        fault=facts.fault or watch.astray >= settings.cycles_astray,
+        fault=fault,
         arm="arm" in facts.orders,
         start="start" in facts.orders,
         stop="stop" in facts.orders,

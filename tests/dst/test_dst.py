@@ -128,11 +128,17 @@ def test_a_daemon_that_talks_too_much_is_a_violation(monkeypatch: pytest.MonkeyP
     assert any(what.startswith("log: ") for what in dst_run.run(Plan(1)).violations)
 
 
-def test_an_end_in_motion_comes_to_rest_first() -> None:
-    simulation = dst_run.Simulation(Plan(8, duration_s=0.9))
+@pytest.mark.parametrize(
+    ("end_s", "state"), [(0.7, "hold stopped"), (0.95, "retreat stopped in contact")]
+)
+def test_an_end_in_motion_holds_far_from_the_object_and_retreats_near_it(
+    end_s: float, state: str
+) -> None:
+    simulation = dst_run.Simulation(Plan(8, duration_s=end_s))
     simulation.live()
     assert simulation.outcome().violations == ()
-    assert simulation.oracle.story[-1].endswith("hold stopped")
+    assert any(line.endswith(state) for line in simulation.oracle.story)
+    assert simulation.world.collision is None
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,9 @@
 """Time-outs and debounce, cycle by cycle in virtual time."""
 
 from dataclasses import replace
+from typing import Any
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -21,7 +23,7 @@ class Run:
         self.now_ns = 1_000_000_000
         self.signals = Signals()
 
-    def cycle(self, telegram: bool = True, **facts: bool | int | frozenset[str] | None) -> Signals:
+    def cycle(self, telegram: bool = True, **facts: Any) -> Signals:
         self.now_ns += CYCLE_NS
         given_facts = replace(Facts(self.now_ns, telegram), **facts)  # type: ignore[arg-type]
         self.watch, self.signals = observe(self.watch, given_facts, self.machine, SETTINGS)
@@ -114,6 +116,32 @@ def test_one_sensor_alone_is_borne_for_a_second_while_the_task_is_under_way() ->
             signals = run.cycle(position_ns=now_ns, slower_ns=now_ns - round(age_s * 1e9))
             assert signals.position_fresh == (age_s <= bearable_s)
     assert run.cycle(position_ns=run.now_ns, slower_ns=None).position_fresh
+
+
+@pytest.mark.parametrize(
+    "trouble",
+    [{"orders": frozenset({"stop"})}, {"fault": True}, {"position_ns": None}, {"wrench_ns": None}],
+)
+def test_trouble_near_the_object_counts_as_contact_and_elsewhere_does_not(
+    trouble: dict[str, Any],
+) -> None:
+    run = Run(State.TRACK)
+    for _ in range(SETTINGS.healthy_cycles + 1):
+        run.cycle(position_ns=run.now_ns, wrench_ns=run.now_ns, gap_m=0.001)
+    facts = {"position_ns": run.now_ns, "wrench_ns": run.now_ns}
+    assert not run.cycle(**facts, gap_m=0.001).contact
+    assert run.cycle(**{**facts, **trouble}, gap_m=0.029).contact
+    assert not run.cycle(**{**facts, **trouble}, gap_m=0.031).contact
+    assert not run.cycle(**{**facts, **trouble}, gap_m=None).contact
+
+
+def test_missing_telegrams_near_the_object_count_as_contact() -> None:
+    run = Run(State.TRACK).healthy()
+    seen = [
+        run.cycle(telegram=False, gap_m=0.01, position_ns=run.now_ns, wrench_ns=run.now_ns)
+        for _ in range(3)
+    ]
+    assert [signals.contact for signals in seen] == [False, False, True]
 
 
 def test_a_robot_that_is_elsewhere_for_five_cycles_in_a_row_is_a_fault() -> None:
