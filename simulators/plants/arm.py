@@ -1,54 +1,132 @@
 """Forward kinematics of the arm on its linear axis, by Denavit and Hartenberg (Craig's form).
 
 Law of this file: the emulator's own kinematics, made from the table in the scenario; it shares
-no model file with the daemon. Poses in base; joints in KUKA's sense of rotation.
+no model file with the daemon. The chain is written out once as straight code in which nothing is
+multiplied by 0 or 1. Poses in base; joints in KUKA's sense of rotation.
 """
 
 import math
+from collections.abc import Callable
 
 from linemate.simulators.plants import rotation
 from linemate.simulators.plants.rotation import Pose
-from linemate.simulators.plants.scenario import Robot
+from linemate.simulators.plants.scenario import Link, Robot
+
+Number = float | str
+"""A constant, or the name or product that stands for a value."""
 
 
 class ArmPlant:
     """Flange and tcp for joint angles and a position of the linear axis."""
 
+    tcp: Callable[[tuple[float, ...]], Pose]
+    """Rigid tcp in base, where the robot holds the tool without deflection, for A1..A6 [rad] and
+    E1 [m] (root_in_base = Trans(0, E1, 0))."""
+
     def __init__(self, robot: Robot) -> None:
-        self._rows = tuple(
-            (_clean(math.cos(link.alpha)), _clean(math.sin(link.alpha)), link.a, link.d, link.theta)
-            for link in robot.links
-        )
         self._tcp_in_flange: Pose = (robot.tcp_position, rotation.exp(robot.tcp_rotation))
+        self.tcp = _compile(_chain(robot.links, self._tcp_in_flange))
+        self._flange = _compile(_chain(robot.links, ((0.0, 0.0, 0.0), rotation.IDENTITY)))
 
     def flange(self, joints: tuple[float, ...]) -> Pose:
         """Flange in base.
 
         Args:
-            joints: A1..A6 [rad], E1 [m] (root_in_base = Trans(0, E1, 0)).
+            joints: A1..A6 [rad], E1 [m].
 
         Returns:
             Pose of the flange in base.
         """
-        px, py, pz = 0.0, joints[6], 0.0
-        xx, xy, xz, yx, yy, yz, zx, zy, zz = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
-        for (ca, sa, a, d, offset), q in zip(self._rows, joints, strict=False):
-            # Columns of the rotation: Rx(alpha) turns y and z, Tx(a) moves along x.
-            if ca:
-                ux, uy, uz = ca * yx + sa * zx, ca * yy + sa * zy, ca * yz + sa * zz
-                zx, zy, zz = ca * zx - sa * yx, ca * zy - sa * yy, ca * zz - sa * yz
-            else:
-                ux, uy, uz, zx, zy, zz = sa * zx, sa * zy, sa * zz, -sa * yx, -sa * yy, -sa * yz
-            px, py, pz = px + a * xx + d * zx, py + a * xy + d * zy, pz + a * xz + d * zz
-            c, s = math.cos(q + offset), math.sin(q + offset)
-            yx, yy, yz = c * ux - s * xx, c * uy - s * xy, c * uz - s * xz
-            xx, xy, xz = c * xx + s * ux, c * xy + s * uy, c * xz + s * uz
-        # The half turn about x from the last axis to the flange.
-        return (px, py, pz), (xx, -yx, -zx, xy, -yy, -zy, xz, -yz, -zz)
+        return self._flange(joints)
 
-    def tcp(self, joints: tuple[float, ...]) -> Pose:
-        """Rigid tcp in base: where the robot holds the tool without deflection."""
-        return rotation.multiply(self.flange(joints), self._tcp_in_flange)
+
+def _compile(lines: list[str]) -> Callable[[tuple[float, ...]], Pose]:
+    """Make the function of the written out chain."""
+    body = "\n    ".join(lines)
+    space: dict[str, Callable[..., object]] = {"cos": math.cos, "sin": math.sin}
+    exec(f"def tcp(joints, cos=cos, sin=sin):\n    {body}\n", space)  # noqa: S102 - our own text
+    return space["tcp"]  # type: ignore[return-value]
+
+
+def _chain(links: tuple[Link, ...], tool: Pose) -> list[str]:
+    """Write the chain out.
+
+    Args:
+        links: the table.
+        tool: in the flange.
+
+    Returns:
+        Lines of a function of ``joints``.
+    """
+    lines = [f"{', '.join(f'q{n}' for n in range(len(links) + 1))} = joints"]
+    place: list[Number] = [0.0, f"q{len(links)}", 0.0]
+    x: list[Number] = [1.0, 0.0, 0.0]
+    y: list[Number] = [0.0, 1.0, 0.0]
+    z: list[Number] = [0.0, 0.0, 1.0]
+    for n, link in enumerate(links):
+        # Columns of the rotation: Rx(alpha) turns y and z, Tx(a) moves along x, and so on.
+        ca, sa = _clean(math.cos(link.alpha)), _clean(math.sin(link.alpha))
+        y, z = (
+            _named(lines, f"u{n}", _mixed((ca, y), (sa, z))),
+            _named(lines, f"w{n}", _mixed((ca, z), (-sa, y))),
+        )
+        place = _named(lines, f"p{n}", _mixed((1.0, place), (link.a, x), (link.d, z)))
+        turned = f"q{n} + {link.theta!r}" if link.theta else f"q{n}"
+        lines.append(f"a{n} = {turned}; c{n} = cos(a{n}); s{n} = sin(a{n}); m{n} = -s{n}")
+        x, y = (
+            _named(lines, f"x{n}", _mixed((f"c{n}", x), (f"s{n}", y))),
+            _named(lines, f"y{n}", _mixed((f"c{n}", y), (f"m{n}", x))),
+        )
+    # The half turn about x from the last axis to the flange.
+    y, z = _named(lines, "fy", _mixed((-1.0, y))), _named(lines, "fz", _mixed((-1.0, z)))
+    (tx, ty, tz), r = tool
+    place = _mixed((1.0, place), (tx, x), (ty, y), (tz, z))
+    columns = [
+        _mixed((_clean(r[i]), x), (_clean(r[3 + i]), y), (_clean(r[6 + i]), z)) for i in range(3)
+    ]
+    rows = ", ".join(str(value) for row in zip(*columns, strict=True) for value in row)
+    return [*lines, f"return ({', '.join(map(str, place))}), ({rows})"]
+
+
+def _named(lines: list[str], name: str, values: list[Number]) -> list[Number]:
+    """Give what has to be computed names of its own, a line each."""
+    found: list[Number] = []
+    for axis, value in zip("xyz", values, strict=True):
+        if isinstance(value, str) and not value.isidentifier():
+            lines.append(f"{name}{axis} = {value}")
+            found.append(f"{name}{axis}")
+        else:
+            found.append(value)
+    return found
+
+
+def _mixed(*parts: tuple[Number, list[Number]]) -> list[Number]:
+    """A sum of multiples of vectors."""
+    return [_sum(*(_times(factor, vector[i]) for factor, vector in parts)) for i in range(3)]
+
+
+def _times(a: Number, b: Number) -> Number:
+    """A product, without what is zero or one in it."""
+    if isinstance(a, str) and isinstance(b, float):
+        a, b = b, a
+    if isinstance(a, str):
+        return f"{a} * {b}"
+    if isinstance(b, float):
+        return a * b
+    if a == 0.0:
+        return 0.0
+    if abs(a) == 1.0:
+        return b if a > 0.0 else f"-{b}"
+    return f"{a!r} * {b}"
+
+
+def _sum(*terms: Number) -> Number:
+    """A sum, without what is zero in it."""
+    constant = sum(term for term in terms if isinstance(term, float))
+    texts = [term for term in terms if isinstance(term, str)]
+    if not texts:
+        return constant
+    return " + ".join([*texts, repr(constant)] if constant else texts)
 
 
 def _clean(value: float) -> float:

@@ -11,7 +11,7 @@ from typing import Literal
 
 from linemate.simulators.plants import rotation
 from linemate.simulators.plants.effector import EffectorPlant, Six, deflected, deflection_between
-from linemate.simulators.plants.rotation import Pose, Vec
+from linemate.simulators.plants.rotation import Pose, Rot, Vec
 from linemate.simulators.plants.scenario import Contact
 
 Phase = Literal["free", "clamped", "released"]
@@ -64,7 +64,8 @@ class ContactPlant:
         self._screwing_s: float | None = None
         self._releasing_s: float | None = None
         self._caught: tuple[Vec, Vec] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-        self._before: Vec | None = None
+        # The tool off the hub a substep ago, in base, and the hub's orientation then.
+        self._before: tuple[Vec, Rot] | None = None
         self._cleared = False
 
     def order(self, bits: int) -> None:
@@ -102,7 +103,8 @@ class ContactPlant:
             rigid: rigid tcp at its end.
             hub: hub at its end, the screws' step included.
         """
-        self._tighten(t)
+        if self._screwing_s is not None and self.fixed_s is None:
+            self._tighten(t, self._screwing_s)
         if self.phase == "clamped":
             self._hold(t, effector, before, rigid, hub)
             return
@@ -150,10 +152,8 @@ class ContactPlant:
         if t - self._releasing_s >= self._contact.release_s - _TINY:
             self._open(t)
 
-    def _tighten(self, t: float) -> None:
-        if self._screwing_s is None or self.fixed_s is not None:
-            return
-        done = self._screwing_s + self._contact.nutrunner_s + self._contact.step_s
+    def _tighten(self, t: float, begun_s: float) -> None:
+        done = begun_s + self._contact.nutrunner_s + self._contact.step_s
         if t >= done - _TINY:
             self.fixed_s = t
 
@@ -170,26 +170,62 @@ class ContactPlant:
     def _watch(self, t: float, dt: float, rigid: Pose, deflection: Six, hub: Pose) -> None:
         """Judge the free tool: does it reach the hub plane, where, and how?"""
         contact = self._contact
-        (px, py, pz), (hx, hy, hz) = rigid[0], hub[0]
-        dx, dy, dz = rotation.apply(rigid[1], deflection[:3])
-        x, y, z = rotation.unapply(hub[1], (px + dx - hx, py + dy - hy, pz + dz - hz))
-        lateral = math.hypot(x, y)
-        before, self._before = self._before, (x, y, z)
+        (px, py, pz), (r0, r1, r2, r3, r4, r5, r6, r7, r8) = rigid
+        (hx, hy, hz), turn = hub
+        dx, dy, dz, *_ = deflection
+        away = (
+            px + (r0 * dx + r1 * dy + r2 * dz) - hx,
+            py + (r3 * dx + r4 * dy + r5 * dz) - hy,
+            pz + (r6 * dx + r7 * dy + r8 * dz) - hz,
+        )
+        before, self._before = self._before, (away, turn)
+        depth = turn[2] * away[0] + turn[5] * away[1] + turn[8] * away[2]
+        # Before the hub plane there is nothing that a tool could hit.
         if self.phase == "released" and not self._cleared:
-            if z > contact.deflection_limit:
-                self._collide(t, f"pushed into the hub after release by {1e3 * z:.1f} mm")
-            elif lateral > contact.drag_limit:
-                self._collide(t, f"dragged along the hub after release by {1e3 * lateral:.1f} mm")
-            self._cleared = z < -contact.clearance
+            self._watch_clearing(t, rotation.unapply(turn, away))
+        elif depth >= 0.0:
+            self._pass_plane(t, dt, before, (rotation.unapply(turn, away), turn), rigid, deflection)
+
+    def _watch_clearing(self, t: float, tcp: Vec) -> None:
+        """Judge the tool that was just released and has to get away."""
+        contact, (x, y, z) = self._contact, tcp
+        lateral = math.hypot(x, y)
+        if z > contact.deflection_limit:
+            self._collide(t, f"pushed into the hub after release by {1e3 * z:.1f} mm")
+        elif lateral > contact.drag_limit:
+            self._collide(t, f"dragged along the hub after release by {1e3 * lateral:.1f} mm")
+        self._cleared = z < -contact.clearance
+
+    def _pass_plane(
+        self,
+        t: float,
+        dt: float,
+        earlier: tuple[Vec, Rot] | None,
+        tcp: tuple[Vec, Rot],
+        rigid: Pose,
+        deflection: Six,
+    ) -> None:
+        """Judge a tool behind the hub plane.
+
+        Args:
+            t: scenario time [s].
+            dt: length of the substep [s].
+            earlier: the tool off the hub a substep ago, in base, and the hub's orientation then.
+            tcp: the tool in the hub's frame, and the hub's orientation.
+            rigid: rigid tcp.
+            deflection: of the mount.
+        """
+        (x, y, _), turn = tcp
+        lateral = math.hypot(x, y)
+        if lateral > self._contact.hub_radius:
             return
-        if z < 0.0 or lateral > contact.hub_radius:
-            return
-        turned = rotation.between(hub[1], deflected(rigid, deflection)[1])
+        turned = rotation.between(turn, deflected(rigid, deflection)[1])
         twist = rotation.angle(turned)
+        before = None if earlier is None else rotation.unapply(earlier[1], earlier[0])
         if before is None or before[2] >= 0.0:
             self._collide(t, f"hit the hub from the side: {_figures(lateral, twist)}")
             return
-        self._reach(t, dt, before, ((x, y, z), turned), twist)
+        self._reach(t, dt, before, (tcp[0], turned), twist)
 
     def _reach(self, t: float, dt: float, before: Vec, tcp: Pose, twist: float) -> None:
         (x, y, z), turned = tcp

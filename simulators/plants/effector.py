@@ -10,7 +10,7 @@ import math
 
 from linemate.simulators.plants import rotation
 from linemate.simulators.plants.oscillator import transition
-from linemate.simulators.plants.rotation import Pose, Vec
+from linemate.simulators.plants.rotation import Pose, Rot
 from linemate.simulators.plants.scenario import Effector
 
 Six = tuple[float, float, float, float, float, float]
@@ -29,63 +29,83 @@ class EffectorPlant:
         self._phis = tuple(transition(omega, zeta, step) for omega, zeta in self._modes)
         self.deflection: Six = ZERO
         self._velocity: Six = ZERO
+        self._held: tuple[Pose, Pose, Six] | None = None
 
     def swing_free(self, before: Pose, after: Pose) -> None:
         """One step in free space while the rigid tcp moves from `before` to `after`."""
+        if self._held is not None:
+            self._let_go(*self._held)
+        turned, drive = _motion(before, after)
         step = self._step
-        move = rotation.relative(before, after)
-        drive = _six(move[0], rotation.log(move[1]))
-        deflection, velocity = [], []
-        for (p11, p12, p21, p22), d, w, r in zip(
-            self._phis, self.deflection, self._velocity, drive, strict=True
-        ):
-            rate = r / step
-            slip = w - rate
-            deflection.append(p11 * d + p12 * slip)
-            velocity.append(p21 * d + p22 * slip + rate)
-        self._express(move, deflection, velocity)
+        r0, r1, r2, r3, r4, r5 = drive
+        d0, d1, d2, d3, d4, d5 = self.deflection
+        w0, w1, w2, w3, w4, w5 = self._velocity
+        a0, a1, a2, a3, a4, a5 = self._phis
+        r0, r1, r2, r3, r4, r5 = r0 / step, r1 / step, r2 / step, r3 / step, r4 / step, r5 / step
+        w0, w1, w2, w3, w4, w5 = w0 - r0, w1 - r1, w2 - r2, w3 - r3, w4 - r4, w5 - r5
+        p, q, s, u = a0
+        d0, w0 = p * d0 + q * w0, s * d0 + u * w0 + r0
+        p, q, s, u = a1
+        d1, w1 = p * d1 + q * w1, s * d1 + u * w1 + r1
+        p, q, s, u = a2
+        d2, w2 = p * d2 + q * w2, s * d2 + u * w2 + r2
+        p, q, s, u = a3
+        d3, w3 = p * d3 + q * w3, s * d3 + u * w3 + r3
+        p, q, s, u = a4
+        d4, w4 = p * d4 + q * w4, s * d4 + u * w4 + r4
+        p, q, s, u = a5
+        d5, w5 = p * d5 + q * w5, s * d5 + u * w5 + r5
+        self.deflection = _expressed(turned, d0, d1, d2, d3, d4, d5)
+        self._velocity = _expressed(turned, w0, w1, w2, w3, w4, w5)
 
     def hold(self, before: Pose, after: Pose, deflection: Six) -> None:
         """One step in contact: the tool is where it is held, the mount takes the difference."""
-        move = rotation.relative(before, after)
-        drive = _six(move[0], rotation.log(move[1]))
-        velocity = [
-            (r + new - old) / self._step
-            for r, new, old in zip(drive, deflection, self.deflection, strict=True)
-        ]
-        self._express(move, list(deflection), velocity)
+        # How fast the tool moves is of interest only when it is let go.
+        self._held = before, after, self.deflection
         self.deflection = deflection
+
+    def _let_go(self, before: Pose, after: Pose, deflection: Six) -> None:
+        """Work out the tool's velocity in the last step in contact, from its deflection before."""
+        turned, drive = _motion(before, after)
+        v0, v1, v2, v3, v4, v5 = (
+            (r + new - old) / self._step
+            for r, new, old in zip(drive, self.deflection, deflection, strict=True)
+        )
+        self._velocity = _expressed(turned, v0, v1, v2, v3, v4, v5)
+        self._held = None
 
     def peek(self, before: Pose, after: Pose, dt: float) -> Six:
         """Deflection `dt` later, when the rigid tcp is at `after`, without advancing."""
-        move = rotation.relative(before, after)
-        drive = _six(move[0], rotation.log(move[1]))
+        if self._held is not None:
+            self._let_go(*self._held)
+        turned, drive = _motion(before, after)
         deflection = []
         for (omega, zeta), d, w, r in zip(
             self._modes, self.deflection, self._velocity, drive, strict=True
         ):
             p11, p12, _, _ = transition(omega, zeta, dt)
             deflection.append(p11 * d + p12 * (w - r / dt))
-        turned = move[1]
-        return _six(
-            rotation.unapply(turned, (deflection[0], deflection[1], deflection[2])),
-            rotation.unapply(turned, (deflection[3], deflection[4], deflection[5])),
-        )
-
-    def _express(self, move: Pose, deflection: list[float], velocity: list[float]) -> None:
-        turned = move[1]
-        dx, dy, dz, da, db, dc = deflection
-        vx, vy, vz, va, vb, vc = velocity
-        self.deflection = _six(
-            rotation.unapply(turned, (dx, dy, dz)), rotation.unapply(turned, (da, db, dc))
-        )
-        self._velocity = _six(
-            rotation.unapply(turned, (vx, vy, vz)), rotation.unapply(turned, (va, vb, vc))
-        )
+        return _expressed(turned, *deflection)
 
 
-def _six(a: Vec, b: Vec) -> Six:
-    return (a[0], a[1], a[2], b[0], b[1], b[2])
+def _motion(before: Pose, after: Pose) -> tuple[Rot, Six]:
+    """How the rigid tcp moves, seen from where it was: rotation, and displacement with its log."""
+    (x, y, z), turned = rotation.relative(before, after)
+    a, b, c = rotation.log(turned)
+    return turned, (x, y, z, a, b, c)
+
+
+def _expressed(turned: Rot, x: float, y: float, z: float, a: float, b: float, c: float) -> Six:
+    """Two vectors in the frame that has turned."""
+    r0, r1, r2, r3, r4, r5, r6, r7, r8 = turned
+    return (
+        r0 * x + r3 * y + r6 * z,
+        r1 * x + r4 * y + r7 * z,
+        r2 * x + r5 * y + r8 * z,
+        r0 * a + r3 * b + r6 * c,
+        r1 * a + r4 * b + r7 * c,
+        r2 * a + r5 * b + r8 * c,
+    )
 
 
 def deflected(rigid: Pose, deflection: Six) -> Pose:
@@ -96,5 +116,4 @@ def deflected(rigid: Pose, deflection: Six) -> Pose:
 
 def deflection_between(rigid: Pose, tcp: Pose) -> Six:
     """The deflection that puts the tcp there; the inverse of `deflected`."""
-    p, r = rotation.relative(rigid, tcp)
-    return _six(p, rotation.log(r))
+    return _motion(rigid, tcp)[1]

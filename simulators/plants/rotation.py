@@ -132,9 +132,24 @@ def multiply(a: Pose, b: Pose) -> Pose:
 
 def relative(a: Pose, b: Pose) -> Pose:
     """A^-1 B for poses: b seen from a."""
-    (ax, ay, az), r = a
-    bx, by, bz = b[0]
-    return unapply(r, (bx - ax, by - ay, bz - az)), between(r, b[1])
+    # The busiest of them all, so it is written out: unapply and between in one.
+    (ax, ay, az), (a0, a1, a2, a3, a4, a5, a6, a7, a8) = a
+    (x, y, z), (b0, b1, b2, b3, b4, b5, b6, b7, b8) = b
+    x, y, z = x - ax, y - ay, z - az
+    return (
+        (a0 * x + a3 * y + a6 * z, a1 * x + a4 * y + a7 * z, a2 * x + a5 * y + a8 * z),
+        (
+            a0 * b0 + a3 * b3 + a6 * b6,
+            a0 * b1 + a3 * b4 + a6 * b7,
+            a0 * b2 + a3 * b5 + a6 * b8,
+            a1 * b0 + a4 * b3 + a7 * b6,
+            a1 * b1 + a4 * b4 + a7 * b7,
+            a1 * b2 + a4 * b5 + a7 * b8,
+            a2 * b0 + a5 * b3 + a8 * b6,
+            a2 * b1 + a5 * b4 + a8 * b7,
+            a2 * b2 + a5 * b5 + a8 * b8,
+        ),
+    )
 
 
 def matrix(pose: Pose) -> NDArray[np.float64]:

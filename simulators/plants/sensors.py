@@ -7,7 +7,7 @@ alike at every instant, so that one setting never shifts another sensor or anoth
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from linemate.simulators.plants import rotation
 from linemate.simulators.plants.effector import Six
@@ -16,8 +16,7 @@ from linemate.simulators.plants.scenario import Camera, DistanceSensor, Effector
 from linemate.simulators.plants.streams import Draws
 
 
-@dataclass(frozen=True, slots=True)
-class DistanceEmission:
+class DistanceEmission(NamedTuple):
     """A reading of the distance sensor.
 
     Attributes:
@@ -35,8 +34,7 @@ class DistanceEmission:
     outlier: bool
 
 
-@dataclass(frozen=True, slots=True)
-class CameraEmission:
+class CameraEmission(NamedTuple):
     """A pose of the hub in the camera's frame.
 
     Attributes:
@@ -56,8 +54,7 @@ class CameraEmission:
     outlier: bool
 
 
-@dataclass(frozen=True, slots=True)
-class WrenchEmission:
+class WrenchEmission(NamedTuple):
     """A reading of the force-torque sensor, in the rigid tcp frame.
 
     Attributes:
@@ -127,11 +124,10 @@ class DistanceSensorPlant:
         exposure = self.clock.next_s
         due = self.clock.tick()
         chance, where = self._chance.take(2)
-        noise = self._noise.one()
+        value = position + sensor.offset + sensor.sigma * self._noise.one()
         if sensor.dropout_rate and self._dropout.one() < sensor.dropout_rate:
             return
         outlier = chance < sensor.outlier_rate
-        value = position + sensor.offset + sensor.sigma * noise
         if outlier:
             value += sensor.outlier_range * (2.0 * where - 1.0)
         if sensor.quantisation > 0.0:

@@ -2,18 +2,31 @@
 
 Law of this file: setpoints are nodes at cycle starts; between nodes the input is a straight line,
 and each axis sees it exactly `dead_time_s` later, wherever that falls within a substep. A substep
-is cut at the node it meets, and each piece is solved exactly. Only where the acceleration
-saturates is a piece cut into sixteen, each with constant or with unlimited acceleration.
+is cut at the node it meets, and each piece is solved exactly; a cycle of all axes is one matrix,
+since all of that is linear. Only where the acceleration saturates is a piece cut into sixteen,
+each with constant or with unlimited acceleration.
 """
 
 import math
-from typing import NamedTuple
+from functools import lru_cache
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from linemate.simulators.plants.oscillator import Transition, transition
 from linemate.simulators.plants.scenario import Axis
 
 _SLICES = 16
 _TINY = 1e-9
+_DIGITS = 12
+"""Instants within a substep are rounded to a picosecond, so that they repeat."""
+_CUTS = 4096
+
+Array = NDArray[np.float64]
+Value = TypeVar("Value", float, Array)
+_Motion = tuple[tuple[float, ...], tuple[float, ...]]
+"""Positions and velocities of all axes."""
 
 
 class _Piece(NamedTuple):
@@ -48,19 +61,33 @@ class ServoBank:
         self._substeps = substeps
         self._step = cycle_s / substeps
         self._lags = tuple(_lag(axis, self._step, substeps) for axis in axes)
-        self._slots = 3 + max(piece.back for lag in self._lags for p in lag.plan for piece in p)
-        self._nodes = [tuple(start)] * self._slots
-        self._slopes = [(0.0,) * len(start)] * self._slots
-        self._target = tuple(start)
+        self._reach = max(piece.back for lag in self._lags for p in lag.plan for piece in p)
+        self._table = _table(self._lags, self._reach, cycle_s)
+        self._cuts = lru_cache(_CUTS)(self._cut)
+        # Nodes of the lines that are still seen, the present cycle's and its end the last two.
+        self._nodes = [tuple(start)] * (self._reach + 2)
+        # Position off the oldest node, speed, and the lines' rises, each of all axes.
+        self._origin = np.array(start)
+        self._inputs = np.zeros((self._reach + 3) * len(axes))
         self._slack = min(axis.dead_time_s for axis in axes)
+        self._ahead: list[_Motion] | None = None
         self.positions = tuple(start)
         self.velocities = (0.0,) * len(start)
+        self._begun: _Motion = self.positions, self.velocities
 
     def begin_cycle(self, cycle: int) -> None:
         """Arrive at a cycle's start: until a command comes, the last setpoint is held."""
-        slot = cycle % self._slots
-        self._nodes[slot] = self._target
-        self._slopes[slot] = (0.0,) * len(self._target)
+        del cycle  # they come one after another
+        nodes, inputs, n = self._nodes, self._inputs, len(self._lags)
+        nodes.append(nodes[-1])
+        del nodes[0]
+        self._begun = self.positions, self.velocities
+        self._origin = np.array(nodes[0])
+        inputs[:n] = self.positions - self._origin
+        inputs[n : 2 * n] = self.velocities
+        inputs[2 * n : -n] = inputs[3 * n :].copy()
+        inputs[-n:] = 0.0
+        self._ahead = None
 
     def command(self, cycle: int, age: float, setpoints: tuple[float, ...]) -> None:
         """Set the setpoints that the given cycle moves to.
@@ -73,67 +100,138 @@ class ServoBank:
         Raises:
             ValueError: when an axis has already moved on an input that this would change.
         """
+        del cycle
         if age > self._slack + _TINY:
             raise ValueError(f"command {age} s after its cycle began: the motion has passed it")
-        slot = cycle % self._slots
-        begin = self._nodes[slot]
-        self._slopes[slot] = tuple(
-            (b - a) / self._cycle for a, b in zip(begin, setpoints, strict=True)
-        )
-        self._target = setpoints
+        nodes = self._nodes
+        nodes[-1] = setpoints
+        self._inputs[-len(setpoints) :] = [b - a for a, b in zip(nodes[-2], setpoints, strict=True)]
+        self._ahead = None
 
     def setpoints(self, cycle: int, age: float) -> tuple[float, ...]:
         """The interpolated setpoints `age` after the start of the present cycle."""
-        slot = cycle % self._slots
-        return tuple(
-            a + s * age for a, s in zip(self._nodes[slot], self._slopes[slot], strict=True)
-        )
+        del cycle
+        share = age / self._cycle
+        begin, end = self._nodes[-2:]
+        return tuple(a + (b - a) * share for a, b in zip(begin, end, strict=True))
 
     def advance(self, index: int) -> None:
         """Integrate substep `index` (counted from the start of the run)."""
-        cycle, part = divmod(index, self._substeps)
-        nodes, slopes, slots = self._nodes, self._slopes, self._slots
-        positions, velocities = [], []
-        axis = 0
-        for lag, y, v in zip(self._lags, self.positions, self.velocities, strict=True):
-            for piece in lag.plan[part]:
-                back, since, length, (p11, p12, p21, p22) = piece
-                slot = (cycle - back) % slots
-                slope = slopes[slot][axis]
-                u = nodes[slot][axis] + slope * since
-                lead = slope * lag.shift
-                x, xv = y - u + lead, v - slope
-                limit = lag.limit
-                x1, xv1 = p11 * x + p12 * xv, p21 * x + p22 * xv
-                if (
-                    -limit <= lag.stiffness * x + lag.friction * xv <= limit
-                    and -limit <= lag.stiffness * x1 + lag.friction * xv1 <= limit
-                ):
-                    y, v = x1 + u + slope * length - lead, xv1 + slope  # noqa: PLW2901
-                else:
-                    y, v = _saturated(lag, piece, slope, u, y, v)  # noqa: PLW2901
-            positions.append(y)
-            velocities.append(v)
-            axis += 1  # noqa: SIM113
-        self.positions, self.velocities = tuple(positions), tuple(velocities)
+        if self._ahead is None:
+            # A command after some substeps changes nothing in them: it is seen a dead time later.
+            self._ahead = self._look_ahead()
+        self.positions, self.velocities = self._ahead[index % self._substeps]
 
     def peek(self, index: int, dt: float) -> tuple[float, ...]:
         """Positions `dt` after the beginning of substep `index`, without advancing."""
-        cycle, part = divmod(index, self._substeps)
-        positions = []
-        for axis, lag in enumerate(self._lags):
-            y, v, left = self.positions[axis], self.velocities[axis], dt
+        cuts = self._cuts(index % self._substeps, round(dt, _DIGITS))
+        states = zip(cuts, self.positions, self.velocities, strict=True)
+        return tuple(
+            self._moved(axis, pieces, y, v)[0] for axis, (pieces, y, v) in enumerate(states)
+        )
+
+    def _look_ahead(self) -> list[_Motion]:
+        """Positions and velocities at the end of each substep of this cycle."""
+        table, n = self._table, len(self._lags)
+        found = table.gains.dot(self._inputs)
+        found[table.places] += self._origin
+        values: list[float] = found.tolist()
+        ahead: list[_Motion] = []
+        for first, last in table.spans:
+            strains = values[first + 2 * n : last]
+            if not (min(strains) >= -1.0 and max(strains) <= 1.0):
+                return self._one_by_one(ahead)
+            ahead.append(
+                (tuple(values[first : first + n]), tuple(values[first + n : first + 2 * n]))
+            )
+        return ahead
+
+    def _one_by_one(self, ahead: list[_Motion]) -> list[_Motion]:
+        """Go on axis by axis from the first substep in which one saturates."""
+        for part in range(len(ahead), self._substeps):
+            positions, velocities = ahead[-1] if ahead else self._begun
+            moved = [
+                self._moved(axis, lag.plan[part], positions[axis], velocities[axis])
+                for axis, lag in enumerate(self._lags)
+            ]
+            ahead.append((tuple(y for y, _ in moved), tuple(v for _, v in moved)))
+        return ahead
+
+    def _moved(
+        self, axis: int, pieces: tuple[_Piece, ...], y: float, v: float
+    ) -> tuple[float, float]:
+        """Position and velocity of one axis after some pieces."""
+        lag, nodes = self._lags[axis], self._nodes
+        for piece in pieces:
+            begin = nodes[-2 - piece.back][axis]
+            slope = (nodes[-1 - piece.back][axis] - begin) / self._cycle
+            y, v = _solve(lag, piece, slope, begin + slope * piece.since, y, v)
+        return y, v
+
+    def _cut(self, part: int, dt: float) -> tuple[tuple[_Piece, ...], ...]:
+        """The pieces of the first `dt` of a substep, of each axis."""
+        cuts = []
+        for lag in self._lags:
+            pieces, left = [], dt
             for piece in lag.plan[part]:
                 if left <= 0.0:
                     break
-                cut = _cut(lag, piece, min(left, piece.length))
+                pieces.append(_shortened(lag, piece, min(left, piece.length)))
                 left -= piece.length
-                slot = (cycle - piece.back) % self._slots
-                slope = self._slopes[slot][axis]
-                u = self._nodes[slot][axis] + slope * cut.since
-                y, v = _solve(lag, cut, slope, u, y, v)
-            positions.append(y)
-        return tuple(positions)
+            cuts.append(tuple(pieces))
+        return tuple(cuts)
+
+
+class _Table(NamedTuple):
+    """A cycle of all axes as one matrix, as long as none saturates.
+
+    Its inputs: position off the oldest node, speed, and the rise of each line from the oldest to
+    the present one, each of all axes.
+    """
+
+    gains: Array
+    places: NDArray[np.int64]  # of its outputs, those that are positions, row by row a substep
+    spans: tuple[tuple[int, int], ...]
+    """Of each substep its outputs: positions off the oldest node, speeds, and at the ends of all
+    pieces the accelerations as shares of their limits, each of all axes."""
+
+
+def _table(lags: tuple[_Lag, ...], reach: int, cycle_s: float) -> _Table:
+    """Solve each axis once for a unit of each of its inputs."""
+    n, width = len(lags), reach + 3
+    units = np.eye(width)
+    rows: list[Array] = []
+    places: list[range] = []
+    spans: list[tuple[int, int]] = []
+
+    def put(axis: int, gains: Array) -> Array:
+        row = np.zeros(width * n)
+        row[axis::n] = gains
+        return row
+
+    def strain(lag: _Lag, u: Array, y: Array, v: Array) -> Array:
+        return np.asarray((lag.stiffness * (u - y) - lag.friction * v) / lag.limit)
+
+    states = [(units[0], units[1])] * n
+    for part in range(len(lags[0].plan)):
+        first, strains = len(rows), []
+        for axis, lag in enumerate(lags):
+            y, v = states[axis]
+            for piece in lag.plan[part]:
+                line = reach - piece.back
+                slope = units[2 + line] / cycle_s
+                u = units[2 : 2 + line].sum(axis=0) + slope * piece.since
+                if not rows:  # elsewhere a piece begins with what the one before ended with
+                    strains.append(put(axis, strain(lag, u, y, v)))
+                y, v = _linear(lag, piece, slope, u, y, v)
+                strains.append(put(axis, strain(lag, u + slope * piece.length, y, v)))
+            states[axis] = y, v
+        places.append(range(first, first + n))
+        for which in (0, 1):
+            rows += [put(axis, state[which]) for axis, state in enumerate(states)]
+        rows += strains
+        spans.append((first, len(rows)))
+    return _Table(np.array(rows), np.array(places), tuple(spans))
 
 
 def _lag(axis: Axis, step: float, substeps: int) -> _Lag:
@@ -178,23 +276,31 @@ def _pieces(axis: Axis, omega: float, step: float, substeps: int, part: int) -> 
     return (piece(-cycle, offset * step - rest, step),)
 
 
-def _cut(lag: _Lag, piece: _Piece, length: float) -> _Piece:
+def _shortened(lag: _Lag, piece: _Piece, length: float) -> _Piece:
     if length == piece.length:
         return piece
     return _Piece(piece.back, piece.since, length, transition(lag.omega, lag.zeta, length))
 
 
-def _solve(
-    lag: _Lag, piece: _Piece, slope: float, u: float, y: float, v: float
-) -> tuple[float, float]:
+def _linear(
+    lag: _Lag, piece: _Piece, slope: Value, u: Value, y: Value, v: Value
+) -> tuple[Value, Value]:
+    """Follow a line that begins at `u`, without limit."""
     p11, p12, p21, p22 = piece.phi
     lead = slope * lag.shift
     x, xv = y - u + lead, v - slope
-    x1, xv1 = p11 * x + p12 * xv, p21 * x + p22 * xv
-    before = abs(lag.stiffness * x + lag.friction * xv)
-    after = abs(lag.stiffness * x1 + lag.friction * xv1)
-    if max(before, after) <= lag.limit:
-        return x1 + u + slope * piece.length - lead, xv1 + slope
+    return p11 * x + p12 * xv + u + slope * piece.length - lead, p21 * x + p22 * xv + slope
+
+
+def _solve(
+    lag: _Lag, piece: _Piece, slope: float, u: float, y: float, v: float
+) -> tuple[float, float]:
+    """Follow a line that begins at `u`; at both ends it shows whether the axis saturates."""
+    y1, v1 = _linear(lag, piece, slope, u, y, v)
+    before = lag.stiffness * (u - y) - lag.friction * v
+    after = lag.stiffness * (u + slope * piece.length - y1) - lag.friction * v1
+    if max(abs(before), abs(after)) <= lag.limit:
+        return y1, v1
     return _saturated(lag, piece, slope, u, y, v)
 
 
