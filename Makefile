@@ -5,11 +5,17 @@ PYTHON ?= python3
 ARGS ?=
 PYTEST ?= .venv/bin/python -m pytest
 PREFIX ?= /opt/linemate
-ETC ?= /etc/linemate
-UNITS ?= /etc/systemd/system
-BIN ?= /usr/local/bin
+OWN := $(if $(filter /opt/% /usr /usr/%,$(PREFIX)),,$(PREFIX))
+ETC ?= $(OWN)/etc/linemate
+UNITS ?= $(OWN)/etc/systemd/system
+SYSUSERS ?= $(OWN)/etc/sysusers.d
+TMPFILES ?= $(OWN)/etc/tmpfiles.d
+BIN ?= $(if $(OWN),$(OWN)/bin,/usr/local/bin)
+SHARE ?= $(if $(OWN),$(OWN)/share,/usr/local/share)
+SERVICES := linemated.service linemated@.service
 
-.PHONY: help demo test lint format bench accuracy install clean
+.PHONY: help demo test lint format bench dst accuracy install install-program install-files \
+	uninstall systemd-test docs docs-write clean
 
 help:
 	@echo "make demo     the wheel assembly in real time, ARGS=... for options; leaves out/demo"
@@ -19,7 +25,9 @@ help:
 	@echo "make bench    what a step costs on this machine"
 	@echo "make dst      seeded fault runs in virtual time, SEEDS=FIRST:LAST; ARGS=... for options"
 	@echo "make accuracy the tables of docs/accuracy.md, in hours; ARGS=--short for a few runs"
-	@echo "make install  into PREFIX=$(PREFIX), with units and a first configuration"
+	@echo "make docs     links, generated pages, and every command that the pages show"
+	@echo "make systemd-test  the service under a real systemd, in namespaces; as root"
+	@echo "make install  into PREFIX=$(PREFIX), with units, manuals and a first configuration"
 
 demo: .venv/.ok
 	.venv/bin/linemate-sim demo --out out/demo $(ARGS)
@@ -74,16 +82,62 @@ endef
 	$(call environment,.venv,-e .[dev])
 	@touch $@
 
-# As root. A configuration that is there already is left as it is.
-install:
+# The program into $(PREFIX), the rest as install-files. As root for a PREFIX of the system; any other
+# keeps everything below itself. A configuration that is there already is left as it is.
+install: install-program install-files
+
+install-program:
 	$(call environment,$(PREFIX),.)
-	install -d $(UNITS) $(ETC) $(BIN)
-	sed 's|/opt/linemate|$(PREFIX)|g; s|/etc/linemate|$(ETC)|g' systemd/linemated.service \
-		> $(UNITS)/linemated.service
-	test -e $(ETC)/linemated.yaml || install -m 644 systemd/linemated.yaml $(ETC)/
-	ln -sf $(PREFIX)/bin/linemated $(PREFIX)/bin/linemate $(PREFIX)/bin/linemate-sim $(BIN)/
-	@echo "next: edit $(ETC)/linemated.yaml, then" \
-	      "systemctl daemon-reload && systemctl enable --now linemated"
+	@case "$$(readlink -f $(PREFIX)/bin/python)" in /home/*|/root/*) \
+		echo "note: the unit's sandbox does not see $$(readlink -f $(PREFIX)/bin/python);" \
+		     "for the service: make install PYTHON=/usr/bin/python3" >&2;; esac
+
+SED = sed 's|/opt/linemate|$(PREFIX)|g; s|/etc/linemate|$(ETC)|g'
+
+install-files:
+	install -d $(DESTDIR)$(UNITS) $(DESTDIR)$(ETC) $(DESTDIR)$(BIN) $(DESTDIR)$(SYSUSERS) \
+		$(DESTDIR)$(TMPFILES) $(DESTDIR)$(SHARE)/man/man1 $(DESTDIR)$(SHARE)/man/man5 \
+		$(DESTDIR)$(SHARE)/man/man8 $(DESTDIR)$(SHARE)/bash-completion/completions \
+		$(DESTDIR)$(SHARE)/zsh/site-functions $(DESTDIR)$(SHARE)/linemate
+	for unit in $(SERVICES); do $(SED) systemd/$$unit > $(DESTDIR)$(UNITS)/$$unit; done
+	install -m 644 systemd/sysusers.conf $(DESTDIR)$(SYSUSERS)/linemate.conf
+	install -m 644 systemd/tmpfiles.conf $(DESTDIR)$(TMPFILES)/linemate.conf
+	for page in docs/man/*.[158]; do \
+		install -m 644 $$page $(DESTDIR)$(SHARE)/man/man$${page##*.}/; done
+	for program in linemate linemated linemate-sim; do \
+		install -m 644 docs/completion/$$program.bash \
+			$(DESTDIR)$(SHARE)/bash-completion/completions/$$program; \
+		install -m 644 docs/completion/_$$program $(DESTDIR)$(SHARE)/zsh/site-functions/; done
+	install -m 644 docs/linemated.schema.json $(DESTDIR)$(SHARE)/linemate/
+	test -e $(DESTDIR)$(ETC)/linemated.yaml || \
+		install -m 644 systemd/linemated.yaml $(DESTDIR)$(ETC)/
+	test $(BIN) = $(PREFIX)/bin || for program in linemate linemated linemate-sim; do \
+		ln -sf $(PREFIX)/bin/$$program $(DESTDIR)$(BIN)/; done
+	@if [ -z "$(DESTDIR)$(OWN)" ] && [ "$$(id -u)" = 0 ]; then \
+		for made in "systemd-sysusers $(SYSUSERS)" "systemd-tmpfiles --create $(TMPFILES)"; do \
+			if command -v $${made%% *} >/dev/null; then $$made/linemate.conf; fi; done; fi
+	@echo "next: edit $(ETC)/linemated.yaml, try it: $(BIN)/linemated --check --config" \
+	      "$(ETC)/linemated.yaml, then: systemctl daemon-reload && systemctl enable --now linemated"
+
+uninstall:
+	rm -rf $(PREFIX)/bin $(PREFIX)/lib $(PREFIX)/lib64 $(PREFIX)/include $(PREFIX)/pyvenv.cfg
+	rm -f $(addprefix $(UNITS)/,$(SERVICES)) $(SYSUSERS)/linemate.conf $(TMPFILES)/linemate.conf \
+		$(addprefix $(BIN)/,linemate linemated linemate-sim) $(SHARE)/man/man?/linemate*.[158] \
+		$(addprefix $(SHARE)/bash-completion/completions/,linemate linemated linemate-sim) \
+		$(addprefix $(SHARE)/zsh/site-functions/_,linemate linemated linemate-sim)
+	@echo "left: $(ETC), and what the daemon wrote"
+
+# The service under a real systemd, in namespaces that are thrown away; as root.
+systemd-test: .venv/.ok
+	$(PYTEST) tests/systemd $(ARGS)
+
+# Links, pages and manuals in step with the code, and every command that the pages show.
+docs: .venv/.ok
+	$(PYTEST) tests/docs $(ARGS)
+
+# Makes the generated pages, manuals and completions anew.
+docs-write: .venv/.ok
+	.venv/bin/python -m docs.make.write
 
 clean:
 	rm -rf out build .coverage .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -19,7 +19,7 @@ from typing import Any
 
 from linemate.daemon.inputs import Order
 from linemate.daemon.parameters import Parameters
-from linemate.daemon.service import realtime, states
+from linemate.daemon.service import realtime, states, viewer_messages
 from linemate.daemon.service.account import Account
 from linemate.daemon.service.clock import Clock
 from linemate.daemon.service.command_server import (
@@ -33,6 +33,7 @@ from linemate.daemon.service.config import Station, key_path
 from linemate.daemon.service.cycle import Cycle
 from linemate.daemon.service.incidents import IncidentFiles
 from linemate.daemon.service.notify import Notifier
+from linemate.daemon.service.outlook import Outlook
 from linemate.daemon.service.pace import Pace
 from linemate.daemon.service.parameter_desk import Answer, Desk
 from linemate.daemon.service.recorder import MIB, Recorder, Rotation
@@ -110,6 +111,8 @@ class App:
         self._rates = Rates()
         self._commands = _command_port(station, self._handle, self._telemetry)
         self._recorder = _recorder(station)
+        self._outlook = Outlook(round(parameters.cycle_s * 1e3, 6))
+        self._scene = viewer_messages.scene(station.texts, parameters.cycle_s)
         period_ns = round(parameters.cycle_s * 1e9)
         lead_ms = config.realtime.lead_ms
         lead_ns = None if lead_ms is None else round(lead_ms * 1e6)
@@ -121,7 +124,7 @@ class App:
             attend=self._attend,
         )
         self._collector = realtime.Collector()
-        self._companions = realtime.Companions(host.granted("priority"))
+        self._companions = realtime.Companions(realtime.is_fifo())
         self._account = Account(Timing(period_ns))
         self._incidents = IncidentFiles(_folder(station, config.realtime.incidents))
         self._arrival: int | None = None
@@ -142,6 +145,7 @@ class App:
             "record": lambda params, _who: self._record(params["action"]),
             "set": lambda params, who: self._desk.set(params["values"], who),
             "save": lambda _params, who: self._desk.save(who),
+            "scene": lambda _params, _who: self._scene,
         }
 
     # The life of the process.
@@ -332,6 +336,7 @@ class App:
         self._incidents.slack()
         if self._recorder is not None:
             self._recorder.take(entries, times)
+        self._outlook.take(entries, times)
         self._commands.poll(self._station.config.command.budget)
         self._notifier.alive(now_ns)
         if now_ns - self._told_ns >= STATUS_EVERY_NS:
@@ -354,8 +359,10 @@ class App:
                 self._say(f"link {link.status.name} is {'up' if up else 'down'}{reason}")
 
     def _say(self, text: str) -> None:
+        now_ns = time.monotonic_ns()
+        self._outlook.say(now_ns, text)
         if self._recorder is not None:
-            self._recorder.say(time.monotonic_ns(), text)
+            self._recorder.say(now_ns, text)
 
     def _explain(self, parameters: Parameters, who: str, changed: Mapping[str, Any]) -> None:
         if self._recorder is not None:
@@ -397,7 +404,8 @@ class App:
         return status(self._snapshot())
 
     def _telemetry(self) -> dict[str, Any]:
-        return telemetry(self.cycle)
+        nominal = self.cycle.parameters.tracker.reference.nominal
+        return telemetry(self.cycle) | self._outlook.shown(nominal)
 
     def _snapshot(self) -> Snapshot:
         links = [

@@ -129,6 +129,11 @@ def _fifo(priority: int) -> None:
     os.sched_setscheduler(0, policy, os.sched_param(priority))
 
 
+def is_fifo() -> bool:
+    """Whether this thread is in the real-time class, by its own request or its manager's."""
+    return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
+
+
 def _lock_memory() -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     if hard != soft:
