@@ -247,6 +247,7 @@ OPERATIONS: Final[Mapping[str, Rule]] = {
     "status": Rule(Empty, Role.VIEW),
     "params": Rule(ParamsOf, Role.VIEW),
     "get": Rule(GetOf, Role.VIEW),
+    "scene": Rule(Empty, Role.VIEW),
     "subscribe": Rule(SubscribeOf, Role.VIEW),
     "page": Rule(PageOf, Role.VIEW),
     "set": Rule(SetOf, Role.OPERATE, ordered=True),

@@ -187,6 +187,42 @@ def root_link(urdf: str) -> str:
     return next((name for name in names if name and name not in children), BASE)
 
 
+def scene(texts: Mapping[str, str], cycle_s: float) -> dict[str, Any]:
+    """Return what a view must know once to draw the cell: its task, its arm, its cycle.
+
+    Args:
+        texts: of the cell, by name, as a recording holds them.
+        cycle_s: T0 [s].
+    """
+    return {
+        "task": texts.get("task", ""),
+        "urdf": kinematics(texts.get("urdf", "")),
+        "cycle_s": cycle_s,
+    }
+
+
+def kinematics(urdf: str) -> str:
+    """Return a URDF with its links and joints alone, without what they look like or weigh.
+
+    Args:
+        urdf: the text; one that is no URDF gives an empty text.
+    """
+    try:
+        robot = ET.fromstring(urdf)  # noqa: S314 - of our own configuration
+    except ET.ParseError:
+        return ""
+    bare = ET.Element("robot", {"name": robot.get("name", "")})
+    for link in robot.iterfind("link"):
+        ET.SubElement(bare, "link", {"name": link.get("name", "")})
+    for joint in robot.iterfind("joint"):
+        kept = ET.SubElement(bare, "joint", dict(joint.attrib))
+        for part in ("parent", "child", "origin", "axis"):
+            found = joint.find(part)
+            if found is not None:
+                ET.SubElement(kept, part, dict(found.attrib))
+    return ET.tostring(bare, encoding="unicode")
+
+
 def _time(wall_ns: int) -> dict[str, int]:
     seconds, rest = divmod(max(wall_ns, 0), 1_000_000_000)
     return {"sec": seconds, "nsec": rest}

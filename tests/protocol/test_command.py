@@ -359,7 +359,7 @@ def test_a_client_cannot_even_make_a_wrong_request(op: str, params: dict[str, An
 
 def test_every_operation_of_the_interface_is_there() -> None:
     asked = {"status", "params", "get", "set", "save", "arm", "start", "stop", "retreat"}
-    asked |= {"ack", "record", "subscribe", "page"}
+    asked |= {"ack", "record", "subscribe", "page", "scene"}
     assert set(command.OPERATIONS) == asked
     operating = {op for op, rule in command.OPERATIONS.items() if rule.role is Role.OPERATE}
     assert operating == {

@@ -1,0 +1,116 @@
+"""What a live view is shown: the newest of everything, bounded, and small enough for a datagram."""
+
+import json
+import time
+
+import numpy as np
+import pytest
+
+from linemate.daemon.parameters import Parameters
+from linemate.daemon.service.cycle import LogEntry
+from linemate.daemon.service.outlook import FORESEEN, LONGEST, TOLD, Outlook, points_in_base
+from linemate.daemon.service.timing import CycleTimes
+from linemate.protocol.command import ROOM_BYTES, encode_event, encode_result
+
+WORST = {
+    "state": "contact",
+    "k": 2**40,
+    "stamp_ns": 2**62,
+    "phase": "approach",
+    "task_time": 1.5,
+    "scenario": "standing",
+    "scenario_state": "confirmed",
+    "confidence": -30.0000001,
+    "speed": 0.1,
+    "contact": False,
+    "held": "the solution of the inverse kinematics is not within its limits",
+    "target": (0.1,) * 7,
+    "sensed": (0.1,) * 7,
+    "part": (0.1,) * 7,
+    "command": (0.1,) * 7,
+}
+"""What the telemetry says without an outlook, at its longest."""
+
+
+def seen(entries: tuple[LogEntry, ...]) -> Outlook:
+    outlook = Outlook(12.0)
+    for entry in entries:
+        times = CycleTimes(1, 0, None, None, 0, None, 350_000 + entry.inputs.k, True, "track")
+        outlook.take([entry], [times])
+    return outlook
+
+
+def test_the_newest_of_everything_is_shown_as_plain_values(
+    entries: tuple[LogEntry, ...], parameters: Parameters
+) -> None:
+    shown = seen(entries).shown(parameters.tracker.reference.nominal)
+    last = entries[-1]
+    assert last.inputs.robot is not None
+    assert shown["measured"] == (*last.inputs.robot.joints, last.inputs.robot.external[0])
+    assert shown["measured_ns"] == last.inputs.robot.stamp_ns
+    assert shown["ages_ms"]["distance"] == 1.0
+    assert shown["turnaround_us"] == 350
+    assert json.loads(json.dumps(shown)) is not None
+
+
+def test_foresight_begins_at_the_committed_pose_and_has_its_length(
+    entries: tuple[LogEntry, ...], parameters: Parameters
+) -> None:
+    shown = seen(entries).shown(parameters.tracker.reference.nominal)
+    outputs = entries[-1].outputs
+    assert outputs.horizon is not None
+    assert shown["foreseen"][0] == pytest.approx(outputs.target[:3], abs=1e-5)
+    assert len(shown["foreseen"]) == FORESEEN
+    assert shown["foreseen_ms"] == 12 * (len(outputs.horizon) - 1)
+
+
+def test_a_horizon_shorter_than_what_is_shown_is_shown_whole() -> None:
+    horizon = np.arange(18.0).reshape(3, 6)
+    assert points_in_base(horizon, np.eye(3)) == horizon[:, :3].tolist()
+
+
+def test_happenings_are_numbered_and_bounded(entries: tuple[LogEntry, ...]) -> None:
+    outlook = seen(entries)
+    for n in range(10):
+        outlook.say(n, f"{n}: " + "x" * 100)
+    told = outlook.shown(np.eye(3))["happened"]
+    first = outlook.happened - TOLD + 1
+    assert [number for number, _, _ in told] == list(range(first, outlook.happened + 1))
+    assert all(len(text) == LONGEST for _, _, text in told)
+
+
+def test_a_change_of_state_is_told_once(entries: tuple[LogEntry, ...]) -> None:
+    outlook = Outlook(12.0)
+    outlook.take(entries[:1])
+    first = outlook.happened
+    outlook.take(entries[1:2])
+    assert first == 1
+    assert outlook.happened == first + len(entries[1].outputs.events)
+
+
+def test_all_of_it_fits_into_one_datagram(
+    entries: tuple[LogEntry, ...], parameters: Parameters
+) -> None:
+    outlook = seen(entries)
+    for _ in range(TOLD):
+        outlook.say(2**62, "x" * 200)
+    shown = outlook.shown(parameters.tracker.reference.nominal)
+    assert set(shown) == {
+        "happened", "cycle_ms", "turnaround_us", "measured", "measured_ns", "ages_ms",
+        "foreseen", "foreseen_ms",
+    }  # fmt: skip
+    size = len(encode_event(2**40, encode_result(WORST | shown)))
+    assert size <= ROOM_BYTES, size
+
+
+def test_taking_a_step_in_costs_microseconds(entries: tuple[LogEntry, ...]) -> None:
+    outlook = Outlook(12.0)
+    best = min(_taken_ns(outlook, entries) for _ in range(50))
+    assert best / len(entries) < 50_000  # a hundredth of what a step takes here
+
+
+def _taken_ns(outlook: Outlook, entries: tuple[LogEntry, ...]) -> int:
+    began = time.perf_counter_ns()
+    for entry in entries:
+        outlook.take([entry])
+    return time.perf_counter_ns() - began
