@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from linemate.daemon.service.cycle import Cycle
+from linemate.daemon.service.session import Session
 from linemate.daemon.service.states import Link, Machine, Signals, State
 from linemate.simulators.harness import dst, dst_oracles, dst_plan, dst_run
 from linemate.simulators.harness.dst_plan import Plan, draw
@@ -88,11 +89,12 @@ def test_a_daemon_that_does_not_look_at_delay_breaks_the_limits(
 ) -> None:
     assert dst_run.run(LOSSY).violations == ()
 
-    def settle(cycle: Cycle, delay: int | None, cycles: int) -> None:
+    def settle(session: Session, delay: int | None, cycles: int) -> bool:
         del delay, cycles
-        cycle._taken, cycle._given = cycle._given or cycle._taken, None
+        session.taken, session.given = session.given or session.taken, None
+        return False
 
-    monkeypatch.setattr(Cycle, "_settle", settle)
+    monkeypatch.setattr(Session, "settle", settle)
     assert any(what.startswith("limits:") for what in dst_run.run(LOSSY).violations)
 
 

@@ -247,7 +247,7 @@ def test_a_reply_that_the_controller_did_not_take_is_noticed_by_its_delay(
     limits = station.parameters.controller.limits
     first = np.abs(np.array(station.axes) - held)
     assert (first <= limits.jerk * 0.012**3 * 1.001 + 1e-9).all()
-    assert station.cycle.replies_lost == 1
+    assert station.cycle.session.replies_lost == 1
 
 
 # Sessions.

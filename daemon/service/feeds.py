@@ -1,0 +1,142 @@
+"""What the sensors brought and no step has seen yet, and when each was heard last.
+
+Law of this file: bounded, the oldest dropped and counted; stamps come with the samples. What a
+step takes is what came before it, and nothing waits for a second one.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
+from linemate.protocol.wrench_clock import WrenchClock
+
+Sample = TypeVar("Sample")
+
+DISTANCES, POSES, WRENCHES = 32, 16, 64
+
+
+class Inbox(Generic[Sample]):
+    """Samples that wait for the next step: bounded, the oldest dropped and counted."""
+
+    __slots__ = ("_samples", "dropped", "taken")
+
+    def __init__(self, size: int) -> None:
+        self._samples: deque[Sample] = deque(maxlen=size)
+        self.taken = 0
+        self.dropped = 0
+
+    def put(self, sample: Sample) -> None:
+        """Add the newest sample."""
+        if len(self._samples) == self._samples.maxlen:
+            self.dropped += 1
+        self._samples.append(sample)
+
+    def take(self) -> tuple[Sample, ...]:
+        """Return all that wait, oldest first."""
+        if not self._samples:
+            return ()
+        samples = tuple(self._samples)
+        self._samples.clear()
+        self.taken += len(samples)
+        return samples
+
+
+@dataclass(frozen=True, slots=True)
+class Taken:
+    """The samples of one step, oldest first."""
+
+    distance: tuple[DistanceSample, ...]
+    camera: tuple[CameraSample, ...]
+    wrench: tuple[WrenchSample, ...]
+
+
+class Feeds:
+    """The three sensors' inboxes.
+
+    Attributes:
+        distance, camera, wrench: what waits.
+        distance_ns, camera_ns, wrench_ns: stamps of the newest samples that were taken [ns].
+        overloaded: of the forces taken last two in a row were too great.
+    """
+
+    __slots__ = (
+        "_clock",
+        "_was_much",
+        "camera",
+        "camera_ns",
+        "distance",
+        "distance_ns",
+        "overloaded",
+        "wrench",
+        "wrench_ns",
+    )
+
+    def __init__(self) -> None:
+        self.distance: Inbox[DistanceSample] = Inbox(DISTANCES)
+        self.camera: Inbox[CameraSample] = Inbox(POSES)
+        self.wrench: Inbox[WrenchSample] = Inbox(WRENCHES)
+        self.distance_ns: int | None = None
+        self.camera_ns: int | None = None
+        self.wrench_ns: int | None = None
+        self.overloaded = False
+        self._clock = WrenchClock()
+        self._was_much = False
+
+    def put_wrench(self, sample: WrenchSample) -> None:
+        """Add a wrench, dated by the device's own clock."""
+        self.wrench.put(self._clock.date(sample))
+
+    def take(self, bearable: float) -> Taken:
+        """Return all that waits, and note when each sensor was heard and what was too much.
+
+        Args:
+            bearable: the force that the tool bears [N].
+        """
+        taken = Taken(self.distance.take(), self.camera.take(), self.wrench.take())
+        if taken.distance:
+            self.distance_ns = taken.distance[-1].stamp_ns
+        if taken.camera:
+            self.camera_ns = taken.camera[-1].stamp_ns
+        self.overloaded = False
+        for sample in taken.wrench:
+            x, y, z = sample.force
+            much = x * x + y * y + z * z > bearable * bearable
+            self.overloaded |= much and self._was_much
+            self._was_much = much
+            self.wrench_ns = sample.stamp_ns
+        return taken
+
+    @property
+    def newest_ns(self) -> int | None:
+        """Stamp of the newest position, distance or camera [ns]."""
+        if self.distance_ns is None or self.camera_ns is None:
+            return self.camera_ns if self.distance_ns is None else self.distance_ns
+        return max(self.distance_ns, self.camera_ns)
+
+    @property
+    def slower_ns(self) -> int | None:
+        """The same of the one of the two that was heard less lately [ns]."""
+        if self.distance_ns is None or self.camera_ns is None:
+            return self.newest_ns
+        return min(self.distance_ns, self.camera_ns)
+
+    def status(self, now_ns: int) -> dict[str, Any]:
+        """Return what was dropped, and how old the newest samples are [s]."""
+        heard = {
+            "position": self.newest_ns,
+            "distance": self.distance_ns,
+            "camera": self.camera_ns,
+            "wrench": self.wrench_ns,
+        }
+        return {
+            "dropped": {
+                "distance": self.distance.dropped,
+                "camera": self.camera.dropped,
+                "wrench": self.wrench.dropped,
+            },
+            "ages_s": {
+                name: None if stamp_ns is None else (now_ns - stamp_ns) * 1e-9
+                for name, stamp_ns in heard.items()
+            },
+        }

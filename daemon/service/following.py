@@ -1,0 +1,96 @@
+"""Whether the robot goes where it is sent, where it rests, and what a stop would leave.
+
+Law of this file: axes and poses in, verdicts out; a bounded memory of the last moments. It
+commands nothing. A robot is always behind its commands, so it is asked only whether it is where
+they led it at some time lately.
+"""
+
+import math
+from collections import deque
+
+from linemate.daemon.service.session import Axes
+from linemate.daemon.step import Outputs
+
+AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
+RESTING = 10  # telegrams from which is told that a robot rests
+STILL = 2e-4  # and how far apart they are [rad, m]
+BESIDE = 5e-4  # from where it was when the session began [rad, m]
+BRAKING = 1.0  # a tool that is told to hold slows down by so much at least [m/s^2]
+STOPPING = 0.15  # and its robot is so long behind its commands, the jerk's time included [s]
+
+
+class Following:
+    """The commands of the last moments, and where the robot was meanwhile.
+
+    Attributes:
+        astray: which axis is not where it was sent, in words; None if all are.
+    """
+
+    __slots__ = ("_lately", "_rest", "astray")
+
+    def __init__(self, cycles: int) -> None:
+        """Know nothing; a robot is at most ``cycles`` behind."""
+        self.astray: str | None = None
+        self._rest: deque[Axes] = deque(maxlen=RESTING)
+        self._lately: deque[Axes] = deque(maxlen=max(2, cycles))
+
+    def begin(self, held: Axes) -> None:
+        """Forget; the robot holds there."""
+        self._rest.clear()
+        self._lately.clear()
+        self._lately.append(held)
+        self.astray = None
+
+    def sent(self, command: Axes) -> None:
+        """The robot is sent there."""
+        self._lately.append(command)
+
+    def moving(self, axes: Axes, far: float) -> None:
+        """Look where a robot is that was sent somewhere.
+
+        Args:
+            axes: where it is.
+            far: it may be so far beside where the last commands led it [rad, m].
+        """
+        self._rest.clear()
+        self.astray = None
+        newest = self._lately[-1]
+        for n, q in enumerate(axes):
+            if newest[n] - far <= q <= newest[n] + far:
+                continue
+            sent = [command[n] for command in self._lately]
+            if not min(sent) - far <= q <= max(sent) + far:
+                self.astray = f"{AXES[n]} is at {q:.3f}, it was sent to {newest[n]:.3f} (rad, m)"
+                return
+
+    def resting(self, axes: Axes, start: Axes) -> bool:
+        """Look where a robot is that was not sent anywhere yet.
+
+        Args:
+            axes: where it is.
+            start: where it was when its session began.
+
+        Returns:
+            Whether it has come to rest somewhere else.
+        """
+        self.astray = None
+        self._rest.append(axes)
+        if all(abs(q - s) <= BESIDE for q, s in zip(axes, start, strict=True)):
+            return False
+        ways = zip(*self._rest, strict=True)
+        return len(self._rest) == RESTING and all(max(way) - min(way) < STILL for way in ways)
+
+
+def pace(before: Outputs, now: Outputs, period: float) -> float:
+    """Return the speed of the quickest axis from one step to the next [rad/s, m/s]."""
+    moved = zip(before.command, now.command, strict=True)
+    return max(abs(b - a) for a, b in moved) / period
+
+
+def gap(before: Outputs, now: Outputs, period: float) -> float | None:
+    """Return what a stop would leave between tool and object [m], None while it is not seen."""
+    if now.part is None or now.task_time is None:
+        return None
+    distance = math.dist(now.target[:3], now.part[:3])
+    speed = max(0.0, (math.dist(before.target[:3], now.part[:3]) - distance) / period)
+    return distance - speed * STOPPING - speed * speed / (2.0 * BRAKING)

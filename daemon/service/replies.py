@@ -1,0 +1,56 @@
+"""A step's command as the reply that tells it: corrections, or increments.
+
+Law of this file: pure; everything of a reply but its IPOC is made before the telegram is there.
+What the configuration has no element for is not written, and never silently lost: the codec
+refuses it.
+"""
+
+from typing import cast
+from xml.sax.saxutils import escape
+
+from linemate.protocol.rsi import PreparedReply, RsiCodec, SensorTelegram
+from linemate.protocol.samples import Vector6
+
+
+class Replies:
+    """Writes replies.
+
+    Attributes:
+        absolute: corrections are offsets from the start (#ABSOLUTE), else increments.
+        bare: a reply without corrections: the controller keeps those that it has.
+    """
+
+    __slots__ = ("_codec", "_writes_external", "_writes_signals", "absolute", "bare")
+
+    def __init__(self, codec: RsiCodec, *, absolute: bool) -> None:
+        """Look up what the configuration has elements for."""
+        self._codec = codec
+        self.absolute = absolute
+        tags = {element.tag for element in codec.config.receive}
+        self._writes_external = any(tag.startswith(("EK.", "EKorr.")) for tag in tags)
+        self._writes_signals = "DiO" in tags
+        sentype = escape(codec.config.sentype)
+        self.bare = PreparedReply(f'<Sen Type="{sentype}"><IPOC>'.encode(), b"</IPOC></Sen>")
+
+    def prepare(
+        self, command: tuple[float, ...], origin: tuple[float, ...], digital_out: int
+    ) -> PreparedReply:
+        """Return the reply but for the IPOC.
+
+        Args:
+            command: where the axes shall be [rad, m].
+            origin: where corrections count from [rad, m].
+            digital_out: the tool's signals.
+
+        Raises:
+            RsiError: the wire cannot carry it.
+        """
+        offsets = tuple([c - o for c, o in zip(command, origin, strict=True)])
+        return self._codec.prepare_sensor(
+            SensorTelegram(
+                ipoc=0,
+                joints=cast(Vector6, offsets[:6]),
+                external=offsets[6:] if self._writes_external else None,
+                channels={"DiO": digital_out} if self._writes_signals else {},
+            )
+        )
