@@ -6,8 +6,6 @@ sensor that is good for 0.05 mm. The device counts its own microseconds, and its
 be late, never early: the smallest difference of the last seconds is the offset.
 """
 
-from dataclasses import replace
-
 from linemate.protocol.camera_clock import ClockOffset
 from linemate.protocol.samples import WrenchSample
 
@@ -43,7 +41,14 @@ class WrenchClock:
             self._offset.clear()
             self._offset.learn(sample.stamp_ns - sent_ns, sample.stamp_ns)
             return sample
-        return replace(sample, stamp_ns=dated_ns)
+        return WrenchSample(
+            dated_ns,
+            sample.force,
+            sample.torque,
+            sample.status,
+            sample.device_us,
+            sample.temperature,
+        )
 
     def _unwrapped(self, device_us: int) -> int:
         """Return the device's count without its 32-bit wrap [us]."""

@@ -5,7 +5,8 @@ link once lost must prove itself again. Limits depend on the state, for in conta
 telegram may be coasted over and a stop is not safe. Source: reference/reliability.md, 2.0, 4.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated
 
 from annotated_types import Ge, Gt, Le
@@ -14,6 +15,9 @@ from linemate.daemon.service.states import Link, Machine, Signals, State
 
 Positive = Annotated[float, Gt(0.0)]
 Count = Annotated[int, Ge(1), Le(100_000)]
+
+OPERATIONS = ("arm", "start", "stop", "retreat", "ack")
+"""An operator's orders, as ``Signals`` has them."""
 
 IN_CONTACT = frozenset({State.CONTACT, State.RETREAT})
 
@@ -142,7 +146,6 @@ def observe(
         What to remember, and the signals for ``states.transition``.
     """
     watch = _count(watch, facts, machine.state, settings)
-    watch = replace(watch, link=_judge_link(watch, facts, machine.state, settings))
     return watch, _signals(watch, facts, settings)
 
 
@@ -150,12 +153,24 @@ def _count(watch: Watch, facts: Facts, state: State, settings: WatchSettings) ->
     # A link that was lost, or a controller that started anew, has proved nothing yet.
     anew = facts.new_session or watch.link is Link.LOST
     leak = 0 if anew else watch.leak + (-1 if facts.telegram else 2)
+    leak = max(0, min(leak, settings.leak_limit))
+    good = (0 if anew else watch.good) + 1 if facts.telegram else 0
+    missed = 0 if facts.telegram else watch.missed + 1
+    telegram_ns = facts.stamp_ns if facts.telegram else watch.telegram_ns
+    begun = facts.new_session and watch.link is not Link.LOST
+    if begun or _age_s(telegram_ns, facts.stamp_ns) >= settings.link_lost_s:
+        link = Link.LOST
+    elif watch.link is Link.HEALTHY:
+        link = Link.UNPROVEN if _shaky(missed, leak, state, settings) else Link.HEALTHY
+    else:
+        proven = watch.link is Link.UNPROVEN and good >= settings.healthy_cycles
+        link = Link.HEALTHY if proven else Link.UNPROVEN
     return Watch(
-        link=watch.link,
-        telegram_ns=facts.stamp_ns if facts.telegram else watch.telegram_ns,
-        good=(0 if anew else watch.good) + 1 if facts.telegram else 0,
-        missed=0 if facts.telegram else watch.missed + 1,
-        leak=max(0, min(leak, settings.leak_limit)),
+        link,
+        telegram_ns,
+        good,
+        missed,
+        leak,
         contact=watch.contact + 1 if facts.contact else 0,
         overload=watch.overload + 1 if facts.overload else 0,
         astray=watch.astray + 1 if facts.astray else 0,
@@ -164,22 +179,10 @@ def _count(watch: Watch, facts: Facts, state: State, settings: WatchSettings) ->
     )
 
 
-def _judge_link(watch: Watch, facts: Facts, state: State, settings: WatchSettings) -> Link:
-    if facts.new_session and watch.link is not Link.LOST:
-        return Link.LOST
-    if _age_s(watch.telegram_ns, facts.stamp_ns) >= settings.link_lost_s:
-        return Link.LOST
-    if watch.link is Link.HEALTHY:
-        return Link.UNPROVEN if _shaky(watch, state, settings) else Link.HEALTHY
-    if watch.link is Link.UNPROVEN and watch.good >= settings.healthy_cycles:
-        return Link.HEALTHY
-    return Link.UNPROVEN
-
-
-def _shaky(watch: Watch, state: State, settings: WatchSettings) -> bool:
+def _shaky(missed: int, leak: int, state: State, settings: WatchSettings) -> bool:
     if state in IN_CONTACT:
-        return watch.missed >= settings.missed_in_contact
-    return watch.missed >= settings.missed or watch.leak >= settings.leak_limit
+        return missed >= settings.missed_in_contact
+    return missed >= settings.missed or leak >= settings.leak_limit
 
 
 def _signals(watch: Watch, facts: Facts, settings: WatchSettings) -> Signals:
@@ -195,33 +198,34 @@ def _signals(watch: Watch, facts: Facts, settings: WatchSettings) -> Signals:
     trouble = fault or "stop" in facts.orders or watch.link is not Link.HEALTHY
     trouble = trouble or not (position_fresh and wrench_fresh)
     near = facts.gap_m is not None and facts.gap_m < settings.near_m
-    return Signals(
-        link=watch.link,
-        position_fresh=position_fresh,
-        wrench_fresh=wrench_fresh,
-        ready=facts.ready,
-        object_left=facts.object_left,
-        # Whoever has to stop this near is as good as in contact.
-        contact=watch.contact >= settings.cycles_of_contact or (near and trouble),
-        overload=watch.overload >= settings.cycles_of_overload,
-        done=facts.done,
-        clear=facts.clear,
-        expired=_expired(watch, stamp_ns, settings),
-        fault=fault,
-        arm="arm" in facts.orders,
-        start="start" in facts.orders,
-        stop="stop" in facts.orders,
-        retreat="retreat" in facts.orders,
-        ack="ack" in facts.orders,
+    # Whoever has to stop this near is as good as in contact.
+    contact = watch.contact >= settings.cycles_of_contact or (near and trouble)
+    return _seen(
+        watch.link,
+        position_fresh,
+        wrench_fresh,
+        facts.ready,
+        facts.object_left,
+        contact,
+        watch.overload >= settings.cycles_of_overload,
+        facts.done,
+        facts.clear,
+        _expired(watch, stamp_ns, settings),
+        fault,
+        *[op in facts.orders for op in OPERATIONS],
     )
 
 
+_seen = lru_cache(maxsize=512)(Signals)
+"""Most cycles see what some cycle saw before."""
+
+
 def _expired(watch: Watch, stamp_ns: int, settings: WatchSettings) -> bool:
-    longest_s = {
-        State.HOLD: settings.longest_hold_s,
-        State.RETREAT: settings.longest_retreat_s,
-    }.get(watch.state)
-    return longest_s is not None and _age_s(watch.since_ns, stamp_ns) > longest_s
+    if watch.state is State.HOLD:
+        return _age_s(watch.since_ns, stamp_ns) > settings.longest_hold_s
+    if watch.state is State.RETREAT:
+        return _age_s(watch.since_ns, stamp_ns) > settings.longest_retreat_s
+    return False
 
 
 def _age_s(then_ns: int | None, now_ns: int) -> float:
