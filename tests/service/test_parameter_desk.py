@@ -128,7 +128,7 @@ def test_a_live_change_compiles_to_what_a_start_would(make: Make, task: Task) ->
 @pytest.mark.parametrize(
     ("values", "reason"),
     [
-        ({NOISE: -1.0}, "tracking.distance.deviation: should be greater than 0"),
+        ({NOISE: -1.0}, "tracking.distance.deviation: should be greater than or equal to 0.00001"),
         ({NOISE: "small"}, "tracking.distance.deviation"),
         ({NOISE: True}, "tracking.distance.deviation"),
         ({NOISE: None}, "tracking.distance.deviation"),
