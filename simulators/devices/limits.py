@@ -12,7 +12,16 @@ Source: reference/reliability.md, 2.0 (ENV).
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+_TOGETHER = 256
+"""Cycles that are judged at once at the latest."""
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 KINDS = ("position", "speed", "acceleration", "jerk")
 WIRE_DECIMALS = 8
@@ -78,30 +87,59 @@ class Violation:
     limit: float
 
 
-@dataclass(slots=True)
 class LimitJudge:
     """Counts excesses of the applied setpoints.
+
+    A cycle's setpoints are only put down; they are judged many at once, when somebody asks or
+    when there are enough of them.
 
     Attributes:
         cycle_s: the controller's cycle [s].
         limits: for each axis.
         keep: how many violations are kept as evidence.
-        counts: violations by kind.
-        worst: greatest ratio of value to limit by kind (speed, acceleration, jerk).
-        evidence: the first violations.
     """
 
-    cycle_s: float
-    limits: tuple[AxisLimit, ...] = LIMITS
-    keep: int = 32
-    counts: Counter[str] = field(default_factory=Counter)
-    worst: dict[str, float] = field(default_factory=dict)
-    evidence: list[Violation] = field(default_factory=list)
-    _position: tuple[float, ...] | None = None
-    _speed: tuple[float, ...] = ()
-    _acceleration: tuple[float, ...] = ()
-    _cycle: int = 0
-    _unsure: int = 0
+    def __init__(
+        self, cycle_s: float, limits: tuple[AxisLimit, ...] = LIMITS, keep: int = 32
+    ) -> None:
+        """Know nothing of the robot yet.
+
+        Args:
+            cycle_s: the controller's cycle [s].
+            limits: for each axis.
+            keep: how many violations are kept as evidence.
+        """
+        self.cycle_s, self.limits, self.keep = cycle_s, limits, keep
+        self._counts: Counter[str] = Counter()
+        self._worst: dict[str, float] = {}
+        self._evidence: list[Violation] = []
+        self._bounds = _bounds(limits, cycle_s)
+        self._cycle = 0
+        self._unsure = 0
+        # Waiting to be judged: the setpoints, and how many derivatives of them count: 3 in a
+        # cycle that others stand behind, none where the robot rests.
+        self._positions: list[tuple[float, ...]] = []
+        self._depths: list[int] = []
+        # Before them: position, speed and acceleration.
+        self._past: Floats | None = None
+
+    @property
+    def counts(self) -> Counter[str]:
+        """All violations by kind."""
+        self._judge_all()
+        return self._counts
+
+    @property
+    def worst(self) -> dict[str, float]:
+        """Greatest ratio of value to limit by kind (speed, acceleration, jerk)."""
+        self._judge_all()
+        return self._worst
+
+    @property
+    def evidence(self) -> list[Violation]:
+        """The first violations."""
+        self._judge_all()
+        return self._evidence
 
     @property
     def violations(self) -> int:
@@ -114,7 +152,10 @@ class LimitJudge:
         Args:
             setpoints: the start pose, A1..A6 [rad], E1 [m].
         """
-        self._rest(tuple(setpoints))
+        self._judge_all()
+        self._past = np.zeros((3, len(setpoints)))
+        self._past[0] = setpoints
+        self._unsure = 0
 
     def hold(self, setpoints: Sequence[float]) -> None:
         """A cycle in which the controller acted by itself.
@@ -122,8 +163,8 @@ class LimitJudge:
         Args:
             setpoints: what it applied.
         """
-        self._cycle += 1
-        self._rest(tuple(setpoints))
+        self._unsure = 0
+        self._put(setpoints, 0)
 
     def slip(self) -> None:
         """The schedule slipped between the last cycle and the next one: it may be at rest."""
@@ -135,47 +176,71 @@ class LimitJudge:
         Args:
             setpoints: what was applied.
         """
-        self._cycle += 1
-        position = tuple(setpoints)
-        if self._position is None:
-            self._rest(position)
-        period = self.cycle_s
-        speed = _slope(self._position or position, position, period)
-        acceleration = _slope(self._speed, speed, period)
-        jerk = _slope(self._acceleration, acceleration, period)
-        for axis, limit in enumerate(self.limits):
-            quantum = 0.5 * 10.0**-WIRE_DECIMALS * _UNITS[axis]
-            self._position_within(axis, position[axis], limit, quantum)
-            self._within(axis, "speed", speed[axis], limit.speed, 2.0 * quantum / period)
-            if self._unsure < 2:
-                grace = 4.0 * quantum / period**2
-                self._within(axis, "acceleration", acceleration[axis], limit.acceleration, grace)
-            if self._unsure < 1:
-                self._within(axis, "jerk", jerk[axis], limit.jerk, 8.0 * quantum / period**3)
-        self._position, self._speed, self._acceleration = position, speed, acceleration
+        if self._past is None:
+            self.start(setpoints)
+        self._put(setpoints, 3 - self._unsure)
         self._unsure = max(0, self._unsure - 1)
 
-    def _rest(self, position: tuple[float, ...]) -> None:
-        self._position = position
-        self._speed = self._acceleration = (0.0,) * len(position)
-        self._unsure = 0
+    def _put(self, setpoints: Sequence[float], depth: int) -> None:
+        self._positions.append(tuple(setpoints))
+        self._depths.append(depth)
+        if len(self._depths) >= _TOGETHER:
+            self._judge_all()
 
-    def _position_within(self, axis: int, value: float, limit: AxisLimit, grace: float) -> None:
-        if not limit.low - grace <= value <= limit.high + grace:
-            bound = limit.low if value < limit.low else limit.high
-            self._blame(axis, "position", value, bound)
+    def _judge_all(self) -> None:
+        """Judge what waits."""
+        if not self._depths:
+            return
+        positions, depths = np.array(self._positions), np.array(self._depths)
+        self._positions.clear()
+        self._depths.clear()
+        past = np.zeros((3, positions.shape[1])) if self._past is None else self._past
+        fresh = depths > 0
+        values = [positions]
+        for before in past:
+            slope = np.diff(values[-1], axis=0, prepend=before[np.newaxis]) / self.cycle_s
+            slope[~fresh] = 0.0
+            values.append(slope)
+        found = np.array(values).transpose(1, 2, 0)  # cycle, axis, kind
+        counted = fresh[:, np.newaxis] & (np.arange(4) <= depths[:, np.newaxis])
+        self._note(found, counted[:, np.newaxis, :])
+        self._past = found[-1].T[:3]
+        self._cycle += len(depths)
 
-    def _within(self, axis: int, kind: str, value: float, limit: float, grace: float) -> None:
-        magnitude = abs(value)
-        self.worst[kind] = max(self.worst.get(kind, 0.0), magnitude / limit)
-        if not magnitude <= limit * (1.0 + _HAIR) + grace:
-            self._blame(axis, kind, value, limit)
+    def _note(self, found: Floats, counted: Flags) -> None:
+        low, high, limit = self._bounds
+        magnitude = np.abs(found)
+        if counted.any():
+            shares = np.where(counted, magnitude / limit, 0.0).max(axis=(0, 1))
+            for kind, share in zip(KINDS[1:], shares[1:].tolist(), strict=True):
+                self._worst[kind] = max(self._worst.get(kind, 0.0), share)
+        within = (low <= found) & (found <= high)
+        for cycle, axis, kind in np.argwhere(counted & ~within).tolist():
+            name, value = KINDS[kind], float(found[cycle, axis, kind])
+            self._counts[name] += 1
+            if len(self._evidence) < self.keep:
+                self._evidence.append(
+                    Violation(
+                        self._cycle + cycle + 1, axis, name, value, self._limit(axis, kind, value)
+                    )
+                )
 
-    def _blame(self, axis: int, kind: str, value: float, limit: float) -> None:
-        self.counts[kind] += 1
-        if len(self.evidence) < self.keep:
-            self.evidence.append(Violation(self._cycle, axis, kind, value, limit))
+    def _limit(self, axis: int, kind: int, value: float) -> float:
+        limit = self.limits[axis]
+        if kind == 0:
+            return limit.low if value < limit.low else limit.high
+        return (limit.speed, limit.acceleration, limit.jerk)[kind - 1]
 
 
-def _slope(before: Sequence[float], now: Sequence[float], period: float) -> tuple[float, ...]:
-    return tuple((b - a) / period for a, b in zip(before, now, strict=True))
+def _bounds(limits: tuple[AxisLimit, ...], period: float) -> tuple[Floats, Floats, Floats]:
+    """The least and the greatest value, and the limit, of each axis and kind."""
+    low, high, limit = (np.zeros((len(limits), 4)) for _ in range(3))
+    for axis, one in enumerate(limits):
+        quantum = 0.5 * 10.0**-WIRE_DECIMALS * _UNITS[axis]
+        low[axis, 0], high[axis, 0] = one.low - quantum, one.high + quantum
+        limit[axis] = math.inf, one.speed, one.acceleration, one.jerk
+        for order in (1, 2, 3):
+            grace = 2.0**order * quantum / period**order
+            high[axis, order] = limit[axis, order] * (1.0 + _HAIR) + grace
+    low[:, 1:] = -high[:, 1:]
+    return low, high, limit

@@ -4,7 +4,6 @@ Law of this file: units and frames between the plant and the wire's values, noth
 cycle's setpoints are commanded within that cycle; the world is never ahead of the next telegram.
 """
 
-from linemate.protocol.samples import Vector6
 from linemate.protocol.units import rotation_to_abc
 from linemate.simulators.devices.controller import Applied, RobotReading, Seven
 from linemate.simulators.plants.world import World
@@ -31,13 +30,11 @@ class RobotPlant:
 
     def read(self) -> RobotReading:
         """What the controller's telegram says of the robot now."""
-        truth = self.world.robot_state()
-        rows = truth.tcp_rigid.tolist()
-        (r11, r12, r13, x), (r21, r22, r23, y), (r31, r32, r33, z) = rows[:3]
+        world = self.world
+        (x, y, z), (r11, r12, r13, r21, r22, r23, r31, r32, r33) = world.rigid()
         a, b, c = rotation_to_abc(((r11, r12, r13), (r21, r22, r23), (r31, r32, r33)))
-        tcp: Vector6 = (x, y, z, a, b, c)
-        self.axes = seven(truth.joints + truth.external)
-        return RobotReading(self.axes, tcp, digital_in=self.world.digital_in())
+        self.axes = seven(world.encoders())
+        return RobotReading(self.axes, (x, y, z, a, b, c), digital_in=world.digital_in())
 
     def apply(self, applied: Applied) -> None:
         """Command what the controller applies in the open cycle, and go to the next one.

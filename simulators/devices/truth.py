@@ -2,7 +2,8 @@
 
 Law of this file: preallocated and bounded; truth of the plant and of the controller, never the
 daemon's word. Row i is the state at the instant of telegram i and what the controller applied
-from that instant on. Poses are position [m] and unit quaternion w x y z, in base.
+from that instant on. Poses are position [m] and unit quaternion w x y z, in base. In a cycle the
+plant's numbers are put down as they are; columns are made of them when somebody asks.
 """
 
 import json
@@ -20,22 +21,32 @@ from linemate.simulators.plants.world import World
 CONTACT_CODES = {"free": 0, "clamped": 1, "released": 2}
 
 Column = NDArray[Any]
+Floats = NDArray[np.float64]
 Seven = tuple[float, float, float, float, float, float, float]
 
-_FLOATS = {
-    "t": 0,
-    "tcp": 7,
-    "tcp_rigid": 7,
-    "hub": 7,
-    "unit_position": 0,
-    "unit_speed": 0,
-    "setpoints": 7,
-    "joints": 7,
-    "deflection": 6,
-    "force": 3,
-    "turnaround_us": 0,
+_STATE = {
+    "t": slice(0, 1),
+    "place": slice(1, 4),
+    "turn": slice(4, 13),
+    "deflection": slice(13, 19),
+    "hub_place": slice(19, 22),
+    "hub_turn": slice(22, 31),
+    "joints": slice(31, 38),
+    "contact": slice(38, 39),
+    "digital_in": slice(39, 40),
+    "collision": slice(40, 41),
 }
-_INTEGERS = ("cycle", "ipoc", "contact", "digital_in", "digital_out")
+"""What is put down when a telegram goes out: the rigid tcp, the hub, and the rest."""
+_FATE = {
+    "cycle": slice(0, 1),
+    "setpoints": slice(1, 8),
+    "digital_out": slice(8, 9),
+    "answered": slice(9, 10),
+    "clamped": slice(10, 11),
+    "turnaround_us": slice(11, 12),
+}
+"""What is put down when its fate is known."""
+_INTEGERS = ("cycle", "contact", "digital_in", "digital_out")
 _FLAGS = ("answered", "clamped", "collision")
 
 
@@ -62,12 +73,10 @@ class TruthLog:
         Args:
             rows: how many rows at most.
         """
-        self._columns: dict[str, Column] = {
-            name: np.full((rows, width) if width else rows, np.nan)
-            for name, width in _FLOATS.items()
-        }
-        self._columns.update({name: np.zeros(rows, np.int64) for name in _INTEGERS})
-        self._columns.update({name: np.zeros(rows, np.bool_) for name in _FLAGS})
+        self._states = np.full((rows, _width(_STATE)), np.nan)
+        self._fates = np.full((rows, _width(_FATE)), np.nan)
+        self._ipocs = np.zeros(rows, np.int64)  # too long for a float
+        self._world: World | None = None
         self._room = rows
         self._count = 0
         self._begun = False
@@ -88,21 +97,21 @@ class TruthLog:
         if not self._begun:
             self.dropped += 1
             return
-        row, columns = self._count, self._columns
-        deflection = world.deflection()
-        stiffness = world.scenario.effector.stiffness
-        columns["t"][row] = world.time_s
-        columns["tcp"][row] = pose_row(world.tcp_pose())
-        columns["tcp_rigid"][row] = pose_row(world.tcp_rigid_pose())
-        columns["hub"][row] = pose_row(world.hub_pose())
-        columns["unit_position"][row] = world.unit_position()
-        columns["unit_speed"][row] = world.unit_speed()
-        columns["joints"][row] = axes
-        columns["deflection"][row] = deflection
-        columns["force"][row] = [k * d for k, d in zip(stiffness, deflection, strict=True)][:3]
-        columns["contact"][row] = CONTACT_CODES[world.contact]
-        columns["digital_in"][row] = world.digital_in()
-        columns["collision"][row] = world.collision is not None
+        self._world = world
+        place, turn = world.rigid()
+        hub_place, hub_turn = world.hub()
+        self._states[self._count] = (
+            world.time_s,
+            *place,
+            *turn,
+            *world.deflection(),
+            *hub_place,
+            *hub_turn,
+            *axes,
+            CONTACT_CODES[world.contact],
+            world.digital_in(),
+            world.collision is not None,
+        )
 
     def end(self, applied: Applied, turnaround_ns: int | None = None) -> None:
         """Note what became of the telegram.
@@ -114,20 +123,46 @@ class TruthLog:
         if not self._begun:
             return
         self._begun = False
-        row, columns = self._count, self._columns
-        columns["cycle"][row] = applied.cycle
-        columns["ipoc"][row] = applied.ipoc
-        columns["setpoints"][row] = applied.setpoints
-        columns["digital_out"][row] = applied.digital_out
-        columns["answered"][row] = applied.answered
-        columns["clamped"][row] = applied.clamped
-        if turnaround_ns is not None and applied.answered:
-            columns["turnaround_us"][row] = turnaround_ns / 1e3
+        answered = applied.answered
+        took_us = turnaround_ns / 1e3 if turnaround_ns is not None and answered else math.nan
+        self._fates[self._count] = (
+            applied.cycle,
+            *applied.setpoints,
+            applied.digital_out,
+            answered,
+            applied.clamped,
+            took_us,
+        )
+        self._ipocs[self._count] = applied.ipoc
         self._count += 1
 
     def columns(self) -> dict[str, Column]:
         """The complete rows, by column."""
-        return {name: column[: self._count] for name, column in self._columns.items()}
+        told: dict[str, Column] = {"ipoc": self._ipocs[: self._count]}
+        for parts, rows in ((_STATE, self._states), (_FATE, self._fates)):
+            for name, part in parts.items():
+                values = rows[: self._count, part].copy()
+                told[name] = values[:, 0] if values.shape[1] == 1 else values
+        told.update({name: told[name].astype(np.int64) for name in _INTEGERS})
+        told.update({name: told[name].astype(np.bool_) for name in _FLAGS})
+        place, deflection = told.pop("place"), told["deflection"]
+        turn, hub_turn = (told.pop(name).reshape(-1, 3, 3) for name in ("turn", "hub_turn"))
+        bent = place + np.einsum("nij,nj->ni", turn, deflection[:, :3])
+        told["tcp"] = pose_rows(bent, turn @ _turns(deflection[:, 3:]))
+        told["tcp_rigid"] = pose_rows(place, turn)
+        told["hub"] = pose_rows(told.pop("hub_place"), hub_turn)
+        told["unit_position"], told["unit_speed"] = self._unit(told["t"])
+        told["force"] = deflection[:, :3] * self._stiffness()
+        return told
+
+    def _unit(self, times: Column) -> tuple[Column, Column]:
+        if self._world is None or not len(times):
+            return np.zeros(0), np.zeros(0)
+        return self._world.unit_motion(times)
+
+    def _stiffness(self) -> Column:
+        world = self._world
+        return np.zeros(3) if world is None else np.array(world.scenario.effector.stiffness[:3])
 
     def save(self, path: Path, facts: Mapping[str, Any]) -> None:
         """Write the rows as a numpy archive, with facts as JSON in ``facts``.
@@ -163,31 +198,40 @@ def load(path: Path) -> tuple[dict[str, Column], dict[str, Any]]:
     return columns, facts
 
 
-def pose_row(pose: NDArray[np.float64]) -> Seven:
-    """A 4x4 pose as seven numbers.
+def pose_rows(places: Floats, turns: Floats) -> Floats:
+    """Poses as seven numbers.
 
     Args:
-        pose: homogeneous matrix.
+        places: positions, (n, 3) [m].
+        turns: rotations, (n, 3, 3).
 
     Returns:
-        Position [m] and unit quaternion w x y z, w not negative.
+        Position [m] and unit quaternion w x y z, w not negative, (n, 7).
     """
-    (r00, r01, r02, x), (r10, r11, r12, y), (r20, r21, r22, z), _ = pose.tolist()
+    r00, r01, r02, r10, r11, r12, r20, r21, r22 = turns.reshape(-1, 9).T
+    x, y, z, a, b, c = r21 - r12, r02 - r20, r10 - r01, r10 + r01, r02 + r20, r21 + r12
+    squares = (1.0 + r00 + r11 + r22, 1.0 + r00 - r11 - r22, 1.0 - r00 + r11 - r22)
+    w2, x2, y2, z2 = *squares, 1.0 - r00 - r11 + r22
     # The greatest of the four squares is divided by, which never loses digits.
-    squares = (
-        1.0 + r00 + r11 + r22,
-        1.0 + r00 - r11 - r22,
-        1.0 - r00 + r11 - r22,
-        1.0 - r00 - r11 + r22,
-    )
-    greatest = max(range(4), key=squares.__getitem__)
-    rows = (
-        (squares[0], r21 - r12, r02 - r20, r10 - r01),
-        (r21 - r12, squares[1], r10 + r01, r02 + r20),
-        (r02 - r20, r10 + r01, squares[2], r21 + r12),
-        (r10 - r01, r02 + r20, r21 + r12, squares[3]),
-    )
-    scale = 0.5 / math.sqrt(squares[greatest])
-    w, i, j, k = (value * scale for value in rows[greatest])
-    sign = -1.0 if w < 0.0 else 1.0
-    return x, y, z, sign * w, sign * i, sign * j, sign * k
+    candidates = np.array(((w2, x, y, z), (x, x2, a, b), (y, a, y2, c), (z, b, c, z2)))
+    greatest = np.argmax((w2, x2, y2, z2), axis=0)
+    every = np.arange(len(greatest))
+    quaternions = candidates[greatest, :, every]
+    quaternions *= 0.5 / np.sqrt(candidates[greatest, greatest, every])[:, np.newaxis]
+    quaternions[quaternions[:, 0] < 0.0] *= -1.0
+    return np.concatenate((places, quaternions), axis=1)
+
+
+def _turns(vectors: Floats) -> Floats:
+    """Rotation matrices of rotation vectors (n, 3) [rad]."""
+    angles = np.linalg.norm(vectors, axis=1)[:, np.newaxis, np.newaxis]
+    zero = np.zeros(len(vectors))
+    x, y, z = vectors.T
+    cross = np.array(((zero, -z, y), (z, zero, -x), (-y, x, zero))).transpose(2, 0, 1)
+    # sin(t)/t and (1 - cos(t))/t^2, which numpy's sinc has without a hole at zero.
+    sine, versine = np.sinc(angles / np.pi), 0.5 * np.sinc(0.5 * angles / np.pi) ** 2
+    return np.asarray(np.eye(3) + sine * cross + versine * (cross @ cross))
+
+
+def _width(parts: Mapping[str, slice]) -> int:
+    return max(part.stop for part in parts.values())

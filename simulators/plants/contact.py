@@ -169,7 +169,6 @@ class ContactPlant:
 
     def _watch(self, t: float, dt: float, rigid: Pose, deflection: Six, hub: Pose) -> None:
         """Judge the free tool: does it reach the hub plane, where, and how?"""
-        contact = self._contact
         (px, py, pz), (r0, r1, r2, r3, r4, r5, r6, r7, r8) = rigid
         (hx, hy, hz), turn = hub
         dx, dy, dz, *_ = deflection

@@ -76,6 +76,17 @@ class ConveyorPlant:
         Returns:
             Positions, shape (n,) [m].
         """
+        return self.motion(times)[0]
+
+    def motion(self, times: Array) -> tuple[Array, Array]:
+        """Positions and speeds at many times at once; the same law as `at`.
+
+        Args:
+            times: scenario times, ascending, shape (n,) [s].
+
+        Returns:
+            Positions [m] and speeds [m/s], shape (n,) each.
+        """
         position, speed = self._nominals(times)
         self._cell(float(times[-1]))
         cells = np.maximum((times - self._start) / RIPPLE_STEP_S, 0.0)
@@ -87,11 +98,13 @@ class ConveyorPlant:
         drift = drifts[index - first]
         slope = (drifts[index - first + 1] - drift) / RIPPLE_STEP_S
         amplitude = self._ripple.amplitude * speed / self._nominal
-        return np.asarray(
+        wave = self._omega * times + self._phase
+        return (
             position
             + bases[index - first]
             + (drift + 0.5 * slope * rest) * rest
-            + amplitude * np.sin(self._omega * times + self._phase)
+            + amplitude * np.sin(wave),
+            speed + drift + slope * rest + amplitude * self._omega * np.cos(wave),
         )
 
     def _nominals(self, times: Array) -> tuple[Array, Array]:

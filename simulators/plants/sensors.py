@@ -9,6 +9,9 @@ import math
 from collections import deque
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from linemate.simulators.plants import rotation
 from linemate.simulators.plants.effector import Six
 from linemate.simulators.plants.rotation import Pose, Vec
@@ -70,6 +73,10 @@ class WrenchEmission(NamedTuple):
     torque: Vec
 
 
+_READINGS = 64
+"""Of the force-torque sensor, whose noise is drawn at once."""
+
+
 class _Clock:
     """Instants of measuring, and delays that keep the order of emission."""
 
@@ -84,6 +91,10 @@ class _Clock:
         self._index = 0
         self._last = -math.inf
         self.next_s = self._first
+
+    def upcoming(self, count: int) -> NDArray[np.float64]:
+        """The next `count` instants [s]."""
+        return self._first + self._period * np.arange(self._index, self._index + count)
 
     def tick(self) -> float:
         """Pass on to the next instant; returns the time of emission of this one."""
@@ -200,6 +211,10 @@ class ForceTorquePlant:
     def __init__(self, sensor: ForceTorque, effector: Effector, seed: int, start_s: float) -> None:
         self._sensor = sensor
         self._stiffness = effector.stiffness
+        spread = np.repeat((sensor.sigma_translation, sensor.sigma_rotation), 3)
+        self._noise_gain = spread * effector.stiffness
+        self._bias = np.array(sensor.bias) * effector.stiffness
+        self._errors: list[Six] = []
         self.clock = _Clock(
             Draws.uniform(seed, "force_torque.delay"),
             start_s,
@@ -221,13 +236,19 @@ class ForceTorquePlant:
         sensor = self._sensor
         exposure = self.clock.next_s
         due = self.clock.tick()
-        n0, n1, n2, n3, n4, n5 = self._noise.take(6)
+        if not self._errors:
+            self._errors = self._draw_errors()
+        e0, e1, e2, e3, e4, e5 = self._errors.pop()
         if sensor.dropout_rate and self._dropout.one() < sensor.dropout_rate:
             return
-        st, sr = sensor.sigma_translation, sensor.sigma_rotation
         d0, d1, d2, d3, d4, d5 = deflection
-        b0, b1, b2, b3, b4, b5 = sensor.bias
         k0, k1, k2, k3, k4, k5 = self._stiffness
-        force = (k0 * (d0 + b0 + st * n0), k1 * (d1 + b1 + st * n1), k2 * (d2 + b2 + st * n2))
-        torque = (k3 * (d3 + b3 + sr * n3), k4 * (d4 + b4 + sr * n4), k5 * (d5 + b5 + sr * n5))
+        force = (k0 * d0 + e0, k1 * d1 + e1, k2 * d2 + e2)
+        torque = (k3 * d3 + e3, k4 * d4 + e4, k5 * d5 + e5)
         self.due.append(WrenchEmission(due, exposure, force, torque))
+
+    def _draw_errors(self) -> list[Six]:
+        """Bias and noise of the next readings as wrenches, the last one first."""
+        noise = np.array(self._noise.take(6 * _READINGS)).reshape(-1, 6)
+        errors = (self._bias + self._noise_gain * noise)[::-1]
+        return [(a, b, c, d, e, f) for a, b, c, d, e, f in errors.tolist()]

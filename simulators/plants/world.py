@@ -37,6 +37,7 @@ SUBSTEP_S = 0.004
 
 _TINY = 1e-9
 _TRACK_BLOCK = 128
+_AHEAD = 64
 
 Matrix = NDArray[np.float64]
 _Emission = TypeVar("_Emission", DistanceEmission, CameraEmission, WrenchEmission)
@@ -91,7 +92,12 @@ class World:
         self._encoder_sigmas = tuple(axis.encoder_sigma for axis in scenario.robot.axes)
         self._encoder_draws = Draws.normal(seed, "robot.encoders")
         self._encoder_noise: tuple[float, ...] = (0.0,) * 7
+        self._is_noisy = any(self._encoder_sigmas)
         self._track: list[Pose] = []
+        # What depends on time alone is computed a block ahead, the last one first.
+        self._units_measured: list[float] = []
+        self._hubs_seen: list[Pose] = []
+        self._next_exposure = start
         self._index = 0
         self._grid = start
         self._now = start
@@ -144,8 +150,8 @@ class World:
         Raises:
             ValueError: wrong number, not finite, or too late within the cycle.
         """
-        values = tuple(float(value) for value in setpoints)
-        if len(values) != 7 or not all(map(math.isfinite, values)):
+        values = tuple(map(float, setpoints))
+        if len(values) != 7 or not math.isfinite(sum(values)):
             raise ValueError(f"seven finite setpoints wanted, got {setpoints}")
         self._servos.command(self.cycle, self._age(), values)
 
@@ -160,7 +166,7 @@ class World:
     def robot_state(self) -> RobotTruth:
         """The robot now, as its encoders say and as it is."""
         true = self._joints_at(self._now)
-        read = tuple(q + n for q, n in zip(true, self._encoder_noise, strict=True))
+        read = self.encoders()
         return RobotTruth(
             time_s=self._now,
             joints=read[:6],
@@ -171,6 +177,23 @@ class World:
             velocities=self._servos.velocities,
             tcp_rigid=rotation.matrix(self._rigid_at(self._now)),
         )
+
+    def encoders(self) -> tuple[float, ...]:
+        """What the encoders say now: A1..A6 [rad], E1 [m]."""
+        true = self._joints_at(self._now)
+        if not self._is_noisy:
+            return true
+        return tuple(q + n for q, n in zip(true, self._encoder_noise, strict=True))
+
+    def rigid(self) -> Pose:
+        """Rigid tcp in base, now."""
+        return self._rigid_at(self._now)
+
+    def hub(self) -> Pose:
+        """True hub in base, now."""
+        if self._on_grid(self._now) and self._index < len(self._track):
+            return self._contact.turned(self._track[self._index], self._now)
+        return self._hub_at(self._now)
 
     def tcp_of(self, joints: tuple[float, ...]) -> Matrix:
         """Rigid tcp in base, 4x4, for any joints (A1..A6 [rad], E1 [m])."""
@@ -190,7 +213,7 @@ class World:
 
     def hub_pose(self, t: float | None = None) -> Matrix:
         """True hub in base, 4x4, at t (default now); in the future without unordered steps."""
-        return rotation.matrix(self._hub_at(self._now if t is None else t))
+        return rotation.matrix(self.hub() if t is None else self._hub_at(t))
 
     def tcp_rigid_pose(self) -> Matrix:
         """Rigid tcp in base, 4x4, now."""
@@ -211,6 +234,10 @@ class World:
     def unit_speed(self, t: float | None = None) -> float:
         """True speed of the conveyor unit [m/s]."""
         return self._conveyor.at(self._now if t is None else t)[1]
+
+    def unit_motion(self, times: Matrix) -> tuple[Matrix, Matrix]:
+        """True positions [m] and speeds [m/s] of the conveyor unit at ascending times, (n,)."""
+        return self._conveyor.motion(times)
 
     @property
     def contact(self) -> Phase:
@@ -242,7 +269,7 @@ class World:
 
     def _begin_cycle(self) -> None:
         self._servos.begin_cycle(self.cycle)
-        if any(self._encoder_sigmas):
+        if self._is_noisy:
             noise = self._encoder_draws.take(7)
             self._encoder_noise = tuple(
                 s * n for s, n in zip(self._encoder_sigmas, noise, strict=True)
@@ -264,20 +291,31 @@ class World:
         """Compute the hub at the next `count` grid points: it depends on time alone."""
         begin = len(self._track)
         times = self._start + self._h * np.arange(begin, begin + count, dtype=np.float64)
-        self._track += self._body.hubs(self._conveyor.positions(times), times)
+        self._track += self._hubs(times)
 
     def _expose(self, limit: float) -> None:
         """Let every sensor measure at its instants before `limit`."""
-        clock = self._force_torque.clock
-        while clock.next_s < limit:
-            self._force_torque.measure(self._deflection_at(clock.next_s))
-        clock = self._distance.clock
-        while clock.next_s < limit:
-            self._distance.measure(self._conveyor.at(clock.next_s)[0])
-        clock = self._camera.clock
-        while clock.next_s < limit:
-            t = clock.next_s
-            self._camera.measure(self._rigid_at(t), self._hub_at(t))
+        if self._next_exposure >= limit:
+            return
+        clocks = self._force_torque.clock, self._distance.clock, self._camera.clock
+        touch, reach, sight = clocks
+        while touch.next_s < limit:
+            self._force_torque.measure(self._deflection_at(touch.next_s))
+        while reach.next_s < limit:
+            if not self._units_measured:
+                ahead = self._conveyor.positions(reach.upcoming(_AHEAD))
+                self._units_measured = ahead[::-1].tolist()
+            self._distance.measure(self._units_measured.pop())
+        while sight.next_s < limit:
+            t = sight.next_s
+            if not self._hubs_seen:
+                self._hubs_seen = self._hubs(sight.upcoming(_AHEAD))[::-1]
+            hub = self._contact.turned(self._hubs_seen.pop(), t)
+            self._camera.measure(self._rigid_at(t), hub)
+        self._next_exposure = min(clock.next_s for clock in clocks)
+
+    def _hubs(self, times: Matrix) -> list[Pose]:
+        return self._body.hubs(self._conveyor.positions(times), times)
 
     def _on_grid(self, t: float) -> bool:
         return abs(t - self._grid) < _TINY

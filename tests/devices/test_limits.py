@@ -24,6 +24,12 @@ def _feed(judge: LimitJudge, positions: list[float], axis: int = 0) -> None:
         judge.judge(setpoints)
 
 
+def _start_moving(judge: LimitJudge, speed: float) -> None:
+    judge.start((0.0,) * 7)
+    assert judge._past is not None
+    judge._past[1, 0] = speed
+
+
 def _ramp(jerk: float, acceleration: float, speed: float, count: int) -> list[float]:
     """Positions whose finite differences reach the given values and stay there."""
     positions, x, v, a = [], 0.0, 0.0, 0.0
@@ -71,13 +77,11 @@ def test_rounding_on_the_wire_is_granted_and_no_more() -> None:
     judge = LimitJudge(T0, (tight,) * 7)
     exact = [0.05 * T0 * n for n in range(200)]
     rounded = [math.radians(round(math.degrees(x), 8)) for x in exact]
-    judge.start((0.0,) * 7)
-    judge._speed = (0.05,) + (0.0,) * 6
+    _start_moving(judge, 0.05)
     _feed(judge, rounded[1:])
     assert judge.violations == 0
     coarse = [math.radians(round(math.degrees(x), 6) + rng.choice((0, 1e-6))) for x in exact]
-    judge.start((0.0,) * 7)
-    judge._speed = (0.05,) + (0.0,) * 6
+    _start_moving(judge, 0.05)
     _feed(judge, coarse[1:])
     assert judge.violations > 0
 
@@ -126,3 +130,22 @@ def test_after_a_slip_speed_is_judged_at_once_and_the_rest_soon() -> None:
     assert judge.counts == {"speed": 1, "acceleration": 1}
     _feed(judge, [0.6 * T0])
     assert judge.counts == {"speed": 1, "acceleration": 1, "jerk": 1}
+
+
+def test_judging_many_at_once_is_judging_each_by_itself() -> None:
+    rng = random.Random(4)
+    together, singly = _judge(), _judge()
+    position = [0.0] * 7
+    for _ in range(600):
+        position = [q + rng.gauss(0.0, 0.004) for q in position]
+        act = rng.choices(("judge", "hold", "slip", "start"), (80, 5, 5, 2))[0]
+        for judge in (together, singly):
+            if act == "slip":
+                judge.slip()
+            else:
+                getattr(judge, act)(position)
+        assert singly.violations >= 0  # asked for each cycle
+    assert together.violations > 100
+    assert together.counts == singly.counts
+    assert together.worst == singly.worst
+    assert together.evidence == singly.evidence

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from linemate.protocol.exchange import Judgement
 from linemate.simulators.devices.controller import Applied
 from linemate.simulators.devices.robot_plant import RobotPlant
-from linemate.simulators.devices.truth import TruthLog, load, pose_row
+from linemate.simulators.devices.truth import TruthLog, load, pose_rows
 from linemate.simulators.plants.scenario import Scenario
 from linemate.simulators.plants.world import World
 
@@ -20,7 +20,7 @@ def test_poses_become_positions_and_quaternions(seed: int) -> None:
     turn = Rotation.from_rotvec(rng.standard_normal(3) * (np.pi if seed % 2 else 1e-9))
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = turn.as_matrix(), rng.standard_normal(3)
-    row = pose_row(pose)
+    row = pose_rows(pose[np.newaxis, :3, 3], pose[np.newaxis, :3, :3])[0]
     np.testing.assert_allclose(row[:3], pose[:3, 3])
     assert row[3] >= 0.0
     again = Rotation.from_quat([*row[4:], row[3]])
@@ -33,7 +33,7 @@ def test_half_turns_are_no_exception(axis: tuple[float, float, float]) -> None:
     turn = Rotation.from_rotvec(np.pi * np.array(axis))
     pose = np.eye(4)
     pose[:3, :3] = turn.as_matrix()
-    row = pose_row(pose)
+    row = pose_rows(pose[np.newaxis, :3, 3], pose[np.newaxis, :3, :3])[0]
     assert (Rotation.from_quat([*row[4:], row[3]]) * turn.inv()).magnitude() < 1e-7
 
 
