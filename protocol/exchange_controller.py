@@ -6,7 +6,7 @@ a late reply, a wrong IPOC and an unreadable reply are all the same as no reply.
 """
 
 from dataclasses import dataclass
-from enum import Enum, StrEnum
+from enum import StrEnum
 from typing import Literal
 
 HISTORY = 100
@@ -24,7 +24,7 @@ class Judgement(StrEnum):
     MISSING = "missing"
 
 
-class State(Enum):
+class State(StrEnum):
     """Where the exchange is."""
 
     BETWEEN = "no cycle open"
@@ -33,7 +33,7 @@ class State(Enum):
     BROKEN = "broken off"
 
 
-class Event(Enum):
+class Event(StrEnum):
     """What happens."""
 
     OPEN = "a cycle begins"
@@ -79,6 +79,10 @@ JUDGEMENTS: dict[Event, Judgement] = {
     Event.WRONG: Judgement.WRONG_IPOC,
     Event.UNREADABLE: Judgement.REFUSED,
 }
+
+
+_OPEN = frozenset({State.WAITING, State.ANSWERED})
+_REPLIED = frozenset({Judgement.ACCEPTED, Judgement.LATE})
 
 
 @dataclass(slots=True)
@@ -230,7 +234,7 @@ class ControllerExchange:
 
     def close_cycle(self) -> Judgement | None:
         """End the open cycle and charge it: what became of it, None if none was open."""
-        if self._state not in {State.WAITING, State.ANSWERED}:
+        if self._state not in _OPEN:
             return None
         cycle = self._cycles[self._next - self._step]
         self._move(Event.CLOSE)
@@ -255,7 +259,7 @@ class ControllerExchange:
         if behind < 0 or behind % self._step or ipoc < self._first:
             return Event.WRONG
         cycle = self._cycles.get(ipoc)
-        if cycle is not None and cycle.outcome in {Judgement.ACCEPTED, Judgement.LATE}:
+        if cycle is not None and cycle.outcome in _REPLIED:
             return Event.REPEATED
         if behind or self._state is not State.WAITING:
             return Event.OLD
@@ -286,7 +290,7 @@ class ControllerExchange:
             self._tally(Judgement.LATE, 1)
 
     def _blame(self) -> None:
-        if self._state in {State.WAITING, State.ANSWERED}:
+        if self._state in _OPEN:
             cycle = self._cycles[self._next - self._step]
             cycle.faulty = True
             if cycle.outcome is Judgement.MISSING:

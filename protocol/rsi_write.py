@@ -7,6 +7,7 @@ a nearby value.
 
 import math
 from collections.abc import Sequence
+from operator import attrgetter, truediv
 
 from linemate.protocol.rsi_layout import Field, Layout, Vector
 from linemate.protocol.rsi_read import LONG_MAX, LONG_MIN, MAX_IPOC, MAX_TELEGRAM_BYTES
@@ -16,6 +17,7 @@ from linemate.protocol.rsi_telegram import Channel, PreparedReply, RobotTelegram
 MAX_IPOC_DIGITS = 20
 # Far beyond any axis or length on a robot, and short enough to be read back by any parser.
 MAX_MAGNITUDE = 1e12
+MAX_SENDERS = 8
 
 Telegram = RobotTelegram | SensorTelegram
 
@@ -31,6 +33,8 @@ class Writer:
             0.0 if f.type == "DOUBLE" else "" if f.type == "STRING" else 0 for f in layout.fields
         ]
         self._vector_names = {vector.name for vector in layout.vectors}
+        self._fills = [(attrgetter(v.name), v, _block(v)) for v in layout.vectors]
+        self._around: dict[str, tuple[str, str]] = {}
 
     def write(self, telegram: Telegram, sender: str) -> bytes:
         """The telegram's bytes; ``sender`` is the root's Type.
@@ -46,8 +50,6 @@ class Writer:
         Raises:
             RsiError: as :meth:`write`.
         """
-        if not (sender.isascii() and sender.isprintable()):
-            raise RsiError(f"{sender!r:.64} is no printable ASCII text", element="Type")
         head, tail = self._around_ipoc(self._values(telegram), sender)
         if len(head) + len(tail) > MAX_TELEGRAM_BYTES - MAX_IPOC_DIGITS:
             raise RsiError(f"{len(head) + len(tail)} bytes, at most {MAX_TELEGRAM_BYTES}")
@@ -63,14 +65,35 @@ class Writer:
         return f"{head}0{tail}"
 
     def _around_ipoc(self, values: list[Channel], sender: str) -> tuple[str, str]:
+        around = self._around.get(sender)
+        if around is None:
+            around = self._enclose(sender)
+        head, tail = around
+        return head % tuple(values), tail
+
+    def _enclose(self, sender: str) -> tuple[str, str]:
+        """The template with the root around it, and what follows the IPOC."""
+        if not (sender.isascii() and sender.isprintable()):
+            raise RsiError(f"{sender!r:.64} is no printable ASCII text", element="Type")
         root = self._layout.root
-        head = f'<{root} Type="{escape(sender)}">{self._template % tuple(values)}<IPOC>'
-        return head, f"</IPOC></{root}>"
+        kind = escape(sender).replace("%", "%%")
+        around = f'<{root} Type="{kind}">{self._template}<IPOC>', f"</IPOC></{root}>"
+        if len(self._around) < MAX_SENDERS:
+            self._around[sender] = around
+        return around
 
     def _values(self, telegram: Telegram) -> list[Channel]:
         values = self._neutral.copy()
-        for vector in self._layout.vectors:
-            _fill(vector, getattr(telegram, vector.name), values)
+        for given, vector, block in self._fills:
+            numbers = given(telegram)
+            if block is not None and numbers is not None and len(numbers) == len(vector.axes):
+                scaled = list(map(truediv, numbers, vector.scales))
+                # One comparison for all: NaN fails it too.
+                if not sum(map(abs, scaled)) < MAX_MAGNITUDE:
+                    raise RsiError(f"not finite or out of range: {numbers}", element=vector.element)
+                values[block] = scaled
+            else:
+                _fill(vector, numbers, values)
         for key, value in telegram.channels.items():
             self._set_channel(key, value, values)
         if isinstance(telegram, RobotTelegram):
@@ -128,6 +151,13 @@ def _template(layout: Layout, decimals: int) -> str:
                 parts.append("/>")
         element = field.element
     return "".join(parts)
+
+
+def _block(vector: Vector) -> slice | None:
+    """Where a vector's values lie if all of them are written, one after another."""
+    first, width = vector.fields[0], len(vector.fields)
+    whole = vector.axes == tuple(range(width))
+    return slice(first, first + width) if whole and vector.contiguous else None
 
 
 def _fill(vector: Vector, given: Sequence[float] | None, values: list[Channel]) -> None:

@@ -10,11 +10,13 @@ Source: reference/rsi.md, 1.6.
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import add
 from typing import Literal
 
 from linemate.protocol.exchange import ControllerCounts, ControllerExchange, Judgement
 from linemate.protocol.rsi import (
     Channel,
+    Element,
     RobotTelegram,
     RsiCodec,
     RsiConfig,
@@ -28,7 +30,9 @@ AXES = 7
 EXTERNAL_AXES = 6
 MESSAGES = 16
 _JOINT_KEYS = tuple(f"A{n}" for n in range(1, 7))
-_CORRECTION_ELEMENTS = {"AK", "AKorr", "EK", "EKorr"}
+_EXTERNAL_KEYS = tuple(f"E{n}" for n in range(1, EXTERNAL_AXES + 1))
+_JOINT_ELEMENTS, _EXTERNAL_ELEMENTS = {"AK", "AKorr"}, {"EK", "EKorr"}
+_UNUSED = (0.0,) * (EXTERNAL_AXES - 1)
 
 Seven = tuple[float, float, float, float, float, float, float]
 """A1..A6 [rad] and E1 [m]."""
@@ -112,15 +116,42 @@ class Applied:
         return self.outcome is Judgement.ACCEPTED
 
 
+@dataclass(frozen=True, slots=True)
+class _Receive:
+    """One receive element.
+
+    Attributes:
+        tag: its name.
+        holdon: its value is held while none comes.
+        source: where a reply has it.
+        place: there, of a vector.
+        axis: which of the seven it corrects, None if it is no correction.
+    """
+
+    tag: str
+    holdon: bool
+    source: Literal["joints", "external", "channels"]
+    place: int
+    axis: int | None
+
+    def given(self, reply: SensorTelegram) -> Channel | None:
+        """Its value in a reply, None if it is not there."""
+        if self.source == "channels":
+            return reply.channels.get(self.tag)
+        vector = reply.joints if self.source == "joints" else reply.external
+        return None if vector is None or len(vector) <= self.place else vector[self.place]
+
+
 @dataclass(slots=True)
 class _Session:
     """What is forgotten when the operator starts the programme again."""
 
     start: Seven
+    external_start: Vector6
     low: Seven
     high: Seven
     total: list[float]
-    held: dict[str, Channel]
+    held: list[Channel | None]
     tcp: Vector6 | None = None
     cycle: int = -1
     ipoc: int = 0
@@ -172,8 +203,8 @@ class RsiController:
         self.clamped = 0
         self.messages: deque[str] = deque(maxlen=MESSAGES)
         self._read = read
-        self._holdon = {element.tag: element.holdon for element in rsi.receive}
-        self._sent = _sent_keys(self.codec.config)
+        self._receives = tuple(map(_receive, rsi.receive))
+        self._tells_signals = "DiL" in {element.tag for element in self.codec.config.send}
         self._setpoints = setpoints
         self._digital_out = 0
         self._exchange = ControllerExchange(
@@ -305,32 +336,30 @@ class RsiController:
         self.judge.start(start)
         return _Session(
             start=start,
+            external_start=_six((start[6], *_UNUSED)),
             low=config.correction_low or low,
             high=config.correction_high or high,
             total=[0.0] * AXES,
-            held={},
+            held=[None] * len(self._receives),
         )
 
     def _describe(self, ipoc: int, reading: RobotReading) -> RobotTelegram:
         """The telegram's values; setpoints are the programme's, without corrections."""
-        external = (reading.axes[6],) + (0.0,) * (EXTERNAL_AXES - 1)
-        channels: dict[str, Channel] = {}
-        if "DiL" in self._sent:
-            channels["DiL"] = reading.digital_in
         session = self._session
-        start = session.start
         if session.tcp is None:
             session.tcp = reading.tcp
+        a1, a2, a3, a4, a5, a6, e1 = reading.axes
         return RobotTelegram(
-            ipoc=ipoc,
-            joints=reading.axes[:6],
-            joint_setpoints=start[:6],
-            external=_six(external),
-            external_setpoints=_six((start[6],) + (0.0,) * (EXTERNAL_AXES - 1)),
-            tcp=reading.tcp,
-            tcp_setpoint=session.tcp,
-            delay=self._exchange.delay,
-            channels=channels,
+            ipoc,
+            b"",
+            (a1, a2, a3, a4, a5, a6),
+            session.start[:6],
+            (e1, 0.0, 0.0, 0.0, 0.0, 0.0),
+            session.external_start,
+            reading.tcp,
+            session.tcp,
+            self._exchange.delay,
+            {"DiL": reading.digital_in} if self._tells_signals else {},
         )
 
     def _refuse(self, reason: str) -> Judgement:
@@ -339,79 +368,70 @@ class RsiController:
 
     def _apply(self, session: _Session) -> bool:
         """Move the setpoints; tells whether a limit held something back."""
-        given = {} if session.reply is None else _values(session.reply)
-        if session.reply is not None and session.reply.message:
-            self.messages.append(session.reply.message)
-        values = {tag: self._value(session, given, tag) for tag in self._holdon}
-        if _is_set(values.get("Stop")):
-            session.stopped = "STOP object: the reply asked for it"
-            return False
-        self._digital_out = int(values.get("DiO") or 0)
-        return self._correct(session, values)
+        reply, held = session.reply, session.held
+        if reply is not None and reply.message:
+            self.messages.append(reply.message)
+        for n, element in enumerate(self._receives):
+            given = None if reply is None else element.given(reply)
+            if given is not None or not element.holdon:
+                held[n] = given
+        for element, value in zip(self._receives, held, strict=True):
+            if element.tag == "Stop" and _is_set(value):
+                session.stopped = "STOP object: the reply asked for it"
+                return False
+        self._digital_out = 0
+        for element, value in zip(self._receives, held, strict=True):
+            if element.tag == "DiO":
+                self._digital_out = int(value or 0)
+        return self._correct(session)
 
-    def _value(self, session: _Session, given: dict[str, Channel], tag: str) -> Channel | None:
-        """A receive channel's value in this cycle: fresh, held, or zero."""
-        if tag in given:
-            session.held[tag] = given[tag]
-        elif not self._holdon[tag]:
-            session.held.pop(tag, None)
-        return session.held.get(tag)
-
-    def _correct(self, session: _Session, values: dict[str, Channel | None]) -> bool:
+    def _correct(self, session: _Session) -> bool:
         clamped = False
-        for tag, value in values.items():
-            axis = _axis(tag)
+        total, low, high = session.total, session.low, session.high
+        adds = self.config.mode == "relative"
+        for element, value in zip(self._receives, session.held, strict=True):
+            axis = element.axis
             if axis is None:
                 continue
             correction = float(value or 0.0)
-            if self.config.mode == "relative":
-                correction += session.total[axis]
-            within = min(max(correction, session.low[axis]), session.high[axis])
+            if adds:
+                correction += total[axis]
+            within = min(max(correction, low[axis]), high[axis])
             clamped = clamped or within != correction
-            session.total[axis] = within
-        self._watch(session)
+            total[axis] = within
+        if self.config.monitor is not None:
+            self._watch(session, self.config.monitor)
         if session.stopped is None:
-            moved = [a + b for a, b in zip(session.start, session.total, strict=True)]
-            self._setpoints = (moved[0], moved[1], moved[2], moved[3], moved[4], moved[5], moved[6])
+            a, b, c, d, e, f, g = map(add, session.start, total)
+            self._setpoints = (a, b, c, d, e, f, g)
         return clamped
 
-    def _watch(self, session: _Session) -> None:
+    @staticmethod
+    def _watch(session: _Session, monitor: Seven) -> None:
         """The monitor object: too great a total correction stops the robot."""
-        if self.config.monitor is None:
-            return
-        for axis, (total, most) in enumerate(zip(session.total, self.config.monitor, strict=True)):
+        for axis, (total, most) in enumerate(zip(session.total, monitor, strict=True)):
             if abs(total) > most:
                 name = f"A{axis + 1}" if axis < AXES - 1 else "E1"
                 session.stopped = f"KSS29000 AXISCORRMON {name}: {total:g} exceeds {most:g}"
                 return
 
 
-def _values(reply: SensorTelegram) -> dict[str, Channel]:
-    """What a reply brought, by the tags that a configuration may use."""
-    values: dict[str, Channel] = dict(reply.channels)
-    for n, value in enumerate(reply.joints or (), 1):
-        values[f"AK.A{n}"] = values[f"AKorr.A{n}"] = value
-    for n, value in enumerate(reply.external or (), 1):
-        values[f"EK.E{n}"] = values[f"EKorr.E{n}"] = value
-    return values
-
-
-def _axis(tag: str) -> int | None:
-    """Which of the seven axes a receive element corrects, None if it is no correction."""
-    element, _, axis = tag.partition(".")
-    if element not in _CORRECTION_ELEMENTS:
-        return None
-    if axis in _JOINT_KEYS:
-        return _JOINT_KEYS.index(axis)
-    return AXES - 1 if axis == "E1" else None
+def _receive(element: Element) -> _Receive:
+    """Resolve a receive element once: where a reply has its value, and what it corrects."""
+    name, _, axis = element.tag.partition(".")
+    if name in _JOINT_ELEMENTS and axis in _JOINT_KEYS:
+        place = _JOINT_KEYS.index(axis)
+        return _Receive(element.tag, element.holdon, "joints", place, place)
+    if name in _EXTERNAL_ELEMENTS and axis in _EXTERNAL_KEYS:
+        place = _EXTERNAL_KEYS.index(axis)
+        return _Receive(
+            element.tag, element.holdon, "external", place, AXES - 1 if place == 0 else None
+        )
+    return _Receive(element.tag, element.holdon, "channels", 0, None)
 
 
 def _is_set(value: Channel | None) -> bool:
     return value is not None and not isinstance(value, str) and float(value) != 0.0
-
-
-def _sent_keys(config: RsiConfig) -> set[str]:
-    return {element.tag for element in config.send}
 
 
 def _six(values: tuple[float, ...]) -> Vector6:
