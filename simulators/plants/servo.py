@@ -69,6 +69,11 @@ class ServoBank:
         # Position off the oldest node, speed, and the lines' rises, each of all axes.
         self._origin = np.array(start)
         self._inputs = np.zeros((self._reach + 3) * len(axes))
+        self._found = np.zeros(len(self._table.gains))
+        # The same memory by what it holds: a row a substep of positions, and of speeds.
+        moved = self._found[: 2 * substeps * len(axes)].reshape(2, substeps, -1)
+        self._offsets, self._speeds = moved
+        self._is_found = False
         self._slack = min(axis.dead_time_s for axis in axes)
         self._ahead: list[_Motion] | None = None
         self.positions = tuple(start)
@@ -83,9 +88,13 @@ class ServoBank:
         del nodes[0]
         self._begun = self.positions, self.velocities
         self._origin = np.array(nodes[0])
-        inputs[:n] = self.positions - self._origin
-        inputs[n : 2 * n] = self.velocities
-        inputs[2 * n : -n] = inputs[3 * n :].copy()
+        if self._is_found and self._ahead is not None:
+            np.subtract(self._offsets[-1], inputs[2 * n : 3 * n], out=inputs[:n])
+            inputs[n : 2 * n] = self._speeds[-1]
+        else:
+            inputs[:n] = self.positions - self._origin
+            inputs[n : 2 * n] = self.velocities
+        inputs[2 * n : -n] = inputs[3 * n :]
         inputs[-n:] = 0.0
         self._ahead = None
 
@@ -132,19 +141,17 @@ class ServoBank:
 
     def _look_ahead(self) -> list[_Motion]:
         """Positions and velocities at the end of each substep of this cycle."""
-        table, n = self._table, len(self._lags)
-        found = table.gains.dot(self._inputs)
-        found[table.places] += self._origin
-        values: list[float] = found.tolist()
-        ahead: list[_Motion] = []
-        for first, last in table.spans:
-            strains = values[first + 2 * n : last]
-            if not (min(strains) >= -1.0 and max(strains) <= 1.0):
-                return self._one_by_one(ahead)
-            ahead.append(
-                (tuple(values[first : first + n]), tuple(values[first + n : first + 2 * n]))
-            )
-        return ahead
+        n, steps = len(self._lags), self._substeps
+        np.dot(self._table.gains, self._inputs, out=self._found)
+        values: list[float] = self._found.tolist()
+        strains = values[2 * n * steps :]
+        self._is_found = min(strains) >= -1.0 and max(strains) <= 1.0
+        positions = map(tuple, (self._offsets + self._origin).tolist())
+        speeds = [tuple(values[i : i + n]) for i in range(n * steps, 2 * n * steps, n)]
+        ahead = list(zip(positions, speeds, strict=True))
+        if self._is_found:
+            return ahead
+        return self._one_by_one(ahead[: self._table.easy(values)])
 
     def _one_by_one(self, ahead: list[_Motion]) -> list[_Motion]:
         """Go on axis by axis from the first substep in which one saturates."""
@@ -186,52 +193,64 @@ class _Table(NamedTuple):
     """A cycle of all axes as one matrix, as long as none saturates.
 
     Its inputs: position off the oldest node, speed, and the rise of each line from the oldest to
-    the present one, each of all axes.
+    the present one, each of all axes. Its outputs: for each substep's end the positions off the
+    oldest node, then the speeds, then the strains: at the ends of all pieces the accelerations as
+    shares of their limits.
     """
 
     gains: Array
-    places: NDArray[np.int64]  # of its outputs, those that are positions, row by row a substep
-    spans: tuple[tuple[int, int], ...]
-    """Of each substep its outputs: positions off the oldest node, speeds, and at the ends of all
-    pieces the accelerations as shares of their limits, each of all axes."""
+    ends: tuple[int, ...]
+    """Behind the last strain of each substep."""
+    strains: int
+    """The first of them."""
+
+    def easy(self, values: list[float]) -> int:
+        """How many substeps pass before the one in which an axis saturates."""
+        begin = self.strains
+        for part, end in enumerate(self.ends):
+            if not all(-1.0 <= strain <= 1.0 for strain in values[begin:end]):
+                return part
+            begin = end
+        return len(self.ends)
 
 
 def _table(lags: tuple[_Lag, ...], reach: int, cycle_s: float) -> _Table:
     """Solve each axis once for a unit of each of its inputs."""
     n, width = len(lags), reach + 3
     units = np.eye(width)
-    rows: list[Array] = []
-    places: list[range] = []
-    spans: list[tuple[int, int]] = []
+    positions: list[Array] = []
+    speeds: list[Array] = []
+    strains: list[Array] = []
+    ends: list[int] = []
 
-    def put(axis: int, gains: Array) -> Array:
+    def put(rows: list[Array], axis: int, gains: Array) -> None:
         row = np.zeros(width * n)
         row[axis::n] = gains
-        return row
+        rows.append(row)
 
     def strain(lag: _Lag, u: Array, y: Array, v: Array) -> Array:
         return np.asarray((lag.stiffness * (u - y) - lag.friction * v) / lag.limit)
 
     states = [(units[0], units[1])] * n
     for part in range(len(lags[0].plan)):
-        first, strains = len(rows), []
         for axis, lag in enumerate(lags):
             y, v = states[axis]
-            for piece in lag.plan[part]:
+            for number, piece in enumerate(lag.plan[part]):
                 line = reach - piece.back
                 slope = units[2 + line] / cycle_s
                 u = units[2 : 2 + line].sum(axis=0) + slope * piece.since
-                if not rows:  # elsewhere a piece begins with what the one before ended with
-                    strains.append(put(axis, strain(lag, u, y, v)))
+                if part == number == 0:
+                    put(strains, axis, strain(lag, u, y, v))
                 y, v = _linear(lag, piece, slope, u, y, v)
-                strains.append(put(axis, strain(lag, u + slope * piece.length, y, v)))
+                # What a piece ends with the next one begins with.
+                put(strains, axis, strain(lag, u + slope * piece.length, y, v))
             states[axis] = y, v
-        places.append(range(first, first + n))
-        for which in (0, 1):
-            rows += [put(axis, state[which]) for axis, state in enumerate(states)]
-        rows += strains
-        spans.append((first, len(rows)))
-    return _Table(np.array(rows), np.array(places), tuple(spans))
+            put(positions, axis, y)
+            put(speeds, axis, v)
+        ends.append(len(strains))
+    first = len(positions) + len(speeds)
+    rows = np.array(positions + speeds + strains)
+    return _Table(rows, tuple(first + end for end in ends), first)
 
 
 def _lag(axis: Axis, step: float, substeps: int) -> _Lag:
