@@ -33,7 +33,8 @@ class WatchSettings:
         missed_in_contact: the same in contact.
         leak_limit: level of the leaky bucket (+2 a missed cycle, -1 a good one) that does too.
         position_s: age of the newest position beyond which tracking stops [s].
-        position_in_contact_s: the same in contact, which is coasted on the prediction [s].
+        position_in_contact_s: the same in contact: a blackout of 140 ms, and a cycle, is coasted
+            on the prediction [s].
         one_sensor_s: age of the older of distance and camera beyond which tracking stops [s]; in
             contact the force-torque sensor stands in for them.
         wrench_s: age of the newest force [s].
@@ -53,9 +54,9 @@ class WatchSettings:
     missed_in_contact: Count = 12
     leak_limit: Count = 10
     position_s: Positive = 0.3
-    position_in_contact_s: Positive = 0.14
+    position_in_contact_s: Positive = 0.16
     one_sensor_s: Positive = 1.0
-    wrench_s: Positive = 0.1
+    wrench_s: Positive = 0.16
     cycles_of_contact: Count = 2
     cycles_of_overload: Count = 1
     near_m: Positive = 0.03

@@ -87,7 +87,7 @@ def test_a_new_session_shows_as_a_loss_for_one_cycle() -> None:
 
 
 def test_a_position_may_be_older_in_free_space_than_in_contact() -> None:
-    for state, bearable_s in ((State.TRACK, 0.3), (State.CONTACT, 0.14)):
+    for state, bearable_s in ((State.TRACK, 0.3), (State.CONTACT, 0.16)):
         run = Run(state)
         age_ns = round(bearable_s * 1e9)
         assert run.cycle(position_ns=run.now_ns + CYCLE_NS - age_ns).position_fresh
