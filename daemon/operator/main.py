@@ -15,7 +15,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 from linemate.daemon.operator import export, identify, render, replay
 from linemate.daemon.operator.client import (
@@ -28,6 +28,7 @@ from linemate.daemon.operator.client import (
     default_key_path,
     read_key,
 )
+from linemate.daemon.view import command as view
 from linemate.protocol.command import CommandError, Role
 from linemate.protocol.command_keys import (
     KEY_BYTES,
@@ -50,7 +51,7 @@ HEALTHY: Final = "healthy"
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the tool and return its exit code."""
-    args = _parser().parse_args(argv)
+    args = parser().parse_args(argv)
     run: Callable[[argparse.Namespace], int] = args.run
     try:
         return run(args)
@@ -106,7 +107,7 @@ def _status(args: argparse.Namespace) -> int:
         return _watch(args)
     answer = _ask(args, "status")
     if args.json:
-        print(render.as_json(answer))
+        print(render.versioned(answer))
     else:
         print(render.table((), render.rows(answer)))
     return _health(answer)
@@ -157,7 +158,7 @@ def _param_diff(args: argparse.Namespace) -> int:
     rows = render.difference_rows(listed)
     if args.json:
         names = {row[0] for row in rows}
-        print(render.as_json([item for item in listed if item["name"] in names]))
+        print(render.versioned({"params": [item for item in listed if item["name"] in names]}))
     elif rows:
         print(render.table(("name", "value", "file", "default", "unit", ""), rows))
     return OK
@@ -165,7 +166,7 @@ def _param_diff(args: argparse.Namespace) -> int:
 
 def _print_parameters(args: argparse.Namespace, listed: list[dict[str, Any]]) -> int:
     if args.json:
-        print(render.as_json(listed))
+        print(render.versioned({"params": listed}))
     else:
         head = ("name", "value", "unit", "default", "changes")
         print(render.table(head, render.parameter_rows(listed)))
@@ -177,14 +178,14 @@ def _param_describe(args: argparse.Namespace) -> int:
     if not listed:
         _complain(f"refused: no parameter {args.name}")
         return NOT_OK
-    print(render.as_json(listed[0]) if args.json else render.description(listed[0]))
+    print(render.versioned(listed[0]) if args.json else render.description(listed[0]))
     return OK
 
 
 def _param_get(args: argparse.Namespace) -> int:
     values: dict[str, Any] = _ask(args, "get", {"names": args.names})["values"]
     if args.json:
-        print(render.as_json(values))
+        print(render.versioned({"values": values}))
     elif len(values) == 1:
         print(render.scalar(next(iter(values.values()))))
     else:
@@ -195,7 +196,7 @@ def _param_get(args: argparse.Namespace) -> int:
 def _param_set(args: argparse.Namespace) -> int:
     answer = _ask(args, "set", {"values": dict(args.assignments)}, COMPILE_S)
     if args.json:
-        print(render.as_json(answer))
+        print(render.versioned(answer))
         return OK
     if not answer.get("changed"):
         print("nothing to change")
@@ -221,7 +222,7 @@ def _operate(args: argparse.Namespace) -> int:
     params = {"action": args.action} if args.op == "record" else {}
     answer = _ask(args, args.op, params, COMPILE_S if args.op == "save" else DEFAULT_TIMEOUT_S)
     if args.json:
-        print(render.as_json(answer))
+        print(render.versioned(answer))
     elif answer:
         print(render.table((), render.rows(answer)))
     return OK
@@ -257,7 +258,8 @@ def _doctor(args: argparse.Namespace) -> int:
 
     findings = doctor.examine(doctor.Host())
     if args.json:
-        print(render.as_json([dataclasses.asdict(finding) for finding in findings]))
+        plain = [dataclasses.asdict(finding) for finding in findings]
+        print(render.versioned({"findings": plain}))
     else:
         print(render.table((), [(f.name, str(f.grade), f.what) for f in findings]))
         costs = [f"{f.name}: {f.cost}" for f in findings if f.cost]
@@ -285,6 +287,14 @@ def _positive(text: str) -> float:
     raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds")
 
 
+class CommandLine(argparse.ArgumentParser):
+    """A command line whose errors are one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """End with 2."""
+        self.exit(USAGE, f"{self.prog}: {message}; see {self.prog} --help\n")
+
+
 def _common() -> argparse.ArgumentParser:
     common = argparse.ArgumentParser(add_help=False, argument_default=argparse.SUPPRESS)
     where = common.add_argument_group("where the daemon is")
@@ -299,16 +309,17 @@ def _common() -> argparse.ArgumentParser:
     return common
 
 
-def _parser() -> argparse.ArgumentParser:
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
     common = _common()
-    parser = argparse.ArgumentParser(
-        prog="linemate", description="Watch and operate a linemate daemon."
-    )
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    made = CommandLine(prog="linemate", description="Watch and operate a linemate daemon.")
+    commands = made.add_subparsers(required=True, metavar="COMMAND")
 
     status = commands.add_parser("status", parents=[common], help="state, links, rates, ages")
     status.add_argument("--watch", action="store_true", help="again and again until Ctrl-C")
-    status.add_argument("--interval", type=_positive, default=0.5, metavar="S")
+    status.add_argument(
+        "--interval", type=_positive, default=0.5, metavar="S", help="between two looks; 0.5"
+    )
     status.add_argument("--for", dest="seconds", type=_positive, metavar="S", help="watch so long")
     status.set_defaults(run=_status)
 
@@ -330,6 +341,7 @@ def _parser() -> argparse.ArgumentParser:
     identify.add_parser(commands)
     replay.add_parser(commands)
     export.add_parsers(commands)
+    view.add_parser(commands, common, _client)
     doctor = commands.add_parser("doctor", help="what this host lacks for real time and links")
     doctor.add_argument("--json", action="store_true", help="print JSON")
     doctor.set_defaults(run=_doctor)
@@ -339,7 +351,7 @@ def _parser() -> argparse.ArgumentParser:
     keygen.add_argument("role", choices=[str(role) for role in Role])
     keygen.add_argument("--out", type=Path, metavar="FILE", help="append it to a key file")
     keygen.set_defaults(run=_keygen)
-    return parser
+    return made
 
 
 def _add_param(parser: argparse.ArgumentParser, common: argparse.ArgumentParser) -> None:

@@ -6,12 +6,21 @@ Law of this file: values in, strings out; nothing is asked, nothing is printed h
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 
 def as_json(value: object) -> str:
     """Return ``value`` as JSON; numbers that JSON does not know become null."""
     return json.dumps(_plain(value), indent=2, sort_keys=False, allow_nan=False)
+
+
+VERSION: Final = 1
+"""Of what ``--json`` prints; it grows by keys, and changes when a key changes its meaning."""
+
+
+def versioned(answer: Mapping[str, Any]) -> str:
+    """Return an answer as JSON with its version, its own if it has one."""
+    return as_json({"version": VERSION, **answer})
 
 
 def _plain(value: object) -> object:

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from linemate.daemon.service import documents, files, overlay, task_file
+from linemate.daemon.service import documents, files, overlay, parameter_list, task_file
 from linemate.daemon.service.command_server import CommandPortError, read_keys
 from linemate.daemon.service.documents import Complaint, FileError
 from linemate.daemon.service.files import UnreadableError
@@ -109,8 +109,22 @@ def load(path: Path) -> Station:
 
 
 def schema() -> dict[str, Any]:
-    """The JSON schema of configuration files."""
-    return documents.schema(Config, "linemate configuration")
+    """The JSON schema of configuration files, each key with its meaning."""
+    whole = documents.schema(Config, "linemate configuration")
+    _explain(whole, Config)
+    for kind in {kind.__name__: kind for kind in parameter_list.kinds(Config)}.values():
+        if kind.__name__ in whole["$defs"]:
+            _explain(whole["$defs"][kind.__name__], kind)
+    return whole
+
+
+def _explain(definition: dict[str, Any], kind: type[Any]) -> None:
+    """Put a class's meanings to its keys, where an editor shows them."""
+    definition["description"] = (kind.__doc__ or "").partition("\n")[0]
+    meanings = parameter_list.about(kind)
+    for name, described in definition["properties"].items():
+        if "describe" in meanings[name]:  # a section is told by its own class
+            described["description"] = meanings[name]["describe"]
 
 
 class _Named:

@@ -28,7 +28,7 @@ log = logging.getLogger("linemated")
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the daemon; the exit code."""
-    arguments = _parser().parse_args(argv)
+    arguments = parser().parse_args(argv)
     logging.basicConfig(
         level=arguments.log.upper(), stream=sys.stderr, format="%(levelname)s %(name)s: %(message)s"
     )
@@ -36,6 +36,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     from linemate.daemon.service import config
     from linemate.daemon.service.documents import FileError
 
+    if arguments.schema:
+        print(json.dumps(config.schema(), indent=2))
+        return OK
     try:
         station = config.load(arguments.config)
         parameters = _compiled(station)
@@ -92,16 +95,19 @@ def _tell(listening: dict[str, Any], ready_fd: int | None) -> None:
         pipe.write(json.dumps(listening) + "\n")
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="linemated", description="The linemate daemon.")
-    parser.add_argument("--config", type=Path, required=True, metavar="FILE", help="YAML")
-    parser.add_argument("--check", action="store_true", help="validate every file and end")
-    parser.add_argument(
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    made = argparse.ArgumentParser(prog="linemated", description="The linemate daemon.")
+    what = made.add_mutually_exclusive_group(required=True)
+    what.add_argument("--config", type=Path, metavar="FILE", help="YAML, see linemated.yaml(5)")
+    what.add_argument("--schema", action="store_true", help="print the JSON schema of FILE and end")
+    made.add_argument("--check", action="store_true", help="validate every file and end")
+    made.add_argument(
         "--ready-fd", type=int, metavar="N", help="write a line of JSON with the ports here"
     )
     levels = ("debug", "info", "warning", "error")
-    parser.add_argument("--log", choices=levels, default="info", help="what is logged")
-    return parser
+    made.add_argument("--log", choices=levels, default="info", help="what is logged; info")
+    return made
 
 
 if __name__ == "__main__":

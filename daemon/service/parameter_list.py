@@ -114,7 +114,7 @@ def every(config: Config) -> Iterator[Described]:
     usual = Config(task=config.task)
     for section in SECTIONS:
         yield from _of(section, getattr(config, section), getattr(usual, section))
-    about = _about(Config)
+    meanings = about(Config)
     for field in fields(config):
         value, default = getattr(config, field.name), getattr(usual, field.name)
         if field.name in SECTIONS or value is None:
@@ -122,12 +122,12 @@ def every(config: Config) -> Iterator[Described]:
         if is_dataclass(value):
             yield from _of(field.name, value, default)
         else:
-            yield _one(field.name, value, default) | about.get(field.name, {})
+            yield _one(field.name, value, default) | meanings.get(field.name, {})
 
 
 def _of(name: str, value: Any, default: Any) -> Iterator[Described]:
     kind = type(value)
-    about = _about(kind)
+    meanings = about(kind)
     for field in fields(value):
         path = f"{name}.{field.name}"
         item = getattr(value, field.name)
@@ -139,7 +139,7 @@ def _of(name: str, value: Any, default: Any) -> Iterator[Described]:
                 known = usual[index] if usual is not None and index < len(usual) else None
                 yield from _of(f"{path}.{index}", part, known)
         else:
-            yield _one(path, item, usual) | about.get(field.name, {})
+            yield _one(path, item, usual) | meanings.get(field.name, {})
 
 
 def _one(name: str, value: Any, default: Any) -> Described:
@@ -156,8 +156,31 @@ def _one(name: str, value: Any, default: Any) -> Described:
     return told
 
 
-def _about(kind: type[Any]) -> dict[str, Described]:
-    """Type, range, unit and meaning of each field of a settings class."""
+def kinds(kind: type[Any]) -> Iterator[type[Any]]:
+    """Every settings class below one, in the order of its fields.
+
+    Args:
+        kind: the class above.
+    """
+    for hint in get_type_hints(kind).values():
+        for inner in _classes(hint):
+            yield inner
+            yield from kinds(inner)
+
+
+def _classes(hint: Any) -> Iterator[type[Any]]:
+    if is_dataclass(hint) and isinstance(hint, type):
+        yield hint
+    for part in get_args(hint):
+        yield from _classes(part)
+
+
+def about(kind: type[Any]) -> dict[str, Described]:
+    """Type, range, unit and meaning of each field of a settings class.
+
+    Args:
+        kind: the class.
+    """
     hints = get_type_hints(kind, include_extras=True)
     meanings = _meanings(kind.__doc__ or "")
     return {

@@ -103,12 +103,27 @@ def test_status_exits_by_health(daemon: Daemon, capsys: Out, health: str, code: 
 def test_status_prints_json_that_everybody_can_read(capsys: Out) -> None:
     assert main(["status", "--json"]) == 0
     read = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
-    assert read == {"health": "healthy", "state": "idle", "age": {"camera_s": None}}
+    assert read == {
+        "version": 1,
+        "health": "healthy",
+        "state": "idle",
+        "age": {"camera_s": None},
+    }
 
 
 def test_status_of_nobody_exits_3(capsys: Out, tmp_path: Path) -> None:
     assert main(["status", "--socket", str(tmp_path / "nobody")]) == 3
     assert "no answer" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [[], ["stat"], ["status", "--udp", "x:y"], ["param", "set", "a"]])
+def test_a_wrong_command_line_is_told_in_one_line(words: list[str], capsys: Out) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    told = capsys.readouterr()
+    assert (ended.value.code, told.out) == (2, "")
+    assert told.err.startswith("linemate")
+    assert told.err.count("\n") == 1
 
 
 def test_status_can_be_watched(daemon: Daemon, capsys: Out) -> None:
@@ -132,7 +147,7 @@ def test_recordings_are_begun_and_ended(daemon: Daemon, capsys: Out) -> None:
     assert main(["record", "start"]) == 0
     assert capsys.readouterr().out == "path  /x\n"
     assert main(["record", "stop", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"path": "/x"}
+    assert json.loads(capsys.readouterr().out) == {"version": 1, "path": "/x"}
     assert daemon.done == ["record", "record"]
 
 
@@ -146,7 +161,7 @@ def test_parameters_are_listed_described_and_compared(daemon: Daemon, capsys: Ou
     described = capsys.readouterr().out
     assert all(word in described for word in ("0.1 m/s", "0 .. 0.2", "at once", "what approach"))
     assert main(["param", "diff", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == []
+    assert json.loads(capsys.readouterr().out) == {"version": 1, "params": []}
     daemon.values["swing.enabled"] = False
     assert main(["param", "diff"]) == 0
     assert "swing.enabled  no" in capsys.readouterr().out
@@ -168,7 +183,7 @@ def test_parameters_are_got_and_set(daemon: Daemon, capsys: Out) -> None:
     ]
     assert daemon.values == {"approach.speed": 0.15, "swing.enabled": False}
     assert main(["param", "get", "approach.speed", "swing.enabled", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == daemon.values
+    assert json.loads(capsys.readouterr().out) == {"version": 1, "values": daemon.values}
     assert main(["param", "save"]) == 0
     assert "/x" in capsys.readouterr().out
 

@@ -43,7 +43,7 @@ def test_a_parameter_has_value_default_range_unit_and_meaning(
     }
     deviation = by_name["tracking.distance.deviation"]
     assert deviation["unit"] == "m"
-    assert deviation["min"] == 0.0
+    assert deviation["min"] == 1e-5
     assert "sigma" in deviation["describe"]
 
 

@@ -1,0 +1,172 @@
+"""The configuration's and the parameters' reference, from the settings' own classes.
+
+Law of this file: nothing is said here that the program does not say itself; types and ranges come
+from the annotations that check a file, units and meanings from the docstrings beside them.
+"""
+
+from collections.abc import Iterator
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from enum import Enum
+from types import NoneType
+from typing import Any, get_args, get_type_hints
+
+from linemate.daemon.service import parameter_list
+from linemate.daemon.service.settings import Config
+from linemate.daemon.settings_tree import SECTIONS
+
+MADE = "<!-- Made by `make docs-write`; edit the settings' docstrings instead. -->\n"
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A section of the file: its dotted name, its class, whether it is off when left out."""
+
+    name: str
+    kind: type[Any]
+    optional: bool
+    is_list: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """One key of a section, in words."""
+
+    name: str
+    kind: str
+    default: str
+    allowed: str
+    meaning: str
+
+
+def sections() -> Iterator[Section]:
+    """Every section of a configuration file, the file itself first."""
+    yield Section("", Config, optional=False, is_list=False)
+    yield from _below("", Config)
+
+
+def _below(above: str, kind: type[Any]) -> Iterator[Section]:
+    for name, hint in get_type_hints(kind).items():
+        inner, optional, is_list = _class(hint)
+        if inner is not None:
+            path = f"{above}{name}"
+            yield Section(path, inner, optional, is_list)
+            yield from _below(f"{path}[]." if is_list else f"{path}.", inner)
+
+
+def _class(hint: Any) -> tuple[type[Any] | None, bool, bool]:
+    """The settings class in a hint, whether None may stand for it, whether there are several."""
+    if is_dataclass(hint) and isinstance(hint, type):
+        return hint, False, False
+    parts = get_args(hint)
+    for part in parts:
+        inner, optional, is_list = _class(part)
+        if inner is not None:
+            return (
+                inner,
+                optional or NoneType in parts,
+                is_list or Ellipsis in parts or len(parts) > 2,
+            )
+    return None, False, False
+
+
+def keys(section: Section) -> Iterator[Key]:
+    """The keys of a section that are values, not sections."""
+    about = parameter_list.about(section.kind)
+    hints = get_type_hints(section.kind)
+    for field in fields(section.kind):
+        if _class(hints[field.name])[0] is None:
+            told = about[field.name]
+            yield Key(
+                field.name,
+                told["type"],
+                _default(field),
+                _allowed(told),
+                told.get("describe", ""),
+            )
+
+
+def meaning(section: Section) -> str:
+    """The first sentence of a section's class."""
+    return (section.kind.__doc__ or "").partition("\n")[0]
+
+
+def _default(field: Any) -> str:
+    if field.default is not MISSING:
+        return shown(field.default)
+    if field.default_factory is not MISSING:
+        return shown(field.default_factory())
+    return "must be given"
+
+
+def shown(value: Any) -> str:
+    """A value as a file has it."""
+    if isinstance(value, Enum):
+        return str(value.value)
+    if value is None:
+        return "none"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, (tuple, list)):
+        return "[" + ", ".join(map(shown, value)) + "]"
+    return str(value)
+
+
+def _allowed(told: dict[str, Any]) -> str:
+    if "choices" in told:
+        return ", ".join(map(shown, told["choices"]))
+    low, high = told.get("min"), told.get("max")
+    if low is None and high is None:
+        return ""
+    return f"{'' if low is None else shown(low)} .. {'' if high is None else shown(high)}".strip()
+
+
+def configuration_page() -> str:
+    """docs/configuration.md, below its hand-written head."""
+    lines = []
+    for section in sections():
+        listed = list(keys(section))
+        if section.name.partition(".")[0] in SECTIONS or not listed:
+            continue
+        lines += [f"## `{section.name}`" if section.name else "## The file", "", meaning(section)]
+        lines += ["Left out, it is not opened."] if section.optional else []
+        lines += ["", "| key | type | default | allowed | meaning |", "|---|---|---|---|---|"]
+        lines += [
+            f"| `{key.name}` | {key.kind} | {_cell(key.default)} | {_cell(key.allowed)} "
+            f"| {_text(key.meaning)} |"
+            for key in listed
+        ]
+        lines.append("")
+    return "\n".join(lines)
+
+
+def parameters_page() -> str:
+    """The tables of docs/parameters.md: every parameter with its default and when it may change."""
+    lines: list[str] = []
+    above = None
+    for told in parameter_list.every(Config(task="wheel.yaml")):
+        name = told["name"]
+        if name.partition(".")[0] not in SECTIONS:
+            continue
+        parent = name.rpartition(".")[0]
+        if parent != above:
+            above = parent
+            lines += ["", f"## `{parent}`", ""]
+            lines += ["| name | default | unit | allowed | changes | meaning |"]
+            lines += ["|---|---|---|---|---|---|"]
+        changes = told["change"] + (", not in contact" if told.get("in_contact") is False else "")
+        lines.append(
+            f"| `{name.rpartition('.')[2]}` | {_cell(shown(told['default']))} "
+            f"| {told.get('unit', '')} | {_cell(_allowed(told))} | {changes} "
+            f"| {_text(told.get('describe', ''))} |"
+        )
+    return "\n".join(lines[1:]) + "\n"
+
+
+def _cell(text: str) -> str:
+    return f"`{text}`" if text else ""
+
+
+def _text(text: str) -> str:
+    return text.replace("``", "`").replace("|", "\\|")

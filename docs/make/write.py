@@ -1,0 +1,57 @@
+"""Makes everything in docs that is generated; ``--check`` only tells what is out of step.
+
+Law of this file: which file is made of what. A page with a hand-written head keeps it: what is
+made begins below the line of ``reference.MADE``.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import shtab
+
+from docs.make import manual, programs, reference
+from linemate.daemon.service import config
+
+DOCS = Path(__file__).resolve().parents[1]
+
+
+def pages() -> Iterator[tuple[Path, str]]:
+    """Every generated file and what it should hold."""
+    yield DOCS / "linemated.schema.json", json.dumps(config.schema(), indent=1) + "\n"
+    for name, made in (
+        ("configuration.md", reference.configuration_page()),
+        ("parameters.md", reference.parameters_page()),
+    ):
+        path = DOCS / name
+        kept = path.read_text(encoding="utf-8").partition(reference.MADE)[0]
+        yield path, kept + reference.MADE + "\n" + made
+    yield DOCS / "man/linemated.yaml.5", manual.configuration_page()
+    for parser, number, what, more in programs.every():
+        yield DOCS / f"man/{parser.prog}.{number}", manual.program_page(parser, number, what, more)
+        for shell, name in (("bash", f"{parser.prog}.bash"), ("zsh", f"_{parser.prog}")):
+            yield DOCS / "completion" / name, shtab.complete(parser, shell).rstrip() + "\n"
+
+
+def main() -> int:
+    """Write or check."""
+    parser = argparse.ArgumentParser(prog="python -m docs.make.write", description=__doc__)
+    parser.add_argument("--check", action="store_true")
+    check = parser.parse_args().check
+    stale = []
+    for path, text in pages():
+        if path.exists() and path.read_text(encoding="utf-8") == text:
+            continue
+        stale.append(str(path.relative_to(DOCS.parent)))
+        if not check:
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(text, encoding="utf-8")
+    if stale and check:
+        print("out of step, `make docs-write`:", *stale, file=sys.stderr)
+    return 1 if stale and check else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
