@@ -168,6 +168,30 @@ def replay(pieces: Iterable[Piece], overrides: Overrides | None = None) -> Itera
             again.hear(piece)
 
 
+def again(
+    pieces: Iterable[Piece],
+) -> Iterator[tuple[StepRecord, stepping.Outputs, Parameters]]:
+    """Make every recorded step again, for what a recording does not hold: its horizon.
+
+    Args:
+        pieces: of a recording, in its order.
+
+    Returns:
+        The steps that could be made, what came out, and the parameters they were made with.
+
+    Raises:
+        ReplayError: as ``replay``.
+    """
+    made = _Again(Overrides())
+    for piece in pieces:
+        if not isinstance(piece, StepRecord):
+            made.hear(piece)
+            continue
+        made.step(piece)
+        if made.outputs is not None and made.parameters is not None:
+            yield piece, made.outputs, made.parameters
+
+
 def with_cycle(pieces: Iterable[Piece]) -> Iterator[Piece]:
     """Return the pieces, after telling the cycle time where an older recording does not."""
     rest = iter(pieces)
@@ -228,9 +252,14 @@ def _opaque(value: Any) -> bool:
 
 
 class _Again:
-    """Goes through a recording."""
+    """Goes through a recording.
+
+    Attributes:
+        outputs: of the last step, None if it could not be made.
+    """
 
     def __init__(self, overrides: Overrides) -> None:
+        self.outputs: stepping.Outputs | None = None
         self._overrides = overrides
         self._cell: tuple[TaskFile, str] | None = None
         self._written: Settings | None = None
@@ -239,6 +268,11 @@ class _Again:
         self._state: stepping.State | None = None
         self._next: int | None = None
         self._told: StateBefore | None = None
+
+    @property
+    def parameters(self) -> Parameters | None:
+        """In force."""
+        return self._parameters
 
     def hear(self, piece: Texts | StateBefore | InForce | Broken) -> None:
         """Take what is not a step."""
@@ -252,6 +286,7 @@ class _Again:
     def step(self, record: StepRecord) -> Verdict:
         """Make a step again."""
         inputs = record.inputs
+        self.outputs = None
         if self._parameters is None:
             raise ReplayError("the recording does not tell the parameters of its first step")
         begun = self._enter(record)
@@ -265,6 +300,7 @@ class _Again:
             why = f"{type(error).__name__}: {error}"
             return Verdict(inputs.k, inputs.stamp_ns, {}, unmade=why, begun=begun)
         self._next = inputs.k + 1
+        self.outputs = outputs
         changes = {}
         names = recording.differences(record, outputs)
         if names:

@@ -1,0 +1,1 @@
+"""The live view: a process of its own that shows a daemon, or a recording, in the browser."""

@@ -1,0 +1,69 @@
+"""What a recorded step foresaw: its horizon, made again from its inputs, in a process of its own.
+
+Law of this file: a recording holds only a digest of each horizon, but everything that led to it;
+so the steps are made again, as ``linemate replay`` does. Each says whether its digest is the
+recorded one; where another version of the program foresaw from another place, nothing is shown.
+``python -m linemate.daemon.view.foresight FILE`` prints one JSON line a step.
+"""
+
+import json
+import math
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from linemate.daemon import replay
+from linemate.daemon.horizon import Array
+from linemate.daemon.operator import recordings
+from linemate.daemon.recording import digest
+
+SHOWN: Final = 8
+SPACING_NS: Final = 30_000_000
+"""Between two steps that are shown [ns]; as ``tape.SPACING_NS``."""
+
+CLOSE: Final = 1e-3
+"""Between the recorded pose and the one made again, for the horizon to be shown [m]."""
+
+
+def foreseen(path: Path) -> Iterator[tuple[int, bool, list[list[float]]]]:
+    """Return step numbers, whether all bits are the recorded ones, and positions in base [m].
+
+    Args:
+        path: of the recording.
+
+    Raises:
+        UnreadableRecordingError, ReplayError: it cannot be replayed.
+    """
+    last_ns = None
+    pieces = replay.with_cycle(recordings.pieces(path))
+    for record, outputs, parameters in replay.again(pieces):
+        stamp_ns, horizon = record.inputs.stamp_ns, outputs.horizon
+        if last_ns is not None and 0 <= stamp_ns - last_ns < SPACING_NS:
+            continue
+        if horizon is None or math.dist(outputs.target[:3], record.outputs["target"][:3]) > CLOSE:
+            continue
+        last_ns = stamp_ns
+        exact = digest(horizon) == record.outputs.get("horizon")
+        yield record.inputs.k, exact, _points(horizon, parameters.tracker.reference.nominal)
+
+
+def _points(horizon: Array, nominal: Array) -> list[list[float]]:
+    chosen = np.linspace(0, len(horizon) - 1, min(SHOWN, len(horizon))).round().astype(int)
+    points: list[list[float]] = (horizon[chosen, :3] @ nominal.T).round(5).tolist()
+    return points
+
+
+def main() -> int:
+    """Print what a recording's steps foresaw, as JSON lines."""
+    os.nice(10)
+    for k, exact, points in foreseen(Path(sys.argv[1])):
+        print(json.dumps([k, exact, points], separators=(",", ":")), flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

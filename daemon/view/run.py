@@ -1,0 +1,100 @@
+"""The view's process: a page served until somebody ends it, with what it shows beside it.
+
+Law of this file: it wires; the event loop is its own and the daemon's is another process's.
+"""
+
+import asyncio
+import ipaddress
+import signal
+import sys
+import webbrowser
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from linemate.daemon.operator.client import Client
+from linemate.daemon.view import tape
+from linemate.daemon.view.board import Board
+from linemate.daemon.view.live import Live
+from linemate.daemon.view.server import Server
+from linemate.daemon.view.site import LiveSite, TapeSite
+
+
+@dataclass(frozen=True, slots=True)
+class Where:
+    """Where the page is.
+
+    Attributes:
+        host: numeric address.
+        port: 0 takes any.
+        is_opened: in a browser, at once.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 0
+    is_opened: bool = False
+
+
+async def watch(make: Callable[[], Client], source: str, where: Where) -> None:
+    """Show a daemon until told to end.
+
+    Args:
+        make: a client that has not been used.
+        source: what the daemon is called.
+        where: the page is.
+
+    Raises:
+        OSError: the port is taken.
+    """
+    make().close()  # a key that cannot be read is said at once
+    board = Board()
+    live = Live(make, board, asyncio.get_running_loop().call_soon_threadsafe)
+    live.start()
+    try:
+        await serve(LiveSite(board, source), where)
+    finally:
+        await asyncio.to_thread(live.end)
+
+
+async def play(paths: Sequence[Path], where: Where) -> None:
+    """Show recordings until told to end.
+
+    Args:
+        paths: of the files.
+        where: the page is.
+
+    Raises:
+        OSError: the port is taken.
+        UnreadableRecordingError: a file is no recording.
+    """
+    tapes = [await asyncio.to_thread(tape.read, path) for path in paths]
+    site = TapeSite(tapes, paths)
+    foresight = asyncio.create_task(site.foresee())
+    try:
+        await serve(site, where)
+    finally:
+        foresight.cancel()
+        await asyncio.gather(foresight, return_exceptions=True)
+
+
+async def serve(site: LiveSite | TapeSite, where: Where) -> None:
+    """Listen, tell the address on standard output, and wait for a signal.
+
+    Raises:
+        OSError: the port is taken.
+    """
+    ended = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, ended.set)
+    server = Server(site.ask, where.host, where.port)
+    await server.open()
+    try:
+        print(server.address, flush=True)
+        if not ipaddress.ip_address(where.host).is_loopback:
+            print("linemate view: whoever reaches this address can look on", file=sys.stderr)
+        if where.is_opened:
+            await asyncio.to_thread(webbrowser.open, server.address)
+        await ended.wait()
+    finally:
+        await server.close()

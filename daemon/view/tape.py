@@ -1,0 +1,296 @@
+"""A recording as the page plays it: all of its frames, its happenings, and a small overview.
+
+Law of this file: one file in, plain values out. It is read once, by whoever may wait for it;
+after that everything is a look-up. What is too long is shown as far as it goes, and that is said.
+"""
+
+import json
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from linemate.daemon.operator import recordings
+from linemate.daemon.operator.recordings import UnreadableRecordingError
+from linemate.daemon.view.frames import Frame, Framer
+from linemate.daemon.view.scene import Scene, of
+
+if TYPE_CHECKING:
+    from linemate.daemon.recording import StepRecord
+
+SPACING_NS: Final = 30_000_000
+"""Between two frames [ns]; a change of state or class has a frame of its own."""
+
+MOST_FRAMES: Final = 120_000  # an hour
+MOST_HAPPENINGS: Final = 2000
+MOST_ASKED: Final = 500
+"""Frames in one answer."""
+
+OVERVIEW: Final = 1500
+"""Points of the overview."""
+
+NEAR: Final = 12
+"""Steps by which a horizon may be older than the frame that shows it."""
+
+TIMING: Final = "/linemate/timing"
+LOG: Final = "/log"
+SENSORS: Final = ("distance", "camera", "wrench")
+SHOWN: Final = ("phase", "task_time", "scenario", "scenario_state", "confidence", "speed",
+                "contact", "held", "overload", "target", "sensed", "part", "command")  # fmt: skip
+
+
+@dataclass(slots=True)
+class Tape:
+    """A recording, read.
+
+    Attributes:
+        name: of the file.
+        scene: of the cell.
+        frames: oldest first; ``t`` counts from the first one [s].
+        happened: time [s] and text.
+        trouble: why not all of it is here, empty if it is.
+        steps: in the file.
+        foreseen: positions by step, as far as they have been made again.
+        inexact: of them, how many are not bit for bit the recorded ones.
+    """
+
+    name: str
+    scene: Scene
+    frames: list[Frame] = field(default_factory=list)
+    happened: list[tuple[float, str]] = field(default_factory=list)
+    trouble: str = ""
+    steps: int = 0
+    foreseen: dict[int, list[list[float]]] = field(default_factory=dict)
+    inexact: int = 0
+    _numbers: list[int] = field(default_factory=list)
+
+    @property
+    def length_s(self) -> float:
+        """From the first frame to the last [s]."""
+        return float(self.frames[-1]["t"]) if self.frames else 0.0
+
+    def between(self, first: int, last: int) -> list[Frame]:
+        """Return some frames.
+
+        Args:
+            first: number of the first one.
+            last: number behind the last one; at most MOST_ASKED are given.
+        """
+        first = max(0, first)
+        last = min(last, first + MOST_ASKED, len(self.frames))
+        return [self._with_foresight(frame) for frame in self.frames[first:last]]
+
+    def foresee(self, k: int, points: list[list[float]], *, exact: bool = True) -> None:
+        """Take in what was foreseen at a step; steps come in their order."""
+        self.foreseen[k] = points
+        self.inexact += not exact
+        self._numbers.append(k)
+
+    def told(self) -> dict[str, Any]:
+        """What the page is told of all of it, plain values."""
+        return {
+            "name": self.name,
+            "scene": self.scene.told(),
+            "length_s": self.length_s,
+            "steps": self.steps,
+            "trouble": self.trouble,
+            "times": [frame["t"] for frame in self.frames],
+            "happened": [{"t": t, "text": text} for t, text in self.happened],
+            "overview": overview(self.frames),
+            "summary": summary(self.frames),
+        }
+
+    def _with_foresight(self, frame: Frame) -> Frame:
+        at = bisect_right(self._numbers, frame["k"]) - 1
+        if at < 0 or frame["k"] - self._numbers[at] > NEAR or frame.get("state") == "idle":
+            return frame
+        return {**frame, "foreseen": self.foreseen[self._numbers[at]]}
+
+
+def overview(frames: Sequence[Frame]) -> list[dict[str, Any]]:
+    """Return at most OVERVIEW moments of a recording: the worst of each stretch.
+
+    Args:
+        frames: oldest first.
+    """
+    stride = max(1, -(-len(frames) // OVERVIEW))
+    return [_worst(frames[i : i + stride]) for i in range(0, len(frames), stride)]
+
+
+def _worst(stretch: Sequence[Frame]) -> dict[str, Any]:
+    last = stretch[-1]
+    told: dict[str, Any] = {
+        name: last[name] for name in ("state", "phase", "scenario", "speed") if name in last
+    }
+    told["t"] = stretch[0]["t"]
+    told["tentative"] = any(frame["tentative"] for frame in stretch)
+    for name, worst in (("confidence", max), ("slack_ms", min)):
+        values = [frame[name] for frame in stretch if name in frame]
+        if values:
+            told[name] = worst(values)
+    errors: dict[str, float] = {}
+    for frame in stretch:
+        for name, value in frame["errors"].items():
+            errors[name] = max(value, errors.get(name, 0.0))
+    told["errors"] = errors
+    return told
+
+
+def summary(frames: Sequence[Frame]) -> list[dict[str, Any]]:
+    """Return a table of errors by the operating state: of the frames, root mean square and worst.
+
+    Args:
+        frames: oldest first.
+    """
+    rows: dict[tuple[str, str], list[Frame]] = {}
+    for frame in frames:
+        moves = frame.get("state") in {"track", "contact", "retreat"}
+        if moves and frame.get("phase") != "wait":
+            rows.setdefault((frame["state"], frame.get("scenario", "")), []).append(frame)
+    return [
+        {"state": state, "scenario": scenario, "seconds": _seconds(found), **_table(found)}
+        for (state, scenario), found in rows.items()
+    ]
+
+
+def _seconds(frames: Sequence[Frame]) -> float:
+    return round(len(frames) * SPACING_NS * 1e-9, 1)
+
+
+def _table(frames: Sequence[Frame]) -> dict[str, Any]:
+    told: dict[str, Any] = {}
+    for name in ("control_mm", "plan_mm"):
+        values = [frame["errors"][name] for frame in frames if name in frame["errors"]]
+        if values:
+            mean = sum(value * value for value in values) / len(values)
+            told[name] = {"rms": round(mean**0.5, 3), "max": round(max(values), 3)}
+    return told
+
+
+def read(path: Path) -> Tape:
+    """Read a recording.
+
+    Raises:
+        UnreadableRecordingError: it is none, or cannot be opened.
+    """
+    from mcap.records import Message, Metadata
+
+    from linemate.daemon.recording import RecordingError, decode
+
+    reading: _Reading | None = None
+    layout: dict[str, tuple[str, ...]] = {}
+    topics: dict[int, str] = {}
+    trouble = ""
+    try:
+        with path.open("rb") as stream:
+            for record in recordings.records(stream, topics):
+                if isinstance(record, str):
+                    trouble = f"the recording breaks off: {record}"
+                elif isinstance(record, Metadata) and record.name == recordings.METADATA:
+                    layout = recordings.layout_of(record.metadata)
+                    reading = reading or _Reading(Tape(path.name, of(record.metadata)))
+                elif isinstance(record, Message) and reading is not None:
+                    topic = topics[record.channel_id]
+                    if topic == recordings.TOPIC:
+                        reading.step(decode(record.data, layout))
+                    elif topic == TIMING:
+                        reading.timing(json.loads(record.data))
+                    elif topic == LOG:
+                        reading.line(record.publish_time, json.loads(record.data)["message"])
+                    elif topic == recordings.PARAMETERS:
+                        reading.cycle(json.loads(record.data)["settings"].get("cycle_s"))
+                    if len(reading.tape.frames) >= MOST_FRAMES:
+                        trouble = f"longer than {MOST_FRAMES} frames: shown as far as they go"
+                        break
+    except OSError as error:
+        raise UnreadableRecordingError(f"{path}: {error.strerror}") from error
+    except (RecordingError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UnreadableRecordingError(f"{path}: not a linemate recording: {error}") from error
+    if reading is None:
+        raise UnreadableRecordingError(f"{path}: not a linemate recording")
+    return reading.end(trouble)
+
+
+class _Reading:
+    """A recording as it is read, record by record."""
+
+    def __init__(self, tape: Tape) -> None:
+        self.tape = tape
+        self._framer = Framer(tape.scene)
+        self._first_ns: int | None = None
+        self._shown_ns = 0
+        self._cycle_ms: float | None = None
+        self._turnaround_us: float | None = None
+        self._joints: tuple[float, ...] | None = None
+        self._joints_ns = 0
+        self._newest_ns: dict[str, int] = {}
+        self._samples = dict.fromkeys((*SENSORS, "robot"), 0)
+        self._marks: tuple[object, ...] = ()
+        self._lines: list[tuple[int, str]] = []
+
+    def cycle(self, cycle_s: object) -> None:
+        """Take in the cycle's time."""
+        if isinstance(cycle_s, (int, float)):
+            self._cycle_ms = round(1e3 * cycle_s, 6)
+
+    def timing(self, told: Mapping[str, Any]) -> None:
+        """Take in what a cycle took."""
+        turnaround_ns = told.get("turnaround_ns")
+        if turnaround_ns is not None:
+            self._turnaround_us = turnaround_ns / 1e3
+
+    def line(self, stamp_ns: int, text: str) -> None:
+        """Take in a line of the log."""
+        if len(self._lines) < MOST_HAPPENINGS:
+            self._lines.append((stamp_ns, str(text)))
+
+    def step(self, record: "StepRecord") -> None:
+        """Take in a step; some become frames."""
+        inputs, outputs = record.inputs, record.outputs
+        self.tape.steps += 1
+        if inputs.robot is not None:
+            self._joints = (*inputs.robot.joints, *inputs.robot.external)
+            self._joints_ns = inputs.robot.stamp_ns
+            self._samples["robot"] += 1
+        for name in SENSORS:
+            found = getattr(inputs, name)
+            if found:
+                self._newest_ns[name] = found[-1].stamp_ns
+                self._samples[name] += len(found)
+        told = {name: outputs.get(name) for name in SHOWN}
+        told |= {"stamp_ns": inputs.stamp_ns, "k": inputs.k, "state": record.state}
+        marks = (record.state, told["phase"], told["scenario"], told["scenario_state"])
+        due = not 0 <= inputs.stamp_ns - self._shown_ns < SPACING_NS
+        if not due and marks == self._marks:
+            self._framer.note(told)
+            return
+        self._marks, self._shown_ns = marks, inputs.stamp_ns
+        self._show(told)
+
+    def _show(self, told: dict[str, Any]) -> None:
+        stamp_ns = told["stamp_ns"]
+        if self._first_ns is None:
+            self._first_ns = stamp_ns
+        if self._joints is not None:
+            told["measured"] = self._joints[: len(told["command"])]
+            told["measured_ns"] = self._joints_ns
+        told["ages_ms"] = {
+            name: round(max(0, stamp_ns - newest_ns) / 1e6, 1)
+            for name, newest_ns in self._newest_ns.items()
+        }
+        told["samples"] = dict(self._samples)
+        told["cycle_ms"], told["turnaround_us"] = self._cycle_ms, self._turnaround_us
+        frame = self._framer.frame(told)
+        if frame is not None:
+            frame["t"] = round((stamp_ns - self._first_ns) * 1e-9, 4)
+            if not self.tape.frames or frame["t"] > self.tape.frames[-1]["t"]:
+                self.tape.frames.append(frame)
+
+    def end(self, trouble: str) -> Tape:
+        """Return the tape: what happened is dated from its first frame."""
+        first_ns = self._first_ns or 0
+        lines = [(round(max(0, ns - first_ns) * 1e-9, 3), text) for ns, text in self._lines]
+        self.tape.happened = sorted(lines, key=lambda one: one[0])
+        self.tape.trouble = trouble
+        return self.tape
