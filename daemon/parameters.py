@@ -17,10 +17,10 @@ from linemate.daemon.tracking.classifier_bank import BankClassifier
 from linemate.daemon.tracking.classifier_imm import ImmClassifier
 from linemate.daemon.tracking.classifier_rule import RuleClassifier
 from linemate.daemon.tracking.conveyor import Classifier
-from linemate.daemon.tracking.reference import compile_reference
+from linemate.daemon.tracking.reference import compile_reference, tabulated
 from linemate.daemon.tracking.settings import ClassifierKind, TrackingSettings
 from linemate.daemon.tracking.task import Phase, TaskFile
-from linemate.daemon.tracking.tracker import Foresight, Tracker
+from linemate.daemon.tracking.tracker import Foresight, Tracker, hanging
 from linemate.daemon.tracking.transverse import Transverse
 
 HISTORY = 0.45  # of the robot's pose, to look up exposures in [s]
@@ -95,21 +95,24 @@ def build(
     across = merge.merge_matrix(tracking.merge.across, cycle_s, controller.steps - commit)
     camera = task.arm.camera_in_tcp
     reference = compile_reference(task)
+    table = tabulated(reference, cycle_s, controller.steps)
+    clock = np.arange(len(table.poses)) * cycle_s
+    leave = reference.time_of(Phase.RETREAT)
     tracker = Tracker(
         task=task,
         settings=tracking,
         reference=reference,
         classifier=_classifier(task, tracking),
         transverse=Transverse(tracking.fusion, tracking.swing),
+        table=table,
         camera=(np.array(camera.position), rotations.matrix(camera.quaternion)),
         cycle_s=cycle_s,
         steps=controller.steps,
         commit=commit,
         matrices=np.stack([along if axis == 1 else across for axis in range(6)]),
         history_length=math.ceil(HISTORY / cycle_s),
-        contact_blend=control_settings.filters.contact_blend,
         span=np.arange(controller.steps + 1) * cycle_s,
-        leave=reference.time_of(Phase.RETREAT),
+        free=hanging(reference, leave, control_settings.filters.contact_blend, clock),
     )
     return Parameters(tracker, controller, cycle_s, control_settings)
 

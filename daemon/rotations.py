@@ -21,25 +21,33 @@ def skew(v: Array) -> Array:
     return np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
 
 
+def _combined(x: float, y: float, z: float, one: float, cross: float, outer: float) -> Array:
+    """Return ``one I + cross skew(r) + outer r r'`` (3, 3): all functions of a turn are that.
+
+    In plain floats: a third of what the same sums of small arrays take.
+    """
+    ox, oy, oz = outer * x, outer * y, outer * z
+    xy, xz, yz = ox * y, ox * z, oy * z
+    cx, cy, cz = cross * x, cross * y, cross * z
+    return np.array(
+        (
+            (one + ox * x, xy - cz, xz + cy),
+            (xy + cz, one + oy * y, yz - cx),
+            (xz - cy, yz + cx, one + oz * z),
+        )
+    )
+
+
 def exp(r: Array) -> Array:
     """Return the rotation matrix (3, 3) of a rotation vector (3,) [rad] (Rodrigues)."""
-    x, y, z = float(r[0]), float(r[1]), float(r[2])
+    x, y, z = r.tolist()
     angle2 = x * x + y * y + z * z
     if angle2 < SMALL * SMALL:
         a, b = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0
     else:
         angle = math.sqrt(angle2)
         a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle2
-    xx, yy, zz = b * x * x, b * y * y, b * z * z
-    xy, xz, yz = b * x * y, b * x * z, b * y * z
-    ax, ay, az = a * x, a * y, a * z
-    return np.array(
-        (
-            (1.0 - yy - zz, xy - az, xz + ay),
-            (xy + az, 1.0 - xx - zz, yz - ax),
-            (xz - ay, yz + ax, 1.0 - xx - yy),
-        )
-    )
+    return _combined(x, y, z, 1.0 - b * angle2, a, b)
 
 
 def log(R: Array) -> Array:
@@ -93,26 +101,26 @@ def matrix(q: Quaternion) -> Array:
 
 def left_jacobian_inverse(r: Array) -> Array:
     """Return J_l^-1(r), so that ``log(exp(d) @ exp(r)) = r + J_l^-1(r) d`` for small d."""
-    angle = math.sqrt(float(r[0]) ** 2 + float(r[1]) ** 2 + float(r[2]) ** 2)
-    W = skew(r)
-    if angle < 1e-4:
+    x, y, z = r.tolist()
+    angle2 = x * x + y * y + z * z
+    if angle2 < 1e-8:
         c = 1.0 / 12.0
     else:
-        half = 0.5 * angle
-        c = (1.0 - half / math.tan(half)) / (angle * angle)
-    return EYE - 0.5 * W + c * (W @ W)
+        half = 0.5 * math.sqrt(angle2)
+        c = (1.0 - half / math.tan(half)) / angle2
+    return _combined(x, y, z, 1.0 - c * angle2, -0.5, c)
 
 
 def left_jacobian(r: Array) -> Array:
     """Return J_l(r), so that ``exp(r + e) = exp(J_l(r) e) @ exp(r)`` for small e."""
-    angle2 = float(r[0]) ** 2 + float(r[1]) ** 2 + float(r[2]) ** 2
+    x, y, z = r.tolist()
+    angle2 = x * x + y * y + z * z
     if angle2 < 1e-8:
         a, b = 0.5, 1.0 / 6.0
     else:
         angle = math.sqrt(angle2)
         a, b = (1.0 - math.cos(angle)) / angle2, (angle - math.sin(angle)) / (angle2 * angle)
-    W = skew(r)
-    return EYE + a * W + b * (W @ W)
+    return _combined(x, y, z, 1.0 - b * angle2, a, b)
 
 
 def exp_many(r: Array) -> Array:
@@ -133,14 +141,6 @@ def exp_many(r: Array) -> Array:
 def log_many(R: Array) -> Array:
     """Return rotation vectors (m, 3) of rotation matrices (m, 3, 3), angles below pi."""
     return np.array([log(each) for each in R])
-
-
-def exp_each(r: Array, before: Array) -> Array:
-    """Return ``before @ exp(r_i)`` (m, 3, 3) of a few rotation vectors (m, 3).
-
-    For some ten of them a loop is quicker than ``exp_many``.
-    """
-    return np.array([before @ exp(each) for each in r])
 
 
 def exp_quaternion(x: float, y: float, z: float) -> Quaternion:

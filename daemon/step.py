@@ -8,11 +8,12 @@ can be ready before its telegram comes; nothing is lost by it, the commands are 
     smooth -> damp -> inverse kinematics -> feed-forward -> limits -> q_c
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from linemate.daemon import rotations
+from linemate.daemon.changed import changed
 from linemate.daemon.control import controller as control
 from linemate.daemon.control import limits
 from linemate.daemon.horizon import Array
@@ -32,7 +33,7 @@ REST_DISTANCE = 0.02  # from the programme's first pose, at most, to start [m]
 REST_ANGLE = 0.05  # [rad]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class State:
     """Everything a step remembers.
 
@@ -102,15 +103,13 @@ class Outputs:
 def _joints(parameters: Parameters, robot: RobotSample) -> Array:
     """Return a telegram's joints as the controller orders them (axes,)."""
     if parameters.controller.arm.linear_axis:
-        return np.array((*robot.joints, robot.external[0]))
+        return np.array(robot.joints + robot.external[:1])
     return np.array(robot.joints)
 
 
 def _tcp(parameters: Parameters, joints: Array) -> Array:
     """Return the undeflected tcp (6,) in c."""
-    position, rotation = parameters.controller.arm.tcp_in_base(joints)
-    C = parameters.tracker.reference.nominal
-    return np.concatenate((C.T @ position, rotations.log(C.T @ rotation)))
+    return parameters.controller.arm.tcp_in(parameters.tracker.reference.nominal, joints)
 
 
 def _axis(parameters: Parameters, joints: Array) -> float:
@@ -164,10 +163,10 @@ def step(state: State, inputs: Inputs, parameters: Parameters) -> tuple[State, O
 def _applied(state: State, inputs: Inputs) -> State:
     """Return the state with its gate at what the robot has: without a command it holds."""
     if inputs.sent:
-        return replace(state, applied=state.control.gate.position)
+        return changed(state, applied=state.control.gate.position)
     applied = state.applied if inputs.applied is None else np.array(inputs.applied)
     gate = limits.at_rest(applied)
-    return replace(state, applied=applied, control=replace(state.control, gate=gate))
+    return changed(state, applied=applied, control=changed(state.control, gate=gate))
 
 
 def _hold(
@@ -186,7 +185,7 @@ def _hold(
         tracker = tracking.rest(parameters.tracker, tracker, pose, _axis(parameters, joints))
         state = State(tracker, steered, state.applied, moving=not still)
     else:
-        state = replace(state, tracker=tracker)
+        state = changed(state, tracker=tracker)
     return state, _outputs(state, inputs, report, None, held, parameters)
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from linemate.daemon import rotations
+from linemate.daemon.changed import changed
 from linemate.daemon.control import inverse_filter, limits
 from linemate.daemon.control.kinematics import Arm, UnreachableError
 from linemate.daemon.control.limits import Limits
@@ -30,6 +31,8 @@ class Controller:
         smoothing: taps (n_imp + 1,) of (16).
         effector: taps (n_l + 1 + n_u, 6) of (11), in the tool's frame.
         effector_past: n_l.
+        damper: (6, n_rob + 1, n_l + n_rob + 1 + n_u) the change that (11) makes of x_s, each
+            component's taps as rows of a matrix.
         servo: taps (past + 1 + n_rob, axes) of (12).
         servo_past: steps of (12) in the past.
         limits: of the last gate.
@@ -43,6 +46,7 @@ class Controller:
     smoothing: Array
     effector: Array
     effector_past: int
+    damper: Array
     servo: Array
     servo_past: int
     limits: Limits
@@ -56,7 +60,7 @@ class Controller:
         return len(self.servo) - 1 - self.servo_past
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class ControlState:
     """What control remembers.
 
@@ -64,12 +68,14 @@ class ControlState:
         smooth: (n_l, 6) the last x_s(0), oldest first.
         passed: (servo_past, axes) the last q_d(0), oldest first.
         desired: (n_rob + 1, axes) q_d of the last step, the next guess.
+        wanted: (n_rob + 1, 6) the x_d that they are for.
         gate: of the commands.
     """
 
     smooth: Array
     passed: Array
     desired: Array
+    wanted: Array
     gate: limits.GateState
 
 
@@ -119,6 +125,7 @@ def compile_controller(settings: ControlSettings, arm: Arm, cycle_s: float) -> C
         smoothing=smoothing,
         effector=effector,
         effector_past=-int(reach[0]),
+        damper=_damper(effector, -int(reach[0]), int(taps[-1]) + 1),
         servo=servo,
         servo_past=-int(taps[0]),
         limits=bounds,
@@ -126,6 +133,16 @@ def compile_controller(settings: ControlSettings, arm: Arm, cycle_s: float) -> C
         steps=max(needed, math.ceil(settings.horizon_s / cycle_s)),
         contact_steps=max(round(filters.contact_blend / cycle_s), 1),
     )
+
+
+def _damper(taps: Array, past: int, count: int) -> Array:
+    """Return the change that a filter makes, for ``count`` steps: its rows less what goes in."""
+    length, components = taps.shape
+    rows = np.zeros((components, count, count + length - 1))
+    for i in range(count):
+        rows[:, i, i : i + length] = taps.T
+        rows[:, i, i + past] -= 1.0
+    return rows
 
 
 def _gentle(brake: BrakeSettings, bounds: Limits) -> Limits:
@@ -146,6 +163,7 @@ def at_rest(controller: Controller, joints: Array, pose: Array) -> ControlState:
         smooth=np.tile(pose, (controller.effector_past, 1)),
         passed=np.tile(joints, (controller.servo_past, 1)),
         desired=np.tile(joints, (controller.preview + 1, 1)),
+        wanted=np.tile(pose, (controller.preview + 1, 1)),
         gate=limits.at_rest(joints),
     )
 
@@ -169,25 +187,21 @@ def damp(controller: Controller, smoothed: Array, free: Array, first: int = 0) -
         free: (n_rob + 1,) share of (11) at each step.
         first: the first step that is wanted.
     """
-    taps, past = controller.effector, controller.effector_past
-    smoothed = smoothed[first:]
+    past = controller.effector_past
     count = controller.preview + 1 - first
-    here = smoothed[past : past + count]
+    here = smoothed[first + past : first + past + count]
     turn = rotations.exp(here[0, 3:])
     # A change of the rotation vector is a turn about the tool's axes by way of J_r = J_l(-r).
     body = rotations.left_jacobian(-here[0, 3:])
     back = rotations.left_jacobian_inverse(-here[0, 3:])
-    tool = np.empty_like(smoothed)
-    tool[:, :3] = smoothed[:, :3] @ turn
-    tool[:, 3:] = smoothed[:, 3:] @ body.T
-    # The taps sum to 1: the filter's change is its answer less what goes in.
-    change = -tool[past : past + count]
-    for j, tap in enumerate(taps):
-        change += tool[j : j + count] * tap
-    change *= free[first:, None]
+    tool = np.empty((6, len(smoothed) - first, 1))
+    np.matmul(turn.T, smoothed[first:, :3].T, out=tool[:3, :, 0])
+    np.matmul(body, smoothed[first:, 3:].T, out=tool[3:, :, 0])
+    change = (controller.damper[:, first:, first:] @ tool)[:, :, 0]
+    change *= free[first:]
     desired = here.copy()
-    desired[:, :3] += change[:, :3] @ turn.T
-    desired[:, 3:] += change[:, 3:] @ back.T
+    desired[:, :3] += (turn @ change[:3]).T
+    desired[:, 3:] += (back @ change[3:]).T
     return desired
 
 
@@ -207,21 +221,23 @@ def follow(
     reach = ahead + len(controller.smoothing) - 1
     kept = min(max(horizon.committed - reach + 1, 0), count - 1)
     smoothed = np.concatenate((state.smooth, smooth(controller, horizon.poses, count + ahead)))
-    wanted = damp(controller, smoothed, horizon.free[:count], kept)
-    C = horizon.nominal
+    wanted = np.empty((count, 6))
+    wanted[:kept] = state.wanted[1 : kept + 1]
+    wanted[kept:] = damp(controller, smoothed, horizon.free[:count], kept)
+    before = np.concatenate((state.wanted[kept + 1 :], state.wanted[-1:]))
     last = state.desired
-    guesses = np.concatenate((last[kept + 1 :], 2.0 * last[-1:] - last[-2:-1]))
+    guesses = np.empty((count - kept, last.shape[1]))
+    guesses[:-1] = last[kept + 1 :]
+    guesses[-1] = 2.0 * last[-1] - last[-2]
     if controller.arm.linear_axis:
         guesses[:, 6] = horizon.axis[kept:count]
     try:
-        solved, _ = controller.arm.follow(
-            guesses, wanted[:, :3] @ C.T, rotations.exp_each(wanted[:, 3:], C)
-        )
+        solved, _ = controller.arm.follow(guesses, wanted[kept:], horizon.nominal, before)
     except UnreachableError as error:
         return stop(controller, state), str(error)
     desired = np.concatenate((last[1 : kept + 1], solved))
     window = np.concatenate((state.passed, desired))
-    command = np.einsum("ij,ij->j", controller.servo, window)
+    command = (controller.servo * window).sum(axis=0)
     gate, held = limits.admit(state.gate, command, controller.limits, controller.cycle_s)
     past = controller.effector_past
     return (
@@ -229,6 +245,7 @@ def follow(
             smooth=smoothed[1 : past + 1],
             passed=window[1 : controller.servo_past + 1],
             desired=desired,
+            wanted=wanted,
             gate=gate,
         ),
         held,
@@ -238,4 +255,4 @@ def follow(
 def stop(controller: Controller, state: ControlState) -> ControlState:
     """Return the state after one step of a gentle stop within the limits."""
     gate = limits.brake(state.gate, controller.limits, controller.cycle_s, controller.gentle)
-    return replace(state, gate=gate)
+    return changed(state, gate=gate)

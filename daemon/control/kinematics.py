@@ -4,15 +4,20 @@ Law of this file: the only one that knows pinocchio, whose values are untyped an
 Joint vectors are A1..A6 [rad] and then E1 [m] where there is a linear axis; poses stand in base.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from scipy.linalg.lapack import dgesv as _solve
 
+from linemate.daemon import rotations
 from linemate.daemon.horizon import Array
 
 _LOCAL = pin.ReferenceFrame.LOCAL
+_ORIGIN = np.zeros(3)
+CHANGED = 1e-3  # of a pose, beyond which a list is looked at whole [m, rad]
 
 
 class KinematicsError(ValueError):
@@ -36,6 +41,7 @@ class Arm:
     """A six-axis arm, with or without a linear axis in front of it.
 
     Attributes:
+        tcp: the undeflected tcp's frame in the model.
         linear_axis: the first joint of the URDF is E1.
         lower, upper: (m,) position limits of the URDF, A1..A6 then E1.
     """
@@ -43,8 +49,7 @@ class Arm:
     model: Any
     data: Any
     flange: int
-    tcp_in_flange: Any
-    flange_in_tcp: Any
+    tcp: int
     linear_axis: bool
     lower: Array
     upper: Array
@@ -62,9 +67,26 @@ class Arm:
 
     def tcp_in_base(self, joints: Array) -> tuple[Array, Array]:
         """Return position (3,) [m] and rotation (3, 3) of the undeflected tcp in base."""
-        pin.forwardKinematics(self.model, self.data, self._order(joints))
-        pose = pin.updateFramePlacement(self.model, self.data, self.flange) * self.tcp_in_flange
+        pose = self._placed(self._order(joints))
         return pose.translation.copy(), pose.rotation.copy()
+
+    def tcp_in(self, nominal: Array, joints: Array) -> Array:
+        """Return the undeflected tcp (6,), position and rotation vector, in a frame c.
+
+        Args:
+            nominal: (3, 3) C, the axes of c in base.
+            joints: (axes,).
+        """
+        pose = self._placed(self._order(joints))
+        found = np.empty(6)
+        found[:3] = pose.translation @ nominal
+        found[3:] = pin.log3(nominal.T @ pose.rotation)
+        return found
+
+    def _placed(self, q: Array) -> Any:
+        """Return the tcp's placement; of data that the next call writes over."""
+        pin.forwardKinematics(self.model, self.data, q)
+        return pin.updateFramePlacement(self.model, self.data, self.tcp)
 
     def solve(
         self, guess: Array, position: Array, rotation: Array, *, tolerance: float = 1e-9
@@ -76,34 +98,43 @@ class Arm:
         Raises:
             UnreachableError: no convergence in 50 iterations.
         """
-        target = pin.SE3(rotation, position) * self.flange_in_tcp
+        target = pin.SE3(rotation, position)
         q = self._order(guess).copy()
         arm = slice(1, 7) if self.linear_axis else slice(0, 6)
         residual = np.inf
         for _ in range(50):
-            pin.computeJointJacobians(self.model, self.data, q)
-            here = pin.updateFramePlacement(self.model, self.data, self.flange)
-            error = pin.log6(here.actInv(target)).vector
+            error = pin.log6(self._placed(q).actInv(target)).vector
             residual = float(np.abs(error).max())
             if residual < tolerance:
                 return np.concatenate((q[1:7], q[:1])) if self.linear_axis else q
             if not np.isfinite(residual):
                 break  # a pose that is no number; least squares would raise something else
-            J = pin.getFrameJacobian(self.model, self.data, self.flange, pin.ReferenceFrame.LOCAL)[
-                :, arm
-            ]
+            J = pin.computeFrameJacobian(self.model, self.data, q, self.tcp, _LOCAL)[:, arm]
             step = np.linalg.lstsq(J, error, rcond=1e-6)[0]
             q[arm] += step * min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-12))
         raise UnreachableError(residual)
 
     def follow(
-        self, guesses: Array, positions: Array, rotations: Array, tolerance: float = 2e-5
+        self,
+        guesses: Array,
+        poses: Array,
+        nominal: Array,
+        before: Array | None = None,
+        tolerance: float = 2e-5,
     ) -> tuple[Array, float]:
         """Return the joints (m, axes) for m neighbouring poses, each from its own warm guess.
 
         One Jacobian serves all poses: the guesses are last step's answers, off by micrometres,
-        so that its change over the horizon is of second order. A pose that is left off by more
-        than ``tolerance`` is solved alone.
+        so that its change over the list is of second order. Where it is known for which poses
+        they were the answers, the first and the last alone are looked at exactly; what is left
+        off in between is put right when a pose has come to the front, before it is committed.
+
+        Args:
+            guesses: (m, axes), m >= 2; the linear axis stays where they have it.
+            poses: (m, 6) of the tcp in a frame c, position [m] and rotation vector [rad].
+            nominal: (3, 3) C, the axes of c in base.
+            before: (m, 6) for which the guesses were found, or None.
+            tolerance: of a pose that is solved alone [m, rad].
 
         Returns:
             The joints, and the largest correction that was made [m, rad].
@@ -111,34 +142,48 @@ class Arm:
         Raises:
             UnreachableError: a pose that no iteration reaches.
         """
-        model, data, flange = self.model, self.data, self.flange
-        off = self.flange_in_tcp
-        arm = slice(1, 7) if self.linear_axis else slice(0, 6)
-        q = np.column_stack((guesses[:, 6], guesses[:, :6])) if self.linear_axis else guesses
-        targets = rotations @ off.rotation
-        places = positions + rotations @ off.translation
-        errors = np.empty((len(q), 6))
-        middle = len(q) // 2
-        for i in range(len(q)):
-            if i == middle:
-                pin.computeJointJacobians(model, data, q[i])
-                here = pin.updateFramePlacement(model, data, flange)
-                J = pin.getFrameJacobian(model, data, flange, _LOCAL)[:, arm]
-            else:
-                pin.framesForwardKinematics(model, data, q[i])
-                here = data.oMf[flange]
-            errors[i] = pin.log6(here.actInv(pin.SE3(targets[i], places[i]))).vector
+        base = pin.SE3(nominal, _ORIGIN)
+        arm = slice(0, 6)
+        q: Array = guesses
+        if self.linear_axis:
+            arm, q = slice(1, 7), np.empty_like(guesses)
+            q[:, 0], q[:, 1:] = guesses[:, 6], guesses[:, :6]
+        if before is None:
+            errors, exact = np.empty((6, len(q))), range(len(q))
+        else:
+            errors = _moved(poses, before)
+            small = bool((np.abs(errors[:, :-1]) < CHANGED).all())
+            exact = range(0, len(q), len(q) - 1) if small else range(len(q))
+        for i in exact:
+            target = base * pin.SE3(pin.exp3(poses[i, 3:]), poses[i, :3])
+            errors[:, i] = pin.log6(self._placed(q[i]).actInv(target)).vector
         joints = guesses.copy()
-        try:
-            joints[:, :6] += np.linalg.solve(J, errors.T).T
-        except np.linalg.LinAlgError:
-            raise UnreachableError(float("inf")) from None
         largest = float(np.abs(errors).max())
         # The one Jacobian leaves a share of the correction that grows with its square.
-        if not largest < 0.01:
-            for i in range(len(q)):
-                joints[i] = self.solve(joints[i], positions[i], rotations[i], tolerance=tolerance)
+        if largest < 0.01:
+            middle = q[len(q) // 2]
+            J = pin.computeFrameJacobian(self.model, self.data, middle, self.tcp, _LOCAL)[:, arm]
+            # LAPACK itself: numpy's wrapper costs six times what these six rows do.
+            _, _, steps, singular = _solve(J, errors)
+            if singular:
+                raise UnreachableError(math.inf)
+            joints[:, :6] += steps.T
+            return joints, largest
+        if not largest < math.inf:
+            raise UnreachableError(largest)
+        for i, pose in enumerate(poses):
+            there, turned = nominal @ pose[:3], nominal @ pin.exp3(pose[3:])
+            joints[i] = self.solve(joints[i], there, turned, tolerance=tolerance)
         return joints, largest
+
+
+def _moved(poses: Array, before: Array) -> Array:
+    """Return by how much poses (m, 6) have changed, as small twists (6, m) of the tcp."""
+    change, turn = poses - before, poses[0, 3:]
+    errors = np.empty((6, len(poses)))
+    np.matmul(rotations.exp(turn).T, change[:, :3].T, out=errors[:3])
+    np.matmul(rotations.left_jacobian(-turn), change[:, 3:].T, out=errors[3:])
+    return errors
 
 
 def load(urdf: str, flange: str, position: Array, rotation: Array, *, linear_axis: bool) -> Arm:
@@ -168,13 +213,8 @@ def load(urdf: str, flange: str, position: Array, rotation: Array, *, linear_axi
     if linear_axis:
         lower = np.concatenate((lower[1:], lower[:1]))
         upper = np.concatenate((upper[1:], upper[:1]))
-    return Arm(
-        model,
-        model.createData(),
-        model.getFrameId(flange),
-        pin.SE3(rotation, position),
-        pin.SE3(rotation, position).inverse(),
-        linear_axis,
-        np.array(lower),
-        np.array(upper),
-    )
+    at = model.getFrameId(flange)
+    place = model.frames[at].placement * pin.SE3(rotation, position)
+    kind = pin.FrameType.OP_FRAME
+    tcp = model.addFrame(pin.Frame("linemate tcp", model.frames[at].parentJoint, at, place, kind))
+    return Arm(model, model.createData(), at, tcp, linear_axis, np.array(lower), np.array(upper))

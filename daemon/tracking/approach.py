@@ -6,14 +6,13 @@ programmed to the sensed motion without a step. Poses (m, 6) in c.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from linemate.daemon import rotations
 from linemate.daemon.horizon import Array
 from linemate.daemon.tracking.settings import SwingMode
-
-_GENERATORS = tuple(rotations.skew(axis) for axis in np.eye(3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,30 +33,13 @@ class Part:
     swing: Array
 
 
-def part_poses(part: Part, modes: Sequence[SwingMode]) -> tuple[Array, Array, Array]:
-    """Return the object's positions (m, 3), rotation vectors (m, 3) and swing turns (m, 3).
-
-    A swing moves the object by its levers, (9), and along the chord's sagitta, the second order
-    of the same rotation: 30 um at 8 mrad.
-    """
-    count = len(part.along)
-    positions = np.empty((count, 3))
-    positions[:, 0], positions[:, 1], positions[:, 2] = part.x, part.along, part.z
-    turns = np.zeros((count, 3))
-    for mode, angles in zip(modes, part.swing, strict=True):
-        levers = np.array(mode.levers)
-        positions += angles[:, None] * levers
-        positions += (0.5 * angles * angles)[:, None] * (_GENERATORS[mode.axis] @ levers)
-        turns[:, mode.axis] += angles
-    base = rotations.log(part.rotation)
-    vectors = base + turns @ rotations.left_jacobian_inverse(base).T
-    return positions, vectors, turns
-
-
 def sensed(
     part: Part, modes: Sequence[SwingMode], relative: Array, *, turned: bool
 ) -> tuple[Array, Array]:
-    """Return x_f (m, 6), the sensed tcp with its programmed distance, and the object (m, 6).
+    """Return x_f (m, 6), the sensed tcp with its programmed distance, and the object now (6,).
+
+    A swing moves the object by its levers, (9), and along the chord's sagitta, the second order
+    of the same rotation: 30 um at 8 mrad; and it turns the arm from object to tcp.
 
     Args:
         part: over the horizon.
@@ -65,26 +47,43 @@ def sensed(
         relative: (m, 6) programmed tcp in the nominal object, (x_o^nom)^-1 x_r.
         turned: the programme turns the tcp against the object.
     """
-    positions, vectors, turns = part_poses(part, modes)
+    R = part.rotation
+    base = rotations.log(R)
+    tcp = np.empty((len(relative), 6))
+    tcp[:] = (part.x, 0.0, part.z, *base.tolist())
+    place, vectors = tcp[:, :3], tcp[:, 3:]
+    place[:, 1] += part.along
+    arm = relative[:, :3]
+    place += arm @ R.T
+    now = np.array((part.x, float(part.along[0]), part.z, *base.tolist()))
+    if modes:
+        inverse = rotations.left_jacobian_inverse(base)
+    for mode, angles in zip(modes, part.swing, strict=True):
+        generator, levers, sagitta = _lever(mode)
+        column, angle = angles[:, None], float(angles[0])
+        place += column * (arm @ (generator @ R).T + (levers + column * sagitta))
+        vectors += column * inverse[:, mode.axis]
+        now[:3] += angle * (levers + angle * sagitta)
+        now[3:] += angle * inverse[:, mode.axis]
     programmed = relative[:, 3:]
-    arm = relative[:, :3] @ part.rotation.T
-    tcp = np.empty((len(arm), 6))
-    x, y, z = turns.T
-    tcp[:, 0] = positions[:, 0] + arm[:, 0] + y * arm[:, 2] - z * arm[:, 1]
-    tcp[:, 1] = positions[:, 1] + arm[:, 1] + z * arm[:, 0] - x * arm[:, 2]
-    tcp[:, 2] = positions[:, 2] + arm[:, 2] + x * arm[:, 1] - y * arm[:, 0]
     if turned and bool(np.abs(programmed).max() > 0.0):
         own = rotations.exp_many(vectors) @ rotations.exp_many(programmed)
-        tcp[:, 3:] = rotations.log_many(own)
-    else:
-        tcp[:, 3:] = vectors
-    return tcp, np.concatenate((positions, vectors), axis=1)
+        vectors[:] = rotations.log_many(own)
+    return tcp, now
+
+
+@lru_cache(maxsize=32)
+def _lever(mode: SwingMode) -> tuple[Array, Array, Array]:
+    """Return a mode's generator (3, 3), its levers (3,) and their sagitta (3,) [m/rad^2]."""
+    levers = np.array(mode.levers)
+    generator = rotations.skew(np.eye(3)[mode.axis])
+    return generator, levers, 0.5 * (generator @ levers)
 
 
 def known(
     positions: Array, vectors: Array, relative: Array, *, turned: bool
 ) -> tuple[Array, Array]:
-    """Return x_f (m, 6) and the object (m, 6) where the object's poses are known.
+    """Return x_f (m, 6) and the object now (6,) where the object's poses are known.
 
     Args:
         positions: (m, 3) of the object.
@@ -98,7 +97,7 @@ def known(
     tcp[:, 3:] = vectors
     if turned:
         tcp[:, 3:] = rotations.log_many(R @ rotations.exp_many(relative[:, 3:]))
-    return tcp, np.concatenate((positions, vectors), axis=1)
+    return tcp, np.concatenate((positions[0], vectors[0]))
 
 
 def smoothstep(s: Array) -> Array:

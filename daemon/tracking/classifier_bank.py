@@ -9,15 +9,16 @@ change *and* against a push.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 
 import numpy as np
 
+from linemate.daemon.changed import changed
 from linemate.daemon.horizon import Array
 from linemate.daemon.tracking import hypotheses
 from linemate.daemon.tracking.conveyor import Motion, Row, Source, View, travel
-from linemate.daemon.tracking.hypotheses import Bank, Prior
+from linemate.daemon.tracking.hypotheses import NOTHING, Bank, Prior, Verdict
 from linemate.daemon.tracking.settings import BankSettings, FusionSettings, JerkSettings
 from linemate.daemon.tracking.task import ConveyorClasses
 
@@ -40,7 +41,7 @@ _NEXT = {
 }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class BankState:
     """Belief of the bank.
 
@@ -55,6 +56,7 @@ class BankState:
         age: of the belief [s].
         since: how long the class has been acting [s].
         refused: rows gated in a row, by sensor.
+        change, push: what the two banks say after the last step.
         odds: of a change, log, against no change and against a push.
         push_odds: of a push, log, against both others.
         tentative: a change has been perceived.
@@ -72,6 +74,8 @@ class BankState:
     age: float = 0.0
     since: float = 0.0
     refused: Mapping[Source, int] = field(default_factory=dict)
+    change: Verdict = NOTHING
+    push: Verdict = NOTHING
     odds: float = -30.0
     push_odds: float = -30.0
     tentative: bool = False
@@ -79,7 +83,7 @@ class BankState:
     events: tuple[tuple[str, str], ...] = ()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class BankClassifier:
     """The bank with its thresholds; ``mixture`` lets the prediction act before it is sure."""
 
@@ -112,20 +116,24 @@ class BankClassifier:
 
     def _change(self, motion: Motion) -> float:
         """Return the acceleration that the change out of a class adds [m/s^2]."""
+        return self._changes[motion]
+
+    @cached_property
+    def _changes(self) -> dict[Motion, float]:
         stop, start = self.conveyor.deceleration, self.conveyor.acceleration
         return {
             Motion.RUNNING: -stop,
             Motion.STANDING: start,
             Motion.STOPPING: start + stop,
             Motion.STARTING: -(stop + start),
-        }[motion]
+        }
 
-    @property
+    @cached_property
     def _prior(self) -> Prior:
         """Return what is known of a change's amplitude, as a share of its nominal one."""
         return Prior(1.0, self.bank.amplitude_deviation**2)
 
-    @property
+    @cached_property
     def _push_prior(self) -> Prior:
         """Return what is known of a push's amplitude [m]."""
         return Prior(0.0, self.jerk.deviation**2)
@@ -177,7 +185,7 @@ class BankClassifier:
         """Return (5), (6), the banks one step older, and new hypotheses "now"."""
         F = _transition(dt, self._ripple(state)[1], state.omega, self.jerk.damping)
         P = F @ state.P @ F.T
-        P.flat[:: STATES + 1] += self._process_noise(state, dt)
+        P.reshape(-1)[:: STATES + 1] += self._process_noise(state, dt)
         bank, pushes = state.bank, state.pushes
         if state.age > SETTLING:
             bank = hypotheses.aged(bank, F, dt, self.bank.longest_onset, STILL)
@@ -186,7 +194,7 @@ class BankClassifier:
                 pushes = hypotheses.aged(pushes, F, dt, self.jerk.longest_onset, omegas)
             elif len(pushes):
                 pushes = hypotheses.empty(STATES)
-        state = replace(
+        state = changed(
             state,
             x=F @ state.x,
             P=P,
@@ -226,7 +234,7 @@ class BankClassifier:
                 refusals = refused.get(row.source, 0) + 1
                 refused = {**refused, row.source: refusals}
                 if refusals >= REFUSALS:
-                    return self._widened(replace(state, x=x, P=P), nu)
+                    return self._widened(changed(state, x=x, P=P), nu)
                 continue
             if refused.get(row.source):
                 refused = {**refused, row.source: 0}
@@ -239,7 +247,7 @@ class BankClassifier:
                 if row.source is not Source.DISTANCE:
                     pushed, _ = self._pushed(pushes.age - row.delay, pushes.omega)
                 pushes = hypotheses.learned(pushes, pushed, h, K, S, nu)
-        return replace(state, x=x, P=P, bank=bank, pushes=pushes, refused=refused)
+        return changed(state, x=x, P=P, bank=bank, pushes=pushes, refused=refused)
 
     def _widened(self, state: BankState, nu: float) -> BankState:
         """Return the state opened up: the filter is wrong, not eight of one sensor's readings."""
@@ -247,13 +255,13 @@ class BankClassifier:
         P[Y, Y] += nu * nu
         P[OFFSET, OFFSET] += nu * nu
         P[V, V] += (0.5 * self.conveyor.nominal_speed) ** 2
-        return replace(_cleared(state), P=P, age=0.0, refused={})
+        return changed(_cleared(state), P=P, age=0.0, refused={})
 
     def _plausible(self, state: BankState, nu: float, rho: Array, gate: float) -> bool:
         """Tell whether an innovation lies in the range that the live hypotheses span."""
         if not state.tentative or len(rho) == 0:
             return False
-        expected = float(hypotheses.weights(state.bank, self._prior) @ rho)
+        expected = float(hypotheses.verdict(state.bank, self._prior).weights @ rho)
         return min(0.0, expected) - gate < nu < max(0.0, expected) + gate
 
     # The decision.
@@ -265,30 +273,30 @@ class BankClassifier:
             state = self._correct(state, rows)
         contact = any(row.source is Source.TACTILE for row in rows)
         if contact is not state.contact:
-            state = replace(state, contact=contact)
+            state = changed(state, contact=contact)
         return self._settle(self._decide(state), dt)
 
     def _decide(self, state: BankState) -> BankState:
         """Return the state with a change perceived, confirmed or cancelled, or a push taken."""
-        stop = hypotheses.odds(state.bank, self._prior)
-        push = hypotheses.odds(state.pushes, self._push_prior)
-        odds = stop - _softplus(push)
-        push_odds = push - _softplus(stop)
+        change = hypotheses.verdict(state.bank, self._prior)
+        push = hypotheses.verdict(state.pushes, self._push_prior)
+        odds = change.odds - _softplus(push.odds)
+        push_odds = push.odds - _softplus(change.odds)
         motion, word = _NEXT[state.motion]
         settings = self.bank
         limit = settings.stop_confirmed if word == "stop" else settings.start_confirmed
-        state = replace(state, odds=odds, push_odds=push_odds)
+        state = changed(state, change=change, push=push, odds=odds, push_odds=push_odds)
         if odds > limit:
             events = [*state.events, (word, "tentative"), (word, "confirmed")]
             if state.tentative:
                 events.remove((word, "tentative"))
-            return self._accept(replace(state, events=tuple(events)), motion)
+            return self._accept(changed(state, events=tuple(events)), motion)
         if push_odds > self.jerk.confirmed:
             return self._accept_push(state)
         if not state.tentative and odds > settings.perceived:
-            return replace(state, tentative=True, events=(*state.events, (word, "tentative")))
+            return changed(state, tentative=True, events=(*state.events, (word, "tentative")))
         if state.tentative and odds < CALM:
-            return replace(state, tentative=False, events=(*state.events, (word, "cancelled")))
+            return changed(state, tentative=False, events=(*state.events, (word, "cancelled")))
         return state
 
     def _raw_change(self, state: BankState) -> Array:
@@ -310,8 +318,8 @@ class BankClassifier:
     def _accept(self, state: BankState, motion: Motion) -> BankState:
         """Return the state in its new class, the banks cleared."""
         mean, spread = hypotheses.moments(state.bank, self._raw_change(state), self._prior)
-        since = float(hypotheses.weights(state.bank, self._prior) @ state.bank.age)
-        return replace(
+        since = float(state.change.weights @ state.bank.age)
+        return changed(
             _cleared(state), x=state.x + mean, P=state.P + spread, motion=motion, since=since
         )
 
@@ -322,7 +330,7 @@ class BankClassifier:
         events = [*state.events, ("push", "confirmed")]
         if state.tentative:
             events.append((_NEXT[state.motion][1], "cancelled"))
-        return replace(
+        return changed(
             _cleared(state),
             x=state.x + mean,
             P=state.P + spread,
@@ -332,7 +340,7 @@ class BankClassifier:
 
     def _push_omega(self, state: BankState) -> float:
         """Return the frequency that the pushes' evidence prefers [rad/s]."""
-        share = hypotheses.weights(state.pushes, self._push_prior)
+        share = state.push.weights
         best = max(self.jerk.omegas, key=lambda w: float(share[state.pushes.omega == w].sum()))
         return float(best)
 
@@ -345,7 +353,7 @@ class BankClassifier:
         if SETTLING < state.age < SETTLING + 1.5 * dt and speed < 0.3 * nominal:
             return _enter(state, Motion.STANDING, speed, REST_DEVIATION)
         if state.age > SETTLING and not state.tentative and speed > 0.7 * nominal:
-            return replace(state, cruise=state.cruise + dt * (speed - state.cruise))
+            return changed(state, cruise=state.cruise + dt * (speed - state.cruise))
         return state
 
     # The prediction.
@@ -356,16 +364,35 @@ class BankClassifier:
         change, push = self._shares(state)
         mixed = null
         if change > 1e-4:
-            mean, _ = hypotheses.moments(state.bank, self._raw_change(state), self._prior)
             motion, _ = _NEXT[state.motion]
-            other = self._future(state, state.x + mean, motion, state.omega, times)
+            other = self._future(state, self._changed(state), motion, state.omega, times)
             mixed = mixed + change * (other - null)
         if push > 1e-4:
-            mean, _ = hypotheses.moments(state.pushes, self._raw_push(state), self._push_prior)
             omega = self._push_omega(state)
-            other = self._future(state, state.x + mean, state.motion, omega, times)
+            other = self._future(state, self._pushed_estimate(state), state.motion, omega, times)
             mixed = mixed + push * (other - null)
         return mixed
+
+    def _changed(self, state: BankState) -> Array:
+        """Return the estimate (7,) if the class has changed: ``moments`` without their spread."""
+        bank = state.bank
+        share = state.change.weights * hypotheses.amplitude(bank, self._prior)
+        change, age = self._change(state.motion), bank.age
+        x = state.x - share @ bank.absorbed
+        late = share * age
+        x[Y] += 0.5 * change * float(late @ age)
+        x[V] += change * float(late.sum())
+        x[ACCELERATION] += change * float(share.sum())
+        return x
+
+    def _pushed_estimate(self, state: BankState) -> Array:
+        """Return the estimate (7,) if somebody has pushed: ``moments`` without their spread."""
+        share = state.push.weights * hypotheses.amplitude(state.pushes, self._push_prior)
+        push, quadrature = self._pushed(state.pushes.age, state.pushes.omega)
+        x = state.x - share @ state.pushes.absorbed
+        x[PUSH] += float(share @ push)
+        x[QUADRATURE] += float(share @ quadrature)
+        return x
 
     def _shares(self, state: BankState) -> tuple[float, float]:
         """Return the weights of a suspected change and of a suspected push in the prediction.
@@ -381,8 +408,8 @@ class BankClassifier:
             penalty = 0.0
         else:
             return 0.0, 0.0
-        stop = math.exp(min(hypotheses.odds(state.bank, self._prior) - penalty, 50.0))
-        push = math.exp(min(hypotheses.odds(state.pushes, self._push_prior) - penalty, 50.0))
+        stop = math.exp(min(state.change.odds - penalty, 50.0))
+        push = math.exp(min(state.push.odds - penalty, 50.0))
         total = 1.0 + stop + push
         return stop / total, push / total
 
@@ -395,18 +422,20 @@ class BankClassifier:
         way = travel(v, a if motion in {Motion.STOPPING, Motion.STARTING} else 0.0, cruise, times)
         future: Array = y + way + r * tau * (1.0 - np.exp(-times / tau))
         if abs(push) + abs(quadrature) > 1e-6:
-            swing = push * np.cos(omega * times) + quadrature * np.sin(omega * times)
-            future = future + np.exp(-self.jerk.damping * omega * times) * swing
+            pole = complex(-self.jerk.damping * omega, omega)
+            future = future + (complex(push, -quadrature) * np.exp(pole * times)).real
         return future
 
     def view(self, state: BankState) -> View:
         """Return what the bank believes."""
+        y, v, ripple, offset, _, push, _ = state.x.tolist()
+        variance = state.P.diagonal().tolist()
         return View(
-            position=float(state.x[Y] + state.x[PUSH]),
-            speed=float(state.x[V] + state.x[RIPPLE]),
-            offset=float(state.x[OFFSET]),
-            deviation=math.sqrt(max(float(state.P[Y, Y] + state.P[PUSH, PUSH]), 0.0)),
-            speed_deviation=math.sqrt(max(float(state.P[V, V] + state.P[RIPPLE, RIPPLE]), 0.0)),
+            position=y + push,
+            speed=v + ripple,
+            offset=offset,
+            deviation=math.sqrt(max(variance[Y] + variance[PUSH], 0.0)),
+            speed_deviation=math.sqrt(max(variance[V] + variance[RIPPLE], 0.0)),
             motion=state.motion,
             tentative=state.tentative,
             confidence=state.odds,
@@ -436,10 +465,12 @@ def _softplus(value: float) -> float:
 
 def _cleared(state: BankState) -> BankState:
     """Return the state without a hypothesis."""
-    return replace(
+    return changed(
         state,
         bank=hypotheses.empty(STATES),
         pushes=hypotheses.empty(STATES),
+        change=NOTHING,
+        push=NOTHING,
         odds=-30.0,
         push_odds=-30.0,
         tentative=False,
@@ -452,4 +483,4 @@ def _enter(state: BankState, motion: Motion, speed: float, deviation: float) -> 
     x[V], x[ACCELERATION] = speed, 0.0
     P[ACCELERATION, :] = P[:, ACCELERATION] = 0.0
     P[V, V] += deviation**2
-    return replace(_cleared(state), x=x, P=P, motion=motion, since=0.0)
+    return changed(_cleared(state), x=x, P=P, motion=motion, since=0.0)

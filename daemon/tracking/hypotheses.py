@@ -23,19 +23,39 @@ class Bank:
 
     Attributes:
         absorbed: f (m, n), what the null filter has taken in of each signature.
-        A, B: (m,) evidence.
-        age: (m,) time since each onset [s].
-        omega: (m,) frequency of those that swing [rad/s].
+        sums: (4, m): A and B, the evidence; the time since each onset [s]; and the frequency of
+            those that swing [rad/s].
     """
 
     absorbed: Array
-    A: Array
-    B: Array
-    age: Array
-    omega: Array
+    sums: Array
 
     def __len__(self) -> int:
-        return len(self.age)
+        return len(self.absorbed)
+
+    @property
+    def A(self) -> Array:
+        """(m,) sum of rho^2 / S."""
+        row: Array = self.sums[0]
+        return row
+
+    @property
+    def B(self) -> Array:
+        """(m,) sum of rho nu / S."""
+        row: Array = self.sums[1]
+        return row
+
+    @property
+    def age(self) -> Array:
+        """(m,) time since each onset [s]."""
+        row: Array = self.sums[2]
+        return row
+
+    @property
+    def omega(self) -> Array:
+        """(m,) frequency [rad/s]."""
+        row: Array = self.sums[3]
+        return row
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,10 +66,25 @@ class Prior:
     variance: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Verdict:
+    """What a bank's evidence says.
+
+    Attributes:
+        odds: log of all hypotheses' likelihood ratios together.
+        weights: (m,) posterior of the onsets.
+    """
+
+    odds: float
+    weights: Array
+
+
+NOTHING = Verdict(-30.0, np.zeros(0))
+
+
 def empty(states: int) -> Bank:
     """Return a bank without hypotheses for a filter of some states."""
-    nothing = np.zeros(0)
-    return Bank(np.zeros((0, states)), nothing, nothing, nothing, nothing)
+    return Bank(np.zeros((0, states)), np.zeros((4, 0)))
 
 
 def aged(bank: Bank, F: Array, dt: float, longest: float, omegas: tuple[float, ...]) -> Bank:
@@ -65,17 +100,14 @@ def aged(bank: Bank, F: Array, dt: float, longest: float, omegas: tuple[float, .
     new = len(omegas)
     size = min(len(bank) + new, new * round(longest / dt))
     keep = size - new
-    absorbed = np.zeros((size, F.shape[0]))
-    rest = np.zeros((4, size))
-    rest[3, :new] = omegas
+    absorbed, sums = np.empty((size, F.shape[0])), np.empty((4, size))
+    absorbed[:new], sums[:, :new] = 0.0, 0.0
+    sums[3, :new] = omegas
     if keep:
-        absorbed[new:] = bank.absorbed[:keep] @ F.T
-        rest[0, new:] = bank.A[:keep]
-        rest[1, new:] = bank.B[:keep]
-        rest[2, new:] = bank.age[:keep]
-        rest[3, new:] = bank.omega[:keep]
-    rest[2] += dt
-    return Bank(absorbed, rest[0], rest[1], rest[2], rest[3])
+        np.matmul(bank.absorbed[:keep], F.T, out=absorbed[new:])
+        sums[:, new:] = bank.sums[:, :keep]
+    sums[2] += dt
+    return Bank(absorbed, sums)
 
 
 def learned(bank: Bank, signature: Array, h: Array, K: Array, S: float, nu: float) -> Bank:
@@ -90,39 +122,32 @@ def learned(bank: Bank, signature: Array, h: Array, K: Array, S: float, nu: floa
         nu: its innovation.
     """
     rho = signature - bank.absorbed @ h
-    return Bank(
-        bank.absorbed + rho[:, None] * K,
-        bank.A + rho * rho / S,
-        bank.B + rho * (nu / S),
-        bank.age,
-        bank.omega,
-    )
+    weighted = rho / S
+    sums = bank.sums.copy()
+    sums[0] += rho * weighted
+    sums[1] += weighted * nu
+    return Bank(bank.absorbed + rho[:, None] * K, sums)
 
 
 def evidence(bank: Bank, prior: Prior) -> Array:
     """Return each hypothesis' log likelihood ratio (m,), its amplitude integrated out."""
     m, s2 = prior.mean, prior.variance
-    spread = 1.0 + s2 * bank.A
-    ratio: Array = (s2 * bank.B * bank.B + 2.0 * m * bank.B - m * m * bank.A) / (2.0 * spread)
-    ratio -= 0.5 * np.log(spread)
+    A, B = bank.A, bank.B
+    spread = 1.0 + s2 * A
+    ratio: Array = (B * (s2 * B + 2.0 * m) - m * m * A) / spread - np.log(spread)
+    ratio *= 0.5
     return ratio
 
 
-def odds(bank: Bank, prior: Prior) -> float:
-    """Return the log of all hypotheses' likelihood ratios together; -30 of none."""
+def verdict(bank: Bank, prior: Prior) -> Verdict:
+    """Return what the evidence says: of no hypothesis odds of -30 and no weights."""
     if not len(bank):
-        return -30.0
+        return NOTHING
     ratios = evidence(bank, prior)
     top = float(ratios.max())
-    return top + math.log(float(np.exp(ratios - top).sum()))
-
-
-def weights(bank: Bank, prior: Prior) -> Array:
-    """Return the posterior weights (m,) of the onsets."""
-    ratios = evidence(bank, prior)
-    raw = np.exp(ratios - ratios.max())
-    normed: Array = raw / raw.sum()
-    return normed
+    raw = np.exp(ratios - top)
+    total = float(raw.sum())
+    return Verdict(top + math.log(total), raw / total)
 
 
 def amplitude(bank: Bank, prior: Prior) -> Array:
@@ -141,7 +166,7 @@ def moments(bank: Bank, raw: Array, prior: Prior) -> tuple[Array, Array]:
         raw: D (m, n), the state's own signature at amplitude 1.
         prior: of the amplitude.
     """
-    share = weights(bank, prior)
+    share = verdict(bank, prior).weights
     unit = raw - bank.absorbed
     shift = unit * amplitude(bank, prior)[:, None]
     mean: Array = share @ shift

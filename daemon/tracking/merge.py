@@ -66,6 +66,8 @@ def merge(old: Array, goal: Array, matrices: Array, commit: int) -> Array:
     """
     merged = np.empty_like(goal)
     merged[: commit + 1] = old[1 : commit + 2]
-    history = (merged[: commit + 1] - goal[: commit + 1])[: commit - ORDER : -1]  # (5, d)
-    merged[commit + 1 :] = goal[commit + 1 :] + (matrices @ history.T[:, :, None])[:, :, 0].T
+    first = commit + 1 - ORDER
+    history = (merged[first : commit + 1] - goal[first : commit + 1])[::-1]  # (5, d)
+    late = matrices @ history.T[:, :, None]
+    np.add(goal[commit + 1 :], late[:, :, 0].T, out=merged[commit + 1 :])
     return merged

@@ -4,6 +4,8 @@ Law of this file: what a sensor saw, joined with where the robot was at that mom
 pose is interpolated between telegrams, so that a delay need not be a whole number of steps.
 """
 
+import math
+from bisect import bisect_left
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,29 +21,22 @@ class History:
     """Where the undeflected tcp was, in c, newest last.
 
     Attributes:
-        stamps: (m,) [s] since ``epoch_ns``.
-        poses: (m, 6) position [m] and rotation vector [rad].
-        epoch_ns: origin of the stamps; floats keep nanoseconds near it.
+        stamps_ns: (m,) rising.
+        poses: m poses (6,), position [m] and rotation vector [rad].
     """
 
-    stamps: Array
-    poses: Array
-    epoch_ns: int
+    stamps_ns: tuple[int, ...]
+    poses: tuple[Array, ...]
 
 
 def remember(history: History | None, stamp_ns: int, pose: Array, length: int) -> History:
     """Return the history with one pose more and at most ``length`` of them."""
     if history is None:
-        return History(np.zeros(1), pose[None].copy(), stamp_ns)
-    stamp = (stamp_ns - history.epoch_ns) * 1e-9
-    if stamp <= history.stamps[-1]:
+        return History((stamp_ns,), (pose.copy(),))
+    if stamp_ns <= history.stamps_ns[-1]:
         return history
     keep = slice(-(length - 1), None)
-    return History(
-        np.append(history.stamps[keep], stamp),
-        np.vstack((history.poses[keep], pose)),
-        history.epoch_ns,
-    )
+    return History((*history.stamps_ns[keep], stamp_ns), (*history.poses[keep], pose.copy()))
 
 
 def pose_at(history: History, stamp_ns: int, reach: float) -> Array | None:
@@ -52,13 +47,12 @@ def pose_at(history: History, stamp_ns: int, reach: float) -> Array | None:
         stamp_ns: when.
         reach: how far the newest motion may be carried on [s].
     """
-    stamps = history.stamps
-    t = (stamp_ns - history.epoch_ns) * 1e-9
-    if len(stamps) < 2 or t < stamps[0] or t > stamps[-1] + reach:
+    stamps, poses = history.stamps_ns, history.poses
+    if len(stamps) < 2 or stamp_ns < stamps[0] or stamp_ns > stamps[-1] + reach * 1e9:
         return None
-    i = min(max(int(np.searchsorted(stamps, t)), 1), len(stamps) - 1)
-    share = (t - stamps[i - 1]) / (stamps[i] - stamps[i - 1])
-    at: Array = history.poses[i - 1] + share * (history.poses[i] - history.poses[i - 1])
+    i = min(max(bisect_left(stamps, stamp_ns), 1), len(stamps) - 1)
+    share = (stamp_ns - stamps[i - 1]) / (stamps[i] - stamps[i - 1])
+    at: Array = poses[i - 1] + share * (poses[i] - poses[i - 1])
     return at
 
 
@@ -79,12 +73,6 @@ class Sighting:
     variance: Array
 
 
-def _turned(variances: Array, R: Array) -> Array:
-    """Return the diagonal of ``R diag(variances) R'``: variances about other axes."""
-    turned: Array = (R * R) @ variances
-    return turned
-
-
 def sight(
     sample: CameraSample,
     tcp: Array,
@@ -103,18 +91,18 @@ def sight(
     """
     R_tcp = rotations.exp(tcp[3:])
     R_camera = R_tcp @ camera[1]
-    in_camera = np.array(sample.position)
-    position = tcp[:3] + R_tcp @ (camera[0] + camera[1] @ in_camera)
+    in_tcp = camera[0] + camera[1] @ np.array(sample.position)
+    position = tcp[:3] + R_tcp @ in_tcp
     rotation = R_camera @ rotations.matrix(sample.quaternion)
     if sample.covariance is not None:
         diagonal = np.array([sample.covariance[i] for i in (0, 6, 11, 15, 18, 20)])
     else:
-        far = float(np.linalg.norm(camera[0] + camera[1] @ in_camera))
+        far = math.hypot(*in_tcp.tolist())
         lateral = noise.lateral + noise.lateral_slope * far
         angle = noise.angle + noise.angle_slope * far
         depth = noise.depth_factor * lateral
         diagonal = np.array((lateral, lateral, depth, angle, angle, angle)) ** 2
-    variance = np.concatenate((_turned(diagonal[:3], R_camera), _turned(diagonal[3:], R_camera)))
+    variance = (diagonal.reshape(2, 3) @ (R_camera * R_camera).T).reshape(6)
     return Sighting(position, rotation, (now_ns - sample.exposure_ns) * 1e-9, variance)
 
 
@@ -139,11 +127,11 @@ def mean_wrench(samples: tuple[WrenchSample, ...]) -> Wrench | None:
     """Return the mean of some wrenches, None of none."""
     if not samples:
         return None
-    rows = np.array([(*sample.force, *sample.torque) for sample in samples])
-    first = samples[0].stamp_ns
-    stamp = first + sum(sample.stamp_ns - first for sample in samples) // len(samples)
-    mean = rows.sum(axis=0) / len(samples)
-    return Wrench(mean[:3], mean[3:], stamp, len(samples))
+    count = len(samples)
+    stamp = sum(sample.stamp_ns for sample in samples) // count
+    rows = np.array([sample.force + sample.torque for sample in samples])
+    mean = rows[0] if count == 1 else rows.sum(axis=0) / count
+    return Wrench(mean[:3], mean[3:], stamp, count)
 
 
 def touch(wrench: Wrench, tcp: Array, noise: TactileNoise, now_ns: int) -> Sighting:
@@ -159,6 +147,7 @@ def touch(wrench: Wrench, tcp: Array, noise: TactileNoise, now_ns: int) -> Sight
     shift = wrench.force / np.array(noise.stiffness)
     turn = wrench.torque / np.array(noise.rotational_stiffness)
     count = wrench.count
-    variance = np.repeat((noise.deflection**2 / count, noise.angle**2 / count), 3)
+    place, turned = noise.deflection**2 / count, noise.angle**2 / count
+    variance = np.array((place, place, place, turned, turned, turned))
     delay = (now_ns - wrench.stamp_ns) * 1e-9
     return Sighting(tcp[:3] + R @ shift, R @ rotations.exp(turn), delay, variance)

@@ -4,6 +4,7 @@ Law of this file: what is programmed, before any sensor. Poses are (6,) or (m, 6
 between two waypoints is run through by a quintic of time, each end moving as its frame does.
 """
 
+import math
 from bisect import bisect_right
 from dataclasses import dataclass
 
@@ -32,6 +33,7 @@ class Reference:
         contact_time: when contact is planned [s]; infinity if it is not.
         rest: (6,) the first pose, where the robot waits, in c.
         starts: times of the waypoints but the last, as plain floats.
+        gated: times of the waypoints with a gate, and the gates, in order.
         axes: C as plain floats.
         quaternion: C as a quaternion.
     """
@@ -48,6 +50,7 @@ class Reference:
     contact_time: float
     rest: Array
     starts: tuple[float, ...]
+    gated: tuple[tuple[float, Gate], ...]
     axes: tuple[tuple[float, ...], ...]
     quaternion: Quaternion
 
@@ -62,7 +65,7 @@ class Reference:
         """Return the phase at a task time."""
         if time >= self.times[-1]:
             return Phase.DONE
-        return self.phases[max(int(np.searchsorted(self.times, time, side="right")) - 1, 0)]
+        return self.phases[self._segment(time)]
 
     def poses(self, times: Array) -> tuple[Array, Array]:
         """Return x_r and (x_o^nom)^-1 x_r at task times; past its ends it stays with them.
@@ -149,6 +152,7 @@ def compile_reference(task: TaskFile) -> Reference:
         gates=tuple(point.gate for point in task.waypoints),
         turned=bool(np.abs(points[:, 3:]).max() > 1e-12),
         starts=tuple(times[:-1].tolist()),
+        gated=tuple((p.time, p.gate) for p in task.waypoints if p.gate is not Gate.NONE),
         axes=tuple(tuple(row) for row in C.tolist()),
         quaternion=rotations.quaternion(C),
         rest=points[0] + travels[0] * np.concatenate((origin, np.zeros(3))),
@@ -158,7 +162,60 @@ def compile_reference(task: TaskFile) -> Reference:
 
 def barrier(reference: Reference, time: float, passed: frozenset[Gate]) -> float:
     """Return the task time that may not be passed yet: the next gate that is not open."""
-    for at, gate in zip(reference.times, reference.gates, strict=True):
-        if at >= time - 1e-9 and gate is not Gate.NONE and gate not in passed:
-            return float(at)
-    return float("inf")
+    for at, gate in reference.gated:
+        if at >= time - 1e-9 and gate not in passed:
+            return at
+    return math.inf
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Table:
+    """The reference at every step of the task's clock, so that a horizon is a slice of it.
+
+    Attributes:
+        reference: of which it was made.
+        cycle_s: T0 [s].
+        poses, relative: (t, 6) of ``Reference.poses`` at 0, T0, 2 T0, ...
+    """
+
+    reference: Reference
+    cycle_s: float
+    poses: Array
+    relative: Array
+
+    def ahead(self, time: float, limit: float, steps: int) -> tuple[Array, Array]:
+        """Return x_r and (x_o^nom)^-1 x_r (steps + 1, 6) from ``time`` on; not to be written to.
+
+        Args:
+            time: of the task's clock, a multiple of T0 [s].
+            limit: at which the clock stands, likewise; infinity if at none [s].
+            steps: n.
+        """
+        first = round(time / self.cycle_s)
+        last = first + steps
+        if limit < last * self.cycle_s:
+            held = np.minimum(np.arange(first, last + 1), round(limit / self.cycle_s))
+            if held[-1] < len(self.poses):
+                return self.poses[held], self.relative[held]
+        elif last < len(self.poses):
+            window = slice(first, last + 1)
+            return self.poses[window], self.relative[window]
+        times = np.arange(first, last + 1) * self.cycle_s
+        return self.reference.poses(np.minimum(times, limit))
+
+
+def tabulated(reference: Reference, cycle_s: float, steps: int) -> Table:
+    """Return a reference's table, long enough for horizons of some steps up to the task's end."""
+    count = math.ceil(float(reference.times[-1]) / cycle_s) + steps + 2
+    poses, relative = reference.poses(np.arange(count) * cycle_s)
+    poses.setflags(write=False)
+    relative.setflags(write=False)
+    return Table(reference, cycle_s, poses, relative)
+
+
+def last_step(time: float, cycle_s: float) -> float:
+    """Return the last multiple of T0 that is not past a time; infinity stays what it is [s].
+
+    The task's clock counts whole steps and stands at the last one before a gate.
+    """
+    return math.floor(time / cycle_s + 1e-6) * cycle_s if time < math.inf else math.inf

@@ -6,14 +6,15 @@ predict, correct, classify, predict over the horizon, approach, merge. Pure: tim
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from linemate.daemon.changed import changed
 from linemate.daemon.horizon import Array, Horizon
 from linemate.daemon.tracking import approach, linear_axis, merge
-from linemate.daemon.tracking.conveyor import Classifier, Motion, Row, Source
+from linemate.daemon.tracking.conveyor import Classifier, Motion, Row, Source, View
 from linemate.daemon.tracking.observation import (
     History,
     Sighting,
@@ -24,7 +25,7 @@ from linemate.daemon.tracking.observation import (
     sight,
     touch,
 )
-from linemate.daemon.tracking.reference import Reference, barrier
+from linemate.daemon.tracking.reference import Reference, Table, barrier, last_step
 from linemate.daemon.tracking.settings import TrackingSettings
 from linemate.daemon.tracking.task import Gate, Phase, TaskFile
 from linemate.daemon.tracking.transverse import Transverse, TransverseState
@@ -48,15 +49,15 @@ class Tracker:
     Attributes:
         task, settings: as given.
         reference, classifier, transverse: the models.
+        table: the reference at every step of the task's clock.
         camera: position (3,) and rotation (3, 3) of the camera in the tcp.
         cycle_s: T0 [s].
         steps: n.
         commit: nc, the last step that a merge keeps.
         matrices: (6, n - nc, 5) of the merge.
         history_length: poses of the robot that are remembered.
-        contact_blend: time in which the tool goes from hanging free to clamped [s].
         span: (n+1,) times of the horizon from now [s].
-        leave: task time at which the tool leaves the object [s].
+        free: (t,) where the tool hangs free, at every step of the task's clock.
         foresight: the true object at a stamp [ns] and times from it (m,) [s], as positions (m, 3)
             and rotation vectors (m, 3) in c, taken instead of the estimate; an oracle, for
             campaigns only.
@@ -67,19 +68,19 @@ class Tracker:
     reference: Reference
     classifier: Classifier
     transverse: Transverse
+    table: Table
     camera: tuple[Array, Array]
     cycle_s: float
     steps: int
     commit: int
     matrices: Array
     history_length: int
-    contact_blend: float
     span: Array
-    leave: float
+    free: Array
     foresight: Foresight | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class TrackerState:
     """What tracking remembers.
 
@@ -176,7 +177,7 @@ def at_rest(tracker: Tracker, pose: Array, axis: float) -> TrackerState:
 
 def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> TrackerState:
     """Return the state with its plan at rest and the task over; the estimate lives on."""
-    return replace(
+    return changed(
         state,
         poses=np.tile(pose, (tracker.steps + 1, 1)),
         axis=linear_axis.at_rest(axis, tracker.steps),
@@ -226,7 +227,7 @@ def estimate(
             belief = tracker.classifier.initial(readings[-1])
     else:
         belief = tracker.classifier.advance(belief, rows, tracker.cycle_s)
-    state = replace(
+    state = changed(
         state,
         history=history,
         belief=belief,
@@ -255,9 +256,9 @@ def _along_row(
     """Return a sighting's component along the conveyor, its swing taken out."""
     value = float(sighting.position[1])
     if across is not None:
-        angles = tracker.transverse.swing_angles(across, np.array((-sighting.delay,)))[:, 0]
+        angles = tracker.transverse.swing_now(across, sighting.delay)
         for mode, angle in zip(tracker.transverse.swing, angles, strict=True):
-            value -= mode.levers[1] * float(angle)
+            value -= mode.levers[1] * angle
     return Row(source, value, sighting.delay, float(sighting.variance[1]), gate)
 
 
@@ -289,14 +290,14 @@ def track(
 ) -> tuple[TrackerState, Horizon, Report]:
     """Return the state, the horizon x_t(k, 0..n) and a report of one step under way."""
     state, refused, wrench = estimate(tracker, state, seen)
+    view = _view(tracker, state)
     if start and not state.started:
-        state = replace(state, started=True)
-    state = _clock(tracker, state, seen, retreat)
+        state = changed(state, started=True)
+    state = _clock(tracker, state, view, seen, retreat)
     state = _contact(tracker, state, wrench)
-    span = tracker.span
-    limit = barrier(tracker.reference, state.time, state.passed)
-    times = np.minimum(state.time + (span if state.started else 0.0 * span), limit)
-    goal, relative = tracker.reference.poses(times)
+    span, T0 = tracker.span, tracker.cycle_s
+    limit = _stand(tracker, state.time, state.passed) if state.started else state.time
+    goal, relative = tracker.table.ahead(state.time, limit, tracker.steps)
     target = part = None
     if state.across is not None and state.belief is not None:
         target, part = _sensed(tracker, state, seen.stamp_ns, span, relative)
@@ -310,12 +311,12 @@ def track(
         goal = approach.withdraw(goal, AWAY * s)
     poses = merge.merge(state.poses, goal, tracker.matrices, tracker.commit)
     axis = linear_axis.advance(
-        state.axis, _axis_speed(tracker, state), tracker.task.linear_axis.ramp, tracker.cycle_s
+        state.axis, _axis_speed(tracker, state, view), tracker.task.linear_axis.ramp, T0
     )
-    state = replace(state, poses=poses, axis=axis, distance=float(relative[0, 2]))
-    free = _free(tracker, times)
+    state = changed(state, poses=poses, axis=axis, distance=float(relative[0, 2]))
+    free = _free(tracker, state.time, limit)
     horizon = Horizon(poses, axis.positions, free, tracker.reference.nominal, tracker.commit)
-    return state, horizon, report(tracker, state, wrench, refused, target, part)
+    return state, horizon, report(tracker, state, view, wrench, refused, target, part)
 
 
 def observe(
@@ -325,26 +326,32 @@ def observe(
     state, refused, wrench = estimate(tracker, state, seen)
     target = part = None
     if state.across is not None and state.belief is not None:
-        _, relative = tracker.reference.poses(np.array((state.time,)))
+        _, relative = tracker.table.ahead(state.time, math.inf, 0)
         target, part = _sensed(tracker, state, seen.stamp_ns, np.zeros(1), relative)
-    return state, report(tracker, state, wrench, refused, target, part)
+    view = _view(tracker, state)
+    return state, report(tracker, state, view, wrench, refused, target, part)
+
+
+def _view(tracker: Tracker, state: TrackerState) -> View | None:
+    """Return what the classifier believes, None before it does."""
+    return None if state.belief is None else tracker.classifier.view(state.belief)
 
 
 def report(
     tracker: Tracker,
     state: TrackerState,
+    view: View | None,
     wrench: Wrench | None,
     refused: int,
     target: Array | None,
     part: Array | None,
 ) -> Report:
     """Return what one step has to say."""
-    view = tracker.classifier.view(state.belief) if state.belief is not None else None
     force = None if wrench is None else wrench.force
     limit = tracker.settings.tactile.overload_force
     return Report(
         sensed=None if target is None else target[0],
-        part=None if part is None else part[0],
+        part=part,
         speed=None if view is None else view.speed,
         motion=Motion.RUNNING if view is None else view.motion,
         tentative=False if view is None else view.tentative,
@@ -352,7 +359,7 @@ def report(
         events=() if view is None else view.events,
         phase=tracker.reference.phase(state.time) if state.time > 0.0 else Phase.WAIT,
         force=force,
-        overload=force is not None and float(np.linalg.norm(force)) > limit,
+        overload=force is not None and math.hypot(*force.tolist()) > limit,
         refused=refused,
     )
 
@@ -360,7 +367,7 @@ def report(
 def _sensed(
     tracker: Tracker, state: TrackerState, stamp_ns: int, span: Array, relative: Array
 ) -> tuple[Array, Array]:
-    """Return x_f and the object over the horizon, (9) under the class."""
+    """Return x_f over the horizon, (9) under the class, and the object now."""
     assert state.across is not None  # noqa: S101 - callers have checked
     ahead = span if tracker.settings.predict else 0.0 * span
     if tracker.foresight is not None:
@@ -373,50 +380,63 @@ def _sensed(
         rotation=state.across.rotation,
         swing=tracker.transverse.swing_angles(state.across, ahead),
     )
-    return approach.sensed(
-        part, tracker.transverse.swing, relative, turned=tracker.reference.turned
-    )
+    swing, turned = tracker.transverse.swing, tracker.reference.turned
+    return approach.sensed(part, swing, relative, turned=turned)
+
+
+def _stand(tracker: Tracker, time: float, passed: frozenset[Gate]) -> float:
+    """Return at which step's time the task's clock stands [s]; infinity if no gate is closed."""
+    return last_step(barrier(tracker.reference, time, passed), tracker.cycle_s)
 
 
 def _clock(
-    tracker: Tracker, state: TrackerState, seen: Measurements, retreat: bool
+    tracker: Tracker, state: TrackerState, view: View | None, seen: Measurements, retreat: bool
 ) -> TrackerState:
     """Return the state with the task's clock one step further, as far as its gates let it."""
     if not state.started:
         return state
     T0 = tracker.cycle_s
     tool = tracker.task.tool
-    passed = set(state.passed)
-    fixed = state.fixing is not None and tool.fixed_after is not None
-    released = state.releasing is not None and tool.released_after is not None
-    if state.belief is not None:
-        view = tracker.classifier.view(state.belief)
-        if view.position + view.offset >= tracker.reference.origin[1]:
-            passed.add(Gate.OBJECT_CLOSE)
-    if state.blended is not None and state.blended >= tracker.settings.merge.blend:
-        passed.add(Gate.OBJECT_SEEN)
-    if seen.digital_in & 1 or (fixed and (state.fixing or 0.0) >= (tool.fixed_after or 0.0)):
-        passed.add(Gate.SCREWS_FIXED)
-    if seen.digital_in & 2 or (
-        released and (state.releasing or 0.0) >= (tool.released_after or 0.0)
-    ):
-        passed.add(Gate.WHEEL_RELEASED)
-    gates = frozenset(passed)
-    time = min(state.time + T0, barrier(tracker.reference, state.time, gates))
+    passed = state.passed | _opened(tracker, state, view, seen)
+    # Counted in steps: a sum of many periods is no multiple of one.
+    steps = round(state.time / T0) + 1
+    time = min(steps * T0, _stand(tracker, state.time, passed))
     blended = state.blended
     if blended is not None:
         blended += T0
     elif time > 0.0 and state.across is not None:
         blended = 0.0
-    return replace(
+    return changed(
         state,
-        passed=gates,
+        passed=passed,
         time=time,
         blended=blended,
         fixing=_since(state.fixing, time >= tool.fix_screws and state.contact, T0),
         releasing=_since(state.releasing, time >= tool.release_wheel or retreat, T0),
         withdrawn=_since(state.withdrawn, retreat, T0),
     )
+
+
+def _opened(
+    tracker: Tracker, state: TrackerState, view: View | None, seen: Measurements
+) -> frozenset[Gate]:
+    """Return the gates that what is known now opens."""
+    tool, fixing, releasing = tracker.task.tool, state.fixing, state.releasing
+    gates = []
+    if view is not None and view.position + view.offset >= tracker.reference.origin[1]:
+        gates.append(Gate.OBJECT_CLOSE)
+    if state.blended is not None and state.blended >= tracker.settings.merge.blend:
+        gates.append(Gate.OBJECT_SEEN)
+    if seen.digital_in & 1 or _lasted(fixing, tool.fixed_after):
+        gates.append(Gate.SCREWS_FIXED)
+    if seen.digital_in & 2 or _lasted(releasing, tool.released_after):
+        gates.append(Gate.WHEEL_RELEASED)
+    return frozenset(gates)
+
+
+def _lasted(age: float | None, needed: float | None) -> bool:
+    """Tell whether something has lasted as long as is needed; without a need it never has."""
+    return age is not None and needed is not None and age >= needed
 
 
 def _since(age: float | None, begun: bool, dt: float) -> float | None:
@@ -430,21 +450,20 @@ def _contact(tracker: Tracker, state: TrackerState, wrench: Wrench | None) -> Tr
     """Return the state with contact made or lost."""
     if state.contact:
         lost = Gate.WHEEL_RELEASED in state.passed
-        return replace(state, contact=not lost, touches=0)
+        return changed(state, contact=not lost, touches=0)
     if wrench is None or state.blended is None or Gate.WHEEL_RELEASED in state.passed:
         return state
     near = abs(state.distance) < NEAR
     pressed = abs(float(wrench.force[2])) > tracker.settings.tactile.contact_force
     touches = state.touches + 1 if near and pressed else 0
-    return replace(state, touches=touches, contact=touches >= TOUCHES)
+    return changed(state, touches=touches, contact=touches >= TOUCHES)
 
 
-def _axis_speed(tracker: Tracker, state: TrackerState) -> float:
+def _axis_speed(tracker: Tracker, state: TrackerState, view: View | None) -> float:
     """Return the speed the linear axis heads for [m/s]."""
     moving = state.started and 0.0 < state.time < tracker.reference.times[-1]
-    if not moving or state.belief is None:
+    if not moving or view is None:
         return 0.0
-    view = tracker.classifier.view(state.belief)
     # The arm follows what is suspected; the slow axis waits for what is sure. It once ran 1.9 m
     # away beside a conveyor that stood, on a start that was never confirmed.
     if view.tentative and state.time > tracker.cycle_s:
@@ -454,11 +473,27 @@ def _axis_speed(tracker: Tracker, state: TrackerState) -> float:
     return 0.0 if stopped else file.linear_axis.travel * file.conveyor.nominal_speed
 
 
-def _free(tracker: Tracker, times: Array) -> Array:
-    """Return where over the horizon the tool hangs free: not between contact and retreat."""
-    blend = tracker.contact_blend
-    if times[-1] <= tracker.reference.contact_time - blend:
-        return np.ones(len(times))
-    before = (tracker.reference.contact_time - times) / blend
-    after = (times - tracker.leave) / blend
-    return np.asarray(np.minimum(np.maximum(np.maximum(before, after), 0.0), 1.0))
+def _free(tracker: Tracker, time: float, limit: float) -> Array:
+    """Return where over the horizon the tool hangs free (n+1,)."""
+    first = round(time / tracker.cycle_s)
+    last = first + tracker.steps
+    if limit >= last * tracker.cycle_s and last < len(tracker.free):
+        return tracker.free[first : last + 1]
+    end = len(tracker.free) - 1
+    if limit < math.inf:
+        end = min(end, round(limit / tracker.cycle_s))
+    return tracker.free[np.minimum(np.arange(first, last + 1), end)]
+
+
+def hanging(reference: Reference, leave: float, blend: float, times: Array) -> Array:
+    """Return where at some task times the tool hangs free (m,): 0 from contact to retreat.
+
+    Args:
+        reference: with the time of contact.
+        leave: when the tool leaves the object [s].
+        blend: time in which one gives way to the other [s].
+        times: (m,) [s].
+    """
+    before = (reference.contact_time - times) / blend
+    after = (times - leave) / blend
+    return np.asarray(np.clip(np.maximum(before, after), 0.0, 1.0))

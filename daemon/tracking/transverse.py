@@ -7,12 +7,14 @@ of (8): the oscillator is in A, and no phase grows with k.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from scipy.linalg.lapack import dposv as _solve
 
 from linemate.daemon import rotations
+from linemate.daemon.changed import changed
 from linemate.daemon.horizon import Array
 from linemate.daemon.tracking.observation import Sighting
 from linemate.daemon.tracking.settings import FusionSettings, SwingMode
@@ -25,7 +27,7 @@ SWING_DEVIATION = 0.008  # of a swing nobody has seen yet [rad]
 REFUSALS = 4  # gated sightings in a row after which the filter widens
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class TransverseState:
     """Belief across the conveyor.
 
@@ -70,20 +72,19 @@ class Transverse:
 
     def predict(self, state: TransverseState, dt: float) -> TransverseState:
         """Return (5), (6): what stands stays, what swings turns its phase."""
-        F, noise = _model(self.fusion, self.swing, dt)
-        P = F @ state.P @ F.T
-        P.flat[:: len(noise) + 1] += noise
+        F, Q = _model(self.fusion, self.swing, dt)
+        P = F @ state.P @ F.T + Q
         return TransverseState(F @ state.x, P, state.rotation, state.refused)
 
     def _walk(self, delay: float) -> Array:
         """Return the variance (5,) that the object has walked since a sighting ``delay`` s ago."""
-        x, turn = self.fusion.position**2, self.fusion.angle**2
-        return np.array((x, x, turn, turn, turn)) * max(delay, 0.0)
+        late = max(delay, 0.0)
+        x, turn = self.fusion.position**2 * late, self.fusion.angle**2 * late
+        return np.array((x, x, turn, turn, turn))
 
     def rows(self, delay: float) -> Array:
         """Return the rows (5, n) of (8) for x, z and the three turns, ``delay`` s ago."""
-        H = np.zeros((STATIC, STATIC + 2 * len(self.swing)))
-        H[:, :STATIC] = np.eye(STATIC)
+        H = np.eye(STATIC, STATIC + 2 * len(self.swing))
         for m, mode in enumerate(self.swing):
             i = STATIC + 2 * m
             back = _oscillation(mode, -delay)[0]
@@ -111,37 +112,49 @@ class Transverse:
         P, variance = state.P, sighting.variance[_SEEN] + self._walk(sighting.delay)
         PH = P @ H.T
         S = H @ PH
-        S.flat[:: STATIC + 1] += variance
+        S.reshape(-1)[:: STATIC + 1] += variance
         if not bool((measured * measured <= gate * gate * S.diagonal()).all()):
             if state.refused + 1 < REFUSALS:
-                return replace(state, refused=state.refused + 1), False
+                return changed(state, refused=state.refused + 1), False
             P = P.copy()
             P.flat[: STATIC * (len(P) + 1) : len(P) + 1] += measured * measured
             PH = P @ H.T
             S = H @ PH
-            S.flat[:: STATIC + 1] += variance
-        K = np.linalg.solve(S, PH.T).T
-        x = state.x + K @ measured
-        P = P - K @ PH.T
+            S.reshape(-1)[:: STATIC + 1] += variance
+        # LAPACK itself: numpy's wrapper costs three times what these five rows do.
+        _, K, failed = _solve(S, PH.T)
+        if failed:
+            return changed(state, refused=state.refused + 1), False
+        x = state.x + measured @ K
+        P = P - PH @ K
         rotation = rotations.exp(x[TURN:STATIC]) @ state.rotation
         x[TURN:STATIC] = 0.0
         return TransverseState(x, 0.5 * (P + P.T), rotation), True
 
     def swing_angles(self, state: TransverseState, times: Array) -> Array:
         """Return the swing angles (modes, m) [rad] at ``times`` from now, (9)."""
-        angles = np.zeros((len(self.swing), len(times)))
+        angles = np.empty((len(self.swing), len(times)))
         for m, mode in enumerate(self.swing):
             c, s = state.x[STATIC + 2 * m : STATIC + 2 * m + 2].tolist()
             w = 2.0 * math.pi * mode.frequency_hz
-            angles[m] = np.exp(-mode.damping * w * times) * (
-                c * np.cos(w * times) + s * np.sin(w * times)
-            )
+            # One complex exponential is damping, cosine and sine at once.
+            angles[m] = (complex(c, -s) * np.exp(complex(-mode.damping * w, w) * times)).real
         return angles
+
+    def swing_now(self, state: TransverseState, delay: float) -> tuple[float, ...]:
+        """Return the swing angles [rad] ``delay`` s ago."""
+        angles = []
+        for m, mode in enumerate(self.swing):
+            c, s = state.x[STATIC + 2 * m : STATIC + 2 * m + 2].tolist()
+            w = 2.0 * math.pi * mode.frequency_hz
+            grown = math.exp(mode.damping * w * delay)
+            angles.append(grown * (c * math.cos(w * delay) - s * math.sin(w * delay)))
+        return tuple(angles)
 
 
 @lru_cache(maxsize=16)
 def _model(fusion: FusionSettings, swing: tuple[SwingMode, ...], dt: float) -> tuple[Array, Array]:
-    """Return A of (5) and the diagonal of Q: what stands stays, what swings turns its phase."""
+    """Return A of (5) and Q: what stands stays, what swings turns its phase."""
     size = STATIC + 2 * len(swing)
     F = np.eye(size)
     noise = np.empty(size)
@@ -151,8 +164,10 @@ def _model(fusion: FusionSettings, swing: tuple[SwingMode, ...], dt: float) -> t
     for m, mode in enumerate(swing):
         i = STATIC + 2 * m
         F[i : i + 2, i : i + 2] = _oscillation(mode, dt)
+    Q = np.diag(noise)
     F.setflags(write=False)
-    return F, noise
+    Q.setflags(write=False)
+    return F, Q
 
 
 def _oscillation(mode: SwingMode, dt: float) -> Array:

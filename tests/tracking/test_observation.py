@@ -84,7 +84,7 @@ def test_the_newest_motion_is_carried_on_but_not_far() -> None:
 
 def test_what_was_before_the_history_is_not_known() -> None:
     history = moving(60, 12_000_000, SPEED, length=40)
-    assert len(history.stamps) == len(history.poses) == 40
+    assert len(history.stamps_ns) == len(history.poses) == 40
     oldest = EPOCH + 20 * 12_000_000
     assert pose_at(history, oldest - 1_000_000, 0.012) is None
     assert pose_at(history, oldest + 1_000_000, 0.012) is not None
