@@ -146,7 +146,8 @@ class Arm:
         arm = slice(0, 6)
         q: Array = guesses
         if self.linear_axis:
-            arm, q = slice(1, 7), np.empty_like(guesses)
+            arm = slice(1, 7)
+            q = np.empty(guesses.shape)
             q[:, 0], q[:, 1:] = guesses[:, 6], guesses[:, :6]
         if before is None:
             errors, exact = np.empty((6, len(q))), range(len(q))

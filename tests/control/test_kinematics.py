@@ -178,7 +178,8 @@ def test_a_list_of_neighbours_is_followed_within_its_tolerance(
     before = np.array([arm.tcp_in(NOMINAL, row) for row in guesses])
     again, _ = arm.follow(guesses, poses, NOMINAL, before)
     assert np.abs(again[[0, -1]] - found[[0, -1]]).max() < 1e-12
-    assert np.abs(again - found).max() < 5e-5
+    for row, pose in zip(again, poses, strict=True):
+        assert np.abs(arm.tcp_in(NOMINAL, row) - pose).max() < 3e-5
     if arm.linear_axis:
         assert np.array_equal(found[:, 6], guesses[:, 6])
 
