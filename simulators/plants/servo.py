@@ -9,6 +9,8 @@ each with constant or with unlimited acceleration.
 
 import math
 from functools import lru_cache
+from itertools import chain
+from operator import add, sub
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -66,14 +68,7 @@ class ServoBank:
         self._cuts = lru_cache(_CUTS)(self._cut)
         # Nodes of the lines that are still seen, the present cycle's and its end the last two.
         self._nodes = [tuple(start)] * (self._reach + 2)
-        # Position off the oldest node, speed, and the lines' rises, each of all axes.
-        self._origin = np.array(start)
-        self._inputs = np.zeros((self._reach + 3) * len(axes))
-        self._found = np.zeros(len(self._table.gains))
-        # The same memory by what it holds: a row a substep of positions, and of speeds.
-        moved = self._found[: 2 * substeps * len(axes)].reshape(2, substeps, -1)
-        self._offsets, self._speeds = moved
-        self._is_found = False
+        self._rises = [(0.0,) * len(start)] * (self._reach + 1)
         self._slack = min(axis.dead_time_s for axis in axes)
         self._ahead: list[_Motion] | None = None
         self.positions = tuple(start)
@@ -83,19 +78,11 @@ class ServoBank:
     def begin_cycle(self, cycle: int) -> None:
         """Arrive at a cycle's start: until a command comes, the last setpoint is held."""
         del cycle  # they come one after another
-        nodes, inputs, n = self._nodes, self._inputs, len(self._lags)
+        nodes, rises = self._nodes, self._rises
         nodes.append(nodes[-1])
-        del nodes[0]
+        rises.append((0.0,) * len(nodes[-1]))
+        del nodes[0], rises[0]
         self._begun = self.positions, self.velocities
-        self._origin = np.array(nodes[0])
-        if self._is_found and self._ahead is not None:
-            np.subtract(self._offsets[-1], inputs[2 * n : 3 * n], out=inputs[:n])
-            inputs[n : 2 * n] = self._speeds[-1]
-        else:
-            inputs[:n] = self.positions - self._origin
-            inputs[n : 2 * n] = self.velocities
-        inputs[2 * n : -n] = inputs[3 * n :]
-        inputs[-n:] = 0.0
         self._ahead = None
 
     def command(self, cycle: int, age: float, setpoints: tuple[float, ...]) -> None:
@@ -114,7 +101,7 @@ class ServoBank:
             raise ValueError(f"command {age} s after its cycle began: the motion has passed it")
         nodes = self._nodes
         nodes[-1] = setpoints
-        self._inputs[-len(setpoints) :] = [b - a for a, b in zip(nodes[-2], setpoints, strict=True)]
+        self._rises[-1] = tuple(map(sub, setpoints, nodes[-2]))
         self._ahead = None
 
     def setpoints(self, cycle: int, age: float) -> tuple[float, ...]:
@@ -141,17 +128,19 @@ class ServoBank:
 
     def _look_ahead(self) -> list[_Motion]:
         """Positions and velocities at the end of each substep of this cycle."""
-        n, steps = len(self._lags), self._substeps
-        np.dot(self._table.gains, self._inputs, out=self._found)
-        values: list[float] = self._found.tolist()
-        strains = values[2 * n * steps :]
-        self._is_found = min(strains) >= -1.0 and max(strains) <= 1.0
-        positions = map(tuple, (self._offsets + self._origin).tolist())
-        speeds = [tuple(values[i : i + n]) for i in range(n * steps, 2 * n * steps, n)]
-        ahead = list(zip(positions, speeds, strict=True))
-        if self._is_found:
+        table, (positions, velocities), origin = self._table, self._begun, self._nodes[0]
+        inputs = [*map(sub, positions, origin), *velocities, *chain.from_iterable(self._rises)]
+        # Numpy twice and no more: between other work each of its calls costs as much as ten here.
+        values: list[float] = table.gains.dot(inputs).tolist()
+        n, half = len(origin), table.strains // 2
+        ahead = [
+            (tuple(map(add, values[i : i + n], origin)), tuple(values[half + i : half + i + n]))
+            for i in range(0, half, n)
+        ]
+        strains = values[table.strains :]
+        if min(strains) >= -1.0 and max(strains) <= 1.0:
             return ahead
-        return self._one_by_one(ahead[: self._table.easy(values)])
+        return self._one_by_one(ahead[: table.easy(values)])
 
     def _one_by_one(self, ahead: list[_Motion]) -> list[_Motion]:
         """Go on axis by axis from the first substep in which one saturates."""
