@@ -7,18 +7,18 @@ milliseconds. A request is sent again until its answer or its deadline, never af
 
 import contextlib
 import os
-import secrets
 import socket
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 from linemate.protocol.command import CommandError
 from linemate.protocol.command_client import Answer, ClientCore, Event, More, Telemetry
-from linemate.protocol.command_keys import Key, parse_keys, unsafe_mode
 from linemate.protocol.command_local import LOCAL_LIMIT_BYTES, LocalClient
-from linemate.protocol.command_session import CommandClient
+
+if TYPE_CHECKING:
+    from linemate.protocol.command_keys import Key
 
 SOCKET_NAME: Final = "linemate/command.sock"
 DEFAULT_PORT: Final = 49160
@@ -70,7 +70,7 @@ def default_key_path() -> Path:
     return Path(base) / "linemate" / "key"
 
 
-def read_key(path: Path, name: str | None = None) -> Key:
+def read_key(path: Path, name: str | None = None) -> "Key":
     """Read one key from a key file that nobody else can read.
 
     Args:
@@ -80,6 +80,8 @@ def read_key(path: Path, name: str | None = None) -> Key:
     Raises:
         KeyFileError: missing, readable by others, malformed, or no such name.
     """
+    from linemate.protocol.command_keys import parse_keys, unsafe_mode
+
     try:
         with path.open(encoding="utf-8") as file:
             wrong = unsafe_mode(os.fstat(file.fileno()).st_mode)
@@ -107,7 +109,7 @@ class Client:
     carried out, so nothing is ever asked again on its own beyond its deadline.
     """
 
-    def __init__(self, address: Path | tuple[str, int], key: Key | None) -> None:
+    def __init__(self, address: Path | tuple[str, int], key: "Key | None") -> None:
         self._address = address
         self._key = key
         self._socket: socket.socket | None = None
@@ -124,7 +126,7 @@ class Client:
         return cls(Path(path) if path is not None else default_socket_path(), None)
 
     @classmethod
-    def udp(cls, host: str, port: int, key: Key) -> Self:
+    def udp(cls, host: str, port: int, key: "Key") -> Self:
         """Return a client of a daemon anywhere, with a pre-shared key."""
         return cls((host, port), key)
 
@@ -245,7 +247,10 @@ class Client:
     def _new_core(self) -> ClientCore:
         if self._key is None:
             return LocalClient()
-        return CommandClient(self._key, secrets.randbits(64))
+        # The local socket needs no keys: what UDP needs is loaded with the first of its sessions.
+        from linemate.protocol.command_session import CommandClient
+
+        return CommandClient(self._key, int.from_bytes(os.urandom(8)))
 
     def _await_answer(
         self, link: socket.socket, sequence: int, frame: bytes, timeout_s: float

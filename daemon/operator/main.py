@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
-from linemate.daemon.operator import export, identify, render, replay
+from linemate.daemon.operator import render
 from linemate.daemon.operator.client import (
     DEFAULT_PORT,
     DEFAULT_TIMEOUT_S,
@@ -28,15 +28,7 @@ from linemate.daemon.operator.client import (
     default_key_path,
     read_key,
 )
-from linemate.daemon.view import command as view
 from linemate.protocol.command import CommandError, Role
-from linemate.protocol.command_keys import (
-    KEY_BYTES,
-    key_line,
-    make_key,
-    parse_keys,
-    unsafe_mode,
-)
 
 OK: Final = 0
 NOT_OK: Final = 1
@@ -51,7 +43,8 @@ HEALTHY: Final = "healthy"
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the tool and return its exit code."""
-    args = parser().parse_args(argv)
+    words = sys.argv[1:] if argv is None else argv
+    args = parser(words[0] if words else None).parse_args(words)
     run: Callable[[argparse.Namespace], int] = args.run
     try:
         return run(args)
@@ -229,6 +222,14 @@ def _operate(args: argparse.Namespace) -> int:
 
 
 def _keygen(args: argparse.Namespace) -> int:
+    from linemate.protocol.command_keys import (
+        KEY_BYTES,
+        key_line,
+        make_key,
+        parse_keys,
+        unsafe_mode,
+    )
+
     key = make_key(args.name, Role(args.role), os.urandom(KEY_BYTES))
     if args.out is None:
         print(key_line(key))
@@ -309,12 +310,22 @@ def _common() -> argparse.ArgumentParser:
     return common
 
 
-def parser() -> argparse.ArgumentParser:
-    """The command line."""
+def parser(only: str | None = None) -> argparse.ArgumentParser:
+    """The command line.
+
+    Args:
+        only: the command that is wanted: the others are left out, which saves their time.
+    """
     common = _common()
     made = CommandLine(prog="linemate", description="Watch and operate a linemate daemon.")
-    commands = made.add_subparsers(required=True, metavar="COMMAND")
+    commands = made.add_subparsers(required=True, metavar="COMMAND", prog=made.prog)
+    wanted = ADDED.get(only or "")
+    for add in (wanted,) if wanted is not None else dict.fromkeys(ADDED.values()):
+        add(commands, common)
+    return made
 
+
+def _add_status(commands: Any, common: argparse.ArgumentParser) -> None:
     status = commands.add_parser("status", parents=[common], help="state, links, rates, ages")
     status.add_argument("--watch", action="store_true", help="again and again until Ctrl-C")
     status.add_argument(
@@ -323,7 +334,8 @@ def parser() -> argparse.ArgumentParser:
     status.add_argument("--for", dest="seconds", type=_positive, metavar="S", help="watch so long")
     status.set_defaults(run=_status)
 
-    _add_param(commands.add_parser("param", help="parameters"), common)
+
+def _add_orders(commands: Any, common: argparse.ArgumentParser) -> None:
     for op, text in (
         ("arm", "let a start be accepted"),
         ("start", "follow the part and assemble"),
@@ -334,28 +346,45 @@ def parser() -> argparse.ArgumentParser:
         operate = commands.add_parser(op, parents=[common], help=text)
         operate.set_defaults(run=_operate, op=op)
 
+
+def _add_record(commands: Any, common: argparse.ArgumentParser) -> None:
     record = commands.add_parser("record", parents=[common], help="recordings")
     record.add_argument("action", choices=("start", "stop"))
     record.set_defaults(run=_operate, op="record")
 
+
+def _add_files(commands: Any, _: argparse.ArgumentParser) -> None:
+    from linemate.daemon.operator import export, identify, replay
+
     identify.add_parser(commands)
     replay.add_parser(commands)
     export.add_parsers(commands)
-    view.add_parser(commands, common, _client)
+
+
+def _add_view(commands: Any, common: argparse.ArgumentParser) -> None:
+    from linemate.daemon.view import command
+
+    command.add_parser(commands, common, _client)
+
+
+def _add_doctor(commands: Any, _: argparse.ArgumentParser) -> None:
     doctor = commands.add_parser("doctor", help="what this host lacks for real time and links")
     doctor.add_argument("--json", action="store_true", help="print JSON")
     doctor.set_defaults(run=_doctor)
 
+
+def _add_keygen(commands: Any, _: argparse.ArgumentParser) -> None:
     keygen = commands.add_parser("keygen", help="make a key and print its line")
     keygen.add_argument("name")
     keygen.add_argument("role", choices=[str(role) for role in Role])
     keygen.add_argument("--out", type=Path, metavar="FILE", help="append it to a key file")
     keygen.set_defaults(run=_keygen)
-    return made
 
 
-def _add_param(parser: argparse.ArgumentParser, common: argparse.ArgumentParser) -> None:
-    verbs = parser.add_subparsers(required=True, metavar="VERB")
+def _add_param(commands: Any, common: argparse.ArgumentParser) -> None:
+    verbs = commands.add_parser("param", help="parameters").add_subparsers(
+        required=True, metavar="VERB"
+    )
     listing = verbs.add_parser("list", parents=[common], help="all, or those that begin so")
     listing.add_argument("prefix", nargs="?", default="")
     listing.set_defaults(run=_param_list)
@@ -374,6 +403,26 @@ def _add_param(parser: argparse.ArgumentParser, common: argparse.ArgumentParser)
         "diff", parents=[common], help="those that are not the default, or not as in the file"
     )
     diffing.set_defaults(run=_param_diff)
+
+
+ADDED: Final[dict[str, Callable[[Any, argparse.ArgumentParser], None]]] = {
+    "status": _add_status,
+    "param": _add_param,
+    "arm": _add_orders,
+    "start": _add_orders,
+    "stop": _add_orders,
+    "retreat": _add_orders,
+    "ack": _add_orders,
+    "record": _add_record,
+    "identify": _add_files,
+    "replay": _add_files,
+    "export": _add_files,
+    "recover": _add_files,
+    "view": _add_view,
+    "doctor": _add_doctor,
+    "keygen": _add_keygen,
+}
+"""What puts each command on the command line."""
 
 
 if __name__ == "__main__":

@@ -284,3 +284,22 @@ def test_a_table_of_nothing_is_empty() -> None:
         ("a", "-"),
         ("b.c", "[1, yes, -]"),
     ]
+
+
+LOADED = """
+import sys
+from linemate.daemon.operator.main import main
+main(["status", "--socket", "/nobody"])
+print(*sys.modules)
+"""
+
+
+def test_a_status_loads_nothing_that_it_does_not_need() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", LOADED], capture_output=True, text=True, check=True
+    )
+    loaded = set(done.stdout.split())
+    assert "linemate.protocol.command_local" in loaded
+    rooms = ("daemon.operator.replay", "daemon.operator.export", "daemon.operator.doctor")
+    unwanted = {f"linemate.{room}" for room in (*rooms, "protocol.command_session", "daemon.view")}
+    assert not loaded & (unwanted | {"numpy", "rich", "pydantic", "yaml", "asyncio", "secrets"})
