@@ -14,6 +14,8 @@ from typing import cast
 import cantools
 from cantools.database.can import Database, Message, Signal
 
+from linemate.protocol import distance_bits
+from linemate.protocol.distance_bits import Bits
 from linemate.protocol.errors import ProtocolError
 from linemate.protocol.samples import DistanceSample
 
@@ -81,6 +83,8 @@ class _Layout:
     length: int
     position: _Scale
     strength: _Scale | None
+    plain: dict[str, Bits] | None
+    """Where the two lie, if that is simple."""
 
 
 def _load(dbc: str | Path) -> Database:
@@ -157,6 +161,7 @@ def _layout(
         raise DistanceError(f"signal {signal} is in {position.unit!r}, not in a unit of length")
     if strength is None and any(s.name == "Strength" for s in found.signals):
         strength = "Strength"
+    names = [signal] if strength is None else [signal, strength]
     return _Layout(
         message=found,
         can_id=found.frame_id if can_id is None else can_id,
@@ -164,6 +169,7 @@ def _layout(
         length=found.length,
         position=_scale(position, step, unit),
         strength=None if strength is None else _scale(_find_signal(found, strength), None, 1.0),
+        plain=distance_bits.find(found, names),
     )
 
 
@@ -237,10 +243,12 @@ class DistanceDecoder:
         return DistanceSample(stamp_ns, value * scale.unit, self._strength(counts, data))
 
     def _counts(self, data: bytes) -> dict[str, float]:
-        """Raw counts of every signal in the frame."""
+        """Raw counts of the signals in the frame, the two that matter among them."""
         if not self._layout.length <= len(data) <= MAX_FRAME_BYTES:
             what = f"{len(data)} bytes instead of {self._layout.length}"
             raise DistanceError(what, self.can_id, data)
+        if self._layout.plain is not None:
+            return {name: bits.read(data) for name, bits in self._layout.plain.items()}
         try:
             counts = self._decode(data, decode_choices=False, scaling=False)
         except Exception as error:
@@ -265,6 +273,18 @@ def _selectors(message: Message, name: str) -> dict[str, float]:
         selectors[signal.multiplexer_signal] = signal.multiplexer_ids[0]
         signal = _find_signal(message, signal.multiplexer_signal)
     return selectors
+
+
+def _packed(plain: dict[str, Bits], counts: dict[str, float]) -> bytes | None:
+    """A frame with these counts and zeros; None if one of them is too great for its place."""
+    frame = length = 0
+    for name, bits in plain.items():
+        count = int(counts[name])
+        if not bits.fits(count):
+            return None
+        frame |= int.from_bytes(bits.put(count), "little")
+        length = bits.length
+    return frame.to_bytes(length, "little")
 
 
 class DistanceEncoder:
@@ -305,10 +325,14 @@ class DistanceEncoder:
             DistanceError: the value does not fit the signal or is out of the DBC's range.
         """
         layout = self._layout
-        counts = dict(self._blank)
-        counts[layout.position.name] = self._count(layout.position, position)
+        told = {layout.position.name: self._count(layout.position, position)}
         if layout.strength is not None:
-            counts[layout.strength.name] = self._count(layout.strength, strength or 0.0)
+            told[layout.strength.name] = self._count(layout.strength, strength or 0.0)
+        if layout.plain is not None:
+            data = _packed(layout.plain, told)
+            if data is not None:
+                return layout.can_id, data
+        counts = {**self._blank, **told}
         try:
             return layout.can_id, bytes(layout.message.encode(counts, scaling=False, strict=False))
         except Exception as error:

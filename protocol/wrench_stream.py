@@ -92,12 +92,13 @@ class WrenchDecoder(ABC):
         buffer = self._buffer + data if self._buffer else data
         samples: list[WrenchSample] = []
         size, end, position = self._size, len(buffer), 0
+        header, crc = self._header, self._crc
         while end - position >= size:
-            if not buffer.startswith(self._header, position):
+            if not buffer.startswith(header, position):
                 position = self._hunt(buffer, position)
                 continue
             frame = buffer[position : position + size]
-            if self._crc(self.checked(frame)) != frame[-2] | frame[-1] << 8:
+            if crc(self.checked(frame)) != frame[-2] | frame[-1] << 8:
                 self.bad_crc += 1
                 self._drop(1)
                 position += 1

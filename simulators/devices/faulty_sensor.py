@@ -61,6 +61,8 @@ class FaultySensor:
 
     def clock(self, time_s: float) -> float:
         """What the sensor's clock shows at a scenario time [s]."""
+        if not self._clocks:
+            return time_s
         shown_s = time_s
         for fault in self._clocks:
             if holds(fault, time_s):

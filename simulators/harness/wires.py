@@ -7,7 +7,8 @@ but bytes and a stamp in between; a scenario's faults act there. What a decoder 
 import heapq
 import random
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from operator import itemgetter
 
 from linemate.daemon.service.cycle import Cycle
 from linemate.protocol.camera import CameraDecoder
@@ -35,6 +36,7 @@ CAMERA_CLOCK_NS = 86_400_000_000_123
 CAN_BYTES = 8
 DIALOGUE_TURNS = 100
 _TINY = 1e-9
+_arrival = itemgetter(0)
 
 Arrival = tuple[float, int, str, bytes]
 """When [s], a number that keeps the order, on which link, and what."""
@@ -75,32 +77,40 @@ class Emitters:
         self._can = CanSensor(encoder, mount)
         self._camera = CameraSender(clock_offset_ns=CAMERA_CLOCK_NS)
 
-    def collect(self) -> Iterator[tuple[float, str, bytes]]:
+    def collect(self) -> list[tuple[float, str, bytes]]:
         """What has left since the last call.
 
-        Yields:
+        Returns:
             When it arrives [s], on which link, and the bytes; ``garbage`` of the scenario among
             them, on the robot's link too.
         """
+        left: list[tuple[float, str, bytes]] = []
         for distance in self._world.take_distance():
             (position,) = self.sensors["distance"].reading((distance.position,), distance.time_s)
             frame = self._can.frame(position, distance.strength)
             if frame is not None:
-                yield from self._carry("distance", frame.data, distance.time_s)
+                self._carry("distance", frame.data, distance.time_s, left)
         for pose in self._world.take_camera():
-            yield from self._carry("camera", self._datagram(pose), pose.time_s)
+            self._carry("camera", self._datagram(pose), pose.time_s, left)
         for wrench in self._world.take_wrench():
-            yield from self._carry("force_torque", self._streamed(wrench), wrench.time_s)
+            self._carry("force_torque", self._streamed(wrench), wrench.time_s, left)
         now_s = self._world.time_s
         for fault in self._faults.strike(now_s):
             if fault.kind == "garbage":
                 for _ in range(fault.count):
                     junk = self._junk.randbytes(int(fault.value) or GARBAGE_BYTES)
-                    yield now_s, fault.link, junk[:CAN_BYTES] if fault.link == "distance" else junk
+                    cut = CAN_BYTES if fault.link == "distance" else len(junk)
+                    left.append((now_s, fault.link, junk[:cut]))
+        return left
 
-    def _carry(self, link: str, data: bytes, time_s: float) -> Iterator[tuple[float, str, bytes]]:
-        for arrival_s, piece in self.links[link].carry(data, time_s):
-            yield arrival_s, link, piece
+    def _carry(
+        self, name: str, data: bytes, time_s: float, left: list[tuple[float, str, bytes]]
+    ) -> None:
+        link = self.links[name]
+        if link.is_sound:
+            left.append((time_s, name, data))
+        else:
+            left += [(arrival_s, name, piece) for arrival_s, piece in link.carry(data, time_s)]
 
     def _datagram(self, pose: CameraEmission) -> bytes:
         sensor = self.sensors["camera"]
@@ -161,16 +171,25 @@ class Wires:
 
     def carry(self) -> None:
         """Bring over everything that has arrived by now."""
-        for arrival_s, link, data in self.emitters.collect():
+        left = self.emitters.collect()
+        now_s = self._world.time_s + _TINY
+        if not self._under_way and all(arrival_s <= now_s for arrival_s, _, _ in left):
+            left.sort(key=_arrival)  # those of one instant in the order of leaving
+            for time_s, link, data in left:
+                self._bring(time_s, link, data)
+            return
+        for arrival_s, link, data in left:
             self._count += 1
             heapq.heappush(self._under_way, (arrival_s, self._count, link, data))
-        now_s = self._world.time_s
-        while self._under_way and self._under_way[0][0] <= now_s + _TINY:
+        while self._under_way and self._under_way[0][0] <= now_s:
             time_s, _, link, data = heapq.heappop(self._under_way)
-            try:
-                self._receivers[link](data, self.stamp(time_s))
-            except ProtocolError:
-                self.refused[link] += 1
+            self._bring(time_s, link, data)
+
+    def _bring(self, time_s: float, link: str, data: bytes) -> None:
+        try:
+            self._receivers[link](data, self.stamp(time_s))
+        except ProtocolError:
+            self.refused[link] += 1
 
     def _distance(self, data: bytes, stamp_ns: int) -> None:
         # An adapter drops junk on its line; what reaches a decoder is a frame, good or bad.

@@ -1,6 +1,7 @@
 import math
 import struct
 
+import cantools
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -12,6 +13,7 @@ from linemate.protocol.distance import (
     DistanceEncoder,
     DistanceError,
 )
+from linemate.protocol.distance_bits import find
 from linemate.protocol.samples import DistanceSample
 
 SITE_DBC = """VERSION ""
@@ -179,3 +181,40 @@ def test_any_bytes_give_a_sane_sample_or_a_distance_error(
     if sample is not None:
         assert math.isfinite(sample.position)
         assert sample.stamp_ns == stamp_ns
+
+
+@given(
+    st.integers(1, 8), st.booleans(), st.booleans(), st.integers(0, 63), st.integers(1, 32),
+    st.binary(min_size=8, max_size=8), st.integers(-(2**33), 2**33),
+)  # fmt: skip
+@example(8, True, True, 7, 16, b"\xff" * 8, -1)
+def test_bits_lie_where_cantools_finds_them(
+    length: int, big: bool, signed: bool, start: int, size: int, data: bytes, count: int
+) -> None:
+    order, sign = (0 if big else 1), ("-" if signed else "+")
+    dbc = f"""VERSION ""
+BS_:
+BU_: S H
+BO_ 101 Encoder: {length} S
+ SG_ Travel : {start}|{size}@{order}{sign} (1,0) [0|0] "m" H
+"""
+    try:
+        message = cantools.database.load_string(dbc, database_format="dbc").messages[0]
+    except cantools.database.errors.Error:
+        return  # it does not fit its message
+    bits = find(message, ["Travel"])
+    assert bits is not None
+    found = bits["Travel"]
+    expected = message.decode(data[:length], scaling=False, decode_choices=False)
+    assert {"Travel": found.read(data[:length])} == expected
+    if found.fits(count):
+        assert found.put(count) == message.encode({"Travel": count}, scaling=False, strict=False)
+    else:
+        with pytest.raises(Exception):  # noqa: B017, PT011 -- whatever cantools says of it
+            message.encode({"Travel": count}, scaling=False, strict=False)
+
+
+def test_multiplexed_and_float_signals_are_not_plain() -> None:
+    messages = cantools.database.load_string(SITE_DBC, database_format="dbc")
+    assert find(messages.get_message_by_name("Muxed"), ["Gap"]) is None
+    assert find(messages.get_message_by_name("Encoder"), ["Travel", "Weight"]) is not None
