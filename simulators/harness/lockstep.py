@@ -6,11 +6,13 @@ own instant of emission; so one seed gives one run, to the byte. The controller 
 cycle k begins at -lead_in + k T0, and its reply takes no time.
 """
 
+import math
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from functools import lru_cache
 from typing import Any
+
+import numpy as np
 
 from linemate.daemon.control.settings import ControlSettings
 from linemate.daemon.parameters import Parameters, build, with_foresight
@@ -218,43 +220,63 @@ class _Operator:
 
 
 class _DaemonLog:
-    """The daemon's columns, a row a telegram."""
+    """The daemon's word, a row a telegram; columns are made of it at the end."""
 
     def __init__(self, n: int) -> None:
-        self.columns = columns.empty(n)
         self.events: list[DaemonEvent] = []
-        self.step_us = float("nan")
+        self.step_us = math.nan
+        self._values = np.full((n, _WIDTH), np.nan)
+        self._codes = np.zeros((n, len(_CODES)), np.int64)
         self._row = 0
 
     def note(self, t: float, entry: LogEntry) -> None:
         """Take a step; only one that answered a telegram fills a row."""
         outputs = entry.outputs
-        self.events += [DaemonEvent(t, kind, what) for kind, what in outputs.events]
+        if outputs.events:
+            self.events += [DaemonEvent(t, kind, what) for kind, what in outputs.events]
         if entry.ipoc is None:
             return
-        row, rows = self._row, self.columns
-        rows.command[row, : len(outputs.command)] = outputs.command
-        rows.target[row] = outputs.target
-        if outputs.sensed is not None:
-            rows.sensed[row] = outputs.sensed
-        if outputs.part is not None:
-            rows.part[row] = outputs.part
-        if outputs.task_time is not None:
-            rows.task_time[row] = outputs.task_time
-        if outputs.speed is not None:
-            rows.speed[row] = outputs.speed
-        rows.phase[row] = _PHASES[outputs.phase.value]
-        rows.scenario[row] = _CLASSES[outputs.scenario]
-        rows.tentative[row] = outputs.scenario_state == "tentative"
-        rows.state[row] = _STATES[entry.state]
-        rows.contact_seen[row] = outputs.contact
-        rows.step_us[row] = self.step_us
+        sensed, part = outputs.sensed, outputs.part
+        self._values[self._row] = (
+            *outputs.command,
+            *outputs.target,
+            *(_UNKNOWN if sensed is None else sensed),
+            *(_UNKNOWN if part is None else part),
+            math.nan if outputs.task_time is None else outputs.task_time,
+            math.nan if outputs.speed is None else outputs.speed,
+            self.step_us,
+        )
+        self._codes[self._row] = (
+            _PHASES[outputs.phase.value],
+            _CLASSES[outputs.scenario],
+            outputs.scenario_state == "tentative",
+            _STATES[entry.state],
+            outputs.contact,
+        )
 
     def end_row(self) -> None:
         """The telegram's row is complete."""
         self._row += 1
 
+    def columns(self, n: int) -> dict[str, Any]:
+        """The first n rows, by column."""
+        values, codes = self._values[:n], self._codes[:n]
+        told: dict[str, Any] = {
+            name: values[:, columns.AXES * i : columns.AXES * (i + 1)]
+            for i, name in enumerate(_POSES)
+        }
+        told |= dict(zip(_NUMBERS, values[:, -len(_NUMBERS) :].T, strict=True))
+        for name, code in zip(_CODES, codes.T, strict=True):
+            told[name] = code.astype(np.bool_) if name in _FLAGS else code
+        return told
 
+
+_POSES = ("command", "target", "sensed", "part")
+_NUMBERS = ("task_time", "speed", "step_us")
+_CODES = ("phase", "scenario", "tentative", "state", "contact_seen")
+_FLAGS = ("tentative", "contact_seen")
+_WIDTH = columns.AXES * len(_POSES) + len(_NUMBERS)
+_UNKNOWN = (math.nan,) * columns.AXES
 _PHASES = {name: i for i, name in enumerate(columns.PHASES)}
 _CLASSES = {name: i for i, name in enumerate(columns.CLASSES)}
 _STATES = {name: i for i, name in enumerate(columns.STATES)}
@@ -264,8 +286,8 @@ def _joined(truth: TruthLog, daemon: _DaemonLog) -> Rows:
     """Truth and the daemon's word side by side."""
     found = truth.columns()
     shared: dict[str, Any] = {name: found[name] for name in columns.TRUTH}
-    told = daemon.columns.cut(len(truth))
-    return replace(told, events=tuple(daemon.events), **shared)
+    told = daemon.columns(len(truth))
+    return Rows(events=tuple(daemon.events), **shared, **told)
 
 
 def _count(length_s: float, cycle_s: float) -> int:
