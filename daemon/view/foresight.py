@@ -11,6 +11,7 @@ import math
 import os
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -29,8 +30,25 @@ CLOSE: Final = 1e-3
 """Between the recorded pose and the one made again, for the horizon to be shown [m]."""
 
 
-def foreseen(path: Path) -> Iterator[tuple[int, bool, list[list[float]]]]:
-    """Return step numbers, whether all bits are the recorded ones, and positions in base [m].
+@dataclass(frozen=True, slots=True)
+class Foreseen:
+    """What one step foresaw.
+
+    Attributes:
+        k: number of the step.
+        exact: all bits are the recorded ones.
+        ahead_ms: how far the last point lies ahead [ms].
+        points: evenly spread positions of the tcp in base [m].
+    """
+
+    k: int
+    exact: bool
+    ahead_ms: float
+    points: list[list[float]]
+
+
+def foreseen(path: Path) -> Iterator[Foreseen]:
+    """Return what the steps of a recording foresaw, as far as it can be made again.
 
     Args:
         path: of the recording.
@@ -48,7 +66,9 @@ def foreseen(path: Path) -> Iterator[tuple[int, bool, list[list[float]]]]:
             continue
         last_ns = stamp_ns
         exact = digest(horizon) == record.outputs.get("horizon")
-        yield record.inputs.k, exact, _points(horizon, parameters.tracker.reference.nominal)
+        ahead_ms = round(1e3 * parameters.cycle_s * (len(horizon) - 1))
+        points = _points(horizon, parameters.tracker.reference.nominal)
+        yield Foreseen(record.inputs.k, exact, ahead_ms, points)
 
 
 def _points(horizon: Array, nominal: Array) -> list[list[float]]:
@@ -60,8 +80,9 @@ def _points(horizon: Array, nominal: Array) -> list[list[float]]:
 def main() -> int:
     """Print what a recording's steps foresaw, as JSON lines."""
     os.nice(10)
-    for k, exact, points in foreseen(Path(sys.argv[1])):
-        print(json.dumps([k, exact, points], separators=(",", ":")), flush=True)
+    for one in foreseen(Path(sys.argv[1])):
+        told = [one.k, one.exact, one.ahead_ms, one.points]
+        print(json.dumps(told, separators=(",", ":")), flush=True)
     return 0
 
 

@@ -127,8 +127,8 @@ class TapeSite:
             try:
                 if process.stdout is not None:
                     async for line in process.stdout:
-                        k, exact, points = json.loads(line)
-                        tape.foresee(k, points, exact=exact)
+                        k, exact, ahead_ms, points = json.loads(line)
+                        tape.foresee(k, ahead_ms, points, exact=exact)
                 await process.wait()
             finally:
                 if process.returncode is None:

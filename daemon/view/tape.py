@@ -51,7 +51,7 @@ class Tape:
         happened: time [s] and text.
         trouble: why not all of it is here, empty if it is.
         steps: in the file.
-        foreseen: positions by step, as far as they have been made again.
+        foreseen: parts of frames by step, as far as they have been made again.
         inexact: of them, how many are not bit for bit the recorded ones.
     """
 
@@ -61,7 +61,7 @@ class Tape:
     happened: list[tuple[float, str]] = field(default_factory=list)
     trouble: str = ""
     steps: int = 0
-    foreseen: dict[int, list[list[float]]] = field(default_factory=dict)
+    foreseen: dict[int, Frame] = field(default_factory=dict)
     inexact: int = 0
     _numbers: list[int] = field(default_factory=list)
 
@@ -81,9 +81,18 @@ class Tape:
         last = min(last, first + MOST_ASKED, len(self.frames))
         return [self._with_foresight(frame) for frame in self.frames[first:last]]
 
-    def foresee(self, k: int, points: list[list[float]], *, exact: bool = True) -> None:
-        """Take in what was foreseen at a step; steps come in their order."""
-        self.foreseen[k] = points
+    def foresee(
+        self, k: int, ahead_ms: float, points: list[list[float]], *, exact: bool = True
+    ) -> None:
+        """Take in what was foreseen at a step; steps come in their order.
+
+        Args:
+            k: number of the step.
+            ahead_ms: how far ahead [ms].
+            points: in base [m].
+            exact: all bits are the recorded ones.
+        """
+        self.foreseen[k] = {"foreseen": points, "foreseen_ms": ahead_ms}
         self.inexact += not exact
         self._numbers.append(k)
 
@@ -105,7 +114,7 @@ class Tape:
         at = bisect_right(self._numbers, frame["k"]) - 1
         if at < 0 or frame["k"] - self._numbers[at] > NEAR or frame.get("state") == "idle":
             return frame
-        return {**frame, "foreseen": self.foreseen[self._numbers[at]]}
+        return frame | self.foreseen[self._numbers[at]]
 
 
 def overview(frames: Sequence[Frame]) -> list[dict[str, Any]]:
@@ -124,6 +133,8 @@ def _worst(stretch: Sequence[Frame]) -> dict[str, Any]:
         name: last[name] for name in ("state", "phase", "scenario", "speed") if name in last
     }
     told["t"] = stretch[0]["t"]
+    if "ages_ms" in last:
+        told["ages_ms"] = last["ages_ms"]
     told["tentative"] = any(frame["tentative"] for frame in stretch)
     for name, worst in (("confidence", max), ("slack_ms", min)):
         values = [frame[name] for frame in stretch if name in frame]

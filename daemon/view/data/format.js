@@ -1,0 +1,31 @@
+// Words and numbers for people; nothing here knows where they come from.
+export const STATES = {
+  init: ["…", "unknown"], idle: ["■", "unknown"], armed: ["◇", "unknown"], track: ["▶", "good"],
+  contact: ["◉", "good"], retreat: ["◀", "good"], hold: ["‖", "warn"], fault: ["✕", "bad"],
+};
+export const CLASSES = { running: "▶▶", stopping: "▼", standing: "■", starting: "▲" };
+export const LANES = ["running", "starting", "stopping", "standing"];
+
+export function number(value, digits = 2) {
+  if (value === undefined || value === null || !Number.isFinite(value)) return "–";
+  const size = Math.abs(value);
+  return value.toFixed(size >= 100 ? 0 : size >= 10 ? Math.min(1, digits) : digits);
+}
+
+export function seconds(value, digits = 1) {
+  if (!Number.isFinite(value)) return "–";
+  const minutes = Math.floor(value / 60);
+  return minutes ? `${minutes}:${(value - 60 * minutes).toFixed(digits).padStart(digits + 3, "0")}` : `${value.toFixed(digits)} s`;
+}
+
+export function age(milliseconds) {
+  if (milliseconds === undefined || milliseconds === null) return "–";
+  if (milliseconds < 1000) return `${Math.round(milliseconds)} ms`;
+  return milliseconds < 60000 ? `${(milliseconds / 1000).toFixed(1)} s` : `${Math.round(milliseconds / 60000)} min`;
+}
+
+// Log odds, as a chance in words that a chart's axis has room for.
+export function odds(value) {
+  const chance = 1 / (1 + Math.exp(-value));
+  return chance > 0.9999 ? "> 99.99 %" : chance < 0.0001 ? "< 0.01 %" : `${(100 * chance).toPrecision(3)} %`;
+}
