@@ -12,7 +12,7 @@ SYSUSERS ?= $(OWN)/etc/sysusers.d
 TMPFILES ?= $(OWN)/etc/tmpfiles.d
 BIN ?= $(if $(OWN),$(OWN)/bin,/usr/local/bin)
 SHARE ?= $(if $(OWN),$(OWN)/share,/usr/local/share)
-SERVICES := linemated.service linemated@.service
+SERVICES := linemated.service linemated@.service linemate-metrics.service
 
 .PHONY: help demo test lint format bench dst accuracy install install-program install-files \
 	uninstall systemd-test docs docs-write clean

@@ -367,6 +367,12 @@ def _add_view(commands: Any, common: argparse.ArgumentParser) -> None:
     command.add_parser(commands, common, _client)
 
 
+def _add_metrics(commands: Any, _: argparse.ArgumentParser) -> None:
+    from linemate.daemon.operator import exporter
+
+    exporter.add_parser(commands)
+
+
 def _add_doctor(commands: Any, _: argparse.ArgumentParser) -> None:
     doctor = commands.add_parser("doctor", help="what this host lacks for real time and links")
     doctor.add_argument("--json", action="store_true", help="print JSON")
@@ -419,6 +425,7 @@ ADDED: Final[dict[str, Callable[[Any, argparse.ArgumentParser], None]]] = {
     "export": _add_files,
     "recover": _add_files,
     "view": _add_view,
+    "metrics": _add_metrics,
     "doctor": _add_doctor,
     "keygen": _add_keygen,
 }

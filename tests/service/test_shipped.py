@@ -1,5 +1,6 @@
 """What is installed beside the program: its first configuration and its unit."""
 
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -27,11 +28,11 @@ UNITS = ("linemated.service", "linemated@.service")
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze here")
-@pytest.mark.parametrize("name", UNITS)
+@pytest.mark.parametrize("name", [*UNITS, "linemate-metrics.service"])
 def test_a_unit_is_understood_and_leaves_little_exposed(name: str, tmp_path: Path) -> None:
     text = (SYSTEMD / name).read_text(encoding="utf-8")
     unit = tmp_path / name
-    unit.write_text(text.replace("/opt/linemate/bin/linemated", "/bin/true"), encoding="utf-8")
+    unit.write_text(re.sub(r"/opt/linemate/bin/\w+", "/bin/true", text), encoding="utf-8")
     verified = subprocess.run(
         ["systemd-analyze", "verify", "--man=no", str(unit).replace("@.", "@west.")],
         capture_output=True,

@@ -269,6 +269,18 @@ def test_a_killed_daemon_is_ready_again_in_three_seconds_and_moves_nothing(
     assert status(service)["state"] in {"init", "idle"}
 
 
+def test_its_metrics_are_told_beside_it(service: Machine) -> None:
+    service.run("systemctl", "start", "linemate-metrics.service")
+    ask = (
+        "from urllib.request import urlopen as u; print(u('http://127.0.0.1:9465/metrics').read())"
+    )
+    end, page = time.monotonic() + 10.0, ""
+    while 'linemate_up{station="linemate"} 1' not in page:
+        assert time.monotonic() < end, page
+        page = service.run(f"{PYTHON}/bin/python3", "-c", ask, check=False).stdout
+    service.run("systemctl", "stop", "linemate-metrics.service")
+
+
 def test_it_ends_as_told_and_leaves_a_recording_that_is_whole(service: Machine) -> None:
     began = time.monotonic()
     service.run("systemctl", "stop", UNIT)
