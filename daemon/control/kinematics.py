@@ -16,6 +16,7 @@ from linemate.daemon import rotations
 from linemate.daemon.horizon import Array
 
 _LOCAL = pin.ReferenceFrame.LOCAL
+_RAIL_FIRST = np.array((6, 0, 1, 2, 3, 4, 5))
 _ORIGIN = np.zeros(3)
 CHANGED = 1e-3  # of a pose, beyond which a list is looked at whole [m, rad]
 
@@ -143,18 +144,14 @@ class Arm:
             UnreachableError: a pose that no iteration reaches.
         """
         base = pin.SE3(nominal, _ORIGIN)
-        arm = slice(0, 6)
-        q: Array = guesses
-        if self.linear_axis:
-            arm = slice(1, 7)
-            q = np.empty(guesses.shape)
-            q[:, 0], q[:, 1:] = guesses[:, 6], guesses[:, :6]
-        if before is None:
-            errors, exact = np.empty((6, len(q))), range(len(q))
-        else:
+        inner = slice(1, 7) if self.linear_axis else slice(0, 6)
+        q: Array = guesses[:, _RAIL_FIRST] if self.linear_axis else guesses
+        errors: Array = np.empty((6, len(q)))
+        exact = range(len(q))
+        if before is not None:
             errors = _moved(poses, before)
-            small = bool((np.abs(errors[:, :-1]) < CHANGED).all())
-            exact = range(0, len(q), len(q) - 1) if small else range(len(q))
+            if bool((np.abs(errors[:, :-1]) < CHANGED).all()):
+                exact = range(0, len(q), len(q) - 1)
         for i in exact:
             target = base * pin.SE3(pin.exp3(poses[i, 3:]), poses[i, :3])
             errors[:, i] = pin.log6(self._placed(q[i]).actInv(target)).vector
@@ -163,7 +160,7 @@ class Arm:
         # The one Jacobian leaves a share of the correction that grows with its square.
         if largest < 0.01:
             middle = q[len(q) // 2]
-            J = pin.computeFrameJacobian(self.model, self.data, middle, self.tcp, _LOCAL)[:, arm]
+            J = pin.computeFrameJacobian(self.model, self.data, middle, self.tcp, _LOCAL)[:, inner]
             # LAPACK itself: numpy's wrapper costs six times what these six rows do.
             _, _, steps, singular = _solve(J, errors)
             if singular:

@@ -409,7 +409,7 @@ class BankClassifier:
         else:
             return 0.0, 0.0
         stop = math.exp(min(state.change.odds - penalty, 50.0))
-        push = math.exp(min(state.push.odds - penalty, 50.0))
+        push = math.exp(min(state.push.odds - max(penalty, self.jerk.confirmed), 50.0))
         total = 1.0 + stop + push
         return stop / total, push / total
 

@@ -56,6 +56,15 @@ def pose_at(history: History, stamp_ns: int, reach: float) -> Array | None:
     return at
 
 
+def rate_now(history: History) -> Array:
+    """Return how fast the tcp moves (6,) [m/s, rad/s], 0 where one pose alone is known."""
+    if len(history.stamps_ns) < 2:
+        return np.zeros(6)
+    span = (history.stamps_ns[-1] - history.stamps_ns[-2]) * 1e-9
+    rate: Array = (history.poses[-1] - history.poses[-2]) / span
+    return rate
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Sighting:
     """One measured pose of the object in c.
@@ -79,6 +88,7 @@ def sight(
     camera: tuple[Array, Array],
     noise: CameraNoise,
     now_ns: int,
+    rate: Array,
 ) -> Sighting:
     """Return what a camera saw.
 
@@ -88,6 +98,7 @@ def sight(
         camera: position (3,) and rotation (3, 3) of the camera in the tcp.
         noise: model of its deviations where the sample has no covariance.
         now_ns: time of the step.
+        rate: (6,) of the tcp.
     """
     R_tcp = rotations.exp(tcp[3:])
     R_camera = R_tcp @ camera[1]
@@ -103,6 +114,7 @@ def sight(
         depth = noise.depth_factor * lateral
         diagonal = np.array((lateral, lateral, depth, angle, angle, angle)) ** 2
     variance = (diagonal.reshape(2, 3) @ (R_camera * R_camera).T).reshape(6)
+    variance += (noise.stamp * rate) ** 2
     return Sighting(position, rotation, (now_ns - sample.exposure_ns) * 1e-9, variance)
 
 
@@ -134,7 +146,7 @@ def mean_wrench(samples: tuple[WrenchSample, ...]) -> Wrench | None:
     return Wrench(mean[:3], mean[3:], stamp, count)
 
 
-def touch(wrench: Wrench, tcp: Array, noise: TactileNoise, now_ns: int) -> Sighting:
+def touch(wrench: Wrench, tcp: Array, noise: TactileNoise, now_ns: int, rate: Array) -> Sighting:
     """Return where the object holds the clamped tool: the tcp, deflected by the wrench.
 
     Args:
@@ -142,6 +154,7 @@ def touch(wrench: Wrench, tcp: Array, noise: TactileNoise, now_ns: int) -> Sight
         tcp: (6,) undeflected tcp in c at that moment.
         noise: stiffness of the mount and deviation of a deflection.
         now_ns: time of the step.
+        rate: (6,) of the tcp.
     """
     R = rotations.exp(tcp[3:])
     shift = wrench.force / np.array(noise.stiffness)
@@ -149,5 +162,6 @@ def touch(wrench: Wrench, tcp: Array, noise: TactileNoise, now_ns: int) -> Sight
     count = wrench.count
     place, turned = noise.deflection**2 / count, noise.angle**2 / count
     variance = np.array((place, place, place, turned, turned, turned))
+    variance += (noise.stamp * rate) ** 2
     delay = (now_ns - wrench.stamp_ns) * 1e-9
     return Sighting(tcp[:3] + R @ shift, R @ rotations.exp(turn), delay, variance)

@@ -5,8 +5,8 @@ between two waypoints is run through by a quintic of time, each end moving as it
 """
 
 import math
-from bisect import bisect_right
-from dataclasses import dataclass
+from bisect import bisect_left, bisect_right
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,7 +30,7 @@ class Reference:
         phases: of the stretch behind each waypoint.
         gates: of each waypoint.
         turned: some waypoint is turned against the object.
-        contact_time: when contact is planned [s]; infinity if it is not.
+        contact_time: when the tool is programmed to reach the object [s]; infinity if never.
         rest: (6,) the first pose, where the robot waits, in c.
         starts: times of the waypoints but the last, as plain floats.
         gated: times of the waypoints with a gate, and the gates, in order.
@@ -138,10 +138,7 @@ def compile_reference(task: TaskFile) -> Reference:
         row[3:] = rotations.log(R)
     origin = C.T @ np.array(task.object.nominal.position)
     travels = np.array([float(point.frame is Frame.OBJECT) for point in task.waypoints])
-    contact = [
-        point.time for point in task.waypoints if point.phase in {Phase.CONTACT, Phase.SCREWS}
-    ]
-    return Reference(
+    reference = Reference(
         nominal=C,
         origin=origin,
         speed=task.conveyor.nominal_speed,
@@ -156,8 +153,26 @@ def compile_reference(task: TaskFile) -> Reference:
         axes=tuple(tuple(row) for row in C.tolist()),
         quaternion=rotations.quaternion(C),
         rest=points[0] + travels[0] * np.concatenate((origin, np.zeros(3))),
-        contact_time=min(contact, default=float("inf")),
+        contact_time=math.inf,
     )
+    return replace(reference, contact_time=_touching(reference))
+
+
+def _touching(reference: Reference) -> float:
+    """Return when the programmed distance has closed [s]; infinity without a contact.
+
+    The waypoint of contact lies beyond the object's surface, by what the mount is pressed in: the
+    tool is held from the instant that the distance along its axis crosses 0, 0.18 s earlier in
+    the shipped task. Without a crossing it is the waypoint's time.
+    """
+    planned = reference.time_of(Phase.CONTACT, Phase.SCREWS)
+    if planned == math.inf:
+        return planned
+    begin = reference.starts[max(bisect_left(reference.starts, planned) - 1, 0)]
+    times = np.linspace(begin, planned, 4001)
+    _, relative = reference.poses(times)
+    reached = np.flatnonzero(relative[:, 2] >= 0.0)
+    return float(times[reached[0]]) if len(reached) else planned
 
 
 def barrier(reference: Reference, time: float, passed: frozenset[Gate]) -> float:

@@ -60,6 +60,7 @@ class CameraNoise:
         angle_slope: and for each metre of distance [rad/m].
         gate: innovation refused beyond this many sigma.
         longest_delay: an older exposure is refused [s].
+        stamp: sigma of its date [s]: what moves meanwhile is less well known.
     """
 
     lateral: Length = 0.00025
@@ -69,6 +70,7 @@ class CameraNoise:
     angle_slope: Slope = 0.004
     gate: Sigmas = 5.0
     longest_delay: Annotated[float, Gt(0.0), Le(1.0)] = 0.3
+    stamp: Annotated[float, Ge(0.0), Le(0.1)] = 0.0005
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +86,7 @@ class TactileNoise:
             screws' 1.5 mrad, a stop) and the device's own CRC keeps nonsense out.
         contact_force: force that counts as contact [N].
         overload_force: force beyond which the tool is withdrawn [N].
+        stamp: sigma of its date [s]; a tool that swings on a wrong date would feed itself.
     """
 
     deflection: Length = 0.00005
@@ -93,6 +96,7 @@ class TactileNoise:
     gate: Sigmas = 20.0
     contact_force: Force = 15.0
     overload_force: Force = 350.0
+    stamp: Annotated[float, Ge(0.0), Le(0.1)] = 0.0003
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,6 +21,7 @@ from linemate.daemon.tracking.observation import (
     Wrench,
     mean_wrench,
     pose_at,
+    rate_now,
     remember,
     sight,
     touch,
@@ -270,17 +271,17 @@ def _sightings(
     wrench = mean_wrench(seen.wrench)
     if history is None:
         return found, wrench
-    settings = tracker.settings
+    settings, rate = tracker.settings, rate_now(history)
     for sample in seen.camera:
         tcp = pose_at(history, sample.exposure_ns, tracker.cycle_s)
         delay = (seen.stamp_ns - sample.exposure_ns) * 1e-9
         if tcp is not None and delay <= settings.camera.longest_delay:
-            sighting = sight(sample, tcp, tracker.camera, settings.camera, seen.stamp_ns)
+            sighting = sight(sample, tcp, tracker.camera, settings.camera, seen.stamp_ns, rate)
             found.append((Source.CAMERA, sighting, settings.camera.gate))
     if touching and wrench is not None:
         tcp = pose_at(history, wrench.stamp_ns, 2.5 * tracker.cycle_s)
         if tcp is not None:
-            sighting = touch(wrench, tcp, settings.tactile, seen.stamp_ns)
+            sighting = touch(wrench, tcp, settings.tactile, seen.stamp_ns, rate)
             found.append((Source.TACTILE, sighting, settings.tactile.gate))
     return found, wrench
 

@@ -1,5 +1,6 @@
 """The programme: poses along the task's clock, frames, gates, and what cannot be one."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,13 @@ from linemate.daemon import rotations
 from linemate.daemon.horizon import Array
 from linemate.daemon.service import task_file
 from linemate.daemon.service.files import DAEMON_DATA
-from linemate.daemon.tracking.reference import Reference, barrier, compile_reference
+from linemate.daemon.tracking.reference import (
+    Reference,
+    barrier,
+    compile_reference,
+    last_step,
+    tabulated,
+)
 from linemate.daemon.tracking.task import Frame, Gate, Phase, PoseFile, TaskFile, Waypoint
 
 TASK = task_file.load(DAEMON_DATA / "wheel.yaml").file
@@ -130,10 +137,34 @@ def test_a_phase_is_that_of_the_stretch_behind_its_waypoint(time: float, phase: 
 
 
 def test_phases_begin_where_the_task_says() -> None:
-    assert REFERENCE.contact_time == 6.0
+    assert REFERENCE.time_of(Phase.CONTACT) == 6.0
     assert REFERENCE.time_of(Phase.RETREAT) == 15.0
     assert REFERENCE.time_of(Phase.SCREWS, Phase.DONE) == 8.5
     assert REFERENCE.time_of(Phase.WAIT) == float("inf")
+
+
+def test_contact_is_where_the_programmed_distance_crosses_zero() -> None:
+    t = REFERENCE.contact_time
+    assert 5.7 < t < 5.9
+    _, relative = REFERENCE.poses(np.array((t - 1e-3, t + 1e-3)))
+    assert relative[0, 2] < 0.0 < relative[1, 2]
+
+
+@pytest.mark.parametrize("cycle_s", [0.012, 0.004])
+@pytest.mark.parametrize("limit", [math.inf, 2.796])
+def test_a_slice_of_the_table_is_the_reference_at_those_times(cycle_s: float, limit: float) -> None:
+    table = tabulated(REFERENCE, cycle_s, 42)
+    for time in (0.0, 2.748, 5.904, 14.4, END + 0.3):
+        first = round(time / cycle_s) * cycle_s
+        times = np.minimum(first + np.arange(43) * cycle_s, limit)
+        for found, known in zip(table.ahead(first, limit, 42), REFERENCE.poses(times), strict=True):
+            assert np.allclose(found, known, atol=1e-9)
+
+
+def test_the_clock_stands_at_the_last_whole_step_before_a_gate() -> None:
+    assert last_step(2.8, 0.012) == pytest.approx(2.796)
+    assert last_step(2.8, 0.004) == pytest.approx(2.8)
+    assert last_step(math.inf, 0.012) == math.inf
 
 
 @settings(max_examples=60, deadline=None)
