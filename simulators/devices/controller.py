@@ -8,7 +8,7 @@ Source: reference/rsi.md, 1.6.
 """
 
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from operator import add
 from typing import Literal
@@ -134,13 +134,6 @@ class _Receive:
     place: int
     axis: int | None
 
-    def given(self, reply: SensorTelegram) -> Channel | None:
-        """Its value in a reply, None if it is not there."""
-        if self.source == "channels":
-            return reply.channels.get(self.tag)
-        vector = reply.joints if self.source == "joints" else reply.external
-        return None if vector is None or len(vector) <= self.place else vector[self.place]
-
 
 @dataclass(slots=True)
 class _Session:
@@ -204,6 +197,9 @@ class RsiController:
         self.messages: deque[str] = deque(maxlen=MESSAGES)
         self._read = read
         self._receives = tuple(map(_receive, rsi.receive))
+        tags = [element.tag for element in rsi.receive]
+        self._stop = tags.index("Stop") if "Stop" in tags else None
+        self._signals = tags.index("DiO") if "DiO" in tags else None
         self._tells_signals = "DiL" in {element.tag for element in self.codec.config.send}
         self._setpoints = setpoints
         self._digital_out = 0
@@ -371,18 +367,19 @@ class RsiController:
         reply, held = session.reply, session.held
         if reply is not None and reply.message:
             self.messages.append(reply.message)
+        joints, external, channels = _NOTHING if reply is None else _parts(reply)
         for n, element in enumerate(self._receives):
-            given = None if reply is None else element.given(reply)
+            if element.source == "channels":
+                given = channels.get(element.tag)
+            else:
+                vector = joints if element.source == "joints" else external
+                given = vector[element.place] if len(vector) > element.place else None
             if given is not None or not element.holdon:
                 held[n] = given
-        for element, value in zip(self._receives, held, strict=True):
-            if element.tag == "Stop" and _is_set(value):
-                session.stopped = "STOP object: the reply asked for it"
-                return False
-        self._digital_out = 0
-        for element, value in zip(self._receives, held, strict=True):
-            if element.tag == "DiO":
-                self._digital_out = int(value or 0)
+        if self._stop is not None and _is_set(held[self._stop]):
+            session.stopped = "STOP object: the reply asked for it"
+            return False
+        self._digital_out = 0 if self._signals is None else int(held[self._signals] or 0)
         return self._correct(session)
 
     def _correct(self, session: _Session) -> bool:
@@ -414,6 +411,16 @@ class RsiController:
                 name = f"A{axis + 1}" if axis < AXES - 1 else "E1"
                 session.stopped = f"KSS29000 AXISCORRMON {name}: {total:g} exceeds {most:g}"
                 return
+
+
+_NOTHING: tuple[tuple[float, ...], tuple[float, ...], Mapping[str, Channel]] = ((), (), {})
+
+
+def _parts(
+    reply: SensorTelegram,
+) -> tuple[tuple[float, ...], tuple[float, ...], Mapping[str, Channel]]:
+    """What a reply brought."""
+    return reply.joints or (), reply.external or (), reply.channels
 
 
 def _receive(element: Element) -> _Receive:

@@ -24,6 +24,7 @@ class FaultySensor:
 
     Attributes:
         suffered: readings that a fault touched, by kind.
+        is_sound: no fault ever touches it.
     """
 
     def __init__(self, link: str, faults: Faults, seed: int) -> None:
@@ -38,6 +39,7 @@ class FaultySensor:
         mine = faults.of(link)
         self._faults = [(fault, stream(seed, fault)) for fault in mine if fault.kind in KINDS]
         self._clocks = [fault for fault in mine if fault.kind in CLOCK_KINDS]
+        self.is_sound = not self._faults and not self._clocks
         self._stuck: dict[float, tuple[float, ...]] = {}
 
     def reading(

@@ -86,7 +86,9 @@ class Emitters:
         """
         left: list[tuple[float, str, bytes]] = []
         for distance in self._world.take_distance():
-            (position,) = self.sensors["distance"].reading((distance.position,), distance.time_s)
+            position, sensor = distance.position, self.sensors["distance"]
+            if not sensor.is_sound:
+                (position,) = sensor.reading((position,), distance.time_s)
             frame = self._can.frame(position, distance.strength)
             if frame is not None:
                 self._carry("distance", frame.data, distance.time_s, left)
@@ -125,10 +127,12 @@ class Emitters:
         )
 
     def _streamed(self, wrench: WrenchEmission) -> bytes:
-        sensor = self.sensors["force_torque"]
-        values = sensor.reading((*wrench.force, *wrench.torque), wrench.exposure_s)
-        device_us = round((sensor.clock(wrench.exposure_s) - self._begin_s) * 1e6)
-        return self.force_torque.frame(values[:3], values[3:], device_us)
+        sensor, taken_s = self.sensors["force_torque"], wrench.exposure_s
+        force, torque = wrench.force, wrench.torque
+        if not sensor.is_sound:
+            a, b, c, d, e, f = sensor.reading((*force, *torque), taken_s)
+            force, torque, taken_s = (a, b, c), (d, e, f), sensor.clock(taken_s)
+        return self.force_torque.frame(force, torque, round((taken_s - self._begin_s) * 1e6))
 
 
 class Wires:
