@@ -154,7 +154,7 @@ def main(args: Namespace) -> int:
     """Run the demonstration.
 
     Args:
-        args: scenario, cycle_ms, seed, out, json.
+        args: scenario, cycle_ms, seed, out, view, json.
 
     Returns:
         0 assembled within limits, 1 not, 69 when it could not be brought to its end.
@@ -170,7 +170,7 @@ def main(args: Namespace) -> int:
         print(_cost(refused), file=sys.stderr)
     try:
         with interruptible():
-            result = perform(scenario, out)
+            result = perform(scenario, out, is_viewed=args.view)
     except (DemoError, ChildError, TimeoutError, NoAnswerError, RefusedError) as error:
         print(f"linemate-sim demo: {error}", file=sys.stderr)
         return EX_UNAVAILABLE
@@ -178,12 +178,13 @@ def main(args: Namespace) -> int:
     return 0 if result["within_limits"] else 1
 
 
-def perform(scenario: Scenario, out: Path) -> dict[str, Any]:
+def perform(scenario: Scenario, out: Path, *, is_viewed: bool = False) -> dict[str, Any]:
     """Run a scenario with everything in its place, judge it, and leave the results.
 
     Args:
         scenario: of the emulated station, seed and cycle included.
         out: takes result.json, report.html, fig4.png, fig5.png and the recording.
+        is_viewed: a page shows it as it goes.
 
     Returns:
         The result, as in result.json.
@@ -194,7 +195,7 @@ def perform(scenario: Scenario, out: Path) -> dict[str, Any]:
     """
     with tempfile.TemporaryDirectory(prefix="linemate-") as name:
         station = Station(Path(name), scenario)
-        status = _run(station)
+        status = _run(station, is_viewed=is_viewed)
         recording = _only_recording(station.folder)
         evidence = joined.evidence(station.truth, recording, scenario)
         result = judge(evidence)
@@ -206,7 +207,7 @@ def perform(scenario: Scenario, out: Path) -> dict[str, Any]:
     return result
 
 
-def _run(station: Station) -> dict[str, Any]:
+def _run(station: Station, *, is_viewed: bool) -> dict[str, Any]:
     """Start both processes, see the run through, end both; return the daemon's last status."""
     scenario, folder = station.scenario, station.folder
     title = f"{scenario.name}, seed {scenario.seed}, {1e3 * scenario.cycle_s:g} ms"
@@ -221,11 +222,21 @@ def _run(station: Station) -> dict[str, Any]:
         )
         with closing(Emulated(child)) as emulated:
             wait_until(lambda: _is_ready(emulated), children, START_S, "the emulator's links")
+            if is_viewed:
+                _open_view(station, children)
             with Client.local(station.command_socket) as client:
                 status = _watch(station, emulated, daemon, client, view)
         if daemon.end() != 0:
             raise ChildError("daemon", "did not end well", daemon.tail())
     return status
+
+
+def _open_view(station: Station, children: Children) -> None:
+    """Show the daemon on a page, by a process of its own, and tell its address."""
+    command = _command("daemon.operator.main", "view", "--socket", str(station.command_socket))
+    child = children.start("view", command, station.folder / "view.log")
+    wait_until(lambda: bool(child.tail()), children, START_S, "the view")
+    print(f"linemate-sim demo: the view is at {child.tail()[0]}", file=sys.stderr, flush=True)
 
 
 def _start_daemon(station: Station, children: Children) -> tuple[Child, dict[str, Any]]:
