@@ -87,7 +87,9 @@ endef
 install: install-program install-files
 
 install-program:
+	rm -rf build
 	$(call environment,$(PREFIX),.)
+	rm -rf build
 	@case "$$(readlink -f $(PREFIX)/bin/python)" in /home/*|/root/*) \
 		echo "note: the unit's sandbox does not see $$(readlink -f $(PREFIX)/bin/python);" \
 		     "for the service: make install PYTHON=/usr/bin/python3" >&2;; esac
@@ -109,8 +111,10 @@ install-files:
 			$(DESTDIR)$(SHARE)/bash-completion/completions/$$program; \
 		install -m 644 docs/completion/_$$program $(DESTDIR)$(SHARE)/zsh/site-functions/; done
 	install -m 644 docs/linemated.schema.json $(DESTDIR)$(SHARE)/linemate/
-	test -e $(DESTDIR)$(ETC)/linemated.yaml || \
-		install -m 644 systemd/linemated.yaml $(DESTDIR)$(ETC)/
+	test -e $(DESTDIR)$(ETC)/linemated.yaml || sed \
+		's|/run/linemate|$(OWN)&|; s|/var/li[b]/linemate|$(OWN)&|; s|/var/log/linemate|$(OWN)&|' \
+		systemd/linemated.yaml > $(DESTDIR)$(ETC)/linemated.yaml
+	test -z "$(OWN)" || install -d $(addprefix $(OWN),/run/linemate /var/lib/linemate /var/log/linemate)
 	test $(BIN) = $(PREFIX)/bin || for program in linemate linemated linemate-sim; do \
 		ln -sf $(PREFIX)/bin/$$program $(DESTDIR)$(BIN)/; done
 	@if [ -z "$(DESTDIR)$(OWN)" ] && [ "$$(id -u)" = 0 ]; then \

@@ -373,6 +373,12 @@ def _add_metrics(commands: Any, _: argparse.ArgumentParser) -> None:
     exporter.add_parser(commands)
 
 
+def _add_bridge(commands: Any, _: argparse.ArgumentParser) -> None:
+    from linemate.daemon.operator import bridge
+
+    bridge.add_parser(commands)
+
+
 def _add_doctor(commands: Any, _: argparse.ArgumentParser) -> None:
     doctor = commands.add_parser("doctor", help="what this host lacks for real time and links")
     doctor.add_argument("--json", action="store_true", help="print JSON")
@@ -426,6 +432,7 @@ ADDED: Final[dict[str, Callable[[Any, argparse.ArgumentParser], None]]] = {
     "recover": _add_files,
     "view": _add_view,
     "metrics": _add_metrics,
+    "bridge": _add_bridge,
     "doctor": _add_doctor,
     "keygen": _add_keygen,
 }

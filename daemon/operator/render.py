@@ -9,9 +9,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 
-def as_json(value: object) -> str:
+def as_json(value: object, indent: int | None = 2) -> str:
     """Return ``value`` as JSON; numbers that JSON does not know become null."""
-    return json.dumps(_plain(value), indent=2, sort_keys=False, allow_nan=False)
+    return json.dumps(_plain(value), indent=indent, sort_keys=False, allow_nan=False)
 
 
 VERSION: Final = 1
