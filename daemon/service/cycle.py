@@ -425,7 +425,10 @@ class Cycle:
         self, state: stepping.State, stamp_ns: int, *, telegram: bool, ipoc: int | None = None
     ) -> LogEntry:
         """Make one sampling step: operating state first, then the pure step."""
-        taken = self.feeds.take(self.parameters.tracker.settings.tactile.overload_force)
+        settings = self.parameters.tracker.settings
+        bearable, deviation = settings.tactile.overload_force, settings.distance.deviation
+        moving = self.machine.state in states.MOVING
+        taken = self.feeds.take(bearable, deviation, moving=moving)
         if self._swap is not None:
             self._apply_swap(self._swap)
             state = self._opened()
@@ -448,6 +451,8 @@ class Cycle:
         self._robot = None
         made_with = self.parameters
         self._state, outputs = stepping.step(state, inputs, made_with)
+        if not outputs.contact:
+            self.feeds.camera_health.answered(len(taken.camera), outputs.refused)
         self.steps += 1
         self._stamp_ns = stamp_ns
         shown = self.machine.state.value
@@ -493,6 +498,7 @@ class Cycle:
             slower_ns=feeds.slower_ns if under_way else None,
             wrench_ns=feeds.wrench_ns,
             wrench_expected=self._wrench_expected,
+            contradicted=self.machine.state is State.TRACK and feeds.camera_health.contradicts,
             gap_m=following.gap(before, outputs, period) if near else None,
             astray=self.following.astray is not None,
             ready=outputs.ready is None,
@@ -550,6 +556,7 @@ class Cycle:
             "telegrams": {**self.exchange.counters, "unreadable": self.refused},
             "last_refusal": self.last_refusal,
             "unfit": states.unfit(self._signals),
+            "sensors": heard["sensors"],
             "dropped": {**heard["dropped"], "log": self.log_dropped},
             "ages_s": heard["ages_s"],
         }

@@ -1,13 +1,14 @@
 """What the sensors brought and no step has seen yet, and when each was heard last.
 
 Law of this file: bounded, the oldest dropped and counted; stamps come with the samples. What a
-step takes is what came before it, and nothing waits for a second one.
+step takes is what came before it and can be believed, and nothing waits for a second one.
 """
 
 from collections import deque
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
+from linemate.daemon.service.sensor_health import CameraHealth, DistanceHealth, WrenchHealth
 from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
 from linemate.protocol.wrench_clock import WrenchClock
 
@@ -58,17 +59,21 @@ class Feeds:
         distance, camera, wrench: what waits.
         distance_ns, camera_ns, wrench_ns: stamps of the newest samples that were taken [ns].
         overloaded: of the forces taken last two in a row were too great.
+        distance_health, camera_health, wrench_health: whether each can be believed.
     """
 
     __slots__ = (
         "_clock",
         "_was_much",
         "camera",
+        "camera_health",
         "camera_ns",
         "distance",
+        "distance_health",
         "distance_ns",
         "overloaded",
         "wrench",
+        "wrench_health",
         "wrench_ns",
     )
 
@@ -80,6 +85,9 @@ class Feeds:
         self.camera_ns: int | None = None
         self.wrench_ns: int | None = None
         self.overloaded = False
+        self.distance_health = DistanceHealth()
+        self.camera_health = CameraHealth()
+        self.wrench_health = WrenchHealth()
         self._clock = WrenchClock()
         self._was_much = False
 
@@ -87,25 +95,35 @@ class Feeds:
         """Add a wrench, dated by the device's own clock."""
         self.wrench.put(self._clock.date(sample))
 
-    def take(self, bearable: float) -> Taken:
-        """Return all that waits, and note when each sensor was heard and what was too much.
+    def take(self, bearable: float, deviation: float, *, moving: bool) -> Taken:
+        """Return what waits and can be believed; note when each sensor was heard.
 
         Args:
             bearable: the force that the tool bears [N].
+            deviation: standard deviation of the distance sensor [m].
+            moving: the tool moves.
         """
-        taken = Taken(self.distance.take(), self.camera.take(), self.wrench.take())
-        if taken.distance:
-            self.distance_ns = taken.distance[-1].stamp_ns
-        if taken.camera:
-            self.camera_ns = taken.camera[-1].stamp_ns
+        distance = tuple(
+            [s for s in self.distance.take() if self.distance_health.believes(s, deviation)]
+        )
+        camera = tuple(
+            [s for s in self.camera.take() if self.camera_health.believes(s, moving=moving)]
+        )
+        wrench = tuple(
+            [s for s in self.wrench.take() if self.wrench_health.believes(s, moving=moving)]
+        )
+        if distance:
+            self.distance_ns = distance[-1].stamp_ns
+        if camera:
+            self.camera_ns = camera[-1].stamp_ns
         self.overloaded = False
-        for sample in taken.wrench:
+        for sample in wrench:
             x, y, z = sample.force
             much = x * x + y * y + z * z > bearable * bearable
             self.overloaded |= much and self._was_much
             self._was_much = much
             self.wrench_ns = sample.stamp_ns
-        return taken
+        return Taken(distance, camera, wrench)
 
     @property
     def newest_ns(self) -> int | None:
@@ -122,7 +140,7 @@ class Feeds:
         return min(self.distance_ns, self.camera_ns)
 
     def status(self, now_ns: int) -> dict[str, Any]:
-        """Return what was dropped, and how old the newest samples are [s]."""
+        """Return what can be believed, what was dropped, and how old the newest is [s]."""
         heard = {
             "position": self.newest_ns,
             "distance": self.distance_ns,
@@ -130,6 +148,14 @@ class Feeds:
             "wrench": self.wrench_ns,
         }
         return {
+            "sensors": {
+                "distance": self.distance_health.status(now_ns),
+                "camera": {
+                    **self.camera_health.status(now_ns),
+                    "contradicts": self.camera_health.contradicts,
+                },
+                "wrench": self.wrench_health.status(now_ns),
+            },
             "dropped": {
                 "distance": self.distance.dropped,
                 "camera": self.camera.dropped,

@@ -80,6 +80,7 @@ class Facts:
             task waits, for the object may be out of the camera's sight.
         wrench_ns: arrival of the newest force [ns], or None.
         wrench_expected: there is a force-torque sensor.
+        contradicted: the sensors of the position contradict each other.
         gap_m: that a stop would leave between tool and object [m]; None while it is not seen.
         astray: the robot is not where its commands led it.
         ready, object_left, contact, overload, done, clear, fault: as in ``Signals``, raw.
@@ -93,6 +94,7 @@ class Facts:
     slower_ns: int | None = None
     wrench_ns: int | None = None
     wrench_expected: bool = True
+    contradicted: bool = False
     gap_m: float | None = None
     astray: bool = False
     ready: bool = False
@@ -193,6 +195,7 @@ def _signals(watch: Watch, facts: Facts, settings: WatchSettings) -> Signals:
     both = coasting or facts.slower_ns is None
     both = both or _age_s(facts.slower_ns, stamp_ns) <= settings.one_sensor_s
     position_fresh = _age_s(facts.position_ns, stamp_ns) <= oldest_s and both
+    position_fresh = position_fresh and not facts.contradicted
     wrench_fresh = _age_s(facts.wrench_ns, stamp_ns) <= settings.wrench_s
     wrench_fresh = wrench_fresh or not facts.wrench_expected
     fault = facts.fault or watch.astray >= settings.cycles_astray

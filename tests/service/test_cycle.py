@@ -66,9 +66,12 @@ class Station:
 
     def feed(self) -> None:
         stamp_ns = self.stamp_ns - 3_000_000
-        t = (stamp_ns - START) * 1e-9 - LEAD_S
-        self.cycle.feed_distance(DistanceSample(stamp_ns, self.mount + SPEED * t, 1.0))
-        self.cycle.feed_wrench(WrenchSample(stamp_ns, (0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
+        self.cycle.feed_distance(DistanceSample(stamp_ns, self.where(stamp_ns), 1.0))
+        self.cycle.feed_wrench(WrenchSample(stamp_ns, (0.0, 0.0, 0.1), (0.0, 0.0, self.k * 1e-6)))
+
+    def where(self, stamp_ns: int) -> float:
+        """What the distance sensor reads [m]."""
+        return self.mount + SPEED * ((stamp_ns - START) * 1e-9 - LEAD_S)
 
     def exchange(self, *, lost: bool = False, feed: bool = True) -> SensorTelegram:
         """One cycle; a lost reply is counted and the robot holds."""
@@ -586,7 +589,7 @@ def test_inboxes_are_bounded_and_what_is_dropped_is_counted_and_oldest(station: 
     station.run(2)
     for i in range(1000):
         stamp_ns = station.stamp_ns - 1_000_000 + i
-        station.cycle.feed_distance(DistanceSample(stamp_ns, 0.9, 1.0))
+        station.cycle.feed_distance(DistanceSample(stamp_ns, station.where(stamp_ns), 1.0))
         station.cycle.feed_wrench(WrenchSample(stamp_ns, (0, 0, 0), (0, 0, 0)))
         for sample in camera_samples(stamp_ns, 0):
             station.cycle.feed_camera(sample)
