@@ -28,8 +28,8 @@ AXES: Final = 7
 @dataclass(frozen=True, slots=True)
 class _Moment:
     stamp_ns: int
-    target: Sequence[float] | None
-    part: Sequence[float] | None
+    target: Vector | None
+    part: Vector | None
 
 
 @dataclass(slots=True)
@@ -50,12 +50,16 @@ class Framer:
 
         Args:
             told: as ``frame``.
+
+        Raises:
+            TypeError, ValueError: it is none.
         """
         stamp_ns = told.get("stamp_ns")
         if isinstance(stamp_ns, int):
+            moment = _Moment(stamp_ns, _place(told.get("target")), _place(told.get("part")))
             if self._moments and stamp_ns <= self._moments[-1].stamp_ns:
                 self._moments.clear()  # another daemon, or another boot
-            self._moments.append(_Moment(stamp_ns, told.get("target"), told.get("part")))
+            self._moments.append(moment)
 
     def frame(self, told: Mapping[str, Any]) -> Frame | None:
         """Return the frame of a moment, None (counted) if it cannot be one.
@@ -92,9 +96,10 @@ class Framer:
         """Put the arm into the frame; its tcp, None if that is not known."""
         axes = told.get("measured")
         if axes is None:
-            axes, frame["guessed"] = told.get("command"), True
+            axes = told.get("command")
         if axes is None or self.scene.chain is None:
             return None
+        frame["guessed"] = told.get("measured") is None
         values = [float(axis) for axis in axes]
         if not all(math.isfinite(value) for value in values):
             raise ValueError("axes that are no numbers")
@@ -137,12 +142,18 @@ class Framer:
         return nothing
 
 
-def _between(
-    a: Sequence[float] | None, b: Sequence[float] | None, share: float
-) -> list[float] | None:
+def _place(pose: Sequence[float] | None) -> Vector | None:
+    if pose is None:
+        return None
+    x, y, z = (float(part) for part in pose[:3])
+    return x, y, z
+
+
+def _between(a: Vector | None, b: Vector | None, share: float) -> Vector | None:
     if a is None or b is None:
         return None
-    return [x + share * (y - x) for x, y in zip(a[:3], b[:3], strict=True)]
+    x, y, z = (p + share * (q - p) for p, q in zip(a, b, strict=True))
+    return x, y, z
 
 
 def _apart_mm(a: Sequence[float], b: Sequence[float]) -> float:

@@ -103,13 +103,14 @@ class Server:
         if task is not None:
             self._tasks.add(task)
         try:
-            if len(self._tasks) > MAX_CONNECTIONS:
+            if len(self._tasks) <= MAX_CONNECTIONS:
+                await self._answer(reader, writer)
+            else:
                 self.refused += 1
-                await _write(writer, _failure("503 Service Unavailable", "too many look on"))
-                return
-            await self._answer(reader, writer)
         except (OSError, TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
             pass  # it has gone, or does not read
+        except asyncio.CancelledError:
+            pass  # of ``close``, which waits for this; the caller of this would log it
         finally:
             if task is not None:
                 self._tasks.discard(task)

@@ -33,6 +33,7 @@ OVERVIEW: Final = 1500
 NEAR: Final = 12
 """Steps by which a horizon may be older than the frame that shows it."""
 
+OF_STEPS: Final = ("state: ", "conveyor: ")
 TIMING: Final = "/linemate/timing"
 LOG: Final = "/log"
 SENSORS: Final = ("distance", "camera", "wrench")
@@ -252,7 +253,11 @@ class _Reading:
             self._turnaround_us = turnaround_ns / 1e3
 
     def line(self, stamp_ns: int, text: str) -> None:
-        """Take in a line of the log."""
+        """Take in a line of the log; what the steps tell themselves is taken from them."""
+        if not text.startswith(OF_STEPS):
+            self._tell(stamp_ns, text)
+
+    def _tell(self, stamp_ns: int, text: str) -> None:
         if len(self._lines) < MOST_HAPPENINGS:
             self._lines.append((stamp_ns, str(text)))
 
@@ -260,6 +265,10 @@ class _Reading:
         """Take in a step; some become frames."""
         inputs, outputs = record.inputs, record.outputs
         self.tape.steps += 1
+        if record.state != (self._marks[0] if self._marks else None):
+            self._tell(inputs.stamp_ns, f"state: {record.state}")
+        for what, how in outputs.get("events", ()):
+            self._tell(inputs.stamp_ns, f"conveyor: {what} {how}")
         if inputs.robot is not None:
             self._joints = (*inputs.robot.joints, *inputs.robot.external)
             self._joints_ns = inputs.robot.stamp_ns

@@ -64,7 +64,7 @@ class Browser:
         self._process = subprocess.Popen(
             [found, *FLAGS, f"--user-data-dir={home}",
              f"--window-size={self._size[0]},{self._size[1]}", "about:blank"],
-            preexec_fn=numbered,
+            preexec_fn=numbered,  # noqa: PLW1509 - three calls of the kernel, no lock
             close_fds=False,
             start_new_session=True,
             stdin=subprocess.DEVNULL,

@@ -45,7 +45,8 @@ function showState(frame, status) {
   text("state-glyph", lost ? "?" : glyph);
   text("state-name", lost && !frame ? "no daemon" : state || "waiting");
   mark("state", "kind", lost ? "bad" : kind);
-  const why = (frame && frame.held) || (status && status.because) || "";
+  const held = frame && frame.held && frame.held !== "hold" ? frame.held : "";
+  const why = held || (status && status.because !== state ? status.because : "") || "";
   text("state-why", lost ? `last known; ${source.link.reason || "no news"}` : why);
   const banner = $("banner");
   const news = source.kind === "recording" ? source.trouble

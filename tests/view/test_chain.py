@@ -1,0 +1,87 @@
+"""The picture's arm against the daemon's: two kinematics, one URDF."""
+
+import itertools
+
+import numpy as np
+import pytest
+from cell import TASK
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from linemate.daemon import rotations
+from linemate.daemon.control import kinematics
+from linemate.daemon.view import chain
+
+ARM = TASK.file.arm
+TOOL: chain.Pose = (*ARM.tcp_in_flange.position, *ARM.tcp_in_flange.quaternion)
+DRAWN = chain.read(TASK.urdf, ARM.flange, TOOL, linear_axis=True)
+EXACT = kinematics.load(
+    TASK.urdf,
+    ARM.flange,
+    np.array(ARM.tcp_in_flange.position),
+    rotations.matrix(ARM.tcp_in_flange.quaternion),
+    linear_axis=True,
+)
+angles = st.floats(-3.0, 3.0)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.tuples(*[angles] * 6, st.floats(-1.5, 3.0)))
+def test_the_tool_is_where_the_daemon_has_it(axes: tuple[float, ...]) -> None:
+    points, tcp = DRAWN.place(axes)
+    position, rotation = EXACT.tcp_in_base(np.array(axes))
+    assert points[-1] == pytest.approx(position, abs=1e-9)
+    assert np.array(chain.matrix(tcp[3:])) == pytest.approx(rotation, abs=1e-9)
+
+
+def test_the_joints_are_where_the_arm_was_designed_to_have_them() -> None:
+    points, _ = DRAWN.place((0.0,) * 6 + (1.0,))
+    rounded = [tuple(round(x, 6) for x in point) for point in points]
+    for joint in ((0.35, 1.0, 0.675), (1.5, 1.0, 0.675), (2.7, 1.0, 0.634), (2.915, 1.0, 0.634)):
+        assert joint in rounded
+
+
+def test_the_linear_axis_carries_everything_and_missing_axes_are_zero() -> None:
+    here, _ = DRAWN.place((0.3,) * 6)
+    there, _ = DRAWN.place((0.3,) * 6 + (0.5,))
+    moved = [b[1] - a[1] for a, b in zip(here[1:], there[1:], strict=True)]
+    assert moved == pytest.approx([0.5] * len(moved))
+
+
+@given(st.tuples(angles, angles, angles))
+def test_a_rotation_survives_its_quaternion(rpy: tuple[float, float, float]) -> None:
+    turn = chain.from_rpy(*rpy)
+    assert np.array(chain.matrix(chain.quaternion(turn))) == pytest.approx(np.array(turn))
+
+
+def test_half_turns_survive_as_well() -> None:
+    for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)):
+        turn = chain.about(axis, np.pi)
+        assert np.array(chain.matrix(chain.quaternion(turn))) == pytest.approx(np.array(turn))
+
+
+@pytest.mark.parametrize(
+    ("urdf", "why"),
+    [
+        ("<robot", "not a URDF"),
+        ("<robot/>", "no joint that leads to 'flange'"),
+        (TASK.urdf.replace('xyz="0 0 0.675"', 'xyz="0 zero 0.675"'), "no vector"),
+        (TASK.urdf.replace('xyz="0 0 0.675"', 'xyz="0 nan 0.675"'), "no vector"),
+        (TASK.urdf.replace('axis xyz="0 0 -1"', 'axis xyz="0 0 0"'), "length 0"),
+        (TASK.urdf.replace('parent link="rail"', 'parent link="link_a1"'), "circle"),
+    ],
+)
+def test_what_is_no_chain_is_refused_with_its_reason(urdf: str, why: str) -> None:
+    with pytest.raises(chain.ChainError, match=why):
+        chain.read(urdf, "flange", TOOL, linear_axis=True)
+
+
+def test_every_axis_moves_something_of_its_own() -> None:
+    base = [0.1, -1.2, 1.3, 0.2, 0.9, 0.1, 0.2]
+    seen = set()
+    for number in range(7):
+        axes = list(base)
+        axes[number] += 0.1
+        seen.add(tuple(round(x, 6) for x in DRAWN.place(axes)[1]))
+    assert len(seen) == 7
+    assert all(a != b for a, b in itertools.combinations(seen, 2))

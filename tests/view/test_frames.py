@@ -1,0 +1,128 @@
+"""Frames: what was measured a moment ago is held against what was desired then."""
+
+import math
+from typing import Any
+
+import pytest
+from cell import REST, TASK
+
+from linemate.daemon.view import scene as scenes
+from linemate.daemon.view.frames import Framer
+
+SCENE = scenes.of({"task": TASK.text, "urdf": TASK.urdf, "cycle_s": 0.012})
+CYCLE_NS = 12_000_000
+SPEED = 0.106
+
+
+def moving(k: int, *, lag_cycles: int = 1) -> dict[str, Any]:
+    """Telemetry of a tool that is exactly where it should be, read ``lag_cycles`` ago."""
+    at = SPEED * 0.012
+    axes = (*REST, at * (k - lag_cycles))
+    assert SCENE.chain is not None
+    _, now = SCENE.chain.place((*REST, at * k))
+    return {
+        "k": k, "stamp_ns": 10**12 + k * CYCLE_NS, "state": "track", "scenario": "running",
+        "scenario_state": "confirmed", "confidence": 1.5, "target": now, "sensed": now, "part": now,
+        "command": axes, "measured": axes, "measured_ns": 10**12 + (k - lag_cycles) * CYCLE_NS,
+        "cycle_ms": 12.0, "turnaround_us": 400,
+    }  # fmt: skip
+
+
+def test_the_scene_of_the_shipped_task_can_be_drawn() -> None:
+    assert SCENE.trouble == ""
+    assert SCENE.task == "wheel"
+    assert SCENE.told()["cycle_ms"] == 12.0
+    assert SCENE.rest == REST
+
+
+@pytest.mark.parametrize(
+    ("told", "why"),
+    [
+        ({}, "task cannot be read"),
+        ({"task": "[1, 2"}, "task cannot be read"),
+        ({"task": "- 1"}, "task cannot be read"),
+        ({"task": TASK.text, "urdf": ""}, "arm cannot be drawn"),
+        ({"task": TASK.text.replace("2.20", ".inf"), "urdf": TASK.urdf}, "task cannot be read"),
+        ({"task": TASK.text.replace("flange: flange", "flange: hand"), "urdf": TASK.urdf}, "hand"),
+    ],
+)
+def test_a_cell_that_cannot_be_read_is_said_and_nothing_breaks(
+    told: dict[str, Any], why: str
+) -> None:
+    scene = scenes.of(told)
+    assert why in scene.trouble
+    frame = Framer(scene).frame(moving(1))
+    assert frame is not None
+    assert "arm" not in frame
+    assert frame["state"] == "track"
+
+
+def test_a_tool_that_is_where_it_should_be_has_no_error_at_the_conveyors_pace() -> None:
+    framer = Framer(SCENE)
+    frames = [framer.frame(moving(k)) for k in range(5)]
+    last = frames[-1]
+    assert last is not None
+    assert last["errors"]["control_mm"] == pytest.approx(0.0, abs=1e-3)
+    assert last["errors"]["gap_mm"] == pytest.approx(0.0, abs=1e-3)
+    # Held against what is desired now it would be a cycle's way off.
+    assert 1e3 * math.dist(last["tcp"][:3], last["target"][:3]) == pytest.approx(1.272, abs=0.01)
+
+
+def test_steps_that_are_not_drawn_are_remembered() -> None:
+    framer = Framer(SCENE)
+    for k in range(5):
+        framer.note(moving(k))
+    frame = framer.frame(moving(5))
+    assert frame is not None
+    assert frame["errors"]["control_mm"] == pytest.approx(0.0, abs=1e-3)
+
+
+def test_nothing_is_said_of_an_error_across_a_gap_or_another_boot() -> None:
+    framer = Framer(SCENE)
+    framer.frame(moving(0))
+    frame = framer.frame(moving(40))
+    assert frame is not None
+    assert "control_mm" not in frame["errors"]
+    again = framer.frame(moving(1))
+    assert again is not None
+    assert "control_mm" not in again["errors"]
+
+
+def test_a_plan_away_from_the_object_is_its_error() -> None:
+    told = moving(3)
+    told["sensed"] = (told["target"][0] + 0.002, *told["target"][1:])
+    frame = Framer(SCENE).frame(told)
+    assert frame is not None
+    assert frame["errors"]["plan_mm"] == pytest.approx(2.0, abs=1e-6)
+
+
+def test_what_is_left_of_the_cycle_is_its_slack() -> None:
+    frame = Framer(SCENE).frame(moving(1))
+    assert frame is not None
+    assert frame["slack_ms"] == 11.6
+
+
+def test_a_robot_that_was_not_heard_is_drawn_where_it_was_sent() -> None:
+    told = moving(2)
+    del told["measured"]
+    frame = Framer(SCENE).frame(told)
+    assert frame is not None
+    assert frame["guessed"] is True
+    assert len(frame["arm"]) == len(SCENE.chain.joints) + 2  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"measured": [math.nan] * 7}, {"measured": "joints"}, {"target": 5}, {"confidence": "much"},
+     {"foreseen": [1.0]}, {"target": ["a"] * 7}, {"cycle_ms": "x", "turnaround_us": 1}],
+)  # fmt: skip
+def test_telemetry_that_is_none_makes_no_frame_and_is_counted(wrong: dict[str, Any]) -> None:
+    framer = Framer(SCENE)
+    assert framer.frame(moving(1) | wrong) is None
+    assert framer.unfit == 1
+    assert framer.frame(moving(2)) is not None
+
+
+def test_a_daemon_that_has_not_begun_makes_a_frame_of_what_there_is() -> None:
+    frame = Framer(SCENE).frame({"state": "init", "k": 0})
+    assert frame == {"state": "init", "k": 0, "tentative": False, "errors": {}}

@@ -1,0 +1,168 @@
+"""A recording as the page plays it: the golden run, what is cut short, and what is none."""
+
+import json
+import shutil
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from cell import TASK, World, parameters
+
+from linemate.daemon.inputs import Order
+from linemate.daemon.operator.recordings import UnreadableRecordingError
+from linemate.daemon.operator.recordings import read as read_steps
+from linemate.daemon.service.cycle import LogEntry
+from linemate.daemon.service.step_file import Feed, Item, Kind, StepFile
+from linemate.daemon.service.timing import CycleTimes
+from linemate.daemon.view import foresight, tape
+from linemate.daemon.view.tape import MOST_ASKED, OVERVIEW, SPACING_NS, Tape
+
+GOLDEN = Path(__file__).parents[1] / "system" / "golden" / "wheel.mcap"
+
+
+@pytest.fixture(scope="module")
+def golden() -> Tape:
+    return tape.read(GOLDEN)
+
+
+def test_a_whole_run_is_shown_from_its_first_step_to_its_last(golden: Tape) -> None:
+    steps = read_steps(GOLDEN).steps
+    span_s = (steps[-1].inputs.stamp_ns - steps[0].inputs.stamp_ns) * 1e-9
+    assert golden.steps == len(steps)
+    assert golden.trouble == ""
+    assert golden.scene.trouble == ""
+    assert golden.length_s == pytest.approx(span_s, abs=SPACING_NS * 1e-9)
+
+
+def test_frames_are_evenly_spread_and_no_change_of_class_is_between_them(golden: Tape) -> None:
+    times = [frame["t"] for frame in golden.frames]
+    assert all(0.0 < b - a < 0.1 for a, b in pairwise(times))
+    steps = read_steps(GOLDEN).steps
+    marks = [(s.state, s.outputs["scenario"], s.outputs["scenario_state"]) for s in steps]
+    changes = [b for a, b in pairwise(marks) if a != b]
+    shown = [
+        (f["state"], f["scenario"], "tentative" if f["tentative"] else "confirmed")
+        for f in golden.frames
+    ]
+    assert [b for a, b in pairwise(shown) if a != b] == changes
+
+
+def test_the_arm_moves_and_its_tool_comes_to_the_hub(golden: Tape) -> None:
+    first, last = golden.frames[0], golden.frames[-1]
+    assert first["arm"] != last["arm"]
+    contact = [frame for frame in golden.frames if frame["state"] == "contact"]
+    assert min(frame["errors"]["gap_mm"] for frame in contact) < 3.0
+    assert max(frame["errors"]["control_mm"] for frame in contact) < 3.0
+
+
+def test_what_was_logged_is_told_in_its_order_and_by_its_time(golden: Tape) -> None:
+    texts = [text for _, text in golden.happened]
+    assert "state: track" in texts
+    assert "conveyor: stop confirmed" in texts
+    times = [t for t, _ in golden.happened]
+    assert times == sorted(times)
+    confirmed_s = dict((text, t) for t, text in golden.happened)["conveyor: stop confirmed"]
+    near = min(golden.frames, key=lambda frame: abs(frame["t"] - confirmed_s))
+    assert near["scenario"] == "stopping"
+
+
+def test_frames_are_given_in_bounded_portions(golden: Tape) -> None:
+    assert golden.between(0, 10) == golden.frames[:10]
+    assert golden.between(len(golden.frames) - 3, 10**9) == golden.frames[-3:]
+    assert len(golden.between(0, 10**9)) == min(MOST_ASKED, len(golden.frames))
+    assert golden.between(10**6, 10**9) == []
+
+
+def test_all_that_is_told_is_json(golden: Tape) -> None:
+    told = json.loads(json.dumps(golden.told(), allow_nan=False))
+    assert len(told["times"]) == len(golden.frames)
+    assert {row["state"] for row in told["summary"]} >= {"track", "contact"}
+
+
+def test_the_overview_keeps_the_worst_of_each_stretch() -> None:
+    frames = [
+        {"t": i * 0.03, "tentative": i == 7, "slack_ms": 11.0 - (i == 5000), "errors":
+         {"plan_mm": 9.0 if i == 4321 else 0.1}, "confidence": float(i == 77)}
+        for i in range(10_000)
+    ]  # fmt: skip
+    told = tape.overview(frames)
+    assert len(told) <= OVERVIEW
+    assert max(one["errors"]["plan_mm"] for one in told) == 9.0
+    assert min(one["slack_ms"] for one in told) == 10.0
+    assert max(one["confidence"] for one in told) == 1.0
+    assert sum(one["tentative"] for one in told) == 1
+
+
+def test_what_a_step_foresaw_is_made_again_and_shown_with_it(tmp_path: Path) -> None:
+    shown = tape.read(GOLDEN)
+    found = []
+    for one in foresight.foreseen(GOLDEN):
+        shown.foresee(one.k, one.ahead_ms, one.points, exact=one.exact)
+        found.append(one)
+        if len(found) == 40:
+            break
+    frame = next(f for f in shown.between(0, MOST_ASKED) if "foreseen" in f)
+    assert frame["foreseen_ms"] > 100
+    assert frame["foreseen"][0] == pytest.approx(frame["target"][:3], abs=0.02)
+    assert {one.k for one in found} <= {step.inputs.k for step in read_steps(GOLDEN).steps}
+
+
+def recorded(path: Path, steps: int = 100) -> Path:
+    """A recording in small chunks, as a daemon's recorder writes it."""
+    texts = {"config": "task: wheel.yaml\n", "task": TASK.text, "urdf": TASK.urdf}
+    file, feed, world = StepFile(path.open("wb"), texts, 8192), Feed(), World(parameters())
+    for k in range(steps):
+        inputs, before = world.inputs(Order.HOLD), world.state
+        outputs = world.take(inputs)
+        state = "idle" if k < steps // 2 else "armed"
+        entry = LogEntry(k, state, inputs, outputs, before, world.state, world.parameters)
+        for item in feed.of(entry):
+            file.put(item)
+        times = CycleTimes(k, inputs.stamp_ns, None, None, 0, None, 400_000, True, state)
+        file.put(Item(Kind.TIMING, inputs.stamp_ns, times))
+        if k == 10:
+            file.put(Item(Kind.LINE, inputs.stamp_ns, ("alice ordered arm", 2)))
+    file.close()
+    return path
+
+
+def test_a_daemons_recording_tells_its_happenings_once_and_what_was_left_of_each_cycle(
+    tmp_path: Path,
+) -> None:
+    shown = tape.read(recorded(tmp_path / "whole.mcap"))
+    texts = [text for _, text in shown.happened if not text.startswith("conveyor")]
+    assert texts == ["state: idle", "alice ordered arm", "state: armed"]
+    assert shown.frames[-1]["slack_ms"] == 11.6
+    assert shown.frames[-1]["ages_ms"]["distance"] >= 0.0
+    assert shown.frames[-1]["samples"]["robot"] >= 90
+
+
+def test_a_recording_cut_short_is_shown_as_far_as_it_goes(tmp_path: Path) -> None:
+    whole, cut = recorded(tmp_path / "whole.mcap"), tmp_path / "cut.mcap"
+    data = whole.read_bytes()
+    cut.write_bytes(data[: len(data) // 2])
+    all_of_it, shown = tape.read(whole), tape.read(cut)
+    assert "breaks off" in shown.trouble
+    assert 0 < len(shown.frames) < len(all_of_it.frames)
+    assert shown.frames == all_of_it.frames[: len(shown.frames)]
+
+
+def test_one_too_long_is_shown_as_far_as_may_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tape, "MOST_FRAMES", 20)
+    shown = tape.read(GOLDEN)
+    assert len(shown.frames) == 20
+    assert "longer than 20 frames" in shown.trouble
+
+
+@pytest.mark.parametrize("content", [b"", b"not a recording", b"\x89MCAP0\r\n"])
+def test_what_is_no_recording_is_refused_by_its_name(tmp_path: Path, content: bytes) -> None:
+    file = tmp_path / "x.mcap"
+    file.write_bytes(content)
+    with pytest.raises(UnreadableRecordingError, match=r"x\.mcap: not a linemate recording"):
+        tape.read(file)
+
+
+def test_a_file_that_is_not_there_is_said(tmp_path: Path) -> None:
+    with pytest.raises(UnreadableRecordingError, match="No such file"):
+        tape.read(tmp_path / "none.mcap")
+    shutil.rmtree(tmp_path)
