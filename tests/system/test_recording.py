@@ -1,6 +1,7 @@
 """A real daemon's recording: it replays to the bit, and a sudden death costs its last second."""
 
 import contextlib
+import resource
 import signal
 import socket
 import time
@@ -76,3 +77,23 @@ def test_a_daemon_that_is_killed_loses_its_last_second_at_most(tmp_path: Path) -
     assert [step.inputs.k for step in steps] == list(range(len(steps)))
     assert tool.main(["recover", str(path)]) == 0
     assert tool.main(["replay", str(path.with_name(f"{path.stem}-recovered.mcap"))]) == 0
+
+
+def test_a_disk_that_fills_up_costs_the_recording_and_no_cycle(tmp_path: Path) -> None:
+    with DaemonProcess(tmp_path, TEXT) as daemon:
+        exchange(daemon, 1.0)
+        (path,) = tmp_path.glob("linemate-*.mcap")
+        room = path.stat().st_size + 4096
+        resource.prlimit(daemon.process.pid, resource.RLIMIT_FSIZE, (room, room))
+        steps = daemon.status()["steps"]
+        answered = exchange(daemon, 2.0)
+        status = daemon.status_once(lambda status: bool(status["recording"]["failure"]))
+        assert "File too large" in status["recording"]["failure"]
+        assert not status["recording"]["recording"]
+        assert any("recording ended" in complaint for complaint in status["complaints"])
+        assert status["steps"] - steps >= answered > 0.9 * 2.0 / CYCLE_S
+        assert status["faults"] == 0
+        assert daemon.end()[0] == 0
+    recording = read(path)
+    assert len(recording.steps) > 30
+    assert path.stat().st_size <= room
