@@ -284,7 +284,9 @@ class BankClassifier:
         push_odds = push.odds - _softplus(change.odds)
         motion, word = _NEXT[state.motion]
         settings = self.bank
-        limit = settings.stop_confirmed if word == "stop" else settings.start_confirmed
+        limit = settings.start_confirmed
+        if word == "stop":
+            limit = settings.contact_confirmed if state.contact else settings.stop_confirmed
         state = changed(state, change=change, push=push, odds=odds, push_odds=push_odds)
         if odds > limit:
             events = [*state.events, (word, "tentative"), (word, "confirmed")]

@@ -168,6 +168,7 @@ class BankSettings:
     Attributes:
         perceived: log odds at which a change counts as perceived.
         stop_confirmed: log odds at which a stop is confirmed.
+        contact_confirmed: log odds at which a stop is confirmed in contact, where force tells.
         start_confirmed: log odds at which a start is confirmed.
         amplitude_deviation: of a class's acceleration about its nominal one, a share.
         penalty: taken from a stop's log odds before it enters the mixed prediction.
@@ -176,8 +177,9 @@ class BankSettings:
     """
 
     perceived: LogOdds = 6.0
-    stop_confirmed: LogOdds = 10.0
-    start_confirmed: LogOdds = 14.0
+    stop_confirmed: LogOdds = 12.0
+    contact_confirmed: LogOdds = 7.0
+    start_confirmed: LogOdds = 17.0
     amplitude_deviation: Annotated[float, Ge(0.01), Le(2.0)] = 0.15
     penalty: LogOdds = 4.0
     contact_penalty: LogOdds = 3.0

@@ -23,7 +23,15 @@ import yaml
 
 from linemate.daemon.operator.client import Client, NoAnswerError, RefusedError
 from linemate.simulators.devices import truth
-from linemate.simulators.harness import host, joined, live, report_json, scenario_file, table
+from linemate.simulators.harness import (
+    host,
+    joined,
+    live,
+    overlay,
+    report_json,
+    scenario_file,
+    table,
+)
 from linemate.simulators.harness.judge import judge
 from linemate.simulators.harness.live import Glimpse, LinkGlimpse, View
 from linemate.simulators.harness.processes import (
@@ -86,6 +94,8 @@ class Station:
             "command": {"socket": str(self.command_socket)},
             "recording": {"directory": str(self.folder), "at_start": True},
             "realtime": {"priority": DAEMON_PRIORITY, "lock_memory": True},
+            # What was identified of the cell, as after its commissioning.
+            **overlay.load(),
         }
 
     def emulator_file(self, listening: Mapping[str, Any]) -> dict[str, Any]:

@@ -100,9 +100,21 @@ def make(
     truth = scenario_file.load(scenario)
     if cycle_ms is not None:
         truth = replace(truth, cycle_s=round(cycle_ms * 1e-3, 9))
-    tracking, control = variants.apply(variant, TrackingSettings(), ControlSettings())
-    setup = Setup(truth, tracking, control, variant=variant)
+    known = identified()
+    tracking, control = variants.apply(variant, known.tracking, known.control)
+    setup = replace(known, scenario=truth, tracking=tracking, control=control, variant=variant)
     return override(setup, overrides) if overrides else setup
+
+
+@cache
+def identified() -> Setup:
+    """What the daemon is told of the shipped cell: what ``linemate identify`` found of it.
+
+    The plant's own numbers never reach a run; see ``overlay.SHIPPED``.
+    """
+    from linemate.simulators.harness import overlay
+
+    return overlay.laid_over(Setup(scenario_file.load(scenario_file.DEFAULT)), overlay.load())
 
 
 def override(setup: Setup, overrides: Sequence[str]) -> Setup:

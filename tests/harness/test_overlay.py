@@ -30,7 +30,7 @@ def test_values_and_lists_reach_the_settings_and_leave_the_rest() -> None:
         ({"scenario": {"seed": 3}}, "no section scenario"),
         ({"tracking": {"distance": {"deviations": 1.0}}}, "no such key"),
         ({"control": {"servos": [{"frequency_hz": 1.0}]}}, "control.servos"),
-        ({"tracking": {"distance": {"deviation": -1.0}}}, "greater than 0"),
+        ({"tracking": {"distance": {"deviation": -1.0}}}, "greater than or equal to"),
     ],
 )
 def test_what_does_not_fit_is_refused(laid: dict[str, object], what: str) -> None:
