@@ -1,0 +1,96 @@
+"""A daemon's doors with a recorded run behind them: what a view hears of a run, without a robot."""
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from command_ends import open_port, served
+
+from linemate.daemon.operator.recordings import Recording, read
+from linemate.daemon.service import viewer_messages
+from linemate.daemon.service.command_server import CommandPort
+
+GOLDEN = Path(__file__).parent / "system" / "golden" / "wheel.mcap"
+LINEMATE = (sys.executable, "-m", "linemate.daemon.operator.main")
+SHOWN = ("phase", "task_time", "scenario", "scenario_state", "confidence", "speed", "contact",
+         "held", "target", "sensed", "part", "command")  # fmt: skip
+LINK = {"up": True, "rate_hz": 83.3, "age_s": 0.004, "reason": "", "counters": {}}
+
+
+@cache
+def recording() -> Recording:
+    return read(GOLDEN)
+
+
+class Rerun:
+    """The golden run as telemetry, as if it went on now.
+
+    Attributes:
+        pace: seconds of it in one second; 0 stands still.
+        status: what is answered to that.
+    """
+
+    def __init__(self, pace: float = 1.0, from_s: float = 0.0) -> None:
+        self.pace = pace
+        self.from_s = from_s
+        self.asked: list[str] = []
+        self.status: dict[str, Any] = {
+            "health": "healthy", "complaints": [], "because": "", "late": 0, "missing": 0,
+            "turnaround_us": {"p99": 420.0}, "links": {"robot": LINK, "camera": LINK},
+        }  # fmt: skip
+        self._began = time.monotonic()
+        self._steps = recording().steps
+
+    def handle(self, op: str, params: Mapping[str, Any], role: str, who: str) -> Mapping[str, Any]:
+        del params, role, who
+        self.asked.append(op)
+        if op == "scene":
+            return viewer_messages.scene(recording().texts, 0.012)
+        return self.status if op == "status" else {"refused": f"no {op} here"}
+
+    def telemetry(self) -> dict[str, Any]:
+        first_ns = self._steps[0].inputs.stamp_ns
+        at_ns = first_ns + 1e9 * (self.from_s + self.pace * (time.monotonic() - self._began))
+        n = min(len(self._steps) - 1, int((at_ns - first_ns) / 12e6))
+        step = self._steps[n]
+        robot = step.inputs.robot
+        told = {name: step.outputs[name] for name in SHOWN}
+        told |= {"state": step.state, "k": step.inputs.k, "stamp_ns": step.inputs.stamp_ns}
+        told |= {"cycle_ms": 12.0, "turnaround_us": 400, "ages_ms": {"camera": 20.0}}
+        if robot is not None:
+            told["measured"] = (*robot.joints, robot.external[0])
+            told["measured_ns"] = robot.stamp_ns
+        return told
+
+
+@contextmanager
+def rerun(folder: Path, rerunning: Rerun) -> Iterator[CommandPort]:
+    """Serve a rerun at a socket in a folder."""
+    with open_port(folder, (), rerunning.handle, rerunning.telemetry) as port, served(port):
+        yield port
+
+
+@contextmanager
+def viewing(*words: str | Path) -> Iterator[str]:
+    """``linemate view`` as a process of its own; its address."""
+    process = subprocess.Popen(
+        [*LINEMATE, "view", "--no-browser", *map(str, words)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    assert process.stdout is not None
+    try:
+        address = process.stdout.readline().strip()
+        assert address.startswith("http://127.0.0.1:"), address + process.stdout.read()
+        yield address
+    finally:
+        process.terminate()
+        assert process.wait(20.0) == 0
+        process.stdout.close()

@@ -1,0 +1,138 @@
+"""The page in a real browser: it loads, shows a moving arm, and a class change appears."""
+
+import urllib.request
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import browser
+import pytest
+from browser import Browser
+from rerun import GOLDEN, Rerun, rerun, viewing
+
+pytestmark = pytest.mark.skipif(
+    browser.path() is None, reason="no Chromium here (Debian: apt-get install chromium)"
+)
+ROOT = "document.documentElement.dataset"
+TEXT = "document.getElementById('{}').textContent"
+CLASS = TEXT.format("class-name")
+
+
+@pytest.fixture
+def chromium(tmp_path: Path) -> Iterator[Browser]:
+    with Browser(tmp_path) as opened:
+        yield opened
+        assert opened.said == []
+
+
+def colours(png: bytes) -> int:
+    """How much there is to see in a picture: bytes of its rows, packed again."""
+    data, at = b"", 8
+    while at < len(png):
+        size = int.from_bytes(png[at : at + 4], "big")
+        if png[at + 4 : at + 8] == b"IDAT":
+            data += png[at + 8 : at + 8 + size]
+        at += size + 12
+    return len(zlib.compress(zlib.decompress(data)))
+
+
+def test_a_daemon_is_shown_as_it_goes(chromium: Browser, tmp_path: Path) -> None:
+    with rerun(tmp_path, Rerun(2.0)), viewing("--socket", tmp_path / "command.sock") as address:
+        chromium.open(address)
+        chromium.until(f"Number({ROOT}.frames) > 5 && {ROOT}.tcp")
+        assert chromium.value(TEXT.format("health-name")) == "✓ healthy"
+        chromium.until(f"{CLASS} === 'running'")
+        before = chromium.value(f"{ROOT}.tcp")
+        chromium.until(f"{ROOT}.tcp !== '{before}' && {TEXT.format('state-name')} === 'track'")
+        chromium.until(f"{CLASS} === 'stopping' || {CLASS} === 'stopping?'")
+        chromium.until(f"{TEXT.format('state-name')} === 'contact'")
+        chromium.until(f"{CLASS} === 'standing'")
+        assert float(chromium.value(TEXT.format("err-gap"))) < 5.0
+        rows = chromium.value("[...document.querySelectorAll('#links tr')].length")
+        assert rows == 2
+        assert colours(chromium.picture(tmp_path / "page.png")) > 30_000
+
+
+def test_a_daemon_that_ends_is_said_and_one_that_comes_back_is_shown(
+    chromium: Browser, tmp_path: Path
+) -> None:
+    banner = "document.getElementById('banner')"
+    with viewing("--socket", tmp_path / "command.sock") as address:
+        chromium.open(address)
+        chromium.until(f"!{banner}.hidden && {banner}.textContent.startsWith('No daemon')")
+        for _ in range(2):
+            with rerun(tmp_path, Rerun(1.0, 4.0)):
+                chromium.until(f"{banner}.hidden && {TEXT.format('state-name')} === 'track'")
+            chromium.until(f"!{banner}.hidden")
+            assert chromium.value("document.getElementById('state').dataset.kind") == "bad"
+
+
+def test_a_fault_is_told_by_more_than_its_colour(chromium: Browser, tmp_path: Path) -> None:
+    rerunning = Rerun(0.0, 4.0)
+    rerunning.status |= {"health": "degraded", "complaints": ["link camera is down: gone"]}
+    rerunning.status["links"] = {"camera": {**rerunning.status["links"]["camera"], "up": False}}
+    with rerun(tmp_path, rerunning), viewing("--socket", tmp_path / "command.sock") as address:
+        chromium.open(address)
+        chromium.until(f"{TEXT.format('health-name')} === '▲ degraded'")
+        chromium.until(f"{TEXT.format('health-note')} === 'link camera is down: gone'")
+        assert "✕ down" in chromium.value(TEXT.format("links"))
+
+
+def test_a_recording_is_played_paused_and_sought(chromium: Browser, tmp_path: Path) -> None:
+    with viewing(GOLDEN) as address:
+        chromium.open(address)
+        chromium.until(f"{ROOT}.tcp")
+        chromium.value("document.getElementById('speed').value = '4';"
+                       "document.getElementById('speed').onchange()")  # fmt: skip
+        before = chromium.value(f"{ROOT}.tcp")
+        chromium.until(f"{CLASS} === 'running'")
+        chromium.until(f"{ROOT}.tcp !== '{before}'")
+        chromium.until(f"{CLASS} === 'stopping'")
+        chromium.value("document.getElementById('play').click()")
+        chromium.until(f"{TEXT.format('play')} === '▶ play'")
+        seek = "document.getElementById('seek')"
+        stands = chromium.value(TEXT.format("time"))
+        assert chromium.value(TEXT.format("time")) == stands
+        chromium.value(f"{seek}.value = '0'; {seek}.oninput()")
+        chromium.until(f"{TEXT.format('time')}.startsWith('0.00')")
+        # What was foreseen is made again while one looks on.
+        chromium.value(f"{seek}.value = '0.5'; {seek}.oninput()")
+        chromium.until(f"Number({ROOT}.foreseen) > 2", 120.0)
+        assert colours(chromium.picture(tmp_path / "page.png")) > 30_000
+
+
+def test_dark_and_light_differ_and_are_kept(chromium: Browser) -> None:
+    with viewing(GOLDEN) as address:
+        chromium.open(address + "?paused&t=1")
+        first = chromium.until(f"{ROOT}.tcp && {ROOT}.theme")
+        colour = "getComputedStyle(document.body).backgroundColor"
+        back = chromium.value(colour)
+        chromium.value("document.getElementById('theme').click()")
+        assert chromium.value(f"{ROOT}.theme") != first
+        assert chromium.value(colour) != back
+        chromium.open(address + "?paused&t=1")
+        chromium.until(f"{ROOT}.tcp && {ROOT}.theme && {ROOT}.theme !== '{first}'")
+
+
+def test_everything_has_its_place_on_a_small_screen(chromium: Browser) -> None:
+    with viewing(GOLDEN) as address:
+        chromium.open(address + "?paused&t=9")
+        chromium.until(f"{ROOT}.tcp")
+        fits = "document.documentElement.scrollWidth <= 1280 && document.body.scrollHeight <= 800"
+        assert chromium.value(fits)
+        overflowing = (
+            "[...document.querySelectorAll('header .big, header h1, #slack-note')]"
+            ".filter((at) => at.scrollWidth > at.clientWidth + 1).map((at) => at.id)"
+        )
+        assert chromium.value(overflowing) == []
+
+
+def test_the_page_asks_only_the_view_itself(chromium: Browser) -> None:
+    with viewing(GOLDEN) as address:
+        chromium.open(address)
+        chromium.until(f"{ROOT}.tcp")
+        asked = chromium.value("performance.getEntriesByType('resource').map((one) => one.name)")
+        assert len(asked) > 5
+        assert all(name.startswith(address) for name in asked), asked
+        with urllib.request.urlopen(address, timeout=10.0) as page:
+            assert "default-src 'self'" in page.headers["Content-Security-Policy"]
