@@ -13,7 +13,7 @@ from typing import Protocol
 from linemate.protocol.exchange import Judgement
 from linemate.simulators.devices.controller import Applied, RsiController
 from linemate.simulators.devices.endpoint import Address, Endpoint
-from linemate.simulators.devices.schedule import Schedule
+from linemate.simulators.devices.schedule import Entry, Schedule
 from linemate.simulators.devices.turnaround import TurnAround
 
 BUDGET = 32
@@ -95,6 +95,7 @@ class ControllerUdp:
         self._begun_ns = 0
         self._sent_ns = 0
         self._elapsed_ns: int | None = None
+        self._grace: Entry | None = None
         self._is_open = False
         self._is_begun = True
         self._running = False
@@ -114,7 +115,7 @@ class ControllerUdp:
             OSError: if the address cannot be bound.
         """
         self._endpoint = Endpoint.bound(*self._bind)
-        asyncio.get_running_loop().add_reader(self._endpoint.link, self._drain)
+        asyncio.get_running_loop().add_reader(self._endpoint.link, self._heard)
         self._due_ns = time.monotonic_ns() + self._cycle_ns if first_ns is None else first_ns
         self._running = True
         self._schedule.at(self._due_ns, self._tick)
@@ -166,13 +167,15 @@ class ControllerUdp:
             self.pace.unsent += not self.put(data)
         self._begun_ns, self._due_ns = self._due_ns, self._due_ns + self._cycle_ns
         self._is_begun = False
-        self._schedule.at(self._sent_ns + self._grace_ns, self._begin)
+        self._grace = self._schedule.at(self._sent_ns + self._grace_ns, self._begin)
         self._schedule.at(self._due_ns, self._tick)
 
     def _begin(self) -> None:
         """Let the plant compute, once the daemon had the processor for its reply."""
         if not self._is_begun:
             self._is_begun = True
+            if self._grace is not None:
+                self._schedule.cancel(self._grace)  # a wake-up less
             self._plant.begin_cycle(self._begun_ns)
 
     def _slip(self) -> bool:
@@ -187,20 +190,30 @@ class ControllerUdp:
             self.pace.latest_ns = max(self.pace.latest_ns, late_ns)
         return slips
 
+    def _heard(self) -> None:
+        """Judge one datagram; the loop comes back for more."""
+        self._take()
+
     def _drain(self) -> None:
-        """Judge what waits; a good reply ends the cycle's uncertainty at once."""
+        """Judge what waits."""
         for _ in range(BUDGET):
-            received = None if self._endpoint is None else self._endpoint.receive()
-            if received is None:
+            if not self._take():
                 return
-            data, stamp_ns = received
-            if self.is_deaf:
-                continue
-            judgement = self.controller.on_reply(data, stamp_ns, self._due_ns)
-            if judgement is Judgement.ACCEPTED:
-                self._elapsed_ns = max(stamp_ns - self._sent_ns, 0)
-                self.turnaround.add(self._elapsed_ns)
-                self._begin()
+
+    def _take(self) -> bool:
+        """Judge a datagram, if there is one; a good reply ends the cycle's uncertainty at once."""
+        received = None if self._endpoint is None else self._endpoint.receive()
+        if received is None:
+            return False
+        data, stamp_ns = received
+        if self.is_deaf:
+            return True
+        judgement = self.controller.on_reply(data, stamp_ns, self._due_ns)
+        if judgement is Judgement.ACCEPTED:
+            self._elapsed_ns = max(stamp_ns - self._sent_ns, 0)
+            self.turnaround.add(self._elapsed_ns)
+            self._begin()
+        return True
 
     def _finish(self) -> None:
         if self._is_open:

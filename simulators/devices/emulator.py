@@ -133,9 +133,7 @@ class Emulator:
         self._waiting = config.wait_answered > 0
         self._row = 0
         self._cycle_s = config.scenario.cycle_s
-        self._look_ahead_s = min(
-            self._cycle_s, *(axis.dead_time_s for axis in config.scenario.robot.axes)
-        )
+        self._look_ahead_s = min(axis.dead_time_s for axis in config.scenario.robot.axes)
         self._begun_ns = 0
         self._begun_s = self.world.time_s
         self._told_s = -1e9
@@ -182,10 +180,13 @@ class Emulator:
             return
         self._begun_ns, self._begun_s = at_ns, self.world.time_s
         self.truth.begin(self.world, self._plant.axes)
-        ahead_s = self._look_ahead_s - _BEFORE_S
-        if ahead_s > 0.0:
-            # No axis moves on this cycle's setpoints before the shortest dead time has passed.
-            self.world.advance(self._begun_s + ahead_s)
+        # No axis moves on this cycle's setpoints before the shortest dead time has passed: the
+        # world goes ahead now, so that the next telegram finds it there.
+        if self._look_ahead_s >= self._cycle_s:
+            self.world.advance(self.world.cycle_start(self._plant.cycle + 1))
+            self._lay_out()
+        elif self._look_ahead_s > _BEFORE_S:
+            self.world.advance(self._begun_s + self._look_ahead_s - _BEFORE_S)
             self._lay_out()
         self._tell_sometimes(self._begun_s)
 

@@ -39,10 +39,12 @@ class RobotPlant:
     def apply(self, applied: Applied) -> None:
         """Command what the controller applies in the open cycle, and go to the next one.
 
+        The world may be there already: no axis moves before its dead time has passed.
+
         Args:
             applied: the open cycle's outcome.
         """
-        self.world.command(applied.setpoints)
+        self.world.command(applied.setpoints, self.cycle)
         self.world.digital_out(applied.digital_out)
         self.cycle += 1
         self.world.advance(self.world.cycle_start(self.cycle))

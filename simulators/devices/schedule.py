@@ -13,10 +13,16 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import count
+from typing import Any
 
 _TFD_NONBLOCK_CLOEXEC = 0o4000 | 0o2000000
 _TFD_TIMER_ABSTIME = 1
 _NS = 1_000_000_000
+_NEVER = 0
+"""Disarms a timer."""
+
+Entry = list[Any]
+"""When [ns], a number that keeps the order, and what; None if it was cancelled."""
 
 
 class _TimeSpec(ctypes.Structure):
@@ -38,7 +44,6 @@ def _timerfd() -> int:
 
 
 def _arm(descriptor: int, at_ns: int) -> None:
-    at_ns = max(at_ns, 1)  # zero would disarm
     spec = _TimerSpec(_TimeSpec(0, 0), _TimeSpec(at_ns // _NS, at_ns % _NS))
     if _libc.timerfd_settime(descriptor, _TFD_TIMER_ABSTIME, ctypes.byref(spec), None) < 0:
         raise OSError(ctypes.get_errno(), "timerfd_settime")
@@ -57,7 +62,8 @@ class Schedule:
     on_error: Callable[[Exception], None] | None = None
     _descriptor: int = -1
     _armed_ns: int = -1
-    _queue: list[tuple[int, int, Callable[[], None]]] = field(default_factory=list)
+    _is_running: bool = False
+    _queue: list[Entry] = field(default_factory=list)
     _order: "count[int]" = field(default_factory=count)
 
     def open(self) -> None:
@@ -77,37 +83,55 @@ class Schedule:
             self._descriptor = -1
         self._queue.clear()
 
-    def at(self, at_ns: int, action: Callable[[], None]) -> None:
+    def at(self, at_ns: int, action: Callable[[], None]) -> Entry:
         """Do something at an instant; at once if it has passed.
 
         Args:
             at_ns: monotonic instant [ns].
             action: what to do; it must not block.
+
+        Returns:
+            What ``cancel`` takes.
         """
-        heapq.heappush(self._queue, (at_ns, next(self._order), action))
+        entry: Entry = [at_ns, next(self._order), action]
+        heapq.heappush(self._queue, entry)
         self._rearm()
+        return entry
+
+    def cancel(self, entry: Entry) -> None:
+        """Do not do it after all; nothing if it is done."""
+        entry[2] = None
 
     def __len__(self) -> int:
         """How many actions are still to be done."""
-        return len(self._queue)
+        return sum(entry[2] is not None for entry in self._queue)
 
     def _rearm(self) -> None:
-        if self._queue and self._descriptor >= 0 and self._queue[0][0] != self._armed_ns:
-            self._armed_ns = self._queue[0][0]
-            _arm(self._descriptor, self._armed_ns)
+        """Set the timer to the next instant; while actions run, that is done after them."""
+        queue = self._queue
+        while queue and queue[0][2] is None:
+            heapq.heappop(queue)
+        if self._is_running or self._descriptor < 0:
+            return
+        # Setting it also clears it: nobody has to read it.
+        next_ns = max(queue[0][0], 1) if queue else _NEVER
+        if next_ns != self._armed_ns:
+            self._armed_ns = next_ns
+            _arm(self._descriptor, next_ns)
 
     def _expired(self) -> None:
-        try:
-            os.read(self._descriptor, 8)
-        except BlockingIOError:
-            return
         self._armed_ns = -1
+        self._is_running = True
         now_ns = time.monotonic_ns()
-        while self._queue and self._queue[0][0] <= now_ns:
-            at_ns, _, action = heapq.heappop(self._queue)
-            self.worst_ns = max(self.worst_ns, now_ns - at_ns)
-            self._run(action)
-        self._rearm()
+        try:
+            while self._queue and self._queue[0][0] <= now_ns:
+                at_ns, _, action = heapq.heappop(self._queue)
+                if action is not None:
+                    self.worst_ns = max(self.worst_ns, now_ns - at_ns)
+                    self._run(action)
+        finally:
+            self._is_running = False
+            self._rearm()
 
     def _run(self, action: Callable[[], None]) -> None:
         try:

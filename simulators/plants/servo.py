@@ -59,7 +59,7 @@ class ServoBank:
     def __init__(
         self, axes: tuple[Axis, ...], start: tuple[float, ...], cycle_s: float, substeps: int
     ) -> None:
-        self._cycle = cycle_s
+        self._cycle_s = cycle_s
         self._substeps = substeps
         self._step = cycle_s / substeps
         self._lags = tuple(_lag(axis, self._step, substeps) for axis in axes)
@@ -69,6 +69,7 @@ class ServoBank:
         # Nodes of the lines that are still seen, the present cycle's and its end the last two.
         self._nodes = [tuple(start)] * (self._reach + 2)
         self._rises = [(0.0,) * len(start)] * (self._reach + 1)
+        self._cycle, self._is_commanded = 0, False
         self._slack = min(axis.dead_time_s for axis in axes)
         self._ahead: list[_Motion] | None = None
         self.positions = tuple(start)
@@ -77,11 +78,11 @@ class ServoBank:
 
     def begin_cycle(self, cycle: int) -> None:
         """Arrive at a cycle's start: until a command comes, the last setpoint is held."""
-        del cycle  # they come one after another
         nodes, rises = self._nodes, self._rises
         nodes.append(nodes[-1])
         rises.append((0.0,) * len(nodes[-1]))
         del nodes[0], rises[0]
+        self._cycle, self._is_commanded = cycle, False
         self._begun = self.positions, self.velocities
         self._ahead = None
 
@@ -89,25 +90,33 @@ class ServoBank:
         """Set the setpoints that the given cycle moves to.
 
         Args:
-            cycle: the present cycle.
+            cycle: the present cycle, or the one before it.
             age: time since its start [s].
             setpoints: reached at the end of the cycle [rad, m].
 
         Raises:
             ValueError: when an axis has already moved on an input that this would change.
         """
-        del cycle
         if age > self._slack + _TINY:
             raise ValueError(f"command {age} s after its cycle began: the motion has passed it")
-        nodes = self._nodes
-        nodes[-1] = setpoints
-        self._rises[-1] = tuple(map(sub, setpoints, nodes[-2]))
+        nodes, rises = self._nodes, self._rises
+        if cycle == self._cycle:
+            nodes[-1] = setpoints
+            self._is_commanded = True
+        elif cycle == self._cycle - 1:
+            nodes[-2] = setpoints
+            rises[-2] = tuple(map(sub, setpoints, nodes[-3]))
+            if not self._is_commanded:
+                nodes[-1] = setpoints
+        else:
+            raise ValueError(f"command for cycle {cycle} in cycle {self._cycle}")
+        rises[-1] = tuple(map(sub, nodes[-1], nodes[-2]))
         self._ahead = None
 
     def setpoints(self, cycle: int, age: float) -> tuple[float, ...]:
         """The interpolated setpoints `age` after the start of the present cycle."""
         del cycle
-        share = age / self._cycle
+        share = age / self._cycle_s
         begin, end = self._nodes[-2:]
         return tuple(a + (b - a) * share for a, b in zip(begin, end, strict=True))
 
@@ -160,7 +169,7 @@ class ServoBank:
         lag, nodes = self._lags[axis], self._nodes
         for piece in pieces:
             begin = nodes[-2 - piece.back][axis]
-            slope = (nodes[-1 - piece.back][axis] - begin) / self._cycle
+            slope = (nodes[-1 - piece.back][axis] - begin) / self._cycle_s
             y, v = _solve(lag, piece, slope, begin + slope * piece.since, y, v)
         return y, v
 

@@ -138,22 +138,25 @@ class World:
         self._expose(t + _TINY)
         self._now = max(t, self._grid)
 
-    def command(self, setpoints: tuple[float, ...]) -> None:
-        """Command the setpoints that the controller moves to during the present cycle.
+    def command(self, setpoints: tuple[float, ...], cycle: int | None = None) -> None:
+        """Command the setpoints that the controller moves to during a cycle.
 
-        A reply that arrives late within its cycle may still be given while no axis has moved
-        on it, that is within the shortest dead time after the cycle's start.
+        A reply that arrives late may still be given while no axis has moved on it, that is
+        within the shortest dead time after the cycle's start, even in the next cycle.
 
         Args:
             setpoints: A1..A6 [rad], E1 [m], reached at the end of the cycle.
+            cycle: the present one, which None means as well, or the one before it.
 
         Raises:
-            ValueError: wrong number, not finite, or too late within the cycle.
+            ValueError: wrong number, not finite, too late, or another cycle.
         """
         values = tuple(map(float, setpoints))
         if len(values) != 7 or not math.isfinite(sum(values)):
             raise ValueError(f"seven finite setpoints wanted, got {setpoints}")
-        self._servos.command(self.cycle, self._age(), values)
+        if cycle is None:
+            cycle = self.cycle
+        self._servos.command(cycle, self._now - self.cycle_start(cycle), values)
 
     def digital_out(self, bits: int) -> None:
         """Set the signals to the tool: bit 0 fix the screws, bit 1 release the wheel."""
