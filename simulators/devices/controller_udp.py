@@ -192,7 +192,7 @@ class ControllerUdp:
 
     def _heard(self) -> None:
         """Judge one datagram; the loop comes back for more."""
-        self._take()
+        self._schedule.together(self._take)
 
     def _drain(self) -> None:
         """Judge what waits."""

@@ -12,6 +12,7 @@ import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import count
 from typing import Any
 
@@ -43,10 +44,26 @@ def _timerfd() -> int:
     return descriptor
 
 
-def _arm(descriptor: int, at_ns: int) -> None:
-    spec = _TimerSpec(_TimeSpec(0, 0), _TimeSpec(at_ns // _NS, at_ns % _NS))
-    if _libc.timerfd_settime(descriptor, _TFD_TIMER_ABSTIME, ctypes.byref(spec), None) < 0:
-        raise OSError(ctypes.get_errno(), "timerfd_settime")
+class _Timer:
+    """A timerfd of the monotonic clock."""
+
+    __slots__ = ("_set", "_value", "descriptor")
+
+    def __init__(self) -> None:
+        self.descriptor = _timerfd()
+        spec = _TimerSpec(_TimeSpec(0, 0), _TimeSpec(0, 0))
+        self._value = spec.value
+        call = _libc.timerfd_settime
+        # What does not change is made once: this is called several times a cycle.
+        self._set = partial(
+            call, ctypes.c_int(self.descriptor), _TFD_TIMER_ABSTIME, ctypes.byref(spec), None
+        )
+
+    def arm(self, at_ns: int) -> None:
+        """Expire at an instant [ns]; zero is never."""
+        self._value.seconds, self._value.nanoseconds = divmod(at_ns, _NS)
+        if self._set() < 0:
+            raise OSError(ctypes.get_errno(), "timerfd_settime")
 
 
 @dataclass(slots=True)
@@ -60,7 +77,7 @@ class Schedule:
 
     worst_ns: int = 0
     on_error: Callable[[Exception], None] | None = None
-    _descriptor: int = -1
+    _timer: _Timer | None = None
     _armed_ns: int = -1
     _is_running: bool = False
     _queue: list[Entry] = field(default_factory=list)
@@ -72,15 +89,15 @@ class Schedule:
         Raises:
             OSError: if the kernel gives no timer.
         """
-        self._descriptor = _timerfd()
-        asyncio.get_running_loop().add_reader(self._descriptor, self._expired)
+        self._timer = _Timer()
+        asyncio.get_running_loop().add_reader(self._timer.descriptor, self._expired)
 
     def close(self) -> None:
         """Forget what is still to be done."""
-        if self._descriptor >= 0:
-            asyncio.get_running_loop().remove_reader(self._descriptor)
-            os.close(self._descriptor)
-            self._descriptor = -1
+        if self._timer is not None:
+            asyncio.get_running_loop().remove_reader(self._timer.descriptor)
+            os.close(self._timer.descriptor)
+            self._timer = None
         self._queue.clear()
 
     def at(self, at_ns: int, action: Callable[[], None]) -> Entry:
@@ -111,27 +128,34 @@ class Schedule:
         queue = self._queue
         while queue and queue[0][2] is None:
             heapq.heappop(queue)
-        if self._is_running or self._descriptor < 0:
+        if self._is_running or self._timer is None:
             return
         # Setting it also clears it: nobody has to read it.
         next_ns = max(queue[0][0], 1) if queue else _NEVER
         if next_ns != self._armed_ns:
             self._armed_ns = next_ns
-            _arm(self._descriptor, next_ns)
+            self._timer.arm(next_ns)
+
+    def together(self, action: Callable[[], object]) -> None:
+        """Do something now that puts several things on the schedule; the timer is set once."""
+        was_running, self._is_running = self._is_running, True
+        try:
+            action()
+        finally:
+            self._is_running = was_running
+            self._rearm()
 
     def _expired(self) -> None:
         self._armed_ns = -1
-        self._is_running = True
+        self.together(self._run_due)
+
+    def _run_due(self) -> None:
         now_ns = time.monotonic_ns()
-        try:
-            while self._queue and self._queue[0][0] <= now_ns:
-                at_ns, _, action = heapq.heappop(self._queue)
-                if action is not None:
-                    self.worst_ns = max(self.worst_ns, now_ns - at_ns)
-                    self._run(action)
-        finally:
-            self._is_running = False
-            self._rearm()
+        while self._queue and self._queue[0][0] <= now_ns:
+            at_ns, _, action = heapq.heappop(self._queue)
+            if action is not None:
+                self.worst_ns = max(self.worst_ns, now_ns - at_ns)
+                self._run(action)
 
     def _run(self, action: Callable[[], None]) -> None:
         try:
