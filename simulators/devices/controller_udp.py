@@ -105,6 +105,11 @@ class ControllerUdp:
         """Where replies go, None while closed."""
         return None if self._endpoint is None else self._endpoint.address
 
+    @property
+    def due_ns(self) -> int:
+        """When the next telegram goes out [ns]."""
+        return self._due_ns
+
     def open(self, first_ns: int | None = None) -> None:
         """Bind, and send the first telegram at an instant.
 

@@ -17,6 +17,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from queue import SimpleQueue
+from threading import Thread
 from typing import Any, TextIO
 
 from linemate.protocol.distance import DistanceEncoder
@@ -42,6 +44,8 @@ NEWEST = 500
 SPARE_ROWS = 100
 MAX_ROWS = 200_000
 _BEFORE_S = 1e-6
+_QUIET = 0.6
+"""How long before the next telegram the state is told, in cycles."""
 
 __all__ = [
     "SHIPPED_RSI",
@@ -409,7 +413,9 @@ class Emulator:
     def _tell_sometimes(self, now_s: float) -> None:
         if self._on_state is not None and now_s - self._told_s >= self.config.state_period_s:
             self._told_s = now_s
-            self._tell(self.state())
+            # In the cycle's quiet hours: its reply is in, and most of its readings are out.
+            quiet_ns = self.link.due_ns - round(_QUIET * self._cycle_s * 1e9)
+            self._schedule.at(quiet_ns, lambda: self._tell(self.state()))
 
     def _tell(self, state: dict[str, Any]) -> None:
         if self._on_state is not None:
@@ -450,16 +456,22 @@ def serve(config: EmulatorConfig, out: TextIO = sys.stdout, priority: int = 0) -
     Returns:
         What happened.
     """
+    lines: SimpleQueue[dict[str, Any] | None] = SimpleQueue()
 
-    def tell(state: dict[str, Any]) -> None:
-        print(json.dumps(state), file=out, flush=True)
+    def write() -> None:
+        # A disk or a reader that is slow may hold up this thread, and not the telegrams.
+        with suppress(OSError, ValueError):
+            while (state := lines.get()) is not None:
+                print(json.dumps(state), file=out, flush=True)
+
+    writer = Thread(target=write, name="states", daemon=True)
 
     async def body() -> EmulatorResult:
         stop = asyncio.Event()
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.add_signal_handler(number, stop.set)
-        emulator = Emulator(config, tell)
+        emulator = Emulator(config, lines.put)
         if priority > 0:
             with suppress(OSError):  # without the right to it, telegrams go out less evenly
                 os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
@@ -468,7 +480,12 @@ def serve(config: EmulatorConfig, out: TextIO = sys.stdout, priority: int = 0) -
         gc.disable()  # a collection in motion would be a late telegram
         return await emulator.run(stop)
 
-    return asyncio.run(body())
+    writer.start()
+    try:
+        return asyncio.run(body())
+    finally:
+        lines.put(None)
+        writer.join()
 
 
 def _rows(scenario: Scenario) -> int:

@@ -51,6 +51,9 @@ END_S = 15.0
 LOOK_S = 0.1
 DAEMON_PRIORITY = 70
 EMULATOR_PRIORITY = 60
+"""Below the daemon: on a machine with one core to spare the plant's computing would otherwise stand
+between a telegram and its reply. Above everything else: a telegram that goes out late makes the
+exchange slip, and a real controller's never does."""
 SETTLE_S = 2.5
 """A daemon's link that was not there is tried again within 2 s."""
 
