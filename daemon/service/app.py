@@ -59,6 +59,9 @@ STATUS_EVERY_NS = 1_000_000_000
 PATIENCE_NS = 1_000_000
 """How long beyond its time the loop waits for a telegram whose reply is ready [ns]."""
 
+GUEST_NS = 1_000_000
+"""So long before the next step is made or its telegram comes, operators wait for its end [ns]."""
+
 SAY_EVERY = 1000
 """A fault of the cycle is logged once in so many."""
 
@@ -337,7 +340,7 @@ class App:
         if self._recorder is not None:
             self._recorder.take(entries, times)
         self._outlook.take(entries, times)
-        self._commands.poll(self._station.config.command.budget)
+        self._attend_operators()
         self._notifier.alive(now_ns)
         if now_ns - self._told_ns >= STATUS_EVERY_NS:
             self._told_ns = now_ns
@@ -348,6 +351,18 @@ class App:
                 self._notifier.send(f"STATUS={self._line()}")
         moving = bool(entries) and entries[-1].inputs.order is not Order.HOLD
         self._collector.slack(moving=moving)
+
+    def _attend_operators(self) -> None:
+        """Handle what operators sent; until the next step is due also what they send yet."""
+        budget = self._station.config.command.budget
+        self._commands.poll(budget)
+        schedule = self._clock.schedule
+        if schedule.locked:
+            until_ns = schedule.next_ns - schedule.lead_ns - GUEST_NS
+        else:
+            # Without a robot there is nobody whom operators could hold up.
+            until_ns = time.monotonic_ns() + schedule.period_ns
+        self._commands.invite(asyncio.get_running_loop(), until_ns, budget)
 
     def _tell_links(self) -> None:
         """Record which links came and went."""

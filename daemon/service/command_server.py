@@ -148,6 +148,9 @@ class CommandPort:
         self._epoll: select.epoll | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._ticker: asyncio.TimerHandle | None = None
+        self._until_ns = 0
+        self._allowance = 0
+        self._invited: asyncio.AbstractEventLoop | None = None
 
     @property
     def udp_address(self) -> tuple[str, int] | None:
@@ -177,6 +180,8 @@ class CommandPort:
     def close(self) -> None:
         """Close the doors and forget everybody."""
         self.detach()
+        self._allowance = 0
+        self._serve_guest()
         for connection in list(self._connections.values()):
             self._drop(connection, "closed")
         if self._listener is not None:
@@ -214,6 +219,29 @@ class CommandPort:
             self._ticker.cancel()
             self._ticker = None
         self._loop = None
+
+    def invite(self, loop: asyncio.AbstractEventLoop, until_ns: int, budget: int) -> None:
+        """Let the loop handle what comes between two cycles; nobody waits for the next one.
+
+        It ends by itself: at its time, or with its budget; what is left waits for ``poll``.
+
+        Args:
+            loop: the running one.
+            until_ns: monotonic time from which on the cycle has the loop for itself [ns].
+            budget: messages until then, at most.
+        """
+        self._until_ns, self._allowance = until_ns, budget
+        if self._invited is None and self._epoll is not None and (self._local or self._udp):
+            self._invited = loop
+            loop.add_reader(self._epoll.fileno(), self._serve_guest)
+
+    def _serve_guest(self) -> None:
+        """Handle one message; a turn of the loop is no longer than that."""
+        if self._allowance > 0 and self._now_ns() < self._until_ns:
+            self._allowance -= max(1, self.poll(1))
+        elif self._invited is not None and self._epoll is not None:
+            self._invited.remove_reader(self._epoll.fileno())
+            self._invited = None
 
     def poll(self, budget: int = 8) -> int:
         """Handle at most ``budget`` messages, in turn from every socket that has one.

@@ -535,3 +535,38 @@ def test_a_deadline_in_the_past_is_refused_on_the_local_socket_too(tmp_path: Pat
 
 def test_the_kernel_filter_is_packed_as_the_kernel_wants_it() -> None:
     assert struct.calcsize("HBBI") == 8
+
+
+def test_what_comes_between_two_cycles_is_answered_there_within_its_budget(tmp_path: Path) -> None:
+    async def live() -> tuple[list[str], int]:
+        done: list[str] = []
+        with (
+            open_port(tmp_path, handle=lambda op, *_: done.append(op) or {}) as port,
+            socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as link,
+        ):
+            loop = asyncio.get_running_loop()
+            core = LocalClient()
+            link.connect(str(tmp_path / "command.sock"))
+            link.setblocking(False)
+            link.send(core.hello(time.monotonic_ns()))
+            port.poll()  # takes the connection
+            port.poll()
+            core.on_datagram(link.recv(65536), time.monotonic_ns())
+            far_ns = time.monotonic_ns() + 10**10
+            # Without an invitation they wait for the cycle.
+            for _ in range(5):
+                link.send(core.request("status", {}, time.monotonic_ns() + 10**9).frame)
+            await asyncio.sleep(0.05)
+            assert done == []
+            port.invite(loop, far_ns, 2)
+            await asyncio.sleep(0.05)
+            assert len(done) == 2
+            port.invite(loop, time.monotonic_ns() - 1, 8)
+            await asyncio.sleep(0.05)
+            assert len(done) == 2
+            port.invite(loop, far_ns, 8)
+            await asyncio.sleep(0.05)
+            return done, port.poll()
+
+    done, waiting = asyncio.run(live())
+    assert (len(done), waiting) == (5, 0)
