@@ -60,13 +60,12 @@ class Board:
     """What is known of a daemon, and who looks on.
 
     Attributes:
-        dropped: messages that onlookers who have gone did not take.
         frames: that came, in all.
     """
 
     def __init__(self) -> None:
-        self.dropped = 0
         self.frames = 0
+        self._dropped = 0
         self._onlookers: set[Onlooker] = set()
         self._history: deque[bytes] = deque(maxlen=REMEMBERED)
         self._happened: deque[bytes] = deque(maxlen=HAPPENINGS)
@@ -89,7 +88,7 @@ class Board:
             yield onlooker
         finally:
             self._onlookers.discard(onlooker)
-            self.dropped += onlooker.dropped
+            self._dropped += onlooker.dropped
 
     def frame(self, frame: Frame) -> None:
         """Show a frame."""
@@ -124,6 +123,11 @@ class Board:
     def onlookers(self) -> int:
         """How many look on."""
         return len(self._onlookers)
+
+    @property
+    def dropped(self) -> int:
+        """Messages that onlookers did not take, those of onlookers who have gone among them."""
+        return self._dropped + sum(onlooker.dropped for onlooker in self._onlookers)
 
     def _give(self, message: bytes) -> None:
         for onlooker in self._onlookers:

@@ -13,7 +13,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
-from linemate.daemon.view.board import Board, FullError
+from linemate.daemon.view.board import ONLOOKERS, Board, FullError, event
 from linemate.daemon.view.server import Answer, NoPageError, Page
 from linemate.daemon.view.tape import Tape
 
@@ -25,6 +25,7 @@ KINDS: Final = {
     ".svg": "image/svg+xml",
 }
 INDEX: Final = "index.html"
+FULL: Final = b'{"up":false,"reason":"%d others look on already"}' % ONLOOKERS
 LONGEST_LINE: Final = 65_536
 
 
@@ -60,7 +61,8 @@ class LiveSite:
         """
         del query
         if path == "/mode":
-            return _json({"mode": "live", "source": self.source})
+            told = {"frames": self.board.frames, "dropped": self.board.dropped}
+            return _json({"mode": "live", "source": self.source, **told})
         if path == "/stream":
             return self._stream()
         return _asset(self._assets, path)
@@ -71,7 +73,7 @@ class LiveSite:
                 while True:
                     yield await onlooker.take()
         except FullError:
-            yield b"retry: 5000\n\n"
+            yield b"retry: 5000\n" + event("link", FULL)
 
 
 @dataclass(slots=True)

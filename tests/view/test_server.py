@@ -2,13 +2,14 @@
 
 import asyncio
 import contextlib
+import json
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 
 import pytest
 
 from linemate.daemon.view import server as serving
-from linemate.daemon.view.board import Board
+from linemate.daemon.view.board import ONLOOKERS, WAITING, Board
 from linemate.daemon.view.server import Answer, NoPageError, Page, Server
 from linemate.daemon.view.site import LiveSite, assets
 
@@ -170,3 +171,32 @@ def test_every_file_of_the_page_is_there_and_asks_for_nothing_from_elsewhere() -
         assert b"http://" not in told, path
         assert b"https://" not in told, path
         assert b"//cdn" not in told, path
+
+
+def test_a_page_too_many_is_told_so_and_asked_to_come_again() -> None:
+    async def main() -> None:
+        board = Board()
+        site = LiveSite(board, "here")
+        with contextlib.ExitStack() as stack:
+            for _ in range(ONLOOKERS):
+                stack.enter_context(board.looking())
+            stream = site.ask("/stream", {})
+            assert not isinstance(stream, Page)
+            told = [part async for part in stream]
+        assert len(told) == 1
+        assert told[0].startswith(b"retry: 5000\nevent: link\n")
+        assert b"others look on" in told[0]
+
+    asyncio.run(main())
+
+
+def test_what_was_dropped_can_be_asked_for() -> None:
+    board = Board()
+    with board.looking():
+        for k in range(WAITING + 1):
+            board.frame({"k": k})
+    told = LiveSite(board, "here").ask("/mode", {})
+    assert isinstance(told, Page)
+    assert json.loads(told.body) == {
+        "mode": "live", "source": "here", "frames": WAITING + 1, "dropped": 2,
+    }  # fmt: skip

@@ -3,9 +3,9 @@ import { LANES, STATES, CLASSES, number } from "./format.js";
 
 const COLOURS = ["panel", "line", "text", "muted", "grid", "good", "warn", "bad", "calm", "running", "stopping", "standing",
   "starting", "control", "plan", "gap", "odds"];
-const LEFT = 140, RIGHT = 92, TOP = 6, BOTTOM = 20, BETWEEN = 7;
+const LEFT = 140, RIGHT = 104, TOP = 6, BOTTOM = 20, BETWEEN = 7;
 const FONT = "11px system-ui, 'DejaVu Sans', sans-serif";
-const ODDS = 12;
+const ODDS = 13;
 const ROWS = [
   { name: "state", weight: 0.42 },
   { name: "class", weight: 1.25 },
@@ -93,7 +93,7 @@ export class Charts {
     this.states(shown);
     this.classes(shown);
     c.restore();
-    this.frameOf("odds", "change?", [[-ODDS + 2, "no"], [0, "even"], [ODDS - 2, "sure"]], -ODDS, ODDS);
+    this.frameOf("odds", "change log odds", [[-10, "−10"], [0, "0"], [10, "+10"]], -ODDS, ODDS);
     this.series("odds", shown, (frame) => frame.confidence, "odds", [], -ODDS, ODDS);
     const decades = [[-2, "0.01"], [-1, "0.1"], [0, "1 mm"], [1, "10"], [2, "100"]];
     this.frameOf("errors", "errors", decades, -2.3, 2.9);
@@ -259,16 +259,23 @@ export class Charts {
     const put = (row, lines) => {
       const [top, bottom] = this.rows[row];
       const step = Math.min(14, (bottom - top) / lines.length);
-      lines.forEach(([told, colour], i) => {
-        c.fillStyle = this.colour[colour];
-        c.fillText(told, x, (top + bottom) / 2 + 4 + (i - (lines.length - 1) / 2) * step);
+      lines.forEach(([told, colour, dash], i) => {
+        const y = (top + bottom) / 2 + (i - (lines.length - 1) / 2) * step;
+        c.strokeStyle = c.fillStyle = this.colour[colour];
+        if (dash) {
+          // Lines are told apart by their dashes as well.
+          c.setLineDash(dash); c.lineWidth = 1.6;
+          c.beginPath(); c.moveTo(x, y); c.lineTo(x + 14, y); c.stroke();
+          c.setLineDash([]); c.lineWidth = 1;
+        }
+        c.fillText(told, x + (dash ? 18 : 0), y + 4);
       });
     };
-    if (frame.confidence !== undefined) put("odds", [[`${frame.confidence > 0 ? "+" : ""}${number(frame.confidence, 1)} log odds`, "odds"]]);
+    if (frame.confidence !== undefined) put("odds", [[`${frame.confidence > 0 ? "+" : ""}${number(frame.confidence, 1)}`, "odds"]]);
     const errors = frame.errors || {};
-    put("errors", ERRORS.map(([name, colour]) => [`${name.slice(0, -3)} ${number(errors[name])}`, colour]));
+    put("errors", ERRORS.map(([name, colour, dash]) => [`${name.slice(0, -3)} ${number(errors[name])}`, colour, dash]));
     if (frame.slack_ms !== undefined) put("slack", [[`${number(frame.slack_ms, 2)} ms`, "good"]]);
-    if (frame.ages_ms) put("ages", AGES.map(([name, colour]) => [`${name} ${number(frame.ages_ms[name], 0)}`, colour]));
+    if (frame.ages_ms) put("ages", AGES.map(([name, colour, dash]) => [`${name} ${number(frame.ages_ms[name], 0)}`, colour, dash]));
     else if (frame.speed !== undefined) put("ages", [[`${number(1000 * frame.speed, 0)} mm/s`, "control"]]);
     if (frame.speed !== undefined && frame.scenario) put("class", [[`${number(1000 * frame.speed, 0)} mm/s`, frame.scenario in this.colour ? frame.scenario : "text"]]);
   }

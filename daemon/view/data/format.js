@@ -23,9 +23,3 @@ export function age(milliseconds) {
   if (milliseconds < 1000) return `${Math.round(milliseconds)} ms`;
   return milliseconds < 60000 ? `${(milliseconds / 1000).toFixed(1)} s` : `${Math.round(milliseconds / 60000)} min`;
 }
-
-// Log odds, as a chance in words that a chart's axis has room for.
-export function odds(value) {
-  const chance = 1 / (1 + Math.exp(-value));
-  return chance > 0.9999 ? "> 99.99 %" : chance < 0.0001 ? "< 0.01 %" : `${(100 * chance).toPrecision(3)} %`;
-}

@@ -108,7 +108,7 @@ export class Picture {
     const tcp = frame.tcp || frame.target || [1.8, 0, 1.1];
     const near = frame.part && apart(tcp, frame.part) < 0.75;
     const at = near ? middle(tcp.slice(0, 3), frame.part.slice(0, 3)) : tcp.slice(0, 3);
-    const span = near ? Math.max(0.17, 1.25 * apart(tcp, frame.part)) : 0.4;
+    const span = near ? Math.max(0.12, 1.2 * apart(tcp, frame.part)) : 0.4;
     return { azimuth: -1.95, elevation: 0.92, distance: 2.0 * span + 0.12, at };
   }
 

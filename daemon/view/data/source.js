@@ -31,7 +31,7 @@ export class Live {
       this.history.push(told);
       if (this.history.length > KEPT) this.history.shift();
     });
-    stream.onerror = () => { this.link = { up: false, reason: "the view has ended" }; changed(); };
+    stream.onerror = () => { if (this.link.up) this.link = { up: false, reason: "the view has ended" }; changed(); };
   }
 
   get silent() { return (performance.now() - this.heard) / 1000; }
