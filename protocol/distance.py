@@ -8,6 +8,7 @@ A frame that is too short, out of the DBC's range or not finite is refused with 
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import cast
 
@@ -92,11 +93,17 @@ def _load(dbc: str | Path) -> Database:
     try:
         is_text = isinstance(dbc, str) and "\n" in dbc
         text = str(dbc) if is_text else Path(dbc).read_text(encoding="latin-1")
-        return cast("Database", cantools.database.load_string(text, database_format="dbc"))
+        return _parsed(text)
     except OSError as error:
         raise DistanceError(f"cannot read the DBC: {error}") from error
     except Exception as error:
         raise DistanceError(f"not a DBC: {error}") from error
+
+
+@lru_cache(maxsize=8)
+def _parsed(text: str) -> Database:
+    """Both ends of a wire read one DBC, and a campaign reads it anew for every run."""
+    return cast("Database", cantools.database.load_string(text, database_format="dbc"))
 
 
 def message_names(dbc: str | Path) -> tuple[str, ...]:

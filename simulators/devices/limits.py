@@ -212,8 +212,8 @@ class LimitJudge:
         magnitude = np.abs(found)
         if counted.any():
             shares = np.where(counted, magnitude / limit, 0.0).max(axis=(0, 1))
-            for kind, share in zip(KINDS[1:], shares[1:].tolist(), strict=True):
-                self._worst[kind] = max(self._worst.get(kind, 0.0), share)
+            for name, share in zip(KINDS[1:], shares[1:].tolist(), strict=True):
+                self._worst[name] = max(self._worst.get(name, 0.0), share)
         within = (low <= found) & (found <= high)
         for cycle, axis, kind in np.argwhere(counted & ~within).tolist():
             name, value = KINDS[kind], float(found[cycle, axis, kind])

@@ -234,4 +234,4 @@ def _turns(vectors: Floats) -> Floats:
 
 
 def _width(parts: Mapping[str, slice]) -> int:
-    return max(part.stop for part in parts.values())
+    return max(int(part.stop) for part in parts.values())

@@ -7,10 +7,13 @@ multiplied by 0 or 1. Poses in base; joints in KUKA's sense of rotation.
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 
 from linemate.simulators.plants import rotation
 from linemate.simulators.plants.rotation import Pose
 from linemate.simulators.plants.scenario import Link, Robot
+
+_BARE: Pose = ((0.0, 0.0, 0.0), rotation.IDENTITY)
 
 Number = float | str
 """A constant, or the name or product that stands for a value."""
@@ -24,9 +27,8 @@ class ArmPlant:
     E1 [m] (root_in_base = Trans(0, E1, 0))."""
 
     def __init__(self, robot: Robot) -> None:
-        self._tcp_in_flange: Pose = (robot.tcp_position, rotation.exp(robot.tcp_rotation))
-        self.tcp = _compile(_chain(robot.links, self._tcp_in_flange))
-        self._flange = _compile(_chain(robot.links, ((0.0, 0.0, 0.0), rotation.IDENTITY)))
+        self._links = robot.links
+        self.tcp = _compiled(robot.links, (robot.tcp_position, rotation.exp(robot.tcp_rotation)))
 
     def flange(self, joints: tuple[float, ...]) -> Pose:
         """Flange in base.
@@ -37,12 +39,13 @@ class ArmPlant:
         Returns:
             Pose of the flange in base.
         """
-        return self._flange(joints)
+        return _compiled(self._links, _BARE)(joints)
 
 
-def _compile(lines: list[str]) -> Callable[[tuple[float, ...]], Pose]:
-    """Make the function of the written out chain."""
-    body = "\n    ".join(lines)
+@lru_cache(maxsize=16)
+def _compiled(links: tuple[Link, ...], tool: Pose) -> Callable[[tuple[float, ...]], Pose]:
+    """Make the function of the written out chain; many runs have one arm."""
+    body = "\n    ".join(_chain(links, tool))
     space: dict[str, Callable[..., object]] = {"cos": math.cos, "sin": math.sin}
     exec(f"def tcp(joints, cos=cos, sin=sin):\n    {body}\n", space)  # noqa: S102 - our own text
     return space["tcp"]  # type: ignore[return-value]

@@ -94,7 +94,8 @@ class _Clock:
 
     def upcoming(self, count: int) -> NDArray[np.float64]:
         """The next `count` instants [s]."""
-        return self._first + self._period * np.arange(self._index, self._index + count)
+        numbers = np.arange(self._index, self._index + count)
+        return np.asarray(self._first + self._period * numbers)
 
     def tick(self) -> float:
         """Pass on to the next instant; returns the time of emission of this one."""
