@@ -499,7 +499,7 @@ class Cycle:
             wrench_ns=feeds.wrench_ns,
             wrench_expected=self._wrench_expected,
             contradicted=self.machine.state is State.TRACK and feeds.camera_health.contradicts,
-            gap_m=following.gap(before, outputs, period) if near else None,
+            gap_m=following.gap(outputs, period) if near else None,
             astray=self.following.astray is not None,
             ready=outputs.ready is None,
             contact=outputs.contact,

@@ -5,18 +5,17 @@ commands nothing. A robot is always behind its commands, so it is asked only whe
 they led it at some time lately.
 """
 
-import math
 from collections import deque
 
 from linemate.daemon.service.session import Axes
-from linemate.daemon.step import Outputs
+from linemate.daemon.step import Outputs, Pose
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
 RESTING = 10  # telegrams from which is told that a robot rests
 STILL = 2e-4  # and how far apart they are [rad, m]
 BESIDE = 5e-4  # from where it was when the session began [rad, m]
 BRAKING = 1.0  # a tool that is told to hold slows down by so much at least [m/s^2]
-STOPPING = 0.15  # and its robot is so long behind its commands, the jerk's time included [s]
+LEADING = 0.12  # after it went on as planned for so long: commands lead, jerk is limited [s]
 
 
 class Following:
@@ -87,10 +86,29 @@ def pace(before: Outputs, now: Outputs, period: float) -> float:
     return max(abs(b - a) for a, b in moved) / period
 
 
-def gap(before: Outputs, now: Outputs, period: float) -> float | None:
-    """Return what a stop would leave between tool and object [m], None while it is not seen."""
+def gap(now: Outputs, period: float) -> float | None:
+    """Return what a stop would leave between tool and object [m], None while it is not seen.
+
+    Along the tool's axis alone: an object that goes on sideways passes the tool in all its width.
+    Commands lead the tool, so that it goes on for a while as it was planned before it slows down.
+
+    Args:
+        now: of the last step.
+        period: of the steps [s].
+    """
     if now.part is None or now.task_time is None:
         return None
-    distance = math.dist(now.target[:3], now.part[:3])
-    speed = max(0.0, (math.dist(before.target[:3], now.part[:3]) - distance) / period)
-    return distance - speed * STOPPING - speed * speed / (2.0 * BRAKING)
+    distance = _ahead(now.target, now.part)
+    if now.horizon is None:
+        return distance
+    n = min(max(1, round(LEADING / period)), len(now.horizon) - 1)
+    depths = now.horizon[:, 2]
+    speed = max(0.0, float(depths[n] - depths[n - 1]) / period)
+    return distance - float(depths[n] - depths[0]) - speed * speed / (2.0 * BRAKING)
+
+
+def _ahead(tool: Pose, part: Pose) -> float:
+    """Return how far ahead of a tool a part is, along the tool's own z [m]."""
+    w, x, y, z = tool[3:]
+    axis = (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
+    return sum((p - t) * a for p, t, a in zip(part[:3], tool[:3], axis, strict=True))
