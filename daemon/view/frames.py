@@ -57,7 +57,10 @@ class Framer:
         stamp_ns = told.get("stamp_ns")
         if isinstance(stamp_ns, int):
             moment = _Moment(stamp_ns, _place(told.get("target")), _place(told.get("part")))
-            if self._moments and stamp_ns <= self._moments[-1].stamp_ns:
+            last_ns = self._moments[-1].stamp_ns if self._moments else stamp_ns - 1
+            if stamp_ns == last_ns:
+                return  # told twice between two steps
+            if stamp_ns < last_ns:
                 self._moments.clear()  # another daemon, or another boot
             self._moments.append(moment)
 

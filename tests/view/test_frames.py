@@ -88,6 +88,16 @@ def test_nothing_is_said_of_an_error_across_a_gap_or_another_boot() -> None:
     assert "control_mm" not in again["errors"]
 
 
+def test_the_same_step_told_twice_has_the_same_error() -> None:
+    framer = Framer(SCENE)
+    for k in range(4):
+        framer.frame(moving(k))
+    once, again = framer.frame(moving(4)), framer.frame(moving(4))
+    assert once == again
+    assert once is not None
+    assert "control_mm" in once["errors"]
+
+
 def test_a_plan_away_from_the_object_is_its_error() -> None:
     told = moving(3)
     told["sensed"] = (told["target"][0] + 0.002, *told["target"][1:])

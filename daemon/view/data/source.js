@@ -27,7 +27,8 @@ export class Live {
       this.heard = performance.now();
       this.frame = told;
       const last = this.history[this.history.length - 1];
-      if (last && told.t <= last.t) this.history = [];
+      if (last && told.t < last.t) this.history = [];
+      else if (last && told.t === last.t) this.history.pop();
       this.history.push(told);
       if (this.history.length > KEPT) this.history.shift();
     });
