@@ -9,7 +9,7 @@ The other role, the controller's, is in exchange_controller and is re-exported h
 
 from collections.abc import Hashable
 from dataclasses import dataclass
-from enum import Enum, StrEnum
+from enum import StrEnum
 
 from linemate.protocol.exchange_controller import (
     ControllerCounts,
@@ -56,7 +56,7 @@ class Kind(StrEnum):
     REFUSED = "refused"
 
 
-class State(Enum):
+class State(StrEnum):
     """Where the exchange is."""
 
     IDLE = "no telegram yet"
@@ -64,7 +64,7 @@ class State(Enum):
     RUNNING = "a session with its step"
 
 
-class Event(Enum):
+class Event(StrEnum):
     """What a telegram looks like from where the exchange is."""
 
     OPENING = "nothing before it, or silence, or another peer after the first one's end"
