@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from linemate.daemon.view.board import ONLOOKERS, Board, FullError, event
 from linemate.daemon.view.server import Answer, NoPageError, Page
-from linemate.daemon.view.tape import Tape
+from linemate.daemon.view.tape import Tape, total
 
 JSON: Final = "application/json"
 KINDS: Final = {
@@ -139,7 +139,7 @@ class TapeSite:
             self._done.add(number)
 
     def _list(self) -> list[dict[str, Any]]:
-        return [{"name": tape.name, "length_s": tape.length_s} for tape in self.tapes]
+        return [total(tape) for tape in self.tapes]
 
 
 def _asset(found: Mapping[str, Page], path: str) -> Page:

@@ -36,6 +36,7 @@ NEAR: Final = 12
 OF_STEPS: Final = ("state: ", "conveyor: ")
 TIMING: Final = "/linemate/timing"
 LOG: Final = "/log"
+MOVING: Final = frozenset({"track", "contact", "retreat"})
 SENSORS: Final = ("distance", "camera", "wrench")
 SHOWN: Final = ("phase", "task_time", "scenario", "scenario_state", "confidence", "speed",
                 "contact", "held", "overload", "target", "sensed", "part", "command")  # fmt: skip
@@ -157,13 +158,29 @@ def summary(frames: Sequence[Frame]) -> list[dict[str, Any]]:
     """
     rows: dict[tuple[str, str], list[Frame]] = {}
     for frame in frames:
-        moves = frame.get("state") in {"track", "contact", "retreat"}
-        if moves and frame.get("phase") != "wait":
+        if _moves(frame):
             rows.setdefault((frame["state"], frame.get("scenario", "")), []).append(frame)
     return [
         {"state": state, "scenario": scenario, "seconds": _seconds(found), **_table(found)}
         for (state, scenario), found in rows.items()
     ]
+
+
+def total(tape: Tape) -> dict[str, Any]:
+    """Return one line of a table of recordings: errors on the way, and the least slack.
+
+    Args:
+        tape: the recording.
+    """
+    moving = [frame for frame in tape.frames if _moves(frame)]
+    slacks = [frame["slack_ms"] for frame in tape.frames if "slack_ms" in frame]
+    told = {"name": tape.name, "length_s": tape.length_s, **_table(moving)}
+    return told | ({"slack_ms": min(slacks)} if slacks else {})
+
+
+def _moves(frame: Frame) -> bool:
+    """Whether a frame's errors say something: the arm follows, and no longer waits."""
+    return frame.get("state") in MOVING and frame.get("phase") != "wait"
 
 
 def _seconds(frames: Sequence[Frame]) -> float:

@@ -101,6 +101,22 @@ def test_a_recording_is_played_paused_and_sought(chromium: Browser, tmp_path: Pa
         assert colours(chromium.picture(tmp_path / "page.png")) > 30_000
 
 
+def test_several_recordings_are_compared_and_chosen_from(chromium: Browser, tmp_path: Path) -> None:
+    other = tmp_path / "another-car-seed7-12ms.mcap"
+    other.write_bytes(GOLDEN.read_bytes())
+    with viewing(GOLDEN, other) as address:
+        chromium.open(address + "?paused&t=5")
+        chromium.until(f"{ROOT}.tcp && !document.getElementById('compare').hidden")
+        names = "[...document.querySelectorAll('#compare-rows th')].map((at) => at.textContent)"
+        assert chromium.value(names) == ["wheel", "anot…ed7-12ms"]
+        chromium.value("document.querySelectorAll('#compare-rows th')[1].click()")
+        chromium.until(f"{TEXT.format('source')} === 'recording another-car-seed7-12ms.mcap'")
+        chosen = "document.querySelector('#compare-rows [aria-current]').rowIndex"
+        assert chromium.value(chosen) == 2
+        aside = "document.querySelector('aside')"
+        assert chromium.value(f"{aside}.scrollHeight <= {aside}.clientHeight + 1")
+
+
 def test_dark_and_light_differ_and_are_kept(chromium: Browser) -> None:
     with viewing(GOLDEN) as address:
         chromium.open(address + "?paused&t=1")

@@ -166,3 +166,17 @@ def test_a_file_that_is_not_there_is_said(tmp_path: Path) -> None:
     with pytest.raises(UnreadableRecordingError, match="No such file"):
         tape.read(tmp_path / "none.mcap")
     shutil.rmtree(tmp_path)
+
+
+def test_a_line_of_many_recordings_has_what_was_worst_on_the_way(golden: Tape) -> None:
+    told = tape.total(golden)
+    on_the_way = [
+        frame["errors"]["control_mm"]
+        for frame in golden.frames
+        if frame["state"] in {"track", "contact", "retreat"}
+        and frame["phase"] != "wait"
+        and "control_mm" in frame["errors"]
+    ]
+    assert told["control_mm"]["max"] == pytest.approx(max(on_the_way), abs=1e-3)
+    assert 0.0 < told["control_mm"]["rms"] < told["control_mm"]["max"]
+    assert told["length_s"] == golden.length_s

@@ -23,3 +23,9 @@ export function age(milliseconds) {
   if (milliseconds < 1000) return `${Math.round(milliseconds)} ms`;
   return milliseconds < 60000 ? `${(milliseconds / 1000).toFixed(1)} s` : `${Math.round(milliseconds / 60000)} min`;
 }
+
+// A file's name, its middle left out if it is long: what tells files apart stands at the end.
+export function short(name) {
+  const bare = name.replace(/\.mcap$/, "");
+  return bare.length > 13 ? `${bare.slice(0, 4)}…${bare.slice(-8)}` : bare;
+}

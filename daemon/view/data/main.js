@@ -1,6 +1,6 @@
 // The page: takes what a source shows and puts it where it belongs, once a picture at most.
 import { Charts } from "./charts.js";
-import { CLASSES, STATES, age, number, seconds } from "./format.js";
+import { CLASSES, STATES, age, number, seconds, short } from "./format.js";
 import { Picture } from "./picture.js";
 import { Live, Tape } from "./source.js";
 
@@ -208,6 +208,7 @@ const both = (told) => (told ? `${number(told.rms)} / ${number(told.max)}` : "â€
 
 async function openTape(i) {
   source = null;
+  [...$("compare-rows").children].forEach((row, n) => (n === i ? row.setAttribute("aria-current", "true") : row.removeAttribute("aria-current")));
   source = await Tape.open(i, changed);
   const made = (source.summary || []).map((row) => [`${row.state}, ${row.scenario}`, String(row.seconds),
     both(row.control_mm), both(row.plan_mm)]);
@@ -231,6 +232,12 @@ async function begin() {
   tapes.hidden = mode.tapes.length < 2;
   mode.tapes.forEach((tape, i) => tapes.add(new Option(tape.name, String(i))));
   tapes.onchange = () => openTape(Number(tapes.value));
+  $("compare").hidden = mode.tapes.length < 2;
+  rows($("compare-rows"), mode.tapes.map((tape) => [short(tape.name), both(tape.control_mm), both(tape.plan_mm), number(tape.slack_ms, 1)]));
+  [...$("compare-rows").children].forEach((row, i) => {
+    row.firstChild.title = mode.tapes[i].name;
+    row.firstChild.onclick = () => { tapes.value = String(i); openTape(i); };
+  });
   $("play").onclick = () => {
     if (source.paused && source.now >= source.length) source.seek(0);
     source.paused = !source.paused;
