@@ -86,3 +86,38 @@ def test_nothing_runs_after_the_closing() -> None:
             await until(lambda: bool(ran), timeout_s=0.03)
 
     run(main())
+
+
+def test_what_is_cancelled_is_not_done() -> None:
+    async def main() -> None:
+        schedule, ran = Schedule(), []
+        schedule.open()
+        now_ns = time.monotonic_ns()
+        entry = schedule.at(now_ns + MS, lambda: ran.append("cancelled"))
+        schedule.at(now_ns + 5 * MS, lambda: ran.append("done"))
+        schedule.cancel(entry)
+        assert len(schedule) == 1
+        await until(lambda: bool(ran))
+        assert ran == ["done"]
+        schedule.cancel(entry)  # nothing is left of it
+        schedule.close()
+
+    run(main())
+
+
+def test_what_is_put_on_the_schedule_together_is_done_at_its_instants() -> None:
+    async def main() -> None:
+        schedule, ran = Schedule(), []
+        schedule.open()
+        now_ns = time.monotonic_ns()
+
+        def lay_out() -> None:
+            schedule.at(now_ns + 4 * MS, lambda: ran.append(4))
+            schedule.at(now_ns + 2 * MS, lambda: ran.append(2))
+
+        schedule.together(lay_out)
+        await until(lambda: len(ran) == 2)
+        assert ran == [2, 4]
+        schedule.close()
+
+    run(main())

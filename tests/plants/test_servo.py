@@ -133,6 +133,55 @@ def test_a_command_later_than_the_shortest_dead_time_is_refused() -> None:
         bank.command(0, 0.021, (0.1,) * 7)
 
 
+@pytest.mark.parametrize(("cycle_s", "substeps"), [(0.012, 3), (0.004, 1)])
+def test_a_command_given_in_the_next_cycle_is_the_same_command(
+    cycle_s: float, substeps: int
+) -> None:
+    prompt, late = (ServoBank(Robot().axes, (0.0,) * 7, cycle_s, substeps) for _ in range(2))
+    given: tuple[float, ...] = (0.0,) * 7
+    for cycle in range(200):
+        prompt.begin_cycle(cycle)
+        late.begin_cycle(cycle)
+        if cycle:
+            late.command(cycle - 1, cycle_s, given)
+        given = tuple(0.1 * math.sin(0.05 * cycle + i) for i in range(7))
+        prompt.command(cycle, 0.0, given)
+        for part in range(substeps):
+            prompt.advance(cycle * substeps + part)
+            late.advance(cycle * substeps + part)
+            assert late.positions == prompt.positions
+            assert late.velocities == prompt.velocities
+
+
+def test_a_command_for_any_other_cycle_is_refused() -> None:
+    bank = ServoBank(Robot().axes, (0.0,) * 7, 0.004, 1)
+    for cycle in range(3):
+        bank.begin_cycle(cycle)
+        bank.advance(cycle)
+    for cycle in (0, 3):
+        with pytest.raises(ValueError, match=f"command for cycle {cycle} in cycle 2"):
+            bank.command(cycle, 0.0, (0.1,) * 7)
+
+
+@pytest.mark.parametrize("size", [1e-4, 1e-3, 1e-2])
+def test_a_cycle_as_a_matrix_is_the_cycle_piece_by_piece(size: float) -> None:
+    """Whether none, some or all cycles saturate."""
+    rng = np.random.default_rng(5)
+    banks = [ServoBank(Robot().axes, (0.0,) * 7, 0.012, 3) for _ in range(2)]
+    banks[1]._look_ahead = lambda: banks[1]._one_by_one([])  # type: ignore[method-assign]
+    rises, place = np.zeros(7), np.zeros(7)
+    for cycle in range(300):
+        rises = 0.9 * rises + size * rng.normal(size=7)
+        place += rises
+        for bank in banks:
+            bank.begin_cycle(cycle)
+            bank.command(cycle, 0.0, tuple(place.tolist()))
+            for part in range(3):
+                bank.advance(3 * cycle + part)
+        assert banks[0].positions == pytest.approx(banks[1].positions, abs=1e-12)
+        assert banks[0].velocities == pytest.approx(banks[1].velocities, abs=1e-11)
+
+
 @pytest.mark.parametrize("zeta", [0.0, 0.02, 0.8, 1.0, 1.0 + 1e-12, 1.7])
 def test_the_transition_is_the_matrix_exponential(zeta: float) -> None:
     from scipy.linalg import expm
