@@ -8,12 +8,11 @@ import ipaddress
 import signal
 import sys
 import webbrowser
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from linemate.daemon.operator.client import Client
-from linemate.daemon.view import tape
 from linemate.daemon.view.board import Board
 from linemate.daemon.view.live import Live
 from linemate.daemon.view.server import Server
@@ -67,21 +66,28 @@ async def play(paths: Sequence[Path], where: Where) -> None:
         OSError: the port is taken.
         UnreadableRecordingError: a file is no recording.
     """
-    tapes = [await asyncio.to_thread(tape.read, path) for path in paths]
-    site = TapeSite(tapes, paths)
-    foresight = asyncio.create_task(site.foresee())
-    try:
-        await serve(site, where)
-    finally:
-        foresight.cancel()
-        await asyncio.gather(foresight, return_exceptions=True)
+    site = TapeSite(paths)
+
+    async def work() -> None:
+        await site.read()
+        await site.foresee()
+
+    await serve(site, where, work)
 
 
-async def serve(site: LiveSite | TapeSite, where: Where) -> None:
+async def serve(
+    site: LiveSite | TapeSite, where: Where, work: Callable[[], Awaitable[None]] | None = None
+) -> None:
     """Listen, tell the address on standard output, and wait for a signal.
+
+    Args:
+        site: what is at which path.
+        where: it listens.
+        work: beside it; what it raises ends the serving.
 
     Raises:
         OSError: the port is taken.
+        UnreadableRecordingError: of the work.
     """
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
@@ -89,6 +95,9 @@ async def serve(site: LiveSite | TapeSite, where: Where) -> None:
         loop.add_signal_handler(number, ended.set)
     server = Server(site.ask, where.host, where.port)
     await server.open()
+    working = None if work is None else asyncio.ensure_future(work())
+    if working is not None:
+        working.add_done_callback(lambda done: _end_if_failed(done, ended))
     try:
         print(server.address, flush=True)
         if not ipaddress.ip_address(where.host).is_loopback:
@@ -98,3 +107,13 @@ async def serve(site: LiveSite | TapeSite, where: Where) -> None:
         await ended.wait()
     finally:
         await server.close()
+        if working is not None and not working.done():
+            working.cancel()
+            await asyncio.gather(working, return_exceptions=True)
+    if working is not None and not working.cancelled():
+        working.result()
+
+
+def _end_if_failed(done: "asyncio.Future[None]", ended: asyncio.Event) -> None:
+    if not done.cancelled() and done.exception() is not None:
+        ended.set()

@@ -13,9 +13,10 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
+from linemate.daemon.view import tape
 from linemate.daemon.view.board import ONLOOKERS, Board, FullError, event
 from linemate.daemon.view.server import Answer, NoPageError, Page
-from linemate.daemon.view.tape import Tape, total
+from linemate.daemon.view.tape import Tape
 
 JSON: Final = "application/json"
 KINDS: Final = {
@@ -81,12 +82,14 @@ class TapeSite:
     """Recordings to play.
 
     Attributes:
-        tapes: in the order in which they were named.
         paths: of their files.
+        tapes: in the same order, as far as they have been read.
+        share: of all of them that has been read, 0 to 1.
     """
 
-    tapes: Sequence[Tape]
     paths: Sequence[Path]
+    tapes: list[Tape] = field(default_factory=list)
+    share: float = 0.0
     _assets: Mapping[str, Page] = field(default_factory=assets)
     _told: dict[int, Page] = field(default_factory=dict)
     _done: set[int] = field(default_factory=set)
@@ -97,6 +100,8 @@ class TapeSite:
         Raises:
             NoPageError: nothing.
         """
+        if path == "/mode" and len(self.tapes) < len(self.paths):
+            return _json({"mode": "reading", "share": round(self.share, 3)})
         if path == "/mode":
             return _json({"mode": "recording", "source": self.tapes[0].name, "tapes": self._list()})
         if path not in {"/tape", "/frames", "/progress"}:
@@ -104,21 +109,33 @@ class TapeSite:
         number = _number(query, "i", 0)
         if not 0 <= number < len(self.tapes):
             raise NoPageError(f"no recording {number}")
-        tape = self.tapes[number]
+        shown = self.tapes[number]
         if path == "/tape":
             if number not in self._told:
-                self._told[number] = _json(tape.told())
+                self._told[number] = _json(shown.told())
             return self._told[number]
         if path == "/progress":
-            foreseen = max(tape.foreseen, default=-1)
+            foreseen = max(shown.foreseen, default=-1)
             done = number in self._done
-            return _json({"k": foreseen, "done": done, "inexact": tape.inexact,
-                          "count": len(tape.foreseen)})  # fmt: skip
-        return _json(tape.between(_number(query, "from", 0), _number(query, "to", 0)))
+            return _json({"k": foreseen, "done": done, "inexact": shown.inexact,
+                          "count": len(shown.foreseen)})  # fmt: skip
+        return _json(shown.between(_number(query, "from", 0), _number(query, "to", 0)))
+
+    async def read(self) -> None:
+        """Read the recordings, in a thread: a long one takes a minute.
+
+        Raises:
+            UnreadableRecordingError: a file is none.
+        """
+        for path in self.paths:
+            self.tapes.append(await asyncio.to_thread(tape.read, path, self._tell))
+
+    def _tell(self, share: float) -> None:
+        self.share = (len(self.tapes) + share) / len(self.paths)
 
     async def foresee(self) -> None:
         """Have the horizons made again, recording by recording, by a process beside this one."""
-        for number, (tape, path) in enumerate(zip(self.tapes, self.paths, strict=True)):
+        for number, (shown, path) in enumerate(zip(self.tapes, self.paths, strict=True)):
             process = await asyncio.create_subprocess_exec(
                 *(sys.executable, "-m", "linemate.daemon.view.foresight", str(path.resolve())),
                 stdin=asyncio.subprocess.DEVNULL,
@@ -130,7 +147,7 @@ class TapeSite:
                 if process.stdout is not None:
                     async for line in process.stdout:
                         k, exact, ahead_ms, points = json.loads(line)
-                        tape.foresee(k, ahead_ms, points, exact=exact)
+                        shown.foresee(k, ahead_ms, points, exact=exact)
                 await process.wait()
             finally:
                 if process.returncode is None:
@@ -139,7 +156,7 @@ class TapeSite:
             self._done.add(number)
 
     def _list(self) -> list[dict[str, Any]]:
-        return [total(tape) for tape in self.tapes]
+        return [tape.total(shown) for shown in self.tapes]
 
 
 def _asset(found: Mapping[str, Page], path: str) -> Page:

@@ -6,7 +6,7 @@ after that everything is a look-up. What is too long is shown as far as it goes,
 
 import json
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -17,6 +17,8 @@ from linemate.daemon.view.frames import Frame, Framer
 from linemate.daemon.view.scene import Scene, of
 
 if TYPE_CHECKING:
+    from mcap.records import Message
+
     from linemate.daemon.recording import StepRecord
 
 SPACING_NS: Final = 30_000_000
@@ -30,6 +32,7 @@ MOST_ASKED: Final = 500
 OVERVIEW: Final = 1500
 """Points of the overview."""
 
+TOLD_EVERY: Final = 1000  # records
 NEAR: Final = 12
 """Steps by which a horizon may be older than the frame that shows it."""
 
@@ -197,15 +200,19 @@ def _table(frames: Sequence[Frame]) -> dict[str, Any]:
     return told
 
 
-def read(path: Path) -> Tape:
+def read(path: Path, tell: Callable[[float], None] = lambda _: None) -> Tape:
     """Read a recording.
+
+    Args:
+        path: of the file.
+        tell: told how much of it has been read, 0 to 1, now and then.
 
     Raises:
         UnreadableRecordingError: it is none, or cannot be opened.
     """
     from mcap.records import Message, Metadata
 
-    from linemate.daemon.recording import RecordingError, decode
+    from linemate.daemon.recording import RecordingError
 
     reading: _Reading | None = None
     layout: dict[str, tuple[str, ...]] = {}
@@ -213,22 +220,17 @@ def read(path: Path) -> Tape:
     trouble = ""
     try:
         with path.open("rb") as stream:
-            for record in recordings.records(stream, topics):
+            size = max(1, path.stat().st_size)
+            for number, record in enumerate(recordings.records(stream, topics)):
+                if number % TOLD_EVERY == 0:
+                    tell(stream.tell() / size)
                 if isinstance(record, str):
                     trouble = f"the recording breaks off: {record}"
                 elif isinstance(record, Metadata) and record.name == recordings.METADATA:
                     layout = recordings.layout_of(record.metadata)
                     reading = reading or _Reading(Tape(path.name, of(record.metadata)))
                 elif isinstance(record, Message) and reading is not None:
-                    topic = topics[record.channel_id]
-                    if topic == recordings.TOPIC:
-                        reading.step(decode(record.data, layout))
-                    elif topic == TIMING:
-                        reading.timing(json.loads(record.data))
-                    elif topic == LOG:
-                        reading.line(record.publish_time, json.loads(record.data)["message"])
-                    elif topic == recordings.PARAMETERS:
-                        reading.cycle(json.loads(record.data)["settings"].get("cycle_s"))
+                    reading.take(topics[record.channel_id], record, layout)
                     if len(reading.tape.frames) >= MOST_FRAMES:
                         trouble = f"longer than {MOST_FRAMES} frames: shown as far as they go"
                         break
@@ -258,18 +260,27 @@ class _Reading:
         self._marks: tuple[object, ...] = ()
         self._lines: list[tuple[int, str]] = []
 
-    def cycle(self, cycle_s: object) -> None:
-        """Take in the cycle's time."""
-        if isinstance(cycle_s, (int, float)):
-            self._cycle_ms = round(1e3 * cycle_s, 6)
+    def take(self, topic: str, message: "Message", layout: Mapping[str, tuple[str, ...]]) -> None:
+        """Take in a message, if it is one that is shown.
 
-    def timing(self, told: Mapping[str, Any]) -> None:
-        """Take in what a cycle took."""
-        turnaround_ns = told.get("turnaround_ns")
-        if turnaround_ns is not None:
-            self._turnaround_us = turnaround_ns / 1e3
+        Raises:
+            RecordingError, ValueError, KeyError, TypeError: it is not what its topic says.
+        """
+        from linemate.daemon.recording import decode
 
-    def line(self, stamp_ns: int, text: str) -> None:
+        if topic == recordings.TOPIC:
+            self._step(decode(message.data, layout))
+        elif topic == TIMING:
+            turnaround_ns = json.loads(message.data).get("turnaround_ns")
+            if turnaround_ns is not None:
+                self._turnaround_us = turnaround_ns / 1e3
+        elif topic == LOG:
+            self._line(message.publish_time, str(json.loads(message.data)["message"]))
+        elif topic == recordings.PARAMETERS:
+            cycle_s = json.loads(message.data)["settings"].get("cycle_s")
+            self._cycle_ms = None if cycle_s is None else round(1e3 * cycle_s, 6)
+
+    def _line(self, stamp_ns: int, text: str) -> None:
         """Take in a line of the log; what the steps tell themselves is taken from them."""
         if not text.startswith(OF_STEPS):
             self._tell(stamp_ns, text)
@@ -278,7 +289,7 @@ class _Reading:
         if len(self._lines) < MOST_HAPPENINGS:
             self._lines.append((stamp_ns, str(text)))
 
-    def step(self, record: "StepRecord") -> None:
+    def _step(self, record: "StepRecord") -> None:
         """Take in a step; some become frames."""
         inputs, outputs = record.inputs, record.outputs
         self.tape.steps += 1

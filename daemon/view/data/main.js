@@ -221,7 +221,13 @@ async function openTape(i) {
 }
 
 async function begin() {
-  const mode = await (await fetch("mode")).json();
+  let mode = await (await fetch("mode")).json();
+  while (mode.mode === "reading") {
+    text("state-name", "reading");
+    text("state-why", `${Math.round(100 * mode.share)} % of the recording`);
+    await new Promise((done) => { setTimeout(done, 300); });
+    mode = await (await fetch("mode")).json();
+  }
   if (mode.mode === "live") {
     source = new Live(changed);
     text("source", `live: ${mode.source}`);
