@@ -39,6 +39,8 @@ NEAR: Final = 12
 OF_STEPS: Final = ("state: ", "conveyor: ")
 TIMING: Final = "/linemate/timing"
 LOG: Final = "/log"
+LIGHT: Final = ("t", "k", "state", "phase", "scenario", "tentative", "confidence", "speed",
+                "errors", "slack_ms", "ages_ms")  # fmt: skip
 MOVING: Final = frozenset({"track", "contact", "retreat"})
 SENSORS: Final = ("distance", "camera", "wrench")
 SHOWN: Final = ("phase", "task_time", "scenario", "scenario_state", "confidence", "speed",
@@ -52,7 +54,7 @@ class Tape:
     Attributes:
         name: of the file.
         scene: of the cell.
-        frames: oldest first; ``t`` counts from the first one [s].
+        frames: oldest first, of each only what ``LIGHT`` names; ``t`` counts from the first [s].
         happened: time [s] and text.
         trouble: why not all of it is here, empty if it is.
         steps: in the file.
@@ -69,11 +71,19 @@ class Tape:
     foreseen: dict[int, Frame] = field(default_factory=dict)
     inexact: int = 0
     _numbers: list[int] = field(default_factory=list)
+    _whole: list[bytes] = field(default_factory=list)
 
     @property
     def length_s(self) -> float:
         """From the first frame to the last [s]."""
         return float(self.frames[-1]["t"]) if self.frames else 0.0
+
+    def add(self, frame: Frame) -> None:
+        """Take in the next frame; one that is not later than the last is left out."""
+        if not self.frames or frame["t"] > self.frames[-1]["t"]:
+            # As bytes, for an hour of frames as maps is more than a machine has to spare.
+            self._whole.append(json.dumps(frame, separators=(",", ":")).encode())
+            self.frames.append({name: frame[name] for name in LIGHT if name in frame})
 
     def between(self, first: int, last: int) -> list[Frame]:
         """Return some frames.
@@ -84,7 +94,7 @@ class Tape:
         """
         first = max(0, first)
         last = min(last, first + MOST_ASKED, len(self.frames))
-        return [self._with_foresight(frame) for frame in self.frames[first:last]]
+        return [self._with_foresight(json.loads(data)) for data in self._whole[first:last]]
 
     def foresee(
         self, k: int, ahead_ms: float, points: list[list[float]], *, exact: bool = True
@@ -332,8 +342,7 @@ class _Reading:
         frame = self._framer.frame(told)
         if frame is not None:
             frame["t"] = round((stamp_ns - self._first_ns) * 1e-9, 4)
-            if not self.tape.frames or frame["t"] > self.tape.frames[-1]["t"]:
-                self.tape.frames.append(frame)
+            self.tape.add(frame)
 
     def end(self, trouble: str) -> Tape:
         """Return the tape: what happened is dated from its first frame."""
