@@ -132,7 +132,9 @@ class Cycle:
         self._signals = Signals()
         self._orders: set[str] = set()
         self._new_session = self._is_loss_untold = False
+        self._is_under_way = self._was_preparing = self._has_failed = False
         self._state: stepping.State | None = None
+        self._began_with: stepping.State | None = None
         self._before: stepping.Outputs | None = None  # of the step before ``last``
         self._robot: RobotSample | None = None
         self._joints: Vector6 | None = None
@@ -222,13 +224,35 @@ class Cycle:
             stamp_ns: its arrival [ns].
             peer: who sent it.
         """
+        self._begin()
         try:
             telegram = self.codec.parse_robot(data)
             robot = self._robot_sample(telegram, stamp_ns)
         except RsiError as error:
             self.refused += 1
             self.last_refusal = str(error)
-            return None
+            reply = None
+        else:
+            reply = self._exchange(telegram, robot, peer)
+        self._is_under_way = False
+        return reply
+
+    def _begin(self, *, preparing: bool = False) -> None:
+        """Notice that what was begun before did not end: it raised, which is a fault.
+
+        Its reply never went out. A preparation that failed before its step owed none.
+        """
+        if self._is_under_way:
+            self._has_failed = True
+            if not self._was_preparing or self._state is not self._began_with:
+                self.session.was_sent = False
+        self._is_under_way, self._was_preparing = True, preparing
+        self._began_with = self._state
+
+    def _exchange(
+        self, telegram: RobotTelegram, robot: RobotSample, peer: Hashable
+    ) -> bytes | None:
+        stamp_ns = robot.stamp_ns
         verdict = self.verdict = self.exchange.on_telegram(telegram.ipoc, stamp_ns, peer)
         if not verdict.answer:
             return None
@@ -276,8 +300,10 @@ class Cycle:
         """Make the step of a telegram that is expected at ``stamp_ns``; True if it is ready."""
         if self._state is None or self._ready is not None:
             return False
+        self._begin(preparing=True)
         entry = self._step(self._state, stamp_ns, telegram=True)
         self._ready = _Prepared(self._reply(entry), entry)
+        self._is_under_way = False
         return True
 
     def on_missing(self, stamp_ns: int) -> None:
@@ -285,11 +311,13 @@ class Cycle:
         self.exchange.on_missing()
         if self._state is None:
             return
+        self._begin()
         ready, self._ready = self._ready, None
         if ready is None:
             self._step_unsent(self._state, stamp_ns)
         else:
             self._note_unsent(ready.entry)
+        self._is_under_way = False
 
     def take_log(self) -> list[LogEntry]:
         """Return the steps since the last call, oldest first; to be called after the reply."""
@@ -463,7 +491,7 @@ class Cycle:
         before = self.machine
         facts = self._facts(stamp_ns, telegram=telegram)
         self._orders.clear()
-        self._new_session = self._is_loss_untold = False
+        self._new_session = self._is_loss_untold = self._has_failed = False
         self._watch, self._signals = watch.observe(self._watch, facts, before, self._settings)
         self.machine = states.transition(before, self._signals)
         if self.on_transition is not None:
@@ -483,6 +511,7 @@ class Cycle:
                 wrench_ns=feeds.wrench_ns,
                 wrench_expected=self._wrench_expected,
                 overload=feeds.overloaded,
+                fault=self._has_failed,
                 orders=frozenset(self._orders),
             )
         outputs, before = self.last.outputs, self._before or self.last.outputs
@@ -505,6 +534,7 @@ class Cycle:
             contact=outputs.contact,
             overload=feeds.overloaded,
             done=outputs.phase is Phase.RETREAT,
+            fault=self._has_failed,
             clear=finished and following.pace(before, outputs, period) < SETTLED,
             orders=frozenset(self._orders),
         )

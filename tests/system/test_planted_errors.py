@@ -1,0 +1,97 @@
+"""An exception in the k-th call of everything that a cycle calls: none takes the daemon down.
+
+Virtual time, the whole daemon. What was planted is counted, the robot stays within its limits,
+the daemon ends up holding, drawing back or at rest with the fault latched, and can begin again.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from linemate.daemon import step as stepping
+from linemate.daemon.service import following, states, watch
+from linemate.daemon.service.cycle import Cycle
+from linemate.daemon.service.feeds import Feeds
+from linemate.daemon.service.following import Following
+from linemate.daemon.service.replies import Replies
+from linemate.daemon.service.session import Session
+from linemate.daemon.service.step_log import StepLog
+from linemate.protocol.exchange import Exchange
+from linemate.protocol.rsi import RsiCodec
+from linemate.simulators.harness.dst_plan import Plan
+from linemate.simulators.harness.dst_run import Simulation
+
+CALLED: tuple[tuple[Any, str], ...] = (
+    (RsiCodec, "parse_robot"),
+    (Exchange, "on_telegram"),
+    (Session, "settle"),
+    (Session, "give"),
+    (Session, "remember"),
+    (Feeds, "take"),
+    (Following, "moving"),
+    (Following, "sent"),
+    (Replies, "prepare"),
+    (StepLog, "put"),
+    (Cycle, "_facts"),
+    (watch, "observe"),
+    (states, "transition"),
+    (states, "order"),
+    (following, "gap"),
+    (stepping, "step"),
+)
+SAFE = {"hold", "retreat", "fault", "idle", "init"}
+FREE_S, CONTACT_S = 0.5, 1.3
+
+
+class PlantedError(Exception):
+    """Nobody in the daemon knows of it."""
+
+
+def plant(
+    simulation: Simulation, what: tuple[Any, str], at_s: float, patch: pytest.MonkeyPatch
+) -> list[float]:
+    """Let one call of something raise, the first at a time or after it."""
+    owner, name = what
+    whole: Callable[..., Any] = getattr(owner, name)
+    raised: list[float] = []
+
+    def broken(*args: Any, **options: Any) -> Any:
+        if simulation.now_s >= at_s and not raised:
+            raised.append(simulation.now_s)
+            raise PlantedError(name)
+        return whole(*args, **options)
+
+    patch.setattr(owner, name, broken)
+    return raised
+
+
+@pytest.mark.parametrize(("at_s", "lead_ms"), [(FREE_S, 3.0), (CONTACT_S, 0.0)])
+@pytest.mark.parametrize("what", CALLED, ids=[name for _, name in CALLED])
+def test_an_exception_anywhere_in_a_cycle_ends_the_motion_and_not_the_daemon(
+    what: tuple[Any, str], at_s: float, lead_ms: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    simulation = Simulation(Plan(0, duration_s=at_s + 0.25, lead_ms=lead_ms))
+    raised = plant(simulation, what, at_s, monkeypatch)
+    seen: list[tuple[float, str]] = []
+    look = simulation._look
+
+    def looking() -> None:
+        look()
+        if simulation.app is not None:
+            seen.append((simulation.now_s, simulation.app.cycle.machine.state.value))
+
+    monkeypatch.setattr(simulation, "_look", looking)
+    simulation.live()
+    if not raised:
+        # A gap is of no interest in contact.
+        assert (what[1], at_s) == ("gap", CONTACT_S)
+        return
+    # It is counted, and that is all that any oracle has to say. A reply that went out in haste,
+    # before its telegram was judged, is one that its telegram then did not get.
+    for violation in simulation.outcome().violations:
+        assert violation.startswith(("exception: 1 faults", "exception: 1 hasty"))
+    assert simulation.world.collision is None
+    after = [state for now_s, state in seen if now_s > raised[0] + 0.1]
+    assert after
+    assert set(after) <= SAFE
