@@ -393,9 +393,10 @@ class RsiController:
             correction = float(value or 0.0)
             if adds:
                 correction += total[axis]
-            within = min(max(correction, low[axis]), high[axis])
-            clamped = clamped or within != correction
-            total[axis] = within
+            if not low[axis] <= correction <= high[axis]:
+                correction = min(max(correction, low[axis]), high[axis])
+                clamped = True
+            total[axis] = correction
         if self.config.monitor is not None:
             self._watch(session, self.config.monitor)
         if session.stopped is None:

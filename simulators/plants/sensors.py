@@ -101,8 +101,7 @@ class _Clock:
         """Pass on to the next instant; returns the time of emission of this one."""
         due = self.next_s + self._delay
         if self._jitter:
-            due = max(due + self._jitter * (2.0 * self._draws.one() - 1.0), self._last)
-        self._last = due
+            due = self._last = max(due + self._jitter * (2.0 * self._draws.one() - 1.0), self._last)
         self._index += 1
         self.next_s = self._first + self._index * self._period
         return due

@@ -300,8 +300,8 @@ class World:
         """Let every sensor measure at its instants before `limit`."""
         if self._next_exposure >= limit:
             return
-        clocks = self._force_torque.clock, self._distance.clock, self._camera.clock
-        touch, reach, sight = clocks
+        touch, reach = self._force_torque.clock, self._distance.clock
+        sight = self._camera.clock
         while touch.next_s < limit:
             self._force_torque.measure(self._deflection_at(touch.next_s))
         while reach.next_s < limit:
@@ -315,7 +315,7 @@ class World:
                 self._hubs_seen = self._hubs(sight.upcoming(_AHEAD))[::-1]
             hub = self._contact.turned(self._hubs_seen.pop(), t)
             self._camera.measure(self._rigid_at(t), hub)
-        self._next_exposure = min(clock.next_s for clock in clocks)
+        self._next_exposure = min(touch.next_s, reach.next_s, sight.next_s)
 
     def _hubs(self, times: Matrix) -> list[Pose]:
         return self._body.hubs(self._conveyor.positions(times), times)
