@@ -45,12 +45,14 @@ function showState(frame, status) {
   text("state-glyph", lost ? "?" : glyph);
   text("state-name", lost && !frame ? "no daemon" : state || "waiting");
   mark("state", "kind", lost ? "bad" : kind);
-  const held = frame && frame.held && frame.held !== "hold" ? frame.held : "";
-  const why = held || (status && status.because !== state ? status.because : "") || "";
-  text("state-why", lost ? `last known; ${source.link.reason || "no news"}` : why);
+  // "hold" says nothing beside a state; what brought it about does.
+  const held = frame && frame.held && !(frame.held in STATES) ? frame.held : "";
+  const why = held || (status && !(status.because in STATES) ? status.because : "") || "";
+  text("state-why", !lost ? why : frame ? "as last known" : source.link.reason);
+  $("state-why").title = $("state-why").textContent;
   const banner = $("banner");
   const news = source.kind === "recording" ? source.trouble
-    : !source.link.up ? `No daemon: ${source.link.reason}. What is shown is the last that was known.`
+    : !source.link.up ? `No daemon: ${source.link.reason}. ${frame ? "What is shown is the last that was known." : "Is it running?"}`
     : frame && source.silent > SILENT_S ? `No news for ${source.silent.toFixed(0)} s. What is shown is the last that was known.` : "";
   banner.hidden = !news;
   if (banner.textContent !== news) banner.textContent = news;
@@ -84,7 +86,10 @@ function showHealth(frame, status) {
   const lost = !source.link.up;
   text("health-name", lost ? "unknown" : { healthy: "✓ healthy", degraded: "▲ degraded", fault: "✕ fault" }[health] || "–");
   mark("health", "kind", lost ? "unknown" : { healthy: "good", degraded: "warn", fault: "bad" }[health] || "unknown");
-  text("health-note", status ? (status.complaints || []).join("; ") || (status.host || []).join("; ") || "nothing to complain of" : "");
+  const complaints = (status && status.complaints) || [];
+  const count = complaints.length > 1 ? `${complaints.length}: ` : "";
+  text("health-note", status ? count + complaints.join("; ") || (status.host || []).join("; ") || "nothing to complain of" : "");
+  $("health-note").title = complaints.join("\n");
 }
 
 function showNumbers(frame, status) {
@@ -113,7 +118,7 @@ function linkRows(frame, status) {
   const ages = (frame && frame.ages_ms) || {};
   if (status && status.links) {
     return Object.entries(status.links).map(([name, link]) => {
-      const own = Object.keys(ages).find((key) => (NAMES[key] || key) === name);
+      const own = link.up && Object.keys(ages).find((key) => (NAMES[key] || key) === name);
       const old = own ? ages[own] : link.age_s === null ? null : 1000 * link.age_s;
       const silent = old === null || old === undefined || old > STALE_MS;
       const is = !link.up ? { text: "✕ down", kind: "bad" } : silent ? { text: "▲ silent", kind: "warn" } : { text: "● up", kind: "good" };
