@@ -17,7 +17,7 @@ Axes = tuple[float, ...]
 JOINED_S = 0.15  # unanswered for longer before its first telegram here: it was under way before
 FOREIGN = "the robot's programme was under way before this daemon: start it anew"
 PEERS = 4  # programmes that are remembered
-SLACK = 4  # cycles by which counter and clock may disagree
+DELAYED_S = 0.5  # counter and clock may disagree: telegrams that were held up come at last
 
 
 class Programme(NamedTuple):
@@ -178,8 +178,8 @@ def goes_on(known: Programme, robot: RobotSample, cycle_s: float) -> Axes | None
     if known.step is None or known.delay is None or robot.delay is None:
         return None
     cycles, rest = divmod(robot.ipoc - known.ipoc, known.step)
-    passed = (robot.stamp_ns - known.stamp_ns) * 1e-9 / cycle_s
-    if rest or abs(passed - cycles) > SLACK:
+    passed_s = (robot.stamp_ns - known.stamp_ns) * 1e-9
+    if rest or abs(passed_s - cycles * cycle_s) > DELAYED_S:
         return None
     if robot.delay == known.delay + cycles:
         return known.taken
