@@ -62,6 +62,9 @@ def changes(
     for link in sorted(known.keys() | now.keys()):
         if known.get(link) != now.get(link):
             yield event(f"link {link}", known.get(link), now.get(link))
+    for sensor, out in _out(after).items():
+        if _out(before).get(sensor) != out:
+            yield event(f"sensor {sensor} out", _out(before).get(sensor), out)
     gone, come = _complaints(before), _complaints(after)
     for complaint in sorted(come - gone):
         yield event("complaint", None, complaint)
@@ -74,6 +77,13 @@ def _links(status: Mapping[str, Any]) -> dict[str, str]:
     links = status.get("links")
     told = links.items() if isinstance(links, Mapping) else ()
     return {str(name): "up" if link.get("up") else "down" for name, link in told}
+
+
+def _out(status: Mapping[str, Any]) -> dict[str, Any]:
+    """Each sensor with why it is not believed."""
+    sensors = status.get("sensors")
+    told = sensors.items() if isinstance(sensors, Mapping) else ()
+    return {str(name): sensor.get("out") for name, sensor in told}
 
 
 def _complaints(status: Mapping[str, Any]) -> set[str]:

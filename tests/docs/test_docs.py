@@ -6,6 +6,7 @@ line alone is tried. A block ``sh host`` is for the machine of a cell and is onl
 bash reads it, and the programs' own parsers take its command lines.
 """
 
+import json
 import os
 import re
 import shlex
@@ -216,6 +217,20 @@ def test_every_command_shown_runs(block: Block, scratch: Path) -> None:
         check=False,
     )
     assert done.returncode == 0, (block.text, done.stdout, done.stderr)
+
+
+def test_every_key_of_a_status_is_documented_and_no_other(scratch: Path) -> None:
+    done = subprocess.run(
+        ["linemate", "status", "--json"],
+        env=environment(scratch),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    page = (ROOT / "docs/json.md").read_text(encoding="utf-8").partition("## `status`")[2]
+    firsts = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `")]
+    documented = {name for first in firsts for name in re.findall(r"`(\w+)`", first)}
+    assert set(json.loads(done.stdout)) == documented
 
 
 @pytest.mark.parametrize("block", [block for block in BLOCKS if block.host], ids=str)
