@@ -250,7 +250,7 @@ class Emulator:
             "delay": self.link.controller.delay,
             "broken": self.link.controller.broken,
             "turnaround_us": self.link.turnaround.summary_us(NEWEST),
-            "violations": self.link.controller.judge.violations,
+            "violations": self.link.controller.judge.found,
             "collision": None if world.collision is None else world.collision.reason,
             "slips": self.link.pace.slips,
         }

@@ -146,6 +146,11 @@ class LimitJudge:
         """All violations together."""
         return self.counts.total()
 
+    @property
+    def found(self) -> int:
+        """Violations in what has been judged so far; it costs nothing to ask."""
+        return self._counts.total()
+
     def start(self, setpoints: Sequence[float]) -> None:
         """A session begins at rest.
 
