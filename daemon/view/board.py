@@ -148,14 +148,16 @@ def event(name: str, data: bytes) -> bytes:
 def _bytes(told: Mapping[str, Any]) -> bytes:
     try:
         return json.dumps(told, separators=(",", ":"), allow_nan=False).encode()
-    except ValueError:
+    except (TypeError, ValueError):
         return json.dumps(_numbers(told), separators=(",", ":")).encode()
 
 
 def _numbers(told: Any) -> Any:
-    """Leave out of plain values what JSON has no number for."""
+    """Leave out what JSON has no word for: numbers that are none, and bytes."""
     if isinstance(told, Mapping):
-        return {name: _numbers(value) for name, value in told.items()}
+        return {str(name): _numbers(value) for name, value in told.items()}
     if isinstance(told, (list, tuple)):
         return [_numbers(value) for value in told]
-    return None if isinstance(told, float) and not math.isfinite(told) else told
+    if isinstance(told, float):
+        return told if math.isfinite(told) else None
+    return told if isinstance(told, (str, int, type(None))) else None

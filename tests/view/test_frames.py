@@ -1,12 +1,16 @@
 """Frames: what was measured a moment ago is held against what was desired then."""
 
+import json
 import math
 from typing import Any
 
 import pytest
 from cell import REST, TASK
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from linemate.daemon.view import scene as scenes
+from linemate.daemon.view.board import Board
 from linemate.daemon.view.frames import Framer
 
 SCENE = scenes.of({"task": TASK.text, "urdf": TASK.urdf, "cycle_s": 0.012})
@@ -136,3 +140,25 @@ def test_telemetry_that_is_none_makes_no_frame_and_is_counted(wrong: dict[str, A
 def test_a_daemon_that_has_not_begun_makes_a_frame_of_what_there_is() -> None:
     frame = Framer(SCENE).frame({"state": "init", "k": 0})
     assert frame == {"state": "init", "k": 0, "tentative": False, "errors": {}}
+
+
+ANYTHING = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8) | st.binary(),
+    lambda inner: st.lists(inner, max_size=8) | st.dictionaries(st.text(max_size=4), inner),
+    max_leaves=12,
+)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.dictionaries(st.sampled_from([*moving(1), "foreseen", "foreseen_ms", "held"]), ANYTHING))
+def test_whatever_is_told_gives_a_frame_or_none_and_breaks_nothing(wrong: dict[str, Any]) -> None:
+    framer, board = Framer(SCENE), Board()
+    framer.frame(moving(1))
+    odd = framer.frame(moving(2) | wrong)
+    if odd is not None:
+        board.frame(odd)
+    after = framer.frame(moving(3))
+    assert after is not None
+    board.frame(after)
+    history = board._known().partition(b"data: ")[2].partition(b"\n")[0]
+    assert json.loads(history)[-1]["state"] == "track"

@@ -3,6 +3,7 @@
 import urllib.request
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import browser
@@ -13,16 +14,30 @@ from rerun import GOLDEN, Rerun, rerun, viewing
 pytestmark = pytest.mark.skipif(
     browser.path() is None, reason="no Chromium here (Debian: apt-get install chromium)"
 )
+SOCKET = "command.sock"
 ROOT = "document.documentElement.dataset"
 TEXT = "document.getElementById('{}').textContent"
 CLASS = TEXT.format("class-name")
 
 
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with Browser(tmp_path_factory.mktemp("browser")) as one:
+        yield one
+
+
 @pytest.fixture
-def chromium(tmp_path: Path) -> Iterator[Browser]:
-    with Browser(tmp_path) as opened:
-        yield opened
-        assert opened.said == []
+def chromium(opened: Browser) -> Iterator[Browser]:
+    yield opened
+    assert opened.said == []
+
+
+@contextmanager
+def shown(chromium: Browser, *words: str | Path) -> Iterator[str]:
+    """A view's address; the page is left before its view ends, or it would complain."""
+    with viewing(*words) as address:
+        yield address
+        chromium.open("about:blank")
 
 
 def colours(png: bytes) -> int:
@@ -37,7 +52,10 @@ def colours(png: bytes) -> int:
 
 
 def test_a_daemon_is_shown_as_it_goes(chromium: Browser, tmp_path: Path) -> None:
-    with rerun(tmp_path, Rerun(2.0)), viewing("--socket", tmp_path / "command.sock") as address:
+    with (
+        rerun(tmp_path, Rerun(2.0)),
+        shown(chromium, "--socket", tmp_path / SOCKET) as address,
+    ):
         chromium.open(address)
         chromium.until(f"Number({ROOT}.frames) > 5 && {ROOT}.tcp")
         assert chromium.value(TEXT.format("health-name")) == "✓ healthy"
@@ -57,7 +75,7 @@ def test_a_daemon_that_ends_is_said_and_one_that_comes_back_is_shown(
     chromium: Browser, tmp_path: Path
 ) -> None:
     banner = "document.getElementById('banner')"
-    with viewing("--socket", tmp_path / "command.sock") as address:
+    with shown(chromium, "--socket", tmp_path / SOCKET) as address:
         chromium.open(address)
         chromium.until(f"!{banner}.hidden && {banner}.textContent.startsWith('No daemon')")
         for _ in range(2):
@@ -71,7 +89,10 @@ def test_a_fault_is_told_by_more_than_its_colour(chromium: Browser, tmp_path: Pa
     rerunning = Rerun(0.0, 4.0)
     rerunning.status |= {"health": "degraded", "complaints": ["link camera is down: gone"]}
     rerunning.status["links"] = {"camera": {**rerunning.status["links"]["camera"], "up": False}}
-    with rerun(tmp_path, rerunning), viewing("--socket", tmp_path / "command.sock") as address:
+    with (
+        rerun(tmp_path, rerunning),
+        shown(chromium, "--socket", tmp_path / SOCKET) as address,
+    ):
         chromium.open(address)
         chromium.until(f"{TEXT.format('health-name')} === '▲ degraded'")
         chromium.until(f"{TEXT.format('health-note')} === 'link camera is down: gone'")
@@ -79,7 +100,7 @@ def test_a_fault_is_told_by_more_than_its_colour(chromium: Browser, tmp_path: Pa
 
 
 def test_a_recording_is_played_paused_and_sought(chromium: Browser, tmp_path: Path) -> None:
-    with viewing(GOLDEN) as address:
+    with shown(chromium, GOLDEN) as address:
         chromium.open(address)
         chromium.until(f"{ROOT}.tcp")
         chromium.value("document.getElementById('speed').value = '4';"
@@ -104,7 +125,7 @@ def test_a_recording_is_played_paused_and_sought(chromium: Browser, tmp_path: Pa
 def test_several_recordings_are_compared_and_chosen_from(chromium: Browser, tmp_path: Path) -> None:
     other = tmp_path / "another-car-seed7-12ms.mcap"
     other.write_bytes(GOLDEN.read_bytes())
-    with viewing(GOLDEN, other) as address:
+    with shown(chromium, GOLDEN, other) as address:
         chromium.open(address + "?paused&t=5")
         chromium.until(f"{ROOT}.tcp && !document.getElementById('compare').hidden")
         names = "[...document.querySelectorAll('#compare-rows th')].map((at) => at.textContent)"
@@ -118,7 +139,7 @@ def test_several_recordings_are_compared_and_chosen_from(chromium: Browser, tmp_
 
 
 def test_dark_and_light_differ_and_are_kept(chromium: Browser) -> None:
-    with viewing(GOLDEN) as address:
+    with shown(chromium, GOLDEN) as address:
         chromium.open(address + "?paused&t=1")
         first = chromium.until(f"{ROOT}.tcp && {ROOT}.theme")
         colour = "getComputedStyle(document.body).backgroundColor"
@@ -131,7 +152,7 @@ def test_dark_and_light_differ_and_are_kept(chromium: Browser) -> None:
 
 
 def test_everything_has_its_place_on_a_small_screen(chromium: Browser) -> None:
-    with viewing(GOLDEN) as address:
+    with shown(chromium, GOLDEN) as address:
         chromium.open(address + "?paused&t=9")
         chromium.until(f"{ROOT}.tcp")
         fits = "document.documentElement.scrollWidth <= 1280 && document.body.scrollHeight <= 800"
@@ -144,7 +165,7 @@ def test_everything_has_its_place_on_a_small_screen(chromium: Browser) -> None:
 
 
 def test_the_page_asks_only_the_view_itself(chromium: Browser) -> None:
-    with viewing(GOLDEN) as address:
+    with shown(chromium, GOLDEN) as address:
         chromium.open(address)
         chromium.until(f"{ROOT}.tcp")
         asked = chromium.value("performance.getEntriesByType('resource').map((one) => one.name)")
