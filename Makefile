@@ -80,6 +80,7 @@ endef
 
 .venv/.ok: pyproject.toml constraints.txt
 	$(call environment,.venv,-e .[dev])
+	@.venv/bin/python -m compileall -q protocol drivers daemon simulators
 	@touch $@
 
 # The program into $(PREFIX), the rest as install-files. As root for a PREFIX of the system; any other
