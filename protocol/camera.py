@@ -102,7 +102,7 @@ def encode(message: CameraMessage) -> bytes:
     Raises:
         CameraError: a value msgpack cannot carry, or 1200 bytes and more.
     """
-    fields = {name: getattr(message, name) for name in message.__struct_fields__}
+    fields = msgspec.structs.asdict(message)
     for name, silent in _OPTIONAL.items():
         if fields[name] == silent:
             del fields[name]

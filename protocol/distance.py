@@ -9,6 +9,7 @@ A frame that is too short, out of the DBC's range or not finite is refused with 
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from operator import or_
 from pathlib import Path
 from typing import cast
 
@@ -284,14 +285,14 @@ def _selectors(message: Message, name: str) -> dict[str, float]:
 
 def _packed(plain: dict[str, Bits], counts: dict[str, float]) -> bytes | None:
     """A frame with these counts and zeros; None if one of them is too great for its place."""
-    frame = length = 0
+    frame = b""
     for name, bits in plain.items():
         count = int(counts[name])
         if not bits.fits(count):
             return None
-        frame |= int.from_bytes(bits.put(count), "little")
-        length = bits.length
-    return frame.to_bytes(length, "little")
+        one = bits.put(count)
+        frame = bytes(map(or_, frame, one)) if frame else one
+    return frame
 
 
 class DistanceEncoder:

@@ -91,14 +91,18 @@ class WrenchDecoder(ABC):
         """
         buffer = self._buffer + data if self._buffer else data
         samples: list[WrenchSample] = []
+        if len(buffer) == self._size and self._is_frame(buffer):
+            self._buffer = b""
+            self._take(buffer, stamp_ns, samples)
+            return samples
         size, end, position = self._size, len(buffer), 0
-        header, crc = self._header, self._crc
+        header = self._header
         while end - position >= size:
             if not buffer.startswith(header, position):
                 position = self._hunt(buffer, position)
                 continue
             frame = buffer[position : position + size]
-            if crc(self.checked(frame)) != frame[-2] | frame[-1] << 8:
+            if not self._is_frame(frame):
                 self.bad_crc += 1
                 self._drop(1)
                 position += 1
@@ -122,6 +126,11 @@ class WrenchDecoder(ABC):
             "garbage_bytes": self.garbage_bytes,
             "resyncs": self.resyncs,
         }
+
+    def _is_frame(self, data: bytes) -> bool:
+        """Whether bytes of a frame's length are one."""
+        crc = data[-2] | data[-1] << 8
+        return data.startswith(self._header) and self._crc(self.checked(data)) == crc
 
     def _take(self, frame: bytes, stamp_ns: int, samples: list[WrenchSample]) -> None:
         if self._lost:
