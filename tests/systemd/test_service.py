@@ -75,6 +75,7 @@ def machine(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machine]:
     made.file("etc/linemate/link.key", KEY + "\n", 0o600)
     made.file("etc/systemd/system/linemated.service.d/site.conf", DROP_IN)
     made.file("etc/systemd/system/robot.service", ROBOT)
+    made.file("opt/probe.py", Path(__file__).parents[1].joinpath("systemd_probe.py").read_text())
     made.file("opt/robot.py", Path(__file__).parents[1].joinpath("systemd_robot.py").read_text())
     with made:
         made.run("systemd-sysusers", "/etc/sysusers.d/linemate.conf")
@@ -169,6 +170,30 @@ def test_it_starts_to_ready_and_the_tool_of_an_operator_finds_it(service: Machin
     assert (told["ActiveState"], told["User"], told["NRestarts"]) == ("active", "linemate", "0")
     assert re.match(r"INIT .* steps", told["StatusText"])
     assert status(service)["state"] == "init"
+
+
+def test_whoever_broke_into_it_could_not_get_out(service: Machine) -> None:
+    shipped = service.run("cat", f"/etc/systemd/system/{UNIT}").stdout
+    probe = re.sub(r"ExecStart=.*", f"ExecStart={PYTHON}/bin/python3 /opt/probe.py", shipped)
+    # The unit as it is, but for the program and for who starts it again.
+    probe = re.sub(r"(?m)^(Type|NotifyAccess|WatchdogSec|Restart)=.*\n", "", probe)
+    probe = probe.replace("Directory=linemate", "Directory=probe")
+    probe = probe.replace("[Service]", f"[Service]\nStandardOutput=truncate:{OUT}/probe.json")
+    lines = probe.replace("'", "'\\''")
+    service.run("sh", "-c", f"printf %s '{lines}' >/etc/systemd/system/probe.service")
+    service.run("systemctl", "daemon-reload")
+    service.run("systemctl", "start", "probe.service")
+    end = time.monotonic() + 10.0
+    path, told = service.out / "probe.json", ""
+    while not told.endswith("}\n"):
+        assert time.monotonic() < end, service.said()[-2000:]
+        time.sleep(0.05)
+        told = path.read_text() if path.exists() else ""
+    outcomes = json.loads(told)
+    assert outcomes.pop("its own directory") == "done"
+    assert outcomes.pop("loopback") == "done"
+    assert len(outcomes) == 13
+    assert {name: how for name, how in outcomes.items() if how == "done"} == {}
 
 
 def test_it_runs_with_the_rights_of_its_unit_and_no_others(service: Machine) -> None:
