@@ -1,10 +1,12 @@
 """The page in a real browser: it loads, shows a moving arm, and a class change appears."""
 
+import time
 import urllib.request
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import browser
 import pytest
@@ -120,6 +122,21 @@ def test_a_recording_is_played_paused_and_sought(chromium: Browser, tmp_path: Pa
         chromium.value(f"{seek}.value = '0.5'; {seek}.oninput()")
         chromium.until(f"Number({ROOT}.foreseen) > 2", 120.0)
         assert colours(chromium.picture(tmp_path / "page.png")) > 30_000
+
+
+def test_what_happens_again_and_again_is_one_line(chromium: Browser, tmp_path: Path) -> None:
+    class Refusing(Rerun):
+        def telemetry(self) -> dict[str, Any]:
+            told = super().telemetry()
+            texts = ("state: idle", "refused", "refused", "refused", "link robot is up")
+            n = min(len(texts), 1 + int(4.0 * (time.monotonic() - self._began)))
+            return told | {"happened": [[i + 1, told["stamp_ns"], texts[i]] for i in range(n)]}
+
+    with rerun(tmp_path, Refusing()), shown(chromium, "--socket", tmp_path / SOCKET) as address:
+        chromium.open(address)
+        lines = "[...document.querySelectorAll('#events span')].map((at) => at.textContent)"
+        chromium.until(f"{lines}[0] === 'link robot is up'")
+        assert chromium.value(lines) == ["link robot is up", "refused ×3", "state: idle"]
 
 
 def test_several_recordings_are_compared_and_chosen_from(chromium: Browser, tmp_path: Path) -> None:

@@ -136,12 +136,23 @@ function linkRows(frame, status) {
   });
 }
 
+// The same thing again and again is one line, of its last time.
+function alike(events) {
+  const made = [];
+  for (const one of events) {
+    const last = made[made.length - 1];
+    if (last && last.text === one.text && !one.missed) { last.t = one.t; last.count += 1; } else made.push({ ...one, count: 1 });
+  }
+  return made;
+}
+
 function showEvents() {
   const list = $("events");
   const now = source.now;
-  const shown = source.kind === "live" ? source.events.slice(-60).reverse() : source.events.slice().reverse();
+  const shown = alike(source.kind === "live" ? source.events.slice(-90) : source.events).reverse();
   const past = shown.filter((one) => one.t <= now + 1e-3).length;
-  const key = `${shown.length}:${shown.length ? shown[0].t : 0}:${source.kind === "live" ? Math.floor(now) : past}:${source.number ?? ""}`;
+  const newest = shown[0] || { t: 0, count: 0 };
+  const key = `${shown.length}:${newest.t}:${newest.count}:${source.kind === "live" ? Math.floor(now) : past}:${source.number ?? ""}`;
   if (list.dataset.made === key) return;
   list.dataset.made = key;
   list.replaceChildren(...shown.map((one) => {
@@ -149,7 +160,7 @@ function showEvents() {
     const when = document.createElement("time");
     when.textContent = source.kind === "live" ? `−${seconds(Math.max(0, now - one.t), 0)}` : seconds(one.t);
     const what = document.createElement("span");
-    what.textContent = one.text + (one.missed ? ` (${one.missed} before it were missed)` : "");
+    what.textContent = one.text + (one.count > 1 ? ` ×${one.count}` : "") + (one.missed ? ` (${one.missed} before it were missed)` : "");
     if (/^state|confirmed|down|refused/.test(one.text)) item.className = "strong";
     if (one.t > now + 1e-3) item.classList.add("future");
     item.append(when, what);
