@@ -7,7 +7,7 @@ may change stands here, by its name.
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
 from enum import Enum, StrEnum
 from types import NoneType, UnionType
 from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hints
@@ -131,7 +131,8 @@ def _of(name: str, value: Any, default: Any) -> Iterator[Described]:
     for field in fields(value):
         path = f"{name}.{field.name}"
         item = getattr(value, field.name)
-        usual = getattr(default, field.name, None) if default is not None else None
+        # A section that is off by default has defaults all the same, once it is there.
+        usual = _usual(field) if default is None else getattr(default, field.name, None)
         if is_dataclass(item):
             yield from _of(path, item, usual)
         elif isinstance(item, tuple) and item and is_dataclass(item[0]):
@@ -140,6 +141,10 @@ def _of(name: str, value: Any, default: Any) -> Iterator[Described]:
                 yield from _of(f"{path}.{index}", part, known)
         else:
             yield _one(path, item, usual) | meanings.get(field.name, {})
+
+
+def _usual(field: Field[Any]) -> Any:
+    return None if field.default is MISSING else field.default
 
 
 def _one(name: str, value: Any, default: Any) -> Described:

@@ -14,7 +14,7 @@ from linemate.daemon.service.parameter_list import (
     rule,
     values,
 )
-from linemate.daemon.service.settings import Config
+from linemate.daemon.service.settings import CameraSettings, Config, RecordingSettings
 from linemate.daemon.service.watch import WatchSettings
 from linemate.protocol.command import MAX_RESULT_BYTES, encode_result
 
@@ -95,3 +95,15 @@ def test_every_rule_is_of_a_parameter_that_there_is(listed: tuple[Described, ...
 
 def test_the_whole_list_fits_into_one_answer(listed: tuple[Described, ...]) -> None:
     assert len(encode_result(described(listed, {}))) < MAX_RESULT_BYTES
+
+
+def test_a_section_that_is_off_by_default_differs_by_nothing_when_it_is_there() -> None:
+    camera, recording = CameraSettings(port=1), RecordingSettings(".")
+    config = Config(task="wheel.yaml", camera=camera, recording=recording)
+    listed = {one["name"]: one for one in every(config)}
+    different = {
+        name
+        for name, one in listed.items()
+        if name.startswith(("camera.", "recording.")) and one["value"] != one["default"]
+    }
+    assert different == {"camera.port", "recording.directory"}
