@@ -1,0 +1,157 @@
+"""Floods from the loopback: ``python tests/floods.py [--rate 20000] [--seconds 5]``.
+
+Law of this file: bounded in rate and time, to ports of the daemon that it started itself. A robot
+asks meanwhile and judges; what it misses while nobody floods is the baseline of the same run.
+"""
+
+import argparse
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from daemon_process import DaemonProcess
+from plain_robot import CYCLE_S, PlainRobot
+
+MOST_RATE, MOST_SECONDS = 60_000, 10.0
+BATCH_S = 0.002
+JUNK = (
+    os.urandom(54),
+    b"LM\x01\x01" + os.urandom(50),
+    b"LM\x01\x03" + os.urandom(200),
+    b"<Rob Type='KUKA'><IPOC>1</IPOC>",
+    b"<!DOCTYPE Rob>" + b"A" * 500,
+    b"\x86" + os.urandom(300),
+    b"",
+    os.urandom(1400),
+)
+
+
+@dataclass(frozen=True)
+class Flood:
+    """How hard and how long."""
+
+    rate_hz: float = 20_000.0
+    seconds: float = 5.0
+
+
+SHORT = Flood(5_000.0, 1.5)
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a robot missed.
+
+    Attributes:
+        sent: datagrams of the flood.
+        cycles: of the robot, with and without.
+        baseline, missed: replies that did not come in their cycle.
+        answered_s: how long a genuine status took meanwhile, None if none came.
+    """
+
+    sent: int
+    cycles: int
+    baseline: int
+    missed: int
+    answered_s: float | None
+
+
+def run(daemon: DaemonProcess, port: str, flood: Flood) -> Told:
+    """Flood one port of a daemon; ``port`` is robot, camera or command."""
+    listening = daemon.listening
+    host, number = listening["command"]["udp"] if port == "command" else listening[port]
+    robot = PlainRobot(daemon.robot())
+    cycles = round(flood.seconds / CYCLE_S)
+    robot.cycles(80)
+    baseline = robot.cycles(cycles).count(None)
+    asked: list[float | None] = []
+    asking = threading.Thread(target=_ask, args=(daemon, asked))
+    # A process of its own: the robot's clock must not wait for the flood's interpreter.
+    command = [sys.executable, __file__, "--pour", f"{host}:{number}"]
+    command += ["--rate", str(flood.rate_hz), "--seconds", str(flood.seconds)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as pouring:
+        assert pouring.stdout is not None
+        pouring.stdout.readline()
+        asking.start()
+        missed = robot.cycles(cycles).count(None)
+        asking.join()
+        sent = int(pouring.stdout.readline())
+    robot.close()
+    return Told(sent, cycles, baseline, missed, asked[0])
+
+
+def _pour(target: tuple[str, int], flood: Flood) -> int:
+    """Send junk; how much was sent."""
+    sent = 0
+    begun = time.monotonic()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        link.setblocking(False)
+        while (passed := time.monotonic() - begun) < flood.seconds:
+            owed = round(passed * flood.rate_hz) - sent
+            for n in range(min(owed, round(flood.rate_hz * 0.05))):
+                try:
+                    link.sendto(JUNK[n % len(JUNK)], target)
+                except OSError:
+                    break
+            sent += owed
+            time.sleep(BATCH_S)
+    return sent
+
+
+def _ask(daemon: DaemonProcess, took: list[float | None]) -> None:
+    begun = time.monotonic()
+    try:
+        daemon.status()
+    except Exception:  # noqa: BLE001 - that there is no answer is the finding
+        took.append(None)
+    else:
+        took.append(time.monotonic() - begun)
+
+
+def main() -> int:
+    """Flood every port in turn; 1 if more was missed than is borne."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rate", type=float, default=20_000.0, help="datagrams a second")
+    parser.add_argument("--seconds", type=float, default=5.0)
+    parser.add_argument("--pour", metavar="HOST:PORT", help="only send, to a loopback address")
+    args = parser.parse_args()
+    flood = Flood(min(args.rate, MOST_RATE), min(args.seconds, MOST_SECONDS))
+    if args.pour:
+        host, _, port = args.pour.rpartition(":")
+        if not host.startswith("127."):
+            parser.error("floods stay on the loopback")
+        print("begun", flush=True)
+        print(_pour((host, int(port)), flood))
+        return 0
+    failed = False
+    from linemate.protocol.command import Role
+    from linemate.protocol.command_keys import key_line, make_key
+
+    for port in ("command", "camera", "robot"):
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            keys = folder / "keys"
+            key = make_key("operator", Role.OPERATE, os.urandom(32))
+            keys.write_text(key_line(key) + "\n", encoding="utf-8")
+            keys.chmod(0o400)
+            text = (
+                "task: wheel.yaml\nrsi: {port: 0}\ncamera: {port: 0}\n"
+                f"distance: {{can: {{interface: slcan, channel: {folder}/can}}}}\n"
+                f"force_torque: {{url: {folder}/ft}}\n"
+                "command: {socket: c.sock, udp: {port: 0, keys: keys}}\n"
+            )
+            with DaemonProcess(folder, text) as daemon:
+                told = run(daemon, port, flood)
+        bad = told.missed > told.baseline + 0.003 * told.cycles
+        failed = failed or bad
+        print(f"{port}: {told} {'TOO MANY' if bad else 'good'}", flush=True)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
