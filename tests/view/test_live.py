@@ -9,10 +9,11 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from command_ends import key_of, open_port, served
 from rerun import LINEMATE, Rerun, recording, rerun
 
 from linemate.daemon.operator import main as tool
@@ -20,14 +21,18 @@ from linemate.daemon.operator.client import Client
 from linemate.daemon.service.command_server import CommandPort, LocalDoor
 from linemate.daemon.view.board import Board
 from linemate.daemon.view.live import Live
+from linemate.protocol.command import Role
 from linemate.protocol.command_local import LocalClient
 
 PERIOD_NS = 12_000_000
 SUBSCRIBERS = 3
 
 
-def shown(folder: Path, until: int = 12) -> tuple[Board, list[str]]:
+def shown(
+    folder: Path, until: int = 12, make: Callable[[], Client] | None = None
+) -> tuple[Board, list[str]]:
     """A board that has seen some frames of whatever is served in a folder."""
+    client = make or (lambda: Client.local(folder / "command.sock"))
     board, links = Board(), []
 
     class Watched(Board):
@@ -40,7 +45,7 @@ def shown(folder: Path, until: int = 12) -> tuple[Board, list[str]]:
 
     async def main() -> None:
         call = asyncio.get_running_loop().call_soon_threadsafe
-        live = Live(lambda: Client.local(folder / "command.sock"), board, call)
+        live = Live(client, board, call)
         live.start()
         async with asyncio.timeout(20):
             while board.frames < until and len(links) < 5:  # noqa: ASYNC110 - of threads
@@ -63,6 +68,21 @@ def test_a_daemon_is_asked_for_its_cell_its_status_and_its_telemetry(tmp_path: P
     assert b"event: scene" in told
     assert b'"arm":' in told
     assert b'"health":"healthy"' in told
+
+
+def test_a_daemon_elsewhere_is_shown_by_datagrams_and_a_key_that_may_only_view(
+    tmp_path: Path,
+) -> None:
+    rerunning, key = Rerun(1.0, 5.0), key_of("eve", Role.VIEW, 2)
+    opening = open_port(tmp_path, (key,), rerunning.handle, rerunning.telemetry)
+    with opening as port, served(port):
+        assert port.udp_address is not None
+        host, number = port.udp_address
+        board, links = shown(tmp_path, make=lambda: Client.udp(host, number, key))
+    assert board.frames >= 12
+    assert links == ["{'up': True, 'reason': ''}"]
+    with board.looking() as onlooker:
+        assert b'"arm":' in asyncio.run(onlooker.take())
 
 
 def test_a_daemon_that_does_not_know_of_scenes_is_shown_without_its_arm(tmp_path: Path) -> None:

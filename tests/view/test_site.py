@@ -1,0 +1,98 @@
+"""What is at which path: recordings as they are read, portions of them, and nothing else."""
+
+import asyncio
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from linemate.daemon.operator.recordings import UnreadableRecordingError
+from linemate.daemon.view.server import NoPageError, Page
+from linemate.daemon.view.site import TapeSite
+
+GOLDEN = Path(__file__).parents[1] / "system" / "golden" / "wheel.mcap"
+
+
+def told(site: TapeSite, path: str, **query: str) -> Any:
+    page = site.ask(path, query)
+    assert isinstance(page, Page)
+    assert page.kind == "application/json"
+    return json.loads(page.body)
+
+
+@pytest.fixture(scope="module")
+def read() -> TapeSite:
+    site = TapeSite([GOLDEN])
+    asyncio.run(site.read())
+    return site
+
+
+def test_while_a_recording_is_being_read_its_share_is_told() -> None:
+    site = TapeSite([GOLDEN, GOLDEN])
+    shares = []
+
+    async def main() -> None:
+        reading = asyncio.ensure_future(site.read())
+        while not reading.done():
+            mode = told(site, "/mode")
+            if mode["mode"] == "reading":
+                shares.append(mode["share"])
+            await asyncio.sleep(0.005)
+        await reading
+
+    asyncio.run(main())
+    assert shares == sorted(shares)
+    assert 0.0 <= shares[0] < shares[-1] <= 1.0
+    assert [tape["name"] for tape in told(site, "/mode")["tapes"]] == ["wheel.mcap"] * 2
+
+
+def test_what_is_no_recording_ends_the_reading(tmp_path: Path) -> None:
+    (tmp_path / "x.mcap").write_bytes(b"x")
+    with pytest.raises(UnreadableRecordingError):
+        asyncio.run(TapeSite([GOLDEN, tmp_path / "x.mcap"]).read())
+
+
+def test_a_recording_is_told_whole_and_given_in_portions(read: TapeSite) -> None:
+    whole = told(read, "/tape", i="0")
+    assert whole["name"] == "wheel.mcap"
+    frames = told(read, "/frames", i="0", **{"from": "10", "to": "13"})
+    assert [frame["t"] for frame in frames] == whole["times"][10:13]
+    assert told(read, "/frames", i="0", **{"from": "13", "to": "10"}) == []
+    assert told(read, "/progress", i="0") == {"k": -1, "done": False, "inexact": 0, "count": 0}
+
+
+@pytest.mark.parametrize(
+    ("path", "query"),
+    [
+        ("/tape", {"i": "1"}),
+        ("/tape", {"i": "-1"}),
+        ("/tape", {"i": "0x0"}),
+        ("/frames", {"from": "1" * 20}),
+        ("/frames", {"to": "٣"}),
+        ("/none", {}),
+        ("/../site.py", {}),
+        ("/__init__.py", {}),
+    ],
+)
+def test_there_is_nothing_else(read: TapeSite, path: str, query: dict[str, str]) -> None:
+    with pytest.raises(NoPageError):
+        read.ask(path, query)
+
+
+def test_horizons_are_made_again_by_a_process_beside_and_it_ends_with_its_task() -> None:
+    site = TapeSite([GOLDEN])
+
+    async def main() -> None:
+        await site.read()
+        work = asyncio.ensure_future(site.foresee())
+        async with asyncio.timeout(60):
+            while told(site, "/progress")["count"] < 3:
+                assert not work.done()
+                await asyncio.sleep(0.05)
+        work.cancel()
+        await asyncio.gather(work, return_exceptions=True)
+
+    asyncio.run(main())
+    frames = told(site, "/frames", i="0", **{"from": "0", "to": "400"})
+    assert sum("foreseen" in frame for frame in frames) >= 1
