@@ -238,23 +238,60 @@ def test_a_stranger_of_this_host_is_refused_and_a_member_of_the_group_is_not(
     assert welcome.returncode in {0, 1}, welcome.stderr
 
 
-def test_its_credential_lets_an_operator_in_and_a_reload_takes_new_ones(service: Machine) -> None:
-    for name, line in (("panel", KEY), ("desk", OTHER)):
-        (service.out / name).write_text(line + "\n")
-        (service.out / name).chmod(0o600)
-    ask = ("linemate", "status", "--udp", "127.0.0.1", "--timeout", "4", "--key")
-    assert service.run(*ask, f"{OUT}/panel", check=False).returncode in {0, 1}
-    assert service.run(*ask, f"{OUT}/desk", check=False).returncode == 3
-    pid = main_pid(service)
-    before = said(service)
-    service.run("systemctl", "reload", UNIT)
-    assert service.show(UNIT, "ActiveState")["ActiveState"] == "active"
-    end = time.monotonic() + 5.0
-    while "keys reloaded" not in said(service)[len(before) :]:
-        assert time.monotonic() < end, said(service)
-        time.sleep(0.05)
-    assert main_pid(service) == pid
-    assert service.run(*ask, f"{OUT}/panel", check=False).returncode in {0, 1}
+def asked_with(machine: Machine, key: str) -> int:
+    """Exit code of a status over UDP with a key of the operator's own."""
+    path = machine.out / "key"
+    path.touch()
+    path.chmod(0o600)
+    path.write_text(key + "\n")
+    ask = ("linemate", "status", "--udp", "127.0.0.1", "--timeout", "2", "--key", f"{OUT}/key")
+    return machine.run(*ask, check=False).returncode
+
+
+ANSWERED = {0, 1}
+UNANSWERED = {3}
+
+
+def test_its_credential_lets_an_operator_in_and_nobody_else(service: Machine) -> None:
+    assert asked_with(service, KEY) in ANSWERED
+    assert asked_with(service, OTHER) in UNANSWERED
+    assert service.run("stat", "--format=%U %a", "/etc/linemate/link.key").stdout == "root 600\n"
+
+
+def test_a_reload_takes_the_keys_as_they_are_now_without_a_restart(service: Machine) -> None:
+    """Of a file: what systemd loads as a credential stays as it was until the restart."""
+    path, keys = "/etc/linemate/linemated.yaml", "/etc/linemate/keys"
+
+    def write(*lines: str) -> None:
+        service.run("sh", "-c", f"printf '%s\\n' '{chr(10).join(lines)}' >{keys}")
+
+    service.run("cp", path, "/etc/linemate/good.yaml")
+    service.run("sed", "-i", "s|credential:link.key|keys|", path)
+    service.run("install", "-o", "linemate", "-m", "0600", "/dev/null", keys)
+    try:
+        write(KEY)
+        service.run("systemctl", "restart", UNIT)
+        pid = main_pid(service)
+        for lines, panel, desk in (
+            ([KEY], ANSWERED, UNANSWERED),
+            ([KEY, OTHER], ANSWERED, ANSWERED),
+            ([OTHER], UNANSWERED, ANSWERED),
+            (["nonsense"], UNANSWERED, ANSWERED),
+        ):
+            write(*lines)
+            before = said(service)
+            service.run("systemctl", "reload", UNIT)
+            end = time.monotonic() + 5.0
+            while "keys" not in said(service)[len(before) :]:
+                assert time.monotonic() < end, said(service)
+                time.sleep(0.05)
+            assert asked_with(service, KEY) in panel
+            assert asked_with(service, OTHER) in desk
+            told = service.show(UNIT, "ActiveState", "MainPID")
+            assert told == {"ActiveState": "active", "MainPID": str(pid)}
+    finally:
+        service.run("mv", "/etc/linemate/good.yaml", path)
+        service.run("systemctl", "restart", UNIT)
 
 
 def test_a_robot_is_answered_and_told_to_stay_where_it_is(service: Machine, robot: Robot) -> None:
