@@ -15,7 +15,11 @@ _shtab_linemate_sim_bench_option_strings=(-h --help --json --rounds --round-s --
 _shtab_linemate_sim_schema_option_strings=(-h --help)
 _shtab_linemate_sim_option_strings=(-h --help)
 
-
+_shtab_linemate_sim_demo___out_COMPGEN=_shtab_compgen_dirs
+_shtab_linemate_sim_run___out_COMPGEN=_shtab_compgen_dirs
+_shtab_linemate_sim_campaign___out_COMPGEN=_shtab_compgen_dirs
+_shtab_linemate_sim_emulator___config_COMPGEN=_shtab_compgen_files
+_shtab_linemate_sim_bench___plot_COMPGEN=_shtab_compgen_files
 
 _shtab_linemate_sim_demo___cycle_ms_choices=(4 12)
 _shtab_linemate_sim_run___variant_choices=(oracle default bank imm rule no-classes no-prediction no-feedforward no-damping no-swing no-blend)

@@ -9,7 +9,7 @@
 
 _shtab_linemated_option_strings=(-h --help --config --schema --check --ready-fd --log)
 
-
+_shtab_linemated___config_COMPGEN=_shtab_compgen_files
 
 _shtab_linemated___log_choices=(debug info warning error)
 

@@ -31,8 +31,20 @@ def pages() -> Iterator[tuple[Path, str]]:
     yield DOCS / "man/linemated.yaml.5", manual.configuration_page()
     for parser, number, what, more in programs.every():
         yield DOCS / f"man/{parser.prog}.{number}", manual.program_page(parser, number, what, more)
+        _complete_files(parser)
         for shell, name in (("bash", f"{parser.prog}.bash"), ("zsh", f"_{parser.prog}")):
             yield DOCS / "completion" / name, shtab.complete(parser, shell).rstrip() + "\n"
+
+
+def _complete_files(parser: argparse.ArgumentParser) -> None:
+    """Let shells complete files and folders where a command line says that it takes them."""
+    kinds = {"FILE": shtab.FILE, "PATH": shtab.FILE, "DIR": shtab.DIRECTORY}
+    for action in parser._actions:  # noqa: SLF001 - argparse has no public name for it
+        if action.metavar in kinds:
+            action.complete = kinds[action.metavar]  # type: ignore[attr-defined]
+        if isinstance(action, argparse._SubParsersAction):  # noqa: SLF001
+            for inner in action.choices.values():
+                _complete_files(inner)
 
 
 def main() -> int:
