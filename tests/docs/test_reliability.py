@@ -1,0 +1,40 @@
+"""docs/reliability.md says what the code says, and names tests that there are."""
+
+import re
+from pathlib import Path
+
+from docs.make import states
+
+ROOT = Path(__file__).resolve().parents[2]
+ROWS = (
+    *(f"S{n}" for n in range(1, 13)),
+    *(f"R{n}" for n in range(1, 10)),
+    *(f"P{n}" for n in range(1, 15)),
+    *(f"M{n}" for n in range(1, 11)),
+)
+
+
+def page() -> str:
+    return states.PAGE.read_text(encoding="utf-8")
+
+
+def test_the_diagram_is_drawn_from_the_table() -> None:
+    assert states.drawn(page()) == page(), "python -m docs.make.states"
+
+
+def test_every_row_of_the_catalogue_is_answered_by_a_test_or_argued() -> None:
+    lines = {m[1]: m[0] for m in re.finditer(r"^\| ([SRPM]\d+) \|.*$", page(), re.MULTILINE)}
+    assert tuple(lines) == ROWS
+    for name, line in lines.items():
+        assert "::test_" in line or "**argued**" in line, name
+
+
+def test_every_test_that_is_named_is_there() -> None:
+    named = set(re.findall(r"`([\w/]+\.py)::(test_\w+)`", page()))
+    assert len(named) > 60
+    missing = [
+        f"{path}::{test}"
+        for path, test in sorted(named)
+        if f"def {test}(" not in (ROOT / "tests" / path).read_text(encoding="utf-8")
+    ]
+    assert not missing
