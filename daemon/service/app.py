@@ -135,6 +135,8 @@ class App:
         self._told_ns = 0
         self._telegram_ns: int | None = None
         self._after_waits = False
+        # The last telegram met a fault of our own, then: a daemon that goes on so is not alive.
+        self._failing_ns: int | None = None
         self._command: tuple[float, ...] = ()
         self._resting = 0
         self._links_up: dict[str, bool] = {}
@@ -261,10 +263,12 @@ class App:
         try:
             reply = self.cycle.on_telegram(data, stamp_ns, source)
         except Exception as error:  # noqa: BLE001 - an unanswered telegram stops the robot
+            self._failing_ns = stamp_ns
             self._failed(error)
             return None
         if reply is None:
             return None
+        self._failing_ns = None
         if self.cycle.prepared == prepared:
             self._account.stepped(time.monotonic_ns() - began_ns)
         self._telegram_ns = stamp_ns
@@ -304,6 +308,8 @@ class App:
         lost_s = self._station.config.watch.link_lost_s
         if self._telegram_ns is None or due.stamp_ns - self._telegram_ns > lost_s * 1e9:
             self._clock.run_free()
+            if self._failing_ns is not None and due.stamp_ns - self._failing_ns > lost_s * 1e9:
+                self._failing_ns = None
         elif self._clock.schedule.locked:
             self._account.missing(due.stamp_ns)
         self._account.expected(self._clock.schedule)
@@ -341,7 +347,8 @@ class App:
             self._recorder.take(entries, times)
         self._outlook.take(entries, times)
         self._attend_operators()
-        self._notifier.alive(now_ns)
+        if self._failing_ns is None:
+            self._notifier.alive(now_ns)
         if now_ns - self._told_ns >= STATUS_EVERY_NS:
             self._told_ns = now_ns
             self._companions.look()

@@ -331,6 +331,45 @@ def test_sigterm_ends_and_sighup_reloads_and_systemd_hears_of_both(
     run(main())
 
 
+def test_a_daemon_that_fails_at_every_telegram_is_not_called_alive(
+    serve: Serve, tmp_path: Path, task: Task, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_: object) -> None:
+        raise ValueError("planted")
+
+    async def main() -> None:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+            manager.bind(str(tmp_path / "notify"))
+            manager.setblocking(False)
+            notifier = Notifier(str(tmp_path / "notify"), watchdog_s=0.03)
+
+            def fed() -> int:
+                heard = []
+                with contextlib.suppress(BlockingIOError):
+                    while True:
+                        heard.append(manager.recv(300))
+                return heard.count(b"WATCHDOG=1")
+
+            async with serve(notifier=notifier) as running:
+                controller = running.controller(task)
+                await controller.cycles(10)
+                assert fed() >= 2
+                with monkeypatch.context() as planted:
+                    planted.setattr(running.app.cycle, "_reply", fail)
+                    await controller.cycles(1)
+                    fed()
+                    # Shorter than what makes the link a lost one, which is no fault of ours.
+                    for _ in range(6):
+                        controller.skip()
+                        await controller.take()
+                        await controller.cycles(1)
+                    assert fed() == 0
+                await controller.cycles(10)
+                assert fed() >= 2
+
+    run(main())
+
+
 def test_a_foreign_peer_is_not_answered_where_one_is_named(serve: Serve, task: Task) -> None:
     async def main() -> None:
         text = CONFIG.replace("{port: 0}\ncamera", "{port: 0, peer: 127.0.0.9}\ncamera")
