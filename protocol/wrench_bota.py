@@ -19,6 +19,7 @@ from linemate.protocol.samples import WrenchSample
 from linemate.protocol.wrench_stream import HostOutput, WrenchDecoder, WrenchError
 
 BOTA_HEADER = b"\xaa"
+_HEADER_BYTE = BOTA_HEADER[0]
 BOTA_FRAME_BYTES = 37
 BOTA_BAUD_RATES = (9600, 57600, 115200, 230400, 460800)
 """By the baud code of the ``c`` command."""
@@ -42,6 +43,17 @@ class BotaDecoder(WrenchDecoder):
     def __init__(self) -> None:
         """Start in step, with an empty buffer."""
         super().__init__(BOTA_HEADER, BOTA_FRAME_BYTES, fastcrc.crc16.ibm_sdlc)
+
+    def feed(self, data: bytes, stamp_ns: int) -> list[WrenchSample]:
+        """As for every stream; a good frame that comes whole and in step is taken at once."""
+        if len(data) == BOTA_FRAME_BYTES and not self._buffer and not self._lost:
+            crc = fastcrc.crc16.ibm_sdlc(data[1:35])
+            if data[0] == _HEADER_BYTE and crc == data[35] | data[36] << 8:
+                found = self.sample(data, stamp_ns)
+                if found is not None:
+                    self.frames += 1
+                    return [found]
+        return super().feed(data, stamp_ns)
 
     def checked(self, frame: bytes) -> bytes:
         """The 34 payload bytes."""

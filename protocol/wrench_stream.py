@@ -91,10 +91,6 @@ class WrenchDecoder(ABC):
         """
         buffer = self._buffer + data if self._buffer else data
         samples: list[WrenchSample] = []
-        if len(buffer) == self._size and self._is_frame(buffer):
-            self._buffer = b""
-            self._take(buffer, stamp_ns, samples)
-            return samples
         size, end, position = self._size, len(buffer), 0
         header = self._header
         while end - position >= size:
