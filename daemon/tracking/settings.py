@@ -158,7 +158,7 @@ class RuleSettings:
 
     tentative: Length = 0.00122
     confirmed: Length = 0.0034
-    bandwidth: Annotated[float, Ge(0.1), Le(100.0)] = 6.4
+    bandwidth: Annotated[float, Ge(0.1), Le(100.0)] = 6.0
 
 
 @dataclass(frozen=True, slots=True)
