@@ -12,9 +12,9 @@ SYSUSERS ?= $(OWN)/etc/sysusers.d
 TMPFILES ?= $(OWN)/etc/tmpfiles.d
 BIN ?= $(if $(OWN),$(OWN)/bin,/usr/local/bin)
 SHARE ?= $(if $(OWN),$(OWN)/share,/usr/local/share)
-SERVICES := linemated.service linemated@.service linemate-metrics.service
+SERVICES := linemated.service linemated@.service linemate-metrics.service linemate-bridge.service
 
-.PHONY: help demo test lint format bench dst accuracy install install-program install-files \
+.PHONY: help demo test lint format bench dst fuzz mutants mutation floods accuracy install install-program install-files \
 	uninstall systemd-test docs docs-write clean
 
 help:
@@ -24,6 +24,9 @@ help:
 	@echo "make format   ruff's formatting and safe fixes"
 	@echo "make bench    what a step costs on this machine"
 	@echo "make dst      seeded fault runs in virtual time, SEEDS=FIRST:LAST; ARGS=... for options"
+	@echo "make fuzz     every parser with a million damaged messages; ARGS=--inputs=N"
+	@echo "make mutants  changes of states, watch, gate, exchange and parsers that no test notices"
+	@echo "make floods   20 000 datagrams a second on each port, judged by a robot beside it"
 	@echo "make accuracy the tables of docs/accuracy.md, in hours; ARGS=--short for a few runs"
 	@echo "make docs     links, generated pages, and every command that the pages show"
 	@echo "make systemd-test  the service under a real systemd, in namespaces; as root"
@@ -51,6 +54,15 @@ bench: .venv/.ok
 
 dst: .venv/.ok
 	@.venv/bin/python -m linemate.simulators.harness.dst $(SEEDS) $(ARGS)
+
+fuzz: .venv/.ok
+	.venv/bin/python tests/fuzz.py $(ARGS)
+
+mutants mutation: .venv/.ok
+	.venv/bin/python tests/mutants.py $(ARGS)
+
+floods: .venv/.ok
+	.venv/bin/python tests/floods.py $(ARGS)
 
 accuracy: .venv/.ok
 	.venv/bin/python -m linemate.simulators.harness.accuracy $(ARGS)

@@ -1,0 +1,220 @@
+"""Fuzzing of every wire: ``python tests/fuzz.py [WIRE ...] [--inputs N] [--atheris SECONDS]``.
+
+Law of this file: any bytes give a value or the wire's own error, and nothing else; that is the
+whole check. Inputs are whole messages that were cut, joined, flipped and overwritten, by seed; with
+``--atheris`` libFuzzer looks for them instead, where it is installed.
+"""
+
+import argparse
+import random
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from linemate.protocol import camera, command, rsi_config, slcan
+from linemate.protocol.camera import CameraDecoder, CameraMessage
+from linemate.protocol.distance import DistanceDecoder, DistanceEncoder
+from linemate.protocol.errors import ProtocolError
+from linemate.protocol.rsi import RobotTelegram, RsiCodec, SensorTelegram, parse_config
+from linemate.protocol.wrench import make_decoder
+from linemate.protocol.wrench_bota import bota_frame
+from linemate.protocol.wrench_ft300 import ft300_frame
+
+DATA = Path(__file__).resolve().parents[1] / "protocol" / "data"
+SIX = (0.1, -0.2, 0.3, -0.4, 0.5, -0.6)
+INTERESTING = (
+    b"nan", b"inf", b"1e999", b"-0", b"<!", b"&#0;", b"]]>", b"\x00", b"\xff" * 8, b"\x7f" * 8,
+    b"\xc1", b"\xdf\xff\xff\xff\xff", b"\xdd\xff\xff\xff\xff", b"\xcb\x7f\xf8" + b"\0" * 6,
+    b"99999999999999999999", b"\r", b"\xaa", b"\x20\x4e", b"<IPOC>", b'="',
+)  # fmt: skip
+LONGEST = 4096
+
+
+@dataclass(frozen=True)
+class Wire:
+    """One parser.
+
+    Attributes:
+        examples: whole messages.
+        parse: takes bytes; raises ``ProtocolError`` or nothing.
+    """
+
+    examples: tuple[bytes, ...]
+    parse: Callable[[bytes], Any]
+
+
+def _rsi() -> tuple[Wire, Wire, Wire]:
+    config = (DATA / "rsi_joints.xml").read_bytes()
+    codec = RsiCodec(parse_config(config))
+    robot = codec.format_robot(
+        RobotTelegram(12, joints=SIX, external=SIX, tcp=SIX, delay=3, channels={"DiL": 1})
+    )
+    reply = codec.format_sensor(
+        SensorTelegram(12, joints=SIX, external=(0.1,), channels={"DiO": 1})
+    )
+    return (
+        Wire((robot, robot.replace(b" />", b"/>")), codec.parse_robot),
+        Wire((reply,), codec.parse_sensor),
+        Wire((config, (DATA / "rsi_joints_setpoints.xml").read_bytes()), rsi_config.parse_config),
+    )
+
+
+def _camera() -> Wire:
+    message = CameraMessage(
+        v=1, src="c", seq=1, t_exp=10**9, t_tx=10**9, frame="camera", obj="hub",
+        p=(0.0, 0.1, 1.0), q=(1.0, 0.0, 0.0, 0.0), cov=(1e-6,) * 21, quality=50, reset=0,
+    )  # fmt: skip
+    decoder, clock = CameraDecoder(), iter(range(10**9, 2**62, 10**6))
+
+    def parse(data: bytes) -> None:
+        sample = decoder.feed(data, next(clock))
+        assert sample is None or abs(sum(v * v for v in sample.quaternion) - 1.0) < 1e-3
+
+    return Wire((camera.encode(message),), parse)
+
+
+def _distance() -> Wire:
+    encoder, decoder = DistanceEncoder(), DistanceDecoder()
+    can_id, payload = encoder.encode(1.0)
+
+    def parse(data: bytes) -> None:
+        sample = decoder.decode(can_id if data[:1] != b"\x01" else data[0], data[1:], 1)
+        assert sample is None or 0.0 <= sample.position <= 1e6
+
+    return Wire((b"\0" + payload,), parse)
+
+
+def _stream(device: str, frame: bytes) -> Wire:
+    decoder = make_decoder(device)
+
+    def parse(data: bytes) -> None:
+        for sample in decoder.feed(data, 1):
+            assert all(abs(v) < 1e39 for v in (*sample.force, *sample.torque))
+
+    return Wire((frame, frame * 3), parse)
+
+
+def _command() -> tuple[Wire, Wire, Wire]:
+    request = command.encode_request("set", {"values": {"watch.missed": 3}}, 1000)
+    body = command.frame_body(command.FrameType.REQUEST, 1, 2, 3, request)
+    result = command.encode_result({"state": "idle", "steps": 3})
+    reply = command.encode_reply(command.Reply(ok=True, t=1, r=result))
+    return (
+        Wire((body + bytes(16),), command.cut_frame),
+        Wire((request, command.encode_request("status", {}, 1)), command.decode_request),
+        Wire((reply, result), command.decode_reply),
+    )
+
+
+def wires() -> dict[str, Wire]:
+    """Every wire by name."""
+    robot, reply, config = _rsi()
+    frame, request, answer = _command()
+    return {
+        "robot": robot,
+        "reply": reply,
+        "config": config,
+        "camera": _camera(),
+        "distance": _distance(),
+        "bota": _stream("bota", bota_frame((1.0, 2.0, 3.0), (0.1, 0.2, 0.3))),
+        "ft300": _stream("robotiq-ft300", ft300_frame((1.0, 2.0, 3.0), (0.1, 0.2, 0.3))),
+        "frame": frame,
+        "request": request,
+        "answer": answer,
+        "slcan": Wire((b"t1834AABBCCDD\r", b"T00000183281234\r"), slcan.parse_frame),
+    }
+
+
+def mutated(chance: random.Random, examples: Sequence[bytes]) -> bytes:
+    """A message that somebody was at."""
+    data = bytearray(chance.choice(examples))
+    for _ in range(chance.choice((1, 1, 2, 4, 8))):
+        at = chance.randrange(len(data) + 1)
+        match chance.randrange(7):
+            case 0:
+                del data[at : at + chance.randint(1, 8)]
+            case 1:
+                data[at:at] = chance.choice(INTERESTING)
+            case 2 if data:
+                data[at % len(data)] ^= 1 << chance.randrange(8)
+            case 3:
+                data[at : at + chance.randint(0, 8)] = chance.randbytes(chance.randint(0, 8))
+            case 4:
+                data[at:at] = chance.choice(examples)[: chance.randint(0, 64)]
+            case 5:
+                word = chance.choice(INTERESTING)
+                data[at : at + len(word)] = word
+            case _:
+                data = bytearray(chance.randbytes(chance.randint(0, 256)))
+        if len(data) > LONGEST:
+            del data[LONGEST:]
+    return bytes(data)
+
+
+def run(name: str, inputs: int, seed: int = 0) -> int:
+    """Try so many inputs on one wire.
+
+    Returns:
+        How many of them were taken for a message.
+
+    Raises:
+        AssertionError: one gave something else than a value or the wire's own error.
+    """
+    wire, chance = wires()[name], random.Random(f"{seed}/{name}")
+    taken = 0
+    for n in range(inputs):
+        data = mutated(chance, wire.examples)
+        try:
+            wire.parse(data)
+        except ProtocolError:
+            continue
+        except Exception as error:
+            raise AssertionError(f"{name}, input {n} of seed {seed}: {data!r}") from error
+        taken += 1
+    return taken
+
+
+def _with_atheris(name: str, seconds: int) -> None:
+    import atheris  # type: ignore[import-not-found]
+
+    wire = wires()[name]
+
+    def one(data: bytes) -> None:
+        try:
+            wire.parse(data)
+        except ProtocolError:
+            return
+
+    atheris.instrument_all()
+    atheris.Setup([sys.argv[0], f"-max_total_time={seconds}", f"-max_len={LONGEST}"], one)
+    atheris.Fuzz()
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Fuzz; 1 at the first input that gave something else."""
+    parser = argparse.ArgumentParser(prog="fuzz", description="Fuzzing of every wire.")
+    parser.add_argument("wires", nargs="*", default=sorted(wires()), metavar="WIRE")
+    parser.add_argument("--inputs", type=int, default=1_000_000, help="for each wire")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--atheris", type=int, metavar="SECONDS", help="with libFuzzer, one wire")
+    args = parser.parse_args(argv)
+    if args.atheris:
+        _with_atheris(args.wires[0], args.atheris)
+        return 0
+    for name in args.wires:
+        begun = time.monotonic()
+        try:
+            taken = run(name, args.inputs, args.seed)
+        except AssertionError as error:
+            print(f"{error}: {error.__cause__!r}", flush=True)
+            return 1
+        took_s = time.monotonic() - begun
+        print(f"{name}: {args.inputs} inputs in {took_s:.0f} s, {taken} taken", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
