@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from linemate.daemon.operator.client import Client, NoAnswerError, RefusedError
+from linemate.daemon.operator.client import Client, RefusedError
 from linemate.daemon.view.board import Board
 from linemate.daemon.view.frames import Framer
 from linemate.daemon.view.scene import Scene, of
@@ -59,12 +59,14 @@ class Live:
 
     def _go_on(self, ask: Callable[[Client], None]) -> None:
         while not self._ended.is_set():
-            with self.make() as client:
-                try:
+            try:
+                with self.make() as client:
                     ask(client)
-                except (NoAnswerError, RefusedError, CommandError, OSError) as error:
-                    told = {"up": False, "reason": str(error) or type(error).__name__}
-                    self.call(self.board.tell, "link", told)
+            except Exception as error:  # noqa: BLE001 - whatever it is: it is said, and tried again
+                if self._ended.is_set():
+                    return  # the loop may be gone
+                told = {"up": False, "reason": str(error) or type(error).__name__}
+                self.call(self.board.tell, "link", told)
             self._ended.wait(AGAIN_S)
 
     def _subscribe(self, client: Client) -> None:

@@ -17,7 +17,7 @@ from command_ends import key_of, open_port, served
 from rerun import LINEMATE, Rerun, recording, rerun
 
 from linemate.daemon.operator import main as tool
-from linemate.daemon.operator.client import Client
+from linemate.daemon.operator.client import Client, KeyFileError
 from linemate.daemon.service.command_server import CommandPort, LocalDoor
 from linemate.daemon.view.board import Board
 from linemate.daemon.view.live import Live
@@ -103,6 +103,22 @@ def test_no_daemon_is_said_again_and_again_and_nothing_else_happens(tmp_path: Pa
     assert board.frames == 0
     assert len(links) >= 5
     assert "command.sock" in links[0]
+
+
+def test_whatever_goes_wrong_is_said_and_tried_again(tmp_path: Path) -> None:
+    rerunning, tries = Rerun(1.0, 5.0), []
+
+    def make() -> Client:
+        tries.append(1)
+        if len(tries) <= 2:
+            raise KeyFileError("key: gone for a moment")
+        return Client.local(tmp_path / "command.sock")
+
+    with rerun(tmp_path, rerunning):
+        board, links = shown(tmp_path, make=make)
+    assert board.frames >= 12
+    assert "gone for a moment" in links[0]
+    assert "True" in links[-1]
 
 
 class Doors:
