@@ -124,7 +124,7 @@ def wires() -> dict[str, Wire]:
         "frame": frame,
         "request": request,
         "answer": answer,
-        "slcan": Wire((b"t1834AABBCCDD\r", b"T00000183281234\r"), slcan.parse_frame),
+        "slcan": Wire((b"t1834AABBCCDD", b"T00000183281234"), slcan.parse_frame),
     }
 
 
