@@ -235,6 +235,11 @@ def _run(station: Station, *, is_viewed: bool) -> dict[str, Any]:
         )
         with closing(Emulated(child)) as emulated:
             wait_until(lambda: _is_ready(emulated), children, START_S, "the emulator's links")
+            print(
+                f"linemate-sim demo: linemate status --watch --socket {station.command_socket}",
+                file=sys.stderr,
+                flush=True,
+            )
             if is_viewed:
                 _open_view(station, children)
             with Client.local(station.command_socket) as client:
