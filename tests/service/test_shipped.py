@@ -28,7 +28,7 @@ UNITS = ("linemated.service", "linemated@.service")
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze here")
-@pytest.mark.parametrize("name", [*UNITS, "linemate-metrics.service"])
+@pytest.mark.parametrize("name", [*UNITS, "linemate-metrics.service", "linemate-bridge.service"])
 def test_a_unit_is_understood_and_leaves_little_exposed(name: str, tmp_path: Path) -> None:
     text = (SYSTEMD / name).read_text(encoding="utf-8")
     unit = tmp_path / name

@@ -343,6 +343,22 @@ def test_its_metrics_are_told_beside_it(service: Machine) -> None:
     service.run("systemctl", "stop", "linemate-metrics.service")
 
 
+def test_a_bridge_carries_it_in_its_own_sandbox(service: Machine) -> None:
+    pytest.importorskip("zenoh", reason="zenoh is in the extra fleet")
+    service.run("systemctl", "start", "linemate-bridge.service")
+    ask = (
+        f"import sys; sys.path[:0] = ['{PROGRAM}/lib']; import site; site.addsitedir('{PACKAGES}');"
+        "from linemate.daemon.operator.bridge import opened;"
+        "session = opened([], ['tcp/127.0.0.1:7447']);"
+        "print([r.ok.payload.to_string() for r in session.get('linemate/*/status') if r.ok])"
+    )
+    end, told = time.monotonic() + 15.0, ""
+    while '"health"' not in told:
+        assert time.monotonic() < end, told
+        told = service.run(f"{PYTHON}/bin/python3", "-c", ask, check=False).stdout
+    service.run("systemctl", "stop", "linemate-bridge.service")
+
+
 def test_it_ends_as_told_and_leaves_a_recording_that_is_whole(service: Machine) -> None:
     began = time.monotonic()
     service.run("systemctl", "stop", UNIT)
