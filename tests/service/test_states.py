@@ -271,6 +271,26 @@ def test_a_refusal_names_everything_that_is_missing() -> None:
     assert "IDLE" in str(refusal(Machine(State.TRACK), GOOD, "arm"))
 
 
+@pytest.mark.parametrize(
+    ("signals", "reason"),
+    [
+        (GOOD, None),
+        (replace(GOOD, link=Link.UNPROVEN), None),
+        (replace(GOOD, link=Link.LOST), "the robot link is lost"),
+        (replace(GOOD, overload=True), "overload"),
+        (replace(GOOD, fault=True), "the fault is still present"),
+        (replace(GOOD, fault=True, overload=True), "overload"),
+    ],
+)
+def test_a_fault_is_acknowledged_once_its_reason_is_gone(
+    signals: Signals, reason: str | None
+) -> None:
+    faulty = Machine(State.FAULT, latched=True)
+    assert refusal(faulty, signals, "ack") == reason
+    left = transition(faulty, replace(signals, ack=True)).state is State.IDLE
+    assert left == (reason is None)
+
+
 def test_unfit_has_words_exactly_when_a_start_is_impossible() -> None:
     for signals in SIGNALS[::7]:
         assert (unfit(signals) is None) == fit(signals)
