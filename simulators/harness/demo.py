@@ -220,7 +220,7 @@ def perform(scenario: Scenario, out: Path, *, is_viewed: bool = False) -> dict[s
     return result
 
 
-def _run(station: Station, *, is_viewed: bool) -> dict[str, Any]:
+def _run(station: Station, *, is_viewed: bool = False) -> dict[str, Any]:
     """Start both processes, see the run through, end both; return the daemon's last status."""
     scenario, folder = station.scenario, station.folder
     title = f"{scenario.name}, seed {scenario.seed}, {1e3 * scenario.cycle_s:g} ms"
