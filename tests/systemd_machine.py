@@ -11,6 +11,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import tomllib
@@ -27,6 +28,24 @@ PROGRAM = "/opt/linemate"
 PYTHON = "/opt/python"
 PACKAGES = "/opt/packages"
 OUT = "/opt/out"
+
+INTERPRETER = f"{PYTHON}/bin/python{sys.version_info.major}.{sys.version_info.minor}"
+
+TRIED = """
+mount -t tmpfs tmpfs . && cd "$PWD"
+mkdir upper work root
+mount -t overlay overlay -o lowerdir=/,upperdir=upper,workdir=work root
+mount -t proc proc root/proc
+mount -t sysfs sysfs root/sys
+mount -t cgroup2 cgroup2 root/sys/fs/cgroup
+mount -t tmpfs tmpfs root/dev
+mkdir root/dev/pts
+mount -t devpts -o newinstance devpts root/dev/pts
+touch root/dev/null
+mount --bind /dev/null root/dev/null
+ip link set lo up
+"""
+"""Everything that a boot needs a right for."""
 
 STUBS = ("sysinit.target", "basic.target", "shutdown.target", "network-online.target")
 """Targets that units want by default: empty here, so that nothing of the machine's own runs."""
@@ -45,12 +64,14 @@ def lacking() -> str | None:
         return "the kernel has no overlay file system"
     if _cgroups() is None:
         return "no cgroup2 file system that can be written"
-    tried = subprocess.run(
-        ["unshare", *NAMESPACES, "--fork", "sh", "-c", "mount -t tmpfs none /mnt && ip link"],
-        capture_output=True,
-        check=False,
-    )
-    return None if tried.returncode == 0 else f"no namespaces: {tried.stderr.decode().strip()}"
+    with tempfile.TemporaryDirectory() as scratch:
+        tried = subprocess.run(
+            ["unshare", *NAMESPACES, "--fork", "--propagation", "private", "sh", "-ec", TRIED],
+            cwd=scratch,
+            capture_output=True,
+            check=False,
+        )
+    return None if tried.returncode == 0 else f"no rights: {tried.stderr.decode().strip()}"
 
 
 def _cgroups() -> Path | None:
@@ -102,7 +123,7 @@ class Machine:
         for name, entry in project["project"]["scripts"].items():
             module, _, function = entry.partition(":")
             text = (
-                f"#!{PYTHON}/bin/python3\nimport site, sys\n"
+                f"#!{INTERPRETER}\nimport site, sys\n"
                 f"sys.path[:0] = [{PROGRAM + '/lib'!r}]\nsite.addsitedir({PACKAGES!r})\n"
                 f"from {module} import {function}\nsys.exit({function}())\n"
             )

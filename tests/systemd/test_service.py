@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from systemd_machine import CHECKOUT, OUT, PACKAGES, PROGRAM, PYTHON, Machine, lacking
+from systemd_machine import CHECKOUT, INTERPRETER, OUT, PACKAGES, PROGRAM, Machine, lacking
 
 from linemate.protocol.command import Role
 from linemate.protocol.command_keys import key_line, make_key
@@ -55,7 +55,7 @@ StandardError=append:{OUT}/linemated.log
 ROBOT = f"""\
 [Service]
 Environment=PYTHONPATH={PROGRAM}/lib:{PACKAGES}
-ExecStart={PYTHON}/bin/python3 /opt/robot.py \\
+ExecStart={INTERPRETER} /opt/robot.py \\
     {PROGRAM}/lib/linemate/protocol/data/rsi_joints.xml {" ".join(map(str, POSTURE))}
 StandardOutput=truncate:{OUT}/robot.jsonl
 StandardError=append:{OUT}/robot.log
@@ -174,7 +174,7 @@ def test_it_starts_to_ready_and_the_tool_of_an_operator_finds_it(service: Machin
 
 def test_whoever_broke_into_it_could_not_get_out(service: Machine) -> None:
     shipped = service.run("cat", f"/etc/systemd/system/{UNIT}").stdout
-    probe = re.sub(r"ExecStart=.*", f"ExecStart={PYTHON}/bin/python3 /opt/probe.py", shipped)
+    probe = re.sub(r"ExecStart=.*", f"ExecStart={INTERPRETER} /opt/probe.py", shipped)
     # The unit as it is, but for the program and for who starts it again.
     probe = re.sub(r"(?m)^(Type|NotifyAccess|WatchdogSec|Restart)=.*\n", "", probe)
     probe = probe.replace("Directory=linemate", "Directory=probe")
@@ -339,7 +339,7 @@ def test_its_metrics_are_told_beside_it(service: Machine) -> None:
     end, page = time.monotonic() + 10.0, ""
     while 'linemate_up{station="linemate"} 1' not in page:
         assert time.monotonic() < end, page
-        page = service.run(f"{PYTHON}/bin/python3", "-c", ask, check=False).stdout
+        page = service.run(INTERPRETER, "-c", ask, check=False).stdout
     service.run("systemctl", "stop", "linemate-metrics.service")
 
 
@@ -355,7 +355,7 @@ def test_a_bridge_carries_it_in_its_own_sandbox(service: Machine) -> None:
     end, told = time.monotonic() + 15.0, ""
     while '"health"' not in told:
         assert time.monotonic() < end, told
-        told = service.run(f"{PYTHON}/bin/python3", "-c", ask, check=False).stdout
+        told = service.run(INTERPRETER, "-c", ask, check=False).stdout
     service.run("systemctl", "stop", "linemate-bridge.service")
 
 
