@@ -57,12 +57,13 @@ def test_the_real_daemon_is_shown_and_the_view_ends_with_the_run(tmp_path: Path)
         env=environment,
     ) as demo:
         assert demo.stderr is not None
-        address = ""
+        said = []
         for line in demo.stderr:
+            said.append(line)
             if "http://" in line:
-                address = line.split()[-1]
                 break
-        assert address.startswith("http://127.0.0.1:")
+        address = said[-1].split()[-1]
+        assert address.startswith("http://127.0.0.1:"), said
         found = heard(address)
         demo.terminate()
         demo.stderr.read()
