@@ -12,14 +12,15 @@ import os
 import signal
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from linemate.daemon.control.adaptation import Learned
 from linemate.daemon.inputs import Order
 from linemate.daemon.parameters import Parameters
-from linemate.daemon.service import realtime, states, viewer_messages
+from linemate.daemon.service import learning, realtime, states, viewer_messages
 from linemate.daemon.service.account import Account
 from linemate.daemon.service.clock import Clock
 from linemate.daemon.service.command_server import (
@@ -32,6 +33,7 @@ from linemate.daemon.service.command_server import (
 from linemate.daemon.service.config import Station, key_path
 from linemate.daemon.service.cycle import Cycle
 from linemate.daemon.service.incidents import IncidentFiles
+from linemate.daemon.service.learning import Learner
 from linemate.daemon.service.notify import Notifier
 from linemate.daemon.service.outlook import Outlook
 from linemate.daemon.service.pace import Pace
@@ -41,6 +43,7 @@ from linemate.daemon.service.schedule import Due, Kind
 from linemate.daemon.service.settings import Corrections
 from linemate.daemon.service.states import State
 from linemate.daemon.service.status import LinkView, Rates, Snapshot, status, telemetry
+from linemate.daemon.service.step_log import LogEntry
 from linemate.daemon.service.timing import Timing
 from linemate.drivers.camera_udp import CameraLink
 from linemate.drivers.can_bus import CanLink
@@ -114,6 +117,7 @@ class App:
         self._rates = Rates()
         self._commands = _command_port(station, self._handle, self._telemetry)
         self._recorder = _recorder(station)
+        self._learner = _learner(station, parameters.cycle_s)
         self._outlook = Outlook(round(parameters.cycle_s * 1e3, 6))
         self._scene = viewer_messages.scene(station.texts, parameters.cycle_s)
         period_ns = round(parameters.cycle_s * 1e9)
@@ -346,6 +350,8 @@ class App:
         if self._recorder is not None:
             self._recorder.take(entries, times)
         self._outlook.take(entries, times)
+        if self._learner is not None:
+            self._learn(self._learner, entries)
         self._attend_operators()
         if self._failing_ns is None:
             self._notifier.alive(now_ns)
@@ -358,6 +364,27 @@ class App:
                 self._notifier.send(f"STATUS={self._line()}")
         moving = bool(entries) and entries[-1].inputs.order is not Order.HOLD
         self._collector.slack(moving=moving)
+
+    def _learn(self, learner: Learner, entries: Sequence[LogEntry]) -> None:
+        """Note what moved; once the robot stands, look at it and hand on what was learned."""
+        learner.take(entries)
+        if not (learner.ripe and self.cycle.stands):
+            return
+        work = asyncio.get_running_loop().run_in_executor(None, learner.look, learner.motion())
+
+        def done(finished: asyncio.Future[Learned]) -> None:
+            if finished.cancelled():
+                return
+            error = finished.exception()
+            if error is not None:
+                log.error("nothing was learned of the servos: %s", error)
+                return
+            values = learner.keep(finished.result(), self._desk.settings.control.servos)
+            answer = self._desk.set(values, learning.WHO) if values else {}
+            if isinstance(answer, dict) and "refused" in answer:
+                self._say(f"what was learned of the servos is not taken: {answer['refused']}")
+
+        work.add_done_callback(done)
 
     def _attend_operators(self) -> None:
         """Handle what operators sent; until the next step is due also what they send yet."""
@@ -510,6 +537,15 @@ def _command_port(
 
 def _folder(station: Station, name: str | None) -> Path | None:
     return None if name is None else Path(station.path.parent / name)
+
+
+def _learner(station: Station, cycle_s: float) -> Learner | None:
+    """Return what learns the servos anew, None where that is not wanted."""
+    settings = station.config.learning
+    if settings is None:
+        return None
+    axes = 7 if station.task.file.arm.linear_axis else 6
+    return Learner(settings, station.written.control.servos[:axes], cycle_s)
 
 
 def _recorder(station: Station) -> Recorder | None:

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Gt, Le, Len
 
+from linemate.daemon.control.adaptation import AdaptationSettings
 from linemate.daemon.control.settings import ControlSettings
 from linemate.daemon.service.watch import WatchSettings
 from linemate.daemon.tracking.settings import TrackingSettings
@@ -204,6 +205,8 @@ class Config:
         overlays: files of parameters laid over tracking, control and watch, in this order, such
             as ``linemate identify`` writes; what operators saved comes last.
         state: directory for what operators save; None takes the service manager's.
+        learning: how far, how fast and on what evidence the servos are learned anew from each
+            motion, to be taken while the robot stands; None leaves them as they are.
         version: of the file's layout.
     """
 
@@ -220,4 +223,5 @@ class Config:
     watch: WatchSettings = field(default_factory=WatchSettings)
     tracking: TrackingSettings = field(default_factory=TrackingSettings)
     control: ControlSettings = field(default_factory=ControlSettings)
+    learning: AdaptationSettings | None = None
     version: Annotated[int, Ge(1), Le(1)] = 1
