@@ -202,12 +202,13 @@ def main(argv: Sequence[str] | None = None) -> int:
             drawn = random.Random(f"{args.seed}/{file}").sample(
                 every, max(1, round(args.share * len(every)))
             )
-            lived = list(pool.map(lambda m: survives(m, Path(name)), drawn))
-            dead = lived.count(False)
-            killed, total = killed + dead, total + len(drawn)
-            for mutant, alive in sorted(zip(drawn, lived, strict=True), key=lambda p: p[0].line):
+            dead = 0
+            lived = pool.map(lambda m: survives(m, Path(name)), drawn)
+            for mutant, alive in zip(drawn, lived, strict=True):
+                dead += not alive
                 if alive:
                     print(f"  survives {mutant.file}:{mutant.line}: {mutant.what}", flush=True)
+            killed, total = killed + dead, total + len(drawn)
             print(f"{file}: {dead} of {len(drawn)} killed ({len(every)} there are)", flush=True)
     print(f"{killed} of {total} killed, {100.0 * killed / total:.1f} %")
     return 0 if killed >= args.bar * total else 1
