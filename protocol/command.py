@@ -7,8 +7,6 @@ live in command_keys, command_rules and command_session. `docs/command-protocol.
 the specification, with vectors made by another implementation of BLAKE2b.
 """
 
-import hashlib
-import hmac
 import math
 import struct
 from collections.abc import Mapping
@@ -93,9 +91,14 @@ class Frame(NamedTuple):
 class Tagger:
     """Keyed BLAKE2b-128 over a frame's body, with its key schedule done once."""
 
-    __slots__ = ("_prepared",)
+    __slots__ = ("_is_same", "_prepared")
 
     def __init__(self, key: bytes, person: bytes = b"") -> None:
+        # Loaded with the first key: the local socket has none, and a status shall cost little.
+        import hashlib
+        import hmac
+
+        self._is_same = hmac.compare_digest
         self._prepared = hashlib.blake2b(key=key, digest_size=TAG_BYTES, person=person)
 
     def tag(self, body: bytes) -> bytes:
@@ -110,7 +113,7 @@ class Tagger:
 
     def genuine(self, frame: Frame) -> bool:
         """Tell in constant time whether ``frame`` was sealed with this key."""
-        return hmac.compare_digest(self.tag(frame.body), frame.tag)
+        return self._is_same(self.tag(frame.body), frame.tag)
 
 
 def frame_body(

@@ -9,7 +9,6 @@ when something is watched. Exit codes: 0 done or healthy, 1 refused or not healt
 import argparse
 import contextlib
 import dataclasses
-import json
 import os
 import sys
 import time
@@ -202,6 +201,8 @@ def _assignment(text: str) -> tuple[str, object]:
     name, equals, value = text.partition("=")
     if not equals or not name:
         raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE")
+    import json
+
     try:
         return name, json.loads(value)
     except json.JSONDecodeError:

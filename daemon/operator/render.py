@@ -3,7 +3,6 @@
 Law of this file: values in, strings out; nothing is asked, nothing is printed here.
 """
 
-import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
@@ -11,6 +10,8 @@ from typing import Any, Final
 
 def as_json(value: object, indent: int | None = 2) -> str:
     """Return ``value`` as JSON; numbers that JSON does not know become null."""
+    import json  # a status as text needs none
+
     return json.dumps(_plain(value), indent=indent, sort_keys=False, allow_nan=False)
 
 

@@ -302,4 +302,6 @@ def test_a_status_loads_nothing_that_it_does_not_need() -> None:
     assert "linemate.protocol.command_local" in loaded
     rooms = ("daemon.operator.replay", "daemon.operator.export", "daemon.operator.doctor")
     unwanted = {f"linemate.{room}" for room in (*rooms, "protocol.command_session", "daemon.view")}
-    assert not loaded & (unwanted | {"numpy", "rich", "pydantic", "yaml", "asyncio", "secrets"})
+    assert not loaded & (
+        unwanted | {"numpy", "rich", "pydantic", "yaml", "asyncio", "secrets", "hashlib", "json"}
+    )
