@@ -26,6 +26,7 @@ from linemate.simulators.harness import main as harness
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
+ASSIGNMENT = re.compile(r"[A-Za-z_]+=")
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 FENCE = re.compile(r"^```(\S*)[ ]?(.*?)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 PARSERS = {
@@ -57,7 +58,9 @@ def blocks() -> Iterator[Block]:
         for found in FENCE.finditer(text):
             if found[1] == "sh":
                 line = text[: found.start()].count("\n") + 1
-                yield Block(page.name, line, found[3], found[2].strip() == "host")
+                # What stands for a name of the reader's own cannot be run either.
+                host = found[2].strip() == "host" or "..." in found[3]
+                yield Block(page.name, line, found[3], host)
 
 
 BLOCKS = list(blocks())
@@ -76,13 +79,13 @@ def commands(text: str) -> list[list[str]]:
                 if words:
                     found.append(words)
                 words = []
-            else:
+            elif words or not ASSIGNMENT.match(word):
                 words.append(word)
     return found
 
 
 def program(words: list[str]) -> str:
-    return words[0].rpartition("/")[2]
+    return words[0].rpartition("/")[2].removeprefix("$")
 
 
 def parsed(words: list[str]) -> None:
