@@ -107,14 +107,17 @@ def samples(status: Mapping[str, Any] | None) -> Iterator[Sample]:
         for key, value in _items(_at(status, path)):
             labels = (("quantile", QUANTILES.get(key, key)),)
             yield from _number(name, "gauge", what, labels, _scaled(value, 1e-6))
+    yield from _sensors(status)
+    yield from _links(status)
+
+
+def _sensors(status: Mapping[str, Any]) -> Iterator[Sample]:
     for sensor, told in _items(status.get("sensors")):
         label = (("sensor", sensor),)
         out = float(told.get("out") is not None)
         yield Sample("sensor_out", "gauge", "The sensor is not believed", label, out)
-        refused = told.get("refused")
-        what = "Samples that were not believed"
+        refused, what = told.get("refused"), "Samples that were not believed"
         yield from _number("sensor_refused_total", "counter", what, label, refused)
-    yield from _links(status)
 
 
 def _links(status: Mapping[str, Any]) -> Iterator[Sample]:
