@@ -291,6 +291,52 @@ def test_a_fault_is_acknowledged_once_its_reason_is_gone(
     assert left == (reason is None)
 
 
+@pytest.mark.parametrize(
+    ("machine", "signals", "after"),
+    [
+        (Machine(State.TRACK), replace(GOOD, link=Link.UNPROVEN), Machine(State.HOLD)),
+        (
+            Machine(State.TRACK),
+            replace(GOOD, link=Link.UNPROVEN, contact=True),
+            Machine(State.RETREAT),
+        ),
+        (
+            Machine(State.TRACK),
+            replace(GOOD, contact=True, position_fresh=False),
+            Machine(State.RETREAT, latched=True),
+        ),
+        (
+            Machine(State.CONTACT),
+            replace(GOOD, contact=True, wrench_fresh=False),
+            Machine(State.RETREAT, latched=True),
+        ),
+        (Machine(State.TRACK), replace(GOOD, object_left=True), Machine(State.HOLD)),
+        (Machine(State.TRACK), replace(GOOD, done=True), Machine(State.RETREAT, programmed=True)),
+        (Machine(State.RETREAT), replace(GOOD, overload=True), Machine(State.RETREAT)),
+        (
+            Machine(State.RETREAT, programmed=True),
+            replace(GOOD, overload=True),
+            Machine(State.RETREAT),
+        ),
+        (
+            Machine(State.RETREAT, programmed=True),
+            GOOD,
+            Machine(State.RETREAT, programmed=True),
+        ),
+        (Machine(State.RETREAT), replace(GOOD, expired=True), Machine(State.FAULT, latched=True)),
+        (Machine(State.HOLD), replace(GOOD, expired=True), Machine(State.FAULT, latched=True)),
+        (Machine(State.INIT), replace(GOOD, fault=True), Machine(State.FAULT, latched=True)),
+    ],
+)
+def test_a_transition_is_the_one_that_was_agreed_on(
+    machine: Machine, signals: Signals, after: Machine
+) -> None:
+    reached = transition(machine, signals)
+    assert reached == after
+    # An emergency retreat is not begun anew in every cycle.
+    assert (reached is machine) == (machine == after)
+
+
 def test_unfit_has_words_exactly_when_a_start_is_impossible() -> None:
     for signals in SIGNALS[::7]:
         assert (unfit(signals) is None) == fit(signals)
