@@ -42,6 +42,7 @@ LONGEST_JUMP = 0.05
 """Of a joint from one telegram to the next, before a reply is looked at twice [rad]."""
 
 SETTLED = 0.3  # a retreat is over when no axis is quicker [rad/s, m/s]; it may follow the object
+PROGRAMMED_S = 1000.0  # a blend as long as that is none [s]
 CATCH_UP_S = 0.3  # steps made at once after a gap, at most
 NEAR = frozenset({State.TRACK, State.HOLD})
 """States in which it matters what a stop would leave between tool and object."""
@@ -497,6 +498,16 @@ class Cycle:
         if self.on_transition is not None:
             self.on_transition(before, self._signals, self.machine)
 
+    def _is_contradicted(self) -> bool:
+        """Tell whether a motion that is led by poses has none that fit.
+
+        An exercise, which never gives way to what is sensed, is led by its programme alone: it is
+        there to find out what does not fit.
+        """
+        if self.machine.state is not State.TRACK or not self.feeds.camera_health.contradicts:
+            return False
+        return self.parameters.tracker.settings.merge.blend < PROGRAMMED_S
+
     def _facts(self, stamp_ns: int, *, telegram: bool) -> watch.Facts:
         """Return what was seen up to now, for the watch."""
         feeds = self.feeds
@@ -527,7 +538,7 @@ class Cycle:
             slower_ns=feeds.slower_ns if under_way else None,
             wrench_ns=feeds.wrench_ns,
             wrench_expected=self._wrench_expected,
-            contradicted=self.machine.state is State.TRACK and feeds.camera_health.contradicts,
+            contradicted=self._is_contradicted(),
             gap_m=following.gap(outputs, period) if near else None,
             astray=self.following.astray is not None,
             ready=outputs.ready is None,

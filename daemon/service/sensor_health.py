@@ -37,8 +37,8 @@ HEADING_NS = 300_000_000
 QUANTA = 1.5
 """A coarse sensor is given the time of so many of its own units."""
 
-CONTRADICTIONS = 3
-"""Poses in a row that the tracker refused, of a tool that moves."""
+CONTRADICTIONS = 8
+"""Poses in a row that the tracker refused although its gate had widened: noise alone is not it."""
 
 SAME_POSES = 4
 SAME_WRENCHES = 25

@@ -136,7 +136,7 @@ class FusionSettings:
 
     position: Walk = 0.0001
     angle: Walk = 0.0002
-    swing: Walk = 0.0001
+    swing: Walk = 0.0005
     speed: Walk = 0.0005
     ripple: Walk = 0.0003
     ripple_time: Constant = 1.0

@@ -15,7 +15,7 @@ from linemate.simulators.harness import identify_run, overlay, setup
 from linemate.simulators.harness.identify_run import Plan
 from linemate.simulators.plants.scenario import Effector, Robot
 
-PLAN = Plan(exercises=1, wheels=0, overrides=("scenario.duration_s=11",))
+PLAN = Plan(exercises=1, wheels=0, overrides=("scenario.duration_s=12.5",))
 """A third of the exercise."""
 
 
