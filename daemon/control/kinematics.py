@@ -151,7 +151,7 @@ class Arm:
         if before is not None:
             errors = _moved(poses, before)
             if bool((np.abs(errors[:, :-1]) < CHANGED).all()):
-                exact = range(0, len(q), len(q) - 1)
+                exact = range(0, len(q), max(1, len(q) - 1))
         for i in exact:
             target = base * pin.SE3(pin.exp3(poses[i, 3:]), poses[i, :3])
             errors[:, i] = pin.log6(self._placed(q[i]).actInv(target)).vector
