@@ -8,17 +8,20 @@ import math
 import os
 import random
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from linemate.daemon import settings_tree as tree
+from linemate.daemon.control.settings import ControlSettings
 from linemate.daemon.service import config
 from linemate.daemon.service.parameter_desk import Desk
 from linemate.daemon.service.parameter_list import Change, rule
 from linemate.daemon.service.states import MOVING
 from linemate.daemon.settings_tree import SettingError
+from linemate.simulators.devices.limits import LIMITS
 from linemate.simulators.harness import lockstep, setup
 from linemate.simulators.harness.judge import judge
 
@@ -61,6 +64,16 @@ def value(rng: random.Random, usual: Any) -> Any:
     return max(1, round(usual * factor)) if isinstance(usual, int) else usual * factor
 
 
+def robots_limits() -> str:
+    """The robot's limits, which the run is judged by, as a site copies them."""
+    rows = [
+        f"{{lower: {robot.low}, upper: {robot.high}, speed: {min(robot.speed, own.speed)},"
+        f" acceleration: {own.acceleration}, jerk: {own.jerk}}}"
+        for robot, own in zip(LIMITS, ControlSettings().limits, strict=True)
+    ]
+    return f"control: {{limits: [{', '.join(rows)}]}}\n"
+
+
 def needs_compiler(values: dict[str, Any]) -> bool:
     return any(rule(name).change is Change.IDLE for name in values)
 
@@ -68,12 +81,10 @@ def needs_compiler(values: dict[str, Any]) -> bool:
 class Operator:
     """Sets parameters while a run goes on, and holds each answer to the rules."""
 
-    def __init__(self, folder: Path, run: lockstep.Lockstep, seed: int) -> None:
-        path = folder / "linemated.yaml"
-        path.write_text("task: wheel.yaml\n")
+    def __init__(self, station: config.Station, run: lockstep.Lockstep, seed: int) -> None:
         self.outcomes: Counter[str] = Counter()
         self._run = run
-        self._desk = Desk(config.load(path), run.cycle)
+        self._desk = Desk(station, run.cycle)
         self._rng = random.Random(seed)
         # The limits are what the run is judged by: they stay. A watch that is set to nonsense
         # holds the robot, rightly, and then nothing moves: it comes seldom.
@@ -122,9 +133,13 @@ def run_once(folder: Path, seed: int, sets: int) -> Counter[str]:
     """One run with so many sets, or as many as it lives; what became of them."""
 
     async def main() -> Counter[str]:
+        path = folder / "linemated.yaml"
+        path.write_text("task: wheel.yaml\n" + robots_limits())
+        station = config.load(path)
         made = setup.make("wheel", OVERRIDES)
+        made = replace(made, tracking=station.config.tracking, control=station.config.control)
         run = lockstep.Lockstep(made, seed)
-        operator = Operator(folder, run, seed)
+        operator = Operator(station, run, seed)
         turns = round((1.5 + made.scenario.duration_s) / made.scenario.cycle_s)
         done, has_moved = 0, False
         # What is set may lead the tool astray: a run ends early where it meets the object.
