@@ -322,6 +322,6 @@ def squared_errors(seed: int, late: int, fusion: FusionSettings) -> list[float]:
 )
 def test_the_covariance_is_honest(late: int, fusion: FusionSettings) -> None:
     """NEES over seeded runs of a matching model lies in its 95 % band."""
-    nees = np.array([squared_errors(seed, late, fusion) for seed in range(18)])
+    nees = np.array([squared_errors(seed, late, fusion) for seed in range(72)])
     low, high = stats.chi2.ppf((0.025, 0.975), nees.size * (STATIC + 2)) / nees.size
     assert low < nees.mean() < high
