@@ -28,7 +28,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "daemon/service/watch.py": ("tests/service/test_watch.py",),
     "daemon/service/sensor_health.py": ("tests/service/test_sensor_health.py",),
     "daemon/control/limits.py": ("tests/control/test_limits.py",),
-    "protocol/exchange.py": ("tests/protocol/test_exchange.py",),
+    "protocol/exchange.py": ("tests/protocol/test_exchange.py", "tests/protocol/test_corners.py"),
     "protocol/exchange_controller.py": ("tests/protocol/test_exchange.py",),
     "protocol/rsi_read.py": ("tests/protocol/test_rsi.py",),
     "protocol/rsi_scan.py": ("tests/protocol/test_rsi.py",),

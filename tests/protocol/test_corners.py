@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from linemate.protocol.distance import DistanceEncoder, DistanceError
+from linemate.protocol.exchange import Exchange
 from linemate.protocol.rsi import RobotTelegram, RsiCodec, RsiError, SensorTelegram, parse_config
 
 SHIPPED = (Path(__file__).resolve().parents[2] / "protocol/data/rsi_joints.xml").read_bytes()
@@ -58,3 +59,14 @@ def test_a_distance_beyond_its_place_is_refused() -> None:
             DistanceEncoder().encode(value)
     with pytest.raises(DistanceError):
         DistanceEncoder(message="TF03", signal="Distance", strength="Strength").encode(1.0, 1e6)
+
+
+def test_the_telegram_that_is_foreseen_is_the_one_that_comes() -> None:
+    exchange = Exchange(0.012)
+    assert exchange.foreseen() is None
+    for k in range(5):
+        exchange.on_telegram(1000 + 12 * k, k * 12_000_000, "robot")
+    assert exchange.foreseen() == (1060, "robot")
+    exchange.on_missing()
+    assert exchange.foreseen() is None
+    assert exchange.on_telegram(1060, 60_000_000, "robot").answer
