@@ -25,6 +25,8 @@ _ACROSS = np.array((0, 2))
 _SEEN = np.array((0, 2, 3, 4, 5))
 SWING_DEVIATION = 0.008  # of a swing nobody has seen yet [rad]
 REFUSALS = 4  # gated sightings in a row after which the filter widens
+JUMP = 3.0  # times the gate: so far off is no wrong model, and is believed much later
+JUMPED = 20  # so many in a row, half a second: by then it was somebody else's to end the motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +115,10 @@ class Transverse:
         PH = P @ H.T
         S = H @ PH
         S.reshape(-1)[:: STATIC + 1] += variance
-        if not bool((measured * measured <= gate * gate * S.diagonal()).all()):
-            if state.refused + 1 < REFUSALS:
+        beyond = float((measured * measured / S.diagonal()).max()) / (gate * gate)
+        if not beyond <= 1.0:
+            enough = REFUSALS if beyond <= JUMP * JUMP else JUMPED
+            if state.refused + 1 < enough:
                 return changed(state, refused=state.refused + 1), False
             P = P.copy()
             P.flat[: STATIC * (len(P) + 1) : len(P) + 1] += measured * measured

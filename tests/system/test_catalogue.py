@@ -222,6 +222,7 @@ def test_s6_a_stuck_camera_is_done_without() -> None:
         ("distance", "scale", 1000.0),
         ("distance", "scale", -1.0),
         ("camera", "scale", 1e-3),
+        ("camera", "offset", 0.02),
         ("force_torque", "scale", 1000.0),
     ],
 )
