@@ -10,7 +10,10 @@ from linemate.simulators.harness import lockstep, setup
 
 CYCLE_S = 0.004
 OVERRIDES = ("scenario.lead_in_s=1.5", "scenario.duration_s=3.0")
-MOST_OF_A_CYCLE = 0.02
+MOST_OF_A_TURN = 0.12
+"""Of what step, plants and codecs take in the same run: 0.05 where it was measured, which at 4 ms is
+1.1 to 1.6 % of a cycle. The ratio holds on a slow machine and under coverage as well."""
+
 MOST_A_MINUTE = 10e6
 
 
@@ -21,12 +24,17 @@ def test_recording_costs_the_cycle_little_and_its_files_stay_small(tmp_path: Pat
     recorder = Recorder(tmp_path, texts)
     assert recorder.start() is None
     took: list[float] = []
+    turns: list[float] = []
+    ended = time.thread_time()
 
     def keep(entry: LogEntry) -> None:
         # The cycle's own time: what the writer's thread takes, it takes in the slack.
+        nonlocal ended
         began = time.thread_time()
+        turns.append(began - ended)
         recorder.take((entry,))
-        took.append(time.thread_time() - began)
+        ended = time.thread_time()
+        took.append(ended - began)
 
     lockstep.run(made, 0, on_step=keep)
     recorder.close()
@@ -36,8 +44,8 @@ def test_recording_costs_the_cycle_little_and_its_files_stay_small(tmp_path: Pat
     minute = Path(status.file).stat().st_size / (len(took) * CYCLE_S) * 60.0
     quick, median = statistics.quantiles(took, n=10)[0], statistics.median(took)
     print(
-        f"take: p10 {1e6 * quick:.0f}, median {1e6 * median:.0f} us; {minute / 1e6:.1f} MB a minute"
+        f"take: p10 {1e6 * quick:.0f}, median {1e6 * median:.0f} us, "
+        f"{median / statistics.median(turns):.3f} of a turn; {minute / 1e6:.1f} MB a minute"
     )
-    # On a machine that others use as well its cores are slower by half now and then.
-    assert quick < MOST_OF_A_CYCLE * CYCLE_S
+    assert median < MOST_OF_A_TURN * statistics.median(turns)
     assert minute < MOST_A_MINUTE
