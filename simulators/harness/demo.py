@@ -32,7 +32,7 @@ from linemate.simulators.harness import (
     scenario_file,
     table,
 )
-from linemate.simulators.harness.judge import judge
+from linemate.simulators.harness.judge import judge, within_limits
 from linemate.simulators.harness.live import Glimpse, LinkGlimpse, View
 from linemate.simulators.harness.processes import (
     Child,
@@ -217,7 +217,9 @@ def perform(scenario: Scenario, out: Path, *, is_viewed: bool = False) -> dict[s
         evidence = joined.evidence(station.truth, recording, scenario)
         result = judge(evidence)
         result["step_us"] = _step_us(status) or result["step_us"]
-        result["notes"] = _notes(status, truth.load(station.truth)[1])
+        facts = truth.load(station.truth)[1]
+        result["notes"] = _notes(status, facts)
+        result["within_limits"] = within_limits(result, explained=facts["pace"]["slips"])
         leave(out, result, evidence.rows)
         kept = out / f"{scenario.name}-seed{scenario.seed}-{result['cycle_ms']:g}ms.mcap"
         shutil.move(recording, kept)
@@ -395,7 +397,10 @@ def _notes(status: Mapping[str, Any], facts: Mapping[str, Any]) -> list[str]:
     missed = {kind: facts["telegrams"][kind] for kind in ("late", "lost", "refused")}
     if any(missed.values()):
         told = ", ".join(f"{count} {kind}" for kind, count in missed.items() if count)
-        notes.append(f"telegrams without a good reply in time count against the run: {told}")
+        notes.append(
+            f"telegrams without a good reply in time: {told}; they count against the run unless "
+            "the machine was held up as often by the emulators' own clock"
+        )
     pace = facts["pace"]
     if pace["slips"]:
         held_ms = pace["slipped_ns"] / 1e6
