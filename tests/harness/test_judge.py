@@ -9,7 +9,7 @@ import pytest
 
 from linemate.simulators.devices.limits import AxisLimit
 from linemate.simulators.harness import judge as judging
-from linemate.simulators.harness.judge import Evidence, Telegrams, judge
+from linemate.simulators.harness.judge import Evidence, Telegrams, judge, within_limits
 from linemate.simulators.harness.rows import (
     CLAMPED,
     FREE,
