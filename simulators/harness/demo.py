@@ -48,7 +48,7 @@ from linemate.simulators.plants.scenario import Scenario
 START_S = 60.0
 STALL_S = 30.0
 END_S = 15.0
-LOOK_S = 0.1
+LOOK_S = 0.5
 DAEMON_PRIORITY = 70
 EMULATOR_PRIORITY = 60
 """Below the daemon: on a machine with one core to spare the plant's computing would otherwise stand
@@ -88,7 +88,6 @@ class Station:
 
     def daemon_file(self) -> dict[str, Any]:
         """What the daemon is told; it learns of the emulator's plant nothing at all."""
-        shorter = max(0.012 / self.scenario.cycle_s, 1.0)
         return {
             "task": "wheel.yaml",
             "rsi": {"port": 0, "cycle_ms": round(1e3 * self.scenario.cycle_s)},
@@ -98,9 +97,6 @@ class Station:
             "command": {"socket": str(self.command_socket)},
             "recording": {"directory": str(self.folder), "at_start": True},
             "realtime": {"priority": DAEMON_PRIORITY, "lock_memory": True},
-            # A shared machine is held up for milliseconds by its host: as long as is borne at
-            # 12 ms is borne at 4 ms too.
-            "watch": {"missed": round(3 * shorter), "leak_limit": round(10 * shorter)},
             # What was identified of the cell, as after its commissioning.
             **overlay.load(),
         }
