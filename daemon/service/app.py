@@ -200,8 +200,8 @@ class App:
         for link in self._sensors:
             link.open()
         recording = self._station.config.recording
-        if recording is not None and recording.at_start and self._recorder is not None:
-            reason = self._recorder.start()
+        if recording is not None and self._recorder is not None:
+            reason = self._recorder.start() if recording.at_start else self._recorder.open()
             if reason is not None:
                 log.error("not recording: %s", reason)
         if self._station.config.realtime.freeze_collector:

@@ -5,14 +5,17 @@ schemas; Lichtblick, Foxglove Studio and PlotJuggler read them. Rounded to a mic
 microradian: whoever wants every bit reads the steps.
 """
 
+from __future__ import annotations
+
 import json
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from linemate.daemon.inputs import Inputs
-from linemate.daemon.step import Outputs
+if TYPE_CHECKING:  # the process that writes recordings has nothing of the step to load
+    from linemate.daemon.inputs import Inputs
+    from linemate.daemon.step import Outputs
 
 BASE: Final = "base"
 AXES: Final = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")

@@ -47,6 +47,9 @@ _BEFORE_S = 1e-6
 _QUIET = 0.6
 """How long before the next telegram the state is told, in cycles."""
 
+SWITCH_S = 0.0005
+"""So long may the thread that writes states keep the loop from the interpreter [s]."""
+
 __all__ = [
     "SHIPPED_RSI",
     "Emulator",
@@ -456,13 +459,13 @@ def serve(config: EmulatorConfig, out: TextIO = sys.stdout, priority: int = 0) -
     Returns:
         What happened.
     """
-    lines: SimpleQueue[dict[str, Any] | None] = SimpleQueue()
+    lines: SimpleQueue[str | None] = SimpleQueue()
 
     def write() -> None:
         # A disk or a reader that is slow may hold up this thread, and not the telegrams.
         with suppress(OSError, ValueError):
-            while (state := lines.get()) is not None:
-                print(json.dumps(state), file=out, flush=True)
+            while (line := lines.get()) is not None:
+                print(line, file=out, flush=True)
 
     writer = Thread(target=write, name="states", daemon=True)
 
@@ -471,21 +474,25 @@ def serve(config: EmulatorConfig, out: TextIO = sys.stdout, priority: int = 0) -
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.add_signal_handler(number, stop.set)
-        emulator = Emulator(config, lines.put)
+        emulator = Emulator(config, lambda state: lines.put(json.dumps(state)))
         if priority > 0:
             with suppress(OSError):  # without the right to it, telegrams go out less evenly
                 os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        # After that, for it inherits the priority: a thread of the ordinary class that is pushed
+        # aside while it holds the interpreter would hold up the telegrams as well.
+        writer.start()
+        sys.setswitchinterval(SWITCH_S)
         gc.collect()
         gc.freeze()
         gc.disable()  # a collection in motion would be a late telegram
         return await emulator.run(stop)
 
-    writer.start()
     try:
         return asyncio.run(body())
     finally:
         lines.put(None)
-        writer.join()
+        if writer.ident is not None:
+            writer.join()
 
 
 def _rows(scenario: Scenario) -> int:

@@ -22,7 +22,8 @@ from linemate.daemon.recording import encode
 from linemate.daemon.service import task_file
 from linemate.daemon.service.cycle import LogEntry
 from linemate.daemon.service.files import DAEMON_DATA
-from linemate.daemon.service.recorder import StepFile
+from linemate.daemon.service.step_feed import described
+from linemate.daemon.service.step_file import StepFile
 from linemate.daemon.tracking.settings import SwingMode, TrackingSettings
 from linemate.simulators.harness import lockstep, scenario_file
 from linemate.simulators.harness.overlay import laid_over
@@ -91,7 +92,7 @@ def record(setup: Setup, seed: int, path: Path) -> Path:
         "task": text or shipped_task().text,
         "urdf": setup.urdf,
     }
-    file = StepFile(path.open("wb"), texts)
+    file = StepFile(path.open("wb"), described(texts))
 
     def keep(entry: LogEntry) -> None:
         data = encode(entry.ipoc, entry.state, entry.inputs, entry.outputs)

@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 
 from linemate.daemon import recording
 from linemate.daemon.recording import RecordingError, StepRecord
-from linemate.daemon.service.recorder import LAYOUT, METADATA, TOPIC
+from linemate.daemon.service.step_file import LAYOUT, METADATA, TOPIC
 from linemate.simulators.devices import truth
 from linemate.simulators.harness import rows as columns
 from linemate.simulators.harness.judge import Evidence, Telegrams

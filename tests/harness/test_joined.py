@@ -10,7 +10,8 @@ import pytest
 from linemate.daemon import recording
 from linemate.daemon.recording import RecordingError
 from linemate.daemon.service.cycle import LogEntry
-from linemate.daemon.service.recorder import StepFile
+from linemate.daemon.service.step_feed import described
+from linemate.daemon.service.step_file import StepFile
 from linemate.simulators.harness import joined, setup
 from linemate.simulators.harness.lockstep import Lockstep
 from linemate.simulators.harness.rows import Rows
@@ -28,7 +29,7 @@ def run() -> tuple[Lockstep, list[LogEntry]]:
 
 
 def recorded(entries: list[LogEntry], path: Path) -> Path:
-    file = StepFile(path.open("xb"), {"task": "wheel"})
+    file = StepFile(path.open("xb"), described({"task": "wheel"}))
     for entry in entries:
         data = recording.encode(entry.ipoc, entry.state, entry.inputs, entry.outputs)
         file.write(entry.inputs.stamp_ns, data)

@@ -1,6 +1,7 @@
 """Recordings as tables, and recordings made whole."""
 
 import csv
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,8 @@ from linemate.daemon.inputs import Order
 from linemate.daemon.operator import main as tool
 from linemate.daemon.operator.recordings import read
 from linemate.daemon.service.cycle import LogEntry
-from linemate.daemon.service.step_file import Feed, Item, Kind, StepFile
+from linemate.daemon.service.step_feed import Feed, described
+from linemate.daemon.service.step_file import Item, Kind, StepFile
 from linemate.daemon.service.timing import CycleTimes
 
 STEPS = 100
@@ -21,7 +23,11 @@ TEXTS = {"config": "task: wheel.yaml\n", "task": TASK.text, "urdf": TASK.urdf}
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("recordings") / "whole.mcap"
-    file, feed, world = StepFile(path.open("wb"), TEXTS, 8192), Feed(), World(parameters())
+    file, feed, world = (
+        StepFile(path.open("wb"), described(TEXTS), 8192),
+        Feed(),
+        World(parameters()),
+    )
     for k in range(STEPS):
         inputs, before = world.inputs(Order.HOLD), world.state
         outputs = world.take(inputs)
@@ -30,7 +36,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
             file.put(item)
         turnaround = None if k == 0 else 1000 + k
         times = CycleTimes(k, inputs.stamp_ns, None, None, 0, None, turnaround, True, "idle")
-        file.put(Item(Kind.TIMING, inputs.stamp_ns, times))
+        file.put(Item(Kind.TIMING, inputs.stamp_ns, astuple(times)))
     file.close()
     return path
 

@@ -14,9 +14,10 @@ from linemate.daemon.identification.outcome import Estimate, Finding, Refusal
 from linemate.daemon.identify import Identified
 from linemate.daemon.operator import identify, recordings
 from linemate.daemon.operator.recordings import UnreadableRecordingError
-from linemate.daemon.service import recorder
+from linemate.daemon.service import step_file
 from linemate.daemon.service.files import DAEMON_DATA
-from linemate.daemon.service.recorder import StepFile
+from linemate.daemon.service.step_feed import described
+from linemate.daemon.service.step_file import StepFile
 
 TEXTS = {
     "task": (DAEMON_DATA / "wheel.yaml").read_text(),
@@ -32,7 +33,7 @@ def run(*words: str | Path) -> int:
 
 
 def recording(path: Path, texts: Mapping[str, str] = TEXTS, steps: int = 0) -> Path:
-    file = StepFile(path.open("wb"), texts)
+    file = StepFile(path.open("wb"), described(texts))
     for _ in range(steps):
         file.write(1, b"\x00")
     file.close()
@@ -92,9 +93,9 @@ def test_a_file_that_breaks_off_is_read_as_far_as_it_goes(tmp_path: Path) -> Non
 
 def test_reader_and_recorder_mean_the_same_channel() -> None:
     assert (recordings.TOPIC, recordings.METADATA, recordings.LAYOUT) == (
-        recorder.TOPIC,
-        recorder.METADATA,
-        recorder.LAYOUT,
+        step_file.TOPIC,
+        step_file.METADATA,
+        step_file.LAYOUT,
     )
 
 

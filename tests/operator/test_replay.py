@@ -15,7 +15,8 @@ from linemate.daemon.operator.recordings import pieces, read
 from linemate.daemon.recording import StepRecord
 from linemate.daemon.replay import InForce, StateBefore, Texts, distance, replay
 from linemate.daemon.service.cycle import LogEntry
-from linemate.daemon.service.step_file import Feed, StepFile
+from linemate.daemon.service.step_feed import Feed, described
+from linemate.daemon.service.step_file import StepFile
 
 STEPS = 120
 TEXTS = {"config": "task: wheel.yaml\n", "task": TASK.text, "urdf": TASK.urdf}
@@ -31,7 +32,7 @@ def entries(world: World, count: int, order: Order = Order.HOLD) -> Iterator[Log
 
 
 def record(path: Path, steps: Iterator[LogEntry], feed: Feed | None = None) -> Path:
-    file, feed = StepFile(path.open("wb"), TEXTS), feed or Feed()
+    file, feed = StepFile(path.open("wb"), described(TEXTS)), feed or Feed()
     for entry in steps:
         for item in feed.of(entry):
             file.put(item)
@@ -174,7 +175,7 @@ def test_one_flipped_bit_of_a_command_is_found(whole: Path) -> None:
 
 def test_an_older_recording_without_states_begins_where_the_robot_was(tmp_path: Path) -> None:
     path = tmp_path / "older.mcap"
-    file = StepFile(path.open("wb"), TEXTS)
+    file = StepFile(path.open("wb"), described(TEXTS))
     for entry in entries(World(parameters()), 40):
         for item in Feed().of(replace(entry, before=None, after=None, parameters=None)):
             file.put(item)

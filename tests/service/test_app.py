@@ -22,7 +22,7 @@ from linemate.daemon.service import config, realtime
 from linemate.daemon.service.app import App, StartError
 from linemate.daemon.service.files import PROTOCOL_DATA
 from linemate.daemon.service.notify import Notifier
-from linemate.daemon.service.recorder import TOPIC
+from linemate.daemon.service.step_file import TOPIC
 from linemate.daemon.service.task_file import Task
 from linemate.protocol.rsi import RobotTelegram, RsiCodec, SensorTelegram
 from linemate.protocol.rsi_config import parse_config

@@ -6,9 +6,8 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,8 +22,17 @@ from linemate.daemon.parameters import Parameters
 from linemate.daemon.recording import StepRecord, decode, differences
 from linemate.daemon.replay import Verdict, replay
 from linemate.daemon.service.cycle import LogEntry
-from linemate.daemon.service.recorder import LAYOUT, METADATA, TOPIC, Recorder, Rotation, StepFile
-from linemate.daemon.service.step_file import TIMING
+from linemate.daemon.service.recorder import Recorder, Rotation
+from linemate.daemon.service.recording_writer import Beginning, Told, Writer
+from linemate.daemon.service.step_file import (
+    LAYOUT,
+    METADATA,
+    TIMING,
+    TOPIC,
+    Item,
+    Kind,
+    StepFile,
+)
 from linemate.daemon.service.task_file import Task
 from linemate.daemon.service.timing import CycleTimes
 
@@ -45,8 +53,10 @@ def read(path: Path) -> list[StepRecord]:
 
 
 @pytest.fixture
-def recorder(tmp_path: Path) -> Recorder:
-    return Recorder(tmp_path, TEXTS)
+def recorder(tmp_path: Path) -> Iterator[Recorder]:
+    made = Recorder(tmp_path, TEXTS)
+    yield made
+    made.close()
 
 
 def test_a_recording_holds_every_step_and_all_that_a_replay_needs(
@@ -87,12 +97,29 @@ def test_a_second_start_is_refused_and_a_later_one_makes_another_file(
     assert len(list(recorder.directory.glob("*.mcap"))) == 2
 
 
-def test_a_full_queue_drops_steps_and_counts_them(recorder: Recorder, entries: Entries) -> None:
-    recorder.queue = 15
-    recorder.status.recording = True  # a thread that never comes to write
-    recorder.take(entries)
-    assert 5 <= recorder.status.dropped < len(entries)
-    assert len(recorder._waiting) < 15 + 6
+def test_a_writer_that_stands_still_costs_steps_that_are_counted_and_no_cycle(
+    recorder: Recorder, entries: Entries
+) -> None:
+    recorder.queue = 50
+    assert recorder.start() is None
+    wait_for(lambda: recorder.status.files == 1)
+    assert recorder.writer is not None
+    os.kill(recorder.writer, signal.SIGSTOP)
+    try:
+        taken, longest = 0, 0.0
+        while recorder.status.dropped < 100:
+            assert taken < 100_000
+            began = time.thread_time()
+            recorder.take(entries)
+            longest = max(longest, time.thread_time() - began)
+            taken += len(entries)
+            assert len(recorder._waiting) < 50 + 6
+    finally:
+        os.kill(recorder.writer, signal.SIGCONT)
+    wait_for(lambda: recorder.status.written > taken - recorder.status.dropped - 100)
+    recorder.close()
+    assert recorder.status.written == taken - recorder.status.dropped
+    assert len(read(Path(recorder.status.file))) == recorder.status.written
 
 
 def test_a_directory_that_is_gone_is_a_reason_and_no_exception(
@@ -112,19 +139,36 @@ def test_a_step_that_cannot_be_packed_is_counted(recorder: Recorder, entries: En
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
-def test_a_full_disk_ends_the_recording_and_nothing_else(
-    recorder: Recorder, entries: Entries, monkeypatch: pytest.MonkeyPatch
+def test_a_full_disk_ends_the_recording_and_nothing_else(tmp_path: Path) -> None:
+    told: list[Told] = []
+    writer = Writer(told.append)
+    writer.begin(Beginning(1, "/dev/full", {}, 65_536, 0.0, Rotation()))
+    writer.take([Item(Kind.STEP, 1, b"step")])
+    writer.look(1.0)
+    assert "No space left" in told[-1]["failure"]
+    assert told[-1]["ended"]
+    path = tmp_path / "next.mcap"
+    writer.begin(Beginning(2, str(path), {}, 65_536, 0.0, Rotation()))
+    writer.take([Item(Kind.STEP, 1, b"step"), Item(Kind.END, 0)])
+    assert (told[-1]["number"], told[-1]["written"], told[-1]["failure"]) == (2, 1, "")
+    with path.open("rb") as stream:
+        assert [m.data for _, _, m in make_reader(stream).iter_messages(TOPIC)] == [b"step"]
+
+
+def test_what_the_daemon_hears_as_failure_ends_the_recording_and_a_new_one_may_begin(
+    recorder: Recorder, entries: Entries
 ) -> None:
-    full = Path("/dev/full").open("wb")  # noqa: SIM115 -- the recorder closes it
-    monkeypatch.setattr(Path, "open", lambda *_: full)
     assert recorder.start() is None
-    monkeypatch.undo()
+    wait_for(lambda: recorder.status.files == 1)
+    assert recorder.writer is not None
+    os.kill(recorder.writer, signal.SIGKILL)
+    wait_for(lambda: not recorder.status.recording)
+    assert "has ended" in recorder.status.failure
+    recorder.take(entries)
+    assert recorder.start() is None
     recorder.take(entries)
     recorder.close()
-    assert "No space left" in recorder.status.failure
-    assert not recorder.status.recording
-    recorder.take(entries)
-    assert full.closed
+    assert (recorder.status.written, recorder.status.failure) == (len(entries), "")
 
 
 def test_chunks_stay_small_and_are_compressed(entries: Entries) -> None:
@@ -146,22 +190,6 @@ def test_chunks_stay_small_and_are_compressed(entries: Entries) -> None:
     assert all(c.compressed_size < c.uncompressed_size for c in summary.chunk_indexes)
 
 
-def test_the_cycle_does_not_wait_for_a_disk_that_hangs(
-    recorder: Recorder, entries: Entries, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    free = threading.Event()
-    monkeypatch.setattr(StepFile, "write", lambda *_: free.wait(10.0))
-    recorder.queue = 50
-    recorder.start()
-    began = time.perf_counter()
-    for _ in range(20):
-        recorder.take(entries)
-    assert time.perf_counter() - began < 1.0
-    assert recorder.status.dropped >= 340
-    free.set()
-    recorder.close()
-
-
 KILLED = """
 import sys, time
 from pathlib import Path
@@ -170,20 +198,47 @@ from linemate.daemon.service.step_file import Item, Kind
 recorder = Recorder(Path(sys.argv[1]), {}, flush_s=0.05)
 recorder.start()
 for k in range(100):
-    recorder._waiting.append(Item(Kind.STEP, k, b"step %d" % k))
+    recorder._enqueue(Item(Kind.STEP, k, b"step %d" % k))
+    recorder._push()
+if sys.argv[2] == "daemon":
+    print(recorder.status.file, recorder.writer, flush=True)
 while recorder.status.written < 100 or Path(recorder.status.file).stat().st_size < 500:
     time.sleep(0.001)
-print(recorder.status.file, flush=True)
+print(recorder.status.file, recorder.writer, flush=True)
 time.sleep(30)
 """
 
 
-def test_a_killed_process_leaves_a_file_that_can_be_read(tmp_path: Path) -> None:
+def test_a_killed_daemon_loses_nothing_that_it_sent(tmp_path: Path) -> None:
     process = subprocess.Popen(
-        [sys.executable, "-c", KILLED, str(tmp_path)], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", KILLED, str(tmp_path), "daemon"], stdout=subprocess.PIPE, text=True
     )
     assert process.stdout is not None
-    path = process.stdout.readline().strip()
+    path, writer = process.stdout.readline().split()
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    process.stdout.close()
+    wait_for(lambda: not Path(f"/proc/{writer}/fd").exists() or is_over(int(writer)))
+    with Path(path).open("rb") as stream:
+        found = [message.data for _, _, message in make_reader(stream).iter_messages(TOPIC)]
+    assert found == [b"step %d" % k for k in range(100)]
+
+
+def is_over(pid: int) -> bool:
+    """Whether a process that is not our child has ended, or waits to be buried."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return True
+
+
+def test_a_killed_writer_leaves_a_file_that_can_be_read(tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-c", KILLED, str(tmp_path), "writer"], stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    path, writer = process.stdout.readline().split()
+    os.kill(int(writer), signal.SIGKILL)
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     process.stdout.close()
@@ -222,7 +277,7 @@ def test_a_file_that_is_full_is_followed_by_one_that_stands_for_itself(
     steps = chained(entries, parameters)
     assert recorder.start() is None
     recorder.take(steps[:8])
-    wait_for(lambda: recorder._is_full)
+    wait_for(lambda: recorder.status.written == 8 and recorder._is_full)
     recorder.take(steps[8:])
     wait_for(lambda: recorder.status.files == 2)
     recorder.close()
@@ -238,12 +293,12 @@ def test_a_file_that_is_full_is_followed_by_one_that_stands_for_itself(
 def test_a_file_that_is_old_is_followed_by_the_next(tmp_path: Path, entries: Entries) -> None:
     recorder = Recorder(tmp_path, TEXTS, flush_s=0.01, rotation=Rotation(age_s=0.02))
     assert recorder.start() is None
-    for _ in range(3):
-        wait_for(lambda: recorder._is_full)
+    for files in (2, 3, 4):
+        wait_for(lambda: recorder.status.recording and recorder._is_full)
         recorder.take(entries[:1])
-        wait_for(lambda: not recorder._is_full)
+        wait_for(lambda: recorder.status.files >= files)  # noqa: B023 - called at once
     recorder.close()
-    assert recorder.status.files == len(list(tmp_path.glob("*.mcap"))) == 4
+    assert recorder.status.files == len(list(tmp_path.glob("*.mcap"))) >= 4
 
 
 def test_the_oldest_recordings_make_room_and_nothing_else_is_touched(
@@ -269,6 +324,7 @@ def test_a_disk_that_is_nearly_full_ends_the_recording_with_its_file_readable(
     assert recorder.start() is None
     recorder.take(entries)
     wait_for(lambda: not recorder.status.recording)
+    recorder.close()
     assert "MiB are free" in recorder.status.failure
     assert len(read_recording(Path(recorder.status.file)).steps) == len(entries)
 

@@ -14,7 +14,8 @@ from linemate.daemon import rotations
 from linemate.daemon.parameters import Parameters
 from linemate.daemon.service import viewer_messages
 from linemate.daemon.service.cycle import LogEntry
-from linemate.daemon.service.step_file import Feed, StepFile
+from linemate.daemon.service.step_feed import Feed, described
+from linemate.daemon.service.step_file import StepFile
 from linemate.daemon.service.task_file import Task
 
 KINDS: dict[str, tuple[type, ...]] = {
@@ -50,7 +51,10 @@ def recording(
     tmp_path_factory: pytest.TempPathFactory, entries: tuple[LogEntry, ...], task: Task
 ) -> Path:
     path = tmp_path_factory.mktemp("viewers") / "r.mcap"
-    file, feed = StepFile(path.open("wb"), {"urdf": task.urdf}, wall_offset_ns=10**18), Feed()
+    file, feed = (
+        StepFile(path.open("wb"), described({"urdf": task.urdf}), wall_offset_ns=10**18),
+        Feed(),
+    )
     last = entries[-1]
     seen = replace(last.outputs, part=last.outputs.target, sensed=last.outputs.target)
     for entry in (*entries[:-2], replace(last, outputs=seen)):

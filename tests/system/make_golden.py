@@ -10,7 +10,8 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from linemate.daemon.service.cycle import LogEntry
-from linemate.daemon.service.step_file import Feed, Kind, StepFile
+from linemate.daemon.service.step_feed import Feed, described
+from linemate.daemon.service.step_file import Kind, StepFile
 from linemate.simulators.harness import lockstep, setup
 
 GOLDEN = Path(__file__).parent / "golden" / "wheel.mcap"
@@ -23,7 +24,7 @@ def make(path: Path) -> None:
     made = setup.make("wheel", OVERRIDES)
     task = setup.shipped_task()
     texts = {"config": "task: wheel.yaml\n", "task": task.text, "urdf": task.urdf}
-    file, feed = StepFile(path.open("wb"), texts, chunk_bytes=1 << 20), Feed()
+    file, feed = StepFile(path.open("wb"), described(texts), chunk_bytes=1 << 20), Feed()
 
     def keep(entry: LogEntry) -> None:
         for item in feed.of(entry):

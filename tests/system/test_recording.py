@@ -1,7 +1,9 @@
 """A real daemon's recording: it replays to the bit, and a sudden death costs its last second."""
 
 import contextlib
+import os
 import resource
+import select
 import signal
 import socket
 import time
@@ -62,9 +64,33 @@ def test_what_a_daemon_recorded_replays_to_the_bit(tmp_path: Path) -> None:
     assert tool.main(["replay", str(path)]) == 0
 
 
-def test_a_daemon_that_is_killed_loses_its_last_second_at_most(tmp_path: Path) -> None:
+def writer_of(daemon: DaemonProcess) -> int:
+    """The process that writes the daemon's recordings, its only child."""
+    pid = daemon.process.pid
+    (child,) = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    return int(child)
+
+
+def test_a_daemon_that_is_killed_loses_nothing_that_it_told_its_writer(tmp_path: Path) -> None:
+    with DaemonProcess(tmp_path, TEXT) as daemon:
+        exchange(daemon, 2.0)
+        writer = os.pidfd_open(writer_of(daemon))
+        daemon.process.send_signal(signal.SIGKILL)
+        killed_ns = time.monotonic_ns()
+        daemon.process.wait(10.0)
+    assert select.select([writer], [], [], 10.0)[0], "the writer ends when nobody is left"
+    os.close(writer)
+    (path,) = tmp_path.glob("linemate-*.mcap")
+    recording = read(path)
+    assert recording.whole
+    assert killed_ns - recording.steps[-1].inputs.stamp_ns < 1_000_000_000
+    assert tool.main(["replay", str(path)]) == 0
+
+
+def test_a_daemon_killed_with_its_writer_loses_its_last_second_at_most(tmp_path: Path) -> None:
     with DaemonProcess(tmp_path, TEXT) as daemon:
         answered = exchange(daemon, 3.0)
+        os.kill(writer_of(daemon), signal.SIGKILL)
         daemon.process.send_signal(signal.SIGKILL)
         killed_ns = time.monotonic_ns()
         daemon.process.wait(10.0)
@@ -84,7 +110,7 @@ def test_a_disk_that_fills_up_costs_the_recording_and_no_cycle(tmp_path: Path) -
         exchange(daemon, 1.0)
         (path,) = tmp_path.glob("linemate-*.mcap")
         room = path.stat().st_size + 4096
-        resource.prlimit(daemon.process.pid, resource.RLIMIT_FSIZE, (room, room))
+        resource.prlimit(writer_of(daemon), resource.RLIMIT_FSIZE, (room, room))
         steps = daemon.status()["steps"]
         answered = exchange(daemon, 2.0)
         status = daemon.status_once(lambda status: bool(status["recording"]["failure"]))

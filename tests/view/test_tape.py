@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import astuple
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,7 +13,8 @@ from linemate.daemon.inputs import Order
 from linemate.daemon.operator.recordings import UnreadableRecordingError
 from linemate.daemon.operator.recordings import read as read_steps
 from linemate.daemon.service.cycle import LogEntry
-from linemate.daemon.service.step_file import Feed, Item, Kind, StepFile
+from linemate.daemon.service.step_feed import Feed, described
+from linemate.daemon.service.step_file import Item, Kind, StepFile
 from linemate.daemon.service.timing import CycleTimes
 from linemate.daemon.view import foresight, tape
 from linemate.daemon.view.tape import MOST_ASKED, OVERVIEW, SPACING_NS, Tape
@@ -111,7 +113,11 @@ def test_what_a_step_foresaw_is_made_again_and_shown_with_it(tmp_path: Path) -> 
 def recorded(path: Path, steps: int = 100) -> Path:
     """A recording in small chunks, as a daemon's recorder writes it."""
     texts = {"config": "task: wheel.yaml\n", "task": TASK.text, "urdf": TASK.urdf}
-    file, feed, world = StepFile(path.open("wb"), texts, 8192), Feed(), World(parameters())
+    file, feed, world = (
+        StepFile(path.open("wb"), described(texts), 8192),
+        Feed(),
+        World(parameters()),
+    )
     for k in range(steps):
         inputs, before = world.inputs(Order.HOLD), world.state
         outputs = world.take(inputs)
@@ -120,7 +126,7 @@ def recorded(path: Path, steps: int = 100) -> Path:
         for item in feed.of(entry):
             file.put(item)
         times = CycleTimes(k, inputs.stamp_ns, None, None, 0, None, 400_000, True, state)
-        file.put(Item(Kind.TIMING, inputs.stamp_ns, times))
+        file.put(Item(Kind.TIMING, inputs.stamp_ns, astuple(times)))
         if k == 10:
             file.put(Item(Kind.LINE, inputs.stamp_ns, ("alice ordered arm", 2)))
     file.close()
