@@ -257,13 +257,20 @@ def _waits(link: socket.socket, patience_s: float | None) -> bool:
 def _receive(link: socket.socket) -> bytes:
     """Return what has come, after a pause in which more may; empty at the end."""
     time.sleep(PAUSE_S)
-    data = link.recv(PIECE)
+    data = _piece(link)
     while data and len(data) < PIECE and _waits(link, 0.0):
-        more = link.recv(PIECE)
+        more = _piece(link)
         if not more:
             break  # the end is met again at the next look
         data += more
     return data
+
+
+def _piece(link: socket.socket) -> bytes:
+    try:
+        return link.recv(PIECE)
+    except ConnectionResetError:  # the end of a daemon that was killed before it heard us out
+        return b""
 
 
 def _send(link: socket.socket, told: Told) -> None:

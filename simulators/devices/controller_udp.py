@@ -1,8 +1,10 @@
 """The RSI controller on a UDP socket, in real time.
 
-Law of this file: one telegram a cycle on an absolute schedule, and never more: when this process
-itself was held up, the schedule slips as a whole (counted), because a real controller neither
-sends late nor in bursts. Replies are judged by the kernel's stamps, not by when they are read.
+Law of this file: one telegram a cycle on an absolute schedule, and never more. When this process
+itself was held up for part of a cycle, that telegram goes out late and the schedule stands, for the
+world goes by it: the conveyor must not stand still while the host does. Held up for longer, the
+schedule slips as a whole, because a controller does not send in bursts. Both are counted. Replies
+are judged by the kernel's stamps, not by when they are read.
 """
 
 import asyncio
@@ -20,7 +22,10 @@ BUDGET = 32
 GRACE_NS = 500_000
 """How long the plant's computing waits for the reply: on a small machine it would delay it."""
 
-SLIP_AFTER = 0.25
+LATE_AFTER = 0.25
+"""Share of a cycle after which a telegram counts as sent late."""
+
+SLIP_AFTER = 0.75
 """Share of a cycle by which a telegram may go out late before the schedule slips."""
 
 
@@ -50,12 +55,14 @@ class Pace:
     Attributes:
         slips: how often the schedule slipped.
         slipped_ns: by how much in all [ns].
+        late: telegrams sent late, with the schedule kept.
         latest_ns: the latest telegram after its instant, slips apart [ns].
         unsent: telegrams the kernel would not take.
     """
 
     slips: int = 0
     slipped_ns: int = 0
+    late: int = 0
     latest_ns: int = 0
     unsent: int = 0
 
@@ -192,6 +199,7 @@ class ControllerUdp:
             self.pace.slipped_ns += late_ns
             self._due_ns += late_ns
         else:
+            self.pace.late += late_ns > LATE_AFTER * self._cycle_ns
             self.pace.latest_ns = max(self.pace.latest_ns, late_ns)
         return slips
 

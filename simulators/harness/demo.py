@@ -215,7 +215,8 @@ def perform(scenario: Scenario, out: Path, *, is_viewed: bool = False) -> dict[s
         result["step_us"] = _step_us(status) or result["step_us"]
         facts = truth.load(station.truth)[1]
         result["notes"] = _notes(status, facts)
-        result["within_limits"] = within_limits(result, explained=facts["pace"]["slips"])
+        pace = facts["pace"]
+        result["within_limits"] = within_limits(result, explained=pace["slips"] + pace["late"])
         leave(out, result, evidence.rows)
         kept = out / f"{scenario.name}-seed{scenario.seed}-{result['cycle_ms']:g}ms.mcap"
         shutil.move(recording, kept)
@@ -398,11 +399,12 @@ def _notes(status: Mapping[str, Any], facts: Mapping[str, Any]) -> list[str]:
             "the machine was held up as often by the emulators' own clock"
         )
     pace = facts["pace"]
-    if pace["slips"]:
+    if pace["slips"] or pace["late"]:
         held_ms = pace["slipped_ns"] / 1e6
         notes.append(
-            f"the emulators themselves were held up {pace['slips']} times, {held_ms:.0f} ms in "
-            "all: the machine had other work, or its host did"
+            f"the emulators themselves were held up: {pace['late']} telegrams went out late, and "
+            f"{pace['slips']} times the whole schedule slipped, {held_ms:.0f} ms in all: the "
+            "machine had other work, or its host did"
         )
     dropped = (status.get("recording") or {}).get("dropped")
     if dropped:
