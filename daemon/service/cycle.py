@@ -598,6 +598,7 @@ class Cycle:
             "last_refusal": self.last_refusal,
             "unfit": states.unfit(self._signals),
             "sensors": heard["sensors"],
+            "redated": heard["redated"],
             "dropped": {**heard["dropped"], "log": self.log_dropped},
             "ages_s": heard["ages_s"],
         }

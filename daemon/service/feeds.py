@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from linemate.daemon.service.sensor_health import CameraHealth, DistanceHealth, WrenchHealth
+from linemate.protocol.even_clock import EvenClock
 from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
 from linemate.protocol.wrench_clock import WrenchClock
 
@@ -64,6 +65,7 @@ class Feeds:
 
     __slots__ = (
         "_clock",
+        "_even",
         "_was_much",
         "camera",
         "camera_health",
@@ -89,6 +91,7 @@ class Feeds:
         self.camera_health = CameraHealth()
         self.wrench_health = WrenchHealth()
         self._clock = WrenchClock()
+        self._even = EvenClock()
         self._was_much = False
 
     def put_wrench(self, sample: WrenchSample) -> None:
@@ -103,9 +106,8 @@ class Feeds:
             deviation: standard deviation of the distance sensor [m].
             moving: the tool moves.
         """
-        distance = tuple(
-            [s for s in self.distance.take() if self.distance_health.believes(s, deviation)]
-        )
+        distances = self._even.date(self.distance.take())
+        distance = tuple([s for s in distances if self.distance_health.believes(s, deviation)])
         camera = tuple(
             [s for s in self.camera.take() if self.camera_health.believes(s, moving=moving)]
         )
@@ -156,6 +158,7 @@ class Feeds:
                 },
                 "wrench": self.wrench_health.status(now_ns),
             },
+            "redated": {"distance": self._even.redated},
             "dropped": {
                 "distance": self.distance.dropped,
                 "camera": self.camera.dropped,

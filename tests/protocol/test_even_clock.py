@@ -1,0 +1,118 @@
+"""Readings that were read late get the date at which they came, and nothing else is touched."""
+
+import random
+
+from linemate.protocol.even_clock import EvenClock
+from linemate.protocol.samples import DistanceSample
+
+PERIOD_NS = 4_000_000
+BEGIN_NS = 10**12
+
+
+def readings(*stamps_ns: int) -> list[DistanceSample]:
+    return [DistanceSample(stamp_ns, 0.0) for stamp_ns in stamps_ns]
+
+
+def taught(period_ns: int = PERIOD_NS, count: int = 64) -> EvenClock:
+    """A clock that has seen `count` readings; the last came at BEGIN_NS."""
+    clock = EvenClock()
+    for k in range(1 - count, 1):
+        clock.date(readings(BEGIN_NS + k * period_ns))
+    assert clock.redated == 0
+    return clock
+
+
+def dates(clock: EvenClock, *late_ms: float) -> list[float]:
+    """How late readings 1, 2, ... still look [ms] that were read so late in one portion."""
+    came = [BEGIN_NS + (k + 1) * PERIOD_NS for k in range(len(late_ms))]
+    read = [at + round(1e6 * late) for at, late in zip(came, late_ms, strict=True)]
+    dated = clock.date(readings(*read))
+    return [(s.stamp_ns - at) / 1e6 for s, at in zip(dated, came, strict=True)]
+
+
+def test_a_portion_that_was_read_at_once_is_spread_over_the_time_in_which_it_came() -> None:
+    late = dates(taught(), 12.1, 8.1, 4.1, 0.1)
+    assert all(abs(error) < 0.4 for error in late)
+
+
+def test_a_single_reading_that_was_read_late_is_dated_when_it_came() -> None:
+    (late,) = dates(taught(), 1.9)
+    assert 0.0 <= late < 0.1
+
+
+def test_what_was_read_in_time_is_the_same_object() -> None:
+    clock = taught()
+    for k in range(1, 100):
+        (sample,) = readings(BEGIN_NS + k * PERIOD_NS + (k % 3) * 100_000)
+        assert clock.date([sample])[0] is sample
+    assert clock.redated == 0
+
+
+def test_a_lost_reading_moves_no_date() -> None:
+    clock = taught()
+    (sample,) = readings(BEGIN_NS + 2 * PERIOD_NS)
+    assert clock.date([sample])[0] is sample
+    (sample,) = readings(BEGIN_NS + 9 * PERIOD_NS)
+    assert clock.date([sample])[0] is sample
+
+
+def test_a_sensor_that_measures_unevenly_is_left_alone() -> None:
+    source = random.Random(1)
+    clock, at = EvenClock(), BEGIN_NS
+    for _ in range(500):
+        at += round(PERIOD_NS * source.choice((0.3, 1.0, 2.7)))
+        (sample,) = readings(at)
+        assert clock.date([sample])[0] is sample
+
+
+def test_a_sensor_whose_phase_has_moved_is_followed() -> None:
+    clock = taught()
+    shift = 1_500_000
+    for k in range(1, 400):
+        (last,) = clock.date(readings(BEGIN_NS + k * PERIOD_NS + shift))
+    assert BEGIN_NS + 399 * PERIOD_NS + shift - last.stamp_ns <= PERIOD_NS // 8
+    (early,) = clock.date(readings(BEGIN_NS + 400 * PERIOD_NS))
+    assert early.stamp_ns == BEGIN_NS + 400 * PERIOD_NS
+
+
+def test_a_sensor_that_becomes_slower_is_learned_anew() -> None:
+    clock = taught()
+    for k in range(1, 200):
+        (sample,) = readings(BEGIN_NS + k * 3 * PERIOD_NS)
+        (last,) = clock.date([sample])
+    assert last is sample
+    (late,) = clock.date(readings(BEGIN_NS + 600 * PERIOD_NS + 5_000_000))
+    assert abs(late.stamp_ns - (BEGIN_NS + 600 * PERIOD_NS)) < 200_000
+
+
+def test_dates_grow_and_are_never_later_than_the_reading() -> None:
+    source = random.Random(2)
+    clock, last = taught(), BEGIN_NS
+    k = 0
+    for _ in range(300):
+        count = source.randint(0, 5)
+        read = BEGIN_NS + (k + count) * PERIOD_NS + source.randint(0, 2 * PERIOD_NS)
+        k += count
+        portion = readings(*[read + i for i in range(count)])
+        for sample, was in zip(clock.date(portion), portion, strict=True):
+            assert sample.stamp_ns > last or sample.stamp_ns <= was.stamp_ns
+            assert sample.stamp_ns <= max(was.stamp_ns, last + 1)
+            last = sample.stamp_ns
+
+
+def test_a_conveyor_that_runs_evenly_stays_even_on_a_host_that_reads_in_portions() -> None:
+    source = random.Random(3)
+    clock = EvenClock()
+    waiting: list[int] = []
+    worst = 0
+    for k in range(3000):
+        waiting.append(k)
+        if source.random() < 0.1 and len(waiting) < 5:
+            continue  # the host does something else
+        read = BEGIN_NS + k * PERIOD_NS + source.randint(0, 300_000)
+        portion = readings(*[read + 50_000 * i for i in range(len(waiting))])
+        for n, sample in zip(waiting, clock.date(portion), strict=True):
+            if k > 200:
+                worst = max(worst, abs(sample.stamp_ns - BEGIN_NS - n * PERIOD_NS))
+        waiting.clear()
+    assert worst < PERIOD_NS // 3
