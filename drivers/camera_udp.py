@@ -2,6 +2,7 @@
 
 Law of this file: at most a few datagrams a wake, so that a flood on this port never delays the
 robot's; what a datagram means is the decoder's affair, and so is counting what it refuses.
+While one sender's poses come the kernel drops what others send.
 Source: reference/reliability.md, 0 (findings 2 to 4).
 """
 
@@ -11,10 +12,17 @@ from typing import Protocol
 
 from linemate.drivers.backoff import Backoff
 from linemate.drivers.datagrams import Datagram, DatagramLink, DatagramSocket
+from linemate.drivers.sole_sender import SoleSender
 from linemate.protocol.errors import ProtocolError
 from linemate.protocol.samples import CameraSample
 
 BUDGET = 8
+
+SILENCE_S = 0.25
+"""Ten images: after that another camera may come [s]."""
+
+IN_A_ROW = 5
+"""Poses from one port before strangers are kept off; whoever changes it each time is none."""
 
 log = logging.getLogger(__name__)
 
@@ -33,8 +41,8 @@ class CameraLink(DatagramLink):
 
     Attributes:
         status: the link's visible state. Counters: ``received``, ``samples``, ``ignored``,
-            ``refused``, ``oversize``, ``callback_errors``, ``kernel_drops``,
-            ``stamps_refused``.
+            ``refused``, ``oversize``, ``callback_errors``, ``kernel_drops`` (found no room, or
+            came from others while a camera sent), ``stamps_refused``.
     """
 
     def __init__(
@@ -52,15 +60,20 @@ class CameraLink(DatagramLink):
         self._decoder = decoder
         self._on_sample = on_sample
         self._budget = budget
+        self._sole = SoleSender(SILENCE_S, IN_A_ROW, lambda: self.status.last_sample_stamp_ns)
 
     def _read(self, transport: DatagramSocket) -> None:
         for _ in range(self._budget):
             datagram = transport.read()
             if datagram is None:
                 break
-            self._take(datagram)
+            self._take(transport, datagram)
 
-    def _take(self, datagram: Datagram) -> None:
+    def _release(self) -> None:
+        self._sole.forget()
+        super()._release()
+
+    def _take(self, transport: DatagramSocket, datagram: Datagram) -> None:
         self.counters["received"] += 1
         if datagram.oversize:
             self.counters["oversize"] += 1
@@ -76,6 +89,7 @@ class CameraLink(DatagramLink):
             return
         self.counters["samples"] += 1
         self.status.last_sample_stamp_ns = sample.stamp_ns
+        self._sole.good(transport, datagram.source)
         self._deliver(sample)
 
     def _deliver(self, sample: CameraSample) -> None:

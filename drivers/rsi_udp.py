@@ -3,7 +3,8 @@
 Law of this file: bytes in, bytes out. It never sends unasked, never waits, and knows no XML.
 After a stall only the newest telegram of each sender is answered; the older ones are counted,
 for an answer to them would be late. An older one is looked at only if what came after it was
-not worth an answer, so that junk cannot push a telegram aside.
+not worth an answer, so that junk cannot push a telegram aside. While a controller is answered the
+kernel drops what others send; after its silence another one may come.
 A reply that is ready beforehand may go out before the telegram is judged in full: whoever gives
 it has looked at the telegram's counter and shape.
 Source: reference/rsi.md, 1.1; reference/reliability.md, 0; reference/real-time.md, 5.
@@ -23,6 +24,7 @@ from linemate.drivers.datagrams import (
     Received,
 )
 from linemate.drivers.link import why
+from linemate.drivers.sole_sender import SoleSender
 
 BUDGET = 64
 SENDERS = 4
@@ -32,6 +34,9 @@ MOST_SELECTED = 1024
 
 REHEARSAL_NS = 150_000
 """Less time than this before the telegram is not spent on rehearsing [ns]."""
+
+SILENCE_S = 0.1
+"""As long as the exchange believes in a controller of which it hears nothing [s]."""
 
 log = logging.getLogger(__name__)
 
@@ -48,7 +53,8 @@ class RsiLink(DatagramLink):
             ``crowded`` (too many senders at once), ``send_errors``, ``callback_errors``,
             ``express`` (answered with what was ready), ``hasty`` (of these, what the callback
             would not have answered so),
-            ``kernel_drops``, ``stamps_refused``.
+            ``kernel_drops`` (found no room, or came from others while a controller was
+            answered), ``stamps_refused``.
         turnaround_ns: from the arrival of the last answered telegram to its reply [ns].
     """
 
@@ -65,6 +71,12 @@ class RsiLink(DatagramLink):
         self.turnaround_ns: int | None = None
         self._on_telegram = on_telegram
         self._last: tuple[bytes, Address] | None = None
+        self._sole = SoleSender(SILENCE_S, 1, lambda: self.status.last_sample_stamp_ns)
+
+    @property
+    def kept(self) -> Address | None:
+        """The controller that has the port for itself, None while anybody may come."""
+        return self._sole.kept
 
     def attend(self, until_ns: int, express: Express) -> bool:
         """Wait for the one telegram that is about to come, and answer it with what is ready.
@@ -113,6 +125,7 @@ class RsiLink(DatagramLink):
         self.counters["answered"] += 1
         self.status.last_sample_stamp_ns = datagram.stamp_ns
         self.turnaround_ns = sent_ns - datagram.stamp_ns
+        self._sole.good(transport, source)
         if self._ask(datagram) != reply:
             self.counters["hasty"] += 1
         return True
@@ -167,7 +180,12 @@ class RsiLink(DatagramLink):
         self.counters["answered"] += 1
         self.status.last_sample_stamp_ns = datagram.stamp_ns
         self.turnaround_ns = time.monotonic_ns() - datagram.stamp_ns
+        self._sole.good(transport, datagram.source)
         return True
+
+    def _release(self) -> None:
+        self._sole.forget()
+        super()._release()
 
     def _ask(self, datagram: Datagram) -> bytes | None:
         try:

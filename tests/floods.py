@@ -1,7 +1,8 @@
 """Floods from the loopback: ``python tests/floods.py [--rate 20000] [--seconds 5]``.
 
 Law of this file: bounded in rate and time, to ports of the daemon that it started itself. A robot
-asks meanwhile and judges; what it misses while nobody floods is the baseline of the same run.
+asks meanwhile and judges; what it misses while nobody floods is the baseline of the same run. A
+camera sends good poses all the time; those that did not become samples are counted.
 """
 
 import argparse
@@ -18,8 +19,11 @@ from pathlib import Path
 from daemon_process import DaemonProcess
 from plain_robot import CYCLE_S, PlainRobot
 
+from linemate.simulators.devices.camera_sender import CameraSender
+
 MOST_RATE, MOST_SECONDS = 60_000, 10.0
 BATCH_S = 0.002
+POSE_S = 0.025
 JUNK = (
     os.urandom(54),
     b"LM\x01\x01" + os.urandom(50),
@@ -52,6 +56,7 @@ class Told:
         cycles: of the robot, with and without.
         baseline, missed: replies that did not come in their cycle.
         answered_s: how long a genuine status took meanwhile, None if none came.
+        poses, samples: good poses sent during the flood, and what the daemon took of them.
     """
 
     sent: int
@@ -59,12 +64,59 @@ class Told:
     baseline: int
     missed: int
     answered_s: float | None
+    poses: int
+    samples: int
+
+
+class Poses:
+    """A camera at 40 Hz, in a thread of its own."""
+
+    def __init__(self, target: tuple[str, int]) -> None:
+        self.sent = 0
+        self._target = target
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._send)
+
+    def __enter__(self) -> "Poses":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+    def _send(self) -> None:
+        sender = CameraSender()
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+            while not self._over.wait(POSE_S):
+                now_ns = time.monotonic_ns()
+                link.sendto(
+                    sender.datagram(
+                        (0.0, 0.0, 1.0),
+                        (1.0, 0.0, 0.0, 0.0),
+                        None,
+                        exposure_ns=now_ns - 50_000_000,
+                        sent_ns=now_ns,
+                    ),
+                    self._target,
+                )
+                self.sent += 1
+
+
+def _samples(daemon: DaemonProcess) -> int:
+    return int(daemon.status()["links"]["camera"]["counters"].get("samples", 0))
 
 
 def run(daemon: DaemonProcess, port: str, flood: Flood) -> Told:
     """Flood one port of a daemon; ``port`` is robot, camera or command."""
     listening = daemon.listening
     host, number = listening["command"]["udp"] if port == "command" else listening[port]
+    camera = listening["camera"]
+    with Poses((camera[0], camera[1])) as poses:
+        return _flooded(daemon, f"{host}:{number}", flood, poses)
+
+
+def _flooded(daemon: DaemonProcess, target: str, flood: Flood, poses: Poses) -> Told:
     robot = PlainRobot(daemon.robot())
     cycles = round(flood.seconds / CYCLE_S)
     robot.cycles(80)
@@ -72,17 +124,19 @@ def run(daemon: DaemonProcess, port: str, flood: Flood) -> Told:
     asked: list[float | None] = []
     asking = threading.Thread(target=_ask, args=(daemon, asked))
     # A process of its own: the robot's clock must not wait for the flood's interpreter.
-    command = [sys.executable, __file__, "--pour", f"{host}:{number}"]
+    command = [sys.executable, __file__, "--pour", target]
     command += ["--rate", str(flood.rate_hz), "--seconds", str(flood.seconds)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as pouring:
         assert pouring.stdout is not None
         pouring.stdout.readline()
+        sent_before, taken_before = poses.sent, _samples(daemon)
         asking.start()
         missed = robot.cycles(cycles).count(None)
         asking.join()
         sent = int(pouring.stdout.readline())
+        good, taken = poses.sent - sent_before, _samples(daemon) - taken_before
     robot.close()
-    return Told(sent, cycles, baseline, missed, asked[0])
+    return Told(sent, cycles, baseline, missed, asked[0], good, taken)
 
 
 def _pour(target: tuple[str, int], flood: Flood) -> int:
@@ -148,6 +202,7 @@ def main() -> int:
             with DaemonProcess(folder, text) as daemon:
                 told = run(daemon, port, flood)
         bad = told.missed > told.baseline + 0.003 * told.cycles
+        bad = bad or told.samples < 0.99 * told.poses
         failed = failed or bad
         print(f"{port}: {told} {'TOO MANY' if bad else 'good'}", flush=True)
     return 1 if failed else 0

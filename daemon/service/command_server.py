@@ -8,7 +8,6 @@ readers call it. A handler that raises costs its request, never the daemon.
 
 import asyncio
 import contextlib
-import ctypes
 import ipaddress
 import logging
 import os
@@ -23,6 +22,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from linemate.drivers.sole_sender import attach
 from linemate.protocol.command import MAGIC, MAX_FRAME_BYTES, OPERATIONS, CommandError, Role
 from linemate.protocol.command_keys import Key, parse_keys, unsafe_mode
 from linemate.protocol.command_local import LocalAccess, LocalServer
@@ -39,7 +39,6 @@ RECEIVE_BYTES: Final = 2048
 MAX_CONNECTIONS: Final = 16
 TICK_S: Final = 0.02  # telemetry's fastest period
 SO_PEERGROUPS: Final = 59  # missing from the socket module
-SO_ATTACH_FILTER: Final = 26
 SO_MEMINFO: Final = 55
 MEMINFO: Final = struct.Struct("9I")
 UCRED: Final = struct.Struct("3i")
@@ -562,8 +561,5 @@ def _filter_in_kernel(bound: socket.socket) -> None:
         (0x06, 0, 0, 0xFFFFFFFF),
         (0x06, 0, 0, 0),
     ]
-    code = b"".join(struct.pack("HBBI", *instruction) for instruction in program)
-    buffer = ctypes.create_string_buffer(code, len(code))
-    header = struct.pack("HL", len(program), ctypes.addressof(buffer))
     with contextlib.suppress(OSError):
-        bound.setsockopt(socket.SOL_SOCKET, SO_ATTACH_FILTER, header)
+        attach(bound, program)

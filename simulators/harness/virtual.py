@@ -25,6 +25,7 @@ import can
 import serialx
 
 from linemate.daemon.service import clock as daemon_clock
+from linemate.drivers import sole_sender
 from linemate.drivers.datagrams import Address, DatagramSocket
 from linemate.drivers.stamps import SO_TIMESTAMPNS
 from linemate.protocol import distance as distance_codec
@@ -145,6 +146,7 @@ class VirtualSocket(Port):
         super().__init__(world)
         self._address = address
         self._waiting: deque[tuple[bytes, Address, int]] = deque()
+        self._sole: Address | None = None
         world.sockets[address[1]] = self
 
     @property
@@ -154,8 +156,14 @@ class VirtualSocket(Port):
 
     def put(self, data: bytes, source: Address) -> None:
         """A datagram arrives; the kernel stamps it, or drops it."""
+        if self._sole not in {None, source}:
+            return
         if len(self._waiting) < RECEIVE_QUEUE:
             self._waiting.append((data, source, self.world.wall_ns))
+
+    def keep_only(self, source: Address | None) -> None:
+        """As the kernel's filter: only one sender's datagrams arrive, or all."""
+        self._sole = source
 
     def recvmsg(
         self, size: int, _ancillary_bytes: int = 0
@@ -455,6 +463,7 @@ def inhabited(world: VirtualTime) -> Iterator[None]:
         (time, "time_ns", lambda: world.wall_ns),
         (DatagramSocket, "bound", bound),
         (select_module, "select", wait),
+        (sole_sender, "keep_only", lambda endpoint, source: endpoint.keep_only(source)),
         (daemon_clock, "Timer", lambda: VirtualTimer(world)),
         (can, "Bus", lambda **_config: VirtualBus(world)),
         (serialx, "create_serial_connection", connect),
