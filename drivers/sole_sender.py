@@ -30,6 +30,9 @@ LOAD_WORD, LOAD_HALF, JUMP_EQUAL, RETURN = 0x20, 0x28, 0x15, 0x06
 NETWORK = 0xFFF00000  # SKF_NET_OFF
 SOURCE_4, SOURCE_6 = 12, 8
 """Where an IP header has its source address [bytes]."""
+SOONEST_S = 2e-3
+"""A loop's clock is coarser than the kernel's: no look again sooner than that [s]."""
+
 WHOLE, NOTHING = 0xFFFFFFFF, 0
 
 
@@ -144,4 +147,4 @@ class SoleSender:
         if silent_s >= self._silence_s:
             self._widen()
         else:
-            self._look_in(self._silence_s - silent_s)
+            self._look_in(max(self._silence_s - silent_s, SOONEST_S))
