@@ -10,6 +10,7 @@ early. Where the gaps are not even, nothing is touched.
 
 from collections import deque
 from collections.abc import Sequence
+from itertools import pairwise
 
 from linemate.protocol.samples import DistanceSample
 
@@ -94,7 +95,7 @@ class EvenClock:
             return
         self._fresh = 0
         listed = list(arrivals)
-        gaps = [after - before for before, after in zip(listed, listed[1:], strict=False)]
+        gaps = [after - before for before, after in pairwise(listed)]
         median = sorted(gaps)[len(gaps) // 2]
         even = [gap for gap in gaps if abs(gap - median) <= EVEN * median]
         if len(even) >= MOST * len(gaps):

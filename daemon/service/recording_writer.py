@@ -221,9 +221,7 @@ def main(descriptor: int) -> int:
     # The daemon ends this process by closing the socket, whoever else is told to end.
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    # Inherited from the daemon, which may have a core to itself.
-    with contextlib.suppress(OSError):
-        os.sched_setaffinity(0, range(os.cpu_count() or 1))
+    _leave_the_daemons_cores()
     with socket.socket(fileno=descriptor) as link:
         writer = Writer(lambda told: _send(link, told))
         unpacker = msgpack.Unpacker(max_buffer_size=LONGEST)
@@ -238,6 +236,16 @@ def main(descriptor: int) -> int:
             writer.look(time.monotonic())
         writer.end()
     return 0
+
+
+def _leave_the_daemons_cores() -> None:
+    """Run elsewhere, if the daemon has cores of its own and there are others."""
+    inherited = os.sched_getaffinity(0)
+    with contextlib.suppress(OSError):
+        os.sched_setaffinity(0, range(os.cpu_count() or 1))
+        others = os.sched_getaffinity(0) - inherited
+        if others:
+            os.sched_setaffinity(0, others)
 
 
 def _handle(writer: Writer, message: Any) -> None:

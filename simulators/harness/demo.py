@@ -71,10 +71,12 @@ class Station:
     Attributes:
         folder: temporary, for ports, logs and configurations.
         scenario: of the run.
+        cores: the daemon's and the emulators'; empty leaves them to the scheduler.
     """
 
     folder: Path
     scenario: Scenario
+    cores: tuple[tuple[int, ...], tuple[int, ...]] = ((), ())
 
     @property
     def truth(self) -> Path:
@@ -96,7 +98,11 @@ class Station:
             "force_torque": {"url": str(self.folder / "force-torque")},
             "command": {"socket": str(self.command_socket)},
             "recording": {"directory": str(self.folder), "at_start": True},
-            "realtime": {"priority": DAEMON_PRIORITY, "lock_memory": True},
+            "realtime": {
+                "priority": DAEMON_PRIORITY,
+                "lock_memory": True,
+                "cpus": list(self.cores[0]),
+            },
             # What was identified of the cell, as after its commissioning.
             **overlay.load(),
         }
@@ -110,6 +116,7 @@ class Station:
         return {
             "scenario": "scenario.yaml",
             "priority": EMULATOR_PRIORITY,
+            "cpus": list(self.cores[1]),
             "robot_target": listening["robot"],
             "camera_target": listening["camera"],
             # Where the task's own distance sensor stands.
@@ -207,7 +214,9 @@ def perform(scenario: Scenario, out: Path, *, is_viewed: bool = False) -> dict[s
         DemoError, NoAnswerError, RefusedError, TimeoutError: what else went wrong.
     """
     with tempfile.TemporaryDirectory(prefix="linemate-") as name:
-        station = Station(Path(name), scenario)
+        # A core of one's own is a gift to a real-time process, and a cage to any other.
+        cores = host.shared_out() if host.missing_rights() is None else ((), ())
+        station = Station(Path(name), scenario, cores)
         status = _run(station, is_viewed=is_viewed)
         recording = _only_recording(station.folder)
         evidence = joined.evidence(station.truth, recording, scenario)

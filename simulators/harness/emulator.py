@@ -7,7 +7,7 @@ goes to standard output, everything else to standard error.
 
 import sys
 from argparse import Namespace
-from dataclasses import MISSING, Field, field, fields, make_dataclass, replace
+from dataclasses import MISSING, Field, dataclass, field, fields, make_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from linemate.simulators.devices.emulator_config import EmulatorConfig
 from linemate.simulators.devices.faults import REAL, Faults
 from linemate.simulators.harness import host, scenario_file
 
-OWN = ("scenario", "seed", "cycle_ms", "priority")
+OWN = ("scenario", "seed", "cycle_ms", "priority", "cpus")
 EX_UNAVAILABLE = 69
 
 
@@ -36,19 +36,28 @@ EmulatorFile = make_dataclass(
         ("seed", int | None, field(default=None)),
         ("cycle_ms", float | None, field(default=None)),
         ("priority", int | None, field(default=None)),
+        ("cpus", tuple[int, ...], field(default=())),
         *((f.name, f.type, _default(f)) for f in fields(EmulatorConfig) if f.name != "scenario"),
     ],
     frozen=True,
 )
 """What a file may say: EmulatorConfig's fields, and of the scenario its name, its seed (instead of
-its own), its cycle, and the priority of SCHED_FIFO to ask for."""
+its own), its cycle, the priority of SCHED_FIFO to ask for and the only cores to use."""
 
 
-def load(path: Path) -> tuple[EmulatorConfig, int | None]:
+@dataclass(frozen=True, slots=True)
+class Wishes:
+    """What the host is asked for: a priority of SCHED_FIFO, and cores; None and empty for none."""
+
+    priority: int | None
+    cpus: tuple[int, ...]
+
+
+def load(path: Path) -> tuple[EmulatorConfig, Wishes]:
     """Read a file.
 
     Returns:
-        The station, and the real-time priority to ask for.
+        The station, and what to ask the host for.
 
     Raises:
         FileError: every error at once.
@@ -71,7 +80,7 @@ def load(path: Path) -> tuple[EmulatorConfig, int | None]:
             name: path.parent / value if isinstance(value, Path) else value
             for name, value in values.items()
         }
-        return EmulatorConfig(scenario=scenario, **placed), told.priority
+        return EmulatorConfig(scenario=scenario, **placed), Wishes(told.priority, told.cpus)
     except ValueError as error:
         raise FileError([document.line(Complaint((), str(error)))]) from error
 
@@ -88,11 +97,9 @@ def main(args: Namespace) -> int:
     Raises:
         FileError: what is wrong with the file.
     """
-    config, priority = load(args.config)
-    if priority is not None:
-        refused = host.take_priority(priority)
-        if refused is not None:
-            print(f"linemate-sim emulator: {refused}", file=sys.stderr)
+    config, wishes = load(args.config)
+    for refused in host.grant(wishes.priority, wishes.cpus):
+        print(f"linemate-sim emulator: {refused}", file=sys.stderr)
     try:
         serve(config)
     except (OSError, ProtocolError) as error:

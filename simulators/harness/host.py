@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import platform
 import resource
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,13 +45,34 @@ def missing_rights() -> str | None:
     return None
 
 
-def take_priority(priority: int) -> str | None:
-    """Ask for SCHED_FIFO for this process; return why it was refused, None if granted."""
+def grant(priority: int | None, cpus: Sequence[int]) -> Iterator[str]:
+    """Ask for a priority and cores for this process; say what was refused, and why.
+
+    Args:
+        priority: of SCHED_FIFO, None leaves the scheduler alone.
+        cpus: the only ones to use, empty leaves them alone.
+    """
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        if cpus:
+            os.sched_setaffinity(0, cpus)
     except (OSError, ValueError) as error:
-        return f"SCHED_FIFO {priority} refused ({error})"
-    return None
+        yield f"cores {list(cpus)} refused ({error})"
+    try:
+        if priority is not None:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except (OSError, ValueError) as error:
+        yield f"SCHED_FIFO {priority} refused ({error})"
+
+
+def shared_out() -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Share the cores out: one for the daemon, the rest for all others; empty where there is one.
+
+    A real-time process that wakes every few milliseconds is better off on a core of its own: a
+    scheduler that moves it now and then is late by more than the cycle bears (measured on two
+    cores, beside another one at 4 ms: 1 to 3 wakes of 1500 later than 1 ms, 3 to 23 without).
+    """
+    cores = sorted(os.sched_getaffinity(0))
+    return ((), ()) if len(cores) < 2 else ((cores[-1],), tuple(cores[:-1]))
 
 
 def _processor() -> str | None:

@@ -19,13 +19,13 @@ def test_names_seeds_and_paths_are_taken_from_the_file(tmp_path: Path) -> None:
         "scenario: wheel\nseed: 7\ncycle_ms: 4\npriority: 60\ncan_link: can\n"
         "robot_target: [127.0.0.1, 50000]\ntruth: /elsewhere/truth.npz\n"
     )
-    config, priority = emulator.load(path)
+    config, wishes = emulator.load(path)
     assert config.scenario.seed == 7
     assert config.scenario.cycle_s == 0.004
     assert config.can_link == tmp_path / "can"
     assert config.truth == Path("/elsewhere/truth.npz")
     assert config.robot_target == ("127.0.0.1", 50000)
-    assert priority == 60
+    assert wishes == emulator.Wishes(60, ())
 
 
 @pytest.mark.parametrize(
