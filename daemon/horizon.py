@@ -5,16 +5,17 @@ how it will be followed. Poses stand in the *nominal frame* c: its axes are thos
 object (y along the conveyor), its origin is that of base.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from linemate.protocol.frozen import frozen
+
 Array = NDArray[np.floating[Any]]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Horizon:
     """Desired tcp poses at steps k + i, i = 0..n.
 

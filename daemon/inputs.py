@@ -4,9 +4,9 @@ Law of this file: a step sees its ``Inputs`` and nothing else, so a recording of
 exactly. Empty means "no new sample"; ``robot`` is None in a step without a telegram.
 """
 
-from dataclasses import dataclass
 from enum import StrEnum
 
+from linemate.protocol.frozen import frozen
 from linemate.protocol.samples import CameraSample, DistanceSample, RobotSample, WrenchSample
 
 
@@ -18,7 +18,7 @@ class Order(StrEnum):
     RETREAT = "retreat"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen()
 class Inputs:
     """What one sampling step is given.
 

@@ -8,8 +8,6 @@ can be ready before its telegram comes; nothing is lost by it, the commands are 
     smooth -> damp -> inverse kinematics -> feed-forward -> limits -> q_c
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from linemate.daemon import rotations
@@ -22,6 +20,7 @@ from linemate.daemon.parameters import Parameters
 from linemate.daemon.tracking import tracker as tracking
 from linemate.daemon.tracking.reference import Reference
 from linemate.daemon.tracking.task import Phase
+from linemate.protocol.frozen import frozen
 from linemate.protocol.samples import RobotSample
 
 Pose = tuple[float, float, float, float, float, float, float]
@@ -33,7 +32,7 @@ REST_DISTANCE = 0.02  # from the programme's first pose, at most, to start [m]
 REST_ANGLE = 0.05  # [rad]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(slots=False, eq=False)
 class State:
     """Everything a step remembers.
 
@@ -49,7 +48,7 @@ class State:
     moving: bool = False
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Outputs:
     """What one step says.
 

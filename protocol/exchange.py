@@ -16,6 +16,7 @@ from linemate.protocol.exchange_controller import (
     ControllerExchange,
     Judgement,
 )
+from linemate.protocol.frozen import frozen
 
 __all__ = [
     "TABLE",
@@ -121,7 +122,7 @@ TABLE: dict[State, dict[Event, Transition]] = {
 _DOUBTFUL = frozenset({Event.SAME, Event.MISSED, Event.OLDER, Event.STRAY})
 
 
-@dataclass(frozen=True, slots=True)
+@frozen()
 class Verdict:
     """What to do with one telegram.
 

@@ -5,15 +5,16 @@ number to reckon with and as the digits on the wire, because it is echoed digit 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
+from linemate.protocol.frozen import frozen
 from linemate.protocol.samples import Vector6
 
 Channel = float | int | bool | str
 """A value of a DOUBLE, LONG, BOOL or STRING channel, in the wire's own unit."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen()
 class RobotTelegram:
     """What the controller says in one cycle.
 
@@ -42,7 +43,7 @@ class RobotTelegram:
     channels: Mapping[str, Channel] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
+@frozen()
 class SensorTelegram:
     """What the daemon answers in one cycle: corrections.
 
@@ -66,7 +67,7 @@ class SensorTelegram:
     message: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen()
 class PreparedReply:
     """A reply that lacks only its IPOC, made before its telegram arrives."""
 

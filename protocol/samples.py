@@ -5,8 +5,9 @@ decoded, and travels unchanged through the step and into a recording. Stamps are
 nanoseconds of the local monotonic clock at *arrival*; a sensor's own delay is beside it.
 """
 
-from dataclasses import dataclass
 from typing import NewType
+
+from linemate.protocol.frozen import frozen
 
 Stamp = NewType("Stamp", int)
 """Monotonic time of arrival [ns]."""
@@ -17,7 +18,7 @@ Quaternion = tuple[float, float, float, float]
 """Unit quaternion, w first."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen()
 class DistanceSample:
     """One reading of the distance sensor at the conveyor.
 
@@ -32,7 +33,7 @@ class DistanceSample:
     strength: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen()
 class CameraSample:
     """One pose of an object as a camera saw it.
 
@@ -63,7 +64,7 @@ class CameraSample:
     reset: int = 0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen()
 class WrenchSample:
     """One reading of the force-torque sensor, in the sensor's frame.
 
@@ -84,7 +85,7 @@ class WrenchSample:
     temperature: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@frozen()
 class RobotSample:
     """What the robot controller said of itself in one telegram.
 

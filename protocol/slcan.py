@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from linemate.protocol.errors import ProtocolError
+from linemate.protocol.frozen import frozen
 
 OK = b"\r"
 """Answer to a command that was done."""
@@ -44,7 +45,7 @@ class SlcanError(ProtocolError):
         self.line = line
 
 
-@dataclass(frozen=True, slots=True)
+@frozen()
 class CanFrame:
     """One classic CAN frame.
 

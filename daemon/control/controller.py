@@ -17,6 +17,7 @@ from linemate.daemon.control.limits import Limits
 from linemate.daemon.control.settings import BrakeSettings, ControlSettings
 from linemate.daemon.control.smoothing import smoothing_taps
 from linemate.daemon.horizon import Array, Horizon
+from linemate.protocol.frozen import frozen
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
 
@@ -60,7 +61,7 @@ class Controller:
         return len(self.servo) - 1 - self.servo_past
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(slots=False, eq=False)
 class ControlState:
     """What control remembers.
 

@@ -9,12 +9,13 @@ Axis by axis in plain floats: for seven axes that is a quarter of what arrays co
 
 import math
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from linemate.daemon.horizon import Array
+from linemate.protocol.frozen import frozen
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +54,7 @@ class Limits:
         return tuple(AxisBounds(*row) for row in rows)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class GateState:
     """The last command and its differences, and what had been desired.
 
@@ -179,7 +180,6 @@ def _is_clear(axis: _Axis, wanted: float, bounds: AxisBounds, period: float) -> 
     return left >= abs(wanted) * (0.5 * abs(wanted) / bounds.jerk + 1.5 * period)
 
 
-@lru_cache(maxsize=64)
 def _stopping_way(bounds: AxisBounds, period: float) -> float:
     """Return the room from which ``_speed_before`` allows full speed."""
     c = 2.0 * bounds.acceleration / bounds.jerk + 3.0 * period

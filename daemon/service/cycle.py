@@ -23,6 +23,7 @@ from linemate.daemon.service.states import Machine, Signals, State
 from linemate.daemon.service.step_log import LONGEST_LOG, LogEntry, StepLog
 from linemate.daemon.tracking.task import Phase
 from linemate.protocol.exchange import Exchange, Kind, Verdict
+from linemate.protocol.frozen import frozen
 from linemate.protocol.rsi import PreparedReply, RobotTelegram, RsiCodec, RsiError
 from linemate.protocol.samples import (
     CameraSample,
@@ -74,7 +75,7 @@ class _Swap:
     anew: bool
 
 
-@dataclass(frozen=True, slots=True)
+@frozen()
 class _Prepared:
     """A step made before its telegram, its reply but for the IPOC."""
 

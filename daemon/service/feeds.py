@@ -5,11 +5,11 @@ step takes is what came before it and can be believed, and nothing waits for a s
 """
 
 from collections import deque
-from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from linemate.daemon.service.sensor_health import CameraHealth, DistanceHealth, WrenchHealth
 from linemate.protocol.even_clock import EvenClock
+from linemate.protocol.frozen import frozen
 from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
 from linemate.protocol.wrench_clock import WrenchClock
 
@@ -44,7 +44,7 @@ class Inbox(Generic[Sample]):
         return samples
 
 
-@dataclass(frozen=True, slots=True)
+@frozen()
 class Taken:
     """The samples of one step, oldest first."""
 

@@ -220,17 +220,21 @@ class Collector:
     quick: int = 0
     full: int = 0
     _cycles: int = 0
+    _has_frozen: bool = False
 
     def freeze(self) -> None:
         """Everything made so far is there to stay."""
         gc.collect()
         gc.freeze()
         gc.disable()
+        self._has_frozen = True
 
     def thaw(self) -> None:
-        """Give the collector back."""
-        gc.enable()
-        gc.unfreeze()
+        """Give the collector back, if it was taken here."""
+        if self._has_frozen:
+            self._has_frozen = False
+            gc.enable()
+            gc.unfreeze()
 
     def slack(self, *, moving: bool) -> None:
         """Collect the youngest now and then; everything only while nothing moves.

@@ -33,7 +33,12 @@ BATCH: Final = 64
 BATCHES: Final = 4
 """Messages a call: so fast a queue empties that a slow disk has let grow."""
 
+PUSH_NS: Final = 25_000_000
+"""So long items are gathered before they are handed on: a call of the kernel costs as much as a
+step's bytes. It is what a killed daemon loses of its own [ns]."""
+
 HEAR_EVERY: Final = 8
+"""Of those calls, one in so many listens."""
 
 log = logging.getLogger(__name__)
 
@@ -88,11 +93,13 @@ class Recorder:
     _link: WriterLink | None = None
     _number: int = 0
     _calls: int = 0
+    _pushed_ns: int = 0
     _is_full: bool = False
 
     @property
     def status(self) -> RecorderStatus:
         """How it stands, as far as the writer has told."""
+        self._push()
         self._hear()
         return self._status
 
@@ -170,6 +177,12 @@ class Recorder:
             self._take_step(entry)
         for one in times:
             self._enqueue(Item(Kind.TIMING, one.arrival_ns, _times(one)))
+        if not self._waiting:
+            return
+        newest_ns = self._waiting[-1].stamp_ns
+        if 0 <= newest_ns - self._pushed_ns < PUSH_NS:
+            return
+        self._pushed_ns = newest_ns
         self._push()
         self._calls += 1
         if self._calls % HEAR_EVERY == 0:

@@ -5,16 +5,16 @@ cycle waits for anybody who reads it.
 """
 
 from collections import deque
-from dataclasses import dataclass
 
 from linemate.daemon import step as stepping
 from linemate.daemon.inputs import Inputs
 from linemate.daemon.parameters import Parameters
+from linemate.protocol.frozen import frozen
 
 LONGEST_LOG = 256
 
 
-@dataclass(frozen=True, slots=True)
+@frozen()
 class LogEntry:
     """One step as the recorder wants it.
 

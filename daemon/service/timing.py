@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Final
 
 from linemate.daemon.service.histogram import Histogram
+from linemate.protocol.frozen import frozen
 
 KEPT_S: Final = 2.0
 PAUSE_S: Final = 10.0
@@ -19,7 +20,7 @@ PAUSE_S: Final = 10.0
 SENSORS: Final = ("distance", "camera", "wrench")
 
 
-@dataclass(frozen=True, slots=True)
+@frozen()
 class CycleTimes:
     """One cycle. Times are [ns], None where there was no such thing.
 

@@ -10,8 +10,9 @@ from __future__ import annotations
 import json
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
+
+from linemate.protocol.frozen import frozen
 
 if TYPE_CHECKING:  # the process that writes recordings has nothing of the step to load
     from linemate.daemon.inputs import Inputs
@@ -115,7 +116,7 @@ TOPICS: Final[dict[str, str]] = {
 """Topics and the schema of each."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen()
 class Glimpse:
     """What a viewer is shown of one step.
 

@@ -12,6 +12,7 @@ from typing import Annotated
 from annotated_types import Ge, Gt, Le
 
 from linemate.daemon.service.states import Link, Machine, Signals, State
+from linemate.protocol.frozen import frozen
 
 Positive = Annotated[float, Gt(0.0)]
 Count = Annotated[int, Ge(1), Le(100_000)]
@@ -67,7 +68,7 @@ class WatchSettings:
     longest_retreat_s: Positive = 20.0
 
 
-@dataclass(frozen=True, slots=True)
+@frozen()
 class Facts:
     """What one cycle showed, as it was.
 
@@ -107,7 +108,7 @@ class Facts:
     orders: frozenset[str] = frozenset()
 
 
-@dataclass(frozen=True, slots=True)
+@frozen()
 class Watch:
     """What must be remembered from cycle to cycle.
 

@@ -5,7 +5,6 @@ programmed to the sensed motion without a step. Poses (m, 6) in c.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -13,9 +12,10 @@ import numpy as np
 from linemate.daemon import rotations
 from linemate.daemon.horizon import Array
 from linemate.daemon.tracking.settings import SwingMode
+from linemate.protocol.frozen import frozen
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Part:
     """The object over the horizon, in c.
 

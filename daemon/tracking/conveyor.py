@@ -8,13 +8,13 @@ without any loss.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Protocol
 
 import numpy as np
 
 from linemate.daemon.horizon import Array
+from linemate.protocol.frozen import frozen
 
 
 class Motion(StrEnum):
@@ -34,7 +34,7 @@ class Source(StrEnum):
     TACTILE = "tactile"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen()
 class Row:
     """One measured component along the conveyor, (1), (8) and (10).
 
@@ -53,7 +53,7 @@ class Row:
     gate: float
 
 
-@dataclass(frozen=True, slots=True)
+@frozen()
 class View:
     """What a classifier believes now.
 

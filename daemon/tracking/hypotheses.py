@@ -15,9 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from linemate.daemon.horizon import Array
+from linemate.protocol.frozen import frozen
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Bank:
     """Hypotheses, youngest first.
 
@@ -66,7 +67,7 @@ class Prior:
     variance: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Verdict:
     """What a bank's evidence says.
 

@@ -5,14 +5,14 @@ never changes, so the arm's inverse kinematics can rely on it.
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from linemate.daemon.horizon import Array
+from linemate.protocol.frozen import frozen
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class AxisPlan:
     """What the axis will do.
 

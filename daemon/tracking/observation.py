@@ -6,17 +6,17 @@ pose is interpolated between telegrams, so that a delay need not be a whole numb
 
 import math
 from bisect import bisect_left
-from dataclasses import dataclass
 
 import numpy as np
 
 from linemate.daemon import rotations
 from linemate.daemon.horizon import Array
 from linemate.daemon.tracking.settings import CameraNoise, TactileNoise
+from linemate.protocol.frozen import frozen
 from linemate.protocol.samples import CameraSample, WrenchSample
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class History:
     """Where the undeflected tcp was, in c, newest last.
 
@@ -65,7 +65,7 @@ def rate_now(history: History) -> Array:
     return rate
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Sighting:
     """One measured pose of the object in c.
 
@@ -118,7 +118,7 @@ def sight(
     return Sighting(position, rotation, (now_ns - sample.exposure_ns) * 1e-9, variance)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Wrench:
     """The mean of the wrenches that came since the last step.
 

@@ -30,6 +30,7 @@ from linemate.daemon.tracking.reference import Reference, Table, barrier, last_s
 from linemate.daemon.tracking.settings import TrackingSettings
 from linemate.daemon.tracking.task import Gate, Phase, TaskFile
 from linemate.daemon.tracking.transverse import Transverse, TransverseState
+from linemate.protocol.frozen import frozen
 from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
 
 TOUCHES = 2  # steps in a row that make a contact
@@ -123,7 +124,7 @@ class TrackerState:
     readings: tuple[float, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Report:
     """What one step of tracking has to say beside the horizon.
 
@@ -151,7 +152,7 @@ class Report:
     refused: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen(eq=False)
 class Measurements:
     """One step's samples and where the robot is."""
 

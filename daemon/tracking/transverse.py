@@ -18,6 +18,7 @@ from linemate.daemon.changed import changed
 from linemate.daemon.horizon import Array
 from linemate.daemon.tracking.observation import Sighting
 from linemate.daemon.tracking.settings import FusionSettings, SwingMode
+from linemate.protocol.frozen import frozen
 
 X, Z, TURN = 0, 1, 2  # rows of x, z, and of the first of three turns
 STATIC = 5  # states that do not swing
@@ -29,7 +30,7 @@ JUMP = 3.0  # times the gate: so far off is no wrong model, and is believed much
 JUMPED = 20  # so many in a row, half a second: by then it was somebody else's to end the motion
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(slots=False, eq=False)
 class TransverseState:
     """Belief across the conveyor.
 

@@ -14,6 +14,7 @@ from operator import add
 from typing import Literal
 
 from linemate.protocol.exchange import ControllerCounts, ControllerExchange, Judgement
+from linemate.protocol.frozen import frozen
 from linemate.protocol.rsi import (
     Channel,
     Element,
@@ -38,7 +39,7 @@ Seven = tuple[float, float, float, float, float, float, float]
 """A1..A6 [rad] and E1 [m]."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen()
 class RobotReading:
     """What the controller knows of its robot at a cycle's start.
 
@@ -90,7 +91,7 @@ class ControllerConfig:
         return max(1, round(self.cycle_s * 1e3))
 
 
-@dataclass(frozen=True, slots=True)
+@frozen()
 class Applied:
     """What became of one cycle.
 

@@ -7,6 +7,7 @@ seed, and has to leave the same trace.
 """
 
 import argparse
+import gc
 import os
 import subprocess
 import sys
@@ -99,14 +100,31 @@ def _swarm(seeds: range, workers: int, keep: Path | None) -> int:
 
 def _lives(seeds: Iterable[int], workers: int) -> Iterator[tuple[int, tuple[str, ...], str]]:
     if workers == 1:
-        yield from map(_live_seed, seeds)
+        _settle()
+        try:
+            yield from map(_live_seed, seeds)
+        finally:
+            gc.enable()
+            gc.unfreeze()
         return
-    with ProcessPoolExecutor(workers) as pool:
+    with ProcessPoolExecutor(workers, initializer=_settle) as pool:
         yield from pool.map(_live_seed, seeds, chunksize=CHUNK)
+
+
+def _settle() -> None:
+    """Load and compile what all runs share, and let the collector leave it alone."""
+    from linemate.simulators.harness import dst_run
+
+    dst_run.compiled()
+    gc.collect()
+    gc.freeze()
+    gc.disable()
 
 
 def _live_seed(seed: int) -> tuple[int, tuple[str, ...], str]:
     violations, digest = _live(dst_plan.draw(seed))
+    if seed % CHUNK == 0:
+        gc.collect()
     return seed, violations, digest
 
 

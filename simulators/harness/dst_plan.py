@@ -14,8 +14,12 @@ from typing import Any
 from linemate.simulators.devices.faults import KINDS
 from linemate.simulators.plants.scenario import Conveyor, ConveyorEvent, Fault
 
-SHORTEST_S, LONGEST_S = 1.5, 2.5
-"""Scenario time at which a run may end [s]; the lead-in comes before."""
+SHORTEST_S, LONGEST_S = 1.4, 2.1
+"""Scenario time at which a run may end [s]; the lead-in of 0.6 s comes before, and whatever an
+operator needs to track again after it."""
+
+MILD_SHARE = (0.5, 1.0)
+"""Until when a link that is a little worse stays so, of a run."""
 
 FIRST_S = -0.4
 """When trouble begins at the earliest, in scenario time; the daemon is hardly ready then [s]."""
@@ -150,12 +154,13 @@ def _trouble(density: int, chance: random.Random, duration_s: float) -> tuple[Fa
 
 
 def _mild(chance: random.Random, duration_s: float) -> Fault:
-    """A link that is a little worse than it should be, all the time."""
+    """A link that is a little worse than it should be, most of the time."""
     link = chance.choice(("robot", "reply", *SENSORS))
     kinds = [k for k in ("loss", "duplicate", "reorder", "jitter") if k in KINDS[link]]
     kind = chance.choice(kinds)
     value = chance.uniform(2e-4, 2e-3) if kind == "jitter" else chance.uniform(0.002, 0.05)
-    return Fault(FIRST_S, link, kind, round(duration_s - FIRST_S, 3), round(value, 6))
+    lasting_s = duration_s * chance.uniform(*MILD_SHARE) - FIRST_S
+    return Fault(FIRST_S, link, kind, round(lasting_s, 3), round(value, 6))
 
 
 def _swizzle(chance: random.Random, duration_s: float) -> tuple[Fault, ...]:

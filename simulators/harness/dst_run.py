@@ -115,6 +115,7 @@ def station(lead_ms: float | None = None) -> Station:
     return replace(plain, config=replace(plain.config, realtime=realtime_settings))
 
 
+@cache
 def compiled() -> Parameters:
     """The daemon's parameters, once a process."""
     task, said = station().task, station().config

@@ -185,7 +185,7 @@ def test_shrinking_leaves_the_one_fault_that_matters(monkeypatch: pytest.MonkeyP
         return (("limits: of axis 3",) if guilty in plan.faults else ("order: lost",)), ""
 
     monkeypatch.setattr(dst, "_live", live)
-    assert dst.shrink(plan, "limits") == Plan(9, duration_s=1.5, faults=(guilty,))
+    assert dst.shrink(plan, "limits") == Plan(9, duration_s=dst_plan.SHORTEST_S, faults=(guilty,))
 
 
 def test_a_plan_that_failed_is_kept_once_for_each_kind(
