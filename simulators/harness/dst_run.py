@@ -190,6 +190,7 @@ class Simulation:
         )
         brake = control.brake
         self.oracle = Oracle(CYCLE_S, (*(brake.acceleration,) * 6, brake.axis_acceleration))
+        self.oracle.holds = lambda: self.controller.setpoints
         self.app: App | None = None
         self.robot = _Robot(self)
         self.operator = _Operator(self)
