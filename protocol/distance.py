@@ -161,8 +161,6 @@ def _layout(
 ) -> _Layout:
     """Resolve names once, so that a frame costs no look-up."""
     found = _find_message(_load(dbc), message)
-    if found.is_container:
-        raise DistanceError(f"message {message} is a container, which no sensor sends")
     position = _find_signal(found, signal)
     unit = _METRES_PER_UNIT.get(position.unit or "")
     if unit is None:

@@ -140,9 +140,8 @@ class WrenchDecoder(ABC):
         samples.append(sample)
 
     def _drop(self, count: int) -> None:
-        if count:
-            self.garbage_bytes += count
-            self._lost = True
+        self.garbage_bytes += count
+        self._lost = True
 
     def _hunt(self, buffer: bytes, position: int) -> int:
         """Where the next header, or the start of one at the very end, is; drops up to there."""

@@ -274,3 +274,51 @@ def test_moving_is_not_standing() -> None:
     turning = GateState(REST[3], rest.speed, np.full(3, 0.02), REST[3], rest.speed)
     assert not limits.stands(creeping)
     assert not limits.stands(turning)
+
+
+GENTLE = Limits(
+    HOUSE.lower,
+    HOUSE.upper,
+    HOUSE.speed,
+    0.25 * HOUSE.acceleration,
+    0.25 * HOUSE.jerk,
+    HOUSE.names,
+)
+
+
+@pytest.mark.parametrize("period", CYCLES)
+def test_a_gentle_stop_stays_gentle_and_comes_to_rest(period: float) -> None:
+    before = run([REST[3] + np.array((0.5, 0.3, 0.8))] * int(0.4 / period), HOUSE, period)
+    state = before.states[-1]
+    after = []
+    for _ in range(int(6.0 / period)):
+        state = limits.brake(state, HOUSE, period, GENTLE)
+        after.append(state)
+    assert limits.stands(state)
+    assert_within(np.vstack((before.commands, [s.position for s in after])), HOUSE, period)
+    taken = np.array([s.acceleration for s in after])
+    # Once what the motion itself had is let go, no more than the gentle deceleration is used.
+    ripe = int(0.3 / period)
+    assert (np.abs(taken[ripe:]) <= GENTLE.acceleration * (1.0 + 1e-9) + 1e-9).all()
+    jerk = np.abs(np.diff(taken[ripe:], axis=0)) / period
+    assert (jerk <= GENTLE.jerk * (1.0 + 1e-9) + 1e-6).all()
+
+
+@pytest.mark.parametrize("period", CYCLES)
+def test_an_acceleration_beyond_the_gentle_one_is_let_go_at_the_jerk_of_the_limits(
+    period: float,
+) -> None:
+    rest = limits.at_rest(REST[3])
+    for way in (-1.0, 1.0):
+        hard = way * 0.9 * HOUSE.acceleration
+        state = GateState(REST[3], way * 0.5 * HOUSE.speed, hard, REST[3], rest.speed)
+        after = limits.brake(state, HOUSE, period, GENTLE)
+        fallen = way * (hard - after.acceleration)
+        whole = np.abs(hard) + GENTLE.acceleration
+        assert np.allclose(fallen, np.minimum(HOUSE.jerk * period, whole), rtol=1e-6)
+        soft = way * 0.9 * GENTLE.acceleration
+        state = GateState(REST[3], way * 0.5 * HOUSE.speed, soft, REST[3], rest.speed)
+        after = limits.brake(state, HOUSE, period, GENTLE)
+        fallen = way * (soft - after.acceleration)
+        whole = np.abs(soft) + GENTLE.acceleration
+        assert np.allclose(fallen, np.minimum(GENTLE.jerk * period, whole), rtol=1e-6)

@@ -1,11 +1,35 @@
 """Branches of the codecs that everyday telegrams never take."""
 
 import math
+import struct
+from collections import Counter
 from pathlib import Path
 
+import cantools
 import pytest
+from command_ends import MS, START_NS, key_of
 
-from linemate.protocol.distance import DistanceEncoder, DistanceError
+from linemate.protocol.command import (
+    CommandError,
+    FrameType,
+    Role,
+    cut_local,
+    decode_reply,
+    encode_request,
+    frame_body,
+    local_body,
+)
+from linemate.protocol.command_keys import cookie_tagger
+from linemate.protocol.command_local import LocalServer
+from linemate.protocol.command_rules import ControlLease, Order
+from linemate.protocol.command_session import CommandClient
+from linemate.protocol.distance import (
+    DistanceDecoder,
+    DistanceEncoder,
+    DistanceError,
+    message_names,
+)
+from linemate.protocol.distance_bits import find
 from linemate.protocol.exchange import Exchange
 from linemate.protocol.rsi import RobotTelegram, RsiCodec, RsiError, SensorTelegram, parse_config
 
@@ -70,3 +94,162 @@ def test_the_telegram_that_is_foreseen_is_the_one_that_comes() -> None:
     exchange.on_missing()
     assert exchange.foreseen() is None
     assert exchange.on_telegram(1060, 60_000_000, "robot").answer
+
+
+# What the daemon answers in haste.
+
+
+def _foreseen(**changed: object) -> bool:
+    """Whether a telegram with something else in it is still the one that was foreseen."""
+    codec = RsiCodec(parse_config(SHIPPED))
+    plain = {"joints": SIX, "external": SIX, "tcp": SIX, "delay": 0, "channels": {"DiL": 0}}
+    codec.parse_robot(codec.format_robot(RobotTelegram(12, **plain)))  # type: ignore[arg-type]
+    is_expected = codec.expect_robot(24, 0, SIX, 0.05)
+    assert is_expected is not None
+    told = {"ipoc": 24, **plain, **changed}
+    return bool(is_expected(codec.format_robot(RobotTelegram(**told))))  # type: ignore[arg-type]
+
+
+def test_the_expected_telegram_is_known_by_counter_delay_and_place() -> None:
+    assert _foreseen()
+    assert _foreseen(external=(9.0,) * 6, tcp=(1.0,) * 6, channels={"DiL": 3})
+    assert not _foreseen(ipoc=25)
+    assert not _foreseen(ipoc=12)
+    assert not _foreseen(delay=1)
+
+
+@pytest.mark.parametrize("axis", range(6))
+@pytest.mark.parametrize("way", [-1.0, 1.0])
+def test_a_telegram_is_expected_within_reach_of_each_joint_and_no_further(
+    axis: int, way: float
+) -> None:
+    for share, expected in ((0.98, True), (1.02, False)):
+        joints = list(SIX)
+        joints[axis] += way * share * 0.05
+        assert _foreseen(joints=tuple(joints)) is expected
+
+
+def test_what_is_no_telegram_or_too_long_a_one_is_not_expected() -> None:
+    codec = RsiCodec(parse_config(SHIPPED))
+    telegram = RobotTelegram(12, joints=SIX, external=SIX, tcp=SIX, delay=0)
+    codec.parse_robot(codec.format_robot(telegram))
+    is_expected = codec.expect_robot(24, 0, SIX, 0.05)
+    assert is_expected is not None
+    data = codec.format_robot(
+        RobotTelegram(24, joints=SIX, external=SIX, tcp=SIX, delay=0, channels={})
+    )
+    assert is_expected(data)
+    assert not is_expected(data[:-1])
+    assert not is_expected(b"")
+    assert not is_expected(data.replace(b"<IPOC>", b" " * 2048 + b"<IPOC>"))
+
+
+# Sensors of other sites.
+
+ODD_DBC = """VERSION ""
+BS_:
+BU_: S H
+BO_ 100 Plain: 8 S
+ SG_ Gap : 0|32@1- (1,0) [0|0] "m" H
+ SG_ Echo : 32|32@1- (1,0) [0|0] "" H
+BO_ 101 Encoder: 5 S
+ SG_ Travel : 0|32@1- (0.5,-1000) [0|0] "mm" H
+BO_ 102 Beyond: 2 S
+ SG_ Low : 8|16@1+ (1,0) [0|0] "mm" H
+ SG_ High : 0|16@0+ (1,0) [0|0] "mm" H
+SIG_VALTYPE_ 100 Gap : 1;
+SIG_VALTYPE_ 100 Echo : 1;
+"""
+SANE_DBC = ODD_DBC.partition("BO_ 102")[0] + ODD_DBC[ODD_DBC.index("SIG_VALTYPE_") :]
+
+
+def test_a_dbc_tells_what_it_describes() -> None:
+    assert message_names(SANE_DBC) == ("Plain", "Encoder")
+
+
+def test_a_strength_that_is_not_finite_is_refused() -> None:
+    decoder = DistanceDecoder(SANE_DBC, "Plain", "Gap", strength="Echo")
+    good = decoder.decode(100, struct.pack("<ff", 2.0, 3.0), 7)
+    assert good is not None
+    assert (good.position, good.strength) == (2.0, 3.0)
+    for wild in (math.nan, math.inf, -math.inf):
+        with pytest.raises(DistanceError, match="Echo"):
+            decoder.decode(100, struct.pack("<ff", 2.0, wild), 7)
+
+
+def test_a_number_without_a_range_that_finds_no_room_is_refused() -> None:
+    encoder = DistanceEncoder(SANE_DBC, "Encoder", "Travel")
+    assert encoder.encode(1.0) == (101, struct.pack("<ib", 4000, 0))
+    with pytest.raises(DistanceError, match="does not fit"):
+        encoder.encode(1e9)
+
+
+def test_places_are_found_for_whole_numbers_inside_their_message_only() -> None:
+    dbc = cantools.database.load_string(ODD_DBC, "dbc", strict=False)
+    assert find(dbc.get_message_by_name("Plain"), ["Gap"]) is None
+    assert find(dbc.get_message_by_name("Encoder"), ["Travel"]) is not None
+    assert find(dbc.get_message_by_name("Encoder"), ["Nothing"]) is None
+    for name in ("Low", "High"):
+        assert find(dbc.get_message_by_name("Beyond"), [name]) is None
+
+
+# Operators.
+
+
+def _local(counters: Counter[str] | None = None) -> LocalServer:
+    return LocalServer("uid:1", Role.OPERATE, ControlLease(), counters or Counter())
+
+
+def test_a_local_handler_that_broke_is_told_so() -> None:
+    server = _local()
+    payload = encode_request("arm", {}, START_NS // MS)
+    order = server.on_message(local_body(FrameType.REQUEST, 0, 0, 1, payload), START_NS)
+    assert isinstance(order, Order)
+    reply = cut_local(server.fail(order, START_NS))
+    assert reply.sequence == 1
+    told = decode_reply(reply.payload)
+    assert not told.ok
+    assert told.e == "internal"
+
+
+def test_local_telemetry_comes_when_it_is_due_and_to_those_who_want_it() -> None:
+    counters: Counter[str] = Counter()
+    server = LocalServer("uid:1", Role.VIEW, ControlLease(), counters)
+    assert not server.subscribed
+    assert server.event(START_NS, dict) is None
+    payload = encode_request("subscribe", {"rate_hz": 50.0}, START_NS // MS)
+    server.on_message(local_body(FrameType.REQUEST, 0, 0, 1, payload), START_NS)
+    assert server.subscribed
+    due = [server.event(START_NS + k * 10 * MS, lambda: {"a": 1}) is not None for k in range(10)]
+    assert due == [True, False] * 5
+
+
+def test_local_telemetry_of_just_the_size_of_a_result_does_not_fit_its_event() -> None:
+    counters: Counter[str] = Counter()
+    server = LocalServer("uid:1", Role.VIEW, ControlLease(), counters)
+    payload = encode_request("subscribe", {"rate_hz": 50.0}, START_NS // MS)
+    server.on_message(local_body(FrameType.REQUEST, 0, 0, 1, payload), START_NS)
+    said = [
+        server.event(START_NS + k * 20 * MS, lambda n=n: {"a": bytes(n)})  # type: ignore[misc]
+        for k, n in enumerate(range(65_500, 65_540))
+    ]
+    assert said[0] is not None
+    assert said[-1] is None
+    assert counters["events_too_long"] == said.count(None)
+
+
+def test_nothing_is_sealed_before_the_handshake_is_answered() -> None:
+    client = CommandClient(key_of(), 7)
+    assert client.close() is None
+    with pytest.raises(CommandError, match="no_session"):
+        client.request("status", {}, 500 * MS)
+
+
+def test_a_genuine_cookie_of_another_length_opens_no_session() -> None:
+    key = key_of()
+    client = CommandClient(key, 7)
+    for length in (0, 1, 200):
+        body = frame_body(FrameType.COOKIE, key.id, 7, 0, bytes(length))
+        assert client.on_datagram(cookie_tagger(key).seal(body), 0) is None
+    assert not client.ready
+    assert client.counters["dropped_length"] == 3
