@@ -35,6 +35,7 @@ class WriterLink:
         self.lost = ""
         self._rest = b""
         self._unpacker = msgpack.Unpacker()
+        self._packer = msgpack.Packer()
         ours, theirs = socket.socketpair()
         with theirs:
             ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER)
@@ -63,7 +64,7 @@ class WriterLink:
         """
         if not self.flush():
             return False
-        self._rest = msgpack.packb(message)
+        self._rest = self._packer.pack(message)
         self.flush()
         return True
 
