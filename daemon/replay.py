@@ -409,8 +409,7 @@ def _fits(state: stepping.State, parameters: Parameters) -> bool:
         born = parameters.tracker.classifier.initial(0.0)
         if type(born) is not type(tracker.belief) or not _alike(born, tracker.belief):
             return False
-    modes = len(parameters.tracker.settings.swing)
-    return tracker.across is None or len(tracker.across.x) == 5 + 2 * modes
+    return tracker.across is None or len(tracker.across.x) == parameters.tracker.transverse.size
 
 
 def _alike(born: Any, belief: Any) -> bool:

@@ -28,6 +28,8 @@ OFFSET_DEVIATION = 0.1  # of x10 before anything but the distance sensor saw the
 SETTLING = 0.6  # the bank is empty until the speed has been seen [s]
 REFUSALS = 8  # gated rows of one sensor in a row after which the filter widens
 REST_DEVIATION = 0.002  # of the speed when a stop is taken to have ended [m/s]
+STILL_FAST = 0.7  # of the cruising speed, above which a stop may turn out to be none
+NO_STOP = 0.5  # of the nominal deceleration, which every stop exceeds
 CALM = 2.0  # log odds below which a tentative change is cancelled
 STILL = (0.0,)  # the frequencies of a change of class: none
 
@@ -146,9 +148,19 @@ class BankClassifier:
 
     def _ripple(self, state: BankState) -> tuple[float, float]:
         """Return the ripple's deviation [m/s] and its correlation time [s]."""
-        if state.contact:
+        if state.contact or self._sees_ripple:
             return self.fusion.contact_ripple, self.fusion.contact_ripple_time
         return self.fusion.ripple, self.fusion.ripple_time
+
+    @cached_property
+    def _sees_ripple(self) -> bool:
+        """Tell whether the distance sensor is so fine that it sees every ripple by itself.
+
+        A stop is told from what the ripple cannot do: one that is modelled too calm is taken for
+        a stop as soon as a sensor sees the way that it goes.
+        """
+        way = self.fusion.contact_ripple * self.fusion.contact_ripple_time
+        return self.distance_deviation < 0.5 * way
 
     def _process_noise(self, state: BankState, dt: float) -> Array:
         """Return the diagonal of Q: the ripple is stationary and stands with the conveyor."""
@@ -211,9 +223,24 @@ class BankClassifier:
         v = float(state.x[V])
         if state.motion is Motion.STOPPING and v <= 0.0:
             return _enter(state, Motion.STANDING, max(v, 0.0), REST_DEVIATION)
+        if state.motion is Motion.STOPPING and v > STILL_FAST * state.cruise:
+            return self._unless_it_slows(state)
         if state.motion is Motion.STARTING and v >= state.cruise:
             return _enter(state, Motion.RUNNING, v, 2.0 * REST_DEVIATION)
         return state
+
+    def _unless_it_slows(self, state: BankState) -> BankState:
+        """Return the state running again if a stop has turned out not to slow the conveyor.
+
+        A stop that was none would otherwise last for ever: its deceleration is soon known to be
+        nothing, and neither a start nor the next stop looks like what can follow it.
+        """
+        slowest = -NO_STOP * self.conveyor.deceleration
+        sigma = math.sqrt(float(state.P[ACCELERATION, ACCELERATION]))
+        if float(state.x[ACCELERATION]) - 2.0 * sigma <= slowest:
+            return state
+        state = _enter(state, Motion.RUNNING, float(state.x[V]), REST_DEVIATION)
+        return changed(state, events=(*state.events, ("stop", "cancelled")))
 
     def _correct(self, state: BankState, rows: Sequence[Row]) -> BankState:
         """Return (2)-(4) for some rows, null filter and banks alike, each gated."""
@@ -258,8 +285,12 @@ class BankClassifier:
         return changed(_cleared(state), P=P, age=0.0, refused={})
 
     def _plausible(self, state: BankState, nu: float, rho: Array, gate: float) -> bool:
-        """Tell whether an innovation lies in the range that the live hypotheses span."""
-        if not state.tentative or len(rho) == 0:
+        """Tell whether an innovation lies in the range that the live hypotheses span.
+
+        Perceived or not: a fine sensor's gate is narrower than the way of a stop that nobody has
+        perceived yet, and readings refused there never let it be perceived.
+        """
+        if len(rho) == 0:
             return False
         expected = float(hypotheses.verdict(state.bank, self._prior).weights @ rho)
         return min(0.0, expected) - gate < nu < max(0.0, expected) + gate
@@ -404,13 +435,15 @@ class BankClassifier:
         """
         if not self.mixture or not len(state.bank):
             return 0.0, 0.0
+        caution, penalty = 1.0, self.bank.penalty
         if state.motion is Motion.RUNNING:
-            penalty = self.bank.contact_penalty if state.contact else self.bank.penalty
+            if state.contact:
+                caution, penalty = self.bank.contact_caution, self.bank.contact_penalty
         elif state.motion is Motion.STANDING:
             penalty = 0.0
         else:
             return 0.0, 0.0
-        stop = math.exp(min(state.change.odds - penalty, 50.0))
+        stop = math.exp(min(caution * (state.change.odds - penalty), 50.0))
         push = math.exp(min(state.push.odds - max(penalty, self.jerk.confirmed), 50.0))
         total = 1.0 + stop + push
         return stop / total, push / total

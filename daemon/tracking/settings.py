@@ -108,12 +108,15 @@ class SwingMode:
         frequency_hz: of the swing.
         damping: share of critical.
         levers: displacement of the object for each radian of swing, x y z [m/rad].
+        spread: one sigma of the frequency, as a share of it; what is left is estimated while the
+            object is seen. 0 takes it for exact.
     """
 
     axis: Annotated[int, Ge(0), Le(2)] = 1
     frequency_hz: Frequency = 0.62
     damping: Annotated[float, Ge(0.0), Lt(0.5)] = 0.002
     levers: tuple[float, float, float] = (-0.3, 0.0, -0.9)
+    spread: Annotated[float, Ge(0.0), Le(0.2)] = 0.03
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +126,9 @@ class FusionSettings:
     Attributes:
         position: random walk of the object across the conveyor [m/sqrt(s)].
         angle: random walk of its orientation [rad/sqrt(s)].
+        seating: the same while the tool fixes its screws, which seat it anew [rad/sqrt(s)].
         swing: random walk of the swing's amplitude [rad/sqrt(s)].
+        pace: random walk of the swing's frequency, as a share of it [1/sqrt(s)].
         speed: random walk of the conveyor's speed while running [m/s/sqrt(s)].
         ripple: deviation of the conveyor's speed ripple [m/s].
         ripple_time: its correlation time [s].
@@ -136,7 +141,9 @@ class FusionSettings:
 
     position: Walk = 0.0001
     angle: Walk = 0.0002
-    swing: Walk = 0.0005
+    seating: Walk = 0.001
+    swing: Walk = 0.0001
+    pace: Walk = 0.0005
     speed: Walk = 0.0005
     ripple: Walk = 0.0003
     ripple_time: Constant = 1.0
@@ -173,6 +180,9 @@ class BankSettings:
         amplitude_deviation: of a class's acceleration about its nominal one, a share.
         penalty: taken from a stop's log odds before it enters the mixed prediction.
         contact_penalty: the same in contact.
+        contact_caution: factor of what is left of them in contact. 1 is Bayes with the penalty for
+            a prior; more lets little evidence count less and much evidence more, so that a
+            quiet line is not followed as if it braked a little all the time.
         longest_onset: age of the oldest onset in the bank [s].
     """
 
@@ -182,7 +192,8 @@ class BankSettings:
     start_confirmed: LogOdds = 17.0
     amplitude_deviation: Annotated[float, Ge(0.01), Le(2.0)] = 0.15
     penalty: LogOdds = 4.0
-    contact_penalty: LogOdds = 3.0
+    contact_penalty: LogOdds = 3.5
+    contact_caution: Annotated[float, Ge(0.5), Le(10.0)] = 3.0
     longest_onset: Annotated[float, Ge(0.1), Le(5.0)] = 1.5
 
 

@@ -205,7 +205,8 @@ def estimate(
         history = remember(history, seen.tcp_stamp_ns, seen.tcp, tracker.history_length)
     across = state.across
     if across is not None:
-        across = tracker.transverse.predict(across, tracker.cycle_s)
+        seating = state.fixing is not None and Gate.SCREWS_FIXED not in state.passed
+        across = tracker.transverse.predict(across, tracker.cycle_s, seating=seating)
     sightings, wrench = _sightings(tracker, history, seen, touching=state.contact)
     rows = [_distance_row(tracker, seen.stamp_ns, sample) for sample in seen.distance]
     refused = 0

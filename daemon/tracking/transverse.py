@@ -3,10 +3,12 @@
 Law of this file: (2)-(7) with the rows of (8) for all components but y. Orientation is
 multiplicative: the estimate is a rotation matrix, the filter's states are a small turn about the
 axes of c, so that 23 degrees and a swing cost nothing. Swing states are kept in the rotating form
-of (8): the oscillator is in A, and no phase grows with k.
+of (8): the oscillator is in A, and no phase grows with k. Its frequency is known to some share
+only and is estimated beside it, folded away after each correction like the turn.
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -24,6 +26,7 @@ X, Z, TURN = 0, 1, 2  # rows of x, z, and of the first of three turns
 STATIC = 5  # states that do not swing
 _ACROSS = np.array((0, 2))
 _SEEN = np.array((0, 2, 3, 4, 5))
+PACES = (0.9, 1.1)  # of the identified frequency, between which the estimate stays
 SWING_DEVIATION = 0.008  # of a swing nobody has seen yet [rad]
 REFUSALS = 4  # gated sightings in a row after which the filter widens
 JUMP = 3.0  # times the gate: so far off is no wrong model, and is believed much later
@@ -36,16 +39,19 @@ class TransverseState:
 
     Attributes:
         x: (5 + 2 m,): x, z [m], a turn [rad] that is folded into ``rotation`` after each
-            correction and then 0, and for each swing its angle and its quadrature [rad].
+            correction and then 0, and for each swing its angle and its quadrature [rad]; then for
+            each swing with a ``spread`` the error of its pace, folded into ``paces`` and 0 as well.
         P: covariance.
         rotation: (3, 3) the object at rest in c.
         refused: sightings gated in a row.
+        paces: each swing's frequency, as a multiple of the identified one.
     """
 
     x: Array
     P: Array
     rotation: Array
     refused: int = 0
+    paces: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,13 +61,29 @@ class Transverse:
     fusion: FusionSettings
     swing: tuple[SwingMode, ...]
 
+    @property
+    def size(self) -> int:
+        """Length of the state's x."""
+        return STATIC + 2 * len(self.swing) + sum(mode.spread > 0.0 for mode in self.swing)
+
+    def _places(self, state: TransverseState) -> Iterator[tuple[SwingMode, float, int, int]]:
+        """Yield each swing with its pace, and where it and its pace are in x, -1 for none."""
+        i, j = STATIC, STATIC + 2 * len(self.swing)
+        for mode, pace in zip(self.swing, state.paces or (1.0,) * len(self.swing), strict=True):
+            if mode.spread > 0.0:
+                yield mode, pace, i, j
+                j += 1
+            else:
+                yield mode, pace, i, -1
+            i += 2
+
     def initial(self, sightings: list[Sighting]) -> TransverseState:
         """Return the belief from some sightings: their median, immune to outliers."""
         middle = np.median([each.position for each in sightings], axis=0)
         first = sightings[len(sightings) // 2].rotation
         turns = [rotations.log(each.rotation @ first.T) for each in sightings]
         rotation = rotations.exp(np.median(turns, axis=0)) @ first
-        size = STATIC + 2 * len(self.swing)
+        size = self.size
         x = np.zeros(size)
         x[X], x[Z] = middle[0], middle[2]
         variance = sightings[-1].variance
@@ -69,15 +91,31 @@ class Transverse:
         P[X, X], P[Z, Z] = 0.02**2 + variance[0], 0.02**2 + variance[2]
         for i in range(3):
             P[TURN + i, TURN + i] = 0.02**2 + variance[3 + i]
-        for i in range(STATIC, size):
-            P[i, i] = SWING_DEVIATION**2
-        return TransverseState(x, P, rotation)
+        state = TransverseState(x, P, rotation, paces=(1.0,) * len(self.swing))
+        for mode, _, i, j in self._places(state):
+            P[i, i] = P[i + 1, i + 1] = SWING_DEVIATION**2
+            if j >= 0:
+                P[j, j] = mode.spread**2
+        return state
 
-    def predict(self, state: TransverseState, dt: float) -> TransverseState:
-        """Return (5), (6): what stands stays, what swings turns its phase."""
-        F, Q = _model(self.fusion, self.swing, dt)
+    def predict(
+        self, state: TransverseState, dt: float, *, seating: bool = False
+    ) -> TransverseState:
+        """Return (5), (6): what stands stays, what swings turns its phase.
+
+        While the tool is seating itself on the object, the orientation may step. A filter that
+        does not expect it takes the step for a swing, and a milliradian of that is a millimetre
+        at the hub.
+        """
+        turning = self.fusion.seating if seating else self.fusion.angle
+        F, Q = _model(self.fusion, self.swing, dt, turning)
+        if len(F) > STATIC + 2 * len(self.swing):
+            F = F.copy()
+            for mode, pace, i, j in self._places(state):
+                if j >= 0:
+                    _turn(F, mode, pace, dt, state.x, i, j)
         P = F @ state.P @ F.T + Q
-        return TransverseState(F @ state.x, P, state.rotation, state.refused)
+        return TransverseState(F @ state.x, P, state.rotation, state.refused, state.paces)
 
     def _walk(self, delay: float) -> Array:
         """Return the variance (5,) that the object has walked since a sighting ``delay`` s ago."""
@@ -85,15 +123,19 @@ class Transverse:
         x, turn = self.fusion.position**2 * late, self.fusion.angle**2 * late
         return np.array((x, x, turn, turn, turn))
 
-    def rows(self, delay: float) -> Array:
+    def rows(self, state: TransverseState, delay: float) -> Array:
         """Return the rows (5, n) of (8) for x, z and the three turns, ``delay`` s ago."""
-        H = np.eye(STATIC, STATIC + 2 * len(self.swing))
-        for m, mode in enumerate(self.swing):
-            i = STATIC + 2 * m
-            back = _oscillation(mode, -delay)[0]
-            H[X, i : i + 2] = mode.levers[0] * back
-            H[Z, i : i + 2] = mode.levers[2] * back
-            H[TURN + mode.axis, i : i + 2] = back
+        H = np.eye(STATIC, self.size)
+        for mode, pace, i, j in self._places(state):
+            back = _oscillation(mode, -delay, pace)
+            levers, axis = mode.levers, TURN + mode.axis
+            H[X, i : i + 2] = levers[0] * back[0]
+            H[Z, i : i + 2] = levers[2] * back[0]
+            H[axis, i : i + 2] = back[0]
+            if j >= 0:
+                c, s = state.x[i : i + 2].tolist()
+                slope = -_omega(mode) * delay * (float(back[1, 0]) * c + float(back[1, 1]) * s)
+                H[X, j], H[Z, j], H[axis, j] = levers[0] * slope, levers[2] * slope, slope
         return H
 
     def correct(
@@ -106,7 +148,7 @@ class Transverse:
         some refusals in a row the filter widens instead: gates that cannot open again would lock
         a real step out for ever.
         """
-        H = self.rows(sighting.delay)
+        H = self.rows(state, sighting.delay)
         swing = H[TURN:STATIC, STATIC:] @ state.x[STATIC:]
         turn = rotations.log(sighting.rotation @ (rotations.exp(swing) @ state.rotation).T)
         measured = np.empty(STATIC)
@@ -134,14 +176,24 @@ class Transverse:
         P = P - PH @ K
         rotation = rotations.exp(x[TURN:STATIC]) @ state.rotation
         x[TURN:STATIC] = 0.0
-        return TransverseState(x, 0.5 * (P + P.T), rotation), True
+        paces = self._paces(state, x)
+        x[STATIC + 2 * len(self.swing) :] = 0.0
+        return TransverseState(x, 0.5 * (P + P.T), rotation, paces=paces), True
+
+    def _paces(self, state: TransverseState, x: Array) -> tuple[float, ...]:
+        """Return the paces with what a correction has found of their errors."""
+        low, high = PACES
+        return tuple(
+            min(max(pace + float(x[j]), low), high) if j >= 0 else pace
+            for _, pace, _, j in self._places(state)
+        )
 
     def swing_angles(self, state: TransverseState, times: Array) -> Array:
         """Return the swing angles (modes, m) [rad] at ``times`` from now, (9)."""
         angles = np.empty((len(self.swing), len(times)))
-        for m, mode in enumerate(self.swing):
-            c, s = state.x[STATIC + 2 * m : STATIC + 2 * m + 2].tolist()
-            w = 2.0 * math.pi * mode.frequency_hz
+        for m, (mode, pace, i, _) in enumerate(self._places(state)):
+            c, s = state.x[i : i + 2].tolist()
+            w = _omega(mode) * pace
             # One complex exponential is damping, cosine and sine at once.
             angles[m] = (complex(c, -s) * np.exp(complex(-mode.damping * w, w) * times)).real
         return angles
@@ -149,23 +201,26 @@ class Transverse:
     def swing_now(self, state: TransverseState, delay: float) -> tuple[float, ...]:
         """Return the swing angles [rad] ``delay`` s ago."""
         angles = []
-        for m, mode in enumerate(self.swing):
-            c, s = state.x[STATIC + 2 * m : STATIC + 2 * m + 2].tolist()
-            w = 2.0 * math.pi * mode.frequency_hz
+        for mode, pace, i, _ in self._places(state):
+            c, s = state.x[i : i + 2].tolist()
+            w = _omega(mode) * pace
             grown = math.exp(mode.damping * w * delay)
             angles.append(grown * (c * math.cos(w * delay) - s * math.sin(w * delay)))
         return tuple(angles)
 
 
 @lru_cache(maxsize=16)
-def _model(fusion: FusionSettings, swing: tuple[SwingMode, ...], dt: float) -> tuple[Array, Array]:
+def _model(
+    fusion: FusionSettings, swing: tuple[SwingMode, ...], dt: float, turning: float
+) -> tuple[Array, Array]:
     """Return A of (5) and Q: what stands stays, what swings turns its phase."""
-    size = STATIC + 2 * len(swing)
+    size = STATIC + 2 * len(swing) + sum(mode.spread > 0.0 for mode in swing)
     F = np.eye(size)
     noise = np.empty(size)
     noise[:TURN] = fusion.position**2 * dt
-    noise[TURN:STATIC] = fusion.angle**2 * dt
-    noise[STATIC:] = fusion.swing**2 * dt
+    noise[TURN:STATIC] = turning**2 * dt
+    noise[STATIC : STATIC + 2 * len(swing)] = fusion.swing**2 * dt
+    noise[STATIC + 2 * len(swing) :] = fusion.pace**2 * dt
     for m, mode in enumerate(swing):
         i = STATIC + 2 * m
         F[i : i + 2, i : i + 2] = _oscillation(mode, dt)
@@ -175,9 +230,22 @@ def _model(fusion: FusionSettings, swing: tuple[SwingMode, ...], dt: float) -> t
     return F, Q
 
 
-def _oscillation(mode: SwingMode, dt: float) -> Array:
+def _omega(mode: SwingMode) -> float:
+    """Return a swing's identified frequency [rad/s]."""
+    return 2.0 * math.pi * mode.frequency_hz
+
+
+def _turn(F: Array, mode: SwingMode, pace: float, dt: float, x: Array, i: int, j: int) -> None:
+    """Write a swing's transition at its pace into A, and how an error of the pace enters it."""
+    F[i : i + 2, i : i + 2] = block = _oscillation(mode, dt, pace)
+    angle, quadrature = (block @ x[i : i + 2]).tolist()
+    way = _omega(mode) * dt
+    F[i, j], F[i + 1, j] = way * quadrature, -way * angle
+
+
+def _oscillation(mode: SwingMode, dt: float, pace: float = 1.0) -> Array:
     """Return the transition (2, 2) of angle and quadrature over ``dt``, backwards if negative."""
-    w = 2.0 * math.pi * mode.frequency_hz
+    w = _omega(mode) * pace
     decay = math.exp(-mode.damping * w * dt)
     c, s = decay * math.cos(w * dt), decay * math.sin(w * dt)
     return np.array(((c, s), (-s, c)))

@@ -217,3 +217,87 @@ def test_a_push_of_the_body_is_not_taken_for_a_stop(size: float, frequency_hz: f
 
     events = in_contact(Truth(1.3, seed=5), push, 1.2, 5)
     assert not [t for t, kind, what in events if (kind, what) == ("stop", "confirmed")]
+
+
+# A fine sensor: it sees the ripple, and a stop leaves its gate before anybody has perceived it.
+
+FINE = 5.8e-5
+SHARP = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), FINE)
+
+
+def fine_row(truth: Truth, t: float, rng: np.random.Generator) -> list[Row]:
+    read = round((float(truth.at(t - 0.001)) + rng.normal(0.0, 5e-5)) * 1e4) / 1e4
+    return [Row(Source.DISTANCE, read, 0.001, FINE**2, 4.0)]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_fine_sensor_lets_no_stop_out_of_its_gate_and_takes_no_ripple_for_one(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    onset = 6.0 + 0.002 * seed
+    truth = Truth(onset + 0.4, ((onset, -STOP),), seed=seed)
+    state = SHARP.initial(float(truth.at(-1.5)))
+    events = []
+    for t in np.arange(-1.5 + T0, onset + 0.35, T0):
+        state = SHARP.advance(state, fine_row(truth, float(t), rng), T0)
+        events += [(float(t), *event) for event in state.events]
+    confirmed = [t for t, kind, what in events if (kind, what) == ("stop", "confirmed")]
+    assert len(confirmed) == 1
+    assert onset < confirmed[0] < onset + 0.15
+
+
+def test_a_stop_that_does_not_slow_the_conveyor_is_taken_back() -> None:
+    truth = Truth(4.0, ripple=0.0)
+    rng = np.random.default_rng(2)
+    state = SHARP.initial(float(truth.at(-1.5)))
+    times = np.arange(-1.5 + T0, 3.5, T0)
+    for t in times[:150]:
+        state = SHARP.advance(state, fine_row(truth, float(t), rng), T0)
+    braking = state.x.copy()
+    braking[4] = -STOP
+    P = state.P.copy()
+    P[4, 4] = (0.15 * STOP) ** 2
+    state = replace(state, x=braking, P=P, motion=Motion.STOPPING, since=0.0)
+    events = []
+    for t in times[150:]:
+        state = SHARP.advance(state, fine_row(truth, float(t), rng), T0)
+        events += state.events
+    assert ("stop", "cancelled") in events
+    assert state.motion is Motion.RUNNING
+    assert state.x[1] + state.x[2] == pytest.approx(NOMINAL, abs=0.002)
+
+
+@pytest.mark.parametrize("share", [0.75, 1.25])
+def test_a_stop_at_the_edge_of_what_is_known_of_it_is_not_taken_back(share: float) -> None:
+    truth = Truth(3.0, ((1.0, -share * STOP),))
+    rng = np.random.default_rng(4)
+    bank = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), DEVIATION)
+    state = bank.initial(float(truth.at(-1.5)))
+    events = []
+    for t in np.arange(-1.5 + T0, 2.9, T0):
+        read = round((float(truth.at(t - 0.001)) + rng.normal(0.0, 0.00025)) * 1e3) / 1e3
+        rows = [Row(Source.DISTANCE, read, 0.001, DEVIATION**2, 4.0)]
+        state = bank.advance(state, rows, T0)
+        events += state.events
+    assert events.count(("stop", "confirmed")) == 1
+    assert ("stop", "cancelled") not in events[events.index(("stop", "confirmed")) :]
+    assert state.motion is Motion.STANDING
+
+
+def test_in_contact_little_evidence_moves_the_prediction_less_than_bayes_would() -> None:
+    """A quiet line is not followed as if it braked a little; a stop is as soon as it shows."""
+    shares = {}
+    for caution in (1.0, BankSettings().contact_caution):
+        settings = BankSettings(contact_caution=caution)
+        bank = BankClassifier(ConveyorClasses(), FusionSettings(), settings, DEVIATION)
+        state = replace(
+            bank.initial(0.0),
+            contact=True,
+            bank=hypotheses.aged(hypotheses.empty(7), np.eye(7), T0, 1.0, (0.0,)),
+        )
+        shares[caution] = [
+            bank._shares(replace(state, change=hypotheses.Verdict(odds, np.ones(1))))[0]
+            for odds in (1.2, 6.0)
+        ]
+    bayes, careful = shares.values()
+    assert careful[0] < 0.02 < bayes[0]
+    assert careful[1] > bayes[1] > 0.9
