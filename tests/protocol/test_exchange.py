@@ -54,6 +54,10 @@ class Feed:
     def kinds(self, *cycles: float) -> list[str]:
         return [self(cycle).kind.value for cycle in cycles]
 
+    def kinds_of(self, *telegrams: tuple[float, float]) -> list[str]:
+        """Of telegrams that come in a cycle and say that they are another's."""
+        return [self(cycle, said).kind.value for cycle, said in telegrams]
+
 
 def running(step: int = STEP) -> Feed:
     """A session whose step is settled; the last telegram is that of cycle 4."""
@@ -185,6 +189,34 @@ def test_a_gap_may_be_as_wide_as_the_window_and_no_wider() -> None:
     feed = running()
     assert feed(4 + WINDOW).kind is Kind.GAP
     assert feed(4 + 2 * WINDOW + 1).kind is Kind.REFUSED
+
+
+def test_a_line_goes_on_from_the_next_cycle_to_the_end_of_the_window() -> None:
+    feed = running()
+    assert feed(5, 9).kind is Kind.GAP  # a flipped bit
+    assert feed.kinds_of((6, 3), (7, 4), (8, 5)) == ["backward", "backward", "gap"]
+    assert feed.exchange.session == 1
+    feed = running()
+    assert feed(4 + 96, 4 + WINDOW).kind is Kind.GAP  # another
+    assert feed.kinds_of((102, 102), (103, 103), (104, 104)) == ["late", "late", "gap"]
+    assert feed.exchange.session == 1
+
+
+@pytest.mark.parametrize(("apart", "in_line"), [(1, True), (1200, True), (1201, False)])
+def test_telegrams_further_apart_than_the_window_are_no_line(apart: int, in_line: bool) -> None:
+    feed = running()
+    told = [feed.exchange.on_telegram(apart * n, (5 + n) * CYCLE_NS).kind for n in range(3)]
+    assert (told[-1] is Kind.NEW_SESSION) == in_line
+
+
+@pytest.mark.parametrize(("cycle_s", "reach"), [(0.012, 1200), (0.004, 400), (0.0004, 100)])
+def test_the_second_telegram_may_be_a_window_of_milliseconds_ahead(
+    cycle_s: float, reach: int
+) -> None:
+    for ahead, kind in ((reach, Kind.NORMAL), (reach + 1, Kind.REFUSED)):
+        exchange = Exchange(cycle_s)
+        assert exchange.on_telegram(0, 0).kind is Kind.FIRST
+        assert exchange.on_telegram(ahead, round(cycle_s * 1e9)).kind is kind
 
 
 def test_a_gap_without_the_time_for_it_is_a_flipped_bit() -> None:
