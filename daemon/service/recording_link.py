@@ -40,10 +40,15 @@ class WriterLink:
         with theirs:
             ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER)
             command = [sys.executable, "-m", WRITER, str(theirs.fileno())]
+            # Wherever the daemon was found, by whatever means, the writer is found as well.
+            found = os.pathsep.join(path for path in sys.path if path)
             try:
                 # Not our standard input; its complaints go where ours go.
                 self._process = subprocess.Popen(  # noqa: S603 - ourselves
-                    command, stdin=subprocess.DEVNULL, pass_fds=[theirs.fileno()]
+                    command,
+                    stdin=subprocess.DEVNULL,
+                    pass_fds=[theirs.fileno()],
+                    env={**os.environ, "PYTHONPATH": found},
                 )
             except OSError:
                 ours.close()
