@@ -219,6 +219,13 @@ def test_the_second_telegram_may_be_a_window_of_milliseconds_ahead(
         assert exchange.on_telegram(ahead, round(cycle_s * 1e9)).kind is kind
 
 
+@pytest.mark.parametrize(("at", "kind"), [(9.0, "gap"), (9.01, "new_session"), (5.5, "gap")])
+def test_a_line_goes_on_only_in_its_time(at: float, kind: str) -> None:
+    feed = running()
+    assert feed(5, 9).kind is Kind.GAP  # a flipped bit
+    assert feed.kinds_of((5.1, 3), (5.2, 4), (at, 5)) == ["backward", "backward", kind]
+
+
 def test_a_gap_without_the_time_for_it_is_a_flipped_bit() -> None:
     feed = running()
     assert feed(5, 5 + 16).kind is Kind.REFUSED

@@ -114,6 +114,15 @@ def added(lived: Lived, reference: Lived, since_s: float = SETTLED_S) -> float:
     )
 
 
+def greatest(lived: Lived) -> float:
+    """The most that the tool was off after the conveyor began to stop [mm]."""
+    return max(
+        row.error_mm
+        for at, row in lived.rows.items()
+        if IN_CONTACT_S <= at <= IN_CONTACT_S + 0.5 and row.clamped
+    )
+
+
 def every(kind: str, value: float, links: tuple[str, ...] = SENSORS) -> tuple[Fault, ...]:
     return tuple(Fault(ALWAYS[0], link, kind, ALWAYS[1], value) for link in links)
 
@@ -138,7 +147,7 @@ def test_s1_loss_on_every_sensor_changes_no_state_and_little_else(
 def test_s2_a_blackout_up_to_140_ms_in_contact_is_coasted_though_the_conveyor_brakes_as_it_begins(
     lasting_s: float,
 ) -> None:
-    for seed in (0, 1):
+    for seed in (0, 1, 2):
         reference = undisturbed(IN_CONTACT_S, seed)
         lived = live(*blackout(IN_CONTACT_S, lasting_s), stop_s=IN_CONTACT_S, seed=seed)
         assert lived.states() == ASSEMBLED
@@ -150,7 +159,9 @@ def test_s2_a_blackout_up_to_140_ms_in_contact_is_coasted_though_the_conveyor_br
         )
         assert tool <= 1.1
         assert known <= 1.1
-        # The news of the stop reach the tool later still, by the robot's own delay.
+        # The news of the stop reach the tool later still, by the robot's own delay. The greatest
+        # error grows by less than what is lost cycle by cycle on a run that has recovered already.
+        assert greatest(lived) - greatest(reference) <= 1.2
         assert added(lived, reference, IN_CONTACT_S) <= 1.8
 
 
