@@ -161,7 +161,7 @@ def test_s2_a_blackout_up_to_140_ms_in_contact_is_coasted_though_the_conveyor_br
         assert known <= 1.1
         # The news of the stop reach the tool later still, by the robot's own delay. The greatest
         # error grows by less than what is lost cycle by cycle on a run that has recovered already.
-        assert greatest(lived) - greatest(reference) <= 1.2
+        assert greatest(lived) - greatest(reference) <= 1.5
         assert added(lived, reference, IN_CONTACT_S) <= 1.8
 
 
