@@ -14,7 +14,7 @@ BIN ?= $(if $(OWN),$(OWN)/bin,/usr/local/bin)
 SHARE ?= $(if $(OWN),$(OWN)/share,/usr/local/share)
 SERVICES := linemated.service linemated@.service linemate-metrics.service linemate-bridge.service
 
-.PHONY: help demo test lint format bench dst fuzz mutants mutation floods accuracy install install-program install-files \
+.PHONY: help demo test lint format bench dst fuzz coverage mutants mutation floods accuracy install install-program install-files \
 	uninstall systemd-test docs docs-write clean
 
 help:
@@ -25,6 +25,7 @@ help:
 	@echo "make bench    what a step costs on this machine"
 	@echo "make dst      seeded fault runs in virtual time, SEEDS=FIRST:LAST; ARGS=... for options"
 	@echo "make fuzz     every parser with a million damaged messages; ARGS=--inputs=N"
+	@echo "make coverage every branch of states, watch, gate, exchange and parsers by their own tests"
 	@echo "make mutants  changes of states, watch, gate, exchange and parsers that no test notices"
 	@echo "make floods   20 000 datagrams a second on each port, judged by a robot beside it"
 	@echo "make accuracy the tables of docs/accuracy.md, in hours; ARGS=--short for a few runs"
@@ -57,6 +58,18 @@ dst: .venv/.ok
 
 fuzz: .venv/.ok
 	.venv/bin/python tests/fuzz.py $(ARGS)
+
+# Every branch of the state machine, the gate, the exchange and the parsers, by their own tests.
+OWN_TESTS := tests/protocol tests/service/test_states.py tests/service/test_states_transcript.py \
+	tests/service/test_watch.py tests/control/test_limits.py tests/control/test_limits_transcript.py
+JUDGED := daemon/service/states.py,daemon/service/watch.py,daemon/control/limits.py,protocol/exchange*.py
+JUDGED := $(JUDGED),protocol/rsi*.py,protocol/camera*.py,protocol/distance*.py,protocol/wrench*.py
+JUDGED := $(JUDGED),protocol/slcan.py,protocol/command*.py,protocol/units.py
+
+coverage: .venv/.ok
+	COVERAGE_FILE=.coverage.judged .venv/bin/python -m coverage run -m pytest -q $(OWN_TESTS) $(ARGS)
+	COVERAGE_FILE=.coverage.judged .venv/bin/python -m coverage report -m --include="$(JUDGED)" \
+		--skip-covered --fail-under=100
 
 mutants mutation: .venv/.ok
 	.venv/bin/python tests/mutants.py $(ARGS)
@@ -157,4 +170,4 @@ docs-write: .venv/.ok
 	.venv/bin/python -m docs.make.write
 
 clean:
-	rm -rf out build .coverage .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf out build .coverage .coverage.* .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -70,11 +70,12 @@ def _camera() -> Wire:
     )  # fmt: skip
     decoder = CameraDecoder()
 
-    def parse(data: bytes) -> None:
-        camera.decode(data)
+    def parse(data: bytes) -> object:
+        message = camera.decode(data)
         with contextlib.suppress(CameraError):  # the same image twice, or one too old
             sample = decoder.feed(data, 1_100_000_000)
             assert sample is None or abs(sum(v * v for v in sample.quaternion) - 1.0) < 1e-3
+        return message, decoder.counters()
 
     return Wire((camera.encode(message),), parse)
 
@@ -83,9 +84,10 @@ def _distance() -> Wire:
     encoder, decoder = DistanceEncoder(), DistanceDecoder()
     can_id, payload = encoder.encode(1.0)
 
-    def parse(data: bytes) -> None:
+    def parse(data: bytes) -> object:
         sample = decoder.decode(can_id if data[:1] != b"\x01" else data[0], data[1:], 1)
         assert sample is None or 0.0 <= sample.position <= 1e6
+        return sample
 
     return Wire((b"\0" + payload,), parse)
 
@@ -93,9 +95,11 @@ def _distance() -> Wire:
 def _stream(device: str, frame: bytes) -> Wire:
     decoder = make_decoder(device)
 
-    def parse(data: bytes) -> None:
-        for sample in decoder.feed(data, 1):
+    def parse(data: bytes) -> object:
+        samples = decoder.feed(data, 1)
+        for sample in samples:
             assert all(abs(v) < 1e39 for v in (*sample.force, *sample.torque))
+        return samples, decoder.counters()
 
     return Wire((frame, frame * 3), parse)
 

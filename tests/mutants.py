@@ -53,19 +53,71 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/protocol/test_exchange_transcript.py",
         "tests/protocol/test_exchange.py",
     ),
-    "protocol/rsi_read.py": ("tests/protocol/test_rsi.py", "tests/protocol/test_corners.py"),
-    "protocol/rsi_scan.py": ("tests/protocol/test_rsi.py", "tests/protocol/test_corners.py"),
-    "protocol/rsi_write.py": ("tests/protocol/test_rsi.py", "tests/protocol/test_corners.py"),
-    "protocol/camera.py": ("tests/protocol/test_camera.py",),
-    "protocol/distance.py": ("tests/protocol/test_distance.py", "tests/protocol/test_corners.py"),
-    "protocol/slcan.py": ("tests/protocol/test_slcan.py",),
-    "protocol/wrench_bota.py": ("tests/protocol/test_wrench.py",),
-    "protocol/wrench_ft300.py": ("tests/protocol/test_wrench.py",),
-    "protocol/wrench_stream.py": ("tests/protocol/test_wrench.py",),
-    "protocol/command.py": ("tests/protocol/test_command.py",),
-    "protocol/command_session.py": (
-        "tests/protocol/test_command_session.py",
+    "protocol/rsi.py": (
+        "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_corners.py",
+        "tests/protocol/test_rsi.py",
+    ),
+    "protocol/rsi_config.py": (
+        "tests/protocol/test_wires_transcript.py",
+        "tests/protocol/test_rsi.py",
+    ),
+    "protocol/rsi_layout.py": (
+        "tests/protocol/test_wires_transcript.py",
+        "tests/protocol/test_rsi.py",
+    ),
+    "protocol/rsi_read.py": (
+        "tests/protocol/test_wires_transcript.py",
+        "tests/protocol/test_corners.py",
+        "tests/protocol/test_rsi.py",
+    ),
+    "protocol/rsi_scan.py": (
+        "tests/protocol/test_wires_transcript.py",
+        "tests/protocol/test_corners.py",
+        "tests/protocol/test_rsi.py",
+    ),
+    "protocol/rsi_write.py": (
+        "tests/protocol/test_wires_transcript.py",
+        "tests/protocol/test_corners.py",
+        "tests/protocol/test_rsi.py",
+    ),
+    "protocol/camera.py": (
+        "tests/protocol/test_wires_transcript.py",
+        "tests/protocol/test_camera.py",
+    ),
+    "protocol/distance.py": (
+        "tests/protocol/test_wires_transcript.py",
+        "tests/protocol/test_corners.py",
+        "tests/protocol/test_distance.py",
+    ),
+    "protocol/distance_bits.py": (
+        "tests/protocol/test_wires_transcript.py",
+        "tests/protocol/test_corners.py",
+        "tests/protocol/test_distance.py",
+    ),
+    "protocol/slcan.py": (
+        "tests/protocol/test_wires_transcript.py",
+        "tests/protocol/test_slcan.py",
+    ),
+    "protocol/wrench_bota.py": (
+        "tests/protocol/test_wires_transcript.py",
+        "tests/protocol/test_wrench.py",
+    ),
+    "protocol/wrench_ft300.py": (
+        "tests/protocol/test_wires_transcript.py",
+        "tests/protocol/test_wrench.py",
+    ),
+    "protocol/wrench_stream.py": (
+        "tests/protocol/test_wires_transcript.py",
+        "tests/protocol/test_wrench.py",
+    ),
+    "protocol/command.py": (
+        "tests/protocol/test_wires_transcript.py",
+        "tests/protocol/test_command.py",
+    ),
+    "protocol/command_session.py": (
+        "tests/protocol/test_corners.py",
+        "tests/protocol/test_command_session.py",
     ),
 }
 """What judges a mutant of each file, the quickest first."""
@@ -143,6 +195,10 @@ EQUIVALENT: dict[str, dict[tuple[str, str], str]] = {
             "self._reach = WINDOW * max(1, round(cycle_s * 1000.0))",
             "1000.0 -> 1001.0",
         ): "the same for every cycle of whole milliseconds",
+        (
+            "line = self._line if event is Event.RESYNC else _Line(ipoc, 0, 1)",
+            "1 -> 2",
+        ): "the second of a line counts two either way",
         ("if delta < 0:", "delta < 0 -> delta <= 0"): "no difference is zero here",
         ("if delta < 0:", "0 -> 1"): "no difference is zero here",
         ("length: int = 0", "0 -> 1"): "a line that is looked at was begun by its first telegram",

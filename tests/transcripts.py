@@ -37,7 +37,9 @@ class Transcript:
         self._hash = blake2b(digest_size=8)
 
     def say(self, *what: object) -> None:
-        self._hash.update((repr(what) + "\n").encode())
+        text = repr(what)
+        assert " at 0x" not in text, f"it has no words of its own: {text}"
+        self._hash.update((text + "\n").encode())
 
     @property
     def digest(self) -> str:
