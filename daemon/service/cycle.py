@@ -318,7 +318,8 @@ class Cycle:
         if ready is None:
             self._step_unsent(self._state, stamp_ns)
         else:
-            self._note_unsent(ready.entry)
+            # The telegram before may have come, and been answered, since this one was made.
+            self._note_unsent(self._confirmed(ready).entry)
         self._is_under_way = False
 
     def take_log(self) -> list[LogEntry]:
@@ -399,7 +400,7 @@ class Cycle:
             entry, reply = ready.entry.answering(telegram.ipoc), ready.reply
         else:
             if ready is not None:
-                self._note_unsent(ready.entry)
+                self._note_unsent(self._confirmed(ready).entry)
                 steps -= 1
             self._catch_up(stamp_ns, steps)
             self.inline += 1

@@ -375,6 +375,28 @@ def test_a_telegram_that_comes_after_its_step_gets_that_step(station: Station) -
     assert station.cycle.steps == steps + 2
 
 
+@pytest.mark.parametrize("is_missed_again", [True, False])
+def test_a_step_stands_on_what_the_telegram_before_it_was_given_however_late(
+    parameters: Parameters, task: Task, is_missed_again: bool
+) -> None:
+    late, prompt = Station(parameters, task), Station(parameters, task)
+    late.track(160)
+    prompt.track(163)
+    late.feed()
+    assert late.cycle.prepare(late.stamp_ns)
+    late.cycle.on_missing(late.stamp_ns)
+    # The next step is made before its time, and assumes that the last one was never sent.
+    assert late.cycle.prepare(late.stamp_ns + PERIOD)
+    late.exchange(feed=False)
+    if is_missed_again:
+        late.cycle.on_missing(late.stamp_ns)
+    late.exchange(feed=False)
+    late.exchange()
+    moves, expected = np.array(late.commands[-5:]), np.array(prompt.commands[-5:])
+    assert np.abs(np.diff(expected, axis=0)).max() > 1e-3
+    assert moves == pytest.approx(expected, abs=1e-4)
+
+
 def test_a_robot_that_does_not_go_where_it_is_sent_is_held_with_the_axis_named(
     station: Station,
 ) -> None:
