@@ -108,3 +108,37 @@ def test_what_counts_as_standing(speed: float, acceleration: float, stands: bool
         moving[:, axis] = speed, acceleration
         state = GateState(START, moving[0], moving[1], START, np.zeros(3))
         assert limits.stands(state) is stands
+
+
+def _near(chance: Chance, edge: float, grain: float) -> float:
+    return edge + chance.pick((-1.0, 1.0)) * grain * chance.between(0.0, 1.0) ** 4
+
+
+@pytest.mark.parametrize("period", [0.012, 0.004])
+def test_what_passes_the_short_cut_would_pass_the_long_way(period: float) -> None:
+    chance, passed = Chance(f"short cut/{period}"), 0
+    for bounds in HOUSE.axes:
+        step = bounds.jerk * period
+        room = limits._stopping_way(bounds, period)
+        for _ in range(6000):
+            a = chance.between(-1.0, 1.0) * bounds.acceleration
+            wanted = chance.pick((a + step, a - step, a, 0.0, bounds.acceleration))
+            wanted = _near(chance, wanted * chance.pick((1.0, 1.0, -1.0, 0.5)), step)
+            end = 0.5 * wanted * abs(wanted) / bounds.jerk + 1.5 * period * wanted
+            v = chance.pick((bounds.speed - end, -bounds.speed - end, 0.0, 0.5 * bounds.speed))
+            v = _near(chance, v, 0.3 * bounds.speed)
+            v = max(-bounds.speed, min(v, bounds.speed))
+            way = abs(v) * period
+            p = chance.pick((bounds.upper - room - way, bounds.lower + room + way, 0.0))
+            p = max(bounds.lower, min(_near(chance, p, 0.5 * room), bounds.upper))
+            desired = p + (v + wanted * period) * period
+            axis = limits._Axis(p, v, a, p, v, desired)
+            wanted = ((desired - p) / period - v) / period
+            if not limits._is_clear(axis, wanted, bounds, period):
+                continue
+            passed += 1
+            low, high = limits._range(p, v, a, bounds, period)
+            margin = 1e-6 * bounds.acceleration
+            assert low - margin <= wanted <= high + margin
+            assert limits._stays(axis, wanted, bounds, period)
+    assert passed > 500
