@@ -179,6 +179,10 @@ SHORT_CUTS = {
 taken too seldom it is the same: a mutant in them that survives is equivalent."""
 
 IDLE_MEMORY = "not looked at before the first telegram has set it"
+FIRST_POSE = "not looked at before the first pose has set it"
+WHOLE_FRAME = "a frame that is not taken at once is taken as those of all streams are: the same"
+INFINITE = "finite if and only if every part is, whatever the signs: none of 32 bits overflows"
+PARTS = ("fx", "fy", "fz", "mx", "my", "mz", "temperature")
 EQUIVALENT: dict[str, dict[tuple[str, str], str]] = {
     "protocol/exchange.py": {
         ("if self.length and 0 < delta <= reach:", "0 < delta <= reach -> 0 <= delta <= reach"): (
@@ -218,6 +222,21 @@ EQUIVALENT: dict[str, dict[tuple[str, str], str]] = {
         ("self._heard_ns = 0", "0 -> 1"): IDLE_MEMORY,
         ("self._anchor_ipoc = 0", "0 -> 1"): IDLE_MEMORY,
         ("self._anchor_ns = 0", "0 -> 1"): IDLE_MEMORY,
+    },
+    "protocol/camera.py": {
+        (f"self.{name} = 0", "0 -> 1"): FIRST_POSE
+        for name in ("reset", "t_tx", "arrival_ns", "candidates", "jumps")
+    },
+    "protocol/wrench_bota.py": {
+        ("crc = fastcrc.crc16.ibm_sdlc(data[1:35])", what): WHOLE_FRAME
+        for what in ("1 -> 2", "35 -> 36")
+    }
+    | {
+        (
+            "if not math.isfinite(fx + fy + fz + mx + my + mz + temperature):",
+            f"{' + '.join(PARTS[:n])} + {PARTS[n]} -> {' + '.join(PARTS[:n])} - {PARTS[n]}",
+        ): INFINITE
+        for n in range(1, 7)
     },
 }
 """Changes that nobody can see, by file, statement and change, each with its reason."""

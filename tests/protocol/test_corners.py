@@ -253,3 +253,10 @@ def test_a_genuine_cookie_of_another_length_opens_no_session() -> None:
         assert client.on_datagram(cookie_tagger(key).seal(body), 0) is None
     assert not client.ready
     assert client.counters["dropped_length"] == 3
+
+
+def test_the_bits_of_a_botas_status_are_those_of_its_manual() -> None:
+    from linemate.protocol import wrench_bota as bota
+
+    bits = bota.STATUS_SKIPPED, bota.STATUS_OVERRANGE, bota.STATUS_INVALID, bota.STATUS_RAW
+    assert bits == (1, 2, 4, 8)

@@ -156,7 +156,7 @@ def _converse(chance: Chance, told: Transcript) -> None:  # noqa: PLR0912 - as a
                 for _ in range(chance.pick((1, 2, 3, 130))):
                     ipoc = exchange.next_ipoc()
                     told.say(ipoc)
-                for back in (1, 2, 126, 127, 128, 129):
+                for back in (1, 2, 97, 98, 99, 100, 101, 102):
                     told.say(exchange.on_reply(ipoc - back * step))
             case _:
                 told.say(exchange.on_reply(ipoc))
@@ -164,7 +164,7 @@ def _converse(chance: Chance, told: Transcript) -> None:  # noqa: PLR0912 - as a
         told.say(astuple(exchange.counts))
 
 
-@pytest.mark.parametrize(("part", "digest"), [(0, "12640ae65fa5110b"), (1, "26afd71d01efd130")])
+@pytest.mark.parametrize(("part", "digest"), [(0, "296b4c0f7a99e641"), (1, "a4981a99af938fea")])
 def test_the_controllers_role_answers_as_it_always_did(part: int, digest: str) -> None:
     told = Transcript()
     for script in range(SCRIPTS // 2):
