@@ -188,7 +188,7 @@ class BankSettings:
 
     perceived: LogOdds = 6.0
     stop_confirmed: LogOdds = 12.0
-    contact_confirmed: LogOdds = 7.0
+    contact_confirmed: LogOdds = 5.5
     start_confirmed: LogOdds = 17.0
     amplitude_deviation: Annotated[float, Ge(0.01), Le(2.0)] = 0.15
     penalty: LogOdds = 4.0

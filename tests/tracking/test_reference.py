@@ -20,6 +20,7 @@ from linemate.daemon.tracking.reference import (
     tabulated,
 )
 from linemate.daemon.tracking.task import Frame, Gate, Phase, PoseFile, TaskFile, Waypoint
+from linemate.daemon.tracking.tracker import LATE, hanging
 
 TASK = task_file.load(DAEMON_DATA / "wheel.yaml").file
 REFERENCE = compile_reference(TASK)
@@ -207,3 +208,12 @@ def test_a_nominal_pose_that_does_not_look_along_the_conveyor_is_refused() -> No
 def test_a_turned_programme_is_known_to_be_one() -> None:
     assert not REFERENCE.turned
     assert compile_reference(turned_task(0.1)).turned
+
+
+def test_the_tool_is_damped_until_it_touches_and_again_once_it_has_left() -> None:
+    touch, leave, blend = REFERENCE.contact_time, 15.0, 0.06
+    instants = np.array((0.0, touch - blend, touch, touch + LATE * blend, leave, leave + blend))
+    shares = hanging(REFERENCE, leave, blend, instants)
+    assert shares == pytest.approx((1.0, 1.0, LATE, 0.0, 0.0, 1.0), abs=1e-9)
+    around = hanging(REFERENCE, leave, blend, touch + np.linspace(-0.1, 0.1, 41))
+    assert (np.diff(around) <= 0.0).all()
