@@ -7,7 +7,7 @@ from pathlib import Path
 
 import cantools
 import pytest
-from command_ends import MS, START_NS, key_of
+from command_ends import MS, START_NS, World, client_address, key_of
 
 from linemate.protocol.command import (
     CommandError,
@@ -19,9 +19,10 @@ from linemate.protocol.command import (
     frame_body,
     local_body,
 )
+from linemate.protocol.command_client import Answer
 from linemate.protocol.command_keys import cookie_tagger
 from linemate.protocol.command_local import LocalServer
-from linemate.protocol.command_rules import ControlLease, Order
+from linemate.protocol.command_rules import ControlLease, Conversation, Order
 from linemate.protocol.command_session import CommandClient
 from linemate.protocol.distance import (
     DistanceDecoder,
@@ -224,18 +225,24 @@ def test_local_telemetry_comes_when_it_is_due_and_to_those_who_want_it() -> None
     assert due == [True, False] * 5
 
 
-def test_local_telemetry_of_just_the_size_of_a_result_does_not_fit_its_event() -> None:
+def test_telemetry_that_finds_no_room_in_its_event_is_counted() -> None:
     counters: Counter[str] = Counter()
     server = LocalServer("uid:1", Role.VIEW, ControlLease(), counters)
+    # The room of a local message is greater than the longest result: a narrower one.
+    server._conversation = Conversation("uid:1", Role.VIEW, ControlLease(), 300, counters)
     payload = encode_request("subscribe", {"rate_hz": 50.0}, START_NS // MS)
     server.on_message(local_body(FrameType.REQUEST, 0, 0, 1, payload), START_NS)
     said = [
         server.event(START_NS + k * 20 * MS, lambda n=n: {"a": bytes(n)})  # type: ignore[misc]
-        for k, n in enumerate(range(65_500, 65_540))
+        for k, n in enumerate(range(250, 310))
     ]
-    assert said[0] is not None
-    assert said[-1] is None
+    fits = [one is not None for one in said]
+    assert fits == sorted(fits, reverse=True)
+    assert fits[0]
+    assert not fits[-1]
     assert counters["events_too_long"] == said.count(None)
+    assert all(len(cut_local(one).payload) <= 300 for one in said if one is not None)
+    assert max(len(cut_local(one).payload) for one in said if one is not None) == 300
 
 
 def test_nothing_is_sealed_before_the_handshake_is_answered() -> None:
@@ -243,6 +250,34 @@ def test_nothing_is_sealed_before_the_handshake_is_answered() -> None:
     assert client.close() is None
     with pytest.raises(CommandError, match="no_session"):
         client.request("status", {}, 500 * MS)
+    with pytest.raises(CommandError, match="no_session"):
+        client._frame(FrameType.CLOSE, 1, b"")
+
+
+def test_a_handler_that_broke_is_told_to_a_session_that_lives() -> None:
+    world = World()
+    client = world.client()
+    sent = client.request("stop", {}, world.now_ns + 500 * MS)
+    received = world.server.on_datagram(sent.frame, client_address(client), world.now_ns)
+    assert received.request is not None
+    told = world.server.fail(received.request, world.now_ns)
+    assert told is not None
+    answer = client.on_datagram(told, world.now_ns)
+    assert isinstance(answer, Answer)
+    assert answer.code == "internal"
+
+
+def test_axes_in_another_order_are_written_at_their_places() -> None:
+    swapped = SHIPPED.replace(b'"AK.A3"', b'"AK.X"').replace(b'"AK.A4"', b'"AK.A3"')
+    codec = RsiCodec(parse_config(swapped.replace(b'"AK.X"', b'"AK.A4"')))
+    reply = SensorTelegram(7, joints=SIX, external=(0.1,), channels={"DiO": 5})
+    data = codec.format_sensor(reply)
+    assert data.index(b"A4=") < data.index(b"A3=")
+    told = codec.parse_sensor(data)
+    assert told.joints == pytest.approx(SIX)
+    assert told.channels["DiO"] == 5
+    with pytest.raises(RsiError, match="too few"):
+        codec.format_sensor(SensorTelegram(7, joints=SIX[:5], external=(0.1,)))  # type: ignore[arg-type]
 
 
 def test_a_genuine_cookie_of_another_length_opens_no_session() -> None:
@@ -260,3 +295,13 @@ def test_the_bits_of_a_botas_status_are_those_of_its_manual() -> None:
 
     bits = bota.STATUS_SKIPPED, bota.STATUS_OVERRANGE, bota.STATUS_INVALID, bota.STATUS_RAW
     assert bits == (1, 2, 4, 8)
+
+
+def test_frames_of_another_session_or_key_are_not_this_clients() -> None:
+    key = key_of()
+    client = CommandClient(key, 7)
+    for other_key, session in ((key.id, 8), (key.id + 1, 7)):
+        body = frame_body(FrameType.COOKIE, other_key, session, 0, bytes(24))
+        assert client.on_datagram(cookie_tagger(key).seal(body), 0) is None
+    assert not client.ready
+    assert client.counters["dropped_session"] == 2
