@@ -47,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ValueError as error:
         print(f"dst: {error}", file=sys.stderr)
         return 2
-    return _swarm(seeds, max(1, args.workers), None if args.forget else args.keep)
+    return _swarm(seeds, max(1, args.workers), None if args.forget else args.keep, args.seconds)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -58,6 +58,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--keep", type=Path, default=KEPT, help="file for plans that failed")
     parser.add_argument("--forget", action="store_true", help="neither shrink nor keep")
+    parser.add_argument(
+        "--seconds", type=float, default=float("inf"), help="begin no further seed after that"
+    )
     parser.add_argument("--trace", metavar="SEED,...", help="print the traces of some seeds")
     return parser
 
@@ -72,11 +75,12 @@ def _seeds(text: str) -> range:
     return seeds
 
 
-def _swarm(seeds: range, workers: int, keep: Path | None) -> int:
-    """Live through all seeds, then through some of them again."""
+def _swarm(seeds: range, workers: int, keep: Path | None, seconds: float) -> int:
+    """Live through all seeds that there is time for, then through some of them again."""
     begun = time.monotonic()
     failed: list[tuple[int, tuple[str, ...]]] = []
     traces: dict[int, str] = {}
+    done = 0
     for done, (seed, violations, digest) in enumerate(_lives(seeds, workers), 1):
         if violations:
             failed.append((seed, violations))
@@ -84,17 +88,20 @@ def _swarm(seeds: range, workers: int, keep: Path | None) -> int:
                 print(f"seed {seed}: {what}", flush=True)
         if seed % AGAIN_EVERY == 0:
             traces[seed] = digest
+        passed_s = time.monotonic() - begun
         if done % (AGAIN_EVERY * CHUNK) == 0:
-            print(f"{done} of {len(seeds)}, {time.monotonic() - begun:.0f} s", flush=True)
+            print(f"{done} of {len(seeds)}, {passed_s:.0f} s", flush=True)
+        if passed_s > seconds:
+            break
+    lived_s = time.monotonic() - begun
     different = list(_different(traces))
     for seed in different:
         print(f"seed {seed}: determinism: another trace in another process", flush=True)
-    took_s = time.monotonic() - begun
     if keep is not None:
         _keep(failed, keep)
-    print(f"{60.0 * len(seeds) / took_s:.0f} runs a minute, {len(traces)} of them twice")
+    print(f"{60.0 * done / lived_s:.0f} runs a minute, {len(traces)} of them twice")
     count = len(failed) + len(different)
-    print(f"{len(seeds)} runs, {count} violations")
+    print(f"{done} runs, {count} violations")
     return 1 if count else 0
 
 
@@ -108,7 +115,10 @@ def _lives(seeds: Iterable[int], workers: int) -> Iterator[tuple[int, tuple[str,
             gc.unfreeze()
         return
     with ProcessPoolExecutor(workers, initializer=_settle) as pool:
-        yield from pool.map(_live_seed, seeds, chunksize=CHUNK)
+        try:
+            yield from pool.map(_live_seed, seeds, chunksize=CHUNK)
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
 
 
 def _settle() -> None:
