@@ -22,6 +22,7 @@ from typing import Any
 import yaml
 
 from linemate.daemon.operator.client import Client, NoAnswerError, RefusedError
+from linemate.daemon.service.watch import WatchSettings
 from linemate.simulators.devices import truth
 from linemate.simulators.harness import (
     host,
@@ -103,6 +104,7 @@ class Station:
                 "lock_memory": True,
                 "cpus": list(self.cores[0]),
             },
+            "watch": _patience(self.scenario.cycle_s),
             # What was identified of the cell, as after its commissioning.
             **overlay.load(),
         }
@@ -134,6 +136,17 @@ class Station:
         path = self.folder / f"{name}.yaml"
         path.write_text(yaml.safe_dump(value, sort_keys=False), encoding="utf-8")
         return path
+
+
+def _patience(cycle_s: float) -> dict[str, int]:
+    """Return how many telegrams may be missed: at each cycle as many milliseconds as at 12.
+
+    A shared machine stands still for so long now and then; the arm does not get further in it.
+    """
+    as_long = round(0.012 / cycle_s)
+    usual = WatchSettings()
+    names = ("missed", "missed_in_contact", "leak_limit")
+    return {name: as_long * getattr(usual, name) for name in names}
 
 
 class Emulated:
