@@ -127,15 +127,15 @@ class Transverse:
         """Return the rows (5, n) of (8) for x, z and the three turns, ``delay`` s ago."""
         H = np.eye(STATIC, self.size)
         for mode, pace, i, j in self._places(state):
-            back = _oscillation(mode, -delay, pace)
-            levers, axis = mode.levers, TURN + mode.axis
-            H[X, i : i + 2] = levers[0] * back[0]
-            H[Z, i : i + 2] = levers[2] * back[0]
-            H[axis, i : i + 2] = back[0]
+            c, s = _advance(mode, -delay, pace)
+            (x, _, z), axis = mode.levers, TURN + mode.axis
+            H[X, i], H[Z, i], H[axis, i] = x * c, z * c, c
+            k = i + 1
+            H[X, k], H[Z, k], H[axis, k] = x * s, z * s, s
             if j >= 0:
-                c, s = state.x[i : i + 2].tolist()
-                slope = -_omega(mode) * delay * (float(back[1, 0]) * c + float(back[1, 1]) * s)
-                H[X, j], H[Z, j], H[axis, j] = levers[0] * slope, levers[2] * slope, slope
+                angle, quadrature = state.x[i : i + 2].tolist()
+                slope = -_omega(mode) * delay * (c * quadrature - s * angle)
+                H[X, j], H[Z, j], H[axis, j] = x * slope, z * slope, slope
         return H
 
     def correct(
@@ -223,7 +223,8 @@ def _model(
     noise[STATIC + 2 * len(swing) :] = fusion.pace**2 * dt
     for m, mode in enumerate(swing):
         i = STATIC + 2 * m
-        F[i : i + 2, i : i + 2] = _oscillation(mode, dt)
+        c, s = _advance(mode, dt, 1.0)
+        F[i : i + 2, i : i + 2] = (c, s), (-s, c)
     Q = np.diag(noise)
     F.setflags(write=False)
     Q.setflags(write=False)
@@ -237,15 +238,16 @@ def _omega(mode: SwingMode) -> float:
 
 def _turn(F: Array, mode: SwingMode, pace: float, dt: float, x: Array, i: int, j: int) -> None:
     """Write a swing's transition at its pace into A, and how an error of the pace enters it."""
-    F[i : i + 2, i : i + 2] = block = _oscillation(mode, dt, pace)
-    angle, quadrature = (block @ x[i : i + 2]).tolist()
+    c, s = _advance(mode, dt, pace)
+    angle, quadrature = x[i : i + 2].tolist()
     way = _omega(mode) * dt
-    F[i, j], F[i + 1, j] = way * quadrature, -way * angle
+    F[i, i], F[i, i + 1], F[i, j] = c, s, way * (c * quadrature - s * angle)
+    k = i + 1
+    F[k, i], F[k, k], F[k, j] = -s, c, -way * (c * angle + s * quadrature)
 
 
-def _oscillation(mode: SwingMode, dt: float, pace: float = 1.0) -> Array:
-    """Return the transition (2, 2) of angle and quadrature over ``dt``, backwards if negative."""
+def _advance(mode: SwingMode, dt: float, pace: float) -> tuple[float, float]:
+    """Return what angle and quadrature now add to the angle in ``dt``, backwards if negative."""
     w = _omega(mode) * pace
     decay = math.exp(-mode.damping * w * dt)
-    c, s = decay * math.cos(w * dt), decay * math.sin(w * dt)
-    return np.array(((c, s), (-s, c)))
+    return decay * math.cos(w * dt), decay * math.sin(w * dt)
