@@ -82,7 +82,8 @@ def _channels(chance: Chance) -> dict[str, int | bool | float | str]:
 
 
 @pytest.mark.parametrize(
-    ("layout", "digest"), [("rsi_joints.xml", "738dc86318250e5a"), ("rsi_joints_setpoints.xml", "4991510bdce2cd3d")]
+    ("layout", "digest"),
+    [("rsi_joints.xml", "738dc86318250e5a"), ("rsi_joints_setpoints.xml", "4991510bdce2cd3d")],
 )
 def test_telegrams_are_written_and_read_as_they_always_were(layout: str, digest: str) -> None:
     told = Transcript()
@@ -151,7 +152,9 @@ def _poses(chance: Chance) -> Iterator[tuple[CameraMessage, int]]:
         yield message, now_ns
 
 
-@pytest.mark.parametrize(("part", "digest"), [(0, "1a9e44a46a86f3ce"), (1, "dcd8a60531635927"), (2, "97fd6bb53e79cc46")])
+@pytest.mark.parametrize(
+    ("part", "digest"), [(0, "1a9e44a46a86f3ce"), (1, "dcd8a60531635927"), (2, "97fd6bb53e79cc46")]
+)
 def test_cameras_are_followed_as_they_always_were(part: int, digest: str) -> None:
     told = Transcript()
     expected = ((None, None, None), ("camera", "hub", None), ("camera", "hub", "a"))[part]
@@ -191,7 +194,9 @@ def test_distances_are_written_and_read_as_they_always_were() -> None:
     assert told.digest == "3c9b6d2e93909ea0"
 
 
-@pytest.mark.parametrize(("device", "digest"), [("bota", "9a13e9e399aea0cc"), ("robotiq-ft300", "c78586c0e05c50b8")])
+@pytest.mark.parametrize(
+    ("device", "digest"), [("bota", "9a13e9e399aea0cc"), ("robotiq-ft300", "c78586c0e05c50b8")]
+)
 def test_wrenches_are_cut_from_any_stream_as_they_always_were(device: str, digest: str) -> None:
     told, chance = Transcript(), Chance(f"wrench/{device}")
     frame = bota_frame if device == "bota" else ft300_frame
@@ -216,7 +221,9 @@ def test_wrenches_are_cut_from_any_stream_as_they_always_were(device: str, diges
     assert told.digest == digest
 
 
-@pytest.mark.parametrize(("device", "digest"), [("bota", "2f7d51080a3f88fd"), ("robotiq-ft300", "6f79569fb0c3477c")])
+@pytest.mark.parametrize(
+    ("device", "digest"), [("bota", "2f7d51080a3f88fd"), ("robotiq-ft300", "6f79569fb0c3477c")]
+)
 def test_host_and_device_of_a_line_talk_as_they_always_did(device: str, digest: str) -> None:
     told = Transcript()
     for script in range(60):

@@ -111,7 +111,11 @@ def _day(settings: WatchSettings, chance: Chance, told: Transcript) -> None:
 
 @pytest.mark.parametrize(
     ("settings", "digest"),
-    [(SMALL, "46a312cf416c39bd"), (SHIPPED, "f289073da3f43b98"), (replace(SHIPPED, healthy_cycles=1, leak_limit=2), "37d66ff2fcd53435")],
+    [
+        (SMALL, "46a312cf416c39bd"),
+        (SHIPPED, "f289073da3f43b98"),
+        (replace(SHIPPED, healthy_cycles=1, leak_limit=2), "37d66ff2fcd53435"),
+    ],
     ids=["small", "shipped", "least"],
 )
 def test_the_watch_sees_as_it_always_did(settings: WatchSettings, digest: str) -> None:
