@@ -110,6 +110,7 @@ def test_the_collector_runs_in_the_slack_and_fully_only_at_rest() -> None:
 
 COMPANIONS = """
 import json, os, threading
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # as the daemon does: the algebra brings no thread
 from linemate.daemon.service.realtime import Companions, ask
 from linemate.daemon.service.settings import RealtimeSettings
 host = ask(RealtimeSettings(priority=10))
