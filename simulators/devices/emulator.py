@@ -142,6 +142,7 @@ class Emulator:
         self._cycle_s = config.scenario.cycle_s
         self._look_ahead_s = min(axis.dead_time_s for axis in config.scenario.robot.axes)
         self._begun_ns = 0
+        self._origin_ns = 0
         self._begun_s = self.world.time_s
         self._told_s = -1e9
         self._waits = 0
@@ -186,6 +187,8 @@ class Emulator:
             self._waits += 1
             return
         self._begun_ns, self._begun_s = at_ns, self.world.time_s
+        if not self._origin_ns:
+            self._origin_ns = at_ns - round(self.config.scenario.lead_in_s * 1e9)
         self.truth.begin(self.world, self._plant.axes)
         # No axis moves on this cycle's setpoints before the shortest dead time has passed: the
         # world goes ahead now, so that the next telegram finds it there.
@@ -366,7 +369,9 @@ class Emulator:
                 partial(self.can.emit, distance.position, distance.strength),
             )
         for wrench in world.take_wrench():
-            device_us = round((wrench.exposure_s + world.scenario.lead_in_s) * 1e6)
+            # A device's clock goes on while this process is held up and its world stands still:
+            # dates that stood with it would be early for as long as an offset is remembered.
+            device_us = (self._instant(wrench.exposure_s) - self._origin_ns) // 1000
             self._emit(
                 "force_torque",
                 wrench.time_s,
