@@ -7,8 +7,7 @@ authenticate and nothing to replay. Deadlines, roles and the lease hold all the 
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from linemate.protocol.command import (
     HEADER,
@@ -28,8 +27,7 @@ LOCAL_ROOM_BYTES: Final = MAX_RESULT_BYTES + 256
 LOCAL_LIMIT_BYTES: Final = HEADER.size + LOCAL_ROOM_BYTES
 
 
-@dataclass(frozen=True, slots=True)
-class LocalAccess:
+class LocalAccess(NamedTuple):
     """Which local users may do what; the socket's file mode decides first.
 
     Attributes:
@@ -38,9 +36,9 @@ class LocalAccess:
         view_gids: group ids whose members may view.
     """
 
-    operate_uids: frozenset[int] = field(default_factory=frozenset)
-    operate_gids: frozenset[int] = field(default_factory=frozenset)
-    view_gids: frozenset[int] = field(default_factory=frozenset)
+    operate_uids: frozenset[int] = frozenset()
+    operate_gids: frozenset[int] = frozenset()
+    view_gids: frozenset[int] = frozenset()
 
     def role(self, uid: int, gids: frozenset[int]) -> Role | None:
         """Return the role of a user with these groups, None for no access."""

@@ -8,7 +8,6 @@ one of them. Time is an argument.
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 from linemate.protocol.command import (
@@ -85,11 +84,13 @@ class _Refusal(Exception):  # noqa: N818
         self.why = why
 
 
-@dataclass(slots=True)
 class _Subscription:
-    period_ns: int
-    until_ns: int
-    next_ns: int
+    __slots__ = ("next_ns", "period_ns", "until_ns")
+
+    def __init__(self, period_ns: int, until_ns: int, next_ns: int) -> None:
+        self.period_ns = period_ns
+        self.until_ns = until_ns
+        self.next_ns = next_ns
 
 
 class Conversation:

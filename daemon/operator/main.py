@@ -8,7 +8,6 @@ when something is watched. Exit codes: 0 done or healthy, 1 refused or not healt
 
 import argparse
 import contextlib
-import dataclasses
 import os
 import sys
 import time
@@ -256,6 +255,8 @@ def _keygen(args: argparse.Namespace) -> int:
 
 
 def _doctor(args: argparse.Namespace) -> int:
+    import dataclasses
+
     from linemate.daemon.operator import doctor
 
     findings = doctor.examine(doctor.Host())
