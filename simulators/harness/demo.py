@@ -99,6 +99,8 @@ class Station:
             "force_torque": {"url": str(self.folder / "force-torque")},
             "command": {"socket": str(self.command_socket)},
             "recording": {"directory": str(self.folder), "at_start": True},
+            # For whoever tries `param save` beside it; it goes with the folder.
+            "state": str(self.folder),
             "realtime": {
                 "priority": DAEMON_PRIORITY,
                 "lock_memory": True,
