@@ -22,7 +22,6 @@ from typing import Any
 import yaml
 
 from linemate.daemon.operator.client import Client, NoAnswerError, RefusedError
-from linemate.daemon.service.watch import WatchSettings
 from linemate.simulators.devices import truth
 from linemate.simulators.harness import (
     host,
@@ -33,7 +32,7 @@ from linemate.simulators.harness import (
     scenario_file,
     table,
 )
-from linemate.simulators.harness.judge import judge, within_limits
+from linemate.simulators.harness.judge import judge
 from linemate.simulators.harness.live import Glimpse, LinkGlimpse, View
 from linemate.simulators.harness.processes import (
     Child,
@@ -106,7 +105,6 @@ class Station:
                 "lock_memory": True,
                 "cpus": list(self.cores[0]),
             },
-            "watch": _patience(self.scenario.cycle_s),
             # What was identified of the cell, as after its commissioning.
             **overlay.load(),
         }
@@ -138,17 +136,6 @@ class Station:
         path = self.folder / f"{name}.yaml"
         path.write_text(yaml.safe_dump(value, sort_keys=False), encoding="utf-8")
         return path
-
-
-def _patience(cycle_s: float) -> dict[str, int]:
-    """Return how many telegrams may be missed: at each cycle as many milliseconds as at 12.
-
-    A shared machine stands still for so long now and then; the arm does not get further in it.
-    """
-    as_long = round(0.012 / cycle_s)
-    usual = WatchSettings()
-    names = ("missed", "missed_in_contact", "leak_limit")
-    return {name: as_long * getattr(usual, name) for name in names}
 
 
 class Emulated:
@@ -239,8 +226,6 @@ def perform(scenario: Scenario, out: Path, *, is_viewed: bool = False) -> dict[s
         result["step_us"] = _step_us(status) or result["step_us"]
         facts = truth.load(station.truth)[1]
         result["notes"] = _notes(status, facts)
-        pace = facts["pace"]
-        result["within_limits"] = within_limits(result, explained=pace["slips"] + pace["late"])
         leave(out, result, evidence.rows)
         kept = out / f"{scenario.name}-seed{scenario.seed}-{result['cycle_ms']:g}ms.mcap"
         shutil.move(recording, kept)
@@ -418,10 +403,7 @@ def _notes(status: Mapping[str, Any], facts: Mapping[str, Any]) -> list[str]:
     missed = {kind: facts["telegrams"][kind] for kind in ("late", "lost", "refused")}
     if any(missed.values()):
         told = ", ".join(f"{count} {kind}" for kind, count in missed.items() if count)
-        notes.append(
-            f"telegrams without a good reply in time: {told}; they count against the run unless "
-            "the machine was held up as often by the emulators' own clock"
-        )
+        notes.append(f"telegrams without a good reply in time: {told}; each counts against the run")
     pace = facts["pace"]
     if pace["slips"] or pace["late"]:
         held_ms = pace["slipped_ns"] / 1e6

@@ -134,16 +134,11 @@ def judge(evidence: Evidence) -> dict[str, Any]:
     return result
 
 
-def within_limits(result: Mapping[str, Any], explained: int = 0) -> bool:
+def within_limits(result: Mapping[str, Any]) -> bool:
     """Whether the run assembled within the paper's figures.
 
     That is: assembled, no setpoint out of its limits, every telegram answered in time, and a
     control error below 1 mm and 2 mrad in approach, stop and contact.
-
-    Args:
-        result: so far.
-        explained: late or lost telegrams that the machine itself explains: so often was it held
-            up, by a clock that is none of the daemon's. In virtual time it is 0.
     """
     telegrams = result["telegrams"]
     spans = (result["control_error"].get(name) for name in ("approach", "stop", "contact"))
@@ -151,8 +146,7 @@ def within_limits(result: Mapping[str, Any], explained: int = 0) -> bool:
         span is None or (span["max_mm"] < CONTROL_BAR_MM and span["max_mrad"] < CONTROL_BAR_MRAD)
         for span in spans
     )
-    missed = telegrams["late"] + telegrams["lost"]
-    lossless = missed <= explained and telegrams["refused"] == 0
+    lossless = telegrams["late"] == telegrams["lost"] == telegrams["refused"] == 0
     return bool(
         result["assembled"] and accurate and lossless and result["limits"]["violations"] == 0
     )

@@ -310,15 +310,10 @@ def test_an_acceleration_beyond_the_gentle_one_is_let_go_at_the_jerk_of_the_limi
 ) -> None:
     rest = limits.at_rest(REST[3])
     for way in (-1.0, 1.0):
-        hard = way * 0.9 * HOUSE.acceleration
-        state = GateState(REST[3], way * 0.5 * HOUSE.speed, hard, REST[3], rest.speed)
-        after = limits.brake(state, HOUSE, period, GENTLE)
-        fallen = way * (hard - after.acceleration)
-        whole = np.abs(hard) + GENTLE.acceleration
-        assert np.allclose(fallen, np.minimum(HOUSE.jerk * period, whole), rtol=1e-6)
-        soft = way * 0.9 * GENTLE.acceleration
-        state = GateState(REST[3], way * 0.5 * HOUSE.speed, soft, REST[3], rest.speed)
-        after = limits.brake(state, HOUSE, period, GENTLE)
-        fallen = way * (soft - after.acceleration)
-        whole = np.abs(soft) + GENTLE.acceleration
-        assert np.allclose(fallen, np.minimum(GENTLE.jerk * period, whole), rtol=1e-6)
+        for had in (HOUSE, GENTLE):
+            held = way * 0.9 * had.acceleration
+            state = GateState(REST[3], way * 0.5 * HOUSE.speed, held, REST[3], rest.speed)
+            after = limits.brake(state, HOUSE, period, GENTLE)
+            fallen = way * (held - after.acceleration)
+            whole = np.abs(held) + GENTLE.acceleration
+            assert np.allclose(fallen, np.minimum(had.jerk * period, whole), rtol=1e-6)
