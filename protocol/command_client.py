@@ -10,18 +10,15 @@ from collections import Counter, OrderedDict
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
-from linemate.protocol.command import (
-    MAX_RESULT_BYTES,
-    CommandError,
-    Frame,
-    FrameType,
+from linemate.protocol.command import MAX_RESULT_BYTES, NS_PER_MS, CommandError, Frame, FrameType
+from linemate.protocol.command_plain import (
+    BARE,
     Reply,
     decode_event,
     decode_reply,
     decode_result,
-    encode_request,
+    encode_bare,
 )
-from linemate.protocol.command_rules import NS_PER_MS
 
 MAX_OUTSTANDING: Final = 16
 PAGE_DEADLINE_NS: Final = 500_000_000
@@ -112,6 +109,15 @@ class _Waiting:
         self.parts: list[bytes] = [] if parts is None else parts
 
 
+def _encode(op: str, params: Mapping[str, Any], deadline_ms: int) -> bytes:
+    if op in BARE and not params:
+        return encode_bare(op, deadline_ms)
+    # Loaded with the first parameters: a status shall not pay for the types that check them.
+    from linemate.protocol.command_request import encode_request
+
+    return encode_request(op, params, deadline_ms)
+
+
 class ClientCore(ABC):
     """The common part of CommandClient and LocalClient.
 
@@ -189,7 +195,7 @@ class ClientCore(ABC):
     def _request(self, op: str, params: Mapping[str, Any], deadline_ns: int) -> Sent:
         if self._offset_ms is None:
             raise CommandError("no_session", "the handshake has not been answered")
-        payload = encode_request(op, params, deadline_ns // NS_PER_MS + self._offset_ms)
+        payload = _encode(op, params, deadline_ns // NS_PER_MS + self._offset_ms)
         sequence = self._next()
         return Sent(sequence, self._frame(FrameType.REQUEST, sequence, payload))
 

@@ -7,24 +7,20 @@ authenticate and nothing to replay. Deadlines, roles and the lease hold all the 
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 from linemate.protocol.command import (
-    HEADER,
-    MAX_RESULT_BYTES,
+    LOCAL_ROOM_BYTES,
+    NS_PER_MS,
     CommandError,
     Frame,
     FrameType,
     Role,
     cut_local,
-    encode_result,
     local_body,
 )
-from linemate.protocol.command_client import ClientCore
-from linemate.protocol.command_rules import NS_PER_MS, ControlLease, Conversation, Order
-
-LOCAL_ROOM_BYTES: Final = MAX_RESULT_BYTES + 256
-LOCAL_LIMIT_BYTES: Final = HEADER.size + LOCAL_ROOM_BYTES
+from linemate.protocol.command_plain import encode_result
+from linemate.protocol.command_rules import ControlLease, Conversation, Order
 
 
 class LocalAccess(NamedTuple):
@@ -111,28 +107,3 @@ class LocalServer:
     @staticmethod
     def _reply(sequence: int, payload: bytes) -> bytes:
         return local_body(FrameType.REPLY, 0, 0, sequence, payload)
-
-
-class LocalClient(ClientCore):
-    """A client on the local socket: no key, no tag."""
-
-    def hello(self, now_ns: int) -> bytes:
-        """Return the message that asks for the server's clock."""
-        del now_ns
-        return local_body(FrameType.HELLO, 0, 0, 0)
-
-    def close(self) -> bytes | None:
-        """Return None: closing the socket is enough."""
-        return None
-
-    def _frame(self, kind: FrameType, sequence: int, payload: bytes) -> bytes:
-        return local_body(kind, 0, 0, sequence, payload)
-
-    def _genuine(self, data: bytes) -> Frame:
-        frame = cut_local(data, LOCAL_LIMIT_BYTES)
-        if frame.type not in {FrameType.COOKIE, FrameType.REPLY, FrameType.EVENT}:
-            raise CommandError("direction", frame.type.name)
-        return frame
-
-    def _take_cookie(self, frame: Frame) -> None:
-        del frame

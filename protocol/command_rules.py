@@ -10,21 +10,10 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
-from linemate.protocol.command import (
-    MAX_AHEAD_MS,
-    OPERATIONS,
-    PAGE_BYTES,
-    CommandError,
-    Reply,
-    Request,
-    Role,
-    decode_request,
-    encode_event,
-    encode_reply,
-    encode_result,
-)
+from linemate.protocol.command import MAX_AHEAD_MS, NS_PER_MS, PAGE_BYTES, CommandError, Role
+from linemate.protocol.command_plain import Reply, encode_event, encode_reply, encode_result
+from linemate.protocol.command_request import OPERATIONS, Request, decode_request
 
-NS_PER_MS: Final = 1_000_000
 LEASE_NS: Final = 5_000_000_000
 DEFAULT_SUBSCRIPTION_NS: Final = 5_000_000_000
 REFUSED: Final = "refused"

@@ -14,13 +14,13 @@ from typing import Any, Final, NamedTuple
 from linemate.protocol.command import (
     COOKIE_BYTES,
     HANDSHAKE_BYTES,
+    NS_PER_MS,
     ROOM_BYTES,
     CommandError,
     Frame,
     FrameType,
     Tagger,
     cut_frame,
-    encode_result,
     frame_body,
 )
 from linemate.protocol.command_client import ClientCore, Event, Ready, Sent
@@ -32,7 +32,8 @@ from linemate.protocol.command_keys import (
     hello_tagger,
     session_keys,
 )
-from linemate.protocol.command_rules import NS_PER_MS, ControlLease, Conversation, Order
+from linemate.protocol.command_plain import encode_result
+from linemate.protocol.command_rules import ControlLease, Conversation, Order
 
 __all__ = [
     "CommandClient",

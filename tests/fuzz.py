@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from linemate.protocol import camera, command, rsi_config, slcan
+from linemate.protocol import camera, command, command_plain, command_request, rsi_config, slcan
 from linemate.protocol.camera import CameraDecoder, CameraError, CameraMessage
 from linemate.protocol.distance import DistanceDecoder, DistanceEncoder
 from linemate.protocol.errors import ProtocolError
@@ -105,14 +105,17 @@ def _stream(device: str, frame: bytes) -> Wire:
 
 
 def _command() -> tuple[Wire, Wire, Wire]:
-    request = command.encode_request("set", {"values": {"watch.missed": 3}}, 1000)
+    request = command_request.encode_request("set", {"values": {"watch.missed": 3}}, 1000)
     body = command.frame_body(command.FrameType.REQUEST, 1, 2, 3, request)
-    result = command.encode_result({"state": "idle", "steps": 3})
-    reply = command.encode_reply(command.Reply(ok=True, t=1, r=result))
+    result = command_plain.encode_result({"state": "idle", "steps": 3})
+    reply = command_plain.encode_reply(command_plain.Reply(ok=True, t=1, r=result))
     return (
         Wire((body + bytes(16),), command.cut_frame),
-        Wire((request, command.encode_request("status", {}, 1)), command.decode_request),
-        Wire((reply, result), command.decode_reply),
+        Wire(
+            (request, command_request.encode_request("status", {}, 1)),
+            command_request.decode_request,
+        ),
+        Wire((reply, result), command_plain.decode_reply),
     )
 
 

@@ -13,9 +13,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from linemate.protocol.command import CommandError
+from linemate.protocol.command import LOCAL_LIMIT_BYTES, CommandError
 from linemate.protocol.command_client import Answer, ClientCore, Event, More, Telemetry
-from linemate.protocol.command_local import LOCAL_LIMIT_BYTES, LocalClient
+from linemate.protocol.command_local_client import LocalClient
 
 if TYPE_CHECKING:
     from linemate.protocol.command_keys import Key

@@ -23,9 +23,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from linemate.drivers.sole_sender import attach
-from linemate.protocol.command import MAGIC, MAX_FRAME_BYTES, OPERATIONS, CommandError, Role
+from linemate.protocol.command import MAGIC, MAX_FRAME_BYTES, CommandError, Role
 from linemate.protocol.command_keys import Key, parse_keys, unsafe_mode
 from linemate.protocol.command_local import LocalAccess, LocalServer
+from linemate.protocol.command_request import OPERATIONS
 from linemate.protocol.command_rules import REFUSED, ControlLease, Order
 from linemate.protocol.command_session import CommandServer
 

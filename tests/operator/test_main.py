@@ -299,9 +299,10 @@ def test_a_status_loads_nothing_that_it_does_not_need() -> None:
         [sys.executable, "-c", LOADED], capture_output=True, text=True, check=True
     )
     loaded = set(done.stdout.split())
-    assert "linemate.protocol.command_local" in loaded
+    assert "linemate.protocol.command_local_client" in loaded
     rooms = ("daemon.operator.replay", "daemon.operator.export", "daemon.operator.doctor")
     unwanted = {f"linemate.{room}" for room in (*rooms, "protocol.command_session", "daemon.view")}
     assert not loaded & (
-        unwanted | {"numpy", "rich", "pydantic", "yaml", "asyncio", "secrets", "hashlib", "json"}
+        unwanted
+        | {"numpy", "rich", "pydantic", "yaml", "asyncio", "secrets", "hashlib", "json", "msgspec"}
     )

@@ -18,20 +18,23 @@ from linemate.protocol.command import (
     CommandError,
     Frame,
     FrameType,
-    Reply,
     Role,
     cut_frame,
     cut_local,
-    decode_event,
-    decode_reply,
-    decode_request,
-    decode_result,
-    encode_reply,
-    encode_request,
-    encode_result,
     frame_body,
 )
 from linemate.protocol.command_keys import cookie, hello_tagger, make_key, session_keys
+from linemate.protocol.command_plain import (
+    BARE,
+    Reply,
+    decode_event,
+    decode_reply,
+    decode_result,
+    encode_bare,
+    encode_reply,
+    encode_result,
+)
+from linemate.protocol.command_request import OPERATIONS, Empty, decode_request, encode_request
 from linemate.protocol.command_session import CommandClient, CommandServer
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "command-protocol.md"
@@ -276,7 +279,7 @@ PACKED = st.recursive(
 
 
 @given(
-    st.sampled_from([*command.OPERATIONS, "x"]) | PACKED,
+    st.sampled_from([*OPERATIONS, "x"]) | PACKED,
     st.integers(0, 2**63 - 1) | PACKED,
     st.dictionaries(
         st.sampled_from(["names", "values", "rate_hz", "of", "page", "action", "prefix"]), PACKED
@@ -290,7 +293,7 @@ def test_any_map_in_the_shape_of_a_request_is_read_or_refused(op: Any, t: Any, p
         assert refused in {"malformed", "unknown"}
         return
     request = decode_request(packed)
-    assert request.op in command.OPERATIONS
+    assert request.op in OPERATIONS
     assert json.dumps(request.params, allow_nan=False)
 
 
@@ -357,20 +360,73 @@ def test_a_client_cannot_even_make_a_wrong_request(op: str, params: dict[str, An
         encode_request(op, params, 1)
 
 
+def test_what_takes_no_parameters_is_asked_without_its_schema() -> None:
+    assert {op for op, rule in OPERATIONS.items() if rule.params is Empty} == BARE
+    for op in BARE:
+        assert decode_request(encode_bare(op, 7)) == (op, 7, {})
+    with pytest.raises(CommandError, match="unknown"):
+        encode_bare("get", 7)
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        {"ok": True},
+        {"t": 1},
+        {"ok": 1, "t": 1},
+        {"ok": True, "t": True},
+        {"ok": True, "t": -1},
+        {"ok": True, "t": 2**63},
+        {"ok": True, "t": 1.0},
+        {"ok": True, "t": 1, "r": "text"},
+        {"ok": True, "t": 1, "e": "x" * 33},
+        {"ok": True, "t": 1, "why": "x" * 901},
+        {"ok": True, "t": 1, "i": -1},
+        {"ok": True, "t": 1, "n": 0},
+        {"ok": True, "t": 1, "n": command.MAX_PAGES + 1},
+        {"ok": True, "t": 1, "x": 1},
+        {1: 2},
+        [True, 1],
+    ],
+)
+def test_what_is_not_a_reply_is_refused(said: object) -> None:
+    with pytest.raises(CommandError, match="malformed"):
+        decode_reply(msgpack.packb(said))
+
+
+@pytest.mark.parametrize("said", [{"t": 1}, {"t": 1, "d": [1]}, {"t": -1, "d": {}}, {"d": {}}, 1])
+def test_what_is_not_an_event_is_refused(said: object) -> None:
+    with pytest.raises(CommandError, match="malformed"):
+        decode_event(msgpack.packb(said))
+    with pytest.raises(CommandError, match="malformed"):
+        decode_event(msgpack.packb({"t": 1, "d": {b"x": 1}}))
+
+
 def test_every_operation_of_the_interface_is_there() -> None:
     asked = {"status", "params", "get", "set", "save", "arm", "start", "stop", "retreat"}
     asked |= {"ack", "record", "subscribe", "page", "scene"}
-    assert set(command.OPERATIONS) == asked
-    operating = {op for op, rule in command.OPERATIONS.items() if rule.role is Role.OPERATE}
+    assert set(OPERATIONS) == asked
+    operating = {op for op, rule in OPERATIONS.items() if rule.role is Role.OPERATE}
     assert operating == {
         *("set", "save", "record", "arm", "start", "ack", "stop", "retreat"),
     }
-    assert {op for op, rule in command.OPERATIONS.items() if rule.lease} == {
+    assert {op for op, rule in OPERATIONS.items() if rule.lease} == {
         *("arm", "start", "ack"),
     }
 
 
-@given(st.builds(Reply, st.booleans(), st.integers(0, 2**63 - 1), st.binary(max_size=900)))
+@given(
+    st.builds(
+        Reply,
+        st.booleans(),
+        st.integers(0, 2**63 - 1),
+        st.binary(max_size=900),
+        st.text(max_size=32),
+        st.text(max_size=900),
+        st.integers(0, 31),
+        st.integers(32, command.MAX_PAGES),
+    )
+)
 def test_a_reply_is_read_as_it_was_written(reply: Reply) -> None:
     assert decode_reply(encode_reply(reply)) == reply
 

@@ -3,8 +3,9 @@
 import pytest
 from command_ends import MS, World, client_address, key_of
 
-from linemate.protocol.command import CommandError, FrameType, Reply, encode_reply, frame_body
+from linemate.protocol.command import CommandError, FrameType, frame_body
 from linemate.protocol.command_client import MAX_OUTSTANDING, Answer, More, Telemetry
+from linemate.protocol.command_plain import Reply, encode_reply
 from linemate.protocol.command_session import CommandClient
 
 

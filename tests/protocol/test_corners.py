@@ -14,14 +14,14 @@ from linemate.protocol.command import (
     FrameType,
     Role,
     cut_local,
-    decode_reply,
-    encode_request,
     frame_body,
     local_body,
 )
 from linemate.protocol.command_client import Answer
 from linemate.protocol.command_keys import cookie_tagger
 from linemate.protocol.command_local import LocalServer
+from linemate.protocol.command_plain import decode_reply
+from linemate.protocol.command_request import encode_request
 from linemate.protocol.command_rules import ControlLease, Conversation, Order
 from linemate.protocol.command_session import CommandClient
 from linemate.protocol.distance import (

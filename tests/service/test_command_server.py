@@ -23,10 +23,12 @@ from linemate.daemon.service.command_server import (
     UdpDoor,
     read_keys,
 )
-from linemate.protocol.command import FrameType, Role, cut_local, encode_request, local_body
+from linemate.protocol.command import FrameType, Role, cut_local, local_body
 from linemate.protocol.command_client import Answer, Telemetry
 from linemate.protocol.command_keys import Key, key_line
-from linemate.protocol.command_local import LocalAccess, LocalClient
+from linemate.protocol.command_local import LocalAccess
+from linemate.protocol.command_local_client import LocalClient
+from linemate.protocol.command_request import encode_request
 from linemate.protocol.command_session import CommandClient
 
 ALICE = key_of("alice", Role.OPERATE, 1)

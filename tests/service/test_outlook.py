@@ -10,7 +10,8 @@ from linemate.daemon.parameters import Parameters
 from linemate.daemon.service.cycle import LogEntry
 from linemate.daemon.service.outlook import FORESEEN, LONGEST, TOLD, Outlook, points_in_base
 from linemate.daemon.service.timing import CycleTimes
-from linemate.protocol.command import ROOM_BYTES, encode_event, encode_result
+from linemate.protocol.command import ROOM_BYTES
+from linemate.protocol.command_plain import encode_event, encode_result
 
 WORST = {
     "state": "contact",

@@ -16,7 +16,8 @@ from linemate.daemon.service.parameter_list import (
 )
 from linemate.daemon.service.settings import CameraSettings, Config, RecordingSettings
 from linemate.daemon.service.watch import WatchSettings
-from linemate.protocol.command import MAX_RESULT_BYTES, encode_result
+from linemate.protocol.command import MAX_RESULT_BYTES
+from linemate.protocol.command_plain import encode_result
 
 CONFIG = replace(Config("t"), watch=WatchSettings(healthy_cycles=7))
 

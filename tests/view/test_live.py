@@ -22,7 +22,7 @@ from linemate.daemon.service.command_server import CommandPort, LocalDoor
 from linemate.daemon.view.board import Board
 from linemate.daemon.view.live import Live
 from linemate.protocol.command import Role
-from linemate.protocol.command_local import LocalClient
+from linemate.protocol.command_local_client import LocalClient
 
 PERIOD_NS = 12_000_000
 SUBSCRIBERS = 3
