@@ -265,7 +265,7 @@ class Cycle:
         if self.session.settle(telegram.delay, verdict.missed + 1):
             self._is_loss_untold = True
         self._look_where(robot)
-        reply = self._answer(telegram, stamp_ns, verdict.steps)
+        reply = self._answer(telegram, stamp_ns, verdict)
         self._robot = robot
         self._joints = robot.joints
         self.session.remember(robot, peer, self.exchange.step)
@@ -386,23 +386,29 @@ class Cycle:
             self._step_unsent(self._state, stamp_ns)
         return self._replies.bare.with_ipoc(telegram.ipoc_text)
 
-    def _answer(self, telegram: RobotTelegram, stamp_ns: int, steps: int) -> bytes:
+    def _answer(self, telegram: RobotTelegram, stamp_ns: int, verdict: Verdict) -> bytes:
         """Return the reply after as many steps as the controller made cycles."""
-        session, last = self.session, self.last
-        if steps == 0 and not session.was_sent and not session.was_lost and last is not None:
+        session, last, steps = self.session, self.last, verdict.steps
+        ahead = steps == 0 and not session.was_sent and not session.was_lost
+        if ahead and last is not None and not (verdict.missed and last.inputs.sent):
             # The clock was ahead of a late telegram: its step is made, only not yet sent.
             self.last = last.answering(telegram.ipoc)
             return self._give(last, self._reply(last), telegram)
         ready, self._ready = self._ready, None
-        if ready is not None and steps <= 1:
+        if ready is not None and steps > 1:
+            self._note_unsent(self._confirmed(ready).entry)
+            ready, steps = None, steps - 1
+        if ready is None:
+            self._catch_up(stamp_ns, steps)
+        if verdict.missed:
+            # The robot held meanwhile, also where the clock had no step left to make for it: a
+            # controller that was held up itself counts fewer cycles than the time has.
+            session.was_sent = False
+        if ready is not None:
             self.prepared += 1
             ready = self._confirmed(ready)
             entry, reply = ready.entry.answering(telegram.ipoc), ready.reply
         else:
-            if ready is not None:
-                self._note_unsent(self._confirmed(ready).entry)
-                steps -= 1
-            self._catch_up(stamp_ns, steps)
             self.inline += 1
             entry = self._step(self._opened(), stamp_ns, telegram=True, ipoc=telegram.ipoc)
             reply = self._reply(entry)

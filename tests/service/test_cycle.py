@@ -397,6 +397,44 @@ def test_a_step_stands_on_what_the_telegram_before_it_was_given_however_late(
     assert moves == pytest.approx(expected, abs=1e-4)
 
 
+@pytest.mark.parametrize("is_prepared", [True, False])
+@pytest.mark.parametrize("told_missing", [0, 1, 2])
+@pytest.mark.parametrize("slipped", [0, 1, 3])
+@pytest.mark.parametrize("unanswered", [1, 2])
+def test_after_a_cycle_without_a_reply_a_step_begins_where_the_robot_holds(
+    parameters: Parameters,
+    task: Task,
+    slipped: int,
+    unanswered: int,
+    told_missing: int,
+    is_prepared: bool,
+) -> None:
+    station = Station(parameters, task).track(163)
+    # A controller that was held up counts no cycles: the clock's steps are ahead of its IPOC.
+    for _ in range(slipped):
+        station.cycle.on_missing(station.stamp_ns)
+        station.k += 1
+    station.exchange()
+    # Of telegrams that wait together only the newest is answered; the clock may have seen to both.
+    for count in range(unanswered):
+        if count < told_missing:
+            station.cycle.on_missing(station.stamp_ns)
+        station.next()
+        station.delay += 1
+    if is_prepared:
+        station.feed()
+        station.cycle.prepare(station.stamp_ns)
+    held = np.array(station.axes)
+    station.exchange(feed=not is_prepared)
+    assert station.cycle.last is not None
+    assert station.cycle.last.inputs.applied == pytest.approx(held, abs=1e-9)
+    before = station.cycle.last.outputs.command
+    station.exchange()
+    assert station.cycle.last.inputs.sent
+    assert station.axes == pytest.approx(station.cycle.last.outputs.command, abs=1e-9)
+    assert np.abs(np.array(before) - held).max() > 0.0
+
+
 def test_a_robot_that_does_not_go_where_it_is_sent_is_held_with_the_axis_named(
     station: Station,
 ) -> None:
