@@ -29,6 +29,9 @@ LEARNT: Final = 24
 AFRESH: Final = 4
 """Arrivals in a row, late by an eighth of a cycle, that say that the controller's phase moved."""
 
+STILL_NS: Final = 2_000_000
+"""No wire alone is late by as much and a whole cycle."""
+
 Arrival = tuple[int, int]
 """Number of the cycle, and stamp [ns]."""
 
@@ -74,13 +77,13 @@ class PhaseLock:
         expected_ns = self.expected_ns(cycles)
         self._cycle += max(1, cycles)
         if expected_ns is not None:
-            late = stamp_ns - expected_ns > 0.125 * self._period_ns
-            self._late = self._late + 1 if late else 0
-            if self._late >= AFRESH:
+            late_ns = stamp_ns - expected_ns
+            self._late = self._late + 1 if late_ns > 0.125 * self._period_ns else 0
+            if self._late >= AFRESH or self._stood_still(late_ns):
                 self._relock()
         self._recent.append((self._cycle, stamp_ns))
         self._block.append((self._cycle, stamp_ns))
-        if self._span() < WINDOW:
+        if self._span() < WINDOW and not self._measured:
             self._fit(self._recent)
         if len(self._block) >= BLOCK:
             self._close_block()
@@ -121,6 +124,14 @@ class PhaseLock:
             f"the controller's cycle is {self._period_ns * 1e-6:.3f} ms and "
             f"{self.nominal_ns * 1e-6:g} ms is configured"
         )
+
+    def _stood_still(self, late_ns: int) -> bool:
+        """Tell whether the controller was held up without counting, or its wire was stuffed.
+
+        On the old grid the clock would make the cycles of the stillness again for each telegram.
+        What comes out of a stuffed wire is early next, and the early ones are followed at once.
+        """
+        return self._measured and late_ns >= max(self._period_ns, STILL_NS)
 
     def _envelope(self, stamp_ns: int) -> int:
         """The grid line of the last telegram, at most its arrival [ns].

@@ -99,6 +99,21 @@ def test_every_lost_telegram_is_one_step_of_the_clock_and_k_stays_right() -> Non
     assert station.prepared >= 0.99 * (4000 - lost)
 
 
+@pytest.mark.parametrize("stall_ms", [5, 21, 100])
+def test_time_that_the_controller_did_not_count_is_stepped_through_once(stall_ms: int) -> None:
+    station = Station(4 * MS, Pace.free(4 * MS, START - 4 * MS, None))
+    station.run(500)
+    pace, again = station.pace, START + 500 * 4 * MS + stall_ms * MS
+    made = []
+    for n in range(20):
+        arrival = again + n * 4 * MS
+        while pace.wake_ns <= arrival:
+            made += [due.stamp_ns for due in pace.wake(pace.wake_ns) if due.kind is Kind.MISSING]
+        pace.telegram(arrival)
+    assert made == sorted(made)
+    assert len(made) <= stall_ms / 4 + 1
+
+
 def test_without_a_robot_the_clock_steps_alone_and_prepares_nothing() -> None:
     pace = Pace.free(12 * MS, START, None)
     kinds = []

@@ -80,6 +80,27 @@ def test_a_controller_that_pauses_is_followed_again_after_a_few_telegrams() -> N
     assert lock.period_ns == 4 * MS
 
 
+def test_a_controller_that_stood_still_for_cycles_is_followed_from_its_next_telegram() -> None:
+    lock = PhaseLock(4 * MS)
+    for n in range(500):
+        lock.arrival(START + n * 4 * MS)
+    moved = START + 500 * 4 * MS + 21 * MS
+    lock.arrival(moved)
+    assert lock.expected_ns() == moved + 4 * MS
+    assert lock.period_ns == 4 * MS
+
+
+def test_a_wire_that_was_stuffed_for_cycles_moves_nothing_for_long() -> None:
+    lock = PhaseLock(4 * MS)
+    for n in range(500):
+        lock.arrival(START + n * 4 * MS)
+    out = START + 505 * 4 * MS - MS
+    for n in range(5):
+        lock.arrival(out + n * 10_000)
+    lock.arrival(START + 505 * 4 * MS)
+    assert lock.expected_ns() == START + 506 * 4 * MS
+
+
 def test_a_phase_that_comes_earlier_is_followed_at_once() -> None:
     lock = PhaseLock(12 * MS)
     for n in range(100):
