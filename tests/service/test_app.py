@@ -207,7 +207,8 @@ def test_a_missing_telegram_makes_its_step_and_the_next_one_is_answered(
                 await controller.take()
             await controller.cycles(5)
             status = running.app.status()
-            assert status["telegrams"]["gap"] >= 1
+            # Late instead, if the machine stalls: the clock has made all those steps by then.
+            assert status["telegrams"]["gap"] + status["telegrams"]["late"] >= 1
             assert status["telegrams"]["overdue"] >= 2
             assert status["steps"] >= 13
             await controller.answers(10)
