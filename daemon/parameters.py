@@ -56,6 +56,7 @@ def _classifier(task: TaskFile, settings: TrackingSettings) -> Classifier:
             deviation,
             settings.mixture,
             settings.jerk,
+            settings.wave,
         )
     return ImmClassifier(task.conveyor, settings.fusion, settings.bank, settings.imm, deviation)
 

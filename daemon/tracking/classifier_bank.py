@@ -4,7 +4,9 @@ Law of this file: one null filter that believes in the class in force, and two b
 "another class began u seconds ago", whose deceleration is known to +-25 %, and, while the tool
 touches the object, "somebody pushed the body u seconds ago", a damped sine that force sensor and
 camera see and the distance sensor does not. They compete: a stop counts by its odds against no
-change *and* against a push.
+change *and* against a push. The conveyor's periodic ripple is a rotating pair like a swing, its
+frequency known to some share only and estimated beside it; it fades with the speed, and a
+conveyor that has stood begins it anew.
 """
 
 import math
@@ -19,13 +21,20 @@ from linemate.daemon.horizon import Array
 from linemate.daemon.tracking import hypotheses
 from linemate.daemon.tracking.conveyor import Motion, Row, Source, View, travel
 from linemate.daemon.tracking.hypotheses import NOTHING, Bank, Prior, Verdict
-from linemate.daemon.tracking.settings import BankSettings, FusionSettings, JerkSettings
+from linemate.daemon.tracking.settings import (
+    BankSettings,
+    FusionSettings,
+    JerkSettings,
+    WaveSettings,
+)
 from linemate.daemon.tracking.task import ConveyorClasses
 
-Y, V, RIPPLE, OFFSET, ACCELERATION, PUSH, QUADRATURE = range(7)
-STATES = 7
+Y, V, RIPPLE, OFFSET, ACCELERATION, PUSH, QUADRATURE, WAVE, CREST, PACE = range(10)
+STATES = 10
 OFFSET_DEVIATION = 0.1  # of x10 before anything but the distance sensor saw the object [m]
 SETTLING = 0.6  # the bank is empty until the speed has been seen [s]
+PACES = (0.9, 1.1)  # of the wave's frequency, between which the estimate stays
+UNSEEN = 1e-7  # amplitude of a wave too small to be predicted [m]
 REFUSALS = 8  # gated rows of one sensor in a row after which the filter widens
 REST_DEVIATION = 0.002  # of the speed when a stop is taken to have ended [m/s]
 STILL_FAST = 0.7  # of the cruising speed, above which a stop may turn out to be none
@@ -48,13 +57,16 @@ class BankState:
     """Belief of the bank.
 
     Attributes:
-        x: y, speed, ripple, x10, acceleration, and a push with its quadrature [m].
+        x: y, speed, ripple, x10, acceleration, a push with its quadrature [m], the conveyor's
+            wave at full speed with its quadrature [m], and the error of the wave's pace, which is
+            folded into ``pace`` after each correction and then 0.
         P: covariance.
         motion: class in force.
         cruise: speed at which a start ends [m/s].
         bank: of changes of class.
         pushes: of pushes of the body.
         omega: frequency of the push in x [rad/s].
+        pace: the wave's frequency, as a multiple of the one that is set.
         age: of the belief [s].
         since: how long the class has been acting [s].
         refused: rows gated in a row, by sensor.
@@ -73,6 +85,7 @@ class BankState:
     bank: Bank
     pushes: Bank
     omega: float
+    pace: float = 1.0
     age: float = 0.0
     since: float = 0.0
     refused: Mapping[Source, int] = field(default_factory=dict)
@@ -95,15 +108,20 @@ class BankClassifier:
     distance_deviation: float
     mixture: bool = True
     jerk: JerkSettings = field(default_factory=JerkSettings)
+    wave: WaveSettings = field(default_factory=WaveSettings)
 
     def initial(self, position: float) -> BankState:
         """Return the belief at a first distance reading; the speed is not known yet."""
         nominal = self.conveyor.nominal_speed
         offset = OFFSET_DEVIATION**2
-        P = np.diag((0.0, nominal**2, self.fusion.ripple**2, offset, 0.0, 0.0, 0.0))
+        P = np.zeros((STATES, STATES))
+        P[V, V], P[RIPPLE, RIPPLE], P[OFFSET, OFFSET] = nominal**2, self.fusion.ripple**2, offset
+        P[WAVE, WAVE] = P[CREST, CREST] = self.wave.deviation**2
+        P[PACE, PACE] = self.wave.spread**2
         P[Y, Y] = self.distance_deviation**2 + offset
         P[Y, OFFSET] = P[OFFSET, Y] = -offset
-        x = np.array((position, 0.5 * nominal, 0.0, 0.0, 0.0, 0.0, 0.0))
+        x = np.zeros(STATES)
+        x[Y], x[V] = position, 0.5 * nominal
         return BankState(
             x=x,
             P=P,
@@ -165,25 +183,55 @@ class BankClassifier:
     def _process_noise(self, state: BankState, dt: float) -> Array:
         """Return the diagonal of Q: the ripple is stationary and stands with the conveyor."""
         fusion = self.fusion
-        share = min(max(float(state.x[V]) / self.conveyor.nominal_speed, 0.0), 1.0)
+        share = self._share(float(state.x[V]))
         ripple, time = self._ripple(state)
         moving = state.motion in {Motion.STOPPING, Motion.STARTING}
         ripple = (ripple * share) ** 2 * (1.0 - math.exp(-2.0 * dt / time))
         rate = (0.05 * abs(self._class_acceleration(state.motion))) ** 2 * dt if moving else 0.0
         speed = fusion.speed * (1.0 if state.motion is not Motion.STANDING else 0.3)
-        return np.array((1e-12, speed**2 * dt, ripple, fusion.offset**2 * dt, rate, 0.0, 0.0))
+        noise = np.zeros(STATES)
+        noise[:PUSH] = 1e-12, speed**2 * dt, ripple, fusion.offset**2 * dt, rate
+        if self.wave.deviation > 0.0:
+            noise[WAVE] = noise[CREST] = (self.wave.walk * share) ** 2 * dt
+            noise[PACE] = (self.wave.pace * share) ** 2 * dt
+        return noise
+
+    def _share(self, speed: float) -> float:
+        """Return the share of the nominal speed, with which every ripple fades."""
+        return min(max(speed / self.conveyor.nominal_speed, 0.0), 1.0)
+
+    def _wave_omega(self, state: BankState) -> float:
+        """Return the wave's frequency as it is known now [rad/s]."""
+        return 2.0 * math.pi * self.wave.frequency_hz * state.pace
+
+    def _waving(self, F: Array, state: BankState, dt: float) -> Array:
+        """Return A with the wave's turn in it, and how an error of its pace enters that."""
+        F = F.copy()
+        angle = self._wave_omega(state) * dt
+        way = 2.0 * math.pi * self.wave.frequency_hz * dt
+        c, s = math.cos(angle), math.sin(angle)
+        wave, crest = state.x[WAVE:PACE].tolist()
+        F[WAVE, WAVE] = F[CREST, CREST] = c
+        F[WAVE, CREST], F[CREST, WAVE] = s, -s
+        F[WAVE, PACE], F[CREST, PACE] = way * (c * crest - s * wave), -way * (c * wave + s * crest)
+        return F
 
     def _row(self, row: Row, state: BankState) -> Array:
         """Return h of (1), (8), (10) with the delay in it; the class acts since its onset."""
         tau = row.delay
         back = min(tau, state.since)
-        acceleration = tau * back - 0.5 * back * back
+        h = np.zeros(STATES)
+        h[Y], h[V], h[RIPPLE] = 1.0, -tau, -tau
+        h[ACCELERATION] = tau * back - 0.5 * back * back
+        share, angle = self._share(float(state.x[V])), self._wave_omega(state) * tau
+        h[WAVE], h[CREST] = share * math.cos(angle), -share * math.sin(angle)
         if row.source is Source.DISTANCE:
-            return np.array((1.0, -tau, -tau, 1.0, acceleration, 0.0, 0.0))
+            h[OFFSET] = 1.0
+            return h
         w = state.omega
         grown = math.exp(self.jerk.damping * w * tau)
-        push, quadrature = grown * math.cos(w * tau), -grown * math.sin(w * tau)
-        return np.array((1.0, -tau, -tau, 0.0, acceleration, push, quadrature))
+        h[PUSH], h[QUADRATURE] = grown * math.cos(w * tau), -grown * math.sin(w * tau)
+        return h
 
     def _pushed(self, ages: Array, omega: Array) -> tuple[Array, Array]:
         """Return a push of amplitude 1 and its quadrature (m,), ``ages`` after its onset."""
@@ -196,6 +244,7 @@ class BankClassifier:
     def _predict(self, state: BankState, dt: float) -> BankState:
         """Return (5), (6), the banks one step older, and new hypotheses "now"."""
         F = _transition(dt, self._ripple(state)[1], state.omega, self.jerk.damping)
+        F = self._waving(F, state, dt)
         P = F @ state.P @ F.T
         P.reshape(-1)[:: STATES + 1] += self._process_noise(state, dt)
         bank, pushes = state.bank, state.pushes
@@ -222,12 +271,23 @@ class BankClassifier:
         """Return the state past the end of a stop (standing) or a start (running)."""
         v = float(state.x[V])
         if state.motion is Motion.STOPPING and v <= 0.0:
-            return _enter(state, Motion.STANDING, max(v, 0.0), REST_DEVIATION)
+            return self._still(_enter(state, Motion.STANDING, max(v, 0.0), REST_DEVIATION))
         if state.motion is Motion.STOPPING and v > STILL_FAST * state.cruise:
             return self._unless_it_slows(state)
         if state.motion is Motion.STARTING and v >= state.cruise:
             return _enter(state, Motion.RUNNING, v, 2.0 * REST_DEVIATION)
         return state
+
+    def _still(self, state: BankState) -> BankState:
+        """Return the state of a conveyor that stands: nobody knows with which phase it will go on.
+
+        The frequency is the drive's and stays known.
+        """
+        x, P = state.x.copy(), state.P.copy()
+        x[WAVE] = x[CREST] = 0.0
+        P[WAVE:PACE, :] = P[:, WAVE:PACE] = 0.0
+        P[WAVE, WAVE] = P[CREST, CREST] = self.wave.deviation**2
+        return changed(state, x=x, P=P)
 
     def _unless_it_slows(self, state: BankState) -> BankState:
         """Return the state running again if a stop has turned out not to slow the conveyor.
@@ -274,7 +334,9 @@ class BankClassifier:
                 if row.source is not Source.DISTANCE:
                     pushed, _ = self._pushed(pushes.age - row.delay, pushes.omega)
                 pushes = hypotheses.learned(pushes, pushed, h, K, S, nu)
-        return changed(state, x=x, P=P, bank=bank, pushes=pushes, refused=refused)
+        low, high = PACES
+        pace, x[PACE] = min(max(state.pace + float(x[PACE]), low), high), 0.0
+        return changed(state, x=x, P=P, bank=bank, pushes=pushes, refused=refused, pace=pace)
 
     def _widened(self, state: BankState, nu: float) -> BankState:
         """Return the state opened up: the filter is wrong, not eight of one sensor's readings."""
@@ -333,7 +395,7 @@ class BankClassifier:
         return state
 
     def _raw_change(self, state: BankState) -> Array:
-        """Return D (m, 7) of the changes of class at amplitude 1."""
+        """Return D (m, 10) of the changes of class at amplitude 1."""
         age = state.bank.age
         change = self._change(state.motion)
         raw = np.zeros((len(age), STATES))
@@ -343,7 +405,7 @@ class BankClassifier:
         return raw
 
     def _raw_push(self, state: BankState) -> Array:
-        """Return D (m, 7) of the pushes at amplitude 1."""
+        """Return D (m, 10) of the pushes at amplitude 1."""
         raw = np.zeros((len(state.pushes), STATES))
         raw[:, PUSH], raw[:, QUADRATURE] = self._pushed(state.pushes.age, state.pushes.omega)
         return raw
@@ -384,7 +446,7 @@ class BankClassifier:
         speed = float(state.x[V])
         nominal = self.conveyor.nominal_speed
         if SETTLING < state.age < SETTLING + 1.5 * dt and speed < 0.3 * nominal:
-            return _enter(state, Motion.STANDING, speed, REST_DEVIATION)
+            return self._still(_enter(state, Motion.STANDING, speed, REST_DEVIATION))
         if state.age > SETTLING and not state.tentative and speed > 0.7 * nominal:
             return changed(state, cruise=state.cruise + dt * (speed - state.cruise))
         return state
@@ -407,7 +469,7 @@ class BankClassifier:
         return mixed
 
     def _changed(self, state: BankState) -> Array:
-        """Return the estimate (7,) if the class has changed: ``moments`` without their spread."""
+        """Return the estimate (10,) if the class has changed: ``moments`` without their spread."""
         bank = state.bank
         share = state.change.weights * hypotheses.amplitude(bank, self._prior)
         change, age = self._change(state.motion), bank.age
@@ -419,7 +481,7 @@ class BankClassifier:
         return x
 
     def _pushed_estimate(self, state: BankState) -> Array:
-        """Return the estimate (7,) if somebody has pushed: ``moments`` without their spread."""
+        """Return the estimate (10,) if somebody has pushed: ``moments`` without their spread."""
         share = state.push.weights * hypotheses.amplitude(state.pushes, self._push_prior)
         push, quadrature = self._pushed(state.pushes.age, state.pushes.omega)
         x = state.x - share @ state.pushes.absorbed
@@ -453,21 +515,32 @@ class BankClassifier:
     ) -> Array:
         """Return positions (m,) of one hypothesis under its class."""
         cruise, tau = state.cruise, self._ripple(state)[1]
-        y, v, r, _, a, push, quadrature = x.tolist()
-        way = travel(v, a if motion in {Motion.STOPPING, Motion.STARTING} else 0.0, cruise, times)
+        y, v, r, _, a, push, quadrature, wave, crest, _ = x.tolist()
+        if motion not in {Motion.STOPPING, Motion.STARTING}:
+            a = 0.0
+        way = travel(v, a, cruise, times)
         future: Array = y + way + r * tau * (1.0 - np.exp(-times / tau))
+        if abs(wave) + abs(crest) > UNSEEN:
+            turned = (complex(wave, -crest) * np.exp(1j * self._wave_omega(state) * times)).real
+            future = future + turned * self._shares_of_speed(v + a * times)
         if abs(push) + abs(quadrature) > 1e-6:
             pole = complex(-self.jerk.damping * omega, omega)
             future = future + (complex(push, -quadrature) * np.exp(pole * times)).real
         return future
 
+    def _shares_of_speed(self, speeds: Array) -> Array:
+        """Return the shares (m,) of the nominal speed."""
+        shares: Array = np.clip(speeds / self.conveyor.nominal_speed, 0.0, 1.0)
+        return shares
+
     def view(self, state: BankState) -> View:
         """Return what the bank believes."""
-        y, v, ripple, offset, _, push, _ = state.x.tolist()
+        y, v, ripple, offset, _, push, _, wave, crest, _ = state.x.tolist()
         variance = state.P.diagonal().tolist()
+        share = self._share(v)
         return View(
-            position=y + push,
-            speed=v + ripple,
+            position=y + push + share * wave,
+            speed=v + ripple + share * crest * self._wave_omega(state),
             offset=offset,
             deviation=math.sqrt(max(variance[Y] + variance[PUSH], 0.0)),
             speed_deviation=math.sqrt(max(variance[V] + variance[RIPPLE], 0.0)),
@@ -480,7 +553,10 @@ class BankClassifier:
 
 @lru_cache(maxsize=32)
 def _transition(dt: float, ripple_time: float, omega: float, damping: float) -> Array:
-    """Return A of (5): ripple is a speed that dies out, a push a swing that does."""
+    """Return A of (5): ripple is a speed that dies out, a push a swing that does.
+
+    The wave turns as its pace is known, which is written into a copy.
+    """
     F = np.eye(STATES)
     F[Y, V], F[Y, RIPPLE], F[Y, ACCELERATION] = dt, dt, 0.5 * dt * dt
     F[V, ACCELERATION] = dt

@@ -154,6 +154,26 @@ class FusionSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class WaveSettings:
+    """The periodic part of the conveyor's ripple, as a drive or a chain makes it.
+
+    Attributes:
+        frequency_hz: at full speed.
+        spread: one sigma of the frequency, as a share of it; what is left is estimated while the
+            conveyor runs. 0 takes it for exact.
+        deviation: one sigma of its amplitude at full speed [m]; 0 for a conveyor without.
+        walk: random walk of the amplitude [m/sqrt(s)].
+        pace: random walk of the frequency, as a share of it [1/sqrt(s)].
+    """
+
+    frequency_hz: Frequency = 1.2
+    spread: Annotated[float, Ge(0.0), Le(0.2)] = 0.03
+    deviation: Annotated[float, Ge(0.0), Le(0.01)] = 0.0001
+    walk: Annotated[float, Ge(0.0), Le(0.001)] = 0.00001
+    pace: Annotated[float, Ge(0.0), Le(0.01)] = 0.0005
+
+
+@dataclass(frozen=True, slots=True)
 class RuleSettings:
     """The paper's rule (Sect. III-B).
 
@@ -192,7 +212,7 @@ class BankSettings:
     start_confirmed: LogOdds = 17.0
     amplitude_deviation: Annotated[float, Ge(0.01), Le(2.0)] = 0.15
     penalty: LogOdds = 4.0
-    contact_penalty: LogOdds = 3.5
+    contact_penalty: LogOdds = 4.0
     contact_caution: Annotated[float, Ge(0.5), Le(10.0)] = 3.0
     longest_onset: Annotated[float, Ge(0.1), Le(5.0)] = 1.5
 
@@ -266,6 +286,7 @@ class TrackingSettings:
     tactile: TactileNoise = TactileNoise()
     swing: tuple[SwingMode, ...] = (SwingMode(),)
     fusion: FusionSettings = FusionSettings()
+    wave: WaveSettings = WaveSettings()
     classifier: ClassifierKind = ClassifierKind.BANK
     rule: RuleSettings = RuleSettings()
     bank: BankSettings = BankSettings()

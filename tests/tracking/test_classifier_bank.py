@@ -12,17 +12,25 @@ from scipy import integrate
 
 from linemate.daemon.horizon import Array
 from linemate.daemon.tracking import hypotheses
-from linemate.daemon.tracking.classifier_bank import SETTLING, BankClassifier, BankState
+from linemate.daemon.tracking.classifier_bank import (
+    PACE,
+    SETTLING,
+    STATES,
+    WAVE,
+    BankClassifier,
+    BankState,
+)
 from linemate.daemon.tracking.conveyor import Motion, Row, Source
-from linemate.daemon.tracking.settings import BankSettings, FusionSettings
+from linemate.daemon.tracking.settings import BankSettings, FusionSettings, WaveSettings
 from linemate.daemon.tracking.task import ConveyorClasses
 
 NEVER = 1e9
 # Without ripple the filter's own noise does not depend on what it believes of the speed.
 FUSION = FusionSettings(ripple=1e-9)
+NO_WAVE = WaveSettings(deviation=0.0)
 SETTINGS = BankSettings(perceived=NEVER, stop_confirmed=NEVER, start_confirmed=NEVER)
 PRIOR = hypotheses.Prior(1.0, SETTINGS.amplitude_deviation**2)
-BANK = BankClassifier(ConveyorClasses(), FUSION, SETTINGS, DEVIATION)
+BANK = BankClassifier(ConveyorClasses(), FUSION, SETTINGS, DEVIATION, wave=NO_WAVE)
 CAMERA_DELAY = 0.1
 
 
@@ -292,12 +300,83 @@ def test_in_contact_little_evidence_moves_the_prediction_less_than_bayes_would()
         state = replace(
             bank.initial(0.0),
             contact=True,
-            bank=hypotheses.aged(hypotheses.empty(7), np.eye(7), T0, 1.0, (0.0,)),
+            bank=hypotheses.aged(hypotheses.empty(STATES), np.eye(STATES), T0, 1.0, (0.0,)),
         )
         shares[caution] = [
             bank._shares(replace(state, change=hypotheses.Verdict(odds, np.ones(1))))[0]
-            for odds in (1.2, 6.0)
+            for odds in (1.2, 7.0)
         ]
     bayes, careful = shares.values()
     assert careful[0] < 0.02 < bayes[0]
     assert careful[1] > bayes[1] > 0.9
+
+
+# The periodic part of the ripple: a frequency known to a few hundredths, phase and size unknown.
+
+WAVE_HZ, WAVE_M = 1.2, 0.0001
+
+
+def waved(bank: BankClassifier, hz: float, ahead: float, *, touch: bool) -> Array:
+    """Errors of the outlook ``ahead`` s, of the last 10 s of 14 on a conveyor with a wave."""
+    rng = np.random.default_rng(7)
+    truth = Truth(14.0, seed=7)
+
+    def at(t: float) -> float:
+        return float(truth.at(t)) + WAVE_M * math.sin(2.0 * math.pi * hz * t)
+
+    state = bank.initial(at(-1.5))
+    errors = []
+    for t in np.arange(-1.5 + T0, 13.8, T0):
+        read = round((at(t - 0.001) + rng.normal(0.0, 0.00025)) * 1e3) / 1e3
+        rows = [Row(Source.DISTANCE, read, 0.001, DEVIATION**2, 4.0)]
+        if touch:
+            felt = at(t - 0.006) + rng.normal(0.0, TOUCH)
+            rows.append(Row(Source.TACTILE, felt, 0.006, TOUCH**2, 5.0))
+        state = bank.advance(state, rows, T0)
+        if t > 4.0:
+            errors.append(float(bank.outlook(state, np.array((ahead,)))[0]) - at(t + ahead))
+    return np.array(errors)
+
+
+@pytest.mark.parametrize("touch", [False, True], ids=["distance alone", "in contact"])
+@pytest.mark.parametrize("off", [0.97, 1.0, 1.03])
+def test_a_periodic_ripple_is_foreseen_with_its_frequency_a_few_hundredths_off(
+    off: float, touch: bool
+) -> None:
+    quiet = BankSettings(penalty=50.0, contact_penalty=50.0)
+    plain, foreseeing = (
+        BankClassifier(ConveyorClasses(), FusionSettings(), quiet, DEVIATION, wave=wave)
+        for wave in (NO_WAVE, WaveSettings(frequency_hz=WAVE_HZ))
+    )
+    before, now = (
+        float(np.std(waved(bank, WAVE_HZ * off, 0.12, touch=touch))) for bank in (plain, foreseeing)
+    )
+    assert now < (0.8 if touch else 0.9) * before
+
+
+@pytest.mark.parametrize("touch", [False, True], ids=["distance alone", "in contact"])
+def test_a_wave_where_none_is_expected_costs_little(touch: bool) -> None:
+    quiet = BankSettings(penalty=50.0, contact_penalty=50.0)
+    plain, foreseeing = (
+        BankClassifier(ConveyorClasses(), FusionSettings(), quiet, DEVIATION, wave=wave)
+        for wave in (NO_WAVE, WaveSettings(frequency_hz=WAVE_HZ))
+    )
+    before, now = (
+        float(np.std(waved(bank, 2.1, 0.12, touch=touch))) for bank in (plain, foreseeing)
+    )
+    assert now < 1.1 * before
+
+
+def test_a_conveyor_that_has_stood_begins_its_wave_anew_at_the_frequency_that_was_learnt() -> None:
+    bank = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), DEVIATION)
+    truth = Truth(8.0, ((5.0, -STOP),))
+    rng = np.random.default_rng(4)
+    state, paces = bank.initial(float(truth.at(-1.5))), []
+    for t in np.arange(-1.5 + T0, 7.5, T0):
+        read = round((float(truth.at(t - 0.001)) + rng.normal(0.0, 0.00025)) * 1e3) / 1e3
+        state = bank.advance(state, [Row(Source.DISTANCE, read, 0.001, DEVIATION**2, 4.0)], T0)
+        paces.append(state.pace)
+    assert state.motion is Motion.STANDING
+    assert np.diag(state.P)[WAVE:PACE] == pytest.approx(WaveSettings().deviation ** 2, rel=1e-3)
+    assert paces[-1] == pytest.approx(paces[-60], abs=1e-4)
+    assert state.P[PACE, PACE] < WaveSettings().spread ** 2
