@@ -7,7 +7,7 @@ anew and not from the table; the rest is that nothing is lost, nothing grows and
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -217,6 +217,11 @@ def invariants(before: Machine, s: Signals, after: Machine) -> tuple[tuple[str, 
     )
 
 
+_BARE = (float, int, bool, type(None))
+"""Types that weigh eight bytes, looked at first: nearly everything is one of these."""
+_SKIPPED = frozenset({"parameters", "codec", "on_transition", "on_step"})
+
+
 def weigh(value: Any, depth: int = 0) -> int:
     """Bytes of arrays and items of collections behind a value, its slots and attributes."""
     if isinstance(value, np.ndarray):
@@ -226,9 +231,13 @@ def weigh(value: Any, depth: int = 0) -> int:
     if depth > 6 or value is None or isinstance(value, (bool, int, float, type)):
         return 8
     if isinstance(value, dict):
-        return sum(weigh(item, depth + 1) for item in value.values()) + 8 * len(value)
+        return _weigh_all(value.values(), depth) + 8 * len(value)
     if isinstance(value, (tuple, list, set, frozenset)) or hasattr(value, "maxlen"):
-        return sum(weigh(item, depth + 1) for item in value) + 8
+        return _weigh_all(value, depth) + 8
     names = [*getattr(value, "__dict__", ()), *getattr(type(value), "__slots__", ())]
-    skipped = {"parameters", "codec", "on_transition", "on_step"}
-    return sum(weigh(getattr(value, n, None), depth + 1) for n in names if n not in skipped) + 8
+    parts = [getattr(value, name, None) for name in names if name not in _SKIPPED]
+    return _weigh_all(parts, depth) + 8
+
+
+def _weigh_all(values: Iterable[Any], depth: int) -> int:
+    return sum([8 if type(one) in _BARE else weigh(one, depth + 1) for one in values])

@@ -482,6 +482,7 @@ class Simulation:
                 self._time.unplugged.discard(link)
             else:
                 self._time.unplugged.add(link)
+                self._time.stirred = True
 
 
 MOST_LINES = 10

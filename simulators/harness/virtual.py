@@ -25,6 +25,7 @@ import can
 import serialx
 
 from linemate.daemon.service import clock as daemon_clock
+from linemate.daemon.service import parameter_list
 from linemate.drivers import sole_sender
 from linemate.drivers.datagrams import Address, DatagramSocket
 from linemate.drivers.stamps import SO_TIMESTAMPNS
@@ -74,6 +75,7 @@ class Port:
     def forget(self) -> None:
         """It is no longer there."""
         self.world.ports.pop(self._descriptor, None)
+        self.world.alarms.pop(self._descriptor, None)
 
 
 class VirtualTime:
@@ -84,6 +86,8 @@ class VirtualTime:
         wall_step_ns: how far the wall clock has been stepped [ns].
         stalled_until_ns: the process gets no processor before [ns].
         ports: what can be watched, by descriptor.
+        stirred: something came for a port since the ports were looked at last.
+        alarms: when timers expire [ns], by descriptor.
         sockets: bound UDP ports.
         devices: what is behind a bus and a line, by name.
     """
@@ -92,6 +96,8 @@ class VirtualTime:
         self.now_ns = EPOCH_NS
         self.wall_step_ns = 0
         self.stalled_until_ns = 0
+        self.stirred = False
+        self.alarms: dict[int, int] = {}
         self.ports: dict[int, Port] = {}
         self.sockets: dict[int, VirtualSocket] = {}
         self.buses: list[VirtualBus] = []
@@ -160,6 +166,7 @@ class VirtualSocket(Port):
             return
         if len(self._waiting) < RECEIVE_QUEUE:
             self._waiting.append((data, source, self.world.wall_ns))
+            self.world.stirred = True
 
     def keep_only(self, source: Address | None) -> None:
         """As the kernel's filter: only one sender's datagrams arrive, or all."""
@@ -215,6 +222,7 @@ class VirtualTimer(Port):
     def arm(self, at_ns: int) -> None:
         """Expire once [ns]."""
         self._at_ns = at_ns
+        self.world.alarms[self._descriptor] = at_ns
         # Time only stops where something happens.
         self.world.at(at_ns, _nothing)
 
@@ -223,6 +231,7 @@ class VirtualTimer(Port):
         if not self.is_ready:
             return 0
         self._at_ns = None
+        self.world.alarms.pop(self._descriptor, None)
         return 1
 
     def close(self) -> None:
@@ -255,6 +264,7 @@ class VirtualBus(Port):
                 is_extended_id=extended,
             )
         )
+        self.world.stirred = True
 
     def recv(self, _timeout: float | None = None) -> can.Message | None:
         """As a bus's own."""
@@ -291,6 +301,7 @@ class VirtualLine(Port):
     def put(self, data: bytes) -> None:
         """Bytes arrive; the kernel's buffer is as long as a tty's."""
         self._waiting += data[: max(0, 4096 - len(self._waiting))]
+        self.world.stirred = True
 
     def write(self, data: bytes) -> None:
         """As a transport's own: the device hears it."""
@@ -348,12 +359,18 @@ class _Selector(selectors.BaseSelector):
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
         world = self._world
         end_ns = None if timeout is None else world.now_ns + math.ceil(max(timeout, 0.0) * 1e9)
+        world.stirred = True
         while True:
             if world.stalled_until_ns > world.now_ns:
                 world.pass_until(world.stalled_until_ns)
-            ready = self._ready()
-            if ready or self.has_work():
-                return ready
+                world.stirred = True
+            if world.stirred or any(at_ns <= world.now_ns for at_ns in world.alarms.values()):
+                world.stirred = False
+                ready = self._ready()
+                if ready:
+                    return ready
+            if self.has_work():
+                return []
             next_ns = world.next_ns
             if next_ns is None and end_ns is None:
                 raise DeadlockError("everybody waits and nothing is to come")
@@ -363,12 +380,13 @@ class _Selector(selectors.BaseSelector):
             world.happen()
 
     def _ready(self) -> list[tuple[selectors.SelectorKey, int]]:
-        ports = self._world.ports
-        return [
-            (key, selectors.EVENT_READ)
-            for descriptor, key in self._keys.items()
-            if descriptor in ports and ports[descriptor].is_ready
-        ]
+        port_of = self._world.ports.get
+        ready = []
+        for descriptor, key in self._keys.items():
+            port = port_of(descriptor)
+            if port is not None and port.is_ready:
+                ready.append((key, selectors.EVENT_READ))
+        return ready
 
 
 class VirtualLoop(asyncio.SelectorEventLoop):
@@ -469,6 +487,8 @@ def inhabited(world: VirtualTime) -> Iterator[None]:
         (serialx, "create_serial_connection", connect),
         # A DBC is parsed once a process: it takes longer than the second that is simulated.
         (distance_codec, "_load", _load_once),
+        # So are the docstrings of settings.
+        (parameter_list, "about", _about_once),
     ]
     kept = [(owner, name, vars(owner)[name]) for owner, name, _ in replaced]
     try:
@@ -481,6 +501,7 @@ def inhabited(world: VirtualTime) -> Iterator[None]:
 
 
 _load_once = cache(distance_codec._load)  # noqa: SLF001 - pure, only slow
+_about_once = cache(parameter_list.about)
 
 
 def _nothing() -> None:

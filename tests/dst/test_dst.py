@@ -14,6 +14,7 @@ from linemate.daemon.service.session import Session
 from linemate.daemon.service.states import Link, Machine, Signals, State
 from linemate.simulators.harness import dst, dst_oracles, dst_plan, dst_run
 from linemate.simulators.harness.dst_plan import Plan, draw
+from linemate.simulators.harness.virtual import VirtualTime
 from linemate.simulators.plants.scenario import ConveyorEvent, Fault
 
 REGRESSIONS = Path(__file__).parent / "regressions.txt"
@@ -48,6 +49,24 @@ def test_one_plan_leaves_one_trace_whatever_the_process_and_its_hash_seed() -> N
     )
     assert told.stdout.split() == ["3", here]
     assert dst_run.run(replace(plan, seed=4)).digest != here
+
+
+@pytest.mark.parametrize("seed", [2, 3, 7])
+def test_looking_at_the_ports_only_when_something_came_changes_not_one_byte(
+    monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    class Restless(VirtualTime):
+        @property
+        def stirred(self) -> bool:
+            return True
+
+        @stirred.setter
+        def stirred(self, came: bool) -> None:
+            del came
+
+    digest = dst_run.run(draw(seed)).digest
+    monkeypatch.setattr(dst_run, "VirtualTime", Restless)
+    assert dst_run.run(draw(seed)).digest == digest
 
 
 def test_without_trouble_the_wheel_is_on_the_hub_and_every_telegram_answered() -> None:
