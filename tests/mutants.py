@@ -39,7 +39,10 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/service/test_watch.py",
         "tests/service/test_states_transcript.py",
     ),
-    "daemon/service/sensor_health.py": ("tests/service/test_sensor_health.py",),
+    "daemon/service/sensor_health.py": (
+        "tests/protocol/test_belief.py",
+        "tests/service/test_sensor_health.py",
+    ),
     "daemon/control/limits.py": (
         "tests/control/test_limits_transcript.py",
         "tests/control/test_limits.py",
@@ -57,14 +60,17 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_corners.py",
         "tests/protocol/test_rsi.py",
+        "tests/protocol/test_edges.py",
     ),
     "protocol/rsi_config.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_rsi.py",
+        "tests/protocol/test_edges.py",
     ),
     "protocol/rsi_layout.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_rsi.py",
+        "tests/protocol/test_edges.py",
     ),
     "protocol/rsi_read.py": (
         "tests/protocol/test_wires_transcript.py",
@@ -75,6 +81,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_corners.py",
         "tests/protocol/test_rsi.py",
+        "tests/protocol/test_edges.py",
     ),
     "protocol/rsi_write.py": (
         "tests/protocol/test_wires_transcript.py",
@@ -89,6 +96,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_corners.py",
         "tests/protocol/test_distance.py",
+        "tests/protocol/test_edges.py",
     ),
     "protocol/distance_bits.py": (
         "tests/protocol/test_wires_transcript.py",
@@ -98,6 +106,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "protocol/slcan.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_slcan.py",
+        "tests/protocol/test_edges.py",
     ),
     "protocol/wrench_bota.py": (
         "tests/protocol/test_wires_transcript.py",
@@ -106,14 +115,21 @@ TESTS: dict[str, tuple[str, ...]] = {
     "protocol/wrench_ft300.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_wrench.py",
+        "tests/protocol/test_edges.py",
     ),
     "protocol/wrench_stream.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_wrench.py",
     ),
     "protocol/command.py": (
-        "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_command.py",
+        "tests/protocol/test_command_local.py",
+        "tests/protocol/test_edges.py",
+    ),
+    "protocol/command_plain.py": ("tests/protocol/test_command.py",),
+    "protocol/command_request.py": (
+        "tests/protocol/test_command.py",
+        "tests/protocol/test_command_rules.py",
     ),
     "protocol/command_session.py": (
         "tests/protocol/test_corners.py",
@@ -226,6 +242,23 @@ EQUIVALENT: dict[str, dict[tuple[str, str], str]] = {
     "protocol/camera.py": {
         (f"self.{name} = 0", "0 -> 1"): FIRST_POSE
         for name in ("reset", "t_tx", "arrival_ns", "candidates", "jumps")
+    },
+    "daemon/service/sensor_health.py": {
+        ("self._same = 0", "0 -> 1"): "no pose and no wrench is like none: the first one counts 1",
+        ("self._changed_ns = 0", "0 -> 1"): "the first distance differs from none and sets it",
+    },
+    "protocol/distance.py": {
+        (
+            "while signal.multiplexer_signal and signal.multiplexer_ids:",
+            "signal.multiplexer_signal and signal.multiplexer_ids ->"
+            " signal.multiplexer_signal or signal.multiplexer_ids",
+        ): "a signal has both or neither",
+    },
+    "protocol/slcan.py": {
+        (
+            "letter = 'tTrR'[frame.extended + 2 * frame.remote]",
+            "frame.extended + 2 * frame.remote -> frame.extended - 2 * frame.remote",
+        ): "two from the end of four letters is two from their beginning",
     },
     "protocol/wrench_bota.py": {
         ("crc = fastcrc.crc16.ibm_sdlc(data[1:35])", what): WHOLE_FRAME

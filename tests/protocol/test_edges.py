@@ -1,0 +1,309 @@
+"""The edges of the wires' windows, tried on both sides, and the numbers that the manuals give.
+
+Numbers are written out: a test that takes a constant from the module says nothing of its value.
+"""
+
+import struct
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from linemate.protocol import command, slcan
+from linemate.protocol.command import CommandError
+from linemate.protocol.distance import DistanceDecoder, DistanceEncoder, DistanceError
+from linemate.protocol.rsi import RobotTelegram, RsiCodec, RsiError, parse_config
+from linemate.protocol.rsi_layout import robot_layout
+from linemate.protocol.rsi_scan import scan
+from linemate.protocol.slcan import CanFrame, CommandDecoder, LineDecoder, SlcanError
+from linemate.protocol.units import DEG
+from linemate.protocol.wrench_ft300 import Ft300Device, Ft300Host, Robotiq300Decoder, ft300_frame
+
+SHIPPED = (Path(__file__).resolve().parents[2] / "protocol/data/rsi_joints.xml").read_bytes()
+ZEROS = (0.0,) * 6
+MS = 1_000_000
+
+
+# The robot.
+
+
+@pytest.mark.parametrize("axis", range(6))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_joint_that_is_as_far_as_it_may_be_is_not_expected(axis: int, sign: float) -> None:
+    codec = RsiCodec(parse_config(SHIPPED))
+    plain = RobotTelegram(12, joints=ZEROS, external=ZEROS, tcp=ZEROS, delay=0)
+    codec.parse_robot(codec.format_robot(plain))
+    is_expected = codec.expect_robot(24, 0, ZEROS, DEG)
+    assert is_expected is not None
+    for degrees, expected in ((1.0, False), (0.999999, True)):
+        joints = [0.0] * 6
+        joints[axis] = sign * degrees * DEG
+        data = codec.format_robot(replace(plain, ipoc=24, joints=tuple(joints)))
+        assert is_expected(data) is expected
+
+
+def test_more_or_fewer_joints_than_there_are_cannot_be_expected() -> None:
+    codec = RsiCodec(parse_config(SHIPPED))
+    for joints in (ZEROS[:5], (*ZEROS, 0.0)):
+        with pytest.raises(ValueError, match="zip"):
+            codec.expect_robot(24, 0, joints, DEG)  # type: ignore[arg-type]
+
+
+def test_a_configuration_of_256_kib_is_read_and_a_byte_more_is_not() -> None:
+    room = 262_144 - len(SHIPPED)
+    assert parse_config(SHIPPED + b"\n" * room) == parse_config(SHIPPED)
+    with pytest.raises(RsiError, match="262145 bytes, at most 262144"):
+        parse_config(SHIPPED + b"\n" * (room + 1))
+
+
+@pytest.mark.parametrize("place", ["IP_NUMBER", "PORT", "ONLYSEND"])
+def test_of_a_wrong_setting_32_characters_are_shown(place: str) -> None:
+    text = SHIPPED.decode()
+    begin = text.index(f"<{place}>") + len(place) + 2
+    wrong = text[:begin] + "x" * 40 + text[text.index(f"</{place}>") :]
+    with pytest.raises(RsiError) as told:
+        parse_config(wrong.encode())
+    assert "'" + "x" * 32 + "'" in str(told.value)
+
+
+@pytest.mark.parametrize("generator", ["C1", "C2", "T1", "T2"])
+def test_a_function_generator_has_ten_parameters_from_one_on(generator: str) -> None:
+    element = f'<ELEMENT TAG="DEF_Tech.{generator}" TYPE="DOUBLE" INDX="INTERNAL"/>'.encode()
+    plain = parse_config(SHIPPED)
+    more = parse_config(SHIPPED.replace(b"</ELEMENTS>", element + b"</ELEMENTS>", 1))
+    channels = robot_layout(more, ()).channels.keys() - robot_layout(plain, ()).channels.keys()
+    assert channels == {f"Tech.{generator}{n}" for n in range(1, 11)}
+
+
+@pytest.mark.parametrize(
+    ("body", "is_flat"),
+    [("<A/>", True), ("<A>1</A>", True), ("<A x='1'/>", True), ("<A><B/></A>", False)],
+)
+def test_a_document_is_flat_unless_a_child_has_children(body: str, is_flat: bool) -> None:
+    assert scan(f"<Rob>{body}<IPOC>1</IPOC></Rob>").flat is is_flat
+
+
+# The distance.
+
+DBC = """VERSION ""
+BS_:
+BU_: S H
+BO_ 100 Muxed: 6 S
+ SG_ Which M : 0|8@1+ (1,0) [0|9] "" H
+ SG_ Gap m2 : 8|32@1- (1,0) [0|0] "{unit}" H
+"""
+
+
+@pytest.mark.parametrize(
+    ("unit", "metres"),
+    [("m", 1.0), ("", 1.0), ("dm", 0.1), ("cm", 0.01), ("mm", 0.001), ("um", 0.000_001)],
+)
+def test_every_unit_of_length_becomes_metres(unit: str, metres: float) -> None:
+    dbc = DBC.format(unit=unit)
+    frame = (100, b"\x02" + struct.pack("<i", 12_000) + b"\0")
+    assert DistanceEncoder(dbc, "Muxed", "Gap").encode(12_000 * metres) == frame
+    sample = DistanceDecoder(dbc, "Muxed", "Gap").decode(*frame, 7)
+    assert sample is not None
+    assert sample.position == pytest.approx(12_000 * metres, rel=1e-12)
+
+
+@pytest.mark.parametrize("unit", ["mm", "cm"])
+def test_a_step_is_in_metres_whatever_unit_the_dbc_has(unit: str) -> None:
+    dbc = DBC.format(unit=unit)
+    sample = DistanceDecoder(dbc, "Muxed", "Gap", step=0.002).decode(
+        100, b"\x02" + struct.pack("<i", 500) + b"\0", 7
+    )
+    assert sample is not None
+    assert sample.position == pytest.approx(1.0, rel=1e-12)
+
+
+def test_a_refusal_shows_sixteen_bytes_and_a_dash_for_none() -> None:
+    assert str(DistanceError("no", 0x1A, bytes(range(20)))).endswith(
+        "(id 0x1A, data 00 01 02 03 04 05 06 07 08 09 0a 0b 0c 0d 0e 0f)"
+    )
+    assert str(DistanceError("no", 0x1A)).endswith("(id 0x1A, data -)")
+    assert str(DistanceError("no")) == "distance: no"
+
+
+# The CAN adapter.
+
+
+def test_the_nine_bit_rates_are_those_of_the_manual() -> None:
+    assert slcan.BITRATES == (
+        10_000,
+        20_000,
+        50_000,
+        100_000,
+        125_000,
+        250_000,
+        500_000,
+        800_000,
+        1_000_000,
+    )
+
+
+@pytest.mark.parametrize(
+    ("line", "value"),
+    [
+        (b"S0", 0),
+        (b"S8", 8),
+        (b"Z0", 0),
+        (b"Z1", 1),
+        (b"sFFFF", 0xFFFF),
+        (b"MFFFFFFFF", 0xFFFFFFFF),
+        (b"mFFFFFFFF", 0xFFFFFFFF),
+        (b"m00000000", 0),
+    ],
+)
+def test_a_value_is_taken_to_the_end_of_its_range(line: bytes, value: int) -> None:
+    assert slcan.parse_command(line).value == value
+    assert slcan.parse_command(line).kind is not slcan.CommandKind.INVALID
+
+
+def test_identifiers_reach_to_11_and_29_bits_and_a_length_to_eight() -> None:
+    assert CanFrame(0x7FF).length == CanFrame(0x1FFFFFFF, extended=True).length == 0
+    assert CanFrame(0, bytes(8)).length == 8
+    assert CanFrame(0, bytes(0), length=0).length == 0
+    for bad in ({"can_id": 0x800}, {"can_id": 0x20000000, "extended": True}):
+        with pytest.raises(SlcanError, match=f"identifier {bad['can_id']:#x} is out of range"):
+            CanFrame(**bad)  # type: ignore[arg-type]
+    with pytest.raises(SlcanError, match="length 9 does not fit"):
+        CanFrame(0, bytes(9))
+    with pytest.raises(SlcanError, match="length 0 does not fit"):
+        CanFrame(0, b"\x01", length=0)
+
+
+def test_a_stamp_is_that_of_a_minute() -> None:
+    assert slcan.format_frame(CanFrame(0), 59_999) == b"t0000EA5F\r"
+    assert slcan.format_frame(CanFrame(0), 60_000) == b"t00000000\r"
+
+
+def test_a_refused_line_is_shown_to_its_32nd_byte() -> None:
+    with pytest.raises(SlcanError) as told:
+        slcan.parse_frame(b"y" * 40)
+    assert str(told.value) == f"slcan: no frame: {b'y' * 32!r}"
+    assert told.value.line == b"y" * 40
+
+
+def test_the_longest_line_is_whole_and_the_next_longer_one_is_counted() -> None:
+    longest = b"T1FFFFFFF8" + b"0" * 16 + b"EA5F"
+    assert len(longest) == 30
+    lines = LineDecoder()
+    assert lines.feed(longest + b"\r") == [longest]
+    assert lines.overlong == 0
+    assert slcan.parse_frame(longest).data == bytes(8)
+    assert lines.feed(longest + b"0\r" + longest + b"00000\r") == [longest + b"0"] * 2
+    assert lines.overlong == 2
+    assert lines.feed(b"\n" + longest + b"\r\n") == [longest]
+    assert lines.feed(longest + b"0") == []
+    assert lines.feed(b"0\r") == [longest + b"0"]
+    assert lines.overlong == 3
+
+
+def test_only_lines_that_are_no_command_are_counted() -> None:
+    commands = CommandDecoder()
+    commands.feed(b"O\rS6\r\rV\rt0010\r")
+    assert commands.invalid == 0
+    commands.feed(b"x\rO\r?\r")
+    assert commands.invalid == 2
+
+
+# The force-torque sensor.
+
+
+def test_a_wrench_saturates_at_the_ends_of_sixteen_bits() -> None:
+    (sample,) = Robotiq300Decoder().feed(
+        ft300_frame((400.0, -400.0, 327.67), (40.0, -40.0, -32.768)), 7
+    )
+    assert sample.force == pytest.approx((327.67, -327.68, 327.67), abs=1e-12)
+    assert sample.torque == pytest.approx((32.767, -32.768, -32.768), abs=1e-12)
+
+
+def test_the_ft300_host_waits_for_700_ms_and_asks_ten_times() -> None:
+    host, now_ns, asked = Ft300Host(), 5 * MS, 1
+    said = host.begin(now_ns).send
+    assert said == b"\xff" * 50 + bytes.fromhex("0910019a00010202 00cdca")
+    while host.failure is None:
+        assert host.on_time(now_ns + 700 * MS - 1).send == b""
+        assert host.failure is None
+        now_ns += 700 * MS
+        asked += host.on_time(now_ns).send == said
+    assert asked == 10
+    assert host.failure == "ft300: no answer after 10 attempts"
+    assert host.begin(now_ns).send == said
+    assert (host.failure, host.running) == (None, False)
+
+
+def test_the_ft300_device_is_silent_again_after_its_boot() -> None:
+    device = Ft300Device()
+    start = bytes.fromhex("0910019a0001020200cdca")
+    assert device.feed(start).startswith(bytes.fromhex("0910019a0001"))
+    assert device.streaming
+    assert device.feed(start) == b""
+    assert device.feed(b"\xff" * 49 + b"\0") == b""
+    assert device.streaming
+    assert device.boot() == b""
+    assert not device.streaming
+    device.feed(b"\xff" * 30)
+    device.boot()
+    device.feed(start)
+    assert device.feed(b"\xff" * 20) == b""
+    assert device.streaming
+    assert device.feed(b"\xff" * 30) == b""
+    assert not device.streaming
+
+
+# The commands.
+
+
+def test_a_frame_is_cut_from_38_to_1200_bytes() -> None:
+    head = struct.pack(">2sBBHQQ", b"LM", 1, 3, 7, 8, 9)
+    assert len(head) == 22
+    for size, is_cut in ((37, False), (38, True), (1200, True), (1201, False)):
+        data = head + bytes(size - 22)
+        if is_cut:
+            frame = command.cut_frame(data)
+            assert (len(frame.payload), frame.tag) == (size - 38, bytes(16))
+            assert (frame.key_id, frame.session, frame.sequence) == (7, 8, 9)
+        else:
+            with pytest.raises(CommandError, match=f"length: {size} bytes"):
+                command.cut_frame(data)
+    for size, is_cut in ((21, False), (22, True), (1200, True), (1201, False)):
+        data = head + bytes(max(0, size - 22)) if size >= 22 else head[:size]
+        if is_cut:
+            assert command.cut_local(data).tag == b""
+        else:
+            with pytest.raises(CommandError, match=f"length: {size} bytes"):
+                command.cut_local(data)
+
+
+@pytest.mark.parametrize(
+    ("head", "what"),
+    [
+        ((b"ML", 1, 3), "magic: 4d4c"),
+        ((b"LM", 2, 3), "version: 2"),
+        ((b"LM", 0, 3), "version: 0"),
+        ((b"LM", 1, 0), "type: 0"),
+        ((b"LM", 1, 7), "type: 7"),
+    ],
+)
+def test_a_foreign_head_is_named(head: tuple[bytes, int, int], what: str) -> None:
+    with pytest.raises(CommandError) as told:
+        command.cut_frame(struct.pack(">2sBBHQQ", *head, 7, 8, 9) + bytes(16))
+    assert str(told.value) == what
+
+
+def test_what_all_messages_share_is_as_specified() -> None:
+    assert {kind.name: int(kind) for kind in command.FrameType} == {
+        "HELLO": 1,
+        "COOKIE": 2,
+        "REQUEST": 3,
+        "REPLY": 4,
+        "EVENT": 5,
+        "CLOSE": 6,
+    }
+    assert (command.TAG_BYTES, command.COOKIE_BYTES, command.HANDSHAKE_BYTES) == (16, 16, 54)
+    assert (command.MAX_FRAME_BYTES, command.ROOM_BYTES) == (1200, 1162)
+    assert (command.MAX_RESULT_BYTES, command.PAGE_BYTES, command.MAX_PAGES) == (65536, 1024, 64)
+    assert (command.LOCAL_ROOM_BYTES, command.LOCAL_LIMIT_BYTES) == (65792, 65814)
+    assert (command.NS_PER_MS, command.MAX_AHEAD_MS) == (1_000_000, 5000)
