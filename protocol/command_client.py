@@ -44,14 +44,6 @@ class Ready:
 
     __slots__ = ()
 
-    def __eq__(self, other: object) -> bool:
-        """One is as good as another."""
-        return isinstance(other, Ready)
-
-    def __hash__(self) -> int:
-        """The same for all."""
-        return hash(Ready)
-
 
 class Answer(NamedTuple):
     """The answer to a request.
