@@ -22,6 +22,8 @@ SETTLING = 0.5  # the rule is silent until the speed of a class has been seen [s
 REFUSALS = 3  # gated rows in a row after which the filter widens
 FADING = 0.7  # of the squared errors that compare two classes, a reading
 LONGEST_TRIAL = 1.0  # [s]
+ACTING = 0.15  # how long a class has acted as it is tried [s]
+BEHIND = 0.5  # share of the error that tries it by which the estimate lags; the rest is noise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -239,7 +241,12 @@ class RuleClassifier:
         )
 
     def _try(self, state: RuleState, error: float) -> RuleState:
-        """Return the state with the class of least prediction error applied tentatively."""
+        """Return the state with the class of least prediction error applied tentatively.
+
+        A stop of a running conveyor has acted for a while before its error is seen: the speed is
+        less by what it did since, and the estimate ahead by what it has not followed. A class
+        that began at the old speed would be found a tenth of a second later, all of it latency.
+        """
         if error < 0.0 and state.motion in {Motion.RUNNING, Motion.STARTING}:
             new, width = Motion.STOPPING, 0.2 * self.conveyor.deceleration
         elif error > 0.0 and state.motion in {Motion.STANDING, Motion.STOPPING}:
@@ -249,13 +256,18 @@ class RuleClassifier:
         trial = Trial(state.motion, float(state.w[0]), float(state.w[1]), error**2, 0.0, 0.0)
         # The speed has changed since the onset by what the filter could not follow.
         wide = np.array((0.0, width * width))
+        moved = np.zeros(3)
+        if state.motion is Motion.RUNNING:
+            moved[:2] = BEHIND * error, ACTING * self._acceleration(new)
         return replace(
             state,
+            x=state.x + moved,
+            w=state.w + moved[:2],
             P=state.P + np.diag((*wide, 0.0)),
             W=state.W + np.diag(wide),
             motion=new,
             trial=trial,
-            since=0.15,
+            since=ACTING,
             events=(*state.events, (_word(new), "tentative")),
         )
 

@@ -358,3 +358,16 @@ def test_without_classes_the_rule_keeps_to_one_speed() -> None:
     told = tell(CONSTANT, Truth(4.2, ONE_STOP, seed=0))
     assert told.events == []
     assert {view.motion for view in told.views} == {Motion.RUNNING}
+
+
+def test_a_stop_that_the_rule_tries_has_already_cost_speed() -> None:
+    """A class tried at the speed before it is found a tenth of a second later than it is told."""
+    errors = []
+    for seed in range(12):
+        truth = Truth(2.0, ((1.0, -STOP),), seed=seed)
+        story = tell(RULE, truth)
+        at = [t for t, kind, what in story.events if (kind, what) == ("stop", "tentative")][-1]
+        state = story.states[int(np.searchsorted(story.times, at))]
+        ahead = float(RULE.outlook(state, np.array((0.1,)))[0]) + story.views[0].offset
+        errors.append(ahead - float(truth.at(at + 0.1)))
+    assert abs(float(np.median(errors))) < 0.0008
