@@ -341,10 +341,11 @@ class BankClassifier:
     def _widened(self, state: BankState, nu: float) -> BankState:
         """Return the state opened up: the filter is wrong, not eight of one sensor's readings."""
         P = state.P.copy()
+        # What the wave has learnt from a wrong filter would be predicted for seconds.
         P[Y, Y] += nu * nu
         P[OFFSET, OFFSET] += nu * nu
         P[V, V] += (0.5 * self.conveyor.nominal_speed) ** 2
-        return changed(_cleared(state), P=P, age=0.0, refused={})
+        return changed(self._still(_cleared(changed(state, P=P))), age=0.0, refused={})
 
     def _plausible(self, state: BankState, nu: float, rho: Array, gate: float) -> bool:
         """Tell whether an innovation lies in the range that the live hypotheses span.

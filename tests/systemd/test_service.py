@@ -92,7 +92,8 @@ class Robot:
         machine.run("systemctl", "start", "robot.service")
 
     def notes(self) -> list[dict[str, Any]]:
-        lines = self._path.read_text().splitlines()
+        # A robot that has only just been started has written nothing yet.
+        lines = self._path.read_text().splitlines() if self._path.exists() else []
         return [json.loads(line) for line in lines if line.endswith("}")]
 
     def answered(self) -> int:
