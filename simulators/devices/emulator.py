@@ -208,7 +208,9 @@ class Emulator:
             turnaround_ns: how long its good reply took [ns], None without one.
         """
         if self._waiting:
-            self._row = self._row + 1 if applied.answered else 0
+            # A miss takes back a part: a host with a hiccup a second would never have all in a row.
+            taken_back = self._row - self.config.wait_answered // 8
+            self._row = self._row + 1 if applied.answered else max(0, taken_back)
             if self._row >= self.config.wait_answered:
                 self._waiting = False
                 self._told_s = -1e9  # the wait was told in its own time

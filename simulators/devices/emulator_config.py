@@ -39,8 +39,8 @@ class EmulatorConfig:
         distance_mount: what the sensor reads when the conveyor unit is at s = 0 [m].
         serial_link: symbolic link to make for the force-torque pty, None for none.
         force_torque_device: "bota" or "robotiq-ft300".
-        wait_answered: the world stands still until so many telegrams in a row were answered;
-            until then nothing is charged.
+        wait_answered: the world stands still until so many telegrams were answered, a missed one
+            taking back an eighth of them; until then nothing is charged.
         end_after_release_s: end so long after the tool let go of the part [s]; None: do not.
         end_after_collision_s: end so long after a collision [s]; None: do not.
         state_period_s: how often the state is told [s].
