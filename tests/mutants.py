@@ -126,12 +126,17 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/protocol/test_command_local.py",
         "tests/protocol/test_edges.py",
     ),
-    "protocol/command_plain.py": ("tests/protocol/test_command.py",),
+    "protocol/command_plain.py": (
+        "tests/protocol/test_edges.py",
+        "tests/protocol/test_command.py",
+    ),
     "protocol/command_request.py": (
+        "tests/protocol/test_edges.py",
         "tests/protocol/test_command.py",
         "tests/protocol/test_command_rules.py",
     ),
     "protocol/command_session.py": (
+        "tests/protocol/test_session_edges.py",
         "tests/protocol/test_corners.py",
         "tests/protocol/test_command_session.py",
     ),
@@ -199,6 +204,14 @@ FIRST_POSE = "not looked at before the first pose has set it"
 WHOLE_FRAME = "a frame that is not taken at once is taken as those of all streams are: the same"
 INFINITE = "finite if and only if every part is, whatever the signs: none of 32 bits overflows"
 PARTS = ("fx", "fy", "fz", "mx", "my", "mz", "temperature")
+NO_SWEEP = "vectors that are not read in one sweep are read one by one: the same numbers"
+MORE_THAN_FITS = "no number of so many hexadecimal digits is as great"
+VALUED = (
+    "_VALUED = {b'S': (CommandKind.BITRATE, 1, len(BITRATES)),"
+    " b's': (CommandKind.BIT_TIMING, 4, 1 << 16), b'Z': (CommandKind.STAMPS, 1, 2),"
+    " b'M': (CommandKind.ACCEPTANCE_CODE, 8, 1 << 32),"
+    " b'm': (CommandKind.ACCEPTANCE_MASK, 8, 1 << 32)}"
+)
 EQUIVALENT: dict[str, dict[tuple[str, str], str]] = {
     "protocol/exchange.py": {
         ("if self.length and 0 < delta <= reach:", "0 < delta <= reach -> 0 <= delta <= reach"): (
@@ -254,7 +267,49 @@ EQUIVALENT: dict[str, dict[tuple[str, str], str]] = {
             " signal.multiplexer_signal or signal.multiplexer_ids",
         ): "a signal has both or neither",
     },
+    "protocol/rsi.py": {
+        (statement, "joints is not None and whole -> joints is not None or whole"): (
+            "a controller tells all six joints or none"
+        )
+        for statement in (
+            "glanced = joints.fields if joints is not None and whole else ()",
+            "self._glance_scales = joints.scales if joints is not None and whole else ()",
+        )
+    }
+    | {
+        (
+            f"{name} = [(q {sign} reach) / scale for q, scale in"
+            " zip(joints, self._glance_scales, strict=True)]",
+            "True -> False",
+        ): "the other of the two lines refuses as many"
+        for name, sign in (("low", "-"), ("high", "+"))
+    }
+    | {
+        ("first = fields[0] if fields else 0", "0 -> 1"): NO_SWEEP,
+        (
+            "self._is_block = all((vector.contiguous for vector in vectors)) and"
+            " fields == list(range(first, first + len(fields)))",
+            "first + len(fields) -> first - len(fields)",
+        ): NO_SWEEP,
+    },
+    "protocol/command_request.py": {
+        (
+            "width = {222: 2, 223: 4}.get(head, 0)",
+            "0 -> 1",
+        ): "only what was read as a map is counted",
+    }
+    | {
+        (f"class {name}(Struct, frozen=True, forbid_unknown_fields=True):", "True -> False"): (
+            "nobody writes to a message, and an unknown field is one more than were read"
+        )
+        for name in (
+            *("Empty", "ParamsOf", "GetOf", "SetOf", "RecordOf", "SubscribeOf", "PageOf"),
+            "_RequestWire",
+        )
+    },
     "protocol/slcan.py": {
+        (VALUED, "16 -> 17"): MORE_THAN_FITS,
+        (VALUED, "32 -> 33"): MORE_THAN_FITS,
         (
             "letter = 'tTrR'[frame.extended + 2 * frame.remote]",
             "frame.extended + 2 * frame.remote -> frame.extended - 2 * frame.remote",

@@ -7,9 +7,10 @@ import struct
 from dataclasses import replace
 from pathlib import Path
 
+import msgpack
 import pytest
 
-from linemate.protocol import command, slcan
+from linemate.protocol import command, command_plain, command_request, slcan
 from linemate.protocol.command import CommandError
 from linemate.protocol.distance import DistanceDecoder, DistanceEncoder, DistanceError
 from linemate.protocol.rsi import RobotTelegram, RsiCodec, RsiError, parse_config
@@ -64,6 +65,64 @@ def test_of_a_wrong_setting_32_characters_are_shown(place: str) -> None:
     with pytest.raises(RsiError) as told:
         parse_config(wrong.encode())
     assert "'" + "x" * 32 + "'" in str(told.value)
+
+
+@pytest.mark.parametrize(
+    "tags",
+    [
+        ("AIPos", "EIPos", "RIst", "Delay"),
+        ("AIPos", "Delay", "EIPos", "RIst"),
+        ("Delay", "RIst", "AIPos", "EIPos"),
+        ("EIPos", "RIst", "Delay", "AIPos"),
+        ("EIPos", "AIPos"),
+        ("RIst", "Delay"),
+    ],
+)
+def test_elements_may_stand_in_any_order(tags: tuple[str, ...]) -> None:
+    text = SHIPPED.decode()
+    begin, end = text.index("<ELEMENTS>") + len("<ELEMENTS>"), text.index("</ELEMENTS>")
+    kinds = {"Delay": "LONG"}
+    elements = "".join(
+        f'<ELEMENT TAG="DEF_{tag}" TYPE="{kinds.get(tag, "DOUBLE")}" INDX="INTERNAL"/>'
+        for tag in tags
+    )
+    codec = RsiCodec(parse_config((text[:begin] + elements + text[end:]).encode()))
+    six = tuple(0.1 * n for n in range(1, 7))
+    told = RobotTelegram(
+        24,
+        joints=six if "AIPos" in tags else None,
+        external=six[::-1] if "EIPos" in tags else None,
+        tcp=(1.0, 2.0, 3.0, *six[:3]) if "RIst" in tags else None,
+        delay=7 if "Delay" in tags else None,
+    )
+    read = codec.parse_robot(codec.format_robot(told))
+    assert (read.ipoc, read.delay) == (24, told.delay)
+    for name in ("joints", "external", "tcp"):
+        assert getattr(read, name) == pytest.approx(getattr(told, name), abs=1e-9)
+
+
+def test_a_number_has_one_to_sixteen_decimals() -> None:
+    telegram = RobotTelegram(24, joints=ZEROS, external=ZEROS, tcp=ZEROS, delay=0)
+    for decimals in (1, 16):
+        codec = RsiCodec(parse_config(SHIPPED), decimals=decimals)
+        assert codec.parse_robot(codec.format_robot(telegram)).joints == ZEROS
+    for decimals in (0, 17):
+        with pytest.raises(RsiError, match=f"{decimals} decimals, not 1..16"):
+            RsiCodec(parse_config(SHIPPED), decimals=decimals)
+
+
+@pytest.mark.parametrize(
+    ("port", "is_one"), [("0", False), ("1", True), ("65535", True), ("65536", False)]
+)
+def test_a_port_is_one_to_65535(port: str, is_one: bool) -> None:
+    text = SHIPPED.decode()
+    begin, end = text.index("<PORT>") + 6, text.index("</PORT>")
+    changed = (text[:begin] + port + text[end:]).encode()
+    if is_one:
+        assert parse_config(changed).port == int(port)
+    else:
+        with pytest.raises(RsiError, match=f"'{port}' is not a number in 1..65535"):
+            parse_config(changed)
 
 
 @pytest.mark.parametrize("generator", ["C1", "C2", "T1", "T2"])
@@ -123,6 +182,13 @@ def test_a_refusal_shows_sixteen_bytes_and_a_dash_for_none() -> None:
     )
     assert str(DistanceError("no", 0x1A)).endswith("(id 0x1A, data -)")
     assert str(DistanceError("no")) == "distance: no"
+
+
+def test_a_frame_of_64_bytes_is_read_and_a_longer_one_is_not() -> None:
+    decoder = DistanceDecoder()
+    assert decoder.decode(0x183, bytes(64), 7) is not None
+    with pytest.raises(DistanceError, match="65 bytes instead of 4"):
+        decoder.decode(0x183, bytes(65), 7)
 
 
 # The CAN adapter.
@@ -307,3 +373,108 @@ def test_what_all_messages_share_is_as_specified() -> None:
     assert (command.MAX_RESULT_BYTES, command.PAGE_BYTES, command.MAX_PAGES) == (65536, 1024, 64)
     assert (command.LOCAL_ROOM_BYTES, command.LOCAL_LIMIT_BYTES) == (65792, 65814)
     assert (command.NS_PER_MS, command.MAX_AHEAD_MS) == (1_000_000, 5000)
+
+
+def test_an_event_is_a_map_of_its_time_and_its_data() -> None:
+    data = command_plain.encode_result({"a": 1, "b": "x"})
+    event = command_plain.encode_event(2**40, data)
+    assert event == msgpack.packb({"t": 2**40, "d": {"a": 1, "b": "x"}})
+    assert command_plain.decode_event(event) == (2**40, {"a": 1, "b": "x"})
+
+
+@pytest.mark.parametrize(
+    ("time_ms", "is_one"), [(-1, False), (0, True), (2**63 - 1, True), (2**63, False), (1.0, False)]
+)
+def test_a_time_is_a_whole_number_of_63_bits(time_ms: float, is_one: bool) -> None:
+    event = msgpack.packb({"t": time_ms, "d": {}})
+    reply = msgpack.packb({"ok": True, "t": time_ms})
+    request = msgpack.packb({"op": "status", "t": time_ms})
+    if is_one:
+        assert command_plain.decode_event(event) == (time_ms, {})
+        assert command_plain.decode_reply(reply).t == time_ms
+        assert command_request.decode_request(request).deadline_ms == time_ms
+    else:
+        for decode, payload in (
+            (command_plain.decode_event, event),
+            (command_plain.decode_reply, reply),
+            (command_request.decode_request, request),
+        ):
+            with pytest.raises(CommandError, match="malformed: "):
+                decode(payload)
+
+
+@pytest.mark.parametrize("op", sorted(command_request.OPERATIONS))
+def test_a_deadline_before_the_servers_beginning_is_its_beginning(op: str) -> None:
+    params: dict[str, object] = {
+        "get": {"names": ["a"]},
+        "set": {"values": {"a": 1}},
+        "record": {"action": "start"},
+        "subscribe": {"rate_hz": 1.0},
+        "page": {"of": 1, "page": 1},
+    }.get(op, {})  # type: ignore[assignment]
+    for asked_ms, deadline_ms in ((-5, 0), (0, 0), (7, 7)):
+        payload = command_request.encode_request(op, params, asked_ms)
+        assert command_request.decode_request(payload) == (op, deadline_ms, params)
+
+
+@pytest.mark.parametrize(
+    ("op", "good", "bad"),
+    [
+        ("params", {"prefix": ""}, {"prefix": "a", "more": 1}),
+        ("params", {"prefix": "a" * 96}, {"prefix": "a" * 97}),
+        ("get", {"names": ["a"]}, {"names": []}),
+        ("get", {"names": ["a"] * 32}, {"names": ["a"] * 33}),
+        ("get", {"names": ["a" * 96]}, {"names": ["a" * 97]}),
+        ("get", {"names": ["a"]}, {"names": [""]}),
+        ("get", {"names": ["a"]}, {"names": ["a"], "more": 1}),
+        ("set", {"values": {"a": "x" * 512}}, {"values": {"a": "x" * 513}}),
+        ("set", {"values": {"a": [1] * 64}}, {"values": {"a": [1] * 65}}),
+        ("set", {"values": {"a" * 96: 1}}, {"values": {"a" * 97: 1}}),
+        ("set", {"values": {"a": None}}, {"values": {}}),
+        ("set", {"values": {"a": [1.5, "b", True]}}, {"values": {"a": [None]}}),
+        ("set", {"values": {"a": 1}}, {"values": {"a": 1}, "more": 1}),
+        ("record", {"action": "stop"}, {"action": "pause"}),
+        ("record", {"action": "start"}, {"action": "start", "more": 1}),
+        ("subscribe", {"rate_hz": 0.0}, {"rate_hz": -1e-9}),
+        ("subscribe", {"rate_hz": 50.0}, {"rate_hz": 50.001}),
+        ("subscribe", {"rate_hz": 1.0, "duration_s": 30.0}, {"rate_hz": 1.0, "duration_s": 30.001}),
+        ("subscribe", {"rate_hz": 1.0, "duration_s": 1e-9}, {"rate_hz": 1.0, "duration_s": 0.0}),
+        ("subscribe", {"rate_hz": 1.0}, {"rate_hz": 1.0, "more": 1}),
+        ("page", {"of": 1, "page": 1}, {"of": 0, "page": 1}),
+        ("page", {"of": 2**63 - 1, "page": 1}, {"of": 2**63, "page": 1}),
+        ("page", {"of": 1, "page": 63}, {"of": 1, "page": 64}),
+        ("page", {"of": 1, "page": 1}, {"of": 1, "page": 0}),
+        ("page", {"of": 1, "page": 1}, {"of": 1, "page": 1, "more": 1}),
+        ("stop", {}, {"more": 1}),
+    ],
+)
+def test_parameters_are_taken_to_their_ends_on_both_sides(
+    op: str, good: dict[str, object], bad: dict[str, object]
+) -> None:
+    payload = command_request.encode_request(op, good, 7)
+    assert command_request.decode_request(payload) == (op, 7, good)
+    with pytest.raises(CommandError, match="malformed: "):
+        command_request.encode_request(op, bad, 7)
+    with pytest.raises(CommandError, match="malformed: "):
+        command_request.decode_request(msgpack.packb({"op": op, "t": 7, "p": bad}))
+
+
+def test_an_operation_has_a_name_of_sixteen_letters_at_most() -> None:
+    for size, kind in ((16, "unknown"), (17, "malformed")):
+        with pytest.raises(CommandError) as told:
+            command_request.decode_request(msgpack.packb({"op": "x" * size, "t": 7}))
+        assert told.value.kind == kind
+
+
+def test_only_stop_and_retreat_are_taken_in_any_order_and_without_the_lease() -> None:
+    table = {
+        op: (str(rule.role), rule.lease, rule.ordered)
+        for op, rule in command_request.OPERATIONS.items()
+    }
+    viewing = dict.fromkeys(
+        ("status", "params", "get", "scene", "subscribe", "page"), ("view", False, False)
+    )
+    setting = dict.fromkeys(("set", "save", "record"), ("operate", False, True))
+    moving = dict.fromkeys(("arm", "start", "ack"), ("operate", True, True))
+    resting = dict.fromkeys(("stop", "retreat"), ("operate", False, False))
+    assert table == viewing | setting | moving | resting
