@@ -57,6 +57,9 @@ exchange slip, and a real controller's never does."""
 SETTLE_S = 2.5
 """A daemon's link that was not there is tried again within 2 s."""
 
+NOTICEABLE = 0.005
+"""Share of the processors' time that is worth a word when the host withheld it."""
+
 EX_UNAVAILABLE = 69
 
 
@@ -219,13 +222,15 @@ def perform(scenario: Scenario, out: Path, *, is_viewed: bool = False) -> dict[s
         # A core of one's own is a gift to a real-time process, and a cage to any other.
         cores = host.shared_out() if host.missing_rights() is None else ((), ())
         station = Station(Path(name), scenario, cores)
+        began_s, stolen_s = time.monotonic(), host.stolen_s()
         status = _run(station, is_viewed=is_viewed)
+        withheld = _withheld(stolen_s, host.stolen_s(), time.monotonic() - began_s)
         recording = _only_recording(station.folder)
         evidence = joined.evidence(station.truth, recording, scenario)
         result = judge(evidence)
         result["step_us"] = _step_us(status) or result["step_us"]
         facts = truth.load(station.truth)[1]
-        result["notes"] = _notes(status, facts)
+        result["notes"] = [*_notes(status, facts), *withheld]
         leave(out, result, evidence.rows)
         kept = out / f"{scenario.name}-seed{scenario.seed}-{result['cycle_ms']:g}ms.mcap"
         shutil.move(recording, kept)
@@ -390,6 +395,19 @@ def _step_us(status: Mapping[str, Any]) -> dict[str, Any] | None:
     """The daemon's own measurement of its steps, which no one else can make."""
     told = status.get("step_us")
     return told if isinstance(told, dict) else None
+
+
+def _withheld(before_s: float | None, after_s: float | None, passed_s: float) -> list[str]:
+    """Say how much of the processors' time this machine never had, if that was noticeable."""
+    if before_s is None or after_s is None:
+        return []
+    share = (after_s - before_s) / (passed_s * (os.cpu_count() or 1))
+    if share < NOTICEABLE:
+        return []
+    return [
+        f"this machine's host withheld {100 * share:.1f} % of its processors' time (steal): what "
+        "was late for that counts all the same"
+    ]
 
 
 def _notes(status: Mapping[str, Any], facts: Mapping[str, Any]) -> list[str]:

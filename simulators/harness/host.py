@@ -29,6 +29,20 @@ def machine() -> dict[str, Any]:
     }
 
 
+def stolen_s(stat: Path = Path("/proc/stat")) -> float | None:
+    """Tell how much of all cores' time a hypervisor has withheld since the start [s]; None: unknown.
+
+    Args:
+        stat: the kernel's counters.
+    """
+    try:
+        # cpu user nice system idle iowait irq softirq steal ...
+        steal = stat.read_text(encoding="ascii").split("\n", 1)[0].split()[8]
+        return int(steal) / os.sysconf("SC_CLK_TCK")
+    except (OSError, ValueError, IndexError):
+        return None
+
+
 def missing_rights() -> str | None:
     """Say why a process started here gets no real-time priority; None when it does.
 
