@@ -30,7 +30,7 @@ def machine() -> dict[str, Any]:
 
 
 def stolen_s(stat: Path = Path("/proc/stat")) -> float | None:
-    """Tell how much of all cores' time a hypervisor has withheld since the start [s]; None: unknown.
+    """Tell how much of all cores' time a hypervisor has withheld since the start [s], if known.
 
     Args:
         stat: the kernel's counters.
