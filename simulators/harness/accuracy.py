@@ -12,7 +12,7 @@ import json
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from linemate.daemon.control.settings import ControlSettings
 from linemate.daemon.service.documents import FileError
 from linemate.daemon.tracking.settings import TrackingSettings
 from linemate.simulators.harness import accuracy_tables, report_json, variants
-from linemate.simulators.harness.cases import ABLATIONS, CASES, FEWER, TUNED, VERIFY, Case
+from linemate.simulators.harness.cases import ABLATIONS, CASES, TUNED, VERIFY, Case
 from linemate.simulators.harness.cluster import digest
 from linemate.simulators.harness.drills import Kind
 from linemate.simulators.harness.main import one_thread
@@ -58,6 +58,7 @@ class Plan:
         drilled: cycles and classifiers.
         seeds: of each group at most.
         hours: of each kind of drill.
+        own: seeds of a case, hours of a drill, where they differ from those of all.
         overlay: identified parameters for all of them, or None.
     """
 
@@ -65,6 +66,7 @@ class Plan:
     drilled: tuple[str, ...]
     seeds: int = len(VERIFY)
     hours: float = HOURS
+    own: Mapping[str, float] = field(default_factory=dict)
     overlay: Mapping[str, Any] | None = None
 
 
@@ -123,7 +125,7 @@ def gather(plan: Plan, where: Where) -> tuple[accuracy_tables.Runs, accuracy_tab
     for name in plan.cases:
         case = CASES[name]
         setup = case.setup(plan.overlay)
-        for group, seeds in groups(case, plan.seeds).items():
+        for group, seeds in groups(case, int(plan.own.get(name, plan.seeds))).items():
             make = partial(_made, setup, seeds, where)
             runs.setdefault(name, {})[group] = _piece(
                 where, f"{name}-{group}", (setup, seeds), make
@@ -162,7 +164,8 @@ def _drilled(plan: Plan, source: str, where: Where) -> dict[str, Any]:
 
     cycle, variant = source.split()
     setup = Case(source, variant=variant, cycle_ms=float(cycle)).setup(plan.overlay)
-    drills = detection.Plan([setup], plan.hours, VERIFY.start, DRILLED[source])
+    hours = plan.own.get(source, plan.hours)
+    drills = detection.Plan([setup], hours, VERIFY.start, DRILLED[source])
 
     def make() -> dict[str, Any]:
         with progress_bar(len(list(drills.drills())), f"detection {source}") as progress:
@@ -171,7 +174,7 @@ def _drilled(plan: Plan, source: str, where: Where) -> dict[str, Any]:
         return kinds
 
     name = f"detection-{source.replace(' ', 'ms-')}"
-    found: dict[str, Any] = _piece(where, name, (setup, plan.hours), make)
+    found: dict[str, Any] = _piece(where, name, (setup, hours), make)
     return found
 
 
@@ -207,8 +210,8 @@ def told(plan: Plan, runs: accuracy_tables.Runs, detection: accuracy_tables.Dete
         "*Written by `make accuracy`; edit around it, not in it.*",
         f"Seeds that parameters were tuned on: {_range(TUNED.start, most['tuned'])}. "
         f"Seeds that only verify: {_range(VERIFY.start, most['verify'])}; a bar is met or not by "
-        f"these. Cases that explain rather than claim take the first {FEWER} of each at most. "
-        f"Drills: {plan.hours:g} h of virtual time each, seeds from {VERIFY.start} on. "
+        f"these. A case takes the first of them, as many as the table of runs says. "
+        f"Drills: seeds from {VERIFY.start} on, as many hours as their table says. "
         f"All runs on {parameters}. Figures: median over the seeds of a run's largest value "
         "[95 % interval of the median] (worst seed); a dash: not there in every run.",
     ]
@@ -246,9 +249,11 @@ def _plan(args: argparse.Namespace) -> Plan:
     if args.short:
         plan = replace(plan, cases=SHORT, seeds=1, drilled=SHORT_DRILLED, hours=SHORT_HOURS)
     if args.cases is not None:
-        plan = replace(plan, cases=_known("case", args.cases, CASES))
+        cases = _known("case", args.cases, CASES)
+        plan = replace(plan, cases=tuple(cases), own={**plan.own, **_told(cases)})
     if args.drills is not None:
-        plan = replace(plan, drilled=_known("drill", args.drills, DRILLED))
+        drills = _known("drill", args.drills, DRILLED)
+        plan = replace(plan, drilled=tuple(drills), own={**plan.own, **_told(drills)})
     seeds = plan.seeds if args.seeds is None else args.seeds
     hours = plan.hours if args.hours is None else args.hours
     if seeds < 1 or not 0.0 < hours < math.inf:
@@ -262,12 +267,26 @@ def _is_default(variant: str) -> bool:
     return variant != "default" and variants.apply(variant, *plain) == plain
 
 
-def _known(what: str, text: str, known: Mapping[str, object]) -> tuple[str, ...]:
-    names = tuple(name.strip() for name in text.split(",") if name.strip())
-    for name in names:
+def _told(each: Mapping[str, float | None]) -> dict[str, float]:
+    """What is said of some of them."""
+    return {name: number for name, number in each.items() if number is not None}
+
+
+def _known(what: str, text: str, known: Mapping[str, object]) -> dict[str, float | None]:
+    """Read ``A,B:N``: names, each with a number of its own or None."""
+    found: dict[str, float | None] = {}
+    for part in filter(None, (part.strip() for part in text.split(","))):
+        name, _, number = part.partition(":")
         if name not in known:
             raise SetupError(f"no {what} {name!r}; there are {', '.join(known)}")
-    return names
+        try:
+            own = float(number) if number else None
+        except ValueError:
+            raise SetupError(f"{part!r}: no number") from None
+        if own is not None and not 0.0 < own < math.inf:
+            raise SetupError(f"{part!r} are none")
+        found[name] = own
+    return found
 
 
 def _overlay(path: Path) -> Mapping[str, Any]:
@@ -280,8 +299,16 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="accuracy", description="Write docs/accuracy.md.")
     add = parser.add_argument
     add("--short", action="store_true", help="a few runs of a few cases, for CI")
-    add("--cases", metavar="A,B,...", help=f"some of {', '.join(CASES)}; empty for none")
-    add("--drills", metavar="A,B,...", help=f"some of {', '.join(DRILLED)}; empty for none")
+    add(
+        "--cases",
+        metavar="A,B,...",
+        help=f"some of {', '.join(CASES)}, each with its seeds if it is A:N; empty for none",
+    )
+    add(
+        "--drills",
+        metavar="A,B,...",
+        help=f"some of {', '.join(DRILLED)}, each with its hours if it is A:H; empty for none",
+    )
     add("--seeds", type=int, metavar="N", help="of each group at most")
     add("--hours", type=float, metavar="H", help=f"of each kind of drill; {HOURS:g}")
     add("--overlay", type=Path, metavar="FILE", help="identified parameters for all runs")

@@ -88,6 +88,13 @@ def test_the_default_is_not_run_twice_under_two_names() -> None:
     assert {"12 default", "4 default", "12 rule"} <= set(plan.drilled)
 
 
+def test_a_case_has_its_own_seeds_and_a_drill_its_own_hours() -> None:
+    arguments = ["--cases", "oracle:3,rule", "--drills", "12 rule:0.5", "--seeds", "7"]
+    plan = accuracy._plan(accuracy._parser().parse_args(arguments))
+    assert (plan.cases, plan.drilled) == (("oracle", "rule"), ("12 rule",))
+    assert (plan.seeds, plan.own) == (7, {"oracle": 3.0, "12 rule": 0.5})
+
+
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -95,6 +102,8 @@ def test_the_default_is_not_run_twice_under_two_names() -> None:
         ["--drills", "luck"],
         ["--overlay", "/nowhere/overlay.yaml"],
         ["--seeds", "0"],
+        ["--cases", "oracle:few"],
+        ["--drills", "12 default:0"],
         ["--hours", "nan"],
     ],
 )
