@@ -266,7 +266,7 @@ class MergeSettings:
         blend: time in which the programmed motion gives way to the sensed one [s].
     """
 
-    along: Annotated[float, Ge(1e-4), Le(1.0)] = 0.025
+    along: Annotated[float, Ge(1e-4), Le(1.0)] = 0.027
     across: Annotated[float, Ge(1e-4), Le(1.0)] = 0.04
     blend: Annotated[float, Ge(1e-3), Le(1e6)] = 2.5  # an exercise never blends
 
