@@ -9,6 +9,7 @@ bash reads it, and the programs' own parsers take its command lines.
 import json
 import os
 import re
+import select
 import shlex
 import shutil
 import subprocess
@@ -168,6 +169,48 @@ def test_bash_completes_what_can_be_typed(words: list[str], expected: set[str]) 
         ["bash", "-c", asked], capture_output=True, text=True, check=True, cwd=ROOT / "docs"
     )
     assert set(done.stdout.split()) == expected, done.stderr
+
+
+ZSH = """PS1=; fpath=({folder} $fpath); autoload -U compinit; compinit -u -D
+unsetopt zle_bracketed_paste; shown() {{ print -r -- "<$BUFFER>" }}; zle -N shown
+bindkey '^I' complete-word; bindkey '^Xs' shown; print BEG''IN
+"""
+
+
+@pytest.mark.skipif(shutil.which("zsh") is None, reason="no zsh here")
+@pytest.mark.parametrize(
+    ("typed", "expected"),
+    [
+        ("linemate par", ["<linemate param >"]),
+        ("linemate param de", ["<linemate param describe >"]),
+        ("linemate status --wa", ["<linemate status --watch >"]),
+        ("linemate record st", ["start", "stop"]),
+        ("linemated --ch", ["<linemated --check >"]),
+        ("linemate-sim ca", ["<linemate-sim campaign >"]),
+    ],
+)
+def test_zsh_completes_what_can_be_typed(typed: str, expected: list[str]) -> None:
+    ours, its = os.openpty()
+    shell = subprocess.Popen(["zsh", "-f", "-i"], stdin=its, stdout=its, stderr=its)
+    os.close(its)
+    said = ""
+
+    def until(words: list[str]) -> None:
+        nonlocal said
+        while not all(word in said for word in words):
+            assert select.select([ours], [], [], 30.0)[0], said
+            said += os.read(ours, 4096).decode()
+
+    try:
+        os.write(ours, ZSH.format(folder=ROOT / "docs/completion").encode())
+        until(["BEGIN"])
+        said = ""
+        os.write(ours, f"{typed}\t\x18s".encode())
+        until(expected)
+    finally:
+        shell.kill()
+        shell.wait()
+        os.close(ours)
 
 
 @pytest.fixture(scope="module")
