@@ -59,6 +59,7 @@ class Oracle:
         self._open_orders: set[str] = set()
         self._notable: Counter[int] = Counter()
         self._command: tuple[float, ...] = ()
+        self._held: tuple[float, ...] = ()
         self._session = 0
         self._resting = 0
         self._sized_s = -math.inf
@@ -132,20 +133,33 @@ class Oracle:
         self._notable[int(self._now_s)] += len(outputs.events)
         state = State(entry.state)
         if session != self._session or len(self._command) != len(outputs.command):
-            self._session, self._command = session, outputs.command
+            self._session, self._command, self._held = session, outputs.command, ()
         moves = [
             (new - old) / self._cycle_s
             for old, new in zip(self._command, outputs.command, strict=True)
         ]
         self._command = outputs.command
         if state not in QUIET:
-            self._resting, self._speeds = 0, tuple(moves)
+            self._resting, self._speeds, self._held = 0, tuple(moves), self.holds()
             return
+        if not self._resting:
+            self._speeds = self._braked_from()
         self._resting += 1
         needed = (abs(v) / a for v, a in zip(self._speeds, self._braking, strict=True))
         moved = max(map(abs, moves)) > STILL and not self._is_held(outputs.command)
         if moved and self._resting * self._cycle_s > JERKING_S + max(needed):
             self.blame(f"I1: motion in {state.upper()}")
+
+    def _braked_from(self) -> tuple[float, ...]:
+        """What a stop begins with: each axis as quick as its command was or as it went itself.
+
+        A robot that stood although it was sent on, for no reply reached it, has all of the way
+        before it in the cycle in which it hears again.
+        """
+        went = zip(self._held, self.holds(), strict=False)
+        applied = [abs(new - old) / self._cycle_s for old, new in went]
+        applied += [0.0] * (len(self._speeds) - len(applied))
+        return tuple(max(abs(v), w) for v, w in zip(self._speeds, applied, strict=False))
 
     def _is_held(self, command: tuple[float, ...]) -> bool:
         held = self.holds()
