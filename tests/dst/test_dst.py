@@ -6,6 +6,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -101,6 +102,44 @@ def test_half_of_the_seeds_are_calm_and_the_others_reach_every_kind_of_fault() -
 
 
 # The swarm would notice.
+
+
+@pytest.mark.parametrize(
+    ("sent", "heard", "quiet_s", "is_blamed"),
+    [
+        # At 0.5 rad/s or at rest when the motion ends; braking takes 0.5 s and jerking 0.4 s.
+        (0.5, True, 0.85, False),
+        (0.5, True, 0.95, True),
+        (0.0, True, 0.35, False),
+        (0.0, True, 0.45, True),
+        # A robot that was deaf is sent 0.5 rad/s from where it stands, again and again.
+        (0.5, False, 0.85, False),
+        (0.5, False, 0.95, True),
+    ],
+)
+def test_motion_that_outlasts_its_braking_is_a_violation(
+    sent: float, heard: bool, quiet_s: float, is_blamed: bool
+) -> None:
+    oracle, cycle_s = dst_oracles.Oracle(0.012, (1.0,) * 7), 0.012
+    held, command = (0.0,) * 7, (0.0,) * 7
+    oracle.holds = lambda: held
+
+    def step(state: str) -> None:
+        outputs = SimpleNamespace(
+            command=command, target=None, sensed=None, part=None, speed=None, events=()
+        )
+        oracle._judge_step(SimpleNamespace(outputs=outputs, state=state), 1)  # type: ignore[arg-type]
+
+    for _ in range(20):
+        command = tuple(q + sent * cycle_s for q in held)
+        step("track")
+        held = command if heard else held
+    held = command
+    for _ in range(round(quiet_s / cycle_s)):
+        command = tuple(q + 0.3 * cycle_s for q in held)
+        step("idle")
+        held = command
+    assert bool(oracle.violations) is is_blamed
 
 
 def test_a_daemon_that_does_not_look_at_delay_breaks_the_limits(
