@@ -167,8 +167,14 @@ class PhaseLock:
             self._measured = True
 
     def _relock(self) -> None:
-        """The grid has moved: the arrivals before it bound another one. The period stays."""
+        """The grid has moved: the arrivals before it bound another one.
+
+        The period stays, unless it has led astray twice within a window or is refused: it may have
+        been learnt from arrivals of two grids, and would throw every better one away.
+        """
         self.relocks += 1
+        if len(self._recent) < WINDOW or self.refusal is not None:
+            self._period_ns, self._measured = float(self.nominal_ns), False
         self._forget()
 
     def _forget(self) -> None:

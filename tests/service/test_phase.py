@@ -101,6 +101,23 @@ def test_a_wire_that_was_stuffed_for_cycles_moves_nothing_for_long() -> None:
     assert lock.expected_ns() == START + 506 * 4 * MS
 
 
+@pytest.mark.parametrize("held_up", [12, 20, 33, 60, 100])
+@pytest.mark.parametrize("late_ms", [5, 20, 45, 90])
+def test_a_grid_learnt_from_telegrams_that_were_held_up_does_not_last(
+    held_up: int, late_ms: int
+) -> None:
+    lock = PhaseLock(12 * MS)
+    for n in range(held_up):
+        lock.arrival(START + n * 12 * MS + late_ms * MS)
+    first = held_up + late_ms // 12 + 1
+    lock.arrival(START + first * 12 * MS, first - held_up + 1)
+    for n in range(first + 1, first + 400):
+        lock.arrival(START + n * 12 * MS)
+    assert lock.refusal is None
+    assert lock.measured_ns == pytest.approx(12 * MS, rel=1e-6)
+    assert lock.expected_ns() == START + (first + 400) * 12 * MS
+
+
 def test_a_phase_that_comes_earlier_is_followed_at_once() -> None:
     lock = PhaseLock(12 * MS)
     for n in range(100):
