@@ -16,11 +16,22 @@ def test_every_case_can_be_made(name: str) -> None:
     assert made.scenario.cycle_s * 1e3 == pytest.approx(CASES[name].cycle_ms)
 
 
-@pytest.mark.parametrize("name", WRONG)
+@pytest.mark.parametrize("name", [name for name in WRONG if not WRONG[name].sets])
 def test_a_wrong_model_changes_the_plant_and_no_belief(name: str) -> None:
     wrong, nominal = WRONG[name].setup(), setup.make("wheel", cycle_ms=12.0)
     assert wrong.scenario != nominal.scenario
     assert replace(wrong, scenario=nominal.scenario) == nominal
+
+
+def test_what_was_learnt_is_what_the_plant_has_become() -> None:
+    servos = WRONG["servo-0.9-learnt"].setup()
+    assert [model.frequency_hz for model in servos.control.servos] == pytest.approx(
+        [axis.frequency_hz for axis in servos.scenario.robot.axes], rel=0.002
+    )
+    modes = WRONG["mode-0.9-known"].setup()
+    assert [mode.frequency_hz for mode in modes.control.effector] == pytest.approx(
+        modes.scenario.effector.frequency_hz, rel=0.002
+    )
 
 
 def test_the_plant_differs_by_the_factor_that_the_case_is_named_after() -> None:
