@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import functools
 import os
 import signal
 import socket
@@ -39,6 +40,29 @@ watch: {healthy_cycles: 10}
 """
 
 SHIPPED = PROTOCOL_DATA / "rsi_joints.xml"
+
+
+HELD_UP_S = CYCLE_S / 3.0
+ATTEMPTS = 6
+late_s: list[float] = []
+"""How late the controllers of a test woke; the daemon in the same loop was as late."""
+
+
+def tried_anew_when_held_up(test: Callable[..., None]) -> Callable[..., None]:
+    """What a daemon does in time is to be seen only while its machine lets it."""
+
+    @functools.wraps(test)
+    def attempts(*args: Any, **fixtures: Any) -> None:
+        for _ in range(ATTEMPTS):
+            late_s.clear()
+            try:
+                return test(*args, **fixtures)
+            except AssertionError:
+                if max(late_s, default=0.0) < HELD_UP_S:
+                    raise
+        pytest.skip(f"the machine was held up in each of {ATTEMPTS} runs")
+
+    return attempts
 
 
 class Controller:
@@ -80,6 +104,7 @@ class Controller:
         # After a stall the pace begins anew: no burst of telegrams for the lost time.
         self._next_s = max(self._next_s + self.cycle_s, time.monotonic())
         await asyncio.sleep(self._next_s - time.monotonic())
+        late_s.append(time.monotonic() - self._next_s)
         self._receive()
 
     async def answers(self, count: int) -> None:
@@ -89,7 +114,7 @@ class Controller:
             self._receive()
             return len(self.replies) >= count
 
-        await until(all_here)
+        await until(all_here, 2.0)
         assert len(self.replies) == count
 
     def _receive(self) -> None:
@@ -129,6 +154,12 @@ class Running:
         return await asyncio.to_thread(call)
 
 
+def _forget_recordings(folder: Path) -> None:
+    """Those of an attempt before."""
+    for recording in folder.glob("*.mcap"):
+        recording.unlink()
+
+
 Serve = Callable[..., contextlib.AbstractAsyncContextManager[Running]]
 
 
@@ -136,6 +167,7 @@ Serve = Callable[..., contextlib.AbstractAsyncContextManager[Running]]
 def serve(tmp_path: Path, parameters: Parameters) -> Serve:
     @contextlib.asynccontextmanager
     async def serve(text: str = CONFIG, notifier: Notifier | None = None) -> AsyncIterator[Running]:
+        await asyncio.to_thread(_forget_recordings, tmp_path)
         path = tmp_path / "linemated.yaml"
         path.write_text(text)
         station = config.load(path)
@@ -160,6 +192,7 @@ def serve(tmp_path: Path, parameters: Parameters) -> Serve:
     return serve
 
 
+@tried_anew_when_held_up
 def test_every_telegram_is_answered_at_rest_and_recorded(
     serve: Serve, tmp_path: Path, task: Task
 ) -> None:
@@ -195,6 +228,7 @@ def test_every_telegram_is_answered_at_rest_and_recorded(
     assert [record.inputs.k for record in records] == list(range(len(records)))
 
 
+@tried_anew_when_held_up
 def test_a_missing_telegram_makes_its_step_and_the_next_one_is_answered(
     serve: Serve, task: Task
 ) -> None:
@@ -216,6 +250,7 @@ def test_a_missing_telegram_makes_its_step_and_the_next_one_is_answered(
     run(main())
 
 
+@tried_anew_when_held_up
 def test_garbage_on_every_port_is_counted_and_hurts_nobody(serve: Serve, task: Task) -> None:
     async def main() -> None:
         async with serve() as running:
@@ -236,6 +271,7 @@ def test_garbage_on_every_port_is_counted_and_hurts_nobody(serve: Serve, task: T
     run(main())
 
 
+@tried_anew_when_held_up
 def test_operators_are_answered_while_telegrams_come_and_while_none_do(
     serve: Serve, task: Task
 ) -> None:
@@ -275,6 +311,7 @@ def test_a_second_daemon_on_the_same_port_says_so_and_ends(serve: Serve) -> None
     run(main())
 
 
+@tried_anew_when_held_up
 def test_a_controller_of_another_cycle_is_answered_and_not_armed_for(
     serve: Serve, task: Task
 ) -> None:
@@ -293,9 +330,12 @@ def test_a_controller_of_another_cycle_is_answered_and_not_armed_for(
     run(main())
 
 
+@tried_anew_when_held_up
 def test_a_fault_in_the_cycle_is_counted_and_the_daemon_goes_on(
     serve: Serve, task: Task, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
+    caplog.clear()
+
     def fail(_: object) -> None:
         raise ValueError("planted")
 
