@@ -64,7 +64,6 @@ def _map(packed: bytes) -> dict[str, Any]:
         value = msgpack.unpackb(packed)
     except (msgpack.UnpackException, ValueError, RecursionError) as error:
         raise CommandError("malformed", str(error) or type(error).__name__) from error
-    # A type outside msgpack's own has no meaning here, nor in the JSON that a tool makes of it.
     if type(value) is not dict or any(type(name) is not str for name in value):
         raise CommandError("malformed", "not a map with names")
     return value

@@ -18,7 +18,7 @@ from linemate.protocol.command import (
     CommandError,
     Role,
 )
-from linemate.protocol.command_plain import BARE, encode_bare, pack
+from linemate.protocol.command_plain import pack
 
 Name: TypeAlias = Annotated[str, Meta(min_length=1, max_length=96)]
 Scalar: TypeAlias = bool | int | float | Annotated[str, Meta(max_length=512)] | None
@@ -173,8 +173,6 @@ def encode_request(op: str, params: Mapping[str, Any], deadline_ms: int) -> byte
     """
     if op not in OPERATIONS:
         raise CommandError("unknown", f"no operation {op!r}")
-    if op in BARE and not params:
-        return encode_bare(op, deadline_ms)
     _read_params(op, pack(dict(params)))
     wire: dict[str, Any] = {"op": op, "t": max(0, deadline_ms)}
     if params:

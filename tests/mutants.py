@@ -40,7 +40,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/service/test_states_transcript.py",
     ),
     "daemon/service/sensor_health.py": (
-        "tests/protocol/test_belief.py",
+        "tests/service/test_sensor_belief.py",
         "tests/service/test_sensor_health.py",
     ),
     "daemon/control/limits.py": (

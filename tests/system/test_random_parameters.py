@@ -32,8 +32,8 @@ BEFORE = 20
 COMPILED = 4
 """Of a run: each takes a tenth of a second."""
 
-MOST = 2000
-"""Of a run: one a cycle."""
+MOST = min(2000, SETS // 2)
+"""Of a run: one a cycle, and never all in one: a run that is long in contact refuses most."""
 
 OVERRIDES = ("scenario.lead_in_s=1.5",)
 WRONG: tuple[Any, ...] = (
@@ -172,6 +172,6 @@ def test_random_parameters_in_motion_leave_no_limit_and_are_taken_whole_or_not_a
         left = SETS - total["changed"] - total["refused"]
         total += run_once(tmp_path, seed, min(left, MOST))
         seed += 1
-    assert total["changed"] > 0.2 * SETS
+    assert total["changed"] > 0.3 * SETS
     assert total["refused"] > 0.2 * SETS
     assert total["moving"] > 0.2 * SETS
