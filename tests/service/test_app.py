@@ -210,10 +210,7 @@ def test_every_telegram_is_answered_at_rest_and_recorded(
             assert sum(status["telegrams"][kind] for kind in ("normal", "gap", "late")) == 19
             assert status["turnaround_us"]["max"] is not None
             assert status["links"]["robot"]["up"]
-            # A stalled machine adds one of its own: a link that missed cycles is not proven.
-            assert set(status["complaints"]) - {"the robot link is unproven"} == {
-                "link camera is silent"
-            }
+            assert status["complaints"] == ("link camera is silent",)
             assert status["health"] == "degraded"
         assert [reply.ipoc for reply in controller.replies] == controller.sent
         assert all(reply.joints == (0.0,) * 6 for reply in controller.replies)
@@ -241,8 +238,7 @@ def test_a_missing_telegram_makes_its_step_and_the_next_one_is_answered(
                 await controller.take()
             await controller.cycles(5)
             status = running.app.status()
-            # Late instead, if the machine stalls: the clock has made all those steps by then.
-            assert status["telegrams"]["gap"] + status["telegrams"]["late"] >= 1
+            assert status["telegrams"]["gap"] >= 1
             assert status["telegrams"]["overdue"] >= 2
             assert status["steps"] >= 13
             await controller.answers(10)

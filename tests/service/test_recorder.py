@@ -284,6 +284,7 @@ def test_a_file_that_is_full_is_followed_by_one_that_stands_for_itself(
     # A file of a byte is full at once: on a slow machine a third is begun before the end.
     first, second, *others = sorted(tmp_path.glob("*.mcap"))
     assert recorder.status.file == str((second, *others)[-1])
+    assert not any(map(read, others))
     assert [v.k for v in replayed(first)] == list(range(8))
     assert [v.k for v in replayed(second)] == list(range(8, 20))
     for verdict in (*replayed(first), *replayed(second)):
