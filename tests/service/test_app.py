@@ -49,18 +49,18 @@ late_s: list[float] = []
 
 
 def tried_anew_when_held_up(test: Callable[..., None]) -> Callable[..., None]:
-    """What a daemon does in time is to be seen only while its machine lets it."""
+    """What a daemon does in time is to be seen while its machine lets it: the last try counts."""
 
     @functools.wraps(test)
     def attempts(*args: Any, **fixtures: Any) -> None:
-        for _ in range(ATTEMPTS):
+        for _ in range(ATTEMPTS - 1):
             late_s.clear()
             try:
                 return test(*args, **fixtures)
             except AssertionError:
                 if max(late_s, default=0.0) < HELD_UP_S:
                     raise
-        pytest.skip(f"the machine was held up in each of {ATTEMPTS} runs")
+        return test(*args, **fixtures)
 
     return attempts
 
@@ -102,9 +102,10 @@ class Controller:
 
     async def take(self) -> None:
         # After a stall the pace begins anew: no burst of telegrams for the lost time.
-        self._next_s = max(self._next_s + self.cycle_s, time.monotonic())
+        due_s = self._next_s + self.cycle_s
+        self._next_s = max(due_s, time.monotonic())
         await asyncio.sleep(self._next_s - time.monotonic())
-        late_s.append(time.monotonic() - self._next_s)
+        late_s.append(time.monotonic() - due_s)
         self._receive()
 
     async def answers(self, count: int) -> None:
