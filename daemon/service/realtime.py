@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
+from linemate.daemon.service.awake import Awake
 from linemate.daemon.service.settings import RealtimeSettings
 
 MCL_CURRENT: Final = 1
@@ -49,10 +50,12 @@ class Host:
     Attributes:
         outcomes: in the order of the requests.
         latency_fd: while it is open the cores sleep lightly; None if that was not asked for.
+        awake: what keeps the cores from sleeping at all; None if that was not asked for.
     """
 
     outcomes: list[Outcome] = field(default_factory=list)
     latency_fd: int | None = None
+    awake: Awake | None = None
 
     def granted(self, what: str) -> bool:
         """Whether something was asked for and granted."""
@@ -67,6 +70,9 @@ class Host:
         if self.latency_fd is not None:
             os.close(self.latency_fd)
             self.latency_fd = None
+        if self.awake is not None:
+            self.awake.close()
+            self.awake = None
 
 
 def ask(settings: RealtimeSettings) -> Host:
@@ -104,6 +110,8 @@ def _requests(settings: RealtimeSettings, host: Host) -> Iterator[tuple[str, Cal
     if settings.cpu_dma_latency_us is not None:
         latency_us = settings.cpu_dma_latency_us
         yield "cpu_dma_latency", lambda: _hold_latency(host, latency_us)
+    if settings.keep_awake:
+        yield "keep_awake", lambda: _keep_awake(host)
 
 
 _COSTS = {
@@ -116,6 +124,7 @@ _COSTS = {
     "timer_slack": "timers may be 50 us late",
     "cpu_dma_latency": "a sleeping core may answer 0.1 ms late; allow it with "
     "DeviceAllow=/dev/cpu_dma_latency rw in the unit",
+    "keep_awake": "in a virtual machine a sleeping core may answer milliseconds late",
 }
 
 
@@ -159,6 +168,10 @@ def _hold_latency(host: Host, latency_us: int) -> None:
         os.close(fd)
         raise
     host.latency_fd = fd
+
+
+def _keep_awake(host: Host) -> None:
+    host.awake = Awake(os.sched_getaffinity(0))
 
 
 def _libc(name: str, *arguments: int) -> None:

@@ -179,6 +179,8 @@ class RealtimeSettings:
         cpus: the only cores used, empty leaves them alone.
         timer_slack_ns: None leaves it alone.
         cpu_dma_latency_us: deepest sleep allowed to the cores, None leaves it alone.
+        keep_awake: a process of the idle class on each core used, which never lets it sleep; for
+            virtual machines, whose host takes its time to wake a core. It costs those cores' power.
         lead_ms: how long before its telegram a reply is prepared; 0: when the telegram comes;
             None: as long before as steps have lately needed.
         incidents: directory for the times of the last two seconds, written when a deadline is
@@ -191,6 +193,7 @@ class RealtimeSettings:
     cpus: Annotated[tuple[Annotated[int, Ge(0), Le(4095)], ...], Len(0, 1024)] = ()
     timer_slack_ns: Annotated[int, Ge(1), Le(1_000_000)] | None = None
     cpu_dma_latency_us: Annotated[int, Ge(0), Le(1_000_000)] | None = None
+    keep_awake: bool = False
     lead_ms: Annotated[float, Ge(0.0), Le(5.0)] | None = None
     incidents: Text | None = None
     freeze_collector: bool = True

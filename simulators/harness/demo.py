@@ -22,6 +22,7 @@ from typing import Any
 import yaml
 
 from linemate.daemon.operator.client import Client, NoAnswerError, RefusedError
+from linemate.daemon.service.awake import Awake
 from linemate.simulators.devices import truth
 from linemate.simulators.harness import (
     host,
@@ -107,6 +108,7 @@ class Station:
                 "priority": DAEMON_PRIORITY,
                 "lock_memory": True,
                 "cpus": list(self.cores[0]),
+                "keep_awake": host.is_virtual(),
             },
             # What was identified of the cell, as after its commissioning.
             **overlay.load(),
@@ -241,7 +243,9 @@ def _run(station: Station, *, is_viewed: bool = False) -> dict[str, Any]:
     """Start both processes, see the run through, end both; return the daemon's last status."""
     scenario, folder = station.scenario, station.folder
     title = f"{scenario.name}, seed {scenario.seed}, {1e3 * scenario.cycle_s:g} ms"
-    with Children() as children, live.view(title) as view:
+    # The daemon sees to its own cores.
+    others = station.cores[1] if host.is_virtual() else ()
+    with closing(Awake(others)), Children() as children, live.view(title) as view:
         daemon, listening = _start_daemon(station, children)
         station.write("scenario", scenario_file.to_plain(scenario))
         told = station.write("emulator", station.emulator_file(listening))
