@@ -12,7 +12,7 @@ from linemate.daemon import rotations
 from linemate.daemon.control import controller as control
 from linemate.daemon.control import kinematics
 from linemate.daemon.control.settings import ControlSettings
-from linemate.daemon.tracking import merge
+from linemate.daemon.tracking import contact, merge
 from linemate.daemon.tracking.classifier_bank import BankClassifier
 from linemate.daemon.tracking.classifier_imm import ImmClassifier
 from linemate.daemon.tracking.classifier_rule import RuleClassifier
@@ -23,6 +23,7 @@ from linemate.daemon.tracking.task import Phase, TaskFile
 from linemate.daemon.tracking.tracker import Foresight, Tracker, hanging
 from linemate.daemon.tracking.transverse import Transverse
 
+TOOL_AXIS = 2  # of the tcp
 HISTORY = 0.45  # of the robot's pose, to look up exposures in [s]
 
 
@@ -99,6 +100,7 @@ def build(
     table = tabulated(reference, cycle_s, controller.steps)
     clock = np.arange(len(table.poses)) * cycle_s
     leave = reference.time_of(Phase.RETREAT)
+    along_tool = control_settings.effector[TOOL_AXIS]
     tracker = Tracker(
         task=task,
         settings=tracking,
@@ -114,6 +116,9 @@ def build(
         history_length=math.ceil(HISTORY / cycle_s),
         span=np.arange(controller.steps + 1) * cycle_s,
         free=hanging(reference, leave, control_settings.filters.contact_blend, clock),
+        ringing=contact.ringing(
+            along_tool.frequency_hz, along_tool.damping, tracking.tactile.contact_force, cycle_s
+        ),
     )
     return Parameters(tracker, controller, cycle_s, control_settings)
 

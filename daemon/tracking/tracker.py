@@ -13,7 +13,7 @@ import numpy as np
 
 from linemate.daemon.changed import changed
 from linemate.daemon.horizon import Array, Horizon
-from linemate.daemon.tracking import approach, linear_axis, merge
+from linemate.daemon.tracking import approach, contact, linear_axis, merge
 from linemate.daemon.tracking.conveyor import Classifier, Motion, Row, Source, View
 from linemate.daemon.tracking.observation import (
     History,
@@ -33,8 +33,6 @@ from linemate.daemon.tracking.transverse import Transverse, TransverseState
 from linemate.protocol.frozen import frozen
 from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
 
-TOUCHES = 2  # steps in a row that make a contact
-NEAR = 0.008  # programmed distance below which a force may be a contact [m]
 AWAY = 0.15  # way of an emergency retraction [m]
 AWAY_TIME = 0.6  # and its duration [s]
 LATE = 0.25  # share of the damping that is still there at contact
@@ -61,6 +59,7 @@ class Tracker:
         history_length: poses of the robot that are remembered.
         span: (n+1,) times of the horizon from now [s].
         free: (t,) where the tool hangs free, at every step of the task's clock.
+        ringing: of the tool along its axis.
         foresight: the true object at a stamp [ns] and times from it (m,) [s], as positions (m, 3)
             and rotation vectors (m, 3) in c, taken instead of the estimate; an oracle, for
             campaigns only.
@@ -80,6 +79,7 @@ class Tracker:
     history_length: int
     span: Array
     free: Array
+    ringing: contact.Ringing
     foresight: Foresight | None = None
 
 
@@ -98,7 +98,7 @@ class TrackerState:
         started: the start edge has come.
         passed: gates that are open.
         blended: time since the sensed motion began to take over [s], None before.
-        touches: steps in a row with a contact's force.
+        feeling: of the tool's force, until it touches.
         contact: the tool is clamped to the object.
         fixing, releasing: time since the tool was asked to fix, to release [s]; None before.
         withdrawn: time since an emergency retraction began [s]; None without.
@@ -116,7 +116,7 @@ class TrackerState:
     started: bool = False
     passed: frozenset[Gate] = frozenset()
     blended: float | None = None
-    touches: int = 0
+    feeling: contact.Feeling = contact.NOTHING
     contact: bool = False
     fixing: float | None = None
     releasing: float | None = None
@@ -155,7 +155,7 @@ class Report:
 
 @frozen(eq=False)
 class Measurements:
-    """One step's samples and where the robot is."""
+    """One step's samples and where the robot is; ``held``: it did not get the last command."""
 
     stamp_ns: int
     tcp: Array | None
@@ -164,6 +164,7 @@ class Measurements:
     camera: Sequence[CameraSample]
     wrench: tuple[WrenchSample, ...]
     digital_in: int
+    held: bool
 
 
 def at_rest(tracker: Tracker, pose: Array, axis: float) -> TrackerState:
@@ -188,7 +189,7 @@ def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> Tra
         started=False,
         passed=frozenset(),
         blended=None,
-        touches=0,
+        feeling=contact.NOTHING,
         contact=False,
         fixing=None,
         releasing=None,
@@ -298,7 +299,7 @@ def track(
     if start and not state.started:
         state = changed(state, started=True)
     state = _clock(tracker, state, view, seen, retreat)
-    state = _contact(tracker, state, wrench)
+    state = _contact(tracker, state, seen, wrench)
     span, T0 = tracker.span, tracker.cycle_s
     limit = _stand(tracker, state.time, state.passed) if state.started else state.time
     goal, relative = tracker.table.ahead(state.time, limit, tracker.steps)
@@ -450,17 +451,19 @@ def _since(age: float | None, begun: bool, dt: float) -> float | None:
     return 0.0 if begun else None
 
 
-def _contact(tracker: Tracker, state: TrackerState, wrench: Wrench | None) -> TrackerState:
+def _contact(
+    tracker: Tracker, state: TrackerState, seen: Measurements, wrench: Wrench | None
+) -> TrackerState:
     """Return the state with contact made or lost."""
     if state.contact:
         lost = Gate.WHEEL_RELEASED in state.passed
-        return changed(state, contact=not lost, touches=0)
-    if wrench is None or state.blended is None or Gate.WHEEL_RELEASED in state.passed:
+        return changed(state, contact=not lost, feeling=contact.NOTHING)
+    if state.blended is None or Gate.WHEEL_RELEASED in state.passed:
         return state
-    near = abs(state.distance) < NEAR
-    pressed = abs(float(wrench.force[2])) > tracker.settings.tactile.contact_force
-    touches = state.touches + 1 if near and pressed else 0
-    return changed(state, touches=touches, contact=touches >= TOUCHES)
+    force = None if wrench is None else float(wrench.force[2])
+    feeling = contact.feel(state.feeling, tracker.ringing, force, held=seen.held)
+    feeling = contact.touched(feeling, tracker.ringing, state.distance)
+    return changed(state, feeling=feeling, contact=feeling.touches >= contact.TOUCHES)
 
 
 def _axis_speed(tracker: Tracker, state: TrackerState, view: View | None) -> float:

@@ -1,0 +1,112 @@
+"""Whether the tool touches: the force along its axis, less what a tool that rings feels in the air.
+
+Law of this file: pure, plain floats. A tool on an elastic mount rings for seconds once it was
+kicked, with more force than a contact's: a robot that held for one cycle at 0.5 rad/s, because a
+reply came late, left 100 N behind. Half a period ago that force was the opposite one, so the sum of
+both is free of it; what presses for longer (gravity, a bias) is the mean of the period before that.
+A contact, which was there at neither time, shows at once and in full.
+"""
+
+import math
+from dataclasses import dataclass
+
+from linemate.protocol.frozen import frozen
+
+TOUCHES = 2  # steps in a row that make a contact
+NEAR = 0.008  # programmed distance below which a force may be a contact [m]
+
+
+@dataclass(frozen=True, slots=True)
+class Ringing:
+    """The tool's mode along its own axis, in steps.
+
+    Attributes:
+        half: half a period, in steps and parts of one.
+        kept: share of a deflection that is left after half a period, with its sign turned.
+        force: what counts as contact [N].
+    """
+
+    half: float
+    kept: float
+    force: float
+
+    @property
+    def memory(self) -> int:
+        """Forces that are remembered: half a period, the period before it, and the newest."""
+        return math.ceil(self.half) + math.ceil(2.0 * self.half) + 1
+
+
+def ringing(frequency_hz: float, damping: float, force: float, cycle_s: float) -> Ringing:
+    """Return the mode as the steps see it.
+
+    Args:
+        frequency_hz: of the mode along the tool's axis.
+        damping: of it, as a share of critical.
+        force: what counts as contact [N].
+        cycle_s: T0 [s].
+    """
+    half = 0.5 / (frequency_hz * cycle_s)
+    return Ringing(half, math.exp(-math.pi * damping / math.sqrt(1.0 - damping**2)), force)
+
+
+@frozen()
+class Feeling:
+    """What the tool has felt.
+
+    Attributes:
+        forces: along its axis, the newest last, one a step [N].
+        calm: steps since the robot last held against its command.
+        touches: steps in a row with a contact's force.
+    """
+
+    forces: tuple[float, ...] = ()
+    calm: int = 0
+    touches: int = 0
+
+
+NOTHING = Feeling()
+
+
+def feel(feeling: Feeling, ringing: Ringing, force: float | None, *, held: bool) -> Feeling:
+    """Return the feeling one step later.
+
+    Args:
+        feeling: before.
+        ringing: of the tool.
+        force: along its axis [N], None if none was measured: then it is what it was.
+        held: the robot did not get the last command and held.
+    """
+    forces = feeling.forces
+    newest = force if force is not None else forces[-1] if forces else None
+    if newest is not None:
+        forces = (*forces, newest)[-ringing.memory :]
+    calm = 0 if held else feeling.calm + 1
+    return Feeling(forces, calm, feeling.touches)
+
+
+def presses(feeling: Feeling, ringing: Ringing) -> bool:
+    """Tell whether the tool feels a contact.
+
+    As long as it remembers the time before the robot held nothing is said: then it did not ring.
+    """
+    forces = feeling.forces
+    if len(forces) < ringing.memory or feeling.calm < ringing.memory:
+        return False
+    whole, part = divmod(ringing.half, 1.0)
+    ago = -1 - int(whole)
+    opposite = forces[ago] + part * (forces[ago - 1] - forces[ago])
+    period = math.ceil(2.0 * ringing.half)
+    mean = sum(forces[:period]) / period
+    return abs(forces[-1] - mean + ringing.kept * (opposite - mean)) > ringing.force
+
+
+def touched(feeling: Feeling, ringing: Ringing, distance: float) -> Feeling:
+    """Return the feeling with its touches counted.
+
+    Args:
+        feeling: of this step.
+        ringing: of the tool.
+        distance: programmed, to the object [m].
+    """
+    near = abs(distance) < NEAR and presses(feeling, ringing)
+    return Feeling(feeling.forces, feeling.calm, feeling.touches + 1 if near else 0)
