@@ -456,7 +456,7 @@ class BankClassifier:
 
     def outlook(self, state: BankState, times: Array) -> Array:
         """Return positions (m,) at ``times``: the class in force, mixed with what is suspected."""
-        null = self._future(state, state.x, state.motion, state.omega, times)
+        null = self._future(state, self._as_set(state), state.motion, state.omega, times)
         change, push = self._shares(state)
         mixed = null
         if change > 1e-4:
@@ -468,6 +468,25 @@ class BankClassifier:
             other = self._future(state, self._pushed_estimate(state), state.motion, omega, times)
             mixed = mixed + push * (other - null)
         return mixed
+
+    def _as_set(self, state: BankState) -> Array:
+        """Return the estimate (10,), drawn to a ramp as it was set as far as that is likely.
+
+        The filter's belief in the acceleration is wide, for a ramp may be quite another. Most are
+        as they were set: a narrow hypothesis beside the wide one. Their odds are the ratio of the
+        wide one's density at the value that is set, after and before the readings (Savage and
+        Dickey), and the narrow one's estimate is the filter's with that value measured.
+        """
+        nominal, share = self._class_acceleration(state.motion), self.bank.as_set
+        if not nominal or not share:
+            return state.x
+        narrow = (self.bank.as_set_deviation * nominal) ** 2
+        wide = (self.bank.amplitude_deviation * nominal) ** 2 + narrow
+        column = state.P[ACCELERATION]
+        off = nominal - float(state.x[ACCELERATION])
+        left = float(column[ACCELERATION]) + narrow
+        odds = share / (1.0 - share) * math.sqrt(wide / left) * math.exp(-0.5 * off * off / left)
+        return state.x + column * (odds / (1.0 + odds) * off / left)
 
     def _changed(self, state: BankState) -> Array:
         """Return the estimate (10,) if the class has changed: ``moments`` without their spread."""
@@ -536,7 +555,7 @@ class BankClassifier:
 
     def view(self, state: BankState) -> View:
         """Return what the bank believes."""
-        y, v, ripple, offset, _, push, _, wave, crest, _ = state.x.tolist()
+        y, v, ripple, offset, _, push, _, wave, crest, _ = self._as_set(state).tolist()
         variance = state.P.diagonal().tolist()
         share = self._share(v)
         return View(

@@ -198,6 +198,9 @@ class BankSettings:
         contact_confirmed: log odds at which a stop is confirmed in contact, where force tells.
         start_confirmed: log odds at which a start is confirmed.
         amplitude_deviation: of a class's acceleration about its nominal one, a share.
+        as_set: how likely a stop or a start goes on as it was set, which the prediction then takes
+            it to, as far as the readings let it; 0 for ramps of which only the other is known.
+        as_set_deviation: of such a one's acceleration about its nominal one, a share.
         penalty: taken from a stop's log odds before it enters the mixed prediction.
         contact_penalty: the same in contact.
         contact_caution: factor of what is left of them in contact. 1 is Bayes with the penalty for
@@ -211,6 +214,8 @@ class BankSettings:
     contact_confirmed: LogOdds = 5.5
     start_confirmed: LogOdds = 17.0
     amplitude_deviation: Annotated[float, Ge(0.01), Le(2.0)] = 0.15
+    as_set: Annotated[float, Ge(0.0), Le(0.99)] = 0.8
+    as_set_deviation: Annotated[float, Ge(0.001), Le(0.1)] = 0.02
     penalty: LogOdds = 4.0
     contact_penalty: LogOdds = 4.0
     contact_caution: Annotated[float, Ge(0.5), Le(10.0)] = 3.0

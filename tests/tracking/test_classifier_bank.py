@@ -13,6 +13,7 @@ from scipy import integrate
 from linemate.daemon.horizon import Array
 from linemate.daemon.tracking import hypotheses
 from linemate.daemon.tracking.classifier_bank import (
+    ACCELERATION,
     PACE,
     SETTLING,
     STATES,
@@ -129,6 +130,37 @@ def test_the_best_hypothesis_is_the_onset_that_was() -> None:
     best = state.bank.age[int(np.argmax(hypotheses.evidence(state.bank, BANK._prior)))]
     assert best == pytest.approx(1.2 - 0.9, abs=0.06)
     assert state.odds > 10.0
+
+
+@pytest.mark.parametrize("found", [-0.08, -0.095, -0.104, -0.12, -0.14])
+@pytest.mark.parametrize("sigma", [0.004, 0.008])
+def test_a_ramp_is_as_set_as_far_as_the_readings_let_it(found: float, sigma: float) -> None:
+    """Against the posterior of the two priors together, by quadrature over accelerations."""
+    nominal, settings = -BANK.conveyor.deceleration, BANK.bank
+    x, P = np.zeros(STATES), np.zeros((STATES, STATES))
+    x[ACCELERATION], P[ACCELERATION, ACCELERATION] = found, sigma**2
+    state = replace(BANK.initial(0.0), x=x, P=P, motion=Motion.STOPPING)
+    a = np.linspace(-0.25, 0.05, 30001)
+    wide, narrow = (
+        gaussian(a, nominal, share * nominal)
+        for share in (settings.amplitude_deviation, settings.as_set_deviation)
+    )
+    told = gaussian(a, found, sigma) / wide  # by the readings alone
+    belief = told * (settings.as_set * narrow + (1.0 - settings.as_set) * wide)
+    expected = float((a * belief).sum() / belief.sum())
+    assert BANK._as_set(state)[ACCELERATION] == pytest.approx(expected, abs=0.03 * sigma)
+
+
+def gaussian(a: Array, mean: float, sigma: float) -> Array:
+    """A density (m,) at ``a``."""
+    density: Array = np.exp(-0.5 * ((a - mean) / sigma) ** 2) / abs(sigma)
+    return density
+
+
+@pytest.mark.parametrize("motion", [Motion.RUNNING, Motion.STANDING])
+def test_only_a_ramp_has_been_set(motion: Motion) -> None:
+    state = replace(BANK.initial(0.0), motion=motion)
+    assert BANK._as_set(state) is state.x
 
 
 @pytest.mark.parametrize("share", [0.75, 1.0, 1.25])
