@@ -106,13 +106,13 @@ class RuleClassifier:
             return -self.conveyor.deceleration
         return self.conveyor.acceleration if motion is Motion.STARTING else 0.0
 
-    def _speed_noise(self, dt: float) -> float:
-        """Return Q77 for the bandwidth that is set.
+    def _speed_noise(self, bandwidth: float, dt: float) -> float:
+        """Return Q77 for a bandwidth [rad/s].
 
         A filter that sees a position with variance R each dt, its speed walking by q each step,
         settles with both poles at ``w^4 = q / (R dt^2)``, damped by 0.7.
         """
-        return self.distance_deviation**2 * self.rule.bandwidth**4 * dt * dt
+        return self.distance_deviation**2 * bandwidth**4 * dt * dt
 
     def _predict(self, state: RuleState, dt: float) -> RuleState:
         """Return (5), (6) with the class in A and b."""
@@ -131,8 +131,9 @@ class RuleClassifier:
             speed, pace, motion = state.cruise, state.cruise, Motion.RUNNING
         F = np.array(((1.0, dt, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
         G = F[:2, :2]
-        q = self._speed_noise(dt)
-        Q = np.diag((q * dt * dt / 3.0 + 1e-12, q, self.fusion.offset**2 * dt))
+        p, q = (self._speed_noise(w, dt) for w in (self.rule.following, self.rule.bandwidth))
+        square = dt * dt / 3.0
+        Q = np.diag((p * square + 1e-12, p, self.fusion.offset**2 * dt))
         trial = state.trial
         if trial is not None:
             old = self._acceleration(trial.old)
@@ -148,7 +149,7 @@ class RuleClassifier:
             x=np.array((y + way, speed, o)),
             P=F @ state.P @ F.T + Q,
             w=np.array((reading, pace)),
-            W=G @ state.W @ G.T + Q[:2, :2],
+            W=G @ state.W @ G.T + np.diag((q * square + 1e-12, q)),
             motion=motion,
             age=state.age + dt,
             since=state.since + dt,

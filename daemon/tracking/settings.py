@@ -181,11 +181,14 @@ class RuleSettings:
         tentative: prediction error at which another class is tried [m].
         confirmed: prediction error at which it is confirmed [m].
         bandwidth: of the speed state the rule's own filter is tuned to [rad/s].
+        following: the same of the estimate; above the rule's own, for what the estimate follows
+            before a stop is perceived need not be made up for [rad/s].
     """
 
     tentative: Length = 0.00122
     confirmed: Length = 0.0034
     bandwidth: Annotated[float, Ge(0.1), Le(100.0)] = 6.0
+    following: Annotated[float, Ge(0.1), Le(100.0)] = 10.0
 
 
 @dataclass(frozen=True, slots=True)

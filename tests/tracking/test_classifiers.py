@@ -371,3 +371,19 @@ def test_a_stop_that_the_rule_tries_has_already_cost_speed() -> None:
         ahead = float(RULE.outlook(state, np.array((0.1,)))[0]) + story.views[0].offset
         errors.append(ahead - float(truth.at(at + 0.1)))
     assert abs(float(np.median(errors))) < 0.0008
+
+
+def test_an_estimate_that_follows_more_readily_is_nearer_in_a_stop_told_no_later() -> None:
+    stiff = replace(RULE, rule=replace(RULE.rule, following=RULE.rule.bandwidth))
+    late: dict[str, list[float]] = {"as shipped": [], "stiff": []}
+    for seed in range(8):
+        truth = Truth(2.0, ((1.0, -STOP),), seed=seed)
+        stories = {"as shipped": tell(RULE, truth), "stiff": tell(stiff, truth)}
+        first = [next(e for e in each.events if e[1] == "stop") for each in stories.values()]
+        assert first[0] == first[1]
+        for name, story in stories.items():
+            k = int(np.searchsorted(story.times, first[0][0])) - 1
+            classifier = RULE if name == "as shipped" else stiff
+            ahead = float(classifier.outlook(story.states[k], np.array((0.1,)))[0])
+            late[name].append(ahead + story.views[k].offset - float(truth.at(story.times[k] + 0.1)))
+    assert np.median(late["as shipped"]) < 0.92 * np.median(late["stiff"])
