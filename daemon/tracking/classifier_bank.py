@@ -486,7 +486,8 @@ class BankClassifier:
         off = nominal - float(state.x[ACCELERATION])
         left = float(column[ACCELERATION]) + narrow
         odds = share / (1.0 - share) * math.sqrt(wide / left) * math.exp(-0.5 * off * off / left)
-        return state.x + column * (odds / (1.0 + odds) * off / left)
+        drawn: Array = state.x + column * (odds / (1.0 + odds) * off / left)
+        return drawn
 
     def _changed(self, state: BankState) -> Array:
         """Return the estimate (10,) if the class has changed: ``moments`` without their spread."""
