@@ -247,7 +247,7 @@ class Cycle:
         if self._is_under_way:
             self._has_failed = True
             if not self._was_preparing or self._state is not self._began_with:
-                self.session.was_sent = False
+                self.session.refrain()
         self._is_under_way, self._was_preparing = True, preparing
         self._began_with = self._state
 
@@ -384,13 +384,23 @@ class Cycle:
         """Return a reply without corrections: the controller keeps those that it has."""
         if self._state is not None:
             self._step_unsent(self._state, stamp_ns)
+        return self._bare(telegram)
+
+    def _bare(self, telegram: RobotTelegram) -> bytes:
+        self.session.refrain()
         return self._replies.bare.with_ipoc(telegram.ipoc_text)
 
     def _answer(self, telegram: RobotTelegram, stamp_ns: int, verdict: Verdict) -> bytes:
         """Return the reply after as many steps as the controller made cycles."""
         session, last, steps = self.session, self.last, verdict.steps
+        if verdict.missed:
+            session.moves = False
         ahead = steps == 0 and not session.was_sent and not session.was_lost
         if ahead and last is not None and not (verdict.missed and last.inputs.sent):
+            if session.moves and not last.inputs.sent:
+                # The clock took a controller that was held up for one that counts on, and made
+                # two steps; the second stands on a robot that holds. It moves: let it hold first.
+                return self._bare(telegram)
             # The clock was ahead of a late telegram: its step is made, only not yet sent.
             self.last = last.answering(telegram.ipoc)
             return self._give(last, self._reply(last), telegram)
@@ -404,6 +414,12 @@ class Cycle:
             # The robot held meanwhile, also where the clock had no step left to make for it: a
             # controller that was held up itself counts fewer cycles than the time has.
             session.was_sent = False
+        if session.misjudged:
+            if ready is None:
+                self._step_unsent(self._opened(), stamp_ns)
+            else:
+                self._note_unsent(self._confirmed(ready).entry)
+            return self._bare(telegram)
         if ready is not None:
             self.prepared += 1
             ready = self._confirmed(ready)

@@ -41,6 +41,7 @@ class Session:
         taken: the last command that the controller took.
         was_lost: the last reply was not taken.
         was_sent: the last step's command went out in a reply.
+        moves: the controller got a command in its last cycle, as far as is known.
         is_foreign: the programme was under way before this process.
         openings: sessions begun.
         replies_lost: replies that were not taken.
@@ -52,6 +53,7 @@ class Session:
         "_programmes",
         "given",
         "is_foreign",
+        "moves",
         "openings",
         "replies_lost",
         "start",
@@ -67,6 +69,7 @@ class Session:
         self.taken: Axes = ()
         self.was_lost = False
         self.was_sent = True
+        self.moves = False
         self.is_foreign = False
         self.openings = self.replies_lost = 0
         self._cycle_s = cycle_s
@@ -87,6 +90,11 @@ class Session:
     def arrived(self) -> bool:
         """The last step's command is the robot's."""
         return self.was_sent and not self.was_lost
+
+    @property
+    def misjudged(self) -> bool:
+        """A step that begins now would begin at rest, and the robot is not."""
+        return self.moves and not self.arrived
 
     def meet(
         self, robot: RobotSample, axes: Axes, peer: Hashable, *, absolute: bool
@@ -117,7 +125,7 @@ class Session:
         self.openings += 1
         self.start, self.given, self.taken = start, None, held
         self._delay = delay
-        self.was_lost, self.was_sent = False, True
+        self.was_lost, self.was_sent, self.moves = False, True, False
 
     def settle(self, delay: int | None, cycles: int) -> bool:
         """Find out whether the controller took the last reply.
@@ -138,6 +146,7 @@ class Session:
             return False
         self.was_lost = delay is not None and before is not None and delay - before == cycles
         if self.was_lost:
+            self.moves = False
             self.replies_lost += 1
         else:
             self.taken = given
@@ -145,8 +154,12 @@ class Session:
 
     def give(self, command: Axes) -> None:
         """A reply goes to the wire; its fate is open."""
-        self.was_sent, self.was_lost = True, False
+        self.was_sent, self.was_lost, self.moves = True, False, True
         self.given = command
+
+    def refrain(self) -> None:
+        """A cycle passed, or passes, without a command: the robot holds in it."""
+        self.was_sent = self.moves = False
 
     def remember(self, robot: RobotSample, peer: Hashable, step: int | None) -> None:
         """Remember the programme as of a telegram that was answered; ``step`` is its IPOC's."""
