@@ -34,6 +34,9 @@ class Inputs:
         sent: the command of the step before reached the robot; one that got none holds.
         applied: where it holds then, A1..A6 [rad] and E1 [m], as far as the controller has told
             since; None: at the last command that was sent.
+        pace: speed and acceleration of its setpoints there, if it does not hold but goes on from
+            there: the steps since were made while a controller that was held up counted no
+            cycles. None: it holds.
     """
 
     k: int
@@ -46,3 +49,4 @@ class Inputs:
     start: bool = False
     sent: bool = True
     applied: tuple[float, ...] | None = None
+    pace: tuple[tuple[float, ...], tuple[float, ...]] | None = None

@@ -160,11 +160,17 @@ def step(state: State, inputs: Inputs, parameters: Parameters) -> tuple[State, O
 
 
 def _applied(state: State, inputs: Inputs) -> State:
-    """Return the state with its gate at what the robot has: without a command it holds."""
+    """Return the state with its gate at what the robot has: without a command it holds.
+
+    Unless it is told to go on from there, see ``Inputs.pace``.
+    """
     if inputs.sent:
         return changed(state, applied=state.control.gate.position)
     applied = state.applied if inputs.applied is None else np.array(inputs.applied)
-    gate = limits.at_rest(applied)
+    if inputs.pace is None:
+        gate = limits.at_rest(applied)
+    else:
+        gate = limits.under_way(applied, *map(np.array, inputs.pace))
     return changed(state, applied=applied, control=changed(state.control, gate=gate))
 
 

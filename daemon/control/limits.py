@@ -77,6 +77,11 @@ def at_rest(position: Array) -> GateState:
     return GateState(position, zero, zero, position, zero)
 
 
+def under_way(position: Array, speed: Array, acceleration: Array) -> GateState:
+    """Return the gate of a robot whose last setpoints (m,) had these differences."""
+    return GateState(position, speed, acceleration, position, speed)
+
+
 def _ceiling(speed: float, cap: float, jerk: float, period: float) -> float:
     """Return the largest acceleration after which the speed can still be kept at ``cap``.
 

@@ -125,6 +125,7 @@ class Cycle:
         self.following = Following(round(self._settings.follow_s / parameters.cycle_s))
         self.verdict: Verdict | None = None
         self.last: LogEntry | None = None
+        self._given: LogEntry | None = None
         self.on_transition: OnTransition | None = None
         self.refused = self.inline = self.prepared = self.remade = self.steps = 0
         self.last_refusal: str | None = None
@@ -384,9 +385,6 @@ class Cycle:
         """Return a reply without corrections: the controller keeps those that it has."""
         if self._state is not None:
             self._step_unsent(self._state, stamp_ns)
-        return self._bare(telegram)
-
-    def _bare(self, telegram: RobotTelegram) -> bytes:
         self.session.refrain()
         return self._replies.bare.with_ipoc(telegram.ipoc_text)
 
@@ -396,11 +394,7 @@ class Cycle:
         if verdict.missed:
             session.moves = False
         ahead = steps == 0 and not session.was_sent and not session.was_lost
-        if ahead and last is not None and not (verdict.missed and last.inputs.sent):
-            if session.moves and not last.inputs.sent:
-                # The clock took a controller that was held up for one that counts on, and made
-                # two steps; the second stands on a robot that holds. It moves: let it hold first.
-                return self._bare(telegram)
+        if ahead and last is not None and last.inputs.sent == session.moves:
             # The clock was ahead of a late telegram: its step is made, only not yet sent.
             self.last = last.answering(telegram.ipoc)
             return self._give(last, self._reply(last), telegram)
@@ -414,19 +408,15 @@ class Cycle:
             # The robot held meanwhile, also where the clock had no step left to make for it: a
             # controller that was held up itself counts fewer cycles than the time has.
             session.was_sent = False
-        if session.misjudged:
-            if ready is None:
-                self._step_unsent(self._opened(), stamp_ns)
-            else:
-                self._note_unsent(self._confirmed(ready).entry)
-            return self._bare(telegram)
         if ready is not None:
             self.prepared += 1
-            ready = self._confirmed(ready)
+            ready = self._confirmed(ready, answering=True)
             entry, reply = ready.entry.answering(telegram.ipoc), ready.reply
         else:
             self.inline += 1
-            entry = self._step(self._opened(), stamp_ns, telegram=True, ipoc=telegram.ipoc)
+            entry = self._step(
+                self._opened(), stamp_ns, telegram=True, answering=True, ipoc=telegram.ipoc
+            )
             reply = self._reply(entry)
         self._note(entry)
         return self._give(entry, reply, telegram)
@@ -438,26 +428,37 @@ class Cycle:
     def _give(self, entry: LogEntry, reply: PreparedReply, telegram: RobotTelegram) -> bytes:
         """Return a reply as it goes to the wire."""
         self.session.give(entry.outputs.command)
+        self._given = entry
         return reply.with_ipoc(telegram.ipoc_text)
 
-    def _confirmed(self, ready: _Prepared) -> _Prepared:
+    def _confirmed(self, ready: _Prepared, *, answering: bool = False) -> _Prepared:
         """Return a prepared step, made once more if what it assumed of the robot is not so."""
-        sent, applied = self._fate()
+        sent, applied, pace = self._fate(answering=answering)
         inputs = ready.entry.inputs
-        if (inputs.sent, inputs.applied) == (sent, applied):
+        if (inputs.sent, inputs.applied, inputs.pace) == (sent, applied, pace):
             return ready
         self.remade += 1
-        inputs = replace(inputs, sent=sent, applied=applied)
+        inputs = replace(inputs, sent=sent, applied=applied, pace=pace)
         before, made_with = ready.entry.before, ready.entry.parameters
         assert before is not None and made_with is not None  # noqa: PT018, S101 - as _step made it
         self._state, outputs = stepping.step(before, inputs, made_with)
         entry = replace(ready.entry, inputs=inputs, outputs=outputs, after=self._state)
         return _Prepared(self._reply(entry), entry)
 
-    def _fate(self) -> tuple[bool, Axes | None]:
-        """Return whether the last step's command is the robot's, and where it holds if not."""
-        arrived = self.session.arrived
-        return arrived, None if arrived else self.session.held
+    def _fate(self, *, answering: bool) -> tuple[bool, Axes | None, tuple[Axes, Axes] | None]:
+        """Return whether the last step's command is the robot's, where it is if not, and its pace.
+
+        Args:
+            answering: a telegram tells that no cycle has passed. Until then a robot that got no
+                command is one that holds.
+        """
+        session, given = self.session, self._given
+        if session.arrived:
+            return True, None, None
+        if not (answering and session.moves) or given is None or given.after is None:
+            return False, session.held, None
+        gate = given.after.control.gate
+        return False, session.held, (tuple(gate.speed.tolist()), tuple(gate.acceleration.tolist()))
 
     def _catch_up(self, stamp_ns: int, steps: int) -> None:
         """Make the steps of cycles whose telegrams did not come and were not missed yet."""
@@ -475,7 +476,13 @@ class Cycle:
         self.session.was_sent = False
 
     def _step(
-        self, state: stepping.State, stamp_ns: int, *, telegram: bool, ipoc: int | None = None
+        self,
+        state: stepping.State,
+        stamp_ns: int,
+        *,
+        telegram: bool,
+        answering: bool = False,
+        ipoc: int | None = None,
     ) -> LogEntry:
         """Make one sampling step: operating state first, then the pure step."""
         settings = self.parameters.tracker.settings
@@ -488,7 +495,7 @@ class Cycle:
         before = self.machine
         self._decide(stamp_ns, telegram=telegram)
         started = self.machine is not before and self.machine.state is State.TRACK
-        sent, applied = self._fate()
+        sent, applied, pace = self._fate(answering=answering)
         inputs = Inputs(
             self.steps,
             stamp_ns,
@@ -500,6 +507,7 @@ class Cycle:
             started,
             sent,
             applied,
+            pace,
         )
         self._robot = None
         made_with = self.parameters

@@ -91,11 +91,6 @@ class Session:
         """The last step's command is the robot's."""
         return self.was_sent and not self.was_lost
 
-    @property
-    def misjudged(self) -> bool:
-        """A step that begins now would begin at rest, and the robot is not."""
-        return self.moves and not self.arrived
-
     def meet(
         self, robot: RobotSample, axes: Axes, peer: Hashable, *, absolute: bool
     ) -> tuple[Axes, Axes] | None:

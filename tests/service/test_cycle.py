@@ -88,9 +88,7 @@ class Station:
         return told
 
     def take(self, told: SensorTelegram) -> None:
-        """Move; without corrections the robot holds."""
-        if told.joints is None:
-            return
+        assert told.joints is not None
         assert told.external is not None
         origin = self.start if self.absolute else self.axes
         offsets = (*told.joints, told.external[0])
@@ -437,32 +435,36 @@ def test_after_a_cycle_without_a_reply_a_step_begins_where_the_robot_holds(
     assert np.abs(np.array(before) - held).max() > 0.0
 
 
+@pytest.mark.parametrize("is_prepared", [True, False])
 @pytest.mark.parametrize("steps_ahead", [2, 3, 5])
 def test_a_robot_that_moves_gets_no_step_that_took_it_for_one_that_holds(
-    parameters: Parameters, task: Task, steps_ahead: int
+    parameters: Parameters, task: Task, steps_ahead: int, *, is_prepared: bool
 ) -> None:
     station = Station(parameters, task).track(163)
-    before = np.array(station.axes) - np.array(station.commands[-2])
-    assert np.abs(before).max() > 1e-3
     # The controller is held up and counts no cycles; the clock goes on without it.
     for _ in range(steps_ahead):
         station.cycle.on_missing(station.stamp_ns)
         station.k += 1
-    station.feed()
-    reply = station.cycle.on_telegram(station.telegram(), station.stamp_ns)
-    assert reply is not None
-    told = CODEC.parse_sensor(reply)
-    assert told.joints is None
-    station.next()
-    held = np.array(station.axes)
-    station.exchange()
+    if is_prepared:
+        station.feed()
+        station.cycle.prepare(station.stamp_ns)
+    before = len(station.commands)
+    pace = (np.array(station.axes) - np.array(station.commands[-2])) / parameters.cycle_s
+    station.exchange(feed=not is_prepared)
     assert station.cycle.last is not None
-    assert station.cycle.last.inputs.applied == pytest.approx(held, abs=1e-9)
-    speed = (np.array(station.axes) - held) / parameters.cycle_s
-    allowed = parameters.controller.limits.acceleration * parameters.cycle_s
-    assert (np.abs(speed) <= allowed * (1.0 + 1e-6)).all()
-    station.exchange()
-    assert station.cycle.last.inputs.sent
+    entered = station.cycle.last.inputs
+    assert not entered.sent
+    assert entered.pace is not None
+    assert entered.pace[0] == pytest.approx(pace, abs=1e-6)
+    for _ in range(3):
+        station.exchange()
+    assert len(station.commands) == before + 4
+    commands, bounds = np.array(station.commands[before - 4 :]), parameters.controller.limits
+    speeds = np.diff(commands, axis=0) / parameters.cycle_s
+    assert np.abs(speeds).max() > 0.1
+    for limit in (bounds.acceleration, bounds.jerk):
+        speeds = np.diff(speeds, axis=0) / parameters.cycle_s
+        assert (np.abs(speeds) <= limit * (1.0 + 1e-6) + 1e-3).all()
 
 
 def test_a_robot_that_does_not_go_where_it_is_sent_is_held_with_the_axis_named(
