@@ -15,6 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -22,6 +23,7 @@ from typing import Any, Final
 from linemate.daemon.inputs import Inputs
 from linemate.daemon.operator.client import NoAnswerError, RefusedError
 from linemate.daemon.parameters import Parameters
+from linemate.daemon.service.awake import Awake
 from linemate.daemon.service.cycle import LogEntry
 from linemate.daemon.step import State, initial, step
 from linemate.simulators.harness import (
@@ -174,12 +176,14 @@ class Options:
         round_s: how long one of turn-around or lateness is [s].
         cycles_ms: cycles that are measured [ms].
         parts: which of `PARTS`.
+        awake: no core sleeps while processes are measured.
     """
 
     rounds: int = ROUNDS
     round_s: float = 0.6
     cycles_ms: tuple[int, ...] = CYCLES_MS
     parts: tuple[str, ...] = PARTS
+    awake: bool = False
 
 
 def measure_all(options: Options) -> dict[str, Any]:
@@ -195,7 +199,8 @@ def measure_all(options: Options) -> dict[str, Any]:
         "notes": [],
     }
     if {"turnaround", "wakeup"} & set(options.parts):
-        with tempfile.TemporaryDirectory(prefix="linemate-bench-") as name:
+        awake = Awake(os.sched_getaffinity(0) if options.awake else ())
+        with closing(awake), tempfile.TemporaryDirectory(prefix="linemate-bench-") as name:
             _measure_processes(options, Path(name), result)
     jobs = []
     if "step" in options.parts:
@@ -215,6 +220,8 @@ def _measure_processes(options: Options, folder: Path, result: dict[str, Any]) -
     """Measure what needs processes, and put it into the result."""
     refused = host.missing_rights()
     program = bench_floor.compiled(folder)
+    if options.awake:
+        result["notes"].append("no core sleeps: --no-awake lets them")
     if refused is not None:
         result["notes"].append(f"no real-time priority for anybody: {refused}")
     if program is None:
@@ -329,7 +336,8 @@ def main(args: argparse.Namespace) -> int:
     Returns:
         0; a bench judges nothing. 69 when it could not be brought to its end.
     """
-    options = Options(args.rounds, args.round_s, args.cycles, args.parts)
+    awake = host.is_virtual() if args.awake is None else args.awake
+    options = Options(args.rounds, args.round_s, args.cycles, args.parts, awake)
     try:
         with interruptible():
             result = measure_all(options)

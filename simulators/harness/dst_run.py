@@ -545,7 +545,9 @@ class _Robot:
     def pause(self, now_s: float, duration_s: float) -> None:
         """End the programme; it begins anew after some time."""
         if self._paused_until_s is None:
-            self._from = self._pose = self._controller.setpoints
+            # Drives that are off stay where they are, whatever the controller was sent meanwhile.
+            is_braked = self._braked_until_s is not None
+            self._from = self._pose = self._pose if is_braked else self._controller.setpoints
         self._paused_until_s = max(now_s + duration_s, self._paused_until_s or now_s)
 
     def brake(self, now_s: float, duration_s: float) -> None:
@@ -576,8 +578,8 @@ class _Robot:
         """Open a cycle."""
         self._is_open = True
         if self._braked_until_s is not None and now_s >= self._braked_until_s:
-            self._braked_until_s = None
             self.pause(now_s, CYCLE_S)
+            self._braked_until_s = None
         if self._controller.broken is not None and self._paused_until_s is None:
             self.quiet_s = now_s
             self.breaks += 1

@@ -191,6 +191,11 @@ def _add_bench(commands: "Commands[argparse.ArgumentParser]") -> None:
     bench.add_argument(
         "--parts", type=_parts, default=BENCH_PARTS, metavar="A,...", help=", ".join(BENCH_PARTS)
     )
+    bench.add_argument(
+        "--awake",
+        action=argparse.BooleanOptionalAction,
+        help="let no core sleep; in a virtual machine",
+    )
     bench.add_argument("--plot", type=Path, metavar="FILE", help="draw the ratios")
 
 

@@ -72,7 +72,14 @@ MEASURED = {
     "step_us": {"42": 250.0, "125": 300.5, "500": 420.0},
     bench.VIRTUAL: 21.3,
 }
-ARGUMENTS = {"rounds": 5, "round_s": 0.8, "cycles": (4,), "parts": bench.PARTS, "plot": None}
+ARGUMENTS = {
+    "awake": None,
+    "rounds": 5,
+    "round_s": 0.8,
+    "cycles": (4,),
+    "parts": bench.PARTS,
+    "plot": None,
+}
 
 
 def test_figures_are_printed_as_json_and_as_a_table(

@@ -98,6 +98,14 @@ def test_deep_sleep_costs_only_where_it_cannot_be_forbidden(tmp_path: Path) -> N
     assert doctor.deep_sleep(host(tmp_path, dev__cpu_dma_latency="")).grade is Grade.GOOD
 
 
+def test_a_virtual_machine_is_told_how_to_keep_its_cores_awake(tmp_path: Path) -> None:
+    bare = host(tmp_path, proc__cpuinfo="processor : 0\nflags : fpu sse2\n")
+    assert doctor.virtual(bare).grade is Grade.GOOD
+    finding = doctor.virtual(host(tmp_path, proc__cpuinfo="flags : fpu hypervisor sse2\n"))
+    assert finding.grade is Grade.ADVICE
+    assert "realtime.keep_awake" in finding.cost
+
+
 def test_throttling_below_nine_tenths_is_a_lack(tmp_path: Path) -> None:
     runtime = "proc__sys__kernel__sched_rt_runtime_us"
     period = {"proc__sys__kernel__sched_rt_period_us": "1000000"}

@@ -1,0 +1,106 @@
+"""Cores that are kept awake: by processes that give way to all others and outlive nobody."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from linemate.daemon.service.awake import MODULE, Awake
+from linemate.daemon.service.realtime import ask
+from linemate.daemon.service.settings import RealtimeSettings
+
+PATIENCE_S = 20.0
+
+STARTER = """
+import os, sys, time
+from linemate.daemon.service.awake import Awake
+awake = Awake(os.sched_getaffinity(0))
+print(*awake.pids, flush=True)
+time.sleep(60)
+"""
+
+
+def eventually(what: Callable[[], bool]) -> bool:
+    end = time.monotonic() + PATIENCE_S
+    while time.monotonic() < end:
+        if what():
+            return True
+        time.sleep(0.01)
+    return False
+
+
+def is_idle_class(pid: int) -> bool:
+    return os.sched_getscheduler(pid) == os.SCHED_IDLE
+
+
+def state(pid: int) -> str:
+    """As the kernel calls it: R running, Z ended; empty if it is gone."""
+    with contextlib.suppress(OSError):
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    return ""
+
+
+@pytest.fixture
+def awake() -> Iterator[Awake]:
+    made = Awake(os.sched_getaffinity(0))
+    yield made
+    made.close()
+
+
+def test_each_core_has_a_process_of_the_idle_class_that_runs_there(awake: Awake) -> None:
+    cores = sorted(os.sched_getaffinity(0))
+    assert len(awake.pids) == len(cores)
+    for pid, core in zip(awake.pids, cores, strict=True):
+        assert eventually(lambda pid=pid: is_idle_class(pid))  # type: ignore[misc]
+        assert eventually(lambda pid=pid, core=core: os.sched_getaffinity(pid) == {core})  # type: ignore[misc]
+        assert eventually(lambda pid=pid: state(pid) == "R")  # type: ignore[misc]
+
+
+def test_closing_ends_them_and_may_be_done_twice(awake: Awake) -> None:
+    pids = awake.pids
+    awake.close()
+    assert awake.pids == ()
+    assert all(state(pid) == "" for pid in pids)
+    awake.close()
+
+
+def test_they_end_with_a_starter_that_is_killed_and_ctrl_c_is_not_theirs() -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", STARTER], stdout=subprocess.PIPE, text=True
+    ) as starter:
+        assert starter.stdout is not None
+        pids = [int(pid) for pid in starter.stdout.readline().split()]
+        assert all(eventually(lambda pid=pid: is_idle_class(pid)) for pid in pids)  # type: ignore[misc]
+        for pid in pids:
+            os.kill(pid, signal.SIGINT)
+        time.sleep(0.05)
+        assert all(state(pid) == "R" for pid in pids)
+        starter.kill()
+        starter.wait()
+    assert all(eventually(lambda pid=pid: state(pid) in {"", "Z"}) for pid in pids)  # type: ignore[misc]
+
+
+def test_one_whose_starter_is_gone_before_it_began_ends_at_once() -> None:
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    core = str(min(os.sched_getaffinity(0)))
+    command = [sys.executable, "-m", MODULE, core, str(gone.pid)]
+    subprocess.run(command, check=True, timeout=PATIENCE_S)
+
+
+def test_the_daemon_asks_for_it_only_when_told_and_gives_it_back() -> None:
+    assert ask(RealtimeSettings()).awake is None
+    host = ask(RealtimeSettings(keep_awake=True))
+    assert host.granted("keep_awake")
+    assert host.awake is not None
+    pids = host.awake.pids
+    assert len(pids) == len(os.sched_getaffinity(0))
+    host.close()
+    assert host.awake is None
+    assert all(state(pid) == "" for pid in pids)
