@@ -11,7 +11,7 @@ _shtab_linemate_sim_demo_option_strings=(-h --help --scenario --out --json --cyc
 _shtab_linemate_sim_run_option_strings=(-h --help --scenario --out --json --set --workers --cycle-ms --seed --variant --timing)
 _shtab_linemate_sim_campaign_option_strings=(-h --help --scenario --out --json --set --workers --cycle-ms --seeds --first-seed --scheduler --detection --variants)
 _shtab_linemate_sim_emulator_option_strings=(-h --help --config)
-_shtab_linemate_sim_bench_option_strings=(-h --help --json --rounds --round-s --cycles --parts --plot)
+_shtab_linemate_sim_bench_option_strings=(-h --help --json --rounds --round-s --cycles --parts --awake --no-awake --plot)
 _shtab_linemate_sim_schema_option_strings=(-h --help)
 _shtab_linemate_sim_option_strings=(-h --help)
 
@@ -42,6 +42,8 @@ _shtab_linemate_sim_emulator___help_nargs=0
 _shtab_linemate_sim_bench__h_nargs=0
 _shtab_linemate_sim_bench___help_nargs=0
 _shtab_linemate_sim_bench___json_nargs=0
+_shtab_linemate_sim_bench___awake_nargs=0
+_shtab_linemate_sim_bench___no_awake_nargs=0
 _shtab_linemate_sim_schema__h_nargs=0
 _shtab_linemate_sim_schema___help_nargs=0
 _shtab_linemate_sim_pos_0_nargs=A...
