@@ -55,7 +55,7 @@ class Feeling:
 
     Attributes:
         forces: along its axis, the newest last, one a step [N].
-        calm: steps since the robot last held against its command.
+        calm: steps since the robot last held against its command, as far as memory goes.
         touches: steps in a row with a contact's force.
     """
 
@@ -80,7 +80,7 @@ def feel(feeling: Feeling, ringing: Ringing, force: float | None, *, held: bool)
     newest = force if force is not None else forces[-1] if forces else None
     if newest is not None:
         forces = (*forces, newest)[-ringing.memory :]
-    calm = 0 if held else feeling.calm + 1
+    calm = 0 if held else min(feeling.calm + 1, ringing.memory)
     return Feeling(forces, calm, feeling.touches)
 
 
