@@ -208,7 +208,7 @@ def _measurements(inputs: Inputs, parameters: Parameters) -> tracking.Measuremen
         camera=inputs.camera,
         wrench=inputs.wrench,
         digital_in=0 if inputs.robot is None else inputs.robot.digital_in,
-        held=not inputs.sent,
+        held=not inputs.sent and inputs.pace is None,
     )
 
 

@@ -431,3 +431,22 @@ def test_where_the_robot_holds_may_be_told() -> None:
     stands = tuple(q + 0.001 for q in world.command)
     outputs = world.step(Order.HOLD, sent=False, applied=stands)
     assert np.allclose(outputs.command, stands, atol=1e-9)
+
+
+def test_a_robot_that_goes_on_is_led_as_if_the_step_before_were_its_own(assembly: Told) -> None:
+    k = next(k for k, o in enumerate(assembly.outputs) if (o.task_time or 0.0) > 2.0)
+    state, inputs = assembly.states[k], assembly.inputs[k]
+    gate = state.control.gate
+    there = tuple(gate.position.tolist())
+    pace = (tuple(gate.speed.tolist()), tuple(gate.acceleration.tolist()))
+    sent, told = step(state, inputs, P)
+    on, goes_on = step(state, replace(inputs, sent=False, applied=there, pace=pace), P)
+    held, _ = step(state, replace(inputs, sent=False, applied=there), P)
+    assert np.abs(gate.speed).max() > 0.05
+    assert goes_on.command == pytest.approx(told.command, abs=1e-9)
+    asked = sent.control.gate.acceleration
+    assert on.control.gate.acceleration == pytest.approx(asked, abs=1e-6)
+    assert np.abs(held.control.gate.acceleration - asked).max() > 1.0
+    # One that held has set its tool ringing, and its force tells nothing for a while.
+    assert on.tracker.feeling == sent.tracker.feeling
+    assert held.tracker.feeling.calm == 0 < sent.tracker.feeling.calm

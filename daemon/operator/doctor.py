@@ -235,11 +235,16 @@ def deep_sleep(host: Host) -> Finding:
     )  # fmt: skip
 
 
+def is_virtual(host: Host) -> bool:
+    """Whether this is a virtual machine, as far as its processor says so."""
+    lines = (host.read("proc/cpuinfo") or "").splitlines()
+    return any(line.startswith("flags") and "hypervisor" in line.split() for line in lines)
+
+
 def virtual(host: Host) -> Finding:
     """Does a host of its own give its cores back when they are to wake?"""
     name = "virtual machine"
-    lines = (host.read("proc/cpuinfo") or "").splitlines()
-    if not any(line.startswith("flags") and "hypervisor" in line.split() for line in lines):
+    if not is_virtual(host):
         return Finding(name, Grade.GOOD, "none that the processor tells of")
     return Finding(
         name, Grade.ADVICE, "yes",

@@ -155,7 +155,7 @@ class Report:
 
 @frozen(eq=False)
 class Measurements:
-    """One step's samples and where the robot is; ``held``: it did not get the last command."""
+    """One step's samples and where the robot is; ``held``: it got no command and stood still."""
 
     stamp_ns: int
     tcp: Array | None

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from linemate.daemon.inputs import Inputs
+from linemate.daemon.operator import doctor
 from linemate.daemon.operator.client import NoAnswerError, RefusedError
 from linemate.daemon.parameters import Parameters
 from linemate.daemon.service.awake import Awake
@@ -336,7 +337,7 @@ def main(args: argparse.Namespace) -> int:
     Returns:
         0; a bench judges nothing. 69 when it could not be brought to its end.
     """
-    awake = host.is_virtual() if args.awake is None else args.awake
+    awake = doctor.is_virtual(doctor.Host()) if args.awake is None else args.awake
     options = Options(args.rounds, args.round_s, args.cycles, args.parts, awake)
     try:
         with interruptible():

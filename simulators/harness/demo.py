@@ -21,6 +21,7 @@ from typing import Any
 
 import yaml
 
+from linemate.daemon.operator import doctor
 from linemate.daemon.operator.client import Client, NoAnswerError, RefusedError
 from linemate.daemon.service.awake import Awake
 from linemate.simulators.devices import truth
@@ -108,7 +109,7 @@ class Station:
                 "priority": DAEMON_PRIORITY,
                 "lock_memory": True,
                 "cpus": list(self.cores[0]),
-                "keep_awake": host.is_virtual(),
+                "keep_awake": doctor.is_virtual(doctor.Host()),
             },
             # What was identified of the cell, as after its commissioning.
             **overlay.load(),
@@ -244,7 +245,7 @@ def _run(station: Station, *, is_viewed: bool = False) -> dict[str, Any]:
     scenario, folder = station.scenario, station.folder
     title = f"{scenario.name}, seed {scenario.seed}, {1e3 * scenario.cycle_s:g} ms"
     # The daemon sees to its own cores.
-    others = station.cores[1] if host.is_virtual() else ()
+    others = station.cores[1] if doctor.is_virtual(doctor.Host()) else ()
     with closing(Awake(others)), Children() as children, live.view(title) as view:
         daemon, listening = _start_daemon(station, children)
         station.write("scenario", scenario_file.to_plain(scenario))

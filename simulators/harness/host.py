@@ -43,19 +43,6 @@ def stolen_s(stat: Path = Path("/proc/stat")) -> float | None:
         return None
 
 
-def is_virtual(cpuinfo: Path = Path("/proc/cpuinfo")) -> bool:
-    """Tell whether this is a virtual machine, as far as its processor says so.
-
-    Args:
-        cpuinfo: the kernel's word of it.
-    """
-    try:
-        lines = cpuinfo.read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return False
-    return any(line.startswith("flags") and "hypervisor" in line.split() for line in lines)
-
-
 def missing_rights() -> str | None:
     """Say why a process started here gets no real-time priority; None when it does.
 

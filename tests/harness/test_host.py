@@ -27,11 +27,3 @@ def test_asking_for_rights_leaves_the_scheduler_as_it_was() -> None:
     before = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
     host.missing_rights()
     assert (os.sched_getscheduler(0), os.sched_getparam(0).sched_priority) == before
-
-
-def test_a_virtual_machine_is_known_by_its_processor(tmp_path: Path) -> None:
-    told = tmp_path / "cpuinfo"
-    for flags, expected in (("fpu hypervisor", True), ("fpu hypervisors", False), ("", False)):
-        told.write_text(f"processor : 0\nflags : {flags}\n")
-        assert host.is_virtual(told) is expected
-    assert not host.is_virtual(tmp_path / "nothing")
