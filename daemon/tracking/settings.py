@@ -168,7 +168,7 @@ class WaveSettings:
 
     frequency_hz: Frequency = 1.2
     spread: Annotated[float, Ge(0.0), Le(0.2)] = 0.03
-    deviation: Annotated[float, Ge(0.0), Le(0.01)] = 0.0001
+    deviation: Annotated[float, Ge(0.0), Le(0.01)] = 0.00004
     walk: Annotated[float, Ge(0.0), Le(0.001)] = 0.00001
     pace: Annotated[float, Ge(0.0), Le(0.01)] = 0.0005
 

@@ -1,9 +1,9 @@
 """``make accuracy``: every run that ``docs/accuracy.md`` rests on, and its tables.
 
 Law of this file: what is found replaces what stands between two marks of the page; whatever people
-wrote around it stays. A piece of the work (a case's seeds, a classifier's hours) is kept in a
-folder under the digest of the sources that made it, so that a campaign may be broken off and goes
-on where it was, and a stale piece is never taken for a fresh one.
+wrote around it stays. A piece of the work (a case's seeds, a classifier's hours of one kind) is
+kept in a folder under the digest of the sources that made it, so that a campaign may be broken off
+and goes on where it was, and a stale piece is never taken for a fresh one.
 """
 
 import argparse
@@ -165,17 +165,20 @@ def _drilled(plan: Plan, source: str, where: Where) -> dict[str, Any]:
     cycle, variant = source.split()
     setup = Case(source, variant=variant, cycle_ms=float(cycle)).setup(plan.overlay)
     hours = plan.own.get(source, plan.hours)
-    drills = detection.Plan([setup], hours, VERIFY.start, DRILLED[source])
 
-    def make() -> dict[str, Any]:
-        with progress_bar(len(list(drills.drills())), f"detection {source}") as progress:
+    def make(kind: Kind) -> dict[str, Any]:
+        drills = detection.Plan([setup], hours, VERIFY.start, (kind,))
+        label = f"detection {source} {kind}"
+        with progress_bar(len(list(drills.drills())), label) as progress:
             whole = detection.execute(drills, where.workers, progress, where.scheduler)
-        kinds: dict[str, Any] = whole["detection"][variant]
-        return kinds
+        found: dict[str, Any] = whole["detection"][variant][kind]
+        return found
 
     name = f"detection-{source.replace(' ', 'ms-')}"
-    found: dict[str, Any] = _piece(where, name, (setup, hours), make)
-    return found
+    return {
+        kind: _piece(where, f"{name}-{kind}", (setup, hours), partial(make, kind))
+        for kind in DRILLED[source]
+    }
 
 
 def _piece(where: Where, name: str, asked: object, make: Callable[[], Any]) -> Any:
