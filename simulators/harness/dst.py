@@ -15,10 +15,12 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import get_args
 
 from linemate.simulators.harness import dst_plan
-from linemate.simulators.harness.dst_plan import SHORTEST_S, Plan
+from linemate.simulators.harness.dst_plan import SHORTEST_S, CycleMs, Plan
 
 AGAIN_EVERY = 50
 CHUNK = 10
@@ -40,14 +42,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.environ.setdefault(name, "1")
     if args.trace:
         for seed in args.trace.split(","):
-            print(seed, _live(dst_plan.draw(int(seed)))[1], flush=True)
+            print(seed, _live(dst_plan.draw(int(seed), args.cycle_ms))[1], flush=True)
         return 0
     try:
         seeds = _seeds(args.seeds)
     except ValueError as error:
         print(f"dst: {error}", file=sys.stderr)
         return 2
-    return _swarm(seeds, max(1, args.workers), None if args.forget else args.keep, args.seconds)
+    keep = None if args.forget else args.keep
+    return _swarm(seeds, args.cycle_ms, max(1, args.workers), keep, args.seconds)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -55,6 +58,9 @@ def _parser() -> argparse.ArgumentParser:
         prog="dst", description="Deterministic simulation of the daemon under seeded faults."
     )
     parser.add_argument("seeds", nargs="?", default="0:100", help="FIRST:LAST, half open")
+    parser.add_argument(
+        "--cycle-ms", type=int, choices=get_args(CycleMs), default=12, help="of the controller"
+    )
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--keep", type=Path, default=KEPT, help="file for plans that failed")
     parser.add_argument("--forget", action="store_true", help="neither shrink nor keep")
@@ -75,13 +81,13 @@ def _seeds(text: str) -> range:
     return seeds
 
 
-def _swarm(seeds: range, workers: int, keep: Path | None, seconds: float) -> int:
+def _swarm(seeds: range, cycle_ms: CycleMs, workers: int, keep: Path | None, seconds: float) -> int:
     """Live through all seeds that there is time for, then through some of them again."""
     begun = time.monotonic()
     failed: list[tuple[int, tuple[str, ...]]] = []
     traces: dict[int, str] = {}
     done = 0
-    for done, (seed, violations, digest) in enumerate(_lives(seeds, workers), 1):
+    for done, (seed, violations, digest) in enumerate(_lives(seeds, cycle_ms, workers), 1):
         if violations:
             failed.append((seed, violations))
             for what in violations:
@@ -94,45 +100,48 @@ def _swarm(seeds: range, workers: int, keep: Path | None, seconds: float) -> int
         if passed_s > seconds:
             break
     lived_s = time.monotonic() - begun
-    different = list(_different(traces))
+    different = list(_different(traces, cycle_ms))
     for seed in different:
         print(f"seed {seed}: determinism: another trace in another process", flush=True)
     if keep is not None:
-        _keep(failed, keep)
+        _keep(failed, cycle_ms, keep)
     print(f"{60.0 * done / lived_s:.0f} runs a minute, {len(traces)} of them twice")
     count = len(failed) + len(different)
     print(f"{done} runs, {count} violations")
     return 1 if count else 0
 
 
-def _lives(seeds: Iterable[int], workers: int) -> Iterator[tuple[int, tuple[str, ...], str]]:
+def _lives(
+    seeds: Iterable[int], cycle_ms: CycleMs, workers: int
+) -> Iterator[tuple[int, tuple[str, ...], str]]:
+    settle, live = partial(_settle, cycle_ms), partial(_live_seed, cycle_ms)
     if workers == 1:
-        _settle()
+        settle()
         try:
-            yield from map(_live_seed, seeds)
+            yield from map(live, seeds)
         finally:
             gc.enable()
             gc.unfreeze()
         return
-    with ProcessPoolExecutor(workers, initializer=_settle) as pool:
+    with ProcessPoolExecutor(workers, initializer=settle) as pool:
         try:
-            yield from pool.map(_live_seed, seeds, chunksize=CHUNK)
+            yield from pool.map(live, seeds, chunksize=CHUNK)
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _settle() -> None:
+def _settle(cycle_ms: CycleMs) -> None:
     """Load and compile what all runs share, and let the collector leave it alone."""
     from linemate.simulators.harness import dst_run
 
-    dst_run.compiled()
+    dst_run.compiled(Plan(0, cycle_ms=cycle_ms).cycle_s)
     gc.collect()
     gc.freeze()
     gc.disable()
 
 
-def _live_seed(seed: int) -> tuple[int, tuple[str, ...], str]:
-    violations, digest = _live(dst_plan.draw(seed))
+def _live_seed(cycle_ms: CycleMs, seed: int) -> tuple[int, tuple[str, ...], str]:
+    violations, digest = _live(dst_plan.draw(seed, cycle_ms))
     if seed % CHUNK == 0:
         gc.collect()
     return seed, violations, digest
@@ -145,11 +154,12 @@ def _live(plan: Plan) -> tuple[tuple[str, ...], str]:
     return outcome.violations, outcome.digest
 
 
-def _different(traces: dict[int, str]) -> Iterator[int]:
+def _different(traces: dict[int, str], cycle_ms: CycleMs) -> Iterator[int]:
     """Seeds whose trace is another one in a process with another hash seed."""
     if not traces:
         return
     command = [sys.executable, "-m", __spec__.name if __spec__ else __name__]
+    command += ["--cycle-ms", str(cycle_ms)]
     command += ["--trace", ",".join(map(str, traces))]
     environment = {**os.environ, "PYTHONHASHSEED": str(1 + min(traces) % 4_000_000_000)}
     told = subprocess.run(  # noqa: S603 - ourselves
@@ -159,7 +169,7 @@ def _different(traces: dict[int, str]) -> Iterator[int]:
     yield from (seed for seed, digest in traces.items() if again.get(str(seed)) != digest)
 
 
-def _keep(failed: list[tuple[int, tuple[str, ...]]], path: Path) -> None:
+def _keep(failed: list[tuple[int, tuple[str, ...]]], cycle_ms: CycleMs, path: Path) -> None:
     """Shrink what failed and add it to the regressions, one of a kind."""
     kinds: set[str] = set()
     for seed, violations in failed:
@@ -167,7 +177,7 @@ def _keep(failed: list[tuple[int, tuple[str, ...]]], path: Path) -> None:
         if kind in kinds:
             continue
         kinds.add(kind)
-        plan = shrink(dst_plan.draw(seed), kind)
+        plan = shrink(dst_plan.draw(seed, cycle_ms), kind)
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("a", encoding="utf-8") as file:
             file.write(f"# {violations[0][:160]}\n{plan.to_line()}\n")

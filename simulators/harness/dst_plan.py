@@ -9,10 +9,13 @@ them back in another order. Source: reference/reliability.md, section 5.
 import json
 import random
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 from linemate.simulators.devices.faults import KINDS
 from linemate.simulators.plants.scenario import Conveyor, ConveyorEvent, Fault
+
+CycleMs = Literal[4, 12]
+"""The controller's cycles: KUKA has these."""
 
 SHORTEST_S, LONGEST_S = 1.4, 2.1
 """Scenario time at which a run may end [s]; the lead-in of 0.6 s comes before, and whatever an
@@ -83,6 +86,7 @@ class Plan:
         eager: the operator acts at once, and not only when the trouble is over.
         events: of the conveyor.
         faults: the trouble.
+        cycle_ms: of the controller [ms].
     """
 
     seed: int
@@ -92,6 +96,12 @@ class Plan:
     eager: bool = False
     events: tuple[ConveyorEvent, ...] = ()
     faults: tuple[Fault, ...] = ()
+    cycle_ms: CycleMs = 12
+
+    @property
+    def cycle_s(self) -> float:
+        """Of the controller [s]."""
+        return round(1e-3 * self.cycle_ms, 6)
 
     @property
     def quiet_s(self) -> float:
@@ -116,17 +126,18 @@ def from_line(line: str) -> Plan:
     return Plan(**plain)
 
 
-def draw(seed: int) -> Plan:
-    """The plan of a seed."""
+def draw(seed: int, cycle_ms: CycleMs = 12) -> Plan:
+    """The plan of a seed; the same trouble for any cycle."""
     chance = random.Random(f"{seed}/plan")  # noqa: S311 - noise, not a secret
     duration_s = round(chance.uniform(SHORTEST_S, LONGEST_S), 3)
     plan = Plan(
         seed=seed,
         duration_s=duration_s,
-        lead_ms=chance.choice((0.0, 3.0)),
+        lead_ms=chance.choice((0.0, cycle_ms / 4)),
         rule=chance.choice(("total", "row")),
         eager=chance.random() < 0.5,
         events=_events(chance, duration_s),
+        cycle_ms=cycle_ms,
     )
     return replace(plan, faults=_trouble(seed % 4, chance, duration_s))
 

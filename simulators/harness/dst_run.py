@@ -31,7 +31,7 @@ from linemate.simulators.devices.faulty_link import FaultyLink
 from linemate.simulators.devices.limits import AxisLimit
 from linemate.simulators.devices.robot_plant import RobotPlant, seven
 from linemate.simulators.harness.dst_oracles import Oracle
-from linemate.simulators.harness.dst_plan import Plan
+from linemate.simulators.harness.dst_plan import CycleMs, Plan
 from linemate.simulators.harness.lockstep import parameters
 from linemate.simulators.harness.virtual import EPOCH_NS, VirtualLoop, VirtualTime, inhabited
 from linemate.simulators.harness.wires import Emitters
@@ -48,7 +48,6 @@ from linemate.simulators.plants.scenario import (
 from linemate.simulators.plants.world import World
 
 DAEMON_FILE = Path(__file__).parent / "data" / "tasks" / "dst_daemon.yaml"
-CYCLE_S = 0.012
 LEAD_IN_S = 0.6
 
 TRANSIT_NS = 60_000
@@ -83,7 +82,6 @@ SECOND: Address = ("127.0.0.1", 50_001)
 CAMERA: Address = ("127.0.0.1", 50_002)
 _SECOND_IPOC = 77_000
 _SEVEN = struct.Struct("<7d")
-_CYCLE_NS = round(CYCLE_S * 1e9)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,20 +104,28 @@ class Outcome:
 
 
 @cache
-def station(lead_ms: float | None = None) -> Station:
-    """The daemon's configuration, and how early it prepares its replies [ms]."""
-    if lead_ms is None:
-        return config.load(DAEMON_FILE)
-    plain = station()
-    realtime_settings = replace(plain.config.realtime, lead_ms=lead_ms)
-    return replace(plain, config=replace(plain.config, realtime=realtime_settings))
+def station() -> Station:
+    """The daemon's configuration."""
+    return config.load(DAEMON_FILE)
 
 
 @cache
-def compiled() -> Parameters:
+def station_of(lead_ms: float, cycle_ms: CycleMs) -> Station:
+    """The same with how early it prepares its replies, and the controller's cycle [ms]."""
+    plain = station()
+    said = replace(
+        plain.config,
+        rsi=replace(plain.config.rsi, cycle_ms=cycle_ms),
+        realtime=replace(plain.config.realtime, lead_ms=lead_ms),
+    )
+    return replace(plain, config=said)
+
+
+@cache
+def compiled(cycle_s: float) -> Parameters:
     """The daemon's parameters, once a process."""
     task, said = station().task, station().config
-    return parameters(task.file, task.urdf, said.tracking, said.control, CYCLE_S)
+    return parameters(task.file, task.urdf, said.tracking, said.control, cycle_s)
 
 
 def rest_pose() -> Vector7:
@@ -132,7 +138,7 @@ def scenario_of(plan: Plan) -> Scenario:
     return Scenario(
         name="dst",
         seed=plan.seed,
-        cycle_s=CYCLE_S,
+        cycle_s=plan.cycle_s,
         lead_in_s=LEAD_IN_S,
         duration_s=plan.duration_s + 1.0,
         conveyor=Conveyor(events=plan.events),
@@ -183,13 +189,13 @@ class Simulation:
             self.plant.read,
             self.plant.start,
             ControllerConfig(
-                cycle_s=CYCLE_S,
+                cycle_s=plan.cycle_s,
                 timeout_rule="row" if plan.rule == "row" else "total",
                 limits=tuple(_same(limit) for limit in control.limits),
             ),
         )
         brake = control.brake
-        self.oracle = Oracle(CYCLE_S, (*(brake.acceleration,) * 6, brake.axis_acceleration))
+        self.oracle = Oracle(plan.cycle_s, (*(brake.acceleration,) * 6, brake.axis_acceleration))
         self.oracle.holds = lambda: self.controller.setpoints
         self.app: App | None = None
         self.robot = _Robot(self)
@@ -202,6 +208,7 @@ class Simulation:
         self._back = FaultyLink("reply", self._faults, plan.seed)
         self._second: RsiController | None = None
         self._cycle = 0
+        self._cycle_ns = round(plan.cycle_s * 1e9)
         self._is_over = False
         self._hash = blake2b(digest_size=16)
         self._time = VirtualTime()
@@ -250,7 +257,13 @@ class Simulation:
     def _boot(self) -> None:
         """Start the daemon's process."""
         assert self._loop is not None  # noqa: S101 - a run is under way
-        app = App(station(self.plan.lead_ms), compiled(), realtime.Host(), Notifier())
+        plan = self.plan
+        app = App(
+            station_of(plan.lead_ms, plan.cycle_ms),
+            compiled(plan.cycle_s),
+            realtime.Host(),
+            Notifier(),
+        )
         self.app = app
         self.oracle.attend(app.cycle)
         self._process = self._loop.create_task(app.run())
@@ -332,7 +345,7 @@ class Simulation:
             self._cycle += 1
             self._look()
         if self._is_over:
-            self._time.at(EPOCH_NS + (self._cycle + 1) * _CYCLE_NS, self._begin_cycle)
+            self._time.at(EPOCH_NS + (self._cycle + 1) * self._cycle_ns, self._begin_cycle)
             self._exchange()
             return
         for fault in self._faults.strike(self.now_s):
@@ -340,7 +353,7 @@ class Simulation:
         self._stall()
         self.operator.look(self.now_s)
         self._exchange()
-        self._time.at(EPOCH_NS + (self._cycle + 1) * _CYCLE_NS, self._begin_cycle)
+        self._time.at(EPOCH_NS + (self._cycle + 1) * self._cycle_ns, self._begin_cycle)
 
     def _exchange(self) -> None:
         """Send the telegram, and let the sensors see the cycle."""
@@ -428,12 +441,12 @@ class Simulation:
                 station().rsi,
                 lambda: RobotReading(pose, (0.0,) * 6),
                 pose,
-                ControllerConfig(cycle_s=CYCLE_S, first_ipoc=_SECOND_IPOC),
+                ControllerConfig(cycle_s=self.plan.cycle_s, first_ipoc=_SECOND_IPOC),
             )
         data = self._second.telegram()
         self._second.end_of_cycle()
         if data is not None:
-            self._send(_ns(now_s) + _CYCLE_NS // 3, data, SECOND, RSI_PORT)
+            self._send(_ns(now_s) + self._cycle_ns // 3, data, SECOND, RSI_PORT)
 
     # The network.
 
@@ -578,7 +591,7 @@ class _Robot:
         """Open a cycle."""
         self._is_open = True
         if self._braked_until_s is not None and now_s >= self._braked_until_s:
-            self.pause(now_s, CYCLE_S)
+            self.pause(now_s, self._simulation.plan.cycle_s)
             self._braked_until_s = None
         if self._controller.broken is not None and self._paused_until_s is None:
             self.quiet_s = now_s
@@ -653,9 +666,10 @@ class _Operator:
         self._act(now_s, app)
 
     def _act(self, now_s: float, app: App) -> None:
+        simulation = self._simulation
         state = app.cycle.machine.state
         waits = state is State.HOLD or app.cycle.is_foreign
-        self._waited_s = self._waited_s + CYCLE_S if waits else 0.0
+        self._waited_s = self._waited_s + simulation.plan.cycle_s if waits else 0.0
         if app.cycle.is_foreign:
             if self._waited_s > DITHERING_S:
                 self._simulation.robot.home(now_s)

@@ -33,6 +33,11 @@ def test_a_seed_is_lived_through_without_a_violation(seed: int) -> None:
     assert dst_run.run(draw(seed)).violations == ()
 
 
+@pytest.mark.parametrize("seed", [2, 3, 5, 7])
+def test_a_seed_is_lived_through_at_4_ms_without_a_violation(seed: int) -> None:
+    assert dst_run.run(draw(seed, cycle_ms=4)).violations == ()
+
+
 @pytest.mark.parametrize("line", regressions())
 def test_what_once_failed_does_not_fail_again(line: str) -> None:
     assert dst_run.run(dst_plan.from_line(line)).violations == ()
