@@ -11,14 +11,15 @@ import asyncio
 import logging
 import threading
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, Literal, Protocol, TypeVar
 
 import can
 
 from linemate.drivers.backoff import Backoff
-from linemate.drivers.link import LinkStatus, why
+from linemate.drivers.kept_link import KeptLink
+from linemate.drivers.link import why
 from linemate.drivers.read_ahead import ReadAhead
 from linemate.drivers.stamps import ArrivalClock, paired_clocks
 from linemate.protocol.errors import ProtocolError
@@ -54,7 +55,7 @@ class Decoder(Protocol):
         """Decode one frame; None for a frame of somebody else."""
 
 
-class CanLink:
+class CanLink(KeptLink):
     """Hands distance samples to a callback.
 
     Attributes:
@@ -74,43 +75,13 @@ class CanLink:
         path: Path = "auto",
         backoff: Backoff | None = None,
     ) -> None:
-        self.status = LinkStatus(name)
+        super().__init__(name, backoff)
         self._config = _with_defaults(can_config)
         self._decoder = decoder
         self._on_sample = on_sample
         self._path = path
-        self._backoff = backoff or Backoff()
-        self._task: asyncio.Task[None] | None = None
         self._clock = ArrivalClock()
         self._barren = 0
-
-    @property
-    def counters(self) -> Counter[str]:
-        """Events by name."""
-        return self.status.counters
-
-    def open(self) -> None:
-        """Start to open the bus on the running loop, and to keep it open."""
-        if self._task is None or self._task.done():
-            self._task = asyncio.get_running_loop().create_task(self._keep_open())
-
-    def close(self) -> None:
-        """Stop; ``wait_closed`` returns when the bus is shut down."""
-        if self._task is not None:
-            self._task.cancel()
-
-    async def wait_closed(self) -> None:
-        """Wait until nothing of the link is left."""
-        if self._task is not None:
-            await asyncio.wait([self._task])
-
-    async def _keep_open(self) -> None:
-        try:
-            while True:
-                self.status.mark_down(await self._live_once())
-                await asyncio.sleep(self._backoff.next_delay())
-        finally:
-            self.status.mark_closed()
 
     async def _live_once(self) -> str:
         try:

@@ -9,14 +9,14 @@ opened again with back-off. Source: reference/sensors-and-tools.md, 1b.
 import asyncio
 import logging
 import time
-from collections import Counter
 from collections.abc import Callable
 from typing import Protocol
 
 import serialx
 
 from linemate.drivers.backoff import Backoff
-from linemate.drivers.link import LinkStatus, why
+from linemate.drivers.kept_link import KeptLink
+from linemate.drivers.link import why
 from linemate.protocol.errors import ProtocolError
 from linemate.protocol.samples import WrenchSample
 
@@ -76,7 +76,7 @@ class Host(Protocol):
         """Notice overdue answers."""
 
 
-class SerialLink:
+class SerialLink(KeptLink):
     """Hands wrench samples to a callback.
 
     Attributes:
@@ -97,7 +97,7 @@ class SerialLink:
         silence_s: float = SILENCE_S,
         backoff: Backoff | None = None,
     ) -> None:
-        self.status = LinkStatus(name)
+        super().__init__(name, backoff)
         self._url = url
         self._baudrate = baudrate
         self._decoder = decoder
@@ -107,37 +107,7 @@ class SerialLink:
         self._heard_ns = 0
         self._seen: dict[str, int] = {}
         self._silence_s = silence_s
-        self._backoff = backoff or Backoff()
         self._transport: asyncio.WriteTransport | None = None
-        self._task: asyncio.Task[None] | None = None
-
-    @property
-    def counters(self) -> Counter[str]:
-        """Events by name."""
-        return self.status.counters
-
-    def open(self) -> None:
-        """Start to open the line on the running loop, and to keep it open."""
-        if self._task is None or self._task.done():
-            self._task = asyncio.get_running_loop().create_task(self._keep_open())
-
-    def close(self) -> None:
-        """Stop; ``wait_closed`` returns when the line is closed."""
-        if self._task is not None:
-            self._task.cancel()
-
-    async def wait_closed(self) -> None:
-        """Wait until nothing of the link is left."""
-        if self._task is not None:
-            await asyncio.wait([self._task])
-
-    async def _keep_open(self) -> None:
-        try:
-            while True:
-                self.status.mark_down(await self._live_once())
-                await asyncio.sleep(self._backoff.next_delay())
-        finally:
-            self.status.mark_closed()
 
     async def _live_once(self) -> str:
         line = _Line(self._received)
