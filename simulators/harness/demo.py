@@ -24,7 +24,7 @@ import yaml
 from linemate.daemon.operator import doctor
 from linemate.daemon.operator.client import Client, NoAnswerError, RefusedError
 from linemate.daemon.service.awake import Awake
-from linemate.daemon.service.watch import WatchSettings
+from linemate.daemon.service.watch import MISSES, WatchSettings, patient
 from linemate.simulators.devices import truth
 from linemate.simulators.harness import (
     host,
@@ -57,7 +57,6 @@ EMULATOR_PRIORITY = 60
 """Below the daemon: on a machine with one core to spare the plant's computing would otherwise stand
 between a telegram and its reply. Above everything else: a telegram that goes out late makes the
 exchange slip, and a real controller's never does."""
-LONG_CYCLE_S = 0.012
 SETTLE_S = 2.5
 """A daemon's link that was not there is tried again within 2 s."""
 
@@ -97,6 +96,7 @@ class Station:
 
     def daemon_file(self) -> dict[str, Any]:
         """What the daemon is told; it learns of the emulator's plant nothing at all."""
+        patience = patient(WatchSettings(), self.scenario.cycle_s)
         return {
             "task": "wheel.yaml",
             "rsi": {"port": 0, "cycle_ms": round(1e3 * self.scenario.cycle_s)},
@@ -107,7 +107,7 @@ class Station:
             "recording": {"directory": str(self.folder), "at_start": True},
             # For whoever tries `param save` beside it; it goes with the folder.
             "state": str(self.folder),
-            "watch": patience(self.scenario.cycle_s),
+            "watch": {name: getattr(patience, name) for name in MISSES},
             "realtime": {
                 "priority": DAEMON_PRIORITY,
                 "lock_memory": True,
@@ -179,21 +179,6 @@ class Emulated:
     def close(self) -> None:
         """Look no more."""
         self._stream.close()
-
-
-def patience(cycle_s: float) -> dict[str, int]:
-    """How many telegrams the daemon may miss: what lasts as long as its own counts do at 12 ms.
-
-    They are made for a host that misses a cycle now and then. An ordinary one, held up by whatever
-    else it does, misses time: 20 ms are two telegrams at 12 ms and five at 4 ms, and as far for the
-    car either way.
-    """
-    counts, times = WatchSettings(), max(1, round(LONG_CYCLE_S / cycle_s))
-    return {
-        "missed": counts.missed * times,
-        "missed_in_contact": counts.missed_in_contact * times,
-        "leak_limit": counts.leak_limit * times,
-    }
 
 
 def main(args: Namespace) -> int:

@@ -19,7 +19,7 @@ from typing import Any
 
 from linemate.daemon.control.settings import AxisLimits
 from linemate.daemon.parameters import Parameters
-from linemate.daemon.service import config, realtime
+from linemate.daemon.service import config, realtime, watch
 from linemate.daemon.service.app import App
 from linemate.daemon.service.config import Station
 from linemate.daemon.service.notify import Notifier
@@ -111,11 +111,15 @@ def station() -> Station:
 
 @cache
 def station_of(lead_ms: float, cycle_ms: CycleMs) -> Station:
-    """The same with how early it prepares its replies, and the controller's cycle [ms]."""
+    """The same with how early it prepares its replies, and the controller's cycle [ms].
+
+    It bears as much time without telegrams at any cycle, so that the robot has to catch up as far.
+    """
     plain = station()
     said = replace(
         plain.config,
         rsi=replace(plain.config.rsi, cycle_ms=cycle_ms),
+        watch=watch.patient(plain.config.watch, 1e-3 * cycle_ms),
         realtime=replace(plain.config.realtime, lead_ms=lead_ms),
     )
     return replace(plain, config=said)

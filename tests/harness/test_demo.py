@@ -16,7 +16,6 @@ from typing import Any
 import pytest
 import yaml
 
-from linemate.daemon.service.watch import WatchSettings
 from linemate.simulators.harness import demo, joined, scenario_file
 from linemate.simulators.harness.processes import ChildError
 from linemate.simulators.plants.scenario import Scenario
@@ -163,14 +162,6 @@ def test_a_daemon_that_does_not_start_is_told_with_its_own_words(
     with pytest.raises(ChildError, match=r"(?s)daemon did not start.*bogus: unknown key"):
         demo._run(demo.Station(tmp_path, Scenario()))
     assert children_of(tmp_path) == []
-
-
-def test_the_daemon_is_as_patient_at_4_ms_as_at_12() -> None:
-    assert WatchSettings(**demo.patience(0.012)) == WatchSettings()
-    short = demo.patience(0.004)
-    assert {name: 0.004 * count for name, count in short.items()} == {
-        name: pytest.approx(0.012 * getattr(WatchSettings(), name)) for name in short
-    }
 
 
 def test_a_broken_scenario_is_refused_before_anything_starts(tmp_path: Path) -> None:

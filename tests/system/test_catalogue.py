@@ -4,16 +4,16 @@ The whole daemon lives through a short assembly (contact at 1.1 s, retreat at 1.
 adds is told against the same run without it. Every run is judged by all of the swarm's oracles.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 import pytest
 
-from linemate.daemon.service.config import Station
+from linemate.daemon.service import watch
 from linemate.daemon.service.states import State
-from linemate.simulators.harness import demo, dst_run
-from linemate.simulators.harness.dst_plan import CycleMs, Plan
+from linemate.simulators.harness import dst_run
+from linemate.simulators.harness.dst_plan import Plan
 from linemate.simulators.harness.dst_run import Simulation
 from linemate.simulators.plants.scenario import ConveyorEvent, Fault
 
@@ -300,28 +300,19 @@ def test_r2_telegrams_lost_in_a_row_end_the_motion_and_many_are_a_fault() -> Non
     assert lived.entered(State.FAULT, FREE_S) - FREE_S <= 0.1 + 2 * CYCLE_S
 
 
+@pytest.mark.parametrize("is_patient", [True, False])
 def test_r2_at_4_ms_a_silence_is_borne_that_is_borne_at_12_if_the_counts_last_as_long(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, is_patient: bool
 ) -> None:
-    def lived() -> Lived:
-        silence = Fault(FREE_S, "robot", "silence", 0.029)
-        lived = Lived(Plan(0, duration_s=2.6, faults=(silence,), cycle_ms=4))
-        lived.live()
-        assert lived.outcome().violations == ()
-        return lived
-
-    assert "contact" not in lived().states()
-    station_of = dst_run.station_of
-
-    def patient(lead_ms: float, cycle_ms: CycleMs) -> Station:
-        plain = station_of(lead_ms, cycle_ms)
-        watch = replace(plain.config.watch, **demo.patience(0.004))
-        return replace(plain, config=replace(plain.config, watch=watch))
-
-    monkeypatch.setattr(dst_run, "station_of", patient)
-    borne = lived()
-    assert borne.states() == ASSEMBLED
-    assert borne.world.collision is None
+    if not is_patient:
+        monkeypatch.setattr(dst_run, "station_of", dst_run.station_of.__wrapped__)
+        monkeypatch.setattr(watch, "patient", lambda settings, _: settings)
+    silence = Fault(FREE_S, "robot", "silence", 0.029)
+    lived = Lived(Plan(0, duration_s=2.6, faults=(silence,), cycle_ms=4))
+    lived.live()
+    assert lived.outcome().violations == ()
+    assert lived.world.collision is None
+    assert (lived.states() == ASSEMBLED) == is_patient
 
 
 def test_r4_a_flipped_counter_costs_three_answers_at_most_and_a_restart_needs_arming() -> None:
