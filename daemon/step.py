@@ -167,11 +167,11 @@ def _applied(state: State, inputs: Inputs) -> State:
     if inputs.sent:
         return changed(state, applied=state.control.gate.position)
     applied = state.applied if inputs.applied is None else np.array(inputs.applied)
-    if inputs.pace is None:
-        gate = limits.at_rest(applied)
-    else:
-        gate = limits.under_way(applied, *map(np.array, inputs.pace))
-    return changed(state, applied=applied, control=changed(state.control, gate=gate))
+    gate, moving = limits.at_rest(applied), state.moving
+    if inputs.pace is not None:
+        # Also one that was taken to stand, and meanwhile ordered to: it has to brake first.
+        gate, moving = limits.under_way(applied, *map(np.array, inputs.pace)), True
+    return changed(state, applied=applied, control=changed(state.control, gate=gate), moving=moving)
 
 
 def _hold(

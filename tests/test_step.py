@@ -450,3 +450,24 @@ def test_a_robot_that_goes_on_is_led_as_if_the_step_before_were_its_own(assembly
     # One that held has set its tool ringing, and its force tells nothing for a while.
     assert on.tracker.feeling == sent.tracker.feeling
     assert held.tracker.feeling.calm == 0 < sent.tracker.feeling.calm
+
+
+def test_a_robot_that_goes_on_brakes_within_its_limits_though_it_was_taken_to_stand(
+    assembly: Told,
+) -> None:
+    k = next(k for k, o in enumerate(assembly.outputs) if (o.task_time or 0.0) > 2.0)
+    before, state = assembly.states[k - 2 : k]
+    gate = state.control.gate
+    there = tuple(gate.position.tolist())
+    pace = (tuple(gate.speed.tolist()), tuple(gate.acceleration.tolist()))
+    commands = [tuple(s.control.gate.position.tolist()) for s in (before, state)]
+    hold = replace(assembly.inputs[k], order=Order.HOLD, start=False, sent=False, applied=there)
+    state, _ = step(state, hold, P)
+    assert not state.moving
+    state, told = step(state, replace(hold, pace=pace), P)
+    commands.append(told.command)
+    while state.moving:
+        state, told = step(state, replace(hold, sent=True, applied=None), P)
+        commands.append(told.command)
+    assert_steady(commands)
+    assert np.abs(np.subtract(commands[-1], there)).max() > 1e-4

@@ -263,7 +263,7 @@ class Cycle:
             self._meet(robot, peer)
         if self.session.is_foreign:
             return self._reply_bare(telegram, stamp_ns)
-        if self.session.settle(telegram.delay, verdict.missed + 1):
+        if self.session.settle(telegram.delay, verdict.missed + 1, stamp_ns):
             self._is_loss_untold = True
         self._look_where(robot)
         reply = self._answer(telegram, stamp_ns, verdict)

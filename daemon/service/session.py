@@ -50,6 +50,7 @@ class Session:
     __slots__ = (
         "_cycle_s",
         "_delay",
+        "_heard_ns",
         "_programmes",
         "given",
         "is_foreign",
@@ -74,6 +75,7 @@ class Session:
         self.openings = self.replies_lost = 0
         self._cycle_s = cycle_s
         self._delay: int | None = None
+        self._heard_ns = 0
         self._programmes: dict[Hashable, Programme] = {}
 
     @property
@@ -122,24 +124,30 @@ class Session:
         self._delay = delay
         self.was_lost, self.was_sent, self.moves = False, True, False
 
-    def settle(self, delay: int | None, cycles: int) -> bool:
+    def settle(self, delay: int | None, cycles: int, stamp_ns: int) -> bool:
         """Find out whether the controller took the last reply.
 
         It counts every cycle without a good one. If as many are new as have passed, then the
         last reply was not taken either: the robot holds, and the gate must begin from there.
+        The clock is asked as well, for a counter that was flipped on its way makes the next good
+        one seem nearer than it is.
 
         Args:
             delay: what it has counted now.
-            cycles: since its last telegram.
+            cycles: since its last telegram, by their counters.
+            stamp_ns: arrival of the present one [ns].
 
         Returns:
             Whether a reply is lost.
         """
         given, self.given = self.given, None
         before, self._delay = self._delay, delay
+        passed = (stamp_ns - self._heard_ns) * 1e-9 / self._cycle_s
+        self._heard_ns = stamp_ns
         if given is None:
             return False
-        self.was_lost = delay is not None and before is not None and delay - before == cycles
+        bad = 0 if delay is None or before is None else delay - before
+        self.was_lost = bad == cycles or (bad > cycles and abs(bad - passed) < 1.0)
         if self.was_lost:
             self.moves = False
             self.replies_lost += 1

@@ -152,8 +152,7 @@ def test_a_daemon_that_does_not_look_at_delay_breaks_the_limits(
 ) -> None:
     assert dst_run.run(LOSSY).violations == ()
 
-    def settle(session: Session, delay: int | None, cycles: int) -> bool:
-        del delay, cycles
+    def settle(session: Session, *_: int | None) -> bool:
         session.taken, session.given = session.given or session.taken, None
         return False
 
@@ -255,7 +254,7 @@ def test_a_plan_that_failed_is_kept_once_for_each_kind(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(dst, "_live", lambda _plan: (("limits: far too fast",), "trace"))
-    monkeypatch.setattr(dst, "_different", lambda _traces: iter(()))
+    monkeypatch.setattr(dst, "_different", lambda _traces, _cycle_ms: iter(()))
     path = tmp_path / "kept.txt"
     assert dst.main(["1:4", "--workers", "1", "--keep", str(path)]) == 1
     comment, line = path.read_text(encoding="utf-8").splitlines()

@@ -467,6 +467,31 @@ def test_a_robot_that_moves_gets_no_step_that_took_it_for_one_that_holds(
         assert (np.abs(speeds) <= limit * (1.0 + 1e-6) + 1e-3).all()
 
 
+@pytest.mark.parametrize("ahead", [1, 2])
+def test_a_reply_to_a_flipped_counter_moves_no_robot_and_neither_do_the_steps_after_it(
+    parameters: Parameters, task: Task, ahead: int
+) -> None:
+    station = Station(parameters, task).track(163)
+    held = np.array(station.axes)
+    # One telegram's counter is flipped forward: it is answered as if cycles had been missed.
+    # Those that follow seem late or repeated, and the clock sees to them.
+    flipped = station.telegram(ipoc=station.ipoc + ahead * station.step)
+    assert station.cycle.on_telegram(flipped, station.stamp_ns) is not None
+    for _ in range(ahead):
+        station.next()
+        station.delay += 1
+        assert station.cycle.on_telegram(station.telegram(), station.stamp_ns) is None
+        station.cycle.on_missing(station.stamp_ns)
+    station.next()
+    station.delay += 1
+    station.exchange()
+    assert station.cycle.last is not None
+    entered = station.cycle.last.inputs
+    assert (entered.sent, entered.pace) == (False, None)
+    assert entered.applied == pytest.approx(held, abs=1e-9)
+    assert station.cycle.session.replies_lost == 1
+
+
 def test_a_robot_that_does_not_go_where_it_is_sent_is_held_with_the_axis_named(
     station: Station,
 ) -> None:
