@@ -63,6 +63,7 @@ SETTLE_S = 2.5
 NOTICEABLE = 0.005
 """Share of the processors' time that is worth a word when the host withheld it."""
 
+UNANSWERED = ("late", "lost", "refused")
 EX_UNAVAILABLE = 69
 
 
@@ -304,6 +305,18 @@ def _start_daemon(station: Station, children: Children) -> tuple[Child, dict[str
     return daemon, listening
 
 
+def _stalled(emulated: Emulated, status: Mapping[str, Any], operator: "_Operator") -> str:
+    """Say why nothing moves."""
+    telegrams = emulated.state.get("telegrams") or {}
+    unanswered = sum(telegrams.get(kind, 0) for kind in UNANSWERED)
+    if emulated.state.get("waiting") and unanswered:
+        return (
+            f"the world waits for a link that stands, and {unanswered} telegrams got no answer in "
+            "time: this machine is too busy for such a cycle"
+        )
+    return operator.refusal or f"the daemon is {status.get('state')}"
+
+
 def _watch(
     station: Station, emulated: Emulated, daemon: Child, client: Client, view: View
 ) -> dict[str, Any]:
@@ -321,8 +334,9 @@ def _watch(
         if now_s != last_s:
             last_s, moved = now_s, time.monotonic()
         if time.monotonic() - moved > STALL_S:
-            said = operator.refusal or f"the daemon is {status.get('state')}"
-            raise DemoError(f"nothing has moved for {STALL_S:g} s; {said}")
+            raise DemoError(
+                f"nothing has moved for {STALL_S:g} s; {_stalled(emulated, status, operator)}"
+            )
         time.sleep(LOOK_S)
     emulated.look()
     if emulated.child.ended() != 0 or emulated.end is None:
@@ -381,7 +395,7 @@ def _glimpse(cycle_s: float, state: Mapping[str, Any], status: Mapping[str, Any]
         links=_links(status),
         slack_us=None if turnaround is None else 1e6 * cycle_s - turnaround["max"],
         cycle_us=1e6 * cycle_s,
-        missed=None if waiting else sum(telegrams[kind] for kind in ("late", "lost", "refused")),
+        missed=None if waiting else sum(telegrams[kind] for kind in UNANSWERED),
         held="the world waits until the links stand" if waiting else status.get("held"),
     )
 
@@ -426,7 +440,7 @@ def _notes(status: Mapping[str, Any], facts: Mapping[str, Any]) -> list[str]:
         facts: the emulator's.
     """
     notes = [str(refusal) for refusal in status.get("host") or ()]
-    missed = {kind: facts["telegrams"][kind] for kind in ("late", "lost", "refused")}
+    missed = {kind: facts["telegrams"][kind] for kind in UNANSWERED}
     if any(missed.values()):
         told = ", ".join(f"{count} {kind}" for kind, count in missed.items() if count)
         notes.append(f"telegrams without a good reply in time: {told}; each counts against the run")

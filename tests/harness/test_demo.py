@@ -11,6 +11,7 @@ import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -162,6 +163,20 @@ def test_a_daemon_that_does_not_start_is_told_with_its_own_words(
     with pytest.raises(ChildError, match=r"(?s)daemon did not start.*bogus: unknown key"):
         demo._run(demo.Station(tmp_path, Scenario()))
     assert children_of(tmp_path) == []
+
+
+def test_a_world_that_never_begins_is_blamed_on_what_kept_it_waiting() -> None:
+    operator: Any = SimpleNamespace(refusal="")
+
+    def said(**state: Any) -> str:
+        emulated: Any = SimpleNamespace(state=state)
+        return demo._stalled(emulated, {"state": "init"}, operator)
+
+    missed = {"late": 30, "lost": 12, "refused": 0, "answered": 900}
+    assert "42 telegrams got no answer in time" in said(waiting=True, telegrams=missed)
+    assert said(waiting=True, telegrams={"answered": 900}) == "the daemon is init"
+    operator.refusal = "arm refused: no distance has been measured yet"
+    assert said(waiting=False, telegrams=missed) == operator.refusal
 
 
 def test_a_broken_scenario_is_refused_before_anything_starts(tmp_path: Path) -> None:
