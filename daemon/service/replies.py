@@ -2,13 +2,14 @@
 
 Law of this file: pure; everything of a reply but its IPOC is made before the telegram is there.
 What the configuration has no element for is not written, and never silently lost: the codec
-refuses it.
+refuses it. Further external axes that it has elements for stay where they are.
 """
 
 from typing import cast
 from xml.sax.saxutils import escape
 
 from linemate.protocol.rsi import PreparedReply, RsiCodec, SensorTelegram
+from linemate.protocol.rsi_layout import EXTERNAL_AXES
 from linemate.protocol.samples import Vector6
 
 
@@ -20,14 +21,17 @@ class Replies:
         bare: a reply without corrections: the controller keeps those that it has.
     """
 
-    __slots__ = ("_codec", "_writes_external", "_writes_signals", "absolute", "bare")
+    __slots__ = ("_at_rest", "_codec", "_writes_external", "_writes_signals", "absolute", "bare")
 
     def __init__(self, codec: RsiCodec, *, absolute: bool) -> None:
         """Look up what the configuration has elements for."""
         self._codec = codec
         self.absolute = absolute
         tags = {element.tag for element in codec.config.receive}
-        self._writes_external = any(tag.startswith(("EK.", "EKorr.")) for tag in tags)
+        external = [tag for tag in tags if tag.startswith(("EK.", "EKorr."))]
+        self._writes_external = bool(external)
+        last = max((EXTERNAL_AXES.index(tag.partition(".")[2]) for tag in external), default=0)
+        self._at_rest = (0.0,) * last
         self._writes_signals = "DiO" in tags
         sentype = escape(codec.config.sentype)
         self.bare = PreparedReply(f'<Sen Type="{sentype}"><IPOC>'.encode(), b"</IPOC></Sen>")
@@ -50,7 +54,7 @@ class Replies:
             SensorTelegram(
                 ipoc=0,
                 joints=cast(Vector6, offsets[:6]),
-                external=offsets[6:] if self._writes_external else None,
+                external=(offsets[6:] + self._at_rest) if self._writes_external else None,
                 channels={"DiO": digital_out} if self._writes_signals else {},
             )
         )
