@@ -62,11 +62,19 @@ def laid(document: Document, config: Config, base: Path, *, saved: bool = True) 
     if saved and folder is not None and (folder / NAME).exists():
         paths.append(folder / NAME)
     value = document.value
+    wrong: list[str] = []
     for path in paths:
-        over = _read(path)
-        value = tree.laid_over(value, over.value)
-        merged = Document(over.name, value, over.values, over.keys, over.complaints)
-        config = documents.fill(merged, Config, partial(_foreign, over))
+        try:
+            over = _read(path)
+            laid_over = tree.laid_over(value, over.value)
+            merged = Document(over.name, laid_over, over.values, over.keys, over.complaints)
+            config = documents.fill(merged, Config, partial(_foreign, over))
+        except FileError as error:  # its neighbours are looked at without it
+            wrong.extend(error.lines)
+        else:
+            value = laid_over
+    if wrong:
+        raise FileError(wrong)
     return config
 
 

@@ -360,6 +360,21 @@ def test_overlays_are_laid_in_their_order_and_told_by_their_own_place(tmp_path: 
     assert any(line.startswith(f"{where}:3:1: rsi") for line in caught.value.lines)
 
 
+def test_one_bad_overlay_does_not_hide_what_is_wrong_with_the_next(tmp_path: Path) -> None:
+    path = tmp_path / "linemated.yaml"
+    path.write_text("task: wheel.yaml\noverlays: [none.yaml, one.yaml, two.yaml]\n")
+    (tmp_path / "one.yaml").write_text("watch: {nope: 1}\n")
+    (tmp_path / "two.yaml").write_text("watch: {missed: 0.5}\n")
+    with pytest.raises(FileError) as caught:
+        config.load(path)
+    told = [line.removeprefix(f"{tmp_path}/").split(": ")[:2] for line in caught.value.lines]
+    assert told == [
+        ["none.yaml:1:1", "(file)"],
+        ["one.yaml:1:9", "watch.nope"],
+        ["two.yaml:1:17", "watch.missed"],
+    ]
+
+
 def test_a_difference_laid_over_its_base_gives_the_whole() -> None:
     base = {"a": 1, "b": {"c": [1, 2], "d": 2.0}, "e": "x"}
     whole = {"a": 1, "b": {"c": [1, 3], "d": 2.0}, "e": "y"}
