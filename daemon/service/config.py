@@ -286,6 +286,8 @@ class _Named:
             raise ValueError(f"should hold plain values: {', '.join(nested)}")
         if self._has("distance") and self._get("distance", "can", "interface", kind=str) is None:
             raise ValueError("needs an interface: slcan, socketcan, ...")
+        if can.get("interface") == "udp_multicast" and can.get("hop_limit") != 0:
+            raise ValueError("udp_multicast needs hop_limit: 0, else frames leave this host")
 
     def _look_at_address(self, path: tuple[str, ...]) -> None:
         text = self._get(*path, kind=str)

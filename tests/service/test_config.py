@@ -167,6 +167,14 @@ def test_what_a_dbc_lacks_is_told_at_the_key_that_names_it(write: Write, tmp_pat
         assert f": distance.{key}: distance: " in line
 
 
+def test_frames_by_multicast_must_not_leave_the_host(write: Write) -> None:
+    text = "task: wheel.yaml\ndistance: {{can: {{interface: udp_multicast{}}}}}\n"
+    for hops in ("", ", hop_limit: 1", ", hop_limit: '0'"):
+        (line,) = errors(write(text.format(hops)))
+        assert line.startswith("2:17: distance.can: udp_multicast needs hop_limit: 0")
+    assert config.load(write(text.format(", hop_limit: 0"))).config.distance is not None
+
+
 def test_a_key_given_twice_does_not_hide_what_is_wrong_with_its_value(write: Write) -> None:
     first, second = errors(write("task: wheel.yaml\nrsi: {bind: here, bind: there}\n"))
     assert first.startswith("2:13: rsi.bind: 'here' ")
