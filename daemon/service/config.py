@@ -169,7 +169,8 @@ class _Named:
         except FileError as error:
             self.elsewhere.extend(error.lines)
         except (UnreadableError, RsiError, DistanceError, CommandPortError, ValueError) as error:
-            yield Complaint(path, str(error))
+            for what in str(error).splitlines():  # a bad key file has one for each bad line
+                yield Complaint(path, what)
 
     def _get(self, *path: str, kind: type[T], default: T | None = None) -> T | None:
         """A value of the right kind, the default where it is not given, else None."""

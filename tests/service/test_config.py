@@ -200,6 +200,17 @@ def test_keys_that_others_can_read_are_refused(write: Write, tmp_path: Path) -> 
     assert "holds no key" in line
 
 
+def test_every_bad_line_of_a_key_file_is_told_at_the_key_that_names_it(
+    write: Write, tmp_path: Path
+) -> None:
+    keys = tmp_path / "keys"
+    keys.write_text(f"{KEY}panel operate\n{KEY}")
+    keys.chmod(0o400)
+    told = errors(write("task: wheel.yaml\ncommand: {udp: {keys: keys}}\n"))
+    where = f"2:23: command.udp.keys: {keys}"
+    assert [line.removeprefix(where)[:3] for line in told] == [":2:", ":3:"]
+
+
 def test_keys_can_be_a_credential_of_systemd(
     write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
