@@ -16,7 +16,13 @@ from dataclasses import dataclass, replace
 import fastcrc
 
 from linemate.protocol.samples import WrenchSample
-from linemate.protocol.wrench_stream import HostOutput, WrenchDecoder, WrenchError
+from linemate.protocol.wrench_stream import (
+    DEAF_ATTEMPTS,
+    DEAF_FRAMES,
+    HostOutput,
+    WrenchDecoder,
+    WrenchError,
+)
 
 BOTA_HEADER = b"\xaa"
 _HEADER_BYTE = BOTA_HEADER[0]
@@ -162,7 +168,8 @@ class BotaHost:
     and then. The sensor may be booting, streaming, or in the middle of another dialogue.
 
     Attributes:
-        running: the device has confirmed every setting and streams.
+        running: the device has confirmed every setting and streams, or streams whatever it is
+            asked, as it was set before.
         failure: why the dialogue was given up, None while it was not.
     """
 
@@ -173,6 +180,7 @@ class BotaHost:
         "_index",
         "_tail",
         "_trimming",
+        "_unasked",
         "failure",
         "running",
     )
@@ -182,6 +190,7 @@ class BotaHost:
         self._commands = (settings or BotaSettings()).commands()
         self._index = 0
         self._tail = b""
+        self._unasked = BotaDecoder()
         self._attempts = 0
         self._deadline_ns = 0
         self._trimming = True
@@ -200,6 +209,10 @@ class BotaHost:
             return HostOutput(stream=self._trimmed(data))
         if self.failure is not None:
             return HostOutput()
+        self._unasked.feed(data, now_ns)
+        if self._attempts >= DEAF_ATTEMPTS and self._unasked.frames >= DEAF_FRAMES:
+            self.running, self._trimming = True, False
+            return HostOutput(stream=data)
         sent = b""
         rest = self._tail + data
         while not self.running and self.failure is None:
@@ -226,6 +239,7 @@ class BotaHost:
     def _restart(self, now_ns: int) -> HostOutput:
         self._index = 0
         self._tail = b""
+        self._unasked = BotaDecoder()
         self._trimming = True
         self._attempts += 1
         self._deadline_ns = now_ns + ANSWER_TIMEOUT_NS

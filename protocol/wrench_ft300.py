@@ -14,7 +14,13 @@ from collections.abc import Sequence
 import fastcrc
 
 from linemate.protocol.samples import WrenchSample
-from linemate.protocol.wrench_stream import HostOutput, WrenchDecoder, WrenchError
+from linemate.protocol.wrench_stream import (
+    DEAF_ATTEMPTS,
+    DEAF_FRAMES,
+    HostOutput,
+    WrenchDecoder,
+    WrenchError,
+)
 
 FT300_HEADER = b"\x20\x4e"
 FT300_FRAME_BYTES = 16
@@ -92,15 +98,16 @@ class Ft300Host:
     """The host's end of the start: stop whatever runs, start the stream, pass it through.
 
     Attributes:
-        running: the device has confirmed and streams.
+        running: the device has confirmed and streams, or streams whatever it is asked.
         failure: why it was given up, None while it was not.
     """
 
-    __slots__ = ("_attempts", "_deadline_ns", "_tail", "failure", "running")
+    __slots__ = ("_attempts", "_deadline_ns", "_tail", "_unasked", "failure", "running")
 
     def __init__(self) -> None:
         """Nothing sent yet."""
         self._tail = b""
+        self._unasked = Robotiq300Decoder()
         self._attempts = 0
         self._deadline_ns = 0
         self.running = False
@@ -112,7 +119,7 @@ class Ft300Host:
         self._attempts = 0
         return self._restart(now_ns)
 
-    def feed(self, data: bytes, now_ns: int) -> HostOutput:  # noqa: ARG002 - as the other hosts
+    def feed(self, data: bytes, now_ns: int) -> HostOutput:
         """Take what the port gave: remains of an old stream, the answer, the stream."""
         if self.running:
             return HostOutput(stream=data)
@@ -121,6 +128,10 @@ class Ft300Host:
         received = self._tail + data
         _, answer, stream = received.partition(FT300_STARTED)
         if not answer:
+            self._unasked.feed(data, now_ns)
+            if self._attempts >= DEAF_ATTEMPTS and self._unasked.frames >= DEAF_FRAMES:
+                self.running = True
+                return HostOutput(stream=data)
             self._tail = received[-(len(FT300_STARTED) - 1) :]
             return HostOutput()
         self._tail = b""
@@ -138,6 +149,7 @@ class Ft300Host:
 
     def _restart(self, now_ns: int) -> HostOutput:
         self._tail = b""
+        self._unasked = Robotiq300Decoder()
         self._attempts += 1
         self._deadline_ns = now_ns + ANSWER_TIMEOUT_NS
         return HostOutput(send=FT300_STOP + FT300_START)

@@ -31,6 +31,11 @@ class HostOutput:
     stream: bytes = b""
 
 
+DEAF_ATTEMPTS, DEAF_FRAMES = 3, 5
+"""A device that was asked so often, and sent so many good frames instead of an answer to the last,
+streams by itself: behind a converter that passes one direction only, or a sender of bare frames."""
+
+
 class WrenchDecoder(ABC):
     """Finds one device's frames in a byte stream and counts what is not one.
 

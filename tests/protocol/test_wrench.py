@@ -32,6 +32,7 @@ from linemate.protocol.wrench import (
 )
 from linemate.protocol.wrench_bota import ANSWER_TIMEOUT_NS, MAX_ATTEMPTS, STATUS_OVERRANGE
 from linemate.protocol.wrench_ft300 import FT300_START, FT300_STARTED, FT300_STOP
+from linemate.protocol.wrench_stream import DEAF_ATTEMPTS, DEAF_FRAMES
 
 BOTA_HEX = "aa 0200 0000803f 00000040 00004040 00008040 0000a040 0000c040 4d000000 0000c841 6359"
 FT300_HEX = "204e 7b00 c800 2c01 a00f 8813 7017 a35a"
@@ -339,6 +340,22 @@ def test_the_bota_host_begins_again_when_an_answer_is_overdue_and_gives_up_in_th
     assert host.feed(b"r,0,C,0", now_ns).send == b""
     assert host.begin(now_ns).send == b"C"
     assert host.failure is None
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_a_device_that_streams_whatever_it_is_asked_is_taken_as_it_is(device: str) -> None:
+    host, now_ns = make_host(device), 0
+    host.begin(now_ns)
+    for _ in range(DEAF_ATTEMPTS - 1):
+        assert host.feed(stream(device, DEAF_FRAMES), now_ns).stream == b""
+        now_ns += 10**9
+        assert host.on_time(now_ns).send
+    for _ in range(DEAF_FRAMES - 1):
+        assert host.feed(stream(device, 1), now_ns).stream == b""
+    assert not host.running
+    assert host.feed(stream(device, 1), now_ns).stream == stream(device, 1)
+    assert host.running
+    assert host.on_time(now_ns + 10**10).send == b""
 
 
 def test_a_late_answer_to_an_older_command_is_passed_over() -> None:
