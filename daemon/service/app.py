@@ -45,6 +45,7 @@ from linemate.daemon.service.states import State
 from linemate.daemon.service.status import LinkView, Rates, Snapshot, status, telemetry
 from linemate.daemon.service.step_log import LogEntry
 from linemate.daemon.service.timing import Timing
+from linemate.drivers import port_holder
 from linemate.drivers.camera_udp import CameraLink
 from linemate.drivers.can_bus import CanLink
 from linemate.drivers.datagrams import Address
@@ -192,7 +193,8 @@ class App:
     def _open(self) -> None:
         self._robot.open()
         if self._robot.address is None:
-            raise StartError(f"the robot's port cannot be opened: {self._robot.status.reason}")
+            why = self._robot.status.reason + port_holder.told(self._station.rsi_port)
+            raise StartError(f"the robot's port cannot be opened: {why}")
         try:
             self._commands.open()
         except CommandPortError as error:

@@ -22,6 +22,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from linemate.drivers import port_holder
 from linemate.drivers.sole_sender import attach
 from linemate.protocol.command import MAGIC, MAX_FRAME_BYTES, CommandError, Role
 from linemate.protocol.command_keys import Key, parse_keys, unsafe_mode
@@ -512,7 +513,9 @@ def _remove_stale(path: Path) -> None:
             return
         except OSError as error:
             raise CommandPortError(f"{path}: {error}") from error
-    raise CommandPortError(f"{path}: another daemon listens there")
+        raw = probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, UCRED.size)
+        pid, _, _ = UCRED.unpack(raw)
+    raise CommandPortError(f"{path}: another daemon listens there (process {pid})")
 
 
 def _bind(door: UdpDoor) -> socket.socket:
@@ -531,7 +534,8 @@ def _bind(door: UdpDoor) -> socket.socket:
         bound.bind((str(address), door.port))
     except OSError as error:
         bound.close()
-        raise CommandPortError(f"command port {address}:{door.port}: {error}") from error
+        who = port_holder.told(door.port)
+        raise CommandPortError(f"command port {address}:{door.port}: {error}{who}") from error
     _filter_in_kernel(bound)
     return bound
 

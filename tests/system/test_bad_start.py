@@ -224,6 +224,7 @@ def test_a_second_daemon_says_what_is_taken_and_the_first_one_ends_as_told(tmp_p
                 f"rsi: {{port: 0}}\ncommand: {{udp: {{port: {udp_port}, keys: keys}}}}",
                 f"command port 127.0.0.1:{udp_port}",
             ),
+            ("rsi: {port: 0}\ncommand: {socket: c.sock}", "another daemon listens there"),
         ):
             other.write_text(f"task: wheel.yaml\n{more}\n", encoding="utf-8")
             done = daemon(other)
@@ -231,6 +232,7 @@ def test_a_second_daemon_says_what_is_taken_and_the_first_one_ends_as_told(tmp_p
             complaints = [line for line in done.stderr.decode().splitlines() if "ERROR" in line]
             assert len(complaints) == 1
             assert said in complaints[0]
+            assert f"(process {first.process.pid}" in complaints[0]
             assert b"Traceback" not in done.stderr
         # The first one lives, doors and all, and answers the robot up to its end.
         ipocs = range(1000, 1000 + 30 * 12, 12)

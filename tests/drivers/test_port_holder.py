@@ -1,0 +1,49 @@
+"""Who has a UDP port that is taken."""
+
+import os
+import socket
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from linemate.drivers import port_holder
+
+HEADER = "  sl  local_address rem_address   st"
+
+
+@pytest.mark.parametrize(
+    ("family", "host"), [(socket.AF_INET, "127.0.0.1"), (socket.AF_INET6, "::1")]
+)
+def test_the_process_that_has_a_port_is_named(family: socket.AddressFamily, host: str) -> None:
+    with closing(socket.socket(family, socket.SOCK_DGRAM)) as bound:
+        try:
+            bound.bind((host, 0))
+        except OSError:
+            pytest.skip(f"no {host} here")
+        port = bound.getsockname()[1]
+        assert port_holder.holder(port) == os.getpid()
+        assert port_holder.told(port).startswith(f" (process {os.getpid()}, ")
+    assert port_holder.holder(port) is None
+    assert port_holder.told(port) == ""
+
+
+def test_what_may_not_be_seen_is_no_answer(tmp_path: Path) -> None:
+    assert port_holder.holder(50_000, tmp_path) is None
+    (tmp_path / "net").mkdir()
+    row = "1: 0100007F:C350 00000000:0000 07 00000000:00000000 00:00000000 00000000 0 0 4711 2"
+    (tmp_path / "net/udp").write_text(f"{HEADER}\n   {row}\n")
+    assert port_holder.holder(50_000, tmp_path) is None
+    fds = tmp_path / "12" / "fd"
+    fds.mkdir(parents=True)
+    (tmp_path / "7" / "fd").mkdir(parents=True)
+    (fds / "3").symlink_to("/dev/null")
+    assert port_holder.holder(50_000, tmp_path) is None
+    (fds / "4").symlink_to("socket:[4711]")
+    assert port_holder.holder(50_000, tmp_path) == 12
+    assert port_holder.holder(50_001, tmp_path) is None
+    assert port_holder.told(50_000, tmp_path) == " (process 12)"
+
+
+def test_a_port_that_the_system_chooses_is_nobodys() -> None:
+    assert port_holder.told(0) == ""
