@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 SOCKET_NAME: Final = "linemate/command.sock"
 DEFAULT_PORT: Final = 49160
 DEFAULT_TIMEOUT_S: Final = 0.5
+READS: Final = frozenset({"status", "params", "get"})
+ASKED_AGAIN: Final = 3
 RESEND_S: Final = 0.1
 RENEW_S: Final = 20.0  # a server forgets sessions that are idle for a minute
 
@@ -106,7 +108,8 @@ class Client:
 
     Made by ``local`` or ``udp``. Opens and shakes hands with the first call, and anew
     after a silence; an answer that did not come may still stand for an order that was
-    carried out, so nothing is ever asked again on its own beyond its deadline.
+    carried out, so no order is ever given again on its own beyond its deadline. What only reads
+    is asked anew where its deadline passed on the way, as on a host that had other work.
     """
 
     def __init__(self, address: Path | tuple[str, int], key: "Key | None") -> None:
@@ -155,18 +158,26 @@ class Client:
             RefusedError: the daemon said no.
             CommandError: no such operation, or parameters it does not take.
         """
+        answer = self._call_once(op, params or {}, timeout_s)
+        for _ in range(ASKED_AGAIN if op in READS else 0):
+            if answer.code != "expired":
+                break
+            answer = self._call_once(op, params or {}, timeout_s)
+        if not answer.ok:
+            raise RefusedError(answer.code, answer.reason)
+        return answer.result
+
+    def _call_once(self, op: str, params: Mapping[str, Any], timeout_s: float) -> Answer:
         try:
             core, link = self._ready(timeout_s)
             deadline_ns = time.monotonic_ns() + int(timeout_s * 1e9)
-            sent = core.request(op, params or {}, deadline_ns)
+            sent = core.request(op, params, deadline_ns)
             answer = self._await_answer(link, sent.sequence, sent.frame, timeout_s)
         except (OSError, NoAnswerError) as error:
             self.close()
             raise NoAnswerError(f"{self._where()}: {error}") from error
         self._last_ns = time.monotonic_ns()
-        if not answer.ok:
-            raise RefusedError(answer.code, answer.reason)
-        return answer.result
+        return answer
 
     def telemetry(self, rate_hz: float, for_s: float | None = None) -> Iterator[dict[str, Any]]:
         """Subscribe and yield telemetry as it comes, renewing the subscription.

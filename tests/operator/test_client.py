@@ -21,6 +21,7 @@ from linemate.daemon.operator.client import (
 )
 from linemate.daemon.service.command_server import CommandPort
 from linemate.protocol.command import CommandError, Role
+from linemate.protocol.command_client import ClientCore
 from linemate.protocol.command_keys import key_line
 
 ALICE = key_of("alice", Role.OPERATE, 1)
@@ -245,3 +246,33 @@ def test_the_socket_is_where_the_surroundings_say(
     }
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     assert default_key_path() == tmp_path / "linemate/key"
+
+
+@pytest.mark.parametrize(("op", "is_asked_again"), [("status", True), ("arm", False)])
+def test_what_only_reads_is_asked_again_if_its_deadline_passed_on_the_way_and_no_order_is(
+    client: Client, monkeypatch: pytest.MonkeyPatch, op: str, is_asked_again: bool
+) -> None:
+    sound, deadlines = ClientCore.request, iter((-(10**9), 10**9, 10**9))
+
+    def request(core: ClientCore, op: str, params: dict[str, Any], _: int) -> Any:
+        return sound(core, op, params, time.monotonic_ns() + next(deadlines))
+
+    monkeypatch.setattr(ClientCore, "request", request)
+    if is_asked_again:
+        assert client.call(op)
+    else:
+        with pytest.raises(RefusedError, match="after its deadline"):
+            client.call(op)
+
+
+def test_what_is_always_too_late_is_refused_in_the_end(
+    client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sound = ClientCore.request
+
+    def request(core: ClientCore, op: str, params: dict[str, Any], _: int) -> Any:
+        return sound(core, op, params, time.monotonic_ns() - 10**9)
+
+    monkeypatch.setattr(ClientCore, "request", request)
+    with pytest.raises(RefusedError, match="after its deadline"):
+        client.call("status")
