@@ -26,6 +26,7 @@ from linemate.daemon.operator.client import (
     default_key_path,
     read_key,
 )
+from linemate.daemon.version import Version
 from linemate.protocol.command import CommandError, Role
 
 OK: Final = 0
@@ -320,6 +321,7 @@ def parser(only: str | None = None) -> argparse.ArgumentParser:
     """
     common = _common()
     made = CommandLine(prog="linemate", description="Watch and operate a linemate daemon.")
+    made.add_argument("--version", action=Version)
     commands = made.add_subparsers(required=True, metavar="COMMAND", prog=made.prog)
     wanted = ADDED.get(only or "")
     for add in (wanted,) if wanted is not None else dict.fromkeys(ADDED.values()):

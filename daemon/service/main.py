@@ -14,6 +14,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from linemate.daemon.version import Version
+
 # Before numpy is imported: a second thread of the algebra costs more than it brings, and wakes
 # on the other core when the loop wants to sleep.
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -98,6 +100,7 @@ def _tell(listening: dict[str, Any], ready_fd: int | None) -> None:
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = argparse.ArgumentParser(prog="linemated", description="The linemate daemon.")
+    made.add_argument("--version", action=Version)
     what = made.add_mutually_exclusive_group(required=True)
     what.add_argument("--config", type=Path, metavar="FILE", help="YAML, see linemated.yaml(5)")
     what.add_argument("--schema", action="store_true", help="print the JSON schema of FILE and end")

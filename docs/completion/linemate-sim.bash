@@ -13,7 +13,7 @@ _shtab_linemate_sim_campaign_option_strings=(-h --help --scenario --out --json -
 _shtab_linemate_sim_emulator_option_strings=(-h --help --config)
 _shtab_linemate_sim_bench_option_strings=(-h --help --json --rounds --round-s --cycles --parts --awake --no-awake --plot)
 _shtab_linemate_sim_schema_option_strings=(-h --help)
-_shtab_linemate_sim_option_strings=(-h --help)
+_shtab_linemate_sim_option_strings=(-h --help --version)
 
 _shtab_linemate_sim_demo___out_COMPGEN=_shtab_compgen_dirs
 _shtab_linemate_sim_run___out_COMPGEN=_shtab_compgen_dirs
@@ -49,6 +49,7 @@ _shtab_linemate_sim_schema___help_nargs=0
 _shtab_linemate_sim_pos_0_nargs=A...
 _shtab_linemate_sim__h_nargs=0
 _shtab_linemate_sim___help_nargs=0
+_shtab_linemate_sim___version_nargs=0
 
 
 # $1=COMP_WORDS[1]

@@ -31,7 +31,7 @@ _shtab_linemate_metrics_option_strings=(-h --help --listen --allow-remote --stat
 _shtab_linemate_bridge_option_strings=(-h --help --station --listen --connect --allow-remote --rate)
 _shtab_linemate_doctor_option_strings=(-h --help --json)
 _shtab_linemate_keygen_option_strings=(-h --help --out)
-_shtab_linemate_option_strings=(-h --help)
+_shtab_linemate_option_strings=(-h --help --version)
 
 _shtab_linemate_status___socket_COMPGEN=_shtab_compgen_files
 _shtab_linemate_status___key_COMPGEN=_shtab_compgen_files
@@ -153,6 +153,7 @@ _shtab_linemate_keygen___help_nargs=0
 _shtab_linemate_pos_0_nargs=A...
 _shtab_linemate__h_nargs=0
 _shtab_linemate___help_nargs=0
+_shtab_linemate___version_nargs=0
 
 
 # $1=COMP_WORDS[1]

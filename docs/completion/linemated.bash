@@ -7,7 +7,7 @@
 
 
 
-_shtab_linemated_option_strings=(-h --help --config --schema --check --ready-fd --log)
+_shtab_linemated_option_strings=(-h --help --version --config --schema --check --ready-fd --log)
 
 _shtab_linemated___config_COMPGEN=_shtab_compgen_files
 
@@ -15,6 +15,7 @@ _shtab_linemated___log_choices=(debug info warning error)
 
 _shtab_linemated__h_nargs=0
 _shtab_linemated___help_nargs=0
+_shtab_linemated___version_nargs=0
 _shtab_linemated___schema_nargs=0
 _shtab_linemated___check_nargs=0
 

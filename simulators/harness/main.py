@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
+from linemate.daemon.version import Version
 from linemate.simulators.harness.variants import VARIANTS, SetupError
 
 EX_CONFIG = 78
@@ -131,6 +132,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="linemate-sim", description="Emulators of the station, and runs against them."
     )
+    parser.add_argument("--version", action=Version)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     _add_demo(commands)
     _add_run(commands)
