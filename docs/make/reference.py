@@ -13,6 +13,9 @@ from typing import Any, get_args, get_type_hints
 from linemate.daemon.service import parameter_list
 from linemate.daemon.service.settings import Config
 from linemate.daemon.settings_tree import SECTIONS
+from linemate.simulators.devices.emulator_config import EmulatorConfig
+from linemate.simulators.devices.faults import KINDS, MEANINGS, REAL
+from linemate.simulators.plants.scenario import Scenario
 
 MADE = "<!-- Made by `make docs-write`; edit the settings' docstrings instead. -->\n"
 
@@ -38,10 +41,10 @@ class Key:
     meaning: str
 
 
-def sections() -> Iterator[Section]:
-    """Every section of a configuration file, the file itself first."""
-    yield Section("", Config, optional=False, is_list=False)
-    yield from _below("", Config)
+def sections(whole: type[Any] = Config) -> Iterator[Section]:
+    """Every section of a file, a configuration's if no other is named; the file itself first."""
+    yield Section("", whole, optional=False, is_list=False)
+    yield from _below("", whole)
 
 
 def _below(above: str, kind: type[Any]) -> Iterator[Section]:
@@ -131,13 +134,39 @@ def configuration_page() -> str:
             continue
         lines += [f"## `{section.name}`" if section.name else "## The file", "", meaning(section)]
         lines += ["Left out, it is not opened."] if section.optional else []
-        lines += ["", "| key | type | default | allowed | meaning |", "|---|---|---|---|---|"]
-        lines += [
+        lines += ["", *_table(listed), ""]
+    return "\n".join(lines)
+
+
+def _table(listed: list[Key]) -> Iterator[str]:
+    yield "| key | type | default | allowed | meaning |"
+    yield "|---|---|---|---|---|"
+    for key in listed:
+        yield (
             f"| `{key.name}` | {key.kind} | {_cell(key.default)} | {_cell(key.allowed)} "
             f"| {_text(key.meaning)} |"
-            for key in listed
-        ]
-        lines.append("")
+        )
+
+
+def scenarios_page() -> str:
+    """docs/scenarios.md, below its hand-written head: a scenario's keys, faults, an emulator's."""
+    lines = ["## A scenario", ""]
+    for section in sections(Scenario):
+        name = f"{section.name}[]" if section.is_list else section.name
+        lines += [f"### `{name}`", ""] if name else []
+        lines += [meaning(section), "", *_table(list(keys(section))), ""]
+    lines += ["## Faults", "", "| link | kind | in real time | what happens |", "|---|---|---|---|"]
+    lines += [
+        f"| `{link}` | `{kind}` | {'yes' if kind in REAL.get(link, ()) else ''} "
+        f"| {_text(MEANINGS[kind])} |"
+        for link, kinds in KINDS.items()
+        for kind in kinds
+    ]
+    lines += ["", "## An emulator", ""]
+    for section in sections(EmulatorConfig):
+        if section.name.partition(".")[0] != "scenario":
+            lines += [f"### `{section.name}`", ""] if section.name else []
+            lines += [meaning(section), "", *_table(list(keys(section))), ""]
     return "\n".join(lines)
 
 

@@ -24,6 +24,7 @@ def pages() -> Iterator[tuple[Path, str]]:
     for name, made in (
         ("configuration.md", reference.configuration_page()),
         ("parameters.md", reference.parameters_page()),
+        ("scenarios.md", reference.scenarios_page()),
     ):
         path = DOCS / name
         kept = path.read_text(encoding="utf-8").partition(reference.MADE)[0]
