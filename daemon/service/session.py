@@ -128,9 +128,9 @@ class Session:
         """Find out whether the controller took the last reply.
 
         It counts every cycle without a good one. If as many are new as have passed, then the
-        last reply was not taken either: the robot holds, and the gate must begin from there.
-        The clock is asked as well, for a counter that was flipped on its way makes the next good
-        one seem nearer than it is.
+        last reply was not taken either: the robot holds, and the gate must begin from there. More
+        than have passed is a flipped digit where the clock agrees with the counters; where it does
+        not, a counter was flipped, and the next good one seems nearer than it is.
 
         Args:
             delay: what it has counted now.
@@ -147,7 +147,7 @@ class Session:
         if given is None:
             return False
         bad = 0 if delay is None or before is None else delay - before
-        self.was_lost = bad == cycles or (bad > cycles and abs(bad - passed) < 1.0)
+        self.was_lost = bad == cycles or (bad > cycles and abs(passed - cycles) >= 1.0)
         if self.was_lost:
             self.moves = False
             self.replies_lost += 1
