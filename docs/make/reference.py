@@ -7,6 +7,7 @@ from the annotations that check a file, units and meanings from the docstrings b
 from collections.abc import Iterator
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from enum import Enum
+from pathlib import Path
 from types import NoneType
 from typing import Any, get_args, get_type_hints
 
@@ -105,6 +106,8 @@ def shown(value: Any) -> str:
     """A value as a file has it."""
     if isinstance(value, Enum):
         return str(value.value)
+    if isinstance(value, Path):
+        return value.name  # a shipped one: where it lies is this machine's affair
     if value is None:
         return "none"
     if isinstance(value, bool):
