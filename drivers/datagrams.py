@@ -193,10 +193,12 @@ class DatagramLink(ABC):
 
     Attributes:
         status: the link's visible state.
+        refusal: why it could not be bound the last time that it was tried, None if it could.
     """
 
     def __init__(self, name: str, host: str, port: int, backoff: Backoff | None = None) -> None:
         self.status = LinkStatus(name)
+        self.refusal: OSError | OverflowError | None = None
         self._bind = (host, port)
         self._backoff = backoff or Backoff()
         self._socket: DatagramSocket | None = None
@@ -222,8 +224,10 @@ class DatagramLink(ABC):
         try:
             self._socket = DatagramSocket.bound(*self._bind)
         except (OSError, OverflowError) as error:
+            self.refusal = error
             self._down(why(error))
             return
+        self.refusal = None
         self._loop.add_reader(self._socket.fileno(), self.poll)
         self._backoff.reset()
         self.status.mark_up()

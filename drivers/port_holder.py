@@ -4,6 +4,7 @@ Law of this file: the kernel's tables are read and nobody is asked; what may not
 gone meanwhile, is no answer and no error.
 """
 
+import errno
 from pathlib import Path
 
 PROC = Path("/proc")
@@ -12,16 +13,18 @@ _LOCAL, _INODE = 1, 9
 """Columns of the kernel's tables."""
 
 
-def told(port: int, proc: Path = PROC) -> str:
+def told(error: BaseException | None, port: int, proc: Path = PROC) -> str:
     """What to add to a complaint that a port cannot be had: who has it, empty if nobody is seen.
 
     It looks at every process: for the start, never in motion.
 
     Args:
+        error: why it cannot; only of one that is in use there is somebody to name.
         port: that was wanted.
         proc: where the kernel's tables are.
     """
-    pid = holder(port, proc) if port else None
+    is_taken = getattr(error, "errno", None) == errno.EADDRINUSE
+    pid = holder(port, proc) if is_taken else None
     if pid is None:
         return ""
     try:

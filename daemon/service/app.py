@@ -193,7 +193,9 @@ class App:
     def _open(self) -> None:
         self._robot.open()
         if self._robot.address is None:
-            why = self._robot.status.reason + port_holder.told(self._station.rsi_port)
+            why = self._robot.status.reason + port_holder.told(
+                self._robot.refusal, self._station.rsi_port
+            )
             raise StartError(f"the robot's port cannot be opened: {why}")
         try:
             self._commands.open()

@@ -534,7 +534,7 @@ def _bind(door: UdpDoor) -> socket.socket:
         bound.bind((str(address), door.port))
     except OSError as error:
         bound.close()
-        who = port_holder.told(door.port)
+        who = port_holder.told(error, door.port)
         raise CommandPortError(f"command port {address}:{door.port}: {error}{who}") from error
     _filter_in_kernel(bound)
     return bound

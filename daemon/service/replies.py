@@ -2,7 +2,7 @@
 
 Law of this file: pure; everything of a reply but its IPOC is made before the telegram is there.
 What the configuration has no element for is not written, and never silently lost: the codec
-refuses it. Further external axes that it has elements for stay where they are.
+refuses it. External axes that it has elements for and the arm does not have stay where they are.
 """
 
 from typing import cast
@@ -21,17 +21,15 @@ class Replies:
         bare: a reply without corrections: the controller keeps those that it has.
     """
 
-    __slots__ = ("_at_rest", "_codec", "_writes_external", "_writes_signals", "absolute", "bare")
+    __slots__ = ("_axes", "_codec", "_writes_signals", "absolute", "bare")
 
     def __init__(self, codec: RsiCodec, *, absolute: bool) -> None:
         """Look up what the configuration has elements for."""
         self._codec = codec
         self.absolute = absolute
         tags = {element.tag for element in codec.config.receive}
-        external = [tag for tag in tags if tag.startswith(("EK.", "EKorr."))]
-        self._writes_external = bool(external)
-        last = max((EXTERNAL_AXES.index(tag.partition(".")[2]) for tag in external), default=0)
-        self._at_rest = (0.0,) * last
+        external = [tag.partition(".")[2] for tag in tags if tag.startswith(("EK.", "EKorr."))]
+        self._axes = max((1 + EXTERNAL_AXES.index(axis) for axis in external), default=0)
         self._writes_signals = "DiO" in tags
         sentype = escape(codec.config.sentype)
         self.bare = PreparedReply(f'<Sen Type="{sentype}"><IPOC>'.encode(), b"</IPOC></Sen>")
@@ -50,11 +48,12 @@ class Replies:
             RsiError: the wire cannot carry it.
         """
         offsets = tuple([c - o for c, o in zip(command, origin, strict=True)])
+        external = offsets[6:] + (0.0,) * (6 + self._axes - len(offsets))
         return self._codec.prepare_sensor(
             SensorTelegram(
                 ipoc=0,
                 joints=cast(Vector6, offsets[:6]),
-                external=(offsets[6:] + self._at_rest) if self._writes_external else None,
+                external=external if self._axes else None,
                 channels={"DiO": digital_out} if self._writes_signals else {},
             )
         )

@@ -5,7 +5,7 @@ link once lost must prove itself again. Limits depend on the state, for in conta
 telegram may be coasted over and a stop is not safe. Source: reference/reliability.md, 2.0, 4.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated
 
@@ -66,25 +66,6 @@ class WatchSettings:
     cycles_astray: Count = 5
     longest_hold_s: Positive = 60.0
     longest_retreat_s: Positive = 20.0
-
-
-MISSES = ("missed", "missed_in_contact", "leak_limit")
-LONG_CYCLE_S = 0.012
-
-
-def patient(settings: WatchSettings, cycle_s: float) -> WatchSettings:
-    """Return the settings with misses that last as long as they do at 12 ms.
-
-    Counts are for a host that loses a telegram now and then. An ordinary one, held up by whatever
-    else it does, loses time: 20 ms are two telegrams at 12 ms and five at 4 ms, and as far for the
-    car either way.
-
-    Args:
-        settings: as they are for 12 ms.
-        cycle_s: of the controller [s].
-    """
-    times = max(1, round(LONG_CYCLE_S / cycle_s))
-    return replace(settings, **{name: times * getattr(settings, name) for name in MISSES})
 
 
 @frozen()

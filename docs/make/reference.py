@@ -108,10 +108,8 @@ def shown(value: Any) -> str:
         return str(value.value)
     if isinstance(value, Path):
         return value.name  # a shipped one: where it lies is this machine's affair
-    if value is None:
-        return "none"
-    if isinstance(value, bool):
-        return "true" if value else "false"
+    if value is None or isinstance(value, bool):
+        return {None: "none", True: "true", False: "false"}[value]
     if isinstance(value, float):
         return f"{value:g}"
     if isinstance(value, (tuple, list)):

@@ -24,7 +24,6 @@ import yaml
 from linemate.daemon.operator import doctor
 from linemate.daemon.operator.client import Client, NoAnswerError, RefusedError
 from linemate.daemon.service.awake import Awake
-from linemate.daemon.service.watch import MISSES, WatchSettings, patient
 from linemate.simulators.devices import truth
 from linemate.simulators.harness import (
     host,
@@ -37,6 +36,7 @@ from linemate.simulators.harness import (
 )
 from linemate.simulators.harness.judge import judge
 from linemate.simulators.harness.live import Glimpse, LinkGlimpse, View
+from linemate.simulators.harness.patience import patience
 from linemate.simulators.harness.processes import (
     Child,
     ChildError,
@@ -97,7 +97,6 @@ class Station:
 
     def daemon_file(self) -> dict[str, Any]:
         """What the daemon is told; it learns of the emulator's plant nothing at all."""
-        patience = patient(WatchSettings(), self.scenario.cycle_s)
         return {
             "task": "wheel.yaml",
             "rsi": {"port": 0, "cycle_ms": round(1e3 * self.scenario.cycle_s)},
@@ -108,7 +107,7 @@ class Station:
             "recording": {"directory": str(self.folder), "at_start": True},
             # For whoever tries `param save` beside it; it goes with the folder.
             "state": str(self.folder),
-            "watch": {name: getattr(patience, name) for name in MISSES},
+            "watch": patience(self.scenario.cycle_s),
             "realtime": {
                 "priority": DAEMON_PRIORITY,
                 "lock_memory": True,

@@ -19,7 +19,7 @@ from typing import Any
 
 from linemate.daemon.control.settings import AxisLimits
 from linemate.daemon.parameters import Parameters
-from linemate.daemon.service import config, realtime, watch
+from linemate.daemon.service import config, realtime
 from linemate.daemon.service.app import App
 from linemate.daemon.service.config import Station
 from linemate.daemon.service.notify import Notifier
@@ -33,6 +33,7 @@ from linemate.simulators.devices.robot_plant import RobotPlant, seven
 from linemate.simulators.harness.dst_oracles import Oracle
 from linemate.simulators.harness.dst_plan import CycleMs, Plan
 from linemate.simulators.harness.lockstep import parameters
+from linemate.simulators.harness.patience import patience
 from linemate.simulators.harness.virtual import EPOCH_NS, VirtualLoop, VirtualTime, inhabited
 from linemate.simulators.harness.wires import Emitters
 from linemate.simulators.plants.scenario import (
@@ -119,7 +120,7 @@ def station_of(lead_ms: float, cycle_ms: CycleMs) -> Station:
     said = replace(
         plain.config,
         rsi=replace(plain.config.rsi, cycle_ms=cycle_ms),
-        watch=watch.patient(plain.config.watch, 1e-3 * cycle_ms),
+        watch=replace(plain.config.watch, **patience(1e-3 * cycle_ms)),
         realtime=replace(plain.config.realtime, lead_ms=lead_ms),
     )
     return replace(plain, config=said)
@@ -676,12 +677,12 @@ class _Operator:
         self._waited_s = self._waited_s + simulation.plan.cycle_s if waits else 0.0
         if app.cycle.is_foreign:
             if self._waited_s > DITHERING_S:
-                self._simulation.robot.home(now_s)
+                simulation.robot.home(now_s)
             return
         match state:
             case State.IDLE:
                 if not self.order("arm") and "away from the task's first pose" in self.refusal:
-                    self._simulation.robot.home(now_s)
+                    simulation.robot.home(now_s)
             case State.ARMED:
                 self._started = self.order("start") or self._started
             case State.HOLD:

@@ -25,5 +25,10 @@ def test_further_external_axes_of_a_site_stay_where_they_are() -> None:
     assert b'<EK E1="250.00000000" E2="0.00000000" E4="0.00000000"/><IPOC>7<' in data
 
 
+def test_an_arm_without_a_linear_axis_leaves_the_external_axes_of_a_site_where_they_are() -> None:
+    data = replies(*AXES, "EK.E1", "EK.E2").prepare(THERE[:6], START[:6], 0).with_ipoc(b"7")
+    assert b'<EK E1="0.00000000" E2="0.00000000"/><IPOC>7<' in data
+
+
 def test_a_configuration_without_external_axes_takes_none() -> None:
     assert b"<EK" not in replies(*AXES).prepare(START, START, 0).with_ipoc(b"7")

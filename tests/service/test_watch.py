@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linemate.daemon.service.states import Link, Machine, Signals, State
-from linemate.daemon.service.watch import Facts, Watch, WatchSettings, observe, patient
+from linemate.daemon.service.watch import Facts, Watch, WatchSettings, observe
 
 CYCLE_NS = 4_000_000
 SETTINGS = WatchSettings(healthy_cycles=10)
@@ -186,13 +186,3 @@ def test_orders_pass_through_unchanged(orders: set[str]) -> None:
     signals = Run().cycle(orders=frozenset(orders))
     for name in ("arm", "start", "stop", "retreat", "ack"):
         assert getattr(signals, name) == (name in orders)
-
-
-def test_a_patient_watch_bears_as_much_time_at_any_cycle() -> None:
-    plain = WatchSettings(healthy_cycles=7)
-    assert patient(plain, 0.012) == plain
-    short = patient(plain, 0.004)
-    assert (short.missed, short.missed_in_contact, short.leak_limit) == (9, 36, 30)
-    assert short == replace(plain, missed=9, missed_in_contact=36, leak_limit=30)
-    # No cycle is so long that a single miss is one too many.
-    assert patient(plain, 0.05) == plain

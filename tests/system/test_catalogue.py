@@ -10,7 +10,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from linemate.daemon.service import watch
 from linemate.daemon.service.states import State
 from linemate.simulators.harness import dst_run
 from linemate.simulators.harness.dst_plan import Plan
@@ -306,7 +305,7 @@ def test_r2_at_4_ms_a_silence_is_borne_that_is_borne_at_12_if_the_counts_last_as
 ) -> None:
     if not is_patient:
         monkeypatch.setattr(dst_run, "station_of", dst_run.station_of.__wrapped__)
-        monkeypatch.setattr(watch, "patient", lambda settings, _: settings)
+        monkeypatch.setattr(dst_run, "patience", lambda _: {})
     silence = Fault(FREE_S, "robot", "silence", 0.029)
     lived = Lived(Plan(0, duration_s=2.6, faults=(silence,), cycle_ms=4))
     lived.live()
