@@ -284,12 +284,12 @@ class App:
         self._later()
         return reply
 
-    def _attend(self, due: Due) -> None:
+    def _attend(self, expected_ns: int) -> None:
         """Wait for the telegram whose reply is ready; until then nothing else is to be done."""
         express = self.cycle.express()
         if express is not None:
             patience_ns = min(PATIENCE_NS, self._clock.schedule.period_ns // 4)
-            self._robot.attend(due.stamp_ns + patience_ns, express)
+            self._robot.attend(expected_ns + patience_ns, express)
 
     def _look(self) -> None:
         """Answer telegrams that wait, so that none is called missing that is there already."""

@@ -12,7 +12,7 @@ import struct
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from linemate.daemon.service.pace import Pace
 from linemate.daemon.service.schedule import Due, Kind, Schedule
@@ -23,6 +23,8 @@ TFD_TIMER_ABSTIME: Final = 1
 ITIMERSPEC: Final = struct.Struct("@llll")  # interval, value: seconds and nanoseconds each
 EXPIRATIONS: Final = struct.Struct("@Q")
 NS: Final = 1_000_000_000
+
+What = TypeVar("What")
 
 
 class Timer:
@@ -106,12 +108,13 @@ class Clock:
     """Calls what is due, in the loop.
 
     Attributes:
-        on_due: does it; what it raises is the caller's to count and never stops the clock.
-        on_error: told of what ``on_due`` raised.
+        on_due: does it; what it or ``attend`` raises is counted by the caller and never stops the
+            clock.
+        on_error: told of what the others raised.
         look: takes telegrams that wait, so that none is called missing that is there already.
         pace: which step is due when.
         lateness: of the wakes.
-        attend: waits for the telegram whose step is made.
+        attend: waits for a telegram whose reply is ready, told when it is expected [ns].
     """
 
     on_due: Callable[[Due], None]
@@ -119,7 +122,7 @@ class Clock:
     look: Callable[[], None]
     pace: Pace
     lateness: Lateness = field(default_factory=Lateness)
-    attend: Callable[[Due], None] = lambda _: None
+    attend: Callable[[int], None] = lambda _: None
     _timer: Timer | None = None
     _loop: asyncio.AbstractEventLoop | None = None
     _armed_ns: int = 0
@@ -173,12 +176,18 @@ class Clock:
             self.lateness.note(now_ns - armed_ns, self.schedule.period_ns // 4)
         self.look()
         for one in self.pace.wake(now_ns):
-            try:
-                self.on_due(one)
-            except Exception as error:  # noqa: BLE001 - the clock must outlive a fault
-                self.on_error(error)
+            self._do(self.on_due, one)
             if one.kind is Kind.PREPARE:
                 began_ns = one.stamp_ns - self.schedule.lead_ns
                 self.pace.prepared(time.monotonic_ns() - began_ns)
-                self.attend(one)
+        # Only now: until shortly before its telegram there is time for everything else.
+        expected_ns = self.pace.attend(time.monotonic_ns())
+        if expected_ns is not None:
+            self._do(self.attend, expected_ns)
         self._arm()
+
+    def _do(self, action: Callable[[What], None], what: What) -> None:
+        try:
+            action(what)
+        except Exception as error:  # noqa: BLE001 - the clock must outlive a fault
+            self.on_error(error)

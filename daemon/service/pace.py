@@ -44,7 +44,7 @@ class Pace:
                 None: as long as steps have lately needed.
 
         Raises:
-            ValueError: a lead that would begin before the deadline of the telegram before.
+            ValueError: a lead of a cycle or more.
         """
         if lead_ns is not None:
             return cls(scheduling.free(period_ns, now_ns, lead_ns))
@@ -88,6 +88,18 @@ class Pace:
         """
         self.schedule, due = scheduling.on_wake(self.schedule, now_ns)
         return due
+
+    def attend(self, now_ns: int) -> int | None:
+        """Find the telegram that is about to come and whose reply is ready.
+
+        Args:
+            now_ns: monotonic time [ns].
+
+        Returns:
+            When it is expected [ns], once; None if it is not time.
+        """
+        self.schedule, expected_ns = scheduling.attend(self.schedule, now_ns)
+        return expected_ns
 
     def prepared(self, cost_ns: int) -> None:
         """A step was made before its telegram.

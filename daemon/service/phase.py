@@ -187,8 +187,9 @@ class PhaseLock:
 
 COSTS: Final = 1024
 REFRESH: Final = 32
-MOST_SHARE: Final = 0.45
-"""Of a cycle: more would begin before the telegram before has had its deadline."""
+MOST_SHARE: Final = 0.75
+"""Of a cycle: the rest is for what follows a reply. A step that the machine holds up may so take
+longer than most."""
 
 MOST_NS: Final = 4_000_000
 MARGIN_NS: Final = 40_000

@@ -12,6 +12,9 @@ from enum import StrEnum
 LATE_SHARE = 0.1
 """How much of an arrival's lateness enters the phase."""
 
+ATTEND_NS = 250_000
+"""How long before a telegram nothing else is begun [ns]: a wake of the clock and a rehearsal."""
+
 MOST_AT_ONCE = 25
 """Steps made after a stall; what is older is skipped and counted."""
 
@@ -46,6 +49,7 @@ class Schedule:
         grace_ns: how long after that it counts as missing [ns].
         lead_ns: how long before that its step is prepared [ns], 0: never.
         prepared: it has been.
+        attended: its telegram is or was waited for.
         locked: telegrams set the phase; else it runs free.
         skipped: cycles of which no step was made, after stalls.
     """
@@ -55,6 +59,7 @@ class Schedule:
     grace_ns: int
     lead_ns: int = 0
     prepared: bool = False
+    attended: bool = False
     locked: bool = False
     skipped: int = 0
 
@@ -65,15 +70,15 @@ def free(period_ns: int, now_ns: int, lead_ns: int = 0) -> Schedule:
     Args:
         period_ns: T0 [ns].
         now_ns: monotonic time [ns].
-        lead_ns: how long before a telegram its step is prepared [ns], 0: never.
+        lead_ns: how long before a telegram its step is prepared [ns], 0: never. A telegram that is
+            late is answered or given up before the next one's step is begun.
 
     Raises:
-        ValueError: a lead that would begin before the deadline of the telegram before.
+        ValueError: a lead of a cycle or more.
     """
-    grace_ns = period_ns // 2
-    if not 0 <= lead_ns < period_ns - grace_ns:
+    if not 0 <= lead_ns < period_ns:
         raise ValueError(f"a lead of {lead_ns} ns does not fit into a cycle of {period_ns} ns")
-    return Schedule(period_ns, now_ns + period_ns, grace_ns, lead_ns)
+    return Schedule(period_ns, now_ns + period_ns, period_ns // 2, lead_ns)
 
 
 def on_telegram(schedule: Schedule, stamp_ns: int) -> Schedule:
@@ -92,7 +97,9 @@ def on_telegram(schedule: Schedule, stamp_ns: int) -> Schedule:
         phase_ns = expected_ns + round(LATE_SHARE * late_ns)
     else:
         phase_ns = stamp_ns
-    return replace(schedule, next_ns=phase_ns + period_ns, prepared=False, locked=True)
+    return replace(
+        schedule, next_ns=phase_ns + period_ns, prepared=False, attended=False, locked=True
+    )
 
 
 def follow(schedule: Schedule, next_ns: int, period_ns: int, lead_ns: int) -> Schedule:
@@ -109,7 +116,6 @@ def follow(schedule: Schedule, next_ns: int, period_ns: int, lead_ns: int) -> Sc
         next_ns=next_ns,
         grace_ns=period_ns // 2,
         lead_ns=lead_ns,
-        prepared=False,
         locked=True,
         skipped=schedule.skipped,
     )
@@ -124,6 +130,8 @@ def wake_ns(schedule: Schedule) -> int:
     """When something is due next [ns]."""
     if _prepares(schedule):
         return schedule.next_ns - schedule.lead_ns
+    if _attends(schedule):
+        return schedule.next_ns - ATTEND_NS
     return schedule.next_ns + schedule.grace_ns
 
 
@@ -141,11 +149,35 @@ def on_wake(schedule: Schedule, now_ns: int) -> tuple[Schedule, tuple[Due, ...]]
     schedule = _skip(schedule, now_ns)
     while schedule.next_ns + schedule.grace_ns <= now_ns:
         due.append(Due(Kind.MISSING, schedule.next_ns))
-        schedule = replace(schedule, next_ns=schedule.next_ns + schedule.period_ns, prepared=False)
+        schedule = replace(
+            schedule,
+            next_ns=schedule.next_ns + schedule.period_ns,
+            prepared=False,
+            attended=False,
+        )
     if _prepares(schedule) and wake_ns(schedule) <= now_ns:
         due.append(Due(Kind.PREPARE, schedule.next_ns))
         schedule = replace(schedule, prepared=True)
     return schedule, tuple(due)
+
+
+def attend(schedule: Schedule, now_ns: int) -> tuple[Schedule, int | None]:
+    """Find the telegram that is about to come and whose reply is ready.
+
+    Args:
+        schedule: before.
+        now_ns: monotonic time [ns].
+
+    Returns:
+        The schedule after it, and when the telegram is expected [ns], once; None if it is not time.
+    """
+    if not _attends(schedule) or now_ns < schedule.next_ns - ATTEND_NS:
+        return schedule, None
+    return replace(schedule, attended=True), schedule.next_ns
+
+
+def _attends(schedule: Schedule) -> bool:
+    return schedule.prepared and not schedule.attended
 
 
 def _prepares(schedule: Schedule) -> bool:

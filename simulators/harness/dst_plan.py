@@ -36,6 +36,9 @@ EARLIEST_STOP_S = 0.6
 START_UP_S = 0.3
 """A daemon that has crashed cannot be there again sooner: measured [s]."""
 
+MOST_LEAD_MS = 5.0
+"""That may be configured."""
+
 SENSORS = ("distance", "camera", "force_torque")
 
 _SHARE = (0.01, 0.6)
@@ -133,7 +136,7 @@ def draw(seed: int, cycle_ms: CycleMs = 12) -> Plan:
     plan = Plan(
         seed=seed,
         duration_s=duration_s,
-        lead_ms=chance.choice((0.0, cycle_ms / 4)),
+        lead_ms=chance.choice((0.0, cycle_ms / 4, min(0.75 * cycle_ms, MOST_LEAD_MS))),
         rule=chance.choice(("total", "row")),
         eager=chance.random() < 0.5,
         events=_events(chance, duration_s),

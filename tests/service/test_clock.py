@@ -4,13 +4,14 @@ import asyncio
 import itertools
 import os
 import time
+from typing import Any
 
 import pytest
 from loops import run, until
 
 from linemate.daemon.service.clock import Clock, Timer
 from linemate.daemon.service.pace import Pace
-from linemate.daemon.service.schedule import Due, Kind
+from linemate.daemon.service.schedule import ATTEND_NS, Due, Kind
 
 T = 4_000_000
 
@@ -86,6 +87,30 @@ def test_a_telegram_puts_the_step_off_and_a_preparation_comes_before_it() -> Non
         await until(lambda: bool(told))
         assert told == [Due(Kind.PREPARE, stamp_ns + 50 * T)]
         clock.close()
+
+    run(main())
+
+
+@pytest.mark.parametrize("lead", [20, 6])
+def test_a_telegram_is_waited_for_once_its_step_is_made_and_it_is_about_to_come(lead: int) -> None:
+    async def main() -> None:
+        told: list[Any] = []
+        clock = Clock(
+            told.append,
+            lambda error: pytest.fail(str(error)),
+            lambda: None,
+            Pace.free(50 * T, time.monotonic_ns(), lead * T),
+            attend=lambda expected_ns: told.append((expected_ns, time.monotonic_ns())),
+        )
+        clock.open()
+        stamp_ns = time.monotonic_ns() - 40 * T
+        clock.telegram(stamp_ns)
+        await until(lambda: len(told) >= 2)
+        clock.close()
+        preparation, (expected_ns, now_ns) = told[:2]
+        assert preparation == Due(Kind.PREPARE, stamp_ns + 50 * T)
+        assert expected_ns == stamp_ns + 50 * T
+        assert now_ns >= expected_ns - ATTEND_NS
 
     run(main())
 

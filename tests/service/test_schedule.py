@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linemate.daemon.service import schedule as scheduling
-from linemate.daemon.service.schedule import MOST_AT_ONCE, Due, Kind, Schedule
+from linemate.daemon.service.schedule import ATTEND_NS, MOST_AT_ONCE, Due, Kind, Schedule
 
 T = 12_000_000
 START = 1_000_000_000
@@ -90,20 +90,37 @@ def test_a_step_is_prepared_once_ahead_of_its_telegram() -> None:
     assert scheduling.wake_ns(now) == START + T - lead
     now, due = scheduling.on_wake(now, START + T - lead + 70_000)
     assert due == (Due(Kind.PREPARE, START + T),)
-    assert scheduling.wake_ns(now) == START + T + T // 2
     now, due = scheduling.on_wake(now, START + T - 1)
     assert due == ()
     now = scheduling.on_telegram(now, START + T)
     assert scheduling.wake_ns(now) == START + 2 * T - lead
 
 
-def test_a_missing_telegram_and_the_next_preparation_come_in_order() -> None:
+def test_between_a_preparation_and_its_telegram_there_is_time_for_everything_else() -> None:
     lead = 3_000_000
-    _, due = scheduling.on_wake(locked(lead), START + 2 * T - lead)
+    now, _ = scheduling.on_wake(locked(lead), START + T - lead)
+    assert scheduling.attend(now, START + T - ATTEND_NS - 1) == (now, None)
+    assert scheduling.wake_ns(now) == START + T - ATTEND_NS
+    now, expected_ns = scheduling.attend(now, START + T - ATTEND_NS)
+    assert expected_ns == START + T
+    assert scheduling.attend(now, START + T) == (now, None)
+    assert scheduling.wake_ns(now) == START + T + T // 2
+
+
+def test_nobody_waits_for_a_telegram_whose_reply_is_not_made() -> None:
+    assert scheduling.attend(locked(), START + T) == (locked(), None)
+    assert scheduling.attend(locked(3_000_000), START + T)[1] is None
+
+
+@pytest.mark.parametrize("lead", [3_000_000, T * 3 // 4])
+def test_a_missing_telegram_and_the_next_preparation_come_in_order(lead: int) -> None:
+    _, due = scheduling.on_wake(locked(lead), START + T + T // 2 - 1)
+    assert due == (Due(Kind.PREPARE, START + T),)
+    _, due = scheduling.on_wake(locked(lead), max(START + 2 * T - lead, START + T + T // 2))
     assert due == (missing(START + T), Due(Kind.PREPARE, START + 2 * T))
 
 
-@pytest.mark.parametrize("lead_ns", [-1, T // 2, T])
+@pytest.mark.parametrize("lead_ns", [-1, T, 2 * T])
 def test_a_lead_that_does_not_fit_is_refused(lead_ns: int) -> None:
     with pytest.raises(ValueError, match="does not fit"):
         scheduling.free(T, 0, lead_ns)
@@ -129,7 +146,7 @@ def test_a_controller_whose_clock_drifts_is_followed(rate: float, seed: int) -> 
     assert abs(now.next_ns - START - round(501 * T * rate)) < 300_000
 
 
-@given(st.lists(st.tuples(st.booleans(), st.integers(0, 3 * T)), max_size=60), st.integers(0, 5))
+@given(st.lists(st.tuples(st.booleans(), st.integers(0, 3 * T)), max_size=60), st.integers(0, 11))
 def test_whatever_happens_stamps_rise_by_whole_cycles_between_telegrams(
     events: list[tuple[bool, int]], lead_ms: int
 ) -> None:
@@ -149,9 +166,13 @@ def test_whatever_happens_stamps_rise_by_whole_cycles_between_telegrams(
                 assert last_ns is None or (one.stamp_ns - last_ns) % T == 0
                 assert last_ns is None or one.stamp_ns > last_ns
                 last_ns = one.stamp_ns
+        now, expected_ns = scheduling.attend(now, clock_ns)
+        assert expected_ns is None or now.next_ns == expected_ns
         assert scheduling.wake_ns(now) > clock_ns
 
 
 def test_prepared_is_forgotten_with_every_telegram() -> None:
-    now = replace(locked(1_000_000), prepared=True)
-    assert not scheduling.on_telegram(now, START + T).prepared
+    now = replace(locked(1_000_000), prepared=True, attended=True)
+    now = scheduling.on_telegram(now, START + T)
+    assert not now.prepared
+    assert not now.attended
