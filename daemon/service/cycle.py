@@ -44,6 +44,7 @@ LONGEST_JUMP = 0.05
 
 SETTLED = 0.3  # a retreat is over when no axis is quicker [rad/s, m/s]; it may follow the object
 PROGRAMMED_S = 1000.0  # a blend as long as that is none [s]
+SETTLING = "the robot has not come to rest yet since its programme began"
 CATCH_UP_S = 0.3  # steps made at once after a gap, at most
 NEAR = frozenset({State.TRACK, State.HOLD})
 """States in which it matters what a stop would leave between tool and object."""
@@ -122,7 +123,7 @@ class Cycle:
         self.machine = Machine()
         self.feeds = Feeds()
         self.session = Session(parameters.cycle_s)
-        self.following = Following(round(self._settings.follow_s / parameters.cycle_s))
+        self.following = Following(self._settings.follow_s, parameters.cycle_s)
         self.verdict: Verdict | None = None
         self.last: LogEntry | None = None
         self._given: LogEntry | None = None
@@ -174,7 +175,7 @@ class Cycle:
         del who
         reason = states.refusal(self.machine, self._signals, op)
         if reason is not None and op == "arm" and self.last is not None:
-            reason = self.last.outputs.ready or reason
+            reason = self.last.outputs.ready or (SETTLING if self._is_settling else reason)
         if reason is None:
             self._orders.add(op)
         return reason
@@ -540,6 +541,14 @@ class Cycle:
             return False
         return self.parameters.tracker.settings.merge.blend < PROGRAMMED_S
 
+    @property
+    def _is_settling(self) -> bool:
+        """Whether a robot that was not sent anywhere yet may still move.
+
+        Where its corrections count from is not known before it rests.
+        """
+        return self.session.held == self.session.start and not self.following.rests
+
     def _facts(self, stamp_ns: int, *, telegram: bool) -> watch.Facts:
         """Return what was seen up to now, for the watch."""
         feeds = self.feeds
@@ -573,7 +582,7 @@ class Cycle:
             contradicted=self._is_contradicted(),
             gap_m=following.gap(outputs, period) if near else None,
             astray=self.following.astray is not None,
-            ready=outputs.ready is None,
+            ready=outputs.ready is None and not self._is_settling,
             contact=outputs.contact,
             overload=feeds.overloaded,
             done=outputs.phase is Phase.RETREAT,

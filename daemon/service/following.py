@@ -11,7 +11,7 @@ from linemate.daemon.service.session import Axes
 from linemate.daemon.step import Outputs, Pose
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
-RESTING = 10  # telegrams from which is told that a robot rests
+RESTING_S = 0.12  # from the telegrams of so long is told that a robot rests
 STILL = 2e-4  # and how far apart they are [rad, m]
 BESIDE = 5e-4  # from where it was when the session began [rad, m]
 BRAKING = 1.0  # a tool that is told to hold slows down by so much at least [m/s^2]
@@ -25,13 +25,19 @@ class Following:
         astray: which axis is not where it was sent, in words; None if all are.
     """
 
-    __slots__ = ("_lately", "_rest", "astray")
+    __slots__ = ("_lately", "_rest", "_stayed", "astray")
 
-    def __init__(self, cycles: int) -> None:
-        """Know nothing; a robot is at most ``cycles`` behind."""
+    def __init__(self, behind_s: float, cycle_s: float) -> None:
+        """Know nothing; a robot is at most ``behind_s`` behind, in cycles of ``cycle_s``."""
         self.astray: str | None = None
-        self._rest: deque[Axes] = deque(maxlen=RESTING)
-        self._lately: deque[Axes] = deque(maxlen=max(2, cycles))
+        self._stayed = 0
+        self._rest: deque[Axes] = deque(maxlen=max(2, round(RESTING_S / cycle_s)))
+        self._lately: deque[Axes] = deque(maxlen=max(2, round(behind_s / cycle_s)))
+
+    @property
+    def rests(self) -> bool:
+        """Whether a robot that was not sent anywhere yet has stayed where its session began."""
+        return self._stayed >= (self._rest.maxlen or 0)
 
     def begin(self, held: Axes) -> None:
         """Forget; the robot holds there."""
@@ -39,6 +45,7 @@ class Following:
         self._lately.clear()
         self._lately.append(held)
         self.astray = None
+        self._stayed = 0
 
     def sent(self, command: Axes) -> None:
         """The robot is sent there."""
@@ -75,9 +82,11 @@ class Following:
         self.astray = None
         self._rest.append(axes)
         if all(abs(q - s) <= BESIDE for q, s in zip(axes, start, strict=True)):
+            self._stayed += 1
             return False
+        self._stayed = 0
         ways = zip(*self._rest, strict=True)
-        return len(self._rest) == RESTING and all(max(way) - min(way) < STILL for way in ways)
+        return len(self._rest) == self._rest.maxlen and all(max(w) - min(w) < STILL for w in ways)
 
 
 def pace(before: Outputs, now: Outputs, period: float) -> float:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from linemate.daemon.inputs import Order
 from linemate.daemon.parameters import Parameters
-from linemate.daemon.service.cycle import CATCH_UP_S, LONGEST_LOG, Cycle, Inbox
+from linemate.daemon.service.cycle import CATCH_UP_S, LONGEST_LOG, SETTLING, Cycle, Inbox
 from linemate.daemon.service.states import State
 from linemate.daemon.service.task_file import Task
 from linemate.daemon.tracking.task import Phase
@@ -321,6 +321,35 @@ def test_a_robot_that_comes_to_rest_after_its_session_began_counts_from_where_it
     assert station.cycle.last is not None
     assert station.cycle.last.outputs.command == pytest.approx(station.axes, abs=2e-4)
     assert station.cycle.status()["astray"] is None
+
+
+def test_a_robot_that_has_not_come_to_rest_since_its_programme_began_cannot_be_armed(
+    station: Station,
+) -> None:
+    true = station.start
+    refusals = []
+    for k in range(120):
+        station.axes = (true[0] - 0.01 * 0.985**k, *true[1:])
+        station.feed()
+        assert station.cycle.on_telegram(station.telegram(), station.stamp_ns) is not None
+        if station.cycle.machine.state is State.IDLE:
+            refusals.append(station.cycle.order("arm"))
+        station.next()
+    assert len(refusals) > 10
+    assert set(refusals) == {SETTLING}
+    station.axes = true
+    station.run(100)
+    assert station.cycle.order("arm") is None
+
+
+def test_a_robot_that_trembles_a_little_where_it_stands_can_be_armed(station: Station) -> None:
+    true = station.start
+    for k in range(120):
+        station.axes = (true[0] + 2e-4 * (-1) ** k, *true[1:])
+        station.feed()
+        assert station.cycle.on_telegram(station.telegram(), station.stamp_ns) is not None
+        station.next()
+    assert station.cycle.order("arm") is None
 
 
 def test_a_programme_that_goes_on_after_a_long_silence_keeps_its_start(station: Station) -> None:
