@@ -134,11 +134,11 @@ identified."""
 
 CLAIMED: Mapping[str, Case] = {
     "wheel": Case("the default scenario"),
-    "wheel-4ms": Case("the same at 4 ms", cycle_ms=4.0),
+    "wheel-4ms": Case("the default scenario at 4 ms", cycle_ms=4.0),
     "stop-in-contact": Case("stopped in contact", "stop-in-contact"),
     "no-stop": Case("never stopped", "no-stop"),
     "fine": Case("distance sensor of 0.1 mm", sets=FINE),
-    "fine-4ms": Case("the same at 4 ms", cycle_ms=4.0, sets=FINE),
+    "fine-4ms": Case("distance sensor of 0.1 mm, at 4 ms", cycle_ms=4.0, sets=FINE),
     "oracle": Case("true future known", variant="oracle"),
     "rule": Case("the paper's rule on the same chain", variant="rule"),
 }
