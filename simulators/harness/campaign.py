@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+from linemate.simulators.harness.processes import die_with
 from linemate.simulators.harness.setup import Setup
 
 Progress = Callable[[], None]
@@ -119,7 +120,10 @@ def _noted(result: Result, progress: Progress) -> Result:
 def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     # Spawned, not forked: a fork of a process with BLAS threads may hang.
     pool = ProcessPoolExecutor(
-        workers, mp_context=multiprocessing.get_context("spawn"), initializer=_begin_worker
+        workers,
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=_begin_worker,
+        initargs=(os.getpid(),),
     )
     try:
         yield pool
@@ -129,8 +133,9 @@ def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     pool.shutdown()
 
 
-def _begin_worker() -> None:
-    """Leave Ctrl-C to the parent, which ends its workers in order."""
+def _begin_worker(parent: int) -> None:
+    """Leave Ctrl-C to the parent, which ends its workers in order; without it there is no work."""
+    die_with(parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 

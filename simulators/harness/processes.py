@@ -140,7 +140,7 @@ class Children:
                 stderr=subprocess.STDOUT,
                 pass_fds=keep,
                 start_new_session=True,
-                preexec_fn=lambda: _die_with(parent),  # noqa: PLW1509 -- one C call, no lock
+                preexec_fn=lambda: die_with(parent),  # noqa: PLW1509 -- one C call, no lock
             )
         child = Child(name, process, log)
         self._children.append(child)
@@ -190,7 +190,8 @@ def interruptible() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _die_with(parent: int) -> None:
+def die_with(parent: int) -> None:
+    """Let this process be killed as soon as its parent is gone, however that ended."""
     _libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:
         os._exit(1)

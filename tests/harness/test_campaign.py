@@ -1,6 +1,11 @@
 """Campaigns: the same whatever the number of workers, and summed up as they should be."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -24,6 +29,31 @@ def test_the_number_of_workers_does_not_show() -> None:
     assert [(r["variant"], r["seed"]) for r in alone] == [
         ("default", 0), ("default", 1), ("no-damping", 0), ("no-damping", 1)
     ]  # fmt: skip
+
+
+def children_of(parent: int) -> set[int]:
+    listed = Path(f"/proc/{parent}/task/{parent}/children")
+    return {int(pid) for pid in listed.read_text().split()}
+
+
+def test_workers_do_not_outlive_a_campaign_that_is_killed() -> None:
+    program = (
+        "import time, sys; from linemate.simulators.harness import campaign\n"
+        "if __name__ == '__main__': campaign.spread(time.sleep, [600, 600], 2)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", program]) as parent:
+        workers: set[int] = set()
+        deadline = time.monotonic() + 60.0
+        while len(workers) < 3:  # two, and what keeps track of their semaphores
+            assert time.monotonic() < deadline
+            assert parent.poll() is None
+            time.sleep(0.02)
+            workers = children_of(parent.pid)
+        time.sleep(0.5)
+        parent.send_signal(signal.SIGKILL)
+    while any(Path(f"/proc/{pid}/exe").exists() for pid in workers):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
 
 
 def test_progress_is_told_once_a_run() -> None:
