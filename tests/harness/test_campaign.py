@@ -1,7 +1,6 @@
 """Campaigns: the same whatever the number of workers, and summed up as they should be."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
