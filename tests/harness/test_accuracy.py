@@ -34,7 +34,8 @@ def test_groups_are_cut_to_what_is_asked_for() -> None:
     assert groups(CASES["wheel"], 2) == {"tuned": range(2), "verify": range(1000, 1002)}
     whole = groups(CASES["wheel"], 1000)
     assert whole == {"tuned": range(40), "verify": range(1000, 1200)}
-    assert groups(CASES["servo-0.9"], 1000) == {"verify": range(1000, 1040)}
+    assert groups(CASES["servo-0.9"], 1000) == {"verify": range(1000, 1200)}
+    assert groups(CASES["bank"], 1000) == {"verify": range(1000, 1040)}
 
 
 def test_work_is_kept_for_the_same_sources_and_question_only(
