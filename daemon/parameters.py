@@ -93,14 +93,8 @@ def build(
     dead_time = max(model.dead_time for model in control_settings.servos[: arm.axes])
     # The merge reads five committed steps; a robot without dead time commits them all the same.
     commit = max(merge.commit_steps(dead_time, cycle_s), merge.ORDER)
-    along, across, slower = (
-        merge.merge_matrix(tau, cycle_s, controller.steps - commit)
-        for tau in (
-            tracking.merge.along,
-            tracking.merge.across,
-            merge.SLOWER * tracking.merge.along,
-        )
-    )
+    along = merge.merge_matrix(tracking.merge.along, cycle_s, controller.steps - commit)
+    across = merge.merge_matrix(tracking.merge.across, cycle_s, controller.steps - commit)
     camera = task.arm.camera_in_tcp
     reference = compile_reference(task)
     table = tabulated(reference, cycle_s, controller.steps)
@@ -119,7 +113,6 @@ def build(
         steps=controller.steps,
         commit=commit,
         matrices=np.stack([along if axis == 1 else across for axis in range(6)]),
-        slower=np.stack([slower if axis == 1 else across for axis in range(6)]),
         history_length=math.ceil(HISTORY / cycle_s),
         span=np.arange(controller.steps + 1) * cycle_s,
         free=hanging(reference, leave, control_settings.filters.contact_blend, clock),

@@ -15,10 +15,6 @@ from linemate.daemon.horizon import Array
 
 ORDER = 5
 
-SLOWER = 1.5
-"""By how much the time constant of a large change is longer. What is left of it goes on with the
-shorter one; a factor of 2.2 pumps such a loop up."""
-
 
 def commit_steps(dead_time: float, cycle_s: float) -> int:
     """Return nc, the last step of the list that can no longer be changed.

@@ -271,14 +271,11 @@ class MergeSettings:
     Attributes:
         along: time constant along the conveyor [s].
         across: time constant of the other axes [s].
-        far: a change along the conveyor by more than this is merged half as slowly again, for the
-            joints could not follow [m].
         blend: time in which the programmed motion gives way to the sensed one [s].
     """
 
     along: Annotated[float, Ge(1e-4), Le(1.0)] = 0.027
     across: Annotated[float, Ge(1e-4), Le(1.0)] = 0.04
-    far: Annotated[float, Ge(1e-4), Le(1.0)] = 0.004
     blend: Annotated[float, Ge(1e-3), Le(1e6)] = 2.5  # an exercise never blends
 
 

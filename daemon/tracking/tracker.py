@@ -56,7 +56,6 @@ class Tracker:
         steps: n.
         commit: nc, the last step that a merge keeps.
         matrices: (6, n - nc, 5) of the merge.
-        slower: the same for a large change along the conveyor.
         history_length: poses of the robot that are remembered.
         span: (n+1,) times of the horizon from now [s].
         free: (t,) where the tool hangs free, at every step of the task's clock.
@@ -77,7 +76,6 @@ class Tracker:
     steps: int
     commit: int
     matrices: Array
-    slower: Array
     history_length: int
     span: Array
     free: Array
@@ -316,7 +314,7 @@ def track(
     if state.withdrawn is not None:
         s = approach.smoothstep((state.withdrawn + span) / AWAY_TIME)
         goal = approach.withdraw(goal, AWAY * s)
-    poses = merge.merge(state.poses, goal, _matrices(tracker, state.poses, goal), tracker.commit)
+    poses = merge.merge(state.poses, goal, tracker.matrices, tracker.commit)
     axis = linear_axis.advance(
         state.axis, _axis_speed(tracker, state, view), tracker.task.linear_axis.ramp, T0
     )
@@ -389,13 +387,6 @@ def _sensed(
     )
     swing, turned = tracker.transverse.swing, tracker.reference.turned
     return approach.sensed(part, swing, relative, turned=turned)
-
-
-def _matrices(tracker: Tracker, poses: Array, goal: Array) -> Array:
-    """Return those of the merge that joints can follow, by how far off the plan is along y."""
-    nc = tracker.commit
-    off = abs(float(poses[nc + 1, 1]) - float(goal[nc, 1]))
-    return tracker.slower if off > tracker.settings.merge.far else tracker.matrices
 
 
 def _stand(tracker: Tracker, time: float, passed: frozenset[Gate]) -> float:

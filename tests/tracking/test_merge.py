@@ -155,26 +155,6 @@ def test_a_constant_goal_is_reached_and_kept(cycle_s: float) -> None:
     assert np.allclose(poses, goal, atol=1e-8)
 
 
-@pytest.mark.parametrize("cycle_s", CYCLES)
-@pytest.mark.parametrize("tau", [0.015, 0.027, 0.04])
-def test_a_large_change_that_begins_slower_and_ends_faster_dies_out(
-    cycle_s: float, tau: float
-) -> None:
-    far, steps = 0.004, math.ceil(0.492 / cycle_s)
-    commit = merge.commit_steps(0.036, cycle_s)
-    fast = merge.merge_matrix(tau, cycle_s, steps - commit)[None]
-    slow = merge.merge_matrix(merge.SLOWER * tau, cycle_s, steps - commit)[None]
-    for change in np.geomspace(far, 0.3, 12):
-        goal = np.full((steps + 1, 1), change)
-        plan = np.zeros((steps + 1, 1))
-        for k in range(round(50.0 * tau / cycle_s)):
-            off = abs(plan[commit + 1, 0] - change)
-            plan = merge.merge(plan, goal, slow if off > far else fast, commit)
-            if k > 15.0 * tau / cycle_s:
-                assert abs(plan[0, 0] - change) < 0.2 * change
-        assert abs(plan[0, 0] - change) < 1e-3 * change
-
-
 def test_a_goal_that_flickers_every_step_is_followed_without_growing() -> None:
     """Switching must not pump the loop up: bounded goals give bounded lists, for ever."""
     rng = np.random.default_rng(5)
