@@ -113,6 +113,7 @@ def build(
         steps=controller.steps,
         commit=commit,
         matrices=np.stack([along if axis == 1 else across for axis in range(6)]),
+        corner=merge.rounding(cycle_s, commit),
         history_length=math.ceil(HISTORY / cycle_s),
         span=np.arange(controller.steps + 1) * cycle_s,
         free=hanging(reference, leave, control_settings.filters.contact_blend, clock),

@@ -56,6 +56,7 @@ class Tracker:
         steps: n.
         commit: nc, the last step that a merge keeps.
         matrices: (6, n - nc, 5) of the merge.
+        corner: (2 h + 1,) kernel that rounds the goal's corners along the conveyor.
         history_length: poses of the robot that are remembered.
         span: (n+1,) times of the horizon from now [s].
         free: (t,) where the tool hangs free, at every step of the task's clock.
@@ -76,6 +77,7 @@ class Tracker:
     steps: int
     commit: int
     matrices: Array
+    corner: Array
     history_length: int
     span: Array
     free: Array
@@ -314,6 +316,7 @@ def track(
     if state.withdrawn is not None:
         s = approach.smoothstep((state.withdrawn + span) / AWAY_TIME)
         goal = approach.withdraw(goal, AWAY * s)
+    goal = merge.rounded(goal, tracker.corner)
     poses = merge.merge(state.poses, goal, tracker.matrices, tracker.commit)
     axis = linear_axis.advance(
         state.axis, _axis_speed(tracker, state, view), tracker.task.linear_axis.ramp, T0

@@ -155,6 +155,51 @@ def test_a_constant_goal_is_reached_and_kept(cycle_s: float) -> None:
     assert np.allclose(poses, goal, atol=1e-8)
 
 
+def ramp(t: Array) -> Array:
+    """A conveyor (m,) that stops: 0.1 m/s less 0.104 m/s^2, at rest from t = 0 on."""
+    return np.where(t < 0.0, -0.5 * 0.104 * t * t, 0.0)
+
+
+def swung(cycle_s: float, kernel: Array) -> float:
+    """By how much a plan without corners swings out at most where a ramp ends [m]."""
+    steps = math.ceil(0.492 / cycle_s)
+    commit = merge.commit_steps(0.036, cycle_s)
+    M = matrices(cycle_s, commit, steps)
+    span = np.arange(steps + 1) * cycle_s
+    beside = np.linspace(-0.06, 0.06, 241)
+    weight = np.exp(-0.5 * (beside / 0.02) ** 2)
+    worst = 0.0
+    for end_s in (np.arange(commit + 1) + 0.5) * cycle_s:
+        truth = np.outer(ramp(span - end_s), np.eye(6)[1])
+        times = span[:, None] - cycle_s - end_s + beside
+        old = np.outer(ramp(times) @ weight / weight.sum(), np.eye(6)[1])
+        plan = merge.merge(old, merge.rounded(truth, kernel), M, commit)
+        worst = max(worst, float(np.abs(plan - truth)[:, 1].max()))
+    return worst
+
+
+def test_the_end_of_a_ramp_among_the_five_known_steps_throws_no_plan_off_at_4_ms() -> None:
+    commit = merge.commit_steps(0.036, 0.004)
+    bare, kernel = np.ones(1), merge.rounding(0.004, commit)
+    assert swung(0.004, bare) > 5.0 * swung(0.004, kernel)
+    assert swung(0.004, kernel) < 3e-4
+
+
+def test_nothing_is_rounded_at_12_ms_and_never_among_the_steps_that_a_merge_reads_first() -> None:
+    assert merge.rounding(0.012, 5).tolist() == [1.0]
+    for cycle_s in (0.004, 0.002, 0.001):
+        commit = merge.commit_steps(0.036, cycle_s)
+        kernel = merge.rounding(cycle_s, commit)
+        assert kernel.sum() == pytest.approx(1.0)
+        assert len(kernel) // 2 <= commit + 1 - ORDER
+        goal = np.random.default_rng(1).normal(size=(200, 6))
+        smooth = merge.rounded(goal, kernel)
+        assert np.array_equal(smooth[:, [0, 2, 3, 4, 5]], goal[:, [0, 2, 3, 4, 5]])
+        assert smooth[100, 1] == pytest.approx(
+            kernel @ goal[100 - len(kernel) // 2 : 101 + len(kernel) // 2, 1]
+        )
+
+
 def test_a_goal_that_flickers_every_step_is_followed_without_growing() -> None:
     """Switching must not pump the loop up: bounded goals give bounded lists, for ever."""
     rng = np.random.default_rng(5)
