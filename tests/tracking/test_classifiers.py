@@ -181,6 +181,22 @@ def test_outliers_of_100_mm_neither_confirm_nor_disturb(
         )
 
 
+@pytest.mark.parametrize("size", [-0.0065, -0.0045, 0.0065])
+def test_one_reading_that_is_a_few_millimetres_off_is_no_change_for_the_rule(size: float) -> None:
+    """Seed 1178 of the campaign: 6.5 mm were tried as a stop, and A1 met its limit twice."""
+    truth = Truth(2.5, seed=6)
+    times = np.arange(-LEAD + 0.5, truth.seconds, T0)
+    readings = Sensor(seed=6).read(truth, times)
+    missing = readings.copy()
+    for wrong in (180, 220, 260):
+        readings[wrong] += size
+        missing[wrong] = np.nan
+    told = tell(RULE, truth, readings=readings)
+    gaps = tell(RULE, truth, readings=missing)
+    assert told.events == gaps.events
+    assert [view.speed for view in told.views] == [view.speed for view in gaps.views]
+
+
 @each
 def test_two_outliers_in_a_row_confirm_nothing(classifier: Classifier) -> None:
     truth = Truth(3.0, seed=3)
