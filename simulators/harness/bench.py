@@ -55,8 +55,9 @@ SETTLE_S: Final = 4.0
 VIRTUAL: Final = "virtual_times_realtime"
 TURNAROUND_HEAD: Final = (
     "cycle", "mode", "p50 us", "echo", "p99 us", "echo", "p50 ratio", "p99 ratio", "late",
-    "unexplained", "cycles", "prepared %",
+    "unexplained", "echo late", "cycles", "prepared %",
 )  # fmt: skip
+COUNTS: Final = ("late", "late_unexplained", "echo_late", "cycles")
 ECHOES: Final = {"c": "a bare C echo", "python": "a blocking Python echo (no C compiler here)"}
 EX_UNAVAILABLE: Final = 69
 BEGIN_S: Final = 2.0
@@ -311,7 +312,7 @@ def _turnaround_rows(turnaround: Mapping[str, Any]) -> Iterator[tuple[str, ...]]
                 *(number(told[name], 0) for name in names),
                 number(told["p50_ratio"]),
                 number(told["p99_ratio"]),
-                *(number(told[name]) for name in ("late", "late_unexplained", "cycles")),
+                *(number(told[name]) for name in COUNTS),
                 number(100.0 * told["prepared"], 1) if told["prepared"] is not None else DASH,
             )
 

@@ -168,6 +168,8 @@ def figures(rounds: Sequence[Round], cycle_ns: int, spikes: Sequence[Spike]) -> 
     ]
     shares = [one.prepared for one in rounds if one.prepared is not None]
     told["late"] = len(late)
+    # What a program without any work of its own, one priority above, does no better.
+    told["echo_late"] = sum(took < 0 or took > cycle_ns for one in rounds for took in one.echo_ns)
     told["late_unexplained"] = sum(
         not is_explained(sent, took, cycle_ns, spikes) for sent, took in late
     )

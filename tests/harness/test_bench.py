@@ -55,7 +55,8 @@ def test_every_round_does_the_same_work(tape: Tape) -> None:
 
 MODE = {
     "p50_us": 90.0, "p99_us": 160.0, "echo_p50_us": 60.0, "echo_p99_us": 110.0, "p50_ratio": 1.5,
-    "p99_ratio": 1.45, "late": 2, "late_unexplained": 0, "cycles": 500, "prepared": 0.998,
+    "p99_ratio": 1.45, "late": 2, "late_unexplained": 0, "echo_late": 1, "cycles": 500,
+    "prepared": 0.998,
 }  # fmt: skip
 MEASURED = {
     "version": 1,
@@ -97,7 +98,7 @@ def test_figures_are_printed_as_json_and_as_a_table(
     assert "note: a remark" in told
     (line,) = [line for line in told.splitlines() if "inline" in line]
     assert line.split() == ["4ms", "inline", "90", "60", "\N{EN DASH}", "110", "1.50", "1.45", "2",
-                            "0", "500", "0.0"]  # fmt: skip
+                            "0", "1", "500", "0.0"]  # fmt: skip
     assert picture.stat().st_size > 1000
 
 

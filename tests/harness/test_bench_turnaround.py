@@ -39,6 +39,13 @@ def test_a_ratio_is_the_median_of_the_rounds_own_ratios() -> None:
     assert told["late"] == told["late_unexplained"] == 9
 
 
+def test_what_the_echo_itself_owes_is_told_apart() -> None:
+    took = [50_000, -1, CYCLE + 1, CYCLE]
+    told = figures([Round([0] * 4, [60_000] * 4, took, 0.0, None)], CYCLE, [])
+    assert told["late"] == 0
+    assert told["echo_late"] == 2
+
+
 def test_a_reply_that_never_came_is_late_and_slower_than_any() -> None:
     one = Round([0, CYCLE], [-1, 60_000], [50_000, 50_000], 0.0, None)
     told = figures([one], CYCLE, [])
