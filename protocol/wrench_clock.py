@@ -13,6 +13,11 @@ WRAP_US = 1 << 32
 LONGEST_LATE_NS = 50_000_000
 """A frame that would be later than this was not late: the device's clock is not to be trusted."""
 
+PROMPT_NS, STEADY_NS = 8_000_000, 40_000_000
+"""Nor is it if no frame that was sent for so long by it was as prompt as this: a line that was held
+up drains within a few frames, and a clock that was set back by 15 ms stays so. Believed for the
+ten seconds of the window it made the contact unstable: 6 mm, and a torn mount."""
+
 
 class WrenchClock:
     """Dates samples. Devices without a clock keep their arrival.
@@ -21,12 +26,13 @@ class WrenchClock:
         distrusted: times the device's clock was given up and learned anew.
     """
 
-    __slots__ = ("_last_us", "_offset", "_turns", "distrusted")
+    __slots__ = ("_last_us", "_offset", "_prompt_ns", "_turns", "distrusted")
 
     def __init__(self, window_s: float = 10.0) -> None:
         """Know nothing; ``window_s`` is how long an offset is remembered [s]."""
         self._offset = ClockOffset(window_s)
         self._last_us: int | None = None
+        self._prompt_ns: int | None = None
         self._turns = 0
         self.distrusted = 0
 
@@ -36,8 +42,9 @@ class WrenchClock:
             return sample
         sent_ns = self._unwrapped(sample.device_us) * 1000
         dated_ns = sent_ns + self._offset.learn(sample.stamp_ns - sent_ns, sample.stamp_ns)
-        if sample.stamp_ns - dated_ns > LONGEST_LATE_NS:
+        if self._is_wrong(sent_ns, sample.stamp_ns - dated_ns):
             self.distrusted += 1
+            self._prompt_ns = sent_ns
             self._offset.clear()
             self._offset.learn(sample.stamp_ns - sent_ns, sample.stamp_ns)
             return sample
@@ -49,6 +56,12 @@ class WrenchClock:
             sample.device_us,
             sample.temperature,
         )
+
+    def _is_wrong(self, sent_ns: int, late_ns: int) -> bool:
+        """Return whether so late a frame, or so many in a row, are the device's clock's doing."""
+        if late_ns < PROMPT_NS or self._prompt_ns is None or sent_ns < self._prompt_ns:
+            self._prompt_ns = sent_ns
+        return late_ns > LONGEST_LATE_NS or sent_ns - self._prompt_ns > STEADY_NS
 
     def _unwrapped(self, device_us: int) -> int:
         """Return the device's count without its 32-bit wrap [us]."""

@@ -1,5 +1,7 @@
+import pytest
+
 from linemate.protocol.samples import WrenchSample
-from linemate.protocol.wrench_clock import LONGEST_LATE_NS, WRAP_US, WrenchClock
+from linemate.protocol.wrench_clock import LONGEST_LATE_NS, STEADY_NS, WRAP_US, WrenchClock
 
 PERIOD_NS = 4_000_000
 
@@ -45,6 +47,28 @@ def test_a_clock_that_stands_is_not_believed_for_long() -> None:
         late.append(stamp - clock.date(sample(stamp, 7)).stamp_ns)
     assert max(late) <= LONGEST_LATE_NS
     assert clock.distrusted > 5
+
+
+@pytest.mark.parametrize("back_us", [10_000, 15_000, 25_000, 45_000])
+def test_a_clock_that_was_set_back_a_little_is_dated_by_arrival_before_long(
+    back_us: int,
+) -> None:
+    clock = WrenchClock()
+    off = []
+    for k in range(200):
+        device_us = 10**9 + k * PERIOD_NS // 1000 - (back_us if k >= 100 else 0)
+        stamp = k * PERIOD_NS + 300_000
+        off.append(stamp - clock.date(sample(stamp, device_us)).stamp_ns)
+    assert off[:100] == [0] * 100
+    assert set(off[100 + STEADY_NS // PERIOD_NS + 2 :]) == {0}
+    assert clock.distrusted == 1
+
+
+def test_a_line_that_is_held_up_and_drained_leaves_the_clock_believed() -> None:
+    """For 48 ms nothing is read, and then all at once: each frame is dated when it came."""
+    held_up = [48_000_000 - k * PERIOD_NS for k in range(12)]
+    lateness = ([300] * 5 + held_up) * 10
+    assert dated(lateness) == [300] * len(lateness)
 
 
 def test_a_restarted_device_is_dated_anew() -> None:

@@ -261,6 +261,15 @@ def test_s9_a_sensors_clock_that_steps_by_an_hour_changes_no_state(link: str, va
     assert added(lived, undisturbed()) <= 1.0
 
 
+@pytest.mark.parametrize("value", [-0.015, -0.025, -0.035])
+def test_s9_a_force_sensors_clock_that_is_set_back_a_little_in_contact_costs_nothing(
+    value: float,
+) -> None:
+    lived = live(Fault(IN_CONTACT_S, "force_torque", "clock_step", 2.0, value))
+    assert lived.states() == ASSEMBLED
+    assert added(lived, undisturbed()) <= 1.0
+
+
 def test_s10_a_burst_of_200_pieces_on_every_sensor_costs_no_telegram() -> None:
     lived = live(*(Fault(FREE_S, link, "garbage", 0.1, 0.0, 200) for link in SENSORS))
     assert lived.states() == ASSEMBLED
