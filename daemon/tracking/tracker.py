@@ -221,7 +221,10 @@ def estimate(
             if len(waiting) == tracker.settings.fusion.initial_images:
                 across = tracker.transverse.initial(list(waiting))
         else:
-            across, taken = tracker.transverse.correct(across, sighting, gate)
+            seen_by_camera = source is Source.CAMERA
+            across, taken = tracker.transverse.correct(
+                across, sighting, gate, doubted=seen_by_camera
+            )
             refused += not taken
             if not taken:
                 continue
@@ -261,12 +264,14 @@ def _along_row(
     gate: float,
 ) -> Row:
     """Return a sighting's component along the conveyor, its swing taken out."""
-    value = float(sighting.position[1])
+    value, variance = float(sighting.position[1]), float(sighting.variance[1])
     if across is not None:
+        if source is Source.CAMERA:
+            variance *= across.doubt
         angles = tracker.transverse.swing_now(across, sighting.delay)
         for mode, angle in zip(tracker.transverse.swing, angles, strict=True):
             value -= mode.levers[1] * angle
-    return Row(source, value, sighting.delay, float(sighting.variance[1]), gate)
+    return Row(source, value, sighting.delay, variance, gate)
 
 
 def _sightings(

@@ -30,6 +30,9 @@ PACES = (0.9, 1.1)  # of the identified frequency, between which the estimate st
 SWING_DEVIATION = 0.008  # of a swing nobody has seen yet [rad]
 REFUSALS = 4  # gated sightings in a row after which the filter widens
 JUMP = 3.0  # times the gate: so far off is no wrong model, and is believed much later
+DOUBTED = 2.0  # times the variance that it tells: from here on a camera is not believed in it
+MEMORY = 40  # sightings over which that is found out; honest ones come to 1.2 at most
+MOST_DOUBT = 25.0
 JUMPED = 20  # so many in a row, half a second: by then it was somebody else's to end the motion
 
 
@@ -45,6 +48,7 @@ class TransverseState:
         rotation: (3, 3) the object at rest in c.
         refused: sightings gated in a row.
         paces: each swing's frequency, as a multiple of the identified one.
+        scatter: mean square by which sightings miss, as a multiple of the variance they tell.
     """
 
     x: Array
@@ -52,6 +56,12 @@ class TransverseState:
     rotation: Array
     refused: int = 0
     paces: tuple[float, ...] = ()
+    scatter: float = 1.0
+
+    @property
+    def doubt(self) -> float:
+        """Factor of the variance a camera tells: 1, or what it shows if that is far from it."""
+        return min(self.scatter, MOST_DOUBT) if self.scatter > DOUBTED else 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,7 +125,7 @@ class Transverse:
                 if j >= 0:
                     _turn(F, mode, pace, dt, state.x, i, j)
         P = F @ state.P @ F.T + Q
-        return TransverseState(F @ state.x, P, state.rotation, state.refused, state.paces)
+        return changed(state, x=F @ state.x, P=P)
 
     def _walk(self, delay: float) -> Array:
         """Return the variance (5,) that the object has walked since a sighting ``delay`` s ago."""
@@ -139,7 +149,7 @@ class Transverse:
         return H
 
     def correct(
-        self, state: TransverseState, sighting: Sighting, gate: float
+        self, state: TransverseState, sighting: Sighting, gate: float, *, doubted: bool = False
     ) -> tuple[TransverseState, bool]:
         """Return the belief after one sighting, and whether it was believed.
 
@@ -147,6 +157,12 @@ class Transverse:
         another; a sighting of which any component lies beyond the gate is refused whole. After
         some refusals in a row the filter widens instead: gates that cannot open again would lock
         a real step out for ever.
+
+        Args:
+            state: before.
+            sighting: of the object.
+            gate: refused beyond so many sigma.
+            doubted: its variance is weighed against how far its like missed lately.
         """
         H = self.rows(state, sighting.delay)
         swing = H[TURN:STATIC, STATIC:] @ state.x[STATIC:]
@@ -155,6 +171,8 @@ class Transverse:
         measured[:TURN] = sighting.position[_ACROSS] - H[:TURN] @ state.x
         measured[TURN:] = turn
         P, variance = state.P, sighting.variance[_SEEN] + self._walk(sighting.delay)
+        if doubted:
+            variance = state.doubt * variance
         PH = P @ H.T
         S = H @ PH
         S.reshape(-1)[:: STATIC + 1] += variance
@@ -168,6 +186,8 @@ class Transverse:
             PH = P @ H.T
             S = H @ PH
             S.reshape(-1)[:: STATIC + 1] += variance
+        elif doubted:
+            state = _scattered(state, measured * measured - S.diagonal(), variance)
         # LAPACK itself: numpy's wrapper costs three times what these five rows do.
         _, K, failed = _solve(S, PH.T)
         if failed:
@@ -178,7 +198,8 @@ class Transverse:
         x[TURN:STATIC] = 0.0
         paces = self._paces(state, x)
         x[STATIC + 2 * len(self.swing) :] = 0.0
-        return TransverseState(x, 0.5 * (P + P.T), rotation, paces=paces), True
+        P = 0.5 * (P + P.T)
+        return changed(state, x=x, P=P, rotation=rotation, refused=0, paces=paces), True
 
     def _paces(self, state: TransverseState, x: Array) -> tuple[float, ...]:
         """Return the paces with what a correction has found of their errors."""
@@ -207,6 +228,18 @@ class Transverse:
             grown = math.exp(mode.damping * w * delay)
             angles.append(grown * (c * math.cos(w * delay) - s * math.sin(w * delay)))
         return tuple(angles)
+
+
+def _scattered(state: TransverseState, beyond: Array, variance: Array) -> TransverseState:
+    """Return the state with a sighting's miss in its memory.
+
+    Args:
+        state: before.
+        beyond: (5,) squared misses, less what was expected of them.
+        variance: (5,) with the doubt in it.
+    """
+    missed = state.doubt * (1.0 + float((beyond / variance).sum()) / STATIC)
+    return changed(state, scatter=state.scatter + (missed - state.scatter) / MEMORY)
 
 
 @lru_cache(maxsize=16)
