@@ -239,6 +239,8 @@ def _scattered(state: TransverseState, beyond: Array, variance: Array) -> Transv
         variance: (5,) with the doubt in it.
     """
     missed = state.doubt * (1.0 + float((beyond / variance).sum()) / STATIC)
+    # As it begins, everything is expected of a miss: that tells nothing of the camera.
+    missed = max(missed, 0.0)
     return changed(state, scatter=state.scatter + (missed - state.scatter) / MEMORY)
 
 

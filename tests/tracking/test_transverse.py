@@ -15,7 +15,9 @@ from linemate.daemon.horizon import Array
 from linemate.daemon.tracking.observation import Sighting
 from linemate.daemon.tracking.settings import CameraNoise, FusionSettings, SwingMode
 from linemate.daemon.tracking.transverse import (
+    DOUBTED,
     JUMPED,
+    MOST_DOUBT,
     PACES,
     STATIC,
     TURN,
@@ -176,6 +178,56 @@ def test_no_real_step_is_locked_out(
     assert taken >= 60 - JUMPED
     assert np.abs(state.x[:2] - place[[0, 2]]).max() < 0.02 * max(np.abs(jump[0]).max(), 0.01)
     assert off(state, rotation) < 0.05 * max(float(np.linalg.norm(jump[1])), 0.01)
+
+
+def scattered(
+    scale: float, *, doubted: bool, seed: int, seconds: float = 4.0
+) -> list[TransverseState]:
+    """What is believed while a camera looks at rest that misses by ``scale`` of what it tells."""
+    rng = np.random.default_rng(seed)
+
+    def look() -> Sighting:
+        return seen(PLACE, rotations.exp(OFF), 0.0, 0.1, scale * rng.normal(0.0, np.sqrt(VARIANCE)))
+
+    states = [FILTER.initial([look() for _ in range(5)])]
+    for _ in range(round(seconds / FRAME)):
+        state = FILTER.predict(states[-1], FRAME)
+        states.append(FILTER.correct(state, look(), GATE, doubted=doubted)[0])
+    return states[40:]
+
+
+def test_a_camera_twice_as_noisy_as_it_tells_is_weighed_by_what_it_shows() -> None:
+    ratios = []
+    for seed in range(5):
+        doubted = scattered(2.0, doubted=True, seed=seed)
+        believed = scattered(2.0, doubted=False, seed=seed)
+        assert all(2.5 < state.doubt < 6.0 for state in doubted[40:])
+        misses = [
+            np.sqrt(np.mean([(state.x[0] - PLACE[0]) ** 2 for state in states[40:]]))
+            for states in (doubted, believed)
+        ]
+        ratios.append(misses[0] / misses[1])
+    assert np.median(ratios) < 0.9
+
+
+def test_a_camera_that_is_as_good_as_it_tells_is_believed_to_the_last_bit() -> None:
+    for seed in range(5):
+        doubted = scattered(1.0, doubted=True, seed=seed)
+        believed = scattered(1.0, doubted=False, seed=seed)
+        assert max(state.scatter for state in doubted) < 0.8 * DOUBTED
+        for state, other in zip(doubted, believed, strict=True):
+            assert np.array_equal(state.x, other.x)
+            assert np.array_equal(state.P, other.P)
+
+
+def test_what_a_gate_refuses_teaches_no_doubt_and_what_it_lets_in_a_bounded_one() -> None:
+    state = run(3.0)
+    wild = seen(PLACE + np.array((0.05, 0.0, 0.0)), rotations.exp(OFF), 0.0, 0.1)
+    after, believed = FILTER.correct(state, wild, GATE, doubted=True)
+    assert not believed
+    assert after.scatter == state.scatter
+    for state in scattered(8.0, doubted=True, seed=1):
+        assert 1.0 <= state.doubt <= MOST_DOUBT
 
 
 def test_single_outliers_are_refused_and_change_nothing() -> None:
