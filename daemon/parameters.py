@@ -112,7 +112,7 @@ def build(
         cycle_s=cycle_s,
         steps=controller.steps,
         commit=commit,
-        matrices=np.stack([along if axis == 1 else across for axis in range(6)]),
+        matrices=np.stack([along if axis == merge.ALONG else across for axis in range(6)]),
         corner=merge.rounding(cycle_s, commit),
         history_length=math.ceil(HISTORY / cycle_s),
         span=np.arange(controller.steps + 1) * cycle_s,

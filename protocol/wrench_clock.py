@@ -42,7 +42,8 @@ class WrenchClock:
             return sample
         sent_ns = self._unwrapped(sample.device_us) * 1000
         dated_ns = sent_ns + self._offset.learn(sample.stamp_ns - sent_ns, sample.stamp_ns)
-        if self._is_wrong(sent_ns, sample.stamp_ns - dated_ns):
+        late_ns = sample.stamp_ns - dated_ns
+        if late_ns > LONGEST_LATE_NS or self._unprompt_ns(sent_ns, late_ns) > STEADY_NS:
             self.distrusted += 1
             self._prompt_ns = sent_ns
             self._offset.clear()
@@ -57,11 +58,11 @@ class WrenchClock:
             sample.temperature,
         )
 
-    def _is_wrong(self, sent_ns: int, late_ns: int) -> bool:
-        """Return whether so late a frame, or so many in a row, are the device's clock's doing."""
+    def _unprompt_ns(self, sent_ns: int, late_ns: int) -> int:
+        """Take one frame; return for how long, by the device's clock, none has been prompt [ns]."""
         if late_ns < PROMPT_NS or self._prompt_ns is None or sent_ns < self._prompt_ns:
             self._prompt_ns = sent_ns
-        return late_ns > LONGEST_LATE_NS or sent_ns - self._prompt_ns > STEADY_NS
+        return sent_ns - self._prompt_ns
 
     def _unwrapped(self, device_us: int) -> int:
         """Return the device's count without its 32-bit wrap [us]."""

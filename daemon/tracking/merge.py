@@ -14,10 +14,10 @@ from scipy.linalg import solve_discrete_are
 from linemate.daemon.horizon import Array
 
 ORDER = 5
-ALONG = 1
+ALONG = 1  # the column of a list that lies along the conveyor
 
 CORNER_S = 0.00566
-"""Over what a goal's corners are rounded, one sigma [s]: two steps squared of 4 ms, none of 12."""
+"""Over what a goal's corners are rounded, one sigma [s]: 1.4 steps of 4 ms, half a step of 12."""
 
 
 def commit_steps(dead_time: float, cycle_s: float) -> int:

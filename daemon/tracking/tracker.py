@@ -221,10 +221,8 @@ def estimate(
             if len(waiting) == tracker.settings.fusion.initial_images:
                 across = tracker.transverse.initial(list(waiting))
         else:
-            seen_by_camera = source is Source.CAMERA
-            across, taken = tracker.transverse.correct(
-                across, sighting, gate, doubted=seen_by_camera
-            )
+            doubted = source is Source.CAMERA
+            across, taken = tracker.transverse.correct(across, sighting, gate, doubted=doubted)
             refused += not taken
             if not taken:
                 continue
