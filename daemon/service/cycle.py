@@ -4,7 +4,7 @@ Law of this file: it puts the parts of a cycle in their order and does the same 
 virtual time. Whoever calls it brings bytes and stamps and takes bytes away; the reply first,
 ``take_log`` after it. What a part remembers is in its own room: the samples that wait in
 ``feeds``, the controller's programme in ``session``, the robot's obedience in ``following``, the
-operating state in ``states`` behind ``watch``, a reply's bytes in ``replies``.
+operating state in ``operating``, a reply's bytes in ``replies``.
 """
 
 from collections.abc import Callable, Hashable
@@ -14,14 +14,14 @@ from typing import Any
 from linemate.daemon import step as stepping
 from linemate.daemon.inputs import Inputs, Order
 from linemate.daemon.parameters import Parameters
-from linemate.daemon.service import following, states, watch
+from linemate.daemon.service import states, watch
 from linemate.daemon.service.feeds import Feeds, Inbox
 from linemate.daemon.service.following import Following
+from linemate.daemon.service.operating import Operating, Situation
 from linemate.daemon.service.replies import Replies
 from linemate.daemon.service.session import FOREIGN, Axes, Session, standing
-from linemate.daemon.service.states import Machine, Signals, State
+from linemate.daemon.service.states import Machine, State
 from linemate.daemon.service.step_log import LONGEST_LOG, LogEntry, StepLog
-from linemate.daemon.tracking.task import Phase
 from linemate.protocol.exchange import Exchange, Kind, Verdict
 from linemate.protocol.frozen import frozen
 from linemate.protocol.rsi import PreparedReply, RobotTelegram, RsiCodec, RsiError
@@ -37,20 +37,14 @@ __all__ = ["CATCH_UP_S", "LONGEST_JUMP", "LONGEST_LOG", "Cycle", "Express", "Inb
 
 Express = Callable[..., bytes | None]
 """Gives the reply to a datagram and its sender, or None."""
-OnTransition = Callable[[Machine, Signals, Machine], None]
 
 LONGEST_JUMP = 0.05
 """Of a joint from one telegram to the next, before a reply is looked at twice [rad]."""
 
-SETTLED = 0.3  # a retreat is over when no axis is quicker [rad/s, m/s]; it may follow the object
 PROGRAMMED_S = 1000.0  # a blend as long as that is none [s]
-SETTLING = "the robot has not come to rest yet since its programme began"
 CATCH_UP_S = 0.3  # steps made at once after a gap, at most
-NEAR = frozenset({State.TRACK, State.HOLD})
-"""States in which it matters what a stop would leave between tool and object."""
 
 _OPENS = frozenset({Kind.FIRST, Kind.NEW_SESSION})
-_AT_REST = frozenset({State.INIT, State.IDLE, State.HOLD, State.FAULT})
 _SHOWN = (
     "task_time",
     "scenario",
@@ -89,10 +83,9 @@ class Cycle:
 
     Attributes:
         parameters, codec: of the step, of the robot's telegrams.
-        exchange, machine, feeds, session, following: the parts, each with its own memory.
+        exchange, operating, feeds, session, following: the parts, each with its own memory.
         verdict: on the last telegram that could be read.
         last: the last step.
-        on_transition: told every decision of the operating state, if set.
         steps, prepared, inline, remade: made in all, sent as prepared, made in line, made twice.
         refused, last_refusal: telegrams that could not be read, and why the last one was not.
     """
@@ -117,26 +110,20 @@ class Cycle:
         """
         self.parameters = parameters
         self.codec = codec
-        self._settings = watch_settings or watch.WatchSettings()
-        self._wrench_expected = wrench_expected
+        settings = watch_settings or watch.WatchSettings()
         self.exchange = Exchange(parameters.cycle_s)
-        self.machine = Machine()
+        self.operating = Operating(settings, parameters.cycle_s, wrench_expected=wrench_expected)
         self.feeds = Feeds()
         self.session = Session(parameters.cycle_s)
-        self.following = Following(self._settings.follow_s, parameters.cycle_s)
+        self.following = Following(settings.follow_s, parameters.cycle_s)
         self.verdict: Verdict | None = None
         self.last: LogEntry | None = None
         self._given: LogEntry | None = None
-        self.on_transition: OnTransition | None = None
         self.refused = self.inline = self.prepared = self.remade = self.steps = 0
         self.last_refusal: str | None = None
         self._replies = Replies(codec, absolute=absolute)
         self._log = StepLog()
-        self._watch = watch.Watch()
-        self._signals = Signals()
-        self._orders: set[str] = set()
-        self._new_session = self._is_loss_untold = False
-        self._is_under_way = self._was_preparing = self._has_failed = False
+        self._is_under_way = self._was_preparing = False
         self._state: stepping.State | None = None
         self._began_with: stepping.State | None = None
         self._before: stepping.Outputs | None = None  # of the step before ``last``
@@ -173,12 +160,7 @@ class Cycle:
             None, or why it is refused.
         """
         del who
-        reason = states.refusal(self.machine, self._signals, op)
-        if reason is not None and op == "arm" and self.last is not None:
-            reason = self.last.outputs.ready or (SETTLING if self._is_settling else reason)
-        if reason is None:
-            self._orders.add(op)
-        return reason
+        return self.operating.order(op, self._found())
 
     # Parameters.
 
@@ -195,13 +177,12 @@ class Cycle:
 
     def watch_by(self, settings: watch.WatchSettings) -> None:
         """Take other time-outs and debounce from the next step on."""
-        self._settings = settings
+        self.operating.settings = settings
 
     @property
     def stands(self) -> bool:
         """Whether the robot is at rest and nothing is about to move it."""
-        at_rest = self.machine.state in _AT_REST and not self._orders
-        return at_rest and (self._state is None or not self._state.moving)
+        return self.operating.rests and (self._state is None or not self._state.moving)
 
     def trial(self) -> tuple[stepping.State, Inputs] | None:
         """Return the state and the inputs of the last step, to try parameters on."""
@@ -247,7 +228,7 @@ class Cycle:
         Its reply never went out. A preparation that failed before its step owed none.
         """
         if self._is_under_way:
-            self._has_failed = True
+            self.operating.has_failed = True
             if not self._was_preparing or self._state is not self._began_with:
                 self.session.refrain()
         self._is_under_way, self._was_preparing = True, preparing
@@ -265,7 +246,7 @@ class Cycle:
         if self.session.is_foreign:
             return self._reply_bare(telegram, stamp_ns)
         if self.session.settle(telegram.delay, verdict.missed + 1, stamp_ns):
-            self._is_loss_untold = True
+            self.operating.is_loss_untold = True
         self._look_where(robot)
         reply = self._answer(telegram, stamp_ns, verdict)
         self._robot = robot
@@ -366,7 +347,7 @@ class Cycle:
         """Begin anew with a robot that holds; arming is needed."""
         self.session.open(start, held, robot.delay)
         self.following.begin(held)
-        self._new_session = self._state is not None
+        self.operating.has_new_session = self._state is not None
         self._state = stepping.initial(self.parameters, standing(robot, held))
         self._robot = robot
         self._ready = None
@@ -378,7 +359,7 @@ class Cycle:
         """
         axes, start = self._axes(robot), self.session.start
         if self.session.held != start or states.order(self.machine) is not Order.HOLD:
-            self.following.moving(axes, self._settings.follow_tolerance)
+            self.following.moving(axes, self.operating.settings.follow_tolerance)
         elif self.following.resting(axes, start):
             self._open_session(robot, axes, axes)
 
@@ -494,7 +475,7 @@ class Cycle:
             self._apply_swap(self._swap)
             state = self._opened()
         before = self.machine
-        self._decide(stamp_ns, telegram=telegram)
+        self.operating.decide(stamp_ns, self.feeds, self._found(), telegram=telegram)
         started = self.machine is not before and self.machine.state is State.TRACK
         sent, applied, pace = self._fate(answering=answering)
         inputs = Inputs(
@@ -520,75 +501,15 @@ class Cycle:
         shown = self.machine.state.value
         return LogEntry(ipoc, shown, inputs, outputs, state, self._state, made_with)
 
-    def _decide(self, stamp_ns: int, *, telegram: bool) -> None:
-        """Move the operating state on what was seen up to now."""
-        before = self.machine
-        facts = self._facts(stamp_ns, telegram=telegram)
-        self._orders.clear()
-        self._new_session = self._is_loss_untold = self._has_failed = False
-        self._watch, self._signals = watch.observe(self._watch, facts, before, self._settings)
-        self.machine = states.transition(before, self._signals)
-        if self.on_transition is not None:
-            self.on_transition(before, self._signals, self.machine)
-
-    def _is_contradicted(self) -> bool:
-        """Tell whether a motion that is led by poses has none that fit.
-
-        An exercise, which never gives way to what is sensed, is led by its programme alone: it is
-        there to find out what does not fit.
-        """
-        if self.machine.state is not State.TRACK or not self.feeds.camera_health.contradicts:
-            return False
-        return self.parameters.tracker.settings.merge.blend < PROGRAMMED_S
-
-    @property
-    def _is_settling(self) -> bool:
-        """Whether a robot that was not sent anywhere yet may still move.
-
-        Where its corrections count from is not known before it rests.
-        """
-        return self.session.held == self.session.start and not self.following.rests
-
-    def _facts(self, stamp_ns: int, *, telegram: bool) -> watch.Facts:
-        """Return what was seen up to now, for the watch."""
-        feeds = self.feeds
-        # A link that carries telegrams but no replies is no link.
-        telegram = telegram and not self._is_loss_untold
-        if self.last is None:
-            return watch.Facts(
-                stamp_ns,
-                telegram,
-                self._new_session,
-                position_ns=feeds.newest_ns,
-                wrench_ns=feeds.wrench_ns,
-                wrench_expected=self._wrench_expected,
-                overload=feeds.overloaded,
-                fault=self._has_failed,
-                orders=frozenset(self._orders),
-            )
-        outputs, before = self.last.outputs, self._before or self.last.outputs
-        period = self.parameters.cycle_s
-        near = self.machine.state in NEAR
-        under_way = (outputs.task_time or 0.0) > 0.0
-        finished = outputs.finished
-        return watch.Facts(
-            stamp_ns=stamp_ns,
-            telegram=telegram,
-            new_session=self._new_session,
-            position_ns=feeds.newest_ns,
-            slower_ns=feeds.slower_ns if under_way else None,
-            wrench_ns=feeds.wrench_ns,
-            wrench_expected=self._wrench_expected,
-            contradicted=self._is_contradicted(),
-            gap_m=following.gap(outputs, period) if near else None,
+    def _found(self) -> Situation:
+        """Return how a decision finds the robot and the task."""
+        return Situation(
+            None if self.last is None else self.last.outputs,
+            self._before,
             astray=self.following.astray is not None,
-            ready=outputs.ready is None and not self._is_settling,
-            contact=outputs.contact,
-            overload=feeds.overloaded,
-            done=outputs.phase is Phase.RETREAT,
-            fault=self._has_failed,
-            clear=finished and following.pace(before, outputs, period) < SETTLED,
-            orders=frozenset(self._orders),
+            # Where corrections count from is not known before the robot rests.
+            settling=self.session.held == self.session.start and not self.following.rests,
+            sensed=self.parameters.tracker.settings.merge.blend < PROGRAMMED_S,
         )
 
     def _reply(self, entry: LogEntry) -> PreparedReply:
@@ -605,6 +526,11 @@ class Cycle:
         self._log.put(entry)
 
     # What others may know.
+
+    @property
+    def machine(self) -> Machine:
+        """The operating state."""
+        return self.operating.machine
 
     @property
     def is_foreign(self) -> bool:
@@ -628,7 +554,7 @@ class Cycle:
             "state": self.machine.state.value,
             "because": self.machine.because,
             "latched": self.machine.latched,
-            "link": self._signals.link.value,
+            "link": self.operating.signals.link.value,
             "steps": self.steps,
             "prepared": self.prepared,
             "inline": self.inline,
@@ -637,7 +563,7 @@ class Cycle:
             "foreign": FOREIGN if self.is_foreign else None,
             "telegrams": {**self.exchange.counters, "unreadable": self.refused},
             "last_refusal": self.last_refusal,
-            "unfit": states.unfit(self._signals),
+            "unfit": states.unfit(self.operating.signals),
             "sensors": heard["sensors"],
             "redated": heard["redated"],
             "dropped": {**heard["dropped"], "log": self.log_dropped},

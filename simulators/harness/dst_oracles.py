@@ -79,7 +79,7 @@ class Oracle:
                 self._judge_step(entry, cycle.openings)
             return entries
 
-        cycle.on_transition = self._transition
+        cycle.operating.on_transition = self._transition
         cycle.take_log = overheard  # type: ignore[method-assign]
         self._open_orders.clear()
         self._command = ()

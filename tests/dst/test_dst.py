@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import pytest
 
 from linemate.daemon.service.cycle import Cycle
+from linemate.daemon.service.operating import Operating
 from linemate.daemon.service.session import Session
 from linemate.daemon.service.states import Link, Machine, Signals, State
 from linemate.simulators.harness import dst, dst_oracles, dst_plan, dst_run
@@ -161,10 +162,10 @@ def test_a_daemon_that_does_not_look_at_delay_breaks_the_limits(
 
 
 def test_an_exception_in_the_daemon_is_a_violation(monkeypatch: pytest.MonkeyPatch) -> None:
-    def decide(cycle: Cycle, stamp_ns: int, *, telegram: bool) -> None:
-        raise ZeroDivisionError(f"{cycle.steps} {stamp_ns} {telegram}")
+    def decide(_: Operating, stamp_ns: int, *_facts: object, telegram: bool) -> None:
+        raise ZeroDivisionError(f"{stamp_ns} {telegram}")
 
-    monkeypatch.setattr(Cycle, "_decide", decide)
+    monkeypatch.setattr(Operating, "decide", decide)
     violations = dst_run.run(Plan(1)).violations
     assert any("faults: fault 1 in the cycle ZeroDivisionError" in what for what in violations)
 

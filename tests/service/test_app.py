@@ -445,7 +445,7 @@ def test_an_end_while_the_robot_moves_brings_it_to_rest_first(serve: Serve, task
         async with serve() as running:
             controller = running.controller(task)
             await controller.cycles(15)
-            running.app.cycle.machine = Machine(State.TRACK)
+            running.app.cycle.operating.machine = Machine(State.TRACK)
             running.app.end()
             with contextlib.suppress(ConnectionRefusedError):  # it has ended meanwhile
                 await controller.cycles(50)

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from linemate.daemon.inputs import Order
 from linemate.daemon.parameters import Parameters
-from linemate.daemon.service.cycle import CATCH_UP_S, LONGEST_LOG, SETTLING, Cycle, Inbox
+from linemate.daemon.service.cycle import CATCH_UP_S, LONGEST_LOG, Cycle, Inbox
+from linemate.daemon.service.operating import SETTLING
 from linemate.daemon.service.states import State
 from linemate.daemon.service.task_file import Task
 from linemate.daemon.tracking.task import Phase

@@ -78,7 +78,7 @@ def make(tmp_path: Path, parameters: Parameters, task: Task) -> Make:
 
 
 def in_state(cycle: Cycle, state: State) -> None:
-    cycle.machine = Machine(state)
+    cycle.operating.machine = Machine(state)
 
 
 async def kept(answer: dict[str, Any]) -> dict[str, Any]:

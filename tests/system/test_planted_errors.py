@@ -11,9 +11,9 @@ import pytest
 
 from linemate.daemon import step as stepping
 from linemate.daemon.service import following, states, watch
-from linemate.daemon.service.cycle import Cycle
 from linemate.daemon.service.feeds import Feeds
 from linemate.daemon.service.following import Following
+from linemate.daemon.service.operating import Operating
 from linemate.daemon.service.replies import Replies
 from linemate.daemon.service.session import Session
 from linemate.daemon.service.step_log import StepLog
@@ -33,7 +33,7 @@ CALLED: tuple[tuple[Any, str], ...] = (
     (Following, "sent"),
     (Replies, "prepare"),
     (StepLog, "put"),
-    (Cycle, "_facts"),
+    (Operating, "_facts"),
     (watch, "observe"),
     (states, "transition"),
     (states, "order"),

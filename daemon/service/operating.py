@@ -1,0 +1,158 @@
+"""The operating state between two steps: what was noticed and ordered, and what may be done next.
+
+Law of this file: it gathers facts; ``watch`` puts time-outs and debounce in front of them and
+``states`` decides. What is noticed and what is ordered lasts until the next decision, no longer.
+"""
+
+from collections.abc import Callable
+
+from linemate.daemon.service import following, states, watch
+from linemate.daemon.service.feeds import Feeds
+from linemate.daemon.service.states import Machine, Signals, State
+from linemate.daemon.step import Outputs
+from linemate.daemon.tracking.task import Phase
+from linemate.protocol.frozen import frozen
+
+OnTransition = Callable[[Machine, Signals, Machine], None]
+
+SETTLED = 0.3  # a retreat is over when no axis is quicker [rad/s, m/s]; it may follow the object
+SETTLING = "the robot has not come to rest yet since its programme began"
+NEAR = frozenset({State.TRACK, State.HOLD})
+"""States in which it matters what a stop would leave between tool and object."""
+
+_AT_REST = frozenset({State.INIT, State.IDLE, State.HOLD, State.FAULT})
+
+
+@frozen(eq=False)
+class Situation:
+    """The robot and the task as a decision finds them.
+
+    Attributes:
+        last, before: what the last two steps said; None before there were any.
+        astray: an axis is not where it was sent.
+        settling: the robot may still move although it was not sent anywhere yet.
+        sensed: poses lead the motion, and not its programme alone.
+    """
+
+    last: Outputs | None
+    before: Outputs | None
+    astray: bool
+    settling: bool
+    sensed: bool
+
+
+class Operating:
+    """Decides what the daemon may do.
+
+    Attributes:
+        machine: where the operating state stands.
+        signals: what the last decision saw.
+        settings: time-outs and debounce.
+        on_transition: told every decision, if set.
+        has_new_session: noticed: the robot's programme has begun anew.
+        is_loss_untold: noticed: a reply has not reached the robot.
+        has_failed: noticed: what was begun raised.
+    """
+
+    def __init__(
+        self, settings: watch.WatchSettings, cycle_s: float, *, wrench_expected: bool
+    ) -> None:
+        """Wait for the first telegram.
+
+        Args:
+            settings: time-outs and debounce.
+            cycle_s: T0 [s].
+            wrench_expected: there is a force-torque sensor.
+        """
+        self.machine = Machine()
+        self.signals = Signals()
+        self.settings = settings
+        self.on_transition: OnTransition | None = None
+        self.has_new_session = self.is_loss_untold = self.has_failed = False
+        self._cycle_s = cycle_s
+        self._wrench_expected = wrench_expected
+        self._watch = watch.Watch()
+        self._orders: set[str] = set()
+
+    def order(self, op: str, found: Situation) -> str | None:
+        """Take an operator's order for the next decision.
+
+        Args:
+            op: arm, start, stop, retreat or ack.
+            found: what keeps a robot from being armed is told before what follows from it.
+
+        Returns:
+            None, or why it is refused.
+        """
+        reason = states.refusal(self.machine, self.signals, op)
+        if reason is not None and op == "arm" and found.last is not None:
+            reason = found.last.ready or (SETTLING if found.settling else reason)
+        if reason is None:
+            self._orders.add(op)
+        return reason
+
+    @property
+    def rests(self) -> bool:
+        """Whether nothing is about to move the robot."""
+        return self.machine.state in _AT_REST and not self._orders
+
+    def decide(self, stamp_ns: int, feeds: Feeds, found: Situation, *, telegram: bool) -> None:
+        """Move the operating state on what was seen up to now.
+
+        Args:
+            stamp_ns: of the step [ns].
+            feeds: what the sensors brought.
+            found: the robot and the task.
+            telegram: the step is made for one.
+        """
+        before = self.machine
+        facts = self._facts(stamp_ns, feeds, found, telegram=telegram)
+        self._orders.clear()
+        self.has_new_session = self.is_loss_untold = self.has_failed = False
+        self._watch, self.signals = watch.observe(self._watch, facts, before, self.settings)
+        self.machine = states.transition(before, self.signals)
+        if self.on_transition is not None:
+            self.on_transition(before, self.signals, self.machine)
+
+    def _facts(
+        self, stamp_ns: int, feeds: Feeds, found: Situation, *, telegram: bool
+    ) -> watch.Facts:
+        """Return what was seen up to now, for the watch."""
+        # A link that carries telegrams but no replies is no link.
+        telegram = telegram and not self.is_loss_untold
+        last = found.last
+        if last is None:
+            return watch.Facts(
+                stamp_ns,
+                telegram,
+                self.has_new_session,
+                position_ns=feeds.newest_ns,
+                wrench_ns=feeds.wrench_ns,
+                wrench_expected=self._wrench_expected,
+                overload=feeds.overloaded,
+                fault=self.has_failed,
+                orders=frozenset(self._orders),
+            )
+        before, period, state = found.before or last, self._cycle_s, self.machine.state
+        # A motion that is led by poses has none that fit. An exercise is led by its programme
+        # alone: it is there to find out what does not fit.
+        contradicted = state is State.TRACK and feeds.camera_health.contradicts and found.sensed
+        return watch.Facts(
+            stamp_ns=stamp_ns,
+            telegram=telegram,
+            new_session=self.has_new_session,
+            position_ns=feeds.newest_ns,
+            slower_ns=feeds.slower_ns if (last.task_time or 0.0) > 0.0 else None,
+            wrench_ns=feeds.wrench_ns,
+            wrench_expected=self._wrench_expected,
+            contradicted=contradicted,
+            gap_m=following.gap(last, period) if state in NEAR else None,
+            astray=found.astray,
+            ready=last.ready is None and not found.settling,
+            contact=last.contact,
+            overload=feeds.overloaded,
+            done=last.phase is Phase.RETREAT,
+            fault=self.has_failed,
+            clear=last.finished and following.pace(before, last, period) < SETTLED,
+            orders=frozenset(self._orders),
+        )
