@@ -30,6 +30,7 @@ from linemate.simulators.devices.faults import Faults
 from linemate.simulators.devices.faulty_link import FaultyLink
 from linemate.simulators.devices.limits import AxisLimit
 from linemate.simulators.devices.robot_plant import RobotPlant, seven
+from linemate.simulators.harness.dst_actors import Operator, Programme
 from linemate.simulators.harness.dst_oracles import Oracle
 from linemate.simulators.harness.dst_plan import CycleMs, Plan
 from linemate.simulators.harness.lockstep import parameters
@@ -66,12 +67,6 @@ PATIENCE_S = 5.0
 LAST_PATIENCE_S = 12.0
 MOST_BREAKS = 3
 """However long the programme drives, and however often the exchange has to be begun anew."""
-HOMING_S = 0.5
-HOMING_SPEED = 0.8
-"""How the programme drives the robot to its rest pose, without RSI: for so long at least [s], an
-axis at so much in the mean at most [rad/s, m/s]; it is not charged to the daemon's time."""
-DITHERING_S = 0.2
-"""How long the operator waits for what is held to go on before beginning anew [s]."""
 ENDING_EVERY = 8
 """One seed in so many is ended as by SIGTERM and has to come to rest."""
 ENDING_S = 5.0
@@ -203,8 +198,8 @@ class Simulation:
         self.oracle = Oracle(plan.cycle_s, (*(brake.acceleration,) * 6, brake.axis_acceleration))
         self.oracle.holds = lambda: self.controller.setpoints
         self.app: App | None = None
-        self.robot = _Robot(self)
-        self.operator = _Operator(self)
+        self.robot = Programme(self)
+        self.operator = Operator(self)
         self.tracked_s = float("-inf")
         self._faults = Faults(scenario.faults)
         mount = station().task.file.conveyor.start_position
@@ -541,155 +536,6 @@ class _LogCounter(logging.Handler):
             logger.removeHandler(self)
             logger.setLevel(level)
             logger.propagate = propagate
-
-
-class _Robot:
-    """The controller's programme, its operator included: pauses, brakes, homing, restarts."""
-
-    def __init__(self, simulation: Simulation) -> None:
-        self._simulation = simulation
-        self._controller = simulation.controller
-        self._plant = simulation.plant
-        self._paused_until_s: float | None = None
-        self._braked_until_s: float | None = None
-        self._pose = self._plant.start
-        self._from = self._pose
-        self._took_s = 1.0
-        self._sent = self._is_open = False
-        self.quiet_s = float("-inf")
-        self.homing_s = 0.0
-        self.breaks = 0
-
-    def pause(self, now_s: float, duration_s: float) -> None:
-        """End the programme; it begins anew after some time."""
-        if self._paused_until_s is None:
-            # Drives that are off stay where they are, whatever the controller was sent meanwhile.
-            is_braked = self._braked_until_s is not None
-            self._from = self._pose = self._pose if is_braked else self._controller.setpoints
-        self._paused_until_s = max(now_s + duration_s, self._paused_until_s or now_s)
-
-    def brake(self, now_s: float, duration_s: float) -> None:
-        """Drives off: the axes stand where they were sent last, whatever comes."""
-        if self._paused_until_s is None:
-            self._braked_until_s = max(now_s + duration_s, self._braked_until_s or now_s)
-            self._pose = self._controller.setpoints
-
-    def home(self, now_s: float) -> None:
-        """Drive to the rest pose without RSI; the programme begins anew there."""
-        self._from, self._pose = self._controller.setpoints, self._plant.start
-        way = max(abs(a - b) for a, b in zip(self._from, self._pose, strict=True))
-        self._took_s = max(HOMING_S, way / HOMING_SPEED)
-        self._paused_until_s = now_s + self._took_s
-        self.homing_s += self._took_s
-
-    @property
-    def is_open(self) -> bool:
-        """A cycle is open."""
-        return self._is_open
-
-    @property
-    def is_paused(self) -> bool:
-        """No telegrams come."""
-        return self._paused_until_s is not None
-
-    def telegram(self, now_s: float) -> bytes | None:
-        """Open a cycle."""
-        self._is_open = True
-        if self._braked_until_s is not None and now_s >= self._braked_until_s:
-            self.pause(now_s, self._simulation.plan.cycle_s)
-            self._braked_until_s = None
-        if self._controller.broken is not None and self._paused_until_s is None:
-            self.quiet_s = now_s
-            self.breaks += 1
-            self.home(now_s)
-        if self._paused_until_s is not None and now_s >= self._paused_until_s:
-            self._paused_until_s = None
-            self._controller.restart(setpoints=self._pose)
-        if self._paused_until_s is not None:
-            self._sent = False
-            return None
-        data = self._controller.telegram()
-        self._sent = data is not None
-        return data
-
-    def close(self) -> Vector7:
-        """Close the cycle and move; returns where the axes are sent."""
-        if not self._sent:
-            self._stand()
-            return self._pose
-        applied = self._controller.end_of_cycle()
-        if self._braked_until_s is not None:
-            applied = replace(applied, setpoints=self._pose)
-        self._plant.apply(applied)
-        return applied.setpoints
-
-    def _stand(self) -> None:
-        world, plant = self._simulation.world, self._plant
-        left_s = (self._paused_until_s or world.time_s) - world.time_s
-        share = min(max(1.0 - left_s / self._took_s, 0.0), 1.0)
-        share = share**3 * (10.0 + share * (6.0 * share - 15.0))
-        moved = (a + share * (b - a) for a, b in zip(self._from, self._pose, strict=True))
-        world.command(tuple(moved))
-        plant.cycle += 1
-        world.advance(world.cycle_start(plant.cycle))
-
-
-class _Operator:
-    """Arms and starts once; when the trouble is over, or at once if eager, again and again."""
-
-    def __init__(self, simulation: Simulation) -> None:
-        self._simulation = simulation
-        self._started = False
-        self._waited_s = 0.0
-        self.refusal = ""
-
-    def order(self, op: str) -> bool:
-        """Give an order; whether it was taken."""
-        simulation = self._simulation
-        app = simulation.app
-        if simulation.is_stalled or app is None:
-            return False
-        answer = app._handle(op, {}, "operate", "operator")  # noqa: SLF001
-        # Only a set or a save is answered later.
-        reason = answer.get("refused") if isinstance(answer, dict) else "answered later"
-        simulation.oracle.ordered(op, app.cycle, reason)
-        if reason is not None:
-            self.refusal = f"{op}: {reason}"
-        return reason is None
-
-    def look(self, now_s: float) -> None:
-        """Give the next order if it is due."""
-        simulation = self._simulation
-        app = simulation.app
-        if simulation.is_stalled or simulation.robot.is_paused or app is None:
-            return
-        quiet = now_s >= simulation.plan.quiet_s
-        if self._started and not (quiet or simulation.plan.eager):
-            return
-        if quiet and simulation.tracked_s >= simulation.plan.quiet_s > float("-inf"):
-            return
-        self._act(now_s, app)
-
-    def _act(self, now_s: float, app: App) -> None:
-        simulation = self._simulation
-        state = app.cycle.machine.state
-        waits = state is State.HOLD or app.cycle.is_foreign
-        self._waited_s = self._waited_s + simulation.plan.cycle_s if waits else 0.0
-        if app.cycle.is_foreign:
-            if self._waited_s > DITHERING_S:
-                simulation.robot.home(now_s)
-            return
-        match state:
-            case State.IDLE:
-                if not self.order("arm") and "away from the task's first pose" in self.refusal:
-                    simulation.robot.home(now_s)
-            case State.ARMED:
-                self._started = self.order("start") or self._started
-            case State.HOLD:
-                if not self.order("start") and self._waited_s > DITHERING_S:
-                    self.order("stop")
-            case State.FAULT:
-                self.order("ack")
 
 
 def _ns(time_s: float) -> int:
