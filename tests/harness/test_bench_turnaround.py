@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from linemate.simulators.harness import bench_floor, bench_turnaround, host
+from linemate.simulators.harness import bench_clock, bench_floor, bench_turnaround, host
 from linemate.simulators.harness.bench import record_reel
 from linemate.simulators.harness.bench_floor import Place, Spike, TimerProgram
 from linemate.simulators.harness.bench_turnaround import (
@@ -115,6 +115,14 @@ def test_the_c_timer_tells_lateness_and_spikes(program: Path, tmp_path: Path) ->
             pass
         spike = timer.spikes[-1]
         assert 0 < spike.woke_ns - spike.due_ns < 10_000 * MS
+        assert all(one.due_ns % MS == 0 for one in timer.spikes)
+
+
+@pytest.mark.parametrize("now_ns", [0, 1, CYCLE // 2, 987_654_321_012])
+def test_the_daemons_clock_wakes_halfway_between_the_c_timers_wakes(now_ns: int) -> None:
+    pace = bench_clock.between(CYCLE, now_ns)
+    assert pace.wake_ns % CYCLE == CYCLE // 2
+    assert abs(pace.wake_ns - now_ns) <= 2 * CYCLE
 
 
 @pytest.mark.timeout(120)

@@ -94,7 +94,8 @@ static void timer(int64_t period, int64_t spike)
 {
     struct sigaction action = {.sa_handler = ask};
     int fd = timerfd_create(CLOCK_MONOTONIC, TFD_CLOEXEC);
-    int64_t due = now_ns() + period;
+    /* At whole periods, so that what is held beside it can wake in between. */
+    int64_t due = (now_ns() / period + 1) * period;
 
     sigaction(SIGUSR1, &action, NULL);
     if (fd < 0)
