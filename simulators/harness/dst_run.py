@@ -67,6 +67,8 @@ PATIENCE_S = 5.0
 LAST_PATIENCE_S = 12.0
 MOST_BREAKS = 3
 """However long the programme drives, and however often the exchange has to be begun anew."""
+LONGEST_S = 60.0
+"""Beyond its plan no run goes on for longer, daemon or none [s]."""
 ENDING_EVERY = 8
 """One seed in so many is ended as by SIGTERM and has to come to rest."""
 ENDING_S = 5.0
@@ -294,7 +296,10 @@ class Simulation:
         self._time.at(self._time.now_ns + round(duration_s * 1e9), self._revive)
 
     def _revive(self) -> None:
-        if self.app is None and not self._is_over:
+        if not self._dying.done():
+            # It was stalled when it was ended, and ends as soon as it gets the processor.
+            self._dying.add_done_callback(lambda _: self._revive())
+        elif self.app is None and not self._is_over:
             self._boot()
 
     def _blame(self, error: BaseException) -> None:
@@ -380,6 +385,10 @@ class Simulation:
     def _look(self) -> None:
         """Judge the cycle that was closed."""
         app = self.app
+        if self.now_s > self.plan.duration_s + LONGEST_S and not self._is_over:
+            self.oracle.blame("liveness: the run does not end")
+            self._is_over = True
+            self._over.set()
         if app is None:
             return
         self.oracle.look(app.cycle, self.now_s)

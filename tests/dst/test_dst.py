@@ -170,6 +170,13 @@ def test_an_exception_in_the_daemon_is_a_violation(monkeypatch: pytest.MonkeyPat
     assert any("faults: fault 1 in the cycle ZeroDivisionError" in what for what in violations)
 
 
+def test_a_run_that_does_not_end_is_a_violation(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dst_run.Simulation, "_boot", lambda _: None)
+    monkeypatch.setattr(dst_run, "LONGEST_S", 0.5)
+    (what,) = dst_run.run(Plan(1)).violations
+    assert what.startswith("liveness: the run does not end")
+
+
 def test_an_operators_order_that_gets_lost_is_a_violation(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Cycle, "order", lambda _cycle, _op, _who="": None)
     violations = dst_run.run(Plan(1)).violations
