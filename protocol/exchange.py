@@ -284,7 +284,10 @@ class Exchange:
         event = self._place(ipoc, stamp_ns)
         if event not in _DOUBTFUL or not in_line:
             return event
-        return Event.RESUME if self._goes_on(ipoc, stamp_ns) else Event.RESYNC
+        if self._goes_on(ipoc, stamp_ns):
+            return Event.RESUME
+        # Telegrams that were missed and come at last are in one line too, and are nothing new.
+        return event if event is Event.MISSED else Event.RESYNC
 
     def _place(self, ipoc: int, stamp_ns: int) -> Event:
         delta = ipoc - self._last_ipoc

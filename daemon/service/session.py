@@ -197,6 +197,9 @@ def goes_on(known: Programme, robot: RobotSample, cycle_s: float) -> Axes | None
     passed_s = (robot.stamp_ns - known.stamp_ns) * 1e-9
     if rest or abs(passed_s - cycles * cycle_s) > DELAYED_S:
         return None
+    if cycles <= 0:
+        # Held up on its way, and in a line with others: of the past of the same programme.
+        return known.given
     if robot.delay == known.delay + cycles:
         return known.taken
     if robot.delay in {cycles - 1, known.delay + cycles - 1}:

@@ -219,11 +219,19 @@ def test_the_second_telegram_may_be_a_window_of_milliseconds_ahead(
         assert exchange.on_telegram(ahead, round(cycle_s * 1e9)).kind is kind
 
 
-@pytest.mark.parametrize(("at", "kind"), [(9.0, "gap"), (9.01, "new_session"), (5.5, "gap")])
+@pytest.mark.parametrize(("at", "kind"), [(9.0, "gap"), (9.01, "late"), (5.5, "gap")])
 def test_a_line_goes_on_only_in_its_time(at: float, kind: str) -> None:
     feed = running()
     assert feed(5, 9).kind is Kind.GAP  # a flipped bit
     assert feed.kinds_of((5.1, 3), (5.2, 4), (at, 5)) == ["backward", "backward", kind]
+
+
+def test_missed_telegrams_that_come_at_last_and_in_line_are_late_and_no_new_session() -> None:
+    feed = running()
+    assert feed.kinds_of((9, 9), (10, 10)) == ["gap", "normal"]
+    assert feed.kinds_of((10.1, 5), (10.2, 6), (10.3, 7), (10.4, 8)) == ["late"] * 4
+    assert feed(11).kind is Kind.NORMAL
+    assert feed.exchange.session == 1
 
 
 def test_a_gap_without_the_time_for_it_is_a_flipped_bit() -> None:
