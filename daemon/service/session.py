@@ -184,24 +184,25 @@ def goes_on(known: Programme, robot: RobotSample, cycle_s: float) -> Axes | None
     """Return where the robot holds if a programme is the one remembered, None if it is not.
 
     One that goes on has counted on in the time that passed, and has every cycle since in its
-    Delay, as a running total or in a row.
+    Delay, as a running total or in a row. A counter of its own past was held up on its way,
+    whatever Delay it tells: corrections count from where the programme began all the same.
 
     Args:
         known: the one remembered.
-        robot: a telegram that may be its next.
+        robot: a telegram that may be its next, or of its past.
         cycle_s: the controller's cycle [s].
     """
-    if known.step is None or known.delay is None or robot.delay is None:
+    if known.step is None:
         return None
     cycles, rest = divmod(robot.ipoc - known.ipoc, known.step)
     passed_s = (robot.stamp_ns - known.stamp_ns) * 1e-9
     if rest or abs(passed_s - cycles * cycle_s) > DELAYED_S:
         return None
     if cycles <= 0:
-        # Held up on its way, and in a line with others: of the past of the same programme.
         return known.given
+    if known.delay is None or robot.delay is None:
+        return None
     if robot.delay == known.delay + cycles:
         return known.taken
-    if robot.delay in {cycles - 1, known.delay + cycles - 1}:
-        return known.given
-    return None
+    is_given = robot.delay in {cycles - 1, known.delay + cycles - 1}
+    return known.given if is_given else None

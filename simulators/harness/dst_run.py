@@ -385,23 +385,21 @@ class Simulation:
     def _look(self) -> None:
         """Judge the cycle that was closed."""
         app = self.app
-        if self.now_s > self.plan.duration_s + LONGEST_S and not self._is_over:
-            self.oracle.blame("liveness: the run does not end")
-            self._is_over = True
-            self._over.set()
-        if app is None:
-            return
-        self.oracle.look(app.cycle, self.now_s)
-        if app.cycle.machine.state in {State.TRACK, State.CONTACT}:
-            self.tracked_s = self.now_s
+        if app is not None:
+            self.oracle.look(app.cycle, self.now_s)
+            if app.cycle.machine.state in {State.TRACK, State.CONTACT}:
+                self.tracked_s = self.now_s
         if not self._is_over and not self._goes_on(app):
             self._is_over = True
             self._over.set()
 
-    def _goes_on(self, app: App) -> bool:
+    def _goes_on(self, app: App | None) -> bool:
         if self.oracle.violations:
             return False
-        if self.now_s < self.plan.duration_s:
+        if self.now_s > self.plan.duration_s + LONGEST_S:
+            self.oracle.blame("liveness: the run does not end")
+            return False
+        if app is None or self.now_s < self.plan.duration_s:
             return True
         quiet_s = max(self.plan.quiet_s, self.robot.quiet_s)
         if self.tracked_s >= quiet_s:

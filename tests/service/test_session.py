@@ -11,7 +11,7 @@ SENT: Axes = (-0.02, -1.4, 1.6, 0.0, 1.3, 0.0, 0.1)
 THERE: Axes = (-0.0125, -1.4, 1.6, 0.0, 1.3, 0.0, 0.08)
 
 
-def telegram(ipoc: int, at_s: float, delay: int, axes: Axes) -> RobotSample:
+def telegram(ipoc: int, at_s: float, delay: int | None, axes: Axes) -> RobotSample:
     return RobotSample(round(at_s * 1e9), ipoc, axes[:6], (axes[6],), delay)  # type: ignore[arg-type]
 
 
@@ -24,9 +24,11 @@ def under_way() -> Session:
     return session
 
 
-@pytest.mark.parametrize(("cycles", "delay"), [(-3, 2), (-1, 4), (-6, 0), (-3, 7)])
+@pytest.mark.parametrize(
+    ("cycles", "delay"), [(-3, 2), (-1, 4), (-6, 0), (-3, 7), (-3, None), (0, 4)]
+)
 def test_a_telegram_of_a_programmes_past_does_not_move_where_its_corrections_count_from(
-    cycles: int, delay: int
+    cycles: int, delay: int | None
 ) -> None:
     late = telegram(1200 + cycles * STEP, 12.03, delay, THERE)
     assert under_way().meet(late, THERE, "robot", absolute=True) == (START, SENT)
