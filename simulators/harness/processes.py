@@ -11,6 +11,7 @@ import ctypes
 import os
 import signal
 import subprocess
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -132,7 +133,9 @@ class Children:
             keep: file descriptors that it inherits.
         """
         parent = os.getpid()
-        with log.open("ab") as output:
+        # Else an interrupt could end the call between the child's birth and its entry in the list,
+        # and nobody would know of it.
+        with log.open("ab") as output, _interrupts_later():
             process = subprocess.Popen(  # noqa: S603 -- our own programs, no shell
                 list(command),
                 stdin=subprocess.DEVNULL,
@@ -142,8 +145,8 @@ class Children:
                 start_new_session=True,
                 preexec_fn=lambda: die_with(parent),  # noqa: PLW1509 -- one C call, no lock
             )
-        child = Child(name, process, log)
-        self._children.append(child)
+            child = Child(name, process, log)
+            self._children.append(child)
         return child
 
     def check(self) -> None:
@@ -188,6 +191,32 @@ def interruptible() -> Iterator[None]:
     finally:
         for number, handler in zip(numbers, before, strict=True):
             signal.signal(number, handler)
+
+
+@contextmanager
+def _interrupts_later() -> Iterator[None]:
+    """Hold back what would unwind the stack until the block is done.
+
+    Handlers are exchanged, not signals masked: a mask is one thread's, and its children's.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield  # no handler is ever called here
+        return
+    came: list[int] = []
+    before = {
+        number: handler
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        if callable(handler := signal.getsignal(number))
+    }
+    try:
+        for number in before:
+            signal.signal(number, lambda number, _frame: came.append(number))
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if came:
+            signal.raise_signal(came[0])
 
 
 def die_with(parent: int) -> None:

@@ -6,11 +6,17 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from linemate.simulators.harness import processes
-from linemate.simulators.harness.processes import ChildError, Children, wait_until
+from linemate.simulators.harness.processes import (
+    ChildError,
+    Children,
+    interruptible,
+    wait_until,
+)
 
 READY = "import time; print('ready', flush=True); time.sleep(60)"
 DEAF = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); " + READY
@@ -107,3 +113,24 @@ except KeyboardInterrupt:
         code_at_end = parent.wait(20.0)
     assert code_at_end == (-signal.SIGKILL if number == signal.SIGKILL else 130)
     assert wait_gone(child)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_while_a_child_is_born_leaves_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    born: list[int] = []
+
+    class Interrupted(subprocess.Popen[bytes]):
+        def __init__(self, *args: Any, **kwargs: Any) -> None:
+            super().__init__(*args, **kwargs)
+            born.append(self.pid)
+            signal.raise_signal(number)
+
+    monkeypatch.setattr(processes.subprocess, "Popen", Interrupted)
+    before = signal.getsignal(number)
+    with pytest.raises(KeyboardInterrupt), interruptible(), Children() as children:
+        children.start("c", python(READY), tmp_path / "log")
+    assert len(born) == 1
+    assert not alive(born[0])
+    assert signal.getsignal(number) == before
