@@ -197,7 +197,7 @@ class SerialLink(KeptLink):
         if not data:
             return
         samples = self._decoder.feed(data, stamp_ns)
-        self.counters.update(self._fresh_counts())
+        self._count_decoded()
         for sample in samples:
             self.counters["samples"] += 1
             self.status.last_sample_stamp_ns = sample.stamp_ns
@@ -206,12 +206,14 @@ class SerialLink(KeptLink):
             self._heard_ns = stamp_ns
             self._backoff.reset()
 
-    def _fresh_counts(self) -> dict[str, int]:
-        """The decoder's counts since the last read, so that they add up beside ours."""
+    def _count_decoded(self) -> None:
+        """Add what the decoder has counted since the last read, so that it stands beside ours."""
         counts = self._decoder.counters()
-        fresh = {name: count - self._seen.get(name, 0) for name, count in counts.items()}
+        for name, count in counts.items():
+            seen = self._seen.get(name)
+            if count != seen:
+                self.counters[name] += count - (seen or 0)
         self._seen = counts
-        return fresh
 
     def _deliver(self, sample: WrenchSample) -> None:
         try:

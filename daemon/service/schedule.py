@@ -6,8 +6,10 @@ the schedule, and without one the schedule makes the step by itself, on an absol
 the phase follows the early ones at once and the late ones slowly. Source: reference/real-time.md.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
+
+from linemate.daemon.changed import changed
 
 LATE_SHARE = 0.1
 """How much of an arrival's lateness enters the phase."""
@@ -39,7 +41,7 @@ class Due:
     stamp_ns: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Schedule:
     """Where the schedule stands.
 
@@ -97,7 +99,7 @@ def on_telegram(schedule: Schedule, stamp_ns: int) -> Schedule:
         phase_ns = expected_ns + round(LATE_SHARE * late_ns)
     else:
         phase_ns = stamp_ns
-    return replace(
+    return changed(
         schedule, next_ns=phase_ns + period_ns, prepared=False, attended=False, locked=True
     )
 
@@ -123,7 +125,7 @@ def follow(schedule: Schedule, next_ns: int, period_ns: int, lead_ns: int) -> Sc
 
 def run_free(schedule: Schedule) -> Schedule:
     """The robot is gone: the next telegram sets the phase, however late it seems."""
-    return replace(schedule, locked=False)
+    return changed(schedule, locked=False)
 
 
 def wake_ns(schedule: Schedule) -> int:
@@ -149,7 +151,7 @@ def on_wake(schedule: Schedule, now_ns: int) -> tuple[Schedule, tuple[Due, ...]]
     schedule = _skip(schedule, now_ns)
     while schedule.next_ns + schedule.grace_ns <= now_ns:
         due.append(Due(Kind.MISSING, schedule.next_ns))
-        schedule = replace(
+        schedule = changed(
             schedule,
             next_ns=schedule.next_ns + schedule.period_ns,
             prepared=False,
@@ -157,7 +159,7 @@ def on_wake(schedule: Schedule, now_ns: int) -> tuple[Schedule, tuple[Due, ...]]
         )
     if _prepares(schedule) and wake_ns(schedule) <= now_ns:
         due.append(Due(Kind.PREPARE, schedule.next_ns))
-        schedule = replace(schedule, prepared=True)
+        schedule = changed(schedule, prepared=True)
     return schedule, tuple(due)
 
 
@@ -173,7 +175,7 @@ def attend(schedule: Schedule, now_ns: int) -> tuple[Schedule, int | None]:
     """
     if not _attends(schedule) or now_ns < schedule.next_ns - ATTEND_NS:
         return schedule, None
-    return replace(schedule, attended=True), schedule.next_ns
+    return changed(schedule, attended=True), schedule.next_ns
 
 
 def _attends(schedule: Schedule) -> bool:
@@ -190,7 +192,7 @@ def _skip(schedule: Schedule, now_ns: int) -> Schedule:
     excess = overdue - MOST_AT_ONCE
     if excess <= 0:
         return schedule
-    return replace(
+    return changed(
         schedule,
         next_ns=schedule.next_ns + excess * schedule.period_ns,
         skipped=schedule.skipped + excess,

@@ -8,6 +8,7 @@ anew and not from the table; the rest is that nothing is lost, nothing grows and
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,8 @@ NOTABLE_A_SECOND = 40
 """Changes of state and of class in any second: each is a line in the log at most."""
 MOST_BYTES = 2_000_000
 """What a daemon may remember from step to step."""
+SIZED_EVERY_S = 2.0
+"""How often that is looked at [s]; it costs as much as a cycle, and is done at a run's end too."""
 
 
 class Oracle:
@@ -62,7 +65,7 @@ class Oracle:
         self._held: tuple[float, ...] = ()
         self._session = 0
         self._resting = 0
-        self._sized_s = -math.inf
+        self._sized_s = 0.0
 
     def blame(self, what: str) -> None:
         """Note a violation."""
@@ -105,11 +108,15 @@ class Oracle:
         self.states.add(str(cycle.machine.state))
         if cycle.log_dropped:
             self.blame("queue: steps were dropped from the log")
-        if now_s - self._sized_s > 1.0:
+        if now_s - self._sized_s > SIZED_EVERY_S:
             self._sized_s = now_s
-            size = weigh(cycle)
-            if size > MOST_BYTES:
-                self.blame(f"growth: the daemon remembers {size} bytes")
+            self.size(cycle)
+
+    def size(self, cycle: Cycle) -> None:
+        """Look at how much a daemon remembers."""
+        size = weigh(cycle)
+        if size > MOST_BYTES:
+            self.blame(f"growth: the daemon remembers {size} bytes")
 
     def judge(self, judge: LimitJudge) -> None:
         """Look at what was applied, when the run is over."""
@@ -248,9 +255,15 @@ def weigh(value: Any, depth: int = 0) -> int:
         return _weigh_all(value.values(), depth) + 8 * len(value)
     if isinstance(value, (tuple, list, set, frozenset)) or hasattr(value, "maxlen"):
         return _weigh_all(value, depth) + 8
-    names = [*getattr(value, "__dict__", ()), *getattr(type(value), "__slots__", ())]
-    parts = [getattr(value, name, None) for name in names if name not in _SKIPPED]
+    kind: Any = type(value)
+    parts = [getattr(value, name, None) for name in _slots(kind)]
+    parts += [one for name, one in getattr(value, "__dict__", {}).items() if name not in _SKIPPED]
     return _weigh_all(parts, depth) + 8
+
+
+@cache
+def _slots(kind: type) -> tuple[str, ...]:
+    return tuple(name for name in getattr(kind, "__slots__", ()) if name not in _SKIPPED)
 
 
 def _weigh_all(values: Iterable[Any], depth: int) -> int:

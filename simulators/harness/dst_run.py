@@ -390,6 +390,8 @@ class Simulation:
             if app.cycle.machine.state in {State.TRACK, State.CONTACT}:
                 self.tracked_s = self.now_s
         if not self._is_over and not self._goes_on(app):
+            if app is not None:
+                self.oracle.size(app.cycle)
             self._is_over = True
             self._over.set()
 
@@ -502,7 +504,6 @@ class Simulation:
                 self._time.unplugged.discard(link)
             else:
                 self._time.unplugged.add(link)
-                self._time.stirred = True
 
 
 MOST_LINES = 10

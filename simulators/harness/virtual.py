@@ -75,7 +75,15 @@ class Port:
     def forget(self) -> None:
         """It is no longer there."""
         self.world.ports.pop(self._descriptor, None)
-        self.world.alarms.pop(self._descriptor, None)
+        self.emptied()
+
+    def filled(self) -> None:
+        """Reading gives something from now on."""
+        self.world.filled.add(self._descriptor)
+
+    def emptied(self) -> None:
+        """Reading gives nothing any more."""
+        self.world.filled.discard(self._descriptor)
 
 
 class VirtualTime:
@@ -86,8 +94,7 @@ class VirtualTime:
         wall_step_ns: how far the wall clock has been stepped [ns].
         stalled_until_ns: the process gets no processor before [ns].
         ports: what can be watched, by descriptor.
-        stirred: something came for a port since the ports were looked at last.
-        alarms: when timers expire [ns], by descriptor.
+        filled: descriptors of the ports of which reading gives something.
         sockets: bound UDP ports.
         devices: what is behind a bus and a line, by name.
     """
@@ -96,8 +103,7 @@ class VirtualTime:
         self.now_ns = EPOCH_NS
         self.wall_step_ns = 0
         self.stalled_until_ns = 0
-        self.stirred = False
-        self.alarms: dict[int, int] = {}
+        self.filled: set[int] = set()
         self.ports: dict[int, Port] = {}
         self.sockets: dict[int, VirtualSocket] = {}
         self.buses: list[VirtualBus] = []
@@ -166,7 +172,7 @@ class VirtualSocket(Port):
             return
         if len(self._waiting) < RECEIVE_QUEUE:
             self._waiting.append((data, source, self.world.wall_ns))
-            self.world.stirred = True
+            self.filled()
 
     def keep_only(self, source: Address | None) -> None:
         """As the kernel's filter: only one sender's datagrams arrive, or all."""
@@ -179,6 +185,8 @@ class VirtualSocket(Port):
         if not self._waiting:
             raise BlockingIOError
         data, source, wall_ns = self._waiting.popleft()
+        if not self._waiting:
+            self.emptied()
         stamp = _TIMESPEC.pack(*divmod(wall_ns, 10**9))
         ancillary = [(socket.SOL_SOCKET, SO_TIMESTAMPNS, stamp)]
         return data[:size], ancillary, socket.MSG_TRUNC if len(data) > size else 0, source
@@ -222,20 +230,26 @@ class VirtualTimer(Port):
     def arm(self, at_ns: int) -> None:
         """Expire once [ns]."""
         self._at_ns = at_ns
-        self.world.alarms[self._descriptor] = at_ns
+        self.emptied()
         # Time only stops where something happens.
-        self.world.at(at_ns, _nothing)
+        self.world.at(at_ns, self._expire)
+        self._expire()
+
+    def _expire(self) -> None:
+        if self.is_ready:
+            self.filled()
 
     def read(self) -> int:
         """How often it has expired since the last read."""
         if not self.is_ready:
             return 0
         self._at_ns = None
-        self.world.alarms.pop(self._descriptor, None)
+        self.emptied()
         return 1
 
     def close(self) -> None:
         """It is no longer there."""
+        self._at_ns = None
         self.forget()
 
 
@@ -264,13 +278,18 @@ class VirtualBus(Port):
                 is_extended_id=extended,
             )
         )
-        self.world.stirred = True
+        self.filled()
 
     def recv(self, _timeout: float | None = None) -> can.Message | None:
         """As a bus's own."""
         if "distance" in self.world.unplugged:
             raise can.CanOperationError("the device has gone")
-        return self._waiting.popleft() if self._waiting else None
+        if not self._waiting:
+            return None
+        frame = self._waiting.popleft()
+        if not self._waiting:
+            self.emptied()
+        return frame
 
     def shutdown(self) -> None:
         """As a bus's own."""
@@ -301,7 +320,7 @@ class VirtualLine(Port):
     def put(self, data: bytes) -> None:
         """Bytes arrive; the kernel's buffer is as long as a tty's."""
         self._waiting += data[: max(0, 4096 - len(self._waiting))]
-        self.world.stirred = True
+        self.filled()
 
     def write(self, data: bytes) -> None:
         """As a transport's own: the device hears it."""
@@ -316,6 +335,7 @@ class VirtualLine(Port):
             self._end(OSError("the device has gone"))
             return
         data, self._waiting = bytes(self._waiting), bytearray()
+        self.emptied()
         if data:
             self._protocol.data_received(data)
 
@@ -359,13 +379,10 @@ class _Selector(selectors.BaseSelector):
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
         world = self._world
         end_ns = None if timeout is None else world.now_ns + math.ceil(max(timeout, 0.0) * 1e9)
-        world.stirred = True
         while True:
             if world.stalled_until_ns > world.now_ns:
                 world.pass_until(world.stalled_until_ns)
-                world.stirred = True
-            if world.stirred or any(at_ns <= world.now_ns for at_ns in world.alarms.values()):
-                world.stirred = False
+            if world.filled or world.unplugged:
                 ready = self._ready()
                 if ready:
                     return ready
@@ -380,13 +397,14 @@ class _Selector(selectors.BaseSelector):
             world.happen()
 
     def _ready(self) -> list[tuple[selectors.SelectorKey, int]]:
-        port_of = self._world.ports.get
-        ready = []
-        for descriptor, key in self._keys.items():
-            port = port_of(descriptor)
-            if port is not None and port.is_ready:
-                ready.append((key, selectors.EVENT_READ))
-        return ready
+        filled, ports = self._world.filled, self._world.ports
+        if self._world.unplugged:
+            filled = {descriptor for descriptor, port in ports.items() if port.is_ready}
+        return [
+            (key, selectors.EVENT_READ)
+            for descriptor, key in self._keys.items()
+            if descriptor in filled
+        ]
 
 
 class VirtualLoop(asyncio.SelectorEventLoop):
@@ -502,7 +520,3 @@ def inhabited(world: VirtualTime) -> Iterator[None]:
 
 _load_once = cache(distance_codec._load)  # noqa: SLF001 - pure, only slow
 _about_once = cache(parameter_list.about)
-
-
-def _nothing() -> None:
-    """An instant at which a timer may expire."""
