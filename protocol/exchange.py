@@ -320,8 +320,18 @@ class Exchange:
         if self._state is not State.RUNNING or self._line.step != self._step:
             return False
         cycles, rest = divmod(ipoc - self._anchor_ipoc, self._line.step)
+        if rest or not 0 < cycles <= WINDOW:
+            return False
+        off, last = self._off(ipoc, stamp_ns), self._off(self._last_ipoc, self._last_ns)
+        # Telegrams that were held up on their way are a line too, but the one that came before
+        # them keeps the clock's time better than they do, and a flipped counter does not. One
+        # that is ahead by less is caught up with as soon as it would be outvoted.
+        return off <= min(SLACK, last) and last >= CONSISTENT
+
+    def _off(self, ipoc: int, stamp_ns: int) -> float:
+        """By how many cycles counter and clock disagree since the anchor."""
         passed = (stamp_ns - self._anchor_ns) / self._cycle_ns
-        return rest == 0 and 0 < cycles <= WINDOW and abs(passed - cycles) <= SLACK
+        return abs(passed - (ipoc - self._anchor_ipoc) / self._line.step)
 
     def _apply(self, event: Event, ipoc: int, stamp_ns: int, peer: Hashable) -> tuple[int, int]:
         """Remember the telegram; the missed cycles before it and the steps to make."""

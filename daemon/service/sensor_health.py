@@ -26,6 +26,9 @@ ACCELERATION = 1.0
 UNKNOWN_SPEED = 1.0
 """and while its speed is not known, so much [m/s]."""
 
+FORGOTTEN_NS = 2_000_000_000
+"""A heading that nothing has agreed with for so long [ns] may have been wrong itself."""
+
 OUTVOTING = 3
 """So many samples are one, their median; an outlier that is no jump yet misleads nobody."""
 
@@ -138,6 +141,8 @@ class DistanceHealth(Health):
             sample: the newest.
             deviation: standard deviation of the sensor [m].
         """
+        if self._trusted and sample.stamp_ns - self._trusted[-1][0] > FORGOTTEN_NS:
+            self._trusted.clear()
         speed = self._speed()
         if sample.position != self._value:
             if self._value is not None:

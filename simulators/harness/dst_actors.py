@@ -151,7 +151,7 @@ class Operator:
     def _act(self, now_s: float, app: App) -> None:
         simulation = self._simulation
         state = app.cycle.machine.state
-        waits = state is State.HOLD or app.cycle.is_foreign
+        waits = state in {State.HOLD, State.FAULT} or app.cycle.is_foreign
         self._waited_s = self._waited_s + simulation.plan.cycle_s if waits else 0.0
         if app.cycle.is_foreign:
             if self._waited_s > DITHERING_S:
@@ -167,4 +167,8 @@ class Operator:
                 if not self.order("start") and self._waited_s > DITHERING_S:
                     self.order("stop")
             case State.FAULT:
-                self.order("ack")
+                if self.order("ack") or "overload" not in self.refusal:
+                    return
+                # A robot that stands pulls at a hub that moved on: it is driven off by hand.
+                if self._waited_s > DITHERING_S:
+                    simulation.robot.home(now_s)

@@ -234,6 +234,31 @@ def test_missed_telegrams_that_come_at_last_and_in_line_are_late_and_no_new_sess
     assert feed.exchange.session == 1
 
 
+@pytest.mark.parametrize("held_up", [(5, 6, 7), (6, 7, 8), (7, 8, 9)])
+def test_telegrams_that_were_held_up_do_not_outvote_the_one_that_kept_time(
+    held_up: tuple[int, int, int],
+) -> None:
+    feed = running()
+    # Nobody has confirmed it yet, but counter and clock agree on it.
+    assert feed(10).kind is Kind.GAP
+    arrivals = [(10.3 + 0.7 * n, cycle) for n, cycle in enumerate(held_up)]
+    assert feed.kinds_of(*arrivals) == ["late"] * 3
+    verdict = feed(12)
+    assert verdict.kind is Kind.GAP
+    assert verdict.missed == 1
+
+
+@pytest.mark.parametrize(("ahead", "refused"), [(1, 1), (2, 2), (3, 2), (4, 2)])
+def test_a_counter_that_was_flipped_ahead_is_caught_up_with_or_outvoted(
+    ahead: int, refused: int
+) -> None:
+    feed = running()
+    assert feed(5, 5 + ahead).answer
+    answers = [feed(cycle).answer for cycle in range(6, 16)]
+    assert answers == [False] * refused + [True] * (10 - refused)
+    assert feed.exchange.session == 1
+
+
 def test_a_gap_without_the_time_for_it_is_a_flipped_bit() -> None:
     feed = running()
     assert feed(5, 5 + 16).kind is Kind.REFUSED

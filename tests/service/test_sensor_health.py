@@ -91,6 +91,25 @@ def test_a_sensor_is_back_after_ten_good_samples() -> None:
     assert conveyor.health.outs == 1
 
 
+@pytest.mark.parametrize("wrong", [1000.0, 495.3, 1e-3, -1.0])
+def test_a_sensor_that_began_with_a_wrong_unit_is_back_soon_after_it_is_right(wrong: float) -> None:
+    conveyor = Conveyor()
+    for _ in range(50):
+        conveyor.shows(conveyor.place * wrong)
+    believed = conveyor.run(300)
+    assert any(believed[: 200 + GOOD + 1])
+    assert all(believed[200 + GOOD + 1 :])
+
+
+def test_a_distance_that_stays_stuck_stays_out() -> None:
+    conveyor = Conveyor()
+    conveyor.run(100)
+    stuck = conveyor.reads()
+    for _ in range(16):
+        conveyor.shows(stuck)
+    assert not any(conveyor.shows(stuck) for _ in range(1000))
+
+
 @pytest.mark.parametrize("unit", [1e-4, 1e-3])
 def test_a_distance_that_is_stuck_is_out_within_160_ms(unit: float) -> None:
     conveyor = Conveyor(unit)
