@@ -226,6 +226,24 @@ def test_a_line_goes_on_only_in_its_time(at: float, kind: str) -> None:
     assert feed.kinds_of((5.1, 3), (5.2, 4), (at, 5)) == ["backward", "backward", kind]
 
 
+def test_a_line_that_goes_on_makes_as_many_steps_as_cycles_have_passed() -> None:
+    feed = running()
+    ahead = feed(5, 9)  # a flipped bit
+    assert ahead.steps == 5
+    line = [feed(cycle) for cycle in range(6, 9)]
+    assert [verdict.kind for verdict in line] == [Kind.LATE, Kind.LATE, Kind.GAP]
+    assert line[-1].missed == 3
+    after = [feed(cycle) for cycle in range(9, 12)]
+    assert [verdict.steps for verdict in (*line, *after)] == [0, 0, 0, 0, 1, 1]
+
+
+def test_a_line_that_ends_where_the_doubt_began_does_not_go_on() -> None:
+    feed = running()
+    assert feed(5, 9).kind is Kind.GAP  # a flipped bit
+    kinds = feed.kinds_of((5.1, 2), (5.2, 3), (5.3, 4))
+    assert kinds == ["backward", "backward", "new_session"]
+
+
 def test_missed_telegrams_that_come_at_last_and_in_line_are_late_and_no_new_session() -> None:
     feed = running()
     assert feed.kinds_of((9, 9), (10, 10)) == ["gap", "normal"]
