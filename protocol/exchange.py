@@ -119,7 +119,8 @@ TABLE: dict[State, dict[Event, Transition]] = {
     },
 }
 
-_DOUBTFUL = frozenset({Event.SAME, Event.MISSED, Event.OLDER, Event.STRAY})
+_KNOWN = frozenset({Event.SAME, Event.MISSED})
+_DOUBTFUL = _KNOWN | {Event.OLDER, Event.STRAY}
 
 
 @frozen()
@@ -286,8 +287,9 @@ class Exchange:
             return event
         if self._goes_on(ipoc, stamp_ns):
             return Event.RESUME
-        # Telegrams that were missed and come at last are in one line too, and are nothing new.
-        return event if event is Event.MISSED else Event.RESYNC
+        # Telegrams that were missed and come at last are in one line too, and are nothing new; nor
+        # is the one that a counter which was flipped ahead had told of.
+        return event if event in _KNOWN else Event.RESYNC
 
     def _place(self, ipoc: int, stamp_ns: int) -> Event:
         delta = ipoc - self._last_ipoc

@@ -277,6 +277,19 @@ def test_a_counter_that_was_flipped_ahead_is_caught_up_with_or_outvoted(
     assert feed.exchange.session == 1
 
 
+@pytest.mark.parametrize("late", [0.01, 0.3, 0.9])
+@pytest.mark.parametrize("ahead", [1, 2, 3, 4])
+def test_a_counter_that_was_flipped_ahead_in_a_late_telegram_begins_no_session(
+    ahead: int, late: float
+) -> None:
+    feed = running()
+    assert feed(5 + late, 5 + ahead).answer
+    answers = [feed(cycle).answer for cycle in range(6, 16)]
+    assert answers.count(False) <= 3
+    assert all(answers[4:])
+    assert feed.exchange.session == 1
+
+
 def test_a_gap_without_the_time_for_it_is_a_flipped_bit() -> None:
     feed = running()
     assert feed(5, 5 + 16).kind is Kind.REFUSED

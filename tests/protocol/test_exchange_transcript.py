@@ -99,10 +99,10 @@ class Controller:
 @pytest.mark.parametrize(
     ("part", "digest"),
     [
-        (0, "2238561eab798d81"),
-        (1, "d1277b796fb88f6c"),
-        (2, "4308e6d6732d1b44"),
-        (3, "32db2fcb19eec94f"),
+        (0, "34de8573be0cb2bb"),
+        (1, "5676b6b107d72a8d"),
+        (2, "ba8d3ffa32a56bde"),
+        (3, "a26d27cf89ade5c4"),
     ],
 )
 def test_the_daemons_role_answers_as_it_always_did(part: int, digest: str) -> None:
