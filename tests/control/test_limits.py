@@ -317,3 +317,19 @@ def test_an_acceleration_beyond_the_gentle_one_is_let_go_at_the_jerk_of_the_limi
             fallen = way * (held - after.acceleration)
             whole = np.abs(held) + GENTLE.acceleration
             assert np.allclose(fallen, np.minimum(had.jerk * period, whole), rtol=1e-6)
+
+
+@pytest.mark.parametrize("period", CYCLES)
+def test_a_gate_made_of_what_a_robot_does_goes_on_as_the_one_that_led_it(period: float) -> None:
+    times = period * np.arange(1, 60)[:, None]
+    wishes = REST[3] + 0.02 * (1.0 - np.cos(2.0 * times)) ** 2
+    led = run(wishes[:-1], HOUSE, period).states[-1]
+    made = limits.under_way(led.position, led.speed, led.acceleration)
+    expected, _ = limits.admit(led, wishes[-1], HOUSE, period)
+    found, why = limits.admit(made, wishes[-1], HOUSE, period)
+    assert why is None
+    assert np.abs(expected.position - led.position).min() > 1e-5
+    for name in ("position", "speed", "acceleration"):
+        assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-6)
+    # From rest the same wish would be a jump.
+    assert limits.admit(limits.at_rest(led.position), wishes[-1], HOUSE, period)[1] is not None
