@@ -1,6 +1,7 @@
 """Kinematics: forwards and backwards are inverse, and what cannot be says why."""
 
 import re
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -209,6 +210,33 @@ def test_a_pose_out_of_reach_is_an_error_that_holds_what_was_left(
     assert "does not reach" in str(caught.value)
     with pytest.raises(UnreachableError):
         ARM.follow(np.tile(rest, (3, 1)), tiled(position, rotation), np.eye(3))
+
+
+@pytest.mark.parametrize("count", [5, 30])
+def test_a_list_far_off_takes_little_more_than_an_iteration_a_pose(
+    count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = 0
+    jacobian = pin.computeFrameJacobian
+
+    def counted(*told: Any) -> Array:
+        nonlocal made
+        made += 1
+        found: Array = jacobian(*told)
+        return found
+
+    rest = np.array((*TASK.file.arm.rest_joints, 0.0))
+    way = np.outer(np.linspace(0.1, 0.1 + 0.01 * count, count), np.array((1, 1, -1, 1, 1, 1, 0)))
+    poses = np.array([ARM.tcp_in(NOMINAL, row) for row in rest + way])
+    monkeypatch.setattr(pin, "computeFrameJacobian", counted)
+    ARM.follow(rest + way - way[0], poses, NOMINAL)
+    assert made <= kinematics.MOST_IN_CYCLE + 2 * count
+    # What is out of reach at its far end costs nothing but that end.
+    made, beyond = 0, poses.copy()
+    beyond[-1, :3] += 9.0
+    with pytest.raises(UnreachableError):
+        ARM.follow(rest + way - way[0], beyond, NOMINAL)
+    assert made <= kinematics.MOST_IN_CYCLE
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
