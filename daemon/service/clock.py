@@ -167,9 +167,9 @@ class Clock:
             self._timer.arm(self._armed_ns)
 
     def _wake(self) -> None:
+        now_ns = time.monotonic_ns()
         if self._timer is None or self._timer.read() == 0:
             return
-        now_ns = time.monotonic_ns()
         armed_ns = self._armed_ns
         # A telegram in the same turn of the loop may have moved the wake into the future.
         if now_ns >= armed_ns:
