@@ -5,7 +5,15 @@ from collections.abc import Iterator
 
 import pytest
 
-from linemate.daemon.service.phase import AFRESH, LEARNT, MARGIN_NS, WINDOW, Lead, PhaseLock
+from linemate.daemon.service.phase import (
+    AFRESH,
+    GUESSED,
+    LEARNT,
+    MARGIN_NS,
+    WINDOW,
+    Lead,
+    PhaseLock,
+)
 
 MS = 1_000_000
 START = 7_000_000_000_123
@@ -161,6 +169,27 @@ def test_a_period_is_not_believed_after_a_few_telegrams() -> None:
         lock.arrival(START + n * 12 * MS)
         assert lock.refusal is None
     lock.arrival(START + LEARNT * 12 * MS)
+    assert lock.refusal is not None
+
+
+@pytest.mark.parametrize("apart_ns", [0, 200_000, 3_000 * MS])
+def test_two_telegrams_alone_do_not_make_the_clock_race_or_sleep(apart_ns: int) -> None:
+    lock = PhaseLock(12 * MS)
+    lock.arrival(START)
+    lock.arrival(START + apart_ns)
+    least, most = (share * lock.nominal_ns for share in GUESSED)
+    assert least <= lock.period_ns <= most
+    expected = lock.expected_ns()
+    assert expected is not None
+    assert expected <= START + apart_ns + most
+
+
+@pytest.mark.parametrize(("nominal_ms", "true_ms"), [(4, 12), (12, 4), (12, 1), (1, 4)])
+def test_a_cycle_that_is_quite_another_is_found_all_the_same(nominal_ms: int, true_ms: int) -> None:
+    lock = PhaseLock(nominal_ms * MS)
+    for n in range(LEARNT + 2 * WINDOW):
+        lock.arrival(START + n * true_ms * MS)
+    assert lock.measured_ns == pytest.approx(true_ms * MS, rel=1e-6)
     assert lock.refusal is not None
 
 
