@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from linemate.daemon.service import phase
 from linemate.daemon.service.cycle import Cycle
 from linemate.daemon.service.operating import Operating
 from linemate.daemon.service.session import Session
@@ -194,6 +195,13 @@ def test_a_daemon_that_talks_too_much_is_a_violation(monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr(Cycle, "order", chatty)
     assert any(what.startswith("log: ") for what in dst_run.run(Plan(1)).violations)
+
+
+def test_a_clock_that_races_is_a_violation(monkeypatch: pytest.MonkeyPatch) -> None:
+    line = next(line for line in regressions() if '"seed":420155' in line)
+    monkeypatch.setattr(phase, "GUESSED", (0.0, 4.0))
+    violations = dst_run.run(dst_plan.from_line(line)).violations
+    assert any(what.startswith("clock: ") for what in violations)
 
 
 @pytest.mark.parametrize(
