@@ -181,7 +181,7 @@ class BankClassifier:
         return self.distance_deviation < 0.5 * way
 
     def _process_noise(self, state: BankState, dt: float) -> Array:
-        """Return the diagonal of Q: the ripple is stationary and stands with the conveyor."""
+        """Return the diagonal of Q (10,): the ripple is stationary and stands with the conveyor."""
         fusion = self.fusion
         share = self._share(float(state.x[V]))
         ripple, time = self._ripple(state)
@@ -189,12 +189,12 @@ class BankClassifier:
         ripple = (ripple * share) ** 2 * (1.0 - math.exp(-2.0 * dt / time))
         rate = (0.05 * abs(self._class_acceleration(state.motion))) ** 2 * dt if moving else 0.0
         speed = fusion.speed * (1.0 if state.motion is not Motion.STANDING else 0.3)
-        noise = np.zeros(STATES)
-        noise[:PUSH] = 1e-12, speed**2 * dt, ripple, fusion.offset**2 * dt, rate
+        wave = pace = 0.0
         if self.wave.deviation > 0.0:
-            noise[WAVE] = noise[CREST] = (self.wave.walk * share) ** 2 * dt
-            noise[PACE] = (self.wave.pace * share) ** 2 * dt
-        return noise
+            wave = (self.wave.walk * share) ** 2 * dt
+            pace = (self.wave.pace * share) ** 2 * dt
+        offset = fusion.offset**2 * dt
+        return np.array([1e-12, speed**2 * dt, ripple, offset, rate, 0.0, 0.0, wave, wave, pace])
 
     def _share(self, speed: float) -> float:
         """Return the share of the nominal speed, with which every ripple fades."""
@@ -217,21 +217,18 @@ class BankClassifier:
         return F
 
     def _row(self, row: Row, state: BankState) -> Array:
-        """Return h of (1), (8), (10) with the delay in it; the class acts since its onset."""
+        """Return h (10,) of (1), (8), (10) with the delay in it; the class acts since its onset."""
         tau = row.delay
         back = min(tau, state.since)
-        h = np.zeros(STATES)
-        h[Y], h[V], h[RIPPLE] = 1.0, -tau, -tau
-        h[ACCELERATION] = tau * back - 0.5 * back * back
+        acted = tau * back - 0.5 * back * back
         share, angle = self._share(float(state.x[V])), self._wave_omega(state) * tau
-        h[WAVE], h[CREST] = share * math.cos(angle), -share * math.sin(angle)
+        wave, crest = share * math.cos(angle), -share * math.sin(angle)
         if row.source is Source.DISTANCE:
-            h[OFFSET] = 1.0
-            return h
+            return np.array([1.0, -tau, -tau, 1.0, acted, 0.0, 0.0, wave, crest, 0.0])
         w = state.omega
         grown = math.exp(self.jerk.damping * w * tau)
-        h[PUSH], h[QUADRATURE] = grown * math.cos(w * tau), -grown * math.sin(w * tau)
-        return h
+        push, quadrature = grown * math.cos(w * tau), -grown * math.sin(w * tau)
+        return np.array([1.0, -tau, -tau, 0.0, acted, push, quadrature, wave, crest, 0.0])
 
     def _pushed(self, ages: Array, omega: Array) -> tuple[Array, Array]:
         """Return a push of amplitude 1 and its quadrature (m,), ``ages`` after its onset."""
@@ -245,7 +242,7 @@ class BankClassifier:
         """Return (5), (6), the banks one step older, and new hypotheses "now"."""
         F = _transition(dt, self._ripple(state)[1], state.omega, self.jerk.damping)
         F = self._waving(F, state, dt)
-        P = F @ state.P @ F.T
+        P = F.dot(state.P).dot(F.T)
         P.reshape(-1)[:: STATES + 1] += self._process_noise(state, dt)
         bank, pushes = state.bank, state.pushes
         if state.age > SETTLING:
@@ -257,7 +254,7 @@ class BankClassifier:
                 pushes = hypotheses.empty(STATES)
         state = changed(
             state,
-            x=F @ state.x,
+            x=F.dot(state.x),
             P=P,
             bank=bank,
             pushes=pushes,
@@ -308,9 +305,9 @@ class BankClassifier:
         half = 0.5 * self._change(state.motion)
         for row in rows:
             h = self._row(row, state)
-            Ph = P @ h
-            S = float(h @ Ph) + row.variance
-            nu = row.value - float(h @ x)
+            Ph = P.dot(h)
+            S = float(h.dot(Ph)) + row.variance
+            nu = row.value - float(h.dot(x))
             u = np.maximum(bank.age - row.delay, 0.0)
             signature = half * u * u
             gate = row.gate * math.sqrt(S)
@@ -327,7 +324,7 @@ class BankClassifier:
                 refused = {**refused, row.source: 0}
             K = Ph / S
             x = x + K * nu
-            P = P - K[:, None] * Ph
+            P = P - K[:, None].dot(Ph[None])
             bank = hypotheses.learned(bank, signature, h, K, S, nu)
             if len(pushes):
                 pushed: Array = np.zeros(len(pushes))
@@ -494,20 +491,20 @@ class BankClassifier:
         bank = state.bank
         share = state.change.weights * hypotheses.amplitude(bank, self._prior)
         change, age = self._change(state.motion), bank.age
-        x = state.x - share @ bank.absorbed
+        x = state.x - share.dot(bank.absorbed)
         late = share * age
-        x[Y] += 0.5 * change * float(late @ age)
-        x[V] += change * float(late.sum())
-        x[ACCELERATION] += change * float(share.sum())
+        x[Y] += 0.5 * change * float(late.dot(age))
+        x[V] += change * float(np.add.reduce(late))
+        x[ACCELERATION] += change * float(np.add.reduce(share))
         return x
 
     def _pushed_estimate(self, state: BankState) -> Array:
         """Return the estimate (10,) if somebody has pushed: ``moments`` without their spread."""
         share = state.push.weights * hypotheses.amplitude(state.pushes, self._push_prior)
         push, quadrature = self._pushed(state.pushes.age, state.pushes.omega)
-        x = state.x - share @ state.pushes.absorbed
-        x[PUSH] += float(share @ push)
-        x[QUADRATURE] += float(share @ quadrature)
+        x = state.x - share.dot(state.pushes.absorbed)
+        x[PUSH] += float(share.dot(push))
+        x[QUADRATURE] += float(share.dot(quadrature))
         return x
 
     def _shares(self, state: BankState) -> tuple[float, float]:
@@ -551,7 +548,7 @@ class BankClassifier:
 
     def _shares_of_speed(self, speeds: Array) -> Array:
         """Return the shares (m,) of the nominal speed."""
-        shares: Array = np.clip(speeds / self.conveyor.nominal_speed, 0.0, 1.0)
+        shares: Array = np.minimum(np.maximum(speeds / self.conveyor.nominal_speed, 0.0), 1.0)
         return shares
 
     def view(self, state: BankState) -> View:

@@ -122,12 +122,12 @@ def learned(bank: Bank, signature: Array, h: Array, K: Array, S: float, nu: floa
         S: variance of its innovation.
         nu: its innovation.
     """
-    rho = signature - bank.absorbed @ h
+    rho = signature - bank.absorbed.dot(h)
     weighted = rho / S
     sums = bank.sums.copy()
     sums[0] += rho * weighted
     sums[1] += weighted * nu
-    return Bank(bank.absorbed + rho[:, None] * K, sums)
+    return Bank(bank.absorbed + rho[:, None].dot(K[None]), sums)
 
 
 def evidence(bank: Bank, prior: Prior) -> Array:
@@ -145,9 +145,9 @@ def verdict(bank: Bank, prior: Prior) -> Verdict:
     if not len(bank):
         return NOTHING
     ratios = evidence(bank, prior)
-    top = float(ratios.max())
+    top = float(ratios[ratios.argmax()])
     raw = np.exp(ratios - top)
-    total = float(raw.sum())
+    total = float(np.add.reduce(raw))
     return Verdict(top + math.log(total), raw / total)
 
 
