@@ -31,6 +31,7 @@ from linemate.daemon.tracking.task import ConveyorClasses
 
 Y, V, RIPPLE, OFFSET, ACCELERATION, PUSH, QUADRATURE, WAVE, CREST, PACE = range(10)
 STATES = 10
+FIRST = STATES + 1  # column of J, after P and x, from which on the hypotheses stand
 OFFSET_DEVIATION = 0.1  # of x10 before anything but the distance sensor saw the object [m]
 SETTLING = 0.6  # the bank is empty until the speed has been seen [s]
 PACES = (0.9, 1.1)  # of the wave's frequency, between which the estimate stays
@@ -236,6 +237,18 @@ class BankClassifier:
         fade = np.where(ages > 0.0, np.exp(-self.jerk.damping * omega * late), 0.0)
         return fade * np.sin(omega * late), fade * np.cos(omega * late)
 
+    def _slowed(self, ages: Array, delay: float, motion: Motion) -> Array:
+        """Return how far a change of amplitude 1 had moved the object (m,), a delay ago."""
+        late = np.maximum(ages - delay, 0.0)
+        slowed: Array = 0.5 * self._change(motion) * late * late
+        return slowed
+
+    def _swung(self, ages: Array, delay: float, omega: Array) -> Array:
+        """Return how far a push of amplitude 1 had moved the body (m,), a delay ago."""
+        phase = omega * np.maximum(ages - delay, 0.0)
+        swung: Array = np.exp(-self.jerk.damping * phase) * np.sin(phase)
+        return swung
+
     # The filter.
 
     def _predict(self, state: BankState, dt: float) -> BankState:
@@ -300,40 +313,51 @@ class BankClassifier:
         return changed(state, events=(*state.events, ("stop", "cancelled")))
 
     def _correct(self, state: BankState, rows: Sequence[Row]) -> BankState:
-        """Return (2)-(4) for some rows, null filter and banks alike, each gated."""
-        x, P, bank, pushes, refused = state.x, state.P, state.bank, state.pushes, state.refused
-        half = 0.5 * self._change(state.motion)
+        """Return (2)-(4) for some rows, null filter and banks alike, each gated.
+
+        What is linear is corrected as one: ``J = [P, x, f_1 .. f_m]`` (10, 11 + m) becomes
+        ``J - K (h'J - z)``, z being what the row reads of each column: 0 of those of P, its
+        value of x, the signature of each f.
+        """
+        bank, pushes, refused = state.bank, state.pushes, state.refused
+        changes, swings = slice(FIRST, FIRST + len(bank)), slice(FIRST + len(bank), None)
+        J = np.concatenate((state.P, state.x[:, None], bank.absorbed, pushes.absorbed), axis=1)
+        sums = np.concatenate((bank.sums, pushes.sums), axis=1)
         for row in rows:
             h = self._row(row, state)
-            Ph = P.dot(h)
-            S = float(h.dot(Ph)) + row.variance
-            nu = row.value - float(h.dot(x))
-            u = np.maximum(bank.age - row.delay, 0.0)
-            signature = half * u * u
+            off = h.dot(J)
+            S = float(off[:STATES].dot(h)) + row.variance
+            nu = row.value - float(off[STATES])
+            off[STATES] = -nu
+            off[changes] -= self._slowed(bank.age, row.delay, state.motion)
+            if len(pushes) and row.source is not Source.DISTANCE:
+                off[swings] -= self._swung(pushes.age, row.delay, pushes.omega)
             gate = row.gate * math.sqrt(S)
             # Written so that a NaN is refused too.
-            if not abs(nu) <= gate and not self._plausible(
-                state, nu, signature - bank.absorbed @ h, gate
-            ):
+            if not abs(nu) <= gate and not self._plausible(state, nu, -off[changes], gate):
                 refusals = refused.get(row.source, 0) + 1
                 refused = {**refused, row.source: refusals}
                 if refusals >= REFUSALS:
-                    return self._widened(changed(state, x=x, P=P), nu)
+                    return self._widened(changed(state, x=J[:, STATES], P=J[:, :STATES]), nu)
                 continue
             if refused.get(row.source):
                 refused = {**refused, row.source: 0}
-            K = Ph / S
-            x = x + K * nu
-            P = P - K[:, None].dot(Ph[None])
-            bank = hypotheses.learned(bank, signature, h, K, S, nu)
-            if len(pushes):
-                pushed: Array = np.zeros(len(pushes))
-                if row.source is not Source.DISTANCE:
-                    pushed, _ = self._pushed(pushes.age - row.delay, pushes.omega)
-                pushes = hypotheses.learned(pushes, pushed, h, K, S, nu)
+            gain = off / S
+            J = J - gain[:STATES, None].dot(off[None])
+            sums[0] += gain[FIRST:] * off[FIRST:]
+            sums[1] -= gain[FIRST:] * nu
+        x = J[:, STATES].copy()
         low, high = PACES
         pace, x[PACE] = min(max(state.pace + float(x[PACE]), low), high), 0.0
-        return changed(state, x=x, P=P, bank=bank, pushes=pushes, refused=refused, pace=pace)
+        return changed(
+            state,
+            x=x,
+            P=J[:, :STATES],
+            bank=Bank(J[:, changes], sums[:, : len(bank)]),
+            pushes=Bank(J[:, swings], sums[:, len(bank) :]),
+            refused=refused,
+            pace=pace,
+        )
 
     def _widened(self, state: BankState, nu: float) -> BankState:
         """Return the state opened up: the filter is wrong, not eight of one sensor's readings."""
@@ -393,19 +417,19 @@ class BankClassifier:
         return state
 
     def _raw_change(self, state: BankState) -> Array:
-        """Return D (m, 10) of the changes of class at amplitude 1."""
+        """Return D (10, m) of the changes of class at amplitude 1."""
         age = state.bank.age
         change = self._change(state.motion)
-        raw = np.zeros((len(age), STATES))
-        raw[:, Y] = 0.5 * change * age**2
-        raw[:, V] = change * age
-        raw[:, ACCELERATION] = change
+        raw = np.zeros((STATES, len(age)))
+        raw[Y] = 0.5 * change * age**2
+        raw[V] = change * age
+        raw[ACCELERATION] = change
         return raw
 
     def _raw_push(self, state: BankState) -> Array:
-        """Return D (m, 10) of the pushes at amplitude 1."""
-        raw = np.zeros((len(state.pushes), STATES))
-        raw[:, PUSH], raw[:, QUADRATURE] = self._pushed(state.pushes.age, state.pushes.omega)
+        """Return D (10, m) of the pushes at amplitude 1."""
+        raw = np.zeros((STATES, len(state.pushes)))
+        raw[PUSH], raw[QUADRATURE] = self._pushed(state.pushes.age, state.pushes.omega)
         return raw
 
     def _accept(self, state: BankState, motion: Motion) -> BankState:
@@ -491,7 +515,7 @@ class BankClassifier:
         bank = state.bank
         share = state.change.weights * hypotheses.amplitude(bank, self._prior)
         change, age = self._change(state.motion), bank.age
-        x = state.x - share.dot(bank.absorbed)
+        x: Array = state.x - bank.absorbed.dot(share)
         late = share * age
         x[Y] += 0.5 * change * float(late.dot(age))
         x[V] += change * float(np.add.reduce(late))
@@ -502,7 +526,7 @@ class BankClassifier:
         """Return the estimate (10,) if somebody has pushed: ``moments`` without their spread."""
         share = state.push.weights * hypotheses.amplitude(state.pushes, self._push_prior)
         push, quadrature = self._pushed(state.pushes.age, state.pushes.omega)
-        x = state.x - share.dot(state.pushes.absorbed)
+        x: Array = state.x - state.pushes.absorbed.dot(share)
         x[PUSH] += float(share.dot(push))
         x[QUADRATURE] += float(share.dot(quadrature))
         return x

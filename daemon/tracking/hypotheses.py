@@ -23,7 +23,7 @@ class Bank:
     """Hypotheses, youngest first.
 
     Attributes:
-        absorbed: f (m, n), what the null filter has taken in of each signature.
+        absorbed: f (n, m), what the null filter has taken in of each signature.
         sums: (4, m): A and B, the evidence; the time since each onset [s]; and the frequency of
             those that swing [rad/s].
     """
@@ -32,7 +32,7 @@ class Bank:
     sums: Array
 
     def __len__(self) -> int:
-        return len(self.absorbed)
+        return len(self.sums[0])
 
     @property
     def A(self) -> Array:
@@ -85,7 +85,7 @@ NOTHING = Verdict(-30.0, np.zeros(0))
 
 def empty(states: int) -> Bank:
     """Return a bank without hypotheses for a filter of some states."""
-    return Bank(np.zeros((0, states)), np.zeros((4, 0)))
+    return Bank(np.zeros((states, 0)), np.zeros((4, 0)))
 
 
 def aged(bank: Bank, F: Array, dt: float, longest: float, omegas: tuple[float, ...]) -> Bank:
@@ -101,43 +101,28 @@ def aged(bank: Bank, F: Array, dt: float, longest: float, omegas: tuple[float, .
     new = len(omegas)
     size = min(len(bank) + new, new * round(longest / dt))
     keep = size - new
-    absorbed, sums = np.empty((size, F.shape[0])), np.empty((4, size))
-    absorbed[:new], sums[:, :new] = 0.0, 0.0
+    absorbed, sums = np.empty((F.shape[0], size)), np.empty((4, size))
+    absorbed[:, :new], sums[:, :new] = 0.0, 0.0
     sums[3, :new] = omegas
     if keep:
-        np.matmul(bank.absorbed[:keep], F.T, out=absorbed[new:])
+        np.matmul(F, bank.absorbed[:, :keep], out=absorbed[:, new:])
         sums[:, new:] = bank.sums[:, :keep]
     sums[2] += dt
     return Bank(absorbed, sums)
 
 
-def learned(bank: Bank, signature: Array, h: Array, K: Array, S: float, nu: float) -> Bank:
-    """Return the bank after one correction of the null filter.
-
-    Args:
-        bank: before.
-        signature: d (m,), what each hypothesis of amplitude 1 adds to the measurement.
-        h: the measurement's row (n,).
-        K: the null filter's gain (n,).
-        S: variance of its innovation.
-        nu: its innovation.
-    """
-    rho = signature - bank.absorbed.dot(h)
-    weighted = rho / S
-    sums = bank.sums.copy()
-    sums[0] += rho * weighted
-    sums[1] += weighted * nu
-    return Bank(bank.absorbed + rho[:, None].dot(K[None]), sums)
-
-
 def evidence(bank: Bank, prior: Prior) -> Array:
     """Return each hypothesis' log likelihood ratio (m,), its amplitude integrated out."""
-    m, s2 = prior.mean, prior.variance
-    A, B = bank.A, bank.B
-    spread = 1.0 + s2 * A
-    ratio: Array = (B * (s2 * B + 2.0 * m) - m * m * A) / spread - np.log(spread)
+    precision, weighted = _posterior(bank, prior)
+    ratio: Array = weighted * weighted / precision - np.log(precision)
+    ratio -= prior.mean**2 / prior.variance + math.log(prior.variance)
     ratio *= 0.5
     return ratio
+
+
+def _posterior(bank: Bank, prior: Prior) -> tuple[Array, Array]:
+    """Return each amplitude's posterior (m,) as precision and mean times precision."""
+    return bank.A + 1.0 / prior.variance, bank.B + prior.mean / prior.variance
 
 
 def verdict(bank: Bank, prior: Prior) -> Verdict:
@@ -153,7 +138,8 @@ def verdict(bank: Bank, prior: Prior) -> Verdict:
 
 def amplitude(bank: Bank, prior: Prior) -> Array:
     """Return the posterior mean amplitude (m,) of each hypothesis."""
-    mean: Array = (prior.variance * bank.B + prior.mean) / (prior.variance * bank.A + 1.0)
+    precision, weighted = _posterior(bank, prior)
+    mean: Array = weighted / precision
     return mean
 
 
@@ -164,14 +150,14 @@ def moments(bank: Bank, raw: Array, prior: Prior) -> tuple[Array, Array]:
 
     Args:
         bank: with at least one hypothesis.
-        raw: D (m, n), the state's own signature at amplitude 1.
+        raw: D (n, m), the state's own signature at amplitude 1.
         prior: of the amplitude.
     """
     share = verdict(bank, prior).weights
+    precision, weighted = _posterior(bank, prior)
     unit = raw - bank.absorbed
-    shift = unit * amplitude(bank, prior)[:, None]
-    mean: Array = share @ shift
-    off = shift - mean
-    left = share * prior.variance / (1.0 + prior.variance * bank.A)
-    spread: Array = off.T @ (share[:, None] * off) + unit.T @ (left[:, None] * unit)
+    shift = unit * (weighted / precision)
+    mean: Array = shift.dot(share)
+    off = shift - mean[:, None]
+    spread: Array = (share * off) @ off.T + (share / precision * unit) @ unit.T
     return mean, spread

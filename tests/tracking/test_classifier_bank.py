@@ -185,7 +185,7 @@ def test_the_bank_never_grows_beyond_its_oldest_onset() -> None:
     for k in range(1, 300):
         state = BANK.advance(state, measured_row(NOMINAL * k * T0), T0)
         assert len(state.bank.age) <= round(SETTINGS.longest_onset / T0)
-        assert all(len(each) == len(state.bank.age) for each in arrays(state))
+        assert all(each.shape[-1] == len(state.bank.age) for each in arrays(state))
     assert float(state.bank.age.max()) <= SETTINGS.longest_onset + 1e-9
     assert (np.diff(state.bank.age) > 0.0).all()
 
