@@ -19,7 +19,7 @@ import numpy as np
 from linemate.daemon.changed import changed
 from linemate.daemon.horizon import Array
 from linemate.daemon.tracking import hypotheses
-from linemate.daemon.tracking.conveyor import Motion, Row, Source, View, travel
+from linemate.daemon.tracking.conveyor import Motion, Row, Source, View, gained
 from linemate.daemon.tracking.hypotheses import NOTHING, Bank, Prior, Verdict
 from linemate.daemon.tracking.settings import (
     BankSettings,
@@ -35,6 +35,7 @@ FIRST = STATES + 1  # column of J, after P and x, from which on the hypotheses s
 OFFSET_DEVIATION = 0.1  # of x10 before anything but the distance sensor saw the object [m]
 SETTLING = 0.6  # the bank is empty until the speed has been seen [s]
 PACES = (0.9, 1.1)  # of the wave's frequency, between which the estimate stays
+UNLIKELY = 1e-4  # weight of a hypothesis that is left out of the prediction
 UNSEEN = 1e-7  # amplitude of a wave too small to be predicted [m]
 REFUSALS = 8  # gated rows of one sensor in a row after which the filter widens
 REST_DEVIATION = 0.002  # of the speed when a stop is taken to have ended [m/s]
@@ -476,19 +477,32 @@ class BankClassifier:
     # The prediction.
 
     def outlook(self, state: BankState, times: Array) -> Array:
-        """Return positions (m,) at ``times``: the class in force, mixed with what is suspected."""
-        null = self._future(state, self._as_set(state), state.motion, state.omega, times)
-        change, push = self._shares(state)
-        mixed = null
-        if change > 1e-4:
+        """Return positions (m,) at ``times``: the class in force, mixed with what is suspected.
+
+        What is linear in the estimate is foreseen once, for the mean of what is believed.
+        """
+        tau = self._ripple(state)[1]
+        turned = np.exp(complex(0.0, self._wave_omega(state)) * times)
+        y = v = r = 0.0
+        own: Array | float = 0.0
+        for weight, estimate, motion, omega in self._believed(state):
+            x = estimate.tolist()
+            y, v, r = y + weight * x[Y], v + weight * x[V], r + weight * x[RIPPLE]
+            own = own + weight * self._own(x, motion, omega, state.cruise, times, turned)
+        steady: Array = (y + r * tau) + v * times - (r * tau) * np.exp(times * (-1.0 / tau))
+        return steady + own
+
+    def _believed(self, state: BankState) -> list[tuple[float, Array, Motion, float]]:
+        """Return weight, estimate (10,), class and frequency of a push of all that is believed."""
+        change, push = (share if share > UNLIKELY else 0.0 for share in self._shares(state))
+        believed = [(1.0 - change - push, self._as_set(state), state.motion, state.omega)]
+        if change:
             motion, _ = _NEXT[state.motion]
-            other = self._future(state, self._changed(state), motion, state.omega, times)
-            mixed = mixed + change * (other - null)
-        if push > 1e-4:
+            believed.append((change, self._changed(state), motion, state.omega))
+        if push:
             omega = self._push_omega(state)
-            other = self._future(state, self._pushed_estimate(state), state.motion, omega, times)
-            mixed = mixed + push * (other - null)
-        return mixed
+            believed.append((push, self._pushed_estimate(state), state.motion, omega))
+        return believed
 
     def _as_set(self, state: BankState) -> Array:
         """Return the estimate (10,), drawn to a ramp as it was set as far as that is likely.
@@ -518,7 +532,7 @@ class BankClassifier:
         x: Array = state.x - bank.absorbed.dot(share)
         late = share * age
         x[Y] += 0.5 * change * float(late.dot(age))
-        x[V] += change * float(np.add.reduce(late))
+        x[V] += change * float(share.dot(age))
         x[ACCELERATION] += change * float(np.add.reduce(share))
         return x
 
@@ -552,23 +566,35 @@ class BankClassifier:
         total = 1.0 + stop + push
         return stop / total, push / total
 
-    def _future(
-        self, state: BankState, x: Array, motion: Motion, omega: float, times: Array
-    ) -> Array:
-        """Return positions (m,) of one hypothesis under its class."""
-        cruise, tau = state.cruise, self._ripple(state)[1]
-        y, v, r, _, a, push, quadrature, wave, crest, _ = x.tolist()
-        if motion not in {Motion.STOPPING, Motion.STARTING}:
-            a = 0.0
-        way = travel(v, a, cruise, times)
-        future: Array = y + way + r * tau * (1.0 - np.exp(-times / tau))
+    def _own(
+        self,
+        x: list[float],
+        motion: Motion,
+        omega: float,
+        cruise: float,
+        times: Array,
+        turned: Array,
+    ) -> Array | float:
+        """Return what one hypothesis' ramp, wave and push (m,) add to its steady run.
+
+        Args:
+            x: its estimate (10,).
+            motion: its class.
+            omega: of its push [rad/s].
+            cruise: speed at which a start ends [m/s].
+            times: from now [s].
+            turned: e^(i phi), phi the wave's phase from now (m,).
+        """
+        _, v, _, _, a, push, quadrature, wave, crest, _ = x
+        ramp = motion in {Motion.STOPPING, Motion.STARTING}
+        own = gained(v, a, cruise, times) if ramp else 0.0
         if abs(wave) + abs(crest) > UNSEEN:
-            turned = (complex(wave, -crest) * np.exp(1j * self._wave_omega(state) * times)).real
-            future = future + turned * self._shares_of_speed(v + a * times)
+            share = self._shares_of_speed(v + a * times) if ramp else self._share(v)
+            own = own + share * (complex(wave, -crest) * turned).real
         if abs(push) + abs(quadrature) > 1e-6:
             pole = complex(-self.jerk.damping * omega, omega)
-            future = future + (complex(push, -quadrature) * np.exp(pole * times)).real
-        return future
+            own = own + (complex(push, -quadrature) * np.exp(pole * times)).real
+        return own
 
     def _shares_of_speed(self, speeds: Array) -> Array:
         """Return the shares (m,) of the nominal speed."""

@@ -99,16 +99,19 @@ class Classifier(Protocol):
 
 def travel(speed: float, acceleration: float, nominal: float, times: Array) -> Array:
     """Return the way (m,) gone at ``times``, the acceleration ending at speed 0 or nominal."""
-    if acceleration < 0.0:
-        end = max(speed, 0.0) / -acceleration
+    return speed * times + gained(speed, acceleration, nominal, times)
+
+
+def gained(speed: float, acceleration: float, nominal: float, times: Array) -> Array | float:
+    """Return what an acceleration that ends at speed 0 or nominal adds to the way (m,)."""
+    if acceleration < 0.0 < speed:
+        end = speed / -acceleration
     elif acceleration > 0.0:
         end = max(nominal - speed, 0.0) / acceleration
     else:
-        return speed * times
+        return 0.0
     span = np.minimum(times, end)
-    way: Array = speed * times + acceleration * span * (times - 0.5 * span)
-    if acceleration < 0.0 and speed <= 0.0:
-        way = np.zeros_like(times) + speed * times
+    way: Array = acceleration * span * (times - 0.5 * span)
     return way
 
 
