@@ -257,7 +257,8 @@ class BankClassifier:
         F = _transition(dt, self._ripple(state)[1], state.omega, self.jerk.damping)
         F = self._waving(F, state, dt)
         P = F.dot(state.P).dot(F.T)
-        P.reshape(-1)[:: STATES + 1] += self._process_noise(state, dt)
+        diagonal = P.reshape(-1)[:: STATES + 1]
+        diagonal += self._process_noise(state, dt)
         bank, pushes = state.bank, state.pushes
         if state.age > SETTLING:
             bank = hypotheses.aged(bank, F, dt, self.bank.longest_onset, STILL)
@@ -324,18 +325,21 @@ class BankClassifier:
         changes, swings = slice(FIRST, FIRST + len(bank)), slice(FIRST + len(bank), None)
         J = np.concatenate((state.P, state.x[:, None], bank.absorbed, pushes.absorbed), axis=1)
         sums = np.concatenate((bank.sums, pushes.sums), axis=1)
+        A, B = sums[0], sums[1]
         for row in rows:
             h = self._row(row, state)
             off = h.dot(J)
-            S = float(off[:STATES].dot(h)) + row.variance
+            Ph, slowed = off[:STATES], off[changes]
+            S = float(Ph.dot(h)) + row.variance
             nu = row.value - float(off[STATES])
             off[STATES] = -nu
-            off[changes] -= self._slowed(bank.age, row.delay, state.motion)
+            slowed -= self._slowed(bank.age, row.delay, state.motion)
             if len(pushes) and row.source is not Source.DISTANCE:
-                off[swings] -= self._swung(pushes.age, row.delay, pushes.omega)
+                swung = off[swings]
+                swung -= self._swung(pushes.age, row.delay, pushes.omega)
             gate = row.gate * math.sqrt(S)
             # Written so that a NaN is refused too.
-            if not abs(nu) <= gate and not self._plausible(state, nu, -off[changes], gate):
+            if not abs(nu) <= gate and not self._plausible(state, nu, -slowed, gate):
                 refusals = refused.get(row.source, 0) + 1
                 refused = {**refused, row.source: refusals}
                 if refusals >= REFUSALS:
@@ -343,10 +347,11 @@ class BankClassifier:
                 continue
             if refused.get(row.source):
                 refused = {**refused, row.source: 0}
-            gain = off / S
-            J = J - gain[:STATES, None].dot(off[None])
-            sums[0] += gain[FIRST:] * off[FIRST:]
-            sums[1] -= gain[FIRST:] * nu
+            J = J - (Ph / S)[:, None].dot(off[None])
+            rho = off[FIRST:]
+            weighted = rho / S
+            A += rho * weighted
+            B -= weighted * nu
         x = J[:, STATES].copy()
         low, high = PACES
         pace, x[PACE] = min(max(state.pace + float(x[PACE]), low), high), 0.0
@@ -459,7 +464,7 @@ class BankClassifier:
     def _push_omega(self, state: BankState) -> float:
         """Return the frequency that the pushes' evidence prefers [rad/s]."""
         share = state.push.weights
-        best = max(self.jerk.omegas, key=lambda w: float(share[state.pushes.omega == w].sum()))
+        best = max(self.jerk.omegas, key=lambda w: float(share.dot(state.pushes.omega == w)))
         return float(best)
 
     def _settle(self, state: BankState, dt: float) -> BankState:
@@ -527,7 +532,7 @@ class BankClassifier:
     def _changed(self, state: BankState) -> Array:
         """Return the estimate (10,) if the class has changed: ``moments`` without their spread."""
         bank = state.bank
-        share = state.change.weights * hypotheses.amplitude(bank, self._prior)
+        share = state.change.weights * state.change.amplitudes
         change, age = self._change(state.motion), bank.age
         x: Array = state.x - bank.absorbed.dot(share)
         late = share * age
@@ -538,7 +543,7 @@ class BankClassifier:
 
     def _pushed_estimate(self, state: BankState) -> Array:
         """Return the estimate (10,) if somebody has pushed: ``moments`` without their spread."""
-        share = state.push.weights * hypotheses.amplitude(state.pushes, self._push_prior)
+        share = state.push.weights * state.push.amplitudes
         push, quadrature = self._pushed(state.pushes.age, state.pushes.omega)
         x: Array = state.x - state.pushes.absorbed.dot(share)
         x[PUSH] += float(share.dot(push))

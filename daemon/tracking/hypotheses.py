@@ -11,6 +11,7 @@ Its amplitude is N(mean, variance) and integrated out.
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -74,13 +75,15 @@ class Verdict:
     Attributes:
         odds: log of all hypotheses' likelihood ratios together.
         weights: (m,) posterior of the onsets.
+        amplitudes: (m,) posterior mean of each one's amplitude.
     """
 
     odds: float
     weights: Array
+    amplitudes: Array
 
 
-NOTHING = Verdict(-30.0, np.zeros(0))
+NOTHING = Verdict(-30.0, np.zeros(0), np.zeros(0))
 
 
 def empty(states: int) -> Bank:
@@ -99,48 +102,48 @@ def aged(bank: Bank, F: Array, dt: float, longest: float, omegas: tuple[float, .
         omegas: frequency of each hypothesis that is added [rad/s]; 0 for one that does not swing.
     """
     new = len(omegas)
-    size = min(len(bank) + new, new * round(longest / dt))
-    keep = size - new
-    absorbed, sums = np.empty((F.shape[0], size)), np.empty((4, size))
-    absorbed[:, :new], sums[:, :new] = 0.0, 0.0
-    sums[3, :new] = omegas
-    if keep:
-        np.matmul(F, bank.absorbed[:, :keep], out=absorbed[:, new:])
-        sums[:, new:] = bank.sums[:, :keep]
-    sums[2] += dt
+    keep = min(len(bank), new * (round(longest / dt) - 1))
+    absorbed = np.empty((len(F), new + keep))
+    absorbed[:, :new] = 0.0
+    np.matmul(F, bank.absorbed[:, :keep], out=absorbed[:, new:])
+    sums = np.concatenate((_begun(omegas), bank.sums[:, :keep]), axis=1)
+    age = sums[2]
+    age += dt
     return Bank(absorbed, sums)
 
 
-def evidence(bank: Bank, prior: Prior) -> Array:
-    """Return each hypothesis' log likelihood ratio (m,), its amplitude integrated out."""
-    precision, weighted = _posterior(bank, prior)
-    ratio: Array = weighted * weighted / precision - np.log(precision)
+@lru_cache(maxsize=8)
+def _begun(omegas: tuple[float, ...]) -> Array:
+    """Return the sums of hypotheses that begin now."""
+    sums = np.zeros((4, len(omegas)))
+    sums[3] = omegas
+    sums.setflags(write=False)
+    return sums
+
+
+def evidence(bank: Bank, prior: Prior) -> tuple[Array, Array]:
+    """Return each hypothesis' log likelihood ratio (m,), its amplitude integrated out.
+
+    And the posterior mean (m,) of that: its precision is ``A + 1 / variance``.
+    """
+    precision = bank.A + 1.0 / prior.variance
+    weighted = bank.B + prior.mean / prior.variance
+    mean: Array = weighted / precision
+    ratio: Array = weighted * mean - np.log(precision)
     ratio -= prior.mean**2 / prior.variance + math.log(prior.variance)
     ratio *= 0.5
-    return ratio
-
-
-def _posterior(bank: Bank, prior: Prior) -> tuple[Array, Array]:
-    """Return each amplitude's posterior (m,) as precision and mean times precision."""
-    return bank.A + 1.0 / prior.variance, bank.B + prior.mean / prior.variance
+    return ratio, mean
 
 
 def verdict(bank: Bank, prior: Prior) -> Verdict:
     """Return what the evidence says: of no hypothesis odds of -30 and no weights."""
     if not len(bank):
         return NOTHING
-    ratios = evidence(bank, prior)
+    ratios, amplitudes = evidence(bank, prior)
     top = float(ratios[ratios.argmax()])
     raw = np.exp(ratios - top)
     total = float(np.add.reduce(raw))
-    return Verdict(top + math.log(total), raw / total)
-
-
-def amplitude(bank: Bank, prior: Prior) -> Array:
-    """Return the posterior mean amplitude (m,) of each hypothesis."""
-    precision, weighted = _posterior(bank, prior)
-    mean: Array = weighted / precision
-    return mean
+    return Verdict(top + math.log(total), raw / total, amplitudes)
 
 
 def moments(bank: Bank, raw: Array, prior: Prior) -> tuple[Array, Array]:
@@ -153,11 +156,11 @@ def moments(bank: Bank, raw: Array, prior: Prior) -> tuple[Array, Array]:
         raw: D (n, m), the state's own signature at amplitude 1.
         prior: of the amplitude.
     """
-    share = verdict(bank, prior).weights
-    precision, weighted = _posterior(bank, prior)
+    told = verdict(bank, prior)
     unit = raw - bank.absorbed
-    shift = unit * (weighted / precision)
-    mean: Array = shift.dot(share)
+    shift = unit * told.amplitudes
+    mean: Array = shift.dot(told.weights)
     off = shift - mean[:, None]
-    spread: Array = (share * off) @ off.T + (share / precision * unit) @ unit.T
+    left = told.weights / (bank.A + 1.0 / prior.variance)
+    spread: Array = (told.weights * off) @ off.T + (left * unit) @ unit.T
     return mean, spread

@@ -93,7 +93,7 @@ def test_evidence_is_the_likelihood_ratio_of_a_filter_for_each_hypothesis(
     steps = measured(Truth(1.5, events), seed=3)
     start, first, state = told(steps)
     assert start.age <= SETTLING + 1e-9
-    evidence = hypotheses.evidence(state.bank, BANK._prior)
+    evidence, _ = hypotheses.evidence(state.bank, BANK._prior)
     now = (len(steps) - 1) * T0
     null = log_likelihood(start, steps, now, 0.0, first)
     for j in (2, 12, 30, len(evidence) - 1):
@@ -127,7 +127,7 @@ def integrated(A: float, B: float) -> float:
 def test_the_best_hypothesis_is_the_onset_that_was() -> None:
     steps = measured(Truth(1.5, ((0.9, -STOP),)), seed=4)
     _, _, state = told(steps)
-    best = state.bank.age[int(np.argmax(hypotheses.evidence(state.bank, BANK._prior)))]
+    best = state.bank.age[int(np.argmax(hypotheses.evidence(state.bank, BANK._prior)[0]))]
     assert best == pytest.approx(1.2 - 0.9, abs=0.06)
     assert state.odds > 10.0
 
@@ -335,7 +335,7 @@ def test_in_contact_little_evidence_moves_the_prediction_less_than_bayes_would()
             bank=hypotheses.aged(hypotheses.empty(STATES), np.eye(STATES), T0, 1.0, (0.0,)),
         )
         shares[caution] = [
-            bank._shares(replace(state, change=hypotheses.Verdict(odds, np.ones(1))))[0]
+            bank._shares(replace(state, change=hypotheses.Verdict(odds, np.ones(1), np.ones(1))))[0]
             for odds in (1.2, 7.0)
         ]
     bayes, careful = shares.values()
