@@ -151,6 +151,21 @@ class BankClassifier:
         }
 
     @cached_property
+    def _changes_now(self) -> dict[Motion, Bank]:
+        """Return the hypothesis that a change out of each class begins now."""
+        now = {}
+        for motion, change in self._changes.items():
+            error = np.zeros(STATES)
+            error[ACCELERATION] = -change
+            now[motion] = hypotheses.begun(error, STILL)
+        return now
+
+    @cached_property
+    def _pushes_now(self) -> Bank:
+        """Return the hypotheses that a push begins now."""
+        return hypotheses.begun(np.zeros(STATES), self.jerk.omegas)
+
+    @cached_property
     def _prior(self) -> Prior:
         """Return what is known of a change's amplitude, as a share of its nominal one."""
         return Prior(1.0, self.bank.amplitude_deviation**2)
@@ -238,11 +253,12 @@ class BankClassifier:
         fade = np.where(ages > 0.0, np.exp(-self.jerk.damping * omega * late), 0.0)
         return fade * np.sin(omega * late), fade * np.cos(omega * late)
 
-    def _slowed(self, ages: Array, delay: float, motion: Motion) -> Array:
-        """Return how far a change of amplitude 1 had moved the object (m,), a delay ago."""
-        late = np.maximum(ages - delay, 0.0)
-        slowed: Array = 0.5 * self._change(motion) * late * late
-        return slowed
+    def _slowed(self, ages: Array, motion: Motion) -> Array:
+        """Return D (10, m) of changes of class at amplitude 1, ``ages`` after their onset."""
+        change = self._change(motion)
+        raw = np.zeros((STATES, len(ages)))
+        raw[Y], raw[V], raw[ACCELERATION] = 0.5 * change * ages * ages, change * ages, change
+        return raw
 
     def _swung(self, ages: Array, delay: float, omega: Array) -> Array:
         """Return how far a push of amplitude 1 had moved the body (m,), a delay ago."""
@@ -261,10 +277,11 @@ class BankClassifier:
         diagonal += self._process_noise(state, dt)
         bank, pushes = state.bank, state.pushes
         if state.age > SETTLING:
-            bank = hypotheses.aged(bank, F, dt, self.bank.longest_onset, STILL)
+            began = self._changes_now[state.motion]
+            bank = hypotheses.aged(bank, began, F, dt, self.bank.longest_onset)
             if state.contact:
-                omegas = self.jerk.omegas
-                pushes = hypotheses.aged(pushes, F, dt, self.jerk.longest_onset, omegas)
+                began, longest = self._pushes_now, self.jerk.longest_onset
+                pushes = hypotheses.aged(pushes, began, F, dt, longest)
             elif len(pushes):
                 pushes = hypotheses.empty(STATES)
         state = changed(
@@ -318,28 +335,29 @@ class BankClassifier:
         """Return (2)-(4) for some rows, null filter and banks alike, each gated.
 
         What is linear is corrected as one: ``J = [P, x, f_1 .. f_m]`` (10, 11 + m) becomes
-        ``J - K (h'J - z)``, z being what the row reads of each column: 0 of those of P, its
-        value of x, the signature of each f.
+        ``J - K (h'J - z)``, z being 0 for P, the row's value for x and, for each f, what of its
+        signature does not go with F.
         """
         bank, pushes, refused = state.bank, state.pushes, state.refused
         changes, swings = slice(FIRST, FIRST + len(bank)), slice(FIRST + len(bank), None)
-        J = np.concatenate((state.P, state.x[:, None], bank.absorbed, pushes.absorbed), axis=1)
+        J = np.concatenate((state.P, state.x[:, None], bank.error, pushes.error), axis=1)
         sums = np.concatenate((bank.sums, pushes.sums), axis=1)
         A, B = sums[0], sums[1]
         for row in rows:
             h = self._row(row, state)
             off = h.dot(J)
-            Ph, slowed = off[:STATES], off[changes]
+            Ph, missed = off[:STATES], off[FIRST:]  # missed: -rho of the banks
             S = float(Ph.dot(h)) + row.variance
             nu = row.value - float(off[STATES])
             off[STATES] = -nu
-            slowed -= self._slowed(bank.age, row.delay, state.motion)
+            later = int(bank.age.searchsorted(row.delay))
+            if later:  # they had not begun when this was measured
+                missed[:later] += h.dot(self._slowed(bank.age[:later], state.motion))
             if len(pushes) and row.source is not Source.DISTANCE:
-                swung = off[swings]
-                swung -= self._swung(pushes.age, row.delay, pushes.omega)
+                missed[len(bank) :] -= self._swung(pushes.age, row.delay, pushes.omega)
             gate = row.gate * math.sqrt(S)
             # Written so that a NaN is refused too.
-            if not abs(nu) <= gate and not self._plausible(state, nu, -slowed, gate):
+            if not abs(nu) <= gate and not self._plausible(state, nu, -off[changes], gate):
                 refusals = refused.get(row.source, 0) + 1
                 refused = {**refused, row.source: refusals}
                 if refusals >= REFUSALS:
@@ -348,9 +366,8 @@ class BankClassifier:
             if refused.get(row.source):
                 refused = {**refused, row.source: 0}
             J = J - (Ph / S)[:, None].dot(off[None])
-            rho = off[FIRST:]
-            weighted = rho / S
-            A += rho * weighted
+            weighted = missed / S
+            A += missed * weighted
             B -= weighted * nu
         x = J[:, STATES].copy()
         low, high = PACES
@@ -422,16 +439,6 @@ class BankClassifier:
             return changed(state, tentative=False, events=(*state.events, (word, "cancelled")))
         return state
 
-    def _raw_change(self, state: BankState) -> Array:
-        """Return D (10, m) of the changes of class at amplitude 1."""
-        age = state.bank.age
-        change = self._change(state.motion)
-        raw = np.zeros((STATES, len(age)))
-        raw[Y] = 0.5 * change * age**2
-        raw[V] = change * age
-        raw[ACCELERATION] = change
-        return raw
-
     def _raw_push(self, state: BankState) -> Array:
         """Return D (10, m) of the pushes at amplitude 1."""
         raw = np.zeros((STATES, len(state.pushes)))
@@ -440,7 +447,7 @@ class BankClassifier:
 
     def _accept(self, state: BankState, motion: Motion) -> BankState:
         """Return the state in its new class, the banks cleared."""
-        mean, spread = hypotheses.moments(state.bank, self._raw_change(state), self._prior)
+        mean, spread = hypotheses.moments(state.bank, -state.bank.error, self._prior)
         since = float(state.change.weights @ state.bank.age)
         return changed(
             _cleared(state), x=state.x + mean, P=state.P + spread, motion=motion, since=since
@@ -449,7 +456,8 @@ class BankClassifier:
     def _accept_push(self, state: BankState) -> BankState:
         """Return the state with the body's swing after a push in it, the banks cleared."""
         prior = self._push_prior
-        mean, spread = hypotheses.moments(state.pushes, self._raw_push(state), prior)
+        unit = self._raw_push(state) - state.pushes.error
+        mean, spread = hypotheses.moments(state.pushes, unit, prior)
         events = [*state.events, ("push", "confirmed")]
         if state.tentative:
             events.append((_NEXT[state.motion][1], "cancelled"))
@@ -531,21 +539,14 @@ class BankClassifier:
 
     def _changed(self, state: BankState) -> Array:
         """Return the estimate (10,) if the class has changed: ``moments`` without their spread."""
-        bank = state.bank
-        share = state.change.weights * state.change.amplitudes
-        change, age = self._change(state.motion), bank.age
-        x: Array = state.x - bank.absorbed.dot(share)
-        late = share * age
-        x[Y] += 0.5 * change * float(late.dot(age))
-        x[V] += change * float(share.dot(age))
-        x[ACCELERATION] += change * float(np.add.reduce(share))
+        x: Array = state.x - state.bank.error.dot(state.change.weights * state.change.amplitudes)
         return x
 
     def _pushed_estimate(self, state: BankState) -> Array:
         """Return the estimate (10,) if somebody has pushed: ``moments`` without their spread."""
         share = state.push.weights * state.push.amplitudes
         push, quadrature = self._pushed(state.pushes.age, state.pushes.omega)
-        x: Array = state.x - state.pushes.absorbed.dot(share)
+        x: Array = state.x - state.pushes.error.dot(share)
         x[PUSH] += float(share.dot(push))
         x[QUADRATURE] += float(share.dot(quadrature))
         return x

@@ -1,17 +1,19 @@
 """A bank of hypotheses "something began u seconds ago", each held by two sums.
 
-Law of this file: Willsky's test without a second filter. A hypothesis' raw signature is known in
-closed form, what the null filter has absorbed of it is propagated with the filter's own F and K,
-and its evidence is two sums (reading notes, "One bank for everything"):
+Law of this file: Willsky's test without a second filter. What the null filter errs by if a
+hypothesis holds is propagated with the filter's own F and K, and its evidence is two sums (reading
+notes, "One bank for everything"):
 
-    rho = d - h'f,   A += rho^2 / S,   B += rho nu / S,   f <- F f + K rho.
+    rho = z - h'f,   A += rho^2 / S,   B += rho nu / S,   f <- F f + K rho.
 
+Of a change of class f is the whole error, which begins as the acceleration that it adds and needs
+no z. A push swings at a frequency that F does not know: its signature z is known in closed form,
+and f is what the null filter has absorbed of it.
 Its amplitude is N(mean, variance) and integrated out.
 """
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -24,12 +26,13 @@ class Bank:
     """Hypotheses, youngest first.
 
     Attributes:
-        absorbed: f (n, m), what the null filter has taken in of each signature.
+        error: f (n, m), of the null filter if the hypothesis holds at amplitude 1, as far as that
+            goes with F.
         sums: (4, m): A and B, the evidence; the time since each onset [s]; and the frequency of
             those that swing [rad/s].
     """
 
-    absorbed: Array
+    error: Array
     sums: Array
 
     def __len__(self) -> int:
@@ -91,34 +94,34 @@ def empty(states: int) -> Bank:
     return Bank(np.zeros((states, 0)), np.zeros((4, 0)))
 
 
-def aged(bank: Bank, F: Array, dt: float, longest: float, omegas: tuple[float, ...]) -> Bank:
-    """Return the bank one step older, with new hypotheses "now" and without the oldest.
+def begun(error: Array, omegas: tuple[float, ...]) -> Bank:
+    """Return hypotheses that begin now.
+
+    Args:
+        error: f of each at its onset (n,).
+        omegas: frequency of each [rad/s]; 0 for one that does not swing.
+    """
+    sums = np.zeros((4, len(omegas)))
+    sums[3] = omegas
+    return Bank(np.repeat(error[:, None], len(omegas), axis=1), sums)
+
+
+def aged(bank: Bank, began: Bank, F: Array, dt: float, longest: float) -> Bank:
+    """Return the bank one step older, with hypotheses that began before it, without the oldest.
 
     Args:
         bank: before.
+        began: hypotheses that are added.
         F: the null filter's transition (n, n).
         dt: [s].
         longest: age of the oldest onset [s].
-        omegas: frequency of each hypothesis that is added [rad/s]; 0 for one that does not swing.
     """
-    new = len(omegas)
-    keep = min(len(bank), new * (round(longest / dt) - 1))
-    absorbed = np.empty((len(F), new + keep))
-    absorbed[:, :new] = 0.0
-    np.matmul(F, bank.absorbed[:, :keep], out=absorbed[:, new:])
-    sums = np.concatenate((_begun(omegas), bank.sums[:, :keep]), axis=1)
+    keep = min(len(bank), len(began) * (round(longest / dt) - 1))
+    error = F.dot(np.concatenate((began.error, bank.error[:, :keep]), axis=1))
+    sums = np.concatenate((began.sums, bank.sums[:, :keep]), axis=1)
     age = sums[2]
     age += dt
-    return Bank(absorbed, sums)
-
-
-@lru_cache(maxsize=8)
-def _begun(omegas: tuple[float, ...]) -> Array:
-    """Return the sums of hypotheses that begin now."""
-    sums = np.zeros((4, len(omegas)))
-    sums[3] = omegas
-    sums.setflags(write=False)
-    return sums
+    return Bank(error, sums)
 
 
 def evidence(bank: Bank, prior: Prior) -> tuple[Array, Array]:
@@ -146,18 +149,17 @@ def verdict(bank: Bank, prior: Prior) -> Verdict:
     return Verdict(top + math.log(total), raw / total, amplitudes)
 
 
-def moments(bank: Bank, raw: Array, prior: Prior) -> tuple[Array, Array]:
+def moments(bank: Bank, unit: Array, prior: Prior) -> tuple[Array, Array]:
     """Return by how much the bank moves the null estimate (n,), and its spread (n, n).
 
     Onsets are matched in their moments, and what is left open of the amplitude is added.
 
     Args:
         bank: with at least one hypothesis.
-        raw: D (n, m), the state's own signature at amplitude 1.
+        unit: (n, m) by how much each would at amplitude 1.
         prior: of the amplitude.
     """
     told = verdict(bank, prior)
-    unit = raw - bank.absorbed
     shift = unit * told.amplitudes
     mean: Array = shift.dot(told.weights)
     off = shift - mean[:, None]

@@ -195,7 +195,7 @@ def measured_row(value: float) -> list[Row]:
 
 
 def arrays(state: BankState) -> list[Array]:
-    return [state.bank.absorbed, state.bank.A, state.bank.B]
+    return [state.bank.error, state.bank.A, state.bank.B]
 
 
 def test_the_covariance_stays_symmetric_and_positive_through_a_stop_and_a_start() -> None:
@@ -332,7 +332,7 @@ def test_in_contact_little_evidence_moves_the_prediction_less_than_bayes_would()
         state = replace(
             bank.initial(0.0),
             contact=True,
-            bank=hypotheses.aged(hypotheses.empty(STATES), np.eye(STATES), T0, 1.0, (0.0,)),
+            bank=hypotheses.begun(np.zeros(STATES), (0.0,)),
         )
         shares[caution] = [
             bank._shares(replace(state, change=hypotheses.Verdict(odds, np.ones(1), np.ones(1))))[0]
