@@ -44,6 +44,8 @@ NO_STOP = 0.5  # of the nominal deceleration, which every stop exceeds
 CALM = 2.0  # log odds below which a tentative change is cancelled
 STILL = (0.0,)  # the frequencies of a change of class: none
 
+RAMPS = (Motion.STOPPING, Motion.STARTING)
+
 _STOP = (Motion.STOPPING, "stop")
 _START = (Motion.STARTING, "start")
 _NEXT = {
@@ -202,7 +204,7 @@ class BankClassifier:
         fusion = self.fusion
         share = self._share(float(state.x[V]))
         ripple, time = self._ripple(state)
-        moving = state.motion in {Motion.STOPPING, Motion.STARTING}
+        moving = state.motion in RAMPS
         ripple = (ripple * share) ** 2 * (1.0 - math.exp(-2.0 * dt / time))
         rate = (0.05 * abs(self._class_acceleration(state.motion))) ** 2 * dt if moving else 0.0
         speed = fusion.speed * (1.0 if state.motion is not Motion.STANDING else 0.3)
@@ -252,13 +254,6 @@ class BankClassifier:
         late = np.maximum(ages, 0.0)
         fade = np.where(ages > 0.0, np.exp(-self.jerk.damping * omega * late), 0.0)
         return fade * np.sin(omega * late), fade * np.cos(omega * late)
-
-    def _slowed(self, ages: Array, motion: Motion) -> Array:
-        """Return D (10, m) of changes of class at amplitude 1, ``ages`` after their onset."""
-        change = self._change(motion)
-        raw = np.zeros((STATES, len(ages)))
-        raw[Y], raw[V], raw[ACCELERATION] = 0.5 * change * ages * ages, change * ages, change
-        return raw
 
     def _swung(self, ages: Array, delay: float, omega: Array) -> Array:
         """Return how far a push of amplitude 1 had moved the body (m,), a delay ago."""
@@ -343,6 +338,7 @@ class BankClassifier:
         J = np.concatenate((state.P, state.x[:, None], bank.error, pushes.error), axis=1)
         sums = np.concatenate((bank.sums, pushes.sums), axis=1)
         A, B = sums[0], sums[1]
+        change = self._change(state.motion)
         for row in rows:
             h = self._row(row, state)
             off = h.dot(J)
@@ -351,8 +347,9 @@ class BankClassifier:
             nu = row.value - float(off[STATES])
             off[STATES] = -nu
             later = int(bank.age.searchsorted(row.delay))
-            if later:  # they had not begun when this was measured
-                missed[:later] += h.dot(self._slowed(bank.age[:later], state.motion))
+            if later:  # they had not begun when this was measured: without h'D, which is in f
+                ages, acted = bank.age[:later], float(h[ACCELERATION])
+                missed[:later] += change * (ages * (0.5 * ages - row.delay) + acted)
             if len(pushes) and row.source is not Source.DISTANCE:
                 missed[len(bank) :] -= self._swung(pushes.age, row.delay, pushes.omega)
             gate = row.gate * math.sqrt(S)
@@ -495,7 +492,8 @@ class BankClassifier:
         What is linear in the estimate is foreseen once, for the mean of what is believed.
         """
         tau = self._ripple(state)[1]
-        turned = np.exp(complex(0.0, self._wave_omega(state)) * times)
+        phase = self._wave_omega(state) * times
+        turned = np.cos(phase), np.sin(phase)
         y = v = r = 0.0
         own: Array | float = 0.0
         for weight, estimate, motion, omega in self._believed(state):
@@ -507,14 +505,17 @@ class BankClassifier:
 
     def _believed(self, state: BankState) -> list[tuple[float, Array, Motion, float]]:
         """Return weight, estimate (10,), class and frequency of a push of all that is believed."""
-        change, push = (share if share > UNLIKELY else 0.0 for share in self._shares(state))
-        believed = [(1.0 - change - push, self._as_set(state), state.motion, state.omega)]
-        if change:
+        change, push = self._shares(state)
+        believed, left = [], 1.0
+        if change > UNLIKELY:
             motion, _ = _NEXT[state.motion]
             believed.append((change, self._changed(state), motion, state.omega))
-        if push:
+            left -= change
+        if push > UNLIKELY:
             omega = self._push_omega(state)
             believed.append((push, self._pushed_estimate(state), state.motion, omega))
+            left -= push
+        believed.append((left, self._as_set(state), state.motion, state.omega))
         return believed
 
     def _as_set(self, state: BankState) -> Array:
@@ -579,7 +580,7 @@ class BankClassifier:
         omega: float,
         cruise: float,
         times: Array,
-        turned: Array,
+        turned: tuple[Array, Array],
     ) -> Array | float:
         """Return what one hypothesis' ramp, wave and push (m,) add to its steady run.
 
@@ -589,23 +590,25 @@ class BankClassifier:
             omega: of its push [rad/s].
             cruise: speed at which a start ends [m/s].
             times: from now [s].
-            turned: e^(i phi), phi the wave's phase from now (m,).
+            turned: cosine and sine (m,) of the wave's phase from now.
         """
         _, v, _, _, a, push, quadrature, wave, crest, _ = x
-        ramp = motion in {Motion.STOPPING, Motion.STARTING}
+        ramp = motion in RAMPS
         own = gained(v, a, cruise, times) if ramp else 0.0
         if abs(wave) + abs(crest) > UNSEEN:
-            share = self._shares_of_speed(v + a * times) if ramp else self._share(v)
-            own = own + share * (complex(wave, -crest) * turned).real
+            share = self._fading(v, a, times) if ramp else self._share(v)
+            c, s = turned
+            own = own + share * (wave * c + crest * s)
         if abs(push) + abs(quadrature) > 1e-6:
             pole = complex(-self.jerk.damping * omega, omega)
             own = own + (complex(push, -quadrature) * np.exp(pole * times)).real
         return own
 
-    def _shares_of_speed(self, speeds: Array) -> Array:
-        """Return the shares (m,) of the nominal speed."""
-        shares: Array = np.minimum(np.maximum(speeds / self.conveyor.nominal_speed, 0.0), 1.0)
-        return shares
+    def _fading(self, v: float, a: float, times: Array) -> Array:
+        """Return the shares (m,) of the nominal speed on a ramp."""
+        nominal = self.conveyor.nominal_speed
+        shares: Array = v / nominal + (a / nominal) * times
+        return np.minimum(np.maximum(shares, 0.0), 1.0)
 
     def view(self, state: BankState) -> View:
         """Return what the bank believes."""
