@@ -6,6 +6,7 @@ pose is interpolated between telegrams, so that a delay need not be a whole numb
 
 import math
 from bisect import bisect_left
+from operator import itemgetter
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from linemate.daemon.horizon import Array
 from linemate.daemon.tracking.settings import CameraNoise, TactileNoise
 from linemate.protocol.frozen import frozen
 from linemate.protocol.samples import CameraSample, WrenchSample
+
+_diagonal = itemgetter(0, 6, 11, 15, 18, 20)  # of the upper triangle of a covariance (6, 6)
 
 
 @frozen(eq=False)
@@ -101,19 +104,19 @@ def sight(
         rate: (6,) of the tcp.
     """
     R_tcp = rotations.exp(tcp[3:])
-    R_camera = R_tcp @ camera[1]
-    in_tcp = camera[0] + camera[1] @ np.array(sample.position)
-    position = tcp[:3] + R_tcp @ in_tcp
-    rotation = R_camera @ rotations.matrix(sample.quaternion)
+    R_camera = R_tcp.dot(camera[1])
+    in_tcp = camera[0] + camera[1].dot(sample.position)
+    position = tcp[:3] + R_tcp.dot(in_tcp)
+    rotation = R_camera.dot(rotations.matrix(sample.quaternion))
     if sample.covariance is not None:
-        diagonal = np.array([sample.covariance[i] for i in (0, 6, 11, 15, 18, 20)])
+        diagonal = np.array(_diagonal(sample.covariance))
     else:
         far = math.hypot(*in_tcp.tolist())
         lateral = noise.lateral + noise.lateral_slope * far
         angle = noise.angle + noise.angle_slope * far
         depth = noise.depth_factor * lateral
         diagonal = np.array((lateral, lateral, depth, angle, angle, angle)) ** 2
-    variance = (diagonal.reshape(2, 3) @ (R_camera * R_camera).T).reshape(6)
+    variance = diagonal.reshape(2, 3).dot((R_camera * R_camera).T).reshape(6)
     variance += (noise.stamp * rate) ** 2
     return Sighting(position, rotation, (now_ns - sample.exposure_ns) * 1e-9, variance)
 
@@ -140,9 +143,10 @@ def mean_wrench(samples: tuple[WrenchSample, ...]) -> Wrench | None:
     if not samples:
         return None
     count = len(samples)
-    stamp = sum(sample.stamp_ns for sample in samples) // count
-    rows = np.array([sample.force + sample.torque for sample in samples])
-    mean = rows[0] if count == 1 else rows.sum(axis=0) / count
+    stamp = sum([sample.stamp_ns for sample in samples]) // count
+    # A dozen floats are added up sooner than they have become an array.
+    rows = [sample.force + sample.torque for sample in samples]
+    mean = np.array([sum(column) / count for column in zip(*rows, strict=True)])
     return Wrench(mean[:3], mean[3:], stamp, count)
 
 
@@ -164,4 +168,4 @@ def touch(wrench: Wrench, tcp: Array, noise: TactileNoise, now_ns: int, rate: Ar
     variance = np.array((place, place, place, turned, turned, turned))
     variance += (noise.stamp * rate) ** 2
     delay = (now_ns - wrench.stamp_ns) * 1e-9
-    return Sighting(tcp[:3] + R @ shift, R @ rotations.exp(turn), delay, variance)
+    return Sighting(tcp[:3] + R.dot(shift), R.dot(rotations.exp(turn)), delay, variance)
