@@ -8,9 +8,9 @@ only and is estimated beside it, folded away after each correction like the turn
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.linalg.lapack import dposv as _solve
@@ -64,7 +64,30 @@ class TransverseState:
         return min(self.scatter, MOST_DOUBT) if self.scatter > DOUBTED else 1.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
+class _Swing:
+    """A swing as the filter has it.
+
+    Attributes:
+        mode: as it was identified.
+        omega: its frequency [rad/s].
+        i: where its angle is in x; its quadrature is next to it.
+        j: where the error of its pace is in x, -1 if it has none.
+    """
+
+    mode: SwingMode
+    omega: float
+    i: int
+    j: int
+
+    def advance(self, dt: float, pace: float) -> tuple[float, float]:
+        """Return what angle and quadrature now add to the angle in ``dt``, backwards if < 0."""
+        w = self.omega * pace
+        decay = math.exp(-self.mode.damping * w * dt)
+        return decay * math.cos(w * dt), decay * math.sin(w * dt)
+
+
+@dataclass(frozen=True, eq=False)
 class Transverse:
     """The filter's model."""
 
@@ -74,18 +97,38 @@ class Transverse:
     @property
     def size(self) -> int:
         """Length of the state's x."""
-        return STATIC + 2 * len(self.swing) + sum(mode.spread > 0.0 for mode in self.swing)
+        return self._first_pace + sum(mode.spread > 0.0 for mode in self.swing)
 
-    def _places(self, state: TransverseState) -> Iterator[tuple[SwingMode, float, int, int]]:
-        """Yield each swing with its pace, and where it and its pace are in x, -1 for none."""
-        i, j = STATIC, STATIC + 2 * len(self.swing)
-        for mode, pace in zip(self.swing, state.paces or (1.0,) * len(self.swing), strict=True):
-            if mode.spread > 0.0:
-                yield mode, pace, i, j
-                j += 1
-            else:
-                yield mode, pace, i, -1
-            i += 2
+    @cached_property
+    def _first_pace(self) -> int:
+        """Tell where in x the errors of the paces begin."""
+        return STATIC + 2 * len(self.swing)
+
+    @cached_property
+    def _swings(self) -> tuple[_Swing, ...]:
+        """Return each swing with its places in x."""
+        found, j = [], self._first_pace
+        for m, mode in enumerate(self.swing):
+            paced = mode.spread > 0.0
+            i, omega = STATIC + 2 * m, 2.0 * math.pi * mode.frequency_hz
+            found.append(_Swing(mode, omega, i, j if paced else -1))
+            j += paced
+        return tuple(found)
+
+    @cached_property
+    def _still(self) -> Array:
+        """Return the rows (5, n) of (8) of what does not swing."""
+        return np.eye(STATIC, self.size)
+
+    @cached_property
+    def _drift(self) -> Array:
+        """Return how fast the variance (5,) of an object grows that nobody sees."""
+        x, turn = self.fusion.position**2, self.fusion.angle**2
+        return np.array((x, x, turn, turn, turn))
+
+    def _at_paces(self, state: TransverseState) -> Iterable[tuple[_Swing, float]]:
+        """Return each swing with its pace: 1 in a state that has not been told any."""
+        return zip(self._swings, state.paces or (1.0,) * len(self.swing), strict=True)
 
     def initial(self, sightings: list[Sighting]) -> TransverseState:
         """Return the belief from some sightings: their median, immune to outliers."""
@@ -101,12 +144,12 @@ class Transverse:
         P[X, X], P[Z, Z] = 0.02**2 + variance[0], 0.02**2 + variance[2]
         for i in range(3):
             P[TURN + i, TURN + i] = 0.02**2 + variance[3 + i]
-        state = TransverseState(x, P, rotation, paces=(1.0,) * len(self.swing))
-        for mode, _, i, j in self._places(state):
+        for swing in self._swings:
+            i, j = swing.i, swing.j
             P[i, i] = P[i + 1, i + 1] = SWING_DEVIATION**2
             if j >= 0:
-                P[j, j] = mode.spread**2
-        return state
+                P[j, j] = swing.mode.spread**2
+        return TransverseState(x, P, rotation, paces=(1.0,) * len(self.swing))
 
     def predict(
         self, state: TransverseState, dt: float, *, seating: bool = False
@@ -117,34 +160,55 @@ class Transverse:
         does not expect it takes the step for a swing, and a milliradian of that is a millimetre
         at the hub.
         """
-        turning = self.fusion.seating if seating else self.fusion.angle
-        F, Q = _model(self.fusion, self.swing, dt, turning)
-        if len(F) > STATIC + 2 * len(self.swing):
-            F = F.copy()
-            for mode, pace, i, j in self._places(state):
-                if j >= 0:
-                    _turn(F, mode, pace, dt, state.x, i, j)
-        P = F @ state.P @ F.T + Q
-        return changed(state, x=F @ state.x, P=P)
+        F, Q = self._model(dt, seating)
+        F = self._paced(F, state, dt)
+        P = F.dot(state.P).dot(F.T) + Q
+        return changed(state, x=F.dot(state.x), P=P)
 
-    def _walk(self, delay: float) -> Array:
-        """Return the variance (5,) that the object has walked since a sighting ``delay`` s ago."""
-        late = max(delay, 0.0)
-        x, turn = self.fusion.position**2 * late, self.fusion.angle**2 * late
-        return np.array((x, x, turn, turn, turn))
+    def _paced(self, F: Array, state: TransverseState, dt: float) -> Array:
+        """Return A with each swing at its pace, and with how an error of the pace enters it."""
+        if len(F) == self._first_pace:
+            return F
+        F, values = F.copy(), state.x.tolist()
+        for swing, pace in self._at_paces(state):
+            i, k, j = swing.i, swing.i + 1, swing.j
+            if j >= 0:
+                c, s = swing.advance(dt, pace)
+                angle, quadrature, way = values[i], values[k], swing.omega * dt
+                F[i, i], F[i, k], F[i, j] = c, s, way * (c * quadrature - s * angle)
+                F[k, i], F[k, k], F[k, j] = -s, c, -way * (c * angle + s * quadrature)
+        return F
+
+    @lru_cache(maxsize=16)  # noqa: B019 - a few small models, and no more of them
+    def _model(self, dt: float, seating: bool) -> tuple[Array, Array]:
+        """Return A of (5) at the identified frequencies, and Q."""
+        turning = self.fusion.seating if seating else self.fusion.angle
+        F = np.eye(self.size)
+        noise = np.empty(self.size)
+        noise[:TURN] = self.fusion.position**2 * dt
+        noise[TURN:STATIC] = turning**2 * dt
+        noise[STATIC : self._first_pace] = self.fusion.swing**2 * dt
+        noise[self._first_pace :] = self.fusion.pace**2 * dt
+        for swing in self._swings:
+            i = swing.i
+            c, s = swing.advance(dt, 1.0)
+            F[i : i + 2, i : i + 2] = (c, s), (-s, c)
+        Q = np.diag(noise)
+        F.setflags(write=False)
+        Q.setflags(write=False)
+        return F, Q
 
     def rows(self, state: TransverseState, delay: float) -> Array:
         """Return the rows (5, n) of (8) for x, z and the three turns, ``delay`` s ago."""
-        H = np.eye(STATIC, self.size)
-        for mode, pace, i, j in self._places(state):
-            c, s = _advance(mode, -delay, pace)
-            (x, _, z), axis = mode.levers, TURN + mode.axis
+        H, values = self._still.copy(), state.x.tolist()
+        for swing, pace in self._at_paces(state):
+            i, k, j = swing.i, swing.i + 1, swing.j
+            c, s = swing.advance(-delay, pace)
+            (x, _, z), axis = swing.mode.levers, TURN + swing.mode.axis
             H[X, i], H[Z, i], H[axis, i] = x * c, z * c, c
-            k = i + 1
             H[X, k], H[Z, k], H[axis, k] = x * s, z * s, s
             if j >= 0:
-                angle, quadrature = state.x[i : i + 2].tolist()
-                slope = -_omega(mode) * delay * (c * quadrature - s * angle)
+                slope = -swing.omega * delay * (c * values[k] - s * values[i])
                 H[X, j], H[Z, j], H[axis, j] = x * slope, z * slope, slope
         return H
 
@@ -165,124 +229,98 @@ class Transverse:
             doubted: its variance is weighed against how far its like missed lately.
         """
         H = self.rows(state, sighting.delay)
-        swing = H[TURN:STATIC, STATIC:] @ state.x[STATIC:]
-        turn = rotations.log(sighting.rotation @ (rotations.exp(swing) @ state.rotation).T)
-        measured = np.empty(STATIC)
-        measured[:TURN] = sighting.position[_ACROSS] - H[:TURN] @ state.x
-        measured[TURN:] = turn
+        measured = _missed(state, sighting, H)
         P, variance = state.P, sighting.variance[_SEEN] + self._walk(sighting.delay)
-        if doubted:
-            variance = state.doubt * variance
-        PH = P @ H.T
-        S = H @ PH
+        doubt = state.doubt if doubted else 1.0
+        if doubt != 1.0:
+            variance = doubt * variance
+        PH = P.dot(H.T)
+        S = H.dot(PH)
         S.reshape(-1)[:: STATIC + 1] += variance
-        beyond = float((measured * measured / S.diagonal()).max()) / (gate * gate)
+        squared = measured * measured
+        ratios = squared / S.diagonal()
+        # By argmax, for which a NaN is the largest as well: half of what max takes.
+        beyond = float(ratios[ratios.argmax()]) / (gate * gate)
+        scatter = state.scatter
         if not beyond <= 1.0:
             enough = REFUSALS if beyond <= JUMP * JUMP else JUMPED
             if state.refused + 1 < enough:
                 return changed(state, refused=state.refused + 1), False
             P = P.copy()
-            P.flat[: STATIC * (len(P) + 1) : len(P) + 1] += measured * measured
-            PH = P @ H.T
-            S = H @ PH
+            P.flat[: STATIC * (len(P) + 1) : len(P) + 1] += squared
+            PH = P.dot(H.T)
+            S = H.dot(PH)
             S.reshape(-1)[:: STATIC + 1] += variance
         elif doubted:
-            state = _scattered(state, measured * measured - S.diagonal(), variance)
+            scatter = _scattered(scatter, doubt, squared - S.diagonal(), variance)
         # LAPACK itself: numpy's wrapper costs three times what these five rows do.
         _, K, failed = _solve(S, PH.T)
         if failed:
-            return changed(state, refused=state.refused + 1), False
-        x = state.x + measured @ K
-        P = P - PH @ K
-        rotation = rotations.exp(x[TURN:STATIC]) @ state.rotation
-        x[TURN:STATIC] = 0.0
-        paces = self._paces(state, x)
-        x[STATIC + 2 * len(self.swing) :] = 0.0
+            return changed(state, refused=state.refused + 1, scatter=scatter), False
+        x = state.x + measured.dot(K)
+        P = P - PH.dot(K)
         P = 0.5 * (P + P.T)
-        return changed(state, x=x, P=P, rotation=rotation, refused=0, paces=paces), True
+        rotation = rotations.exp(x[TURN:STATIC]).dot(state.rotation)
+        paces = self._corrected(state, x)
+        x[TURN:STATIC] = 0.0
+        x[self._first_pace :] = 0.0
+        state = changed(state, x=x, P=P, rotation=rotation, refused=0, paces=paces, scatter=scatter)
+        return state, True
 
-    def _paces(self, state: TransverseState, x: Array) -> tuple[float, ...]:
+    def _walk(self, delay: float) -> Array:
+        """Return the variance (5,) that the object has walked since a sighting ``delay`` s ago."""
+        return max(delay, 0.0) * self._drift
+
+    def _corrected(self, state: TransverseState, x: Array) -> tuple[float, ...]:
         """Return the paces with what a correction has found of their errors."""
         low, high = PACES
         return tuple(
-            min(max(pace + float(x[j]), low), high) if j >= 0 else pace
-            for _, pace, _, j in self._places(state)
+            [
+                min(max(pace + float(x[swing.j]), low), high) if swing.j >= 0 else pace
+                for swing, pace in self._at_paces(state)
+            ]
         )
 
     def swing_angles(self, state: TransverseState, times: Array) -> Array:
         """Return the swing angles (modes, m) [rad] at ``times`` from now, (9)."""
-        angles = np.empty((len(self.swing), len(times)))
-        for m, (mode, pace, i, _) in enumerate(self._places(state)):
-            c, s = state.x[i : i + 2].tolist()
-            w = _omega(mode) * pace
+        angles, values = np.empty((len(self.swing), len(times))), state.x.tolist()
+        for m, (swing, pace) in enumerate(self._at_paces(state)):
+            w = swing.omega * pace
             # One complex exponential is damping, cosine and sine at once.
-            angles[m] = (complex(c, -s) * np.exp(complex(-mode.damping * w, w) * times)).real
+            turning = np.exp(complex(-swing.mode.damping * w, w) * times)
+            angles[m] = (complex(values[swing.i], -values[swing.i + 1]) * turning).real
         return angles
 
     def swing_now(self, state: TransverseState, delay: float) -> tuple[float, ...]:
         """Return the swing angles [rad] ``delay`` s ago."""
-        angles = []
-        for mode, pace, i, _ in self._places(state):
-            c, s = state.x[i : i + 2].tolist()
-            w = _omega(mode) * pace
-            grown = math.exp(mode.damping * w * delay)
+        angles, values = [], state.x.tolist()
+        for swing, pace in self._at_paces(state):
+            c, s = values[swing.i], values[swing.i + 1]
+            w = swing.omega * pace
+            grown = math.exp(swing.mode.damping * w * delay)
             angles.append(grown * (c * math.cos(w * delay) - s * math.sin(w * delay)))
         return tuple(angles)
 
 
-def _scattered(state: TransverseState, beyond: Array, variance: Array) -> TransverseState:
-    """Return the state with a sighting's miss in its memory.
+def _missed(state: TransverseState, sighting: Sighting, H: Array) -> Array:
+    """Return by how much (5,) a sighting misses what the rows ``H`` of it expect."""
+    swing = H[TURN:STATIC, STATIC:].dot(state.x[STATIC:])
+    expected = rotations.exp(swing).dot(state.rotation)
+    missed = np.empty(STATIC)
+    missed[:TURN] = sighting.position[_ACROSS] - H[:TURN].dot(state.x)
+    missed[TURN:] = rotations.log(sighting.rotation.dot(expected.T))
+    return missed
+
+
+def _scattered(scatter: float, doubt: float, beyond: Array, variance: Array) -> float:
+    """Return the memory of how sightings scatter, with one more in it.
 
     Args:
-        state: before.
+        scatter: before.
+        doubt: in which the sighting was held.
         beyond: (5,) squared misses, less what was expected of them.
         variance: (5,) with the doubt in it.
     """
-    missed = state.doubt * (1.0 + float((beyond / variance).sum()) / STATIC)
+    missed = doubt * (1.0 + float(np.add.reduce(beyond / variance)) / STATIC)
     # As it begins, everything is expected of a miss: that tells nothing of the camera.
-    missed = max(missed, 0.0)
-    return changed(state, scatter=state.scatter + (missed - state.scatter) / MEMORY)
-
-
-@lru_cache(maxsize=16)
-def _model(
-    fusion: FusionSettings, swing: tuple[SwingMode, ...], dt: float, turning: float
-) -> tuple[Array, Array]:
-    """Return A of (5) and Q: what stands stays, what swings turns its phase."""
-    size = STATIC + 2 * len(swing) + sum(mode.spread > 0.0 for mode in swing)
-    F = np.eye(size)
-    noise = np.empty(size)
-    noise[:TURN] = fusion.position**2 * dt
-    noise[TURN:STATIC] = turning**2 * dt
-    noise[STATIC : STATIC + 2 * len(swing)] = fusion.swing**2 * dt
-    noise[STATIC + 2 * len(swing) :] = fusion.pace**2 * dt
-    for m, mode in enumerate(swing):
-        i = STATIC + 2 * m
-        c, s = _advance(mode, dt, 1.0)
-        F[i : i + 2, i : i + 2] = (c, s), (-s, c)
-    Q = np.diag(noise)
-    F.setflags(write=False)
-    Q.setflags(write=False)
-    return F, Q
-
-
-def _omega(mode: SwingMode) -> float:
-    """Return a swing's identified frequency [rad/s]."""
-    return 2.0 * math.pi * mode.frequency_hz
-
-
-def _turn(F: Array, mode: SwingMode, pace: float, dt: float, x: Array, i: int, j: int) -> None:
-    """Write a swing's transition at its pace into A, and how an error of the pace enters it."""
-    c, s = _advance(mode, dt, pace)
-    angle, quadrature = x[i : i + 2].tolist()
-    way = _omega(mode) * dt
-    F[i, i], F[i, i + 1], F[i, j] = c, s, way * (c * quadrature - s * angle)
-    k = i + 1
-    F[k, i], F[k, k], F[k, j] = -s, c, -way * (c * angle + s * quadrature)
-
-
-def _advance(mode: SwingMode, dt: float, pace: float) -> tuple[float, float]:
-    """Return what angle and quadrature now add to the angle in ``dt``, backwards if negative."""
-    w = _omega(mode) * pace
-    decay = math.exp(-mode.damping * w * dt)
-    return decay * math.cos(w * dt), decay * math.sin(w * dt)
+    return scatter + (max(missed, 0.0) - scatter) / MEMORY
