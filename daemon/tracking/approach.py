@@ -39,7 +39,9 @@ def sensed(
     """Return x_f (m, 6), the sensed tcp with its programmed distance, and the object now (6,).
 
     A swing moves the object by its levers, (9), and along the chord's sagitta, the second order
-    of the same rotation: 30 um at 8 mrad; and it turns the arm from object to tcp.
+    of the same rotation: 30 um at 8 mrad; and it turns the arm from object to tcp. So x_f is
+    linear in its terms: a step's arm, its arm times each angle, 1, the way along the conveyor,
+    each angle, each angle's square. One product adds them up; without an arm they are the object.
 
     Args:
         part: over the horizon.
@@ -47,37 +49,62 @@ def sensed(
         relative: (m, 6) programmed tcp in the nominal object, (x_o^nom)^-1 x_r.
         turned: the programme turns the tcp against the object.
     """
-    R = part.rotation
+    series = _series(tuple(modes))
+    one, along, swing, square = series.places
+    R, arm = part.rotation, relative[:, :3].T
     base = rotations.log(R)
-    tcp = np.empty((len(relative), 6))
-    tcp[:] = (part.x, 0.0, part.z, *base.tolist())
-    place, vectors = tcp[:, :3], tcp[:, 3:]
-    place[:, 1] += part.along
-    arm = relative[:, :3]
-    place += arm @ R.T
-    now = np.array((part.x, float(part.along[0]), part.z, *base.tolist()))
+    terms, adds = np.empty((len(series.adds), len(relative))), series.adds.copy()
+    terms[:3], adds[:3, :3] = arm, R.T
+    terms[one], adds[one] = 1.0, (part.x, 0.0, part.z, *base.tolist())
+    terms[along] = part.along
     if modes:
         inverse = rotations.left_jacobian_inverse(base)
-    for mode, angles in zip(modes, part.swing, strict=True):
-        generator, levers, sagitta = _lever(mode)
-        column, angle = angles[:, None], float(angles[0])
-        place += column * (arm @ (generator @ R).T + (levers + column * sagitta))
-        vectors += column * inverse[:, mode.axis]
-        now[:3] += angle * (levers + angle * sagitta)
-        now[3:] += angle * inverse[:, mode.axis]
+        terms[swing:square] = part.swing
+        np.multiply(part.swing, part.swing, out=terms[square:])
+    for m, mode in enumerate(modes):
+        turned_arm = slice(3 + 3 * m, 6 + 3 * m)
+        np.multiply(arm, part.swing[m], out=terms[turned_arm])
+        adds[turned_arm, :3] = series.generators[m].dot(R).T
+        adds[swing + m, 3:] = inverse[:, mode.axis]
+    tcp = terms.T.dot(adds)
+    now = terms[one:, 0].dot(adds[one:])
     programmed = relative[:, 3:]
     if turned and bool(np.abs(programmed).max() > 0.0):
-        own = rotations.exp_many(vectors) @ rotations.exp_many(programmed)
-        vectors[:] = rotations.log_many(own)
+        own = rotations.exp_many(tcp[:, 3:]) @ rotations.exp_many(programmed)
+        tcp[:, 3:] = rotations.log_many(own)
     return tcp, now
 
 
-@lru_cache(maxsize=32)
-def _lever(mode: SwingMode) -> tuple[Array, Array, Array]:
-    """Return a mode's generator (3, 3), its levers (3,) and their sagitta (3,) [m/rad^2]."""
-    levers = np.array(mode.levers)
-    generator = rotations.skew(np.eye(3)[mode.axis])
-    return generator, levers, 0.5 * (generator @ levers)
+@frozen(eq=False)
+class _Series:
+    """What each term of x_f adds to a pose, as far as the modes alone tell.
+
+    Attributes:
+        adds: (t, 6) [m, rad] for one unit of the term.
+        places: of the first term without an arm, of the way along the conveyor, of the first
+            angle, of its square.
+        generators: (3, 3) of each mode.
+    """
+
+    adds: Array
+    places: tuple[int, int, int, int]
+    generators: tuple[Array, ...]
+
+
+@lru_cache(maxsize=8)
+def _series(modes: tuple[SwingMode, ...]) -> _Series:
+    """Return the series of some modes: their levers [m/rad] and the sagitta [m/rad^2] in it."""
+    count = len(modes)
+    one = 3 + 3 * count
+    along, swing, square = one + 1, one + 2, one + 2 + count
+    adds = np.zeros((square + count, 6))
+    adds[along, 1] = 1.0
+    generators = tuple(rotations.skew(np.eye(3)[mode.axis]) for mode in modes)
+    for m, (mode, generator) in enumerate(zip(modes, generators, strict=True)):
+        adds[swing + m, :3] = mode.levers
+        adds[square + m, :3] = 0.5 * (generator @ np.array(mode.levers))
+    adds.setflags(write=False)
+    return _Series(adds, (one, along, swing, square), generators)
 
 
 def known(
