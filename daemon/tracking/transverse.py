@@ -24,7 +24,6 @@ from linemate.protocol.frozen import frozen
 
 X, Z, TURN = 0, 1, 2  # rows of x, z, and of the first of three turns
 STATIC = 5  # states that do not swing
-_ACROSS = np.array((0, 2))
 _SEEN = np.array((0, 2, 3, 4, 5))
 PACES = (0.9, 1.1)  # of the identified frequency, between which the estimate stays
 SWING_DEVIATION = 0.008  # of a swing nobody has seen yet [rad]
@@ -118,7 +117,9 @@ class Transverse:
     @cached_property
     def _still(self) -> Array:
         """Return the rows (5, n) of (8) of what does not swing."""
-        return np.eye(STATIC, self.size)
+        H = np.eye(STATIC, self.size)
+        H.setflags(write=False)
+        return H
 
     @cached_property
     def _drift(self) -> Array:
@@ -162,7 +163,8 @@ class Transverse:
         """
         F, Q = self._model(dt, seating)
         F = self._paced(F, state, dt)
-        P = F.dot(state.P).dot(F.T) + Q
+        P = F.dot(state.P).dot(F.T)
+        P += Q
         return changed(state, x=F.dot(state.x), P=P)
 
     def _paced(self, F: Array, state: TransverseState, dt: float) -> Array:
@@ -259,7 +261,7 @@ class Transverse:
             return changed(state, refused=state.refused + 1, scatter=scatter), False
         x = state.x + measured.dot(K)
         P = P - PH.dot(K)
-        P = 0.5 * (P + P.T)
+        P = 0.5 * (P + P.T.copy())  # two that lie alike are added sooner
         rotation = rotations.exp(x[TURN:STATIC]).dot(state.rotation)
         paces = self._corrected(state, x)
         x[TURN:STATIC] = 0.0
@@ -306,10 +308,10 @@ def _missed(state: TransverseState, sighting: Sighting, H: Array) -> Array:
     """Return by how much (5,) a sighting misses what the rows ``H`` of it expect."""
     swing = H[TURN:STATIC, STATIC:].dot(state.x[STATIC:])
     expected = rotations.exp(swing).dot(state.rotation)
-    missed = np.empty(STATIC)
-    missed[:TURN] = sighting.position[_ACROSS] - H[:TURN].dot(state.x)
-    missed[TURN:] = rotations.log(sighting.rotation.dot(expected.T))
-    return missed
+    turn = rotations.log(sighting.rotation.dot(expected.T))
+    x, z = H[:TURN].dot(state.x).tolist()
+    seen_x, _, seen_z = sighting.position.tolist()
+    return np.array((seen_x - x, seen_z - z, *turn.tolist()))
 
 
 def _scattered(scatter: float, doubt: float, beyond: Array, variance: Array) -> float:
@@ -321,6 +323,6 @@ def _scattered(scatter: float, doubt: float, beyond: Array, variance: Array) -> 
         beyond: (5,) squared misses, less what was expected of them.
         variance: (5,) with the doubt in it.
     """
-    missed = doubt * (1.0 + float(np.add.reduce(beyond / variance)) / STATIC)
+    missed = doubt * (1.0 + float(sum((beyond / variance).tolist())) / STATIC)
     # As it begins, everything is expected of a miss: that tells nothing of the camera.
     return scatter + (max(missed, 0.0) - scatter) / MEMORY
