@@ -51,10 +51,10 @@ def sensed(
     """
     series = _series(tuple(modes))
     one, along, swing, square = series.places
-    R, arm = part.rotation, relative[:, :3].T
+    R = part.rotation
     base = rotations.log(R)
     terms, adds = np.empty((len(series.adds), len(relative))), series.adds.copy()
-    terms[:3], adds[:3, :3] = arm, R.T
+    terms[:3], adds[:3, :3] = relative[:, :3].T, R.T
     terms[one], adds[one] = 1.0, (part.x, 0.0, part.z, *base.tolist())
     terms[along] = part.along
     if modes:
@@ -63,7 +63,7 @@ def sensed(
         np.multiply(part.swing, part.swing, out=terms[square:])
     for m, mode in enumerate(modes):
         turned_arm = slice(3 + 3 * m, 6 + 3 * m)
-        np.multiply(arm, part.swing[m], out=terms[turned_arm])
+        np.multiply(terms[:3], part.swing[m], out=terms[turned_arm])
         adds[turned_arm, :3] = series.generators[m].dot(R).T
         adds[swing + m, 3:] = inverse[:, mode.axis]
     tcp = terms.T.dot(adds)
