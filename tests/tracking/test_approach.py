@@ -116,6 +116,18 @@ def test_two_swings_add_up() -> None:
         assert np.abs(rotations.log(rotations.exp(tcp[k, 3:]) @ turned.T)).max() < 1e-5
 
 
+def test_an_object_that_cannot_swing_stands_as_one_that_does_not() -> None:
+    distance = np.tile((0.02, -0.01, -0.25, 0.0, 0.0, 0.0), (4, 1))
+    still = part(np.zeros(4))
+    stiff = Part(still.x, still.z, still.along, still.rotation, np.empty((0, 4)))
+    for found, known in zip(
+        approach.sensed(stiff, (), distance, turned=False),
+        approach.sensed(still, (MODE,), distance, turned=False),
+        strict=True,
+    ):
+        assert np.allclose(found, known, rtol=0.0, atol=1e-14)
+
+
 def test_a_programme_that_does_not_turn_needs_no_product_of_rotations() -> None:
     where = part(np.linspace(-WIDTH, WIDTH, 5))
     distance = np.tile((0.0, 0.01, -0.2, 0.0, 0.0, 0.0), (5, 1))

@@ -244,6 +244,19 @@ def test_single_outliers_are_refused_and_change_nothing() -> None:
         assert good.refused == 0
 
 
+@pytest.mark.parametrize("axis", [0, 2])
+def test_a_sighting_that_is_no_number_is_refused_and_changes_nothing(axis: int) -> None:
+    state = run(3.0)
+    place = PLACE.copy()
+    place[axis] = math.nan
+    nowhere = seen(place, rotations.exp(OFF), 0.0, 0.1)
+    after, believed = FILTER.correct(state, nowhere, GATE, doubted=True)
+    assert not believed
+    assert np.array_equal(after.x, state.x)
+    assert np.array_equal(after.P, state.P)
+    assert after.scatter == state.scatter
+
+
 @settings(max_examples=20, deadline=None)
 @given(
     st.integers(0, 10_000),
