@@ -278,7 +278,7 @@ def _sightings(
     """Return what camera and tactile sensor saw of the object, and the mean wrench."""
     found: list[tuple[Source, Sighting, float]] = []
     wrench = mean_wrench(seen.wrench)
-    if history is None:
+    if history is None or not (seen.camera or (touching and wrench is not None)):
         return found, wrench
     settings, rate = tracker.settings, rate_now(history)
     for sample in seen.camera:
@@ -407,8 +407,7 @@ def _clock(
     if not state.started:
         return state
     T0 = tracker.cycle_s
-    tool = tracker.task.tool
-    passed = state.passed | _opened(tracker, state, view, seen)
+    tool, passed = tracker.task.tool, _passed(tracker, state, view, seen)
     # Counted in steps: a sum of many periods is no multiple of one.
     steps = round(state.time / T0) + 1
     time = min(steps * T0, _stand(tracker, state.time, passed))
@@ -428,10 +427,10 @@ def _clock(
     )
 
 
-def _opened(
+def _passed(
     tracker: Tracker, state: TrackerState, view: View | None, seen: Measurements
 ) -> frozenset[Gate]:
-    """Return the gates that what is known now opens."""
+    """Return the gates that are open, with those that what is known now opens."""
     tool, fixing, releasing = tracker.task.tool, state.fixing, state.releasing
     gates = []
     if view is not None and view.position + view.offset >= tracker.reference.origin[1]:
@@ -442,7 +441,7 @@ def _opened(
         gates.append(Gate.SCREWS_FIXED)
     if seen.digital_in & 2 or _lasted(releasing, tool.released_after):
         gates.append(Gate.WHEEL_RELEASED)
-    return frozenset(gates)
+    return state.passed if state.passed.issuperset(gates) else state.passed.union(gates)
 
 
 def _lasted(age: float | None, needed: float | None) -> bool:
