@@ -110,14 +110,15 @@ def gap(now: Outputs, period: float) -> float | None:
     distance = _ahead(now.target, now.part)
     if now.horizon is None:
         return distance
+    depth = now.horizon.item
     n = min(max(1, round(LEADING / period)), len(now.horizon) - 1)
-    depths = now.horizon[:, 2]
-    speed = max(0.0, float(depths[n] - depths[n - 1]) / period)
-    return distance - float(depths[n] - depths[0]) - speed * speed / (2.0 * BRAKING)
+    reached = depth(n, 2)
+    speed = max(0.0, (reached - depth(n - 1, 2)) / period)
+    return distance - (reached - depth(0, 2)) - speed * speed / (2.0 * BRAKING)
 
 
 def _ahead(tool: Pose, part: Pose) -> float:
     """Return how far ahead of a tool a part is, along the tool's own z [m]."""
-    w, x, y, z = tool[3:]
-    axis = (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
-    return sum((p - t) * a for p, t, a in zip(part[:3], tool[:3], axis, strict=True))
+    px, py, pz, w, x, y, z = tool
+    ax, ay, az = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
+    return (part[0] - px) * ax + (part[1] - py) * ay + (part[2] - pz) * az

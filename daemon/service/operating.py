@@ -73,6 +73,7 @@ class Operating:
         self._wrench_expected = wrench_expected
         self._watch = watch.Watch()
         self._orders: set[str] = set()
+        self._settled: Machine | None = None  # the last signals led nowhere from there
 
     def order(self, op: str, found: Situation) -> str | None:
         """Take an operator's order for the next decision.
@@ -109,8 +110,12 @@ class Operating:
         facts = self._facts(stamp_ns, feeds, found, telegram=telegram)
         self._orders.clear()
         self.has_new_session = self.is_loss_untold = self.has_failed = False
+        seen = self.signals
         self._watch, self.signals = watch.observe(self._watch, facts, before, self.settings)
-        self.machine = states.transition(before, self.signals)
+        # Where the same signals led nowhere a cycle ago, they lead nowhere now.
+        if before is not self._settled or self.signals is not seen:
+            self.machine = states.transition(before, self.signals)
+            self._settled = self.machine if self.machine is before else None
         if self.on_transition is not None:
             self.on_transition(before, self.signals, self.machine)
 

@@ -217,8 +217,16 @@ def _signals(watch: Watch, facts: Facts, settings: WatchSettings) -> Signals:
         facts.clear,
         _expired(watch, stamp_ns, settings),
         fault,
-        *[op in facts.orders for op in OPERATIONS],
+        *(_ordered(facts.orders) if facts.orders else _NO_ORDER),
     )
+
+
+def _ordered(orders: frozenset[str]) -> tuple[bool, ...]:
+    """Return which of the operations are ordered."""
+    return tuple([op in orders for op in OPERATIONS])
+
+
+_NO_ORDER = _ordered(frozenset())
 
 
 _seen = lru_cache(maxsize=512)(Signals)
