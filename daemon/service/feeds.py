@@ -34,6 +34,10 @@ class Inbox(Generic[Sample]):
             self.dropped += 1
         self._samples.append(sample)
 
+    def __bool__(self) -> bool:
+        """Whether any wait."""
+        return bool(self._samples)
+
     def take(self) -> tuple[Sample, ...]:
         """Return all that wait, oldest first."""
         if not self._samples:
@@ -51,6 +55,9 @@ class Taken:
     distance: tuple[DistanceSample, ...]
     camera: tuple[CameraSample, ...]
     wrench: tuple[WrenchSample, ...]
+
+
+_NOTHING = Taken((), (), ())
 
 
 class Feeds:
@@ -106,6 +113,9 @@ class Feeds:
             deviation: standard deviation of the distance sensor [m].
             moving: the tool moves.
         """
+        self.overloaded = False
+        if not (self.distance or self.camera or self.wrench):
+            return _NOTHING
         distances = self._even.date(self.distance.take())
         distance = tuple([s for s in distances if self.distance_health.believes(s, deviation)])
         camera = tuple(
@@ -118,7 +128,6 @@ class Feeds:
             self.distance_ns = distance[-1].stamp_ns
         if camera:
             self.camera_ns = camera[-1].stamp_ns
-        self.overloaded = False
         for sample in wrench:
             x, y, z = sample.force
             much = x * x + y * y + z * z > bearable * bearable

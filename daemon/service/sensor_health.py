@@ -120,6 +120,10 @@ class Health:
         }
 
 
+Trusted = tuple[int, float]
+"""Stamp [ns] and distance [m] of a sample that was believed."""
+
+
 class DistanceHealth(Health):
     """A distance goes on where it was heading, and stands only after it has slowed down."""
 
@@ -128,7 +132,7 @@ class DistanceHealth(Health):
     def __init__(self) -> None:
         """Know nothing of where it is heading."""
         super().__init__()
-        self._trusted: deque[tuple[int, float]] = deque(maxlen=256)
+        self._trusted: deque[Trusted] = deque(maxlen=256)
         self._value: float | None = None
         self._changed_ns = 0
         self._quick: float | None = None  # how quick it was at its last change
@@ -141,30 +145,24 @@ class DistanceHealth(Health):
             sample: the newest.
             deviation: standard deviation of the sensor [m].
         """
-        if self._trusted and sample.stamp_ns - self._trusted[-1][0] > FORGOTTEN_NS:
-            self._trusted.clear()
-        speed = self._speed()
-        if sample.position != self._value:
+        trusted, stamp_ns, position = self._trusted, sample.stamp_ns, sample.position
+        if trusted and stamp_ns - trusted[-1][0] > FORGOTTEN_NS:
+            trusted.clear()
+        lately = None
+        if len(trusted) >= OUTVOTING:
+            lately = _middle(trusted[-3], trusted[-2], trusted[-1])
+        speed = self._speed(lately)
+        if position != self._value:
             if self._value is not None:
-                step = abs(sample.position - self._value)
+                step = abs(position - self._value)
                 self._unit = min(step, self._unit) if self._unit else step
-            self._value, self._changed_ns, self._quick = sample.position, sample.stamp_ns, speed
-        fault = self._jumped(sample, speed, deviation) or self._stuck(sample.stamp_ns)
+            self._value, self._changed_ns, self._quick = position, stamp_ns, speed
+        fault = _jumped(sample, lately, speed, deviation) or self._stuck(stamp_ns)
         if fault is None:
-            self._trusted.append((sample.stamp_ns, sample.position))
-            while self._trusted[-1][0] - self._trusted[0][0] > HEADING_NS:
-                self._trusted.popleft()
-        return self.judge(sample.stamp_ns, fault)
-
-    def _jumped(self, sample: DistanceSample, speed: float | None, deviation: float) -> str | None:
-        if len(self._trusted) < OUTVOTING:
-            return None
-        last_ns, last = self._middle(-OUTVOTING)
-        passed = (sample.stamp_ns - last_ns) * 1e-9
-        borne = max(JUMP, DEVIATIONS * deviation) + 0.5 * ACCELERATION * passed * passed
-        borne += UNKNOWN_SPEED * passed if speed is None else 0.0
-        off = sample.position - last - (speed or 0.0) * passed
-        return None if abs(off) <= borne else f"it jumped by {off:.3f} m"
+            trusted.append((stamp_ns, position))
+            while stamp_ns - trusted[0][0] > HEADING_NS:
+                trusted.popleft()
+        return self.judge(stamp_ns, fault)
 
     def _stuck(self, stamp_ns: int) -> str | None:
         stood = (stamp_ns - self._changed_ns) * 1e-9
@@ -174,19 +172,41 @@ class DistanceHealth(Health):
             return None
         return f"it stands still all at once, from {self._quick:.3f} m/s"
 
-    def _speed(self) -> float | None:
+    def _speed(self, lately: Trusted | None) -> float | None:
         """Return the mean speed lately [m/s], None if too little is known."""
-        if len(self._trusted) < 2 * OUTVOTING:
+        trusted = self._trusted
+        if lately is None or len(trusted) < 2 * OUTVOTING:
             return None
-        (first_ns, first), (last_ns, last) = self._middle(0), self._middle(-OUTVOTING)
+        (first_ns, first), (last_ns, last) = _middle(trusted[0], trusted[1], trusted[2]), lately
         if last_ns - first_ns < HEADING_NS // 2:
             return None
         return (last - first) / ((last_ns - first_ns) * 1e-9)
 
-    def _middle(self, begin: int) -> tuple[int, float]:
-        """Return stamp [ns] and median [m] of three: an outlier has no say."""
-        some = [self._trusted[begin + n] for n in range(OUTVOTING)]
-        return some[1][0], sorted(position for _, position in some)[1]
+
+def _middle(one: Trusted, two: Trusted, three: Trusted) -> Trusted:
+    """Return stamp [ns] and median [m] of three in a row: an outlier has no say."""
+    return two[0], sorted((one[1], two[1], three[1]))[1]
+
+
+def _jumped(
+    sample: DistanceSample, lately: Trusted | None, speed: float | None, deviation: float
+) -> str | None:
+    """Return why a sample is not where a distance was heading, None if it may be there.
+
+    Args:
+        sample: the newest.
+        lately: stamp and median of the last ones, None while there are too few.
+        speed: at which it was heading on [m/s], None if that is not known.
+        deviation: standard deviation of the sensor [m].
+    """
+    if lately is None:
+        return None
+    last_ns, last = lately
+    passed = (sample.stamp_ns - last_ns) * 1e-9
+    borne = max(JUMP, DEVIATIONS * deviation) + 0.5 * ACCELERATION * passed * passed
+    borne += UNKNOWN_SPEED * passed if speed is None else 0.0
+    off = sample.position - last - (speed or 0.0) * passed
+    return None if abs(off) <= borne else f"it jumped by {off:.3f} m"
 
 
 class CameraHealth(Health):
