@@ -87,7 +87,7 @@ class PhaseLock:
                 self._relock()
         self._recent.append((self._cycle, stamp_ns))
         self._block.append((self._cycle, stamp_ns))
-        if self._span() < WINDOW and not self._measured:
+        if not self._measured and self._span() < WINDOW:
             self._fit(self._recent)
         if len(self._block) >= BLOCK:
             self._close_block()

@@ -6,10 +6,10 @@ the schedule, and without one the schedule makes the step by itself, on an absol
 the phase follows the early ones at once and the late ones slowly. Source: reference/real-time.md.
 """
 
-from dataclasses import dataclass
 from enum import StrEnum
 
 from linemate.daemon.changed import changed
+from linemate.protocol.frozen import frozen
 
 LATE_SHARE = 0.1
 """How much of an arrival's lateness enters the phase."""
@@ -28,7 +28,7 @@ class Kind(StrEnum):
     MISSING = "missing"
 
 
-@dataclass(frozen=True, slots=True)
+@frozen()
 class Due:
     """One thing that is due.
 
@@ -41,7 +41,7 @@ class Due:
     stamp_ns: int
 
 
-@dataclass(frozen=True)
+@frozen(slots=False)
 class Schedule:
     """Where the schedule stands.
 
