@@ -21,6 +21,7 @@ from linemate.drivers.stamps import (
     read_ancillary,
     request_kernel_stamps,
 )
+from linemate.protocol.frozen import frozen
 
 BUFFER_BYTES = 2048
 
@@ -29,7 +30,7 @@ RawDatagram = tuple[bytes, list[tuple[int, int, bytes]], int, Address]
 """Bytes, control messages, flags and source, as the kernel hands them over."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen()
 class Datagram:
     """One datagram as it came.
 
@@ -46,7 +47,7 @@ class Datagram:
     oversize: bool
 
 
-@dataclass(frozen=True, slots=True)
+@frozen()
 class Received:
     """One datagram before anybody asked when it came: what the kernel handed over."""
 

@@ -8,9 +8,9 @@ Between two calls less than one frame is kept; everything dropped is counted.
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from linemate.protocol.errors import ProtocolError
+from linemate.protocol.frozen import frozen
 from linemate.protocol.samples import WrenchSample
 
 
@@ -18,7 +18,7 @@ class WrenchError(ProtocolError):
     """A wrench, a device or a setting that the serial wire cannot carry."""
 
 
-@dataclass(frozen=True, slots=True)
+@frozen()
 class HostOutput:
     """What the host's end of a dialogue gives after some bytes or some time.
 
