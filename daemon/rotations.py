@@ -118,6 +118,24 @@ def left_jacobian(r: Array) -> Array:
     return _combined(x, y, z, 1.0 - b * angle2, a, b)
 
 
+def in_own_axes(r: Array) -> Array:
+    """Return T (6, 6) of a pose with rotation vector r, for its small changes as rows (m, 6).
+
+    A change ``c`` of position and rotation vector is the twist ``c @ T`` in the pose's own axes:
+    ``T = diag(Exp(r), J_l(r))``, since the right Jacobian is the transpose of the left one.
+    """
+    T = np.zeros((6, 6))
+    T[:3, :3], T[3:, 3:] = exp(r), left_jacobian(r)
+    return T
+
+
+def in_own_axes_and_back(r: Array) -> tuple[Array, Array]:
+    """Return T of ``in_own_axes`` and its inverse ``diag(Exp(r)', J_l^-1(r))``."""
+    T, back = in_own_axes(r), np.zeros((6, 6))
+    back[:3, :3], back[3:, 3:] = T[:3, :3].T, left_jacobian_inverse(r)
+    return T, back
+
+
 def exp_many(r: Array) -> Array:
     """Return rotation matrices (m, 3, 3) of rotation vectors (m, 3)."""
     angle2 = np.einsum("ij,ij->i", r, r)

@@ -124,6 +124,24 @@ def test_the_two_jacobians_are_inverse(r: Array) -> None:
 
 
 @quick
+@given(vectors(), st.integers(0, 2))
+def test_a_small_change_is_a_twist_in_the_poses_own_axes_and_comes_back(
+    r: Array, axis: int
+) -> None:
+    h = 1e-5
+    R, turn = rotations.exp(r), h * np.eye(3)[axis]
+    change = np.concatenate((h * np.eye(3)[axis], turn))
+    into, back = rotations.in_own_axes_and_back(r)
+    assert np.array_equal(into, rotations.in_own_axes(r))
+    twist = change @ into
+    assert np.allclose(twist[:3], R.T @ change[:3], atol=1e-15)
+    ahead = rotations.log(R.T @ rotations.exp(r + turn))
+    behind = rotations.log(R.T @ rotations.exp(r - turn))
+    assert np.allclose((ahead - behind) / 2.0, twist[3:], atol=2e-8 * h)
+    assert np.allclose(twist @ back, change, atol=1e-9 * h)
+
+
+@quick
 @given(st.lists(vectors(), min_size=1, max_size=6))
 def test_many_at_once_are_what_they_are_one_by_one(rows: list[Array]) -> None:
     stacked = np.array(rows)

@@ -185,24 +185,22 @@ def damp(controller: Controller, smoothed: Array, free: Array, first: int = 0) -
     Args:
         controller: with the taps, which act along and about the tool's axes.
         smoothed: x_s from n_l steps ago to n_rob + n_u ahead.
-        free: (n_rob + 1,) share of (11) at each step.
+        free: (n_rob + 1 or more,) share of (11) at each step.
         first: the first step that is wanted.
     """
-    past = controller.effector_past
     count = controller.preview + 1 - first
-    here = smoothed[first + past : first + past + count]
-    turn = rotations.exp(here[0, 3:])
-    # A change of the rotation vector is a turn about the tool's axes by way of J_r = J_l(-r).
-    body = rotations.left_jacobian(-here[0, 3:])
-    back = rotations.left_jacobian_inverse(-here[0, 3:])
-    tool = np.empty((6, len(smoothed) - first, 1))
-    np.matmul(turn.T, smoothed[first:, :3].T, out=tool[:3, :, 0])
-    np.matmul(body, smoothed[first:, 3:].T, out=tool[3:, :, 0])
-    change = (controller.damper[:, first:, first:] @ tool)[:, :, 0]
-    change *= free[first:]
-    desired = here.copy()
-    desired[:, :3] += (turn @ change[:3]).T
-    desired[:, 3:] += (back @ change[3:]).T
+    begin = first + controller.effector_past
+    here = smoothed[begin : begin + count]
+    share = free[first : first + count]
+    shares = share.tolist()
+    if not any(shares):
+        return here
+    into, back = rotations.in_own_axes_and_back(here[0, 3:])
+    tool = np.dot(smoothed[first:], into)
+    change = controller.damper[:, first:, first:] @ tool.T[:, :, None]
+    if min(shares) < 1.0:
+        change *= share[:, None]
+    desired: Array = here + np.dot(change[:, :, 0].T, back)
     return desired
 
 
@@ -217,36 +215,30 @@ def follow(
     Returns:
         The new state, and None or the reason why the command is not the one desired.
     """
-    count = controller.preview + 1
-    ahead = len(controller.effector) - 1 - controller.effector_past
+    count, past = controller.preview + 1, controller.effector_past
+    ahead = len(controller.effector) - 1 - past
     reach = ahead + len(controller.smoothing) - 1
     kept = min(max(horizon.committed - reach + 1, 0), count - 1)
     smoothed = np.concatenate((state.smooth, smooth(controller, horizon.poses, count + ahead)))
-    wanted = np.empty((count, 6))
-    wanted[:kept] = state.wanted[1 : kept + 1]
-    wanted[kept:] = damp(controller, smoothed, horizon.free[:count], kept)
+    fresh = damp(controller, smoothed, horizon.free, kept)
     before = np.concatenate((state.wanted[kept + 1 :], state.wanted[-1:]))
     last = state.desired
-    guesses = np.empty((count - kept, last.shape[1]))
-    guesses[:-1] = last[kept + 1 :]
-    guesses[-1] = 2.0 * last[-1] - last[-2]
+    guesses = np.concatenate((last[kept + 1 :], (2.0 * last[-1] - last[-2])[None]))
     if controller.arm.linear_axis:
         guesses[:, 6] = horizon.axis[kept:count]
     try:
-        solved, _ = controller.arm.follow(guesses, wanted[kept:], horizon.nominal, before)
+        solved = controller.arm.follow(guesses, fresh, horizon.nominal, before)
     except UnreachableError as error:
         return stop(controller, state), str(error)
-    desired = np.concatenate((last[1 : kept + 1], solved))
-    window = np.concatenate((state.passed, desired))
-    command = (controller.servo * window).sum(axis=0)
+    window = np.concatenate((state.passed, last[1 : kept + 1], solved))
+    command = np.add.reduce(controller.servo * window)
     gate, held = limits.admit(state.gate, command, controller.limits, controller.cycle_s)
-    past = controller.effector_past
     return (
         ControlState(
             smooth=smoothed[1 : past + 1],
             passed=window[1 : controller.servo_past + 1],
-            desired=desired,
-            wanted=wanted,
+            desired=window[controller.servo_past :],
+            wanted=np.concatenate((state.wanted[1 : kept + 1], fresh)),
             gate=gate,
         ),
         held,
