@@ -9,7 +9,7 @@ Axis by axis in plain floats: for seven axes that is a quarter of what arrays co
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -20,13 +20,26 @@ from linemate.protocol.frozen import frozen
 
 @dataclass(frozen=True, slots=True)
 class AxisBounds:
-    """Limits of one axis, SI, with the period its commands are apart."""
+    """Limits of one axis, SI, for commands that are a period apart.
+
+    Attributes:
+        lower, upper, speed, acceleration, jerk: the limits.
+        period: T0 [s].
+        change: of the acceleration in one step.
+        margin: a rounding of the differences is no violation: a millionth of the acceleration.
+        clear_lower, clear_upper: between these full speed still stops before the ends.
+    """
 
     lower: float
     upper: float
     speed: float
     acceleration: float
     jerk: float
+    period: float
+    change: float
+    margin: float
+    clear_lower: float
+    clear_upper: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,18 +53,43 @@ class Limits:
     jerk: Array
     names: tuple[str, ...]
 
-    @cached_property
-    def axes(self) -> tuple[AxisBounds, ...]:
-        """The same axis by axis."""
-        rows = zip(
-            self.lower.tolist(),
-            self.upper.tolist(),
-            self.speed.tolist(),
-            self.acceleration.tolist(),
-            self.jerk.tolist(),
-            strict=True,
-        )
-        return tuple(AxisBounds(*row) for row in rows)
+
+@lru_cache(maxsize=16)
+def _by_axis(limits: Limits, period: float) -> tuple[AxisBounds, ...]:
+    """Return limits axis by axis, with all that depends on nothing but them and the period."""
+    rows = zip(
+        limits.lower.tolist(),
+        limits.upper.tolist(),
+        limits.speed.tolist(),
+        limits.acceleration.tolist(),
+        limits.jerk.tolist(),
+        strict=True,
+    )
+    return tuple(_axis_bounds(*row, period) for row in rows)
+
+
+def _stopping_way(speed: float, acceleration: float, jerk: float, period: float) -> float:
+    """Return the room from which ``_speed_before`` allows full speed."""
+    c = 2.0 * acceleration / jerk + 3.0 * period
+    return speed * (c + 0.5 * speed / acceleration)
+
+
+def _axis_bounds(
+    lower: float, upper: float, speed: float, acceleration: float, jerk: float, period: float
+) -> AxisBounds:
+    room = _stopping_way(speed, acceleration, jerk, period)
+    return AxisBounds(
+        lower=lower,
+        upper=upper,
+        speed=speed,
+        acceleration=acceleration,
+        jerk=jerk,
+        period=period,
+        change=jerk * period,
+        margin=1e-6 * acceleration,
+        clear_lower=lower + room,
+        clear_upper=upper - room,
+    )
 
 
 @frozen(eq=False)
@@ -95,14 +133,14 @@ def _ceiling(speed: float, cap: float, jerk: float, period: float) -> float:
     return jerk * (math.sqrt(b * b + 2.0 * room / jerk) - b)
 
 
-def _speed_before(room: float, bounds: AxisBounds, period: float) -> float:
+def _speed_before(room: float, bounds: AxisBounds) -> float:
     """Return the speed from which a stop within ``room`` is possible with jerk limited.
 
     ``room = c u + u^2 / 2A`` with c the time that jerk needs to build the deceleration up and to
     let it go, and three steps of margin.
     """
     A = bounds.acceleration
-    c = 2.0 * A / bounds.jerk + 3.0 * period
+    c = 2.0 * A / bounds.jerk + 3.0 * bounds.period
     return A * (math.sqrt(c * c + 2.0 * max(room, 0.0) / A) - c)
 
 
@@ -110,13 +148,13 @@ def _clip(value: float, low: float, high: float) -> float:
     return low if value < low else min(value, high)
 
 
-def _range(p: float, v: float, a: float, bounds: AxisBounds, period: float) -> tuple[float, float]:
+def _range(p: float, v: float, a: float, bounds: AxisBounds) -> tuple[float, float]:
     """Return the least and the largest acceleration that are allowed now."""
-    step = bounds.jerk * period
-    hard_low = max(a - step, -bounds.acceleration)
-    hard_high = min(a + step, bounds.acceleration)
-    up = min(bounds.speed, _speed_before(bounds.upper - p - max(v, 0.0) * period, bounds, period))
-    down = min(bounds.speed, _speed_before(p - bounds.lower + min(v, 0.0) * period, bounds, period))
+    period = bounds.period
+    hard_low = max(a - bounds.change, -bounds.acceleration)
+    hard_high = min(a + bounds.change, bounds.acceleration)
+    up = min(bounds.speed, _speed_before(bounds.upper - p - max(v, 0.0) * period, bounds))
+    down = min(bounds.speed, _speed_before(p - bounds.lower + min(v, 0.0) * period, bounds))
     high = _clip(_ceiling(v, up, bounds.jerk, period), hard_low, hard_high)
     low = _clip(-_ceiling(-v, down, bounds.jerk, period), hard_low, hard_high)
     return min(low, high), max(low, high)
@@ -133,7 +171,7 @@ class _Axis(NamedTuple):
     desired: float
 
 
-def _catch_up(axis: _Axis, bounds: AxisBounds, period: float) -> float:
+def _catch_up(axis: _Axis, bounds: AxisBounds) -> float:
     """Return the acceleration that leads back to what is desired without overshoot.
 
     Taken where the direct way is closed: to be on the desired setpoint in one step from some way
@@ -143,6 +181,7 @@ def _catch_up(axis: _Axis, bounds: AxisBounds, period: float) -> float:
     sets its tool ringing: half of what it was with a half of the acceleration and a gain of a
     quarter.
     """
+    period = bounds.period
     speed = (axis.desired - axis.last) / period
     change = (speed - axis.last_speed) / period
     gain = min(0.7 / period, 0.7 * bounds.jerk / bounds.acceleration)
@@ -153,7 +192,7 @@ def _catch_up(axis: _Axis, bounds: AxisBounds, period: float) -> float:
     return change + gain * (speed + closing - axis.v)
 
 
-def _stays(axis: _Axis, wanted: float, bounds: AxisBounds, period: float) -> bool:
+def _stays(axis: _Axis, wanted: float, bounds: AxisBounds) -> bool:
     """Tell whether the axis could stay on what is desired once it is there.
 
     One that has followed so far always can. One that comes back from some way off may arrive so
@@ -161,50 +200,39 @@ def _stays(axis: _Axis, wanted: float, bounds: AxisBounds, period: float) -> boo
     """
     if axis.p == axis.last:
         return True
+    period = bounds.period
     speed = (axis.desired - axis.last) / period
     arriving = axis.v + wanted * period
     following = (2.0 * speed - axis.last_speed - arriving) / period
-    margin = 1e-6 * bounds.acceleration
     return (
-        abs(following) <= bounds.acceleration + margin
-        and abs(following - wanted) <= bounds.jerk * period + margin
+        abs(following) <= bounds.acceleration + bounds.margin
+        and abs(following - wanted) <= bounds.change + bounds.margin
     )
 
 
-def _is_clear(axis: _Axis, wanted: float, bounds: AxisBounds, period: float) -> bool:
-    """Tell at once what ``_range`` and ``_stays`` would say of most steps: nothing is near a limit.
+def _is_clear(p: float, v: float, a: float, wanted: float, bounds: AxisBounds) -> bool:
+    """Tell at once what ``_range`` would say of most steps: nothing is near a limit.
 
     The same conditions without a square root: far enough from both ends for a stop from full
     speed, and the speed's own limit not reached as jerk ends the acceleration.
     """
-    if axis.p != axis.last or not abs(wanted) <= bounds.acceleration:
+    size = abs(wanted)
+    if not (size <= bounds.acceleration and abs(wanted - a) <= bounds.change):
         return False
-    if not abs(wanted - axis.a) <= bounds.jerk * period:
+    way = abs(v) * bounds.period
+    if p + way > bounds.clear_upper or p - way < bounds.clear_lower:
         return False
-    way, room = abs(axis.v) * period, _stopping_way(bounds, period)
-    if axis.p + way > bounds.upper - room or axis.p - way < bounds.lower + room:
-        return False
-    left = bounds.speed - axis.v if wanted > 0.0 else bounds.speed + axis.v
-    return left >= abs(wanted) * (0.5 * abs(wanted) / bounds.jerk + 1.5 * period)
+    left = bounds.speed - v if wanted > 0.0 else bounds.speed + v
+    return left >= size * (0.5 * size / bounds.jerk + 1.5 * bounds.period)
 
 
-def _stopping_way(bounds: AxisBounds, period: float) -> float:
-    """Return the room from which ``_speed_before`` allows full speed."""
-    c = 2.0 * bounds.acceleration / bounds.jerk + 3.0 * period
-    return bounds.speed * (c + 0.5 * bounds.speed / bounds.acceleration)
-
-
-def _admit_axis(axis: _Axis, bounds: AxisBounds, period: float) -> tuple[float, bool]:
+def _admit_axis(axis: _Axis, wanted: float, bounds: AxisBounds) -> tuple[float, bool]:
     """Return one axis' acceleration, and whether its command is the one desired."""
-    wanted = ((axis.desired - axis.p) / period - axis.v) / period
-    if _is_clear(axis, wanted, bounds, period):
+    low, high = _range(axis.p, axis.v, axis.a, bounds)
+    is_allowed = low - bounds.margin <= wanted <= high + bounds.margin
+    if is_allowed and _stays(axis, wanted, bounds):
         return wanted, True
-    low, high = _range(axis.p, axis.v, axis.a, bounds, period)
-    # A rounding of the differences is no violation: a millionth of the acceleration limit.
-    margin = 1e-6 * bounds.acceleration
-    if low - margin <= wanted <= high + margin and _stays(axis, wanted, bounds, period):
-        return wanted, True
-    return _clip(_catch_up(axis, bounds, period), low, high), False
+    return _clip(_catch_up(axis, bounds), low, high), False
 
 
 def admit(
@@ -221,31 +249,43 @@ def admit(
     Returns:
         The new gate, whose ``position`` is the command, and None or what was held back and why.
     """
-    wishes = desired.tolist()
-    # Beyond this a difference of two setpoints overflows to infinity, and then to NaN.
-    if not all(abs(wish) < 1e100 for wish in wishes):
-        return brake(state, limits, period), "the command was not finite"
-    rows, short = [], []
-    for n, (p, v, a, last, last_speed, wish) in enumerate(
+    positions, speeds, accelerations, desired_speeds, short = [], [], [], [], []
+    for n, (bounds, p, v, a, last, last_speed, wish) in enumerate(
         zip(
+            _by_axis(limits, period),
             state.position.tolist(),
             state.speed.tolist(),
             state.acceleration.tolist(),
             state.desired.tolist(),
             state.desired_speed.tolist(),
-            wishes,
+            desired.tolist(),
             strict=True,
         )
     ):
-        axis = _Axis(p, v, a, last, last_speed, wish)
-        taken, reached = _admit_axis(axis, limits.axes[n], period)
+        taken, reached = ((wish - p) / period - v) / period, True
+        # One that is behind has more to ask, see ``_stays``.
+        if p != last or not _is_clear(p, v, a, taken, bounds):
+            # Beyond this a difference of two setpoints overflows to infinity, and then to NaN;
+            # it is never clear.
+            if not abs(wish) < 1e100:
+                return brake(state, limits, period), "the command was not finite"
+            axis = _Axis(p, v, a, last, last_speed, wish)
+            taken, reached = _admit_axis(axis, taken, bounds)
         speed = v + taken * period
-        position = wish if reached else p + speed * period
-        rows.append((position, speed, taken, wish, (wish - last) / period))
+        positions.append(wish if reached else p + speed * period)
+        speeds.append(speed)
+        accelerations.append(taken)
+        desired_speeds.append((wish - last) / period)
         if not reached:
             short.append(limits.names[n])
-    reason = f"limited: {', '.join(short)}" if short else None
-    return GateState(*np.array(rows).T), reason
+    gate = GateState(
+        position=np.array(positions) if short else desired,
+        speed=np.array(speeds),
+        acceleration=np.array(accelerations),
+        desired=desired,
+        desired_speed=np.array(desired_speeds),
+    )
+    return gate, f"limited: {', '.join(short)}" if short else None
 
 
 def brake(
@@ -264,20 +304,20 @@ def brake(
     """
     rows = []
     for bounds, soft, p, v, a in zip(
-        limits.axes,
-        (gentle or limits).axes,
+        _by_axis(limits, period),
+        _by_axis(gentle or limits, period),
         state.position.tolist(),
         state.speed.tolist(),
         state.acceleration.tolist(),
         strict=True,
     ):
-        step = soft.jerk * period
+        step = soft.change
         aim = math.sqrt(0.25 * step * step + 2.0 * soft.jerk * abs(v)) - 0.5 * step
         aim = min(aim, abs(v) / period, soft.acceleration)
         # What is left of a motion's own acceleration is let go at once.
         if abs(a) > soft.acceleration:
-            step = bounds.jerk * period
-        low, high = _range(p, v, a, bounds, period)
+            step = bounds.change
+        low, high = _range(p, v, a, bounds)
         taken = _clip(_clip(-math.copysign(aim, v), a - step, a + step), low, high)
         speed = v + taken * period
         rows.append((p + speed * period, speed, taken))

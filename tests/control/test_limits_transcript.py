@@ -117,9 +117,9 @@ def _near(chance: Chance, edge: float, grain: float) -> float:
 @pytest.mark.parametrize("period", [0.012, 0.004])
 def test_what_passes_the_short_cut_would_pass_the_long_way(period: float) -> None:
     chance, passed = Chance(f"short cut/{period}"), 0
-    for bounds in HOUSE.axes:
+    for bounds in limits._by_axis(HOUSE, period):
         step = bounds.jerk * period
-        room = limits._stopping_way(bounds, period)
+        room = bounds.clear_lower - bounds.lower
         for _ in range(6000):
             a = chance.between(-1.0, 1.0) * bounds.acceleration
             wanted = chance.pick((a + step, a - step, a, 0.0, bounds.acceleration))
@@ -129,16 +129,15 @@ def test_what_passes_the_short_cut_would_pass_the_long_way(period: float) -> Non
             v = _near(chance, v, 0.3 * bounds.speed)
             v = max(-bounds.speed, min(v, bounds.speed))
             way = abs(v) * period
-            p = chance.pick((bounds.upper - room - way, bounds.lower + room + way, 0.0))
+            p = chance.pick((bounds.clear_upper - way, bounds.clear_lower + way, 0.0))
             p = max(bounds.lower, min(_near(chance, p, 0.5 * room), bounds.upper))
             desired = p + (v + wanted * period) * period
             axis = limits._Axis(p, v, a, p, v, desired)
             wanted = ((desired - p) / period - v) / period
-            if not limits._is_clear(axis, wanted, bounds, period):
+            if not limits._is_clear(p, v, a, wanted, bounds):
                 continue
             passed += 1
-            low, high = limits._range(p, v, a, bounds, period)
-            margin = 1e-6 * bounds.acceleration
-            assert low - margin <= wanted <= high + margin
-            assert limits._stays(axis, wanted, bounds, period)
+            low, high = limits._range(p, v, a, bounds)
+            assert low - bounds.margin <= wanted <= high + bounds.margin
+            assert limits._stays(axis, wanted, bounds)
     assert passed > 500
