@@ -6,6 +6,9 @@ can be ready before its telegram comes; nothing is lost by it, the commands are 
 
     predict -> correct -> classify -> predict the part over the horizon -> approach -> x_t
     smooth -> damp -> inverse kinematics -> feed-forward -> limits -> q_c
+
+What the robot made of the last command is asked last of all, by the gate. All before it is the
+step's ``plan``, which stays as it is where a telegram tells another fate than was assumed.
 """
 
 import numpy as np
@@ -14,7 +17,7 @@ from linemate.daemon import rotations
 from linemate.daemon.changed import changed
 from linemate.daemon.control import controller as control
 from linemate.daemon.control import limits
-from linemate.daemon.horizon import Array
+from linemate.daemon.horizon import Array, Horizon
 from linemate.daemon.inputs import Inputs, Order
 from linemate.daemon.parameters import Parameters
 from linemate.daemon.tracking import tracker as tracking
@@ -138,6 +141,23 @@ def initial(parameters: Parameters, robot: RobotSample) -> State:
     )
 
 
+@frozen(eq=False)
+class Plan:
+    """A step but for what the robot made of the last command.
+
+    Attributes:
+        tracker: one step later; whether the tool touches is still as it was.
+        report: of tracking.
+        horizon: x_t, None where the robot is to stand.
+        aim: of control, None likewise.
+    """
+
+    tracker: tracking.TrackerState
+    report: tracking.Report
+    horizon: Horizon | None = None
+    aim: control.Aim | None = None
+
+
 def step(state: State, inputs: Inputs, parameters: Parameters) -> tuple[State, Outputs]:
     """Return the state and the outputs of one sampling step.
 
@@ -146,17 +166,54 @@ def step(state: State, inputs: Inputs, parameters: Parameters) -> tuple[State, O
         inputs: everything that entered since, and the order.
         parameters: compiled.
     """
+    return finish(state, plan(state, inputs, parameters), inputs, parameters)
+
+
+def plan(state: State, inputs: Inputs, parameters: Parameters) -> Plan:
+    """Return nine tenths of a step, whatever the robot made of the last command.
+
+    Args:
+        state: of the step before.
+        inputs: of which ``sent``, ``applied`` and ``pace`` are not read.
+        parameters: compiled.
+    """
     seen = _measurements(inputs, parameters)
-    state = _applied(state, inputs)
     if inputs.order is Order.HOLD:
-        return _hold(state, inputs, seen, parameters)
+        return Plan(*tracking.observe(parameters.tracker, state.tracker, seen))
     retreat = inputs.order is Order.RETREAT
     tracker, horizon, report = tracking.track(
         parameters.tracker, state.tracker, seen, start=inputs.start or retreat, retreat=retreat
     )
-    steered, held = control.follow(parameters.controller, state.control, horizon)
-    state = State(tracker, steered, state.applied, moving=True)
-    return state, _outputs(state, inputs, report, horizon.poses, held, parameters)
+    aim = control.aim(parameters.controller, state.control, horizon)
+    return Plan(tracker, report, horizon, aim)
+
+
+def finish(
+    state: State, planned: Plan, inputs: Inputs, parameters: Parameters
+) -> tuple[State, Outputs]:
+    """Return a step's state and outputs, with what the robot made of the last command.
+
+    Args:
+        state: of the step before.
+        planned: by ``plan`` from the same state, inputs and parameters.
+        inputs: of which ``sent``, ``applied`` and ``pace`` may be others than it was planned with.
+        parameters: compiled.
+    """
+    begun = _applied(state, inputs)
+    horizon, aim = planned.horizon, planned.aim
+    if horizon is None or aim is None:
+        state = _halted(begun, planned.tracker, parameters)
+        return state, _outputs(state, inputs, planned.report, None, "hold", parameters)
+    tracker = tracking.touched(
+        parameters.tracker,
+        state.tracker,
+        planned.tracker,
+        planned.report,
+        held=not inputs.sent and inputs.pace is None,
+    )
+    steered, held = control.reach(parameters.controller, aim, begun.control.gate)
+    state = State(tracker, steered, begun.applied, moving=True)
+    return state, _outputs(state, inputs, planned.report, horizon.poses, held, parameters)
 
 
 def _applied(state: State, inputs: Inputs) -> State:
@@ -174,24 +231,18 @@ def _applied(state: State, inputs: Inputs) -> State:
     return changed(state, applied=applied, control=changed(state.control, gate=gate), moving=moving)
 
 
-def _hold(
-    state: State, inputs: Inputs, seen: tracking.Measurements, parameters: Parameters
-) -> tuple[State, Outputs]:
-    """Return one step of a robot that is to stand: it brakes, and then its plan is rest."""
-    tracker, report = tracking.observe(parameters.tracker, state.tracker, seen)
-    held = "hold"
-    if state.moving:
-        steered = control.stop(parameters.controller, state.control)
-        still = limits.stands(steered.gate)
-        joints = steered.gate.position
-        pose = _tcp(parameters, joints)
-        if still:
-            steered = control.at_rest(parameters.controller, joints, pose)
-        tracker = tracking.rest(parameters.tracker, tracker, pose, _axis(parameters, joints))
-        state = State(tracker, steered, state.applied, moving=not still)
-    else:
-        state = changed(state, tracker=tracker)
-    return state, _outputs(state, inputs, report, None, held, parameters)
+def _halted(state: State, tracker: tracking.TrackerState, parameters: Parameters) -> State:
+    """Return the state of a robot that is to stand: it brakes, and then its plan is rest."""
+    if not state.moving:
+        return changed(state, tracker=tracker)
+    steered = control.stop(parameters.controller, state.control)
+    still = limits.stands(steered.gate)
+    joints = steered.gate.position
+    pose = _tcp(parameters, joints)
+    if still:
+        steered = control.at_rest(parameters.controller, joints, pose)
+    tracker = tracking.rest(parameters.tracker, tracker, pose, _axis(parameters, joints))
+    return State(tracker, steered, state.applied, moving=not still)
 
 
 def _measurements(inputs: Inputs, parameters: Parameters) -> tracking.Measurements:
@@ -208,7 +259,6 @@ def _measurements(inputs: Inputs, parameters: Parameters) -> tracking.Measuremen
         camera=inputs.camera,
         wrench=inputs.wrench,
         digital_in=0 if inputs.robot is None else inputs.robot.digital_in,
-        held=not inputs.sent and inputs.pace is None,
     )
 
 

@@ -10,10 +10,19 @@ from cell import AXIS, EPOCH_NS, REST, World, object_at, parameters, robot_sampl
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from linemate.daemon import rotations
+from linemate.daemon import rotations, snapshot
 from linemate.daemon.horizon import Array
 from linemate.daemon.inputs import Inputs, Order
-from linemate.daemon.step import FIX_SCREWS, RELEASE_WHEEL, Outputs, State, initial, step
+from linemate.daemon.step import (
+    FIX_SCREWS,
+    RELEASE_WHEEL,
+    Outputs,
+    State,
+    finish,
+    initial,
+    plan,
+    step,
+)
 from linemate.daemon.tracking.task import Phase
 from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
 
@@ -93,6 +102,52 @@ def test_a_recording_of_the_inputs_replays_bit_for_bit(assembly: Told) -> None:
     for inputs, outputs in list(zip(assembly.inputs, assembly.outputs, strict=True))[:350]:
         state, again = step(state, inputs, P)
         assert text(again) == text(outputs)
+
+
+def other_fates(state: State, inputs: Inputs) -> list[Inputs]:
+    """The same inputs, the last command's fate being another: held, held elsewhere, gone on."""
+    gate = state.control.gate
+    there = tuple((gate.position + 1e-4).tolist())
+    pace = (tuple(gate.speed.tolist()), tuple(gate.acceleration.tolist()))
+    return [
+        replace(inputs, sent=True, applied=None, pace=None),
+        replace(inputs, sent=False, applied=None, pace=None),
+        replace(inputs, sent=False, applied=there, pace=None),
+        replace(inputs, sent=False, applied=there, pace=pace),
+    ]
+
+
+@pytest.mark.parametrize("order", list(Order))
+def test_a_plan_finished_for_another_fate_of_the_last_command_is_the_whole_step(
+    assembly: Told, order: Order
+) -> None:
+    contacts = set()
+    for state, first in zip(assembly.states[::3], assembly.inputs[::3], strict=True):
+        assumed = replace(first, order=order)
+        planned = plan(state, assumed, P)
+        for inputs in other_fates(state, assumed):
+            (whole, said), (made, told) = (
+                step(state, inputs, P),
+                finish(state, planned, inputs, P),
+            )
+            assert snapshot.encode(made) == snapshot.encode(whole)
+            assert text(told) == text(said)
+            contacts.add((told.contact, state.tracker.contact))
+    assert len(contacts) > 1
+
+
+def test_a_pose_out_of_reach_is_held_whatever_became_of_the_last_command(assembly: Told) -> None:
+    state, first = assembly.states[900], assembly.inputs[900]
+    tracker = replace(state.tracker, poses=state.tracker.poses + np.array((5.0, 0, 0, 0, 0, 0)))
+    state = replace(state, tracker=tracker)
+    planned = plan(state, first, P)
+    for inputs in other_fates(state, first):
+        whole, said = step(state, inputs, P)
+        made, told = finish(state, planned, inputs, P)
+        assert said.held is not None
+        assert "reach" in said.held
+        assert snapshot.encode(made) == snapshot.encode(whole)
+        assert text(told) == text(said)
 
 
 def test_two_robots_may_take_turns_in_one_process() -> None:

@@ -204,16 +204,26 @@ def damp(controller: Controller, smoothed: Array, free: Array, first: int = 0) -
     return desired
 
 
-def follow(
-    controller: Controller, state: ControlState, horizon: Horizon
-) -> tuple[ControlState, str | None]:
-    """Return the state after one step along the horizon; its gate's position is the command.
+@frozen(eq=False)
+class Aim:
+    """Where one step along the horizon leads, whatever the robot made of the last command.
+
+    Attributes:
+        state: one step later but for the gate, which is the last step's.
+        command: (axes,) that is desired, None if the arm does not reach its pose.
+        reason: why it does not.
+    """
+
+    state: ControlState
+    command: Array | None
+    reason: str | None = None
+
+
+def aim(controller: Controller, state: ControlState, horizon: Horizon) -> Aim:
+    """Return the command that is desired in this step, by (16), (11), kinematics and (12).
 
     Joints whose poses, and all that (16) and (11) read of them, were committed before are the
     last step's and are not solved again.
-
-    Returns:
-        The new state, and None or the reason why the command is not the one desired.
     """
     count, past = controller.preview + 1, controller.effector_past
     ahead = len(controller.effector) - 1 - past
@@ -229,20 +239,45 @@ def follow(
     try:
         solved = controller.arm.follow(guesses, fresh, horizon.nominal, before)
     except UnreachableError as error:
-        return stop(controller, state), str(error)
+        return Aim(state, None, str(error))
     window = np.concatenate((state.passed, last[1 : kept + 1], solved))
-    command = np.add.reduce(controller.servo * window)
-    gate, held = limits.admit(state.gate, command, controller.limits, controller.cycle_s)
-    return (
-        ControlState(
-            smooth=smoothed[1 : past + 1],
-            passed=window[1 : controller.servo_past + 1],
-            desired=window[controller.servo_past :],
-            wanted=np.concatenate((state.wanted[1 : kept + 1], fresh)),
-            gate=gate,
-        ),
-        held,
+    later = ControlState(
+        smooth=smoothed[1 : past + 1],
+        passed=window[1 : controller.servo_past + 1],
+        desired=window[controller.servo_past :],
+        wanted=np.concatenate((state.wanted[1 : kept + 1], fresh)),
+        gate=state.gate,
     )
+    return Aim(later, np.add.reduce(controller.servo * window))
+
+
+def reach(
+    controller: Controller, aimed: Aim, gate: limits.GateState
+) -> tuple[ControlState, str | None]:
+    """Return the state after the last gate; its gate's position is the command.
+
+    Args:
+        controller: with the limits.
+        aimed: at what is desired.
+        gate: of the commands that the robot has; without a pose to aim at it brakes.
+
+    Returns:
+        The new state, and None or the reason why the command is not the one desired.
+    """
+    if aimed.command is None:
+        return stop(controller, changed(aimed.state, gate=gate)), aimed.reason
+    after, held = limits.admit(gate, aimed.command, controller.limits, controller.cycle_s)
+    return changed(aimed.state, gate=after), held
+
+
+def follow(
+    controller: Controller, state: ControlState, horizon: Horizon
+) -> tuple[ControlState, str | None]:
+    """Return the state after one step along the horizon, and None or why it is held: (16) to (12).
+
+    What a step does by ``aim`` and ``reach`` at one go.
+    """
+    return reach(controller, aim(controller, state, horizon), state.gate)
 
 
 def stop(controller: Controller, state: ControlState) -> ControlState:

@@ -72,10 +72,11 @@ class _Swap:
 
 @frozen()
 class _Prepared:
-    """A step made before its telegram, its reply but for the IPOC."""
+    """A step made before its telegram, what it planned, and its reply but for the IPOC."""
 
     reply: PreparedReply
     entry: LogEntry
+    plan: stepping.Plan
 
 
 class Cycle:
@@ -86,7 +87,8 @@ class Cycle:
         exchange, operating, feeds, session, following: the parts, each with its own memory.
         verdict: on the last telegram that could be read.
         last: the last step.
-        steps, prepared, inline, remade: made in all, sent as prepared, made in line, made twice.
+        steps, prepared, inline: made in all, sent as prepared, made in line.
+        remade: steps that were finished once more, the last command's fate not being as assumed.
         refused, last_refusal: telegrams that could not be read, and why the last one was not.
     """
 
@@ -286,8 +288,8 @@ class Cycle:
         if self._state is None or self._ready is not None:
             return False
         self._begin(preparing=True)
-        entry = self._step(self._state, stamp_ns, telegram=True)
-        self._ready = _Prepared(self._reply(entry), entry)
+        entry, plan = self._step(self._state, stamp_ns, telegram=True)
+        self._ready = _Prepared(self._reply(entry), entry, plan)
         self._is_under_way = False
         return True
 
@@ -396,7 +398,7 @@ class Cycle:
             entry, reply = ready.entry.answering(telegram.ipoc), ready.reply
         else:
             self.inline += 1
-            entry = self._step(
+            entry, _ = self._step(
                 self._opened(), stamp_ns, telegram=True, answering=True, ipoc=telegram.ipoc
             )
             reply = self._reply(entry)
@@ -414,7 +416,7 @@ class Cycle:
         return reply.with_ipoc(telegram.ipoc_text)
 
     def _confirmed(self, ready: _Prepared, *, answering: bool = False) -> _Prepared:
-        """Return a prepared step, made once more if what it assumed of the robot is not so."""
+        """Return a prepared step, finished once more if what it assumed of the robot is not so."""
         sent, applied, pace = self._fate(answering=answering)
         inputs = ready.entry.inputs
         if (inputs.sent, inputs.applied, inputs.pace) == (sent, applied, pace):
@@ -423,9 +425,9 @@ class Cycle:
         inputs = replace(inputs, sent=sent, applied=applied, pace=pace)
         before, made_with = ready.entry.before, ready.entry.parameters
         assert before is not None and made_with is not None  # noqa: PT018, S101 - as _step made it
-        self._state, outputs = stepping.step(before, inputs, made_with)
+        self._state, outputs = stepping.finish(before, ready.plan, inputs, made_with)
         entry = replace(ready.entry, inputs=inputs, outputs=outputs, after=self._state)
-        return _Prepared(self._reply(entry), entry)
+        return _Prepared(self._reply(entry), entry, ready.plan)
 
     def _fate(self, *, answering: bool) -> tuple[bool, Axes | None, tuple[Axes, Axes] | None]:
         """Return whether the last step's command is the robot's, where it is if not, and its pace.
@@ -451,7 +453,8 @@ class Cycle:
 
     def _step_unsent(self, state: stepping.State, stamp_ns: int) -> None:
         """Make the step of a cycle that gets no corrections."""
-        self._note_unsent(self._step(state, stamp_ns, telegram=False))
+        entry, _ = self._step(state, stamp_ns, telegram=False)
+        self._note_unsent(entry)
 
     def _note_unsent(self, entry: LogEntry) -> None:
         self._note(entry)
@@ -465,7 +468,7 @@ class Cycle:
         telegram: bool,
         answering: bool = False,
         ipoc: int | None = None,
-    ) -> LogEntry:
+    ) -> tuple[LogEntry, stepping.Plan]:
         """Make one sampling step: operating state first, then the pure step."""
         settings = self.parameters.tracker.settings
         bearable, deviation = settings.tactile.overload_force, settings.distance.deviation
@@ -493,13 +496,15 @@ class Cycle:
         )
         self._robot = None
         made_with = self.parameters
-        self._state, outputs = stepping.step(state, inputs, made_with)
+        plan = stepping.plan(state, inputs, made_with)
+        self._state, outputs = stepping.finish(state, plan, inputs, made_with)
         if not outputs.contact:
             self.feeds.camera_health.answered(len(taken.camera), outputs.refused)
         self.steps += 1
         self._stamp_ns = stamp_ns
         shown = self.machine.state.value
-        return LogEntry(ipoc, shown, inputs, outputs, state, self._state, made_with)
+        entry = LogEntry(ipoc, shown, inputs, outputs, state, self._state, made_with)
+        return entry, plan
 
     def _found(self) -> Situation:
         """Return how a decision finds the robot and the task."""

@@ -157,7 +157,7 @@ class Report:
 
 @frozen(eq=False)
 class Measurements:
-    """One step's samples and where the robot is; ``held``: it got no command and stood still."""
+    """One step's samples, and where the robot is."""
 
     stamp_ns: int
     tcp: Array | None
@@ -166,7 +166,6 @@ class Measurements:
     camera: Sequence[CameraSample]
     wrench: tuple[WrenchSample, ...]
     digital_in: int
-    held: bool
 
 
 def at_rest(tracker: Tracker, pose: Array, axis: float) -> TrackerState:
@@ -298,13 +297,15 @@ def _sightings(
 def track(
     tracker: Tracker, state: TrackerState, seen: Measurements, *, start: bool, retreat: bool
 ) -> tuple[TrackerState, Horizon, Report]:
-    """Return the state, the horizon x_t(k, 0..n) and a report of one step under way."""
+    """Return the state, the horizon x_t(k, 0..n) and a report of one step under way.
+
+    Whether the tool touches is ``touched``'s to say: a robot that held did not ring.
+    """
     state, refused, wrench = estimate(tracker, state, seen)
     view = _view(tracker, state)
     if start and not state.started:
         state = changed(state, started=True)
     state = _clock(tracker, state, view, seen, retreat)
-    state = _contact(tracker, state, seen, wrench)
     span, T0 = tracker.span, tracker.cycle_s
     limit = _stand(tracker, state.time, state.passed) if state.started else state.time
     goal, relative = tracker.table.ahead(state.time, limit, tracker.steps)
@@ -456,19 +457,27 @@ def _since(age: float | None, begun: bool, dt: float) -> float | None:
     return 0.0 if begun else None
 
 
-def _contact(
-    tracker: Tracker, state: TrackerState, seen: Measurements, wrench: Wrench | None
+def touched(
+    tracker: Tracker, before: TrackerState, after: TrackerState, report: Report, *, held: bool
 ) -> TrackerState:
-    """Return the state with contact made or lost."""
-    if state.contact:
-        lost = Gate.WHEEL_RELEASED in state.passed
-        return changed(state, contact=not lost, feeling=contact.NOTHING)
-    if state.blended is None or Gate.WHEEL_RELEASED in state.passed:
-        return state
-    force = None if wrench is None else float(wrench.force[2])
-    feeling = contact.feel(state.feeling, tracker.ringing, force, held=seen.held)
-    feeling = contact.touched(feeling, tracker.ringing, state.distance)
-    return changed(state, feeling=feeling, contact=feeling.touches >= contact.TOUCHES)
+    """Return the state of ``track`` with contact made or lost, which the next step knows of.
+
+    Args:
+        tracker: compiled.
+        before: the step.
+        after: it, contact as it was.
+        report: of the step.
+        held: the robot did not get the last command and stood still.
+    """
+    if before.contact:
+        lost = Gate.WHEEL_RELEASED in after.passed
+        return changed(after, contact=not lost, feeling=contact.NOTHING)
+    if after.blended is None or Gate.WHEEL_RELEASED in after.passed:
+        return after
+    force = None if report.force is None else float(report.force[2])
+    feeling = contact.feel(before.feeling, tracker.ringing, force, held=held)
+    feeling = contact.touched(feeling, tracker.ringing, before.distance)
+    return changed(after, feeling=feeling, contact=feeling.touches >= contact.TOUCHES)
 
 
 def _axis_speed(tracker: Tracker, state: TrackerState, view: View | None) -> float:
