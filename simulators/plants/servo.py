@@ -8,7 +8,8 @@ each with constant or with unlimited acceleration.
 """
 
 import math
-from functools import lru_cache
+import struct
+from functools import lru_cache, partial
 from itertools import chain
 from operator import add, sub
 from typing import NamedTuple, TypeVar
@@ -65,6 +66,9 @@ class ServoBank:
         self._lags = tuple(_lag(axis, self._step, substeps) for axis in axes)
         self._reach = max(piece.back for lag in self._lags for p in lag.plan for piece in p)
         self._table = _table(self._lags, self._reach, cycle_s)
+        # What the matrix is multiplied by is packed: numpy takes twice as long to read a list.
+        self._inputs = np.zeros(self._table.gains.shape[1])
+        self._pack = partial(struct.Struct(f"{self._inputs.size}d").pack_into, self._inputs.data, 0)
         self._cuts = lru_cache(_CUTS)(self._cut)
         # Nodes of the lines that are still seen, the present cycle's and its end the last two.
         self._nodes = [tuple(start)] * (self._reach + 2)
@@ -132,15 +136,16 @@ class ServoBank:
         cuts = self._cuts(index % self._substeps, round(dt, _DIGITS))
         states = zip(cuts, self.positions, self.velocities, strict=True)
         return tuple(
-            self._moved(axis, pieces, y, v)[0] for axis, (pieces, y, v) in enumerate(states)
+            [self._moved(axis, pieces, y, v)[0] for axis, (pieces, y, v) in enumerate(states)]
         )
 
     def _look_ahead(self) -> list[_Motion]:
         """Positions and velocities at the end of each substep of this cycle."""
         table, (positions, velocities), origin = self._table, self._begun, self._nodes[0]
-        inputs = [*map(sub, positions, origin), *velocities, *chain.from_iterable(self._rises)]
+        rises = chain.from_iterable(self._rises)
+        self._pack(*map(sub, positions, origin), *velocities, *rises)
         # Numpy twice and no more: between other work each of its calls costs as much as ten here.
-        values: list[float] = table.gains.dot(inputs).tolist()
+        values: list[float] = table.gains.dot(self._inputs).tolist()
         n, half = len(origin), table.strains // 2
         ahead = [
             (tuple(map(add, values[i : i + n], origin)), tuple(values[half + i : half + i + n]))
@@ -166,11 +171,21 @@ class ServoBank:
         self, axis: int, pieces: tuple[_Piece, ...], y: float, v: float
     ) -> tuple[float, float]:
         """Position and velocity of one axis after some pieces."""
-        lag, nodes = self._lags[axis], self._nodes
+        lag, nodes, cycle_s = self._lags[axis], self._nodes, self._cycle_s
+        _, _, stiffness, friction, _, limit, *_ = lag
         for piece in pieces:
-            begin = nodes[-2 - piece.back][axis]
-            slope = (nodes[-1 - piece.back][axis] - begin) / self._cycle_s
-            y, v = _solve(lag, piece, slope, begin + slope * piece.since, y, v)
+            back, since, length, _ = piece
+            begin = nodes[-2 - back][axis]
+            slope = (nodes[-1 - back][axis] - begin) / cycle_s
+            u = begin + slope * since
+            y1, v1 = _linear(lag, piece, slope, u, y, v)
+            # At both ends it shows whether the axis saturates.
+            before = stiffness * (u - y) - friction * v
+            after = stiffness * (u + slope * length - y1) - friction * v1
+            if -limit <= before <= limit and -limit <= after <= limit:
+                y, v = y1, v1
+            else:
+                y, v = _saturated(lag, piece, slope, u, y, v)
         return y, v
 
     def _cut(self, part: int, dt: float) -> tuple[tuple[_Piece, ...], ...]:
@@ -303,22 +318,10 @@ def _linear(
     lag: _Lag, piece: _Piece, slope: Value, u: Value, y: Value, v: Value
 ) -> tuple[Value, Value]:
     """Follow a line that begins at `u`, without limit."""
-    p11, p12, p21, p22 = piece.phi
+    _, _, length, (p11, p12, p21, p22) = piece
     lead = slope * lag.shift
     x, xv = y - u + lead, v - slope
-    return p11 * x + p12 * xv + u + slope * piece.length - lead, p21 * x + p22 * xv + slope
-
-
-def _solve(
-    lag: _Lag, piece: _Piece, slope: float, u: float, y: float, v: float
-) -> tuple[float, float]:
-    """Follow a line that begins at `u`; at both ends it shows whether the axis saturates."""
-    y1, v1 = _linear(lag, piece, slope, u, y, v)
-    before = lag.stiffness * (u - y) - lag.friction * v
-    after = lag.stiffness * (u + slope * piece.length - y1) - lag.friction * v1
-    if max(abs(before), abs(after)) <= lag.limit:
-        return y1, v1
-    return _saturated(lag, piece, slope, u, y, v)
+    return p11 * x + p12 * xv + u + slope * length - lead, p21 * x + p22 * xv + slope
 
 
 def _saturated(
