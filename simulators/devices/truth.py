@@ -8,6 +8,7 @@ plant's numbers are put down as they are; columns are made of them when somebody
 
 import json
 import math
+import struct
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -76,6 +77,8 @@ class TruthLog:
         self._states = np.full((rows, _width(_STATE)), np.nan)
         self._fates = np.full((rows, _width(_FATE)), np.nan)
         self._ipocs = np.zeros(rows, np.int64)  # too long for a float
+        # A long row is packed: numpy takes twice as long to put a tuple into one of its own.
+        self._put_state = struct.Struct(f"{_width(_STATE)}d").pack_into
         self._world: World | None = None
         self._room = rows
         self._count = 0
@@ -100,7 +103,9 @@ class TruthLog:
         self._world = world
         place, turn = world.rigid()
         hub_place, hub_turn = world.hub()
-        self._states[self._count] = (
+        self._put_state(
+            self._states[self._count],
+            0,
             world.time_s,
             *place,
             *turn,

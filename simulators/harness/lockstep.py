@@ -7,6 +7,7 @@ cycle k begins at -lead_in + k T0, and its reply takes no time.
 """
 
 import math
+import struct
 import time
 from collections.abc import Callable
 from functools import lru_cache
@@ -237,7 +238,9 @@ class _DaemonLog:
         if entry.ipoc is None:
             return
         sensed, part = outputs.sensed, outputs.part
-        self._values[self._row] = (
+        _put_values(
+            self._values[self._row],
+            0,
             *outputs.command,
             *outputs.target,
             *(_UNKNOWN if sensed is None else sensed),
@@ -276,6 +279,8 @@ _NUMBERS = ("task_time", "speed", "step_us")
 _CODES = ("phase", "scenario", "tentative", "state", "contact_seen")
 _FLAGS = ("tentative", "contact_seen")
 _WIDTH = columns.AXES * len(_POSES) + len(_NUMBERS)
+# A long row is packed: numpy takes half as long again to put a tuple into one of its own.
+_put_values = struct.Struct(f"{_WIDTH}d").pack_into
 _UNKNOWN = (math.nan,) * columns.AXES
 _PHASES = {name: i for i, name in enumerate(columns.PHASES)}
 _CLASSES = {name: i for i, name in enumerate(columns.CLASSES)}
