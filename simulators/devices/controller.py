@@ -124,15 +124,13 @@ class _Receive:
     Attributes:
         tag: its name.
         holdon: its value is held while none comes.
-        source: where a reply has it.
-        place: there, of a vector.
+        place: where a reply has it: A1..A6, then E1..E6; None if it is one of the channels.
         axis: which of the seven it corrects, None if it is no correction.
     """
 
     tag: str
     holdon: bool
-    source: Literal["joints", "external", "channels"]
-    place: int
+    place: int | None
     axis: int | None
 
 
@@ -197,7 +195,11 @@ class RsiController:
         self.clamped = 0
         self.messages: deque[str] = deque(maxlen=MESSAGES)
         self._read = read
-        self._receives = tuple(map(_receive, rsi.receive))
+        receives = tuple(map(_receive, rsi.receive))
+        self._plan = tuple((one.tag, one.place, one.holdon) for one in receives)
+        self._corrections = tuple(
+            (n, one.axis) for n, one in enumerate(receives) if one.axis is not None
+        )
         tags = [element.tag for element in rsi.receive]
         self._stop = tags.index("Stop") if "Stop" in tags else None
         self._signals = tags.index("DiO") if "DiO" in tags else None
@@ -337,7 +339,7 @@ class RsiController:
             low=config.correction_low or low,
             high=config.correction_high or high,
             total=[0.0] * AXES,
-            held=[None] * len(self._receives),
+            held=[None] * len(self._plan),
         )
 
     def _describe(self, ipoc: int, reading: RobotReading) -> RobotTelegram:
@@ -368,14 +370,10 @@ class RsiController:
         reply, held = session.reply, session.held
         if reply is not None and reply.message:
             self.messages.append(reply.message)
-        joints, external, channels = _NOTHING if reply is None else _parts(reply)
-        for n, element in enumerate(self._receives):
-            if element.source == "channels":
-                given = channels.get(element.tag)
-            else:
-                vector = joints if element.source == "joints" else external
-                given = vector[element.place] if len(vector) > element.place else None
-            if given is not None or not element.holdon:
+        axes, channels = _NOTHING if reply is None else _parts(reply)
+        for n, (tag, place, holdon) in enumerate(self._plan):
+            given = channels.get(tag) if place is None else axes[place]
+            if given is not None or not holdon:
                 held[n] = given
         if self._stop is not None and _is_set(held[self._stop]):
             session.stopped = "STOP object: the reply asked for it"
@@ -385,17 +383,15 @@ class RsiController:
 
     def _correct(self, session: _Session) -> bool:
         clamped = False
-        total, low, high = session.total, session.low, session.high
+        total, held = session.total, session.held
         adds = self.config.mode == "relative"
-        for element, value in zip(self._receives, session.held, strict=True):
-            axis = element.axis
-            if axis is None:
-                continue
-            correction = float(value or 0.0)
+        for n, axis in self._corrections:
+            correction = float(held[n] or 0.0)
             if adds:
                 correction += total[axis]
-            if not low[axis] <= correction <= high[axis]:
-                correction = min(max(correction, low[axis]), high[axis])
+            low, high = session.low[axis], session.high[axis]
+            if not low <= correction <= high:
+                correction = min(max(correction, low), high)
                 clamped = True
             total[axis] = correction
         if self.config.monitor is not None:
@@ -415,14 +411,17 @@ class RsiController:
                 return
 
 
-_NOTHING: tuple[tuple[float, ...], tuple[float, ...], Mapping[str, Channel]] = ((), (), {})
+_Axes = tuple[float | None, ...]
+"""A1..A6 [rad], E1..E6 [m] or [rad]; None where there is no value."""
+
+_NO_AXES: _Axes = (None,) * 6
+_NOTHING: tuple[_Axes, Mapping[str, Channel]] = ((None,) * 12, {})
 
 
-def _parts(
-    reply: SensorTelegram,
-) -> tuple[tuple[float, ...], tuple[float, ...], Mapping[str, Channel]]:
-    """What a reply brought."""
-    return reply.joints or (), reply.external or (), reply.channels
+def _parts(reply: SensorTelegram) -> tuple[_Axes, Mapping[str, Channel]]:
+    """What a reply brought, the axes by their place."""
+    external = reply.external or ()
+    return (*(reply.joints or _NO_AXES), *external, *_NO_AXES[len(external) :]), reply.channels
 
 
 def _receive(element: Element) -> _Receive:
@@ -430,13 +429,11 @@ def _receive(element: Element) -> _Receive:
     name, _, axis = element.tag.partition(".")
     if name in _JOINT_ELEMENTS and axis in _JOINT_KEYS:
         place = _JOINT_KEYS.index(axis)
-        return _Receive(element.tag, element.holdon, "joints", place, place)
+        return _Receive(element.tag, element.holdon, place, place)
     if name in _EXTERNAL_ELEMENTS and axis in _EXTERNAL_KEYS:
         place = _EXTERNAL_KEYS.index(axis)
-        return _Receive(
-            element.tag, element.holdon, "external", place, AXES - 1 if place == 0 else None
-        )
-    return _Receive(element.tag, element.holdon, "channels", 0, None)
+        return _Receive(element.tag, element.holdon, 6 + place, AXES - 1 if place == 0 else None)
+    return _Receive(element.tag, element.holdon, None, None)
 
 
 def _is_set(value: Channel | None) -> bool:
