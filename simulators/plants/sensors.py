@@ -16,7 +16,7 @@ from linemate.simulators.plants import rotation
 from linemate.simulators.plants.effector import Six
 from linemate.simulators.plants.rotation import Pose, Vec
 from linemate.simulators.plants.scenario import Camera, DistanceSensor, Effector, ForceTorque
-from linemate.simulators.plants.streams import Draws
+from linemate.simulators.plants.streams import Draws, stream
 
 
 class DistanceEmission(NamedTuple):
@@ -214,7 +214,7 @@ class ForceTorquePlant:
         spread = np.repeat((sensor.sigma_translation, sensor.sigma_rotation), 3)
         self._noise_gain = spread * effector.stiffness
         self._bias = np.array(sensor.bias) * effector.stiffness
-        self._errors: list[Six] = []
+        self._errors: list[list[float]] = []
         self.clock = _Clock(
             Draws.uniform(seed, "force_torque.delay"),
             start_s,
@@ -223,7 +223,7 @@ class ForceTorquePlant:
             sensor.delay_s,
             sensor.jitter_s,
         )
-        self._noise = Draws.normal(seed, "force_torque.noise")
+        self._noise = stream(seed, "force_torque.noise")
         self._dropout = Draws.uniform(seed, "force_torque.dropout")
         self.due: deque[WrenchEmission] = deque()
 
@@ -247,8 +247,8 @@ class ForceTorquePlant:
         torque = (k3 * d3 + e3, k4 * d4 + e4, k5 * d5 + e5)
         self.due.append(WrenchEmission(due, exposure, force, torque))
 
-    def _draw_errors(self) -> list[Six]:
+    def _draw_errors(self) -> list[list[float]]:
         """Bias and noise of the next readings as wrenches, the last one first."""
-        noise = np.array(self._noise.take(6 * _READINGS)).reshape(-1, 6)
-        errors = (self._bias + self._noise_gain * noise)[::-1]
-        return [(a, b, c, d, e, f) for a, b, c, d, e, f in errors.tolist()]
+        noise = self._noise.standard_normal((_READINGS, 6))
+        errors: list[list[float]] = (self._bias + self._noise_gain * noise)[::-1].tolist()
+        return errors
