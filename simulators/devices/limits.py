@@ -201,27 +201,31 @@ class LimitJudge:
         self._depths.clear()
         past = np.zeros((3, positions.shape[1])) if self._past is None else self._past
         fresh = depths > 0
-        values = [positions]
-        for before in past:
-            slope = np.diff(values[-1], axis=0, prepend=before[np.newaxis]) / self.cycle_s
+        found = np.empty((len(past) + 1, *positions.shape))  # kind, cycle, axis
+        found[0] = positions
+        for order, before in enumerate(past):
+            slope = found[order + 1]
+            slope[0] = found[order, 0] - before
+            np.subtract(found[order, 1:], found[order, :-1], out=slope[1:])
+            slope /= self.cycle_s
             slope[~fresh] = 0.0
-            values.append(slope)
-        found = np.array(values).transpose(1, 2, 0)  # cycle, axis, kind
-        counted = fresh[:, np.newaxis] & (np.arange(4) <= depths[:, np.newaxis])
-        self._note(found, counted[:, np.newaxis, :])
-        self._past = found[-1].T[:3]
+        counted = fresh & (np.arange(len(found))[:, np.newaxis] <= depths)
+        self._note(found, counted[:, :, np.newaxis])
+        self._past = found[:3, -1].copy()
         self._cycle += len(depths)
 
     def _note(self, found: Floats, counted: Flags) -> None:
         low, high, limit = self._bounds
-        magnitude = np.abs(found)
         if counted.any():
-            shares = np.where(counted, magnitude / limit, 0.0).max(axis=(0, 1))
+            greatest = np.where(counted, np.abs(found), 0.0).max(axis=1, keepdims=True)
+            shares = (greatest / limit).max(axis=(1, 2))
             for name, share in zip(KINDS[1:], shares[1:].tolist(), strict=True):
                 self._worst[name] = max(self._worst.get(name, 0.0), share)
-        within = (low <= found) & (found <= high)
-        for cycle, axis, kind in np.argwhere(counted & ~within).tolist():
-            name, value = KINDS[kind], float(found[cycle, axis, kind])
+        beyond = counted & ~((low <= found) & (found <= high))
+        if not beyond.any():
+            return
+        for cycle, axis, kind in np.argwhere(beyond.transpose(1, 2, 0)).tolist():
+            name, value = KINDS[kind], float(found[kind, cycle, axis])
             self._counts[name] += 1
             if len(self._evidence) < self.keep:
                 self._evidence.append(
@@ -238,14 +242,14 @@ class LimitJudge:
 
 
 def _bounds(limits: tuple[AxisLimit, ...], period: float) -> tuple[Floats, Floats, Floats]:
-    """The least and the greatest value, and the limit, of each axis and kind."""
-    low, high, limit = (np.zeros((len(limits), 4)) for _ in range(3))
+    """The least and the greatest value, and the limit, of each kind and axis, (4, 1, axes)."""
+    low, high, limit = (np.zeros((4, 1, len(limits))) for _ in range(3))
     for axis, one in enumerate(limits):
         quantum = 0.5 * 10.0**-WIRE_DECIMALS * _UNITS[axis]
-        low[axis, 0], high[axis, 0] = one.low - quantum, one.high + quantum
-        limit[axis] = math.inf, one.speed, one.acceleration, one.jerk
+        low[0, 0, axis], high[0, 0, axis] = one.low - quantum, one.high + quantum
+        limit[:, 0, axis] = math.inf, one.speed, one.acceleration, one.jerk
         for order in (1, 2, 3):
             grace = 2.0**order * quantum / period**order
-            high[axis, order] = limit[axis, order] * (1.0 + _HAIR) + grace
-    low[:, 1:] = -high[:, 1:]
+            high[order, 0, axis] = limit[order, 0, axis] * (1.0 + _HAIR) + grace
+    low[1:] = -high[1:]
     return low, high, limit
