@@ -54,6 +54,7 @@ class ContactPlant:
 
     def __init__(self, contact: Contact) -> None:
         self._contact = contact
+        self._whole_step = rotation.exp(contact.step)
         self.phase: Phase = "free"
         self.impact: Impact | None = None
         self.collision: Collision | None = None
@@ -85,7 +86,9 @@ class ContactPlant:
         age = t - self._screwing_s - self._contact.nutrunner_s
         if age <= 0.0:
             return hub
-        share = min(age / self._contact.step_s, 1.0) if self._contact.step_s > 0 else 1.0
+        if age >= self._contact.step_s:
+            return hub[0], rotation.compose(hub[1], self._whole_step)
+        share = age / self._contact.step_s
         x, y, z = self._contact.step
         step = rotation.exp((share * x, share * y, share * z))
         return hub[0], rotation.compose(hub[1], step)
@@ -129,8 +132,8 @@ class ContactPlant:
     ) -> None:
         deflection = self.held_deflection(t, rigid, hub)
         effector.hold(before, rigid, deflection)
-        bent = rotation.norm(deflection[:3])
-        twisted = rotation.norm(deflection[3:])
+        x, y, z, a, b, c = deflection
+        bent, twisted = rotation.norm((x, y, z)), rotation.norm((a, b, c))
         if bent > self._contact.deflection_limit or twisted > self._contact.deflection_angle_limit:
             self._collide(t, f"mount overloaded: {_figures(bent, twisted)}")
             self._open(t)

@@ -103,6 +103,7 @@ class World:
         self._now = start
         self._rigid = self._arm.tcp(scenario.robot.start)
         self._look_ahead(math.ceil((scenario.duration_s + scenario.lead_in_s) / self._h) + 1)
+        self._hub = self._track[0]
         self._begin_cycle()
 
     @property
@@ -194,9 +195,7 @@ class World:
 
     def hub(self) -> Pose:
         """True hub in base, now."""
-        if self._on_grid(self._now) and self._index < len(self._track):
-            return self._contact.turned(self._track[self._index], self._now)
-        return self._hub_at(self._now)
+        return self._hub if self._on_grid(self._now) else self._hub_at(self._now)
 
     def tcp_of(self, joints: tuple[float, ...]) -> Matrix:
         """Rigid tcp in base, 4x4, for any joints (A1..A6 [rad], E1 [m])."""
@@ -281,13 +280,14 @@ class World:
     def _step(self, following: float) -> None:
         self._servos.advance(self._index)
         rigid = self._arm.tcp(self._servos.positions)
-        if self._index + 1 >= len(self._track):
+        self._index = index = self._index + 1
+        if index >= len(self._track):
             self._look_ahead(_TRACK_BLOCK)
-        hub = self._contact.turned(self._track[self._index + 1], following)
-        self._contact.advance(following, self._h, self._effector, self._rigid, rigid, hub)
-        self._index += 1
-        self._grid, self._rigid = following, rigid
-        if self._index % self._substeps == 0:
+        contact = self._contact
+        hub = contact.turned(self._track[index], following)
+        contact.advance(following, self._h, self._effector, self._rigid, rigid, hub)
+        self._grid, self._rigid, self._hub = following, rigid, hub
+        if index % self._substeps == 0:
             self._begin_cycle()
 
     def _look_ahead(self, count: int) -> None:
@@ -300,8 +300,7 @@ class World:
         """Let every sensor measure at its instants before `limit`."""
         if self._next_exposure >= limit:
             return
-        touch, reach = self._force_torque.clock, self._distance.clock
-        sight = self._camera.clock
+        touch, reach, sight = self._force_torque.clock, self._distance.clock, self._camera.clock
         while touch.next_s < limit:
             self._force_torque.measure(self._deflection_at(touch.next_s))
         while reach.next_s < limit:
