@@ -38,7 +38,8 @@ CALLED: tuple[tuple[Any, str], ...] = (
     (states, "transition"),
     (states, "order"),
     (following, "gap"),
-    (stepping, "step"),
+    (stepping, "plan"),
+    (stepping, "finish"),
 )
 SAFE = {"hold", "retreat", "fault", "idle", "init"}
 FREE_S, CONTACT_S = 0.5, 1.3
