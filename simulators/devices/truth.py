@@ -77,7 +77,7 @@ class TruthLog:
         self._states = np.full((rows, _width(_STATE)), np.nan)
         self._fates = np.full((rows, _width(_FATE)), np.nan)
         self._ipocs = np.zeros(rows, np.int64)  # too long for a float
-        # A long row is packed: numpy takes twice as long to put a tuple into one of its own.
+        # This long row is packed: numpy takes twice as long to put a tuple into one of its own.
         self._put_state = struct.Struct(f"{_width(_STATE)}d").pack_into
         self._world: World | None = None
         self._room = rows

@@ -7,7 +7,6 @@ cycle k begins at -lead_in + k T0, and its reply takes no time.
 """
 
 import math
-import struct
 import time
 from collections.abc import Callable
 from functools import lru_cache
@@ -238,9 +237,7 @@ class _DaemonLog:
         if entry.ipoc is None:
             return
         sensed, part = outputs.sensed, outputs.part
-        _put_values(
-            self._values[self._row],
-            0,
+        self._values[self._row] = (
             *outputs.command,
             *outputs.target,
             *(_UNKNOWN if sensed is None else sensed),
@@ -279,8 +276,6 @@ _NUMBERS = ("task_time", "speed", "step_us")
 _CODES = ("phase", "scenario", "tentative", "state", "contact_seen")
 _FLAGS = ("tentative", "contact_seen")
 _WIDTH = columns.AXES * len(_POSES) + len(_NUMBERS)
-# A long row is packed: numpy takes half as long again to put a tuple into one of its own.
-_put_values = struct.Struct(f"{_WIDTH}d").pack_into
 _UNKNOWN = (math.nan,) * columns.AXES
 _PHASES = {name: i for i, name in enumerate(columns.PHASES)}
 _CLASSES = {name: i for i, name in enumerate(columns.CLASSES)}
