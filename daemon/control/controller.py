@@ -270,16 +270,6 @@ def reach(
     return changed(aimed.state, gate=after), held
 
 
-def follow(
-    controller: Controller, state: ControlState, horizon: Horizon
-) -> tuple[ControlState, str | None]:
-    """Return the state after one step along the horizon, and None or why it is held: (16) to (12).
-
-    What a step does by ``aim`` and ``reach`` at one go.
-    """
-    return reach(controller, aim(controller, state, horizon), state.gate)
-
-
 def stop(controller: Controller, state: ControlState) -> ControlState:
     """Return the state after one step of a gentle stop within the limits."""
     gate = limits.brake(state.gate, controller.limits, controller.cycle_s, controller.gentle)

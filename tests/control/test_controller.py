@@ -21,6 +21,13 @@ REST = np.array((*TASK.file.arm.rest_joints, 0.5))
 PLAIN = ControlSettings(feed_forward=False, damping=False)
 
 
+def follow(
+    controller: control.Controller, state: control.ControlState, horizon: Horizon
+) -> tuple[control.ControlState, str | None]:
+    """One step whose last command has reached the robot."""
+    return control.reach(controller, control.aim(controller, state, horizon), state.gate)
+
+
 def arm() -> kinematics.Arm:
     tool = TASK.file.arm.tcp_in_flange
     return kinematics.load(
@@ -72,7 +79,7 @@ def drive(
         horizon = Horizon(
             motion(now + span), np.full(len(span), REST[6]), np.full(len(span), free), NOMINAL
         )
-        state, why = control.follow(controller, state, horizon)
+        state, why = follow(controller, state, horizon)
         commands.append(state.gate.position)
         held.append(why)
     return np.array(commands), times, held
@@ -121,7 +128,7 @@ def test_a_robot_at_rest_stays_there_to_the_last_bit_or_two(cycle_s: float) -> N
     horizon = Horizon(np.tile(pose, (count, 1)), np.full(count, REST[6]), np.ones(count), NOMINAL)
     state = control.at_rest(controller, REST, pose)
     for _ in range(20):
-        state, held = control.follow(controller, state, horizon)
+        state, held = follow(controller, state, horizon)
         assert held is None
         assert np.abs(state.gate.position - REST).max() < 1e-9
 
@@ -197,7 +204,7 @@ def test_a_pose_that_cannot_be_reached_brakes_and_says_so(bad: float) -> None:
     poses = np.tile(pose_of(REST), (count, 1))
     state = control.at_rest(controller, REST, poses[0])
     poses[3, 1] = bad
-    after, held = control.follow(
+    after, held = follow(
         controller, state, Horizon(poses, np.full(count, REST[6]), np.ones(count), NOMINAL)
     )
     assert held is not None
