@@ -30,10 +30,11 @@ _TRAILING = "\0" + BLANK
 
 # Short enough to be in range whatever the digits; what is longer goes the tolerant way. Nothing
 # is ever given back, for no value is followed by what it is made of: a fifth of the time.
+# Groups themselves are not possessive, see ``rsi_scan``.
 _FAST_GROUPS = {
-    "DOUBLE": r"(-?+[0-9]{1,16}+(?:\.[0-9]{0,32}+)?+)",
-    "BOOL": r"(-?+[0-9]{1,16}+(?:\.[0-9]{0,32}+)?+)",
-    "LONG": r"(-?+[0-9]{1,9}+)(?:\.0{0,32}+)?+",
+    "DOUBLE": r"(-?+[0-9]{1,16}+(?:\.[0-9]{0,32}+)?)",
+    "BOOL": r"(-?+[0-9]{1,16}+(?:\.[0-9]{0,32}+)?)",
+    "LONG": r"(-?+[0-9]{1,9}+)(?:\.0{0,32}+)?",
     "STRING": r"([^\"'<>&]*+)",
 }
 _FAST_IPOC = r"([0-9]{1,19}+)"
