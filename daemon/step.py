@@ -211,7 +211,9 @@ def finish(
         planned.report,
         held=not inputs.sent and inputs.pace is None,
     )
-    steered, held = control.reach(parameters.controller, aim, begun.control.gate)
+    steered, held = control.reach(
+        parameters.controller, aim, begun.control.gate, clamped=state.tracker.contact
+    )
     state = State(tracker, steered, begun.applied, moving=True)
     return state, _outputs(state, inputs, planned.report, horizon.poses, held, parameters)
 
@@ -224,7 +226,7 @@ def _applied(state: State, inputs: Inputs) -> State:
     if inputs.sent:
         return changed(state, applied=state.control.gate.position)
     applied = state.applied if inputs.applied is None else np.array(inputs.applied)
-    gate, moving = limits.at_rest(applied), state.moving
+    gate, moving = limits.held(state.control.gate, applied), state.moving
     if inputs.pace is not None:
         # Also one that was taken to stand, and meanwhile ordered to: it has to brake first.
         gate, moving = limits.under_way(applied, *map(np.array, inputs.pace)), True

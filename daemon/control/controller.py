@@ -20,6 +20,8 @@ from linemate.daemon.horizon import Array, Horizon
 from linemate.protocol.frozen import frozen
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
+LONGEST_STAND_IN = 0.03  # of the linear axis' way that the arm makes up for [m]
+LARGEST_STAND_IN = 0.1  # change of a joint for it, which near a singular pose would be larger [rad]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -252,7 +254,7 @@ def aim(controller: Controller, state: ControlState, horizon: Horizon) -> Aim:
 
 
 def reach(
-    controller: Controller, aimed: Aim, gate: limits.GateState
+    controller: Controller, aimed: Aim, gate: limits.GateState, *, clamped: bool = False
 ) -> tuple[ControlState, str | None]:
     """Return the state after the last gate; its gate's position is the command.
 
@@ -260,6 +262,8 @@ def reach(
         controller: with the limits.
         aimed: at what is desired.
         gate: of the commands that the robot has; without a pose to aim at it brakes.
+        clamped: the tool is clamped to the object: what the linear axis is behind, the arm makes
+            up for.
 
     Returns:
         The new state, and None or the reason why the command is not the one desired.
@@ -267,7 +271,35 @@ def reach(
     if aimed.command is None:
         return stop(controller, changed(aimed.state, gate=gate)), aimed.reason
     after, held = limits.admit(gate, aimed.command, controller.limits, controller.cycle_s)
+    if clamped and held is not None and controller.arm.linear_axis:
+        command = _made_up(controller, aimed.command, float(after.position[6]))
+        after, held = limits.admit(gate, command, controller.limits, controller.cycle_s)
     return changed(aimed.state, gate=after), held
+
+
+def _made_up(controller: Controller, command: Array, rail: float) -> Array:
+    """Return a command (axes,) whose arm makes up for a linear axis that is behind.
+
+    The linear axis catches up at 12 m/s^2, the arm in a cycle or two. A clamped tool whose robot
+    held for 84 ms beside a car at 106 mm/s was so pulled with 326 N instead of 200 N.
+
+    Args:
+        controller: with the arm.
+        command: that is desired.
+        rail: where the linear axis is sent instead [m].
+    """
+    short = float(command[6]) - rail
+    if not 0.0 < abs(short) <= LONGEST_STAND_IN:
+        return command
+    try:
+        change = controller.arm.stand_in(command, short)
+    except UnreachableError:
+        return command
+    if float(np.abs(change).max()) > LARGEST_STAND_IN:
+        return command
+    made_up = command.copy()
+    made_up[:6] += change
+    return made_up
 
 
 def stop(controller: Controller, state: ControlState) -> ControlState:

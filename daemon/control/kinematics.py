@@ -128,6 +128,25 @@ class Arm:
             q[arm] += step * min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-12))
         raise UnreachableError(residual)
 
+    def stand_in(self, joints: Array, short: float) -> Array:
+        """Return the change of A1..A6 (6,) [rad] that moves the tcp as the linear axis would.
+
+        To first order: off by some 0.05 mm and 0.1 mrad at 10 mm.
+
+        Args:
+            joints: (axes,), of an arm with a linear axis.
+            short: way of the linear axis that is missing [m].
+
+        Raises:
+            UnreachableError: the arm is singular there.
+        """
+        q = self._order(joints)
+        J = pin.computeFrameJacobian(self.model, self.data, q, self.tcp, _LOCAL)
+        _, _, change, singular = _solve(J[:, self._inner], J[:, 0] * short, True, False)
+        if singular:
+            raise UnreachableError(math.inf)
+        return np.asarray(change)
+
     def follow(
         self,
         guesses: Array,

@@ -115,6 +115,16 @@ def at_rest(position: Array) -> GateState:
     return GateState(position, zero, zero, position, zero)
 
 
+def held(state: GateState, position: Array) -> GateState:
+    """Return the gate of a robot that stands at ``position`` (m,) while more was desired of it.
+
+    What was desired stays. Taken as the held position, the way to the next desired setpoint would
+    count as its speed, and the robot would stop again in the second cycle.
+    """
+    zero = np.zeros(len(position))
+    return GateState(position, zero, zero, state.desired, state.desired_speed)
+
+
 def under_way(position: Array, speed: Array, acceleration: Array) -> GateState:
     """Return the gate of a robot whose last setpoints (m,) had these differences."""
     return GateState(position, speed, acceleration, position, speed)

@@ -235,3 +235,28 @@ def test_the_narrower_of_settings_and_urdf_bounds_the_position() -> None:
     for axis, row in enumerate(ControlSettings().limits):
         assert bounds.lower[axis] == max(row.lower, ARM.lower[axis])
         assert bounds.upper[axis] == min(row.upper, ARM.upper[axis])
+
+
+@pytest.mark.parametrize("cycle_s", CYCLES)
+def test_while_clamped_the_arm_makes_up_for_what_the_linear_axis_is_behind(cycle_s: float) -> None:
+    controller = made(PLAIN, cycle_s)
+    desired = REST + np.array((0.0,) * 6 + (0.009,))
+    off = {}
+    for clamped in (False, True):
+        gate, state = limits.at_rest(REST), control.at_rest(controller, REST, pose_of(REST))
+        for _ in range(round(0.036 / cycle_s)):
+            aimed = control.Aim(replace(state, gate=gate), desired)
+            after, _ = control.reach(controller, aimed, gate, clamped=clamped)
+            gate = after.gate
+        off[clamped] = float(np.abs(pose_of(gate.position) - pose_of(desired))[:3].max())
+    assert off[False] > 0.002
+    assert off[True] < 0.0012
+
+
+@pytest.mark.parametrize("short", [0.031, 1.0])
+def test_the_arm_makes_up_for_a_short_way_only(short: float) -> None:
+    controller = made(PLAIN)
+    desired = REST + np.array((0.0,) * 6 + (short + 0.002,))
+    aimed = control.Aim(control.at_rest(controller, REST, pose_of(REST)), desired)
+    after, _ = control.reach(controller, aimed, limits.at_rest(REST), clamped=True)
+    assert np.array_equal(after.gate.position[:6], REST[:6])

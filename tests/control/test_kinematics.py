@@ -286,3 +286,15 @@ def test_a_urdf_that_cannot_be_says_what_is_wrong(
 def test_a_missing_flange_is_answered_with_the_frames_there_are() -> None:
     with pytest.raises(KinematicsError, match=r"it has .*flange"):
         load(flange="tool0")
+
+
+@pytest.mark.parametrize("short", [0.01, -0.003])
+def test_the_arm_makes_up_for_a_linear_axis_that_is_behind(short: float) -> None:
+    joints = np.array((0.1, -1.4, 1.5, 0.2, 1.2, -0.1, 0.5))
+    position, rotation = ARM.tcp_in_base(joints)
+    behind = joints.copy()
+    behind[6] -= short
+    behind[:6] += ARM.stand_in(joints, short)
+    place, turned = ARM.tcp_in_base(behind)
+    assert np.abs(place - position).max() < 0.02 * abs(short)
+    assert np.abs(turned - rotation).max() < 0.02 * abs(short)

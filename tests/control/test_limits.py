@@ -216,6 +216,25 @@ def test_after_a_jump_the_linear_axis_catches_up_too(jump: float) -> None:
 
 
 @pytest.mark.parametrize("period", CYCLES)
+def test_a_robot_that_held_while_more_was_desired_catches_up_without_a_stop_in_between(
+    period: float,
+) -> None:
+    desired = swing(np.arange(int(2.0 / period)) * period)
+    begin, end = int(1.0 / period), int(1.084 / period)
+    state = run(desired[:begin], SHIPPED, period, desired[0]).states[-1]
+    stood = state.position
+    for each in desired[begin:end]:
+        state, _ = limits.admit(limits.held(state, stood), each, SHIPPED, period)
+    state, speeds = limits.held(state, stood), []
+    for each in desired[end:]:
+        state, _ = limits.admit(state, each, SHIPPED, period)
+        speeds.append(state.speed[6])
+    regained = speeds[: int(0.05 / period)]
+    assert min(regained[1:]) > regained[0] > 0.0
+    assert np.array_equal(state.position[:6], desired[-1, :6])
+
+
+@pytest.mark.parametrize("period", CYCLES)
 def test_after_nonsense_the_arm_catches_up_and_passes_again(period: float) -> None:
     desired = swing(np.arange(int(4.0 / period)) * period)
     desired[100:103] = np.nan
