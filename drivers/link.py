@@ -8,6 +8,9 @@ import time
 from collections import Counter
 from dataclasses import dataclass, field
 
+NOT_OPENED = "not opened"
+"""Reason of a link that nobody has tried to open yet."""
+
 
 @dataclass(slots=True)
 class LinkStatus:
@@ -26,7 +29,7 @@ class LinkStatus:
     up: bool = False
     since_ns: int = field(default_factory=time.monotonic_ns)
     last_sample_stamp_ns: int | None = None
-    reason: str = "not opened"
+    reason: str = NOT_OPENED
     counters: Counter[str] = field(default_factory=Counter)
 
     def mark_up(self) -> None:

@@ -22,6 +22,7 @@ from linemate.daemon.inputs import Order
 from linemate.daemon.parameters import Parameters
 from linemate.daemon.service import learning, realtime, states, viewer_messages
 from linemate.daemon.service.account import Account
+from linemate.daemon.service.answers import Answers
 from linemate.daemon.service.clock import Clock
 from linemate.daemon.service.command_server import (
     CommandPort,
@@ -33,6 +34,7 @@ from linemate.daemon.service.command_server import (
 from linemate.daemon.service.config import Station, key_path
 from linemate.daemon.service.cycle import Cycle
 from linemate.daemon.service.incidents import IncidentFiles
+from linemate.daemon.service.journal import Journal, Sensors
 from linemate.daemon.service.learning import Learner
 from linemate.daemon.service.notify import Notifier
 from linemate.daemon.service.outlook import Outlook
@@ -42,13 +44,14 @@ from linemate.daemon.service.recorder import MIB, Recorder, Rotation
 from linemate.daemon.service.schedule import Due, Kind
 from linemate.daemon.service.settings import Corrections
 from linemate.daemon.service.states import State
-from linemate.daemon.service.status import LinkView, Rates, Snapshot, status, telemetry
+from linemate.daemon.service.status import LinkView, Rates, Snapshot, covered, status, telemetry
 from linemate.daemon.service.step_log import LogEntry
 from linemate.daemon.service.timing import Timing
 from linemate.drivers import port_holder
 from linemate.drivers.camera_udp import CameraLink
 from linemate.drivers.can_bus import CanLink
 from linemate.drivers.datagrams import Address
+from linemate.drivers.link import NOT_OPENED
 from linemate.drivers.rsi_udp import RsiLink
 from linemate.drivers.serial_port import SerialLink
 from linemate.protocol.camera import CameraDecoder
@@ -69,7 +72,18 @@ GUEST_NS = 1_000_000
 SAY_EVERY = 1000
 """A fault of the cycle is logged once in so many."""
 
+STATE_LINES = 4
+"""Lines of state changes in the journal in any second."""
+
+SENSORS_EVERY_NS = 20_000_000
+"""Between two looks at which sensors came and went [ns]."""
+
+DEVICE_LINES = 2
+"""Lines of links and sensors in the journal in any second."""
+
 log = logging.getLogger(__name__)
+state_log = logging.getLogger("linemate.state")
+device_log = logging.getLogger("linemate.device")
 
 Link = RsiLink | CanLink | CameraLink | SerialLink
 Handler = Callable[[Mapping[str, Any], str], Answer | asyncio.Future[Answer]]
@@ -144,7 +158,12 @@ class App:
         self._failing_ns: int | None = None
         self._command: tuple[float, ...] = ()
         self._resting = 0
-        self._links_up: dict[str, bool] = {}
+        self._links_up: dict[str, bool | None] = {}
+        self._answers = Answers(self.cycle.operating, parameters.cycle_s)
+        self._state_journal = Journal(state_log.info, STATE_LINES)
+        self._device_journal = Journal(device_log.info, DEVICE_LINES)
+        self._sensors_seen = Sensors()
+        self._sensors_told_ns = 0
         self._cycled = asyncio.Event()
         self._end: asyncio.Event | None = None
         self._desk = Desk(station, self.cycle, self._explain, self._say)
@@ -346,6 +365,8 @@ class App:
             self._resting = self._resting + 1 if same else 0
             self._command = entry.outputs.command
         self._cycled.set()
+        self._tell_changes(now_ns)
+        self._answers.keep()
         times = self._account.close(entries, self._robot.turnaround_ns)
         incident = self._account.take_incident()
         if incident is not None:
@@ -363,7 +384,7 @@ class App:
             self._told_ns = now_ns
             self._companions.look()
             self._rates.take((link.status for link in self._links), now_ns)
-            self._tell_links()
+            self._tell_links(now_ns)
             if self._notifier.address:
                 self._notifier.send(f"STATUS={self._line()}")
         moving = bool(entries) and entries[-1].inputs.order is not Order.HOLD
@@ -402,20 +423,53 @@ class App:
             until_ns = time.monotonic_ns() + schedule.period_ns
         self._commands.invite(asyncio.get_running_loop(), until_ns, budget)
 
-    def _tell_links(self) -> None:
-        """Record which links came and went."""
-        for link in self._links:
-            up = link.status.up
-            if self._links_up.get(link.status.name) != up:
-                self._links_up[link.status.name] = up
-                reason = "" if up else f": {link.status.reason}"
-                self._say(f"link {link.status.name} is {'up' if up else 'down'}{reason}")
+    def _tell_changes(self, now_ns: int) -> None:
+        """Write why the state changed, and which sensors came and went."""
+        for change in self.cycle.take_changes():
+            self._state_journal.say(now_ns, str(change))
+            self._say(str(change), change.stamp_ns, "linemated.state")
+        if now_ns - self._sensors_told_ns < SENSORS_EVERY_NS:
+            return
+        self._sensors_told_ns = now_ns
+        sensors, hidden = self.cycle.feeds.sensors(), covered(self.cycle)
+        came = self._sensors_seen.changes(now_ns, sensors, self._limits_s(), hidden)
+        if came:
+            self._tell_devices(now_ns, came)
+        self._state_journal.catch_up(now_ns)
+        self._device_journal.catch_up(now_ns)
 
-    def _say(self, text: str) -> None:
-        now_ns = time.monotonic_ns()
-        self._outlook.say(now_ns, text)
+    def _limits_s(self) -> dict[str, float]:
+        """Return the age at which each sensor counts as silent [s]."""
+        settings = self.cycle.operating.settings
+        position_s = settings.position_s
+        return {"distance": position_s, "camera": position_s, "force_torque": settings.wrench_s}
+
+    def _tell_links(self, now_ns: int) -> None:
+        """Write which links came and went."""
+        lines = []
+        for link in self._links:
+            name, up = link.status.name, link.status.up
+            was_up = self._links_up.setdefault(name, None)
+            if was_up is None and not up and link.status.reason == NOT_OPENED:
+                continue  # It is being opened.
+            if was_up != up:
+                self._links_up[name] = up
+                reason = "" if up else f": {link.status.reason}"
+                lines.append(f"link {name} is {'up' if up else 'down'}{reason}")
+        if lines:
+            self._tell_devices(now_ns, lines)
+
+    def _tell_devices(self, now_ns: int, lines: list[str]) -> None:
+        """Write what came and went at one time: one line in the journal, each in the recording."""
+        self._device_journal.say(now_ns, "; ".join(lines))
+        for text in lines:
+            self._say(text, now_ns)
+
+    def _say(self, text: str, stamp_ns: int | None = None, name: str = "linemated") -> None:
+        at_ns = time.monotonic_ns() if stamp_ns is None else stamp_ns
+        self._outlook.say(at_ns, text)
         if self._recorder is not None:
-            self._recorder.say(now_ns, text)
+            self._recorder.say(at_ns, text, name=name)
 
     def _explain(self, parameters: Parameters, who: str, changed: Mapping[str, Any]) -> None:
         if self._recorder is not None:
@@ -439,9 +493,7 @@ class App:
             reason = reason or self.cycle.order(op, who)
             outcome = f", refused: {reason}" if reason else ""
             self._say(f"{who} ordered {op}{outcome}")
-            if reason is not None:
-                return {"refused": reason}
-            return {"state": str(self.cycle.machine.state)}
+            return self._answers.promise(op) if reason is None else {"refused": reason}
         handler = self._operations.get(op)
         return {"refused": f"no such operation: {op}"} if handler is None else handler(params, who)
 
@@ -450,6 +502,8 @@ class App:
             return {"refused": "the configuration names no directory for recordings"}
         reason = self._recorder.start() if action == "start" else self._recorder.stop()
         self._links_up.clear()
+        if reason is None and action == "start":
+            self._say(f"{self.cycle.machine.state}: {self.cycle.operating.cause}")
         return {"refused": reason} if reason else {"file": self._recorder.status.file}
 
     def status(self) -> dict[str, Any]:

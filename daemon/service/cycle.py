@@ -15,6 +15,7 @@ from linemate.daemon import step as stepping
 from linemate.daemon.inputs import Inputs, Order
 from linemate.daemon.parameters import Parameters
 from linemate.daemon.service import states, watch
+from linemate.daemon.service.causes import Change
 from linemate.daemon.service.feeds import Feeds, Inbox
 from linemate.daemon.service.following import Following
 from linemate.daemon.service.operating import Operating, Situation
@@ -156,13 +157,12 @@ class Cycle:
 
         Args:
             op: arm, start, stop, retreat or ack.
-            who: gave it; for the log of the caller.
+            who: gave it.
 
         Returns:
             None, or why it is refused.
         """
-        del who
-        return self.operating.order(op, self._found())
+        return self.operating.order(op, self._found(), who)
 
     # Parameters.
 
@@ -306,6 +306,10 @@ class Cycle:
             # The telegram before may have come, and been answered, since this one was made.
             self._note_unsent(self._confirmed(ready).entry)
         self._is_under_way = False
+
+    def take_changes(self) -> list[Change]:
+        """Return the changes of the operating state since the last call, oldest first."""
+        return self.operating.take_changes()
 
     def take_log(self) -> list[LogEntry]:
         """Return the steps since the last call, oldest first; to be called after the reply."""
@@ -511,7 +515,7 @@ class Cycle:
         return Situation(
             None if self.last is None else self.last.outputs,
             self._before,
-            astray=self.following.astray is not None,
+            astray=self.following.astray,
             # Where corrections count from is not known before the robot rests.
             settling=self.session.held == self.session.start and not self.following.rests,
             sensed=self.parameters.tracker.settings.merge.blend < PROGRAMMED_S,
@@ -558,6 +562,7 @@ class Cycle:
         status: dict[str, Any] = {
             "state": self.machine.state.value,
             "because": self.machine.because,
+            "cause": self.operating.cause,
             "latched": self.machine.latched,
             "link": self.operating.signals.link.value,
             "steps": self.steps,

@@ -5,6 +5,7 @@ step takes is what came before it and can be believed, and nothing waits for a s
 """
 
 from collections import deque
+from math import sqrt
 from typing import Any, Generic, TypeVar
 
 from linemate.daemon.service.sensor_health import CameraHealth, DistanceHealth, WrenchHealth
@@ -57,6 +58,19 @@ class Taken:
     wrench: tuple[WrenchSample, ...]
 
 
+@frozen()
+class SensorFact:
+    """One sensor at one moment.
+
+    Attributes:
+        stamp_ns: of its newest accepted sample [ns], None before the first one.
+        excluded: why its samples are refused, None if they are accepted.
+    """
+
+    stamp_ns: int | None = None
+    excluded: str | None = None
+
+
 _NOTHING = Taken((), (), ())
 
 
@@ -67,6 +81,7 @@ class Feeds:
         distance, camera, wrench: what waits.
         distance_ns, camera_ns, wrench_ns: stamps of the newest samples that were taken [ns].
         overloaded: of the forces taken last two in a row were too great.
+        overload_n: the last force that was too great, and the limit [N]; None before one.
         distance_health, camera_health, wrench_health: whether each can be believed.
     """
 
@@ -80,6 +95,7 @@ class Feeds:
         "distance",
         "distance_health",
         "distance_ns",
+        "overload_n",
         "overloaded",
         "wrench",
         "wrench_health",
@@ -94,6 +110,7 @@ class Feeds:
         self.camera_ns: int | None = None
         self.wrench_ns: int | None = None
         self.overloaded = False
+        self.overload_n: tuple[float, float] | None = None
         self.distance_health = DistanceHealth()
         self.camera_health = CameraHealth()
         self.wrench_health = WrenchHealth()
@@ -130,11 +147,22 @@ class Feeds:
             self.camera_ns = camera[-1].stamp_ns
         for sample in wrench:
             x, y, z = sample.force
-            much = x * x + y * y + z * z > bearable * bearable
+            square = x * x + y * y + z * z
+            much = square > bearable * bearable
+            if much:
+                self.overload_n = sqrt(square), bearable
             self.overloaded |= much and self._was_much
             self._was_much = much
             self.wrench_ns = sample.stamp_ns
         return Taken(distance, camera, wrench)
+
+    def sensors(self) -> dict[str, SensorFact]:
+        """Return when each sensor was heard last, and whether it is excluded."""
+        return {
+            "distance": SensorFact(self.distance_ns, self.distance_health.reason),
+            "camera": SensorFact(self.camera_ns, self.camera_health.reason),
+            "force_torque": SensorFact(self.wrench_ns, self.wrench_health.reason),
+        }
 
     @property
     def newest_ns(self) -> int | None:

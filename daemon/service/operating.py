@@ -4,9 +4,12 @@ Law of this file: it gathers facts; ``watch`` puts time-outs and debounce in fro
 ``states`` decides. What is noticed and what is ordered lasts until the next decision, no longer.
 """
 
+from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 
-from linemate.daemon.service import following, states, watch
+from linemate.daemon.service import causes, following, states, watch
+from linemate.daemon.service.causes import Change, Evidence
 from linemate.daemon.service.feeds import Feeds
 from linemate.daemon.service.states import Machine, Signals, State
 from linemate.daemon.step import Outputs
@@ -20,6 +23,9 @@ SETTLING = "the robot has not come to rest yet since its programme began"
 NEAR = frozenset({State.TRACK, State.HOLD})
 """States in which it matters what a stop would leave between tool and object."""
 
+CHANGES = 64
+"""Changes that wait to be read; the oldest is dropped."""
+
 _AT_REST = frozenset({State.INIT, State.IDLE, State.HOLD, State.FAULT})
 
 
@@ -29,14 +35,14 @@ class Situation:
 
     Attributes:
         last, before: what the last two steps said; None before there were any.
-        astray: an axis is not where it was sent.
+        astray: which axis is not where it was sent, None if all are.
         settling: the robot may still move although it was not sent anywhere yet.
         sensed: poses lead the motion, and not its programme alone.
     """
 
     last: Outputs | None
     before: Outputs | None
-    astray: bool
+    astray: str | None
     settling: bool
     sensed: bool
 
@@ -52,6 +58,9 @@ class Operating:
         has_new_session: noticed: the robot's programme has begun anew.
         is_loss_untold: noticed: a reply has not reached the robot.
         has_failed: noticed: what was begun raised.
+        cause: why the present state was entered.
+        fault: the cause of the latched fault, None without one.
+        decisions: made so far.
     """
 
     def __init__(
@@ -72,15 +81,20 @@ class Operating:
         self._cycle_s = cycle_s
         self._wrench_expected = wrench_expected
         self._watch = watch.Watch()
-        self._orders: set[str] = set()
+        self.cause = self.machine.because
+        self.fault: str | None = None
+        self.decisions = 0
+        self._orders: dict[str, str] = {}  # operators by order
+        self._changes: deque[Change] = deque(maxlen=CHANGES)
         self._settled: Machine | None = None  # the last signals led nowhere from there
 
-    def order(self, op: str, found: Situation) -> str | None:
+    def order(self, op: str, found: Situation, who: str = "") -> str | None:
         """Take an operator's order for the next decision.
 
         Args:
             op: arm, start, stop, retreat or ack.
             found: what keeps a robot from being armed is told before what follows from it.
+            who: gave it.
 
         Returns:
             None, or why it is refused.
@@ -89,7 +103,7 @@ class Operating:
         if reason is not None and op == "arm" and found.last is not None:
             reason = found.last.ready or (SETTLING if found.settling else reason)
         if reason is None:
-            self._orders.add(op)
+            self._orders[op] = who
         return reason
 
     @property
@@ -108,7 +122,9 @@ class Operating:
         """
         before = self.machine
         facts = self._facts(stamp_ns, feeds, found, telegram=telegram)
-        self._orders.clear()
+        orders = self._orders
+        self._orders = {}
+        self.decisions += 1
         self.has_new_session = self.is_loss_untold = self.has_failed = False
         seen = self.signals
         self._watch, self.signals = watch.observe(self._watch, facts, before, self.settings)
@@ -116,8 +132,51 @@ class Operating:
         if before is not self._settled or self.signals is not seen:
             self.machine = states.transition(before, self.signals)
             self._settled = self.machine if self.machine is before else None
+            if self.machine is not before:
+                self._note_change(before, self._evidence(facts, feeds, found, orders))
         if self.on_transition is not None:
             self.on_transition(before, self.signals, self.machine)
+
+    def take_changes(self) -> list[Change]:
+        """Return the changes since the last call, oldest first."""
+        if not self._changes:
+            return []
+        changes = list(self._changes)
+        self._changes.clear()
+        return changes
+
+    def _note_change(self, before: Machine, evidence: Evidence) -> None:
+        """Keep why the machine changed."""
+        after, signals = self.machine, self.signals
+        if signals.fault and not before.latched:
+            self.fault = causes.fault(signals, evidence)
+            evidence = replace(evidence, fault=self.fault)
+            before = replace(before, latched=True)
+        row = states.deciding_row(before, signals)
+        why = f"latched: {self.fault}"
+        if row is not None:
+            why = self.cause = causes.cause(row, before, signals, evidence)
+        if after.latched and self.fault is None:
+            self.fault = why
+        elif not after.latched:
+            self.fault = None
+        self._changes.append(Change(evidence.facts.stamp_ns, before.state, after.state, why))
+
+    def _evidence(
+        self, facts: watch.Facts, feeds: Feeds, found: Situation, orders: dict[str, str]
+    ) -> Evidence:
+        last = found.last
+        return Evidence(
+            facts,
+            self._watch,
+            self.settings,
+            feeds.sensors(),
+            unready=SETTLING if found.settling else None if last is None else last.ready,
+            following_error=found.astray,
+            overload_n=feeds.overload_n,
+            ordered_by=orders,
+            fault=self.fault,
+        )
 
     def _facts(
         self, stamp_ns: int, feeds: Feeds, found: Situation, *, telegram: bool
@@ -152,7 +211,7 @@ class Operating:
             wrench_expected=self._wrench_expected,
             contradicted=contradicted,
             gap_m=following.gap(last, period) if state in NEAR else None,
-            astray=found.astray,
+            astray=found.astray is not None,
             ready=last.ready is None and not found.settling,
             contact=last.contact,
             overload=feeds.overloaded,

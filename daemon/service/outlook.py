@@ -44,7 +44,6 @@ class Outlook:
     _joints: tuple[float, ...] | None = None
     _joints_ns: int = 0
     _newest_ns: dict[str, int] = field(default_factory=dict)
-    _state: str = ""
 
     def take(self, entries: Iterable[LogEntry], times: Iterable[CycleTimes] = ()) -> None:
         """Take in steps, after their replies.
@@ -66,9 +65,6 @@ class Outlook:
             ):
                 if samples:
                     self._newest_ns[name] = samples[-1].stamp_ns
-            if entry.state != self._state:
-                self._state = entry.state
-                self.say(inputs.stamp_ns, f"state: {entry.state}")
             for what, how in entry.outputs.events:
                 self.say(inputs.stamp_ns, f"conveyor: {what} {how}")
         for one in times:

@@ -188,16 +188,17 @@ class Recorder:
         if self._calls % HEAR_EVERY == 0:
             self._hear()
 
-    def say(self, stamp_ns: int, text: str, level: int = INFO) -> None:
+    def say(self, stamp_ns: int, text: str, level: int = INFO, name: str = "linemated") -> None:
         """Record a line for people.
 
         Args:
             stamp_ns: when [ns].
             text: what happened.
             level: viewer_messages.INFO or WARNING.
+            name: of who writes it; ``linemated.state`` for changes of the operating state.
         """
         if self._status.recording:
-            self._enqueue(Item(Kind.LINE, stamp_ns, (text, level)))
+            self._enqueue(Item(Kind.LINE, stamp_ns, (text, level, name)))
 
     def explain(self, parameters: Parameters, who: str, changed: Mapping[str, Any]) -> None:
         """Remember whose parameters these are, for the first step made with them.

@@ -258,10 +258,21 @@ def transition(machine: Machine, signals: Signals) -> Machine:
     """
     if signals.fault and not machine.latched:
         machine = replace(machine, latched=True)
+    row = deciding_row(machine, signals)
+    return machine if row is None else _enter(machine, row)
+
+
+def deciding_row(machine: Machine, signals: Signals) -> Row | None:
+    """Return the row that decides, None if none holds.
+
+    Args:
+        machine: where it stands, with this cycle's fault latched.
+        signals: what it sees.
+    """
     for row in _ROWS[machine.state]:
         if row.when(signals, machine):
-            return _enter(machine, row)
-    return machine
+            return row
+    return None
 
 
 def _enter(machine: Machine, row: Row) -> Machine:

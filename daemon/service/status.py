@@ -4,6 +4,7 @@ Law of this file: facts in, plain values out; it asks nobody and changes nothing
 judgement over all of them, with every complaint beside it. Keys are stable: scripts read them.
 """
 
+import math
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
@@ -21,6 +22,12 @@ VERSION = 1
 STALE_S = 1.0
 RATED = {"robot": "answered"}
 """What a link's rate counts, if not samples."""
+
+COVERED_M = 0.05
+"""Distance of the tool to the part below which the camera may see nothing [m]."""
+
+_AT_THE_PART = frozenset({State.CONTACT, State.RETREAT})
+_CAMERA = frozenset({"camera"})
 
 SHOWN = (
     "phase",
@@ -134,6 +141,21 @@ def status(snapshot: Snapshot) -> dict[str, Any]:
     }
 
 
+def covered(cycle: Cycle) -> frozenset[str]:
+    """Return the sensors that the tool covers: a camera sees nothing of a part that it touches.
+
+    Args:
+        cycle: the heart.
+    """
+    if cycle.machine.state in _AT_THE_PART:
+        return _CAMERA
+    part = None if cycle.last is None else cycle.last.outputs.part
+    if cycle.last is None or part is None:
+        return frozenset()
+    is_near = math.dist(cycle.last.outputs.target[:3], part[:3]) < COVERED_M
+    return _CAMERA if is_near else frozenset()
+
+
 def telemetry(cycle: Cycle) -> dict[str, Any]:
     """What subscribers are sent, up to 50 times a second.
 
@@ -167,10 +189,13 @@ def _complaints(
 ) -> Iterator[str]:
     machine = snapshot.cycle.machine
     if machine.state is State.FAULT:
-        yield f"fault: {machine.because}"
+        yield f"fault: {snapshot.cycle.operating.cause}"
+    hidden = covered(snapshot.cycle)
     for name, link in links.items():
         if not link["up"]:
             yield f"link {name} is down: {link['reason']}"
+        elif name in hidden:
+            continue
         elif link["age_s"] is None or link["age_s"] > STALE_S:
             yield f"link {name} is silent"
     if cycle["link"] != "healthy" and links["robot"]["up"]:

@@ -35,7 +35,7 @@ class Kind(IntEnum):
     PARAMETERS = auto()  # bytes of JSON
     SHOWN = auto()  # the fields of viewer_messages.Glimpse
     TIMING = auto()  # those of CycleTimes
-    LINE = auto()  # (text, level)
+    LINE = auto()  # (text, level), and the name of who writes it if it is not the daemon
     NEXT_FILE = auto()  # None
     END = auto()  # None: of the recording
 
@@ -121,8 +121,7 @@ class StepFile:
         elif item.kind is Kind.TIMING:
             self._add(TIMING, stamp, _timing(payload))
         elif item.kind is Kind.LINE:
-            text, level = payload
-            self._add(LOG, stamp, viewer_messages.line(text, stamp + self._offset_ns, level))
+            self._add(LOG, stamp, _line(stamp + self._offset_ns, *payload))
 
     def flush(self) -> None:
         """Give everything written so far to the operating system, as a chunk of its own."""
@@ -172,6 +171,10 @@ _SCHEMA_OF: Final = {
     TIMING: "linemate.Timing",
     **viewer_messages.TOPICS,
 }
+
+
+def _line(wall_ns: int, text: str, level: int, name: str = "linemated") -> bytes:
+    return viewer_messages.line(text, wall_ns, level, name)
 
 
 def _timing(values: Sequence[Any]) -> bytes:

@@ -163,15 +163,16 @@ def shown(seen: Glimpse, wall_ns: int, root: str) -> list[tuple[str, bytes]]:
     return [(topic, as_json(value)) for topic, value in messages]
 
 
-def line(text: str, wall_ns: int, level: int = INFO) -> bytes:
+def line(text: str, wall_ns: int, level: int = INFO, name: str = "linemated") -> bytes:
     """Return a line of the log, as JSON.
 
     Args:
         text: for whoever reads it.
         wall_ns: its time since the epoch [ns].
         level: INFO or WARNING.
+        name: of who writes it.
     """
-    told = {"timestamp": _time(wall_ns), "level": level, "message": text, "name": "linemated"}
+    told = {"timestamp": _time(wall_ns), "level": level, "message": text, "name": name}
     return as_json({**told, "file": "", "line": 0})
 
 

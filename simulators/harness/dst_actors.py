@@ -128,8 +128,8 @@ class Operator:
         if simulation.is_stalled or app is None:
             return False
         answer = app._handle(op, {}, "operate", "operator")  # noqa: SLF001
-        # Only a set or a save is answered later.
-        reason = answer.get("refused") if isinstance(answer, dict) else "answered later"
+        # An accepted order is answered after the next decision.
+        reason = answer.get("refused") if isinstance(answer, dict) else None
         simulation.oracle.ordered(op, app.cycle, reason)
         if reason is not None:
             self.refusal = f"{op}: {reason}"

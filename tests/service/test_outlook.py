@@ -80,15 +80,6 @@ def test_happenings_are_numbered_and_bounded(entries: tuple[LogEntry, ...]) -> N
     assert all(len(text) == LONGEST for _, _, text in told)
 
 
-def test_a_change_of_state_is_told_once(entries: tuple[LogEntry, ...]) -> None:
-    outlook = Outlook(12.0)
-    outlook.take(entries[:1])
-    first = outlook.happened
-    outlook.take(entries[1:2])
-    assert first == 1
-    assert outlook.happened == first + len(entries[1].outputs.events)
-
-
 def test_all_of_it_fits_into_one_datagram(
     entries: tuple[LogEntry, ...], parameters: Parameters
 ) -> None:

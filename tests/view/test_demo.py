@@ -73,7 +73,7 @@ def test_the_real_daemon_is_shown_and_the_view_ends_with_the_run(tmp_path: Path)
     assert all(frame["arm"] and frame["guessed"] is False for frame in frames[-10:])
     assert all(b["t"] >= a["t"] for a, b in pairwise(frames))
     assert {"robot", "distance", "camera", "force_torque"} == set(found["status"][-1]["links"])
-    assert any(one["text"].startswith("state: ") for one in found["happened"])
+    assert any(" -> " in one["text"] for one in found["happened"])
     # It tracks at least for a moment, however loaded the machine is, and foresees then.
     assert any(has_foresight(frame) for frame in frames)
     with pytest.raises(urllib.error.URLError):

@@ -1,0 +1,82 @@
+"""The status says healthy in a normal contact, and names what is wrong in any other state."""
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from linemate.daemon.parameters import Parameters
+from linemate.daemon.service import config, realtime
+from linemate.daemon.service.app import App
+from linemate.daemon.service.notify import Notifier
+from linemate.daemon.service.states import Link, Machine, Signals, State
+
+CONFIG = """
+task: wheel.yaml
+rsi: {port: 0}
+camera: {port: 0}
+distance: {can: {interface: slcan, channel: can}}
+force_torque: {url: ft}
+command: {socket: c.sock}
+"""
+
+
+@pytest.fixture
+def app(tmp_path: Path, parameters: Parameters) -> App:
+    path = tmp_path / "linemated.yaml"
+    path.write_text(CONFIG)
+    made = App(config.load(path), parameters, realtime.Host(), Notifier())
+    now_ns = time.monotonic_ns()
+    for link in made._links:
+        link.status.up = True
+        link.status.last_sample_stamp_ns = now_ns
+    made.cycle.operating.signals = replace(Signals(), link=Link.HEALTHY)
+    return made
+
+
+def silence(app: App, name: str, for_s: float) -> None:
+    (link,) = [link for link in app._links if link.status.name == name]
+    link.status.last_sample_stamp_ns = time.monotonic_ns() - round(for_s * 1e9)
+
+
+@pytest.mark.parametrize("state", [State.CONTACT, State.RETREAT])
+def test_a_camera_that_the_tool_covers_in_contact_leaves_the_daemon_healthy(
+    app: App, state: State
+) -> None:
+    app.cycle.operating.machine = Machine(state)
+    silence(app, "camera", 8.0)
+    status = app.status()
+    assert status["complaints"] == ()
+    assert status["health"] == "healthy"
+
+
+@pytest.mark.parametrize("state", [State.IDLE, State.ARMED, State.TRACK, State.HOLD])
+def test_a_silent_camera_is_a_complaint_where_nothing_covers_it(app: App, state: State) -> None:
+    app.cycle.operating.machine = Machine(state)
+    silence(app, "camera", 8.0)
+    assert app.status()["complaints"] == ("link camera is silent",)
+    assert app.status()["health"] == "degraded"
+
+
+@pytest.mark.parametrize("name", ["distance", "force_torque"])
+def test_in_contact_every_other_sensor_must_be_heard(app: App, name: str) -> None:
+    app.cycle.operating.machine = Machine(State.CONTACT)
+    silence(app, name, 8.0)
+    assert app.status()["complaints"] == (f"link {name} is silent",)
+
+
+def test_a_camera_whose_port_is_closed_is_a_complaint_in_contact_too(app: App) -> None:
+    app.cycle.operating.machine = Machine(State.CONTACT)
+    (camera,) = [link for link in app._links if link.status.name == "camera"]
+    camera.status.up, camera.status.reason = False, "the port is taken"
+    assert app.status()["complaints"] == ("link camera is down: the port is taken",)
+
+
+def test_a_fault_is_told_with_its_cause(app: App) -> None:
+    app.cycle.operating.machine = Machine(State.FAULT, latched=True)
+    app.cycle.operating.cause = "held too long: in hold for 60.1 s, limit 60.0 s"
+    status = app.status()
+    assert status["complaints"] == ("fault: held too long: in hold for 60.1 s, limit 60.0 s",)
+    assert status["cause"] == app.cycle.operating.cause
+    assert status["health"] == "fault"
