@@ -105,7 +105,7 @@ def _stream(device: str, frame: bytes) -> Wire:
 
 
 def _command() -> tuple[Wire, Wire, Wire]:
-    request = command_request.encode_request("set", {"values": {"watch.missed": 3}}, 1000)
+    request = command_request.encode_request("set", {"values": {"watch.missed_s": 0.03}}, 1000)
     body = command.frame_body(command.FrameType.REQUEST, 1, 2, 3, request)
     result = command_plain.encode_result({"state": "idle", "steps": 3})
     reply = command_plain.encode_reply(command_plain.Reply(ok=True, t=1, r=result))

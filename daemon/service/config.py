@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from linemate.daemon.service import documents, files, overlay, parameter_list, task_file
+from linemate.daemon.service import documents, files, overlay, parameter_list, task_file, timeouts
 from linemate.daemon.service.command_server import CommandPortError, read_keys
 from linemate.daemon.service.documents import Complaint, FileError
 from linemate.daemon.service.files import UnreadableError
@@ -162,6 +162,7 @@ class _Named:
         for path in _ADDRESSES:
             yield from self._attempt(path, partial(self._look_at_address, path))
         yield from self._attempt(("command", "udp", "bind"), self._look_at_consent)
+        yield from timeouts.complaints(self._value)
 
     def _attempt(self, path: tuple[str, ...], read: Callable[[], None]) -> Iterator[Complaint]:
         try:

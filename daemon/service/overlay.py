@@ -15,7 +15,7 @@ from typing import Any, Final
 import yaml
 
 from linemate.daemon import settings_tree as tree
-from linemate.daemon.service import documents, files
+from linemate.daemon.service import documents, files, timeouts
 from linemate.daemon.service.documents import Complaint, Document, FileError
 from linemate.daemon.service.files import UnreadableError
 from linemate.daemon.service.settings import Config
@@ -135,14 +135,14 @@ def _read(path: Path) -> Document:
     return documents.read(data, str(path))
 
 
-def _foreign(over: Document, _: Any) -> list[Complaint]:
-    """Sections that are no parameters: an overlay opens no other port."""
+def _foreign(over: Document, merged: Any) -> list[Complaint]:
+    """Sections that are no parameters: an overlay opens no other port; and time-outs' order."""
     value = over.value if isinstance(over.value, dict) else {}
     return [
         Complaint((key,), f"an overlay may hold {', '.join(tree.SECTIONS)}", at_key=True)
         for key in value
         if key not in tree.SECTIONS
-    ]
+    ] + list(timeouts.complaints(merged))
 
 
 def _replace(path: Path, text: str) -> None:

@@ -21,7 +21,7 @@ from linemate.daemon import parameters as compiling
 from linemate.daemon import settings_tree as tree
 from linemate.daemon import step as stepping
 from linemate.daemon.parameters import Parameters
-from linemate.daemon.service import overlay, parameter_list
+from linemate.daemon.service import overlay, parameter_list, watch
 from linemate.daemon.service.config import Station
 from linemate.daemon.service.cycle import Cycle
 from linemate.daemon.service.parameter_list import Change, Described
@@ -126,7 +126,7 @@ class Desk:
         changed = self._changes(values, wanted)
         if not changed:
             return {"changed": {}}
-        reason = self._untimely(changed)
+        reason = self._disordered(wanted) or self._untimely(changed)
         if reason is not None:
             return {"refused": reason}
         if any(parameter_list.rule(name).change is Change.IDLE for name in changed):
@@ -168,6 +168,11 @@ class Desk:
             for name in values
             if then[name] != tree.plain(now[name])
         }
+
+    def _disordered(self, wanted: Settings) -> str | None:
+        """Return which time-out would never act, None if all can."""
+        found = watch.disorder(wanted.watch, self.cycle.parameters.cycle_s)
+        return None if found is None else f"watch.{found[0]}: {found[1]}"
 
     def _untimely(self, names: Mapping[str, Any]) -> str | None:
         """Return why these may not change now, None if they may."""

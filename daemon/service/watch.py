@@ -16,6 +16,7 @@ from linemate.protocol.frozen import frozen
 
 Positive = Annotated[float, Gt(0.0)]
 Count = Annotated[int, Ge(1), Le(100_000)]
+Duration = Annotated[float, Gt(0.0), Le(2.0)]  # without telegrams, a session ends after 2 s
 
 OPERATIONS = ("arm", "start", "stop", "retreat", "ack")
 """An operator's orders, as ``Signals`` has them."""
@@ -29,10 +30,12 @@ class WatchSettings:
 
     Attributes:
         link_lost_s: without a telegram for this long the robot link is lost [s].
+        link_lost_in_contact_s: the same in contact, where the tool has to be released [s].
         healthy_cycles: answered in a row before a new link is trusted.
-        missed: missed in a row that make the link doubtful.
-        missed_in_contact: the same in contact.
-        leak_limit: level of the leaky bucket (+2 a missed cycle, -1 a good one) that does too.
+        missed_s: without a telegram for this long the link is doubtful [s].
+        missed_in_contact_s: the same in contact [s].
+        leak_s: level of the leaky bucket (twice the time without telegrams, less the time with
+            them) at which the link is doubtful too, in free space [s].
         position_s: age of the newest position beyond which tracking stops [s].
         position_in_contact_s: the same in contact: a blackout of 140 ms, and a cycle, is coasted
             on the prediction [s].
@@ -49,11 +52,12 @@ class WatchSettings:
         longest_retreat_s: [s].
     """
 
-    link_lost_s: Positive = 0.1
+    link_lost_s: Duration = 0.1
+    link_lost_in_contact_s: Duration = 0.3
     healthy_cycles: Count = 80
-    missed: Count = 3
-    missed_in_contact: Count = 12
-    leak_limit: Count = 10
+    missed_s: Duration = 0.03
+    missed_in_contact_s: Duration = 0.15
+    leak_s: Duration = 0.11
     position_s: Positive = 0.3
     position_in_contact_s: Positive = 0.16
     one_sensor_s: Positive = 1.0
@@ -116,8 +120,8 @@ class Watch:
         link: the verdict on the robot link.
         telegram_ns: stamp of the last cycle with a telegram [ns], or None.
         good: cycles with a telegram, in a row since the link came.
-        missed: cycles without one, in a row.
-        leak: level of the leaky bucket.
+        stamp_ns: stamp of the last cycle [ns], or None.
+        leak_ns: level of the leaky bucket [ns].
         contact, overload, astray: cycles in a row that showed it.
         state: the operating state as last seen.
         since_ns: when it was entered [ns].
@@ -126,8 +130,8 @@ class Watch:
     link: Link = Link.LOST
     telegram_ns: int | None = None
     good: int = 0
-    missed: int = 0
-    leak: int = 0
+    stamp_ns: int | None = None
+    leak_ns: int = 0
     contact: int = 0
     overload: int = 0
     astray: int = 0
@@ -156,16 +160,19 @@ def observe(
 def _count(watch: Watch, facts: Facts, state: State, settings: WatchSettings) -> Watch:
     # A link that was lost, or a controller that started anew, has proved nothing yet.
     anew = facts.new_session or watch.link is Link.LOST
-    leak = 0 if anew else watch.leak + (-1 if facts.telegram else 2)
-    leak = max(0, min(leak, settings.leak_limit))
+    leak_ns = 0 if anew else _leaked(watch, facts, settings)
     good = (0 if anew else watch.good) + 1 if facts.telegram else 0
-    missed = 0 if facts.telegram else watch.missed + 1
     telegram_ns = facts.stamp_ns if facts.telegram else watch.telegram_ns
+    silent_s = _age_s(telegram_ns, facts.stamp_ns)
+    touches = state in IN_CONTACT
+    lost_s = settings.link_lost_in_contact_s if touches else settings.link_lost_s
     begun = facts.new_session and watch.link is not Link.LOST
-    if begun or _age_s(telegram_ns, facts.stamp_ns) >= settings.link_lost_s:
+    if begun or silent_s >= lost_s:
         link = Link.LOST
     elif watch.link is Link.HEALTHY:
-        link = Link.UNPROVEN if _shaky(missed, leak, state, settings) else Link.HEALTHY
+        missed_s = settings.missed_in_contact_s if touches else settings.missed_s
+        leaky = not touches and leak_ns >= round(settings.leak_s * 1e9)
+        link = Link.UNPROVEN if silent_s >= missed_s or leaky else Link.HEALTHY
     else:
         proven = watch.link is Link.UNPROVEN and good >= settings.healthy_cycles
         link = Link.HEALTHY if proven else Link.UNPROVEN
@@ -173,8 +180,8 @@ def _count(watch: Watch, facts: Facts, state: State, settings: WatchSettings) ->
         link,
         telegram_ns,
         good,
-        missed,
-        leak,
+        facts.stamp_ns,
+        leak_ns,
         contact=watch.contact + 1 if facts.contact else 0,
         overload=watch.overload + 1 if facts.overload else 0,
         astray=watch.astray + 1 if facts.astray else 0,
@@ -183,10 +190,37 @@ def _count(watch: Watch, facts: Facts, state: State, settings: WatchSettings) ->
     )
 
 
-def _shaky(missed: int, leak: int, state: State, settings: WatchSettings) -> bool:
-    if state in IN_CONTACT:
-        return missed >= settings.missed_in_contact
-    return missed >= settings.missed or leak >= settings.leak_limit
+def _leaked(watch: Watch, facts: Facts, settings: WatchSettings) -> int:
+    """Return the level of the leaky bucket one cycle later [ns]."""
+    passed_ns = 0 if watch.stamp_ns is None else max(0, facts.stamp_ns - watch.stamp_ns)
+    level_ns = watch.leak_ns + (-passed_ns if facts.telegram else 2 * passed_ns)
+    return max(0, min(level_ns, round(settings.leak_s * 1e9)))
+
+
+_SHORTER = (
+    ("missed_s", "link_lost_s"),
+    ("missed_in_contact_s", "link_lost_in_contact_s"),
+    ("missed_s", "missed_in_contact_s"),
+    ("link_lost_s", "link_lost_in_contact_s"),
+)
+"""Pairs of time-outs of which the first must not outlast the second, or it would never act."""
+
+
+def disorder(settings: WatchSettings, cycle_s: float) -> tuple[str, str] | None:
+    """Return the time-out that cannot act as it stands, and why; None if all can.
+
+    Args:
+        settings: the limits.
+        cycle_s: of the controller [s].
+    """
+    if settings.missed_s < cycle_s:
+        why = f"{settings.missed_s:g} s is shorter than a cycle of {cycle_s:g} s"
+        return "missed_s", f"{why}: every late telegram would stop the robot"
+    for first, second in _SHORTER:
+        value, limit = getattr(settings, first), getattr(settings, second)
+        if value > limit:
+            return first, f"{value:g} s is longer than watch.{second}: {limit:g} s"
+    return None
 
 
 def _signals(watch: Watch, facts: Facts, settings: WatchSettings) -> Signals:

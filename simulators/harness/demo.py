@@ -36,7 +36,6 @@ from linemate.simulators.harness import (
 )
 from linemate.simulators.harness.judge import judge
 from linemate.simulators.harness.live import Glimpse, LinkGlimpse, View
-from linemate.simulators.harness.patience import patience
 from linemate.simulators.harness.processes import (
     Child,
     ChildError,
@@ -107,7 +106,6 @@ class Station:
             "recording": {"directory": str(self.folder), "at_start": True},
             # For whoever tries `param save` beside it; it goes with the folder.
             "state": str(self.folder),
-            "watch": patience(self.scenario.cycle_s),
             "realtime": {
                 "priority": DAEMON_PRIORITY,
                 "lock_memory": True,

@@ -34,7 +34,6 @@ from linemate.simulators.harness.dst_actors import Operator, Programme
 from linemate.simulators.harness.dst_oracles import Oracle
 from linemate.simulators.harness.dst_plan import CycleMs, Plan
 from linemate.simulators.harness.lockstep import parameters
-from linemate.simulators.harness.patience import patience
 from linemate.simulators.harness.virtual import EPOCH_NS, VirtualLoop, VirtualTime, inhabited
 from linemate.simulators.harness.wires import Emitters
 from linemate.simulators.plants.scenario import (
@@ -109,15 +108,11 @@ def station() -> Station:
 
 @cache
 def station_of(lead_ms: float, cycle_ms: CycleMs) -> Station:
-    """The same with how early it prepares its replies, and the controller's cycle [ms].
-
-    It bears as much time without telegrams at any cycle, so that the robot has to catch up as far.
-    """
+    """The same with how early it prepares its replies, and the controller's cycle [ms]."""
     plain = station()
     said = replace(
         plain.config,
         rsi=replace(plain.config.rsi, cycle_ms=cycle_ms),
-        watch=replace(plain.config.watch, **patience(1e-3 * cycle_ms)),
         realtime=replace(plain.config.realtime, lead_ms=lead_ms),
     )
     return replace(plain, config=said)

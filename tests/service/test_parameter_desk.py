@@ -138,8 +138,9 @@ def test_a_live_change_compiles_to_what_a_start_would(make: Make, task: Task) ->
         ({"nonsense": 1}, "no parameter nonsense"),
         ({"control.servos.9.damping": 1.0}, "no parameter control.servos.9.damping"),
         ({"tracking.classifier": "oracle"}, "tracking.classifier"),
-        ({"watch.missed": 0}, "watch.missed"),
-        ({"watch.missed": 2.5}, "watch.missed"),
+        ({"watch.missed_s": 0}, "watch.missed_s"),
+        ({"watch.healthy_cycles": 2.5}, "watch.healthy_cycles"),
+        ({"watch.missed_s": 0.2}, "watch.missed_s: 0.2 s is longer than watch.link_lost_s: 0.1 s"),
         ({"rsi.cycle_ms": 4}, "the configuration file"),
         ({"command.socket": "/tmp/x"}, "the configuration file"),
     ],
@@ -167,8 +168,8 @@ def test_what_does_not_fit_is_refused_with_its_name_and_nothing_of_it_is_taken(
 
 def test_every_error_of_a_change_is_told_at_once(make: Make) -> None:
     async def main() -> None:
-        answer = make().assign({NOISE: -1.0, "tracking.camera.gate": 0.0, "watch.missed": -3})
-        for name in (NOISE, "tracking.camera.gate", "watch.missed"):
+        answer = make().assign({NOISE: -1.0, "tracking.camera.gate": 0.0, "watch.missed_s": -3})
+        for name in (NOISE, "tracking.camera.gate", "watch.missed_s"):
             assert name in answer["refused"]
 
     run(main())
@@ -278,7 +279,7 @@ def test_what_was_saved_is_in_force_after_a_restart_and_the_users_file_is_as_it_
     async def main() -> None:
         here = make()
         here.cycles(5)
-        here.assign({NOISE: 0.001, "watch.missed": 4})
+        here.assign({NOISE: 0.001, "watch.missed_s": 0.04})
         await kept(here.assign({SERVO: 5.0}))
         (listed,) = here.desk.describe({"prefix": NOISE})["params"]
         assert (listed["by"], listed["unsaved"], listed["file"]) == ("uid:7", True, 0.00038)
@@ -292,7 +293,7 @@ def test_what_was_saved_is_in_force_after_a_restart_and_the_users_file_is_as_it_
         assert again.desk.settings == here.desk.settings
         assert again.station.written.tracking.distance.deviation == 0.00038
         assert again.desk.settings.control.brake.jerk == 20.0
-        again.assign({NOISE: 0.00038, "watch.missed": 3})
+        again.assign({NOISE: 0.00038, "watch.missed_s": 0.03})
         await kept(again.assign({SERVO: 4.5}))
         saved = again.desk.save("uid:7")
         assert isinstance(saved, asyncio.Future)
@@ -321,7 +322,7 @@ def test_who_changed_what_is_in_the_log_of_changes(make: Make, tmp_path: Path) -
 def test_a_disk_that_refuses_is_a_refusal(make: Make, tmp_path: Path) -> None:
     async def main() -> None:
         here = make()
-        here.assign({"watch.missed": 4})
+        here.assign({"watch.missed_s": 0.04})
         (tmp_path / overlay.NAME).mkdir()
         saved = here.desk.save("uid:7")
         assert isinstance(saved, asyncio.Future)
@@ -346,17 +347,17 @@ def test_without_a_directory_nothing_is_saved_and_the_reason_says_what_to_do(
 
 def test_overlays_are_laid_in_their_order_and_told_by_their_own_place(tmp_path: Path) -> None:
     path = tmp_path / "linemated.yaml"
-    path.write_text("task: wheel.yaml\nstate: .\noverlays: [one.yaml]\nwatch: {missed: 5}\n")
-    (tmp_path / "one.yaml").write_text("watch: {missed: 6, leak_limit: 12}\n")
-    (tmp_path / overlay.NAME).write_text("watch: {missed: 7}\n")
+    path.write_text("task: wheel.yaml\nstate: .\noverlays: [one.yaml]\nwatch: {missed_s: 0.05}\n")
+    (tmp_path / "one.yaml").write_text("watch: {missed_s: 0.06, leak_s: 0.12}\n")
+    (tmp_path / overlay.NAME).write_text("watch: {missed_s: 0.07}\n")
     station = config.load(path)
-    assert (station.config.watch.missed, station.config.watch.leak_limit) == (7, 12)
-    assert station.written.watch.missed == 6
-    (tmp_path / overlay.NAME).write_text("watch:\n  missed: no\nrsi: {port: 1}\n")
+    assert (station.config.watch.missed_s, station.config.watch.leak_s) == (0.07, 0.12)
+    assert station.written.watch.missed_s == 0.06
+    (tmp_path / overlay.NAME).write_text("watch:\n  missed_s: no\nrsi: {port: 1}\n")
     with pytest.raises(FileError) as caught:
         config.load(path)
     where = tmp_path / overlay.NAME
-    assert any(line.startswith(f"{where}:2:11: watch.missed") for line in caught.value.lines)
+    assert any(line.startswith(f"{where}:2:13: watch.missed_s") for line in caught.value.lines)
     assert any(line.startswith(f"{where}:3:1: rsi") for line in caught.value.lines)
 
 
@@ -364,15 +365,25 @@ def test_one_bad_overlay_does_not_hide_what_is_wrong_with_the_next(tmp_path: Pat
     path = tmp_path / "linemated.yaml"
     path.write_text("task: wheel.yaml\noverlays: [none.yaml, one.yaml, two.yaml]\n")
     (tmp_path / "one.yaml").write_text("watch: {nope: 1}\n")
-    (tmp_path / "two.yaml").write_text("watch: {missed: 0.5}\n")
+    (tmp_path / "two.yaml").write_text("watch: {missed_s: no}\n")
     with pytest.raises(FileError) as caught:
         config.load(path)
     told = [line.removeprefix(f"{tmp_path}/").split(": ")[:2] for line in caught.value.lines]
     assert told == [
         ["none.yaml:1:1", "(file)"],
         ["one.yaml:1:9", "watch.nope"],
-        ["two.yaml:1:17", "watch.missed"],
+        ["two.yaml:1:19", "watch.missed_s"],
     ]
+
+
+def test_an_overlay_cannot_put_time_outs_out_of_their_order(tmp_path: Path) -> None:
+    path = tmp_path / "linemated.yaml"
+    path.write_text("task: wheel.yaml\noverlays: [one.yaml]\nwatch: {link_lost_s: 0.05}\n")
+    (tmp_path / "one.yaml").write_text("watch: {missed_s: 0.06}\n")
+    with pytest.raises(FileError) as caught:
+        config.load(path)
+    (line,) = caught.value.lines
+    assert "one.yaml:1:19: watch.missed_s: 0.06 s is longer than watch.link_lost_s" in line
 
 
 def test_a_difference_laid_over_its_base_gives_the_whole() -> None:

@@ -64,8 +64,8 @@ def test_a_prefix_picks_and_a_wrong_name_is_refused(listed: tuple[Described, ...
         "acceleration",
         "jerk",
     }
-    assert values(listed, {"names": ["watch.missed"]}) == {"values": {"watch.missed": 3}}
-    assert "nonsense" in values(listed, {"names": ["watch.missed", "nonsense"]})["refused"]
+    assert values(listed, {"names": ["watch.missed_s"]}) == {"values": {"watch.missed_s": 0.03}}
+    assert "nonsense" in values(listed, {"names": ["watch.missed_s", "nonsense"]})["refused"]
 
 
 def test_every_parameter_says_what_it_means_and_what_it_may_be(

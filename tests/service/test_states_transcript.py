@@ -62,7 +62,7 @@ def test_the_whole_table_decides_as_it_always_did(state: State, digest: str) -> 
     assert told.digest == digest
 
 
-SMALL = WatchSettings(healthy_cycles=7, missed=3, missed_in_contact=5, leak_limit=9)
+SMALL = WatchSettings(healthy_cycles=7, missed_s=0.03, missed_in_contact_s=0.055, leak_s=0.1)
 SHIPPED = WatchSettings()
 
 
@@ -112,9 +112,9 @@ def _day(settings: WatchSettings, chance: Chance, told: Transcript) -> None:
 @pytest.mark.parametrize(
     ("settings", "digest"),
     [
-        (SMALL, "46a312cf416c39bd"),
-        (SHIPPED, "f289073da3f43b98"),
-        (replace(SHIPPED, healthy_cycles=1, leak_limit=2), "37d66ff2fcd53435"),
+        (SMALL, "a6f9e8ea7f7c93d1"),
+        (SHIPPED, "3f967449e8163cc7"),
+        (replace(SHIPPED, healthy_cycles=1, leak_s=0.02), "b7a4d03b427e536c"),
     ],
     ids=["small", "shipped", "least"],
 )

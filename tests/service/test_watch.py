@@ -8,23 +8,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linemate.daemon.service.states import Link, Machine, Signals, State
-from linemate.daemon.service.watch import Facts, Watch, WatchSettings, observe
+from linemate.daemon.service.watch import Facts, Watch, WatchSettings, disorder, observe
 
 CYCLE_NS = 4_000_000
+CYCLES_NS = (1_000_000, 4_000_000, 12_000_000)
 SETTINGS = WatchSettings(healthy_cycles=10)
 
 
 class Run:
     """Cycles one after another at a fixed period."""
 
-    def __init__(self, state: State = State.IDLE) -> None:
+    def __init__(self, state: State = State.IDLE, cycle_ns: int = CYCLE_NS) -> None:
+        self.cycle_ns = cycle_ns
         self.watch = Watch()
         self.machine = Machine(state)
         self.now_ns = 1_000_000_000
         self.signals = Signals()
 
     def cycle(self, telegram: bool = True, **facts: Any) -> Signals:
-        self.now_ns += CYCLE_NS
+        self.now_ns += self.cycle_ns
         given_facts = replace(Facts(self.now_ns, telegram), **facts)  # type: ignore[arg-type]
         self.watch, self.signals = observe(self.watch, given_facts, self.machine, SETTINGS)
         return self.signals
@@ -52,32 +54,80 @@ def test_a_hole_while_proving_begins_the_count_anew() -> None:
     assert links.count(Link.HEALTHY) == 1
 
 
-def test_two_missed_telegrams_are_borne_and_the_third_makes_the_link_doubtful() -> None:
-    run = Run(State.TRACK).healthy()
-    links = [run.cycle(telegram=False).link for _ in range(3)]
-    assert links == [Link.HEALTHY, Link.HEALTHY, Link.UNPROVEN]
+def silent_until(run: Run, link: Link) -> float:
+    """Return how long no telegram comes before the link is judged so [s]."""
+    begun_ns = run.now_ns
+    for _ in range(2000):
+        if run.cycle(telegram=False).link is link:
+            return (run.now_ns - begun_ns) * 1e-9
+    raise AssertionError(link)
 
 
-def test_in_contact_eleven_missed_telegrams_are_borne() -> None:
+@pytest.mark.parametrize("cycle_ns", CYCLES_NS)
+@pytest.mark.parametrize(
+    ("state", "doubtful_s", "lost_s"),
+    [
+        (State.TRACK, SETTINGS.missed_s, SETTINGS.link_lost_s),
+        (State.CONTACT, SETTINGS.missed_in_contact_s, SETTINGS.link_lost_in_contact_s),
+        (State.RETREAT, SETTINGS.missed_in_contact_s, SETTINGS.link_lost_in_contact_s),
+    ],
+)
+def test_a_silent_link_is_doubtful_and_then_lost_after_the_same_time_at_any_cycle(
+    state: State, doubtful_s: float, lost_s: float, cycle_ns: int
+) -> None:
+    for link, after_s in ((Link.UNPROVEN, doubtful_s), (Link.LOST, lost_s)):
+        silent_s = silent_until(Run(state, cycle_ns).healthy(), link)
+        assert after_s <= silent_s + 1e-9 < after_s + cycle_ns * 1e-9 + 2e-9
+
+
+@pytest.mark.parametrize("cycle_ns", CYCLES_NS)
+def test_140_ms_without_telegrams_change_nothing_in_contact(cycle_ns: int) -> None:
+    run = Run(State.CONTACT, cycle_ns).healthy()
+    silent = [run.cycle(telegram=False).link for _ in range(140_000_000 // cycle_ns)]
+    assert set(silent) == {Link.HEALTHY}
+    assert run.cycle().link is Link.HEALTHY
+
+
+def test_a_lost_link_must_prove_itself_again() -> None:
     run = Run(State.CONTACT).healthy()
-    links = [run.cycle(telegram=False).link for _ in range(12)]
-    assert links == [Link.HEALTHY] * 11 + [Link.UNPROVEN]
+    silent_until(run, Link.LOST)
+    assert run.cycle().link is Link.UNPROVEN
 
 
-def test_telegrams_missing_now_and_then_fill_the_bucket() -> None:
-    run = Run(State.TRACK).healthy()
-    links = [run.cycle(telegram=bool(k % 2)).link for k in range(40)]
-    assert Link.UNPROVEN in links
-    rare = Run(State.TRACK).healthy()
+@pytest.mark.parametrize("cycle_ns", CYCLES_NS)
+def test_telegrams_missing_now_and_then_fill_the_bucket_in_the_same_time(cycle_ns: int) -> None:
+    run, begun_ns = Run(State.TRACK, cycle_ns).healthy(), 0
+    begun_ns = run.now_ns
+    while run.cycle(telegram=bool((run.now_ns // cycle_ns) % 2)).link is Link.HEALTHY:
+        assert run.now_ns - begun_ns < 1_000_000_000
+    # Half of the telegrams: the level rises by half of the time that passes.
+    assert run.now_ns - begun_ns == pytest.approx(2e9 * SETTINGS.leak_s, abs=3 * cycle_ns)
+    rare = Run(State.TRACK, cycle_ns).healthy()
     assert {rare.cycle(telegram=bool(k % 5)).link for k in range(200)} == {Link.HEALTHY}
 
 
-def test_after_100_ms_without_a_telegram_the_link_is_lost_and_must_prove_itself() -> None:
-    run = Run(State.CONTACT).healthy()
-    links = [run.cycle(telegram=False).link for _ in range(25)]
-    assert links[23] is not Link.LOST
-    assert links[24] is Link.LOST
-    assert run.cycle().link is Link.UNPROVEN
+@pytest.mark.parametrize("cycle_s", [0.001, 0.002, 0.004, 0.012])
+def test_the_shipped_time_outs_can_all_act_at_any_cycle(cycle_s: float) -> None:
+    assert disorder(WatchSettings(), cycle_s) is None
+
+
+@pytest.mark.parametrize(
+    ("changed", "name", "reason"),
+    [
+        ({"missed_s": 0.11}, "missed_s", "longer than watch.link_lost_s: 0.1 s"),
+        ({"missed_s": 0.01}, "missed_s", "shorter than a cycle of 0.012 s"),
+        ({"missed_in_contact_s": 0.4}, "missed_in_contact_s", "watch.link_lost_in_contact_s"),
+        ({"missed_in_contact_s": 0.02}, "missed_s", "longer than watch.missed_in_contact_s"),
+        ({"link_lost_s": 0.5}, "link_lost_s", "longer than watch.link_lost_in_contact_s: 0.3 s"),
+    ],
+)
+def test_a_time_out_that_never_acts_is_refused_with_both_values(
+    changed: dict[str, float], name: str, reason: str
+) -> None:
+    found = disorder(replace(WatchSettings(), **changed), 0.012)
+    assert found is not None
+    assert found[0] == name
+    assert reason in found[1]
 
 
 def test_a_new_session_shows_as_a_loss_for_one_cycle() -> None:
@@ -136,7 +186,7 @@ def test_trouble_near_the_object_counts_as_contact_and_elsewhere_does_not(
 
 
 def test_missing_telegrams_near_the_object_count_as_contact() -> None:
-    run = Run(State.TRACK).healthy()
+    run = Run(State.TRACK, CYCLES_NS[-1]).healthy()
     seen = [
         run.cycle(telegram=False, gap_m=0.01, position_ns=run.now_ns, wrench_ns=run.now_ns)
         for _ in range(3)

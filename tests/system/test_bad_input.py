@@ -68,7 +68,8 @@ force_torque: {url: FOLDER/ft}
 command: {socket: c.sock, udp: {port: 0, keys: keys}}
 watch:
   # A busy machine's own stalls shall not end what is looked at here.
-  {healthy_cycles: 10, link_lost_s: 1.0, missed: 50, leak_limit: 1000, position_s: 2, wrench_s: 2}
+  {healthy_cycles: 10, link_lost_s: 1.0, link_lost_in_contact_s: 1.0, missed_s: 0.6,
+   missed_in_contact_s: 0.6, leak_s: 2.0, position_s: 2, wrench_s: 2}
 """
 
 

@@ -94,7 +94,7 @@ force_torque: {{url: /dev/null, device: scales, baudrate: 1.5}}
 command: {{socket: c.sock, udp: {{keys: keys, port: 70000}}}}
 recording: {{directory: nowhere}}
 realtime: {{priority: 99, lead_ms: .inf}}
-watch: {{link_lost_s: .nan, missed: yes}}
+watch: {{link_lost_s: .nan, missed_s: yes}}
 control: {{horizon_s: null}}
 trucking: {{}}
 """,
@@ -116,7 +116,7 @@ trucking: {{}}
         ("realtime.priority", "99"),
         ("realtime.lead_ms", ".inf"),
         ("watch.link_lost_s", ".nan"),
-        ("watch.missed", "yes"),
+        ("watch.missed_s", "yes"),
         ("control.horizon_s", "null"),
         ("trucking", "trucking:"),
     ):

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from linemate.daemon.service.states import State
-from linemate.simulators.harness import dst_run
-from linemate.simulators.harness.dst_plan import Plan
+from linemate.simulators.harness.dst_plan import CycleMs, Plan
 from linemate.simulators.harness.dst_run import Simulation
 from linemate.simulators.plants.scenario import ConveyorEvent, Fault
 
@@ -308,19 +307,17 @@ def test_r2_telegrams_lost_in_a_row_end_the_motion_and_many_are_a_fault() -> Non
     assert lived.entered(State.FAULT, FREE_S) - FREE_S <= 0.1 + 2 * CYCLE_S
 
 
-@pytest.mark.parametrize("is_patient", [True, False])
-def test_r2_at_4_ms_a_silence_is_borne_that_is_borne_at_12_if_the_counts_last_as_long(
-    monkeypatch: pytest.MonkeyPatch, is_patient: bool
+@pytest.mark.parametrize(("silent_s", "is_borne"), [(0.025, True), (0.045, False)])
+@pytest.mark.parametrize("cycle_ms", [4, 12])
+def test_r2_the_same_silence_is_borne_at_any_cycle(
+    cycle_ms: CycleMs, silent_s: float, is_borne: bool
 ) -> None:
-    if not is_patient:
-        monkeypatch.setattr(dst_run, "station_of", dst_run.station_of.__wrapped__)
-        monkeypatch.setattr(dst_run, "patience", lambda _: {})
-    silence = Fault(FREE_S, "robot", "silence", 0.029)
-    lived = Lived(Plan(0, duration_s=2.6, faults=(silence,), cycle_ms=4))
+    silence = Fault(FREE_S, "robot", "silence", silent_s)
+    lived = Lived(Plan(0, duration_s=2.6, faults=(silence,), cycle_ms=cycle_ms))
     lived.live()
     assert lived.outcome().violations == ()
     assert lived.world.collision is None
-    assert (lived.states() == ASSEMBLED) == is_patient
+    assert (lived.states() == ASSEMBLED) == is_borne
 
 
 def test_r4_a_flipped_counter_costs_three_answers_at_most_and_a_restart_needs_arming() -> None:

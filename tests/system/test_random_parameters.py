@@ -92,7 +92,7 @@ class Operator:
             name: usual
             for name, usual in tree.leaves(self._desk.settings)
             if not name.startswith(("control.limits.", "watch."))
-        } | {"rsi.cycle_ms": 12, "watch.leak_limit": 10}
+        } | {"rsi.cycle_ms": 12, "watch.leak_s": 0.11}
         self._compiled = 0
 
     async def set(self) -> None:
