@@ -164,18 +164,19 @@ def _link(signals: Signals, evidence: Evidence) -> Explanation:
     cable = "Check the robot's network and the controller's programme."
     if signals.link is Link.HEALTHY:
         return f"{counts.good} answered cycles in a row, {settings.healthy_cycles} needed", ""
+    touches = counts.state in watch.IN_CONTACT
+    silent = _silence(counts.telegram_ns, facts.stamp_ns)
     if signals.link is Link.LOST:
         if facts.new_session:
             return "the controller's programme began again", "Arm and start again."
-        silent = _silence(counts.telegram_ns, facts.stamp_ns)
-        return f"no answered telegram {silent}, limit {settings.link_lost_s:.2f} s", cable
-    in_contact = counts.state in watch.IN_CONTACT
-    limit = settings.missed_in_contact if in_contact else settings.missed
-    if counts.missed >= limit:
-        return f"{counts.missed} telegrams missed in a row, limit {limit}", cable
-    if counts.leak >= settings.leak_limit:
-        level = f"telegrams missed too often: level {counts.leak}, limit {settings.leak_limit}"
-        return level, cable
+        lost_s = settings.link_lost_in_contact_s if touches else settings.link_lost_s
+        return f"no answered telegram {silent}, limit {lost_s:.2f} s", cable
+    missed_s = settings.missed_in_contact_s if touches else settings.missed_s
+    if _age_s(counts.telegram_ns, facts.stamp_ns) >= missed_s:
+        return f"no answered telegram {silent}, limit {missed_s:.2f} s", cable
+    if counts.leak_ns >= round(1e9 * settings.leak_s):
+        level = f"level {counts.leak_ns * 1e-9:.2f} s, limit {settings.leak_s:.2f} s"
+        return f"telegrams missed too often: {level}", cable
     proven = f"{counts.good} answered cycles in a row, {settings.healthy_cycles} needed"
     return f"robot link not proven: {proven}", cable
 
