@@ -69,9 +69,25 @@ class InForce:
 
 @dataclass(frozen=True, slots=True)
 class Broken:
-    """A piece: the recording breaks off here."""
+    """A piece: the recording is damaged and cannot be read further.
+
+    Attributes:
+        reason: what is wrong with the file.
+        read: steps read before.
+        total: steps that the file should hold, None where its end is missing.
+    """
 
     reason: str
+    read: int = 0
+    total: int | None = None
+
+    def __str__(self) -> str:
+        """Return a sentence for an operator."""
+        total = "an unknown number of" if self.total is None else str(self.total)
+        return (
+            f"damaged: {self.reason}. {self.read} of {total} steps were read. "
+            "Keep what can be read with `linemate recover FILE`."
+        )
 
 
 Piece = Texts | StateBefore | InForce | StepRecord | Broken

@@ -2,14 +2,15 @@
 
 Law of this file: files only. A table a channel, a row a sample, numbers with all their digits; a
 value that was not there is an empty cell. The file that is read is never changed, and none that
-exists is written over. Exit codes: 0 done, 1 not a recording or not to be written.
+exists is written over. Exit codes: 0 done, 1 damaged, not a recording or not to be
+written.
 """
 
 import argparse
 import csv
 import json
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
@@ -19,6 +20,7 @@ from linemate.daemon.operator.recordings import (
     METADATA,
     TOPIC,
     UnreadableRecordingError,
+    broken,
     layout_of,
     records,
 )
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
     from mcap.records import Message
 
     from linemate.daemon.recording import StepRecord
+    from linemate.daemon.replay import Broken
 
 OK, NOT_OK = 0, 1
 TABLES = {
@@ -81,11 +84,14 @@ def main_export(args: argparse.Namespace) -> int:
     path: Path = args.file
     folder: Path = args.out or path.with_suffix("")
     try:
-        written = export(path, folder)
+        written, damage = export(path, folder)
     except (UnreadableRecordingError, OSError) as error:
         return _failed(error)
     for name, rows in sorted(written.items()):
         print(f"{folder / name}  {rows} rows")
+    if damage is not None:
+        print(f"linemate: {path}: {damage}", file=sys.stderr)
+        return NOT_OK
     return OK
 
 
@@ -119,7 +125,7 @@ def _failed(error: Exception) -> int:
 # --- tables -------------------------------------------------------------------------------
 
 
-def export(path: Path, folder: Path) -> dict[str, int]:
+def export(path: Path, folder: Path) -> "tuple[dict[str, int], Broken | None]":
     """Write a table for each channel.
 
     Args:
@@ -127,7 +133,7 @@ def export(path: Path, folder: Path) -> dict[str, int]:
         folder: made if it is not there.
 
     Returns:
-        Rows by the name of the file.
+        Rows by the name of the file, and the recording's damage.
 
     Raises:
         UnreadableRecordingError: it is no recording.
@@ -135,10 +141,12 @@ def export(path: Path, folder: Path) -> dict[str, int]:
     """
     from mcap.records import Message, Metadata
 
+    from linemate.daemon.operator.bounded_mcap import Damage
     from linemate.daemon.recording import RecordingError, decode
 
     layout: Mapping[str, tuple[str, ...]] | None = None
     topics: dict[int, str] = {}
+    damage: Broken | None = None
     with path.open("rb") as stream, _Tables(folder) as tables:
         try:
             for record in records(stream, topics):
@@ -150,11 +158,13 @@ def export(path: Path, folder: Path) -> dict[str, int]:
                         _add_step(tables, decode(record.data, layout))
                     elif topic in TABLES:
                         _add_told(tables, TABLES[topic], record)
+                elif isinstance(record, Damage):
+                    damage = broken(record, tables.rows().get("steps.csv", 0))
         except (RecordingError, ValueError, KeyError) as error:
             raise UnreadableRecordingError(f"{path}: not a linemate recording: {error}") from error
         if layout is None:
             raise UnreadableRecordingError(f"{path}: not a linemate recording")
-        return tables.rows()
+        return tables.rows(), damage
 
 
 def _add_step(tables: "_Tables", record: "StepRecord") -> None:
@@ -291,7 +301,7 @@ def recover(path: Path, out: Path) -> Recovered:
 
     found = Recovered()
     with path.open("rb") as stream:
-        whole = _unpacked(stream, found)
+        whole = _readable(stream, found)
         try:
             first = next(whole)
         except StopIteration:
@@ -309,25 +319,17 @@ def recover(path: Path, out: Path) -> Recovered:
     return found
 
 
-def _unpacked(stream: Any, found: Recovered) -> Iterator[Any]:
-    """Return the records of a file, those of its chunks among them; damaged chunks are counted."""
-    from mcap.exceptions import McapError
-    from mcap.records import Chunk
-    from mcap.stream_reader import CRCValidationError, breakup_chunk
-    from zstandard import ZstdError
+def _readable(stream: Any, found: Recovered) -> Iterator[Any]:
+    """Return the records of a file without those of damaged chunks, which are counted."""
+    from linemate.daemon.operator.bounded_mcap import Damage
 
-    for record in records(stream, chunks=True):
-        if isinstance(record, str):
-            found.reason = record
-        elif isinstance(record, Chunk):
-            try:
-                parts: Iterable[Any] = breakup_chunk(record, validate_crc=True)
-            except (McapError, EOFError, RuntimeError, ValueError, ZstdError, CRCValidationError):
-                found.damaged += 1
-                continue
-            yield from parts
+    skipped: list[str] = []
+    for record in records(stream, skipped=skipped):
+        if isinstance(record, Damage):
+            found.reason = record.reason
         else:
             yield record
+    found.damaged = len(skipped)
 
 
 class _Copy:

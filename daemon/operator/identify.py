@@ -76,16 +76,20 @@ def from_files(files: Iterable[Path]) -> "Identified":
         UnreadableRecordingError: a file is no recording.
         IdentifyError: the recordings cannot be used together.
     """
-    from linemate.daemon.identify import Recorded, identify
-    from linemate.daemon.operator.recordings import read
+    from linemate.daemon.operator.recordings import UnreadableRecordingError, read
 
     recordings = []
     for path in files:
         recording = read(path)
-        if not recording.whole:
-            print(f"linemate: {path}: breaks off; read as far as it goes", file=sys.stderr)
-        recordings.append(Recorded(path.name, recording.texts, recording.steps))
-    return identify(recordings)
+        if recording.damage is not None and not recording.steps:
+            raise UnreadableRecordingError(f"{path}: {recording.damage}")
+        if recording.damage is not None:
+            print(f"linemate: {path}: {recording.damage}", file=sys.stderr)
+        recordings.append((path.name, recording.texts, recording.steps))
+    # Imported late: a file that cannot be used is refused before scipy is there.
+    from linemate.daemon.identify import Recorded, identify
+
+    return identify([Recorded(*recording) for recording in recordings])
 
 
 def table(findings: "Sequence[Finding]") -> str:

@@ -1,7 +1,9 @@
 """Recordings read back: the texts of the cell, the steps and what a replay needs, from MCAP files.
 
-Law of this file: only reading. A recording that ends early is read as far as it goes; what is no
-recording is refused with its place. Heavy imports come with the first file.
+Invariants:
+    * Every reader of recordings reads through ``records``, which is bounded.
+    * A damaged recording is read as far as it is good, and says that it is damaged.
+    * Heavy imports come with the first file.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -12,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mcap.records import Message
 
+    from linemate.daemon.operator.bounded_mcap import Damage
     from linemate.daemon.recording import StepRecord
-    from linemate.daemon.replay import Piece
+    from linemate.daemon.replay import Broken, Piece
 
 TOPIC = "/linemate/step"
 STATE = "/linemate/state"
@@ -21,7 +24,6 @@ PARAMETERS = "/linemate/parameters"
 METADATA = "linemate"
 LAYOUT = "layout"
 MOST_STEPS = 2_000_000
-LONGEST_RECORD = 64 * 1_048_576
 
 
 class UnreadableRecordingError(Exception):
@@ -35,12 +37,17 @@ class Recording:
     Attributes:
         texts: by name, as the daemon left them.
         steps: oldest first.
-        whole: the file was finished.
+        damage: why not all of it could be read, and how many steps were; None if it is whole.
     """
 
     texts: dict[str, str]
     steps: tuple["StepRecord", ...]
-    whole: bool
+    damage: "Broken | None" = None
+
+    @property
+    def whole(self) -> bool:
+        """All of it was read."""
+        return self.damage is None
 
 
 def read(path: Path) -> Recording:
@@ -54,15 +61,15 @@ def read(path: Path) -> Recording:
 
     texts: dict[str, str] = {}
     steps: list[StepRecord] = []
-    whole = True
+    damage: Broken | None = None
     for piece in pieces(path):
         if isinstance(piece, Texts):
             texts = dict(piece.texts)
         elif isinstance(piece, Broken):
-            whole = False
+            damage = piece
         elif isinstance(piece, StepRecord) and len(steps) < MOST_STEPS:
             steps.append(piece)
-    return Recording(texts, tuple(steps), whole)
+    return Recording(texts, tuple(steps), damage)
 
 
 def pieces(path: Path) -> Iterator["Piece"]:
@@ -73,11 +80,13 @@ def pieces(path: Path) -> Iterator["Piece"]:
     """
     from mcap.records import Message, Metadata
 
+    from linemate.daemon.operator.bounded_mcap import Damage
     from linemate.daemon.recording import RecordingError
-    from linemate.daemon.replay import Broken, Texts
+    from linemate.daemon.replay import Texts
 
     layout: dict[str, tuple[str, ...]] | None = None
     topics: dict[int, str] = {}
+    steps = 0
     try:
         with path.open("rb") as stream:
             for record in records(stream, topics):
@@ -85,9 +94,11 @@ def pieces(path: Path) -> Iterator["Piece"]:
                     layout = layout_of(record.metadata)
                     yield Texts(dict(record.metadata))
                 elif isinstance(record, Message) and layout is not None:
-                    yield from _piece(topics[record.channel_id], record, layout)
-                elif isinstance(record, str):
-                    yield Broken(record)
+                    topic = topics[record.channel_id]
+                    yield from _piece(topic, record, layout)
+                    steps += topic == TOPIC
+                elif isinstance(record, Damage):
+                    yield broken(record, steps)
     except OSError as error:
         raise UnreadableRecordingError(f"{path}: {error.strerror}") from error
     except (RecordingError, ValueError, KeyError, TypeError, AttributeError) as error:
@@ -96,47 +107,31 @@ def pieces(path: Path) -> Iterator["Piece"]:
         raise UnreadableRecordingError(f"{path}: not a linemate recording")
 
 
-def records(
-    stream: Any, topics: dict[int, str] | None = None, *, chunks: bool = False
-) -> Iterator[Any]:
-    """Return the records of an MCAP file in their order, and why it breaks off, if it does.
+def broken(damage: "Damage", steps: int) -> "Broken":
+    """Return a file's damage as a piece of a recording.
 
     Args:
-        stream: open for reading.
-        topics: takes the topic of each channel as it comes.
-        chunks: leave chunks as they are.
-
-    Returns:
-        Records of the package ``mcap``; a text at last where the file breaks off.
+        damage: as ``records`` tells it.
+        steps: that were read.
     """
-    import struct
+    from linemate.daemon.replay import Broken
 
-    from mcap.exceptions import McapError
-    from mcap.records import Channel
-    from mcap.stream_reader import CRCValidationError, StreamReader
-    from zstandard import ZstdError
+    return Broken(damage.reason, steps, None if damage.counts is None else damage.counts[TOPIC])
 
-    try:
-        reader = StreamReader(
-            stream,
-            emit_chunks=chunks,
-            validate_crcs=True,
-            record_size_limit=LONGEST_RECORD,
-        )
-        for record in reader.records:
-            if isinstance(record, Channel) and topics is not None:
-                topics[record.id] = record.topic
-            yield record
-    except (
-        McapError,
-        EOFError,
-        RuntimeError,
-        ValueError,
-        struct.error,  # a record cut short: the package unpacks what is not there
-        ZstdError,
-        CRCValidationError,
-    ) as error:
-        yield f"{type(error).__name__}: {error}".rstrip(": ")
+
+def records(
+    stream: Any, topics: dict[int, str] | None = None, skipped: list[str] | None = None
+) -> Iterator[Any]:
+    """Return the records of an MCAP file in their order, and at last its ``Damage``, if any.
+
+    Args:
+        stream: open for reading, seekable.
+        topics: takes the topic of each channel as it comes.
+        skipped: takes the reason of each damaged chunk, which is passed over.
+    """
+    from linemate.daemon.operator import bounded_mcap
+
+    return bounded_mcap.records(stream, topics, skipped)
 
 
 def _piece(

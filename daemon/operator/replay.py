@@ -1,7 +1,7 @@
 """``linemate replay FILE``: recorded inputs through ``step``, and a table of what differs.
 
-Law of this file: files and text only; the steps are made in ``daemon.replay``, imported when
-asked for. Exit codes: 0 identical, 1 different or not to be replayed, 2 usage.
+The steps are made in ``daemon.replay``, imported when asked for. Exit codes: 0 identical,
+1 different, damaged or not to be replayed, 2 usage.
 """
 
 import argparse
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from linemate.daemon.operator import render
 
 if TYPE_CHECKING:
-    from linemate.daemon.replay import Overrides, Summary, Verdict
+    from linemate.daemon.replay import Broken, Overrides, Summary, Verdict
 
 OK, NOT_OK, USAGE = 0, 1, 2
 VERSION = 1
@@ -51,7 +51,7 @@ class Account:
     different: int = 0
     unmade: int = 0
     first_ns: int | None = None
-    broken: str | None = None
+    broken: "Broken | None" = None
     notes: list[tuple["Verdict", str]] = field(default_factory=list)
 
     def take(self, verdicts: "Iterator[Verdict]") -> "Iterator[Verdict]":
@@ -66,6 +66,11 @@ class Account:
             if why is not None and len(self.notes) < NOTES:
                 self.notes.append((verdict, why))
             yield verdict
+
+    @property
+    def is_complete(self) -> bool:
+        """Every step of the file was read and made again."""
+        return self.broken is None and not self.unmade and self.steps > 0
 
     def at_s(self, verdict: "Verdict") -> float:
         """When a step was, since the first one [s]."""
@@ -101,8 +106,7 @@ def main(args: argparse.Namespace) -> int:
         print(render.as_json(as_plain(account, summaries)))
     else:
         print("\n".join(report(account, summaries)))
-    same = not summaries and not account.unmade and account.steps > 0
-    return OK if same else NOT_OK
+    return OK if account.is_complete and not summaries else NOT_OK
 
 
 def compare(
@@ -127,7 +131,7 @@ def compare(
     def heard() -> "Iterator[Piece]":
         for piece in with_cycle(pieces(path)):
             if isinstance(piece, Broken):
-                account.broken = piece.reason
+                account.broken = piece
             yield piece
 
     summaries = summarise(account.take(replay(heard(), overrides)), tolerance)
@@ -167,13 +171,13 @@ def report(account: Account, summaries: "Mapping[str, Summary]") -> list[str]:
     if account.unmade:
         lines.append(f"{account.unmade} steps could not be made again")
     if account.broken is not None:
-        lines.append(f"the recording breaks off ({account.broken}); `linemate recover` finishes it")
+        lines.append(str(account.broken))
     for verdict, why in account.notes:
         lines.append(f"step {verdict.k} ({account.at_s(verdict):.3f} s): {why}")
     if not summaries:
         if account.steps and not account.unmade:
-            identical = "identical" if not account.different else "the same within the tolerance"
-            lines.append(identical)
+            same = "identical" if not account.different else "the same within the tolerance"
+            lines.append(same if account.is_complete else f"{same} as far as it was read")
         return lines
     rows = []
     for name, one in summaries.items():
@@ -190,11 +194,12 @@ def as_plain(account: Account, summaries: "Mapping[str, Summary]") -> dict[str, 
     """Return a replay as plain values."""
     return {
         "version": VERSION,
-        "identical": not summaries and not account.unmade and account.steps > 0,
+        "identical": account.is_complete and not summaries,
         "steps": account.steps,
         "different": account.different,
         "unmade": account.unmade,
-        "broken": account.broken,
+        "broken": None if account.broken is None else account.broken.reason,
+        "total": account.steps if account.broken is None else account.broken.total,
         "notes": [
             {"k": verdict.k, "at_s": account.at_s(verdict), "what": why}
             for verdict, why in account.notes

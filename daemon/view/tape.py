@@ -222,6 +222,7 @@ def read(path: Path, tell: Callable[[float], None] = lambda _: None) -> Tape:
     """
     from mcap.records import Message, Metadata
 
+    from linemate.daemon.operator.bounded_mcap import Damage
     from linemate.daemon.recording import RecordingError
 
     reading: _Reading | None = None
@@ -234,8 +235,9 @@ def read(path: Path, tell: Callable[[float], None] = lambda _: None) -> Tape:
             for number, record in enumerate(recordings.records(stream, topics)):
                 if number % TOLD_EVERY == 0:
                     tell(stream.tell() / size)
-                if isinstance(record, str):
-                    trouble = f"the recording breaks off: {record}"
+                if isinstance(record, Damage):
+                    steps = 0 if reading is None else reading.tape.steps
+                    trouble = str(recordings.broken(record, steps))
                 elif isinstance(record, Metadata) and record.name == recordings.METADATA:
                     layout = recordings.layout_of(record.metadata)
                     reading = reading or _Reading(Tape(path.name, of(record.metadata)))
@@ -250,6 +252,8 @@ def read(path: Path, tell: Callable[[float], None] = lambda _: None) -> Tape:
         raise UnreadableRecordingError(f"{path}: not a linemate recording: {error}") from error
     if reading is None:
         raise UnreadableRecordingError(f"{path}: not a linemate recording")
+    if trouble and not reading.tape.steps:
+        raise UnreadableRecordingError(f"{path}: {trouble}")
     return reading.end(trouble)
 
 

@@ -6,16 +6,15 @@ instant of a step that answered no telegram.
 """
 
 import json
-import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
+from mcap.records import Message, Metadata
 
 from linemate.daemon import recording
+from linemate.daemon.operator.bounded_mcap import Damage, records
 from linemate.daemon.recording import RecordingError, StepRecord
 from linemate.daemon.service.step_file import LAYOUT, METADATA, TOPIC
 from linemate.simulators.devices import truth
@@ -38,15 +37,15 @@ def read_steps(path: Path) -> Iterator[StepRecord]:
         OSError: it cannot be read.
         RecordingError: it is no recording, or a broken one.
     """
+    layout, topics = recording.LAYOUT, dict[int, str]()
     with path.open("rb") as stream:
-        try:
-            reader = make_reader(stream)
-            layout = _layout(reader.iter_metadata())
-            for _, _, message in reader.iter_messages([TOPIC], log_time_order=False):
-                yield recording.decode(message.data, layout)
-        except (McapError, OSError, struct.error) as error:
-            # OSError as well: the package seeks before the beginning of a file that is too short.
-            raise RecordingError(f"{path}: {error}") from error
+        for record in records(stream, topics):
+            if isinstance(record, Damage):
+                raise RecordingError(f"{path}: damaged: {record.reason}")
+            if isinstance(record, Metadata):
+                layout = _layout(record, layout)
+            elif isinstance(record, Message) and topics[record.channel_id] == TOPIC:
+                yield recording.decode(record.data, layout)
 
 
 def evidence(truth_file: Path, recording_file: Path, scenario: Scenario) -> Evidence:
@@ -118,9 +117,10 @@ def _fill(rows: Rows, row: int, record: StepRecord) -> None:
     rows.contact_seen[row] = outputs["contact"]
 
 
-def _layout(metadata: Iterator[Any]) -> dict[str, tuple[str, ...]]:
-    for one in metadata:
-        if one.name == METADATA and LAYOUT in one.metadata:
-            told: dict[str, list[str]] = json.loads(one.metadata[LAYOUT])
-            return {name: tuple(fields) for name, fields in told.items()}
-    return recording.LAYOUT
+def _layout(
+    record: Metadata, otherwise: Mapping[str, tuple[str, ...]]
+) -> dict[str, tuple[str, ...]]:
+    if record.name != METADATA or LAYOUT not in record.metadata:
+        return dict(otherwise)
+    fields: dict[str, list[str]] = json.loads(record.metadata[LAYOUT])
+    return {name: tuple(names) for name, names in fields.items()}

@@ -192,9 +192,38 @@ def test_a_file_cut_short_is_replayed_as_far_as_it_goes(
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(data[: len(data) * 3 // 4])
     code, result = told(capsys, str(cut))
-    assert code == 0
+    assert code == 1
+    assert result["identical"] is False
     assert 0 < result["steps"] < STEPS
     assert result["broken"]
+    assert result["total"] is None
+
+
+def test_a_damaged_recording_says_how_many_of_its_steps_were_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "damaged.mcap"
+    file, feed = StepFile(path.open("wb"), described(TEXTS), 8192), Feed()
+    for entry in entries(World(parameters()), STEPS):
+        for item in feed.of(entry):
+            file.put(item)
+    file.close()
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0x55
+    path.write_bytes(data)
+    code, result = told(capsys, str(path))
+    assert code == 1
+    assert result["identical"] is False
+    assert result["different"] == 0
+    assert 0 < result["steps"] < result["total"] == STEPS
+    assert tool.main(["replay", str(path)]) == 1
+    said = capsys.readouterr().out.splitlines()
+    assert said[1].startswith("damaged: ")
+    assert f"{result['steps']} of {STEPS} steps were read" in said[1]
+    assert said[-1] == "identical as far as it was read"
+    folder = tmp_path / "tables"
+    assert tool.main(["export", str(path), "--out", str(folder)]) == 1
+    assert f"{result['steps']} of {STEPS} steps were read" in capsys.readouterr().err
 
 
 def test_what_is_no_recording_is_refused_in_one_line(
