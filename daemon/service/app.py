@@ -45,6 +45,7 @@ from linemate.daemon.service.schedule import Due, Kind
 from linemate.daemon.service.settings import Corrections
 from linemate.daemon.service.states import State
 from linemate.daemon.service.status import LinkView, Rates, Snapshot, covered, status, telemetry
+from linemate.daemon.service.step_file import STATE_LOG
 from linemate.daemon.service.step_log import LogEntry
 from linemate.daemon.service.timing import Timing
 from linemate.drivers import port_holder
@@ -427,7 +428,7 @@ class App:
         """Write why the state changed, and which sensors came and went."""
         for change in self.cycle.take_changes():
             self._state_journal.say(now_ns, str(change))
-            self._say(str(change), change.stamp_ns, "linemated.state")
+            self._say(str(change), change.stamp_ns, STATE_LOG)
         if now_ns - self._sensors_told_ns < SENSORS_EVERY_NS:
             return
         self._sensors_told_ns = now_ns

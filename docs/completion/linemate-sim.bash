@@ -7,7 +7,7 @@
 
 _shtab_linemate_sim_subparsers=(demo run campaign emulator bench schema)
 
-_shtab_linemate_sim_demo_option_strings=(-h --help --scenario --out --json --cycle-ms --seed --view)
+_shtab_linemate_sim_demo_option_strings=(-h --help --scenario --out --json --cycle-ms --seed --strict --view)
 _shtab_linemate_sim_run_option_strings=(-h --help --scenario --out --json --set --workers --cycle-ms --seed --variant --timing)
 _shtab_linemate_sim_campaign_option_strings=(-h --help --scenario --out --json --set --workers --cycle-ms --seeds --first-seed --scheduler --detection --variants)
 _shtab_linemate_sim_emulator_option_strings=(-h --help --config)
@@ -29,6 +29,7 @@ _shtab_linemate_sim_pos_0_choices=(demo run campaign emulator bench schema)
 _shtab_linemate_sim_demo__h_nargs=0
 _shtab_linemate_sim_demo___help_nargs=0
 _shtab_linemate_sim_demo___json_nargs=0
+_shtab_linemate_sim_demo___strict_nargs=0
 _shtab_linemate_sim_demo___view_nargs=0
 _shtab_linemate_sim_run__h_nargs=0
 _shtab_linemate_sim_run___help_nargs=0

@@ -90,6 +90,11 @@ class ControllerConfig:
         """What the counter grows by each cycle [ms]."""
         return max(1, round(self.cycle_s * 1e3))
 
+    @property
+    def total_tolerated(self) -> int | None:
+        """Cycles in all without a good answer that are tolerated; None if they count in a row."""
+        return self.timeout if self.timeout_rule == "total" else None
+
 
 @frozen()
 class Applied:

@@ -34,7 +34,7 @@ from linemate.simulators.harness import (
     scenario_file,
     table,
 )
-from linemate.simulators.harness.judge import judge
+from linemate.simulators.harness.judge import judge, unanswered
 from linemate.simulators.harness.live import Glimpse, LinkGlimpse, View
 from linemate.simulators.harness.processes import (
     Child,
@@ -62,7 +62,6 @@ SETTLE_S = 2.5
 NOTICEABLE = 0.005
 """Share of the processors' time that is worth a word when the host withheld it."""
 
-UNANSWERED = ("late", "lost", "refused")
 EX_UNAVAILABLE = 69
 
 
@@ -183,10 +182,11 @@ def main(args: Namespace) -> int:
     """Run the demonstration.
 
     Args:
-        args: scenario, cycle_ms, seed, out, view, json.
+        args: scenario, cycle_ms, seed, out, view, strict, json.
 
     Returns:
-        0 assembled within limits, 1 not, 69 when it could not be brought to its end.
+        0 assembled within limits with no more late replies than the controller tolerates, none
+        if strict; 1 not; 69 when it could not be brought to its end.
 
     Raises:
         FileError: what is wrong with the scenario's file.
@@ -199,7 +199,7 @@ def main(args: Namespace) -> int:
         print(_cost(refused), file=sys.stderr)
     try:
         with interruptible():
-            result = perform(scenario, out, is_viewed=args.view)
+            result = perform(scenario, out, is_viewed=args.view, strict=args.strict)
     except (DemoError, ChildError, TimeoutError, NoAnswerError, RefusedError) as error:
         print(f"linemate-sim demo: {error}", file=sys.stderr)
         return EX_UNAVAILABLE
@@ -207,13 +207,16 @@ def main(args: Namespace) -> int:
     return 0 if result["within_limits"] else 1
 
 
-def perform(scenario: Scenario, out: Path, *, is_viewed: bool = False) -> dict[str, Any]:
+def perform(
+    scenario: Scenario, out: Path, *, is_viewed: bool = False, strict: bool = False
+) -> dict[str, Any]:
     """Run a scenario with everything in its place, judge it, and leave the results.
 
     Args:
         scenario: of the emulated station, seed and cycle included.
         out: takes result.json, report.html, fig4.png, fig5.png and the recording.
         is_viewed: a page shows it as it goes.
+        strict: one late reply is too many.
 
     Returns:
         The result, as in result.json.
@@ -231,7 +234,8 @@ def perform(scenario: Scenario, out: Path, *, is_viewed: bool = False) -> dict[s
         withheld = _withheld(stolen_s, host.stolen_s(), time.monotonic() - began_s)
         recording = _only_recording(station.folder)
         evidence = joined.evidence(station.truth, recording, scenario)
-        result = judge(evidence)
+        evidence = replace(evidence, refusal=status.get("unfit"))
+        result = judge(evidence, strict=strict)
         result["step_us"] = _step_us(status) or result["step_us"]
         facts = truth.load(station.truth)[1]
         result["notes"] = [*_notes(status, facts), *withheld]
@@ -305,10 +309,10 @@ def _start_daemon(station: Station, children: Children) -> tuple[Child, dict[str
 def _stalled(emulated: Emulated, status: Mapping[str, Any], operator: "_Operator") -> str:
     """Say why nothing moves."""
     telegrams = emulated.state.get("telegrams") or {}
-    unanswered = sum(telegrams.get(kind, 0) for kind in UNANSWERED)
-    if emulated.state.get("waiting") and unanswered:
+    late = unanswered(telegrams)
+    if emulated.state.get("waiting") and late:
         return (
-            f"the world waits for a link that stands, and {unanswered} telegrams got no answer in "
+            f"the world waits for a link that stands, and {late} telegrams got no answer in "
             "time: this machine is too busy for such a cycle"
         )
     return operator.refusal or f"the daemon is {status.get('state')}"
@@ -392,7 +396,8 @@ def _glimpse(cycle_s: float, state: Mapping[str, Any], status: Mapping[str, Any]
         links=_links(status),
         slack_us=None if turnaround is None else 1e6 * cycle_s - turnaround["max"],
         cycle_us=1e6 * cycle_s,
-        missed=None if waiting else sum(telegrams[kind] for kind in UNANSWERED),
+        missed=None if waiting else unanswered(telegrams),
+        tolerated=state.get("tolerated"),
         held="the world waits until the links stand" if waiting else status.get("held"),
     )
 
@@ -437,10 +442,6 @@ def _notes(status: Mapping[str, Any], facts: Mapping[str, Any]) -> list[str]:
         facts: the emulator's.
     """
     notes = [str(refusal) for refusal in status.get("host") or ()]
-    missed = {kind: facts["telegrams"][kind] for kind in UNANSWERED}
-    if any(missed.values()):
-        told = ", ".join(f"{count} {kind}" for kind, count in missed.items() if count)
-        notes.append(f"telegrams without a good reply in time: {told}; each counts against the run")
     pace = facts["pace"]
     if pace["slips"] or pace["late"]:
         held_ms = pace["slipped_ns"] / 1e6

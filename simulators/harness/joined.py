@@ -6,6 +6,7 @@ instant of a step that answered no telegram.
 """
 
 import json
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -16,16 +17,17 @@ from mcap.records import Message, Metadata
 from linemate.daemon import recording
 from linemate.daemon.operator.bounded_mcap import Damage, records
 from linemate.daemon.recording import RecordingError, StepRecord
-from linemate.daemon.service.step_file import LAYOUT, METADATA, TOPIC
+from linemate.daemon.service.step_file import LAYOUT, LOG, METADATA, STATE_LOG, TOPIC
 from linemate.simulators.devices import truth
 from linemate.simulators.harness import rows as columns
-from linemate.simulators.harness.judge import Evidence, Telegrams
+from linemate.simulators.harness.judge import Evidence, StateChange, Telegrams
 from linemate.simulators.harness.rows import DaemonEvent, Rows
 from linemate.simulators.plants.scenario import Scenario, sample
 
 _PHASES = {name: i for i, name in enumerate(columns.PHASES)}
 _CLASSES = {name: i for i, name in enumerate(columns.CLASSES)}
 _STATES = {name: i for i, name in enumerate(columns.STATES)}
+_CHANGE = re.compile(r"(\w+) -> (\w+): (.*)", re.DOTALL)
 _POSES = ("command", "target", "sensed", "part")
 _NUMBERS = ("task_time", "speed")
 
@@ -46,6 +48,25 @@ def read_steps(path: Path) -> Iterator[StepRecord]:
                 layout = _layout(record, layout)
             elif isinstance(record, Message) and topics[record.channel_id] == TOPIC:
                 yield recording.decode(record.data, layout)
+
+
+def read_changes(path: Path) -> Iterator[StateChange]:
+    """Read the changes of the operating state from a recording's log, oldest first.
+
+    Raises:
+        OSError: it cannot be read.
+        RecordingError: it is no recording, or a broken one.
+    """
+    topics = dict[int, str]()
+    with path.open("rb") as stream:
+        for record in records(stream, topics):
+            if isinstance(record, Damage):
+                raise RecordingError(f"{path}: damaged: {record.reason}")
+            if isinstance(record, Message) and topics[record.channel_id] == LOG:
+                line = json.loads(record.data)
+                found = _CHANGE.fullmatch(line["message"])
+                if line["name"] == STATE_LOG and found is not None:
+                    yield StateChange(*found.groups())
 
 
 def evidence(truth_file: Path, recording_file: Path, scenario: Scenario) -> Evidence:
@@ -74,6 +95,8 @@ def evidence(truth_file: Path, recording_file: Path, scenario: Scenario) -> Evid
         collision=None if collision is None else collision["reason"],
         broken=facts["broken"],
         turnaround_us=facts["turnaround_us"],
+        tolerated=facts["tolerated"],
+        changes=tuple(read_changes(recording_file)),
     )
 
 

@@ -8,7 +8,7 @@ total (tcp - truth), where truth is the true hub at the programmed tool-to-hub d
 """
 
 from bisect import bisect_left
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -41,6 +41,12 @@ CONTROL_BAR_MM = 1.0
 CONTROL_BAR_MRAD = 2.0
 """The paper's figure: control errors in approach, stop and contact stay below these."""
 
+UNANSWERED = ("late", "lost", "refused")
+"""Kinds of telegrams without a good reply in time."""
+
+TROUBLE = frozenset({"hold", "retreat", "fault"})
+"""States that end a motion."""
+
 SCREWS_FIXED, WHEEL_RELEASED = 1, 2
 
 ANGLE_QUANTUM = np.radians(0.5e-8)
@@ -60,6 +66,19 @@ class Telegrams:
 
 
 @dataclass(frozen=True, slots=True)
+class StateChange:
+    """A change of the daemon's operating state, and why, as the daemon wrote it."""
+
+    before: str
+    after: str
+    cause: str
+
+    def __str__(self) -> str:
+        """Return the daemon's own line."""
+        return f"{self.before} -> {self.after}: {self.cause}"
+
+
+@dataclass(frozen=True, slots=True)
 class Evidence:
     """All that a verdict rests on.
 
@@ -75,6 +94,10 @@ class Evidence:
         broken: why the controller broke off, None if it did not.
         variant: ablation, "default" if none.
         turnaround_us: p50, p99, p999, max at the controller; None in virtual time.
+        tolerated: telegrams without a good reply after which the controller breaks off, in all;
+            None if it counts them in a row only.
+        changes: of the daemon's operating state, oldest first.
+        refusal: why the last order was refused, None if none was.
     """
 
     rows: Rows
@@ -88,13 +111,17 @@ class Evidence:
     broken: str | None = None
     variant: str = "default"
     turnaround_us: Mapping[str, float] | None = None
+    tolerated: int | None = 100
+    changes: Sequence[StateChange] = ()
+    refusal: str | None = None
 
 
-def judge(evidence: Evidence) -> dict[str, Any]:
+def judge(evidence: Evidence, *, strict: bool = False) -> dict[str, Any]:
     """Judge one run.
 
     Args:
         evidence: rows, events, counts.
+        strict: one telegram without a good reply in time is too many.
 
     Returns:
         The dict of ``result.json`` (interfaces, section 7).
@@ -117,39 +144,76 @@ def judge(evidence: Evidence) -> dict[str, Any]:
         "cycle_ms": _round(evidence.cycle_s * 1e3),
         "assembled": outcome == "assembled",
         "outcome": outcome,
-        "reason": evidence.collision or evidence.broken,
+        "reason": _reason(evidence, outcome),
         "duration_s": _round(rows.t[-1]) if len(rows) else 0.0,
         "impact_s": _impact_time(rows),
         **errors,
         "detection": detection,
         "false_alarms": alarms,
         "contact_force_n": _force(rows),
-        "telegrams": asdict(evidence.telegrams),
+        "telegrams": {
+            **asdict(evidence.telegrams),
+            "tolerated": 0 if strict else evidence.tolerated,
+        },
         "step_us": percentiles(rows.step_us, {"p50": 50.0, "p99": 99.0, "max": 100.0}),
         "limits": violations(rows.setpoints, rows.answered, evidence.limits, evidence.cycle_s),
     }
     if evidence.turnaround_us is not None:
         result["turnaround_us"] = dict(evidence.turnaround_us)
-    result["within_limits"] = within_limits(result)
+    result["shortfalls"] = shortfalls(result)
+    result["within_limits"] = not result["shortfalls"]
     return result
 
 
-def within_limits(result: Mapping[str, Any]) -> bool:
-    """Whether the run assembled within the paper's figures.
+def shortfalls(result: Mapping[str, Any]) -> list[str]:
+    """Return everything that keeps a run from being assembled within limits, in words.
 
-    That is: assembled, no setpoint out of its limits, every telegram answered in time, and a
-    control error below 1 mm and 2 mrad in approach, stop and contact.
+    The limits: assembled, no setpoint beyond an axis limit, no more telegrams without a good
+    reply in time than the controller tolerates, and a control error below 1 mm and 2 mrad in
+    approach, stop and contact.
     """
+    return [
+        *_not_assembled(result),
+        *_inaccurate(result),
+        *_beyond_axis_limits(result),
+        *_unanswered(result),
+    ]
+
+
+def unanswered(telegrams: Mapping[str, Any]) -> int:
+    """Return how many telegrams got no good reply in time."""
+    return sum(int(telegrams.get(kind) or 0) for kind in UNANSWERED)
+
+
+def _not_assembled(result: Mapping[str, Any]) -> Iterator[str]:
+    if not result["assembled"]:
+        yield f"the wheel was not assembled: {result['outcome']}"
+
+
+def _inaccurate(result: Mapping[str, Any]) -> Iterator[str]:
+    for name in ("approach", "stop", "contact"):
+        span = result["control_error"].get(name)
+        if span is None:
+            continue
+        for key, bar, unit in (
+            ("max_mm", CONTROL_BAR_MM, "mm"),
+            ("max_mrad", CONTROL_BAR_MRAD, "mrad"),
+        ):
+            if not span[key] < bar:
+                yield f"control error in {name} {span[key]:.2f} {unit}, limit {bar:g} {unit}"
+
+
+def _beyond_axis_limits(result: Mapping[str, Any]) -> Iterator[str]:
+    count = result["limits"]["violations"]
+    if count:
+        yield f"{count} setpoints beyond the axis limits, limit 0"
+
+
+def _unanswered(result: Mapping[str, Any]) -> Iterator[str]:
     telegrams = result["telegrams"]
-    spans = (result["control_error"].get(name) for name in ("approach", "stop", "contact"))
-    accurate = all(
-        span is None or (span["max_mm"] < CONTROL_BAR_MM and span["max_mrad"] < CONTROL_BAR_MRAD)
-        for span in spans
-    )
-    lossless = telegrams["late"] == telegrams["lost"] == telegrams["refused"] == 0
-    return bool(
-        result["assembled"] and accurate and lossless and result["limits"]["violations"] == 0
-    )
+    count, tolerated = unanswered(telegrams), telegrams.get("tolerated")
+    if tolerated is not None and count > tolerated:
+        yield f"{count} telegrams without a good reply in time, limit {tolerated}"
 
 
 # Errors
@@ -273,6 +337,34 @@ def _has_retreated(rows: Rows) -> bool:
     withdrawn = (rows.contact == CLAMPED).any() and rows.contact[-1] == FREE
     retreat = (rows.phase == PHASES.index("retreat")) | (rows.state == STATES.index("retreat"))
     return bool(withdrawn or retreat.any())
+
+
+def _reason(evidence: Evidence, outcome: str) -> str | None:
+    """Return why a run did not assemble, in the words of the daemon's state table."""
+    if outcome == "assembled":
+        return None
+    if evidence.collision is None and evidence.broken is not None:
+        return evidence.broken
+    last = _last_trouble(evidence.changes)
+    reasons = (evidence.collision, None if last is None else str(last))
+    return "; ".join(filter(None, reasons)) or _why_nothing_happened(evidence)
+
+
+def _why_nothing_happened(evidence: Evidence) -> str:
+    """Return why a run without trouble did not assemble."""
+    changes = evidence.changes
+    if evidence.refusal is not None and not any(change.after == "track" for change in changes):
+        return f"never started: {evidence.refusal}"
+    if not changes:
+        return "the daemon's state never changed. Check the robot link."
+    return f"the run ended in {changes[-1].after}, entered by: {changes[-1]}"
+
+
+def _last_trouble(changes: Sequence[StateChange]) -> StateChange | None:
+    """Return what ended the last motion for good: the change into hold, retreat or fault."""
+    moving = [n for n, change in enumerate(changes) if change.after in {"track", "contact"}]
+    since = changes[moving[-1] + 1 :] if moving else changes
+    return next((change for change in since if change.after in TROUBLE), None)
 
 
 # Detection

@@ -54,6 +54,7 @@ class Glimpse:
         slack_us: what the last replies left of the cycle, least of them [us].
         cycle_us: length of a cycle [us].
         missed: telegrams late, lost or refused so far.
+        tolerated: of them, before the controller breaks off; None if that is not known.
         held: why the command is held.
     """
 
@@ -69,6 +70,7 @@ class Glimpse:
     slack_us: float | None = None
     cycle_us: float | None = None
     missed: int | None = None
+    tolerated: int | None = None
     held: str | None = None
 
 
@@ -148,7 +150,7 @@ def line(glimpse: Glimpse) -> str:
     if glimpse.slack_us is not None:
         parts.append(f"slack {glimpse.slack_us / 1e3:.1f} ms")
     if glimpse.missed is not None:
-        parts.append(f"missed {glimpse.missed}")
+        parts.append(f"late {_late(glimpse)}")
     parts += [f"{link.name} down" for link in glimpse.links if link.trouble]
     if glimpse.held:
         parts.append(f"held: {glimpse.held}")
@@ -168,7 +170,7 @@ def picture(title: str, glimpse: Glimpse, events: list[str]) -> RenderableType:
     for name, value in glimpse.errors:
         facts.add_row(name, value)
     facts.add_row("slack", _slack(glimpse))
-    facts.add_row("missed", "-" if glimpse.missed is None else str(glimpse.missed))
+    facts.add_row("late replies", _late(glimpse))
     if glimpse.held:
         facts.add_row("held", Text(glimpse.held, style="yellow"))
     links = Table(box=None, pad_edge=False, header_style="dim")
@@ -182,6 +184,13 @@ def picture(title: str, glimpse: Glimpse, events: list[str]) -> RenderableType:
 def _told(glimpse: Glimpse) -> str:
     motion = glimpse.scenario + ("?" if glimpse.tentative else "")
     return f"{glimpse.state:8} {glimpse.phase:8} {motion:9}".rstrip()
+
+
+def _late(glimpse: Glimpse) -> str:
+    if glimpse.missed is None:
+        return "-"
+    bound = "" if glimpse.tolerated is None else f" ({glimpse.tolerated} tolerated)"
+    return f"{glimpse.missed}{bound}"
 
 
 def _coloured(word: str, mark: str = "") -> Text:

@@ -8,6 +8,7 @@ cycle k begins at -lead_in + k T0, and its reply takes no time.
 
 import math
 import time
+from collections import deque
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
@@ -28,7 +29,7 @@ from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.devices.truth import TruthLog
 from linemate.simulators.harness import rows as columns
 from linemate.simulators.harness.foresight import Oracle
-from linemate.simulators.harness.judge import Evidence, Telegrams
+from linemate.simulators.harness.judge import Evidence, StateChange, Telegrams
 from linemate.simulators.harness.rows import DaemonEvent, Rows
 from linemate.simulators.harness.setup import Setup
 from linemate.simulators.harness.variants import ORACLE, SetupError
@@ -45,6 +46,9 @@ TIMELESS: dict[str, tuple[str, ...]] = {
 }
 """Faults for which an exchange that takes no time is enough; ``dst_run`` has the others."""
 AFTER_COLLISION_S = 0.2
+
+CHANGES = 1000
+"""Changes of the operating state that are kept, the newest."""
 
 OnStep = Callable[[LogEntry], None]
 
@@ -132,6 +136,7 @@ class Lockstep:
         self._daemon = _DaemonLog(n)
         self._left = n
         self._timing, self._on_step = timing, on_step
+        self._changes: deque[StateChange] = deque(maxlen=CHANGES)
 
     def turn(self) -> bool:
         """Exchange one telegram.
@@ -169,6 +174,9 @@ class Lockstep:
             collision=None if collision is None else collision.reason,
             broken=self.controller.broken,
             variant=self._setup.variant,
+            tolerated=self.controller.config.total_tolerated,
+            changes=tuple(self._changes),
+            refusal=self._operator.refusal,
         )
 
     def _exchange(self, data: bytes, t: float) -> None:
@@ -194,6 +202,9 @@ class Lockstep:
             self._daemon.note(t, entry)
             if self._on_step is not None:
                 self._on_step(entry)
+        for change in self.cycle.take_changes():
+            told = StateChange(change.before.value, change.after.value, change.cause)
+            self._changes.append(told)
         self._daemon.end_row()
 
     def _is_over(self) -> bool:
@@ -207,16 +218,19 @@ class _Operator:
     def __init__(self, cycle: Cycle) -> None:
         self._cycle = cycle
         self._started = False
+        self.refusal: str | None = None
 
     def look(self) -> None:
         """Give the next order if it is due."""
         if self._started:
             return
         state = self._cycle.machine.state
-        if state is State.IDLE:
-            self._cycle.order("arm")
-        elif state is State.ARMED:
-            self._started = self._cycle.order("start") is None
+        op = {State.IDLE: "arm", State.ARMED: "start"}.get(state)
+        if op is None:
+            return
+        reason = self._cycle.order(op, "the run")
+        self.refusal = None if reason is None else f"{op} refused: {reason}"
+        self._started = op == "start" and reason is None
 
 
 class _DaemonLog:

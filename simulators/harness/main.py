@@ -214,6 +214,7 @@ def _add_demo(commands: "Commands[argparse.ArgumentParser]") -> None:
     _add_common(demo)
     demo.add_argument("--cycle-ms", type=float, choices=(4, 12), default=12)
     demo.add_argument("--seed", type=int, default=0, metavar="N")
+    demo.add_argument("--strict", action="store_true", help="end with 1 if a single reply was late")
     demo.add_argument("--view", action="store_true", help="show it in the browser as it goes")
 
 

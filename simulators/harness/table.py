@@ -103,13 +103,24 @@ def verdict(result: Mapping[str, Any]) -> str:
     ended = "assembled" if result.get("assembled") else f"NOT assembled: {result.get('outcome')}"
     if result.get("reason"):
         ended += f" ({result['reason']})"
-    if result.get("within_limits") is not None:
-        ended += " within limits" if result["within_limits"] else ", NOT within limits"
+    if result.get("assembled") and result.get("within_limits") is not None:
+        missed = "; ".join(map(str, result.get("shortfalls") or ()))
+        ended += " within limits" if result["within_limits"] else f", NOT within limits: {missed}"
     return (
-        f"{ended}; scenario {result.get('scenario', DASH)}, seed {result.get('seed', DASH)}, "
-        f"{number(result.get('cycle_ms'), 0)} ms, {number(result.get('duration_s'), 1)} s, "
-        f"{(result.get('limits') or {}).get('violations', DASH)} violations of limits"
+        f"{ended}; {answers(result)}; scenario {result.get('scenario', DASH)}, "
+        f"seed {result.get('seed', DASH)}, {number(result.get('cycle_ms'), 0)} ms, "
+        f"{number(result.get('duration_s'), 1)} s"
     )
+
+
+def answers(result: Mapping[str, Any]) -> str:
+    """Say how many telegrams got no good reply in time, and how many are tolerated."""
+    telegrams = result.get("telegrams") or {}
+    tolerated = telegrams.get("tolerated")
+    bound = "" if tolerated is None else f" ({tolerated} tolerated)"
+    kinds = ((kind, telegrams.get(kind) or 0) for kind in ("late", "lost", "refused"))
+    counts = [f"{count} {kind}" for kind, count in kinds if count] or ["0 late"]
+    return f"replies: {', '.join(counts)}{bound}"
 
 
 def notes(result: Mapping[str, Any]) -> tuple[str, ...]:

@@ -18,6 +18,8 @@ import pytest
 import yaml
 
 from linemate.simulators.harness import demo, joined, scenario_file
+from linemate.simulators.harness.judge import shortfalls
+from linemate.simulators.harness.main import main
 from linemate.simulators.harness.processes import ChildError
 from linemate.simulators.plants.scenario import Scenario
 
@@ -84,6 +86,42 @@ def test_a_run_that_ends_before_the_wheel_is_on_is_not_called_assembled(ended: E
     assert ended.result["assembled"] is False
     assert ended.result["outcome"] in {"held", "retreated", "fault"}
     assert json.loads(ended.told) == ended.result
+
+
+def test_the_reason_of_a_run_that_did_not_assemble_is_the_daemons_last_change(ended: Ended) -> None:
+    recording = next(ended.out.glob("*.mcap"))
+    changes = [str(change) for change in joined.read_changes(recording)]
+    assert any("started: start ordered by" in change for change in changes)
+    assert any(change in ended.result["reason"] for change in changes)
+
+
+@pytest.mark.parametrize(
+    ("late", "strict", "code"), [(0, True, 0), (7, False, 0), (7, True, 1), (101, False, 1)]
+)
+def test_late_replies_end_with_1_beyond_what_the_controller_tolerates_or_strictly_at_all(
+    late: int,
+    strict: bool,
+    code: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def perform(*_: Any, strict: bool, **__: Any) -> dict[str, Any]:
+        told = {"late": late, "lost": 0, "refused": 0, "tolerated": 0 if strict else 100}
+        result: dict[str, Any] = {
+            "assembled": True,
+            "outcome": "assembled",
+            "control_error": {"approach": {"max_mm": 0.1, "max_mrad": 0.1}},
+            "telegrams": told,
+            "limits": {"violations": 0},
+        }
+        short = shortfalls(result)
+        return {**result, "shortfalls": short, "within_limits": not short}
+
+    monkeypatch.setattr(demo, "perform", perform)
+    words = ["demo", "--out", str(tmp_path), *(["--strict"] if strict else [])]
+    assert main(words) == code
+    assert f"replies: {late} late ({0 if strict else 100} tolerated)" in capsys.readouterr().out
 
 
 def test_results_report_figures_and_recording_are_left(ended: Ended) -> None:

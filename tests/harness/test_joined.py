@@ -11,8 +11,9 @@ from linemate.daemon import recording
 from linemate.daemon.recording import RecordingError
 from linemate.daemon.service.cycle import LogEntry
 from linemate.daemon.service.step_feed import described
-from linemate.daemon.service.step_file import StepFile
+from linemate.daemon.service.step_file import STATE_LOG, Item, Kind, StepFile
 from linemate.simulators.harness import joined, setup
+from linemate.simulators.harness.judge import StateChange
 from linemate.simulators.harness.lockstep import Lockstep
 from linemate.simulators.harness.rows import Rows
 
@@ -80,6 +81,35 @@ def test_order_does_not_matter_and_foreign_telegrams_fill_no_row(
     path = recorded([foreign, *entries], tmp_path / "run.mcap")
     found = joined.join(columns(lockstep), joined.read_steps(path))
     assert_same(found, lockstep.evidence().rows)
+
+
+def test_changes_of_state_are_read_from_the_log_and_no_other_line_is_one(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    file = StepFile(path.open("xb"), described({"task": "wheel"}))
+    cause = "no fresh position: camera silent for 0.31 s (limit 0.30 s). Check its link: now."
+    for n, payload in enumerate(
+        (
+            ("state: hold", 2),
+            ("track -> hold: said by someone else", 2),
+            (f"track -> hold: {cause}", 2, STATE_LOG),
+            ("hold -> retreat: overload", 2, STATE_LOG),
+        )
+    ):
+        file.put(Item(Kind.LINE, n, payload))
+    file.close()
+    assert list(joined.read_changes(path)) == [
+        StateChange("track", "hold", cause),
+        StateChange("hold", "retreat", "overload"),
+    ]
+
+
+def test_a_run_in_virtual_time_knows_why_its_state_changed(
+    run: tuple[Lockstep, list[LogEntry]],
+) -> None:
+    lockstep, _ = run
+    changes = [str(change) for change in lockstep.evidence().changes]
+    assert changes[0].startswith("init -> idle: robot link healthy: 80 answered cycles in a row")
+    assert changes[-1].startswith("armed -> track: started: start ordered by")
 
 
 @pytest.mark.parametrize("data", [b"", b"\x89MCAP0\r\n", bytes(200)])

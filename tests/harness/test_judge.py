@@ -1,6 +1,7 @@
 """The judge on synthetic rows, whose verdict is known beforehand."""
 
 import json
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -9,7 +10,8 @@ import pytest
 
 from linemate.simulators.devices.limits import AxisLimit
 from linemate.simulators.harness import judge as judging
-from linemate.simulators.harness.judge import Evidence, Telegrams, judge
+from linemate.simulators.harness import table
+from linemate.simulators.harness.judge import Evidence, StateChange, Telegrams, judge
 from linemate.simulators.harness.rows import (
     CLAMPED,
     FREE,
@@ -166,10 +168,112 @@ def test_the_outcome_is_the_emulators_word() -> None:
     assert judge(evidence(near))["outcome"] != "assembled"
 
 
-def test_a_lost_telegram_is_not_within_limits() -> None:
-    counts = replace(TELEGRAMS, lost=1)
-    result = judge(evidence(perfect_run(), telegrams=counts))
+@pytest.mark.parametrize(
+    ("unanswered", "tolerated", "strict", "is_within"),
+    [
+        (0, 100, True, True),
+        (1, 100, False, True),
+        (100, 100, False, True),
+        (101, 100, False, False),
+        (1, 100, True, False),
+        (5000, None, False, True),
+    ],
+)
+def test_late_replies_count_from_where_the_controller_does_not_tolerate_them(
+    unanswered: int, tolerated: int | None, strict: bool, is_within: bool
+) -> None:
+    lost = unanswered // 2
+    counts = replace(TELEGRAMS, lost=lost, late=unanswered - lost)
+    run = evidence(perfect_run(), telegrams=counts, tolerated=tolerated)
+    result = judge(run, strict=strict)
+    assert (result["assembled"], result["within_limits"]) == (True, is_within)
+    limit = 0 if strict else tolerated
+    expected = [f"{unanswered} telegrams without a good reply in time, limit {limit}"]
+    assert result["shortfalls"] == ([] if is_within else expected)
+    assert result["telegrams"]["tolerated"] == limit
+
+
+def test_whatever_is_not_within_limits_is_named_with_its_value_and_limit() -> None:
+    rows = perfect_run()
+    rows.target[:, 2] += 0.0012
+    rows.setpoints[700, 0] = 2.0
+    result = judge(evidence(rows, limits=LIMITS))
     assert (result["assembled"], result["within_limits"]) == (True, False)
+    named = " / ".join(result["shortfalls"])
+    assert "control error in approach 1.20 mm, limit 1 mm" in named
+    assert f"{result['limits']['violations']} setpoints beyond the axis limits, limit 0" in named
+    told_so = table.verdict(result)
+    assert "NOT within limits: control error in approach 1.20 mm, limit 1 mm" in told_so
+    assert "0 violations" not in told_so
+
+
+def test_a_verdict_says_not_within_limits_only_with_what_is_not() -> None:
+    for counts in (TELEGRAMS, replace(TELEGRAMS, late=3), replace(TELEGRAMS, late=300)):
+        result = judge(evidence(perfect_run(), telegrams=counts))
+        told_so = table.verdict(result)
+        assert ("NOT within limits: " in told_so) is (counts.late == 300)
+        assert f"replies: {counts.late} late (100 tolerated)" in told_so
+
+
+STALE = "no fresh position: camera silent for 0.31 s, distance 0.02 s (limit 0.30 s)"
+
+
+@pytest.mark.parametrize(
+    ("outcome", "changes", "reason"),
+    [
+        ("held", ["armed -> track: started", f"track -> hold: {STALE}"], f"track -> hold: {STALE}"),
+        (
+            "held",
+            ["track -> hold: a", "hold -> track: started again", "track -> hold: b"],
+            "track -> hold: b",
+        ),
+        (
+            "held",
+            ["init -> idle: x", "armed -> track: started"],
+            "the run ended in track, entered by: armed -> track: started",
+        ),
+        ("held", [], "the daemon's state never changed. Check the robot link."),
+        (
+            "retreated",
+            ["track -> contact: c", "contact -> retreat: overload", "retreat -> idle: retreated"],
+            "contact -> retreat: overload",
+        ),
+        ("fault", ["track -> fault: link", "fault -> idle: acknowledged"], "track -> fault: link"),
+    ],
+)
+def test_what_is_not_assembled_has_its_reason_in_the_words_of_the_state_table(
+    outcome: str, changes: list[str], reason: str
+) -> None:
+    rows = perfect_run()
+    if outcome == "retreated":
+        rows.digital_in[:] = 0
+    else:
+        rows.contact[:], rows.phase[:], rows.digital_in[:] = FREE, 0, 0
+    if outcome == "fault":
+        rows.state[-1] = STATES.index("fault")
+    parsed = [StateChange(*re.fullmatch(r"(\w+) -> (\w+): (.*)", c).groups()) for c in changes]  # type: ignore[union-attr]
+    result = judge(evidence(rows, changes=parsed))
+    assert (result["outcome"], result["reason"]) == (outcome, reason)
+
+
+def test_a_run_that_never_started_says_why_its_order_was_refused() -> None:
+    rows = perfect_run()
+    rows.contact[:], rows.phase[:], rows.digital_in[:] = FREE, 0, 0
+    idle, started = StateChange("init", "idle", "x"), StateChange("armed", "track", "started")
+    refusal = "arm refused: no fresh force"
+    never = judge(evidence(rows, changes=[idle], refusal=refusal))
+    assert never["reason"] == "never started: arm refused: no fresh force"
+    later = judge(evidence(rows, changes=[idle, started], refusal=refusal))
+    assert later["reason"].startswith("the run ended in track")
+
+
+def test_only_what_is_assembled_has_no_reason() -> None:
+    changes = [StateChange("contact", "retreat", "the task retreats")]
+    assert judge(evidence(perfect_run(), changes=changes))["reason"] is None
+    hit = judge(evidence(perfect_run(), changes=changes, collision="missed the hub"))
+    assert hit["reason"] == "missed the hub; contact -> retreat: the task retreats"
+    broken = judge(evidence(perfect_run(), broken="KSS29002"))
+    assert (broken["outcome"], broken["reason"]) == ("fault", "KSS29002")
 
 
 def test_latencies_run_from_the_true_onset() -> None:

@@ -18,13 +18,22 @@ MOMENT = Glimpse(
     links=(LinkGlimpse("robot", 1234, 4.0), LinkGlimpse("camera", None, None, "lost")),
     slack_us=10_800.0,
     cycle_us=12_000.0,
-    missed=0,
+    missed=3,
+    tolerated=100,
 )
 
 
 def test_a_line_tells_class_error_slack_and_a_link_in_trouble() -> None:
     told = line(MOMENT)
-    for word in ("5.25 s", "approach", "stopping?", "0.06 mm", "10.8 ms", "camera down"):
+    for word in (
+        "5.25 s",
+        "approach",
+        "stopping?",
+        "0.06 mm",
+        "10.8 ms",
+        "camera down",
+        "late 3 (100 tolerated)",
+    ):
         assert word in told
     assert "\n" not in told
 

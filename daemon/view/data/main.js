@@ -47,7 +47,7 @@ function showState(frame, status) {
   mark("state", "kind", lost ? "bad" : kind);
   // "hold" says nothing beside a state; what brought it about does.
   const held = frame && frame.held && !(frame.held in STATES) ? frame.held : "";
-  const why = held || (status && !(status.because in STATES) ? status.because : "") || "";
+  const why = held || (status && !(status.because in STATES) ? status.cause || status.because : "") || "";
   text("state-why", !lost ? why : frame ? "as last known" : source.link.reason);
   $("state-why").title = $("state-why").textContent;
   const banner = $("banner");
