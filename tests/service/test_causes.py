@@ -212,7 +212,7 @@ def test_a_latched_fault_is_said_at_once_and_again_where_it_leads(app: App) -> N
     operating._watch = Watch(Link.HEALTHY, NOW_NS, state=State.RETREAT, since_ns=NOW_NS)
     operating.has_failed = True
     operating.decide(NOW_NS, Feeds(), situation, telegram=True)
-    operating.decide(NOW_NS + 200 * MS, Feeds(), situation, telegram=False)
+    operating.decide(NOW_NS + 3000 * MS, Feeds(), situation, telegram=False)
     first, second = map(str, operating.take_changes())
     failed = "the daemon failed in a cycle. Read the error in the journal."
     assert first == f"retreat -> retreat: latched: {failed}"
