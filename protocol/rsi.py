@@ -11,7 +11,13 @@ from operator import mul
 from typing import cast
 
 from linemate.protocol.rsi_config import Element, RsiConfig, parse_config
-from linemate.protocol.rsi_layout import Layout, Vector, robot_layout, sensor_layout
+from linemate.protocol.rsi_layout import (
+    Layout,
+    Vector,
+    robot_layout,
+    sensor_constants,
+    sensor_layout,
+)
 from linemate.protocol.rsi_read import MAX_TELEGRAM_BYTES, Reader, Texts
 from linemate.protocol.rsi_scan import RsiError
 from linemate.protocol.rsi_telegram import Channel, PreparedReply, RobotTelegram, SensorTelegram
@@ -53,6 +59,7 @@ class RsiCodec:
         decimals: int = 8,
         joint_tags: Iterable[str] = ("AK", "AKorr"),
         external_tags: Iterable[str] = ("EK", "EKorr"),
+        constants: Mapping[str, Channel] | None = None,
     ) -> None:
         """Make the templates and patterns.
 
@@ -62,9 +69,10 @@ class RsiCodec:
             decimals: digits after the point when writing, 1..16.
             joint_tags: elements of RECEIVE that mean corrections of A1..A6.
             external_tags: elements of RECEIVE that mean corrections of E1..E6.
+            constants: values of RECEIVE elements that no reply gives, by TAG.
 
         Raises:
-            RsiError: a configuration that makes no telegram.
+            RsiError: a configuration that makes no telegram, or a constant that does not fit.
         """
         if not 1 <= decimals <= MAX_DECIMALS:
             raise RsiError(f"{decimals} decimals, not 1..{MAX_DECIMALS}")
@@ -81,7 +89,8 @@ class RsiCodec:
         if self._robot.delay is not None:
             glanced = (*glanced, self._robot.delay)
         self._robot_writer = Writer(self._robot, decimals)
-        self._sensor_writer = Writer(self._sensor, decimals)
+        known = sensor_constants(config, self._sensor, constants or {})
+        self._sensor_writer = Writer(self._sensor, decimals, known)
         self.robot_reader = Reader(self._robot, self._robot_writer.example(ROBOT_TYPE), glanced)
         self.sensor_reader = Reader(self._sensor, self._sensor_writer.example(config.sentype))
 
@@ -195,6 +204,10 @@ class RsiCodec:
             RsiError: as :meth:`format_sensor`.
         """
         return self._sensor_writer.prepare(telegram, telegram.sentype or self.config.sentype)
+
+    def bare_sensor(self) -> PreparedReply:
+        """Write a reply of the constants alone: no corrections and no signals."""
+        return self._sensor_writer.bare(self.config.sentype)
 
 
 def _ipoc(texts: Texts) -> tuple[int, bytes]:

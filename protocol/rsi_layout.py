@@ -6,12 +6,13 @@ AKorr, EK, EKorr) are known here and nowhere else; every other tag is a channel,
 under its own name in the wire's unit.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 from linemate.protocol.rsi_config import PLACEHOLDER, Element, ElementType, RsiConfig
 from linemate.protocol.rsi_scan import RsiError
+from linemate.protocol.rsi_telegram import Channel
 from linemate.protocol.units import DEG, MM
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
@@ -140,6 +141,31 @@ def sensor_layout(
     keyword = any(e.tag == "DEF_EStr" for e in config.receive)
     message = _position(fields, "EStr", None) if keyword else None
     return _layout("Sen", fields, vectors, delay=None, message=message)
+
+
+def sensor_constants(
+    config: RsiConfig, layout: Layout, constants: Mapping[str, Channel]
+) -> dict[str, Channel]:
+    """Return constants by the key of their channel.
+
+    Args:
+        config: the configuration.
+        layout: of the reply.
+        constants: by TAG; one of a function generator is the value of each of its parameters.
+
+    Raises:
+        RsiError: no such element in RECEIVE, or one that replies give a value to.
+    """
+    elements = {element.tag: element for element in config.receive}
+    known: dict[str, Channel] = {}
+    for tag, value in constants.items():
+        if tag not in elements:
+            raise RsiError("not in RECEIVE", element=tag)
+        for field in _sensor_fields(elements[tag]):
+            if field.key not in layout.channels:
+                raise RsiError("every reply gives it a value", element=tag)
+            known[field.key] = value
+    return known
 
 
 def _layout(

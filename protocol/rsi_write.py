@@ -6,7 +6,7 @@ a nearby value.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from operator import attrgetter, truediv
 
 from linemate.protocol.rsi_layout import Field, Layout, Vector
@@ -25,13 +25,30 @@ Telegram = RobotTelegram | SensorTelegram
 class Writer:
     """Writes one direction's telegrams."""
 
-    def __init__(self, layout: Layout, decimals: int) -> None:
-        """Make the template; ``decimals`` is the number of digits after the point."""
+    def __init__(
+        self, layout: Layout, decimals: int, constants: Mapping[str, Channel] | None = None
+    ) -> None:
+        """Make the template.
+
+        Args:
+            layout: of the telegram.
+            decimals: digits after the point.
+            constants: values of channels that no telegram gives, by key; the others are zero.
+
+        Raises:
+            RsiError: a constant that its channel cannot carry.
+        """
         self._layout = layout
+        self._decimals = decimals
         self._template = _template(layout, decimals)
         self._neutral: list[Channel] = [
             0.0 if f.type == "DOUBLE" else "" if f.type == "STRING" else 0 for f in layout.fields
         ]
+        self._constants: dict[int, Channel] = {}
+        for key, value in (constants or {}).items():
+            self._set_channel(key, value, self._neutral)
+            position = layout.channels[key]
+            self._constants[position] = self._neutral[position]
         self._vector_names = {vector.name for vector in layout.vectors}
         self._fills = [(attrgetter(v.name), v, _block(v)) for v in layout.vectors]
         self._around: dict[str, tuple[str, str]] = {}
@@ -55,6 +72,17 @@ class Writer:
             raise RsiError(f"{len(head) + len(tail)} bytes, at most {MAX_TELEGRAM_BYTES}")
         return PreparedReply(head.encode("ascii"), tail.encode("ascii"))
 
+    def bare(self, sender: str) -> PreparedReply:
+        """Write a telegram of the constants alone, without its IPOC."""
+        positions = sorted(self._constants)
+        fields = tuple(self._layout.fields[n] for n in positions)
+        template = _template(
+            Layout(self._layout.root, False, fields, (), None, None, {}), self._decimals
+        )
+        before, after = _root(self._layout.root, sender)
+        body = template % tuple(self._constants[n] for n in positions)
+        return PreparedReply(f"{before}{body}<IPOC>".encode("ascii"), after.encode("ascii"))
+
     def example(self, sender: str) -> str:
         """A telegram of zeros, in the shape in which this writer writes."""
         message = self._layout.message
@@ -73,11 +101,8 @@ class Writer:
 
     def _enclose(self, sender: str) -> tuple[str, str]:
         """The template with the root around it, and what follows the IPOC."""
-        if not (sender.isascii() and sender.isprintable()):
-            raise RsiError(f"{sender!r:.64} is no printable ASCII text", element="Type")
-        root = self._layout.root
-        kind = escape(sender).replace("%", "%%")
-        around = f'<{root} Type="{kind}">{self._template}<IPOC>', f"</IPOC></{root}>"
+        before, after = _root(self._layout.root, sender)
+        around = f"{before.replace('%', '%%')}{self._template}<IPOC>", after
         if len(self._around) < MAX_SENDERS:
             self._around[sender] = around
         return around
@@ -131,6 +156,13 @@ class Writer:
             raise RsiError("no element for corrections of A1..A6 in the configuration")
         if "external" not in self._vector_names and any(telegram.external or ()):
             raise RsiError("no element for corrections of E1..E6 in the configuration")
+
+
+def _root(root: str, sender: str) -> tuple[str, str]:
+    """Return the root's opening tag, and what follows the IPOC."""
+    if not (sender.isascii() and sender.isprintable()):
+        raise RsiError(f"{sender!r:.64} is no printable ASCII text", element="Type")
+    return f'<{root} Type="{escape(sender)}">', f"</IPOC></{root}>"
 
 
 def _template(layout: Layout, decimals: int) -> str:

@@ -122,7 +122,7 @@ class App:
         config = station.config
         self.cycle = Cycle(
             parameters,
-            RsiCodec(station.rsi, config.rsi.linear_axes),
+            RsiCodec(station.rsi, config.rsi.linear_axes, constants=config.rsi.constants),
             config.watch,
             absolute=config.rsi.corrections is Corrections.ABSOLUTE,
             wrench_expected=config.force_torque is not None,

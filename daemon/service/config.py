@@ -13,11 +13,19 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from linemate.daemon.service import documents, files, overlay, parameter_list, task_file, timeouts
+from linemate.daemon.service import (
+    documents,
+    files,
+    overlay,
+    parameter_list,
+    rsi_check,
+    task_file,
+    timeouts,
+)
 from linemate.daemon.service.command_server import CommandPortError, read_keys
 from linemate.daemon.service.documents import Complaint, FileError
 from linemate.daemon.service.files import UnreadableError
-from linemate.daemon.service.settings import Config
+from linemate.daemon.service.settings import Config, Corrections
 from linemate.daemon.service.task_file import Task
 from linemate.daemon.settings_tree import Settings
 from linemate.protocol.command_keys import Key
@@ -149,6 +157,7 @@ class _Named:
         yield from self._attempt(("task",), self._read_task)
         yield from self._attempt(("rsi", "config"), self._read_rsi)
         yield from self._attempt(("rsi", "config"), self._look_at_axes)
+        yield from self._rsi_complaints()
         yield from self._attempt(("rsi", "linear_axes"), self._look_at_linear_axes)
         yield from self._attempt(("distance", "dbc"), self._read_dbc)
         yield from self._attempt(("distance", "message"), self._look_at_message)
@@ -221,6 +230,22 @@ class _Named:
         ]
         if missing:
             raise ValueError(f"the task's arm needs {', '.join(missing)}")
+
+    def _rsi_complaints(self) -> Iterator[Complaint]:
+        """Name what the controller's file must not hold, or lacks."""
+        if self.rsi is None:
+            return
+        given = self._get("rsi", "corrections", kind=str, default=Corrections.ABSOLUTE.value)
+        constants: dict[str, Any] = self._get("rsi", "constants", kind=dict, default={}) or {}
+        told = [*rsi_check.unfilled(self.rsi, constants)]
+        if given in list(Corrections):
+            told = [*rsi_check.exchange_errors(self.rsi, Corrections(given)), *told]
+        if self.task is not None:
+            told += rsi_check.gate_errors(self.rsi, self.task.file)
+        for what in told:
+            yield Complaint(("rsi", "config"), what)
+        for tag, what in rsi_check.constant_errors(self.rsi, constants):
+            yield Complaint(("rsi", "constants", tag), what)
 
     def _look_at_linear_axes(self) -> None:
         """Millimetres read as degrees would be another place."""

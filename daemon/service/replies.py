@@ -6,7 +6,6 @@ refuses it. External axes that it has elements for and the arm does not have sta
 """
 
 from typing import cast
-from xml.sax.saxutils import escape
 
 from linemate.protocol.rsi import PreparedReply, RsiCodec, SensorTelegram
 from linemate.protocol.rsi_layout import EXTERNAL_AXES
@@ -18,7 +17,7 @@ class Replies:
 
     Attributes:
         absolute: corrections are offsets from the start (#ABSOLUTE), else increments.
-        bare: a reply without corrections: the controller keeps those that it has.
+        bare: a reply of the constants alone: the controller keeps the corrections that it has.
     """
 
     __slots__ = ("_axes", "_codec", "_writes_signals", "absolute", "bare")
@@ -31,8 +30,7 @@ class Replies:
         external = [tag.partition(".")[2] for tag in tags if tag.startswith(("EK.", "EKorr."))]
         self._axes = max((1 + EXTERNAL_AXES.index(axis) for axis in external), default=0)
         self._writes_signals = "DiO" in tags
-        sentype = escape(codec.config.sentype)
-        self.bare = PreparedReply(f'<Sen Type="{sentype}"><IPOC>'.encode(), b"</IPOC></Sen>")
+        self.bare = codec.bare_sensor()
 
     def prepare(
         self, command: tuple[float, ...], origin: tuple[float, ...], digital_out: int

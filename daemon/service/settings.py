@@ -20,6 +20,7 @@ Positive = Annotated[float, Gt(0.0)]
 Port = Annotated[int, Ge(0), Le(65535)]
 Text = Annotated[str, Len(1, 4096)]
 Count = Annotated[int, Ge(1), Le(1_000_000)]
+Constant = bool | int | float | str
 ExternalAxis = Literal["E1", "E2", "E3", "E4", "E5", "E6"]
 
 
@@ -42,6 +43,8 @@ class RsiSettings:
         corrections: ``absolute`` (AK(k) = q_c(k) - q_start) or ``relative``.
         linear_axes: external axes that are linear, the others turn.
         peer: the only address that is answered, None: whoever comes first.
+        constants: value by TAG of each RECEIVE element that linemate does not know; it is written
+            in every reply.
     """
 
     config: Text = "rsi_joints.xml"
@@ -51,6 +54,7 @@ class RsiSettings:
     corrections: Corrections = Corrections.ABSOLUTE
     linear_axes: Annotated[tuple[ExternalAxis, ...], Len(0, 6)] = ("E1",)
     peer: Text | None = None
+    constants: Annotated[dict[Text, Constant], Len(0, 64)] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,11 +49,13 @@ def test_every_section_can_be_given(write: Write, tmp_path: Path) -> None:
     keys = tmp_path / "keys"
     keys.write_text(KEY)
     keys.chmod(0o400)
+    xml = (PROTOCOL_DATA / "rsi_joints_setpoints.xml").read_text(encoding="utf-8")
+    (tmp_path / "rsi.xml").write_text(xml.replace('HOLDON="1"', 'HOLDON="0"'), encoding="utf-8")
     station = config.load(
         write(
             """
 task: wheel.yaml
-rsi: {config: rsi_joints_setpoints.xml, port: 0, cycle_ms: 4, corrections: relative}
+rsi: {config: rsi.xml, port: 0, cycle_ms: 4, corrections: relative}
 distance:
   can: {interface: slcan, channel: /dev/ttyACM0, bitrate: 500000, ttyBaudrate: 115200}
   message: TF03
@@ -142,7 +144,8 @@ def test_a_controller_file_without_an_axis_of_the_arm_is_told(write: Write, tmp_
     assert "EK.E1" in xml
     bare = xml.replace("DEF_EIPos", "DEF_EPos9").replace("EK.E1", "Spare")
     (tmp_path / "rsi.xml").write_text(bare, encoding="utf-8")
-    (line,) = errors(write("task: wheel.yaml\nrsi: {config: rsi.xml}\n"))
+    text = "task: wheel.yaml\nrsi: {config: rsi.xml, constants: {Spare: 0}}\n"
+    (line,) = errors(write(text))
     assert line == "2:15: rsi.config: the task's arm needs SEND DEF_EIPos, RECEIVE EK.E1"
 
 
