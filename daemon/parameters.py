@@ -89,7 +89,9 @@ def build(
         rotations.matrix(tool.quaternion),
         linear_axis=task.arm.linear_axis,
     )
-    controller = control.compile_controller(control_settings, arm, cycle_s)
+    controller = control.compile_controller(
+        control_settings, arm, cycle_s, task.conveyor.nominal_speed
+    )
     dead_time = max(model.dead_time for model in control_settings.servos[: arm.axes])
     # The merge reads five committed steps; a robot without dead time commits them all the same.
     commit = max(merge.commit_steps(dead_time, cycle_s), merge.ORDER)

@@ -13,7 +13,7 @@ from linemate.daemon import rotations
 from linemate.daemon.changed import changed
 from linemate.daemon.control import inverse_filter, limits
 from linemate.daemon.control.kinematics import Arm, UnreachableError
-from linemate.daemon.control.limits import Limits
+from linemate.daemon.control.limits import Limits, TcpLimit
 from linemate.daemon.control.settings import BrakeSettings, ControlSettings
 from linemate.daemon.control.smoothing import smoothing_taps
 from linemate.daemon.horizon import Array, Horizon
@@ -39,6 +39,7 @@ class Controller:
         servo: taps (past + 1 + n_rob, axes) of (12).
         servo_past: steps of (12) in the past.
         limits: of the last gate.
+        tcp_limit: likewise.
         gentle: with which a hold comes to rest.
         steps: n, the horizon that control reads.
         contact_steps: over how many steps (11) is blended out before contact.
@@ -53,6 +54,7 @@ class Controller:
     servo: Array
     servo_past: int
     limits: Limits
+    tcp_limit: TcpLimit
     gentle: Limits
     steps: int
     contact_steps: int
@@ -82,8 +84,16 @@ class ControlState:
     gate: limits.GateState
 
 
-def compile_controller(settings: ControlSettings, arm: Arm, cycle_s: float) -> Controller:
+def compile_controller(
+    settings: ControlSettings, arm: Arm, cycle_s: float, conveyor_speed: float = 0.0
+) -> Controller:
     """Return the controller with its filters designed.
+
+    Args:
+        settings: of control.
+        arm: kinematics.
+        cycle_s: T0 [s].
+        conveyor_speed: which the tcp may have beside its own [m/s].
 
     Raises:
         ValueError: fewer servo models or limits than axes, or a model that cannot be inverted.
@@ -132,6 +142,7 @@ def compile_controller(settings: ControlSettings, arm: Arm, cycle_s: float) -> C
         servo=servo,
         servo_past=-int(taps[0]),
         limits=bounds,
+        tcp_limit=TcpLimit(settings.tcp_speed + conveyor_speed, arm.levers),
         gentle=_gentle(settings.brake, bounds),
         steps=max(needed, math.ceil(settings.horizon_s / cycle_s)),
         contact_steps=max(round(filters.contact_blend / cycle_s), 1),
@@ -270,10 +281,17 @@ def reach(
     """
     if aimed.command is None:
         return stop(controller, changed(aimed.state, gate=gate)), aimed.reason
-    after, held = limits.admit(gate, aimed.command, controller.limits, controller.cycle_s)
+    bounds, period = controller.limits, controller.cycle_s
+    after, held = limits.admit(gate, aimed.command, bounds, period)
     if clamped and held is not None and controller.arm.linear_axis:
         command = _made_up(controller, aimed.command, float(after.position[6]))
-        after, held = limits.admit(gate, command, controller.limits, controller.cycle_s)
+        after, held = limits.admit(gate, command, bounds, period)
+    if not limits.is_slow(after, controller.tcp_limit):
+        jacobian = controller.arm.tcp_jacobian(gate.position)
+        cap = controller.tcp_limit.speed
+        slower = limits.slow_down(gate, after, jacobian, bounds, period, cap)
+        if slower is not after:
+            after, held = slower, "limited: tcp" if held is None else f"{held}, tcp"
     return changed(aimed.state, gate=after), held
 
 

@@ -17,6 +17,7 @@ from linemate.daemon.horizon import Array
 
 _LOCAL = pin.ReferenceFrame.LOCAL
 _RAIL_FIRST = np.array((6, 0, 1, 2, 3, 4, 5))
+_RAIL_LAST = np.array((1, 2, 3, 4, 5, 6, 0))
 _ORIGIN = np.zeros(3)
 CHANGED = 1e-3  # of a pose, beyond which a list is looked at whole [m, rad]
 FAR = 0.01  # of a guess, beyond which one step is not enough [m, rad]
@@ -48,6 +49,8 @@ class Arm:
         tcp: the undeflected tcp's frame in the model.
         linear_axis: the first joint of the URDF is E1.
         lower, upper: (m,) position limits of the URDF, A1..A6 then E1.
+        levers: (m,) upper bound of the tcp's speed for a unit of each axis' speed, whatever the
+            pose: the length of the chain behind a turning axis [m], 1 for E1.
     """
 
     model: Any
@@ -57,6 +60,7 @@ class Arm:
     linear_axis: bool
     lower: Array
     upper: Array
+    levers: Array
 
     @property
     def axes(self) -> int:
@@ -76,6 +80,12 @@ class Arm:
         """Return position (3,) [m] and rotation (3, 3) of the undeflected tcp in base."""
         pose = self._placed(self._order(joints))
         return pose.translation.copy(), pose.rotation.copy()
+
+    def tcp_jacobian(self, joints: Array) -> Array:
+        """Return the Jacobian (3, axes) of the tcp's position, in the tcp's own axes."""
+        q = self._order(joints)
+        J: Array = pin.computeFrameJacobian(self.model, self.data, q, self.tcp, _LOCAL)[:3]
+        return J.take(_RAIL_LAST, axis=1) if self.linear_axis else J
 
     def tcp_in(self, nominal: Array, joints: Array) -> Array:
         """Return the undeflected tcp (6,), position and rotation vector, in a frame c.
@@ -265,11 +275,21 @@ def load(urdf: str, flange: str, position: Array, rotation: Array, *, linear_axi
         names = ", ".join(frame.name for frame in model.frames)
         raise KinematicsError(f"the URDF has no frame {flange!r}; it has {names}")
     lower, upper = model.lowerPositionLimit, model.upperPositionLimit
-    if linear_axis:
-        lower = np.concatenate((lower[1:], lower[:1]))
-        upper = np.concatenate((upper[1:], upper[:1]))
     at = model.getFrameId(flange)
     place = model.frames[at].placement * pin.SE3(rotation, position)
     kind = pin.FrameType.OP_FRAME
     tcp = model.addFrame(pin.Frame("linemate tcp", model.frames[at].parentJoint, at, place, kind))
-    return Arm(model, model.createData(), at, tcp, linear_axis, np.array(lower), np.array(upper))
+    levers = _levers(model, place)
+    if linear_axis:
+        lower, upper, levers = (row.take(_RAIL_LAST) for row in (lower, upper, levers))
+        levers[6] = 1.0
+    data = model.createData()
+    return Arm(model, data, at, tcp, linear_axis, np.array(lower), np.array(upper), levers)
+
+
+def _levers(model: Any, tcp: Any) -> Array:
+    """Return the length of the chain from each joint to the tcp (joints,) [m]."""
+    steps = [float(np.linalg.norm(place.translation)) for place in model.jointPlacements]
+    # The first placement is the universe's, the second leads to the first joint.
+    behind = [*steps[2:], float(np.linalg.norm(tcp.translation))]
+    return np.cumsum(behind[::-1])[::-1].copy()

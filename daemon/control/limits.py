@@ -100,6 +100,7 @@ class GateState:
         position, speed, acceleration: of the commands (m,).
         desired: the last desired setpoint (m,).
         desired_speed: and its difference (m,).
+        mean_speed: of the commands over some ``MEAN_S`` (m,); None: the same as ``speed``.
     """
 
     position: Array
@@ -107,12 +108,42 @@ class GateState:
     acceleration: Array
     desired: Array
     desired_speed: Array
+    mean_speed: Array | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TcpLimit:
+    """Limit of the tcp's speed.
+
+    Attributes:
+        speed: of the tcp in base, as the mean over some ``MEAN_S`` [m/s].
+        levers: (m,) upper bound of the tcp's speed for a unit of each axis' speed [m/rad], [1].
+    """
+
+    speed: float
+    levers: Array
+
+
+MEAN_S = 0.03
+"""Time constant of the mean speed [s]. The inverse of a slow servo asks for twice the tcp's speed
+in single cycles; the arm itself moves as the mean does."""
+
+PEAK = 2.0
+"""Speed of a single cycle's commands over the limit of the mean."""
+
+FREE = 0.6
+"""Share of the limit up to which the mean speed may rise at once."""
+
+RISE = 4.0
+"""Acceleration of the tcp above that [m/s^2]: servos overshoot a sudden speed by a third."""
+
+_HALVINGS = 6
 
 
 def at_rest(position: Array) -> GateState:
     """Return the gate of a robot that stands at ``position`` (m,)."""
     zero = np.zeros(len(position))
-    return GateState(position, zero, zero, position, zero)
+    return GateState(position, zero, zero, position, zero, zero)
 
 
 def held(state: GateState, position: Array) -> GateState:
@@ -122,12 +153,22 @@ def held(state: GateState, position: Array) -> GateState:
     count as its speed, and the robot would stop again in the second cycle.
     """
     zero = np.zeros(len(position))
-    return GateState(position, zero, zero, state.desired, state.desired_speed)
+    return GateState(position, zero, zero, state.desired, state.desired_speed, zero)
 
 
 def under_way(position: Array, speed: Array, acceleration: Array) -> GateState:
     """Return the gate of a robot whose last setpoints (m,) had these differences."""
-    return GateState(position, speed, acceleration, position, speed)
+    return GateState(position, speed, acceleration, position, speed, speed)
+
+
+def _mean_of(state: GateState) -> Array:
+    return state.speed if state.mean_speed is None else state.mean_speed
+
+
+def _mean_speed(state: GateState, speed: Array, period: float) -> Array:
+    """Return the mean speed (m,) one step later."""
+    mean = _mean_of(state)
+    return mean + (period / (MEAN_S + period)) * (speed - mean)
 
 
 def _ceiling(speed: float, cap: float, jerk: float, period: float) -> float:
@@ -259,7 +300,9 @@ def admit(
     Returns:
         The new gate, whose ``position`` is the command, and None or what was held back and why.
     """
-    positions, speeds, accelerations, desired_speeds, short = [], [], [], [], []
+    positions, accelerations, desired_speeds = [], [], []
+    speeds: list[float] = []
+    short: list[str] = []
     for n, (bounds, p, v, a, last, last_speed, wish) in enumerate(
         zip(
             _by_axis(limits, period),
@@ -288,12 +331,14 @@ def admit(
         desired_speeds.append((wish - last) / period)
         if not reached:
             short.append(limits.names[n])
+    speeds_now = np.array(speeds)
     gate = GateState(
         position=np.array(positions) if short else desired,
-        speed=np.array(speeds),
+        speed=speeds_now,
         acceleration=np.array(accelerations),
         desired=desired,
         desired_speed=np.array(desired_speeds),
+        mean_speed=_mean_speed(state, speeds_now, period),
     )
     return gate, f"limited: {', '.join(short)}" if short else None
 
@@ -332,7 +377,128 @@ def brake(
         speed = v + taken * period
         rows.append((p + speed * period, speed, taken))
     position, speeds, accelerations = np.array(rows).T
-    return GateState(position, speeds, accelerations, position, speeds)
+    mean = _mean_speed(state, speeds, period)
+    return GateState(position, speeds, accelerations, position, speeds, mean)
+
+
+def is_slow(gate: GateState, limit: TcpLimit) -> bool:
+    """Tell by the axes' speeds alone whether the tcp's speed is far within its limit."""
+    mean, cap = _mean_of(gate), FREE * limit.speed
+    return bool(
+        np.dot(np.abs(mean), limit.levers) <= cap
+        and np.dot(np.abs(gate.speed), limit.levers) <= limit.speed
+    )
+
+
+def slow_down(
+    state: GateState,
+    admitted: GateState,
+    jacobian: Array,
+    limits: Limits,
+    period: float,
+    cap: float,
+) -> GateState:
+    """Return the admitted command, or the share of it that keeps the tcp's speed.
+
+    All axes take the same share of the way from a joint stop to the admitted command. Both ends
+    are within the range of accelerations that each axis' limits allow, so the rest is too.
+
+    Args:
+        state: of the commands so far.
+        admitted: by ``admit``.
+        jacobian: (3, m) of the tcp's position.
+        limits: of each axis.
+        period: T0 [s].
+        cap: of the tcp's mean speed [m/s].
+
+    Returns:
+        ``admitted`` itself where it keeps the limit.
+    """
+    before = np.dot(jacobian, _mean_of(state))
+
+    def keeps(gate: GateState) -> bool:
+        return _keeps_speed(gate, jacobian, limits, before, RISE * period, cap)
+
+    if keeps(admitted):
+        return admitted
+    stopping = _joint_stop(state, limits, period)
+    low, high, slower = 0.0, 1.0, _between(state, stopping, admitted, 0.0, period)
+    for _ in range(_HALVINGS):
+        share = 0.5 * (low + high)
+        tried = _between(state, stopping, admitted, share, period)
+        if keeps(tried):
+            low, slower = share, tried
+        else:
+            high = share
+    return slower
+
+
+def _keeps_speed(
+    gate: GateState, jacobian: Array, limits: Limits, before: Array, change: float, cap: float
+) -> bool:
+    """Tell whether the tcp's speed, and what it still comes to, is within its limits.
+
+    A speed v above the cap raises the mean while the axes brake, at d: by (v - cap)^2 / 2d over
+    ``MEAN_S``.
+
+    Args:
+        gate: after the command.
+        jacobian: (3, m) of the tcp's position.
+        limits: of each axis.
+        before: (3,) mean velocity of the tcp one step ago [m/s].
+        change: by which the mean may rise in its own direction in this step [m/s].
+        cap: limit of the mean [m/s].
+    """
+    mean = np.dot(jacobian, _mean_of(gate))
+    size = math.hypot(*mean.tolist())
+    if size > FREE * cap and size > float(np.dot(before, mean)) / size + change:
+        return False
+    now = math.hypot(*np.dot(jacobian, gate.speed).tolist())
+    if now <= cap:
+        return size <= cap
+    stop_s = float((np.abs(gate.speed) / limits.acceleration).max())
+    rise = 0.5 * (now - cap) ** 2 * stop_s / (now * MEAN_S)
+    return size + rise <= cap and now <= PEAK * cap
+
+
+def _joint_stop(state: GateState, limits: Limits, period: float) -> Array:
+    """Return accelerations (m,) that slow all axes in proportion, as far as their limits let them.
+
+    Axes that stop one after another would move the tcp faster where their speeds cancel out.
+    """
+    stop_s = max(float((np.abs(state.speed) / limits.acceleration).max()), period)
+    rows = zip(
+        _by_axis(limits, period),
+        state.position.tolist(),
+        state.speed.tolist(),
+        state.acceleration.tolist(),
+        strict=True,
+    )
+    return np.array([_clip(-v / stop_s, *_range(p, v, a, bounds)) for bounds, p, v, a in rows])
+
+
+def _between(
+    state: GateState, stopping: Array, admitted: GateState, share: float, period: float
+) -> GateState:
+    """Return the gate after a share of the way from a stop to the admitted command.
+
+    Args:
+        state: of the commands so far.
+        stopping: accelerations (m,) of the stop.
+        admitted: by ``admit``.
+        share: 0 for the stop, 1 for the admitted command.
+        period: T0 [s].
+    """
+    acceleration = stopping + share * (admitted.acceleration - stopping)
+    speed = state.speed + period * acceleration
+    return GateState(
+        position=state.position + period * speed,
+        speed=speed,
+        acceleration=acceleration,
+        desired=admitted.desired,
+        desired_speed=admitted.desired_speed,
+        mean_speed=_mean_speed(state, speed, period),
+    )
 
 
 def stands(state: GateState) -> bool:

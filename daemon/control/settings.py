@@ -141,6 +141,8 @@ class ControlSettings:
     """All that can be set of control. Axes are A1..A6, then E1.
 
     Attributes:
+        tcp_speed: limit of the tcp's speed relative to the object; the conveyor's nominal speed
+            comes on top of it [m/s].
         horizon_s: how far tracking looks ahead for control [s].
         feed_forward: invert the servos' answers; False commands what is desired.
         damping: invert the tool's elastic modes; False leaves them to ring.
@@ -152,6 +154,7 @@ class ControlSettings:
     smoothing: SmoothingSettings = SmoothingSettings()
     brake: BrakeSettings = BrakeSettings()
     filters: FilterSettings = FilterSettings()
+    tcp_speed: Annotated[float, Ge(0.01), Le(2.0)] = 0.5
     horizon_s: Annotated[float, Gt(0.1), Le(2.0)] = 0.492
     feed_forward: bool = True
     damping: bool = True
