@@ -143,10 +143,10 @@ class ArmFile:
 
 @dataclass(frozen=True, slots=True)
 class LinearAxisFile:
-    """How the linear axis follows the object.
+    """How the linear axis follows the programme.
 
     Attributes:
-        travel: way of the axis as a share of the object's.
+        travel: speed while the conveyor runs, as a share of its nominal speed.
         ramp: time in which the axis takes up or loses its speed [s].
     """
 

@@ -211,6 +211,7 @@ class RsiController:
         self._tells_signals = "DiL" in {element.tag for element in self.codec.config.send}
         self._setpoints = setpoints
         self._digital_out = 0
+        self._ipoc_shift = 0
         self._exchange = ControllerExchange(
             config.ipoc_step,
             config.timeout,
@@ -256,6 +257,18 @@ class RsiController:
         last = self._session.ipoc
         self._exchange.restart(last + 1000 if first_ipoc is None else first_ipoc)
         self._session = self._new_session()
+        self._ipoc_shift = 0
+
+    def jump(self, cycles: int | None) -> None:
+        """Let the counter of the telegrams jump; the programme and its corrections go on.
+
+        Args:
+            cycles: how far, None: to 0.
+        """
+        following = self._session.ipoc + self.config.ipoc_step
+        self._ipoc_shift = (
+            -following if cycles is None else (self._ipoc_shift + cycles * self.config.ipoc_step)
+        )
 
     def begin(self) -> None:
         """Count and charge from the next cycle on, in the same session.
@@ -286,7 +299,8 @@ class RsiController:
         if self.broken is not None:
             return None
         session.ipoc = self._exchange.next_ipoc()
-        return self.codec.format_robot(self._describe(session.ipoc, self._read()))
+        ipoc = session.ipoc + self._ipoc_shift
+        return self.codec.format_robot(self._describe(ipoc, self._read()))
 
     def on_reply(self, data: bytes, stamp_ns: int = 0, deadline_ns: int | None = None) -> Judgement:
         """Judge a reply.
@@ -305,7 +319,8 @@ class RsiController:
             return self._refuse("malformed")
         if reply.sentype != self.codec.config.sentype:
             return self._refuse("sentype")
-        judgement = self._exchange.on_reply(reply.ipoc, stamp_ns, deadline_ns)
+        ipoc = reply.ipoc - self._ipoc_shift
+        judgement = self._exchange.on_reply(ipoc, stamp_ns, deadline_ns)
         if judgement is Judgement.ACCEPTED:
             self._session.reply = reply
         else:

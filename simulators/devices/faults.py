@@ -33,7 +33,16 @@ MEANINGS: dict[str, str] = {
     "restart": "the programme ends and begins anew duration_s later, from where the robot stands",
     "second": "another controller sends telegrams of its own for duration_s",
     "drives_off": "the axes stand braked for duration_s, then the programme begins anew",
+    "ipoc_jump": "the counter goes on value cycles further on, or from 0 if value is 0; no restart",
+    "readdress": "telegrams come from another port for good, or another address if value is 1",
+    "forged": "count telegrams in the controller's name, a counter of their own, within duration_s",
+    "unreadable": "with probability value one value of a telegram is no number",
+    "exponent": "with probability value a telegram's numbers are written with exponents",
+    "frame": "the pose is given in a frame that is turned by 90 degrees",
+    "flipped": "the quaternion is the inverse one",
     "stall": "the daemon does nothing for duration_s",
+    "pause": "the daemon's machine stands for duration_s, its clocks and all its processes",
+    "set": "an operator sets harmless parameters, the count-th of a list",
     "wall_step": "the host's wall clock is stepped by value seconds",
     "crash": "the daemon is gone and begins anew duration_s later",
     "arm": "an operator's order",
@@ -66,20 +75,46 @@ KINDS: dict[str, tuple[str, ...]] = {
         "restart",
         "second",
         "drives_off",
+        "ipoc_jump",
+        "readdress",
+        "forged",
+        "unreadable",
+        "exponent",
     ),
     "reply": ("silence", "loss", "delay", "jitter", "duplicate", "reorder", "truncate"),
     "distance": (*REAL["distance"], *_PIECES, *_READINGS),
-    "camera": (*REAL["camera"], *_PIECES, "reorder", *_READINGS, "nan", *_CLOCKS),
+    "camera": (
+        *REAL["camera"],
+        *_PIECES,
+        "reorder",
+        *_READINGS,
+        "nan",
+        *_CLOCKS,
+        "frame",
+        "flipped",
+    ),
     "force_torque": (*REAL["force_torque"], *_PIECES, *_READINGS, "nan", *_CLOCKS),
-    "daemon": ("stall", "crash", "wall_step"),
-    "operator": ("arm", "start", "stop", "retreat", "ack"),
+    "daemon": ("stall", "crash", "wall_step", "pause"),
+    "operator": ("arm", "start", "stop", "retreat", "ack", "set"),
 }
 """What can happen to each link in virtual time. ``robot`` is the telegrams' way to the daemon,
 ``reply`` the way back. A reply has no ``flip``: a wrong digit in a well-formed reply is a command,
 and nobody but UDP's checksum can tell."""
 
 STRIKING = frozenset(
-    {"garbage", "unplug", "restart", "drives_off", "crash", "wall_step", *KINDS["operator"]}
+    {
+        "garbage",
+        "unplug",
+        "restart",
+        "drives_off",
+        "crash",
+        "wall_step",
+        "pause",
+        "ipoc_jump",
+        "readdress",
+        "forged",
+        *KINDS["operator"],
+    }
 )
 GARBAGE_BYTES = 64
 

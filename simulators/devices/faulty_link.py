@@ -27,6 +27,8 @@ KINDS = frozenset(
         "flip",
         "truncate",
         "ipoc_flip",
+        "unreadable",
+        "exponent",
     }
 )
 TWIN_S = 0.0005
@@ -36,6 +38,9 @@ WORST_JITTER = 8.0
 BEHIND_S = 1e-6
 
 _IPOC = re.compile(rb"(<IPOC>\s*)(\d+)")
+_NUMBER = re.compile(rb'(?<==")-?\d+\.\d+(?=")')
+NO_NUMBERS = (b"", b"1.#QNAN", b"--1.0", b"1,5", b"0x10")
+"""What a value of a telegram is not."""
 _DELAY = re.compile(rb"<Delay\b[^>]*>")
 
 
@@ -154,7 +159,20 @@ def _spoilt(fault: Fault, chance: random.Random, data: bytes) -> bytes:
         return data[: chance.randrange(len(data))] if data else data
     if fault.kind == "ipoc_flip":
         return _IPOC.sub(lambda found: found[1] + _flipped_number(found[2], chance), data, count=1)
+    if fault.kind == "unreadable":
+        return _unreadable(data, chance)
+    if fault.kind == "exponent":
+        return _NUMBER.sub(lambda found: b"%.12e" % float(found[0]), data)
     return flipped(data, max(1, fault.count), chance)
+
+
+def _unreadable(data: bytes, chance: random.Random) -> bytes:
+    """Write one value of a telegram so that it is no number; the counter stays."""
+    found = list(_NUMBER.finditer(data))
+    if not found:
+        return data
+    begin, end = chance.choice(found).span()
+    return data[:begin] + chance.choice(NO_NUMBERS) + data[end:]
 
 
 def _flipped_number(digits: bytes, chance: random.Random) -> bytes:

@@ -5,6 +5,7 @@ pure, and before any checksum, so that what comes out is well-formed and wrong. 
 as in ``faulty_link``.
 """
 
+import math
 import random
 from collections import Counter
 
@@ -12,7 +13,7 @@ from linemate.simulators.devices.faults import Faults, holds
 from linemate.simulators.devices.faulty_link import stream
 from linemate.simulators.plants.scenario import Fault
 
-KINDS = frozenset({"stuck", "scale", "offset", "drift", "nan"})
+KINDS = frozenset({"stuck", "scale", "offset", "drift", "nan", "frame", "flipped"})
 CLOCK_KINDS = frozenset({"clock_step", "clock_rate", "clock_frozen"})
 
 ODD = (float("nan"), float("inf"), float("-inf"), 3e38, -3e38, 5e-324, -0.0)
@@ -94,6 +95,8 @@ class FaultySensor:
         self.suffered[fault.kind] += 1
         if fault.kind == "stuck":
             return self._stuck.setdefault(fault.at_s, values)
+        if fault.kind in {"frame", "flipped"}:
+            return _other_pose(fault.kind, values)
         scaled = fault.value if fault.kind == "scale" else 1.0
         added = {"offset": fault.value, "drift": fault.value * (time_s - fault.at_s)}.get(
             fault.kind, 0.0
@@ -103,3 +106,13 @@ class FaultySensor:
             for i, value in enumerate(values[:additive], 1)
         ]
         return (*changed, *values[additive:])
+
+
+def _other_pose(kind: str, values: tuple[float, ...]) -> tuple[float, ...]:
+    """Return a pose x y z, w x y z as a camera with a wrong convention gives it."""
+    x, y, z, qw, qx, qy, qz = values
+    if kind == "flipped":
+        return (x, y, z, qw, -qx, -qy, -qz)
+    half = math.sqrt(0.5)  # a quarter turn about z: half * (1, 0, 0, 1) times the quaternion
+    turned = (half * (qw - qz), half * (qx - qy), half * (qy + qx), half * (qz + qw))
+    return (-y, x, z, *turned)

@@ -132,9 +132,9 @@ def _lives(
 
 def _settle(cycle_ms: CycleMs) -> None:
     """Load and compile what all runs share, and let the collector leave it alone."""
-    from linemate.simulators.harness import dst_run
+    from linemate.simulators.harness import dst_cells
 
-    dst_run.compiled(Plan(0, cycle_ms=cycle_ms).cycle_s)
+    dst_cells.compiled(Plan(0, cycle_ms=cycle_ms).cycle_s)
     gc.collect()
     gc.freeze()
     gc.disable()

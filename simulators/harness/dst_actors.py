@@ -4,10 +4,11 @@ Law of this file: both act once a cycle and know of the daemon only what it answ
 """
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from linemate.daemon.service.app import App
 from linemate.daemon.service.states import State
+from linemate.simulators.harness.dst_orders import NAMES, CommandWire
 from linemate.simulators.plants.scenario import Vector7
 
 if TYPE_CHECKING:
@@ -17,12 +18,29 @@ HOMING_S = 0.5
 HOMING_SPEED = 0.8
 """How the programme drives the robot to its rest pose, without RSI: for so long at least [s], an
 axis at so much in the mean at most [rad/s, m/s]; it is not charged to the daemon's time."""
+HARMLESS: tuple[dict[str, Any], ...] = (
+    {"tracking.gate_probability": 0.998},
+    {"control.damping": True},
+    {"control.feed_forward": True},
+    {"tracking.mixture": False},
+)
+"""Parameters that may be set in motion."""
+HELD = "control is held"
+"""How a refusal begins whose reason is another operator."""
 DITHERING_S = 0.2
 """How long the operator waits for what is held to go on before beginning anew [s]."""
 
 
 class Programme:
-    """The controller's programme: pauses, brakes, drives home, begins anew."""
+    """The controller's programme: pauses, brakes, drives home, begins anew.
+
+    Attributes:
+        quiet_s: when the exchange broke off last [s].
+        homing_s: time that the programme drove by itself [s].
+        breaks: how often the exchange broke off.
+        is_answered: a reply moved the robot in the closed cycle.
+        orders: the tool's signals, as ordered.
+    """
 
     def __init__(self, simulation: "Simulation") -> None:
         self._simulation = simulation
@@ -37,6 +55,8 @@ class Programme:
         self.quiet_s = float("-inf")
         self.homing_s = 0.0
         self.breaks = 0
+        self.is_answered = False
+        self.orders = 0
 
     def pause(self, now_s: float, duration_s: float) -> None:
         """End the programme; it begins anew after some time."""
@@ -66,6 +86,11 @@ class Programme:
         return self._is_open
 
     @property
+    def stands(self) -> Vector7 | None:
+        """Where the axes are held while the drives are off, None while they are on."""
+        return None if self._braked_until_s is None else self._pose
+
+    @property
     def is_paused(self) -> bool:
         """No telegrams come."""
         return self._paused_until_s is not None
@@ -93,9 +118,11 @@ class Programme:
     def close(self) -> Vector7:
         """Close the cycle and move; returns where the axes are sent."""
         if not self._sent:
+            self.is_answered = False
             self._stand()
             return self._pose
         applied = self._controller.end_of_cycle()
+        self.is_answered, self.orders = applied.answered, applied.digital_out
         if self._braked_until_s is not None:
             applied = replace(applied, setpoints=self._pose)
         self._plant.apply(applied)
@@ -119,21 +146,39 @@ class Operator:
         self._simulation = simulation
         self._started = False
         self._waited_s = 0.0
+        self._wire = CommandWire()
         self.refusal = ""
 
-    def order(self, op: str) -> bool:
-        """Give an order; whether it was taken."""
+    def order(self, op: str, *, is_colleague: bool = False) -> bool:
+        """Give an order, a colleague's if said so; whether it was taken."""
         simulation = self._simulation
         app = simulation.app
         if simulation.is_stalled or app is None:
             return False
-        answer = app._handle(op, {}, "operate", "operator")  # noqa: SLF001
-        # An accepted order is answered after the next decision.
-        reason = answer.get("refused") if isinstance(answer, dict) else None
+        reason = self._ask(app, op, {}, NAMES[is_colleague])
+        if reason is not None and HELD in reason and not is_colleague:
+            # Who holds control is asked to give the order.
+            reason = self._ask(app, op, {}, NAMES[1])
         simulation.oracle.ordered(op, app.cycle, reason)
         if reason is not None:
             self.refusal = f"{op}: {reason}"
         return reason is None
+
+    def set(self, number: int) -> None:
+        """Set parameters, whatever moves."""
+        simulation = self._simulation
+        if simulation.app is not None and not simulation.is_stalled:
+            values = {"values": HARMLESS[number % len(HARMLESS)]}
+            self._ask(simulation.app, "set", values, NAMES[0])
+
+    def _ask(self, app: App, op: str, params: dict[str, Any], name: str) -> str | None:
+        """Return None if an order was taken, else why not."""
+        simulation = self._simulation
+        if simulation.plan.operators:
+            return self._wire.order(app, name, op, params, simulation.host_ns)
+        answer = app._handle(op, params, "operate", name)  # noqa: SLF001
+        # What is answered later was accepted.
+        return answer.get("refused") if isinstance(answer, dict) else None
 
     def look(self, now_s: float) -> None:
         """Give the next order if it is due."""

@@ -43,6 +43,7 @@ class Oracle:
         violations: what was found, at most ``MOST_EVIDENCE``.
         states: operating states seen.
         story: changes of the operating state, in order.
+        now_s: scenario time of the cycle that is judged [s].
         holds: tells where the robot was sent last; a daemon that learns how much of what it sent
             was thrown away begins again from there.
     """
@@ -61,7 +62,7 @@ class Oracle:
         self._cycle_s = cycle_s
         self._braking = braking
         self._speeds = (0.0,) * len(braking)
-        self._now_s = 0.0
+        self.now_s = 0.0
         self._open_orders: set[str] = set()
         self._notable: Counter[int] = Counter()
         self._command: tuple[float, ...] = ()
@@ -74,7 +75,7 @@ class Oracle:
     def blame(self, what: str) -> None:
         """Note a violation."""
         if len(self.violations) < MOST_EVIDENCE:
-            self.violations.append(f"{what} (at {self._now_s:.3f} s)")
+            self.violations.append(f"{what} (at {self.now_s:.3f} s)")
 
     def attend(self, cycle: Cycle) -> None:
         """Look at a daemon's transitions and steps from now on."""
@@ -109,7 +110,7 @@ class Oracle:
 
     def look(self, cycle: Cycle, now_s: float) -> None:
         """Look at what a daemon did in one cycle of the controller."""
-        self._now_s = now_s
+        self.now_s = now_s
         self.states.add(str(cycle.machine.state))
         if cycle.log_dropped:
             self.blame("queue: steps were dropped from the log")
@@ -147,7 +148,7 @@ class Oracle:
                 self.blame(f"finite: {name} is {values}")
         if outputs.speed is not None and not math.isfinite(outputs.speed):
             self.blame(f"finite: speed is {outputs.speed}")
-        self._notable[int(self._now_s)] += len(outputs.events)
+        self._notable[int(self.now_s)] += len(outputs.events)
         state = State(entry.state)
         if session != self._session or len(self._command) != len(outputs.command):
             self._session, self._command, self._held = session, outputs.command, ()
@@ -191,8 +192,8 @@ class Oracle:
             if not holds:
                 self.blame(f"{name}: {before} -> {after} on {signals}")
         if before.state is not after.state:
-            self._notable[int(self._now_s)] += 1
-            self.story.append(f"{self._now_s:.3f} {after.state} {after.because}")
+            self._notable[int(self.now_s)] += 1
+            self.story.append(f"{self.now_s:.3f} {after.state} {after.because}")
 
     def _take_orders(self, signals: Signals) -> None:
         """Every accepted order is in the very next decision."""

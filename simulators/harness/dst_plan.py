@@ -1,9 +1,13 @@
 """What one simulated run is put through, drawn from its seed.
 
-Law of this file: a seed gives one plan, and a plan is plain values: one line of JSON, so that a
-plan that failed is kept as it is, whatever is drawn differently later. A quarter of the seeds is
-spared altogether and a quarter nearly; of the others a quarter loses its links one by one and gets
-them back in another order. Source: reference/reliability.md, section 5.
+Invariants:
+- A seed gives one plan. A plan is plain values, one line of JSON: a plan that failed is kept as it
+  is, whatever is drawn differently later. A field that a line lacks has its default.
+- A quarter of the seeds has no faults and a quarter one mild fault. A quarter has one to six
+  faults, or loses its links one by one and gets them back in another order. A quarter has a row of
+  the second catalogue.
+
+Source: reference/reliability.md, section 5.
 """
 
 import json
@@ -12,6 +16,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 from linemate.simulators.devices.faults import KINDS
+from linemate.simulators.harness import dst_plan_rows
 from linemate.simulators.plants.scenario import Conveyor, ConveyorEvent, Fault
 
 CycleMs = Literal[4, 12]
@@ -33,8 +38,8 @@ BLIP_S, OUTAGE_S = 0.012, 0.6
 EARLIEST_STOP_S = 0.6
 """A conveyor that stops before the estimate of its speed has settled is no fault of a link [s]."""
 
-START_UP_S = 0.3
-"""A daemon that has crashed cannot be there again sooner: measured [s]."""
+START_UP_S = 0.05
+"""A daemon that has crashed is not there again sooner [s]."""
 
 MOST_LEAD_MS = 5.0
 """That may be configured."""
@@ -59,12 +64,23 @@ RANGES: dict[str, tuple[float, float]] = {
     "clock_rate": (1e-3, 0.5),
     "wall_step": (1e-3, 3600.0),
     "garbage": (1.0, 1472.0),
+    "ipoc_jump": (1.0, 1e6),
+    "forged": (4.0, 1e6),
+    "unreadable": _SHARE,
+    "exponent": _SHARE,
 }
 """Least and greatest ``value`` of a kind; drawn evenly on a logarithmic scale."""
 
 SIGNED = frozenset({"scale", "offset", "drift", "clock_step", "clock_rate", "wall_step"})
-NEWTONS_PER_METRE = 1e3
+NEWTONS_PER_METRE = 5e3
 """An offset of the force-torque sensor is that much greater than one of a length."""
+
+CATALOGUE = 3
+"""Of four seeds the one that draws a row of the second catalogue, and nothing else."""
+OTHER_CELLS = 0.15
+CELLS = ("second-layout", "six-axes", "ft300", "tf03", "no-force")
+OVER_PROTOCOL = 0.2
+"""Shares of the plans with another cell, and with orders over the command protocol."""
 
 WEIGHTS = {
     "robot": 5,
@@ -89,7 +105,11 @@ class Plan:
         eager: the operator acts at once, and not only when the trouble is over.
         events: of the conveyor.
         faults: the trouble.
-        cycle_ms: of the controller [ms].
+        cycle_ms: of the controller, as configured [ms].
+        row: of the second catalogue that the trouble is, empty if it is none.
+        cell: one of ``dst_cells.CELLS``.
+        cycle_off: by what share of the configured cycle the controller's own is longer.
+        operators: who give orders over the command protocol; 0: orders reach the daemon directly.
     """
 
     seed: int
@@ -100,11 +120,20 @@ class Plan:
     events: tuple[ConveyorEvent, ...] = ()
     faults: tuple[Fault, ...] = ()
     cycle_ms: CycleMs = 12
+    row: str = ""
+    cell: str = ""
+    cycle_off: float = 0.0
+    operators: int = 0
 
     @property
     def cycle_s(self) -> float:
-        """Of the controller [s]."""
+        """Of the controller, as configured [s]."""
         return round(1e-3 * self.cycle_ms, 6)
+
+    @property
+    def real_cycle_s(self) -> float:
+        """Of the controller, as it is [s]."""
+        return round(1e-3 * self.cycle_ms * (1.0 + self.cycle_off), 9)
 
     @property
     def quiet_s(self) -> float:
@@ -142,7 +171,13 @@ def draw(seed: int, cycle_ms: CycleMs = 12) -> Plan:
         events=_events(chance, duration_s),
         cycle_ms=cycle_ms,
     )
-    return replace(plan, faults=_trouble(seed % 4, chance, duration_s))
+    plan = replace(plan, faults=_trouble(seed % 4, chance, duration_s))
+    if seed % 4 == CATALOGUE:
+        name, changes = dst_plan_rows.draw(chance, plan.cycle_s)
+        plan = replace(plan, row=name, **changes)
+    if chance.random() < OTHER_CELLS:
+        plan = replace(plan, cell=chance.choice(CELLS))
+    return replace(plan, operators=plan.operators or int(chance.random() < OVER_PROTOCOL))
 
 
 def _events(chance: random.Random, duration_s: float) -> tuple[ConveyorEvent, ...]:

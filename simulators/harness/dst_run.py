@@ -11,45 +11,41 @@ import logging
 import struct
 import traceback
 from collections import Counter
-from dataclasses import dataclass, replace
-from functools import cache, partial
+from dataclasses import dataclass
+from functools import partial
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
-from linemate.daemon.control.settings import AxisLimits
-from linemate.daemon.parameters import Parameters
-from linemate.daemon.service import config, realtime
+from linemate.daemon.service import realtime
 from linemate.daemon.service.app import App
-from linemate.daemon.service.config import Station
 from linemate.daemon.service.notify import Notifier
 from linemate.daemon.service.states import State
 from linemate.drivers.datagrams import Address
-from linemate.simulators.devices.controller import ControllerConfig, RobotReading, RsiController
+from linemate.protocol.distance import DistanceEncoder
+from linemate.simulators.devices.controller import ControllerConfig, RsiController
 from linemate.simulators.devices.faults import Faults
 from linemate.simulators.devices.faulty_link import FaultyLink
-from linemate.simulators.devices.limits import AxisLimit
-from linemate.simulators.devices.robot_plant import RobotPlant, seven
+from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.harness.dst_actors import Operator, Programme
+from linemate.simulators.harness.dst_cells import (
+    CELLS,
+    LEAD_IN_S,
+    axis_limits,
+    compiled,
+    scenario_of,
+    station,
+    station_of,
+)
 from linemate.simulators.harness.dst_oracles import Oracle
-from linemate.simulators.harness.dst_plan import CycleMs, Plan
-from linemate.simulators.harness.lockstep import parameters
+from linemate.simulators.harness.dst_plan import Plan
+from linemate.simulators.harness.dst_plant_oracles import PlantOracle, Seen
+from linemate.simulators.harness.dst_strangers import Strangers
 from linemate.simulators.harness.virtual import EPOCH_NS, VirtualLoop, VirtualTime, inhabited
 from linemate.simulators.harness.wires import Emitters
-from linemate.simulators.plants.scenario import (
-    Body,
-    Contact,
-    Conveyor,
-    Fault,
-    Robot,
-    Scenario,
-    Swing,
-    Vector7,
-)
+from linemate.simulators.plants.contact import FIX_SCREWS
+from linemate.simulators.plants.scenario import Fault
 from linemate.simulators.plants.world import World
-
-DAEMON_FILE = Path(__file__).parent / "data" / "tasks" / "dst_daemon.yaml"
-LEAD_IN_S = 0.6
 
 TRANSIT_NS = 60_000
 """One way on the wire."""
@@ -68,16 +64,15 @@ MOST_BREAKS = 3
 """However long the programme drives, and however often the exchange has to be begun anew."""
 LONGEST_S = 60.0
 """Beyond its plan no run goes on for longer, daemon or none [s]."""
+UNHEARD_S = 0.6
+"""After a fault of the exchange its answers are not judged for so long [s]."""
 ENDING_EVERY = 8
 """One seed in so many is ended as by SIGTERM and has to come to rest."""
 ENDING_S = 5.0
 
 RSI_PORT, CAMERA_PORT = 49152, 49153
 DAEMON: Address = ("127.0.0.1", RSI_PORT)
-FIRST: Address = ("127.0.0.1", 50_000)
-SECOND: Address = ("127.0.0.1", 50_001)
 CAMERA: Address = ("127.0.0.1", 50_002)
-_SECOND_IPOC = 77_000
 _SEVEN = struct.Struct("<7d")
 
 
@@ -100,52 +95,6 @@ class Outcome:
     states: frozenset[str]
 
 
-@cache
-def station() -> Station:
-    """The daemon's configuration."""
-    return config.load(DAEMON_FILE)
-
-
-@cache
-def station_of(lead_ms: float, cycle_ms: CycleMs) -> Station:
-    """The same with how early it prepares its replies, and the controller's cycle [ms]."""
-    plain = station()
-    said = replace(
-        plain.config,
-        rsi=replace(plain.config.rsi, cycle_ms=cycle_ms),
-        realtime=replace(plain.config.realtime, lead_ms=lead_ms),
-    )
-    return replace(plain, config=said)
-
-
-@cache
-def compiled(cycle_s: float) -> Parameters:
-    """The daemon's parameters, once a process."""
-    task, said = station().task, station().config
-    return parameters(task.file, task.urdf, said.tracking, said.control, cycle_s)
-
-
-def rest_pose() -> Vector7:
-    """Where the task begins, A1..A6 [rad], E1 [m]."""
-    return seven((*station().task.file.arm.rest_joints, 0.0))
-
-
-def scenario_of(plan: Plan) -> Scenario:
-    """The plant's truth: a body nearly where it should be and a tool that is quick."""
-    return Scenario(
-        name="dst",
-        seed=plan.seed,
-        cycle_s=plan.cycle_s,
-        lead_in_s=LEAD_IN_S,
-        duration_s=plan.duration_s + 1.0,
-        conveyor=Conveyor(events=plan.events),
-        body=Body(offset_range=(0.01, 0.01, 0.01), tilt=0.05, swings=(Swing(amplitude_max=3e-3),)),
-        robot=Robot(start=rest_pose()),
-        contact=Contact(nutrunner_s=0.2, release_s=0.1),
-        faults=plan.faults,
-    )
-
-
 def run(plan: Plan) -> Outcome:
     """Live a plan through.
 
@@ -155,11 +104,6 @@ def run(plan: Plan) -> Outcome:
     simulation = Simulation(plan)
     simulation.live()
     return simulation.outcome()
-
-
-def _same(limit: AxisLimits) -> AxisLimit:
-    """The daemon's own limits, for the judge: what is configured must hold exactly."""
-    return AxisLimit(limit.lower, limit.upper, limit.speed, limit.acceleration, limit.jerk)
 
 
 class Simulation:
@@ -178,34 +122,56 @@ class Simulation:
     def __init__(self, plan: Plan) -> None:
         """Begin at the lead-in, daemon and controller just started."""
         self.plan = plan
-        scenario, control = scenario_of(plan), station().config.control
+        scenario, files = scenario_of(plan), station(plan.cell)
+        cell = CELLS[plan.cell]
         self.world = World(scenario)
         self.plant = RobotPlant(self.world)
         self.controller = RsiController(
-            station().rsi,
+            files.rsi,
             self.plant.read,
             self.plant.start,
             ControllerConfig(
+                # The controller counts in the cycle that it says it has.
                 cycle_s=plan.cycle_s,
                 timeout_rule="row" if plan.rule == "row" else "total",
-                limits=tuple(_same(limit) for limit in control.limits),
+                limits=axis_limits(plan.cell),
             ),
         )
-        brake = control.brake
-        self.oracle = Oracle(plan.cycle_s, (*(brake.acceleration,) * 6, brake.axis_acceleration))
+        brake = files.config.control.brake
+        self.oracle = Oracle(
+            plan.real_cycle_s, (*(brake.acceleration,) * 6, brake.axis_acceleration)
+        )
         self.oracle.holds = lambda: self.controller.setpoints
         self.app: App | None = None
         self.robot = Programme(self)
         self.operator = Operator(self)
         self.tracked_s = float("-inf")
         self._faults = Faults(scenario.faults)
-        mount = station().task.file.conveyor.start_position
-        self._emitters = Emitters(self.world, Faults(scenario.faults), mount, _ns)
+        self._emitters = Emitters(
+            self.world,
+            Faults(scenario.faults),
+            files.task.file.conveyor.start_position,
+            _ns,
+            DistanceEncoder(message=cell.message, signal=cell.signal),
+            cell.force_torque,
+        )
         self._there = FaultyLink("robot", self._faults, plan.seed)
         self._back = FaultyLink("reply", self._faults, plan.seed)
-        self._second: RsiController | None = None
+        self.plant_oracle = PlantOracle(
+            self.world,
+            self._emitters,
+            plan.real_cycle_s,
+            self.oracle.blame,
+            plan.cycle_off,
+            has_rail=files.task.file.arm.linear_axis,
+        )
+        self._ready_s = float("-inf")
+        self._strangers = Strangers(
+            files.rsi, self.plant.start, plan.cycle_s, self.controller.config.ipoc_step
+        )
+        self._telegram = b""
         self._cycle = 0
-        self._cycle_ns = round(plan.cycle_s * 1e9)
+        self._cycle_ns = round(plan.real_cycle_s * 1e9)
         self._is_over = False
         self._hash = blake2b(digest_size=16)
         self._time = VirtualTime()
@@ -256,8 +222,8 @@ class Simulation:
         assert self._loop is not None  # noqa: S101 - a run is under way
         plan = self.plan
         app = App(
-            station_of(plan.lead_ms, plan.cycle_ms),
-            compiled(plan.cycle_s),
+            station_of(plan.lead_ms, plan.cycle_ms, plan.cell),
+            compiled(plan.cycle_s, plan.cell),
             realtime.Host(),
             Notifier(),
         )
@@ -361,9 +327,12 @@ class Simulation:
         data = self.robot.telegram(now_s)
         if data is not None:
             self._hash.update(data)
+            self._telegram = data
+            self._strangers.passed(data)
             for at_s, piece in self._there.carry(data, now_s):
-                self._send(_ns(at_s) + TRANSIT_NS, piece, FIRST, RSI_PORT)
-        self._impostor(now_s)
+                self._send(_ns(at_s) + TRANSIT_NS, piece, self._strangers.source, RSI_PORT)
+        is_there = self._faults.in_force("robot", "second", now_s) is not None
+        self._strangers.second(now_s, is_there=is_there, send=self._send_to_robot_port)
         self.world.advance(self.world.cycle_start(self._cycle + 1) - AHEAD_S)
         self._plug(now_s)
         for at_s, link, piece in self._emitters.collect():
@@ -371,7 +340,7 @@ class Simulation:
                 case "camera":
                     self._send(_ns(at_s), piece, CAMERA, CAMERA_PORT)
                 case "robot":
-                    self._send(_ns(at_s), piece, FIRST, RSI_PORT)
+                    self._send(_ns(at_s), piece, self._strangers.source, RSI_PORT)
                 case "distance":
                     self._time.at(_ns(at_s), partial(self._frame, piece))
                 case _:
@@ -379,9 +348,27 @@ class Simulation:
 
     def _look(self) -> None:
         """Judge the cycle that was closed."""
-        app = self.app
+        app, now_s = self.app, self.now_s
+        machine = None if app is None else app.cycle.machine
+        if app is None or self.is_stalled:
+            self._ready_s = now_s
+        self.oracle.now_s = now_s
+        self.plant_oracle.look(
+            Seen(
+                now_s=now_s,
+                state=None if machine is None else machine.state,
+                because="" if machine is None else machine.because,
+                answered=self.robot.is_answered,
+                programme=not self.robot.is_paused and self.robot.stands is None,
+                busy_s=self._ready_s,
+                sent=self.controller.setpoints,
+                stands=self.robot.stands,
+                screws=bool(self.robot.orders & FIX_SCREWS),
+                is_heard=self._is_heard(now_s),
+            )
+        )
         if app is not None:
-            self.oracle.look(app.cycle, self.now_s)
+            self.oracle.look(app.cycle, now_s)
             if app.cycle.machine.state in {State.TRACK, State.CONTACT}:
                 self.tracked_s = self.now_s
         if not self._is_over and not self._goes_on(app):
@@ -389,6 +376,15 @@ class Simulation:
                 self.oracle.size(app.cycle)
             self._is_over = True
             self._over.set()
+
+    def _is_heard(self, now_s: float) -> bool:
+        """Tell whether nothing keeps telegrams and replies from arriving."""
+        return not any(
+            fault.at_s - 0.1 <= now_s <= fault.at_s + fault.duration_s + UNHEARD_S
+            for link in ("robot", "reply", "daemon")
+            for fault in self._faults.of(link)
+            if fault.kind not in {"unreadable", "exponent"}
+        )
 
     def _goes_on(self, app: App | None) -> bool:
         if self.oracle.violations:
@@ -419,40 +415,41 @@ class Simulation:
                 self.robot.brake(self.now_s, fault.duration_s)
             case "daemon", "crash":
                 self._crash(fault.duration_s)
+            case "robot", "ipoc_jump":
+                self.controller.jump(int(fault.value) or None)
+            case "robot", "readdress":
+                self._strangers.readdress(fault)
+            case "robot", "forged":
+                self._strangers.forge(fault, self._telegram, self._send_to_robot_port)
             case "daemon", "wall_step":
                 self._time.wall_step_ns += round(fault.value * 1e9)
+            case "daemon", "pause":
+                self._time.pause(round(fault.duration_s * 1e9))
+            case "operator", "set":
+                self.operator.set(fault.count)
             case "operator", order:
-                self.operator.order(order)
+                self.operator.order(order, is_colleague=self.plan.operators > 1)
 
     def _stall(self) -> None:
         fault = self._faults.in_force("daemon", "stall", self.now_s)
         if fault is not None:
-            self._time.stalled_until_ns = _ns(fault.at_s + fault.duration_s)
+            end_ns = _ns(fault.at_s + fault.duration_s)
+            self._time.stalled_until_ns = max(self._time.stalled_until_ns, end_ns)
+
+    @property
+    def host_ns(self) -> int:
+        """The monotonic clock of the daemon's machine [ns]."""
+        return self._time.host_ns
 
     @property
     def is_stalled(self) -> bool:
         """The daemon takes no orders now."""
         return self._time.now_ns < self._time.stalled_until_ns
 
-    def _impostor(self, now_s: float) -> None:
-        """Another controller that stands still and asks for answers."""
-        if self._faults.in_force("robot", "second", now_s) is None:
-            self._second = None
-            return
-        if self._second is None:
-            pose = self.plant.start
-            self._second = RsiController(
-                station().rsi,
-                lambda: RobotReading(pose, (0.0,) * 6),
-                pose,
-                ControllerConfig(cycle_s=self.plan.cycle_s, first_ipoc=_SECOND_IPOC),
-            )
-        data = self._second.telegram()
-        self._second.end_of_cycle()
-        if data is not None:
-            self._send(_ns(now_s) + self._cycle_ns // 3, data, SECOND, RSI_PORT)
-
     # The network.
+
+    def _send_to_robot_port(self, at_s: float, data: bytes, source: Address) -> None:
+        self._send(_ns(at_s), data, source, RSI_PORT)
 
     def _send(self, at_ns: int, data: bytes, source: Address, port: int) -> None:
         self._time.at(at_ns, partial(self._arrive, data, source, port))
@@ -467,7 +464,10 @@ class Simulation:
         del source
         self._hash.update(data)
         self.oracle.reply(data)
-        if target != FIRST:
+        forged = self._strangers.moved_by(data)
+        if forged is not None:
+            self.oracle.blame(forged)
+        if target != self._strangers.source:
             return
         if self._faults.in_force("robot", "deafness", self.now_s) is None:
             sent_s = _seconds(self._time.now_ns + THINKING_NS)

@@ -90,7 +90,8 @@ class VirtualTime:
     """A clock and what is to happen.
 
     Attributes:
-        now_ns: monotonic [ns].
+        now_ns: monotonic, of the world outside of the daemon's machine [ns].
+        host_ns: monotonic, of the daemon's machine: it stands while the machine is paused [ns].
         wall_step_ns: how far the wall clock has been stepped [ns].
         stalled_until_ns: the process gets no processor before [ns].
         ports: what can be watched, by descriptor.
@@ -101,6 +102,8 @@ class VirtualTime:
 
     def __init__(self) -> None:
         self.now_ns = EPOCH_NS
+        self._behind_ns = 0  # what the pauses of the machine came to
+        self._paused: tuple[int, int] | None = None  # begin and end of a pause [ns]
         self.wall_step_ns = 0
         self.stalled_until_ns = 0
         self.filled: set[int] = set()
@@ -116,9 +119,38 @@ class VirtualTime:
         self._descriptors = FIRST_DESCRIPTOR
 
     @property
+    def host_ns(self) -> int:
+        """The monotonic clock of the daemon's machine [ns]."""
+        if self._paused is not None:
+            begin_ns, end_ns = self._paused
+            if self.now_ns < end_ns:
+                return begin_ns - self._behind_ns
+            self._behind_ns += end_ns - begin_ns
+            self._paused = None
+        return self.now_ns - self._behind_ns
+
+    @property
     def wall_ns(self) -> int:
-        """The wall clock [ns]."""
-        return self.now_ns - EPOCH_NS + WALL_NS + self.wall_step_ns
+        """The wall clock of the daemon's machine [ns]."""
+        return self.host_ns - EPOCH_NS + WALL_NS + self.wall_step_ns
+
+    def pause(self, duration_ns: int) -> None:
+        """Let the daemon's machine stand, its clocks and all its processes.
+
+        Args:
+            duration_ns: how long [ns]; a pause within a pause is part of it.
+        """
+        _ = self.host_ns  # a pause that is over is booked first
+        begin_ns, end_ns = self._paused or (self.now_ns, self.now_ns)
+        end_ns = max(end_ns, self.now_ns + duration_ns)
+        self._paused = begin_ns, end_ns
+        self.stalled_until_ns = max(self.stalled_until_ns, end_ns)
+
+    def world_ns(self, host_ns: int) -> int:
+        """When the machine's clock will show a time, unless it is paused before [ns]."""
+        shown_ns = self.host_ns
+        from_ns = self.now_ns if self._paused is None else self._paused[1]
+        return from_ns + host_ns - shown_ns
 
     def register(self, port: Port) -> int:
         """Give a port a descriptor, the lowest that is free, as the kernel does."""
@@ -225,19 +257,22 @@ class VirtualTimer(Port):
     @property
     def is_ready(self) -> bool:
         """It has expired and nobody has read it."""
-        return self._at_ns is not None and self._at_ns <= self.world.now_ns
+        return self._at_ns is not None and self._at_ns <= self.world.host_ns
 
     def arm(self, at_ns: int) -> None:
         """Expire once [ns]."""
         self._at_ns = at_ns
         self.emptied()
         # Time only stops where something happens.
-        self.world.at(at_ns, self._expire)
+        self.world.at(self.world.world_ns(at_ns), self._expire)
         self._expire()
 
     def _expire(self) -> None:
         if self.is_ready:
             self.filled()
+        elif self._at_ns is not None and self._at_ns <= self.world.now_ns:
+            # The machine was paused after the timer was armed.
+            self.world.at(self.world.world_ns(self._at_ns), self._expire)
 
     def read(self) -> int:
         """How often it has expired since the last read."""
@@ -424,7 +459,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
     def time(self) -> float:
         """Monotonic [s]."""
-        return self.world.now_ns * 1e-9
+        return self.world.host_ns * 1e-9
 
     def run_in_executor(  # type: ignore[override]
         self, executor: Executor | None, func: Callable[..., T], *args: Any
@@ -495,7 +530,7 @@ def inhabited(world: VirtualTime) -> Iterator[None]:
 
     select = select_module.select
     replaced: list[tuple[Any, str, Any]] = [
-        (time, "monotonic_ns", lambda: world.now_ns),
+        (time, "monotonic_ns", lambda: world.host_ns),
         (time, "time_ns", lambda: world.wall_ns),
         (DatagramSocket, "bound", bound),
         (select_module, "select", wait),

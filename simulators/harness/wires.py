@@ -5,6 +5,7 @@ but bytes and a stamp in between; a scenario's faults act there. What a decoder 
 """
 
 import heapq
+import math
 import random
 from collections import Counter
 from collections.abc import Callable
@@ -42,6 +43,44 @@ Arrival = tuple[float, int, str, bytes]
 """When [s], a number that keeps the order, on which link, and what."""
 
 
+class Hearing:
+    """When a sensor's samples arrived, by what is true of them.
+
+    A piece that a link damaged counts as heard where no check can refuse it: on a CAN bus and in
+    a datagram. A wrench has a checksum.
+
+    Attributes:
+        heard_s: arrival of the newest sample that a decoder takes [s].
+        true_s: arrival of the newest sample that is what the plant is [s].
+        moved_s: arrival of the newest sample that is not a repetition of a frozen one [s].
+        wrong_s: when a reading was wrong last [s].
+        is_wrong: the reading that leaves is not what the plant is.
+        is_frozen: it repeats an earlier one.
+    """
+
+    __slots__ = ("_coming", "heard_s", "is_frozen", "is_wrong", "moved_s", "true_s", "wrong_s")
+
+    def __init__(self) -> None:
+        self.heard_s = self.true_s = self.moved_s = self.wrong_s = float("-inf")
+        self.is_wrong = self.is_frozen = False
+        self._coming: list[tuple[float, bool, bool]] = []
+
+    def sends(self, at_s: float, *, is_whole: bool) -> None:
+        """Note a sample that arrives at a time [s], whole or damaged on its way."""
+        self._coming.append((at_s, is_whole and not self.is_wrong, self.is_frozen))
+
+    def arrive(self, now_s: float) -> None:
+        """Note what has arrived by now [s]."""
+        for at_s, is_true, is_frozen in self._coming:
+            if at_s <= now_s:
+                self.heard_s = max(self.heard_s, at_s)
+                if is_true:
+                    self.true_s = max(self.true_s, at_s)
+                if not is_frozen:
+                    self.moved_s = max(self.moved_s, at_s)
+        self._coming = [one for one in self._coming if one[0] > now_s]
+
+
 class Emitters:
     """The three sensors, encoded, on the way through their links.
 
@@ -50,10 +89,18 @@ class Emitters:
         sensors: the sensors behind them, with what their faults did.
         force_torque: the device that has to be talked to before it streams.
         frame: identifier of the distance sensor's frames, and whether it is a long one.
+        has_wrench: there is a force-torque sensor.
+        wrench_n: the force that it said last [N].
     """
 
     def __init__(
-        self, world: World, faults: Faults, mount: float, stamp: Callable[[float], int]
+        self,
+        world: World,
+        faults: Faults,
+        mount: float,
+        stamp: Callable[[float], int],
+        distance: DistanceEncoder | None = None,
+        device: str | None = DEVICE,
     ) -> None:
         """Switch everything on.
 
@@ -62,20 +109,46 @@ class Emitters:
             faults: of the scenario.
             mount: what the distance sensor reads when the conveyor unit is at s = 0 [m].
             stamp: the monotonic stamp of a scenario time [ns].
+            distance: the distance sensor's message; None: CIA 406.
+            device: the force-torque sensor; None: there is none.
         """
         seed = world.scenario.seed
         self.links = {
             name: FaultyLink(name, faults, seed, ordered=name != "camera") for name in SENSORS
         }
         self.sensors = {name: FaultySensor(name, faults, seed) for name in SENSORS}
-        self.force_torque = ForceTorqueSensor(DEVICE)
-        encoder = DistanceEncoder()
+        self.force_torque = ForceTorqueSensor(device or DEVICE)
+        encoder = distance or DistanceEncoder()
         self.frame = encoder.can_id, encoder.extended
         self._world, self._faults, self._stamp = world, faults, stamp
         self._begin_s = -world.scenario.lead_in_s
         self._junk = random.Random(seed)  # noqa: S311 -- noise, not a secret
         self._can = CanSensor(encoder, mount)
         self._camera = CameraSender(clock_offset_ns=CAMERA_CLOCK_NS)
+        self._hearing = {name: Hearing() for name in SENSORS}
+        self.has_wrench = device is not None
+        self.wrench_n = 0.0
+
+    def heard_s(self, name: str) -> float:
+        """When a sensor's newest sample arrived [s], true or not."""
+        return self._arrived(name).heard_s
+
+    def true_s(self, name: str) -> float:
+        """When a sensor's newest true sample arrived [s]."""
+        return self._arrived(name).true_s
+
+    def moved_s(self, name: str) -> float:
+        """When a sensor's newest sample arrived that was not frozen [s]."""
+        return self._arrived(name).moved_s
+
+    def wrong_s(self, name: str) -> float:
+        """When a sensor's reading was wrong last [s]."""
+        return self._hearing[name].wrong_s
+
+    def _arrived(self, name: str) -> Hearing:
+        hearing = self._hearing[name]
+        hearing.arrive(self._world.time_s)
+        return hearing
 
     def collect(self) -> list[tuple[float, str, bytes]]:
         """What has left since the last call.
@@ -89,12 +162,13 @@ class Emitters:
             position, sensor = distance.position, self.sensors["distance"]
             if not sensor.is_sound:
                 (position,) = sensor.reading((position,), distance.time_s)
+                self._note("distance", distance.time_s, is_wrong=position != distance.position)
             frame = self._can.frame(position, distance.strength)
             if frame is not None:
                 self._carry("distance", frame.data, distance.time_s, left)
         for pose in self._world.take_camera():
             self._carry("camera", self._datagram(pose), pose.time_s, left)
-        for wrench in self._world.take_wrench():
+        for wrench in self._world.take_wrench() if self.has_wrench else ():
             self._carry("force_torque", self._streamed(wrench), wrench.time_s, left)
         now_s = self._world.time_s
         for fault in self._faults.strike(now_s):
@@ -108,21 +182,37 @@ class Emitters:
     def _carry(
         self, name: str, data: bytes, time_s: float, left: list[tuple[float, str, bytes]]
     ) -> None:
-        link = self.links[name]
+        link, hearing = self.links[name], self._hearing[name]
         if link.is_sound:
             left.append((time_s, name, data))
-        else:
-            left += [(arrival_s, name, piece) for arrival_s, piece in link.carry(data, time_s)]
+            hearing.sends(time_s, is_whole=True)
+            return
+        for arrival_s, piece in link.carry(data, time_s):
+            left.append((arrival_s, name, piece))
+            if piece == data or name != "force_torque":
+                hearing.sends(arrival_s, is_whole=piece == data)
+
+    def _note(self, name: str, time_s: float, *, is_wrong: bool) -> None:
+        """Note what is true of the reading that leaves next."""
+        hearing = self._hearing[name]
+        hearing.is_wrong = is_wrong
+        hearing.is_frozen = self._faults.in_force(name, "stuck", time_s) is not None
+        if is_wrong:
+            hearing.wrong_s = time_s
 
     def _datagram(self, pose: CameraEmission) -> bytes:
         sensor = self.sensors["camera"]
         reading = (*pose.position, *pose.quaternion)
         values = sensor.reading(reading, pose.exposure_s, additive=3)
+        shown_s = sensor.clock(pose.exposure_s)
+        if not sensor.is_sound:
+            is_wrong = values != reading or shown_s != pose.exposure_s
+            self._note("camera", pose.time_s, is_wrong=is_wrong)
         return self._camera.datagram(
             values[:3],
             values[3:],
             pose.covariance,
-            exposure_ns=self._stamp(sensor.clock(pose.exposure_s)),
+            exposure_ns=self._stamp(shown_s),
             sent_ns=self._stamp(sensor.clock(pose.time_s)),
         )
 
@@ -131,7 +221,10 @@ class Emitters:
         force, torque = wrench.force, wrench.torque
         if not sensor.is_sound:
             a, b, c, d, e, f = sensor.reading((*force, *torque), taken_s)
+            is_wrong = (a, b, c, d, e, f) != (*force, *torque)
+            self._note("force_torque", wrench.time_s, is_wrong=is_wrong)
             force, torque, taken_s = (a, b, c), (d, e, f), sensor.clock(taken_s)
+        self.wrench_n = math.hypot(*force)
         return self.force_torque.frame(force, torque, round((taken_s - self._begin_s) * 1e6))
 
 

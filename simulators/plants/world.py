@@ -189,6 +189,11 @@ class World:
             return true
         return tuple(q + n for q, n in zip(true, self._encoder_noise, strict=True))
 
+    @property
+    def velocities(self) -> tuple[float, ...]:
+        """A1..A6 [rad/s], E1 [m/s] at the last substep."""
+        return self._servos.velocities
+
     def rigid(self) -> Pose:
         """Rigid tcp in base, now."""
         return self._rigid_at(self._now)

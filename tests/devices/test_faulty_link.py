@@ -113,3 +113,19 @@ def test_one_seed_gives_one_history_and_another_fault_does_not_shift_it() -> Non
     assert history(loss) == history(loss)
     assert history(loss) == history(loss, other)
     assert history(loss) != history(loss, seed=4)
+
+
+def test_an_unreadable_telegram_keeps_its_counter_and_has_one_value_that_is_no_number() -> None:
+    telegram = b'<Rob><AIPos A1="1.50000000" A2="-2.25000000"/><IPOC>1234</IPOC></Rob>'
+    fault = Fault(0.0, "robot", "unreadable", 1.0, 1.0)
+    (piece,) = FaultyLink("robot", Faults([fault]), 3).carry(telegram, 0.5)
+    assert b"<IPOC>1234</IPOC>" in piece[1]
+    assert (b"1.50000000" in piece[1]) != (b"-2.25000000" in piece[1])
+
+
+def test_a_telegram_with_exponents_says_the_same() -> None:
+    telegram = b'<Rob><AIPos A1="1.50000000" A2="-0.00000171"/><IPOC>1234</IPOC></Rob>'
+    fault = Fault(0.0, "robot", "exponent", 1.0, 1.0)
+    (piece,) = FaultyLink("robot", Faults([fault]), 3).carry(telegram, 0.5)
+    assert b'A1="1.500000000000e+00" A2="-1.710000000000e-06"' in piece[1]
+    assert b"<IPOC>1234</IPOC>" in piece[1]

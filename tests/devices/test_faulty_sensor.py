@@ -67,3 +67,19 @@ def test_nan_and_its_kin_come_one_component_at_a_time() -> None:
 def test_a_wrong_clock_shows_another_time(kind: str, value: float, shown: float) -> None:
     assert sensor(kind, value).clock(1.5) == pytest.approx(shown)
     assert sensor(kind, value).clock(2.5) == 2.5
+
+
+TURNED_POSE = (1.0, 2.0, 3.0, 0.5, 0.5, 0.5, 0.5)
+
+
+def test_a_pose_in_a_wrong_frame_is_turned_by_90_degrees_about_z() -> None:
+    sensor = FaultySensor("camera", Faults([Fault(0.0, "camera", "frame", 1.0)]), 1)
+    turned = sensor.reading(TURNED_POSE, 0.5, additive=3)
+    assert turned[:3] == (-2.0, 1.0, 3.0)
+    assert turned[3:] == pytest.approx((0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5)))
+    assert sensor.reading(TURNED_POSE, 1.5, additive=3) == TURNED_POSE
+
+
+def test_a_flipped_quaternion_is_the_inverse_rotation() -> None:
+    sensor = FaultySensor("camera", Faults([Fault(0.0, "camera", "flipped", 1.0)]), 1)
+    assert sensor.reading(TURNED_POSE, 0.5, additive=3) == (1.0, 2.0, 3.0, 0.5, -0.5, -0.5, -0.5)

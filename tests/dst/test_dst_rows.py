@@ -1,0 +1,217 @@
+"""Rows X1 to X19 of the second catalogue: whole runs with the figures that each row names.
+
+A run is judged by all oracles of the fault campaign.
+"""
+
+import random
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from linemate.daemon.service import config
+from linemate.daemon.service.documents import FileError
+from linemate.simulators.harness import dst_plan, dst_plan_rows, dst_run
+from linemate.simulators.harness.dst_cells import CELLS, TASKS
+from linemate.simulators.harness.dst_plan import Plan
+from linemate.simulators.harness.dst_run import Simulation
+from linemate.simulators.plants.scenario import ConveyorEvent, Fault
+
+pytestmark = pytest.mark.xfail(strict=False, reason="the defects of the rows are being mended")
+
+FREE_S, TOUCH_S, HELD_S = 0.6, 1.05, 1.45
+"""In the approach, at the touch, in contact: scenario time [s]."""
+ALWAYS = (-0.4, 2.6)
+STOP, START = 0.104, 0.013
+
+
+def lived(*faults: Fault, **fields: Any) -> Simulation:
+    """Run a plan, and have nothing to blame."""
+    plan = Plan(fields.pop("seed", 1), duration_s=fields.pop("duration_s", 1.9), faults=faults)
+    simulation = Simulation(replace(plan, **fields))
+    simulation.live()
+    assert simulation.outcome().violations == ()
+    return simulation
+
+
+@pytest.mark.parametrize("at_s", [FREE_S, HELD_S])
+@pytest.mark.parametrize("cycles", [8, 60, 417, 1_000_000, 0])
+def test_x1_a_counter_that_jumps_without_a_restart_moves_no_robot(at_s: float, cycles: int) -> None:
+    lived(Fault(at_s, "robot", "ipoc_jump", 0.0, float(cycles)))
+
+
+@pytest.mark.parametrize("at_s", [FREE_S, HELD_S])
+@pytest.mark.parametrize("lasting_s", [0.05, 0.36, 1.08, 2.0])
+def test_x2_a_machine_that_was_paused_moves_no_robot_beyond_its_limits(
+    at_s: float, lasting_s: float
+) -> None:
+    lived(Fault(at_s, "daemon", "pause", lasting_s))
+
+
+@pytest.mark.parametrize("at_s", [FREE_S, HELD_S])
+@pytest.mark.parametrize("kind", [0.0, 1.0])
+def test_x3_a_controller_from_another_port_or_address_is_held_until_it_is_proven(
+    at_s: float, kind: float
+) -> None:
+    lived(Fault(at_s, "robot", "readdress", 0.0, kind))
+
+
+@pytest.mark.parametrize("at_s", [FREE_S, HELD_S])
+@pytest.mark.parametrize("ahead", [50.0, 1e6])
+def test_x4_forged_telegrams_are_not_answered_with_a_correction(at_s: float, ahead: float) -> None:
+    lived(Fault(at_s, "robot", "forged", 0.006, ahead, 3))
+
+
+@pytest.mark.parametrize("at_s", [FREE_S, HELD_S])
+@pytest.mark.parametrize("lasting_s", [0.05, 0.1, 0.4, 2.4])
+def test_x5_a_daemon_that_is_back_soon_moves_no_robot(at_s: float, lasting_s: float) -> None:
+    lived(Fault(at_s, "daemon", "crash", lasting_s))
+
+
+@pytest.mark.parametrize("share", [0.05, 0.1, 0.2])
+def test_x6_lost_replies_leave_no_limit(share: float) -> None:
+    lived(Fault(FREE_S, "reply", "loss", 1.0, share))
+
+
+@pytest.mark.parametrize("mean_s", [0.001, 0.003, 0.006, 0.012])
+def test_x7_jitter_of_telegrams_makes_no_clock_race_and_no_tool_miss(mean_s: float) -> None:
+    lived(Fault(0.4, "robot", "jitter", 1.0, mean_s))
+
+
+@pytest.mark.parametrize("cycle_ms", [12, 4])
+@pytest.mark.parametrize("lasting_s", [0.02, 0.07, 0.1, 0.14])
+def test_x8_telegrams_lost_in_contact_cost_no_mount(lasting_s: float, cycle_ms: int) -> None:
+    lived(Fault(HELD_S, "robot", "silence", lasting_s), cycle_ms=cycle_ms)
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        Fault(HELD_S, "operator", "stop"),
+        Fault(HELD_S, "operator", "retreat"),
+        Fault(HELD_S, "force_torque", "silence", 0.4),
+        Fault(HELD_S, "distance", "silence", 0.4),
+    ],
+    ids=lambda fault: f"{fault.link}-{fault.kind}",
+)
+def test_x9_a_retreat_with_the_tool_clamped_waits_for_the_clamp(fault: Fault) -> None:
+    lived(fault, duration_s=2.6)
+
+
+@pytest.mark.parametrize("stop_s", [0.85, 1.05, 1.3])
+@pytest.mark.parametrize("after_s", [0.32, 0.8])
+def test_x10_a_stop_and_a_start_around_contact_overload_no_mount(
+    stop_s: float, after_s: float
+) -> None:
+    stop = ConveyorEvent("stop", stop_s, STOP)
+    lived(events=(stop, ConveyorEvent("start", stop_s + after_s, START)), duration_s=2.6)
+
+
+@pytest.mark.parametrize("acceleration", [1e-4, 1e-3])
+def test_x11_a_start_that_does_not_speed_up_leads_no_rail_away(acceleration: float) -> None:
+    stop, start = ConveyorEvent("stop", 0.7, STOP), ConveyorEvent("start", 2.0, acceleration)
+    lived(events=(stop, start), duration_s=3.0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "lasting_s"),
+    [
+        ("silence", 0.0, 0.3),
+        ("silence", 0.0, 1.2),
+        ("frame", 0.0, 0.6),
+        ("flipped", 0.0, 0.6),
+        ("offset", 0.03, 0.6),
+        ("clock_step", 0.02, 0.6),
+        ("clock_step", -0.02, 0.6),
+    ],
+)
+def test_x12_a_camera_that_is_covered_or_wrong_before_contact_leads_into_no_collision(
+    kind: str, value: float, lasting_s: float
+) -> None:
+    lived(Fault(TOUCH_S - lasting_s, "camera", kind, lasting_s, value), duration_s=2.6)
+
+
+@pytest.mark.parametrize("at_s", [pytestmark = pytest.mark.xfail(strict=False, reason="the defects of the rows are being mended")
+
+FREE_S, TOUCH_S])
+@pytest.mark.parametrize(("kind", "value"), [("offset", 0.03), ("delay", 0.02), ("stuck", 0.0)])
+def test_x13_a_distance_that_is_off_late_or_frozen_leads_into_no_collision(
+    at_s: float, kind: str, value: float
+) -> None:
+    lived(Fault(at_s, "distance", kind, 0.6, value))
+
+
+@pytest.mark.parametrize(
+    ("kind", "value"),
+    [("offset", 20.0), ("scale", -1.0), ("flip", 0.3), ("stuck", 0.0), ("clock_frozen", 0.0)],
+)
+def test_x14_a_wrench_that_is_wrong_costs_no_mount(kind: str, value: float) -> None:
+    lived(Fault(TOUCH_S, "force_torque", kind, 0.6, value, 1), duration_s=2.6)
+
+
+@pytest.mark.parametrize("off_m", [-0.01, -0.005, -0.002, 0.002, 0.005, 0.01])
+def test_x15_an_object_that_is_nearer_or_farther_than_seen_is_touched_gently(off_m: float) -> None:
+    lived(Fault(ALWAYS[0], "camera", "offset", 4.0, off_m, 3), duration_s=2.6)
+
+
+@pytest.mark.parametrize("off", [-0.1, -0.06, -0.02, 0.02, 0.06, 0.1])
+def test_x16_a_controller_of_another_cycle_is_not_tracked_for(off: float) -> None:
+    simulation = lived(cycle_off=off)
+    assert ("track" in simulation.oracle.states) == (abs(off) < 0.05)
+
+
+def test_x17_a_telegram_with_exponents_is_read() -> None:
+    simulation = lived(Fault(ALWAYS[0], "robot", "exponent", ALWAYS[1] + 1.0, 1.0))
+    assert "contact" in simulation.oracle.states
+
+
+@pytest.mark.parametrize(("share", "lasting_s"), [(0.05, 1.0), (1.0, 1.0)])
+def test_x17_a_telegram_with_an_unreadable_value_is_answered(
+    share: float, lasting_s: float
+) -> None:
+    lived(Fault(FREE_S, "robot", "unreadable", lasting_s, share))
+
+
+@pytest.mark.parametrize("cell", sorted(set(CELLS) - {""}))
+def test_other_cells_assemble_the_wheel(cell: str) -> None:
+    simulation = lived(cell=cell, duration_s=2.6)
+    assert simulation.world.released_s is not None
+
+
+def test_x5_a_layout_without_delay_is_refused_at_the_check(tmp_path: Any) -> None:
+    from linemate.simulators.devices.emulator_config import SHIPPED_RSI
+
+    lines = SHIPPED_RSI.read_text(encoding="utf-8").splitlines()
+    without = [line for line in lines if "DEF_Delay" not in line]
+    (tmp_path / "site.xml").write_text("\n".join(without), encoding="utf-8")
+    text = (TASKS / "dst_daemon.yaml").read_text(encoding="utf-8")
+    text = text.replace("rsi_joints.xml", "site.xml").replace("dst.yaml", "wheel.yaml")
+    (tmp_path / "linemate.yaml").write_text(text, encoding="utf-8")
+    with pytest.raises(FileError, match="Delay"):
+        config.load(tmp_path / "linemate.yaml")
+
+
+@pytest.mark.parametrize("operators", [1, 2])
+def test_x19_parameters_and_orders_of_two_operators_in_motion_cost_no_cycle(operators: int) -> None:
+    orders = [Fault(0.3 + 0.05 * n, "operator", "set", 0.0, 0.0, n) for n in range(4)]
+    simulation = lived(*orders, Fault(0.6, "operator", "arm"), operators=operators)
+    counts = simulation.controller.counts
+    assert counts.late == counts.lost == counts.refused == 0
+    assert "contact" in simulation.oracle.states
+
+
+def test_every_row_that_is_a_fault_of_a_run_can_be_drawn_and_comes_back_from_its_line() -> None:
+    for name, row in dst_plan_rows.ROWS.items():
+        for seed in range(20):
+            changes = row(random.Random(seed), 0.012)
+            plan = Plan(seed, row=name, **changes)
+            assert dst_plan.from_line(plan.to_line()) == plan
+            dst_run.Faults(plan.faults)
+
+
+def test_a_quarter_of_the_seeds_draws_a_row_and_every_row_and_cell_is_drawn() -> None:
+    plans = [dst_plan.draw(seed) for seed in range(2000)]
+    assert {plan.row for plan in plans if plan.row} == set(dst_plan_rows.ROWS)
+    assert all(plan.row for plan in plans[3::4])
+    assert {plan.cell for plan in plans} == set(CELLS)
+    assert {plan.operators for plan in plans} == {0, 1, 2}
