@@ -72,6 +72,9 @@ class Outputs:
         speed: of the conveyor [m/s].
         horizon: (n+1, 6) x_t in the nominal frame, None while the robot does not track.
         contact: the tool is clamped to the object.
+        clamped: a retreat waits for the clamp, which is closed on the object or may be.
+        overdue: the tool has not done in its time what the programme needs: the clamp was not
+            reported open.
         overload: the force is beyond what the tool may bear.
         finished: the task is over, or the retraction is.
         held: why the command is not the one desired, None if it is.
@@ -95,6 +98,8 @@ class Outputs:
     speed: float | None
     horizon: Array | None
     contact: bool
+    clamped: bool
+    overdue: bool
     overload: bool
     finished: bool
     held: str | None
@@ -182,7 +187,7 @@ def plan(state: State, inputs: Inputs, parameters: Parameters) -> Plan:
         return Plan(*tracking.observe(parameters.tracker, state.tracker, seen))
     retreat = inputs.order is Order.RETREAT
     tracker, horizon, report = tracking.track(
-        parameters.tracker, state.tracker, seen, start=inputs.start or retreat, retreat=retreat
+        parameters.tracker, state.tracker, seen, start=inputs.start, retreat=retreat
     )
     aim = control.aim(parameters.controller, state.control, horizon)
     return Plan(tracker, report, horizon, aim)
@@ -310,6 +315,8 @@ def _outputs(
         speed=report.speed,
         horizon=poses,
         contact=tracker.contact,
+        clamped=tracker.clamped,
+        overdue=tracking.is_overdue(parameters.tracker, tracker),
         overload=report.overload,
         finished=report.phase is Phase.DONE or withdrawn,
         held=held,

@@ -214,6 +214,8 @@ class Operating:
             astray=found.astray is not None,
             ready=last.ready is None and not found.settling,
             contact=last.contact,
+            clamped=last.clamped,
+            overdue=last.overdue,
             overload=feeds.overloaded,
             done=last.phase is Phase.RETREAT,
             fault=self.has_failed,

@@ -50,6 +50,8 @@ class Signals:
         object_left: the object has left the window while it was tracked.
         contact: the tool touches the object, or is so near that to stop would end there.
         overload: the force is beyond what the tool bears.
+        overdue: the tool has not done in its time what the programme needs: in contact and in a
+            retreat the clamp has not opened.
         done: the task has come to its own retreat, or to its end.
         clear: a retreat is over: free, away and at rest.
         expired: the present state has lasted too long.
@@ -64,6 +66,7 @@ class Signals:
     object_left: bool = False
     contact: bool = False
     overload: bool = False
+    overdue: bool = False
     done: bool = False
     clear: bool = False
     expired: bool = False
@@ -154,6 +157,10 @@ def _stop(s: Signals, _: Machine) -> bool:
     return s.stop
 
 
+def _overdue(s: Signals, _: Machine) -> bool:
+    return s.overdue
+
+
 def _expired(s: Signals, _: Machine) -> bool:
     return s.expired
 
@@ -176,6 +183,9 @@ def _may_start(s: Signals, _: Machine) -> bool:
 
 INIT, IDLE, ARMED, TRACK = State.INIT, State.IDLE, State.ARMED, State.TRACK
 CONTACT, RETREAT, HOLD, FAULT = State.CONTACT, State.RETREAT, State.HOLD, State.FAULT
+
+CLAMP_CLOSED = "the clamp is not reported open (open it by hand)"
+"""The tool follows the object then, and withdraws as soon as the clamp is reported open."""
 
 TABLE: tuple[Row, ...] = (
     Row(INIT, FAULT, "fault", _latched),
@@ -216,11 +226,26 @@ TABLE: tuple[Row, ...] = (
     Row(CONTACT, RETREAT, "fault in contact", _latched),
     Row(CONTACT, RETREAT, "contact without fresh sensors", _stale, latches=True),
     Row(CONTACT, RETREAT, "telegrams missing in contact", _shaky),
+    Row(CONTACT, RETREAT, CLAMP_CLOSED, _overdue, latches=True),
     Row(CONTACT, RETREAT, "the task retreats", _done, programmed=True),
     Row(RETREAT, FAULT, "robot link lost in motion", _lost, latches=True),
     Row(RETREAT, FAULT, "retreated with a fault", lambda s, m: s.clear and m.latched),
     Row(RETREAT, IDLE, "retreated", lambda s, _: s.clear),
+    Row(
+        RETREAT,
+        FAULT,
+        "the clamp is not reported open and no sensor shows the object",
+        lambda s, _: s.expired and s.overdue,
+        latches=True,
+    ),
     Row(RETREAT, FAULT, "retreat takes too long", _expired, latches=True),
+    Row(
+        RETREAT,
+        RETREAT,
+        CLAMP_CLOSED,
+        lambda s, m: s.overdue and m.because != CLAMP_CLOSED,
+        latches=True,
+    ),
     Row(
         RETREAT,
         RETREAT,

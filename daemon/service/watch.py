@@ -88,7 +88,8 @@ class Facts:
         contradicted: the sensors of the position contradict each other.
         gap_m: that a stop would leave between tool and object [m]; None while it is not seen.
         astray: the robot is not where its commands led it.
-        ready, object_left, contact, overload, done, clear, fault: as in ``Signals``, raw.
+        clamped: a retreat waits for the clamp to open.
+        ready, object_left, contact, overload, overdue, done, clear, fault: as in ``Signals``, raw.
         orders: accepted orders that came since the last cycle.
     """
 
@@ -105,7 +106,9 @@ class Facts:
     ready: bool = False
     object_left: bool = False
     contact: bool = False
+    clamped: bool = False
     overload: bool = False
+    overdue: bool = False
     done: bool = False
     clear: bool = False
     fault: bool = False
@@ -247,9 +250,10 @@ def _signals(watch: Watch, facts: Facts, settings: WatchSettings) -> Signals:
         facts.object_left,
         contact,
         watch.overload >= settings.cycles_of_overload,
+        facts.overdue,
         facts.done,
         facts.clear,
-        _expired(watch, stamp_ns, settings),
+        _expired(watch, facts, settings),
         fault,
         *(_ordered(facts.orders) if facts.orders else _NO_ORDER),
     )
@@ -267,12 +271,25 @@ _seen = lru_cache(maxsize=512)(Signals)
 """Most cycles see what some cycle saw before."""
 
 
-def _expired(watch: Watch, stamp_ns: int, settings: WatchSettings) -> bool:
+def _expired(watch: Watch, facts: Facts, settings: WatchSettings) -> bool:
+    """Return whether the present state has lasted too long."""
+    lasted_s = _age_s(watch.since_ns, facts.stamp_ns)
     if watch.state is State.HOLD:
-        return _age_s(watch.since_ns, stamp_ns) > settings.longest_hold_s
-    if watch.state is State.RETREAT:
-        return _age_s(watch.since_ns, stamp_ns) > settings.longest_retreat_s
-    return False
+        return lasted_s > settings.longest_hold_s
+    if watch.state is not State.RETREAT:
+        return False
+    if facts.clamped:
+        # A stop would pull at the closed clamp as the object goes on. Without any sensor the
+        # prediction is good for the clamp's own time-out, not for longer.
+        return facts.overdue and _is_blind(facts, settings)
+    return lasted_s > settings.longest_retreat_s
+
+
+def _is_blind(facts: Facts, settings: WatchSettings) -> bool:
+    """Return whether no sensor shows the clamped object, neither its position nor its force."""
+    seen = _age_s(facts.position_ns, facts.stamp_ns) <= settings.position_in_contact_s
+    felt = _age_s(facts.wrench_ns, facts.stamp_ns) <= settings.wrench_s
+    return not (seen or felt)
 
 
 def _age_s(then_ns: int | None, now_ns: int) -> float:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated
 
-from annotated_types import Ge, Gt, Len, Lt
+from annotated_types import Ge, Gt, Le, Len, Lt
 
 from linemate.protocol.samples import Quaternion, Vector3
 
@@ -111,12 +111,15 @@ class ToolTimes:
         release_wheel: signal 1 is set.
         fixed_after: without signals, the screws count as fixed this long after [s]; None: wait.
         released_after: without signals, the wheel counts as released this long after [s].
+        release_timeout: a clamp that is not open this long after its order is overdue [s]: the
+            tool follows the object, and does not withdraw.
     """
 
     fix_screws: NonNegative = 8.5
     release_wheel: NonNegative = 14.5
     fixed_after: Positive | None = None
     released_after: Positive | None = None
+    release_timeout: Annotated[float, Gt(0.0), Le(10.0)] = 2.0
 
 
 @dataclass(frozen=True, slots=True)

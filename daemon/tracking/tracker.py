@@ -13,7 +13,7 @@ import numpy as np
 
 from linemate.daemon.changed import changed
 from linemate.daemon.horizon import Array, Horizon
-from linemate.daemon.tracking import approach, contact, linear_axis, merge
+from linemate.daemon.tracking import approach, contact, linear_axis, merge, release
 from linemate.daemon.tracking.conveyor import Classifier, Motion, Row, Source, View
 from linemate.daemon.tracking.observation import (
     History,
@@ -31,7 +31,7 @@ from linemate.daemon.tracking.settings import TrackingSettings
 from linemate.daemon.tracking.task import Gate, Phase, TaskFile
 from linemate.daemon.tracking.transverse import Transverse, TransverseState
 from linemate.protocol.frozen import frozen
-from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
+from linemate.protocol.samples import CameraSample, DistanceSample, Vector3, WrenchSample
 
 AWAY = 0.15  # way of an emergency retraction [m]
 AWAY_TIME = 0.6  # and its duration [s]
@@ -104,8 +104,12 @@ class TrackerState:
         contact: the tool is clamped to the object.
         fixing, releasing: time since the tool was asked to fix, to release [s]; None before.
         withdrawn: time since an emergency retraction began [s]; None without.
+        clamped: a retreat waits for the clamp, which is closed on the object or may be.
+        anchor: (6,) pose of a robot at rest from which an emergency retraction began; None if it
+            tracked.
         distance: programmed, from the tcp to the object along its z [m].
         readings: of the distance sensor, before the first belief [m].
+        pull: mean force on the clamped tool [N].
     """
 
     history: History | None
@@ -123,8 +127,11 @@ class TrackerState:
     fixing: float | None = None
     releasing: float | None = None
     withdrawn: float | None = None
+    clamped: bool = False
+    anchor: Array | None = None
     distance: float = math.inf
     readings: tuple[float, ...] = ()
+    pull: Vector3 = (0.0, 0.0, 0.0)
 
 
 @frozen(eq=False)
@@ -195,6 +202,8 @@ def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> Tra
         fixing=None,
         releasing=None,
         withdrawn=None,
+        clamped=False,
+        anchor=None,
         distance=math.inf,
     )
 
@@ -210,7 +219,9 @@ def estimate(
     if across is not None:
         seating = state.fixing is not None and Gate.SCREWS_FIXED not in state.passed
         across = tracker.transverse.predict(across, tracker.cycle_s, seating=seating)
-    sightings, wrench = _sightings(tracker, history, seen, touching=state.contact)
+    wrench = mean_wrench(seen.wrench)
+    pull = release.averaged(state.pull, wrench, tracker.cycle_s) if state.contact else state.pull
+    sightings = _sightings(tracker, history, seen, wrench if _counts(tracker, state) else None)
     rows = [_distance_row(tracker, seen.stamp_ns, sample) for sample in seen.distance]
     refused = 0
     waiting = state.sightings
@@ -241,6 +252,7 @@ def estimate(
         across=across,
         sightings=waiting,
         readings=readings,
+        pull=pull,
     )
     return state, refused, wrench
 
@@ -271,14 +283,32 @@ def _along_row(
     return Row(source, value, sighting.delay, variance, gate)
 
 
+def _counts(tracker: Tracker, state: TrackerState) -> bool:
+    """Return whether the force tells where the object is: the tool is clamped to it for certain.
+
+    A clamp that was ordered to open may be open without having reported it. A tool that hangs free
+    would place the object where the tool is, and would follow itself.
+    """
+    if state.releasing is None:
+        return state.contact
+    pulling = release.PULLING * tracker.settings.tactile.contact_force
+    return state.contact and math.hypot(*state.pull) > pulling
+
+
 def _sightings(
-    tracker: Tracker, history: History | None, seen: Measurements, *, touching: bool
-) -> tuple[list[tuple[Source, Sighting, float]], Wrench | None]:
-    """Return what camera and tactile sensor saw of the object, and the mean wrench."""
+    tracker: Tracker, history: History | None, seen: Measurements, wrench: Wrench | None
+) -> list[tuple[Source, Sighting, float]]:
+    """Return what the camera saw of the object, and the tactile sensor.
+
+    Args:
+        tracker: compiled.
+        history: of the tcp.
+        seen: the step's samples.
+        wrench: of the clamped tool; None if it tells nothing of the object.
+    """
     found: list[tuple[Source, Sighting, float]] = []
-    wrench = mean_wrench(seen.wrench)
-    if history is None or not (seen.camera or (touching and wrench is not None)):
-        return found, wrench
+    if history is None or not (seen.camera or wrench is not None):
+        return found
     settings, rate = tracker.settings, rate_now(history)
     for sample in seen.camera:
         tcp = pose_at(history, sample.exposure_ns, tracker.cycle_s)
@@ -286,12 +316,12 @@ def _sightings(
         if tcp is not None and delay <= settings.camera.longest_delay:
             sighting = sight(sample, tcp, tracker.camera, settings.camera, seen.stamp_ns, rate)
             found.append((Source.CAMERA, sighting, settings.camera.gate))
-    if touching and wrench is not None:
+    if wrench is not None:
         tcp = pose_at(history, wrench.stamp_ns, 2.5 * tracker.cycle_s)
         if tcp is not None:
             sighting = touch(wrench, tcp, settings.tactile, seen.stamp_ns, rate)
             found.append((Source.TACTILE, sighting, settings.tactile.gate))
-    return found, wrench
+    return found
 
 
 def track(
@@ -305,10 +335,14 @@ def track(
     view = _view(tracker, state)
     if start and not state.started:
         state = changed(state, started=True)
+    if retreat and not state.started and state.anchor is None:
+        state = changed(state, anchor=state.poses[-1])
     state = _clock(tracker, state, view, seen, retreat)
     span, T0 = tracker.span, tracker.cycle_s
     limit = _stand(tracker, state.time, state.passed) if state.started else state.time
     goal, relative = tracker.table.ahead(state.time, limit, tracker.steps)
+    if retreat:
+        relative = release.without_press(relative)
     target = part = None
     if state.across is not None and state.belief is not None:
         target, part = _sensed(tracker, state, seen.stamp_ns, span, relative)
@@ -317,6 +351,8 @@ def track(
         elif state.blended is not None:
             share = approach.smoothstep((state.blended + span) / tracker.settings.merge.blend)
             goal = approach.blend(goal, target, share)
+    if state.anchor is not None:
+        goal = np.tile(state.anchor, (tracker.steps + 1, 1))
     if state.withdrawn is not None:
         s = approach.smoothstep((state.withdrawn + span) / AWAY_TIME)
         goal = approach.withdraw(goal, AWAY * s)
@@ -405,10 +441,18 @@ def _clock(
     tracker: Tracker, state: TrackerState, view: View | None, seen: Measurements, retreat: bool
 ) -> TrackerState:
     """Return the state with the task's clock one step further, as far as its gates let it."""
-    if not state.started:
-        return state
     T0 = tracker.cycle_s
     tool, passed = tracker.task.tool, _passed(tracker, state, view, seen)
+    clamped = retreat and state.withdrawn is None and _may_be_clamped(tracker, state, passed)
+    if retreat:
+        state = changed(
+            state,
+            clamped=clamped,
+            releasing=_since(state.releasing, True, T0),
+            withdrawn=_since(state.withdrawn, not clamped, T0),
+        )
+    if not state.started:
+        return state
     # Counted in steps: a sum of many periods is no multiple of one.
     steps = round(state.time / T0) + 1
     time = min(steps * T0, _stand(tracker, state.time, passed))
@@ -417,15 +461,35 @@ def _clock(
         blended += T0
     elif time > 0.0 and state.across is not None:
         blended = 0.0
+    screwing = time >= tool.fix_screws and state.contact and not retreat
+    releasing = time >= tool.release_wheel
     return changed(
         state,
         passed=passed,
         time=time,
         blended=blended,
-        fixing=_since(state.fixing, time >= tool.fix_screws and state.contact, T0),
-        releasing=_since(state.releasing, time >= tool.release_wheel or retreat, T0),
-        withdrawn=_since(state.withdrawn, retreat, T0),
+        fixing=_since(state.fixing, screwing, T0),
+        releasing=state.releasing if retreat else _since(state.releasing, releasing, T0),
     )
+
+
+def _may_be_clamped(tracker: Tracker, state: TrackerState, passed: frozenset[Gate]) -> bool:
+    """Return whether to withdraw now could pull at a closed clamp."""
+    steps = math.ceil(release.LEADING_S / tracker.cycle_s)
+    _, relative = tracker.table.ahead(state.time, math.inf, steps)
+    return release.may_be_clamped(
+        contact=state.contact,
+        released=Gate.WHEEL_RELEASED in passed,
+        distance=float(relative[-1, 2]) if state.started else -math.inf,
+        opening=state.releasing,
+        timeout=tracker.task.tool.release_timeout,
+    )
+
+
+def is_overdue(tracker: Tracker, state: TrackerState) -> bool:
+    """Return whether the clamp has not opened within its time."""
+    timeout = tracker.task.tool.release_timeout
+    return release.is_overdue(state.releasing, timeout, contact=state.contact)
 
 
 def _passed(
@@ -440,7 +504,9 @@ def _passed(
         gates.append(Gate.OBJECT_SEEN)
     if seen.digital_in & 1 or _lasted(fixing, tool.fixed_after):
         gates.append(Gate.SCREWS_FIXED)
-    if seen.digital_in & 2 or _lasted(releasing, tool.released_after):
+    # A clamp that is open before it was ordered to open has not closed yet.
+    opened = releasing is not None and seen.digital_in & 2
+    if opened or _lasted(releasing, tool.released_after):
         gates.append(Gate.WHEEL_RELEASED)
     return state.passed if state.passed.issuperset(gates) else state.passed.union(gates)
 

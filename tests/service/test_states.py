@@ -9,6 +9,7 @@ import pytest
 
 from linemate.daemon.inputs import Order
 from linemate.daemon.service.states import (
+    CLAMP_CLOSED,
     MOVING,
     TABLE,
     Link,
@@ -162,6 +163,15 @@ def test_i8_trouble_ends_tracking_at_once_and_any_motion_when_time_is_up(edges: 
             assert after.state in {State.RETREAT, State.HOLD, State.FAULT}
         if before.state is State.RETREAT and any(s.clear or s.expired for s in causes):
             assert after.state in QUIET
+
+
+def test_i14_a_closed_clamp_is_followed_as_long_as_something_shows_the_object(
+    edges: Edges,
+) -> None:
+    for (before, after), causes in edges.items():
+        closed = [s for s in causes if s.overdue and not (s.expired or s.clear)]
+        if before.state in {State.CONTACT, State.RETREAT} and closed:
+            assert after.state is State.RETREAT or all(s.link is Link.LOST for s in closed)
 
 
 def test_i9_idle_can_be_reached_from_everywhere(edges: Edges) -> None:
@@ -325,6 +335,17 @@ def test_a_fault_is_acknowledged_once_its_reason_is_gone(
         ),
         (Machine(State.RETREAT), replace(GOOD, expired=True), Machine(State.FAULT, latched=True)),
         (Machine(State.HOLD), replace(GOOD, expired=True), Machine(State.FAULT, latched=True)),
+        (
+            Machine(State.CONTACT),
+            replace(GOOD, overdue=True, done=True),
+            Machine(State.RETREAT, latched=True),
+        ),
+        (Machine(State.RETREAT), replace(GOOD, overdue=True), Machine(State.RETREAT, latched=True)),
+        (
+            Machine(State.RETREAT, latched=True, because=CLAMP_CLOSED),
+            replace(GOOD, overdue=True),
+            Machine(State.RETREAT, latched=True),
+        ),
         (Machine(State.INIT), replace(GOOD, fault=True), Machine(State.FAULT, latched=True)),
     ],
 )

@@ -236,3 +236,26 @@ def test_orders_pass_through_unchanged(orders: set[str]) -> None:
     signals = Run().cycle(orders=frozenset(orders))
     for name in ("arm", "start", "stop", "retreat", "ack"):
         assert getattr(signals, name) == (name in orders)
+
+
+def retreat_for(seconds: float, **facts: Any) -> Signals:
+    run = Run(State.RETREAT).healthy()
+    for _ in range(round(seconds / 0.1)):
+        run.now_ns += 100_000_000 - CYCLE_NS
+        run.cycle(**facts)
+    return run.signals
+
+
+def test_a_retreat_that_waits_for_its_clamp_lasts_as_long_as_a_sensor_shows_the_object() -> None:
+    long_s = SETTINGS.longest_retreat_s + 1.0
+    assert retreat_for(long_s).expired
+    now_ns = 10**12
+    seen = {"position_ns": now_ns, "wrench_ns": None}
+    felt = {"position_ns": None, "wrench_ns": now_ns}
+    assert not retreat_for(long_s, clamped=True, overdue=True, **seen).expired
+    assert not retreat_for(long_s, clamped=True, overdue=True, **felt).expired
+
+
+def test_a_blind_retreat_ends_when_the_clamp_is_overdue() -> None:
+    assert not retreat_for(1.0, clamped=True).expired
+    assert retreat_for(1.0, clamped=True, overdue=True).expired
