@@ -146,6 +146,7 @@ class App:
             Pace.free(period_ns, time.monotonic_ns(), lead_ns),
             attend=self._attend,
         )
+        self.cycle.date = self._date
         self._collector = realtime.Collector()
         self._companions = realtime.Companions(realtime.is_fifo())
         self._account = Account(Timing(period_ns))
@@ -315,6 +316,12 @@ class App:
         """Answer telegrams that wait, so that none is called missing that is there already."""
         self._robot.poll()
         self._follow()
+
+    def _date(self, stamp_ns: int, cycles: int) -> int:
+        """Return when the controller's cycle began whose telegram has come [ns]."""
+        if self._arrival is not None:
+            return stamp_ns  # the clock has not followed the telegram before yet
+        return self._clock.pace.date(stamp_ns, cycles)
 
     def _follow(self) -> None:
         """Let the clock follow the telegram that was answered; after the reply, it takes time."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from linemate.daemon import step as stepping
+from linemate.daemon.changed import changed
 from linemate.daemon.inputs import Inputs, Order
 from linemate.daemon.parameters import Parameters
 from linemate.daemon.service import states, watch
@@ -87,9 +88,12 @@ class Cycle:
         parameters, codec: of the step, of the robot's telegrams.
         exchange, operating, feeds, session, following: the parts, each with its own memory.
         verdict: on the last telegram that could be read.
+        date: gives the beginning of a controller's cycle from its telegram's arrival [ns] and the
+            cycles since the telegram before; without one a telegram is taken to come at once.
         last: the last step.
         steps, prepared, inline: made in all, sent as prepared, made in line.
         remade: steps that were finished once more, the last command's fate not being as assumed.
+        repeated: telegrams answered with a step that the clock had made, finished once more.
         refused, last_refusal: telegrams that could not be read, and why the last one was not.
     """
 
@@ -120,9 +124,10 @@ class Cycle:
         self.session = Session(parameters.cycle_s)
         self.following = Following(settings.follow_s, parameters.cycle_s)
         self.verdict: Verdict | None = None
+        self.date: Callable[[int, int], int] = lambda stamp_ns, _cycles: stamp_ns
         self.last: LogEntry | None = None
         self._given: LogEntry | None = None
-        self.refused = self.inline = self.prepared = self.remade = self.steps = 0
+        self.refused = self.inline = self.prepared = self.remade = self.steps = self.repeated = 0
         self.last_refusal: str | None = None
         self._replies = Replies(codec, absolute=absolute)
         self._log = StepLog()
@@ -134,6 +139,7 @@ class Cycle:
         self._joints: Vector6 | None = None
         self._stamp_ns = 0
         self._ready: _Prepared | None = None
+        self._plan: stepping.Plan | None = None  # of ``last``, None where the state is another's
         self._swap: _Swap | None = None
 
     # Samples.
@@ -200,6 +206,7 @@ class Cycle:
             held = tuple(self._state.control.gate.position.tolist())
             there = RobotSample(self._stamp_ns, 0, held[:6], held[6:])
             self._state = stepping.initial(self.parameters, there)
+            self._plan = None
 
     # The cycle.
 
@@ -246,9 +253,12 @@ class Cycle:
         if verdict.kind in _OPENS:
             self._meet(robot, peer)
         if self.session.is_foreign:
-            return self._reply_bare(telegram, stamp_ns)
+            return self._reply_bare(telegram, stamp_ns, verdict.steps)
         if self.session.settle(telegram.delay, verdict.missed + 1, stamp_ns):
             self.operating.is_loss_untold = True
+        if verdict.kind not in _OPENS:
+            stamp_ns = self.date(stamp_ns, verdict.missed + 1)
+            robot = replace(robot, stamp_ns=stamp_ns)
         self._look_where(robot)
         reply = self._answer(telegram, stamp_ns, verdict)
         self._robot = robot
@@ -304,7 +314,7 @@ class Cycle:
             self._step_unsent(self._state, stamp_ns)
         else:
             # The telegram before may have come, and been answered, since this one was made.
-            self._note_unsent(self._confirmed(ready).entry)
+            self._note_unsent(self._confirmed(ready))
         self._is_under_way = False
 
     def take_changes(self) -> list[Change]:
@@ -356,7 +366,7 @@ class Cycle:
         self.operating.has_new_session = self._state is not None
         self._state = stepping.initial(self.parameters, standing(robot, held))
         self._robot = robot
-        self._ready = None
+        self._ready = self._plan = None
 
     def _look_where(self, robot: RobotSample) -> None:
         """Note an axis that is not where it was sent; look for a better start before motion.
@@ -369,10 +379,11 @@ class Cycle:
         elif self.following.resting(axes, start):
             self._open_session(robot, axes, axes)
 
-    def _reply_bare(self, telegram: RobotTelegram, stamp_ns: int) -> bytes:
+    def _reply_bare(self, telegram: RobotTelegram, stamp_ns: int, steps: int) -> bytes:
         """Return a reply without corrections: the controller keeps those that it has."""
-        if self._state is not None:
-            self._step_unsent(self._state, stamp_ns)
+        if self._state is not None and steps:
+            self._catch_up(stamp_ns, steps)
+            self._step_unsent(self._opened(), stamp_ns)
         self.session.refrain()
         return self._replies.bare.with_ipoc(telegram.ipoc_text)
 
@@ -386,28 +397,78 @@ class Cycle:
             # The clock was ahead of a late telegram: its step is made, only not yet sent.
             self.last = last.answering(telegram.ipoc)
             return self._give(last, self._reply(last), telegram)
-        ready, self._ready = self._ready, None
-        if ready is not None and steps > 1:
-            self._note_unsent(self._confirmed(ready).entry)
-            ready, steps = None, steps - 1
-        if ready is None:
-            self._catch_up(stamp_ns, steps)
         if verdict.missed:
             # The robot held meanwhile, also where the clock had no step left to make for it: a
             # controller that was held up itself counts fewer cycles than the time has.
             session.was_sent = False
+        if steps == 0 and last is not None and self._plan is not None:
+            entry = self._finish_again(last, self._plan, telegram.ipoc)
+            return self._give(entry, self._reply(entry), telegram)
+        ready, self._ready = self._ready, None
+        if ready is not None and steps > 1:
+            self._note_unsent(self._confirmed(ready))
+            ready, steps = None, steps - 1
+        if ready is None:
+            self._catch_up(stamp_ns, steps)
+            if verdict.missed:
+                session.was_sent = False
         if ready is not None:
             self.prepared += 1
             ready = self._confirmed(ready, answering=True)
-            entry, reply = ready.entry.answering(telegram.ipoc), ready.reply
+            entry, plan, reply = ready.entry.answering(telegram.ipoc), ready.plan, ready.reply
         else:
             self.inline += 1
-            entry, _ = self._step(
+            entry, plan = self._step(
                 self._opened(), stamp_ns, telegram=True, answering=True, ipoc=telegram.ipoc
             )
             reply = self._reply(entry)
-        self._note(entry)
+        self._note(entry, plan)
         return self._give(entry, reply, telegram)
+
+    def _finish_again(self, last: LogEntry, plan: stepping.Plan, ipoc: int) -> LogEntry:
+        """Return the last step once more, with what the telegram tells of the robot.
+
+        The clock has made the step of this telegram, or of a later one. Another step would be one
+        more than the controller has cycles, and the object would be predicted farther and farther
+        ahead.
+
+        Args:
+            last: the last step.
+            plan: of it.
+            ipoc: of the telegram.
+        """
+        sent, applied, pace = self._fate(answering=True)
+        before, made_with = last.before, last.parameters
+        assert before is not None and made_with is not None and last.after is not None  # noqa: PT018, S101
+        if sent:
+            # The robot has the command of this very step, and goes on towards what it desired.
+            gate = last.after.control.gate
+            before = changed(before, control=changed(before.control, gate=gate))
+        inputs = replace(last.inputs, sent=sent, applied=applied, pace=pace)
+        self._state, outputs = stepping.finish(before, plan, inputs, made_with)
+        entry = replace(
+            last, ipoc=ipoc, inputs=inputs, outputs=outputs, before=before, after=self._state
+        )
+        self.repeated += 1
+        self._replan_ready()
+        self._note(entry, plan)
+        return entry
+
+    def _replan_ready(self) -> None:
+        """Make the step that is ready once more: the state before it is another one."""
+        ready = self._ready
+        if ready is None:
+            return
+        inputs, made_with = ready.entry.inputs, ready.entry.parameters
+        assert made_with is not None  # noqa: S101 - as _step made it
+        before = self._opened()
+        inputs = replace(inputs, sent=True, applied=None, pace=None)
+        plan = stepping.plan(before, inputs, made_with)
+        self._state, outputs = stepping.finish(before, plan, inputs, made_with)
+        entry = replace(
+            ready.entry, inputs=inputs, outputs=outputs, before=before, after=self._state
+        )
+        self._ready = _Prepared(self._reply(entry), entry, plan)
 
     def _opened(self) -> stepping.State:
         assert self._state is not None  # noqa: S101 - a session is open
@@ -457,11 +518,11 @@ class Cycle:
 
     def _step_unsent(self, state: stepping.State, stamp_ns: int) -> None:
         """Make the step of a cycle that gets no corrections."""
-        entry, _ = self._step(state, stamp_ns, telegram=False)
-        self._note_unsent(entry)
+        self._note(*self._step(state, stamp_ns, telegram=False))
+        self.session.was_sent = False
 
-    def _note_unsent(self, entry: LogEntry) -> None:
-        self._note(entry)
+    def _note_unsent(self, ready: _Prepared) -> None:
+        self._note(ready.entry, ready.plan)
         self.session.was_sent = False
 
     def _step(
@@ -527,10 +588,10 @@ class Cycle:
         outputs = entry.outputs
         return self._replies.prepare(outputs.command, origin, outputs.digital_out)
 
-    def _note(self, entry: LogEntry) -> None:
+    def _note(self, entry: LogEntry, plan: stepping.Plan) -> None:
         """Remember a step, for the next decision and for the log."""
         self._before = None if self.last is None else self.last.outputs
-        self.last = entry
+        self.last, self._plan = entry, plan
         self.following.sent(entry.outputs.command)
         self._log.put(entry)
 
@@ -568,6 +629,7 @@ class Cycle:
             "steps": self.steps,
             "prepared": self.prepared,
             "inline": self.inline,
+            "repeated": self.repeated,
             "replies_lost": self.session.replies_lost,
             "astray": self.following.astray,
             "foreign": FOREIGN if self.is_foreign else None,

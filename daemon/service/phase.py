@@ -33,6 +33,10 @@ up come 0.2 ms apart: a clock that took this for the cycle made 57 of them befor
 AFRESH: Final = 4
 """Arrivals in a row, late by an eighth of a cycle, that say that the controller's phase moved."""
 
+ALIKE: Final = 1 / 8
+"""Of a cycle: how far apart their delays may be. A wire that delays each by another time has not
+moved the controller's phase."""
+
 STILL_NS: Final = 2_000_000
 """No wire alone is late by as much and a whole cycle."""
 
@@ -53,7 +57,7 @@ class PhaseLock:
     relocks: int = 0
     _period_ns: float = 0.0
     _cycle: int = 0
-    _late: int = 0
+    _late: deque[int] = field(default_factory=lambda: deque(maxlen=AFRESH))
     _line_ns: int | None = None
     _measured: bool = False
     _recent: deque[Arrival] = field(default_factory=lambda: deque(maxlen=WINDOW))
@@ -82,8 +86,11 @@ class PhaseLock:
         self._cycle += max(1, cycles)
         if expected_ns is not None:
             late_ns = stamp_ns - expected_ns
-            self._late = self._late + 1 if late_ns > 0.125 * self._period_ns else 0
-            if self._late >= AFRESH or self._stood_still(late_ns):
+            if late_ns > 0.125 * self._period_ns:
+                self._late.append(late_ns)
+            else:
+                self._late.clear()
+            if self._has_moved() or self._stood_still(late_ns):
                 self._relock()
         self._recent.append((self._cycle, stamp_ns))
         self._block.append((self._cycle, stamp_ns))
@@ -128,6 +135,11 @@ class PhaseLock:
             f"the controller's cycle is {self._period_ns * 1e-6:.3f} ms and "
             f"{self.nominal_ns * 1e-6:g} ms is configured"
         )
+
+    def _has_moved(self) -> bool:
+        """Tell whether the last arrivals are late by the same time."""
+        late = self._late
+        return len(late) == AFRESH and max(late) - min(late) <= ALIKE * self._period_ns
 
     def _stood_still(self, late_ns: int) -> bool:
         """Tell whether the controller was held up without counting, or its wire was stuffed.
@@ -185,7 +197,7 @@ class PhaseLock:
         self._forget()
 
     def _forget(self) -> None:
-        self._late = 0
+        self._late.clear()
         self._line_ns = None
         self._recent.clear()
         self._earliest.clear()

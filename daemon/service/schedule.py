@@ -123,9 +123,14 @@ def follow(schedule: Schedule, next_ns: int, period_ns: int, lead_ns: int) -> Sc
     )
 
 
-def run_free(schedule: Schedule) -> Schedule:
-    """The robot is gone: the next telegram sets the phase, however late it seems."""
-    return changed(schedule, locked=False)
+def run_free(schedule: Schedule, period_ns: int) -> Schedule:
+    """The robot is gone: the next telegram sets the phase, however late it seems.
+
+    Args:
+        schedule: before.
+        period_ns: of the clock alone [ns].
+    """
+    return changed(schedule, locked=False, period_ns=period_ns, grace_ns=period_ns // 2)
 
 
 def wake_ns(schedule: Schedule) -> int:

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from linemate.daemon import step as stepping
 from linemate.daemon.inputs import Order
 from linemate.daemon.parameters import Parameters
 from linemate.daemon.service.cycle import CATCH_UP_S, LONGEST_LOG, Cycle, Inbox
@@ -495,6 +496,51 @@ def test_a_robot_that_moves_gets_no_step_that_took_it_for_one_that_holds(
     for limit in (bounds.acceleration, bounds.jerk):
         speeds = np.diff(speeds, axis=0) / parameters.cycle_s
         assert (np.abs(speeds) <= limit * (1.0 + 1e-6) + 1e-3).all()
+
+
+@pytest.mark.parametrize("is_prepared", [True, False])
+@pytest.mark.parametrize("lost", [True, False])
+def test_a_telegram_whose_step_the_clock_has_made_makes_no_other_one(
+    parameters: Parameters, task: Task, *, lost: bool, is_prepared: bool
+) -> None:
+    station = Station(parameters, task).track(163)
+    ahead = station.cycle.steps - station.k
+    for _ in range(10):
+        station.exchange(lost=lost)
+        station.cycle.on_missing(station.stamp_ns)
+        if is_prepared:
+            station.feed()
+            station.k += 1
+            station.cycle.prepare(station.stamp_ns)
+            station.k -= 1
+        station.exchange(feed=False)
+    assert station.cycle.steps - station.k == ahead + is_prepared
+    assert station.cycle.repeated == (10 if lost else 0)
+    bounds = parameters.controller.limits
+    speeds = np.diff(np.array(station.commands[-30:]), axis=0) / parameters.cycle_s
+    assert (np.abs(speeds) <= bounds.speed * (1.0 + 1e-6)).all()
+
+
+@pytest.mark.parametrize("is_prepared", [True, False])
+def test_a_step_that_is_finished_once_more_replays_from_the_state_that_it_tells(
+    parameters: Parameters, task: Task, *, is_prepared: bool
+) -> None:
+    station = Station(parameters, task).track(163)
+    station.cycle.take_log()
+    station.exchange(lost=True)
+    station.cycle.on_missing(station.stamp_ns)
+    if is_prepared:
+        station.cycle.prepare(station.stamp_ns + PERIOD)
+    station.exchange()
+    station.exchange()
+    entries = station.cycle.take_log()
+    assert [e.inputs.k for e in entries].count(entries[1].inputs.k) == 2
+    for entry in entries:
+        assert entry.before is not None
+        after, outputs = stepping.step(entry.before, entry.inputs, parameters)
+        assert outputs.command == entry.outputs.command
+        assert entry.after is not None
+        assert np.array_equal(after.control.gate.position, entry.after.control.gate.position)
 
 
 @pytest.mark.parametrize("ahead", [1, 2])

@@ -179,3 +179,47 @@ def test_a_controller_of_another_cycle_is_refused_and_the_clock_keeps_the_config
 def test_a_lead_that_does_not_fit_is_refused(lead_ns: int) -> None:
     with pytest.raises(ValueError, match="does not fit"):
         Pace.free(4 * MS, START, lead_ns)
+
+
+@pytest.mark.parametrize("cycle_ms", [4, 12])
+def test_a_late_telegram_is_dated_with_its_cycle_and_an_early_one_with_itself(
+    cycle_ms: int,
+) -> None:
+    period, draw = cycle_ms * MS, random.Random(cycle_ms)
+    errors: list[int] = []
+    delays: list[int] = []
+    pace = Pace.free(period, START)
+    for n in range(200):
+        line = START + n * period
+        arrival = line + round(draw.expovariate(4.0 / period))
+        if n > 40:
+            dated = pace.date(arrival, 1)
+            assert dated <= arrival
+            errors.append(dated - line)
+            delays.append(arrival - line)
+        pace.telegram(arrival)
+    assert sum(map(abs, errors)) < 0.5 * sum(delays)
+    assert min(errors) > -period
+    early = START + 200 * period - period // 3
+    assert pace.date(early, 1) == early
+    beyond = START + 200 * period + 200 * MS
+    assert pace.date(beyond, 1) == beyond
+
+
+def test_before_its_phase_is_known_a_telegram_is_dated_with_itself() -> None:
+    pace = Pace.free(4 * MS, START)
+    assert pace.date(START + 5 * MS, 1) == START + 5 * MS
+
+
+def test_the_clock_alone_keeps_the_configured_period_whatever_late_telegrams_seemed_to_say() -> (
+    None
+):
+    period, draw = 4 * MS, random.Random(5)
+    for trial in range(20):
+        pace = Pace.free(period, START)
+        for n in range(12):
+            pace.telegram(START + n * period + round(draw.expovariate(1.0 / (6 * MS))))
+            assert pace.schedule.period_ns == period, trial
+        pace.run_free()
+        assert pace.schedule.period_ns == period
+        assert pace.schedule.grace_ns == period // 2

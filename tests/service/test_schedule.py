@@ -79,7 +79,7 @@ def test_the_first_telegram_sets_the_phase_whatever_it_was() -> None:
 
 
 def test_after_the_robot_was_gone_its_next_telegram_sets_the_phase() -> None:
-    now = scheduling.run_free(locked())
+    now = scheduling.run_free(locked(), locked().period_ns)
     now, _ = scheduling.on_wake(now, START + 40 * T)
     assert scheduling.on_telegram(now, START + 40 * T + T // 3).next_ns == START + 41 * T + T // 3
 

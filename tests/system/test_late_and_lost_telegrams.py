@@ -1,0 +1,111 @@
+"""Telegrams that come late or not at all, judged by the plant: force, tool to hub, collision.
+
+Rows X7 and X8 of the catalogue. The limits of the robot are judged by the oracles of every run.
+"""
+
+import numpy as np
+import pytest
+
+from linemate.daemon.service.states import State
+from linemate.simulators.harness import setup
+from linemate.simulators.harness.dst_plan import CycleMs, Plan
+from linemate.simulators.harness.dst_run import Simulation
+from linemate.simulators.harness.lockstep import Lockstep
+from linemate.simulators.plants.scenario import Fault
+from linemate.simulators.plants.world import World
+
+LED = frozenset({State.TRACK, State.CONTACT})
+MOST_AHEAD = 2
+"""Steps more or less than cycles while the tool is led [cycles]."""
+LATERAL_M = 0.004
+"""Of the rigid tool beside the hub's axis, once it follows the object [m]."""
+FOLLOWS_S = 1.0
+FORCE_N = 200.0
+
+
+def force(world: World) -> float:
+    """Force of the mount by the plant's truth [N]."""
+    stiffness = np.array(world.scenario.effector.stiffness[:3])
+    return float(np.linalg.norm(np.array(world.deflection()[:3]) * stiffness))
+
+
+class Late(Simulation):
+    """A run that compares steps with cycles, and the tool with the hub."""
+
+    def __init__(self, plan: Plan) -> None:
+        super().__init__(plan)
+        self.ahead: list[int] = []
+        self.lateral_m = 0.0
+        self.homed_s = float("inf")
+        self._session = self._offset = 0
+
+    def _look(self) -> None:
+        super()._look()
+        if self.robot.is_paused:
+            self.homed_s = min(self.homed_s, self.now_s)
+        if self.app is None or self.app.cycle.last is None:
+            return
+        cycle, outputs = self.app.cycle, self.app.cycle.last.outputs
+        ahead = cycle.steps - self._cycle
+        if cycle.openings != self._session:
+            self._session, self._offset = cycle.openings, ahead
+        if cycle.machine.state not in LED:
+            return
+        self.ahead.append(ahead - self._offset)
+        if outputs.part is not None and (outputs.task_time or 0.0) > FOLLOWS_S:
+            tcp, hub = self.world.tcp_rigid_pose(), self.world.hub_pose()
+            x, y, _ = tcp[:3, :3].T @ (tcp[:3, 3] - hub[:3, 3])
+            self.lateral_m = max(self.lateral_m, float(np.hypot(x, y)))
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("lasting_s", [1.2, 4.0])
+@pytest.mark.parametrize(
+    ("cycle_ms", "mean_s"), [(12, 0.001), (12, 0.003), (12, 0.012), (4, 0.001), (4, 0.006)]
+)
+def test_x7_late_telegrams_make_no_step_too_many_and_the_tool_meets_the_hub_or_holds(
+    cycle_ms: CycleMs, mean_s: float, lasting_s: float, seed: int
+) -> None:
+    jitter = Fault(0.3 if lasting_s < 2.0 else -0.4, "robot", "jitter", lasting_s, mean_s)
+    late = Late(Plan(seed, duration_s=2.6, faults=(jitter,), cycle_ms=cycle_ms))
+    late.live()
+    assert not [found for found in late.outcome().violations if found.startswith("limits")]
+    touched = late.world.collision
+    assert touched is None or touched.time_s > late.homed_s
+    assert max(map(abs, late.ahead), default=0) <= MOST_AHEAD
+    assert late.lateral_m < LATERAL_M
+
+
+def peaks(scenario: str, cycle_ms: CycleMs, lost: dict[float, float]) -> dict[float, float]:
+    """Return the greatest force after each silence [N]; a silence begins at each key [s]."""
+    run = Lockstep(setup.make(scenario, cycle_ms=cycle_ms), 0)
+    way, found = run._ways[0], dict.fromkeys(lost, 0.0)
+    carry = way.carry
+
+    def carried(data: bytes, time_s: float) -> list[tuple[float, bytes]]:
+        silent = any(at - 1e-9 <= time_s < at + lasting - 1e-9 for at, lasting in lost.items())
+        return [] if silent else carry(data, time_s)
+
+    way.carry = carried  # type: ignore[method-assign]
+    while run.world.time_s < max(lost) + 1.0 and run.turn():
+        begun = [at for at in lost if at <= run.world.time_s]
+        if begun:
+            found[begun[-1]] = max(found[begun[-1]], force(run.world))
+    assert run.world.collision is None
+    assert run.cycle.machine.state is State.CONTACT
+    return found
+
+
+@pytest.mark.parametrize("cycle_ms", [12, 4])
+def test_x8_beside_a_running_line_the_target_is_regained_without_tearing_at_the_mount(
+    cycle_ms: CycleMs,
+) -> None:
+    """84 ms: a robot that is back at its target at once, which none can be, has 202 N."""
+    found = peaks("no-stop", cycle_ms, {7.0: 0.024, 8.0: 0.048, 9.0: 0.06, 10.0: 0.084})
+    assert max(found[7.0], found[8.0], found[9.0]) < FORCE_N
+    assert found[10.0] < 270.0
+
+
+def test_x8_beside_a_line_that_stands_or_starts_140_ms_are_borne_and_the_task_goes_on() -> None:
+    found = peaks("wheel", 12, {7.5: 0.084, 8.3: 0.14, 9.5: 0.14, 11.0: 0.14})
+    assert max(found.values()) < FORCE_N
