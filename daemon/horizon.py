@@ -22,7 +22,8 @@ class Horizon:
     Attributes:
         poses: (n+1, 6) position [m] and rotation vector [rad] of the tcp in c, so that
             ``tcp_in_base = (C p, C Exp(r))``.
-        axis: (n+1,) planned position of the linear axis [m].
+        axis: (m,) planned position of the linear axis [m], as far as control reads it; each
+            sample but the last was in the last step's plan.
         free: (n+1,) 1 where the tool hangs free, 0 where it is clamped to the object; in
             between while one gives way to the other.
         nominal: (3, 3) C, the axes of c in base.

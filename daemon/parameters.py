@@ -12,7 +12,7 @@ from linemate.daemon import rotations
 from linemate.daemon.control import controller as control
 from linemate.daemon.control import kinematics
 from linemate.daemon.control.settings import ControlSettings
-from linemate.daemon.tracking import contact, merge
+from linemate.daemon.tracking import contact, linear_axis, merge
 from linemate.daemon.tracking.classifier_bank import BankClassifier
 from linemate.daemon.tracking.classifier_imm import ImmClassifier
 from linemate.daemon.tracking.classifier_rule import RuleClassifier
@@ -103,6 +103,9 @@ def build(
     clock = np.arange(len(table.poses)) * cycle_s
     leave = reference.time_of(Phase.RETREAT)
     along_tool = control_settings.effector[TOOL_AXIS]
+    span = np.arange(controller.steps + 1) * cycle_s
+    lag = linear_axis.delay(task.linear_axis.ramp, cycle_s)
+    ahead = np.append(span, controller.preview * cycle_s + lag)
     tracker = Tracker(
         task=task,
         settings=tracking,
@@ -117,7 +120,9 @@ def build(
         matrices=np.stack([along if axis == merge.ALONG else across for axis in range(6)]),
         corner=merge.rounding(cycle_s, commit),
         history_length=math.ceil(HISTORY / cycle_s),
-        span=np.arange(controller.steps + 1) * cycle_s,
+        span=span,
+        axis_steps=controller.preview,
+        ahead=ahead,
         free=hanging(reference, leave, control_settings.filters.contact_blend, clock),
         ringing=contact.ringing(
             along_tool.frequency_hz, along_tool.damping, tracking.tactile.contact_force, cycle_s

@@ -146,10 +146,10 @@ class ArmFile:
 
 @dataclass(frozen=True, slots=True)
 class LinearAxisFile:
-    """How the linear axis follows the programme.
+    """How the linear axis follows the object.
 
     Attributes:
-        travel: speed while the conveyor runs, as a share of its nominal speed.
+        travel: way of the axis as a share of the object's.
         ramp: time in which the axis takes up or loses its speed [s].
     """
 

@@ -59,6 +59,9 @@ class Tracker:
         corner: (2 h + 1,) kernel that rounds the goal's corners along the conveyor.
         history_length: poses of the robot that are remembered.
         span: (n+1,) times of the horizon from now [s].
+        axis_steps: length of the linear axis' plan: as far as control reads it.
+        ahead: (n+2,) times from now of which the conveyor's position is predicted [s]: the span,
+            and the time for which the linear axis is given its goal.
         free: (t,) where the tool hangs free, at every step of the task's clock.
         ringing: of the tool along its axis.
         foresight: the true object at a stamp [ns] and times from it (m,) [s], as positions (m, 3)
@@ -80,6 +83,8 @@ class Tracker:
     corner: Array
     history_length: int
     span: Array
+    axis_steps: int
+    ahead: Array
     free: Array
     ringing: contact.Ringing
     foresight: Foresight | None = None
@@ -96,6 +101,8 @@ class TrackerState:
         sightings: images that wait to start it.
         poses: (n+1, 6) x_t of the last step.
         axis: plan of the linear axis.
+        departure: where the linear axis and the conveyor unit were as the task's clock started
+            [m]; None before.
         time: task time of step k; it stands before the start.
         started: the start edge has come.
         passed: gates that are open.
@@ -118,6 +125,7 @@ class TrackerState:
     sightings: tuple[Sighting, ...]
     poses: Array
     axis: linear_axis.AxisPlan
+    departure: tuple[float, float] | None = None
     time: float = 0.0
     started: bool = False
     passed: frozenset[Gate] = frozenset()
@@ -183,7 +191,7 @@ def at_rest(tracker: Tracker, pose: Array, axis: float) -> TrackerState:
         across=None,
         sightings=(),
         poses=np.tile(pose, (tracker.steps + 1, 1)),
-        axis=linear_axis.at_rest(axis, tracker.steps),
+        axis=linear_axis.at_rest(axis, tracker.axis_steps),
     )
 
 
@@ -192,7 +200,8 @@ def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> Tra
     return changed(
         state,
         poses=np.tile(pose, (tracker.steps + 1, 1)),
-        axis=linear_axis.at_rest(axis, tracker.steps),
+        axis=linear_axis.at_rest(axis, tracker.axis_steps),
+        departure=None,
         time=0.0,
         started=False,
         passed=frozenset(),
@@ -338,14 +347,18 @@ def track(
     if retreat and not state.started and state.anchor is None:
         state = changed(state, anchor=state.poses[-1])
     state = _clock(tracker, state, view, seen, retreat)
-    span, T0 = tracker.span, tracker.cycle_s
+    span = tracker.span
     limit = _stand(tracker, state.time, state.passed) if state.started else state.time
     goal, relative = tracker.table.ahead(state.time, limit, tracker.steps)
     if retreat:
         relative = release.without_press(relative)
-    target = part = None
-    if state.across is not None and state.belief is not None:
-        target, part = _sensed(tracker, state, seen.stamp_ns, span, relative)
+    target = part = along = None
+    if state.belief is not None:
+        along = tracker.classifier.outlook(state.belief, tracker.ahead)
+        if not tracker.settings.predict:
+            along[:-1] = along[0]
+    if state.across is not None and along is not None:
+        target, part = _sensed(tracker, state, seen.stamp_ns, along[:-1], span, relative)
         if state.blended is not None and state.blended >= tracker.settings.merge.blend:
             goal = target
         elif state.blended is not None:
@@ -358,12 +371,10 @@ def track(
         goal = approach.withdraw(goal, AWAY * s)
     goal = merge.rounded(goal, tracker.corner)
     poses = merge.merge(state.poses, goal, tracker.matrices, tracker.commit)
-    axis = linear_axis.advance(
-        state.axis, _axis_speed(tracker, state, view), tracker.task.linear_axis.ramp, T0
-    )
-    state = changed(state, poses=poses, axis=axis, distance=float(relative[0, 2]))
+    state = _following(tracker, state, view, along)
+    state = changed(state, poses=poses, distance=float(relative[0, 2]))
     free = _free(tracker, state.time, limit)
-    horizon = Horizon(poses, axis.positions, free, tracker.reference.nominal, tracker.commit)
+    horizon = Horizon(poses, state.axis.positions, free, tracker.reference.nominal, tracker.commit)
     return state, horizon, report(tracker, state, view, wrench, refused, target, part)
 
 
@@ -375,7 +386,9 @@ def observe(
     target = part = None
     if state.across is not None and state.belief is not None:
         _, relative = tracker.table.ahead(state.time, math.inf, 0)
-        target, part = _sensed(tracker, state, seen.stamp_ns, np.zeros(1), relative)
+        now = np.zeros(1)
+        along = tracker.classifier.outlook(state.belief, now)
+        target, part = _sensed(tracker, state, seen.stamp_ns, along, now, relative)
     view = _view(tracker, state)
     return state, report(tracker, state, view, wrench, refused, target, part)
 
@@ -413,9 +426,23 @@ def report(
 
 
 def _sensed(
-    tracker: Tracker, state: TrackerState, stamp_ns: int, span: Array, relative: Array
+    tracker: Tracker,
+    state: TrackerState,
+    stamp_ns: int,
+    along: Array,
+    span: Array,
+    relative: Array,
 ) -> tuple[Array, Array]:
-    """Return x_f over the horizon, (9) under the class, and the object now."""
+    """Return x_f over the horizon, (9) under the class, and the object now.
+
+    Args:
+        tracker: compiled.
+        state: with the object's estimate across the conveyor.
+        stamp_ns: of now [ns].
+        along: (m,) predicted positions along the conveyor [m].
+        span: (m,) their times from now [s].
+        relative: (m, 6) the programmed tcp in the object.
+    """
     assert state.across is not None  # noqa: S101 - callers have checked
     ahead = span if tracker.settings.predict else 0.0 * span
     if tracker.foresight is not None:
@@ -424,7 +451,7 @@ def _sensed(
     part = approach.Part(
         x=float(state.across.x[0]),
         z=float(state.across.x[1]),
-        along=tracker.classifier.outlook(state.belief, ahead),
+        along=along,
         rotation=state.across.rotation,
         swing=tracker.transverse.swing_angles(state.across, ahead),
     )
@@ -546,18 +573,27 @@ def touched(
     return changed(after, feeling=feeling, contact=feeling.touches >= contact.TOUCHES)
 
 
-def _axis_speed(tracker: Tracker, state: TrackerState, view: View | None) -> float:
-    """Return the speed the linear axis heads for [m/s]."""
+def _following(
+    tracker: Tracker, state: TrackerState, view: View | None, along: Array | None
+) -> TrackerState:
+    """Return the state with the plan of the linear axis one step further.
+
+    The axis travels as far as the conveyor unit since the task's clock started, as it is estimated
+    and predicted. The unit is position plus offset: no image that corrects the offset moves it.
+    """
+    file, T0 = tracker.task.linear_axis, tracker.cycle_s
+    goal, departure = state.axis.goal, state.departure
     moving = state.started and 0.0 < state.time < tracker.reference.times[-1]
-    if not moving or view is None:
-        return 0.0
-    # The arm follows what is suspected; the slow axis waits for what is sure. It once ran 1.9 m
-    # away beside a conveyor that stood, on a start that was never confirmed.
-    if view.tentative and state.time > tracker.cycle_s:
-        return state.axis.target
-    stopped = view.motion in {Motion.STOPPING, Motion.STANDING}
-    file = tracker.task
-    return 0.0 if stopped else file.linear_axis.travel * file.conveyor.nominal_speed
+    if moving and view is not None and along is not None:
+        if departure is None:
+            departure = goal, view.position + view.offset
+        begun, unit = departure
+        # A conveyor that runs is caught up with gradually: a ramp long.
+        share = approach.smoothstep((state.time + tracker.ahead[-1:]) / file.ramp)
+        travelled = float(along[-1]) + view.offset - unit
+        goal = begun + file.travel * float(share[0]) * travelled
+    axis = linear_axis.advance(state.axis, goal, file.ramp, T0)
+    return changed(state, axis=axis, departure=departure)
 
 
 def _free(tracker: Tracker, time: float, limit: float) -> Array:
