@@ -1,24 +1,28 @@
 """``linemate metrics``: a page for Prometheus, by a process of its own.
 
-Law of this file: it asks daemons for their status as any operator's tool does, at most once a
-second however often it is asked itself, and answers one request at a time in a bounded time. No
-HTTP ever comes near the process that answers the robot. Loopback unless told otherwise.
+Invariants:
+    * A daemon is asked for its status at most once a second, however often the page is asked for.
+    * Clients are served at the same time. Each has a bounded time, and their number is bounded.
+    * Requests to a name that is not the server's are refused (DNS rebinding).
 """
 
 import argparse
+import asyncio
 import contextlib
 import ipaddress
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from linemate.daemon.operator import metrics
 from linemate.daemon.operator.client import Client, NoAnswerError, RefusedError
 from linemate.protocol.command import CommandError
+
+if TYPE_CHECKING:
+    from linemate.daemon.view.server import Server
 
 PORT: Final = 9465
 TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
@@ -26,7 +30,7 @@ FRESH_S: Final = 1.0
 """No daemon is asked more often than this [s]."""
 
 REQUEST_S: Final = 2.0
-"""What a request may take to come [s]."""
+"""Time for a request to come in whole [s]."""
 
 ANSWER_S: Final = 0.5
 UNUSABLE: Final = 1
@@ -67,46 +71,49 @@ def asked(path: Path) -> Status | None:
         return None
 
 
-def serve(address: tuple[str, int], stations: Stations) -> HTTPServer:
-    """Return a server that listens; its caller runs it.
+def server_of(address: tuple[str, int], stations: Stations, names: Iterable[str] = ()) -> "Server":
+    """Return a server of the page; its caller opens it.
 
     Args:
         address: numeric; port 0 takes any.
-        stations: what it tells of.
+        stations: whose metrics it serves.
+        names: by which it may be asked, beside its address and localhost.
+    """
+    from linemate.daemon.view.server import NoPageError, Page, Server
+
+    asking = asyncio.Lock()
+
+    async def page() -> Page:
+        # One client asks the stations, the others wait for its answer; the loop waits for nobody.
+        async with asking:
+            statuses = await asyncio.to_thread(stations.statuses)
+        return Page(TYPE, metrics.text(statuses).encode())
+
+    def ask(path: str, _query: Mapping[str, str]) -> Awaitable[Page]:
+        if path != "/metrics":
+            raise NoPageError("metrics are at /metrics")
+        return page()
+
+    known = frozenset(name.lower() for name in names)
+    return Server(ask, *address, head_s=REQUEST_S, names=known)
+
+
+async def serve(server: "Server", ready: Callable[["Server"], None]) -> None:
+    """Serve until the process is told to end.
+
+    Args:
+        server: not open yet.
+        ready: called when it listens.
 
     Raises:
         OSError: the port cannot be had.
     """
-
-    class Handler(BaseHTTPRequestHandler):
-        timeout = REQUEST_S
-        server_version = "linemate"
-        sys_version = ""
-
-        def do_GET(self) -> None:
-            if self.path.partition("?")[0] != "/metrics":
-                self.send_error(404, "metrics are at /metrics")
-                return
-            page = metrics.text(stations.statuses()).encode()
-            self.send_response(200)
-            self.send_header("Content-Type", TYPE)
-            self.send_header("Content-Length", str(len(page)))
-            self.end_headers()
-            self.wfile.write(page)
-
-        def log_message(self, *_: object) -> None:
-            """Say nothing: whoever asks, asks every few seconds."""
-
-    return _Quiet(address, Handler)
-
-
-class _Quiet(HTTPServer):
-    """One request at a time; a client that goes away or stays silent costs itself alone."""
-
-    request_queue_size = 8
-
-    def handle_error(self, request: object, client_address: object) -> None:
-        """Say nothing."""
+    await server.open()
+    try:
+        ready(server)
+        await asyncio.Event().wait()
+    finally:
+        await server.close()
 
 
 def add_parser(commands: Any) -> None:
@@ -122,6 +129,10 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--station", action="append", type=_station, default=[], metavar="NAME=SOCKET",
         help="a daemon's local socket and the name it goes by; the system's daemon",
+    )  # fmt: skip
+    parser.add_argument(
+        "--host", action="append", default=[], metavar="NAME",
+        help="answer requests to this host name too; else to localhost and addresses alone",
     )  # fmt: skip
     parser.add_argument("--once", action="store_true", help="print the page and end")
     parser.set_defaults(run=main)
@@ -144,14 +155,14 @@ def main(args: argparse.Namespace) -> int:
     if not ipaddress.ip_address(host).is_loopback and not args.allow_remote:
         print(f"linemate: {host} can be reached by others; say --allow-remote", file=sys.stderr)
         return UNUSABLE
+    server = server_of((host, port), stations, args.host)
     try:
-        server = serve((host, port), stations)
+        asyncio.run(serve(server, lambda opened: print(f"{opened.address}metrics", flush=True)))
     except OSError as error:
         print(f"linemate: {host}:{port}: {error.strerror}", file=sys.stderr)
         return UNUSABLE
-    with server:
-        print(f"http://{host}:{server.server_address[1]}/metrics", flush=True)
-        server.serve_forever()
+    except KeyboardInterrupt:
+        pass
     return 0
 
 

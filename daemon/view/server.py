@@ -9,7 +9,7 @@ of the world's can ask it through a name of its own.
 import asyncio
 import contextlib
 import ipaddress
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 from urllib.parse import parse_qsl, urlsplit
@@ -49,8 +49,9 @@ class NoPageError(Exception):
 
 Answer = Page | AsyncIterator[bytes]
 """A page, or a stream of server-sent events."""
-Ask = Callable[[str, Mapping[str, str]], Answer]
-"""``ask(path, query)``; NoPageError if there is nothing. Called in the loop: it is quick."""
+Ask = Callable[[str, Mapping[str, str]], Answer | Awaitable[Page]]
+"""``ask(path, query)``; NoPageError if there is nothing. Called in the loop: it is quick, or
+returns what is waited for."""
 
 
 @dataclass(slots=True)
@@ -61,12 +62,16 @@ class Server:
         ask: gives what is at a path.
         host: numeric address.
         port: 0 takes any.
+        head_s: in which a request must have come [s].
+        names: further names by which it may be asked, lower case.
         refused: requests that were not understood, or one too many.
     """
 
     ask: Ask
     host: str = "127.0.0.1"
     port: int = 0
+    head_s: float = HEAD_S
+    names: frozenset[str] = frozenset()
     refused: int = 0
     _server: asyncio.Server | None = None
     _tasks: "set[asyncio.Task[None]]" = field(default_factory=set)
@@ -117,7 +122,7 @@ class Server:
             writer.transport.abort()
 
     async def _answer(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        async with asyncio.timeout(HEAD_S):
+        async with asyncio.timeout(self.head_s):
             head = await reader.readuntil(b"\r\n\r\n")
         try:
             path, query, host = _understood(head)
@@ -131,6 +136,8 @@ class Server:
             return
         try:
             answer = self.ask(path, query)
+            if isinstance(answer, Awaitable):
+                answer = await answer
         except NoPageError as error:
             await _end(writer, _failure("404 Not Found", str(error)))
             return
@@ -159,7 +166,7 @@ class Server:
 
     def _is_ours(self, host: str) -> bool:
         name = host.rsplit(":", 1)[0] if not host.endswith("]") else host
-        if name in HOSTS or name.strip("[]") == self.host:
+        if name in HOSTS or name.lower() in self.names or name.strip("[]") == self.host:
             return True
         # Listening for others, it cannot know its names; a number is nobody's trick of naming.
         if not ipaddress.ip_address(self.host).is_loopback:

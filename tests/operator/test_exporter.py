@@ -1,10 +1,12 @@
 """Metrics: judged by Prometheus' own parser, asked over real HTTP of a real daemon."""
 
+import contextlib
 import http.client
+import itertools
 import math
 import socket
 import subprocess
-import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,7 +15,7 @@ import pytest
 from daemon_process import LINEMATE, DaemonProcess
 
 from linemate.daemon.operator import metrics
-from linemate.daemon.operator.exporter import Stations, asked, serve
+from linemate.daemon.operator.exporter import REQUEST_S, Stations
 
 TEXT = "task: wheel.yaml\nrsi: {port: 0}\ncamera: {port: 0}\ncommand: {socket: c.sock}\n"
 
@@ -35,15 +37,26 @@ def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaemonProcess]:
         yield made
 
 
+@contextlib.contextmanager
+def serving(daemon: DaemonProcess, *names: str, host: str = "127.0.0.1") -> Iterator[int]:
+    """The page of a daemon, by `linemate metrics` as a process of its own; its port."""
+    where = f"west={daemon.listening['command']['socket']}"
+    hosts = [word for name in names for word in ("--host", name)]
+    remote = [] if host == "127.0.0.1" else ["--allow-remote"]
+    command = [*LINEMATE, "metrics", "--listen", f"{host}:0", "--station", where, *hosts, *remote]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            address = process.stdout.readline()
+            yield int(address.rsplit(":", 1)[1].partition("/")[0])
+        finally:
+            process.kill()
+
+
 @pytest.fixture(scope="module")
 def port(daemon: DaemonProcess) -> Iterator[int]:
-    stations = Stations({"west": Path(daemon.listening["command"]["socket"])}, asked)
-    with serve(("127.0.0.1", 0), stations) as server:
-        thread = threading.Thread(target=server.serve_forever, daemon=True)
-        thread.start()
-        yield int(server.server_address[1])
-        server.shutdown()
-        thread.join()
+    with serving(daemon) as made:
+        yield made
 
 
 def got(port: int, path: str = "/metrics") -> tuple[int, str, str]:
@@ -76,15 +89,69 @@ def test_another_path_and_another_method_are_refused_and_the_next_scrape_is_serv
     assert got(port, "/")[0] == 404
     link = http.client.HTTPConnection("127.0.0.1", port, timeout=5.0)
     link.request("POST", "/metrics", body=b"x" * 1000)
-    assert link.getresponse().status == 501
+    assert link.getresponse().status == 400
     with socket.create_connection(("127.0.0.1", port)) as rude:
         rude.sendall(b"\xff" * 200)
     assert got(port)[0] == 200
 
 
-def test_a_client_that_says_nothing_holds_the_page_up_for_two_seconds_at_most(port: int) -> None:
-    with socket.create_connection(("127.0.0.1", port)):
-        assert got(port)[0] == 200
+def asked_as(port: int, host: str) -> int:
+    """The status of an answer to a request in another name."""
+    link = http.client.HTTPConnection("127.0.0.1", port, timeout=5.0)
+    link.putrequest("GET", "/metrics", skip_host=True)
+    link.putheader("Host", host)
+    link.endheaders()
+    return link.getresponse().status
+
+
+def test_slow_clients_do_not_stop_a_scrape_and_are_dropped(port: int) -> None:
+    with contextlib.ExitStack() as stack:
+        slow = [
+            stack.enter_context(socket.create_connection(("127.0.0.1", port))) for _ in range(10)
+        ]
+        deadline = time.monotonic() + 3 * REQUEST_S
+        dropped = 0
+        # A byte now and then renews no time-out.
+        for k, client in itertools.cycle(enumerate(slow)):
+            with contextlib.suppress(OSError):
+                client.send(b"G")
+            if k == len(slow) - 1:
+                began = time.monotonic()
+                assert got(port)[0] == 200
+                assert time.monotonic() - began < REQUEST_S / 2
+                time.sleep(REQUEST_S / 10)
+                dropped = sum(is_dropped(one) for one in slow)
+            if dropped == len(slow) or time.monotonic() > deadline:
+                break
+        assert dropped == len(slow)
+
+
+def is_dropped(client: socket.socket) -> bool:
+    client.setblocking(False)
+    try:
+        return client.recv(100) == b""
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
+
+
+def test_a_client_that_does_not_read_stops_no_scrape(port: int) -> None:
+    with socket.create_connection(("127.0.0.1", port)) as deaf:
+        deaf.sendall(b"GET /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        for _ in range(3):
+            assert got(port)[0] == 200
+
+
+def test_a_request_in_the_name_of_another_host_is_refused(port: int, daemon: DaemonProcess) -> None:
+    for host in ("localhost", f"localhost:{port}", f"127.0.0.1:{port}"):
+        assert asked_as(port, host) == 200
+    for host in ("evil.example", f"evil.example:{port}", "127.0.0.1.evil.example", ""):
+        assert asked_as(port, host) == 421
+    with serving(daemon, "Cell-1.plant", host="0.0.0.0") as remote:
+        assert asked_as(remote, f"cell-1.plant:{remote}") == 200
+        assert asked_as(remote, f"192.0.2.7:{remote}") == 200
+        assert asked_as(remote, "evil.example") == 421
 
 
 def test_however_often_it_is_asked_it_asks_the_daemon_once_a_second() -> None:
