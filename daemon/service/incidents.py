@@ -1,10 +1,13 @@
-"""Where the times of a bad moment are kept: a few files, written in the slack.
+"""Incident files: the times of the cycles before a missed deadline or a fault.
 
-Law of this file: some lines a cycle are made into text, so that no cycle pays for the whole; one
-thread writes the finished text. The number of files is bounded, and what fails is counted.
+Invariants:
+    * A few lines a cycle are made into text; a thread writes the finished text.
+    * The directory holds at most MOST_FILES incidents, of earlier runs as well: the newest.
+    * What is removed, fails or is refused is logged and counted.
 """
 
 import asyncio
+import contextlib
 import itertools
 import logging
 from collections.abc import Iterator
@@ -16,6 +19,7 @@ from linemate.daemon.service.timing import Incident
 
 LINES_A_CYCLE: Final = 8
 MOST_FILES: Final = 32
+PATTERN: Final = "incident-*.csv"
 
 log = logging.getLogger(__name__)
 
@@ -26,14 +30,16 @@ class IncidentFiles:
 
     Attributes:
         directory: where; None keeps nothing.
-        written, failed, refused: files; ``refused`` found another one unfinished, or the most
-            there may be.
+        written, failed: files.
+        refused: incidents that found another one unfinished.
+        removed: older files that made room for newer ones.
     """
 
     directory: Path | None
     written: int = 0
     failed: int = 0
     refused: int = 0
+    removed: int = 0
     _name: str = ""
     _lines: Iterator[str] | None = None
     _text: list[str] = field(default_factory=list)
@@ -44,8 +50,7 @@ class IncidentFiles:
         Args:
             incident: the ring and why it was taken.
         """
-        full = self.written + self.failed >= MOST_FILES
-        if self.directory is None or self._lines is not None or full:
+        if self.directory is None or self._lines is not None:
             self.refused += 1
             return
         self._name = f"incident-{incident.at_ns}.csv"
@@ -68,13 +73,33 @@ class IncidentFiles:
         )
         done.add_done_callback(self._done)
 
-    def _done(self, done: "asyncio.Future[None]") -> None:
+    def _done(self, done: "asyncio.Future[list[str]]") -> None:
         error = None if done.cancelled() else done.exception()
         self.failed += error is not None
         self.written += error is None
         if error is not None:
             log.warning("%s was not written: %s", self._name, error)
+            return
+        removed = [] if done.cancelled() else done.result()
+        self.removed += len(removed)
+        if removed:
+            log.warning(
+                "incident files removed, the oldest of more than %d: %s",
+                MOST_FILES,
+                ", ".join(removed),
+            )
 
 
-def _write(path: Path, data: bytes) -> None:
+def _write(path: Path, data: bytes) -> list[str]:
+    """Write a file and remove the oldest ones beyond MOST_FILES; return their names."""
     path.write_bytes(data)
+    # By the time of writing: the stamps in the names begin anew with each start of the host.
+    aged: list[tuple[int, str]] = []
+    for file in path.parent.glob(PATTERN):
+        with contextlib.suppress(FileNotFoundError):  # somebody else has removed it
+            aged.append((file.stat().st_mtime_ns, file.name))
+    aged.sort()
+    removed = [name for _, name in aged[:-MOST_FILES]]
+    for name in removed:
+        (path.parent / name).unlink(missing_ok=True)
+    return removed

@@ -2,6 +2,7 @@
 
 import asyncio
 import csv
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -94,37 +95,36 @@ def test_an_incident_is_written_a_few_lines_a_cycle(tmp_path: Path) -> None:
         assert len(list(csv.DictReader(text))) == 50
 
 
-def test_the_number_of_files_is_bounded_and_one_is_written_at_a_time(tmp_path: Path) -> None:
-    async def main() -> None:
-        files = IncidentFiles(tmp_path, written=MOST_FILES - 1)
-        files.take(ring(3))
-        files.take(ring(3))
-        assert files.refused == 1
-        files.slack()
-        await until(lambda: files.written == MOST_FILES)
-        files.take(ring(3))
-        files.slack()
-        assert files.refused == 2
-
-    run(main())
-    assert len(list(tmp_path.iterdir())) == 1
+def test_one_file_is_written_at_a_time(tmp_path: Path) -> None:
+    files = IncidentFiles(tmp_path)
+    files.take(ring(3))
+    files.take(ring(3))
+    assert files.refused == 1
 
 
-def test_a_file_that_cannot_be_written_is_counted(
+def test_the_newest_incidents_are_kept_and_the_removed_ones_are_named(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
+    # As an earlier run of the daemon left it: stamps may be later, for the host was started anew.
+    for k in range(MOST_FILES):
+        path = tmp_path / f"incident-{10**15 + k}.csv"
+        path.write_bytes(b"old")
+        os.utime(path, ns=(k, k))
+    (tmp_path / "notes.txt").write_bytes(b"not ours to remove")
+    count = MOST_FILES + 5
+
     async def main() -> None:
-        files = IncidentFiles(tmp_path / "nowhere")
-        files.take(ring(3))
-        files.slack()
-        await until(lambda: files.failed == 1)
-        assert "was not written" in caplog.text
+        files = IncidentFiles(tmp_path)
+        for k in range(count):
+            files.take(replace(ring(3), at_ns=k))
+            files.slack()
+            await until(lambda k=k: files.written == k + 1)
+        assert files.removed == count
+        assert (files.refused, files.failed) == (0, 0)
 
     run(main())
-
-
-def test_without_a_directory_nothing_is_kept() -> None:
-    files = IncidentFiles(None)
-    files.take(ring(3))
-    files.slack()
-    assert (files.refused, files.written) == (1, 0)
+    left = {path.name for path in tmp_path.glob("incident-*.csv")}
+    assert left == {f"incident-{k}.csv" for k in range(count - MOST_FILES, count)}
+    assert (tmp_path / "notes.txt").exists()
+    assert f"incident-{10**15}.csv" in caplog.text
+    assert f"oldest of more than {MOST_FILES}" in caplog.text
