@@ -120,10 +120,19 @@ def _not_again(key: Key, keys: Iterable[Key]) -> None:
             )
 
 
-def unsafe_mode(mode: int) -> str | None:
-    """Tell why a file with this ``st_mode`` may not hold keys, None if it may."""
+def unsafe_file(mode: int, owner: int, user: int) -> str | None:
+    """Return why a file may not hold keys, None if it may.
+
+    Args:
+        mode: ``st_mode`` of the file.
+        owner: user id of its owner.
+        user: effective user id of the process that reads it.
+    """
     if not stat.S_ISREG(mode):
         return "not a regular file"
+    if owner not in {0, user}:
+        # Its owner could put keys of their own into it.
+        return f"owned by uid {owner}, should be uid {user} or root. chown it"
     if mode & 0o077:
         return f"mode {stat.S_IMODE(mode):04o} lets others in; chmod 0400 or 0600"
     return None

@@ -80,13 +80,14 @@ def read_key(path: Path, name: str | None = None) -> "Key":
         name: which, if it holds several; else the first.
 
     Raises:
-        KeyFileError: missing, readable by others, malformed, or no such name.
+        KeyFileError: missing, another's, readable by others, malformed, or no such name.
     """
-    from linemate.protocol.command_keys import parse_keys, unsafe_mode
+    from linemate.protocol.command_keys import parse_keys, unsafe_file
 
     try:
         with path.open(encoding="utf-8") as file:
-            wrong = unsafe_mode(os.fstat(file.fileno()).st_mode)
+            found = os.fstat(file.fileno())
+            wrong = unsafe_file(found.st_mode, found.st_uid, os.geteuid())
             if wrong is not None:
                 raise KeyFileError(f"{path}: {wrong}")
             keys = parse_keys(file.read(65536), str(path))

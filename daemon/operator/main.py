@@ -228,7 +228,7 @@ def _keygen(args: argparse.Namespace) -> int:
         key_line,
         make_key,
         parse_keys,
-        unsafe_mode,
+        unsafe_file,
     )
 
     key = make_key(args.name, Role(args.role), os.urandom(KEY_BYTES))
@@ -240,7 +240,8 @@ def _keygen(args: argparse.Namespace) -> int:
         # Created for the owner alone from its first moment.
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW, 0o600)
         with open(handle, "a+", encoding="utf-8") as file:  # noqa: PTH123 - a descriptor
-            wrong = unsafe_mode(os.fstat(handle).st_mode)
+            found = os.fstat(handle)
+            wrong = unsafe_file(found.st_mode, found.st_uid, os.geteuid())
             if wrong is not None:
                 raise KeyFileError(f"{path}: {wrong}")
             file.seek(0)

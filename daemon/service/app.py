@@ -31,7 +31,7 @@ from linemate.daemon.service.command_server import (
     UdpDoor,
     read_keys,
 )
-from linemate.daemon.service.config import Station, key_path
+from linemate.daemon.service.config import Station, group_ids, key_path
 from linemate.daemon.service.cycle import Cycle
 from linemate.daemon.service.incidents import IncidentFiles
 from linemate.daemon.service.journal import Journal, Sensors
@@ -594,7 +594,12 @@ def _command_port(
     command = station.config.command
     local = udp = None
     if command.socket is not None:
-        local = LocalDoor(station.path.parent / command.socket)
+        operators = command.operate_groups
+        local = LocalDoor(
+            station.path.parent / command.socket,
+            operate_gids=None if operators is None else group_ids(operators),
+            view_gids=group_ids(command.view_groups),
+        )
     if command.udp is not None:
         door = command.udp
         udp = UdpDoor(door.bind, door.port, station.keys, door.allow_remote)

@@ -25,7 +25,7 @@ from typing import Any, Final
 from linemate.drivers import port_holder
 from linemate.drivers.sole_sender import attach
 from linemate.protocol.command import MAGIC, MAX_FRAME_BYTES, CommandError, Role
-from linemate.protocol.command_keys import Key, parse_keys, unsafe_mode
+from linemate.protocol.command_keys import Key, parse_keys, unsafe_file
 from linemate.protocol.command_local import LocalAccess, LocalServer
 from linemate.protocol.command_request import OPERATIONS
 from linemate.protocol.command_rules import REFUSED, ControlLease, Order
@@ -58,12 +58,21 @@ class LocalDoor:
 
     Attributes:
         path: where; its directory must exist.
-        access: who may do what; None: root and the daemon's own user and the socket's
-            group may operate.
+        access: who may do what; None: as the groups say, and root and the daemon's own user
+            may operate.
+        operate_gids: groups whose members may operate; None: the socket's own group.
+        view_gids: groups whose members may view.
     """
 
     path: Path
     access: LocalAccess | None = None
+    operate_gids: frozenset[int] | None = None
+    view_gids: frozenset[int] = frozenset()
+
+    @property
+    def names_groups(self) -> bool:
+        """The file's own group does not decide alone."""
+        return self.operate_gids is not None or bool(self.view_gids)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,14 +93,15 @@ class UdpDoor:
 
 
 def read_keys(path: Path) -> tuple[Key, ...]:
-    """Read the daemon's key file, which nobody else may read.
+    """Read the daemon's key file, which belongs to the daemon's user or root.
 
     Raises:
-        CommandPortError: missing, readable by others, or malformed (every line of it).
+        CommandPortError: missing, another's, readable by others, or malformed (every line of it).
     """
     try:
         with path.open(encoding="utf-8") as file:
-            wrong = unsafe_mode(os.fstat(file.fileno()).st_mode)
+            found = os.fstat(file.fileno())
+            wrong = unsafe_file(found.st_mode, found.st_uid, os.geteuid())
             if wrong is not None:
                 raise CommandPortError(f"{path}: {wrong}")
             return parse_keys(file.read(65536), str(path))
@@ -170,8 +180,8 @@ class CommandPort:
         self._epoll = select.epoll()
         try:
             if self._local is not None:
-                self._listener = self._watch(_listen(self._local.path))
-                self._access = self._local.access or _access_by_file(self._local.path)
+                self._listener = self._watch(_listen(self._local))
+                self._access = self._local.access or _access(self._local)
             if self._udp is not None:
                 self._datagrams = self._watch(_bind(self._udp))
         except CommandPortError:
@@ -474,16 +484,20 @@ def _peer_groups(accepted: socket.socket) -> tuple[int, ...]:
     return struct.unpack(f"{len(raw) // 4}I", raw)
 
 
-def _access_by_file(path: Path) -> LocalAccess:
-    group = path.stat().st_gid
-    return LocalAccess(frozenset({0, os.geteuid()}), frozenset({group}))
+def _access(door: LocalDoor) -> LocalAccess:
+    operate = door.operate_gids
+    if operate is None:
+        operate = frozenset({door.path.stat().st_gid})
+    return LocalAccess(frozenset({0, os.geteuid()}), operate, door.view_gids)
 
 
-def _listen(path: Path) -> socket.socket:
+def _listen(door: LocalDoor) -> socket.socket:
+    path = door.path
     _remove_stale(path)
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    # The mode must be right from the first moment, not after a chmod.
-    umask = os.umask(0o117)
+    # The mode must be right from the first moment, not after a chmod. A file has one group: where
+    # several may connect, anyone may, and is judged by the kernel's word on who they are.
+    umask = os.umask(0o111 if door.names_groups else 0o117)
     try:
         listener.bind(str(path))
         listener.listen(MAX_CONNECTIONS)

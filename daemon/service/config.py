@@ -5,9 +5,10 @@ what passes here can be started without another surprise from a file. Nothing is
 for writing or changed.
 """
 
+import grp
 import ipaddress
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -167,6 +168,8 @@ class _Named:
             yield from self._attempt(directory, partial(self._look_at_directory, directory))
         yield from self._attempt(("state",), self._look_at_state)
         yield from self._attempt(("command", "socket"), self._look_at_socket)
+        for groups in ("operate_groups", "view_groups"):
+            yield from self._attempt(("command", groups), partial(self._look_at_groups, groups))
         yield from self._attempt(("distance", "can"), self._look_at_can)
         for path in _ADDRESSES:
             yield from self._attempt(path, partial(self._look_at_address, path))
@@ -306,6 +309,10 @@ class _Named:
         if not path.parent.is_dir():
             raise ValueError(f"no such directory: {path.parent}")
 
+    def _look_at_groups(self, key: str) -> None:
+        names = self._get("command", key, kind=list) or []
+        group_ids(name for name in names if isinstance(name, str))
+
     def _look_at_can(self) -> None:
         can: dict[str, Any] = self._get("distance", "can", kind=dict) or {}
         nested = [key for key, value in can.items() if isinstance(value, (dict, list))]
@@ -326,6 +333,27 @@ class _Named:
         remote = self._get("command", "udp", "allow_remote", kind=bool, default=False)
         if text and not remote and not ipaddress.ip_address(text).is_loopback:
             raise ValueError(f"{text} can be reached by others; say allow_remote: true")
+
+
+def group_ids(names: Iterable[str]) -> frozenset[int]:
+    """Return the ids of groups of this host.
+
+    Args:
+        names: or numbers.
+
+    Raises:
+        ValueError: there are no such groups.
+    """
+    ids: set[int] = set()
+    unknown: list[str] = []
+    for name in names:
+        try:
+            ids.add(int(name) if name.isdecimal() else grp.getgrnam(name).gr_gid)
+        except KeyError:
+            unknown.append(name)
+    if unknown:
+        raise ValueError(f"no such group: {', '.join(unknown)}. Make it, or give its number")
+    return frozenset(ids)
 
 
 def key_path(name: str, base: Path) -> Path:

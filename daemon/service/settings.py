@@ -21,6 +21,7 @@ Port = Annotated[int, Ge(0), Le(65535)]
 Text = Annotated[str, Len(1, 4096)]
 Count = Annotated[int, Ge(1), Le(1_000_000)]
 Constant = bool | int | float | str
+Groups = Annotated[tuple[Text, ...], Len(0, 32)]
 ExternalAxis = Literal["E1", "E2", "E3", "E4", "E5", "E6"]
 
 
@@ -136,12 +137,18 @@ class CommandSettings:
     """The doors for operators.
 
     Attributes:
-        socket: path of the local socket, None for none.
+        socket: path of the local socket, None for none. Root and the daemon's own user may
+            operate by it.
+        operate_groups: groups of this host, by name or number, whose members may operate by the
+            local socket too. None: the group that the socket's file has.
+        view_groups: groups whose members may view by the local socket. Others are refused.
         udp: the UDP port, None for none.
         budget: messages handled after each reply to the robot, at most.
     """
 
     socket: Text | None = None
+    operate_groups: Groups | None = None
+    view_groups: Groups = ()
     udp: UdpSettings | None = None
     budget: Annotated[int, Ge(1), Le(64)] = 8
 

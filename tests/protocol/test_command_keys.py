@@ -16,7 +16,7 @@ from linemate.protocol.command_keys import (
     make_key,
     parse_keys,
     session_keys,
-    unsafe_mode,
+    unsafe_file,
 )
 
 GOOD = base64.b64encode(secret_of(1)).decode()
@@ -115,7 +115,14 @@ def test_any_text_gives_keys_or_the_one_error(text: str) -> None:
     ],
 )
 def test_a_file_that_others_can_read_may_not_hold_keys(mode: int, safe: bool) -> None:
-    assert (unsafe_mode(mode) is None) is safe
+    assert (unsafe_file(mode, 7, 7) is None) is safe
+
+
+@pytest.mark.parametrize(("owner", "safe"), [(7, True), (0, True), (8, False), (65534, False)])
+def test_a_key_file_belongs_to_its_reader_or_to_root(owner: int, safe: bool) -> None:
+    wrong = unsafe_file(stat.S_IFREG | 0o400, owner, 7)
+    assert (wrong is None) is safe
+    assert safe or f"uid {owner}" in str(wrong)
 
 
 def test_a_session_has_other_keys_for_each_direction_session_cookie_and_key() -> None:

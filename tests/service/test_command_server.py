@@ -14,7 +14,13 @@ from typing import Any
 import pytest
 from command_ends import key_of, open_port, served
 
-from linemate.daemon.operator.client import Client, NoAnswerError, RefusedError
+from linemate.daemon.operator.client import (
+    Client,
+    KeyFileError,
+    NoAnswerError,
+    RefusedError,
+    read_key,
+)
 from linemate.daemon.service.command_server import (
     MAX_CONNECTIONS,
     CommandPort,
@@ -525,6 +531,20 @@ def test_the_daemons_key_file_must_be_its_own(tmp_path: Path) -> None:
         read_keys(path)
     with pytest.raises(CommandPortError, match="missing"):
         read_keys(tmp_path / "missing")
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can give a file away")
+def test_a_key_file_of_another_user_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "keys"
+    path.write_text(key_line(ALICE) + "\n")
+    path.chmod(0o400)
+    os.chown(path, 65534, -1)
+    with pytest.raises(CommandPortError, match="owned by uid 65534, should be uid 0 or root"):
+        read_keys(path)
+    with pytest.raises(KeyFileError, match="owned by uid 65534"):
+        read_key(path)
+    os.chown(path, 0, -1)
+    assert read_keys(path) == (ALICE,)
 
 
 def test_a_deadline_in_the_past_is_refused_on_the_local_socket_too(tmp_path: Path) -> None:

@@ -190,6 +190,16 @@ def test_directories_that_are_not_there_are_told(write: Write) -> None:
     assert told == ["recording.directory", "realtime.incidents"]
 
 
+def test_groups_that_are_not_there_are_told(write: Write) -> None:
+    text = "task: wheel.yaml\ncommand: {{view_groups: [{}], operate_groups: [{}]}}\n"
+    viewers, operators = errors(write(text.format("root, nobody-has-this", "or-this")))
+    assert "command.operate_groups: no such group: or-this" in operators
+    assert "command.view_groups: no such group: nobody-has-this" in viewers
+    command = config.load(write(text.format('root, "77"', '"5"'))).config.command
+    assert (command.view_groups, command.operate_groups) == (("root", "77"), ("5",))
+    assert config.group_ids(command.view_groups) == {0, 77}
+
+
 def test_keys_that_others_can_read_are_refused(write: Write, tmp_path: Path) -> None:
     keys = tmp_path / "keys"
     keys.write_text(KEY)

@@ -1,5 +1,6 @@
 """Operators at a running daemon whose robot is answered: nobody waits for anybody."""
 
+import os
 import statistics
 import threading
 import time
@@ -8,7 +9,7 @@ from pathlib import Path
 import pytest
 from daemon_process import DaemonProcess
 
-from linemate.daemon.operator.client import Client, read_key
+from linemate.daemon.operator.client import Client, NoAnswerError, RefusedError, read_key
 from linemate.daemon.service import task_file
 from linemate.daemon.service.files import DAEMON_DATA, PROTOCOL_DATA
 from linemate.protocol.command import Role
@@ -86,3 +87,59 @@ def test_a_command_does_not_wait_for_the_next_cycle(door: str, tmp_path: Path) -
         # Waiting for the next reply would be half a cycle in the median, and the call's own time;
         # on a machine that is held up it is more than the 2 ms that it is on a quiet one.
         assert median < 1e3 * CYCLE_S / 2.0
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
+def test_the_groups_of_a_local_peer_decide_whether_it_operates_views_or_is_refused(
+    tmp_path: Path,
+) -> None:
+    for folder in (tmp_path, *list(tmp_path.parents)[:3]):
+        folder.chmod(0o755)
+    text = (
+        "task: wheel.yaml\nrsi: {port: 0}\ncamera: {port: 0}\n"
+        'command: {socket: c.sock, operate_groups: ["4242"], view_groups: ["4243"]}\n'
+    )
+    with DaemonProcess(tmp_path, text) as daemon:
+        where = daemon.listening["command"]["socket"]
+
+        def as_member_of(*groups: int) -> tuple[str, ...]:
+            return as_another_user(groups, Path(where))
+
+        assert as_member_of(4242) == ("answered", "answered")
+        assert as_member_of(4243, 4242) == ("answered", "answered")
+        assert as_member_of(4243) == ("answered", "role")
+        assert as_member_of(4244) == ("no answer", "no answer")
+        assert "connections_refused" in daemon.said()
+
+
+def as_another_user(groups: tuple[int, ...], where: Path) -> tuple[str, ...]:
+    """What `status` and `stop` meet at a local socket, for a user who is in these groups alone.
+
+    Returns:
+        ``answered``, ``no answer`` or the code of the refusal.
+    """
+    reading, writing = os.pipe()
+    pid = os.fork()  # the interpreter may lie where another user cannot start it
+    if pid == 0:
+        said = []
+        try:
+            os.setgroups(groups)
+            os.setgid(65534)
+            os.setuid(65534)
+            for op in ("status", "stop"):
+                try:
+                    with Client.local(where) as client:
+                        client.call(op, None, 4.0)
+                    said.append("answered")
+                except RefusedError as error:
+                    said.append(error.code)
+                except (NoAnswerError, OSError):
+                    said.append("no answer")
+        finally:
+            os.write(writing, ",".join(said).encode())
+            os._exit(0)
+    os.close(writing)
+    with os.fdopen(reading) as pipe:
+        told = pipe.read()
+    os.waitpid(pid, 0)
+    return tuple(told.split(","))
