@@ -4,7 +4,9 @@ Law of this file: it wires; the event loop is its own and the daemon's is anothe
 """
 
 import asyncio
+import contextlib
 import ipaddress
+import os
 import signal
 import sys
 import webbrowser
@@ -17,6 +19,9 @@ from linemate.daemon.view.board import Board
 from linemate.daemon.view.live import Live
 from linemate.daemon.view.server import Server
 from linemate.daemon.view.site import LiveSite, TapeSite
+
+LEAST_URGENT = 19
+"""The greatest niceness."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +108,7 @@ async def serve(
         if not ipaddress.ip_address(where.host).is_loopback:
             print("linemate view: whoever reaches this address can look on", file=sys.stderr)
         if where.is_opened:
-            await asyncio.to_thread(webbrowser.open, server.address)
+            await asyncio.to_thread(_open, server.address)
         await ended.wait()
     finally:
         await server.close()
@@ -112,6 +117,13 @@ async def serve(
             await asyncio.gather(working, return_exceptions=True)
     if working is not None and not working.cancelled():
         working.result()
+
+
+def _open(address: str) -> None:
+    """Open a browser; one that starts here runs after everything else of the machine."""
+    with contextlib.suppress(OSError):
+        os.nice(LEAST_URGENT)  # of this thread, which its children inherit
+    webbrowser.open(address)
 
 
 def _end_if_failed(done: "asyncio.Future[None]", ended: asyncio.Event) -> None:

@@ -281,6 +281,8 @@ def _open_view(station: Station, children: Children) -> None:
     command = _command("daemon.operator.main", "view", "--socket", str(station.command_socket))
     child = children.start("view", command, station.folder / "view.log")
     wait_until(lambda: bool(child.tail()), children, START_S, "the view")
+    # Not before: on a busy machine it would take too long to begin.
+    child.give_way()
     print(f"linemate-sim demo: the view is at {child.tail()[0]}", file=sys.stderr, flush=True)
 
 
@@ -460,7 +462,9 @@ def _cost(refused: str) -> str:
     return (
         f"without real-time rights ({refused}): replies come in time only while the machine has "
         "nothing else to do; under load they may be late by tens of milliseconds. Grant "
-        "RLIMIT_RTPRIO (ulimit -r 98) or CAP_SYS_NICE to be rid of that."
+        "RLIMIT_RTPRIO (ulimit -r 98) or CAP_SYS_NICE to be rid of that. A browser that is already "
+        "open has the same priority as the emulated sensors and may starve them: close it, or "
+        "start it with nice -n 19."
     )
 
 

@@ -6,6 +6,7 @@ what cannot be found out is None or a reason.
 
 from __future__ import annotations
 
+import ctypes
 import os
 import platform
 import resource
@@ -14,6 +15,12 @@ from pathlib import Path
 from typing import Any
 
 PRIORITY = 50
+URGENT_NICENESS = -15
+"""Instead of SCHED_FIFO, where that is refused."""
+
+MCL_CURRENT = 1
+
+_libc = ctypes.CDLL(None, use_errno=True)
 
 
 def machine() -> dict[str, Any]:
@@ -62,6 +69,9 @@ def missing_rights() -> str | None:
 def grant(priority: int | None, cpus: Sequence[int]) -> Iterator[str]:
     """Ask for a priority and cores for this process; say what was refused, and why.
 
+    With a priority the memory is locked as well: a browser that starts pushes out pages, and one
+    that is read from disk again holds up every emulated device.
+
     Args:
         priority: of SCHED_FIFO, None leaves the scheduler alone.
         cpus: the only ones to use, empty leaves them alone.
@@ -71,11 +81,36 @@ def grant(priority: int | None, cpus: Sequence[int]) -> Iterator[str]:
             os.sched_setaffinity(0, cpus)
     except (OSError, ValueError) as error:
         yield f"cores {list(cpus)} refused ({error})"
+    if priority is None:
+        return
     try:
-        if priority is not None:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except (OSError, ValueError) as error:
-        yield f"SCHED_FIFO {priority} refused ({error})"
+        yield f"SCHED_FIFO {priority} refused ({error}); {_next_best()}"
+    try:
+        lock_memory()
+    except OSError as error:
+        yield f"locked memory refused ({error.strerror})"
+
+
+def _next_best() -> str:
+    """Ask for a niceness below everybody else's, and say what came of it."""
+    try:
+        os.setpriority(os.PRIO_PROCESS, 0, URGENT_NICENESS)
+    except OSError as error:
+        return f"niceness {URGENT_NICENESS} refused as well ({error.strerror})"
+    return f"niceness {URGENT_NICENESS} instead"
+
+
+def lock_memory() -> None:
+    """Keep what this process has in memory there.
+
+    Raises:
+        OSError: the host refuses.
+    """
+    if _libc.mlockall(MCL_CURRENT) != 0:
+        code = ctypes.get_errno()
+        raise OSError(code, os.strerror(code))
 
 
 def shared_out() -> tuple[tuple[int, ...], tuple[int, ...]]:

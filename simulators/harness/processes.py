@@ -23,6 +23,8 @@ PR_SET_PDEATHSIG: Final = 1
 POLITE_S: Final = 4.0
 FIRM_S: Final = 2.0
 LOG_TAIL: Final = 12
+LEAST_URGENT: Final = 19
+"""The greatest niceness."""
 
 _libc = ctypes.CDLL(None, use_errno=True)
 
@@ -90,6 +92,17 @@ class Child:
         # The leader may be gone and have left others of its group.
         self.signal_group(signal.SIGKILL)
         return self.ended()
+
+    def give_way(self) -> None:
+        """Let its group, and what it starts from now on, run after everything else."""
+        with suppress(OSError):
+            os.setpriority(os.PRIO_PGRP, self.pid, LEAST_URGENT)
+        # The kernel shares time out by session first (autogroup), where no niceness has an effect.
+        with (
+            suppress(OSError),
+            Path(f"/proc/{self.pid}/autogroup").open("wb", buffering=0) as file,
+        ):
+            file.write(b"%d" % LEAST_URGENT)
 
     def signal_group(self, number: int) -> None:
         """Signal the whole group, if anything of it is left."""

@@ -83,6 +83,29 @@ def test_a_child_that_fails_is_told_with_its_last_words(tmp_path: Path) -> None:
             wait_until(lambda: False, children, 20.0, "never")
 
 
+def test_what_gives_way_has_the_greatest_niceness_and_what_it_starts_then_too(
+    tmp_path: Path,
+) -> None:
+    log = tmp_path / "log"
+    code = (
+        "import os, subprocess, sys, time\n"
+        "print(os.nice(0), flush=True)\n"
+        "while os.nice(0) < 19: time.sleep(0.01)\n"
+        "time.sleep(0.2)\n"
+        "group = '/proc/self/autogroup'\n"
+        "print(open(group).read().split()[-1] if os.path.exists(group) else 19, flush=True)\n"
+        "subprocess.run([sys.executable, '-c', 'import os; print(os.nice(0), flush=True)'])"
+    )
+    with Children() as children:
+        child = children.start("view", python(code), log)
+        wait_until(lambda: bool(child.tail()), children, 20.0, "its first word")
+        child.give_way()
+        assert child.wait(20.0) == 0
+    before, autogroup, inherited = log.read_text().split()
+    assert int(before) == os.nice(0)
+    assert autogroup == inherited == "19"
+
+
 def test_waiting_ends_and_names_what_did_not_come(tmp_path: Path) -> None:
     with Children() as children:
         children.start("slow", python(READY), tmp_path / "log")

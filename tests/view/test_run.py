@@ -1,0 +1,29 @@
+"""The view's process: a browser that it opens runs after everything else of the machine."""
+
+import asyncio
+import os
+import subprocess
+import sys
+import webbrowser
+
+import pytest
+
+from linemate.daemon.view import run
+
+
+def test_a_browser_that_is_opened_gives_way_and_the_server_does_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    opened: list[tuple[str, int]] = []
+
+    def pretend(address: str) -> bool:
+        code = "import os; print(os.nice(0))"
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
+        opened.append((address, int(done.stdout)))
+        return True
+
+    monkeypatch.setattr(webbrowser, "open", pretend)
+    before = os.nice(0)
+    asyncio.run(asyncio.to_thread(run._open, "http://127.0.0.1:1/"))  # type: ignore[arg-type]
+    assert opened == [("http://127.0.0.1:1/", 19)]
+    assert os.nice(0) == before
