@@ -49,6 +49,7 @@ from linemate.daemon.service.step_file import STATE_LOG
 from linemate.daemon.service.step_log import LogEntry
 from linemate.daemon.service.timing import Timing
 from linemate.drivers import port_holder
+from linemate.drivers.camera_peer import parse_peer
 from linemate.drivers.camera_udp import CameraLink
 from linemate.drivers.can_bus import CanLink
 from linemate.drivers.datagrams import Address
@@ -574,7 +575,8 @@ def _sensors(station: Station, cycle: Cycle) -> Iterator[CanLink | CameraLink | 
     if config.camera is not None:
         camera = config.camera
         poses = CameraDecoder(camera.frame, camera.object, camera.source)
-        yield CameraLink(poses, cycle.feed_camera, camera.bind, camera.port)
+        peer = None if camera.peer is None else parse_peer(camera.peer)
+        yield CameraLink(poses, cycle.feed_camera, camera.bind, camera.port, peer=peer)
     if config.force_torque is not None:
         wrench = config.force_torque
         yield SerialLink(

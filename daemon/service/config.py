@@ -29,6 +29,7 @@ from linemate.daemon.service.files import UnreadableError
 from linemate.daemon.service.settings import Config, Corrections
 from linemate.daemon.service.task_file import Task
 from linemate.daemon.settings_tree import Settings
+from linemate.drivers.camera_peer import parse_peer
 from linemate.protocol.command_keys import Key
 from linemate.protocol.distance import DistanceDecoder, DistanceError, message_names
 from linemate.protocol.rsi import RsiCodec
@@ -173,6 +174,7 @@ class _Named:
         yield from self._attempt(("distance", "can"), self._look_at_can)
         for path in _ADDRESSES:
             yield from self._attempt(path, partial(self._look_at_address, path))
+        yield from self._attempt(("camera", "peer"), self._look_at_camera_peer)
         yield from self._attempt(("command", "udp", "bind"), self._look_at_consent)
         yield from timeouts.complaints(self._value)
 
@@ -327,6 +329,11 @@ class _Named:
         text = self._get(*path, kind=str)
         if text is not None:
             ipaddress.ip_address(text)
+
+    def _look_at_camera_peer(self) -> None:
+        text = self._get("camera", "peer", kind=str)
+        if text is not None:
+            parse_peer(text)
 
     def _look_at_consent(self) -> None:
         text = self._get("command", "udp", "bind", kind=str, default="127.0.0.1")

@@ -87,11 +87,14 @@ class CameraSettings:
     Attributes:
         bind: numeric address to listen on.
         port: 0 takes any.
+        peer: the only sender that is heard, ``ADDRESS`` or ``ADDRESS:PORT``. None: the first one
+            that sends good poses; another may take over while that one is silent for 5 s.
         frame, object, source: the only ones accepted, None for any.
     """
 
     bind: Text = "127.0.0.1"
     port: Port = 49153
+    peer: Text | None = None
     frame: Text | None = "camera"
     object: Text | None = "hub"
     source: Text | None = None

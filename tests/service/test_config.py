@@ -10,7 +10,7 @@ from linemate.daemon.control.settings import ControlSettings
 from linemate.daemon.service import config
 from linemate.daemon.service.documents import FileError
 from linemate.daemon.service.files import PROTOCOL_DATA
-from linemate.daemon.service.settings import Corrections
+from linemate.daemon.service.settings import CameraSettings, Corrections
 from linemate.daemon.tracking.settings import TrackingSettings
 
 Write = Callable[[str], Path]
@@ -198,6 +198,14 @@ def test_groups_that_are_not_there_are_told(write: Write) -> None:
     command = config.load(write(text.format('root, "77"', '"5"'))).config.command
     assert (command.view_groups, command.operate_groups) == (("root", "77"), ("5",))
     assert config.group_ids(command.view_groups) == {0, 77}
+
+
+def test_a_camera_peer_that_is_no_address_is_told(write: Write) -> None:
+    for peer in ("camera.local", "10.0.0.1:0", "10.0.0.1:99999", "10.0.0.1:x", "[::1]5", "[::1"):
+        (line,) = errors(write(f'task: wheel.yaml\ncamera: {{peer: "{peer}"}}\n'))
+        assert "camera.peer: " in line, peer
+    text = 'task: wheel.yaml\ncamera: {peer: "10.0.0.1:5"}\n'
+    assert config.load(write(text)).config.camera == CameraSettings(peer="10.0.0.1:5")
 
 
 def test_keys_that_others_can_read_are_refused(write: Write, tmp_path: Path) -> None:

@@ -1,0 +1,126 @@
+"""Which sender is the camera: a rule over sources and arrival times.
+
+Invariants:
+    * With a peer given, nobody else is ever the camera.
+    * Without one, the first sender of ``needed`` good poses in a row is the camera, until the end
+      of the process. Whenever it sends, it is heard.
+    * While the camera has sent within ``takeover_s``, nobody else is heard.
+    * A sender that takes over from a silent camera is heard until the camera is back.
+"""
+
+import ipaddress
+from enum import StrEnum, auto
+from typing import Final
+
+from linemate.drivers.datagrams import Address
+
+TAKEOVER_S: Final = 5.0  # longer than an occlusion, shorter than a tracker's restart is missed
+
+Peer = tuple[str, int | None]
+"""Numeric address; port, None for any."""
+
+
+class Judgement(StrEnum):
+    """What becomes of a datagram."""
+
+    HEARD = auto()
+    CANDIDATE = auto()  # of a sender that may take over: decoded, not handed on
+    FOREIGN = auto()  # not even decoded
+
+
+def parse_peer(text: str) -> Peer:
+    """Read ``ADDRESS``, ``ADDRESS:PORT`` or ``[ADDRESS]:PORT``.
+
+    Raises:
+        ValueError: the address is not numeric, or the port no port.
+    """
+    host, port = text, ""
+    if text.startswith("["):
+        host, bracket, rest = text[1:].partition("]")
+        if not bracket or (rest and not rest.startswith(":")):
+            raise ValueError(f"{text!r} is not ADDRESS, ADDRESS:PORT or [ADDRESS]:PORT")
+        port = rest[1:]
+    elif text.count(":") == 1:
+        host, _, port = text.partition(":")
+    address = str(ipaddress.ip_address(host))
+    if not port:
+        return address, None
+    if not port.isdecimal() or not 0 < int(port) < 65536:
+        raise ValueError(f"port {port!r} of {text!r} is not within 1 .. 65535")
+    return address, int(port)
+
+
+class CameraPeer:
+    """Decides whose poses are heard.
+
+    Args:
+        peer: the only one that may be the camera, None for whoever comes first.
+        needed: good poses in a row that make a sender the camera.
+        takeover_s: silence of the camera after which another sender may take over [s].
+
+    Attributes:
+        camera: the sender that has the right to be heard, None until there is one.
+        present: the sender that is heard now.
+    """
+
+    def __init__(
+        self, peer: Peer | None = None, needed: int = 5, takeover_s: float = TAKEOVER_S
+    ) -> None:
+        self.camera: Address | None = None
+        self.present: Address | None = None
+        self._peer = peer
+        self._needed = needed
+        self._takeover_ns = round(takeover_s * 1e9)
+        self._last_ns = 0
+        self._candidate: Address | None = None
+        self._row = 0
+
+    def judge(self, source: Address, stamp_ns: int) -> Judgement:
+        """Return what becomes of a datagram.
+
+        Args:
+            source: who sent it.
+            stamp_ns: when it came [ns].
+        """
+        if not self._may_be(source):
+            return Judgement.FOREIGN
+        if self.present is None or source in {self.camera, self.present}:
+            return Judgement.HEARD
+        is_silent = stamp_ns - self._last_ns >= self._takeover_ns
+        return Judgement.CANDIDATE if is_silent else Judgement.FOREIGN
+
+    def good(self, source: Address, stamp_ns: int) -> bool:
+        """Note a good pose of a sender that was not judged foreign.
+
+        Args:
+            source: who sent it.
+            stamp_ns: when it came [ns].
+
+        Returns:
+            Whether another sender than before is heard from now on.
+        """
+        if source == self.present:
+            self._last_ns = stamp_ns
+            self._candidate = None
+            return False
+        if source == self.camera:
+            self._hear(source, stamp_ns)
+            return True
+        self._row = self._row + 1 if source == self._candidate else 1
+        self._candidate = source
+        if self._row < self._needed:
+            return False
+        self.camera = self.camera or source
+        self._hear(source, stamp_ns)
+        return True
+
+    def _hear(self, source: Address, stamp_ns: int) -> None:
+        self.present, self._last_ns = source, stamp_ns
+        self._candidate, self._row = None, 0
+
+    def _may_be(self, source: Address) -> bool:
+        if self._peer is None:
+            return True
+        address, port = self._peer
+        numeric = str(ipaddress.ip_address(source[0].partition("%")[0]))
+        return numeric == address and port in {None, source[1]}
