@@ -333,6 +333,7 @@ class App:
         self._account.expected(self._clock.schedule)
         anew = verdict.kind in {Telegram.FIRST, Telegram.NEW_SESSION}
         self._clock.telegram(stamp_ns, verdict.missed + 1, anew=anew)
+        self.cycle.operating.wrong_cycle = self._clock.pace.phase.lasting_refusal
 
     def _on_due(self, due: Due) -> None:
         if due.kind is Kind.PREPARE:
@@ -498,7 +499,7 @@ class App:
     ) -> Answer | asyncio.Future[Answer]:
         del role  # judged by the protocol
         if op in ORDERS:
-            reason = self._clock.pace.phase.refusal if op == "arm" else None
+            reason = self._clock.pace.phase.arm_refusal if op == "arm" else None
             reason = reason or self.cycle.order(op, who)
             outcome = f", refused: {reason}" if reason else ""
             self._say(f"{who} ordered {op}{outcome}")

@@ -177,8 +177,14 @@ def _link(signals: Signals, evidence: Evidence) -> Explanation:
     if counts.leak_ns >= round(1e9 * settings.leak_s):
         level = f"level {counts.leak_ns * 1e-9:.2f} s, limit {settings.leak_s:.2f} s"
         return f"telegrams missed too often: {level}", cable
-    proven = f"{counts.good} answered cycles in a row, {settings.healthy_cycles} needed"
-    return f"robot link not proven: {proven}", cable
+    return _not_proven(evidence), cable
+
+
+def _not_proven(evidence: Evidence) -> str:
+    if evidence.facts.wrong_cycle is not None:
+        return evidence.facts.wrong_cycle.removesuffix(".")
+    good, needed = evidence.counts.good, evidence.settings.healthy_cycles
+    return f"robot link not proven: {good} answered cycles in a row, {needed} needed"
 
 
 def _position(_: Signals, evidence: Evidence) -> Explanation:

@@ -58,6 +58,7 @@ class Operating:
         has_new_session: noticed: the robot's programme has begun anew.
         is_loss_untold: noticed: a reply has not reached the robot.
         has_failed: noticed: what was begun raised.
+        wrong_cycle: why the controller's period cannot be followed, None if it can.
         cause: why the present state was entered.
         fault: the cause of the latched fault, None without one.
         decisions: made so far.
@@ -78,6 +79,7 @@ class Operating:
         self.settings = settings
         self.on_transition: OnTransition | None = None
         self.has_new_session = self.is_loss_untold = self.has_failed = False
+        self.wrong_cycle: str | None = None
         self._cycle_s = cycle_s
         self._wrench_expected = wrench_expected
         self._watch = watch.Watch()
@@ -190,6 +192,7 @@ class Operating:
                 stamp_ns,
                 telegram,
                 self.has_new_session,
+                self.wrong_cycle,
                 position_ns=feeds.newest_ns,
                 wrench_ns=feeds.wrench_ns,
                 wrench_expected=self._wrench_expected,
@@ -205,6 +208,7 @@ class Operating:
             stamp_ns=stamp_ns,
             telegram=telegram,
             new_session=self.has_new_session,
+            wrong_cycle=self.wrong_cycle,
             position_ns=feeds.newest_ns,
             slower_ns=feeds.slower_ns if (last.task_time or 0.0) > 0.0 else None,
             wrench_ns=feeds.wrench_ns,

@@ -30,6 +30,9 @@ GUESSED: Final = (0.75, 4.0)
 """Of the configured cycle, between which a period is guessed before. Two telegrams that a wire held
 up come 0.2 ms apart: a clock that took this for the cycle made 57 of them before the next came."""
 
+LASTING: Final = 8
+"""Telegrams at a refused period before a motion is held for it; jitter unlocks it in between."""
+
 AFRESH: Final = 4
 """Arrivals in a row, late by an eighth of a cycle, that say that the controller's phase moved."""
 
@@ -60,6 +63,8 @@ class PhaseLock:
     _late: deque[int] = field(default_factory=lambda: deque(maxlen=AFRESH))
     _line_ns: int | None = None
     _measured: bool = False
+    _refused: int = 0
+    _refusal: str | None = None
     _recent: deque[Arrival] = field(default_factory=lambda: deque(maxlen=WINDOW))
     _earliest: deque[Arrival] = field(default_factory=lambda: deque(maxlen=BLOCKS))
     _block: list[Arrival] = field(default_factory=list)
@@ -72,6 +77,7 @@ class PhaseLock:
         """Another session: nothing of the last one holds."""
         self._period_ns = float(self.nominal_ns)
         self._measured = False
+        self._refused, self._refusal = 0, None
         self._cycle = 0
         self._forget()
 
@@ -98,6 +104,7 @@ class PhaseLock:
             self._fit(self._recent)
         if len(self._block) >= BLOCK:
             self._close_block()
+        self._count_refusals()
         self._line_ns = self._envelope(stamp_ns)
 
     def expected_ns(self, ahead: int = 1) -> int | None:
@@ -132,9 +139,35 @@ class PhaseLock:
         if abs(deviation) <= TOLERANCE:
             return None
         return (
-            f"the controller's cycle is {self._period_ns * 1e-6:.3f} ms and "
-            f"{self.nominal_ns * 1e-6:g} ms is configured"
+            f"the controller's cycle is {self._period_ns * 1e-6:.3f} ms, "
+            f"{100.0 * abs(deviation):.1f} % off the {self.nominal_ns * 1e-6:g} ms configured, "
+            f"limit {100.0 * TOLERANCE:g} %. Set rsi.cycle_ms and RSI_ON's cycle on the controller "
+            "to the same value."
         )
+
+    @property
+    def lasting_refusal(self) -> str | None:
+        """``refusal`` once it has lasted for ``LASTING`` telegrams."""
+        return self._refusal if self._refused >= LASTING else None
+
+    @property
+    def arm_refusal(self) -> str | None:
+        """Why the robot must not be armed: as ``refusal``, or the period is not measured yet."""
+        if self._measured:
+            return self.refusal
+        return (
+            f"the controller's cycle is not measured yet: {len(self._recent)} of {LEARNT + 1} "
+            f"telegrams at {self.nominal_ns * 1e-6:g} ms. Order arm again in a second; if it "
+            "stays so, the telegrams come at no steady cycle."
+        )
+
+    def _count_refusals(self) -> None:
+        """Count telegrams at a refused period; a grid that moved says nothing of the period."""
+        if not self._measured:
+            return
+        refusal = self.refusal
+        self._refused = 0 if refusal is None else self._refused + 1
+        self._refusal = refusal
 
     def _has_moved(self) -> bool:
         """Tell whether the last arrivals are late by the same time."""

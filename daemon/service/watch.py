@@ -80,6 +80,7 @@ class Facts:
         stamp_ns: of the cycle [ns].
         telegram: the cycle has a telegram.
         new_session: the controller has started anew.
+        wrong_cycle: why the controller's period cannot be followed, None if it can.
         position_ns: arrival of the newest accepted position, distance or camera [ns], or None.
         slower_ns: the same of that sensor of the two whose newest is older [ns]; None while the
             task waits, for the object may be out of the camera's sight.
@@ -96,6 +97,7 @@ class Facts:
     stamp_ns: int
     telegram: bool
     new_session: bool = False
+    wrong_cycle: str | None = None
     position_ns: int | None = None
     slower_ns: int | None = None
     wrench_ns: int | None = None
@@ -174,10 +176,12 @@ def _count(watch: Watch, facts: Facts, state: State, settings: WatchSettings) ->
         link = Link.LOST
     elif watch.link is Link.HEALTHY:
         missed_s = settings.missed_in_contact_s if touches else settings.missed_s
-        leaky = not touches and leak_ns >= round(settings.leak_s * 1e9)
-        link = Link.UNPROVEN if silent_s >= missed_s or leaky else Link.HEALTHY
+        shaky = not touches and leak_ns >= round(settings.leak_s * 1e9)
+        shaky = shaky or silent_s >= missed_s or facts.wrong_cycle is not None
+        link = Link.UNPROVEN if shaky else Link.HEALTHY
     else:
         proven = watch.link is Link.UNPROVEN and good >= settings.healthy_cycles
+        proven = proven and facts.wrong_cycle is None
         link = Link.HEALTHY if proven else Link.UNPROVEN
     return Watch(
         link,

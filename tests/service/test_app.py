@@ -317,7 +317,7 @@ def test_a_controller_of_another_cycle_is_answered_and_not_armed_for(
             controller = running.controller(task)
             controller.cycle_s = 0.014
             sending = asyncio.create_task(controller.cycles(10_000))
-            reason = "ms and 12 ms is configured"
+            reason = "off the 12 ms configured"
             await until(lambda: reason in " ".join(running.app.status()["complaints"]))
             with pytest.raises(RefusedError, match=reason):
                 await running.ask("arm")

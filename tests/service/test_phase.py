@@ -8,6 +8,7 @@ import pytest
 from linemate.daemon.service.phase import (
     AFRESH,
     GUESSED,
+    LASTING,
     LEARNT,
     MARGIN_NS,
     WINDOW,
@@ -227,3 +228,39 @@ def test_the_lead_forgets_a_bad_time_and_never_exceeds_its_share() -> None:
 
 def test_a_long_cycle_has_no_longer_lead_than_a_slow_host_needs() -> None:
     assert Lead(12 * MS).most_ns == 4 * MS
+
+
+@pytest.mark.parametrize("cycle_ms", [4, 12])
+def test_a_robot_is_armed_only_at_a_measured_period_near_the_configured_one(cycle_ms: int) -> None:
+    for share, good in ((1.0, True), (1.045, True), (0.955, True), (1.075, False), (0.92, False)):
+        lock = PhaseLock(cycle_ms * MS)
+        for n in range(200):
+            reason = lock.arm_refusal
+            assert (lock.measured_ns is None) is (reason is not None and "not measured" in reason)
+            lock.arrival(START + round(n * cycle_ms * MS * share))
+        assert (lock.arm_refusal is None) is good
+        if not good:
+            assert f"{cycle_ms * share:.3f} ms" in str(lock.arm_refusal)
+            assert f"the {cycle_ms} ms configured, limit 5 %. Set rsi.cycle_ms and" in str(
+                lock.arm_refusal
+            )
+
+
+def test_before_the_period_is_measured_arm_is_refused_with_how_many_telegrams_there_are() -> None:
+    lock = PhaseLock(12 * MS)
+    for n in range(5):
+        lock.arrival(START + n * 12 * MS)
+    assert "not measured yet: 5 of 25 telegrams at 12 ms" in str(lock.arm_refusal)
+
+
+def test_a_wrong_period_ends_a_motion_only_once_it_lasts() -> None:
+    lock = PhaseLock(12 * MS)
+    lasting = []
+    for n in range(120):
+        lock.arrival(START + round(n * 12 * MS * 1.075))
+        lasting.append(lock.lasting_refusal is not None)
+    first = lasting.index(True)
+    assert LEARNT + LASTING - 2 <= first <= LEARNT + LASTING + 2
+    assert all(lasting[first:])
+    lock.restart()
+    assert lock.lasting_refusal is None

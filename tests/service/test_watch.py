@@ -259,3 +259,11 @@ def test_a_retreat_that_waits_for_its_clamp_lasts_as_long_as_a_sensor_shows_the_
 def test_a_blind_retreat_ends_when_the_clamp_is_overdue() -> None:
     assert not retreat_for(1.0, clamped=True).expired
     assert retreat_for(1.0, clamped=True, overdue=True).expired
+
+
+def test_a_controller_at_another_period_makes_the_link_doubtful_until_it_is_right() -> None:
+    run = Run(State.TRACK).healthy()
+    assert run.cycle(wrong_cycle="12.9 ms").link is Link.UNPROVEN
+    for _ in range(2 * SETTINGS.healthy_cycles):
+        assert run.cycle(wrong_cycle="12.9 ms").link is Link.UNPROVEN
+    assert run.cycle().link is Link.HEALTHY
