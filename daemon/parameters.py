@@ -10,7 +10,7 @@ import numpy as np
 
 from linemate.daemon import rotations
 from linemate.daemon.control import controller as control
-from linemate.daemon.control import kinematics
+from linemate.daemon.control import kinematics, urdf_limits
 from linemate.daemon.control.settings import ControlSettings
 from linemate.daemon.tracking import contact, linear_axis, merge
 from linemate.daemon.tracking.classifier_bank import BankClassifier
@@ -88,6 +88,9 @@ def build(
         np.array(tool.position),
         rotations.matrix(tool.quaternion),
         linear_axis=task.arm.linear_axis,
+    )
+    control_settings = urdf_limits.completed(
+        control_settings, urdf_text, task.arm.flange, linear_axis=task.arm.linear_axis
     )
     controller = control.compile_controller(
         control_settings, arm, cycle_s, task.conveyor.nominal_speed

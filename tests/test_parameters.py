@@ -13,6 +13,7 @@ from linemate.daemon.parameters import Parameters, build
 from linemate.daemon.tracking.merge import ORDER
 from linemate.daemon.tracking.settings import ClassifierKind, TrackingSettings
 from linemate.daemon.tracking.task import PoseFile, TaskFile
+from linemate.simulators.harness.setup import shipped_control
 
 CYCLES = (0.012, 0.004)
 
@@ -95,7 +96,7 @@ def test_a_finer_cycle_tells_the_same() -> None:
 
 @pytest.mark.parametrize("what", ["servos", "limits"])
 def test_six_models_for_seven_axes_are_refused(what: str) -> None:
-    settings = ControlSettings()
+    settings = shipped_control()
     with pytest.raises(ValueError, match="7 axes"):
         built(replace(settings, **{what: getattr(settings, what)[:6]}))
 

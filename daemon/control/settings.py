@@ -123,17 +123,6 @@ _SERVOS = (
     ServoModel(4.0, 0.80, 0.036),
 )
 _MODES = tuple(EffectorMode(f) for f in (5.0, 4.5, 7.0, 5.5, 6.0, 6.5))
-# Setpoints, not motions: the inverse of a 4 Hz servo asks for some ten times the jerk that the
-# arm then makes (measured: 22 rad/s^2 and 8300 rad/s^3 on A1 at 4 ms as a stop is merged).
-_LIMITS = (
-    AxisLimits(-3.2, 3.2, 1.8, 40.0, 15000.0),
-    AxisLimits(-2.4, 0.08, 1.6, 40.0, 15000.0),
-    AxisLimits(-2.0, 2.8, 1.7, 40.0, 15000.0),
-    AxisLimits(-6.1, 6.1, 3.1, 60.0, 20000.0),
-    AxisLimits(-2.1, 2.1, 3.0, 60.0, 20000.0),
-    AxisLimits(-6.1, 6.1, 3.8, 60.0, 20000.0),
-    AxisLimits(-1.0, 6.0, 1.0, 12.0, 3000.0),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,6 +130,7 @@ class ControlSettings:
     """All that can be set of control. Axes are A1..A6, then E1.
 
     Attributes:
+        limits: of each axis, at most the URDF's; left out: those of the URDF.
         tcp_speed: limit of the tcp's speed relative to the object; the conveyor's nominal speed
             comes on top of it [m/s].
         horizon_s: how far tracking looks ahead for control [s].
@@ -150,7 +140,7 @@ class ControlSettings:
 
     servos: Annotated[tuple[ServoModel, ...], Len(6, 7)] = _SERVOS
     effector: Annotated[tuple[EffectorMode, ...], Len(6, 6)] = _MODES
-    limits: Annotated[tuple[AxisLimits, ...], Len(6, 7)] = _LIMITS
+    limits: Annotated[tuple[AxisLimits, ...], Len(0, 7)] = ()
     smoothing: SmoothingSettings = SmoothingSettings()
     brake: BrakeSettings = BrakeSettings()
     filters: FilterSettings = FilterSettings()

@@ -9,11 +9,12 @@ import grp
 import ipaddress
 import os
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
+from linemate.daemon.control import urdf_limits
 from linemate.daemon.service import (
     documents,
     files,
@@ -24,7 +25,7 @@ from linemate.daemon.service import (
     timeouts,
 )
 from linemate.daemon.service.command_server import CommandPortError, read_keys
-from linemate.daemon.service.documents import Complaint, FileError
+from linemate.daemon.service.documents import Complaint, Document, FileError
 from linemate.daemon.service.files import UnreadableError
 from linemate.daemon.service.settings import Config, Corrections
 from linemate.daemon.service.task_file import Task
@@ -103,8 +104,9 @@ def load(path: Path) -> Station:
     if named.elsewhere or named.task is None or named.rsi is None:
         raise FileError(named.elsewhere)
     texts = {"config": data.decode("utf-8-sig"), **named.texts}
-    written = overlay.laid(document, config, path.parent, saved=False)
-    config = overlay.laid(document, config, path.parent)
+    written = _with_limits(overlay.laid(document, config, path.parent, saved=False), named.task)
+    config = _with_limits(overlay.laid(document, config, path.parent), named.task)
+    _refuse_wider(document, config, named.task)
     return Station(
         path,
         config,
@@ -116,6 +118,40 @@ def load(path: Path) -> Station:
         overlay.settings_of(written),
         overlay.directory(config, path.parent),
     )
+
+
+def _with_limits(config: Config, task: Task) -> Config:
+    """Return a configuration with the URDF's limits, if it has none of its own.
+
+    Raises:
+        FileError: the URDF does not say all of them.
+    """
+    arm = task.file.arm
+    try:
+        control = urdf_limits.completed(
+            config.control, task.urdf, arm.flange, linear_axis=arm.linear_axis
+        )
+    except urdf_limits.UrdfLimitsError as error:
+        raise FileError([f"{arm.urdf}:1:1: (file): {error}"]) from error
+    return replace(config, control=control)
+
+
+def _refuse_wider(document: Document, config: Config, task: Task) -> None:
+    """Refuse limits beyond the URDF's.
+
+    Raises:
+        FileError: each of them.
+    """
+    arm = task.file.arm
+    try:
+        found = urdf_limits.wider(
+            config.control, task.urdf, arm.flange, linear_axis=arm.linear_axis
+        )
+    except urdf_limits.UrdfLimitsError as error:
+        raise FileError([f"{arm.urdf}:1:1: (file): {error}"]) from error
+    if found:
+        told = (Complaint(("control", "limits", axis, name), what) for axis, name, what in found)
+        raise FileError(document.lines(told))
 
 
 def schema() -> dict[str, Any]:

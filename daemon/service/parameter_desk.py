@@ -20,6 +20,7 @@ import numpy as np
 from linemate.daemon import parameters as compiling
 from linemate.daemon import settings_tree as tree
 from linemate.daemon import step as stepping
+from linemate.daemon.control import urdf_limits
 from linemate.daemon.parameters import Parameters
 from linemate.daemon.service import overlay, parameter_list, watch
 from linemate.daemon.service.config import Station
@@ -159,6 +160,18 @@ class Desk:
             if name in self._listed and parameter_list.rule(name).change is Change.RESTART:
                 return f"{name} is set in the configuration file and taken at the daemon's start"
         return None
+
+    def _beyond_robot(self, wanted: Settings) -> str | None:
+        """Return which limits would be wider than the URDF's, None if none."""
+        if wanted.control is self.settings.control:
+            return None
+        task = self.station.task
+        arm = task.file.arm
+        found = urdf_limits.wider(
+            wanted.control, task.urdf, arm.flange, linear_axis=arm.linear_axis
+        )
+        told = [f"control.limits.{axis}.{name}: {what}" for axis, name, what in found]
+        return "; ".join(told) or None
 
     def _changes(self, values: Mapping[str, Any], wanted: Settings) -> dict[str, dict[str, Any]]:
         now = {name: self._listed[name]["value"] for name in values}

@@ -16,6 +16,7 @@ from linemate.daemon.service.settings import Config
 from linemate.daemon.settings_tree import SECTIONS
 from linemate.simulators.devices.emulator_config import EmulatorConfig
 from linemate.simulators.devices.faults import KINDS, MEANINGS, REAL
+from linemate.simulators.harness.setup import shipped_control
 from linemate.simulators.plants.scenario import Scenario
 
 MADE = "<!-- Made by `make docs-write`; edit the settings' docstrings instead. -->\n"
@@ -175,7 +176,7 @@ def parameters_page() -> str:
     """The tables of docs/parameters.md: every parameter with its default and when it may change."""
     lines: list[str] = []
     above = None
-    for told in parameter_list.every(Config(task="wheel.yaml")):
+    for told in parameter_list.every(Config(task="wheel.yaml", control=shipped_control())):
         name = told["name"]
         if name.partition(".")[0] not in SECTIONS:
             continue
@@ -187,11 +188,18 @@ def parameters_page() -> str:
             lines += ["|---|---|---|---|---|---|"]
         changes = told["change"] + (", not in contact" if told.get("in_contact") is False else "")
         lines.append(
-            f"| `{name.rpartition('.')[2]}` | {_cell(shown(told['default']))} "
+            f"| `{name.rpartition('.')[2]}` | {_usual(told)} "
             f"| {told.get('unit', '')} | {_cell(_allowed(told))} | {changes} "
             f"| {_text(told.get('describe', ''))} |"
         )
     return "\n".join(lines[1:]) + "\n"
+
+
+def _usual(told: dict[str, Any]) -> str:
+    """A parameter's default in words."""
+    if told["name"].startswith("control.limits."):
+        return "the URDF's"
+    return _cell(shown(told["default"]))
 
 
 def _cell(text: str) -> str:

@@ -49,20 +49,21 @@ class AxisLimit:
     jerk: float
 
 
-def _rotary(low_deg: float, high_deg: float, speed_deg: float) -> AxisLimit:
-    return AxisLimit(
-        math.radians(low_deg), math.radians(high_deg), math.radians(speed_deg), 75.0, 25_000.0
-    )
+def _rotary(
+    low_deg: float, high_deg: float, speed_deg: float, acceleration: float, jerk: float
+) -> AxisLimit:
+    low, high, speed = map(math.radians, (low_deg, high_deg, speed_deg))
+    return AxisLimit(low, high, speed, acceleration, jerk)
 
 
 LIMITS: tuple[AxisLimit, ...] = (
-    _rotary(-185.0, 185.0, 105.0),
-    _rotary(-140.0, -5.0, 101.0),
-    _rotary(-120.0, 155.0, 107.0),
-    _rotary(-350.0, 350.0, 136.0),
-    _rotary(-122.5, 122.5, 129.0),
-    _rotary(-350.0, 350.0, 206.0),
-    AxisLimit(-5.0, 6.5, 1.5, 15.0, 4000.0),
+    _rotary(-185.0, 185.0, 105.0, 40.0, 15_000.0),
+    _rotary(-140.0, -5.0, 101.0, 40.0, 15_000.0),
+    _rotary(-120.0, 155.0, 107.0, 40.0, 15_000.0),
+    _rotary(-350.0, 350.0, 136.0, 60.0, 20_000.0),
+    _rotary(-122.5, 122.5, 129.0, 60.0, 20_000.0),
+    _rotary(-350.0, 350.0, 206.0, 60.0, 20_000.0),
+    AxisLimit(-1.5, 6.0, 1.5, 12.0, 3000.0),
 )
 """A heavy six-axis arm on a linear axis, A1..A6 and E1: limits of setpoints, which lead a slow
 servo and so ask for several times the acceleration and jerk that the arm itself makes."""

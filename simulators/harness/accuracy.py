@@ -17,7 +17,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from linemate.daemon.control.settings import ControlSettings
 from linemate.daemon.service.documents import FileError
 from linemate.daemon.tracking.settings import TrackingSettings
 from linemate.simulators.harness import accuracy_tables, report_json, variants
@@ -26,7 +25,7 @@ from linemate.simulators.harness.cluster import digest
 from linemate.simulators.harness.drills import Kind
 from linemate.simulators.harness.main import one_thread
 from linemate.simulators.harness.main import scheduler as parse_scheduler
-from linemate.simulators.harness.setup import Setup
+from linemate.simulators.harness.setup import Setup, shipped_control
 from linemate.simulators.harness.variants import SetupError
 
 PAGE = Path("docs/accuracy.md")
@@ -266,7 +265,7 @@ def _plan(args: argparse.Namespace) -> Plan:
 
 def _is_default(variant: str) -> bool:
     """Tell whether a variant is the default by another name; once is enough."""
-    plain = TrackingSettings(), ControlSettings()
+    plain = TrackingSettings(), shipped_control()
     return variant != "default" and variants.apply(variant, *plain) == plain
 
 

@@ -14,6 +14,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from linemate.daemon.control import urdf_limits
 from linemate.daemon.control.settings import ControlSettings
 from linemate.daemon.service import documents, task_file
 from linemate.daemon.service.documents import FileError
@@ -46,6 +47,16 @@ def shipped_task() -> task_file.Task:
     return task_file.load(DAEMON_DATA / TASK)
 
 
+@cache
+def shipped_control() -> ControlSettings:
+    """Return the default settings of control with the limits of the shipped arm."""
+    task = shipped_task()
+    arm = task.file.arm
+    return urdf_limits.completed(
+        ControlSettings(), task.urdf, arm.flange, linear_axis=arm.linear_axis
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Setup:
     """One run before its seed.
@@ -61,7 +72,7 @@ class Setup:
 
     scenario: Scenario
     tracking: TrackingSettings = field(default_factory=TrackingSettings)
-    control: ControlSettings = field(default_factory=ControlSettings)
+    control: ControlSettings = field(default_factory=shipped_control)
     task: TaskFile = field(default_factory=lambda: shipped_task().file)
     urdf: str = field(default_factory=lambda: shipped_task().urdf, repr=False)
     variant: str = "default"

@@ -13,6 +13,7 @@ from linemate.daemon.control.settings import ControlSettings, SmoothingSettings
 from linemate.daemon.horizon import Array, Horizon
 from linemate.daemon.service import task_file
 from linemate.daemon.service.files import DAEMON_DATA
+from linemate.simulators.harness.setup import shipped_control
 
 CYCLES = (0.012, 0.004)
 TASK = task_file.load(DAEMON_DATA / "wheel.yaml")
@@ -43,7 +44,8 @@ ARM = arm()
 
 
 def made(settings: ControlSettings, cycle_s: float = 0.012) -> Controller:
-    return control.compile_controller(settings, ARM, cycle_s)
+    whole = settings if settings.limits else replace(settings, limits=shipped_control().limits)
+    return control.compile_controller(whole, ARM, cycle_s)
 
 
 def pose_of(joints: Array) -> Array:
@@ -224,7 +226,7 @@ def test_a_stop_is_the_gates_gentle_brake_and_leaves_the_plan_alone() -> None:
 
 @pytest.mark.parametrize("what", ["servos", "limits"])
 def test_too_few_models_are_refused_with_the_number_needed(what: str) -> None:
-    settings = ControlSettings()
+    settings = shipped_control()
     fewer = {what: getattr(settings, what)[:6]}
     with pytest.raises(ValueError, match="7 axes"):
         made(replace(settings, **fewer))
@@ -232,7 +234,7 @@ def test_too_few_models_are_refused_with_the_number_needed(what: str) -> None:
 
 def test_the_narrower_of_settings_and_urdf_bounds_the_position() -> None:
     bounds = made(ControlSettings()).limits
-    for axis, row in enumerate(ControlSettings().limits):
+    for axis, row in enumerate(shipped_control().limits):
         assert bounds.lower[axis] == max(row.lower, ARM.lower[axis])
         assert bounds.upper[axis] == min(row.upper, ARM.upper[axis])
 

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from linemate.daemon.control import limits
 from linemate.daemon.control.controller import AXES
 from linemate.daemon.control.limits import GateState, Limits
-from linemate.daemon.control.settings import ControlSettings
 from linemate.daemon.horizon import Array
+from linemate.simulators.harness.setup import shipped_control
 
 CYCLES = (0.012, 0.004)
-ROWS = ControlSettings().limits
+ROWS = shipped_control().limits
 SHIPPED = Limits(
     np.array([row.lower for row in ROWS]),
     np.array([row.upper for row in ROWS]),

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import pytest
 
-from linemate.daemon.control.settings import ControlSettings
 from linemate.daemon.tracking.settings import TrackingSettings
 from linemate.simulators.harness import setup, variants
 from linemate.simulators.harness.setup import OverrideError
@@ -55,7 +54,7 @@ def test_an_override_of_the_truth_keeps_to_the_files_ranges() -> None:
 
 
 def test_every_variant_changes_the_settings_but_the_default_under_any_name() -> None:
-    plain = (TrackingSettings(), ControlSettings())
+    plain = (TrackingSettings(), setup.shipped_control())
     # The oracle's settings are the default's: it is told the future beside them.
     same = {"default", variants.ORACLE, plain[0].classifier.value}
     for name in variants.VARIANTS:

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from linemate.daemon.control.settings import ControlSettings
 from linemate.daemon.service import config
 from linemate.daemon.service.documents import FileError
 from linemate.daemon.service.files import PROTOCOL_DATA
 from linemate.daemon.service.settings import CameraSettings, Corrections
 from linemate.daemon.tracking.settings import TrackingSettings
+from linemate.simulators.harness.setup import shipped_control
 
 Write = Callable[[str], Path]
 
@@ -40,7 +40,7 @@ def test_the_shortest_file_names_a_task_and_takes_every_default(write: Write) ->
     assert station.config.rsi.corrections is Corrections.ABSOLUTE
     assert station.rsi_port == station.rsi.port == 49152
     assert station.config.tracking == TrackingSettings()
-    assert station.config.control == ControlSettings()
+    assert station.config.control == shipped_control()
     assert station.dbc is None
     assert set(station.texts) == {"config", "task", "urdf", "rsi"}
 

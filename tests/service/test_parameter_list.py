@@ -18,8 +18,9 @@ from linemate.daemon.service.settings import CameraSettings, Config, RecordingSe
 from linemate.daemon.service.watch import WatchSettings
 from linemate.protocol.command import MAX_RESULT_BYTES
 from linemate.protocol.command_plain import encode_result
+from linemate.simulators.harness.setup import shipped_control
 
-CONFIG = replace(Config("t"), watch=WatchSettings(healthy_cycles=7))
+CONFIG = replace(Config("t"), control=shipped_control(), watch=WatchSettings(healthy_cycles=7))
 
 
 @pytest.fixture(scope="module")

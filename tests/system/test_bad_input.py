@@ -22,7 +22,6 @@ import numpy as np
 import pytest
 from daemon_process import DaemonProcess
 
-from linemate.daemon.control.settings import ControlSettings
 from linemate.daemon.operator.client import Client, RefusedError
 from linemate.protocol import camera
 from linemate.protocol.command import Role
@@ -34,7 +33,7 @@ from linemate.simulators.devices.controller import ControllerConfig, RsiControll
 from linemate.simulators.devices.emulator import Emulator, EmulatorConfig, EmulatorResult
 from linemate.simulators.devices.limits import LIMITS
 from linemate.simulators.harness import scenario_file
-from linemate.simulators.harness.setup import shipped_task
+from linemate.simulators.harness.setup import shipped_control, shipped_task
 from linemate.simulators.plants.scenario import Camera, Scenario
 
 T = TypeVar("T")
@@ -78,7 +77,7 @@ def robots_limits() -> str:
     rows = [
         f"{{lower: {robot.low}, upper: {robot.high}, speed: {robot.speed},"
         f" acceleration: {own.acceleration}, jerk: {own.jerk}}}"
-        for robot, own in zip(LIMITS, ControlSettings().limits, strict=True)
+        for robot, own in zip(LIMITS, shipped_control().limits, strict=True)
     ]
     return f"control: {{limits: [{', '.join(rows)}]}}\n"
 

@@ -15,7 +15,6 @@ from typing import Any
 import pytest
 
 from linemate.daemon import settings_tree as tree
-from linemate.daemon.control.settings import ControlSettings
 from linemate.daemon.service import config
 from linemate.daemon.service.parameter_desk import Desk
 from linemate.daemon.service.parameter_list import Change, rule
@@ -69,7 +68,7 @@ def robots_limits() -> str:
     rows = [
         f"{{lower: {robot.low}, upper: {robot.high}, speed: {min(robot.speed, own.speed)},"
         f" acceleration: {own.acceleration}, jerk: {own.jerk}}}"
-        for robot, own in zip(LIMITS, ControlSettings().limits, strict=True)
+        for robot, own in zip(LIMITS, setup.shipped_control().limits, strict=True)
     ]
     return f"control: {{limits: [{', '.join(rows)}]}}\n"
 
