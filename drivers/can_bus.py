@@ -8,6 +8,7 @@ Source: reference/sensors-and-tools.md, 2.
 """
 
 import asyncio
+import contextlib
 import logging
 import threading
 import time
@@ -311,6 +312,11 @@ def _shut_down(bus: can.BusABC) -> None:
         bus.shutdown()
     except Exception as error:  # noqa: BLE001 - a dead bus may refuse to die
         log.debug("shutting a bus down: %s", error)
+    port = getattr(bus, SERIAL_PORT, None)
+    if isinstance(port, ReadAhead):
+        # A dead line ends slcan's shutdown before its port is closed.
+        with contextlib.suppress(Exception):
+            port.close()
 
 
 async def _in_thread(work: Callable[[], T], leftover: Callable[[T], None] | None = None) -> T:

@@ -36,6 +36,7 @@ from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.devices.schedule import Schedule
 from linemate.simulators.devices.serial_pty import SerialPty
 from linemate.simulators.devices.slcan_pty import SlcanPty
+from linemate.simulators.devices.tcp_port import TcpPort
 from linemate.simulators.devices.truth import TruthLog
 from linemate.simulators.plants.scenario import Scenario
 from linemate.simulators.plants.world import World
@@ -122,9 +123,11 @@ class Emulator:
         target = config.robot_target or (rsi.ip, rsi.port)
         self.link = ControllerUdp(controller, self, self._schedule, target, config.robot_bind)
         encoder = DistanceEncoder(config.dbc, config.dbc_message, config.dbc_signal)
-        self.can = SlcanPty(CanSensor(encoder, config.distance_mount), config.can_link)
+        self.can = SlcanPty(
+            CanSensor(encoder, config.distance_mount), config.can_link, config.can_bind
+        )
         self.force_torque = SerialPty(
-            ForceTorqueSensor(config.force_torque_device), config.serial_link
+            ForceTorqueSensor(config.force_torque_device), config.serial_link, config.serial_bind
         )
         self.camera = CameraUdp(
             CameraSender(
@@ -509,7 +512,7 @@ def _rows(scenario: Scenario) -> int:
     return min(round(cycles) + SPARE_ROWS, MAX_ROWS)
 
 
-def _found(port: PtyPort) -> str:
+def _found(port: PtyPort | TcpPort) -> str:
     return port.path if port.link is None else str(port.link)
 
 

@@ -33,11 +33,13 @@ class EmulatorConfig:
         camera_object: object they are of.
         camera_clock_offset_s: the camera's clock minus this host's monotonic one [s].
         can_link: symbolic link to make for the slcan pty, None for none.
+        can_bind: TCP port of the slcan adapter instead of the pty, None for the pty.
         dbc: describes the distance sensor's message.
         dbc_message: its name.
         dbc_signal: the distance in it.
         distance_mount: what the sensor reads when the conveyor unit is at s = 0 [m].
         serial_link: symbolic link to make for the force-torque pty, None for none.
+        serial_bind: TCP port of the force-torque sensor instead of the pty, None for the pty.
         force_torque_device: "bota" or "robotiq-ft300".
         wait_answered: the world stands still until so many telegrams were answered, a missed one
             taking back an eighth of them; until then nothing is charged.
@@ -58,11 +60,13 @@ class EmulatorConfig:
     camera_object: str = "hub"
     camera_clock_offset_s: float = 86_400.0
     can_link: Path | None = None
+    can_bind: Address | None = None
     dbc: Path = SHIPPED_DBC
     dbc_message: str = "CIA406_TPDO1"
     dbc_signal: str = "Position"
     distance_mount: float = 0.0
     serial_link: Path | None = None
+    serial_bind: Address | None = None
     force_torque_device: str = "bota"
     wait_answered: int = 0
     end_after_release_s: float | None = None

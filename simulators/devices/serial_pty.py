@@ -1,4 +1,4 @@
-"""The force-torque sensor on a pty.
+"""The force-torque sensor on a pty, or behind a TCP port.
 
 Law of this file: bytes go to and from the device as they are; here is only the port. The sensor
 powers on with the port, as one on a USB converter does.
@@ -7,8 +7,10 @@ powers on with the port, as one on a USB converter does.
 from collections.abc import Sequence
 from pathlib import Path
 
+from linemate.simulators.devices.endpoint import Address
 from linemate.simulators.devices.force_torque import ForceTorqueSensor
 from linemate.simulators.devices.pty_port import PtyPort
+from linemate.simulators.devices.tcp_port import TcpPort
 
 
 class SerialPty:
@@ -16,18 +18,29 @@ class SerialPty:
 
     Attributes:
         sensor: the device.
-        port: the pty.
+        port: the pty, or the TCP port.
     """
 
-    def __init__(self, sensor: ForceTorqueSensor, link: Path | None = None) -> None:
+    def __init__(
+        self, sensor: ForceTorqueSensor, link: Path | None = None, bind: Address | None = None
+    ) -> None:
+        """Set it up; it is not plugged in yet.
+
+        Args:
+            sensor: the device.
+            link: symbolic link to make for the pty.
+            bind: address and port of a TCP port instead of a pty.
+        """
         self.sensor = sensor
-        self.port = PtyPort(self._heard, link=link)
+        self.port: PtyPort | TcpPort = (
+            PtyPort(self._heard, link=link) if bind is None else TcpPort(self._heard, bind)
+        )
 
     def open(self) -> None:
         """Plug the sensor in; it powers on.
 
         Raises:
-            OSError: if no pty can be had.
+            OSError: if no port can be had.
         """
         self.port.plug()
         self.port.write(self.sensor.boot())

@@ -1,4 +1,4 @@
-"""The distance sensor behind an slcan adapter on a pty.
+"""The distance sensor behind an slcan adapter on a pty, or behind a TCP port.
 
 Law of this file: bytes go to and from the adapter as they are; here is only the port. Whatever
 python-can makes of the port's path is what a site's adapter would give it.
@@ -8,8 +8,10 @@ from pathlib import Path
 
 from linemate.protocol.slcan import CanFrame
 from linemate.simulators.devices.can_sensor import CanSensor
+from linemate.simulators.devices.endpoint import Address
 from linemate.simulators.devices.pty_port import PtyPort
 from linemate.simulators.devices.slcan import SlcanAdapter
+from linemate.simulators.devices.tcp_port import TcpPort
 
 
 class SlcanPty:
@@ -18,19 +20,30 @@ class SlcanPty:
     Attributes:
         sensor: encodes readings.
         adapter: speaks slcan.
-        port: the pty.
+        port: the pty, or the TCP port.
     """
 
-    def __init__(self, sensor: CanSensor, link: Path | None = None) -> None:
+    def __init__(
+        self, sensor: CanSensor, link: Path | None = None, bind: Address | None = None
+    ) -> None:
+        """Set it up; it is not plugged in yet.
+
+        Args:
+            sensor: encodes readings.
+            link: symbolic link to make for the pty.
+            bind: address and port of a TCP port instead of a pty.
+        """
         self.sensor = sensor
         self.adapter = SlcanAdapter()
-        self.port = PtyPort(self._heard, link=link)
+        self.port: PtyPort | TcpPort = (
+            PtyPort(self._heard, link=link) if bind is None else TcpPort(self._heard, bind)
+        )
 
     def open(self) -> None:
         """Plug the adapter in.
 
         Raises:
-            OSError: if no pty can be had.
+            OSError: if no port can be had.
         """
         self.adapter.reset()
         self.port.plug()

@@ -346,7 +346,10 @@ def _reason(evidence: Evidence, outcome: str) -> str | None:
     if evidence.collision is None and evidence.broken is not None:
         return evidence.broken
     last = _last_trouble(evidence.changes)
-    reasons = (evidence.collision, None if last is None else str(last))
+    reasons = [evidence.collision, None if last is None else str(last)]
+    if outcome == "fault":
+        # What led to the fault comes first, and then the fault itself.
+        reasons += [str(c) for c in evidence.changes[-1:] if c.after == "fault" and c is not last]
     return "; ".join(filter(None, reasons)) or _why_nothing_happened(evidence)
 
 

@@ -51,6 +51,35 @@ def test_frames_of_an_slcan_adapter_become_stamped_samples(tmp_path: Path) -> No
     run(main())
 
 
+def test_an_adapter_behind_a_tcp_port_gives_the_same_samples_and_is_opened_again() -> None:
+    async def main() -> None:
+        adapter = SlcanPty(CanSensor(DistanceEncoder()), bind=("127.0.0.1", 0))
+        adapter.open()
+        samples: list[DistanceSample] = []
+        link = _link(Path(), samples.append)
+        link._config["channel"] = adapter.port.path
+        link.open()
+        await until(lambda: adapter.adapter.is_open)
+        await until(lambda: bool(samples) or bool(adapter.emit(0.0)))
+        del samples[:]
+        for number in range(1, 100):
+            adapter.emit(0.01 * number)
+        await until(lambda: bool(samples) and round(samples[-1].position, 4) == 0.99)
+        places = [round(s.position, 4) for s in samples if s.position > 0.005]
+        assert places == [round(0.01 * n, 4) for n in range(1, 100)]
+        adapter.close()
+        await until(lambda: not link.status.up)
+        assert "Could not read" in link.status.reason
+        adapter.open()
+        await until(lambda: adapter.adapter.is_open)
+        await until(lambda: samples[-1].position < 0.6 or bool(adapter.emit(0.5)))
+        link.close()
+        await link.wait_closed()
+        adapter.close()
+
+    run(main())
+
+
 def test_frames_of_others_and_bad_ones_are_counted_apart(tmp_path: Path) -> None:
     async def main() -> None:
         adapter = _adapter(tmp_path / "can")

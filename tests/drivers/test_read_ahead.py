@@ -3,6 +3,8 @@
 import os
 import pty
 import random
+import select
+import socket
 import tty
 from collections.abc import Iterator
 
@@ -58,3 +60,21 @@ def test_what_is_forgotten_is_forgotten_in_both(ends: tuple[int, serial.Serial])
     ahead.reset_input_buffer()
     assert (ahead.in_waiting, port.in_waiting) == (0, 0)
     assert ahead.fileno() == port.fileno()
+
+
+def test_a_socket_is_read_in_portions_too() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        where = "socket://{}:{}".format(*server.getsockname())
+        with serial.serial_for_url(where, timeout=0) as port:
+            line, _ = server.accept()
+            ahead = ReadAhead(port)
+            assert ahead.in_waiting == 0
+            line.sendall(bytes(range(100)))
+            select.select([port.fileno()], [], [], 5.0)
+            assert ahead.in_waiting == 100
+            assert b"".join(ahead.read(1) for _ in range(100)) == bytes(range(100))
+            assert ahead.in_waiting == 0
+            line.close()
+            select.select([port.fileno()], [], [], 5.0)
+            with pytest.raises(serial.SerialException, match="disconnected"):
+                _ = ahead.in_waiting

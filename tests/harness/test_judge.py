@@ -239,6 +239,11 @@ STALE = "no fresh position: camera silent for 0.31 s, distance 0.02 s (limit 0.3
             "contact -> retreat: overload",
         ),
         ("fault", ["track -> fault: link", "fault -> idle: acknowledged"], "track -> fault: link"),
+        (
+            "fault",
+            ["track -> hold: missing", "hold -> fault: lost"],
+            "track -> hold: missing; hold -> fault: lost",
+        ),
     ],
 )
 def test_what_is_not_assembled_has_its_reason_in_the_words_of_the_state_table(
