@@ -53,6 +53,8 @@ UNANSWERED_S = 0.12
 """A new session, or one that has to be proven, may cost so much [s]."""
 MOST_CYCLE_OFF = 0.055
 """Nobody is tracked by a controller whose cycle is farther off: row X16."""
+UNFELT_S = 0.4
+"""A clamped tool is felt within this time [s]."""
 PHANTOM_M = 0.01
 PHANTOM_FORCE_N = 150.0
 PHANTOM_S = 0.3
@@ -166,7 +168,7 @@ class PlantOracle:
         self._track_losses(seen, hub[0], at_hub=at_hub, clamped=clamped)
         self._judge_contact(seen, force if clamped else 0.0)
         self._judge_place(seen, lateral, depth, clamped=clamped)
-        self._judge_silence(seen)
+        self._judge_silence(seen, clamped=clamped)
         self._judge_answers(seen)
         self._judge_motion(seen)
         if seen.state is not self._state:
@@ -252,8 +254,11 @@ class PlantOracle:
 
     # From silence to reaction.
 
-    def _judge_silence(self, seen: Seen) -> None:
+    def _judge_silence(self, seen: Seen, *, clamped: bool) -> None:
         emitters, now_s = self._emitters, seen.now_s
+        unfelt = clamped and seen.state is State.TRACK and emitters.has_wrench
+        if self._lasting("unfelt", unfelt, now_s) > UNFELT_S:
+            self._once("reaction", f"TRACK after {UNFELT_S:g} s with the tool clamped")
         if seen.state not in BOUND:
             self._since.pop("overload", None)
             self._since.pop("braked", None)

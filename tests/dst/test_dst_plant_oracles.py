@@ -244,6 +244,15 @@ def test_a_sensor_that_says_500_n_ends_the_motion() -> None:
     assert run.go(0.1) == ["reaction"]
 
 
+@pytest.mark.parametrize(("has_wrench", "kinds"), [(True, ["reaction"]), (False, [])])
+def test_a_clamped_tool_that_nobody_felt_is_blamed(has_wrench: bool, kinds: list[str]) -> None:
+    run = Run()
+    run.plant.contact, run.plant.tool = "clamped", run.plant.place
+    run.sensors.has_wrench = has_wrench
+    assert run.go(0.3) == []
+    assert run.go(0.2) == kinds
+
+
 def test_replies_that_move_nothing_end_the_motion() -> None:
     run = Run()
     run.go(0.5)

@@ -1,0 +1,45 @@
+"""The cells of the fault campaign: what each differs in, and that its files fit together."""
+
+import pytest
+
+from linemate.simulators.harness import dst_plan
+from linemate.simulators.harness.dst_cells import (
+    CELLS,
+    SHIPPED,
+    axis_limits,
+    compiled,
+    rest_pose,
+    scenario_of,
+    station,
+    station_of,
+)
+from linemate.simulators.harness.dst_plan import Plan
+from linemate.simulators.plants.scenario import Contact
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_a_cell_has_files_that_fit_and_limits_for_seven_axes(cell: str) -> None:
+    assert len(axis_limits(cell)) == len(rest_pose(cell)) == 7
+    parameters = compiled(0.012, cell)
+    assert len(parameters.controller.limits.names) == (6 if cell == "six-axes" else 7)
+    config = station_of(3.0, 4, cell).config
+    assert (config.rsi.cycle_ms, config.realtime.lead_ms) == (4, 3.0)
+    device = None if config.force_torque is None else config.force_torque.device
+    assert device == CELLS[cell].force_torque
+
+
+def test_what_can_be_drawn_is_what_there_is() -> None:
+    assert {SHIPPED, *dst_plan.CELLS} == set(CELLS)
+
+
+def test_the_second_layout_tells_set_positions() -> None:
+    tags = {element.tag for element in station("second-layout").rsi.send}
+    assert {"DEF_RIst", "DEF_RSol", "DEF_AIPos", "DEF_ASPos", "DEF_Delay"} <= tags
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_every_run_has_the_shipped_clamp_and_the_cycle_that_the_controller_has(cell: str) -> None:
+    scenario = scenario_of(Plan(1, cell=cell, cycle_off=0.05))
+    assert scenario.contact.release_s == Contact().release_s == 0.3
+    assert scenario.contact.deflection_limit == Contact().deflection_limit
+    assert scenario.cycle_s == pytest.approx(0.0126)
