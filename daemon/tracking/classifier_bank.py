@@ -18,9 +18,10 @@ import numpy as np
 
 from linemate.daemon.changed import changed
 from linemate.daemon.horizon import Array
-from linemate.daemon.tracking import hypotheses
-from linemate.daemon.tracking.conveyor import Motion, Row, Source, View, gained
+from linemate.daemon.tracking import hypotheses, ramp_check
+from linemate.daemon.tracking.conveyor import LONGEST_TRIAL, Motion, Row, Source, View, gained
 from linemate.daemon.tracking.hypotheses import NOTHING, Bank, Prior, Verdict
+from linemate.daemon.tracking.ramp_check import Denial, StartCheck
 from linemate.daemon.tracking.settings import (
     BankSettings,
     FusionSettings,
@@ -78,6 +79,8 @@ class BankState:
         odds: of a change, log, against no change and against a push.
         push_odds: of a push, log, against both others.
         tentative: a change has been perceived.
+        trial_s: how long it has been tentative [s].
+        check: of a start against the readings, or None.
         contact: the tactile sensor took part in the last step.
         events: of the last step.
     """
@@ -98,6 +101,8 @@ class BankState:
     odds: float = -30.0
     push_odds: float = -30.0
     tentative: bool = False
+    trial_s: float = 0.0
+    check: StartCheck | None = None
     contact: bool = False
     events: tuple[tuple[str, str], ...] = ()
 
@@ -403,13 +408,60 @@ class BankClassifier:
 
     def advance(self, state: BankState, rows: Sequence[Row], dt: float) -> BankState:
         """Return the belief one step later, its class decided."""
+        before = state
         state = self._predict(state, dt)
         if rows:
             state = self._correct(state, rows)
         contact = any(row.source is Source.TACTILE for row in rows)
         if contact is not state.contact:
             state = changed(state, contact=contact)
-        return self._settle(self._decide(state), dt)
+        state = self._bounded(self._decide(state), before, dt)
+        return self._settle(self._checked(before, state, rows, dt), dt)
+
+    def _bounded(self, state: BankState, before: BankState, dt: float) -> BankState:
+        """Return the state with a change cancelled that has been tentative for too long."""
+        if not state.tentative:
+            return changed(state, trial_s=0.0) if state.trial_s else state
+        trial_s = state.trial_s + dt if before.tentative else 0.0
+        if trial_s < LONGEST_TRIAL:
+            return changed(state, trial_s=trial_s)
+        # What kept the change likely without confirming it is an error of the speed.
+        P = state.P.copy()
+        P[V, V] += REST_DEVIATION**2
+        event = (_NEXT[state.motion][1], "cancelled")
+        return changed(_cleared(state), P=P, trial_s=0.0, events=(*state.events, event))
+
+    def _checked(
+        self, before: BankState, state: BankState, rows: Sequence[Row], dt: float
+    ) -> BankState:
+        """Return the state with a start taken back, or ended, if the readings contradict it."""
+        if state.motion is not Motion.STARTING and state.check is None:
+            return state
+        speed = float(state.x[V])
+        check = ramp_check.follow(state.check, before.motion, state.motion, speed, rows, dt)
+        denial = ramp_check.denied(check, self.conveyor, state.cruise, self.distance_deviation)
+        if denial is None:
+            return changed(state, check=check)
+        return self._denied(state, denial)
+
+    def _denied(self, state: BankState, denial: Denial) -> BankState:
+        """Return the state in the class that the readings speak for."""
+        events = state.events
+        if state.tentative:
+            events = (*events, ("stop", "cancelled"))
+        if denial.motion is not Motion.RUNNING:
+            events = (*events, ("start", "cancelled"))
+        off = float(state.x[V]) - denial.speed
+        deviation = math.hypot(off, REST_DEVIATION)
+        state = _enter(state, denial.motion, denial.speed, deviation)
+        if denial.motion is Motion.STOPPING:
+            x, P = state.x.copy(), state.P.copy()
+            x[ACCELERATION] = -self.conveyor.deceleration
+            P[ACCELERATION, ACCELERATION] = (
+                self.bank.amplitude_deviation * self.conveyor.deceleration
+            ) ** 2
+            state = changed(state, x=x, P=P)
+        return changed(state, trial_s=0.0, check=None, events=events)
 
     def _decide(self, state: BankState) -> BankState:
         """Return the state with a change perceived, confirmed or cancelled, or a push taken."""

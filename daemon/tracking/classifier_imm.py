@@ -12,7 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from linemate.daemon.horizon import Array
-from linemate.daemon.tracking.conveyor import Motion, Row, Source, View, travel
+from linemate.daemon.tracking import ramp_check
+from linemate.daemon.tracking.conveyor import LONGEST_TRIAL, Motion, Row, Source, View, travel
+from linemate.daemon.tracking.ramp_check import Denial, StartCheck
 from linemate.daemon.tracking.settings import BankSettings, FusionSettings, ImmSettings
 from linemate.daemon.tracking.task import ConveyorClasses
 
@@ -30,7 +32,13 @@ _WORDS = {STOP: "stop", STAND: "stop", START: "start", RUN: "start"}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImmState:
-    """Belief: one estimate (4, 5) and covariance (4, 5, 5) a mode, and the modes' odds (4,)."""
+    """One estimate (4, 5) and covariance (4, 5, 5) a mode, and the modes' odds (4,).
+
+    Attributes:
+        mode: number of the class in force.
+        trial_s: how long a change has been tentative [s].
+        check: of a start against the readings, or None.
+    """
 
     x: Array
     P: Array
@@ -40,6 +48,8 @@ class ImmState:
     age: float = 0.0
     refused: tuple[tuple[Source, int], ...] = ()
     tentative: bool = False
+    trial_s: float = 0.0
+    check: StartCheck | None = None
     events: tuple[tuple[str, str], ...] = ()
 
 
@@ -172,10 +182,71 @@ class ImmClassifier:
 
     def advance(self, state: ImmState, rows: Sequence[Row], dt: float) -> ImmState:
         """Return the belief one step later, its class decided."""
+        before = state
         state = self._predict(state, dt)
         for row in rows:
             state = self._correct(state, row)
-        return self._learn(self._decide(state), dt)
+        state = self._bounded(self._decide(state), before, dt)
+        return self._learn(self._checked(before, state, rows, dt), dt)
+
+    def _bounded(self, state: ImmState, before: ImmState, dt: float) -> ImmState:
+        """Return the state with a change cancelled that has been tentative for too long."""
+        if not state.tentative:
+            return replace(state, trial_s=0.0) if state.trial_s else state
+        trial_s = state.trial_s + dt if before.tentative else 0.0
+        if trial_s < LONGEST_TRIAL:
+            return replace(state, trial_s=trial_s)
+        event = ("stop" if state.mode in {RUN, START} else "start", "cancelled")
+        return replace(
+            state,
+            mu=_certain(state.mode),
+            tentative=False,
+            trial_s=0.0,
+            events=(*state.events, event),
+        )
+
+    def _checked(
+        self, before: ImmState, state: ImmState, rows: Sequence[Row], dt: float
+    ) -> ImmState:
+        """Return the state with a start taken back, or ended, if the readings contradict it."""
+        if state.mode != START and state.check is None:
+            return state
+        speed = float(state.x[START, V])
+        check = ramp_check.follow(
+            state.check, MODES[before.mode], MODES[state.mode], speed, rows, dt
+        )
+        denial = ramp_check.denied(check, self.conveyor, state.cruise, self.distance_deviation)
+        if denial is None:
+            return replace(state, check=check)
+        return self._denied(state, denial)
+
+    def _denied(self, state: ImmState, denial: Denial) -> ImmState:
+        """Return the state in the class that the readings speak for."""
+        mode = MODES.index(denial.motion)
+        x, P = state.x.copy(), state.P.copy()
+        if mode != STAND:  # that one has a filter of its own, which knows no speed
+            x[mode], P[mode] = state.x[START], state.P[START]
+            P[mode, V, V] += (x[mode, V] - denial.speed) ** 2
+            x[mode, V], x[mode, ACCELERATION] = denial.speed, self._accelerations[mode]
+            P[mode, ACCELERATION, :] = P[mode, :, ACCELERATION] = 0.0
+            spread = self.bank.amplitude_deviation * self._accelerations[mode]
+            P[mode, ACCELERATION, ACCELERATION] = spread**2
+        events = state.events
+        if state.tentative:
+            events = (*events, ("stop", "cancelled"))
+        if mode != RUN:
+            events = (*events, ("start", "cancelled"))
+        return replace(
+            state,
+            x=x,
+            P=P,
+            mu=_certain(mode),
+            mode=mode,
+            tentative=False,
+            trial_s=0.0,
+            check=None,
+            events=events,
+        )
 
     def _decide(self, state: ImmState) -> ImmState:
         """Return the state with a change of class perceived, confirmed or cancelled."""
@@ -236,3 +307,10 @@ class ImmClassifier:
             confidence=math.log(other / (1.0 - other)),
             events=state.events,
         )
+
+
+def _certain(mode: int) -> Array:
+    """Return the odds (4,) of the modes if one is certain."""
+    mu = np.full(4, FLOOR)
+    mu[mode] = 1.0 - 3.0 * FLOOR
+    return mu

@@ -13,7 +13,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from linemate.daemon.horizon import Array
-from linemate.daemon.tracking.conveyor import Motion, Row, Source, View, travel
+from linemate.daemon.tracking import ramp_check
+from linemate.daemon.tracking.conveyor import LONGEST_TRIAL, Motion, Row, Source, View, travel
+from linemate.daemon.tracking.ramp_check import Denial, StartCheck
 from linemate.daemon.tracking.settings import FusionSettings, RuleSettings
 from linemate.daemon.tracking.task import ConveyorClasses
 
@@ -21,7 +23,6 @@ OFFSET_DEVIATION = 0.1  # of x10 before anything but the distance sensor saw the
 SETTLING = 0.5  # the rule is silent until the speed of a class has been seen [s]
 REFUSALS = 3  # gated rows in a row after which the filter widens
 FADING = 0.7  # of the squared errors that compare two classes, a reading
-LONGEST_TRIAL = 1.0  # [s]
 ACTING = 0.15  # how long a class has acted as it is tried [s]
 BEHIND = 0.5  # share of the error that tries it by which the estimate lags; the rest is noise
 
@@ -61,6 +62,7 @@ class RuleState:
         refused: rows gated in a row, by sensor.
         wild: readings that the watch gated in a row.
         trial: of a class, or None.
+        check: of a start against the readings, or None.
         events: of the last step.
     """
 
@@ -75,6 +77,7 @@ class RuleState:
     refused: Mapping[Source, int] = field(default_factory=dict)
     wild: int = 0
     trial: Trial | None = None
+    check: StartCheck | None = None
     events: tuple[tuple[str, str], ...] = ()
 
 
@@ -283,14 +286,55 @@ class RuleClassifier:
 
     def advance(self, state: RuleState, rows: Sequence[Row], dt: float) -> RuleState:
         """Return the belief one step later."""
+        before = state.motion
         state = self._predict(state, dt)
         for row in rows:
             if row.source is Source.DISTANCE:
                 state = self._watch(state, row)
             state = self._correct(state, row)
+        if self.classes:
+            state = self._checked(before, state, rows, dt)
         if state.motion is Motion.RUNNING and state.trial is None and state.age > SETTLING:
             return self._settle(state, dt)
         return state
+
+    def _checked(
+        self, before: Motion, state: RuleState, rows: Sequence[Row], dt: float
+    ) -> RuleState:
+        """Return the state with a start taken back, or ended, if the readings contradict it."""
+        # A stop on trial does not end the check of the start before it: it may be cancelled.
+        is_start = state.trial is not None and state.trial.old is Motion.STARTING
+        motion = Motion.STARTING if is_start else state.motion
+        if motion is not Motion.STARTING and state.check is None:
+            return state
+        check = ramp_check.follow(state.check, before, motion, float(state.x[1]), rows, dt)
+        denial = ramp_check.denied(check, self.conveyor, state.cruise, self.distance_deviation)
+        if denial is None or is_start:
+            return replace(state, check=check)
+        return self._denied(state, denial)
+
+    def _denied(self, state: RuleState, denial: Denial) -> RuleState:
+        """Return the state in the class that the readings speak for."""
+        x, w, P, W = state.x.copy(), state.w.copy(), state.P.copy(), state.W.copy()
+        spread = (x[1] - denial.speed) ** 2 + (w[1] - denial.speed) ** 2
+        x[1] = w[1] = denial.speed
+        P[1, 1] += spread
+        W[1, 1] += spread
+        events = state.events
+        if denial.motion is not Motion.RUNNING or state.trial is not None:
+            events = (*events, ("start", "cancelled"))
+        return replace(
+            state,
+            x=x,
+            P=P,
+            w=w,
+            W=W,
+            motion=denial.motion,
+            since=0.0,
+            trial=None,
+            check=None,
+            events=events,
+        )
 
     def _settle(self, state: RuleState, dt: float) -> RuleState:
         """Return the state with the cruising speed learnt slowly, or found to be standing."""

@@ -16,6 +16,10 @@ import numpy as np
 from linemate.daemon.horizon import Array
 from linemate.protocol.frozen import frozen
 
+LONGEST_TRIAL = 1.0
+"""A change that is neither confirmed nor cancelled for so long is cancelled [s]: the slowest
+confirmation in the detection benchmark comes 0.55 s after the onset."""
+
 
 class Motion(StrEnum):
     """The class of the conveyor's motion; standing is what a stop ends in."""
