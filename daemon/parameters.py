@@ -62,6 +62,13 @@ def _classifier(task: TaskFile, settings: TrackingSettings) -> Classifier:
     return ImmClassifier(task.conveyor, settings.fusion, settings.bank, settings.imm, deviation)
 
 
+def _axis_range(controller: control.Controller) -> tuple[float, float]:
+    """Return the least and the greatest position of the linear axis [m]."""
+    if not controller.arm.linear_axis:
+        return -math.inf, math.inf
+    return float(controller.limits.lower[6]), float(controller.limits.upper[6])
+
+
 def build(
     task: TaskFile,
     urdf_text: str,
@@ -125,6 +132,7 @@ def build(
         history_length=math.ceil(HISTORY / cycle_s),
         span=span,
         axis_steps=controller.preview,
+        axis_range=_axis_range(controller),
         ahead=ahead,
         free=hanging(reference, leave, control_settings.filters.contact_blend, clock),
         ringing=contact.ringing(

@@ -11,6 +11,8 @@ What the robot made of the last command is asked last of all, by the gate. All b
 step's ``plan``, which stays as it is where a telegram tells another fate than was assumed.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from linemate.daemon import rotations
@@ -80,6 +82,7 @@ class Outputs:
         held: why the command is not the one desired, None if it is.
         ready: why the task cannot start, None if it can.
         refused: sightings that the gate refused.
+        object_left: the object is tracked and out of reach, or about to be.
     """
 
     k: int
@@ -105,6 +108,7 @@ class Outputs:
     held: str | None
     ready: str | None
     refused: int
+    object_left: bool = False
 
 
 def _joints(parameters: Parameters, robot: RobotSample) -> Array:
@@ -220,7 +224,10 @@ def finish(
         parameters.controller, aim, begun.control.gate, clamped=state.tracker.contact
     )
     state = State(tracker, steered, begun.applied, moving=True)
-    return state, _outputs(state, inputs, planned.report, horizon.poses, held, parameters)
+    outputs = _outputs(state, inputs, planned.report, horizon.poses, held, parameters)
+    if planned.report.object_left or aim.command is None:
+        outputs = replace(outputs, object_left=True)
+    return state, outputs
 
 
 def _applied(state: State, inputs: Inputs) -> State:

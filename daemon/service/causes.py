@@ -221,7 +221,7 @@ def _ready(_: Signals, evidence: Evidence) -> Explanation:
 
 
 def _object_left(_signals: Signals, _evidence: Evidence) -> Explanation:
-    return "the object is outside the task's window", "Wait for the next object."
+    return "the object leaves the reach of the linear axis or the arm", "Wait for the next object."
 
 
 def _contact(_: Signals, evidence: Evidence) -> Explanation:

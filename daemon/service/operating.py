@@ -217,6 +217,7 @@ class Operating:
             gap_m=following.gap(last, period) if state in NEAR else None,
             astray=found.astray is not None,
             ready=last.ready is None and not found.settling,
+            object_left=last.object_left,
             contact=last.contact,
             clamped=last.clamped,
             overdue=last.overdue,

@@ -47,7 +47,7 @@ class Signals:
         position_fresh: distance sensor or camera are young enough for the present state.
         wrench_fresh: the force-torque sensor too, or there is none.
         ready: the estimate is consistent and the object may be tracked.
-        object_left: the object has left the window while it was tracked.
+        object_left: the object is out of the robot's reach, or about to be, while it is tracked.
         contact: the tool touches the object, or is so near that to stop would end there.
         overload: the force is beyond what the tool bears.
         overdue: the tool has not done in its time what the programme needs: in contact and in a
@@ -165,6 +165,10 @@ def _expired(s: Signals, _: Machine) -> bool:
     return s.expired
 
 
+def _left(s: Signals, _: Machine) -> bool:
+    return s.object_left
+
+
 def _done(s: Signals, _: Machine) -> bool:
     return s.done
 
@@ -215,6 +219,7 @@ TABLE: tuple[Row, ...] = (
     Row(TRACK, HOLD, "no fresh position", lambda s, _: not s.position_fresh),
     Row(TRACK, HOLD, "no fresh force", lambda s, _: not s.wrench_fresh),
     Row(TRACK, HOLD, "the object has left", lambda s, _: s.object_left and not s.contact),
+    Row(TRACK, RETREAT, "the object leaves in contact", _left),
     Row(TRACK, HOLD, "telegrams missing", lambda s, m: _shaky(s, m) and not s.contact),
     Row(TRACK, RETREAT, "telegrams missing in contact", _shaky),
     Row(TRACK, RETREAT, "the task retreats", _done, programmed=True),
@@ -225,6 +230,7 @@ TABLE: tuple[Row, ...] = (
     Row(CONTACT, RETREAT, "stopped in contact", _stop),
     Row(CONTACT, RETREAT, "fault in contact", _latched),
     Row(CONTACT, RETREAT, "contact without fresh sensors", _stale, latches=True),
+    Row(CONTACT, RETREAT, "the object leaves in contact", _left),
     Row(CONTACT, RETREAT, "telegrams missing in contact", _shaky),
     Row(CONTACT, RETREAT, CLAMP_CLOSED, _overdue, latches=True),
     Row(CONTACT, RETREAT, "the task retreats", _done, programmed=True),

@@ -242,7 +242,7 @@ def _signals(watch: Watch, facts: Facts, settings: WatchSettings) -> Signals:
     wrench_fresh = wrench_fresh or not facts.wrench_expected
     fault = facts.fault or watch.astray >= settings.cycles_astray
     trouble = fault or "stop" in facts.orders or watch.link is not Link.HEALTHY
-    trouble = trouble or not (position_fresh and wrench_fresh)
+    trouble = trouble or facts.object_left or not (position_fresh and wrench_fresh)
     near = facts.gap_m is not None and facts.gap_m < settings.near_m
     # Whoever has to stop this near is as good as in contact.
     contact = watch.contact >= settings.cycles_of_contact or (near and trouble)

@@ -60,6 +60,7 @@ class Tracker:
         history_length: poses of the robot that are remembered.
         span: (n+1,) times of the horizon from now [s].
         axis_steps: length of the linear axis' plan: as far as control reads it.
+        axis_range: positions that the linear axis can take [m]; unbounded without one.
         ahead: (n+2,) times from now of which the conveyor's position is predicted [s]: the span,
             and the time for which the linear axis is given its goal.
         free: (t,) where the tool hangs free, at every step of the task's clock.
@@ -84,6 +85,7 @@ class Tracker:
     history_length: int
     span: Array
     axis_steps: int
+    axis_range: tuple[float, float]
     ahead: Array
     free: Array
     ringing: contact.Ringing
@@ -101,6 +103,7 @@ class TrackerState:
         sightings: images that wait to start it.
         poses: (n+1, 6) x_t of the last step.
         axis: plan of the linear axis.
+        object_left: the object is about to be beyond what the linear axis reaches.
         departure: where the linear axis and the conveyor unit were as the task's clock started
             [m]; None before.
         time: task time of step k; it stands before the start.
@@ -126,6 +129,7 @@ class TrackerState:
     poses: Array
     axis: linear_axis.AxisPlan
     departure: tuple[float, float] | None = None
+    object_left: bool = False
     time: float = 0.0
     started: bool = False
     passed: frozenset[Gate] = frozenset()
@@ -154,6 +158,7 @@ class Report:
         phase: of the task.
         force: mean force [N], or None without a sample.
         overload: the force is beyond what the tool may bear.
+        object_left: the object is about to be beyond what the linear axis reaches.
         refused: sightings that the gate refused in this step.
     """
 
@@ -167,6 +172,7 @@ class Report:
     phase: Phase
     force: Array | None
     overload: bool
+    object_left: bool
     refused: int
 
 
@@ -202,6 +208,7 @@ def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> Tra
         poses=np.tile(pose, (tracker.steps + 1, 1)),
         axis=linear_axis.at_rest(axis, tracker.axis_steps),
         departure=None,
+        object_left=False,
         time=0.0,
         started=False,
         passed=frozenset(),
@@ -421,6 +428,7 @@ def report(
         phase=tracker.reference.phase(state.time) if state.time > 0.0 else Phase.WAIT,
         force=force,
         overload=force is not None and math.hypot(*force.tolist()) > limit,
+        object_left=state.object_left,
         refused=refused,
     )
 
@@ -582,7 +590,7 @@ def _following(
     and predicted. The unit is position plus offset: no image that corrects the offset moves it.
     """
     file, T0 = tracker.task.linear_axis, tracker.cycle_s
-    goal, departure = state.axis.goal, state.departure
+    goal, departure, left = state.axis.goal, state.departure, state.object_left
     moving = state.started and 0.0 < state.time < tracker.reference.times[-1]
     if moving and view is not None and along is not None:
         if departure is None:
@@ -591,9 +599,13 @@ def _following(
         # A conveyor that runs is caught up with gradually: a ramp long.
         share = approach.smoothstep((state.time + tracker.ahead[-1:]) / file.ramp)
         travelled = float(along[-1]) + view.offset - unit
-        goal = begun + file.travel * float(share[0]) * travelled
+        wanted = begun + file.travel * float(share[0]) * travelled
+        low, high = tracker.axis_range
+        goal = min(max(wanted, low), high)
+        # The goal is ahead of the axis by the plan's length and lag: time to hold or to retreat.
+        left = goal != wanted
     axis = linear_axis.advance(state.axis, goal, file.ramp, T0)
-    return changed(state, axis=axis, departure=departure)
+    return changed(state, axis=axis, departure=departure, object_left=left)
 
 
 def _free(tracker: Tracker, time: float, limit: float) -> Array:

@@ -36,7 +36,7 @@ FACTS = {
     "position_fresh": r"camera silent for 0\.31 s, distance 0\.02 s \(limit 0\.30 s\)",
     "wrench_fresh": r"force_torque silent for 0\.20 s \(limit 0\.16 s\)",
     "ready": "the estimate of the object is not ready",
-    "object_left": "outside the task's window",
+    "object_left": "leaves the reach of the linear axis or the arm",
     "contact": r"contact felt for 2 cycles, limit 2",
     "overload": r"force 400 N, limit 350 N",
     "done": "the task's retreat has begun",
