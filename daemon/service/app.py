@@ -80,7 +80,7 @@ STATE_LINES = 4
 SENSORS_EVERY_NS = 20_000_000
 """Between two looks at which sensors came and went [ns]."""
 
-DEVICE_LINES = 2
+DEVICE_LINES = 3
 """Lines of links and sensors in the journal in any second."""
 
 log = logging.getLogger(__name__)
