@@ -1,4 +1,4 @@
-"""Faults of the second catalogue, rows X1 to X19 of docs/reliability.md, drawn for a plan.
+"""Rows of the catalogue in docs/reliability.md, drawn for a plan: X1 to X19, and R9.
 
 A row gives faults with the figures that the catalogue names, at a time that matters for it.
 """
@@ -185,7 +185,12 @@ def _x19(chance: random.Random, _: float) -> Changes:
     return {"faults": tuple(sorted(orders, key=lambda f: f.at_s)), "operators": 2}
 
 
+def _r9(chance: random.Random, _: float) -> Changes:
+    return _one(_when(chance), "robot", "drives_off", round(chance.uniform(0.3, 1.0), 3))
+
+
 ROWS: dict[str, Callable[[random.Random, float], Changes]] = {
+    "R9": _r9,
     "X1": _x1,
     "X2": _x2,
     "X3": _x3,
@@ -208,7 +213,7 @@ ROWS: dict[str, Callable[[random.Random, float], Changes]] = {
 """X18 is a matter of ``--check``, X20 of recordings: neither is a fault of a run."""
 
 
-OFTEN = {"X9": 3, "X12": 2, "X13": 2, "X14": 3}
+OFTEN = {"R9": 2, "X9": 3, "X12": 2, "X13": 2, "X14": 3}
 """Rows of many kinds are drawn so many times as often as the others."""
 
 

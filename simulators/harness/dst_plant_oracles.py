@@ -36,6 +36,7 @@ POSITION_S = 0.3
 POSITION_IN_CONTACT_S = 0.16
 WRENCH_S = 0.16
 COMMANDS_S = 0.1
+COMMANDS_IN_CONTACT_S = 0.3
 """After so much true silence the daemon has to leave TRACK and CONTACT [s], but for"""
 REACTION_S = 0.06
 """a debounce of two cycles and what a telegram is late [s]."""
@@ -181,8 +182,10 @@ class PlantOracle:
         self, seen: Seen, hub: tuple[float, float, float], *, at_hub: bool, clamped: bool
     ) -> None:
         now_s = seen.now_s
-        was_moved = seen.answered and any(
-            abs(a - b) > STILL for a, b in zip(seen.sent, self._sent, strict=False)
+        was_moved = (
+            seen.answered
+            and seen.programme
+            and any(abs(a - b) > STILL for a, b in zip(seen.sent, self._sent, strict=False))
         )
         self._sent = seen.sent
         position_s = max(self._emitters.true_s("distance"), self._emitters.true_s("camera"))
@@ -279,7 +282,8 @@ class PlantOracle:
             if self._lasting("overload", said, now_s) > OVERLOAD_S:
                 self._once("reaction", f"overload of {emitters.wrench_n:.0f} N goes on")
         unheard_s = now_s - max(self._answered_s, seen.busy_s)
-        self._silence("commands", unheard_s, COMMANDS_S + COMMANDS_REACTION_S)
+        most_s = COMMANDS_IN_CONTACT_S if in_contact else COMMANDS_S
+        self._silence("commands", unheard_s, most_s + COMMANDS_REACTION_S)
         off = seen.stands is not None and any(
             abs(a - b) > BRAKED_M for a, b in zip(seen.sent, seen.stands, strict=True)
         )

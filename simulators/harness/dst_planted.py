@@ -270,22 +270,24 @@ class Found:
     violation: str | None
 
 
-MATTERS: dict[str, frozenset[str]] = {
-    "overload-never": frozenset({"force_torque"}),
-    "position-never-stale": frozenset({"distance", "camera"}),
-    "every-sample-believed": frozenset({"distance", "camera", "force_torque"}),
-    "wrench-never-stale": frozenset({"force_torque"}),
-    "link-never-lost": frozenset({"robot", "reply"}),
-    "wrench-crc-unchecked": frozenset({"force_torque"}),
-    "coasting-3-s": frozenset({"distance", "force_torque"}),
-    "following-error-never": frozenset({"robot"}),
-    "delay-ignored": frozenset({"reply", "robot"}),
-    "clamp-never-opens": frozenset({"operator", "force_torque", "distance"}),
-    "hold-goes-on": frozenset({"operator", "distance", "camera", "force_torque", "robot"}),
-    "position-stale-late": frozenset({"distance", "camera"}),
+_SILENT = ("silence", "unplug")
+_WRONG = ("stuck", "scale", "offset", "drift")
+MATTERS: dict[str, dict[str, tuple[str, ...]]] = {
+    "overload-never": {"force_torque": ("scale", "offset", "drift")},
+    "position-never-stale": {"distance": _SILENT},
+    "every-sample-believed": {"distance": _WRONG, "camera": _WRONG, "force_torque": _WRONG},
+    "wrench-never-stale": {"force_torque": _SILENT},
+    "link-never-lost": {"robot": ("silence", "deafness"), "reply": ("silence",)},
+    "wrench-crc-unchecked": {"force_torque": ("flip", "truncate", "garbage")},
+    "coasting-3-s": {"distance": _SILENT, "force_torque": _SILENT},
+    "following-error-never": {"robot": ("drives_off",)},
+    "delay-ignored": {"reply": ("loss", "silence", "delay"), "robot": ("deafness",)},
+    "clamp-never-opens": {"operator": ("stop", "retreat"), "force_torque": (*_SILENT, "stuck")},
+    "hold-goes-on": {"operator": ("stop",), "distance": _SILENT, "force_torque": _SILENT},
+    "position-stale-late": {"distance": _SILENT},
 }
-"""Links whose faults an error waits for. A plan without one is counted and not run, so that the
-count of runs is an upper bound; an error that is not here waits for none."""
+"""Faults that an error waits for, by their link. A plan without one is counted and not run, so that
+the count of runs is an upper bound; an error that is not here waits for none."""
 
 
 def hunt(name: str, seeds: range, cycle_ms: CycleMs = 12) -> Found:
@@ -301,8 +303,10 @@ def hunt(name: str, seeds: range, cycle_ms: CycleMs = 12) -> Found:
     """
     for count, seed in enumerate(seeds, 1):
         plan = dst_plan.draw(seed, cycle_ms)
-        links = MATTERS.get(name)
-        if links is not None and links.isdisjoint(fault.link for fault in plan.faults):
+        waits_for = MATTERS.get(name)
+        if waits_for is not None and not any(
+            fault.kind in waits_for.get(fault.link, ()) for fault in plan.faults
+        ):
             continue
         with planted(name):
             violations = dst_run.run(plan).violations

@@ -253,11 +253,26 @@ def test_a_clamped_tool_that_nobody_felt_is_blamed(has_wrench: bool, kinds: list
     assert run.go(0.2) == kinds
 
 
-def test_replies_that_move_nothing_end_the_motion() -> None:
-    run = Run()
+@pytest.mark.parametrize(
+    ("state", "bearable_s", "too_long_s"), [(State.TRACK, 0.24, 0.3), (State.CONTACT, 0.43, 0.5)]
+)
+def test_replies_that_move_nothing_end_the_motion(
+    state: State, bearable_s: float, too_long_s: float
+) -> None:
+    run = Run(state)
     run.go(0.5)
-    assert run.go(0.2, answered=False) == []
-    assert "reaction" in run.go(0.1)
+    assert run.go(bearable_s, answered=False) == []
+    assert run.go(too_long_s - bearable_s) == ["reaction"]
+
+
+def test_what_a_controller_was_sent_while_its_drives_were_off_did_not_move_the_robot() -> None:
+    run = Run(State.CONTACT)
+    run.go(0.1)
+    run.go(0.1, programme=False, stands=STILL)
+    run.go(0.05, sent=(0.005, *STILL[1:]))
+    run.plant.collision = Collision(0.3, "mount overloaded")
+    assert run.go(0.02) == []
+    assert "programme lost" in run.oracle.excused[0]
 
 
 def test_a_process_that_had_no_processor_is_granted_its_reaction() -> None:
