@@ -66,7 +66,7 @@ STILL = 1e-4
 """A setpoint that changed by less in a cycle did not move its axis [rad, m]."""
 BOUND = frozenset({State.TRACK, State.CONTACT})
 
-BUILD_UP_S = 0.015
+BUILD_UP_S = 0.01
 """An axis builds its greatest acceleration up in no less time [s]. The servo's motion over two
 cycles is judged: at 12 ms the jerk of setpoints cannot exceed its limit, for the limit of the
 acceleration is reached before."""
@@ -325,7 +325,8 @@ class PlantOracle:
     def _judge_motion(self, seen: Seen) -> None:
         self._velocities.append(self._world.velocities)
         # The programme's own motion is not the daemon's: it lasts until the robot stands.
-        stands = max(map(abs, self._velocities[-1])) < AT_REST
+        moves = max(map(abs, self._velocities[-1])) >= AT_REST
+        stands = self._lasting("rest", not moves, seen.now_s) > SETTLING_S
         self._is_driven = not seen.programme or (self._is_driven and not stands)
         self._quiet = self._quiet + 1 if seen.answered and not self._is_driven else 0
         if self._quiet < self._settling or len(self._velocities) < 3:
