@@ -138,6 +138,8 @@ def build(
         ringing=contact.ringing(
             along_tool.frequency_hz, along_tool.damping, tracking.tactile.contact_force, cycle_s
         ),
+        sight_time=reference.sight_time,
+        search_time=reference.time_of(Phase.CONTACT, Phase.SCREWS),
     )
     return Parameters(tracker, controller, cycle_s, control_settings)
 

@@ -76,7 +76,7 @@ class Outputs:
         contact: the tool is clamped to the object.
         clamped: a retreat waits for the clamp, which is closed on the object or may be.
         overdue: the tool has not done in its time what the programme needs: the clamp was not
-            reported open.
+            reported open, or no contact was found.
         overload: the force is beyond what the tool may bear.
         finished: the task is over, or the retraction is.
         held: why the command is not the one desired, None if it is.

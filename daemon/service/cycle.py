@@ -580,7 +580,13 @@ class Cycle:
             # Where corrections count from is not known before the robot rests.
             settling=self.session.held == self.session.start and not self.following.rests,
             sensed=self.parameters.tracker.settings.merge.blend < PROGRAMMED_S,
+            last_approach=self._task_time > self.parameters.tracker.sight_time,
         )
+
+    @property
+    def _task_time(self) -> float:
+        """The task's clock as of the last step [s], 0 before its start."""
+        return 0.0 if self.last is None else self.last.outputs.task_time or 0.0
 
     def _reply(self, entry: LogEntry) -> PreparedReply:
         """Return the reply to a step but for the IPOC: corrections, or increments."""

@@ -38,6 +38,8 @@ class Situation:
         astray: which axis is not where it was sent, None if all are.
         settling: the robot may still move although it was not sent anywhere yet.
         sensed: poses lead the motion, and not its programme alone.
+        last_approach: the tool has left its last waypoint before contact; the camera, which soon
+            sees nothing any more, is not waited for.
     """
 
     last: Outputs | None
@@ -45,6 +47,7 @@ class Situation:
     astray: str | None
     settling: bool
     sensed: bool
+    last_approach: bool = False
 
 
 class Operating:
@@ -210,7 +213,7 @@ class Operating:
             new_session=self.has_new_session,
             wrong_cycle=self.wrong_cycle,
             position_ns=feeds.newest_ns,
-            slower_ns=feeds.slower_ns if (last.task_time or 0.0) > 0.0 else None,
+            slower_ns=_slower_ns(feeds, last, last_approach=found.last_approach),
             wrench_ns=feeds.wrench_ns,
             wrench_expected=self._wrench_expected,
             contradicted=contradicted,
@@ -227,3 +230,10 @@ class Operating:
             clear=last.finished and following.pace(before, last, period) < SETTLED,
             orders=frozenset(self._orders),
         )
+
+
+def _slower_ns(feeds: Feeds, last: Outputs, *, last_approach: bool) -> int | None:
+    """Return the stamp of the position sensor that must not be silent for long [ns], or None."""
+    if (last.task_time or 0.0) <= 0.0:
+        return None
+    return feeds.distance_ns if last_approach else feeds.slower_ns

@@ -51,7 +51,7 @@ class Signals:
         contact: the tool touches the object, or is so near that to stop would end there.
         overload: the force is beyond what the tool bears.
         overdue: the tool has not done in its time what the programme needs: in contact and in a
-            retreat the clamp has not opened.
+            retreat the clamp has not opened; in TRACK no contact was found.
         done: the task has come to its own retreat, or to its end.
         clear: a retreat is over: free, away and at rest.
         expired: the present state has lasted too long.
@@ -222,6 +222,13 @@ TABLE: tuple[Row, ...] = (
     Row(TRACK, RETREAT, "the object leaves in contact", _left),
     Row(TRACK, HOLD, "telegrams missing", lambda s, m: _shaky(s, m) and not s.contact),
     Row(TRACK, RETREAT, "telegrams missing in contact", _shaky),
+    Row(
+        TRACK,
+        RETREAT,
+        "no contact up to the largest overrun (check the object and the camera's calibration)",
+        _overdue,
+        latches=True,
+    ),
     Row(TRACK, RETREAT, "the task retreats", _done, programmed=True),
     Row(TRACK, CONTACT, "contact", _contact),
     Row(CONTACT, FAULT, "robot link lost in motion", _lost, latches=True),

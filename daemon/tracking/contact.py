@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from linemate.protocol.frozen import frozen
 
 TOUCHES = 2  # steps in a row that make a contact
-NEAR = 0.008  # programmed distance below which a force may be a contact [m]
+NEAR = 0.008  # programmed distance to the object from which a force may be a contact [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,13 +84,18 @@ def feel(feeling: Feeling, ringing: Ringing, force: float | None, *, held: bool)
     return Feeling(forces, calm, feeling.touches)
 
 
+def can_feel(feeling: Feeling, ringing: Ringing) -> bool:
+    """Return whether the forces go back far enough to tell a contact from ringing."""
+    return len(feeling.forces) >= ringing.memory and feeling.calm >= ringing.memory
+
+
 def presses(feeling: Feeling, ringing: Ringing) -> bool:
     """Tell whether the tool feels a contact.
 
     As long as it remembers the time before the robot held nothing is said: then it did not ring.
     """
     forces = feeling.forces
-    if len(forces) < ringing.memory or feeling.calm < ringing.memory:
+    if not can_feel(feeling, ringing):
         return False
     whole, part = divmod(ringing.half, 1.0)
     ago = -1 - int(whole)
@@ -108,5 +113,6 @@ def touched(feeling: Feeling, ringing: Ringing, distance: float) -> Feeling:
         ringing: of the tool.
         distance: programmed, to the object [m].
     """
-    near = abs(distance) < NEAR and presses(feeling, ringing)
+    # Beyond the estimated object too: the tool may search for it there.
+    near = -NEAR < distance < math.inf and presses(feeling, ringing)
     return Feeling(feeling.forces, feeling.calm, feeling.touches + 1 if near else 0)

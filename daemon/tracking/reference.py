@@ -61,6 +61,14 @@ class Reference:
                 return float(time)
         return float("inf")
 
+    @property
+    def sight_time(self) -> float:
+        """When the tool leaves the last waypoint before contact [s]; -infinity without contact."""
+        planned = self.time_of(Phase.CONTACT, Phase.SCREWS)
+        if planned == math.inf:
+            return -math.inf
+        return self.starts[max(bisect_left(self.starts, planned) - 1, 0)]
+
     def phase(self, time: float) -> Phase:
         """Return the phase at a task time."""
         if time >= self.times[-1]:
@@ -168,8 +176,7 @@ def _touching(reference: Reference) -> float:
     planned = reference.time_of(Phase.CONTACT, Phase.SCREWS)
     if planned == math.inf:
         return planned
-    begin = reference.starts[max(bisect_left(reference.starts, planned) - 1, 0)]
-    times = np.linspace(begin, planned, 4001)
+    times = np.linspace(reference.sight_time, planned, 4001)
     _, relative = reference.poses(times)
     reached = np.flatnonzero(relative[:, 2] >= 0.0)
     return float(times[reached[0]]) if len(reached) else planned

@@ -123,6 +123,25 @@ class ToolTimes:
 
 
 @dataclass(frozen=True, slots=True)
+class GuardedApproach:
+    """The last approach: when it may begin, and the search for contact at its end.
+
+    The search begins at the waypoint of contact if no contact was felt up to there.
+
+    Attributes:
+        speed: along the tool's axis [m/s]. The motion goes on for about 0.15 s after the touch.
+        overrun: largest distance beyond the waypoint [m]; without contact up to there the tool
+            retreats. 0 does not search.
+        sight: greatest age of the camera's last accepted pose with which the approach leaves its
+            last waypoint before contact [s]. An older one makes the tool wait there.
+    """
+
+    speed: Annotated[float, Gt(0.0), Le(0.02)] = 0.005
+    overrun: Annotated[float, Ge(0.0), Le(0.05)] = 0.012
+    sight: Annotated[float, Gt(0.0), Le(5.0)] = 0.3
+
+
+@dataclass(frozen=True, slots=True)
 class ArmFile:
     """The arm: where its kinematics are, and what it holds.
 
@@ -167,5 +186,6 @@ class TaskFile:
     waypoints: Annotated[tuple[Waypoint, ...], Len(2, 100)]
     conveyor: ConveyorClasses = ConveyorClasses()
     tool: ToolTimes = ToolTimes()
+    guard: GuardedApproach = GuardedApproach()
     linear_axis: LinearAxisFile = LinearAxisFile()
     version: Annotated[int, Ge(1), Lt(2)] = 1

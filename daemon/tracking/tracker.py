@@ -13,7 +13,7 @@ import numpy as np
 
 from linemate.daemon.changed import changed
 from linemate.daemon.horizon import Array, Horizon
-from linemate.daemon.tracking import approach, contact, linear_axis, merge, release
+from linemate.daemon.tracking import approach, contact, guard, linear_axis, merge, release
 from linemate.daemon.tracking.conveyor import Classifier, Motion, Row, Source, View
 from linemate.daemon.tracking.observation import (
     History,
@@ -65,6 +65,8 @@ class Tracker:
             and the time for which the linear axis is given its goal.
         free: (t,) where the tool hangs free, at every step of the task's clock.
         ringing: of the tool along its axis.
+        sight_time: when the tool leaves its last waypoint before contact [s].
+        search_time: when the tool should have touched the object at the latest [s].
         foresight: the true object at a stamp [ns] and times from it (m,) [s], as positions (m, 3)
             and rotation vectors (m, 3) in c, taken instead of the estimate; an oracle, for
             campaigns only.
@@ -89,6 +91,8 @@ class Tracker:
     ahead: Array
     free: Array
     ringing: contact.Ringing
+    sight_time: float
+    search_time: float
     foresight: Foresight | None = None
 
 
@@ -120,6 +124,8 @@ class TrackerState:
         distance: programmed, from the tcp to the object along its z [m].
         readings: of the distance sensor, before the first belief [m].
         pull: mean force on the clamped tool [N].
+        search: for an object that is farther away than estimated.
+        seen_ns: exposure of the camera's last accepted pose [ns], None before.
     """
 
     history: History | None
@@ -144,6 +150,8 @@ class TrackerState:
     distance: float = math.inf
     readings: tuple[float, ...] = ()
     pull: Vector3 = (0.0, 0.0, 0.0)
+    search: guard.Search = guard.NO_SEARCH
+    seen_ns: int | None = None
 
 
 @frozen(eq=False)
@@ -220,6 +228,7 @@ def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> Tra
         withdrawn=None,
         clamped=False,
         anchor=None,
+        search=guard.NO_SEARCH,
         distance=math.inf,
     )
 
@@ -240,7 +249,7 @@ def estimate(
     sightings = _sightings(tracker, history, seen, wrench if _counts(tracker, state) else None)
     rows = [_distance_row(tracker, seen.stamp_ns, sample) for sample in seen.distance]
     refused = 0
-    waiting = state.sightings
+    waiting, seen_ns = state.sightings, state.seen_ns
     for source, sighting, gate in sightings:
         if across is None:
             waiting = (*waiting, sighting)[-tracker.settings.fusion.initial_images :]
@@ -252,6 +261,8 @@ def estimate(
             refused += not taken
             if not taken:
                 continue
+        if source is Source.CAMERA:
+            seen_ns = seen.stamp_ns - round(sighting.delay * 1e9)
         rows.append(_along_row(tracker, across, source, sighting, gate))
     belief, readings = state.belief, state.readings
     if belief is None:
@@ -269,6 +280,7 @@ def estimate(
         sightings=waiting,
         readings=readings,
         pull=pull,
+        seen_ns=seen_ns,
     )
     return state, refused, wrench
 
@@ -347,6 +359,8 @@ def track(
 
     Whether the tool touches is ``touched``'s to say: a robot that held did not ring.
     """
+    if state.contact and state.search is not guard.NO_SEARCH:
+        state = _found(tracker, state)
     state, refused, wrench = estimate(tracker, state, seen)
     view = _view(tracker, state)
     if start and not state.started:
@@ -355,10 +369,15 @@ def track(
         state = changed(state, anchor=state.poses[-1])
     state = _clock(tracker, state, view, seen, retreat)
     span = tracker.span
-    limit = _stand(tracker, state.time, state.passed) if state.started else state.time
+    limit = _stand(tracker, state, seen.stamp_ns, retreat) if state.started else state.time
     goal, relative = tracker.table.ahead(state.time, limit, tracker.steps)
     if retreat:
         relative = release.without_press(relative)
+    is_searching = not retreat and _searches(tracker, state)
+    if is_searching:
+        state = changed(state, search=_searched(tracker, state))
+    guarded = tracker.task.guard
+    relative = guard.reached(relative, state.search, guarded, span, is_on=is_searching)
     target = part = along = None
     if state.belief is not None:
         along = tracker.classifier.outlook(state.belief, tracker.ahead)
@@ -383,6 +402,32 @@ def track(
     free = _free(tracker, state.time, limit)
     horizon = Horizon(poses, state.axis.positions, free, tracker.reference.nominal, tracker.commit)
     return state, horizon, report(tracker, state, view, wrench, refused, target, part)
+
+
+def _searches(tracker: Tracker, state: TrackerState) -> bool:
+    """Return whether the tool is where it should touch the object, and has felt nothing."""
+    if state.contact or state.releasing is not None or state.blended is None:
+        return False
+    return state.time >= tracker.search_time
+
+
+def _searched(tracker: Tracker, state: TrackerState) -> guard.Search:
+    """Return the search one step later."""
+    return guard.advanced(
+        state.search, tracker.task.guard, state.feeling, tracker.ringing, tracker.cycle_s
+    )
+
+
+def _found(tracker: Tracker, state: TrackerState) -> TrackerState:
+    """Return the state of a tool that has found the object beyond its estimate.
+
+    The tactile sensor places the object from now on. The estimate must follow it at once, because
+    the programme counts from there and the search is over.
+    """
+    across = state.across
+    if across is not None:
+        across = tracker.transverse.widened(across, state.search.reach)
+    return changed(state, across=across, search=guard.NO_SEARCH)
 
 
 def observe(
@@ -467,9 +512,15 @@ def _sensed(
     return approach.sensed(part, swing, relative, turned=turned)
 
 
-def _stand(tracker: Tracker, time: float, passed: frozenset[Gate]) -> float:
-    """Return at which step's time the task's clock stands [s]; infinity if no gate is closed."""
-    return last_step(barrier(tracker.reference, time, passed), tracker.cycle_s)
+def _stand(tracker: Tracker, state: TrackerState, now_ns: int, retreat: bool) -> float:
+    """Return at which step's time the task's clock stands [s]; infinity if nothing stops it."""
+    closed = barrier(tracker.reference, state.time, state.passed)
+    if state.time <= tracker.sight_time < closed and not retreat:
+        # Beyond this waypoint the camera goes blind, and contact relies on what it saw last.
+        oldest_ns = round(tracker.task.guard.sight * 1e9)
+        if state.seen_ns is None or now_ns - state.seen_ns > oldest_ns:
+            closed = tracker.sight_time
+    return last_step(closed, tracker.cycle_s)
 
 
 def _clock(
@@ -490,7 +541,8 @@ def _clock(
         return state
     # Counted in steps: a sum of many periods is no multiple of one.
     steps = round(state.time / T0) + 1
-    time = min(steps * T0, _stand(tracker, state.time, passed))
+    stand = _stand(tracker, changed(state, passed=passed), seen.stamp_ns, retreat)
+    time = min(steps * T0, stand)
     blended = state.blended
     if blended is not None:
         blended += T0
@@ -522,9 +574,12 @@ def _may_be_clamped(tracker: Tracker, state: TrackerState, passed: frozenset[Gat
 
 
 def is_overdue(tracker: Tracker, state: TrackerState) -> bool:
-    """Return whether the clamp has not opened within its time."""
+    """Return whether the clamp has not opened in time, or contact was not found in reach."""
     timeout = tracker.task.tool.release_timeout
-    return release.is_overdue(state.releasing, timeout, contact=state.contact)
+    if release.is_overdue(state.releasing, timeout, contact=state.contact):
+        return True
+    searched = not state.contact and state.releasing is None
+    return searched and guard.has_failed(state.search, tracker.task.guard)
 
 
 def _passed(

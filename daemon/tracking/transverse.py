@@ -200,6 +200,13 @@ class Transverse:
         Q.setflags(write=False)
         return F, Q
 
+    def widened(self, state: TransverseState, deviation: float) -> TransverseState:
+        """Return the belief with a place that is known less well by ``deviation`` [m]."""
+        P = state.P.copy()
+        P[X, X] += deviation**2
+        P[Z, Z] += deviation**2
+        return changed(state, P=P)
+
     def rows(self, state: TransverseState, delay: float) -> Array:
         """Return the rows (5, n) of (8) for x, z and the three turns, ``delay`` s ago."""
         H, values = self._still.copy(), state.x.tolist()

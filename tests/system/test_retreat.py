@@ -1,58 +1,14 @@
 """Emergency retreats with the tool clamped, judged by the plant's own force and collision."""
 
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-
 import pytest
+from contact_runs import live
 
 from linemate.daemon.service.states import CLAMP_CLOSED, State
-from linemate.simulators.harness import setup
-from linemate.simulators.harness.lockstep import Lockstep
 from linemate.simulators.plants.scenario import Fault
 
 BEARABLE_N = 100.0
 NEVER_S = 1e4
 SENSORS = ("distance", "camera", "force_torque")
-
-
-@dataclass(frozen=True)
-class Lived:
-    """What became of a run, by the plant's truth."""
-
-    force_n: float
-    collision: str | None
-    contact: str
-    state: State
-    because: str
-
-
-def live(
-    *faults: Fault,
-    orders: Sequence[tuple[float, str]] = (),
-    release_s: float = 0.3,
-    until_s: float = 9.0,
-    is_reported: bool = True,
-) -> Lived:
-    """Run the shipped wheel scenario, seed 0: contact at 5.9 s, standing from 6 to 9 s."""
-    made = setup.make("wheel")
-    contact = replace(made.scenario.contact, release_s=release_s)
-    scenario = replace(made.scenario, faults=faults, contact=contact)
-    lockstep = Lockstep(replace(made, scenario=scenario), 0)
-    world, due, force = lockstep.world, list(orders), 0.0
-    if not is_reported:
-        tool_signals = world.digital_in
-        world.digital_in = lambda: tool_signals() & 1  # type: ignore[method-assign]
-    while lockstep.turn() and world.time_s < until_s:
-        if due and world.time_s >= due[0][0]:
-            assert lockstep.cycle.order(due.pop(0)[1]) is None
-        if world.contact == "clamped":
-            stiffness = scenario.effector.stiffness[:3]
-            bent = world.deflection()[:3]
-            force = max(force, math.hypot(*(k * x for k, x in zip(stiffness, bent, strict=True))))
-    machine, collision = lockstep.cycle.machine, world.collision
-    reason = None if collision is None else collision.reason
-    return Lived(force, reason, world.contact, machine.state, machine.because)
 
 
 def silent(at_s: float, *links: str) -> tuple[Fault, ...]:

@@ -78,7 +78,12 @@ def test_weight_and_bias_are_no_contact() -> None:
 
 def test_far_from_the_object_nothing_is_a_contact() -> None:
     forces: list[float | None] = [0.0] * 100 + [60.0] * 10
-    assert first_touch(0.004, forces, distance=0.05) is None
+    assert first_touch(0.004, forces, distance=-0.05) is None
+
+
+def test_a_contact_is_felt_beyond_the_estimated_object_too() -> None:
+    forces: list[float | None] = [0.0] * 100 + [60.0] * 10
+    assert first_touch(0.004, forces, distance=0.012) is not None
     assert first_touch(0.004, forces, distance=-0.005) == 101
 
 
