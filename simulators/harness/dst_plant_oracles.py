@@ -304,9 +304,8 @@ class PlantOracle:
 
     def _silence(self, what: str, silent_s: float, most_s: float) -> None:
         if silent_s > most_s:
-            state = _name(self._state)
             self._once(
-                "reaction", f"{state} after {silent_s:.3f} s without {what}, limit {most_s:g}"
+                "reaction", f"motion after {silent_s:.3f} s without {what}, limit {most_s:g}"
             )
 
     def _judge_phantom(self, seen: Seen, depth: float, *, clamped: bool) -> None:

@@ -310,7 +310,7 @@ def hunt(name: str, seeds: range, cycle_ms: CycleMs = 12) -> Found:
             continue
         with planted(name):
             violations = dst_run.run(plan).violations
-        if any(what.startswith("exception") for what in violations):
+        if any("TypeError" in what or "AttributeError" in what for what in violations):
             raise RuntimeError(f"{name} raises, and so finds itself: {violations[0]}")
         if violations and not dst_run.run(plan).violations:
             return Found(name, count, violations[0])

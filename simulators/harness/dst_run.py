@@ -138,9 +138,9 @@ class Simulation:
             ),
         )
         brake = files.config.control.brake
-        self.oracle = Oracle(
-            plan.real_cycle_s, (*(brake.acceleration,) * 6, brake.axis_acceleration)
-        )
+        braking = (*(brake.acceleration,) * 6, brake.axis_acceleration)
+        axes = 7 if files.task.file.arm.linear_axis else 6
+        self.oracle = Oracle(plan.real_cycle_s, braking[:axes])
         self.oracle.holds = lambda: self.controller.setpoints
         self.app: App | None = None
         self.robot = Programme(self)
@@ -501,8 +501,8 @@ class Simulation:
                 self._time.unplugged.add(link)
 
 
-MOST_LINES = 10
-"""Of the daemon's log in any second."""
+MOST_LINES = 20
+"""Of the daemon's log in any second. A start alone has 12: links, sensors and states."""
 
 
 class _LogCounter(logging.Handler):
