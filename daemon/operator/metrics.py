@@ -34,6 +34,7 @@ NUMBERS: Final = (
     ("recording.recording", "recording", "gauge", "A recording is being written"),
     ("recording.written", "recording_steps_total", "counter", "Steps recorded"),
     ("recording.dropped", "recording_dropped_total", "counter", "Steps not recorded"),
+    ("recording.restarts", "recording_restarts_total", "counter", "Starts of a killed recorder"),
     ("commands.sessions", "command_sessions", "gauge", "Sessions of operators over UDP"),
     ("commands.connections", "command_connections", "gauge", "Connections to the local socket"),
 )

@@ -393,6 +393,8 @@ class App:
         if now_ns - self._told_ns >= STATUS_EVERY_NS:
             self._told_ns = now_ns
             self._companions.look()
+            if self._recorder is not None:
+                self._recorder.tend(now_ns)
             self._rates.take((link.status for link in self._links), now_ns)
             self._tell_links(now_ns)
             if self._notifier.address:

@@ -1,16 +1,20 @@
 """Recordings: MCAP files, written by a process that the cycle never waits for.
 
-Law of this file: the loop makes bytes of a step and puts them into a bounded queue, after the
-reply; what the kernel has room for goes to the writer's process, which does the rest. A thread
-would do it in the interpreter that the cycle needs. A full queue drops steps and a full disk ends
-the recording; both are counted and told, and neither costs a cycle. A killed daemon loses nothing
-that it sent, a killed writer the last chunk.
+Invariants:
+    * After the reply the loop makes bytes of a step and puts them into a bounded queue; what the
+      kernel has room for goes to the process that writes. Nothing here waits, but ``close``.
+    * A full queue drops steps, and a full disk ends the recording: both are counted and told.
+    * A killed daemon loses nothing that it sent, a killed writer the last chunk.
+    * A writer that was killed is started again with back-off, and the recording goes on in a new
+      file; the steps between the two are counted as dropped.
 """
 
 import logging
 from collections import deque
 from collections.abc import Iterable, Mapping
-from dataclasses import astuple, dataclass, field
+from concurrent.futures import Future
+from dataclasses import astuple, dataclass, field, replace
+from functools import partial
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
@@ -18,6 +22,7 @@ from typing import Any, Final
 from linemate.daemon.parameters import Parameters
 from linemate.daemon.service.recording_link import WriterLink
 from linemate.daemon.service.recording_writer import MIB, Rotation, new_file
+from linemate.daemon.service.revival import Revival
 from linemate.daemon.service.step_feed import Feed, described
 from linemate.daemon.service.step_file import Item, Kind
 from linemate.daemon.service.step_log import LogEntry
@@ -57,6 +62,7 @@ class RecorderStatus:
         dropped: steps that found the queue full or the file ended.
         unfit: steps that could not be made bytes of.
         failure: why the last recording ended early, empty if it did not.
+        restarts: of the process that writes, after it had ended by itself.
     """
 
     file: str = ""
@@ -66,6 +72,7 @@ class RecorderStatus:
     dropped: int = 0
     unfit: int = 0
     failure: str = ""
+    restarts: int = 0
 
 
 @dataclass(slots=True)
@@ -95,6 +102,8 @@ class Recorder:
     _calls: int = 0
     _pushed_ns: int = 0
     _is_full: bool = False
+    _is_wanted: bool = False
+    _revival: Revival[tuple[WriterLink, Path | None]] = field(default_factory=Revival)
 
     @property
     def status(self) -> RecorderStatus:
@@ -116,6 +125,9 @@ class Recorder:
         """
         if self._link is not None and not self._link.lost:
             return None
+        if self._revival.is_running:
+            return "the process that writes recordings is being started again. Try in a second"
+        self._revival.reset()
         if self._link is not None:
             self._link.close(0.0)
         try:
@@ -145,10 +157,80 @@ class Recorder:
         except OSError as error:
             return f"{self.directory}: {error.strerror}"
         stream.close()
+        self._status = RecorderStatus(restarts=self._revival.restarts)
+        return self._begin(path)
+
+    def tend(self, now_ns: int) -> None:
+        """Start the process that writes again, if it has ended, and go on with the recording.
+
+        Called now and then in the loop; it never waits.
+
+        Args:
+            now_ns: monotonic time [ns].
+        """
+        self._hear()
+        done = self._revival.taken()
+        if done is not None:
+            self._revive(done)
+            return
+        link = self._link
+        if link is not None and link.lost:
+            before = self._revival.restarts
+            self._revival.tend(now_ns, partial(self._renew, link))
+            if self._revival.restarts > before:
+                log.warning("%s; it is started again", link.lost)
+
+    def _renew(self, lost: WriterLink) -> tuple[WriterLink, Path | None]:
+        """Start the process anew, with a file if one is wanted; runs in a thread.
+
+        Raises:
+            OSError: the process cannot be started.
+        """
+        lost.close(0.0)
+        link = WriterLink()
+        if not self._is_wanted:
+            return link, None
+        try:
+            path, stream = new_file(self.directory)
+        except OSError as error:
+            log.error("no recording: %s: %s", self.directory, error.strerror)  # noqa: TRY400
+            return link, None
+        stream.close()
+        return link, path
+
+    def _revive(self, done: "Future[tuple[WriterLink, Path | None]]") -> None:
+        """Take the process that was started, and go on where the last one ended."""
+        error = done.exception()
+        if error is not None:
+            log.error("the process that writes recordings: %s", error)
+            return
+        self._link, path = done.result()
+        before = self._status
+        self._status = replace(before, restarts=self._revival.restarts)
+        if path is None:
+            return
+        if not self._is_wanted:
+            path.unlink(missing_ok=True)
+            return
+        self._status = RecorderStatus(dropped=before.dropped, restarts=self._revival.restarts)
+        reason = self._begin(path)
+        if reason is None:
+            log.warning(
+                "recording goes on in %s. %s was cut short: `linemate recover` finishes it. "
+                "%d steps are missing between them.",
+                path, before.file, before.dropped,
+            )  # fmt: skip
+
+    def _begin(self, path: Path) -> str | None:
+        """Tell the process to write to a file, which is there and empty.
+
+        Returns:
+            None, or why it cannot.
+        """
         self._feed.begin()
         self._is_full = False
         self._number += 1
-        self._status = RecorderStatus(str(path), recording=True)
+        self._status.file, self._status.recording = str(path), True
         told = [
             self._number,
             str(path),
@@ -159,7 +241,8 @@ class Recorder:
         ]
         link = self._link
         assert link is not None  # noqa: S101 - as open left it
-        if link.send(["begin", told]):
+        self._is_wanted = link.send(["begin", told])
+        if self._is_wanted:
             return None
         self._status.recording = False
         return link.lost or "the last one is ending"
@@ -172,6 +255,8 @@ class Recorder:
             times: what their cycles took.
         """
         if not self._status.recording:
+            if self._is_wanted:
+                self._status.dropped += sum(1 for _ in entries)
             return
         for entry in entries:
             self._take_step(entry)
@@ -216,8 +301,9 @@ class Recorder:
         Returns:
             None, or why not.
         """
+        is_wanted, self._is_wanted = self._is_wanted, False
         if not self._status.recording:
-            return "nothing is being recorded"
+            return None if is_wanted else "nothing is being recorded"
         self._status.recording = False
         self._waiting.append(Item(Kind.END, 0))
         self._push()
@@ -226,6 +312,9 @@ class Recorder:
     def close(self, patience_s: float = CLOSE_S) -> None:
         """End the file and wait for the writer; for the end of the process."""
         self.stop()
+        done = self._revival.close()
+        if done is not None:
+            self._revive(done)
         link, self._link = self._link, None
         if link is None:
             return
@@ -257,7 +346,7 @@ class Recorder:
         if link is None:
             return
         for _ in range(BATCHES):
-            if not waiting or not link.flush():
+            if link.lost or not waiting or not link.flush():
                 break
             count = min(BATCH, len(waiting))
             link.send(["items", [waiting.popleft() for _ in range(count)]])
@@ -269,8 +358,9 @@ class Recorder:
         link = self._link
         if link is None:
             return
-        for told in link.hear():
-            self._learn(told)
+        if not link.lost:  # one that is lost may be closed in a thread at this moment
+            for told in link.hear():
+                self._learn(told)
         if link.lost:
             self._end(link.lost)
 
@@ -295,6 +385,8 @@ class Recorder:
             return
         status.recording = False
         status.failure = failure
+        # A process that was killed is started again; a disk that is full stays full.
+        self._is_wanted = self._link is not None and bool(self._link.lost)
         status.dropped += sum(item.kind is Kind.STEP for item in self._waiting)
         self._waiting.clear()
         log.error("recording ended: %s", failure)

@@ -14,6 +14,8 @@ from typing import Any, Final
 
 import msgpack
 
+from linemate.daemon.service.spawn import Spawned
+
 WRITER: Final = "linemate.daemon.service.recording_writer"
 BUFFER: Final = 1_048_576
 ANSWER: Final = 65_536
@@ -44,11 +46,8 @@ class WriterLink:
             found = os.pathsep.join(path for path in sys.path if path)
             try:
                 # Not our standard input; its complaints go where ours go.
-                self._process = subprocess.Popen(  # noqa: S603 - ourselves
-                    command,
-                    stdin=subprocess.DEVNULL,
-                    pass_fds=[theirs.fileno()],
-                    env={**os.environ, "PYTHONPATH": found},
+                self._process = Spawned(
+                    command, {**os.environ, "PYTHONPATH": found}, theirs.fileno()
                 )
             except OSError:
                 ours.close()

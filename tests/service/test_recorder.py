@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -24,6 +25,13 @@ from linemate.daemon.replay import Verdict, replay
 from linemate.daemon.service.cycle import LogEntry
 from linemate.daemon.service.recorder import Recorder, Rotation
 from linemate.daemon.service.recording_writer import Beginning, Told, Writer
+from linemate.daemon.service.revival import (
+    FIRST_NS,
+    LONGEST_NS,
+    MOST_IN_A_ROW,
+    STEADY_NS,
+    Revival,
+)
 from linemate.daemon.service.step_file import (
     LAYOUT,
     METADATA,
@@ -37,6 +45,7 @@ from linemate.daemon.service.task_file import Task
 from linemate.daemon.service.timing import CycleTimes
 
 Entries = tuple[LogEntry, ...]
+SECOND_NS = 1_000_000_000
 TEXTS = {"config": "task: wheel.yaml\n", "urdf": "<robot/>"}
 
 
@@ -368,3 +377,100 @@ def test_the_lines_for_people_and_the_times_of_cycles_stand_beside_the_steps(
         {"ipoc": 1, "arrival_ns": 8, "lead_ns": 0, "step_ns": 100, "turnaround_ns": 200,
          "prepared": False, "state": "idle"}
     ]  # fmt: skip
+
+
+def test_a_killed_writer_is_started_again_and_the_recording_goes_on(
+    tmp_path: Path,
+    task: Task,
+    entries: Entries,
+    parameters: Parameters,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    recorder = Recorder(tmp_path, {"task": task.text, "urdf": task.urdf})
+    steps = chained(entries, parameters)
+    half = len(steps) // 2
+    assert recorder.start() is None
+    recorder.take(steps[:half])
+    wait_for(lambda: recorder.status.written == half)
+    first, writer = recorder.status.file, recorder.writer
+    assert writer is not None
+    os.kill(writer, signal.SIGKILL)
+    wait_for(lambda: not recorder.status.recording)
+    assert "signal 9" in recorder.status.failure
+    recorder.take(steps[half : half + 2])
+    now_ns = 10 * SECOND_NS
+    recorder.tend(now_ns)
+    recorder.tend(now_ns + FIRST_NS - 1)
+    assert recorder.status.restarts == 0
+    longest_s = 0.0
+    while not recorder.status.recording:
+        began = time.thread_time()
+        recorder.tend(now_ns + FIRST_NS)
+        longest_s = max(longest_s, time.thread_time() - began)
+        time.sleep(0.002)
+    assert longest_s < 0.004  # of a cycle of 12 ms
+    recorder.take(steps[half + 2 :])
+    recorder.close()
+    status = recorder.status
+    assert (status.restarts, status.dropped, status.failure) == (1, 2, "")
+    assert status.file != first
+    assert recorder.writer is None
+    verdicts = replayed(Path(status.file))
+    assert len(verdicts) == len(steps) - half - 2
+    assert not any(verdict.changes or verdict.unmade for verdict in verdicts)
+    assert "recording goes on in" in caplog.text
+
+
+def test_starts_of_a_writer_grow_apart_and_end_after_eight_in_a_row() -> None:
+    revival: Revival[None] = Revival()
+    at_ns, starts = 0, []
+    while at_ns < 400 * SECOND_NS:
+        at_ns += SECOND_NS // 10
+        revival.tend(at_ns, lambda: None)
+        if revival.is_running:
+            starts.append(at_ns)
+            wait_for(lambda: revival.taken() is not None)
+    apart = [b - a for a, b in pairwise(starts)]
+    assert len(starts) == revival.restarts == MOST_IN_A_ROW
+    assert apart == sorted(apart)
+    assert starts[0] >= FIRST_NS
+    assert max(apart) <= LONGEST_NS + SECOND_NS
+    assert revival.is_over
+    revival.reset()
+    revival.tend(at_ns, lambda: None)
+    revival.tend(at_ns + FIRST_NS, lambda: None)
+    assert revival.restarts == MOST_IN_A_ROW + 1
+    revival.close()
+
+
+def test_a_writer_that_lived_for_a_minute_begins_a_new_row() -> None:
+    revival: Revival[None] = Revival()
+    at_ns = 0
+    for _ in range(3 * MOST_IN_A_ROW):
+        at_ns += STEADY_NS
+        revival.tend(at_ns, lambda: None)
+        at_ns += LONGEST_NS
+        revival.tend(at_ns, lambda: None)
+        wait_for(lambda: revival.taken() is not None)
+    assert revival.restarts == 3 * MOST_IN_A_ROW
+    revival.close()
+
+
+def test_an_ordered_end_while_a_killed_writer_is_away_ends_the_wish_to_record(
+    recorder: Recorder, entries: Entries
+) -> None:
+    assert recorder.start() is None
+    wait_for(lambda: recorder.status.files == 1)
+    assert recorder.writer is not None
+    os.kill(recorder.writer, signal.SIGKILL)
+    wait_for(lambda: not recorder.status.recording)
+    assert recorder.stop() is None
+    assert recorder.stop() == "nothing is being recorded"
+    recorder.tend(0)
+    recorder.tend(FIRST_NS)
+    wait_for(lambda: recorder.tend(FIRST_NS) is None and not recorder._revival.is_running)
+    assert not recorder.status.recording
+    assert recorder.start() is None
+    recorder.take(entries)
+    recorder.close()
+    assert recorder.status.written == len(entries)

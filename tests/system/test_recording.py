@@ -67,7 +67,8 @@ def test_what_a_daemon_recorded_replays_to_the_bit(tmp_path: Path) -> None:
 def writer_of(daemon: DaemonProcess) -> int:
     """The process that writes the daemon's recordings, its only child."""
     pid = daemon.process.pid
-    (child,) = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    tasks = Path(f"/proc/{pid}/task").glob("*/children")  # a thread may have started it
+    (child,) = " ".join(task.read_text() for task in tasks).split()
     return int(child)
 
 
@@ -123,3 +124,28 @@ def test_a_disk_that_fills_up_costs_the_recording_and_no_cycle(tmp_path: Path) -
     recording = read(path)
     assert len(recording.steps) > 30
     assert path.stat().st_size <= room
+
+
+def test_a_killed_recorder_comes_back_twice_and_costs_no_cycle(tmp_path: Path) -> None:
+    with DaemonProcess(tmp_path, TEXT) as daemon:
+        exchange(daemon, 1.0)
+        for restarts in (1, 2):
+            os.kill(writer_of(daemon), signal.SIGKILL)
+            before = daemon.status()["steps"]
+            answered = exchange(daemon, 4.0)
+            assert answered > 0.9 * 4.0 / CYCLE_S
+            assert daemon.status()["steps"] - before >= answered
+            status = daemon.status()["recording"]
+            assert status["recording"]
+            assert status["restarts"] == restarts
+            assert status["dropped"] > 0
+        assert daemon.status()["faults"] == 0
+        assert daemon.end()[0] == 0
+        said = daemon.said()
+    *cut, last = sorted(tmp_path.glob("linemate-*.mcap"))
+    assert len(cut) == 2
+    for path in cut:
+        assert "signal 9" in said
+        assert f"{path} was cut short" in said
+        assert not read(path).whole
+    assert tool.main(["replay", str(last)]) == 0
