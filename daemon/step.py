@@ -35,6 +35,7 @@ FIX_SCREWS = 1
 RELEASE_WHEEL = 2
 REST_DISTANCE = 0.02  # from the programme's first pose, at most, to start [m]
 REST_ANGLE = 0.05  # [rad]
+SAME_PLACE = 0.05  # a robot that was led beside a line and stopped comes to rest within [m]
 
 
 @frozen(slots=False, eq=False)
@@ -148,6 +149,28 @@ def initial(parameters: Parameters, robot: RobotSample) -> State:
         control=control.at_rest(parameters.controller, joints, pose),
         applied=joints,
     )
+
+
+def resumed(parameters: Parameters, state: State, robot: RobotSample) -> State:
+    """Return the state of a robot that stands where a telegram says, its tool on the object.
+
+    The object's estimate and the tool's place in the task live on.
+    """
+    joints = _joints(parameters, robot)
+    pose = _tcp(parameters, joints)
+    tracker = tracking.rest(parameters.tracker, state.tracker, pose, _axis(parameters, joints))
+    return State(tracker, control.at_rest(parameters.controller, joints, pose), joints)
+
+
+def is_engaged(state: State, parameters: Parameters, robot: RobotSample) -> bool:
+    """Return whether a robot stands where its tool was left on the object.
+
+    One that was driven away since has been seen to by its operator.
+    """
+    if not state.tracker.contact:
+        return False
+    way = state.tracker.poses[0] - _tcp(parameters, _joints(parameters, robot))
+    return float(np.linalg.norm(way[:3])) <= SAME_PLACE
 
 
 @frozen(eq=False)

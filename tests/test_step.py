@@ -2,15 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
-from cell import AXIS, EPOCH_NS, REST, World, object_at, parameters, robot_sample
+from cell import AXIS, EPOCH_NS, REST, SPEED, World, object_at, parameters, robot_sample
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from linemate.daemon import rotations, snapshot
+from linemate.daemon import step as stepping
 from linemate.daemon.horizon import Array
 from linemate.daemon.inputs import Inputs, Order
 from linemate.daemon.step import (
@@ -369,6 +371,52 @@ def test_a_retreat_withdraws_straight_back_and_says_when_it_is_over() -> None:
     way = tool.T @ (np.array(world.outputs.target[:3]) - world.outputs.sensed[:3])
     assert way[2] < -0.1
     assert np.isfinite(commands).all()
+
+
+@cache
+def on_the_object() -> World:
+    """A tool that was clamped for half a second when the robot was ordered to hold."""
+    world = tracking(7.0)
+    assert world.outputs is not None
+    assert world.outputs.contact
+    world.run(0.5, Order.HOLD)
+    return world
+
+
+def test_a_tool_that_is_held_on_the_object_is_asked_to_release_it_and_stays_in_contact() -> None:
+    outputs = on_the_object().outputs
+    assert outputs is not None
+    assert outputs.digital_out == RELEASE_WHEEL
+    assert outputs.contact
+
+
+def test_from_there_it_follows_the_object_and_withdraws_once_it_is_released() -> None:
+    world = on_the_object().fork()
+    world.run(0.4, Order.RETREAT)
+    assert world.outputs is not None
+    assert world.outputs.clamped
+    speed = np.array(world.outputs.target[:3])
+    world.step(Order.RETREAT)
+    moved = np.array(world.outputs.target[:3]) - speed
+    assert np.linalg.norm(moved) / P.cycle_s == pytest.approx(SPEED, rel=0.3)
+    for _ in range(round(1.0 / P.cycle_s)):
+        inputs = world.inputs(Order.RETREAT)
+        assert inputs.robot is not None
+        world.take(replace(inputs, robot=replace(inputs.robot, digital_in=2)))
+    assert world.outputs.finished
+    assert not world.outputs.contact
+
+
+def test_a_controller_that_begins_again_there_finds_the_tool_on_the_object() -> None:
+    world = on_the_object()
+    there = robot_sample(world.stamp_ns, world.command)
+    assert stepping.is_engaged(world.state, P, there)
+    state = stepping.resumed(P, world.state, there)
+    assert state.tracker.contact
+    assert state.tracker.belief is world.state.tracker.belief
+    assert not state.moving
+    away = robot_sample(world.stamp_ns, (world.command[0] + 0.1, *world.command[1:]))
+    assert not stepping.is_engaged(world.state, P, away)
 
 
 # Whatever comes in.

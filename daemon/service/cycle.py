@@ -364,7 +364,11 @@ class Cycle:
         self.session.open(start, held, robot.delay)
         self.following.begin(held)
         self.operating.has_new_session = self._state is not None
-        self._state = stepping.initial(self.parameters, standing(robot, held))
+        there, before = standing(robot, held), self._state
+        if before is not None and stepping.is_engaged(before, self.parameters, there):
+            self._state = stepping.resumed(self.parameters, before, there)
+        else:
+            self._state = stepping.initial(self.parameters, there)
         self._robot = robot
         self._ready = self._plan = None
 
@@ -385,7 +389,8 @@ class Cycle:
             self._catch_up(stamp_ns, steps)
             self._step_unsent(self._opened(), stamp_ns)
         self.session.refrain()
-        return self._replies.bare.with_ipoc(telegram.ipoc_text)
+        signals = 0 if self.last is None or self._state is None else self.last.outputs.digital_out
+        return self._replies.without_corrections(signals).with_ipoc(telegram.ipoc_text)
 
     def _answer(self, telegram: RobotTelegram, stamp_ns: int, verdict: Verdict) -> bytes:
         """Return the reply after as many steps as the controller made cycles."""

@@ -223,6 +223,7 @@ class Operating:
             object_left=last.object_left,
             contact=last.contact,
             clamped=last.clamped,
+            settling=found.settling,
             overdue=last.overdue,
             overload=feeds.overloaded,
             done=last.phase is Phase.RETREAT,

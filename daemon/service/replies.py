@@ -32,6 +32,17 @@ class Replies:
         self._writes_signals = "DiO" in tags
         self.bare = codec.bare_sensor()
 
+    def without_corrections(self, digital_out: int) -> PreparedReply:
+        """Return a reply that leaves the robot where it is and tells the tool what to do.
+
+        Args:
+            digital_out: the tool's signals; 0 is not written, they stay as they were.
+        """
+        if not digital_out or not self._writes_signals:
+            return self.bare
+        signals = f"<DiO>{digital_out}</DiO><IPOC>".encode()
+        return PreparedReply(self.bare.head.replace(b"<IPOC>", signals), self.bare.tail)
+
     def prepare(
         self, command: tuple[float, ...], origin: tuple[float, ...], digital_out: int
     ) -> PreparedReply:

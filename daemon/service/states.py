@@ -54,7 +54,8 @@ class Signals:
             retreat the clamp has not opened; in TRACK no contact was found.
         done: the task has come to its own retreat, or to its end.
         clear: a retreat is over: free, away and at rest.
-        expired: the present state has lasted too long.
+        expired: the present state has lasted too long; in FAULT for the tool to be withdrawn from
+            the object without an operator, or it may not be yet.
         fault: anything that must be acknowledged.
         arm, start, stop, retreat, ack: accepted orders that arrived since the last cycle.
     """
@@ -275,6 +276,12 @@ TABLE: tuple[Row, ...] = (
     Row(HOLD, TRACK, "started again", _may_start),
     Row(
         FAULT,
+        RETREAT,
+        "the link is back in contact",
+        lambda s, _: s.contact and s.link is not Link.LOST and not s.expired,
+    ),
+    Row(
+        FAULT,
         IDLE,
         "acknowledged",
         lambda s, _: s.ack and s.link is not Link.LOST and not (s.overload or s.fault),
@@ -314,7 +321,7 @@ def deciding_row(machine: Machine, signals: Signals) -> Row | None:
 
 
 def _enter(machine: Machine, row: Row) -> Machine:
-    acknowledged = row.source is FAULT
+    acknowledged = row.source is FAULT and row.target is IDLE
     latched = (machine.latched and not acknowledged) or row.latches
     return Machine(row.target, latched, row.programmed, row.because)
 

@@ -90,6 +90,7 @@ class Facts:
         gap_m: that a stop would leave between tool and object [m]; None while it is not seen.
         astray: the robot is not where its commands led it.
         clamped: a retreat waits for the clamp to open.
+        settling: the robot may still move although it was not sent anywhere yet.
         ready, object_left, contact, overload, overdue, done, clear, fault: as in ``Signals``, raw.
         orders: accepted orders that came since the last cycle.
     """
@@ -109,6 +110,7 @@ class Facts:
     object_left: bool = False
     contact: bool = False
     clamped: bool = False
+    settling: bool = False
     overload: bool = False
     overdue: bool = False
     done: bool = False
@@ -280,6 +282,10 @@ def _expired(watch: Watch, facts: Facts, settings: WatchSettings) -> bool:
     lasted_s = _age_s(watch.since_ns, facts.stamp_ns)
     if watch.state is State.HOLD:
         return lasted_s > settings.longest_hold_s
+    if watch.state is State.FAULT and facts.contact:
+        # A tool may be withdrawn by itself only soon after the fault, and from where it rests.
+        late = lasted_s > settings.longest_retreat_s
+        return facts.settling or late or (facts.overdue and _is_blind(facts, settings))
     if watch.state is not State.RETREAT:
         return False
     if facts.clamped:

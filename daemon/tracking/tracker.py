@@ -35,6 +35,8 @@ from linemate.protocol.samples import CameraSample, DistanceSample, Vector3, Wre
 
 AWAY = 0.15  # way of an emergency retraction [m]
 AWAY_TIME = 0.6  # and its duration [s]
+CLEAR = 0.05  # way from the object at which a released tool has cleared it [m]
+BENT = 0.008  # a tool farther from its place is not on the object any more: the mount gives way [m]
 LATE = 0.25  # share of the damping that is still there at contact
 AGREEING = 4  # readings of the distance sensor that start the filter, against an outlier first
 AGREEMENT = 0.015  # when they lie within this [m]
@@ -119,8 +121,8 @@ class TrackerState:
         fixing, releasing: time since the tool was asked to fix, to release [s]; None before.
         withdrawn: time since an emergency retraction began [s]; None without.
         clamped: a retreat waits for the clamp, which is closed on the object or may be.
-        anchor: (6,) pose of a robot at rest from which an emergency retraction began; None if it
-            tracked.
+        anchor: (6,) of a robot at rest from which an emergency retraction began: its pose, or its
+            offset from the object while the task is started; None if it tracked.
         distance: programmed, from the tcp to the object along its z [m].
         readings: of the distance sensor, before the first belief [m].
         pull: mean force on the clamped tool [N].
@@ -210,10 +212,26 @@ def at_rest(tracker: Tracker, pose: Array, axis: float) -> TrackerState:
 
 
 def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> TrackerState:
-    """Return the state with its plan at rest and the task over; the estimate lives on."""
+    """Return the state with its plan at rest and the task over; the estimate lives on.
+
+    A tool that is on the object, or has not cleared it, is remembered as in contact: it has to be
+    withdrawn from there.
+    """
+    poses = np.tile(pose, (tracker.steps + 1, 1))
+    if _is_engaged(state):
+        return changed(
+            state,
+            poses=poses,
+            axis=linear_axis.at_rest(axis, tracker.axis_steps),
+            contact=True,
+            departure=None,
+            withdrawn=None,
+            clamped=False,
+            anchor=None,
+        )
     return changed(
         state,
-        poses=np.tile(pose, (tracker.steps + 1, 1)),
+        poses=poses,
         axis=linear_axis.at_rest(axis, tracker.axis_steps),
         departure=None,
         object_left=False,
@@ -231,6 +249,17 @@ def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> Tra
         search=guard.NO_SEARCH,
         distance=math.inf,
     )
+
+
+def _is_engaged(state: TrackerState) -> bool:
+    """Return whether the tool is clamped to the object, or was and has not cleared it."""
+    if state.contact:
+        return True
+    if not state.started or Gate.WHEEL_RELEASED not in state.passed:
+        return False
+    if state.withdrawn is not None:
+        return state.withdrawn <= AWAY_TIME
+    return state.distance > -CLEAR
 
 
 def estimate(
@@ -367,6 +396,7 @@ def track(
         state = changed(state, started=True)
     if retreat and not state.started and state.anchor is None:
         state = changed(state, anchor=state.poses[-1])
+    stood = retreat and state.anchor is None and bool((state.poses == state.poses[0]).all())
     state = _clock(tracker, state, view, seen, retreat)
     span = tracker.span
     limit = _stand(tracker, state, seen.stamp_ns, retreat) if state.started else state.time
@@ -390,8 +420,8 @@ def track(
         elif state.blended is not None:
             share = approach.smoothstep((state.blended + span) / tracker.settings.merge.blend)
             goal = approach.blend(goal, target, share)
-    if state.anchor is not None:
-        goal = np.tile(state.anchor, (tracker.steps + 1, 1))
+    if stood or state.anchor is not None:
+        state, goal = _anchored(state, goal)
     if state.withdrawn is not None:
         s = approach.smoothstep((state.withdrawn + span) / AWAY_TIME)
         goal = approach.withdraw(goal, AWAY * s)
@@ -430,11 +460,37 @@ def _found(tracker: Tracker, state: TrackerState) -> TrackerState:
     return changed(state, across=across, search=guard.NO_SEARCH)
 
 
+def _anchored(state: TrackerState, goal: Array) -> tuple[TrackerState, Array]:
+    """Return the state and the goal (m, 6) of a retraction that began from a robot at rest."""
+    anchor = state.anchor
+    if anchor is None:
+        anchor = _offset(state.poses[0], goal[0])
+        state = changed(state, anchor=anchor)
+    return state, goal + anchor if state.started else np.tile(anchor, (len(goal), 1))
+
+
+def _offset(pose: Array, wanted: Array) -> Array:
+    """Return what a robot that stood keeps between its tcp and the object (6,).
+
+    Nothing as long as the tool can still be on the object: then it is brought back to its place.
+    Else it follows the object from where it is, for it would be led into the object again.
+    """
+    off = pose - wanted
+    return np.zeros(6) if float(np.linalg.norm(off[:3])) <= BENT else off
+
+
 def observe(
     tracker: Tracker, state: TrackerState, seen: Measurements
 ) -> tuple[TrackerState, Report]:
-    """Return the state and the report of one step in which the robot does not track."""
+    """Return the state and the report of one step in which the robot does not track.
+
+    A tool on the object is asked to release it: the object may go on.
+    """
     state, refused, wrench = estimate(tracker, state, seen)
+    if state.contact:
+        passed = _passed(tracker, state, _view(tracker, state), seen)
+        releasing = _since(state.releasing, True, tracker.cycle_s)
+        state = changed(state, passed=passed, fixing=None, releasing=releasing)
     target = part = None
     if state.across is not None and state.belief is not None:
         _, relative = tracker.table.ahead(state.time, math.inf, 0)

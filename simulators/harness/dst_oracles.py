@@ -224,7 +224,13 @@ def invariants(before: Machine, s: Signals, after: Machine) -> tuple[tuple[str, 
     acknowledged = a is State.FAULT and b is State.IDLE
     entered = a is not b
     return (
-        ("I2", a is not State.FAULT or not entered or (b is State.IDLE and s.ack)),
+        (
+            "I2",
+            a is not State.FAULT
+            or not entered
+            or (b is State.IDLE and s.ack)
+            or (b is State.RETREAT and s.contact and s.link is not Link.LOST),
+        ),
         (
             "I3",
             b is not State.TRACK

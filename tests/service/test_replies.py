@@ -32,3 +32,12 @@ def test_an_arm_without_a_linear_axis_leaves_the_external_axes_of_a_site_where_t
 
 def test_a_configuration_without_external_axes_takes_none() -> None:
     assert b"<EK" not in replies(*AXES).prepare(START, START, 0).with_ipoc(b"7")
+
+
+def test_a_reply_without_corrections_tells_the_tool_what_to_do_and_nothing_else() -> None:
+    with_signals = replies(*AXES, "DiO")
+    data = with_signals.without_corrections(2).with_ipoc(b"7")
+    assert b"<DiO>2</DiO><IPOC>7</IPOC>" in data
+    assert b"<AK" not in data
+    assert with_signals.without_corrections(0) == with_signals.bare
+    assert replies(*AXES).without_corrections(2) == replies(*AXES).bare

@@ -105,6 +105,7 @@ def test_the_modes_lead_to_each_other_as_the_design_draws_them(edges: Edges) -> 
         ("HOLD", "RETREAT"),
         ("HOLD", "FAULT"),
         ("FAULT", "IDLE"),
+        ("FAULT", "RETREAT"),
     }
 
 
@@ -115,12 +116,29 @@ def test_i1_the_step_is_told_to_hold_in_every_quiet_state(edges: Edges) -> None:
         assert held == (machine.state not in MOVING)
 
 
-def test_i2_a_fault_is_left_by_an_acknowledgement_alone_and_to_idle(edges: Edges) -> None:
+def test_i2_a_fault_is_left_by_an_acknowledgement_to_idle_or_out_of_contact_by_a_retreat(
+    edges: Edges,
+) -> None:
     for (before, after), causes in edges.items():
-        if before.state is State.FAULT and after.state is not State.FAULT:
+        if before.state is not State.FAULT or after.state is State.FAULT:
+            continue
+        assert all(s.link is not Link.LOST for s in causes)
+        if after.state is State.RETREAT:
+            assert all(s.contact and not s.expired for s in causes)
+            assert after.latched
+            assert not after.programmed
+        else:
             assert after.state is State.IDLE
-            assert all(s.ack and s.link is not Link.LOST for s in causes)
+            assert all(s.ack for s in causes)
             assert not any(s.overload or s.fault for s in causes)
+
+
+def test_without_an_order_motion_begins_only_to_get_out_of_contact(edges: Edges) -> None:
+    for (before, after), causes in edges.items():
+        if after.state in MOVING and before.state not in MOVING:
+            for s in causes:
+                ordered = s.start or s.retreat
+                assert ordered or (after.state is State.RETREAT and (s.contact or s.overload))
 
 
 def test_i3_tracking_begins_by_a_start_with_everything_fresh(edges: Edges) -> None:

@@ -267,3 +267,12 @@ def test_a_controller_at_another_period_makes_the_link_doubtful_until_it_is_righ
     for _ in range(2 * SETTINGS.healthy_cycles):
         assert run.cycle(wrong_cycle="12.9 ms").link is Link.UNPROVEN
     assert run.cycle().link is Link.HEALTHY
+
+
+def test_a_fault_in_contact_may_be_left_only_soon_and_by_a_robot_that_rests() -> None:
+    run = Run(State.FAULT)
+    for settling, expired in ((False, False), (True, True)):
+        assert run.cycle(contact=True, settling=settling).expired is expired
+    assert not run.cycle(contact=False, settling=True).expired
+    run.now_ns += round(SETTINGS.longest_retreat_s * 1e9)
+    assert run.cycle(contact=True).expired

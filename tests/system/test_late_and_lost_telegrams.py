@@ -11,7 +11,7 @@ from linemate.simulators.harness import setup
 from linemate.simulators.harness.dst_plan import CycleMs, Plan
 from linemate.simulators.harness.dst_run import Simulation
 from linemate.simulators.harness.lockstep import Lockstep
-from linemate.simulators.plants.scenario import Fault
+from linemate.simulators.plants.scenario import ConveyorEvent, Fault
 from linemate.simulators.plants.world import World
 
 LED = frozenset({State.TRACK, State.CONTACT})
@@ -109,3 +109,56 @@ def test_x8_beside_a_running_line_the_target_is_regained_without_tearing_at_the_
 def test_x8_beside_a_line_that_stands_or_starts_140_ms_are_borne_and_the_task_goes_on() -> None:
     found = peaks("wheel", 12, {7.5: 0.084, 8.3: 0.14, 9.5: 0.14, 11.0: 0.14})
     assert max(found.values()) < FORCE_N
+
+
+STANDS = ConveyorEvent("stop", -0.1, 0.104)
+GOES_ON = ConveyorEvent("start", 2.5, 0.013)
+IN_CONTACT_S = 1.35
+
+
+class Unattended(Simulation):
+    """A run in which nobody gives an order once the task has begun."""
+
+    def __init__(self, plan: Plan) -> None:
+        super().__init__(plan)
+        self.force_n = 0.0
+        self.seen: list[tuple[str, str]] = []
+        look = self.operator.look
+        self.operator.look = lambda now_s: None if self.seen else look(now_s)  # type: ignore[method-assign]
+
+    def _look(self) -> None:
+        super()._look()
+        if self.world.contact == "clamped":
+            self.force_n = max(self.force_n, force(self.world))
+        if self.app is None or (not self.seen and self.app.cycle.machine.state is not State.TRACK):
+            return
+        machine = self.app.cycle.machine
+        step = machine.state.value, machine.because
+        if not self.seen or self.seen[-1] != step:
+            self.seen.append(step)
+
+    def _goes_on(self, app: object) -> bool:
+        return self.now_s < self.plan.duration_s and not self.oracle.violations
+
+
+@pytest.mark.parametrize("seed", [4, 6])
+@pytest.mark.parametrize("cycle_ms", [12, 4])
+@pytest.mark.parametrize("trouble", ["silence", "restart"])
+def test_a_fault_in_contact_lets_go_and_withdraws_as_soon_as_the_link_is_back(
+    trouble: str, cycle_ms: CycleMs, seed: int
+) -> None:
+    """The line stands as the link is lost, and goes on long after it is back."""
+    lost = Fault(IN_CONTACT_S, "robot", trouble, 0.35)
+    run = Unattended(Plan(seed, 4.0, events=(STANDS, GOES_ON), faults=(lost,), cycle_ms=cycle_ms))
+    run.live()
+    assert run.outcome().violations == ()
+    states = [state for state, _ in run.seen]
+    assert states == ["track", "contact", "retreat", "fault", "retreat", "fault"]
+    assert run.seen[-2][1] == "the link is back in contact"
+    assert run.world.collision is None
+    assert run.force_n < FORCE_N
+    released_s = run.world.released_s
+    assert released_s is not None
+    assert released_s < IN_CONTACT_S + 0.35 + 0.5
+    tcp, hub = run.world.tcp_rigid_pose(), run.world.hub_pose()
+    assert (tcp[:3, :3].T @ (tcp[:3, 3] - hub[:3, 3]))[2] < -0.1
