@@ -15,14 +15,13 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Gt, Lt
+from annotated_types import Ge, Gt, Le, Lt
 from numpy.typing import NDArray
 
 from linemate.daemon.control.inverse_filter import servo_inverse, servo_pulse
 from linemate.daemon.control.settings import FilterSettings, ServoModel
 from linemate.daemon.horizon import Array
 
-Positive = Annotated[float, Gt(0.0)]
 Share = Annotated[float, Gt(0.0), Lt(0.5)]
 
 _STEP = 1e-3  # of ln f, in the numeric derivative
@@ -45,13 +44,13 @@ class AdaptationSettings:
         memory_s: time in which older windows lose their weight [s].
     """
 
-    window_s: Positive = 3.0
+    window_s: Annotated[float, Ge(0.1), Le(60.0)] = 3.0
     reach: Share = 0.3
-    rate: Positive = 0.03
-    noise: Positive = 1e-5
+    rate: Annotated[float, Gt(0.0), Le(1.0)] = 0.03
+    noise: Annotated[float, Gt(0.0), Le(0.01)] = 1e-5
     sure: Share = 0.02
-    misfit: Positive = 0.3
-    memory_s: Positive = 4.0
+    misfit: Annotated[float, Gt(0.0), Le(10.0)] = 0.3
+    memory_s: Annotated[float, Ge(0.1), Le(3600.0)] = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

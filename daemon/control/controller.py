@@ -288,7 +288,7 @@ def reach(
         after, held = limits.admit(gate, command, bounds, period)
     if not limits.is_slow(after, controller.tcp_limit):
         jacobian = controller.arm.tcp_jacobian(gate.position)
-        cap = controller.tcp_limit.speed
+        cap = controller.tcp_limit.commanded
         slower = limits.slow_down(gate, after, jacobian, bounds, period, cap)
         if slower is not after:
             after, held = slower, "limited: tcp" if held is None else f"{held}, tcp"

@@ -116,12 +116,17 @@ class TcpLimit:
     """Limit of the tcp's speed.
 
     Attributes:
-        speed: of the tcp in base, as the mean over some ``MEAN_S`` [m/s].
+        speed: of the tcp in base [m/s].
         levers: (m,) upper bound of the tcp's speed for a unit of each axis' speed [m/rad], [1].
     """
 
     speed: float
     levers: Array
+
+    @property
+    def commanded(self) -> float:
+        """Limit of the commands' mean speed over some ``MEAN_S`` [m/s]."""
+        return COMMANDED * self.speed
 
 
 MEAN_S = 0.03
@@ -131,11 +136,14 @@ in single cycles; the arm itself moves as the mean does."""
 PEAK = 2.0
 """Speed of a single cycle's commands over the limit of the mean."""
 
-FREE = 0.6
-"""Share of the limit up to which the mean speed may rise at once."""
+COMMANDED = 0.75
+"""Share of the tcp's limit for its commands: servos overshoot a sudden speed by up to a third."""
 
-RISE = 4.0
-"""Acceleration of the tcp above that [m/s^2]: servos overshoot a sudden speed by a third."""
+FREE = 0.75
+"""Share of the commands' limit up to which the mean speed may rise at once."""
+
+RISE = 1.5
+"""Acceleration of the tcp above that [m/s^2]."""
 
 _HALVINGS = 6
 
@@ -383,10 +391,10 @@ def brake(
 
 def is_slow(gate: GateState, limit: TcpLimit) -> bool:
     """Tell by the axes' speeds alone whether the tcp's speed is far within its limit."""
-    mean, cap = _mean_of(gate), FREE * limit.speed
+    mean, cap = _mean_of(gate), FREE * limit.commanded
     return bool(
         np.dot(np.abs(mean), limit.levers) <= cap
-        and np.dot(np.abs(gate.speed), limit.levers) <= limit.speed
+        and np.dot(np.abs(gate.speed), limit.levers) <= limit.commanded
     )
 
 

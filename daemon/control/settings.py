@@ -8,8 +8,11 @@ from typing import Annotated
 
 from annotated_types import Ge, Gt, Le, Len, Lt
 
-Positive = Annotated[float, Gt(0.0)]
-NonNegative = Annotated[float, Ge(0.0)]
+# Wide of any arm, and too narrow for degrees, millimetres or milliseconds.
+Place = Annotated[float, Ge(-30.0), Le(30.0)]
+Acceleration = Annotated[float, Ge(0.01), Le(100.0)]
+Jerk = Annotated[float, Ge(0.1), Le(10_000.0)]
+Span = Annotated[float, Ge(0.0), Le(1.0)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,9 +25,9 @@ class ServoModel:
         dead_time: from a setpoint's cycle to its first effect [s].
     """
 
-    frequency_hz: Positive
+    frequency_hz: Annotated[float, Ge(0.1), Le(100.0)]
     damping: Annotated[float, Gt(0.05), Lt(3.0)]
-    dead_time: NonNegative
+    dead_time: Annotated[float, Ge(0.0), Le(0.3)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +39,7 @@ class EffectorMode:
         damping: share of critical.
     """
 
-    frequency_hz: Positive
+    frequency_hz: Annotated[float, Ge(0.1), Le(200.0)]
     damping: Annotated[float, Ge(0.0), Lt(1.0)] = 0.02
 
 
@@ -51,11 +54,11 @@ class AxisLimits:
         jerk: [rad/s^3] or [m/s^3].
     """
 
-    lower: float
-    upper: float
-    speed: Positive
-    acceleration: Positive
-    jerk: Positive
+    lower: Place
+    upper: Place
+    speed: Annotated[float, Gt(0.0), Le(20.0)]
+    acceleration: Annotated[float, Gt(0.0), Le(500.0)]
+    jerk: Annotated[float, Gt(0.0), Le(100_000.0)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,10 +72,10 @@ class BrakeSettings:
         axis_jerk: [m/s^3].
     """
 
-    acceleration: Positive = 1.0
-    jerk: Positive = 25.0
-    axis_acceleration: Positive = 2.0
-    axis_jerk: Positive = 50.0
+    acceleration: Acceleration = 1.0
+    jerk: Jerk = 25.0
+    axis_acceleration: Acceleration = 2.0
+    axis_jerk: Jerk = 50.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,9 +88,9 @@ class SmoothingSettings:
         steps_s: how far the smoothing looks ahead, n_imp * T0 [s].
     """
 
-    mass: NonNegative = 0.0
-    damper: NonNegative = 0.0
-    steps_s: Positive = 0.24
+    mass: Span = 0.0
+    damper: Span = 0.0
+    steps_s: Annotated[float, Gt(0.0), Le(1.0)] = 0.24
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,14 +106,14 @@ class FilterSettings:
         contact_blend: time in which the tool goes from hanging free to clamped [s].
     """
 
-    servo_past_s: NonNegative = 0.036
-    servo_future_s: Positive = 0.096
-    effector_past_s: NonNegative = 0.036
-    effector_future_s: NonNegative = 0.012
-    band_hz: Positive = 2.0
-    wide_hz: Positive = 8.0
-    ridge: Positive = 1e-6
-    contact_blend: Positive = 0.06
+    servo_past_s: Span = 0.036
+    servo_future_s: Annotated[float, Gt(0.0), Le(1.0)] = 0.096
+    effector_past_s: Span = 0.036
+    effector_future_s: Span = 0.012
+    band_hz: Annotated[float, Ge(0.05), Le(50.0)] = 2.0
+    wide_hz: Annotated[float, Ge(0.05), Le(100.0)] = 8.0
+    ridge: Annotated[float, Gt(0.0), Le(1.0)] = 1e-6
+    contact_blend: Annotated[float, Ge(0.001), Le(2.0)] = 0.06
 
 
 _SERVOS = (

@@ -212,6 +212,7 @@ class _Named:
             yield from self._attempt(path, partial(self._look_at_address, path))
         yield from self._attempt(("camera", "peer"), self._look_at_camera_peer)
         yield from self._attempt(("command", "udp", "bind"), self._look_at_consent)
+        yield from self._shared_ports()
         yield from timeouts.complaints(self._value)
 
     def _attempt(self, path: tuple[str, ...], read: Callable[[], None]) -> Iterator[Complaint]:
@@ -371,6 +372,27 @@ class _Named:
         if text is not None:
             parse_peer(text)
 
+    def _shared_ports(self) -> Iterator[Complaint]:
+        """Two sockets on one port: the second could not be opened, or would hear the first's."""
+        robot = None if self.rsi is None else self.rsi.port
+        used: dict[int, list[tuple[str, str]]] = {}
+        for path, default in (
+            (("rsi",), robot),
+            (("camera",), 49153),
+            (("command", "udp"), 49160),
+        ):
+            if self._get(*path, kind=dict) is None and path != ("rsi",):
+                continue
+            port = self._get(*path, "port", kind=int, default=default)
+            port = default if port is None and path == ("rsi",) else port
+            bind = self._get(*path, "bind", kind=str, default="127.0.0.1") or "127.0.0.1"
+            if not port:
+                continue
+            for other, address in used.get(port, []):
+                if _overlap(bind, address):
+                    yield Complaint((*path, "port"), f"{port} is {other}'s already")
+            used.setdefault(port, []).append((f"{'.'.join(path)}.port", bind))
+
     def _look_at_consent(self) -> None:
         text = self._get("command", "udp", "bind", kind=str, default="127.0.0.1")
         remote = self._get("command", "udp", "allow_remote", kind=bool, default=False)
@@ -397,6 +419,11 @@ def group_ids(names: Iterable[str]) -> frozenset[int]:
     if unknown:
         raise ValueError(f"no such group: {', '.join(unknown)}. Make it, or give its number")
     return frozenset(ids)
+
+
+def _overlap(first: str, second: str) -> bool:
+    """Tell whether two addresses to listen on share one."""
+    return first == second or not {first, second}.isdisjoint({"0.0.0.0", "::"})  # noqa: S104
 
 
 def key_path(name: str, base: Path) -> Path:

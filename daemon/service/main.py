@@ -44,11 +44,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         station = config.load(arguments.config)
         parameters = _compiled(station)
+        peaks = _rehearsed(station, parameters)
     except FileError as error:
         print("\n".join(error.lines), file=sys.stderr)
         return BAD_CONFIGURATION
     if arguments.check:
-        print(f"{arguments.config}: good")
+        print(f"{arguments.config}: good", *peaks, sep="\n")
         return OK
     return _serve(station, parameters, arguments.ready_fd)
 
@@ -70,6 +71,21 @@ def _compiled(station: Any) -> Any:
         )
     except ValueError as error:
         raise FileError([f"{station.path}:1:1: (file): {error}"]) from error
+
+
+def _rehearsed(station: Any, parameters: Any) -> tuple[Any, ...]:
+    """Run the task once through the kinematics.
+
+    Raises:
+        FileError: it asks for what the robot cannot or must not do.
+    """
+    from linemate.daemon.service.documents import FileError
+    from linemate.daemon.service.rehearsal import rehearse
+
+    rehearsal = rehearse(parameters)
+    if rehearsal.complaints:
+        raise FileError(station.task.lines(rehearsal.complaints))
+    return rehearsal.peaks
 
 
 def _serve(station: Any, parameters: Any, ready_fd: int | None) -> int:

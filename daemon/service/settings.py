@@ -16,7 +16,6 @@ from linemate.daemon.control.settings import ControlSettings
 from linemate.daemon.service.watch import WatchSettings
 from linemate.daemon.tracking.settings import TrackingSettings
 
-Positive = Annotated[float, Gt(0.0)]
 Port = Annotated[int, Ge(0), Le(65535)]
 Text = Annotated[str, Len(1, 4096)]
 Count = Annotated[int, Ge(1), Le(1_000_000)]
@@ -77,7 +76,7 @@ class DistanceSettings:
     signal: Text = "Position"
     strength: Text | None = None
     can_id: Annotated[int, Ge(0), Le(0x1FFFFFFF)] | None = None
-    step_m: Positive | None = None
+    step_m: Annotated[float, Ge(1e-7), Le(0.02)] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,15 +6,15 @@ tells everything. Quaternions and axes come out exactly unit. Source: interfaces
 """
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from linemate.daemon.service import documents, files
-from linemate.daemon.service.documents import Complaint, FileError
+from linemate.daemon.service.documents import Complaint, Document, FileError
 from linemate.daemon.service.files import UnreadableError
-from linemate.daemon.tracking.task import ConveyorClasses, PoseFile, TaskFile
+from linemate.daemon.tracking.task import ConveyorClasses, Gate, PoseFile, TaskFile, ToolTimes
 
 Vector = TypeVar("Vector", bound=tuple[float, ...])
 
@@ -32,11 +32,17 @@ class Task:
         file: what the task file says.
         urdf: the arm's description.
         text: the task file itself, for recordings.
+        document: where each of its values stands.
     """
 
     file: TaskFile
     urdf: str
     text: str
+    document: Document = field(default_factory=lambda: Document("task"), repr=False, compare=False)
+
+    def lines(self, complaints: Iterable[Complaint]) -> list[str]:
+        """Return complaints as ``file:line:col: key: what``."""
+        return self.document.lines(complaints)
 
 
 def load(path: Path) -> Task:
@@ -58,8 +64,9 @@ def load(path: Path) -> Task:
         except UnreadableError as error:
             yield Complaint(("arm", "urdf"), str(error))
 
-    file = documents.fill(documents.read(data, str(path)), TaskFile, check)
-    return Task(exact(file), urdf[0], data.decode("utf-8-sig"))
+    document = documents.read(data, str(path))
+    file = documents.fill(document, TaskFile, check)
+    return Task(exact(file), urdf[0], data.decode("utf-8-sig"), document)
 
 
 def parse(data: bytes, name: str) -> TaskFile:
@@ -94,6 +101,25 @@ def complaints(value: Any) -> Iterator[Complaint]:
     ):
         yield from _not_unit(value, path)
     yield from _across(value)
+    yield from _never_ordered(value, points)
+
+
+def _never_ordered(value: Any, points: list[Any]) -> Iterator[Complaint]:
+    """A gate that waits for a signal must stand behind the order for it, or waits for ever."""
+    tool = ToolTimes()
+    for gate, order in (
+        (Gate.SCREWS_FIXED, "fix_screws"),
+        (Gate.WHEEL_RELEASED, "release_wheel"),
+    ):
+        ordered = _at(value, "tool", order)
+        ordered = getattr(tool, order) if ordered is None else ordered
+        for i, point in enumerate(points):
+            time = _at(point, "time")
+            if _at(point, "gate") != gate.value or not (_is_number(time) and _is_number(ordered)):
+                continue
+            if ordered > time:
+                what = f"{ordered:g} s is after waypoints[{i}] at {time:g} s, which waits for it"
+                yield Complaint(("tool", order), what)
 
 
 def _falling(points: list[Any]) -> Iterator[Complaint]:

@@ -14,8 +14,7 @@ from annotated_types import Ge, Gt, Le
 from linemate.daemon.service.states import Link, Machine, Signals, State
 from linemate.protocol.frozen import frozen
 
-Positive = Annotated[float, Gt(0.0)]
-Count = Annotated[int, Ge(1), Le(100_000)]
+Count = Annotated[int, Ge(1), Le(10_000)]
 Duration = Annotated[float, Gt(0.0), Le(2.0)]  # without telegrams, a session ends after 2 s
 
 OPERATIONS = ("arm", "start", "stop", "retreat", "ack")
@@ -58,18 +57,18 @@ class WatchSettings:
     missed_s: Duration = 0.03
     missed_in_contact_s: Duration = 0.15
     leak_s: Duration = 0.11
-    position_s: Positive = 0.3
-    position_in_contact_s: Positive = 0.16
-    one_sensor_s: Positive = 1.0
-    wrench_s: Positive = 0.16
+    position_s: Annotated[float, Gt(0.0), Le(5.0)] = 0.3
+    position_in_contact_s: Annotated[float, Gt(0.0), Le(1.0)] = 0.16
+    one_sensor_s: Annotated[float, Gt(0.0), Le(10.0)] = 1.0
+    wrench_s: Annotated[float, Gt(0.0), Le(2.0)] = 0.16
     cycles_of_contact: Count = 2
     cycles_of_overload: Count = 1
-    near_m: Positive = 0.03
-    follow_s: Positive = 0.25
-    follow_tolerance: Positive = 0.01
+    near_m: Annotated[float, Gt(0.0), Le(0.5)] = 0.03
+    follow_s: Annotated[float, Gt(0.0), Le(2.0)] = 0.25
+    follow_tolerance: Annotated[float, Gt(0.0), Le(0.2)] = 0.01
     cycles_astray: Count = 5
-    longest_hold_s: Positive = 60.0
-    longest_retreat_s: Positive = 20.0
+    longest_hold_s: Annotated[float, Gt(0.0), Le(3600.0)] = 60.0
+    longest_retreat_s: Annotated[float, Gt(0.0), Le(600.0)] = 20.0
 
 
 @frozen()

@@ -21,7 +21,9 @@ LogOdds = Annotated[float, Ge(-100.0), Le(1000.0)]
 Constant = Annotated[float, Ge(0.01), Le(100.0)]
 Frequency = Annotated[float, Ge(0.01), Le(50.0)]
 Force = Annotated[float, Ge(0.5), Le(10_000.0)]
-Stiffness = Annotated[float, Ge(1.0), Le(1e8)]
+Stiffness = Annotated[float, Ge(1000.0), Le(1e8)]
+TurningStiffness = Annotated[float, Ge(10.0), Le(1e7)]
+Lever = Annotated[float, Ge(-10.0), Le(10.0)]
 
 
 class ClassifierKind(StrEnum):
@@ -92,7 +94,11 @@ class TactileNoise:
     deflection: Length = 0.00005
     angle: Angle = 0.0002
     stiffness: tuple[Stiffness, Stiffness, Stiffness] = (50e3, 50e3, 50e3)
-    rotational_stiffness: tuple[Stiffness, Stiffness, Stiffness] = (2000.0, 2000.0, 2000.0)
+    rotational_stiffness: tuple[TurningStiffness, TurningStiffness, TurningStiffness] = (
+        2000.0,
+        2000.0,
+        2000.0,
+    )
     gate: Sigmas = 20.0
     contact_force: Force = 15.0
     overload_force: Force = 350.0
@@ -115,7 +121,7 @@ class SwingMode:
     axis: Annotated[int, Ge(0), Le(2)] = 1
     frequency_hz: Frequency = 0.62
     damping: Annotated[float, Ge(0.0), Lt(0.5)] = 0.002
-    levers: tuple[float, float, float] = (-0.3, 0.0, -0.9)
+    levers: tuple[Lever, Lever, Lever] = (-0.3, 0.0, -0.9)
     spread: Annotated[float, Ge(0.0), Le(0.2)] = 0.03
 
 

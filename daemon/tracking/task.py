@@ -13,8 +13,12 @@ from annotated_types import Ge, Gt, Le, Len, Lt
 
 from linemate.protocol.samples import Quaternion, Vector3
 
-Positive = Annotated[float, Gt(0.0)]
-NonNegative = Annotated[float, Ge(0.0)]
+# Wide of any station, and too narrow for millimetres, milliseconds or degrees.
+Metre = Annotated[float, Ge(-30.0), Le(30.0)]
+Place = tuple[Metre, Metre, Metre]
+Time = Annotated[float, Ge(0.0), Le(3600.0)]
+Duration = Annotated[float, Ge(0.001), Le(600.0)]
+Angle = Annotated[float, Ge(-6.3), Le(6.3)]
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 
@@ -50,7 +54,7 @@ class Gate(StrEnum):
 class PoseFile:
     """A pose as a file gives it: position [m] and unit quaternion, w first."""
 
-    position: Vector3
+    position: Place
     quaternion: Quaternion = IDENTITY
 
 
@@ -66,7 +70,7 @@ class Waypoint:
         gate: what must hold before the clock passes this waypoint.
     """
 
-    time: NonNegative
+    time: Time
     pose: PoseFile
     frame: Frame = Frame.OBJECT
     phase: Phase = Phase.APPROACH
@@ -86,10 +90,10 @@ class ConveyorClasses:
     """
 
     axis: Vector3 = (0.0, 1.0, 0.0)
-    nominal_speed: Positive = 0.106
-    deceleration: Positive = 0.104
-    acceleration: Positive = 0.013
-    start_position: float = 0.0
+    nominal_speed: Annotated[float, Ge(0.001), Le(0.5)] = 0.106
+    deceleration: Annotated[float, Ge(0.001), Le(2.0)] = 0.104
+    acceleration: Annotated[float, Ge(0.0005), Le(2.0)] = 0.013
+    start_position: Annotated[float, Ge(-100.0), Le(100.0)] = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,10 +119,10 @@ class ToolTimes:
             tool follows the object, and does not withdraw.
     """
 
-    fix_screws: NonNegative = 8.5
-    release_wheel: NonNegative = 14.5
-    fixed_after: Positive | None = None
-    released_after: Positive | None = None
+    fix_screws: Time = 8.5
+    release_wheel: Time = 14.5
+    fixed_after: Duration | None = None
+    released_after: Duration | None = None
     release_timeout: Annotated[float, Gt(0.0), Le(10.0)] = 2.0
 
 
@@ -155,7 +159,7 @@ class ArmFile:
         rest_joints: A1..A6 at rest [rad].
     """
 
-    rest_joints: tuple[float, float, float, float, float, float]
+    rest_joints: tuple[Angle, Angle, Angle, Angle, Angle, Angle]
     urdf: str = "arm.urdf"
     flange: str = "flange"
     linear_axis: bool = True
@@ -173,7 +177,7 @@ class LinearAxisFile:
     """
 
     travel: Annotated[float, Ge(0.0), Lt(1.5)] = 1.0
-    ramp: Positive = 1.0
+    ramp: Annotated[float, Ge(0.05), Le(30.0)] = 1.0
 
 
 @dataclass(frozen=True, slots=True)

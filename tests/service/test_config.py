@@ -280,3 +280,27 @@ def test_the_schema_covers_every_section() -> None:
     schema = config.schema()
     assert {"rsi", "distance", "camera", "tracking", "control"} <= set(schema["properties"])
     assert schema["required"] == ["task"]
+
+
+def test_two_links_on_one_port_are_told_where_their_addresses_meet(write: Write) -> None:
+    text = "task: wheel.yaml\nrsi: {{bind: {}}}\ncamera: {{port: 49152, bind: {}}}\n"
+    for robot, camera, clash in (
+        ("127.0.0.1", "127.0.0.1", True),
+        ("0.0.0.0", "127.0.0.1", True),
+        ("127.0.0.2", "127.0.0.1", False),
+    ):
+        path = write(text.format(robot, camera))
+        if clash:
+            assert "camera.port: 49152 is rsi.port's already" in errors(path)[0]
+        else:
+            assert config.load(path).rsi_port == 49152
+
+
+def test_limits_wider_than_the_urdfs_are_told_at_their_place(write: Write) -> None:
+    rows = [
+        f"{{lower: -0.1, upper: {upper}, speed: {speed}, acceleration: 40, jerk: 15000}}"
+        for upper, speed in ((0.1, 1.0), (-0.08, 1.0), *[(0.1, 1.0)] * 4, (0.1, 1.6))
+    ]
+    first, second = errors(write(f"task: wheel.yaml\ncontrol: {{limits: [{', '.join(rows)}]}}\n"))
+    assert "control.limits[1].upper: -0.08 is wider than the URDF's for A2: -0.08726" in first
+    assert "control.limits[6].speed: 1.6 is wider than the URDF's for E1: 1.5" in second

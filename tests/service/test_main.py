@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from linemate.daemon.control.controller import AXES
 from linemate.daemon.service import main as service
 
 LINEMATED = [sys.executable, "-m", "linemate.daemon.service.main"]
@@ -25,7 +26,9 @@ def test_a_good_configuration_is_called_good(
 ) -> None:
     path = written(tmp_path, "task: wheel.yaml\n")
     assert service.main(["--config", str(path), "--check"]) == 0
-    assert capsys.readouterr().out == f"{path}: good\n"
+    first, *peaks = capsys.readouterr().out.splitlines()
+    assert first == f"{path}: good"
+    assert [line.partition(":")[0] for line in peaks] == ["tcp", *AXES]
 
 
 def test_every_error_of_a_bad_one_is_told_and_the_code_is_78(

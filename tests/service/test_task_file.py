@@ -49,7 +49,9 @@ def test_a_missing_urdf_is_told_beside_the_other_errors(tmp_path: Path) -> None:
     assert len(caught.value.lines) == 2
     assert "arm.urdf: no such file" in caught.value.lines[0]
     assert "shipped are arm.urdf" in caught.value.lines[0]
-    assert "conveyor.nominal_speed: should be greater than 0" in caught.value.lines[1]
+    assert (
+        "conveyor.nominal_speed: should be greater than or equal to 0.001" in caught.value.lines[1]
+    )
 
 
 def test_a_missing_task_file_is_told(tmp_path: Path) -> None:
@@ -109,7 +111,12 @@ def test_errors_of_kind_and_of_relation_come_together() -> None:
     text = edited("time: 4.6", "time: soon").replace("phase: screws", "phase: rest")
     text = text.replace("time: 14.0", "time: 3")
     keys = [line.split(": ")[1] for line in errors(text)]
-    assert keys == ["waypoints[2].time", "waypoints[4].phase", "waypoints[5].time"]
+    assert keys == [
+        "tool.fix_screws",
+        "waypoints[2].time",
+        "waypoints[4].phase",
+        "waypoints[5].time",
+    ]
 
 
 @pytest.mark.parametrize("value", ["3", "[]", "{}", "[[1]]", "[{time: 1}]", "null", "text"])
@@ -122,3 +129,10 @@ def test_the_schema_describes_a_task() -> None:
     schema = task_file.schema()
     assert set(schema["required"]) == {"name", "arm", "object", "waypoints"}
     assert schema["title"] == "linemate task"
+
+
+def test_a_gate_on_a_signal_that_is_ordered_later_is_told() -> None:
+    (line,) = errors(edited("fix_screws: 8.5", "fix_screws: 14.1"))
+    assert "tool.fix_screws: 14.1 s is after waypoints[5] at 14 s, which waits for it" in line
+    (line,) = errors(edited("release_wheel: 14.5", "release_wheel: 850"))
+    assert "tool.release_wheel: 850 s is after waypoints[7] at 15 s" in line

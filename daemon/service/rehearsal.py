@@ -1,0 +1,230 @@
+"""The nominal task run once through the kinematics, before any robot moves.
+
+Pure, in virtual time: the object moves at its nominal speed and no gate waits. What comes out is
+what the task asks of the tcp and of each axis, and why it cannot be asked.
+
+Invariants:
+- At most ``MOST_STEPS`` poses are solved: it takes well below a second.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from linemate.daemon import rotations
+from linemate.daemon.control.controller import AXES
+from linemate.daemon.control.kinematics import UnreachableError
+from linemate.daemon.horizon import Array
+from linemate.daemon.parameters import Parameters
+from linemate.daemon.service.documents import Complaint
+from linemate.daemon.step import REST_ANGLE, REST_DISTANCE
+from linemate.daemon.tracking import linear_axis
+from linemate.daemon.tracking.task import Phase
+
+STEP_S = 0.02
+MOST_STEPS = 3000
+TOLERANCE = 1e-6  # of a pose [m, rad]
+
+
+@dataclass(frozen=True, slots=True)
+class Peak:
+    """The largest speed of the tcp or of an axis.
+
+    Attributes:
+        name: ``tcp``, or the axis.
+        speed: [m/s], [rad/s].
+        at_s: task time [s].
+        limit: of the speed.
+        margin: to the nearest position limit [rad], [m]; infinity for the tcp.
+    """
+
+    name: str
+    speed: float
+    at_s: float
+    limit: float
+    margin: float
+
+    def __str__(self) -> str:
+        """Return the line for an operator."""
+        unit = "m" if self.name in {"tcp", "E1"} else "rad"
+        text = f"{self.name}: at most {self.speed:.3f} {unit}/s at {self.at_s:.1f} s, "
+        text += f"limit {self.limit:.3f}"
+        return text if self.margin == math.inf else f"{text}; {self.margin:.3f} {unit} to its end"
+
+
+@dataclass(frozen=True, slots=True)
+class Rehearsal:
+    """What the task asks, and what is wrong with it.
+
+    Attributes:
+        peaks: of the tcp, then of each axis; empty if a pose is out of reach.
+        complaints: with paths in the task file.
+    """
+
+    peaks: tuple[Peak, ...]
+    complaints: tuple[Complaint, ...]
+
+
+def rehearse(parameters: Parameters) -> Rehearsal:
+    """Run the nominal task through the kinematics.
+
+    Args:
+        parameters: compiled.
+    """
+    complaints = [*_pressed(parameters)]
+    start = _start(parameters)
+    if isinstance(start, Complaint):
+        return Rehearsal((), (start, *complaints))
+    times = _times(parameters)
+    solved = _solved(parameters, times, start)
+    if isinstance(solved, Complaint):
+        return Rehearsal((), (solved, *complaints))
+    peaks = tuple(_peaks(parameters, times, solved))
+    return Rehearsal(peaks, (*_excesses(parameters, peaks, times, solved), *complaints))
+
+
+def _times(parameters: Parameters) -> Array:
+    """Return the task times that are solved, evenly spaced from 0 to the end [s]."""
+    end = float(parameters.tracker.reference.times[-1])
+    count = min(max(2, math.ceil(end / STEP_S) + 1), MOST_STEPS)
+    return np.linspace(0.0, end, count)
+
+
+def _placed(parameters: Parameters, pose: Array) -> tuple[Array, Array]:
+    """Return position (3,) and rotation (3, 3) in base of a pose (6,) in c."""
+    nominal = parameters.tracker.reference.nominal
+    return nominal @ pose[:3], nominal @ rotations.exp(pose[3:])
+
+
+def _start(parameters: Parameters) -> Array | Complaint:
+    """Return the joints at rest, the linear axis where it brings the tcp to the first pose."""
+    arm, file = parameters.controller.arm, parameters.tracker.task.arm
+    position, rotation = _placed(parameters, parameters.tracker.reference.rest)
+    joints = np.array((*file.rest_joints, 0.0)[: arm.axes])
+    there, turned = arm.tcp_in_base(joints)
+    off = position - there
+    if arm.linear_axis:
+        rail = turned @ arm.tcp_jacobian(joints)[:, 6]
+        joints[6] = float(off @ rail)
+        off = off - joints[6] * rail
+    way = float(np.linalg.norm(off))
+    angle = float(np.linalg.norm(rotations.log(turned.T @ rotation)))
+    if way <= REST_DISTANCE and angle <= REST_ANGLE:
+        return joints
+    what = (
+        f"with these joints the tcp is {1e3 * way:.0f} mm and {1e3 * angle:.0f} mrad away from "
+        f"waypoints[0], at most {1e3 * REST_DISTANCE:.0f} mm and {1e3 * REST_ANGLE:.0f} mrad. "
+        "Check rest_joints, tcp_in_flange, the URDF and the first waypoint."
+    )
+    return Complaint(("arm", "rest_joints"), what)
+
+
+def _solved(parameters: Parameters, times: Array, start: Array) -> Array | Complaint:
+    """Return the joints (m, axes) at task times, or the first pose that is out of reach."""
+    arm = parameters.controller.arm
+    poses, _ = parameters.tracker.reference.poses(times)
+    rail = _rail(parameters, times, start)
+    joints, rows = start.copy(), []
+    for time, pose, place in zip(times.tolist(), poses, rail, strict=True):
+        if arm.linear_axis:
+            joints[6] = place
+        position, rotation = _placed(parameters, pose)
+        try:
+            joints = arm.solve(joints, position, rotation, tolerance=TOLERANCE)
+        except UnreachableError:
+            there = ", ".join(f"{part:.3f}" for part in position)
+            what = f"the arm does not reach the pose at {time:.2f} s: tcp at ({there}) m in base"
+            return Complaint(("waypoints", _waypoint(parameters, time)), what)
+        rows.append(joints)
+    return np.array(rows)
+
+
+def _rail(parameters: Parameters, times: Array, start: Array) -> Array:
+    """Return the linear axis (m,) as it follows the nominal object [m]."""
+    task = parameters.tracker.task
+    if not parameters.controller.arm.linear_axis:
+        return np.zeros(len(times))
+    file, dt = task.linear_axis, float(times[1] - times[0])
+    speed = file.travel * task.conveyor.nominal_speed
+    begin, ahead = float(start[6]), linear_axis.delay(file.ramp, dt)
+    if not parameters.tracker.reference.travels.any():
+        speed = 0.0  # an exercise: the conveyor stops soon after the start
+    plan, places = linear_axis.at_rest(begin, 0), [begin]
+    for time in times[1:].tolist():
+        plan = linear_axis.advance(plan, begin + speed * (time + ahead), file.ramp, dt)
+        places.append(float(plan.positions[-1]))
+    return np.array(places)
+
+
+def _waypoint(parameters: Parameters, time: float) -> int:
+    """Return the number of the waypoint that the task heads for at a time."""
+    times = parameters.tracker.reference.times
+    return min(int(np.searchsorted(times, time)), len(times) - 1)
+
+
+def _peaks(parameters: Parameters, times: Array, joints: Array) -> Iterator[Peak]:
+    """Return the largest speed of the tcp and of each axis."""
+    controller = parameters.controller
+    arm, bounds = controller.arm, controller.limits
+    dt = float(times[1] - times[0])
+    places = np.array([arm.tcp_in_base(row)[0] for row in joints])
+    speeds = np.linalg.norm(np.diff(places, axis=0), axis=1) / dt
+    at = int(speeds.argmax())
+    limit = controller.tcp_limit.commanded
+    yield Peak("tcp", float(speeds[at]), float(times[at]), limit, math.inf)
+    turning = np.abs(np.diff(joints, axis=0)) / dt
+    margins = np.minimum(joints - bounds.lower, bounds.upper - joints).min(axis=0)
+    for axis in range(arm.axes):
+        at = int(turning[:, axis].argmax())
+        yield Peak(
+            AXES[axis],
+            float(turning[at, axis]),
+            float(times[at]),
+            float(bounds.speed[axis]),
+            float(margins[axis]),
+        )
+
+
+def _excesses(
+    parameters: Parameters, peaks: tuple[Peak, ...], times: Array, joints: Array
+) -> Iterator[Complaint]:
+    """Return what the task asks beyond the limits."""
+    bounds = parameters.controller.limits
+    for peak in peaks:
+        unit = "m" if peak.name in {"tcp", "E1"} else "rad"
+        if peak.speed > peak.limit:
+            what = (
+                f"{peak.name} would move at {peak.speed:.3f} {unit}/s at {peak.at_s:.2f} s, limit "
+                f"{peak.limit:.3f} {unit}/s. Check the units of times and positions."
+            )
+            yield Complaint(("waypoints", _waypoint(parameters, peak.at_s)), what)
+        if peak.margin < 0.0:
+            axis = AXES.index(peak.name)
+            beyond = np.minimum(joints - bounds.lower, bounds.upper - joints)[:, axis]
+            at = int(beyond.argmin())
+            what = (
+                f"{peak.name} would be at {joints[at, axis]:.3f} {unit} at {times[at]:.2f} s, "
+                f"limits {bounds.lower[axis]:.3f} .. {bounds.upper[axis]:.3f} {unit}"
+            )
+            yield Complaint(("waypoints", _waypoint(parameters, float(times[at]))), what)
+
+
+def _pressed(parameters: Parameters) -> Iterator[Complaint]:
+    """Return a waypoint so far beyond the object's surface that the mount would be overloaded."""
+    tactile = parameters.tracker.settings.tactile
+    waypoints = parameters.tracker.task.waypoints
+    stiffness, most = tactile.stiffness[2], tactile.overload_force
+    if all(point.phase not in {Phase.CONTACT, Phase.SCREWS} for point in waypoints):
+        return
+    reference = parameters.tracker.reference
+    for i in range(len(waypoints)):
+        depth = float(reference.points[i, 2]) if reference.travels[i] else 0.0
+        if depth * stiffness > most:
+            what = (
+                f"{1e3 * depth:g} mm beyond the object's surface press with "
+                f"{depth * stiffness:.0f} N at {stiffness:g} N/m, overload is {most:g} N. Check "
+                "the sign and the unit of position z, and tracking.tactile.stiffness."
+            )
+            yield Complaint(("waypoints", i, "pose", "position"), what)

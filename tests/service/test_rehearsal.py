@@ -1,0 +1,95 @@
+"""The nominal task through the kinematics: what it asks, and where it cannot be asked."""
+
+import math
+from dataclasses import replace
+
+import pytest
+from cell import TASK
+
+from linemate.daemon.parameters import Parameters, build
+from linemate.daemon.service import task_file
+from linemate.daemon.service.documents import spelled
+from linemate.daemon.service.files import DAEMON_DATA
+from linemate.daemon.service.rehearsal import MOST_STEPS, rehearse
+from linemate.daemon.service.task_file import Task
+from linemate.daemon.tracking.settings import TrackingSettings
+from linemate.daemon.tracking.task import PoseFile, TaskFile
+from linemate.simulators.harness.setup import shipped_control
+
+
+def made(file: TaskFile = TASK.file, task: Task = TASK) -> Parameters:
+    return build(file, task.urdf, TrackingSettings(), shipped_control(), 0.012)
+
+
+def told(file: TaskFile) -> list[str]:
+    found = rehearse(made(file)).complaints
+    return [f"{spelled(complaint.path)}: {complaint.what}" for complaint in found]
+
+
+def with_position(number: int, *position: float) -> TaskFile:
+    points = list(TASK.file.waypoints)
+    there = PoseFile(position, points[number].pose.quaternion)  # type: ignore[arg-type]
+    points[number] = replace(points[number], pose=there)
+    return replace(TASK.file, waypoints=tuple(points))
+
+
+def test_the_shipped_task_is_good_and_its_retreat_is_what_is_fastest() -> None:
+    rehearsal = rehearse(made())
+    assert rehearsal.complaints == ()
+    tcp, *axes = rehearsal.peaks
+    # A quintic over 0.3 m in 2 s, across a conveyor of 0.106 m/s.
+    assert tcp.speed == pytest.approx(math.hypot(1.875 * 0.15, 0.106), abs=0.002)
+    assert tcp.at_s == pytest.approx(16.0, abs=0.1)
+    assert [peak.name for peak in axes] == ["A1", "A2", "A3", "A4", "A5", "A6", "E1"]
+    assert all(peak.speed < peak.limit and peak.margin > 0.5 for peak in axes)
+
+
+def test_an_exercise_is_not_carried_off_by_a_conveyor_that_will_stop() -> None:
+    exercise = task_file.load(DAEMON_DATA / "exercise.yaml")
+    rehearsal = rehearse(made(exercise.file, exercise))
+    assert rehearsal.complaints == ()
+    assert rehearsal.peaks[7].speed == 0.0
+
+
+def test_a_pose_out_of_reach_is_told_with_its_waypoint_and_place() -> None:
+    (what,) = told(with_position(8, -2.5, 0.0, -0.3))
+    assert what.startswith("waypoints[8]: the arm does not reach the pose at 15.")
+    assert "m in base" in what
+
+
+def test_a_rest_pose_that_is_not_at_the_first_waypoint_is_told_with_both_distances() -> None:
+    rest = (0.5, *TASK.file.arm.rest_joints[1:])
+    file = replace(TASK.file, arm=replace(TASK.file.arm, rest_joints=rest))  # type: ignore[arg-type]
+    (what,) = told(file)
+    assert what.startswith("arm.rest_joints: with these joints the tcp is ")
+    assert "500 mrad away from waypoints[0], at most 20 mm and 50 mrad" in what
+
+
+def test_a_programme_that_is_too_fast_is_told_with_the_axis_and_the_time() -> None:
+    points = tuple(replace(point, time=point.time / 5.0) for point in TASK.file.waypoints)
+    lines = told(replace(TASK.file, waypoints=points))
+    assert any("tcp would move at 1." in line and "limit 0.455 m/s" in line for line in lines)
+
+
+def test_a_waypoint_deep_in_the_object_is_told_with_the_force() -> None:
+    assert told(with_position(4, 0.0, 0.0, 0.005)) == []
+    (what,) = told(with_position(4, 0.0, 0.0, 0.01))
+    assert what.startswith("waypoints[4].pose.position: 10 mm beyond the object's surface press")
+    assert "500 N at 50000 N/m, overload is 350 N" in what
+
+
+def test_an_axis_beyond_its_position_limit_is_told() -> None:
+    rows = list(shipped_control().limits)
+    rows[0] = replace(rows[0], upper=0.01)
+    narrow = replace(shipped_control(), limits=tuple(rows))
+    parameters = build(TASK.file, TASK.urdf, TrackingSettings(), narrow, 0.012)
+    lines = [complaint.what for complaint in rehearse(parameters).complaints]
+    assert any(line.startswith("A1 would be at 0.0") and ".. 0.010 rad" in line for line in lines)
+
+
+def test_a_long_task_is_rehearsed_in_as_many_steps_at_most() -> None:
+    points = list(TASK.file.waypoints)
+    points[-1] = replace(points[-1], time=80.0)
+    parameters = made(replace(TASK.file, waypoints=tuple(points)))
+    assert MOST_STEPS < 80.0 / 0.02
+    rehearse(parameters)
