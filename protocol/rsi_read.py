@@ -22,9 +22,13 @@ LONG_MIN, LONG_MAX = -(2**31), 2**32 - 1
 _FIRST_PATIENCE = 3
 _LAST_PATIENCE = 4096
 
-_NUMBER = re.compile(r"[+-]?(?:[0-9]{1,16}(?:\.[0-9]{0,32})?|\.[0-9]{1,32})", re.ASCII)
+_NUMBER = re.compile(
+    r"[+-]?(?:[0-9]{1,16}(?:\.[0-9]{0,32})?|\.[0-9]{1,32})(?:[eE][+-]?[0-9]{1,3})?", re.ASCII
+)
+MAX_NUMBER = 1e16  # as many digits as a number without exponent may have
 _WHOLE = re.compile(r"([+-]?[0-9]{1,10})(?:\.0{0,32})?", re.ASCII)
 _IPOC = re.compile(r"[0-9]{1,20}", re.ASCII)
+_COUNTER = re.compile(rb"<IPOC>\s*([0-9]{1,20})\s*</IPOC>")
 _TRUTHS = {"TRUE": "1", "FALSE": "0"}
 _TRAILING = "\0" + BLANK
 
@@ -32,7 +36,7 @@ _TRAILING = "\0" + BLANK
 # is ever given back, for no value is followed by what it is made of: a fifth of the time.
 # Groups themselves are not possessive, see ``rsi_scan``.
 _FAST_GROUPS = {
-    "DOUBLE": r"(-?+[0-9]{1,16}+(?:\.[0-9]{0,32}+)?)",
+    "DOUBLE": r"(-?+[0-9]{1,16}+(?:\.[0-9]{0,32}+)?(?:[eE]-[0-9]{1,3}+)?)",
     "BOOL": r"(-?+[0-9]{1,16}+(?:\.[0-9]{0,32}+)?)",
     "LONG": r"(-?+[0-9]{1,9}+)(?:\.0{0,32}+)?",
     "STRING": r"([^\"'<>&]*+)",
@@ -112,6 +116,7 @@ class Reader:
             texts = self._texts(text, document)
         except RsiError as error:
             error.evidence = error.evidence or data[:256]
+            error.ipoc_text = error.ipoc_text or _counter(data)
             raise
         self._strangers += 1
         if self._strangers >= self._patience and _is_plain(document) and None not in texts:
@@ -194,6 +199,12 @@ class Reader:
         return _FAST_GROUPS[self._layout.fields[position].type]
 
 
+def _counter(data: bytes) -> bytes | None:
+    """Return the IPOC's digits in a telegram that cannot be read otherwise; None if not once."""
+    found = _COUNTER.findall(data)
+    return found[0] if len(found) == 1 and int(found[0]) <= MAX_IPOC else None
+
+
 def _silent(group: str) -> str:
     """The same group, its text not kept."""
     return "(?:" + group.removeprefix("(") if group.startswith("(") else group
@@ -222,7 +233,7 @@ def _checked(field: Field, raw: str) -> str:
     """The text of one value, such as float() or int() can take it.
 
     Raises:
-        RsiError: an exponent, a comma, NaN, infinity, or no number at all.
+        RsiError: a comma, NaN, infinity, out of range, or no number at all.
     """
     if field.type == "STRING":
         return unescape(raw)
@@ -237,5 +248,7 @@ def _checked(field: Field, raw: str) -> str:
     if field.type == "BOOL":
         text = _TRUTHS.get(text.upper(), text)
     if not _NUMBER.fullmatch(text):
-        raise RsiError(f"{text[:32]!r} is no plain number", element=field.key)
+        raise RsiError(f"{text[:32]!r} is no number", element=field.key)
+    if not abs(float(text)) < MAX_NUMBER:
+        raise RsiError(f"{text[:32]} is out of range", element=field.key)
     return text

@@ -337,6 +337,44 @@ def test_document_types_and_long_datagrams_are_refused_unparsed() -> None:
 
 
 @pytest.mark.parametrize(
+    "text", [b"-1.71e-06", b"1.71E-6", b"2e+02", b"2e2", b"-0e-300", b"5.e-1", b".5e1"]
+)
+def test_a_number_may_have_an_exponent(text: bytes) -> None:
+    codec = RsiCodec(PLAIN)
+    for _ in range(6):  # the tolerant way first, the fast one once it knows the shape
+        telegram = codec.parse_robot(KUKA_SDK.replace(b'A4="0.00000"', b'A4="%s"' % text))
+        assert telegram.joints is not None
+        assert telegram.joints[3] == pytest.approx(math.radians(float(text)), abs=0.0)
+
+
+def test_small_numbers_with_exponents_take_the_fast_way() -> None:
+    codec = RsiCodec(PLAIN)
+    codec.parse_robot(KUKA_SDK.replace(b'A4="0.00000"', b'A4="-1.71e-06"'))
+    assert (codec.robot_reader.fast, codec.robot_reader.tolerant) == (1, 0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        (b'A1="0.00000"', b'A1="nan"', b"0"),
+        (b"AIPos", b"AxPos", b"0"),
+        (b"<RIst", b"x<RIst", b"0"),
+        (b"<RIst", b"<RIst<", b"0"),
+        (b"<IPOC>0</IPOC>", b"<IPOC>0042</IPOC><Oops", b"0042"),
+        (b"<IPOC>0</IPOC>", b"<IPOC>0</IPOC><IPOC>0</IPOC>", None),
+        (b"<IPOC>0</IPOC>", b"<IPOC>18446744073709551616</IPOC>", None),
+        (b"</Rob>", b"<!x></Rob>", None),
+        (b"</Rob>", b" " * 3000 + b"</Rob>", None),
+    ],
+)
+def test_a_refusal_has_the_counter_where_it_can_be_read(
+    old: bytes, new: bytes, text: bytes | None
+) -> None:
+    damaged = KUKA_SDK.replace(old, new).replace(b'D="15"', b'D="oops"')
+    assert refusal(damaged, RsiCodec(PLAIN)).ipoc_text == text
+
+
+@pytest.mark.parametrize(
     ("old", "new", "element"),
     [
         (b"AIPos", b"AxPos", "AIPos.A1"),
@@ -350,7 +388,10 @@ def test_document_types_and_long_datagrams_are_refused_unparsed() -> None:
         (b'D="15"', b'D=""', "Delay.D"),
         (b'A1="0.00000"', b'A1="nan"', "AIPos.A1"),
         (b'A1="0.00000"', b'A1="inf"', "AIPos.A1"),
-        (b'A1="0.00000"', b'A1="1e3"', "AIPos.A1"),
+        (b'A1="0.00000"', b'A1="1e999"', "AIPos.A1"),
+        (b'A1="0.00000"', b'A1="1e17"', "AIPos.A1"),
+        (b'A1="0.00000"', b'A1="1e"', "AIPos.A1"),
+        (b'A1="0.00000"', b'A1="e3"', "AIPos.A1"),
         (b'A1="0.00000"', b'A1="1,5"', "AIPos.A1"),
         (b'A1="0.00000"', b'A1="0x1"', "AIPos.A1"),
         (b'A1="0.00000"', b'A1="1_0"', "AIPos.A1"),
