@@ -8,6 +8,7 @@ datagram transport is not used: it takes a 256 KiB buffer for each datagram and 
 import asyncio
 import select
 import socket
+import time
 from abc import ABC, abstractmethod
 from collections import Counter
 from dataclasses import dataclass, field
@@ -195,11 +196,13 @@ class DatagramLink(ABC):
     Attributes:
         status: the link's visible state.
         refusal: why it could not be bound the last time that it was tried, None if it could.
+        opened_ns: since when datagrams can arrive [ns], 0 before the link was open.
     """
 
     def __init__(self, name: str, host: str, port: int, backoff: Backoff | None = None) -> None:
         self.status = LinkStatus(name)
         self.refusal: OSError | OverflowError | None = None
+        self.opened_ns = 0
         self._bind = (host, port)
         self._backoff = backoff or Backoff()
         self._socket: DatagramSocket | None = None
@@ -229,6 +232,7 @@ class DatagramLink(ABC):
             self._down(why(error))
             return
         self.refusal = None
+        self.opened_ns = time.monotonic_ns()
         self._loop.add_reader(self._socket.fileno(), self.poll)
         self._backoff.reset()
         self.status.mark_up()

@@ -79,7 +79,7 @@ class Event(StrEnum):
     OLDER = "behind"
     STRAY = "outside the window, between the steps, or too far ahead of the time that passed"
     RESUME = "third of a line that goes on from before the doubt"
-    RESYNC = "third of a line that has nothing to do with what was before"
+    RESYNC = "third, at the cycle's pace, of a line that has nothing to do with what was before"
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,17 +148,34 @@ class Verdict:
 
 @dataclass(slots=True)
 class _Line:
-    """The last telegrams, accepted or not, as far as they are equally far apart."""
+    """The last telegrams, accepted or not, as far as they are equally far apart.
+
+    Attributes:
+        paced: of these, in a row, those that came a cycle apart. A controller keeps its pace; a
+            burst of forged or delayed datagrams does not.
+    """
 
     ipoc: int = 0
     step: int = 0
     length: int = 0
+    stamp_ns: int = 0
+    paced: int = 0
 
-    def extend(self, ipoc: int, reach: int) -> bool:
+    def extend(self, ipoc: int, stamp_ns: int, reach: int, cycle_ns: int) -> bool:
         """Add a telegram: True if it is one of enough in one line."""
-        delta = ipoc - self.ipoc
-        if self.length and delta == 0:
+        passed_ns = stamp_ns - self.stamp_ns
+        if self.length and ipoc == self.ipoc:
+            if passed_ns >= cycle_ns // 2:  # else the network has doubled it
+                self.paced, self.stamp_ns = 1, stamp_ns
             return False
+        in_line = self._extend(ipoc, reach)
+        is_paced = self.length > 1 and cycle_ns // 2 <= passed_ns <= SLACK * cycle_ns
+        self.paced = self.paced + 1 if is_paced else 1
+        self.stamp_ns = stamp_ns
+        return in_line
+
+    def _extend(self, ipoc: int, reach: int) -> bool:
+        delta = ipoc - self.ipoc
         if self.length and 0 < delta <= reach:
             self.length = self.length + 1 if delta == self.step else 2
             self.step = delta
@@ -222,6 +239,11 @@ class Exchange:
         return self._step
 
     @property
+    def settled_step(self) -> int | None:
+        """The learned IPOC step once it is sure, None before."""
+        return self._step if self._state is State.RUNNING else None
+
+    @property
     def session(self) -> int:
         """Number of the present session, 0 before the first."""
         return self._session
@@ -239,6 +261,25 @@ class Exchange:
     def silence_ns(self, now_ns: int) -> int | None:
         """Time since the last accepted telegram [ns], None before the first."""
         return None if self._state is State.IDLE else now_ns - self._last_ns
+
+    def resume(self, step: int) -> None:
+        """Go on with a known step: the session that has begun is the one that was before.
+
+        Args:
+            step: what the IPOC grows by each cycle.
+        """
+        self._step, self._state = step, State.RUNNING
+
+    def would_open(self, stamp_ns: int, peer: Hashable) -> bool:
+        """Whether a telegram would begin a session, whatever its counter.
+
+        Args:
+            stamp_ns: its arrival [ns].
+            peer: who sent it.
+        """
+        if self._state is State.IDLE or peer != self._peer:
+            return True
+        return stamp_ns - self._last_ns >= self._session_gap_ns
 
     def foreseen(self) -> tuple[int, Hashable] | None:
         """The one telegram that would go on as everything did: its counter and who sends it.
@@ -281,7 +322,7 @@ class Exchange:
         self._heard_ns = stamp_ns
         if stamp_ns - self._last_ns >= self._session_gap_ns:
             return Event.OPENING
-        in_line = self._line.extend(ipoc, self._reach)
+        in_line = self._line.extend(ipoc, stamp_ns, self._reach, self._cycle_ns)
         event = self._place(ipoc, stamp_ns)
         if event not in _DOUBTFUL or not in_line:
             return event
@@ -289,7 +330,8 @@ class Exchange:
             return Event.RESUME
         # Telegrams that were missed and come at last are in one line too, and are nothing new; nor
         # is the one that a counter which was flipped ahead had told of.
-        return event if event in _KNOWN else Event.RESYNC
+        is_new = event not in _KNOWN and self._line.paced >= CONSISTENT
+        return Event.RESYNC if is_new else event
 
     def _place(self, ipoc: int, stamp_ns: int) -> Event:
         delta = ipoc - self._last_ipoc

@@ -12,6 +12,7 @@ from linemate.simulators.harness.setup import shipped_task
 ROOT = Path(__file__).resolve().parents[1]
 CYCLE_S = 0.012
 STEP = 12
+SILENCE_S = 0.1
 
 
 class PlainRobot:
@@ -27,6 +28,8 @@ class PlainRobot:
         self.ipoc = 1_000_000
         self.delay = 0
         self.stale = 0
+        # The daemon has to hear that no program runs before one starts.
+        time.sleep(SILENCE_S)
 
     def close(self) -> None:
         self._link.close()

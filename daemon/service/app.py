@@ -290,6 +290,7 @@ class App:
             return None
         began_ns = time.monotonic_ns()
         prepared = self.cycle.prepared
+        self.cycle.listen(self._robot.opened_ns)
         try:
             reply = self.cycle.on_telegram(data, stamp_ns, source)
         except Exception as error:  # noqa: BLE001 - an unanswered telegram stops the robot

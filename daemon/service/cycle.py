@@ -17,11 +17,12 @@ from linemate.daemon.inputs import Inputs, Order
 from linemate.daemon.parameters import Parameters
 from linemate.daemon.service import states, watch
 from linemate.daemon.service.causes import Change
+from linemate.daemon.service.correction_reference import RESTART_S, Proof
 from linemate.daemon.service.feeds import Feeds, Inbox
 from linemate.daemon.service.following import Following
 from linemate.daemon.service.operating import Operating, Situation
 from linemate.daemon.service.replies import Replies
-from linemate.daemon.service.session import FOREIGN, Axes, Session, standing
+from linemate.daemon.service.session import Axes, Session, standing
 from linemate.daemon.service.states import Machine, State
 from linemate.daemon.service.step_log import LONGEST_LOG, LogEntry, StepLog
 from linemate.protocol.exchange import Exchange, Kind, Verdict
@@ -47,6 +48,7 @@ PROGRAMMED_S = 1000.0  # a blend as long as that is none [s]
 CATCH_UP_S = 0.3  # steps made at once after a gap, at most
 
 _OPENS = frozenset({Kind.FIRST, Kind.NEW_SESSION})
+_MOVES = frozenset({"arm", "start"})
 _SHOWN = (
     "task_time",
     "scenario",
@@ -121,7 +123,7 @@ class Cycle:
         self.exchange = Exchange(parameters.cycle_s)
         self.operating = Operating(settings, parameters.cycle_s, wrench_expected=wrench_expected)
         self.feeds = Feeds()
-        self.session = Session(parameters.cycle_s)
+        self.session = Session(parameters.cycle_s, absolute=absolute)
         self.following = Following(settings.follow_s, parameters.cycle_s)
         self.verdict: Verdict | None = None
         self.date: Callable[[int, int], int] = lambda stamp_ns, _cycles: stamp_ns
@@ -168,6 +170,8 @@ class Cycle:
         Returns:
             None, or why it is refused.
         """
+        if op in _MOVES and self.session.unproven is not None:
+            return self.session.unproven
         return self.operating.order(op, self._found(), who)
 
     # Parameters.
@@ -225,11 +229,21 @@ class Cycle:
         except RsiError as error:
             self.refused += 1
             self.last_refusal = str(error)
-            reply = None
+            reply = self._answer_unreadable(error.ipoc_text, stamp_ns, peer)
         else:
             reply = self._exchange(telegram, robot, peer)
         self._is_under_way = False
         return reply
+
+    def listen(self, now_ns: int) -> None:
+        """Note that telegrams can arrive from now on.
+
+        A program whose start is to be seen must start after that.
+
+        Args:
+            now_ns: when the link was opened [ns].
+        """
+        self.session.listen(now_ns)
 
     def _begin(self, *, preparing: bool = False) -> None:
         """Notice that what was begun before did not end: it raised, which is a fault.
@@ -247,15 +261,16 @@ class Cycle:
         self, telegram: RobotTelegram, robot: RobotSample, peer: Hashable
     ) -> bytes | None:
         stamp_ns = robot.stamp_ns
+        self.session.hear(stamp_ns)
         verdict = self.verdict = self.exchange.on_telegram(telegram.ipoc, stamp_ns, peer)
         if not verdict.answer:
             return None
-        if verdict.kind in _OPENS:
-            self._meet(robot, peer)
-        if self.session.is_foreign:
-            return self._reply_bare(telegram, stamp_ns, verdict.steps)
+        is_in_doubt = verdict.kind in _OPENS or self.session.needs_proof(robot, verdict.missed)
+        if is_in_doubt and not self._prove(telegram, robot, peer, verdict):
+            return self._reply_bare(telegram.ipoc_text, stamp_ns, verdict.steps)
         if self.session.settle(telegram.delay, verdict.missed + 1, stamp_ns):
             self.operating.is_loss_untold = True
+        arrived = robot
         if verdict.kind not in _OPENS:
             stamp_ns = self.date(stamp_ns, verdict.missed + 1)
             robot = replace(robot, stamp_ns=stamp_ns)
@@ -263,8 +278,23 @@ class Cycle:
         reply = self._answer(telegram, stamp_ns, verdict)
         self._robot = robot
         self._joints = robot.joints
-        self.session.remember(robot, peer, self.exchange.step)
+        self.session.remember(arrived, peer, self.exchange.settled_step)
         return reply
+
+    def _answer_unreadable(
+        self, ipoc_text: bytes | None, stamp_ns: int, peer: Hashable
+    ) -> bytes | None:
+        """Return a bare reply to a telegram of which only the counter could be read, or None."""
+        if ipoc_text is None:
+            return None
+        self.session.hear(stamp_ns)
+        if self.exchange.would_open(stamp_ns, peer):
+            return self._reply_bare(ipoc_text, stamp_ns, 0)
+        verdict = self.verdict = self.exchange.on_telegram(int(ipoc_text), stamp_ns, peer)
+        if not verdict.answer:
+            return None
+        self.session.refuse(peer)
+        return self._reply_bare(ipoc_text, stamp_ns, verdict.steps)
 
     def express(self) -> Express | None:
         """Return what answers in the least time the telegram that the ready reply was made for.
@@ -333,9 +363,15 @@ class Cycle:
         """
         external = telegram.external or ()
         if telegram.joints is None:
-            raise RsiError("the telegram has no AIPos: the daemon needs the joints")
+            raise RsiError(
+                "the telegram has no AIPos: the daemon needs the joints",
+                ipoc_text=telegram.ipoc_text,
+            )
         if self.parameters.controller.arm.linear_axis and not external:
-            raise RsiError("the telegram has no EIPos: the task's arm has a linear axis")
+            raise RsiError(
+                "the telegram has no EIPos: the task's arm has a linear axis",
+                ipoc_text=telegram.ipoc_text,
+            )
         signals = telegram.channels.get("DiL", 0)
         return RobotSample(
             stamp_ns=stamp_ns,
@@ -352,12 +388,39 @@ class Cycle:
             return (*robot.joints, robot.external[0])
         return robot.joints
 
-    def _meet(self, robot: RobotSample, peer: Hashable) -> None:
-        """Find out whether a programme has begun, and open a session with it."""
-        absolute = self._replies.absolute
-        met = self.session.meet(robot, self._axes(robot), peer, absolute=absolute)
-        if met is not None:
-            self._open_session(robot, *met)
+    def _programmed(self, telegram: RobotTelegram) -> Axes | None:
+        """Return the programmed position of the axes, None if the telegram does not have it."""
+        if telegram.joint_setpoints is None:
+            return None
+        if not self.parameters.controller.arm.linear_axis:
+            return telegram.joint_setpoints
+        external = telegram.external_setpoints
+        return None if not external else (*telegram.joint_setpoints, external[0])
+
+    def _prove(
+        self,
+        telegram: RobotTelegram,
+        robot: RobotSample,
+        peer: Hashable,
+        verdict: Verdict,
+    ) -> bool:
+        """Find out which correction is in force, and open or resume the session if it is known."""
+        session, axes = self.session, self._axes(robot)
+        opens = verdict.kind in _OPENS
+        is_resumed = opens or session.is_interrupted or verdict.missed > 0
+        found = session.prove(robot, axes, self._programmed(telegram), peer)
+        if found is None:
+            return False
+        reference, held = found
+        # Where this process stood still without noticing, its estimate of the object is too old.
+        if session.proof is not Proof.CONTINUED or session.stalled_s >= RESTART_S:
+            self._open_session(robot, reference, held)
+        elif is_resumed:
+            self.operating.is_loss_untold |= session.resume(held, robot.delay)
+            self.operating.has_resynchronised |= opens
+            if session.step is not None and self.exchange.settled_step is None:
+                self.exchange.resume(session.step)
+        return True
 
     def _open_session(self, robot: RobotSample, start: Axes, held: Axes) -> None:
         """Begin anew with a robot that holds; arming is needed."""
@@ -383,14 +446,18 @@ class Cycle:
         elif self.following.resting(axes, start):
             self._open_session(robot, axes, axes)
 
-    def _reply_bare(self, telegram: RobotTelegram, stamp_ns: int, steps: int) -> bytes:
+    def _reply_bare(self, ipoc_text: bytes, stamp_ns: int, steps: int) -> bytes:
         """Return a reply without corrections: the controller keeps those that it has."""
-        if self._state is not None and steps:
+        ready, self._ready = self._ready, None
+        if ready is not None:
+            self._note_unsent(self._confirmed(ready))
+            steps -= 1
+        if self._state is not None and steps > 0:
             self._catch_up(stamp_ns, steps)
-            self._step_unsent(self._opened(), stamp_ns)
+            self._step_unsent(self._state, stamp_ns)
         self.session.refrain()
         signals = 0 if self.last is None or self._state is None else self.last.outputs.digital_out
-        return self._replies.without_corrections(signals).with_ipoc(telegram.ipoc_text)
+        return self._replies.without_corrections(signals).with_ipoc(ipoc_text)
 
     def _answer(self, telegram: RobotTelegram, stamp_ns: int, verdict: Verdict) -> bytes:
         """Return the reply after as many steps as the controller made cycles."""
@@ -614,9 +681,9 @@ class Cycle:
         return self.operating.machine
 
     @property
-    def is_foreign(self) -> bool:
-        """Whether the robot's programme was under way before this daemon."""
-        return self.session.is_foreign
+    def is_unproven(self) -> bool:
+        """Whether it is unknown which correction the controller has in force."""
+        return self.session.unproven is not None
 
     @property
     def openings(self) -> int:
@@ -643,7 +710,11 @@ class Cycle:
             "repeated": self.repeated,
             "replies_lost": self.session.replies_lost,
             "astray": self.following.astray,
-            "foreign": FOREIGN if self.is_foreign else None,
+            "correction": {
+                "proof": self.session.proof.name.lower(),
+                "unproven": self.session.unproven,
+            },
+            "foreign": self.session.unproven,
             "telegrams": {**self.exchange.counters, "unreadable": self.refused},
             "last_refusal": self.last_refusal,
             "unfit": states.unfit(self.operating.signals),

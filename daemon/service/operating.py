@@ -58,7 +58,8 @@ class Operating:
         signals: what the last decision saw.
         settings: time-outs and debounce.
         on_transition: told every decision, if set.
-        has_new_session: noticed: the robot's programme has begun anew.
+        has_new_session: noticed: the robot's program has started again.
+        has_resynchronised: noticed: the counter or the address has changed, the program goes on.
         is_loss_untold: noticed: a reply has not reached the robot.
         has_failed: noticed: what was begun raised.
         wrong_cycle: why the controller's period cannot be followed, None if it can.
@@ -81,7 +82,8 @@ class Operating:
         self.signals = Signals()
         self.settings = settings
         self.on_transition: OnTransition | None = None
-        self.has_new_session = self.is_loss_untold = self.has_failed = False
+        self.has_new_session = self.has_resynchronised = False
+        self.is_loss_untold = self.has_failed = False
         self.wrong_cycle: str | None = None
         self._cycle_s = cycle_s
         self._wrench_expected = wrench_expected
@@ -130,7 +132,8 @@ class Operating:
         orders = self._orders
         self._orders = {}
         self.decisions += 1
-        self.has_new_session = self.is_loss_untold = self.has_failed = False
+        self.has_new_session = self.has_resynchronised = False
+        self.is_loss_untold = self.has_failed = False
         seen = self.signals
         self._watch, self.signals = watch.observe(self._watch, facts, before, self.settings)
         # Where the same signals led nowhere a cycle ago, they lead nowhere now.
@@ -195,6 +198,7 @@ class Operating:
                 stamp_ns,
                 telegram,
                 self.has_new_session,
+                self.has_resynchronised,
                 self.wrong_cycle,
                 position_ns=feeds.newest_ns,
                 wrench_ns=feeds.wrench_ns,
@@ -212,6 +216,7 @@ class Operating:
             telegram=telegram,
             new_session=self.has_new_session,
             wrong_cycle=self.wrong_cycle,
+            resynchronised=self.has_resynchronised,
             position_ns=feeds.newest_ns,
             slower_ns=_slower_ns(feeds, last, last_approach=found.last_approach),
             wrench_ns=feeds.wrench_ns,

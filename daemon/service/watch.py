@@ -78,7 +78,8 @@ class Facts:
     Attributes:
         stamp_ns: of the cycle [ns].
         telegram: the cycle has a telegram.
-        new_session: the controller has started anew.
+        new_session: the controller's program has started again.
+        resynchronised: the counter or the controller's address has changed, the program goes on.
         wrong_cycle: why the controller's period cannot be followed, None if it can.
         position_ns: arrival of the newest accepted position, distance or camera [ns], or None.
         slower_ns: the same of that sensor of the two whose newest is older [ns]; None while the
@@ -97,6 +98,7 @@ class Facts:
     stamp_ns: int
     telegram: bool
     new_session: bool = False
+    resynchronised: bool = False
     wrong_cycle: str | None = None
     position_ns: int | None = None
     slower_ns: int | None = None
@@ -167,7 +169,8 @@ def _count(watch: Watch, facts: Facts, state: State, settings: WatchSettings) ->
     # A link that was lost, or a controller that started anew, has proved nothing yet.
     anew = facts.new_session or watch.link is Link.LOST
     leak_ns = 0 if anew else _leaked(watch, facts, settings)
-    good = (0 if anew else watch.good) + 1 if facts.telegram else 0
+    doubtful = anew or facts.resynchronised
+    good = (0 if doubtful else watch.good) + 1 if facts.telegram else 0
     telegram_ns = facts.stamp_ns if facts.telegram else watch.telegram_ns
     silent_s = _age_s(telegram_ns, facts.stamp_ns)
     touches = state in IN_CONTACT
@@ -178,7 +181,8 @@ def _count(watch: Watch, facts: Facts, state: State, settings: WatchSettings) ->
     elif watch.link is Link.HEALTHY:
         missed_s = settings.missed_in_contact_s if touches else settings.missed_s
         shaky = not touches and leak_ns >= round(settings.leak_s * 1e9)
-        shaky = shaky or silent_s >= missed_s or facts.wrong_cycle is not None
+        shaky = shaky or silent_s >= missed_s
+        shaky = shaky or facts.resynchronised or facts.wrong_cycle is not None
         link = Link.UNPROVEN if shaky else Link.HEALTHY
     else:
         proven = watch.link is Link.UNPROVEN and good >= settings.healthy_cycles

@@ -27,6 +27,8 @@ HARMLESS: tuple[dict[str, Any], ...] = (
 """Parameters that may be set in motion."""
 HELD = "control is held"
 """How a refusal begins whose reason is another operator."""
+SHORTEST_PAUSE_S = 0.12
+"""Between two programs: RSI_OFF, the interpreter, RSI_ON [s]. None is known to be quicker."""
 DITHERING_S = 0.2
 """How long the operator waits for what is held to go on before beginning anew [s]."""
 
@@ -59,7 +61,8 @@ class Programme:
         self.orders = 0
 
     def pause(self, now_s: float, duration_s: float) -> None:
-        """End the programme; it begins anew after some time."""
+        """End the program; it starts again after some time, which it needs at least."""
+        duration_s = max(duration_s, SHORTEST_PAUSE_S)
         if self._paused_until_s is None:
             # Drives that are off stay where they are, whatever the controller was sent meanwhile.
             is_braked = self._braked_until_s is not None
@@ -99,7 +102,7 @@ class Programme:
         """Open a cycle."""
         self._is_open = True
         if self._braked_until_s is not None and now_s >= self._braked_until_s:
-            self.pause(now_s, self._simulation.plan.cycle_s)
+            self.pause(now_s, SHORTEST_PAUSE_S)
             self._braked_until_s = None
         if self._controller.broken is not None and self._paused_until_s is None:
             self.quiet_s = now_s
@@ -196,9 +199,9 @@ class Operator:
     def _act(self, now_s: float, app: App) -> None:
         simulation = self._simulation
         state = app.cycle.machine.state
-        waits = state in {State.HOLD, State.FAULT} or app.cycle.is_foreign
+        waits = state in {State.HOLD, State.FAULT} or app.cycle.is_unproven
         self._waited_s = self._waited_s + simulation.plan.cycle_s if waits else 0.0
-        if app.cycle.is_foreign:
+        if app.cycle.is_unproven:
             if self._waited_s > DITHERING_S:
                 simulation.robot.home(now_s)
             return

@@ -174,7 +174,7 @@ class Simulation:
         self._cycle_ns = round(plan.real_cycle_s * 1e9)
         self._is_over = False
         self._hash = blake2b(digest_size=16)
-        self._time = VirtualTime()
+        self._time = VirtualTime(EPOCH_NS - LISTENING_NS)
         self._time.on_datagram = self._replied
         self._time.on_line = self._talk
         self._loop: VirtualLoop | None = None
@@ -500,6 +500,9 @@ class Simulation:
             else:
                 self._time.unplugged.add(link)
 
+
+LISTENING_NS = 300_000_000
+"""The daemon listens for so long before the controller's program starts [ns]."""
 
 MOST_LINES = 20
 """Of the daemon's log in any second. A start alone has 12: links, sensors and states."""

@@ -124,6 +124,7 @@ class Lockstep:
             oracle = Oracle(self.world, compiled.tracker.reference.nominal, scenario.cycle_s)
             compiled = with_foresight(compiled, oracle)
         self.cycle = Cycle(compiled, RsiCodec(rsi))
+        self.cycle.listen(0)
         self._faults = Faults(scenario.faults, TIMELESS)
         self._ways = tuple(
             FaultyLink(name, self._faults, scenario.seed) for name in ("robot", "reply")

@@ -100,8 +100,9 @@ class VirtualTime:
         devices: what is behind a bus and a line, by name.
     """
 
-    def __init__(self) -> None:
-        self.now_ns = EPOCH_NS
+    def __init__(self, begin_ns: int = EPOCH_NS) -> None:
+        """Begin at a monotonic instant [ns]."""
+        self.now_ns = begin_ns
         self._behind_ns = 0  # what the pauses of the machine came to
         self._paused: tuple[int, int] | None = None  # begin and end of a pause [ns]
         self.wall_step_ns = 0

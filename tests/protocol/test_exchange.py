@@ -240,8 +240,24 @@ def test_a_line_that_goes_on_makes_as_many_steps_as_cycles_have_passed() -> None
 def test_a_line_that_ends_where_the_doubt_began_does_not_go_on() -> None:
     feed = running()
     assert feed(5, 9).kind is Kind.GAP  # a flipped bit
-    kinds = feed.kinds_of((5.1, 2), (5.2, 3), (5.3, 4))
+    kinds = feed.kinds_of((6, 2), (7, 3), (8, 4))
     assert kinds == ["backward", "backward", "new_session"]
+
+
+def test_a_burst_of_telegrams_in_one_line_begins_no_session() -> None:
+    feed = running()
+    kinds = feed.kinds_of((5.1, 10**6), (5.2, 10**6 + 1), (5.3, 10**6 + 2), (5.4, 10**6 + 3))
+    assert kinds == ["refused"] * 4
+    assert feed(6).kind is Kind.GAP
+    assert feed.exchange.session == 1
+
+
+def test_forged_telegrams_between_those_of_the_controller_begin_no_session() -> None:
+    feed = running()
+    for k in range(5, 15):
+        assert feed(k).kind is Kind.NORMAL
+        assert feed(k + 0.5, 10**6 + k).kind is Kind.REFUSED
+    assert feed.exchange.session == 1
 
 
 def test_missed_telegrams_that_come_at_last_and_in_line_are_late_and_no_new_session() -> None:

@@ -74,6 +74,7 @@ class Controller:
         self.sent: list[int] = []
         self._rest = rest
         self._ipoc = 4_000_000
+        self._skipped = 0
         self.cycle_s = CYCLE_S
         self._next_s = time.monotonic()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -87,7 +88,7 @@ class Controller:
             joints=self._rest,  # type: ignore[arg-type]
             external=(0.0,) * 6,
             tcp=(0.0,) * 6,
-            delay=0,
+            delay=self._skipped + len(self.sent) - len(self.replies),
             channels={"DiL": 0},
         )
         self.sent.append(self._ipoc)
@@ -99,6 +100,7 @@ class Controller:
     def skip(self) -> None:
         """A cycle whose telegram is lost on its way."""
         self._ipoc += 12
+        self._skipped += 1
 
     async def take(self) -> None:
         # After a stall the pace begins anew: no burst of telegrams for the lost time.
@@ -124,6 +126,10 @@ class Controller:
                 self.replies.append(self.codec.parse_sensor(self._socket.recv(2048)))
 
     async def cycles(self, count: int) -> None:
+        if not self.sent:
+            # The daemon has to hear that no program runs before one starts.
+            await asyncio.sleep(0.1)
+            self._next_s = time.monotonic()
         for _ in range(count):
             self.send()
             await self.take()

@@ -62,6 +62,7 @@ def distance(robot: Robot, cycle: Cycle, before_ns: int = 3_000_000) -> None:
 def ready_cycle(parameters: Parameters, robot: Robot, cycles: int = 5) -> Cycle:
     """A cycle that has answered some telegrams and has the next reply ready."""
     cycle = Cycle(parameters, RsiCodec(parse_config(XML)))
+    cycle.listen(0)
     for _ in range(cycles):
         distance(robot, cycle)
         reply = cycle.on_telegram(robot.telegram(), robot.stamp_ns, PEER)
@@ -83,6 +84,8 @@ def test_for_the_same_inputs_prepared_and_in_line_give_the_same_bytes(
     robot = Robot(task)
     codec = RsiCodec(parse_config(XML))
     inline, prepared, hasty = (Cycle(parameters, codec) for _ in range(3))
+    for cycle in (inline, prepared, hasty):
+        cycle.listen(0)
     for k in range(300):
         for cycle in (inline, prepared, hasty):
             distance(robot, cycle)

@@ -36,6 +36,7 @@ class Standing:
             self.path.write_text(TEXT)
         self.station = config.load(self.path)
         self.cycle = Cycle(parameters, RsiCodec(self.station.rsi))
+        self.cycle.listen(0)
         self.told: list[tuple[Parameters, str, Any]] = []
         self.lines: list[str] = []
         self.desk = Desk(
