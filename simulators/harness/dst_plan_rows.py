@@ -149,6 +149,7 @@ def _x14(chance: random.Random, _: float) -> Changes:
             ("offset", 500.0, chance.randint(1, 3)),
             ("scale", -1.0, 1),
             ("flip", 0.3, 2),
+            ("flip", 1.0, 2),
             ("stuck", 0.0, 1),
             ("clock_frozen", 0.0, 1),
             ("silence", 0.0, 1),

@@ -175,7 +175,7 @@ def _camera_not_late() -> list[Patch]:
     whole = CameraDecoder.feed
 
     def feed(self: CameraDecoder, data: bytes, stamp_ns: int) -> Any:
-        return replace(whole(self, data, stamp_ns), stamp_ns=stamp_ns)
+        return replace(whole(self, data, stamp_ns), exposure_ns=stamp_ns)
 
     return [(CameraDecoder, "feed", feed)]
 

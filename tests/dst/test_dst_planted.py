@@ -22,7 +22,11 @@ PLANS: dict[str, Plan] = {
         ),
     ),
     "overload-never": Plan(4, faults=(Fault(0.5, "force_torque", "offset", 0.5, 600.0, 1),)),
-    "clamp-never-opens": Plan(4, duration_s=3.0, faults=(Fault(HELD_S, "operator", "retreat"),)),
+    "clamp-never-opens": Plan(
+        4, duration_s=3.0, faults=(Fault(HELD_S, "force_torque", "silence", 0.4),)
+    ),
+    "wrench-crc-unchecked": Plan(4, faults=(Fault(0.6, "force_torque", "flip", 0.6, 1.0, 2),)),
+    "following-error-never": Plan(4, faults=(Fault(0.5, "robot", "drives_off", 0.9),)),
     "screws-anywhere": Plan(4, duration_s=1.8),
 }
 
