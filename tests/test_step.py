@@ -25,6 +25,7 @@ from linemate.daemon.step import (
     plan,
     step,
 )
+from linemate.daemon.tracking import tracker as tracking_state
 from linemate.daemon.tracking.task import Phase
 from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
 
@@ -405,6 +406,17 @@ def test_from_there_it_follows_the_object_and_withdraws_once_it_is_released() ->
         world.take(replace(inputs, robot=replace(inputs.robot, digital_in=2)))
     assert world.outputs.finished
     assert not world.outputs.contact
+
+
+@pytest.mark.parametrize(("withdrawn", "is_on_it"), [(None, True), (0.3, True), (0.61, False)])
+def test_a_tool_that_was_withdrawn_is_not_on_the_object_any_more(
+    withdrawn: float | None, *, is_on_it: bool
+) -> None:
+    there = replace(on_the_object().state.tracker, withdrawn=withdrawn)
+    rested = tracking_state.rest(P.tracker, there, there.poses[0], 0.0)
+    assert rested.contact == is_on_it
+    assert rested.started == is_on_it
+    assert rested.withdrawn is None
 
 
 def test_a_controller_that_begins_again_there_finds_the_tool_on_the_object() -> None:

@@ -253,13 +253,10 @@ def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> Tra
 
 def _is_engaged(state: TrackerState) -> bool:
     """Return whether the tool is clamped to the object, or was and has not cleared it."""
-    if state.contact:
-        return True
-    if not state.started or Gate.WHEEL_RELEASED not in state.passed:
-        return False
+    is_released = state.started and Gate.WHEEL_RELEASED in state.passed
     if state.withdrawn is not None:
-        return state.withdrawn <= AWAY_TIME
-    return state.distance > -CLEAR
+        return (state.contact or is_released) and state.withdrawn <= AWAY_TIME
+    return state.contact or (is_released and state.distance > -CLEAR)
 
 
 def estimate(
