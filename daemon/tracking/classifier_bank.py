@@ -80,6 +80,7 @@ class BankState:
         push_odds: of a push, log, against both others.
         tentative: a change has been perceived.
         trial_s: how long it has been tentative [s].
+        is_spent: it was cancelled for its duration, and its odds have not been calm since.
         check: of a start against the readings, or None.
         contact: the tactile sensor took part in the last step.
         events: of the last step.
@@ -102,6 +103,7 @@ class BankState:
     push_odds: float = -30.0
     tentative: bool = False
     trial_s: float = 0.0
+    is_spent: bool = False
     check: StartCheck | None = None
     contact: bool = False
     events: tuple[tuple[str, str], ...] = ()
@@ -425,11 +427,11 @@ class BankClassifier:
         trial_s = state.trial_s + dt if before.tentative else 0.0
         if trial_s < LONGEST_TRIAL:
             return changed(state, trial_s=trial_s)
-        # What kept the change likely without confirming it is an error of the speed.
-        P = state.P.copy()
-        P[V, V] += REST_DEVIATION**2
         event = (_NEXT[state.motion][1], "cancelled")
-        return changed(_cleared(state), P=P, trial_s=0.0, events=(*state.events, event))
+        # The evidence is kept: a slow change is still confirmed by more of it.
+        return changed(
+            state, tentative=False, is_spent=True, trial_s=0.0, events=(*state.events, event)
+        )
 
     def _checked(
         self, before: BankState, state: BankState, rows: Sequence[Row], dt: float
@@ -482,6 +484,8 @@ class BankClassifier:
             return self._accept(changed(state, events=tuple(events)), motion)
         if push_odds > self.jerk.confirmed:
             return self._accept_push(state)
+        if state.is_spent:
+            return changed(state, is_spent=False) if odds < CALM else state
         if not state.tentative and odds > settings.perceived:
             return changed(state, tentative=True, events=(*state.events, (word, "tentative")))
         if state.tentative and odds < CALM:
@@ -714,6 +718,7 @@ def _cleared(state: BankState) -> BankState:
         odds=-30.0,
         push_odds=-30.0,
         tentative=False,
+        is_spent=False,
     )
 
 

@@ -38,6 +38,7 @@ AWAY_TIME = 0.6  # and its duration [s]
 CLEAR = 0.05  # way from the object at which a released tool has cleared it [m]
 BENT = 0.008  # a tool farther from its place is not on the object any more: the mount gives way [m]
 LATE = 0.25  # share of the damping that is still there at contact
+SEATING = 0.06  # from the first touch until a clamp that closes in 0.04 s has drawn the tool in [s]
 AGREEING = 4  # readings of the distance sensor that start the filter, against an outlier first
 AGREEMENT = 0.015  # when they lie within this [m]
 
@@ -118,6 +119,7 @@ class TrackerState:
         blended: time since the sensed motion began to take over [s], None before.
         feeling: of the tool's force, until it touches.
         contact: the tool is clamped to the object.
+        touching: how long it has been [s].
         fixing, releasing: time since the tool was asked to fix, to release [s]; None before.
         withdrawn: time since an emergency retraction began [s]; None without.
         clamped: a retreat waits for the clamp, which is closed on the object or may be.
@@ -144,6 +146,7 @@ class TrackerState:
     blended: float | None = None
     feeling: contact.Feeling = contact.NOTHING
     contact: bool = False
+    touching: float = 0.0
     fixing: float | None = None
     releasing: float | None = None
     withdrawn: float | None = None
@@ -272,7 +275,8 @@ def estimate(
         across = tracker.transverse.predict(across, tracker.cycle_s, seating=seating)
     wrench = mean_wrench(seen.wrench)
     pull = release.averaged(state.pull, wrench, tracker.cycle_s) if state.contact else state.pull
-    sightings = _sightings(tracker, history, seen, wrench if _counts(tracker, state) else None)
+    felt = wrench if _counts(tracker, state) else None
+    sightings = _sightings(tracker, history, seen, felt, state.touching)
     rows = [_distance_row(tracker, seen.stamp_ns, sample) for sample in seen.distance]
     refused = 0
     waiting, seen_ns = state.sightings, state.seen_ns
@@ -350,7 +354,11 @@ def _counts(tracker: Tracker, state: TrackerState) -> bool:
 
 
 def _sightings(
-    tracker: Tracker, history: History | None, seen: Measurements, wrench: Wrench | None
+    tracker: Tracker,
+    history: History | None,
+    seen: Measurements,
+    wrench: Wrench | None,
+    touching: float,
 ) -> list[tuple[Source, Sighting, float]]:
     """Return what the camera saw of the object, and the tactile sensor.
 
@@ -359,6 +367,7 @@ def _sightings(
         history: of the tcp.
         seen: the step's samples.
         wrench: of the clamped tool; None if it tells nothing of the object.
+        touching: how long the tool has been in contact [s].
     """
     found: list[tuple[Source, Sighting, float]] = []
     if history is None or not (seen.camera or wrench is not None):
@@ -374,7 +383,10 @@ def _sightings(
         tcp = pose_at(history, wrench.stamp_ns, 2.5 * tracker.cycle_s)
         if tcp is not None:
             sighting = touch(wrench, tcp, settings.tactile, seen.stamp_ns, rate)
-            found.append((Source.TACTILE, sighting, settings.tactile.gate))
+            # The wide gate is for steps of a clamped object. A clamp that has not closed yet bends
+            # the mount by what the tool is beside the object: that is no measurement of it.
+            gate = settings.tactile.gate if touching >= SEATING else settings.camera.gate
+            found.append((Source.TACTILE, sighting, gate))
     return found
 
 
@@ -680,13 +692,15 @@ def touched(
     """
     if before.contact:
         lost = Gate.WHEEL_RELEASED in after.passed
-        return changed(after, contact=not lost, feeling=contact.NOTHING)
+        touching = before.touching + tracker.cycle_s
+        return changed(after, contact=not lost, touching=touching, feeling=contact.NOTHING)
     if after.blended is None or Gate.WHEEL_RELEASED in after.passed:
         return after
     force = None if report.force is None else float(report.force[2])
     feeling = contact.feel(before.feeling, tracker.ringing, force, held=held)
     feeling = contact.touched(feeling, tracker.ringing, before.distance)
-    return changed(after, feeling=feeling, contact=feeling.touches >= contact.TOUCHES)
+    made = feeling.touches >= contact.TOUCHES
+    return changed(after, feeling=feeling, contact=made, touching=0.0)
 
 
 def _following(

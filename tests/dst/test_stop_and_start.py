@@ -1,0 +1,21 @@
+"""A stop followed by a start around contact (catalogue X10), judged by the plant's truth."""
+
+import pytest
+
+from linemate.simulators.harness import dst_run
+from linemate.simulators.harness.dst_plan import Plan
+from linemate.simulators.plants.scenario import ConveyorEvent
+
+STOP, START = 0.104, 0.013  # as the task sets them [m/s^2]
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(("stop_s", "after_s"), [(0.85, 0.32), (0.95, 0.6), (1.15, 0.2)])
+def test_a_stop_and_a_start_around_contact_leave_less_than_200_n_at_the_mount(
+    stop_s: float, after_s: float, seed: int
+) -> None:
+    events = (
+        ConveyorEvent("stop", stop_s, STOP),
+        ConveyorEvent("start", round(stop_s + after_s, 3), START),
+    )
+    assert dst_run.run(Plan(seed, duration_s=2.2, events=events)).violations == ()
