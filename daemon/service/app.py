@@ -502,13 +502,22 @@ class App:
     ) -> Answer | asyncio.Future[Answer]:
         del role  # judged by the protocol
         if op in ORDERS:
-            reason = self._clock.pace.phase.arm_refusal if op == "arm" else None
+            reason = self._wrong_period() if op == "arm" else None
             reason = reason or self.cycle.order(op, who)
             outcome = f", refused: {reason}" if reason else ""
             self._say(f"{who} ordered {op}{outcome}")
             return self._answers.promise(op) if reason is None else {"refused": reason}
         handler = self._operations.get(op)
         return {"refused": f"no such operation: {op}"} if handler is None else handler(params, who)
+
+    def _wrong_period(self) -> str | None:
+        """Return why the controller's period forbids to arm, None if it does not.
+
+        What else forbids it is told before a period that is not measured yet.
+        """
+        phase = self._clock.pace.phase
+        is_idle = self.cycle.machine.state is State.IDLE
+        return phase.arm_refusal if is_idle else phase.refusal
 
     def _record(self, action: str) -> dict[str, Any]:
         if self._recorder is None:

@@ -394,3 +394,12 @@ def test_a_difference_laid_over_its_base_gives_the_whole() -> None:
     assert over == {"b": {"c": [1, 3]}, "e": "y"}
     assert tree.laid_over(base, over) == whole
     assert tree.difference(base, base) == {}
+
+
+def test_a_limit_wider_than_the_urdfs_is_refused_with_both(make: Make) -> None:
+    here = make()
+    here.cycles(3)
+    answer = here.assign({"control.limits.3.speed": 3.1})
+    assert answer["refused"] == (
+        "control.limits.3.speed: 3.1 is wider than the URDF's for A4: 2.37365"
+    )
