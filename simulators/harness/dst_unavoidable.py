@@ -17,8 +17,8 @@ FORCE_LOSS_S, COLLISION_LOSS_S = 0.08, 0.12
 tears its mount, on a line at full speed: its servos have a dead time of 36 ms and 4 Hz."""
 POSITION_LOSS_S = 0.5
 """So long without a true position sample a prediction may be wrong [s]."""
-SHORTEST_TRAVEL_M = 0.008
-"""A hub that moved less than this overloads no mount [m]: it is the mount's own limit."""
+FORCE_TRAVEL_M, COLLISION_TRAVEL_M = 0.004, 0.008
+"""A hub that moved less bends no mount to 200 N, and overloads none [m]."""
 SMALLEST_SPEED_CHANGE = 0.01
 """A line whose speed changed by less is where a prediction says it is [m/s]."""
 COMMAND_RECOVERY_S = 0.15
@@ -70,7 +70,7 @@ def _excuses(loss: Loss, harm: Harm, now_s: float) -> bool:
     if not loss.at_hub or now_s < loss.begin_s:
         return False
     lasted_s = min(loss.end_s, now_s) - loss.begin_s
-    moved_on = loss.travel_m > SHORTEST_TRAVEL_M
+    moved_on = loss.travel_m > (FORCE_TRAVEL_M if harm == "force" else COLLISION_TRAVEL_M)
     match loss.what:
         case "programme":
             return moved_on and not loss.was_moved and now_s <= loss.end_s

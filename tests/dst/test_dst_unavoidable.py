@@ -69,3 +69,16 @@ def test_a_loss_excuses_nothing_any_more_some_time_after_its_end(
 def test_a_programme_that_is_not_back_excuses_for_as_long_as_the_tool_is_held() -> None:
     assert excuse("collision", 30.0, [PROGRAMME]) is PROGRAMME
     assert excuse("collision", 2.01, [replace(PROGRAMME, end_s=2.0)]) is None
+
+
+@pytest.mark.parametrize("loss", [COMMANDS, PROGRAMME])
+@pytest.mark.parametrize(
+    ("travel_m", "force", "collision"),
+    [(0.0039, False, False), (0.0041, True, False), (0.0081, True, True)],
+)
+def test_a_hub_that_moved_4_mm_excuses_a_force_and_one_that_moved_8_mm_a_collision(
+    loss: Loss, travel_m: float, force: bool, collision: bool
+) -> None:
+    losses = [replace(loss, travel_m=travel_m)]
+    assert (excuse("force", 1.2, losses) is not None) is force
+    assert (excuse("collision", 1.2, losses) is not None) is collision
