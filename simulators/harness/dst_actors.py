@@ -203,7 +203,7 @@ class Operator:
         self._waited_s = self._waited_s + simulation.plan.cycle_s if waits else 0.0
         if app.cycle.is_unproven:
             if self._waited_s > DITHERING_S:
-                simulation.robot.home(now_s)
+                self._drive_home(now_s)
             return
         match state:
             case State.IDLE:
@@ -219,4 +219,9 @@ class Operator:
                     return
                 # A robot that stands pulls at a hub that moved on: it is driven off by hand.
                 if self._waited_s > DITHERING_S:
-                    simulation.robot.home(now_s)
+                    self._drive_home(now_s)
+
+    def _drive_home(self, now_s: float) -> None:
+        """Drive the robot off by hand, and wait again before doing so once more."""
+        self._simulation.robot.home(now_s)
+        self._waited_s = 0.0
