@@ -211,6 +211,9 @@ class Operating:
         # A motion that is led by poses has none that fit. An exercise is led by its programme
         # alone: it is there to find out what does not fit.
         contradicted = state is State.TRACK and feeds.camera_health.contradicts and found.sensed
+        # In the last approach the camera goes blind: the distance sensor alone shows the object.
+        lost = found.last_approach and feeds.distance_health.reason is not None
+        contradicted = contradicted or (state is State.TRACK and lost)
         return watch.Facts(
             stamp_ns=stamp_ns,
             telegram=telegram,

@@ -696,6 +696,9 @@ def touched(
         return changed(after, contact=not lost, touching=touching, feeling=contact.NOTHING)
     if after.blended is None or Gate.WHEEL_RELEASED in after.passed:
         return after
+    if after.clamped or after.withdrawn is not None:
+        # A retreat waits for the clamp already, and its own motion feels like a touch.
+        return after
     force = None if report.force is None else float(report.force[2])
     feeling = contact.feel(before.feeling, tracker.ringing, force, held=held)
     feeling = contact.touched(feeling, tracker.ringing, before.distance)

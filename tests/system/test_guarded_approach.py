@@ -67,3 +67,11 @@ def test_a_camera_that_is_30_mm_off_before_contact_ends_the_approach(
     assert lived.collision is None
     assert lived.contact == "free"
     assert lived.state in {State.HOLD, State.FAULT}
+
+
+def test_a_distance_that_freezes_in_the_last_approach_ends_it_before_the_touch() -> None:
+    # The conveyor brakes from 5 s on: the estimate stays behind the object.
+    lived = live(Fault(5.3, "distance", "stuck", 20.0), until_s=7.0)
+    assert lived.collision is None
+    assert lived.contact == "free"
+    assert (lived.state, lived.because) == (State.FAULT, "retreated with a fault")
