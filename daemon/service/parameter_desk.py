@@ -127,7 +127,8 @@ class Desk:
         changed = self._changes(values, wanted)
         if not changed:
             return {"changed": {}}
-        reason = self._disordered(wanted) or self._untimely(changed)
+        reason = self._disordered(wanted) or self._beyond_robot(wanted)
+        reason = reason or self._untimely(changed)
         if reason is not None:
             return {"refused": reason}
         if any(parameter_list.rule(name).change is Change.IDLE for name in changed):
