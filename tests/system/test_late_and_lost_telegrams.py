@@ -37,7 +37,7 @@ class Late(Simulation):
         self.ahead: list[int] = []
         self.lateral_m = 0.0
         self.homed_s = float("inf")
-        self._session = self._offset = 0
+        self._is_led, self._offset = False, 0
 
     def _look(self) -> None:
         super()._look()
@@ -47,10 +47,12 @@ class Late(Simulation):
             return
         cycle, outputs = self.app.cycle, self.app.cycle.last.outputs
         ahead = cycle.steps - self._cycle
-        if cycle.openings != self._session:
-            self._session, self._offset = cycle.openings, ahead
         if cycle.machine.state not in LED:
+            self._is_led = False
             return
+        if not self._is_led:
+            # A session may open with a telegram that is some cycles late.
+            self._is_led, self._offset = True, ahead
         self.ahead.append(ahead - self._offset)
         if outputs.part is not None and (outputs.task_time or 0.0) > FOLLOWS_S:
             tcp, hub = self.world.tcp_rigid_pose(), self.world.hub_pose()
