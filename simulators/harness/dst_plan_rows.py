@@ -150,6 +150,7 @@ def _x14(chance: random.Random, _: float) -> Changes:
             ("scale", -1.0, 1),
             ("flip", 0.3, 2),
             ("flip", 1.0, 2),
+            ("flip", 1.0, 8),
             ("stuck", 0.0, 1),
             ("clock_frozen", 0.0, 1),
             ("silence", 0.0, 1),

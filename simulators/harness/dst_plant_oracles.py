@@ -234,7 +234,9 @@ class PlantOracle:
     # Where the tool is.
 
     def _judge_place(self, seen: Seen, lateral: float, depth: float, *, clamped: bool) -> None:
-        bound = seen.state in BOUND and seen.programme
+        # A daemon that had no processor shows the state that it had before.
+        runs = seen.now_s > seen.busy_s + SETTLING_S
+        bound = seen.state in BOUND and seen.programme and runs
         off = bound and not clamped and depth > -AT_HUB_M and lateral > MOST_LATERAL_M
         if self._lasting("lateral", off, seen.now_s) > LATERAL_S:
             self._harm(
