@@ -40,7 +40,7 @@ def test_a_parameter_has_value_default_range_unit_and_meaning(
         "change": "live",
         "type": "int",
         "min": 1,
-        "max": 100_000,
+        "max": 10_000,
         "describe": by_name["watch.healthy_cycles"]["describe"],
     }
     deviation = by_name["tracking.distance.deviation"]
