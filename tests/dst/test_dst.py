@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 
-from linemate.daemon.service import phase
 from linemate.daemon.service.cycle import Cycle
 from linemate.daemon.service.operating import Operating
 from linemate.daemon.service.session import Session
@@ -82,8 +81,8 @@ def test_ports_that_tell_when_they_are_filled_are_as_good_as_asked_every_time(
     monkeypatch: pytest.MonkeyPatch, seed: int
 ) -> None:
     class Asking(VirtualTime):
-        def __init__(self) -> None:
-            super().__init__()
+        def __init__(self, *args: int) -> None:
+            super().__init__(*args)
             self.unplugged.add("something that nobody watches")
 
     digest = dst_run.run(draw(seed)).digest
@@ -215,12 +214,14 @@ def test_a_daemon_that_talks_too_much_is_a_violation(monkeypatch: pytest.MonkeyP
     assert any(what.startswith("log: ") for what in dst_run.run(Plan(1)).violations)
 
 
-def test_a_clock_that_races_is_a_violation(monkeypatch: pytest.MonkeyPatch) -> None:
-    line = next(line for line in regressions() if '"seed":420155' in line)
-    monkeypatch.setattr(dst_run.PlantOracle, "look", lambda _oracle, _seen: None)
-    monkeypatch.setattr(phase, "GUESSED", (0.0, 4.0))
-    violations = dst_run.run(dst_plan.from_line(line)).violations
-    assert any(what.startswith("clock: ") for what in violations)
+@pytest.mark.parametrize(("ahead", "is_blamed"), [(30, False), (31, True)])
+def test_a_clock_that_races_is_a_violation(ahead: int, is_blamed: bool) -> None:
+    oracle = dst_oracles.Oracle(0.012, (1.0,) * 7)
+    for number in range(1, 100):
+        steps = number + (ahead if number > 50 else 0)
+        cycle: Any = SimpleNamespace(machine=Machine(), log_dropped=0, steps=steps)
+        oracle.look(cycle, 0.012 * number)
+    assert any(what.startswith("clock: ") for what in oracle.violations) is is_blamed
 
 
 @pytest.mark.parametrize(
