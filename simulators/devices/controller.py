@@ -339,7 +339,7 @@ class RsiController:
         clamped = False
         if not ended and self.broken is None:
             clamped = self._apply(session)
-        if outcome is Judgement.ACCEPTED and self.broken is None:
+        if outcome is Judgement.ACCEPTED and self.broken is None and _corrects(session.reply):
             self.judge.judge(self._setpoints)
         else:
             self.judge.hold(self._setpoints)
@@ -442,6 +442,11 @@ def _parts(reply: SensorTelegram) -> tuple[_Axes, Mapping[str, Channel]]:
     """What a reply brought, the axes by their place."""
     external = reply.external or ()
     return (*(reply.joints or _NO_AXES), *external, *_NO_AXES[len(external) :]), reply.channels
+
+
+def _corrects(reply: SensorTelegram | None) -> bool:
+    """Return whether a reply has corrections. Without, the controller holds by itself."""
+    return reply is not None and (reply.joints is not None or reply.external is not None)
 
 
 def _receive(element: Element) -> _Receive:

@@ -324,3 +324,23 @@ def test_every_closed_cycle_is_exactly_one_of_four() -> None:
     counts = peer.controller.counts
     assert (counts.answered, counts.late, counts.refused, counts.lost) == (1, 1, 1, 2)
     assert counts.sent == 5
+
+
+def test_a_reply_without_corrections_holds_the_robot_and_is_not_blamed() -> None:
+    peer = Peer(_controller(ControllerConfig()))
+    for turn in range(40):
+        peer.cycle(_step(2e-5 * turn * turn))
+    moving = peer.controller.setpoints
+    assert peer.controller.judge.violations == 0
+    data = peer.controller.telegram()
+    assert data is not None
+    ipoc = peer.codec.parse_robot(data).ipoc
+    bare = b'<Sen Type="ImFree"><IPOC>%d</IPOC></Sen>' % ipoc
+    assert peer.controller.on_reply(bare) is Judgement.ACCEPTED
+    assert peer.controller.end_of_cycle().setpoints == moving
+    assert peer.controller.judge.violations == 0
+    # The same stop by corrections is blamed.
+    for turn in range(40):
+        peer.cycle(_step(2e-5 * 39 * 39 + 1e-4 * turn * turn))
+    peer.cycle(_step(2e-5 * 39 * 39 + 1e-4 * 39 * 39))
+    assert peer.controller.judge.violations > 0
