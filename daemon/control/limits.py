@@ -357,7 +357,8 @@ def brake(
     """Return the gate after one step of a stop.
 
     Deceleration is let go in time: the acceleration aimed at is the one whose own decay, at
-    full jerk, ends the remaining speed: |v| = a^2/2j + aT/2 in discrete time.
+    full jerk, ends the remaining speed: |v| = a^2/2j + aT/2 in discrete time. The speed at which a
+    lost command was caught up with is let go at the limits first.
 
     Args:
         state: of the commands so far.
@@ -366,27 +367,42 @@ def brake(
         gentle: acceleration and jerk to stop with; None: those of ``limits``, the quickest stop.
     """
     rows = []
-    for bounds, soft, p, v, a in zip(
+    for bounds, soft, p, v, a, planned in zip(
         _by_axis(limits, period),
         _by_axis(gentle or limits, period),
         state.position.tolist(),
         state.speed.tolist(),
         state.acceleration.tolist(),
+        state.desired_speed.tolist(),
         strict=True,
     ):
         step = soft.change
-        aim = math.sqrt(0.25 * step * step + 2.0 * soft.jerk * abs(v)) - 0.5 * step
-        aim = min(aim, abs(v) / period, soft.acceleration)
         # What is left of a motion's own acceleration is let go at once.
         if abs(a) > soft.acceleration:
             step = bounds.change
-        low, high = _range(p, v, a, bounds)
-        taken = _clip(_clip(-math.copysign(aim, v), a - step, a + step), low, high)
+        wanted = _clip(-math.copysign(_deceleration(abs(v), soft), v), a - step, a + step)
+        excess = v - _own_speed(v, planned)
+        if abs(excess) > abs(wanted) * period:
+            # A gentle stop from the speed of a catch-up took the tool 60 mm on instead of 20.
+            wanted = -math.copysign(_deceleration(abs(excess), bounds), excess)
+        taken = _clip(wanted, *_range(p, v, a, bounds))
         speed = v + taken * period
-        rows.append((p + speed * period, speed, taken))
-    position, speeds, accelerations = np.array(rows).T
+        rows.append((p + speed * period, speed, taken, _own_speed(speed, planned)))
+    position, speeds, accelerations, own_speeds = np.array(rows).T
     mean = _mean_speed(state, speeds, period)
-    return GateState(position, speeds, accelerations, position, speeds, mean)
+    return GateState(position, speeds, accelerations, position, own_speeds, mean)
+
+
+def _deceleration(speed: float, bounds: AxisBounds) -> float:
+    """Return the deceleration whose own decay, at full jerk, ends a speed."""
+    step = bounds.change
+    aim = math.sqrt(0.25 * step * step + 2.0 * bounds.jerk * speed) - 0.5 * step
+    return min(aim, speed / bounds.period, bounds.acceleration)
+
+
+def _own_speed(speed: float, planned: float) -> float:
+    """Return the part of a command's speed that is not the catching up with a lost command."""
+    return _clip(speed, min(planned, 0.0), max(planned, 0.0))
 
 
 def is_slow(gate: GateState, limit: TcpLimit) -> bool:

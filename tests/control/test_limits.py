@@ -307,8 +307,10 @@ GENTLE = Limits(
 
 @pytest.mark.parametrize("period", CYCLES)
 def test_a_gentle_stop_stays_gentle_and_comes_to_rest(period: float) -> None:
-    before = run([REST[3] + np.array((0.5, 0.3, 0.8))] * int(0.4 / period), HOUSE, period)
+    times = period * np.arange(1, int(1.5 / period))[:, None]
+    before = run(REST[3] + 0.1 * HOUSE.speed * np.maximum(0.0, times - 0.8), HOUSE, period)
     state = before.states[-1]
+    assert (state.speed > 0.09 * HOUSE.speed).all()
     after = []
     for _ in range(int(6.0 / period)):
         state = limits.brake(state, HOUSE, period, GENTLE)
@@ -323,15 +325,40 @@ def test_a_gentle_stop_stays_gentle_and_comes_to_rest(period: float) -> None:
     assert (jerk <= GENTLE.jerk * (1.0 + 1e-9) + 1e-6).all()
 
 
+def stopping_way(state: GateState, period: float, gentle: Limits | None) -> Array:
+    """Return how far the axes still go (m,); the commands of the stop are within the limits."""
+    commands = [state.position - state.speed * period * i for i in (3, 2, 1, 0)]
+    for _ in range(int(6.0 / period)):
+        state = limits.brake(state, HOUSE, period, gentle)
+        commands.append(state.position)
+    assert limits.stands(state)
+    jumps = np.diff(np.diff(np.array(commands), axis=0), axis=0) / period**2
+    assert (np.abs(jumps) <= HOUSE.acceleration * (1.0 + 1e-6) + 1e-6).all()
+    return state.position - commands[3]
+
+
+@pytest.mark.parametrize("period", CYCLES)
+def test_a_gentle_stop_does_not_begin_at_the_speed_of_a_catch_up(period: float) -> None:
+    planned, here = 0.1 * HOUSE.speed, REST[3]
+    caught_up = GateState(here, 3.0 * planned, 0.0 * planned, here, planned)
+    steady = GateState(here, planned, 0.0 * planned, here, planned)
+    quickest = stopping_way(caught_up, period, None)
+    most = quickest + stopping_way(steady, period, GENTLE) + period * planned
+    assert (stopping_way(caught_up, period, GENTLE) <= most).all()
+    # A motion of that speed that is no catching up is stopped gently.
+    motion = GateState(here, 3.0 * planned, 0.0 * planned, here, 3.0 * planned)
+    assert (stopping_way(motion, period, GENTLE) > 1.5 * most).any()
+
+
 @pytest.mark.parametrize("period", CYCLES)
 def test_an_acceleration_beyond_the_gentle_one_is_let_go_at_the_jerk_of_the_limits(
     period: float,
 ) -> None:
-    rest = limits.at_rest(REST[3])
     for way in (-1.0, 1.0):
         for had in (HOUSE, GENTLE):
             held = way * 0.9 * had.acceleration
-            state = GateState(REST[3], way * 0.5 * HOUSE.speed, held, REST[3], rest.speed)
+            speed = way * 0.5 * HOUSE.speed
+            state = GateState(REST[3], speed, held, REST[3], speed)
             after = limits.brake(state, HOUSE, period, GENTLE)
             fallen = way * (held - after.acceleration)
             whole = np.abs(held) + GENTLE.acceleration
