@@ -834,3 +834,15 @@ def test_elements_of_one_group_are_brought_together() -> None:
     assert data == b'<Rob Type="KUKA"><Digout o1="0" o2="1"/><DiL>0</DiL><IPOC>1</IPOC></Rob>'
     apart = b'<Rob><Digout o1="0"/><DiL>0</DiL><Digout o2="1"/><IPOC>1</IPOC></Rob>'
     assert codec.parse_robot(apart).channels == {"Digout.o1": False, "Digout.o2": True, "DiL": 0}
+
+
+@pytest.mark.parametrize(
+    ("constants", "says"),
+    [({"OvPro": 100}, "OvPro: not in RECEIVE"), ({"AK.A1": 1.0}, "every reply gives it a value")],
+)
+def test_a_constant_for_no_element_or_for_one_that_replies_set_is_refused(
+    constants: dict[str, int | float], says: str
+) -> None:
+    xml = files("linemate.protocol").joinpath("data", "rsi_joints.xml").read_bytes()
+    with pytest.raises(RsiError, match=says):
+        RsiCodec(parse_config(xml), constants=constants)
