@@ -323,7 +323,7 @@ def _outputs(
     """Return what the step says."""
     tracker, reference = state.tracker, parameters.tracker.reference
     signals = 0
-    if tracker.fixing is not None:
+    if tracker.fixing is not None and inputs.order is not Order.RETREAT:
         signals |= FIX_SCREWS
     if tracker.releasing is not None:
         signals |= RELEASE_WHEEL

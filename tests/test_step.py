@@ -374,6 +374,40 @@ def test_a_retreat_withdraws_straight_back_and_says_when_it_is_over() -> None:
     assert np.isfinite(commands).all()
 
 
+@pytest.mark.parametrize("begun", [5.3, 5.5, 5.6])
+def test_a_retreat_before_contact_stands_still_and_withdraws(begun: float) -> None:
+    """Led on towards the object, the tool would come to it: 0.2 s later it touches."""
+    world = tracking(begun)
+    assert world.outputs is not None
+    assert not world.outputs.contact
+    assert world.outputs.task_time is not None
+    assert world.outputs.task_time < P.tracker.reference.contact_time
+    told: list[Outputs] = []
+    world.run(1.2, Order.RETREAT, each=told.append)
+    assert {o.task_time for o in told} == {world.outputs.task_time}
+    depths = [depth(o) for o in told]
+    # Commands that were sent before go on for a while.
+    assert max(depths) < -0.001
+    assert depths[-1] < -0.1
+    assert told[-1].finished
+
+
+def depth(outputs: Outputs) -> float:
+    """Return how far the commanded tool is beyond the object, along its own axis [m]."""
+    assert outputs.part is not None
+    tool = rotations.matrix(outputs.target[3:])
+    return float((tool.T @ (np.array(outputs.target[:3]) - outputs.part[:3]))[2])
+
+
+def test_no_screws_are_ordered_in_a_retreat() -> None:
+    world = tracking(9.0)
+    assert world.outputs is not None
+    assert world.outputs.digital_out == FIX_SCREWS
+    told: list[Outputs] = []
+    world.run(0.5, Order.RETREAT, each=told.append)
+    assert {o.digital_out for o in told} == {RELEASE_WHEEL}
+
+
 @cache
 def on_the_object() -> World:
     """A tool that was clamped for half a second when the robot was ordered to hold."""

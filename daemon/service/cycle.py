@@ -452,6 +452,8 @@ class Cycle:
         if ready is not None:
             self._note_unsent(self._confirmed(ready))
             steps -= 1
+            # The step was decided on as if the robot would be led in this cycle.
+            self.operating.is_loss_untold = True
         if self._state is not None and steps > 0:
             self._catch_up(stamp_ns, steps)
             self._step_unsent(self._state, stamp_ns)

@@ -579,6 +579,8 @@ def _sensed(
 
 def _stand(tracker: Tracker, state: TrackerState, now_ns: int, retreat: bool) -> float:
     """Return at which step's time the task's clock stands [s]; infinity if nothing stops it."""
+    if retreat and _is_before_contact(state):
+        return state.time
     closed = barrier(tracker.reference, state.time, state.passed)
     if state.time <= tracker.sight_time < closed and not retreat:
         # Beyond this waypoint the camera goes blind, and contact relies on what it saw last.
@@ -586,6 +588,11 @@ def _stand(tracker: Tracker, state: TrackerState, now_ns: int, retreat: bool) ->
         if state.seen_ns is None or now_ns - state.seen_ns > oldest_ns:
             closed = tracker.sight_time
     return last_step(closed, tracker.cycle_s)
+
+
+def _is_before_contact(state: TrackerState) -> bool:
+    """Return whether the tool has not felt the object yet: a retreat must not lead it there."""
+    return not state.contact and Gate.WHEEL_RELEASED not in state.passed
 
 
 def _clock(
@@ -627,7 +634,9 @@ def _clock(
 
 def _may_be_clamped(tracker: Tracker, state: TrackerState, passed: frozenset[Gate]) -> bool:
     """Return whether to withdraw now could pull at a closed clamp."""
-    steps = math.ceil(release.LEADING_S / tracker.cycle_s)
+    # The task's clock stands in a retreat before contact. Until then the motion goes on.
+    leading = release.LEADING_S - (state.releasing or 0.0)
+    steps = max(math.ceil(leading / tracker.cycle_s), 0)
     _, relative = tracker.table.ahead(state.time, math.inf, steps)
     return release.may_be_clamped(
         contact=state.contact,
