@@ -383,7 +383,8 @@ def test_a_retreat_before_contact_stands_still_and_withdraws(begun: float) -> No
     assert world.outputs.task_time is not None
     assert world.outputs.task_time < P.tracker.reference.contact_time
     told: list[Outputs] = []
-    world.run(1.2, Order.RETREAT, each=told.append)
+    # A tool that may be clamped waits for its clamp's time-out of 2 s.
+    world.run(3.2, Order.RETREAT, each=told.append)
     assert {o.task_time for o in told} == {world.outputs.task_time}
     depths = [depth(o) for o in told]
     # Commands that were sent before go on for a while.

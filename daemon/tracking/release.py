@@ -15,6 +15,7 @@ from linemate.protocol.samples import Vector3
 
 LEADING_S = 0.15  # commanded motion goes on for this long, whatever is decided now
 TOUCHING = 0.005  # within this distance the object may have been touched without a force [m]
+STAND_OFF = 0.003  # a closed clamp bears the pull at this distance, 150 N by the shipped mount [m]
 PULLING = 3.0  # times the force of a contact, as a mean: only a closed clamp feels so much
 PULL_S = 0.2  # time constant of that mean [s]; an open tool rings at 4 Hz or more
 
@@ -66,4 +67,18 @@ def without_press(relative: Array) -> Array:
         return relative
     changed = relative.copy()
     changed[:, 2] = np.minimum(relative[:, 2], 0.0)
+    return changed
+
+
+def at_stand_off(relative: Array) -> Array:
+    """Return the programmed tcp in the object (m, 6), not farther off than the stand-off.
+
+    A tool that was led to the object before it was to retreat may be clamped without having felt
+    it: farther away it would tear its mount. It is not led nearer either: it could touch.
+
+    Args:
+        relative: (m, 6) programmed tcp in the object; not written to.
+    """
+    changed = relative.copy()
+    changed[:, 2] = np.maximum(relative[:, 2], -STAND_OFF)
     return changed

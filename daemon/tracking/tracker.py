@@ -411,7 +411,7 @@ def track(
     limit = _stand(tracker, state, seen.stamp_ns, retreat) if state.started else state.time
     goal, relative = tracker.table.ahead(state.time, limit, tracker.steps)
     if retreat:
-        relative = release.without_press(relative)
+        relative = _waiting(state, relative)
     is_searching = not retreat and _searches(tracker, state)
     if is_searching:
         state = changed(state, search=_searched(tracker, state))
@@ -441,6 +441,14 @@ def track(
     free = _free(tracker, state.time, limit)
     horizon = Horizon(poses, state.axis.positions, free, tracker.reference.nominal, tracker.commit)
     return state, horizon, report(tracker, state, view, wrench, refused, target, part)
+
+
+def _waiting(state: TrackerState, relative: Array) -> Array:
+    """Return the programmed tcp in the object (m, 6) of a tool that is to retreat."""
+    relative = release.without_press(relative)
+    if state.clamped and _is_before_contact(state):
+        relative = release.at_stand_off(relative)
+    return relative
 
 
 def _searches(tracker: Tracker, state: TrackerState) -> bool:
@@ -634,9 +642,7 @@ def _clock(
 
 def _may_be_clamped(tracker: Tracker, state: TrackerState, passed: frozenset[Gate]) -> bool:
     """Return whether to withdraw now could pull at a closed clamp."""
-    # The task's clock stands in a retreat before contact. Until then the motion goes on.
-    leading = release.LEADING_S - (state.releasing or 0.0)
-    steps = max(math.ceil(leading / tracker.cycle_s), 0)
+    steps = math.ceil(release.LEADING_S / tracker.cycle_s)
     _, relative = tracker.table.ahead(state.time, math.inf, steps)
     return release.may_be_clamped(
         contact=state.contact,
