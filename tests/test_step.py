@@ -400,6 +400,23 @@ def depth(outputs: Outputs) -> float:
     return float((tool.T @ (np.array(outputs.target[:3]) - outputs.part[:3]))[2])
 
 
+def test_no_screws_are_ordered_while_the_object_does_not_push_back() -> None:
+    world = tracking(8.3)
+    assert world.outputs is not None
+    assert world.outputs.contact
+    for force in (0.0, 50.0):
+        fork = world.fork()
+        fork.state = replace(
+            fork.state, tracker=replace(fork.state.tracker, pull=(0.0, 0.0, force))
+        )
+        for _ in range(round(0.5 / P.cycle_s)):
+            inputs = fork.inputs(Order.TRACK)
+            felt = tuple(replace(w, force=(0.0, 0.0, force)) for w in inputs.wrench)
+            outputs = fork.take(replace(inputs, wrench=felt))
+            assert not outputs.digital_out & FIX_SCREWS
+        assert (outputs.task_time or 0.0) > 8.5
+
+
 def test_no_screws_are_ordered_in_a_retreat() -> None:
     world = tracking(9.0)
     assert world.outputs is not None

@@ -628,7 +628,7 @@ def _clock(
         blended += T0
     elif time > 0.0 and state.across is not None:
         blended = 0.0
-    screwing = time >= tool.fix_screws and state.contact and not retreat
+    screwing = time >= tool.fix_screws and not retreat and _is_pressed(tracker, state)
     releasing = time >= tool.release_wheel
     return changed(
         state,
@@ -638,6 +638,14 @@ def _clock(
         fixing=_since(state.fixing, screwing, T0),
         releasing=state.releasing if retreat else _since(state.releasing, releasing, T0),
     )
+
+
+def _is_pressed(tracker: Tracker, state: TrackerState) -> bool:
+    """Return whether the tool is in contact and the object has pushed it back for a while.
+
+    A tool that slows down feels its own mass for a moment, as if it touched.
+    """
+    return state.contact and state.pull[2] < -tracker.settings.tactile.contact_force
 
 
 def _may_be_clamped(tracker: Tracker, state: TrackerState, passed: frozenset[Gate]) -> bool:
