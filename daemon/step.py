@@ -242,6 +242,7 @@ def finish(
         planned.tracker,
         planned.report,
         held=not inputs.sent and inputs.pace is None,
+        is_open=inputs.robot is None or bool(inputs.robot.digital_in & tracking.CLAMP_OPEN),
     )
     steered, held = control.reach(
         parameters.controller, aim, begun.control.gate, clamped=state.tracker.contact

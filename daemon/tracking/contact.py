@@ -116,3 +116,15 @@ def touched(feeling: Feeling, ringing: Ringing, distance: float) -> Feeling:
     # Beyond the estimated object too: the tool may search for it there.
     near = -NEAR < distance < math.inf and presses(feeling, ringing)
     return Feeling(feeling.forces, feeling.calm, feeling.touches + 1 if near else 0)
+
+
+def assumed(feeling: Feeling, distance: float, *, is_due: bool) -> Feeling:
+    """Return the feeling of a tool without a force sensor: it touches at its place.
+
+    Args:
+        feeling: of this step.
+        distance: programmed, to the object [m].
+        is_due: the programme has reached its waypoint of contact and the clamp may be closed.
+    """
+    near = is_due and -NEAR < distance < math.inf
+    return Feeling(feeling.forces, feeling.calm, feeling.touches + 1 if near else 0)

@@ -37,6 +37,7 @@ AWAY = 0.15  # way of an emergency retraction [m]
 AWAY_TIME = 0.6  # and its duration [s]
 CLEAR = 0.05  # way from the object at which a released tool has cleared it [m]
 BENT = 0.008  # a tool farther from its place is not on the object any more: the mount gives way [m]
+CLAMP_OPEN = 2  # bit of the tool's signals: the wheel is released
 LATE = 0.25  # share of the damping that is still there at contact
 SEATING = 0.06  # from the first touch until a clamp that closes in 0.04 s has drawn the tool in [s]
 AGREEING = 4  # readings of the distance sensor that start the filter, against an outlier first
@@ -416,7 +417,9 @@ def track(
     if is_searching:
         state = changed(state, search=_searched(tracker, state))
     guarded = tracker.task.guard
-    relative = guard.reached(relative, state.search, guarded, span, is_on=is_searching)
+    # Without a force sensor the tool waits at the waypoint of contact: it would feel nothing.
+    advances = is_searching and bool(state.feeling.forces)
+    relative = guard.reached(relative, state.search, guarded, span, is_on=advances)
     target = part = along = None
     if state.belief is not None:
         along = tracker.classifier.outlook(state.belief, tracker.ahead)
@@ -683,7 +686,7 @@ def _passed(
     if seen.digital_in & 1 or _lasted(fixing, tool.fixed_after):
         gates.append(Gate.SCREWS_FIXED)
     # A clamp that is open before it was ordered to open has not closed yet.
-    opened = releasing is not None and seen.digital_in & 2
+    opened = releasing is not None and seen.digital_in & CLAMP_OPEN
     if opened or _lasted(releasing, tool.released_after):
         gates.append(Gate.WHEEL_RELEASED)
     return state.passed if state.passed.issuperset(gates) else state.passed.union(gates)
@@ -702,7 +705,13 @@ def _since(age: float | None, begun: bool, dt: float) -> float | None:
 
 
 def touched(
-    tracker: Tracker, before: TrackerState, after: TrackerState, report: Report, *, held: bool
+    tracker: Tracker,
+    before: TrackerState,
+    after: TrackerState,
+    report: Report,
+    *,
+    held: bool,
+    is_open: bool = False,
 ) -> TrackerState:
     """Return the state of ``track`` with contact made or lost, which the next step knows of.
 
@@ -712,6 +721,7 @@ def touched(
         after: it, contact as it was.
         report: of the step.
         held: the robot did not get the last command and stood still.
+        is_open: the tool reports an open clamp, or no telegram says that it does not.
     """
     if before.contact:
         lost = Gate.WHEEL_RELEASED in after.passed
@@ -724,7 +734,12 @@ def touched(
         return after
     force = None if report.force is None else float(report.force[2])
     feeling = contact.feel(before.feeling, tracker.ringing, force, held=held)
-    feeling = contact.touched(feeling, tracker.ringing, before.distance)
+    if feeling.forces:
+        feeling = contact.touched(feeling, tracker.ringing, before.distance)
+    else:
+        # With a force sensor the watch ends TRACK long before: there is none in this cell.
+        is_due = before.time >= tracker.search_time and not is_open
+        feeling = contact.assumed(feeling, before.distance, is_due=is_due)
     made = feeling.touches >= contact.TOUCHES
     return changed(after, feeling=feeling, contact=made, touching=0.0)
 

@@ -261,7 +261,7 @@ class PlantOracle:
 
     def _judge_silence(self, seen: Seen, *, clamped: bool) -> None:
         emitters, now_s = self._emitters, seen.now_s
-        unfelt = clamped and seen.state is State.TRACK and emitters.has_wrench
+        unfelt = clamped and seen.state is State.TRACK
         if self._lasting("unfelt", unfelt, now_s) > UNFELT_S:
             self._once("reaction", f"TRACK after {UNFELT_S:g} s with the tool clamped")
         if seen.state not in BOUND:

@@ -5,7 +5,16 @@ import random
 
 import pytest
 
-from linemate.daemon.tracking.contact import NOTHING, Feeling, Ringing, feel, ringing, touched
+from linemate.daemon.tracking.contact import (
+    NOTHING,
+    TOUCHES,
+    Feeling,
+    Ringing,
+    assumed,
+    feel,
+    ringing,
+    touched,
+)
 
 FREQUENCY, DAMPING, FORCE = 7.0, 0.02, 15.0
 
@@ -102,3 +111,16 @@ def test_a_step_without_a_force_repeats_the_last_one_and_memory_is_bounded() -> 
         feeling = feel(feeling, mode, force, held=False)
     assert feeling.forces[-3:] == (1.0, 1.0, 2.0)
     assert len(feeling.forces) == mode.memory
+
+
+def test_without_a_force_sensor_a_touch_is_assumed_at_the_place_when_it_is_due() -> None:
+    feeling = NOTHING
+    for _ in range(TOUCHES):
+        feeling = assumed(feeling, 0.001, is_due=True)
+    assert feeling.touches == TOUCHES
+    assert assumed(feeling, 0.001, is_due=False).touches == 0
+
+
+@pytest.mark.parametrize("distance", [-0.02, math.inf])
+def test_without_a_force_sensor_no_touch_is_assumed_far_from_the_object(distance: float) -> None:
+    assert assumed(NOTHING, distance, is_due=True).touches == 0
