@@ -228,6 +228,7 @@ class Simulation:
             Notifier(),
         )
         self.app = app
+        self._log.note_start()
         self.oracle.attend(app.cycle)
         self._process = self._loop.create_task(app.run())
         self._process.add_done_callback(self._ended)
@@ -504,8 +505,10 @@ class Simulation:
 LISTENING_NS = 300_000_000
 """The daemon listens for so long before the controller's program starts [ns]."""
 
-MOST_LINES = 20
-"""Of the daemon's log in any second. A start alone has 12: links, sensors and states."""
+MOST_LINES = 10
+"""Of the daemon's log in any second, but for"""
+STARTING_NS = 1_000_000_000
+"""the first second after a start, which has 12: links, sensors and states."""
 
 
 class _LogCounter(logging.Handler):
@@ -515,7 +518,12 @@ class _LogCounter(logging.Handler):
         super().__init__(logging.INFO)
         self.example = ""
         self._time = time
+        self._started_ns = 0
         self._lines: Counter[int] = Counter()
+
+    def note_start(self) -> None:
+        """Note that the daemon starts now."""
+        self._started_ns = self._time.now_ns
 
     @property
     def worst(self) -> int:
@@ -524,7 +532,8 @@ class _LogCounter(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Count a line."""
-        self._lines[self._time.now_ns // 10**9] += 1
+        if self._time.now_ns - self._started_ns >= STARTING_NS:
+            self._lines[self._time.now_ns // 10**9] += 1
         error = record.exc_info[1] if record.exc_info else None
         self.example = f"{record.getMessage()} {error!r}"[:300] if error else record.getMessage()
 
