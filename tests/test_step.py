@@ -235,6 +235,27 @@ def test_contact_is_felt_where_the_task_plans_it_and_lost_when_the_wheel_is(
     assert len(touched) > 500
 
 
+@pytest.mark.parametrize(("touching", "counts"), [(0.0, False), (0.07, False), (0.09, True)])
+def test_a_force_measures_the_object_only_after_the_clamp_has_drawn_the_tool_in(
+    assembly: Told, touching: float, *, counts: bool
+) -> None:
+    k = next(k for k, o in enumerate(assembly.outputs) if o.contact)
+    tracker, inputs = assembly.states[k + 1].tracker, assembly.inputs[k + 1]
+    state = replace(tracker, contact=True, touching=touching)
+    bent = WrenchSample(inputs.stamp_ns, (0.0, 20.0, 0.0), (0.0, 0.0, 0.0))
+    seen = tracking_state.Measurements(
+        inputs.stamp_ns, state.poses[0], inputs.stamp_ns, (), (), (bent,), 0
+    )
+    blind = replace(seen, wrench=())
+    felt, *_ = tracking_state.estimate(P.tracker, state, seen)
+    unfelt, *_ = tracking_state.estimate(P.tracker, state, blind)
+    assert felt.belief.contact == counts
+    assert unfelt.across is not None
+    assert felt.across is not None
+    assert (felt.belief.x == unfelt.belief.x).all() != counts
+    assert (felt.across.x == unfelt.across.x).all() != counts
+
+
 def test_the_tcp_is_where_the_object_wants_it_once_it_is_close(assembly: Told) -> None:
     for outputs, inputs in zip(assembly.outputs, assembly.inputs, strict=True):
         time = outputs.task_time

@@ -39,7 +39,7 @@ CLEAR = 0.05  # way from the object at which a released tool has cleared it [m]
 BENT = 0.008  # a tool farther from its place is not on the object any more: the mount gives way [m]
 CLAMP_OPEN = 2  # bit of the tool's signals: the wheel is released
 LATE = 0.25  # share of the damping that is still there at contact
-SEATING = 0.06  # from the first touch until a clamp that closes in 0.04 s has drawn the tool in [s]
+SEATING = 0.08  # a contact is felt up to 0.04 s early, and a clamp closes in 0.04 s [s]
 AGREEING = 4  # readings of the distance sensor that start the filter, against an outlier first
 AGREEMENT = 0.015  # when they lie within this [m]
 
@@ -277,7 +277,7 @@ def estimate(
     wrench = mean_wrench(seen.wrench)
     pull = release.averaged(state.pull, wrench, tracker.cycle_s) if state.contact else state.pull
     felt = wrench if _counts(tracker, state) else None
-    sightings = _sightings(tracker, history, seen, felt, state.touching)
+    sightings = _sightings(tracker, history, seen, felt)
     rows = [_distance_row(tracker, seen.stamp_ns, sample) for sample in seen.distance]
     refused = 0
     waiting, seen_ns = state.sightings, state.seen_ns
@@ -348,10 +348,21 @@ def _counts(tracker: Tracker, state: TrackerState) -> bool:
     A clamp that was ordered to open may be open without having reported it. A tool that hangs free
     would place the object where the tool is, and would follow itself.
     """
+    if not _is_seated(state):
+        return False
     if state.releasing is None:
         return state.contact
     pulling = release.PULLING * tracker.settings.tactile.contact_force
     return state.contact and math.hypot(*state.pull) > pulling
+
+
+def _is_seated(state: TrackerState) -> bool:
+    """Return whether a clamp that closes has drawn the tool in.
+
+    Before that the mount is bent by what the tool is beside the object: the force does not measure
+    where the object is. Its change would be taken for a stop, a start or a push of the conveyor.
+    """
+    return state.contact and state.touching >= SEATING
 
 
 def _sightings(
@@ -359,7 +370,6 @@ def _sightings(
     history: History | None,
     seen: Measurements,
     wrench: Wrench | None,
-    touching: float,
 ) -> list[tuple[Source, Sighting, float]]:
     """Return what the camera saw of the object, and the tactile sensor.
 
@@ -368,7 +378,6 @@ def _sightings(
         history: of the tcp.
         seen: the step's samples.
         wrench: of the clamped tool; None if it tells nothing of the object.
-        touching: how long the tool has been in contact [s].
     """
     found: list[tuple[Source, Sighting, float]] = []
     if history is None or not (seen.camera or wrench is not None):
@@ -384,10 +393,7 @@ def _sightings(
         tcp = pose_at(history, wrench.stamp_ns, 2.5 * tracker.cycle_s)
         if tcp is not None:
             sighting = touch(wrench, tcp, settings.tactile, seen.stamp_ns, rate)
-            # The wide gate is for steps of a clamped object. A clamp that has not closed yet bends
-            # the mount by what the tool is beside the object: that is no measurement of it.
-            gate = settings.tactile.gate if touching >= SEATING else settings.camera.gate
-            found.append((Source.TACTILE, sighting, gate))
+            found.append((Source.TACTILE, sighting, settings.tactile.gate))
     return found
 
 
@@ -398,7 +404,7 @@ def track(
 
     Whether the tool touches is ``touched``'s to say: a robot that held did not ring.
     """
-    if state.contact and state.search is not guard.NO_SEARCH:
+    if _is_seated(state) and state.search is not guard.NO_SEARCH:
         state = _found(tracker, state)
     state, refused, wrench = estimate(tracker, state, seen)
     view = _view(tracker, state)
@@ -510,7 +516,8 @@ def observe(
     if state.contact:
         passed = _passed(tracker, state, _view(tracker, state), seen)
         releasing = _since(state.releasing, True, tracker.cycle_s)
-        state = changed(state, passed=passed, fixing=None, releasing=releasing)
+        touching = state.touching + tracker.cycle_s
+        state = changed(state, passed=passed, fixing=None, releasing=releasing, touching=touching)
     target = part = None
     if state.across is not None and state.belief is not None:
         _, relative = tracker.table.ahead(state.time, math.inf, 0)
