@@ -120,6 +120,7 @@ class TrackerState:
         blended: time since the sensed motion began to take over [s], None before.
         feeling: of the tool's force, until it touches.
         contact: the tool is clamped to the object.
+        assumed: nothing measured that contact, for the cell has no force sensor.
         touching: how long it has been [s].
         fixing, releasing: time since the tool was asked to fix, to release [s]; None before.
         withdrawn: time since an emergency retraction began [s]; None without.
@@ -147,6 +148,7 @@ class TrackerState:
     blended: float | None = None
     feeling: contact.Feeling = contact.NOTHING
     contact: bool = False
+    assumed: bool = False
     touching: float = 0.0
     fixing: float | None = None
     releasing: float | None = None
@@ -655,6 +657,8 @@ def _is_pressed(tracker: Tracker, state: TrackerState) -> bool:
 
     A tool that slows down feels its own mass for a moment, as if it touched.
     """
+    if state.assumed:
+        return state.contact
     return state.contact and state.pull[2] < -tracker.settings.tactile.contact_force
 
 
@@ -748,7 +752,8 @@ def touched(
         is_due = before.time >= tracker.search_time and not is_open
         feeling = contact.assumed(feeling, before.distance, is_due=is_due)
     made = feeling.touches >= contact.TOUCHES
-    return changed(after, feeling=feeling, contact=made, touching=0.0)
+    assumed = made and not feeling.forces
+    return changed(after, feeling=feeling, contact=made, assumed=assumed, touching=0.0)
 
 
 def _following(
