@@ -133,7 +133,8 @@ class Cycle:
         self.last_refusal: str | None = None
         self._replies = Replies(codec, absolute=absolute)
         self._log = StepLog()
-        self._is_under_way = self._was_preparing = False
+        self._is_under_way = self._was_preparing = self._is_judged = False
+        self._hastened: Axes | None = None  # of a reply that went out before its telegram was read
         self._state: stepping.State | None = None
         self._began_with: stepping.State | None = None
         self._before: stepping.Outputs | None = None  # of the step before ``last``
@@ -232,7 +233,7 @@ class Cycle:
             reply = self._answer_unreadable(error.ipoc_text, stamp_ns, peer)
         else:
             reply = self._exchange(telegram, robot, peer)
-        self._is_under_way = False
+        self._is_under_way, self._hastened = False, None
         return reply
 
     def listen(self, now_ns: int) -> None:
@@ -248,13 +249,18 @@ class Cycle:
     def _begin(self, *, preparing: bool = False) -> None:
         """Notice that what was begun before did not end: it raised, which is a fault.
 
-        Its reply never went out. A preparation that failed before its step owed none.
+        Its reply never went out, unless it went out before its telegram was read. A preparation
+        that failed before its step owed none.
         """
         if self._is_under_way:
             self.operating.has_failed = True
             if not self._was_preparing or self._state is not self._began_with:
                 self.session.refrain()
-        self._is_under_way, self._was_preparing = True, preparing
+            if self._hastened is not None:
+                self.session.give_unread(self._hastened)
+            elif self._is_judged:
+                self.session.unserved += 1
+        self._is_under_way, self._was_preparing, self._is_judged = True, preparing, False
         self._began_with = self._state
 
     def _exchange(
@@ -263,6 +269,7 @@ class Cycle:
         stamp_ns = robot.stamp_ns
         self.session.hear(stamp_ns)
         verdict = self.verdict = self.exchange.on_telegram(telegram.ipoc, stamp_ns, peer)
+        self._is_judged = verdict.answer
         if not verdict.answer:
             return None
         is_in_doubt = verdict.kind in _OPENS or self.session.needs_proof(robot, verdict.missed)
@@ -309,6 +316,8 @@ class Cycle:
         ready, foreseen = self._ready, self.exchange.foreseen()
         if ready is None or not ready.entry.inputs.sent or foreseen is None:
             return None
+        if self.session.is_interrupted:
+            return None
         ipoc, expected_peer = foreseen
         if self._joints is None:
             return None
@@ -316,10 +325,13 @@ class Cycle:
         is_expected = self.codec.expect_robot(ipoc, delay, self._joints, LONGEST_JUMP)
         if is_expected is None:
             return None
-        reply = ready.reply.with_ipoc(b"%d" % ipoc)
+        reply, command = ready.reply.with_ipoc(b"%d" % ipoc), ready.entry.outputs.command
 
         def answer(data: bytes, peer: Hashable = None) -> bytes | None:
-            return reply if peer == expected_peer and is_expected(data) else None
+            if peer != expected_peer or not is_expected(data):
+                return None
+            self._hastened = command
+            return reply
 
         return answer
 
@@ -551,6 +563,7 @@ class Cycle:
     def _give(self, entry: LogEntry, reply: PreparedReply, telegram: RobotTelegram) -> bytes:
         """Return a reply as it goes to the wire."""
         self.session.give(entry.outputs.command)
+        self._is_judged = False  # what is lost from here on is this reply
         self._given = entry
         return reply.with_ipoc(telegram.ipoc_text)
 

@@ -40,6 +40,7 @@ class Session:
         moves: the controller got a command in its last cycle, as far as is known.
         proof: why the correction in force is known.
         unproven: why it is not, and what to do; None while it is, and before any telegram.
+        unserved: telegrams that were accepted since and got no reply, because the daemon failed.
         stalled_s: for so long the controller counted cycles and this process's clock did not [s].
         openings: sessions begun.
         replies_lost: replies that were not applied.
@@ -70,6 +71,7 @@ class Session:
         "start",
         "taken",
         "unproven",
+        "unserved",
         "was_lost",
         "was_sent",
     )
@@ -90,6 +92,7 @@ class Session:
         self.proof = Proof.NONE
         self.unproven: str | None = None
         self.stalled_s = 0.0
+        self.unserved = 0
         self.openings = self.replies_lost = 0
         self._absolute = absolute
         self._cycle_s = cycle_s
@@ -325,6 +328,8 @@ class Session:
         Returns:
             Whether a reply is lost.
         """
+        cycles += self.unserved
+        self.unserved = 0
         given, self.given = self.given, None
         before, self._delay = self._delay, delay
         program = self._program
@@ -345,6 +350,13 @@ class Session:
         """A reply goes to the wire; its delivery status is open."""
         self.was_sent, self.was_lost, self.moves = True, False, True
         self.given = command
+
+    def give_unread(self, command: Axes) -> None:
+        """Note a reply that went out to a telegram that could not be judged afterwards."""
+        self.given = command
+        program = self._program
+        if program is not None:
+            self._program = program._replace(given=command, replies=program.replies + 1)
 
     def refrain(self) -> None:
         """A cycle passed, or passes, without a command: the robot holds in it."""

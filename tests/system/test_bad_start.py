@@ -195,7 +195,7 @@ def test_an_emulator_that_cannot_do_what_it_is_told_says_so(tmp_path: Path, held
 def test_a_good_file_is_checked_without_binding_what_it_names(tmp_path: Path, held: int) -> None:
     path = tmp_path / "linemated.yaml"
     path.write_text(
-        f"task: wheel.yaml\nrsi: {{port: {held}}}\ncamera: {{port: {held}}}\n"
+        f"task: wheel.yaml\nrsi: {{port: {held}}}\ncamera: {{port: 0}}\n"
         "command: {socket: c.sock}\n",
         encoding="utf-8",
     )

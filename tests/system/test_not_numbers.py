@@ -27,7 +27,7 @@ WORDS = (
     b"-INF",
     b"Infinity",
     b"1e999",
-    b"1e5",
+    b"1e17",
     b"0x10",
     b"",
     b"-",
