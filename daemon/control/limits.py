@@ -387,7 +387,9 @@ def brake(
             wanted = -math.copysign(_deceleration(abs(excess), bounds), excess)
         taken = _clip(wanted, *_range(p, v, a, bounds))
         speed = v + taken * period
-        rows.append((p + speed * period, speed, taken, _own_speed(speed, planned)))
+        # A speed that still rises while its acceleration is let go is the motion's own.
+        own_speed = speed if excess == 0.0 else _own_speed(speed, planned)
+        rows.append((p + speed * period, speed, taken, own_speed))
     position, speeds, accelerations, own_speeds = np.array(rows).T
     mean = _mean_speed(state, speeds, period)
     return GateState(position, speeds, accelerations, position, own_speeds, mean)
