@@ -35,6 +35,8 @@ def exchange(daemon: DaemonProcess, seconds: float) -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot:
         robot.connect(daemon.robot())
         robot.setblocking(False)
+        # The daemon has to hear that no program runs before one starts.
+        time.sleep(0.1)
         begin = time.monotonic()
         for k in range(round(seconds / CYCLE_S)):
             telegram = RobotTelegram(
