@@ -2,6 +2,7 @@
 # first, in .venv, from constraints.txt. `make demo ARGS="--cycle-ms 4"` passes options.
 
 PYTHON ?= python3
+export LINEMATE_FROZEN ?= 1
 ARGS ?=
 PYTEST ?= .venv/bin/python -m pytest
 PREFIX ?= /opt/linemate
@@ -54,17 +55,17 @@ bench: .venv/.ok
 	.venv/bin/linemate-sim bench $(ARGS)
 
 dst: .venv/.ok
-	@.venv/bin/python -m linemate.simulators.harness.dst $(SEEDS) $(ARGS)
+	@.venv/bin/python -m linemate.simulators.lab.faults.dst $(SEEDS) $(ARGS)
 
 fuzz: .venv/.ok
 	.venv/bin/python tests/fuzz.py $(ARGS)
 
 # Every branch of the state machine, the gate, the exchange and the parsers, by their own tests.
-OWN_TESTS := tests/protocol tests/service/test_states.py tests/service/test_states_transcript.py \
-	tests/service/test_watch.py tests/control/test_limits.py tests/control/test_limits_transcript.py
-JUDGED := daemon/service/states.py,daemon/service/watch.py,daemon/control/limits.py,protocol/exchange*.py
-JUDGED := $(JUDGED),protocol/rsi*.py,protocol/camera*.py,protocol/distance*.py,protocol/wrench*.py
-JUDGED := $(JUDGED),protocol/slcan.py,protocol/command*.py,protocol/units.py
+OWN_TESTS := tests/protocol tests/cycle/test_states.py tests/cycle/test_states_transcript.py \
+	tests/cycle/test_watch.py tests/core/control/test_limits.py tests/core/control/test_limits_transcript.py
+JUDGED := daemon/cycle/states.py,daemon/cycle/watch.py,daemon/core/control/limits.py,protocol/exchange*.py
+JUDGED := $(JUDGED),protocol/rsi/*.py,protocol/command/*.py,protocol/units.py,protocol/sensors/slcan.py
+JUDGED := $(JUDGED),protocol/sensors/camera*.py,protocol/sensors/distance*.py,protocol/sensors/wrench*.py
 
 coverage: .venv/.ok
 	COVERAGE_FILE=.coverage.judged .venv/bin/python -m coverage run -m pytest -q $(OWN_TESTS) $(ARGS)
@@ -81,7 +82,7 @@ floods: .venv/.ok
 	.venv/bin/python tests/floods.py $(ARGS)
 
 accuracy: .venv/.ok
-	.venv/bin/python -m linemate.simulators.harness.accuracy $(ARGS)
+	.venv/bin/python -m linemate.simulators.lab.accuracy $(ARGS)
 
 # Debian's python3 has no ensurepip and its pip refuses the system's site-packages:
 # an environment without pip, filled by a pip from outside, needs neither.

@@ -16,13 +16,7 @@ from collections import deque
 from collections.abc import Callable
 
 from linemate.drivers.backoff import Backoff
-from linemate.drivers.datagrams import (
-    Address,
-    Datagram,
-    DatagramLink,
-    DatagramSocket,
-    Received,
-)
+from linemate.drivers.datagrams import Address, Datagram, DatagramLink, DatagramSocket, Received
 from linemate.drivers.link import why
 from linemate.drivers.sole_sender import SoleSender
 

@@ -11,11 +11,7 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from linemate.protocol.exchange_controller import (
-    ControllerCounts,
-    ControllerExchange,
-    Judgement,
-)
+from linemate.protocol.exchange_controller import ControllerCounts, ControllerExchange, Judgement
 from linemate.protocol.frozen import frozen
 
 __all__ = [

@@ -21,7 +21,7 @@ def frozen(*, slots: bool = True, eq: bool = True) -> Callable[[type[T]], type[T
     """Make a class a frozen dataclass that costs little to make.
 
     Args:
-        slots: fields in slots; else in a ``__dict__``, as ``daemon.changed`` wants them.
+        slots: fields in slots; else in a ``__dict__``, as ``daemon.core.changed`` wants them.
         eq: equal when all fields are, and hashable.
     """
     is_frozen = bool(os.environ.get(FROZEN))

@@ -22,7 +22,7 @@ from typing import Any
 
 import browser
 
-from linemate.simulators.harness import joined
+from linemate.simulators.judge import joined
 
 DEMO = [sys.executable, "-m", "linemate.simulators.harness.main", "demo", "--view", "--json"]
 FLAGS = [flag for flag in browser.FLAGS if not flag.startswith("--remote-debugging")]

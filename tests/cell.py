@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from linemate.daemon import rotations
-from linemate.daemon.control.settings import ControlSettings
-from linemate.daemon.inputs import Inputs, Order
-from linemate.daemon.parameters import Parameters, build
-from linemate.daemon.service import task_file
-from linemate.daemon.service.files import DAEMON_DATA
-from linemate.daemon.step import Outputs, State, initial, step
-from linemate.daemon.tracking.settings import TrackingSettings
+from linemate.daemon.config import task_file
+from linemate.daemon.config.files import DAEMON_DATA
+from linemate.daemon.core import rotations
+from linemate.daemon.core.control.settings import ControlSettings
+from linemate.daemon.core.inputs import Inputs, Order
+from linemate.daemon.core.parameters import Parameters, build
+from linemate.daemon.core.step import Outputs, State, initial, step
+from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.protocol.samples import CameraSample, DistanceSample, RobotSample, WrenchSample
 
 EPOCH_NS = 7_000_000_000_000

@@ -1,12 +1,76 @@
-"""What holds for every test."""
+"""What holds for every test: the shipped task, compiled once, and some steps."""
 
-import os
 import signal
 
-# What the type checker calls frozen is so in the interpreter.
-os.environ.setdefault("LINEMATE_FROZEN", "1")
+import pytest
+from hypothesis import HealthCheck, settings
+
+from linemate.daemon.config import task_file
+from linemate.daemon.config.files import DAEMON_DATA
+from linemate.daemon.config.task_file import Task
+from linemate.daemon.core import parameters as compiling
+from linemate.daemon.core import step as stepping
+from linemate.daemon.core.control.settings import ControlSettings
+from linemate.daemon.core.inputs import Inputs, Order
+from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.core.tracking.settings import TrackingSettings
+from linemate.daemon.cycle.cycle import LogEntry
+from linemate.protocol.samples import CameraSample, DistanceSample, RobotSample, WrenchSample
 
 # A shell ignores SIGINT for what it starts in the background, and children inherit that: the tests
 # that interrupt a program would wait for ever.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+CYCLE_NS = 12_000_000
+
+# How long an example takes says something of the machine's other work, not of the program.
+settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("patient")
+
+
+@pytest.fixture(scope="session")
+def task() -> Task:
+    return task_file.load(DAEMON_DATA / "wheel.yaml")
+
+
+@pytest.fixture(scope="session")
+def parameters(task: Task) -> Parameters:
+    return compiling.build(task.file, task.urdf, TrackingSettings(), ControlSettings(), 0.012)
+
+
+@pytest.fixture(scope="session")
+def entries(task: Task, parameters: Parameters) -> tuple[LogEntry, ...]:
+    """Twenty steps of a robot that begins to track a slowly moving object."""
+    rest = task.file.arm.rest_joints
+    state = stepping.initial(parameters, RobotSample(0, 0, rest, (0.0,) * 6))
+    made: list[LogEntry] = []
+    for k in range(20):
+        stamp = 1_000_000_000 + k * CYCLE_NS
+        inputs = Inputs(
+            k=k,
+            stamp_ns=stamp,
+            robot=RobotSample(stamp - CYCLE_NS, 12 * k, rest, (0.1 / 3.0,) * 6, 0, 1),
+            distance=(DistanceSample(stamp - 1_000_000, 0.00127 * k, 77.0),),
+            camera=(
+                CameraSample(
+                    stamp - 2_000_000,
+                    stamp - 100_000_000,
+                    "cam",
+                    "camera",
+                    "hub",
+                    k,
+                    (0.1, 0.2, 0.7),
+                    (1.0, 0.0, 0.0, 0.0),
+                    tuple(1e-7 * (i + 1) for i in range(21)),
+                ),
+            )
+            if k % 3 == 0
+            else (),
+            wrench=(WrenchSample(stamp, (0.1, -0.2, 0.3), (0.0, -0.0, 1e-9), 0, 5, 21.5),) * 3,
+            order=Order.TRACK if k > 10 else Order.HOLD,
+            start=k == 11,
+        )
+        state, outputs = stepping.step(state, inputs, parameters)
+        made.append(LogEntry(12 * k if k != 7 else None, "track", inputs, outputs))
+    return tuple(made)

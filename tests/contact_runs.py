@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from linemate.daemon.service.states import State
+from linemate.daemon.cycle.states import State
 from linemate.simulators.harness import setup
 from linemate.simulators.harness.lockstep import Lockstep
 from linemate.simulators.plants.scenario import Fault

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from linemate.daemon.tracking.conveyor import Classifier, Motion, Row, Source, View
+from linemate.daemon.core.tracking.conveyor import Classifier, Motion, Row, Source, View
 
 Array = NDArray[np.floating[Any]]
 

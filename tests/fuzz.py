@@ -15,14 +15,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from linemate.protocol import camera, command, command_plain, command_request, rsi_config, slcan
-from linemate.protocol.camera import CameraDecoder, CameraError, CameraMessage
-from linemate.protocol.distance import DistanceDecoder, DistanceEncoder
+from linemate.protocol.command import command, command_plain, command_request
 from linemate.protocol.errors import ProtocolError
-from linemate.protocol.rsi import RobotTelegram, RsiCodec, SensorTelegram, parse_config
-from linemate.protocol.wrench import make_decoder
-from linemate.protocol.wrench_bota import bota_frame
-from linemate.protocol.wrench_ft300 import ft300_frame
+from linemate.protocol.rsi import rsi_config
+from linemate.protocol.rsi.rsi import RobotTelegram, RsiCodec, SensorTelegram, parse_config
+from linemate.protocol.sensors import camera, slcan
+from linemate.protocol.sensors.camera import CameraDecoder, CameraError, CameraMessage
+from linemate.protocol.sensors.distance import DistanceDecoder, DistanceEncoder
+from linemate.protocol.sensors.wrench import make_decoder
+from linemate.protocol.sensors.wrench_bota import bota_frame
+from linemate.protocol.sensors.wrench_ft300 import ft300_frame
 
 DATA = Path(__file__).resolve().parents[1] / "protocol" / "data"
 SIX = (0.1, -0.2, 0.3, -0.4, 0.5, -0.6)

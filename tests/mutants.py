@@ -31,21 +31,21 @@ ROOT = Path(__file__).resolve().parents[1]
 LONGEST_S = 180.0
 
 TESTS: dict[str, tuple[str, ...]] = {
-    "daemon/service/states.py": (
-        "tests/service/test_states_transcript.py",
-        "tests/service/test_states.py",
+    "daemon/cycle/states.py": (
+        "tests/cycle/test_states_transcript.py",
+        "tests/cycle/test_states.py",
     ),
-    "daemon/service/watch.py": (
-        "tests/service/test_watch.py",
-        "tests/service/test_states_transcript.py",
+    "daemon/cycle/watch.py": (
+        "tests/cycle/test_watch.py",
+        "tests/cycle/test_states_transcript.py",
     ),
-    "daemon/service/sensor_health.py": (
-        "tests/service/test_sensor_belief.py",
-        "tests/service/test_sensor_health.py",
+    "daemon/cycle/sensor_health.py": (
+        "tests/cycle/test_sensor_belief.py",
+        "tests/cycle/test_sensor_health.py",
     ),
-    "daemon/control/limits.py": (
-        "tests/control/test_limits_transcript.py",
-        "tests/control/test_limits.py",
+    "daemon/core/control/limits.py": (
+        "tests/core/control/test_limits_transcript.py",
+        "tests/core/control/test_limits.py",
     ),
     "protocol/exchange.py": (
         "tests/protocol/test_exchange_transcript.py",
@@ -56,86 +56,86 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/protocol/test_exchange_transcript.py",
         "tests/protocol/test_exchange.py",
     ),
-    "protocol/rsi.py": (
+    "protocol/rsi/rsi.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_corners.py",
         "tests/protocol/test_rsi.py",
         "tests/protocol/test_edges.py",
     ),
-    "protocol/rsi_config.py": (
+    "protocol/rsi/rsi_config.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_rsi.py",
         "tests/protocol/test_edges.py",
     ),
-    "protocol/rsi_layout.py": (
+    "protocol/rsi/rsi_layout.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_rsi.py",
         "tests/protocol/test_edges.py",
     ),
-    "protocol/rsi_read.py": (
+    "protocol/rsi/rsi_read.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_corners.py",
         "tests/protocol/test_rsi.py",
     ),
-    "protocol/rsi_scan.py": (
+    "protocol/rsi/rsi_scan.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_corners.py",
         "tests/protocol/test_rsi.py",
         "tests/protocol/test_edges.py",
     ),
-    "protocol/rsi_write.py": (
+    "protocol/rsi/rsi_write.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_corners.py",
         "tests/protocol/test_rsi.py",
     ),
-    "protocol/camera.py": (
+    "protocol/sensors/camera.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_camera.py",
     ),
-    "protocol/distance.py": (
+    "protocol/sensors/distance.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_corners.py",
         "tests/protocol/test_distance.py",
         "tests/protocol/test_edges.py",
     ),
-    "protocol/distance_bits.py": (
+    "protocol/sensors/distance_bits.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_corners.py",
         "tests/protocol/test_distance.py",
     ),
-    "protocol/slcan.py": (
+    "protocol/sensors/slcan.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_slcan.py",
         "tests/protocol/test_edges.py",
     ),
-    "protocol/wrench_bota.py": (
+    "protocol/sensors/wrench_bota.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_wrench.py",
     ),
-    "protocol/wrench_ft300.py": (
+    "protocol/sensors/wrench_ft300.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_wrench.py",
         "tests/protocol/test_edges.py",
     ),
-    "protocol/wrench_stream.py": (
+    "protocol/sensors/wrench_stream.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_wrench.py",
     ),
-    "protocol/command.py": (
+    "protocol/command/command.py": (
         "tests/protocol/test_command.py",
         "tests/protocol/test_command_local.py",
         "tests/protocol/test_edges.py",
     ),
-    "protocol/command_plain.py": (
+    "protocol/command/command_plain.py": (
         "tests/protocol/test_edges.py",
         "tests/protocol/test_command.py",
     ),
-    "protocol/command_request.py": (
+    "protocol/command/command_request.py": (
         "tests/protocol/test_edges.py",
         "tests/protocol/test_command.py",
         "tests/protocol/test_command_rules.py",
     ),
-    "protocol/command_session.py": (
+    "protocol/command/command_session.py": (
         "tests/protocol/test_session_edges.py",
         "tests/protocol/test_corners.py",
         "tests/protocol/test_command_session.py",
@@ -193,8 +193,8 @@ class Mutant:
 
 
 SHORT_CUTS = {
-    "daemon/control/limits.py": frozenset({"_is_clear", "_stopping_way"}),
-    "protocol/rsi_write.py": frozenset({"_block"}),
+    "daemon/core/control/limits.py": frozenset({"_is_clear", "_stopping_way"}),
+    "protocol/rsi/rsi_write.py": frozenset({"_block"}),
 }
 """Functions that only spare work. Taken too often their answer would differ, which a test notices;
 taken too seldom it is the same: a mutant in them that survives is equivalent."""
@@ -252,22 +252,22 @@ EQUIVALENT: dict[str, dict[tuple[str, str], str]] = {
         ("self._anchor_ipoc = 0", "0 -> 1"): IDLE_MEMORY,
         ("self._anchor_ns = 0", "0 -> 1"): IDLE_MEMORY,
     },
-    "protocol/camera.py": {
+    "protocol/sensors/camera.py": {
         (f"self.{name} = 0", "0 -> 1"): FIRST_POSE
         for name in ("reset", "t_tx", "arrival_ns", "candidates", "jumps")
     },
-    "daemon/service/sensor_health.py": {
+    "daemon/cycle/sensor_health.py": {
         ("self._same = 0", "0 -> 1"): "no pose and no wrench is like none: the first one counts 1",
         ("self._changed_ns = 0", "0 -> 1"): "the first distance differs from none and sets it",
     },
-    "protocol/distance.py": {
+    "protocol/sensors/distance.py": {
         (
             "while signal.multiplexer_signal and signal.multiplexer_ids:",
             "signal.multiplexer_signal and signal.multiplexer_ids ->"
             " signal.multiplexer_signal or signal.multiplexer_ids",
         ): "a signal has both or neither",
     },
-    "protocol/rsi.py": {
+    "protocol/rsi/rsi.py": {
         (statement, "joints is not None and whole -> joints is not None or whole"): (
             "a controller tells all six joints or none"
         )
@@ -292,7 +292,7 @@ EQUIVALENT: dict[str, dict[tuple[str, str], str]] = {
             "first + len(fields) -> first - len(fields)",
         ): NO_SWEEP,
     },
-    "protocol/command_request.py": {
+    "protocol/command/command_request.py": {
         (
             "width = {222: 2, 223: 4}.get(head, 0)",
             "0 -> 1",
@@ -307,7 +307,7 @@ EQUIVALENT: dict[str, dict[tuple[str, str], str]] = {
             "_RequestWire",
         )
     },
-    "protocol/slcan.py": {
+    "protocol/sensors/slcan.py": {
         (VALUED, "16 -> 17"): MORE_THAN_FITS,
         (VALUED, "32 -> 33"): MORE_THAN_FITS,
         (
@@ -315,7 +315,7 @@ EQUIVALENT: dict[str, dict[tuple[str, str], str]] = {
             "frame.extended + 2 * frame.remote -> frame.extended - 2 * frame.remote",
         ): "two from the end of four letters is two from their beginning",
     },
-    "protocol/wrench_bota.py": {
+    "protocol/sensors/wrench_bota.py": {
         ("crc = fastcrc.crc16.ibm_sdlc(data[1:35])", what): WHOLE_FRAME
         for what in ("1 -> 2", "35 -> 36")
     }

@@ -11,8 +11,8 @@ from typing import Any
 
 from command_ends import open_port, served
 
-from linemate.daemon.operator.recordings import Recording, read
-from linemate.daemon.service import viewer_messages
+from linemate.daemon.recording import viewer_messages
+from linemate.daemon.recording.recordings import Recording, read
 from linemate.daemon.service.command_server import CommandPort
 
 GOLDEN = Path(__file__).parent / "system" / "golden" / "wheel.mcap"

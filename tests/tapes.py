@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, filtfilt
 
-from linemate.daemon import rotations
+from linemate.daemon.core import rotations
 from linemate.daemon.identification.tape import Images, Tape
 from linemate.simulators.plants import rotation
 from linemate.simulators.plants.effector import EffectorPlant

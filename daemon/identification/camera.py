@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linemate.daemon.horizon import Array
+from linemate.daemon.core.horizon import Array
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
 from linemate.daemon.identification.scene import Scene, Views
 from linemate.daemon.identification.tape import Images

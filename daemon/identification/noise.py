@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from linemate.daemon.horizon import Array
+from linemate.daemon.core.horizon import Array
 from linemate.daemon.identification import scene as scenes
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
 from linemate.daemon.identification.scene import Camera, Scene, Views

@@ -13,8 +13,8 @@ from itertools import pairwise
 import numpy as np
 from scipy.optimize import least_squares
 
-from linemate.daemon.control.settings import EffectorMode
-from linemate.daemon.horizon import Array
+from linemate.daemon.core.control.settings import EffectorMode
+from linemate.daemon.core.horizon import Array
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
 from linemate.daemon.identification.tape import Tape, way
 

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from linemate.daemon import rotations
-from linemate.daemon.horizon import Array
+from linemate.daemon.core import rotations
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.settings import CameraNoise
 from linemate.daemon.identification.tape import Images, Mask, Tape, Way, way
-from linemate.daemon.tracking.settings import CameraNoise
 
 PRIORS = np.array((0.05, 0.05, 0.05, 0.1, 0.1, 0.1, 0.05))
 """Deviations of hand-eye position [m], hand-eye rotation [rad] and stamp error [s]."""

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linemate.daemon.control import servo_fit
-from linemate.daemon.control.servo_fit import Passage, ServoFit
-from linemate.daemon.control.settings import ServoModel
-from linemate.daemon.horizon import Array
+from linemate.daemon.core.control import servo_fit
+from linemate.daemon.core.control.servo_fit import Passage, ServoFit
+from linemate.daemon.core.control.settings import ServoModel
+from linemate.daemon.core.horizon import Array
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
 from linemate.daemon.identification.tape import Tape
 

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2 as chi2_law
 
-from linemate.daemon.horizon import Array
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.settings import SwingMode
 from linemate.daemon.identification import scene as scenes
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
 from linemate.daemon.identification.scene import Camera, Mode, Scene, Views
 from linemate.daemon.identification.tape import Mask
-from linemate.daemon.tracking.settings import SwingMode
 
 SEARCH_HZ = (0.15, 3.0)
 MOST = 3

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from linemate.daemon import rotations
-from linemate.daemon.horizon import Array
-from linemate.daemon.inputs import Inputs
+from linemate.daemon.core import rotations
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.inputs import Inputs
 
 Mask = NDArray[np.bool_]
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from linemate.daemon.operator.recordings import (
+from linemate.daemon.recording.recordings import (
     LAYOUT,
     METADATA,
     TOPIC,
@@ -28,8 +28,8 @@ from linemate.daemon.operator.recordings import (
 if TYPE_CHECKING:
     from mcap.records import Message
 
-    from linemate.daemon.recording import StepRecord
-    from linemate.daemon.replay import Broken
+    from linemate.daemon.recording.recording import StepRecord
+    from linemate.daemon.recording.replay import Broken
 
 OK, NOT_OK = 0, 1
 TABLES = {
@@ -141,8 +141,8 @@ def export(path: Path, folder: Path) -> "tuple[dict[str, int], Broken | None]":
     """
     from mcap.records import Message, Metadata
 
-    from linemate.daemon.operator.bounded_mcap import Damage
-    from linemate.daemon.recording import RecordingError, decode
+    from linemate.daemon.recording.bounded_mcap import Damage
+    from linemate.daemon.recording.recording import RecordingError, decode
 
     layout: Mapping[str, tuple[str, ...]] | None = None
     topics: dict[int, str] = {}
@@ -321,7 +321,7 @@ def recover(path: Path, out: Path) -> Recovered:
 
 def _readable(stream: Any, found: Recovered) -> Iterator[Any]:
     """Return the records of a file without those of damaged chunks, which are counted."""
-    from linemate.daemon.operator.bounded_mcap import Damage
+    from linemate.daemon.recording.bounded_mcap import Damage
 
     skipped: list[str] = []
     for record in records(stream, skipped=skipped):

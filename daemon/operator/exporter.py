@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from linemate.daemon.operator import metrics
 from linemate.daemon.operator.client import Client, NoAnswerError, RefusedError
-from linemate.protocol.command import CommandError
+from linemate.protocol.command.command import CommandError
 
 if TYPE_CHECKING:
     from linemate.daemon.view.server import Server

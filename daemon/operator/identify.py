@@ -1,7 +1,6 @@
-"""``linemate identify FILE...``: recordings in, a table of what they tell and an overlay out.
+"""``linemate identify FILE...``: print what recordings identify, and write an overlay.
 
-Law of this file: files and text only; the numbers are made in ``daemon.identify``, imported when
-asked for. Exit codes: 0 something was identified, 1 nothing was, and why, 2 usage.
+Exit codes: 0 something was identified, 1 nothing was, with the reason, 2 usage.
 """
 
 import argparse
@@ -15,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 from linemate.daemon.operator import render
 
 if TYPE_CHECKING:
+    from linemate.daemon.identification.identify import Identified
     from linemate.daemon.identification.outcome import Finding
-    from linemate.daemon.identify import Identified
 
 OK, NOT_OK, USAGE = 0, 1, 2
 DEFAULT_OUT = Path("identified.yaml")
@@ -47,8 +46,8 @@ def main(args: argparse.Namespace) -> int:
     # BLAS threads make a sum depend on the machine, and small problems slower.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    from linemate.daemon.identify import IdentifyError
-    from linemate.daemon.operator.recordings import UnreadableRecordingError
+    from linemate.daemon.identification.identify import IdentifyError
+    from linemate.daemon.recording.recordings import UnreadableRecordingError
 
     try:
         found = from_files(args.files)
@@ -76,7 +75,7 @@ def from_files(files: Iterable[Path]) -> "Identified":
         UnreadableRecordingError: a file is no recording.
         IdentifyError: the recordings cannot be used together.
     """
-    from linemate.daemon.operator.recordings import UnreadableRecordingError, read
+    from linemate.daemon.recording.recordings import UnreadableRecordingError, read
 
     recordings = []
     for path in files:
@@ -87,7 +86,7 @@ def from_files(files: Iterable[Path]) -> "Identified":
             print(f"linemate: {path}: {recording.damage}", file=sys.stderr)
         recordings.append((path.name, recording.texts, recording.steps))
     # Imported late: a file that cannot be used is refused before scipy is there.
-    from linemate.daemon.identify import Recorded, identify
+    from linemate.daemon.identification.identify import Recorded, identify
 
     return identify([Recorded(*recording) for recording in recordings])
 

@@ -27,7 +27,7 @@ from linemate.daemon.operator.client import (
     read_key,
 )
 from linemate.daemon.version import Version
-from linemate.protocol.command import CommandError, Role
+from linemate.protocol.command.command import CommandError, Role
 
 OK: Final = 0
 NOT_OK: Final = 1
@@ -223,7 +223,7 @@ def _operate(args: argparse.Namespace) -> int:
 
 
 def _keygen(args: argparse.Namespace) -> int:
-    from linemate.protocol.command_keys import (
+    from linemate.protocol.command.command_keys import (
         KEY_BYTES,
         key_line,
         make_key,

@@ -1,6 +1,6 @@
 """``linemate replay FILE``: recorded inputs through ``step``, and a table of what differs.
 
-The steps are made in ``daemon.replay``, imported when asked for. Exit codes: 0 identical,
+The steps are made in ``daemon.recording.replay``, imported when asked for. Exit codes: 0 identical,
 1 different, damaged or not to be replayed, 2 usage.
 """
 
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from linemate.daemon.operator import render
 
 if TYPE_CHECKING:
-    from linemate.daemon.replay import Broken, Overrides, Summary, Verdict
+    from linemate.daemon.recording.replay import Broken, Overrides, Summary, Verdict
 
 OK, NOT_OK, USAGE = 0, 1, 2
 VERSION = 1
@@ -89,8 +89,8 @@ def main(args: argparse.Namespace) -> int:
     # BLAS threads would add in another order than the daemon's one.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
-    from linemate.daemon.operator.recordings import UnreadableRecordingError
-    from linemate.daemon.replay import ReplayError
+    from linemate.daemon.recording.recordings import UnreadableRecordingError
+    from linemate.daemon.recording.replay import ReplayError
 
     try:
         overrides = overrides_of(args.config, args.values)
@@ -123,8 +123,8 @@ def compare(
         UnreadableRecordingError: it is no recording.
         ReplayError: it cannot be replayed.
     """
-    from linemate.daemon.operator.recordings import pieces
-    from linemate.daemon.replay import Broken, Piece, replay, summarise, with_cycle
+    from linemate.daemon.recording.recordings import pieces
+    from linemate.daemon.recording.replay import Broken, Piece, replay, summarise, with_cycle
 
     account = Account()
 
@@ -144,8 +144,8 @@ def overrides_of(config: Path | None, assignments: list[str]) -> "Overrides":
     Raises:
         ValueError: the file or an assignment cannot be read.
     """
-    from linemate.daemon.replay import Overrides
-    from linemate.daemon.settings_tree import SECTIONS
+    from linemate.daemon.config.settings_tree import SECTIONS
+    from linemate.daemon.recording.replay import Overrides
 
     sections: dict[str, Any] = {}
     if config is not None:
@@ -236,7 +236,7 @@ def _short(value: Any) -> str:
 
 
 def _yaml(path: Path) -> dict[str, Any]:
-    from linemate.daemon.settings_tree import SettingError, read_file
+    from linemate.daemon.config.settings_tree import SettingError, read_file
 
     try:
         return read_file(path.read_bytes(), str(path))

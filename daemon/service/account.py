@@ -7,10 +7,10 @@ The parts of a cycle come in the order in which they happen and are cleared with
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from linemate.daemon.service.cycle import LogEntry
-from linemate.daemon.service.schedule import Schedule
-from linemate.daemon.service.states import State
-from linemate.daemon.service.timing import CycleTimes, Incident, Timing
+from linemate.daemon.cycle.clock.schedule import Schedule
+from linemate.daemon.cycle.clock.timing import CycleTimes, Incident, Timing
+from linemate.daemon.cycle.cycle import LogEntry
+from linemate.daemon.cycle.states import State
 
 
 @dataclass(slots=True)

@@ -17,13 +17,26 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from linemate.daemon.control.adaptation import Learned
-from linemate.daemon.inputs import Order
-from linemate.daemon.parameters import Parameters
-from linemate.daemon.service import learning, realtime, states, viewer_messages
+from linemate.daemon.config.config import Station, group_ids, key_path
+from linemate.daemon.config.settings import Corrections
+from linemate.daemon.core.control.adaptation import Learned
+from linemate.daemon.core.inputs import Order
+from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.cycle import learning, states
+from linemate.daemon.cycle.answers import Answers
+from linemate.daemon.cycle.clock.clock import Clock
+from linemate.daemon.cycle.clock.pace import Pace
+from linemate.daemon.cycle.clock.schedule import Due, Kind
+from linemate.daemon.cycle.clock.timing import Timing
+from linemate.daemon.cycle.cycle import Cycle
+from linemate.daemon.cycle.learning import Learner
+from linemate.daemon.cycle.states import State
+from linemate.daemon.cycle.step_log import LogEntry
+from linemate.daemon.recording import viewer_messages
+from linemate.daemon.recording.recorder import MIB, Recorder, Rotation
+from linemate.daemon.recording.step_file import STATE_LOG
+from linemate.daemon.service import realtime
 from linemate.daemon.service.account import Account
-from linemate.daemon.service.answers import Answers
-from linemate.daemon.service.clock import Clock
 from linemate.daemon.service.command_server import (
     CommandPort,
     CommandPortError,
@@ -31,23 +44,12 @@ from linemate.daemon.service.command_server import (
     UdpDoor,
     read_keys,
 )
-from linemate.daemon.service.config import Station, group_ids, key_path
-from linemate.daemon.service.cycle import Cycle
 from linemate.daemon.service.incidents import IncidentFiles
 from linemate.daemon.service.journal import Journal, Sensors
-from linemate.daemon.service.learning import Learner
 from linemate.daemon.service.notify import Notifier
 from linemate.daemon.service.outlook import Outlook
-from linemate.daemon.service.pace import Pace
 from linemate.daemon.service.parameter_desk import Answer, Desk
-from linemate.daemon.service.recorder import MIB, Recorder, Rotation
-from linemate.daemon.service.schedule import Due, Kind
-from linemate.daemon.service.settings import Corrections
-from linemate.daemon.service.states import State
 from linemate.daemon.service.status import LinkView, Rates, Snapshot, covered, status, telemetry
-from linemate.daemon.service.step_file import STATE_LOG
-from linemate.daemon.service.step_log import LogEntry
-from linemate.daemon.service.timing import Timing
 from linemate.drivers import port_holder
 from linemate.drivers.camera_peer import parse_peer
 from linemate.drivers.camera_udp import CameraLink
@@ -56,11 +58,11 @@ from linemate.drivers.datagrams import Address
 from linemate.drivers.link import NOT_OPENED
 from linemate.drivers.rsi_udp import RsiLink
 from linemate.drivers.serial_port import SerialLink
-from linemate.protocol.camera import CameraDecoder
-from linemate.protocol.distance import DistanceDecoder
 from linemate.protocol.exchange import Kind as Telegram
-from linemate.protocol.rsi import RsiCodec
-from linemate.protocol.wrench import BAUD_RATES, make_decoder, make_host
+from linemate.protocol.rsi.rsi import RsiCodec
+from linemate.protocol.sensors.camera import CameraDecoder
+from linemate.protocol.sensors.distance import DistanceDecoder
+from linemate.protocol.sensors.wrench import BAUD_RATES, make_decoder, make_host
 
 ORDERS = frozenset({"arm", "start", "stop", "retreat", "ack"})
 REST_PATIENCE_S = 4.0

@@ -24,12 +24,12 @@ from typing import Any, Final
 
 from linemate.drivers import port_holder
 from linemate.drivers.sole_sender import attach
-from linemate.protocol.command import MAGIC, MAX_FRAME_BYTES, CommandError, Role
-from linemate.protocol.command_keys import Key, parse_keys, unsafe_file
-from linemate.protocol.command_local import LocalAccess, LocalServer
-from linemate.protocol.command_request import OPERATIONS
-from linemate.protocol.command_rules import REFUSED, ControlLease, Order
-from linemate.protocol.command_session import CommandServer
+from linemate.protocol.command.command import MAGIC, MAX_FRAME_BYTES, CommandError, Role
+from linemate.protocol.command.command_keys import Key, parse_keys, unsafe_file
+from linemate.protocol.command.command_local import LocalAccess, LocalServer
+from linemate.protocol.command.command_request import OPERATIONS
+from linemate.protocol.command.command_rules import REFUSED, ControlLease, Order
+from linemate.protocol.command.command_session import CommandServer
 
 Result = Mapping[str, Any]
 Handler = Callable[[str, dict[str, Any], str, str], Result | asyncio.Future[Any]]

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from linemate.daemon.service.timing import Incident
+from linemate.daemon.cycle.clock.timing import Incident
 
 LINES_A_CYCLE: Final = 8
 MOST_FILES: Final = 32

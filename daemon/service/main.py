@@ -35,8 +35,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         level=arguments.log.upper(), stream=sys.stderr, format="%(levelname)s %(name)s: %(message)s"
     )
     # Imported late, so that a wrong command line is answered at once.
-    from linemate.daemon.service import config
-    from linemate.daemon.service.documents import FileError
+    from linemate.daemon.config import config
+    from linemate.daemon.config.documents import FileError
 
     if arguments.schema:
         print(json.dumps(config.schema(), indent=2))
@@ -60,8 +60,8 @@ def _compiled(station: Any) -> Any:
     Raises:
         FileError: settings, task and arm do not fit together.
     """
-    from linemate.daemon import parameters
-    from linemate.daemon.service.documents import FileError
+    from linemate.daemon.config.documents import FileError
+    from linemate.daemon.core import parameters
 
     config = station.config
     cycle_s = config.rsi.cycle_ms * 1e-3
@@ -79,7 +79,7 @@ def _rehearsed(station: Any, parameters: Any) -> tuple[Any, ...]:
     Raises:
         FileError: it asks for what the robot cannot or must not do.
     """
-    from linemate.daemon.service.documents import FileError
+    from linemate.daemon.config.documents import FileError
     from linemate.daemon.service.rehearsal import rehearse
 
     rehearsal = rehearse(parameters)

@@ -12,9 +12,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from linemate.daemon.horizon import Array
-from linemate.daemon.service.cycle import LogEntry
-from linemate.daemon.service.timing import CycleTimes
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.cycle.clock.timing import CycleTimes
+from linemate.daemon.cycle.cycle import LogEntry
 
 FORESEEN: Final = 8
 """Poses of the horizon that are shown, the first and the last among them."""

@@ -17,17 +17,18 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
-from linemate.daemon import parameters as compiling
-from linemate.daemon import settings_tree as tree
-from linemate.daemon import step as stepping
-from linemate.daemon.control import urdf_limits
-from linemate.daemon.parameters import Parameters
-from linemate.daemon.service import overlay, parameter_list, watch
-from linemate.daemon.service.config import Station
-from linemate.daemon.service.cycle import Cycle
-from linemate.daemon.service.parameter_list import Change, Described
-from linemate.daemon.service.states import State
-from linemate.daemon.settings_tree import SettingError, Settings
+from linemate.daemon.config import overlay, parameter_list
+from linemate.daemon.config import settings_tree as tree
+from linemate.daemon.config.config import Station
+from linemate.daemon.config.parameter_list import Change, Described
+from linemate.daemon.config.settings_tree import SettingError, Settings
+from linemate.daemon.core import parameters as compiling
+from linemate.daemon.core import step as stepping
+from linemate.daemon.core.control import urdf_limits
+from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.cycle import watch
+from linemate.daemon.cycle.cycle import Cycle
+from linemate.daemon.cycle.states import State
 
 T = TypeVar("T")
 Answer = dict[str, Any]

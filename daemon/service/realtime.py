@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
+from linemate.daemon.config.settings import RealtimeSettings
 from linemate.daemon.service.awake import Awake
-from linemate.daemon.service.settings import RealtimeSettings
 
 MCL_CURRENT: Final = 1
 MCL_FUTURE: Final = 2

@@ -13,15 +13,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linemate.daemon import rotations
-from linemate.daemon.control.controller import AXES
-from linemate.daemon.control.kinematics import UnreachableError
-from linemate.daemon.horizon import Array
-from linemate.daemon.parameters import Parameters
-from linemate.daemon.service.documents import Complaint
-from linemate.daemon.step import REST_ANGLE, REST_DISTANCE
-from linemate.daemon.tracking import linear_axis
-from linemate.daemon.tracking.task import Phase
+from linemate.daemon.config.documents import Complaint
+from linemate.daemon.core import rotations
+from linemate.daemon.core.control.controller import AXES
+from linemate.daemon.core.control.kinematics import UnreachableError
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.core.step import REST_ANGLE, REST_DISTANCE
+from linemate.daemon.core.tracking import linear_axis
+from linemate.daemon.core.tracking.task import Phase
 
 STEP_S = 0.02
 MOST_STEPS = 3000

@@ -10,11 +10,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from linemate.daemon.service.clock import Clock
-from linemate.daemon.service.cycle import Cycle
-from linemate.daemon.service.recorder import RecorderStatus
-from linemate.daemon.service.states import State
-from linemate.daemon.service.timing import Timing
+from linemate.daemon.cycle.clock.clock import Clock
+from linemate.daemon.cycle.clock.timing import Timing
+from linemate.daemon.cycle.cycle import Cycle
+from linemate.daemon.cycle.states import State
+from linemate.daemon.recording.recorder import RecorderStatus
 from linemate.drivers.datagrams import Address
 from linemate.drivers.link import LinkStatus
 

@@ -17,10 +17,9 @@ from typing import Final
 
 import numpy as np
 
-from linemate.daemon import replay
-from linemate.daemon.horizon import Array
-from linemate.daemon.operator import recordings
-from linemate.daemon.recording import digest
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.recording import recordings, replay
+from linemate.daemon.recording.recording import digest
 
 SHOWN: Final = 8
 SPACING_NS: Final = 30_000_000

@@ -11,15 +11,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from linemate.daemon.operator import recordings
-from linemate.daemon.operator.recordings import UnreadableRecordingError
+from linemate.daemon.recording import recordings
+from linemate.daemon.recording.recordings import UnreadableRecordingError
 from linemate.daemon.view.frames import Frame, Framer
 from linemate.daemon.view.scene import Scene, of
 
 if TYPE_CHECKING:
     from mcap.records import Message
 
-    from linemate.daemon.recording import StepRecord
+    from linemate.daemon.recording.recording import StepRecord
 
 SPACING_NS: Final = 30_000_000
 """Between two frames [ns]; a change of state or class has a frame of its own."""
@@ -222,8 +222,8 @@ def read(path: Path, tell: Callable[[float], None] = lambda _: None) -> Tape:
     """
     from mcap.records import Message, Metadata
 
-    from linemate.daemon.operator.bounded_mcap import Damage
-    from linemate.daemon.recording import RecordingError
+    from linemate.daemon.recording.bounded_mcap import Damage
+    from linemate.daemon.recording.recording import RecordingError
 
     reading: _Reading | None = None
     layout: dict[str, tuple[str, ...]] = {}
@@ -280,7 +280,7 @@ class _Reading:
         Raises:
             RecordingError, ValueError, KeyError, TypeError: it is not what its topic says.
         """
-        from linemate.daemon.recording import decode
+        from linemate.daemon.recording.recording import decode
 
         if topic == recordings.TOPIC:
             self._step(decode(message.data, layout))

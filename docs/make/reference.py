@@ -11,9 +11,9 @@ from pathlib import Path
 from types import NoneType
 from typing import Any, get_args, get_type_hints
 
-from linemate.daemon.service import parameter_list
-from linemate.daemon.service.settings import Config
-from linemate.daemon.settings_tree import SECTIONS
+from linemate.daemon.config import parameter_list
+from linemate.daemon.config.settings import Config
+from linemate.daemon.config.settings_tree import SECTIONS
 from linemate.simulators.devices.emulator_config import EmulatorConfig
 from linemate.simulators.devices.faults import KINDS, MEANINGS, REAL
 from linemate.simulators.harness.setup import shipped_control

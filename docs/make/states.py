@@ -1,12 +1,12 @@
 """The diagram of the operating states, drawn from the table: ``python -m docs.make.states``.
 
-Law of this file: the table in ``daemon/service/states.py`` is the only source. It writes between
+Law of this file: the table in ``daemon/cycle/states.py`` is the only source. It writes between
 two marks of ``docs/reliability.md`` and touches nothing else; a test holds both in step.
 """
 
 from pathlib import Path
 
-from linemate.daemon.service.states import TABLE, State
+from linemate.daemon.cycle.states import TABLE, State
 
 PAGE = Path(__file__).resolve().parents[1] / "reliability.md"
 BEGIN, END = "<!-- states: begin -->", "<!-- states: end -->"

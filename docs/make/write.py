@@ -13,7 +13,7 @@ from pathlib import Path
 import shtab
 
 from docs.make import manual, programs, reference
-from linemate.daemon.service import config
+from linemate.daemon.config import config
 
 DOCS = Path(__file__).resolve().parents[1]
 

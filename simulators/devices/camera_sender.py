@@ -7,7 +7,7 @@ own, off by whatever the configuration says, as a camera's computer is; only the
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from linemate.protocol.camera import CameraMessage, encode
+from linemate.protocol.sensors.camera import CameraMessage, encode
 
 
 @dataclass(slots=True)

@@ -6,8 +6,8 @@ carry (a target out of range) makes it silent, as the real one is, and is counte
 
 from dataclasses import dataclass
 
-from linemate.protocol.distance import DistanceEncoder, DistanceError
-from linemate.protocol.slcan import CanFrame
+from linemate.protocol.sensors.distance import DistanceEncoder, DistanceError
+from linemate.protocol.sensors.slcan import CanFrame
 
 
 @dataclass(slots=True)

@@ -15,7 +15,7 @@ from typing import Literal
 
 from linemate.protocol.exchange import ControllerCounts, ControllerExchange, Judgement
 from linemate.protocol.frozen import frozen
-from linemate.protocol.rsi import (
+from linemate.protocol.rsi.rsi import (
     Channel,
     Element,
     RobotTelegram,

@@ -7,7 +7,7 @@ own rules say so, and not before the host has talked to it where the device want
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from linemate.protocol.wrench import WrenchDevice, bota_frame, ft300_frame, make_device
+from linemate.protocol.sensors.wrench import WrenchDevice, bota_frame, ft300_frame, make_device
 
 Encode = Callable[[Sequence[float], Sequence[float], int], bytes]
 
@@ -29,7 +29,7 @@ class ForceTorqueSensor:
     """The device's end of the line.
 
     Attributes:
-        device: one of ``linemate.protocol.wrench.DEVICES``.
+        device: one of ``linemate.protocol.sensors.wrench.DEVICES``.
         sent: frames streamed.
         withheld: readings taken while the device did not stream.
     """

@@ -8,7 +8,7 @@ channel is open. Commands it does not know or that come out of order are refused
 from collections import deque
 from dataclasses import dataclass, field
 
-from linemate.protocol.slcan import (
+from linemate.protocol.sensors.slcan import (
     OK,
     REFUSED,
     SENT,

@@ -26,16 +26,7 @@ from linemate.daemon.operator import doctor
 from linemate.daemon.operator.client import Client, NoAnswerError, RefusedError
 from linemate.daemon.service.awake import Awake
 from linemate.simulators.devices import truth
-from linemate.simulators.harness import (
-    host,
-    joined,
-    live,
-    overlay,
-    report_json,
-    scenario_file,
-    table,
-)
-from linemate.simulators.harness.judge import judge, unanswered
+from linemate.simulators.harness import host, live, overlay, scenario_file
 from linemate.simulators.harness.live import Glimpse, LinkGlimpse, View
 from linemate.simulators.harness.processes import (
     Child,
@@ -46,6 +37,8 @@ from linemate.simulators.harness.processes import (
 )
 from linemate.simulators.harness.run import leave
 from linemate.simulators.harness.setup import shipped_task
+from linemate.simulators.judge import joined, report_json, table
+from linemate.simulators.judge.judge import judge, unanswered
 from linemate.simulators.plants.scenario import Scenario
 
 LOOPBACK = "127.0.0.1"

@@ -11,8 +11,8 @@ from dataclasses import MISSING, Field, dataclass, field, fields, make_dataclass
 from pathlib import Path
 from typing import Any
 
-from linemate.daemon.service import documents
-from linemate.daemon.service.documents import Complaint, FileError
+from linemate.daemon.config import documents
+from linemate.daemon.config.documents import Complaint, FileError
 from linemate.protocol.errors import ProtocolError
 from linemate.simulators.devices.emulator import serve
 from linemate.simulators.devices.emulator_config import EmulatorConfig

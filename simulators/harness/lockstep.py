@@ -15,25 +15,25 @@ from typing import Any
 
 import numpy as np
 
-from linemate.daemon.control.settings import ControlSettings
-from linemate.daemon.parameters import Parameters, build, with_foresight
-from linemate.daemon.service.cycle import Cycle, LogEntry
-from linemate.daemon.service.states import State
-from linemate.daemon.tracking.settings import TrackingSettings
-from linemate.daemon.tracking.task import TaskFile
-from linemate.protocol.rsi import RsiCodec, parse_config
+from linemate.daemon.core.control.settings import ControlSettings
+from linemate.daemon.core.parameters import Parameters, build, with_foresight
+from linemate.daemon.core.tracking.settings import TrackingSettings
+from linemate.daemon.core.tracking.task import TaskFile
+from linemate.daemon.cycle.cycle import Cycle, LogEntry
+from linemate.daemon.cycle.states import State
+from linemate.protocol.rsi.rsi import RsiCodec, parse_config
 from linemate.simulators.devices.controller import ControllerConfig, RsiController
 from linemate.simulators.devices.faults import KINDS, Faults
 from linemate.simulators.devices.faulty_link import FaultyLink
 from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.devices.truth import TruthLog
-from linemate.simulators.harness import rows as columns
-from linemate.simulators.harness.foresight import Oracle
-from linemate.simulators.harness.judge import Evidence, StateChange, Telegrams
-from linemate.simulators.harness.rows import DaemonEvent, Rows
 from linemate.simulators.harness.setup import Setup
 from linemate.simulators.harness.variants import ORACLE, SetupError
 from linemate.simulators.harness.wires import Wires
+from linemate.simulators.judge import rows as columns
+from linemate.simulators.judge.foresight import Oracle
+from linemate.simulators.judge.judge import Evidence, StateChange, Telegrams
+from linemate.simulators.judge.rows import DaemonEvent, Rows
 from linemate.simulators.plants.scenario import sample
 from linemate.simulators.plants.world import World
 
@@ -311,6 +311,6 @@ def _count(length_s: float, cycle_s: float) -> int:
 
 
 def _shipped(name: str) -> bytes:
-    from linemate.daemon.service.files import PROTOCOL_DATA
+    from linemate.daemon.config.files import PROTOCOL_DATA
 
     return (PROTOCOL_DATA / name).read_bytes()

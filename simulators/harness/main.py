@@ -20,11 +20,11 @@ MAX_ROUND_S = 3600.0
 BENCH_PARTS = ("turnaround", "wakeup", "step", "virtual")
 MAX_HOURS = 10_000.0
 ROOMS = {
-    "demo": "demo",
-    "run": "run",
-    "campaign": "campaign",
-    "emulator": "emulator",
-    "bench": "bench",
+    "demo": "harness.demo",
+    "run": "harness.run",
+    "campaign": "lab.campaign",
+    "emulator": "harness.emulator",
+    "bench": "lab.bench.bench",
 }
 """The room that does a command, by its ``main(args) -> int``."""
 
@@ -56,10 +56,10 @@ def one_thread() -> None:
 def _dispatch(args: argparse.Namespace) -> int:
     if args.command == "schema":
         return _schema(args.kind)
-    from linemate.daemon.service.documents import FileError
+    from linemate.daemon.config.documents import FileError
 
     try:
-        room = import_module(f"linemate.simulators.harness.{ROOMS[args.command]}")
+        room = import_module(f"linemate.simulators.{ROOMS[args.command]}")
         return int(room.main(args))
     except FileError as error:
         print(error, file=sys.stderr)
@@ -70,7 +70,8 @@ def _dispatch(args: argparse.Namespace) -> int:
 
 
 def _schema(kind: str) -> int:
-    from linemate.simulators.harness import report_json, scenario_file
+    from linemate.simulators.harness import scenario_file
+    from linemate.simulators.judge import report_json
 
     print(report_json.text(scenario_file.schema(kind)))
     return 0
@@ -100,7 +101,7 @@ def variants(text: str) -> tuple[str, ...]:
 
 def scheduler(text: str) -> str:
     """Where runs are made: ``local``, or a dask scheduler's address."""
-    from linemate.simulators.harness import cluster
+    from linemate.simulators.lab import cluster
 
     if text != "local" and not cluster.is_address(text):
         schemes = ", ".join(cluster.SCHEMES)

@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from linemate.daemon.service import documents, files
-from linemate.daemon.service.documents import FileError
-from linemate.daemon.service.files import UnreadableError
+from linemate.daemon.config import documents, files
+from linemate.daemon.config.documents import FileError
+from linemate.daemon.config.files import UnreadableError
 from linemate.simulators.harness.setup import Setup, override
 from linemate.simulators.harness.variants import SetupError
 

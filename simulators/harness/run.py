@@ -9,10 +9,10 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from linemate.simulators.harness import report_json
-from linemate.simulators.harness.campaign import Job, collect, execute, progress_bar
-from linemate.simulators.harness.rows import Rows
 from linemate.simulators.harness.setup import make
+from linemate.simulators.judge import report_json
+from linemate.simulators.judge.rows import Rows
+from linemate.simulators.lab.campaign import Job, collect, execute, progress_bar
 
 
 def main(args: Namespace) -> int:
@@ -40,7 +40,7 @@ def main(args: Namespace) -> int:
 
 def leave(out: Path, result: dict[str, Any], rows: Rows) -> None:
     """Leave result.json, the report and its plots in a folder."""
-    from linemate.simulators.harness import report
+    from linemate.simulators.judge import report
 
     report_json.write(out / "result.json", result)
     report.write(out, result, rows)
@@ -54,7 +54,7 @@ def _folder(out: Path | None, seed: int, single: bool) -> Path | None:
 
 def _told(results: list[dict[str, Any]]) -> str:
     """One run whole, several as a line each."""
-    from linemate.simulators.harness.table import aligned, plain
+    from linemate.simulators.judge.table import aligned, plain
 
     if len(results) == 1:
         return plain(results[0])

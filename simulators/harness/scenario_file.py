@@ -11,8 +11,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from linemate.daemon.service import documents, task_file
-from linemate.daemon.service.documents import Complaint, FileError
+from linemate.daemon.config import documents, task_file
+from linemate.daemon.config.documents import Complaint, FileError
 from linemate.simulators.devices.faults import KINDS
 from linemate.simulators.plants.scenario import Scenario
 

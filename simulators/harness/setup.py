@@ -14,13 +14,13 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from linemate.daemon.control import urdf_limits
-from linemate.daemon.control.settings import ControlSettings
-from linemate.daemon.service import documents, task_file
-from linemate.daemon.service.documents import FileError
-from linemate.daemon.service.files import DAEMON_DATA
-from linemate.daemon.tracking.settings import TrackingSettings
-from linemate.daemon.tracking.task import TaskFile
+from linemate.daemon.config import documents, task_file
+from linemate.daemon.config.documents import FileError
+from linemate.daemon.config.files import DAEMON_DATA
+from linemate.daemon.core.control import urdf_limits
+from linemate.daemon.core.control.settings import ControlSettings
+from linemate.daemon.core.tracking.settings import TrackingSettings
+from linemate.daemon.core.tracking.task import TaskFile
 from linemate.simulators.harness import scenario_file, variants
 from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.plants.scenario import Scenario

@@ -8,8 +8,8 @@ One of them, ``oracle``, is told the future beside its settings: what prediction
 from collections.abc import Callable
 from dataclasses import replace
 
-from linemate.daemon.control.settings import ControlSettings
-from linemate.daemon.tracking.settings import ClassifierKind, MergeSettings, TrackingSettings
+from linemate.daemon.core.control.settings import ControlSettings
+from linemate.daemon.core.tracking.settings import ClassifierKind, MergeSettings, TrackingSettings
 
 Settings = tuple[TrackingSettings, ControlSettings]
 Transformation = Callable[[TrackingSettings, ControlSettings], Settings]

@@ -24,12 +24,12 @@ from typing import Any, TypeVar
 import can
 import serialx
 
-from linemate.daemon.service import clock as daemon_clock
-from linemate.daemon.service import parameter_list
+from linemate.daemon.config import parameter_list
+from linemate.daemon.cycle.clock import clock as daemon_clock
 from linemate.drivers import sole_sender
 from linemate.drivers.datagrams import Address, DatagramSocket
 from linemate.drivers.stamps import SO_TIMESTAMPNS
-from linemate.protocol import distance as distance_codec
+from linemate.protocol.sensors import distance as distance_codec
 
 T = TypeVar("T")
 

@@ -11,11 +11,11 @@ from collections import Counter
 from collections.abc import Callable
 from operator import itemgetter
 
-from linemate.daemon.service.cycle import Cycle
-from linemate.protocol.camera import CameraDecoder
-from linemate.protocol.distance import DistanceDecoder, DistanceEncoder
+from linemate.daemon.cycle.cycle import Cycle
 from linemate.protocol.errors import ProtocolError
-from linemate.protocol.wrench import make_decoder, make_host
+from linemate.protocol.sensors.camera import CameraDecoder
+from linemate.protocol.sensors.distance import DistanceDecoder, DistanceEncoder
+from linemate.protocol.sensors.wrench import make_decoder, make_host
 from linemate.simulators.devices.camera_sender import CameraSender
 from linemate.simulators.devices.can_sensor import CanSensor
 from linemate.simulators.devices.faults import GARBAGE_BYTES, Faults

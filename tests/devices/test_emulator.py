@@ -13,11 +13,11 @@ from linemate.drivers.camera_udp import CameraLink
 from linemate.drivers.can_bus import CanLink
 from linemate.drivers.rsi_udp import RsiLink
 from linemate.drivers.serial_port import SerialLink
-from linemate.protocol.camera import CameraDecoder
-from linemate.protocol.distance import DistanceDecoder
-from linemate.protocol.rsi import RsiCodec, RsiError, SensorTelegram, parse_config
+from linemate.protocol.rsi.rsi import RsiCodec, RsiError, SensorTelegram, parse_config
 from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
-from linemate.protocol.wrench import make_decoder, make_host
+from linemate.protocol.sensors.camera import CameraDecoder
+from linemate.protocol.sensors.distance import DistanceDecoder
+from linemate.protocol.sensors.wrench import make_decoder, make_host
 from linemate.simulators.devices.emulator import SHIPPED_RSI, Emulator, EmulatorConfig
 from linemate.simulators.devices.truth import load
 from linemate.simulators.plants.scenario import Camera, DistanceSensor, Fault, Scenario

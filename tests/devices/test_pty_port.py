@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from loops import run, until
 
-from linemate.simulators.devices.pty_port import PtyPort
+from linemate.simulators.devices.links.pty_port import PtyPort
 
 
 def _open(path: str | Path) -> int:

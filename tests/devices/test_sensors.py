@@ -2,9 +2,9 @@
 
 import pytest
 
-from linemate.protocol.camera import CameraDecoder
-from linemate.protocol.distance import DistanceDecoder, DistanceEncoder
-from linemate.protocol.wrench import WrenchError, make_decoder, make_host
+from linemate.protocol.sensors.camera import CameraDecoder
+from linemate.protocol.sensors.distance import DistanceDecoder, DistanceEncoder
+from linemate.protocol.sensors.wrench import WrenchError, make_decoder, make_host
 from linemate.simulators.devices.camera_sender import CameraSender
 from linemate.simulators.devices.can_sensor import CanSensor
 from linemate.simulators.devices.force_torque import ForceTorqueSensor

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from linemate.protocol.slcan import CanFrame
+from linemate.protocol.sensors.slcan import CanFrame
 from linemate.simulators.devices.slcan import SlcanAdapter
 
 FRAME = CanFrame(0x183, b"\x01\x02\x03\x04")

@@ -4,7 +4,7 @@ import socket
 
 from loops import run, until
 
-from linemate.simulators.devices.tcp_port import TcpPort
+from linemate.simulators.devices.links.tcp_port import TcpPort
 
 LOOPBACK = ("127.0.0.1", 0)
 

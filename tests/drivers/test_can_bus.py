@@ -9,11 +9,11 @@ from loops import run, until
 
 from linemate.drivers.backoff import Backoff
 from linemate.drivers.can_bus import CanLink
-from linemate.protocol.distance import DistanceDecoder, DistanceEncoder
 from linemate.protocol.samples import DistanceSample
-from linemate.protocol.slcan import CanFrame
+from linemate.protocol.sensors.distance import DistanceDecoder, DistanceEncoder
+from linemate.protocol.sensors.slcan import CanFrame
 from linemate.simulators.devices.can_sensor import CanSensor
-from linemate.simulators.devices.slcan_pty import SlcanPty
+from linemate.simulators.devices.links.slcan_pty import SlcanPty
 
 QUICK = (0.02, 0.1)
 

@@ -10,9 +10,9 @@ from loops import run, until
 from linemate.drivers.backoff import Backoff
 from linemate.drivers.serial_port import SerialLink
 from linemate.protocol.samples import WrenchSample
-from linemate.protocol.wrench import bota_frame, make_decoder, make_host
+from linemate.protocol.sensors.wrench import bota_frame, make_decoder, make_host
 from linemate.simulators.devices.force_torque import ForceTorqueSensor
-from linemate.simulators.devices.serial_pty import SerialPty
+from linemate.simulators.devices.links.serial_pty import SerialPty
 
 FORCE, TORQUE = (1.0, -2.0, 3.0), (0.1, 0.2, -0.3)
 

@@ -11,13 +11,13 @@ from typing import Any
 
 import pytest
 
-from linemate.daemon.service.cycle import Cycle
-from linemate.daemon.service.operating import Operating
-from linemate.daemon.service.session import Session
-from linemate.daemon.service.states import Link, Machine, Signals, State
-from linemate.simulators.harness import dst, dst_oracles, dst_plan, dst_run
-from linemate.simulators.harness.dst_plan import Plan, draw
+from linemate.daemon.cycle.cycle import Cycle
+from linemate.daemon.cycle.operating import Operating
+from linemate.daemon.cycle.session import Session
+from linemate.daemon.cycle.states import Link, Machine, Signals, State
 from linemate.simulators.harness.virtual import VirtualTime
+from linemate.simulators.lab.faults import dst, dst_oracles, dst_plan, dst_run
+from linemate.simulators.lab.faults.dst_plan import Plan, draw
 from linemate.simulators.plants.scenario import ConveyorEvent, Fault
 
 REGRESSIONS = Path(__file__).parent / "regressions.txt"
@@ -66,7 +66,7 @@ def test_one_plan_leaves_one_trace_whatever_the_process_and_its_hash_seed() -> N
     plan = draw(3)
     here = dst_run.run(plan).digest
     told = subprocess.run(
-        [sys.executable, "-m", "linemate.simulators.harness.dst", "--trace", "3"],
+        [sys.executable, "-m", "linemate.simulators.lab.faults.dst", "--trace", "3"],
         env={**os.environ, "PYTHONHASHSEED": "12345"},
         capture_output=True,
         text=True,

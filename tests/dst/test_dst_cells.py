@@ -2,8 +2,8 @@
 
 import pytest
 
-from linemate.simulators.harness import dst_plan
-from linemate.simulators.harness.dst_cells import (
+from linemate.simulators.lab.faults import dst_plan
+from linemate.simulators.lab.faults.dst_cells import (
     CELLS,
     SHIPPED,
     axis_limits,
@@ -13,7 +13,7 @@ from linemate.simulators.harness.dst_cells import (
     station,
     station_of,
 )
-from linemate.simulators.harness.dst_plan import Plan
+from linemate.simulators.lab.faults.dst_plan import Plan
 from linemate.simulators.plants.scenario import Contact
 
 

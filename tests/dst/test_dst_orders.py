@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from linemate.daemon.service.app import App
-from linemate.protocol.command_session import CommandServer
-from linemate.simulators.harness.dst_orders import NAMES, CommandWire
+from linemate.protocol.command.command_session import CommandServer
+from linemate.simulators.lab.faults.dst_orders import NAMES, CommandWire
 
 NOW_NS = 10**15
 

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from linemate.daemon.service.states import State
+from linemate.daemon.cycle.states import State
 from linemate.simulators.devices.limits import LIMITS, LimitJudge
-from linemate.simulators.harness import dst_plant_oracles as oracles
-from linemate.simulators.harness.dst_plant_oracles import PlantOracle, Seen
+from linemate.simulators.lab.faults import dst_plant_oracles as oracles
+from linemate.simulators.lab.faults.dst_plant_oracles import PlantOracle, Seen
 from linemate.simulators.plants.contact import Collision
 from linemate.simulators.plants.scenario import Robot, Scenario
 from linemate.simulators.plants.servo import ServoBank

@@ -1,12 +1,12 @@
 """A short share of the planted errors: each is found, and what is planted is taken out again.
 
-``python -m linemate.simulators.harness.dst_planted`` runs all of them up to 500 runs each.
+``python -m linemate.simulators.lab.faults.dst_planted`` runs all of them up to 500 runs each.
 """
 
 import pytest
 
-from linemate.simulators.harness import dst_planted, dst_run
-from linemate.simulators.harness.dst_plan import Plan
+from linemate.simulators.lab.faults import dst_planted, dst_run
+from linemate.simulators.lab.faults.dst_plan import Plan
 from linemate.simulators.plants.scenario import Fault
 
 HELD_S = 1.45

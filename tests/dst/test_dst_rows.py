@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from linemate.daemon.service import config
-from linemate.daemon.service.documents import FileError
-from linemate.simulators.harness import dst_plan, dst_plan_rows, dst_run
-from linemate.simulators.harness.dst_cells import CELLS, TASKS
-from linemate.simulators.harness.dst_plan import Plan
-from linemate.simulators.harness.dst_run import Simulation
+from linemate.daemon.config import config
+from linemate.daemon.config.documents import FileError
+from linemate.simulators.lab.faults import dst_plan, dst_plan_rows, dst_run
+from linemate.simulators.lab.faults.dst_cells import CELLS, TASKS
+from linemate.simulators.lab.faults.dst_plan import Plan
+from linemate.simulators.lab.faults.dst_run import Simulation
 from linemate.simulators.plants.contact import WHEEL_RELEASED, ContactPlant
 from linemate.simulators.plants.scenario import ConveyorEvent, Fault
 

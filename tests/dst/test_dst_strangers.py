@@ -3,8 +3,8 @@
 import re
 
 from linemate.drivers.datagrams import Address
-from linemate.simulators.harness.dst_cells import rest_pose, station
-from linemate.simulators.harness.dst_strangers import (
+from linemate.simulators.lab.faults.dst_cells import rest_pose, station
+from linemate.simulators.lab.faults.dst_strangers import (
     FIRST,
     OTHER_ADDRESS,
     OTHER_PORT,

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from linemate.simulators.harness.dst_unavoidable import Loss, excuse
+from linemate.simulators.lab.faults.dst_unavoidable import Loss, excuse
 
 INF = float("inf")
 COMMANDS = Loss("commands", 1.0, 1.13, at_hub=True, travel_m=0.014, speed_change=0.0)

@@ -2,8 +2,8 @@
 
 import pytest
 
-from linemate.simulators.harness import dst_run
-from linemate.simulators.harness.dst_plan import Plan
+from linemate.simulators.lab.faults import dst_run
+from linemate.simulators.lab.faults.dst_plan import Plan
 from linemate.simulators.plants.scenario import ConveyorEvent
 
 STOP, START = 0.104, 0.013  # as the task sets them [m/s^2]

@@ -6,10 +6,10 @@ from typing import cast
 
 import pytest
 
-from linemate.daemon.tracking.settings import TrackingSettings
-from linemate.simulators.harness import accuracy
-from linemate.simulators.harness.accuracy import BEGIN, END, Where, groups, write
-from linemate.simulators.harness.cases import CASES, Case
+from linemate.daemon.core.tracking.settings import TrackingSettings
+from linemate.simulators.lab import accuracy
+from linemate.simulators.lab.accuracy import BEGIN, END, Where, groups, write
+from linemate.simulators.lab.cases import CASES, Case
 
 SHORT = ("scenario.lead_in_s=1.3", "scenario.duration_s=0.1")
 

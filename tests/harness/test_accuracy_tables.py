@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from linemate.simulators.harness import accuracy_tables as tables
-from linemate.simulators.harness.accuracy_tables import Bar
-from linemate.simulators.harness.detection import latencies, rate
-from linemate.simulators.harness.statistics import describe
+from linemate.simulators.judge.statistics import describe
+from linemate.simulators.lab import accuracy_tables as tables
+from linemate.simulators.lab.accuracy_tables import Bar
+from linemate.simulators.lab.detection import latencies, rate
 
 WINDOWS = ("approach", "stop", "impact", "contact", "restart")
 

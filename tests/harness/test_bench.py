@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from linemate.daemon.step import State, step
-from linemate.simulators.harness import bench, host
-from linemate.simulators.harness.bench import Job, Tape, interleaved
+from linemate.daemon.core.step import State, step
+from linemate.simulators.harness import host
+from linemate.simulators.lab.bench import bench
+from linemate.simulators.lab.bench.bench import Job, Tape, interleaved
 
 
 def test_jobs_take_turns_and_the_warm_round_does_not_count() -> None:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from linemate.protocol.rsi import RsiCodec, SensorTelegram, parse_config
-from linemate.simulators.harness import bench_player
-from linemate.simulators.harness.bench_reel import DISTANCE_NS, Reel
+from linemate.protocol.rsi.rsi import RsiCodec, SensorTelegram, parse_config
+from linemate.simulators.lab.bench import bench_player
+from linemate.simulators.lab.bench.bench_reel import DISTANCE_NS, Reel
 
 MS = 1_000_000
 XML = files("linemate.protocol").joinpath("data", "rsi_joints.xml").read_bytes()

@@ -5,10 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from linemate.simulators.harness import bench_clock, bench_floor, bench_turnaround, host
-from linemate.simulators.harness.bench import record_reel
-from linemate.simulators.harness.bench_floor import Place, Spike, TimerProgram
-from linemate.simulators.harness.bench_turnaround import (
+from linemate.simulators.harness import host
+from linemate.simulators.harness.processes import Children
+from linemate.simulators.lab.bench import bench_clock, bench_floor, bench_turnaround
+from linemate.simulators.lab.bench.bench import record_reel
+from linemate.simulators.lab.bench.bench_floor import Place, Spike, TimerProgram
+from linemate.simulators.lab.bench.bench_turnaround import (
     PROBE_PERIOD_NS,
     Bench,
     Round,
@@ -16,7 +18,6 @@ from linemate.simulators.harness.bench_turnaround import (
     is_explained,
     percentile,
 )
-from linemate.simulators.harness.processes import Children
 
 MS = 1_000_000
 CYCLE = 4 * MS

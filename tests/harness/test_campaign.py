@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from linemate.simulators.harness import campaign, setup
-from linemate.simulators.harness.campaign import Job
+from linemate.simulators.harness import setup
 from linemate.simulators.harness.main import main
+from linemate.simulators.lab import campaign
+from linemate.simulators.lab.campaign import Job
 
 SHORT = ("scenario.lead_in_s=1.3", "scenario.duration_s=0.1")
 

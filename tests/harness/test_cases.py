@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from linemate.simulators.harness import cases, setup
-from linemate.simulators.harness.cases import CASES, TUNED, VERIFY, WRONG, Case
+from linemate.simulators.harness import setup
 from linemate.simulators.harness.variants import VARIANTS, SetupError
+from linemate.simulators.lab import cases
+from linemate.simulators.lab.cases import CASES, TUNED, VERIFY, WRONG, Case
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -6,11 +6,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from linemate.simulators.harness import campaign, cluster, setup
-from linemate.simulators.harness.campaign import Job
-from linemate.simulators.harness.cluster import ClusterError
+from linemate.simulators.harness import setup
 from linemate.simulators.harness.main import main
 from linemate.simulators.harness.variants import SetupError
+from linemate.simulators.lab import campaign, cluster
+from linemate.simulators.lab.campaign import Job
+from linemate.simulators.lab.cluster import ClusterError
 
 SHORT = ("scenario.lead_in_s=1.3", "scenario.duration_s=0.1")
 
@@ -90,5 +91,5 @@ def test_what_is_no_address_is_wrong_usage(text: str) -> None:
 
 def test_the_digest_knows_sources_and_shipped_files() -> None:
     names = [name for name, _ in cluster._sources()]
-    assert {"daemon/step.py", "daemon/data/wheel.yaml", "protocol/rsi.py"} <= set(names)
+    assert {"daemon/core/step.py", "daemon/data/wheel.yaml", "protocol/rsi/rsi.py"} <= set(names)
     assert cluster.digest() == cluster.digest()

@@ -17,10 +17,11 @@ from typing import Any
 import pytest
 import yaml
 
-from linemate.simulators.harness import demo, joined, scenario_file
-from linemate.simulators.harness.judge import shortfalls
+from linemate.simulators.harness import demo, scenario_file
 from linemate.simulators.harness.main import main
 from linemate.simulators.harness.processes import ChildError
+from linemate.simulators.judge import joined
+from linemate.simulators.judge.judge import shortfalls
 from linemate.simulators.plants.scenario import Scenario
 
 SHORT_S = 3.0

@@ -5,10 +5,11 @@ import math
 
 import pytest
 
-from linemate.simulators.harness import detection, setup
-from linemate.simulators.harness.detection import Plan
-from linemate.simulators.harness.drills import Tally
+from linemate.simulators.harness import setup
 from linemate.simulators.harness.main import main
+from linemate.simulators.lab import detection
+from linemate.simulators.lab.detection import Plan
+from linemate.simulators.lab.drills import Tally
 
 
 @pytest.mark.parametrize(

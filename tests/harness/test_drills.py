@@ -6,11 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linemate.daemon.tracking.conveyor import Source
-from linemate.daemon.tracking.settings import TrackingSettings
-from linemate.simulators.harness import drills, setup
-from linemate.simulators.harness.drills import Drill, Kind, Push, Tally
-from linemate.simulators.harness.rows import DaemonEvent
+from linemate.daemon.core.tracking.conveyor import Source
+from linemate.daemon.core.tracking.settings import TrackingSettings
+from linemate.simulators.harness import setup
+from linemate.simulators.judge.rows import DaemonEvent
+from linemate.simulators.lab import drills
+from linemate.simulators.lab.drills import Drill, Kind, Push, Tally
 from linemate.simulators.plants.conveyor import ConveyorPlant
 from linemate.simulators.plants.scenario import (
     AppliedEvent,

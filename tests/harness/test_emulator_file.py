@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from linemate.daemon.service.documents import FileError
+from linemate.daemon.config.documents import FileError
 from linemate.simulators.harness import emulator
 
 

@@ -6,13 +6,14 @@ from pathlib import Path
 import pytest
 import yaml
 
+from linemate.daemon.config import task_file
+from linemate.daemon.config.files import DAEMON_DATA
+from linemate.daemon.identification.identify import Identified
 from linemate.daemon.identification.outcome import Estimate, Refusal
-from linemate.daemon.identify import Identified
 from linemate.daemon.operator import identify
-from linemate.daemon.service import task_file
-from linemate.daemon.service.files import DAEMON_DATA
-from linemate.simulators.harness import identify_run, overlay, setup
-from linemate.simulators.harness.identify_run import Plan
+from linemate.simulators.harness import overlay, setup
+from linemate.simulators.lab import identify_run
+from linemate.simulators.lab.identify_run import Plan
 from linemate.simulators.plants.scenario import Effector, Robot
 
 PLAN = Plan(exercises=1, wheels=0, overrides=("scenario.duration_s=12.5",))

@@ -7,15 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from linemate.daemon import recording
-from linemate.daemon.recording import RecordingError
-from linemate.daemon.service.cycle import LogEntry
-from linemate.daemon.service.step_feed import described
-from linemate.daemon.service.step_file import STATE_LOG, Item, Kind, StepFile
-from linemate.simulators.harness import joined, setup
-from linemate.simulators.harness.judge import StateChange
+from linemate.daemon.cycle.cycle import LogEntry
+from linemate.daemon.recording import recording
+from linemate.daemon.recording.recording import RecordingError
+from linemate.daemon.recording.step_feed import described
+from linemate.daemon.recording.step_file import STATE_LOG, Item, Kind, StepFile
+from linemate.simulators.harness import setup
 from linemate.simulators.harness.lockstep import Lockstep
-from linemate.simulators.harness.rows import Rows
+from linemate.simulators.judge import joined
+from linemate.simulators.judge.judge import StateChange
+from linemate.simulators.judge.rows import Rows
 
 
 @pytest.fixture(scope="module")

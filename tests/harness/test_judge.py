@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from linemate.simulators.devices.limits import AxisLimit
-from linemate.simulators.harness import judge as judging
-from linemate.simulators.harness import table
-from linemate.simulators.harness.judge import Evidence, StateChange, Telegrams, judge
-from linemate.simulators.harness.rows import (
+from linemate.simulators.judge import judge as judging
+from linemate.simulators.judge import table
+from linemate.simulators.judge.judge import Evidence, StateChange, Telegrams, judge
+from linemate.simulators.judge.rows import (
     CLAMPED,
     FREE,
     PHASES,

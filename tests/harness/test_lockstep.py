@@ -5,10 +5,10 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from linemate.daemon.service.cycle import LogEntry
+from linemate.daemon.cycle.cycle import LogEntry
 from linemate.simulators.harness import lockstep, setup
-from linemate.simulators.harness.judge import Evidence, judge
-from linemate.simulators.harness.rows import CLAMPED, STATES
+from linemate.simulators.judge.judge import Evidence, judge
+from linemate.simulators.judge.rows import CLAMPED, STATES
 
 SHORT = ("scenario.lead_in_s=1.5", "scenario.duration_s=0.6")
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from linemate.daemon.service.documents import FileError
+from linemate.daemon.config.documents import FileError
 from linemate.simulators.harness import overlay, setup
 from linemate.simulators.harness.variants import SetupError
 

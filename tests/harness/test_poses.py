@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from linemate.simulators.harness import poses
+from linemate.simulators.judge import poses
 
 
 def random_poses(seed: int, n: int = 20) -> np.ndarray:

@@ -11,12 +11,7 @@ from typing import Any
 import pytest
 
 from linemate.simulators.harness import processes
-from linemate.simulators.harness.processes import (
-    ChildError,
-    Children,
-    interruptible,
-    wait_until,
-)
+from linemate.simulators.harness.processes import ChildError, Children, interruptible, wait_until
 
 READY = "import time; print('ready', flush=True); time.sleep(60)"
 DEAF = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); " + READY

@@ -13,8 +13,8 @@ import pytest
 from matplotlib.image import imread
 from numpy.typing import NDArray
 
-from linemate.simulators.harness import figures, report, table
-from linemate.simulators.harness.rows import CLAMPED, FREE, Rows, empty
+from linemate.simulators.judge import figures, report, table
+from linemate.simulators.judge.rows import CLAMPED, FREE, Rows, empty
 
 T0 = 0.012
 

@@ -7,7 +7,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from linemate.daemon.service.documents import FileError
+from linemate.daemon.config.documents import FileError
 from linemate.simulators.harness import scenario_file
 from linemate.simulators.plants.scenario import Scenario, sample
 

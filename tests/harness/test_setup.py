@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from linemate.daemon.tracking.settings import TrackingSettings
+from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.simulators.harness import setup, variants
 from linemate.simulators.harness.setup import OverrideError
 from linemate.simulators.harness.variants import UnknownVariantError

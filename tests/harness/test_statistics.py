@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom
 
-from linemate.simulators.harness import statistics
+from linemate.simulators.judge import statistics
 
 
 def test_the_interval_of_a_median_is_the_textbooks() -> None:

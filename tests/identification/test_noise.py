@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from tapes import CAMERA, Array, Sight, ringing, seen, tape, without
 
+from linemate.daemon.core.tracking.settings import CameraNoise
 from linemate.daemon.identification import scene
 from linemate.daemon.identification.noise import distance_noise, identify_noise, wrench_noise
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
 from linemate.daemon.identification.swing import look
-from linemate.daemon.tracking.settings import CameraNoise
 from linemate.simulators.plants.scenario import Effector
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tapes import CAMERA, Sight, seen, tape
 
+from linemate.daemon.core.tracking.settings import CameraNoise
 from linemate.daemon.identification import scene
 from linemate.daemon.identification.camera import CameraResult, identify_camera
 from linemate.daemon.identification.offset import identify_offset
@@ -13,7 +14,6 @@ from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
 from linemate.daemon.identification.scene import Scene, Views
 from linemate.daemon.identification.swing import SwingResult, identify_swings, look
 from linemate.daemon.identification.tape import Tape
-from linemate.daemon.tracking.settings import CameraNoise
 
 Found = tuple[Scene | None, list[Views]]
 

@@ -6,9 +6,9 @@ from itertools import count
 import numpy as np
 import pytest
 
-from linemate.daemon import rotations
+from linemate.daemon.core import rotations
+from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.identification.tape import make_tape, way
-from linemate.daemon.inputs import Inputs
 from linemate.protocol.samples import CameraSample, DistanceSample, RobotSample, WrenchSample
 
 T0_NS = 12_000_000

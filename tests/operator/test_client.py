@@ -20,9 +20,9 @@ from linemate.daemon.operator.client import (
     read_key,
 )
 from linemate.daemon.service.command_server import CommandPort
-from linemate.protocol.command import CommandError, Role
-from linemate.protocol.command_client import ClientCore
-from linemate.protocol.command_keys import key_line
+from linemate.protocol.command.command import CommandError, Role
+from linemate.protocol.command.command_client import ClientCore
+from linemate.protocol.command.command_keys import key_line
 
 ALICE = key_of("alice", Role.OPERATE, 1)
 EVE = key_of("eve", Role.VIEW, 2)

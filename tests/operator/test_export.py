@@ -8,13 +8,13 @@ from typing import Any
 import pytest
 from cell import TASK, World, parameters
 
-from linemate.daemon.inputs import Order
+from linemate.daemon.core.inputs import Order
+from linemate.daemon.cycle.clock.timing import CycleTimes
+from linemate.daemon.cycle.cycle import LogEntry
 from linemate.daemon.operator import main as tool
-from linemate.daemon.operator.recordings import read
-from linemate.daemon.service.cycle import LogEntry
-from linemate.daemon.service.step_feed import Feed, described
-from linemate.daemon.service.step_file import Item, Kind, StepFile
-from linemate.daemon.service.timing import CycleTimes
+from linemate.daemon.recording.recordings import read
+from linemate.daemon.recording.step_feed import Feed, described
+from linemate.daemon.recording.step_file import Item, Kind, StepFile
 
 STEPS = 100
 TEXTS = {"config": "task: wheel.yaml\n", "task": TASK.text, "urdf": TASK.urdf}

@@ -10,14 +10,14 @@ from pathlib import Path
 import pytest
 import yaml
 
+from linemate.daemon.config.files import DAEMON_DATA
+from linemate.daemon.identification.identify import Identified
 from linemate.daemon.identification.outcome import Estimate, Finding, Refusal
-from linemate.daemon.identify import Identified
-from linemate.daemon.operator import identify, recordings
-from linemate.daemon.operator.recordings import UnreadableRecordingError
-from linemate.daemon.service import step_file
-from linemate.daemon.service.files import DAEMON_DATA
-from linemate.daemon.service.step_feed import described
-from linemate.daemon.service.step_file import StepFile
+from linemate.daemon.operator import identify
+from linemate.daemon.recording import recordings, step_file
+from linemate.daemon.recording.recordings import UnreadableRecordingError
+from linemate.daemon.recording.step_feed import described
+from linemate.daemon.recording.step_file import StepFile
 
 TEXTS = {
     "task": (DAEMON_DATA / "wheel.yaml").read_text(),

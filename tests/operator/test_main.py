@@ -16,8 +16,8 @@ from command_ends import key_of, open_port, served
 from linemate.daemon.operator import render
 from linemate.daemon.operator.main import main
 from linemate.daemon.service.command_server import CommandPort
-from linemate.protocol.command import Role
-from linemate.protocol.command_keys import key_line, parse_keys
+from linemate.protocol.command.command import Role
+from linemate.protocol.command.command_keys import key_line, parse_keys
 
 ALICE = key_of("alice", Role.OPERATE, 1)
 
@@ -299,9 +299,11 @@ def test_a_status_loads_nothing_that_it_does_not_need() -> None:
         [sys.executable, "-c", LOADED], capture_output=True, text=True, check=True
     )
     loaded = set(done.stdout.split())
-    assert "linemate.protocol.command_local_client" in loaded
+    assert "linemate.protocol.command.command_local_client" in loaded
     rooms = ("daemon.operator.replay", "daemon.operator.export", "daemon.operator.doctor")
-    unwanted = {f"linemate.{room}" for room in (*rooms, "protocol.command_session", "daemon.view")}
+    unwanted = {
+        f"linemate.{room}" for room in (*rooms, "protocol.command.command_session", "daemon.view")
+    }
     assert not loaded & (
         unwanted
         | {"numpy", "rich", "pydantic", "yaml", "asyncio", "secrets", "hashlib", "json", "msgspec"}

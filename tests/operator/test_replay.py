@@ -9,14 +9,14 @@ from typing import Any
 import pytest
 from cell import TASK, World, parameters
 
-from linemate.daemon.inputs import Order
+from linemate.daemon.core.inputs import Order
+from linemate.daemon.cycle.cycle import LogEntry
 from linemate.daemon.operator import main as tool
-from linemate.daemon.operator.recordings import pieces, read
-from linemate.daemon.recording import StepRecord
-from linemate.daemon.replay import InForce, StateBefore, Texts, distance, replay
-from linemate.daemon.service.cycle import LogEntry
-from linemate.daemon.service.step_feed import Feed, described
-from linemate.daemon.service.step_file import StepFile
+from linemate.daemon.recording.recording import StepRecord
+from linemate.daemon.recording.recordings import pieces, read
+from linemate.daemon.recording.replay import InForce, StateBefore, Texts, distance, replay
+from linemate.daemon.recording.step_feed import Feed, described
+from linemate.daemon.recording.step_file import StepFile
 
 STEPS = 120
 TEXTS = {"config": "task: wheel.yaml\n", "task": TASK.text, "urdf": TASK.urdf}

@@ -8,12 +8,7 @@ import pytest
 from scipy import signal
 
 from linemate.simulators.plants import rotation
-from linemate.simulators.plants.effector import (
-    ZERO,
-    EffectorPlant,
-    deflected,
-    deflection_between,
-)
+from linemate.simulators.plants.effector import ZERO, EffectorPlant, deflected, deflection_between
 from linemate.simulators.plants.rotation import IDENTITY, Pose
 from linemate.simulators.plants.scenario import Effector
 

@@ -13,8 +13,8 @@ from command_ends import MS, World, client_address
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linemate.protocol import command
-from linemate.protocol.command import (
+from linemate.protocol.command import command
+from linemate.protocol.command.command import (
     CommandError,
     Frame,
     FrameType,
@@ -23,8 +23,8 @@ from linemate.protocol.command import (
     cut_local,
     frame_body,
 )
-from linemate.protocol.command_keys import cookie, hello_tagger, make_key, session_keys
-from linemate.protocol.command_plain import (
+from linemate.protocol.command.command_keys import cookie, hello_tagger, make_key, session_keys
+from linemate.protocol.command.command_plain import (
     BARE,
     Reply,
     decode_event,
@@ -34,8 +34,13 @@ from linemate.protocol.command_plain import (
     encode_reply,
     encode_result,
 )
-from linemate.protocol.command_request import OPERATIONS, Empty, decode_request, encode_request
-from linemate.protocol.command_session import CommandClient, CommandServer
+from linemate.protocol.command.command_request import (
+    OPERATIONS,
+    Empty,
+    decode_request,
+    encode_request,
+)
+from linemate.protocol.command.command_session import CommandClient, CommandServer
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "command-protocol.md"
 

@@ -15,10 +15,10 @@ from command_ends import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linemate.protocol.command import FrameType, Role, Tagger, frame_body
-from linemate.protocol.command_client import Answer, Ready, Telemetry
-from linemate.protocol.command_keys import SessionKeys
-from linemate.protocol.command_session import (
+from linemate.protocol.command.command import FrameType, Role, Tagger, frame_body
+from linemate.protocol.command.command_client import Answer, Ready, Telemetry
+from linemate.protocol.command.command_keys import SessionKeys
+from linemate.protocol.command.command_session import (
     MAX_SESSIONS,
     MAX_TOMBSTONES_PER_KEY,
     CommandClient,

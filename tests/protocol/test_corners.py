@@ -9,7 +9,7 @@ import cantools
 import pytest
 from command_ends import MS, START_NS, World, client_address, key_of
 
-from linemate.protocol.command import (
+from linemate.protocol.command.command import (
     CommandError,
     FrameType,
     Role,
@@ -17,22 +17,28 @@ from linemate.protocol.command import (
     frame_body,
     local_body,
 )
-from linemate.protocol.command_client import Answer
-from linemate.protocol.command_keys import cookie_tagger
-from linemate.protocol.command_local import LocalServer
-from linemate.protocol.command_plain import decode_reply
-from linemate.protocol.command_request import encode_request
-from linemate.protocol.command_rules import ControlLease, Conversation, Order
-from linemate.protocol.command_session import CommandClient
-from linemate.protocol.distance import (
+from linemate.protocol.command.command_client import Answer
+from linemate.protocol.command.command_keys import cookie_tagger
+from linemate.protocol.command.command_local import LocalServer
+from linemate.protocol.command.command_plain import decode_reply
+from linemate.protocol.command.command_request import encode_request
+from linemate.protocol.command.command_rules import ControlLease, Conversation, Order
+from linemate.protocol.command.command_session import CommandClient
+from linemate.protocol.exchange import Exchange
+from linemate.protocol.rsi.rsi import (
+    RobotTelegram,
+    RsiCodec,
+    RsiError,
+    SensorTelegram,
+    parse_config,
+)
+from linemate.protocol.sensors.distance import (
     DistanceDecoder,
     DistanceEncoder,
     DistanceError,
     message_names,
 )
-from linemate.protocol.distance_bits import find
-from linemate.protocol.exchange import Exchange
-from linemate.protocol.rsi import RobotTelegram, RsiCodec, RsiError, SensorTelegram, parse_config
+from linemate.protocol.sensors.distance_bits import find
 
 SHIPPED = (Path(__file__).resolve().parents[2] / "protocol/data/rsi_joints.xml").read_bytes()
 SIX = (0.1, -0.2, 0.3, -0.4, 0.5, -0.6)
@@ -291,7 +297,7 @@ def test_a_genuine_cookie_of_another_length_opens_no_session() -> None:
 
 
 def test_the_bits_of_a_botas_status_are_those_of_its_manual() -> None:
-    from linemate.protocol import wrench_bota as bota
+    from linemate.protocol.sensors import wrench_bota as bota
 
     bits = bota.STATUS_SKIPPED, bota.STATUS_OVERRANGE, bota.STATUS_INVALID, bota.STATUS_RAW
     assert bits == (1, 2, 4, 8)

@@ -6,15 +6,15 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from linemate.protocol.distance import (
+from linemate.protocol.samples import DistanceSample
+from linemate.protocol.sensors.distance import (
     MAX_FRAME_BYTES,
     SHIPPED_DBC,
     DistanceDecoder,
     DistanceEncoder,
     DistanceError,
 )
-from linemate.protocol.distance_bits import find
-from linemate.protocol.samples import DistanceSample
+from linemate.protocol.sensors.distance_bits import find
 
 SITE_DBC = """VERSION ""
 BS_:

@@ -10,15 +10,21 @@ from pathlib import Path
 import msgpack
 import pytest
 
-from linemate.protocol import command, command_plain, command_request, slcan
-from linemate.protocol.command import CommandError
-from linemate.protocol.distance import DistanceDecoder, DistanceEncoder, DistanceError
-from linemate.protocol.rsi import RobotTelegram, RsiCodec, RsiError, parse_config
-from linemate.protocol.rsi_layout import robot_layout
-from linemate.protocol.rsi_scan import scan
-from linemate.protocol.slcan import CanFrame, CommandDecoder, LineDecoder, SlcanError
+from linemate.protocol.command import command, command_plain, command_request
+from linemate.protocol.command.command import CommandError
+from linemate.protocol.rsi.rsi import RobotTelegram, RsiCodec, RsiError, parse_config
+from linemate.protocol.rsi.rsi_layout import robot_layout
+from linemate.protocol.rsi.rsi_scan import scan
+from linemate.protocol.sensors import slcan
+from linemate.protocol.sensors.distance import DistanceDecoder, DistanceEncoder, DistanceError
+from linemate.protocol.sensors.slcan import CanFrame, CommandDecoder, LineDecoder, SlcanError
+from linemate.protocol.sensors.wrench_ft300 import (
+    Ft300Device,
+    Ft300Host,
+    Robotiq300Decoder,
+    ft300_frame,
+)
 from linemate.protocol.units import DEG
-from linemate.protocol.wrench_ft300 import Ft300Device, Ft300Host, Robotiq300Decoder, ft300_frame
 
 SHIPPED = (Path(__file__).resolve().parents[2] / "protocol/data/rsi_joints.xml").read_bytes()
 ZEROS = (0.0,) * 6

@@ -2,8 +2,8 @@
 
 import random
 
-from linemate.protocol.even_clock import EvenClock
 from linemate.protocol.samples import DistanceSample
+from linemate.protocol.sensors.even_clock import EvenClock
 
 PERIOD_NS = 4_000_000
 BEGIN_NS = 10**12

@@ -2,8 +2,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from linemate.protocol.distance import DistanceDecoder
-from linemate.protocol.slcan import (
+from linemate.protocol.sensors.distance import DistanceDecoder
+from linemate.protocol.sensors.slcan import (
     BITRATES,
     MAX_LINE_BYTES,
     CanFrame,

@@ -12,15 +12,15 @@ import fuzz
 import pytest
 from transcripts import Chance, Transcript
 
-from linemate.protocol import camera, slcan
-from linemate.protocol.camera import CameraDecoder, CameraMessage
-from linemate.protocol.distance import DistanceDecoder, DistanceEncoder
 from linemate.protocol.errors import ProtocolError
-from linemate.protocol.rsi import RobotTelegram, RsiCodec, SensorTelegram, parse_config
-from linemate.protocol.slcan import CommandDecoder, LineDecoder
-from linemate.protocol.wrench import make_decoder, make_device, make_host
-from linemate.protocol.wrench_bota import bota_frame
-from linemate.protocol.wrench_ft300 import ft300_frame
+from linemate.protocol.rsi.rsi import RobotTelegram, RsiCodec, SensorTelegram, parse_config
+from linemate.protocol.sensors import camera, slcan
+from linemate.protocol.sensors.camera import CameraDecoder, CameraMessage
+from linemate.protocol.sensors.distance import DistanceDecoder, DistanceEncoder
+from linemate.protocol.sensors.slcan import CommandDecoder, LineDecoder
+from linemate.protocol.sensors.wrench import make_decoder, make_device, make_host
+from linemate.protocol.sensors.wrench_bota import bota_frame
+from linemate.protocol.sensors.wrench_ft300 import ft300_frame
 
 DATA = Path(__file__).resolve().parents[2] / "protocol" / "data"
 MS = 1_000_000

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 from loops import run, until
 
+from linemate.daemon.cycle.clock.schedule import follow, free
+from linemate.daemon.cycle.clock.timing import CycleTimes, Incident, Timing
+from linemate.daemon.cycle.cycle import LogEntry
+from linemate.daemon.cycle.states import State
 from linemate.daemon.service.account import Account
-from linemate.daemon.service.cycle import LogEntry
 from linemate.daemon.service.incidents import LINES_A_CYCLE, MOST_FILES, IncidentFiles
-from linemate.daemon.service.schedule import follow, free
-from linemate.daemon.service.states import State
-from linemate.daemon.service.timing import CycleTimes, Incident, Timing
 
 T = 12_000_000
 

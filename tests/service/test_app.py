@@ -16,17 +16,18 @@ import pytest
 from loops import run, until
 from mcap.reader import make_reader
 
+from linemate.daemon.config import config
+from linemate.daemon.config.files import PROTOCOL_DATA
+from linemate.daemon.config.task_file import Task
+from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.operator.client import Client, RefusedError
-from linemate.daemon.parameters import Parameters
-from linemate.daemon.recording import decode
-from linemate.daemon.service import config, realtime
+from linemate.daemon.recording.recording import decode
+from linemate.daemon.recording.step_file import TOPIC
+from linemate.daemon.service import realtime
 from linemate.daemon.service.app import App, StartError
-from linemate.daemon.service.files import PROTOCOL_DATA
 from linemate.daemon.service.notify import Notifier
-from linemate.daemon.service.step_file import TOPIC
-from linemate.daemon.service.task_file import Task
-from linemate.protocol.rsi import RobotTelegram, RsiCodec, SensorTelegram
-from linemate.protocol.rsi_config import parse_config
+from linemate.protocol.rsi.rsi import RobotTelegram, RsiCodec, SensorTelegram
+from linemate.protocol.rsi.rsi_config import parse_config
 
 CYCLE_S = 0.012
 CONFIG = """
@@ -445,7 +446,7 @@ def test_a_foreign_peer_is_not_answered_where_one_is_named(serve: Serve, task: T
 
 
 def test_an_end_while_the_robot_moves_brings_it_to_rest_first(serve: Serve, task: Task) -> None:
-    from linemate.daemon.service.states import Machine, State
+    from linemate.daemon.cycle.states import Machine, State
 
     async def main() -> None:
         async with serve() as running:

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from linemate.daemon.config.settings import RealtimeSettings
 from linemate.daemon.service.awake import MODULE, Awake
 from linemate.daemon.service.realtime import ask
-from linemate.daemon.service.settings import RealtimeSettings
 
 PATIENCE_S = 20.0
 

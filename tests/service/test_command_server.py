@@ -29,13 +29,13 @@ from linemate.daemon.service.command_server import (
     UdpDoor,
     read_keys,
 )
-from linemate.protocol.command import FrameType, Role, cut_local, local_body
-from linemate.protocol.command_client import Answer, Telemetry
-from linemate.protocol.command_keys import Key, key_line
-from linemate.protocol.command_local import LocalAccess
-from linemate.protocol.command_local_client import LocalClient
-from linemate.protocol.command_request import encode_request
-from linemate.protocol.command_session import CommandClient
+from linemate.protocol.command.command import FrameType, Role, cut_local, local_body
+from linemate.protocol.command.command_client import Answer, Telemetry
+from linemate.protocol.command.command_keys import Key, key_line
+from linemate.protocol.command.command_local import LocalAccess
+from linemate.protocol.command.command_local_client import LocalClient
+from linemate.protocol.command.command_request import encode_request
+from linemate.protocol.command.command_session import CommandClient
 
 ALICE = key_of("alice", Role.OPERATE, 1)
 EVE = key_of("eve", Role.VIEW, 2)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from linemate.daemon.control.controller import AXES
+from linemate.daemon.core.control.controller import AXES
 from linemate.daemon.service import main as service
 
 LINEMATED = [sys.executable, "-m", "linemate.daemon.service.main"]

@@ -6,12 +6,12 @@ import time
 import numpy as np
 import pytest
 
-from linemate.daemon.parameters import Parameters
-from linemate.daemon.service.cycle import LogEntry
+from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.cycle.clock.timing import CycleTimes
+from linemate.daemon.cycle.cycle import LogEntry
 from linemate.daemon.service.outlook import FORESEEN, LONGEST, TOLD, Outlook, points_in_base
-from linemate.daemon.service.timing import CycleTimes
-from linemate.protocol.command import ROOM_BYTES
-from linemate.protocol.command_plain import encode_event, encode_result
+from linemate.protocol.command.command import ROOM_BYTES
+from linemate.protocol.command.command_plain import encode_event, encode_result
 
 WORST = {
     "state": "contact",

@@ -9,16 +9,16 @@ from typing import Any
 import pytest
 from loops import run
 
-from linemate.daemon import parameters as compiling
-from linemate.daemon import settings_tree as tree
-from linemate.daemon.parameters import Parameters
-from linemate.daemon.service import config, overlay
-from linemate.daemon.service.cycle import Cycle
-from linemate.daemon.service.documents import FileError
+from linemate.daemon.config import config, overlay
+from linemate.daemon.config import settings_tree as tree
+from linemate.daemon.config.documents import FileError
+from linemate.daemon.config.task_file import Task
+from linemate.daemon.core import parameters as compiling
+from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.cycle.cycle import Cycle
+from linemate.daemon.cycle.states import Machine, State
 from linemate.daemon.service.parameter_desk import Desk
-from linemate.daemon.service.states import Machine, State
-from linemate.daemon.service.task_file import Task
-from linemate.protocol.rsi import RobotTelegram, RsiCodec
+from linemate.protocol.rsi.rsi import RobotTelegram, RsiCodec
 from linemate.protocol.samples import DistanceSample
 
 CYCLE_NS = 12_000_000

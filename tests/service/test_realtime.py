@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
+from linemate.daemon.config.settings import RealtimeSettings
 from linemate.daemon.service.realtime import Collector, Companions, ask
-from linemate.daemon.service.settings import RealtimeSettings
 
 ASK = """
 import ctypes, json, os, sys, threading
 from linemate.daemon.service.realtime import ask
-from linemate.daemon.service.settings import RealtimeSettings
+from linemate.daemon.config.settings import RealtimeSettings
 if sys.argv[2] == "drop":
     os.setgid(65534)
     os.setuid(65534)
@@ -112,7 +112,7 @@ COMPANIONS = """
 import json, os, threading
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # as the daemon does: the algebra brings no thread
 from linemate.daemon.service.realtime import Companions, ask
-from linemate.daemon.service.settings import RealtimeSettings
+from linemate.daemon.config.settings import RealtimeSettings
 host = ask(RealtimeSettings(priority=10))
 companions = Companions(host.granted("priority"))
 end = threading.Event()

@@ -6,14 +6,14 @@ from dataclasses import replace
 import pytest
 from cell import TASK
 
-from linemate.daemon.parameters import Parameters, build
-from linemate.daemon.service import task_file
-from linemate.daemon.service.documents import spelled
-from linemate.daemon.service.files import DAEMON_DATA
+from linemate.daemon.config import task_file
+from linemate.daemon.config.documents import spelled
+from linemate.daemon.config.files import DAEMON_DATA
+from linemate.daemon.config.task_file import Task
+from linemate.daemon.core.parameters import Parameters, build
+from linemate.daemon.core.tracking.settings import TrackingSettings
+from linemate.daemon.core.tracking.task import PoseFile, TaskFile
 from linemate.daemon.service.rehearsal import MOST_STEPS, rehearse
-from linemate.daemon.service.task_file import Task
-from linemate.daemon.tracking.settings import TrackingSettings
-from linemate.daemon.tracking.task import PoseFile, TaskFile
 from linemate.simulators.harness.setup import shipped_control
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from linemate.daemon.service import config
+from linemate.daemon.config import config
 
 SYSTEMD = Path(__file__).parents[2] / "systemd"
 

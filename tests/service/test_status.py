@@ -6,11 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from linemate.daemon.parameters import Parameters
-from linemate.daemon.service import config, realtime
+from linemate.daemon.config import config
+from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.cycle.states import Link, Machine, Signals, State
+from linemate.daemon.service import realtime
 from linemate.daemon.service.app import App
 from linemate.daemon.service.notify import Notifier
-from linemate.daemon.service.states import Link, Machine, Signals, State
 
 CONFIG = """
 task: wheel.yaml

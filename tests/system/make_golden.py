@@ -9,9 +9,9 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from linemate.daemon.service.cycle import LogEntry
-from linemate.daemon.service.step_feed import Feed, described
-from linemate.daemon.service.step_file import Kind, StepFile
+from linemate.daemon.cycle.cycle import LogEntry
+from linemate.daemon.recording.step_feed import Feed, described
+from linemate.daemon.recording.step_file import Kind, StepFile
 from linemate.simulators.harness import lockstep, setup
 
 GOLDEN = Path(__file__).parent / "golden" / "wheel.mcap"

@@ -23,12 +23,12 @@ import pytest
 from daemon_process import DaemonProcess
 
 from linemate.daemon.operator.client import Client, RefusedError
-from linemate.protocol import camera
-from linemate.protocol.command import Role
-from linemate.protocol.command_keys import key_line, make_key
+from linemate.protocol.command.command import Role
+from linemate.protocol.command.command_keys import key_line, make_key
 from linemate.protocol.exchange import ControllerCounts
-from linemate.protocol.rsi import SensorTelegram
-from linemate.protocol.slcan import CanFrame, format_frame
+from linemate.protocol.rsi.rsi import SensorTelegram
+from linemate.protocol.sensors import camera
+from linemate.protocol.sensors.slcan import CanFrame, format_frame
 from linemate.simulators.devices.controller import ControllerConfig, RsiController
 from linemate.simulators.devices.emulator import Emulator, EmulatorConfig, EmulatorResult
 from linemate.simulators.devices.limits import LIMITS

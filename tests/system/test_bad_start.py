@@ -15,10 +15,10 @@ from pathlib import Path
 import pytest
 from daemon_process import LINEMATED, DaemonProcess
 
-from linemate.daemon.service.files import DAEMON_DATA, PROTOCOL_DATA
-from linemate.protocol.command import Role
-from linemate.protocol.command_keys import key_line, make_key
-from linemate.protocol.rsi import RobotTelegram, RsiCodec, parse_config
+from linemate.daemon.config.files import DAEMON_DATA, PROTOCOL_DATA
+from linemate.protocol.command.command import Role
+from linemate.protocol.command.command_keys import key_line, make_key
+from linemate.protocol.rsi.rsi import RobotTelegram, RsiCodec, parse_config
 
 LINEMATE_SIM = (sys.executable, "-m", "linemate.simulators.harness.main")
 TOLD = re.compile(r"(?P<file>/[^:]+):(?P<line>\d+):(?P<column>\d+): (?P<key>[^:]+): (?P<what>.+)")

@@ -10,10 +10,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from linemate.daemon.service.states import State
-from linemate.simulators.harness.dst_actors import SHORTEST_PAUSE_S
-from linemate.simulators.harness.dst_plan import CycleMs, Plan
-from linemate.simulators.harness.dst_run import Simulation
+from linemate.daemon.cycle.states import State
+from linemate.simulators.lab.faults.dst_actors import SHORTEST_PAUSE_S
+from linemate.simulators.lab.faults.dst_plan import CycleMs, Plan
+from linemate.simulators.lab.faults.dst_run import Simulation
 from linemate.simulators.plants.scenario import ConveyorEvent, Fault
 
 SENSORS = ("distance", "camera", "force_torque")

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from linemate.daemon.operator.recordings import read
 from linemate.daemon.operator.replay import compare, overrides_of, report
+from linemate.daemon.recording.recordings import read
 
 GOLDEN = Path(__file__).parent / "golden" / "wheel.mcap"
 TOLERANCE = 1e-6

@@ -3,7 +3,7 @@
 import pytest
 from contact_runs import live
 
-from linemate.daemon.service.states import State
+from linemate.daemon.cycle.states import State
 from linemate.simulators.plants.scenario import Fault
 
 TOUCH_N = 80.0

@@ -6,11 +6,11 @@ Rows X7 and X8 of the catalogue. The limits of the robot are judged by the oracl
 import numpy as np
 import pytest
 
-from linemate.daemon.service.states import State
+from linemate.daemon.cycle.states import State
 from linemate.simulators.harness import setup
-from linemate.simulators.harness.dst_plan import CycleMs, Plan
-from linemate.simulators.harness.dst_run import Simulation
 from linemate.simulators.harness.lockstep import Lockstep
+from linemate.simulators.lab.faults.dst_plan import CycleMs, Plan
+from linemate.simulators.lab.faults.dst_run import Simulation
 from linemate.simulators.plants.scenario import ConveyorEvent, Fault
 from linemate.simulators.plants.world import World
 

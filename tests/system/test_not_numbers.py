@@ -11,11 +11,17 @@ import msgpack
 import pytest
 from fastcrc import crc16
 
-from linemate.daemon.service.feeds import Feeds
-from linemate.protocol.camera import CameraDecoder, CameraError
-from linemate.protocol.distance import DistanceDecoder, DistanceError
-from linemate.protocol.rsi import RobotTelegram, RsiCodec, RsiError, SensorTelegram, parse_config
-from linemate.protocol.wrench import make_decoder
+from linemate.daemon.cycle.feeds import Feeds
+from linemate.protocol.rsi.rsi import (
+    RobotTelegram,
+    RsiCodec,
+    RsiError,
+    SensorTelegram,
+    parse_config,
+)
+from linemate.protocol.sensors.camera import CameraDecoder, CameraError
+from linemate.protocol.sensors.distance import DistanceDecoder, DistanceError
+from linemate.protocol.sensors.wrench import make_decoder
 
 ROOT = Path(__file__).resolve().parents[2]
 WILD = (math.nan, math.inf, -math.inf, -0.0, 5e-324, 2.2e-308, 1e308, -1e308)

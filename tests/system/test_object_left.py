@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from linemate.daemon.service.states import State
+from linemate.daemon.cycle.states import State
 from linemate.simulators.harness.lockstep import Lockstep
-from linemate.simulators.harness.rows import CLAMPED, FREE, RELEASED, STATES, Rows
 from linemate.simulators.harness.setup import make
+from linemate.simulators.judge.rows import CLAMPED, FREE, RELEASED, STATES, Rows
 
 
 def run(upper: float, seconds: float) -> tuple[Lockstep, Rows]:

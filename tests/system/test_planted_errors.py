@@ -9,18 +9,18 @@ from typing import Any
 
 import pytest
 
-from linemate.daemon import step as stepping
-from linemate.daemon.service import following, states, watch
-from linemate.daemon.service.feeds import Feeds
-from linemate.daemon.service.following import Following
-from linemate.daemon.service.operating import Operating
-from linemate.daemon.service.replies import Replies
-from linemate.daemon.service.session import Session
-from linemate.daemon.service.step_log import StepLog
+from linemate.daemon.core import step as stepping
+from linemate.daemon.cycle import following, states, watch
+from linemate.daemon.cycle.feeds import Feeds
+from linemate.daemon.cycle.following import Following
+from linemate.daemon.cycle.operating import Operating
+from linemate.daemon.cycle.replies import Replies
+from linemate.daemon.cycle.session import Session
+from linemate.daemon.cycle.step_log import StepLog
 from linemate.protocol.exchange import Exchange
-from linemate.protocol.rsi import RsiCodec
-from linemate.simulators.harness.dst_plan import Plan
-from linemate.simulators.harness.dst_run import Simulation
+from linemate.protocol.rsi.rsi import RsiCodec
+from linemate.simulators.lab.faults.dst_plan import Plan
+from linemate.simulators.lab.faults.dst_run import Simulation
 
 CALLED: tuple[tuple[Any, str], ...] = (
     (RsiCodec, "parse_robot"),

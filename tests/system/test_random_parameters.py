@@ -14,15 +14,15 @@ from typing import Any
 
 import pytest
 
-from linemate.daemon import settings_tree as tree
-from linemate.daemon.service import config
+from linemate.daemon.config import config
+from linemate.daemon.config import settings_tree as tree
+from linemate.daemon.config.parameter_list import Change, rule
+from linemate.daemon.config.settings_tree import SettingError
+from linemate.daemon.cycle.states import MOVING
 from linemate.daemon.service.parameter_desk import Desk
-from linemate.daemon.service.parameter_list import Change, rule
-from linemate.daemon.service.states import MOVING
-from linemate.daemon.settings_tree import SettingError
 from linemate.simulators.devices.limits import LIMITS
 from linemate.simulators.harness import lockstep, setup
-from linemate.simulators.harness.judge import judge
+from linemate.simulators.judge.judge import judge
 
 SETS = int(os.environ.get("LINEMATE_RANDOM_SETS", "200"))
 BEFORE = 20

@@ -4,8 +4,8 @@ import statistics
 import time
 from pathlib import Path
 
-from linemate.daemon.service.cycle import LogEntry
-from linemate.daemon.service.recorder import Recorder
+from linemate.daemon.cycle.cycle import LogEntry
+from linemate.daemon.recording.recorder import Recorder
 from linemate.simulators.harness import lockstep, setup
 
 CYCLE_S = 0.004

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from linemate.daemon.service.cycle import Cycle
-from linemate.daemon.service.files import PROTOCOL_DATA
-from linemate.protocol.rsi import RsiCodec, parse_config
+from linemate.daemon.config.files import PROTOCOL_DATA
+from linemate.daemon.cycle.cycle import Cycle
+from linemate.protocol.rsi.rsi import RsiCodec, parse_config
 from linemate.simulators.devices.controller import ControllerConfig, RsiController
 from linemate.simulators.harness import setup
-from linemate.simulators.harness.judge import judge
 from linemate.simulators.harness.lockstep import Lockstep
 from linemate.simulators.harness.wires import Wires
+from linemate.simulators.judge.judge import judge
 from linemate.simulators.plants.scenario import Fault
 
 SHIPPED = (PROTOCOL_DATA / "rsi_joints.xml").read_bytes()

@@ -3,7 +3,7 @@
 import pytest
 from contact_runs import live
 
-from linemate.daemon.service.states import CLAMP_CLOSED, State
+from linemate.daemon.cycle.states import CLAMP_CLOSED, State
 from linemate.simulators.plants.scenario import Fault
 
 BEARABLE_N = 100.0

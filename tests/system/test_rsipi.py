@@ -17,7 +17,7 @@ from typing import Any, Self
 import pytest
 from daemon_process import DaemonProcess
 
-from linemate.daemon.service.files import PROTOCOL_DATA
+from linemate.daemon.config.files import PROTOCOL_DATA
 
 pytest.importorskip("RSIPI", reason="the test-only package rsipi is not installed")
 

@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 import yaml
 
+from linemate.daemon.config.config import Station, load
+from linemate.daemon.config.documents import FileError
+from linemate.daemon.config.files import DAEMON_DATA
 from linemate.daemon.service import main as service
-from linemate.daemon.service.config import Station, load
-from linemate.daemon.service.documents import FileError
-from linemate.daemon.service.files import DAEMON_DATA
 from linemate.simulators.harness import lockstep, setup
 from linemate.simulators.harness.variants import SetupError
 

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from linemate.daemon.service.app import App
-from linemate.simulators.harness.dst_plan import Plan
-from linemate.simulators.harness.dst_run import MOST_LINES, Simulation
+from linemate.simulators.lab.faults.dst_plan import Plan
+from linemate.simulators.lab.faults.dst_run import MOST_LINES, Simulation
 from linemate.simulators.plants.scenario import Fault
 
 Line = tuple[int, str, str]

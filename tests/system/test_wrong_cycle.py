@@ -7,13 +7,13 @@ from typing import Any
 
 import pytest
 
-from linemate.daemon.service import phase
+from linemate.daemon.cycle.clock import phase
 from linemate.daemon.service.app import App
 from linemate.daemon.service.notify import Notifier
 from linemate.daemon.service.realtime import Host
-from linemate.simulators.harness import dst_run
-from linemate.simulators.harness.dst_plan import Plan
 from linemate.simulators.harness.virtual import EPOCH_NS
+from linemate.simulators.lab.faults import dst_run
+from linemate.simulators.lab.faults.dst_plan import Plan
 from linemate.simulators.plants.scenario import Fault
 
 CONFIGURED_MS = 12

@@ -8,8 +8,8 @@ from cell import TASK
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linemate.daemon import rotations
-from linemate.daemon.control import kinematics
+from linemate.daemon.core import rotations
+from linemate.daemon.core.control import kinematics
 from linemate.daemon.view import chain
 
 ARM = TASK.file.arm

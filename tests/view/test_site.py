@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from linemate.daemon.operator.recordings import UnreadableRecordingError
+from linemate.daemon.recording.recordings import UnreadableRecordingError
 from linemate.daemon.view.server import NoPageError, Page
 from linemate.daemon.view.site import TapeSite
 

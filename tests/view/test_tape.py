@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 from cell import TASK, World, parameters
 
-from linemate.daemon.inputs import Order
-from linemate.daemon.operator.recordings import UnreadableRecordingError
-from linemate.daemon.operator.recordings import read as read_steps
-from linemate.daemon.service.cycle import LogEntry
-from linemate.daemon.service.step_feed import Feed, described
-from linemate.daemon.service.step_file import Item, Kind, StepFile
-from linemate.daemon.service.timing import CycleTimes
+from linemate.daemon.core.inputs import Order
+from linemate.daemon.cycle.clock.timing import CycleTimes
+from linemate.daemon.cycle.cycle import LogEntry
+from linemate.daemon.recording.recordings import UnreadableRecordingError
+from linemate.daemon.recording.recordings import read as read_steps
+from linemate.daemon.recording.step_feed import Feed, described
+from linemate.daemon.recording.step_file import Item, Kind, StepFile
 from linemate.daemon.view import foresight, tape
 from linemate.daemon.view.tape import MOST_ASKED, OVERVIEW, SPACING_NS, Tape
 

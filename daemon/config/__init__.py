@@ -1,0 +1,1 @@
+"""Configuration: YAML documents, settings, the task file, parameters and overlays."""

@@ -1,0 +1,128 @@
+"""What an RSI_EthernetConfig.xml must hold for corrections to be safe.
+
+Pure: a configuration in, sentences out; each names the element and what to change.
+Source: interfaces.md, section 1.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from linemate.daemon.config.settings import Corrections
+from linemate.daemon.core.tracking.task import Gate, TaskFile
+from linemate.protocol.rsi.rsi_config import PLACEHOLDER, Element, RsiConfig
+
+JOINT_WORDS = frozenset({"AK", "AKorr"})
+EXTERNAL_WORDS = frozenset({"EK", "EKorr"})
+SIGNALS_OUT = "DiO"
+SIGNALS_IN = "DiL"
+MESSAGE = "DEF_EStr"
+
+_KINDS: dict[str, tuple[type, ...]] = {
+    "BOOL": (bool, int),
+    "LONG": (int,),
+    "DOUBLE": (int, float),
+    "STRING": (str,),
+}
+
+
+def is_correction(element: Element) -> bool:
+    """Whether a RECEIVE element carries the correction of an axis."""
+    return element.tag.partition(".")[0] in JOINT_WORDS | EXTERNAL_WORDS
+
+
+def exchange_errors(rsi: RsiConfig, corrections: Corrections) -> Iterator[str]:
+    """Return what makes a lost reply or a restart move the robot.
+
+    Args:
+        rsi: the controller's configuration.
+        corrections: how the controller reads them.
+    """
+    if rsi.onlysend:
+        yield "ONLYSEND is TRUE: the controller takes no replies. Set ONLYSEND to FALSE."
+    if "DEF_Delay" not in {element.tag for element in rsi.send}:
+        yield (
+            "SEND has no DEF_Delay: lost replies cannot be seen. Add "
+            '<ELEMENT TAG="DEF_Delay" TYPE="LONG" INDX="INTERNAL"/> to SEND.'
+        )
+    # A lost reply leaves an absolute correction in force (1), and adds no increment (0).
+    wanted = corrections is Corrections.ABSOLUTE
+    wrong = [e.tag for e in rsi.receive if is_correction(e) and e.holdon is not wanted]
+    if wrong:
+        effect = "takes the whole correction back" if wanted else "repeats the last increment"
+        yield (
+            f'RECEIVE {", ".join(wrong)}: HOLDON="{int(not wanted)}" with {corrections} '
+            f'corrections: a lost reply {effect}. Set HOLDON="{int(wanted)}".'
+        )
+
+
+def unfilled(rsi: RsiConfig, constants: Mapping[str, Any]) -> Iterator[str]:
+    """Return RECEIVE elements that replies have no value for.
+
+    Args:
+        rsi: the controller's configuration.
+        constants: values by TAG.
+    """
+    without = [
+        element.tag
+        for element in rsi.receive
+        if not (is_correction(element) or element.tag in {SIGNALS_OUT, MESSAGE, PLACEHOLDER})
+        and element.tag not in constants
+    ]
+    if without:
+        example = ", ".join(f"{tag}: VALUE" for tag in without)
+        yield (
+            f"RECEIVE {', '.join(without)}: linemate has no value for it and would write 0. "
+            f"Give rsi.constants: {{{example}}}, or remove it from the file and the controller."
+        )
+
+
+def constant_errors(rsi: RsiConfig, constants: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Return the TAG and what is wrong for each constant that cannot be written.
+
+    Args:
+        rsi: the controller's configuration.
+        constants: values by TAG.
+    """
+    elements = {element.tag: element for element in rsi.receive}
+    for tag, value in constants.items():
+        element = elements.get(tag)
+        if element is None:
+            known = ", ".join(elements) or "nothing"
+            yield tag, f"no element of RECEIVE, which has {known}"
+        elif is_correction(element) or tag in {SIGNALS_OUT, MESSAGE}:
+            yield tag, "linemate writes it in every reply: remove the constant"
+        elif not _fits(element, value):
+            yield tag, f"should be a {element.type} as TYPE says, not {value!r}"
+
+
+def _fits(element: Element, value: object) -> bool:
+    if isinstance(value, bool):
+        return element.type == "BOOL"
+    if element.type == "BOOL" and value not in (0, 1):
+        return False
+    return isinstance(value, _KINDS[element.type])
+
+
+def gate_errors(rsi: RsiConfig, task: TaskFile) -> Iterator[str]:
+    """Return gates of a task that wait for a signal which the controller does not carry.
+
+    Args:
+        rsi: the controller's configuration.
+        task: with its gates and the times that stand for signals.
+    """
+    has_signals = SIGNALS_IN in {element.tag for element in rsi.send}
+    has_orders = SIGNALS_OUT in {element.tag for element in rsi.receive}
+    if has_signals and has_orders:
+        return
+    missing = [f"SEND {SIGNALS_IN}"] if not has_signals else []
+    missing += [f"RECEIVE {SIGNALS_OUT}"] if not has_orders else []
+    for i, waypoint in enumerate(task.waypoints):
+        instead = {
+            Gate.SCREWS_FIXED: ("fixed_after", task.tool.fixed_after),
+            Gate.WHEEL_RELEASED: ("released_after", task.tool.released_after),
+        }.get(waypoint.gate)
+        if instead is not None and instead[1] is None:
+            yield (
+                f"waypoints[{i}] waits for {waypoint.gate}, and the file has no "
+                f"{' and no '.join(missing)}. Add the channel, or set tool.{instead[0]}."
+            )

@@ -1,0 +1,206 @@
+"""Settings by dotted names: ``control.servos.3.damping`` as one value of a tree of dataclasses.
+
+Law of this file: pure; a change goes through the same strict reading as a file and gives a new
+frozen set, whole or not at all. What does not fit is told as ``name: what``.
+"""
+
+import difflib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from enum import Enum
+from typing import Any
+
+from linemate.daemon.config import documents
+from linemate.daemon.config.documents import Document, FileError
+from linemate.daemon.core.control.settings import ControlSettings
+from linemate.daemon.core.tracking.settings import TrackingSettings
+from linemate.daemon.cycle.watch import WatchSettings
+
+NAME = ""
+
+
+class SettingError(ValueError):
+    """A change that cannot be made; the message says which and why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What may be changed without opening a link anew: the method and its watch.
+
+    Attributes:
+        tracking, control: of the step.
+        watch: of the operating states.
+    """
+
+    tracking: TrackingSettings
+    control: ControlSettings
+    watch: WatchSettings
+
+
+SECTIONS: dict[str, type[Any]] = {
+    "tracking": TrackingSettings,
+    "control": ControlSettings,
+    "watch": WatchSettings,
+}
+
+
+def plain(value: Any) -> Any:
+    """Return settings as a file has them: dicts, lists, numbers, texts."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, (tuple, list)):
+        return [plain(item) for item in value]
+    return value
+
+
+def leaves(value: Any, name: str = NAME) -> Iterator[tuple[str, Any]]:
+    """Return every value by its name; a list of plain values is one value.
+
+    Args:
+        value: settings, or a part of them.
+        name: of that part.
+    """
+    if is_dataclass(value) and not isinstance(value, type):
+        for field in fields(value):
+            yield from leaves(getattr(value, field.name), _joined(name, field.name))
+    elif isinstance(value, tuple) and value and is_dataclass(value[0]):
+        for index, item in enumerate(value):
+            yield from leaves(item, _joined(name, str(index)))
+    else:
+        yield name, plain(value)
+
+
+def changed(settings: Settings, values: Mapping[str, Any]) -> Settings:
+    """Return settings with some values changed: all of them, or none.
+
+    Args:
+        settings: as they are.
+        values: by dotted name.
+
+    Raises:
+        SettingError: a name that there is not, or a value that does not fit; every one of them.
+    """
+    trees = {
+        section: plain(getattr(settings, section))
+        for section in {name.partition(".")[0] for name in values}
+        if section in SECTIONS
+    }
+    wrong = [name for name, value in values.items() if not _put(trees, name.split("."), value)]
+    if wrong:
+        known = [name for name, _ in leaves(settings)]
+        raise SettingError("; ".join(_unknown(name, known) for name in wrong))
+    made, errors = {}, []
+    for section, tree in trees.items():
+        try:
+            made[section] = read(section, tree)
+        except SettingError as error:
+            errors.append(str(error))
+    if errors:
+        raise SettingError("; ".join(errors))
+    return Settings(
+        tracking=made.get("tracking", settings.tracking),
+        control=made.get("control", settings.control),
+        watch=made.get("watch", settings.watch),
+    )
+
+
+def read(section: str, tree: Any) -> Any:
+    """Return a section's settings from plain values.
+
+    Raises:
+        SettingError: everything that does not fit.
+    """
+    try:
+        return documents.fill(Document(section, tree), SECTIONS[section])
+    except FileError as error:
+        told = (line.removeprefix(f"{section}:1:1: ") for line in error.lines)
+        raise SettingError("; ".join(f"{section}.{_dotted(line)}" for line in told)) from error
+
+
+def laid_over(tree: Any, overlay: Any) -> Any:
+    """Return plain values with others laid over them: mappings merge, all else is replaced."""
+    if isinstance(tree, dict) and isinstance(overlay, dict):
+        both = {**tree, **{key: value for key, value in overlay.items() if key not in tree}}
+        for key in tree.keys() & overlay.keys():
+            both[key] = laid_over(tree[key], overlay[key])
+        return both
+    return overlay
+
+
+def difference(tree: Any, base: Any) -> Any:
+    """Return what must be laid over ``base`` to give ``tree``, an empty dict if nothing must."""
+    if isinstance(tree, dict) and isinstance(base, dict):
+        parts = {key: difference(tree[key], base.get(key)) for key in tree}
+        return {key: part for key, part in parts.items() if part != {}}
+    return {} if tree == base and type(tree) is type(base) else tree
+
+
+def _put(tree: Any, path: list[str], value: Any) -> bool:
+    """Put a value where another is; False if there is none, or a branch."""
+    branch = tree
+    for part in path[:-1]:
+        branch = _below(branch, part)
+    old = _below(branch, path[-1])
+    if old is _NOTHING or _is_branch(old):
+        return False
+    new = list(value) if isinstance(value, tuple) else value
+    if isinstance(branch, list):
+        branch[int(path[-1])] = new
+    else:
+        branch[path[-1]] = new
+    return True
+
+
+_NOTHING = object()
+
+
+def _below(branch: Any, part: str) -> Any:
+    if isinstance(branch, dict):
+        return branch.get(part, _NOTHING)
+    if isinstance(branch, list) and _is_branch(branch) and part.isdecimal():
+        return branch[int(part)] if int(part) < len(branch) else _NOTHING
+    return _NOTHING
+
+
+def _is_branch(value: Any) -> bool:
+    """Whether a value has parts with names of their own; a list of plain values has not."""
+    if isinstance(value, list):
+        return bool(value) and isinstance(value[0], dict)
+    return isinstance(value, dict)
+
+
+def _unknown(name: str, known: Sequence[str]) -> str:
+    near = difflib.get_close_matches(name, known, n=2, cutoff=0.6)
+    return f"no parameter {name}" + (f"; near are {', '.join(near)}" if near else "")
+
+
+def _dotted(line: str) -> str:
+    """A complaint's ``servos[3].damping: what`` as ``servos.3.damping: what``."""
+    path, colon, what = line.partition(": ")
+    return path.replace("[", ".").replace("]", "") + colon + what
+
+
+def _joined(name: str, part: str) -> str:
+    return f"{name}.{part}" if name else part
+
+
+def read_file(data: bytes, name: str) -> dict[str, Any]:
+    """Return a YAML file's plain values, strictly read; what they mean is not looked at.
+
+    Args:
+        data: its bytes.
+        name: for messages.
+
+    Raises:
+        SettingError: everything that is wrong with it.
+    """
+    try:
+        document = documents.read(data, name)
+    except FileError as error:
+        raise SettingError(str(error)) from error
+    if document.complaints:
+        raise SettingError("\n".join(document.lines(document.complaints)))
+    value: dict[str, Any] = document.value
+    return value

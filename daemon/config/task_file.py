@@ -1,0 +1,217 @@
+"""Task files: YAML to a ``TaskFile``, with the URDF they name.
+
+Law of this file: strict as every file of the daemon's; what holds between several values (times
+that rise, unit quaternions, axes along each other) is checked with the rest, so that one reading
+tells everything. Quaternions and axes come out exactly unit. Source: interfaces.md, section 9.
+"""
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+from linemate.daemon.config import documents, files
+from linemate.daemon.config.documents import Complaint, Document, FileError
+from linemate.daemon.config.files import UnreadableError
+from linemate.daemon.core.tracking.task import ConveyorClasses, Gate, PoseFile, TaskFile, ToolTimes
+
+Vector = TypeVar("Vector", bound=tuple[float, ...])
+
+DEFAULT_URDF = "arm.urdf"
+UNIT_TOLERANCE = 1e-3
+ALONG_TOLERANCE = 1e-6
+MAX_URDF_BYTES = 8_388_608
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """A task with what it names.
+
+    Attributes:
+        file: what the task file says.
+        urdf: the arm's description.
+        text: the task file itself, for recordings.
+        document: where each of its values stands.
+    """
+
+    file: TaskFile
+    urdf: str
+    text: str
+    document: Document = field(default_factory=lambda: Document("task"), repr=False, compare=False)
+
+    def lines(self, complaints: Iterable[Complaint]) -> list[str]:
+        """Return complaints as ``file:line:col: key: what``."""
+        return self.document.lines(complaints)
+
+
+def load(path: Path) -> Task:
+    """Load a task file and its URDF.
+
+    Raises:
+        FileError: every error of the file at once, its URDF's absence among them.
+    """
+    try:
+        data = files.read(path, documents.MAX_BYTES)
+    except UnreadableError as error:
+        raise FileError([f"{path}:1:1: (file): {error}"]) from error
+    urdf: list[str] = []
+
+    def check(value: Any) -> Iterator[Complaint]:
+        yield from complaints(value)
+        try:
+            urdf.append(_urdf(value, path.parent))
+        except UnreadableError as error:
+            yield Complaint(("arm", "urdf"), str(error))
+
+    document = documents.read(data, str(path))
+    file = documents.fill(document, TaskFile, check)
+    return Task(exact(file), urdf[0], data.decode("utf-8-sig"), document)
+
+
+def parse(data: bytes, name: str) -> TaskFile:
+    """Read a task from bytes alone; the URDF is not looked for.
+
+    Raises:
+        FileError: every error at once.
+    """
+    return exact(documents.fill(documents.read(data, name), TaskFile, complaints))
+
+
+def schema() -> dict[str, Any]:
+    """The JSON schema of task files."""
+    return documents.schema(TaskFile, "linemate task")
+
+
+def complaints(value: Any) -> Iterator[Complaint]:
+    """What is wrong between the values of a task.
+
+    Args:
+        value: plain values of any kind; what is of a wrong kind is passed over here.
+    """
+    waypoints = _at(value, "waypoints")
+    points = waypoints if isinstance(waypoints, list) else []
+    yield from _falling(points)
+    for path in (
+        ("object", "nominal", "quaternion"),
+        ("arm", "tcp_in_flange", "quaternion"),
+        ("arm", "camera_in_tcp", "quaternion"),
+        ("conveyor", "axis"),
+        *(("waypoints", i, "pose", "quaternion") for i in range(len(points))),
+    ):
+        yield from _not_unit(value, path)
+    yield from _across(value)
+    yield from _never_ordered(value, points)
+
+
+def _never_ordered(value: Any, points: list[Any]) -> Iterator[Complaint]:
+    """A gate that waits for a signal must stand behind the order for it, or waits for ever."""
+    tool = ToolTimes()
+    for gate, order in (
+        (Gate.SCREWS_FIXED, "fix_screws"),
+        (Gate.WHEEL_RELEASED, "release_wheel"),
+    ):
+        ordered = _at(value, "tool", order)
+        ordered = getattr(tool, order) if ordered is None else ordered
+        for i, point in enumerate(points):
+            time = _at(point, "time")
+            if _at(point, "gate") != gate.value or not (_is_number(time) and _is_number(ordered)):
+                continue
+            if ordered > time:
+                what = f"{ordered:g} s is after waypoints[{i}] at {time:g} s, which waits for it"
+                yield Complaint(("tool", order), what)
+
+
+def _falling(points: list[Any]) -> Iterator[Complaint]:
+    latest = -math.inf
+    for i, point in enumerate(points):
+        time = _at(point, "time")
+        if not _is_number(time):
+            continue
+        if time <= latest:
+            what = f"should be later than the waypoint before ({latest:g}), not {time:g}"
+            yield Complaint(("waypoints", i, "time"), what)
+        latest = max(latest, time)
+
+
+def _not_unit(value: Any, path: tuple[str | int, ...]) -> Iterator[Complaint]:
+    vector = _vector(_at(value, *path), 3 if path[-1] == "axis" else 4)
+    if vector is None:
+        return
+    length = math.hypot(*vector)
+    if abs(length - 1.0) > UNIT_TOLERANCE:
+        yield Complaint(path, f"should have length 1, not {length:.6g}")
+
+
+def _across(value: Any) -> Iterator[Complaint]:
+    """The nominal object's y must lie along the conveyor: deviations are told in its axes."""
+    quaternion = _vector(_at(value, "object", "nominal", "quaternion"), 4)
+    axis = _vector(_at(value, "conveyor", "axis"), 3) or ConveyorClasses().axis
+    if quaternion is None or not (_is_unit(quaternion) and _is_unit(axis)):
+        return
+    w, x, y, z = _unit(quaternion)
+    along = (2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x))
+    if sum(a * b for a, b in zip(along, _unit(axis), strict=True)) < 1.0 - ALONG_TOLERANCE:
+        what = "its y axis should lie along conveyor.axis"
+        yield Complaint(("object", "nominal", "quaternion"), what)
+
+
+def _urdf(value: Any, base: Path) -> str:
+    name = _at(value, "arm", "urdf")
+    path = files.find(name if isinstance(name, str) else DEFAULT_URDF, base, files.DAEMON_DATA)
+    return files.read_text(path, MAX_URDF_BYTES)
+
+
+def exact(task: TaskFile) -> TaskFile:
+    """The task with unit quaternions and axes, for a file has only so many digits.
+
+    Args:
+        task: as read; lengths are 1 within ``UNIT_TOLERANCE``.
+    """
+    arm = replace(
+        task.arm,
+        tcp_in_flange=_exact_pose(task.arm.tcp_in_flange),
+        camera_in_tcp=_exact_pose(task.arm.camera_in_tcp),
+    )
+    return replace(
+        task,
+        arm=arm,
+        object=replace(task.object, nominal=_exact_pose(task.object.nominal)),
+        waypoints=tuple(replace(w, pose=_exact_pose(w.pose)) for w in task.waypoints),
+        conveyor=replace(task.conveyor, axis=_unit(task.conveyor.axis)),
+    )
+
+
+def _exact_pose(pose: PoseFile) -> PoseFile:
+    return replace(pose, quaternion=_unit(pose.quaternion))
+
+
+def _unit(vector: Vector) -> Vector:
+    length = math.hypot(*vector)
+    return cast("Vector", tuple(part / length for part in vector))
+
+
+def _at(value: Any, *path: str | int) -> Any:
+    """What stands at a path, None if nothing does."""
+    for part in path:
+        if isinstance(part, str) and isinstance(value, dict):
+            value = value.get(part)
+        elif isinstance(part, int) and isinstance(value, list):
+            value = value[part]
+        else:
+            return None
+    return value
+
+
+def _vector(value: Any, length: int) -> tuple[float, ...] | None:
+    if isinstance(value, list) and len(value) == length and all(map(_is_number, value)):
+        return tuple(map(float, value))
+    return None
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _is_unit(vector: tuple[float, ...]) -> bool:
+    return abs(math.hypot(*vector) - 1.0) <= UNIT_TOLERANCE

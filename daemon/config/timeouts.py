@@ -1,0 +1,39 @@
+"""Whether the time-outs of a configuration's plain values can act in their order.
+
+Invariants:
+- Values of the wrong kind are left to whoever fills the configuration with them.
+"""
+
+from collections.abc import Iterator
+from dataclasses import fields
+from typing import Any
+
+from linemate.daemon.config.documents import Complaint
+from linemate.daemon.cycle import watch
+from linemate.daemon.cycle.watch import WatchSettings
+
+_KNOWN = frozenset(field.name for field in fields(WatchSettings))
+_NUMBERS = (int, float)
+
+
+def complaints(value: Any) -> Iterator[Complaint]:
+    """Find a time-out that never acts.
+
+    Args:
+        value: of a configuration file, with its overlays.
+    """
+    whole = value if isinstance(value, dict) else {}
+    own, rsi = _section(whole, "watch"), _section(whole, "rsi")
+    given = {name: number for name, number in own.items() if name in _KNOWN}
+    cycle_ms = rsi.get("cycle_ms", 12)
+    if any(type(number) not in _NUMBERS for number in (*given.values(), cycle_ms)):
+        return
+    found = watch.disorder(WatchSettings(**given), 1e-3 * cycle_ms)
+    if found is not None:
+        name, what = found
+        yield Complaint(("watch", name), what)
+
+
+def _section(whole: dict[str, Any], name: str) -> dict[str, Any]:
+    section = whole.get(name)
+    return section if isinstance(section, dict) else {}

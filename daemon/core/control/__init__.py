@@ -1,0 +1,1 @@
+"""Control: a horizon of desired poses in, setpoints within the limits out (paper, Sect. IV)."""

@@ -1,0 +1,154 @@
+"""Limits of an arm's axes from its URDF.
+
+``<limit lower upper velocity acceleration jerk>``: the last two are URDF 1.2's, and most files do
+not have them yet.
+
+Invariants:
+- Pure. What the file does not say is refused by the joint's name, never guessed.
+"""
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from dataclasses import replace
+
+from linemate.daemon.core.control.settings import AxisLimits, ControlSettings
+
+AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
+ROOM = 1e-9
+"""A limit that is wider by less is a rounding."""
+
+_MOST = {"revolute": (4.0 * math.pi, "rad"), "prismatic": (30.0, "m")}
+"""Farthest position limit of a joint by its type: beyond it the file is in degrees or mm."""
+
+_QUICKEST = {"revolute": 20.0, "prismatic": 5.0}
+"""Highest speed, likewise [rad/s], [m/s]."""
+
+
+class UrdfLimitsError(ValueError):
+    """The URDF does not say what an axis may do; the message says which and what is missing."""
+
+
+def read(
+    urdf: str, flange: str, *, linear_axis: bool, is_whole: bool = True
+) -> tuple[AxisLimits, ...]:
+    """Return the limits of A1..A6, then E1 where there is a linear axis.
+
+    Args:
+        urdf: the text.
+        flange: name of the flange's link.
+        linear_axis: the first joint of the chain is E1.
+        is_whole: acceleration and jerk are needed; else infinity stands for one that is missing.
+
+    Raises:
+        UrdfLimitsError: a limit is missing or out of all proportion.
+    """
+    joints = _chain(urdf, flange)
+    if linear_axis:
+        joints = [*joints[1:], *joints[:1]]
+    return tuple(_limits(joint, is_whole=is_whole) for joint in joints)
+
+
+def completed(
+    settings: ControlSettings, urdf: str, flange: str, *, linear_axis: bool
+) -> ControlSettings:
+    """Return settings with the URDF's limits, if they have none of their own.
+
+    Raises:
+        UrdfLimitsError: as ``read``.
+    """
+    if settings.limits:
+        return settings
+    return replace(settings, limits=read(urdf, flange, linear_axis=linear_axis))
+
+
+def wider(
+    settings: ControlSettings, urdf: str, flange: str, *, linear_axis: bool
+) -> list[tuple[int, str, str]]:
+    """Return where limits allow more than the URDF's, or nothing at all.
+
+    Returns:
+        Number of the axis, name of the limit, what is wrong.
+
+    Raises:
+        UrdfLimitsError: the URDF's own cannot be.
+    """
+    robot = read(urdf, flange, linear_axis=linear_axis, is_whole=not settings.limits)
+    found = []
+    for axis, (own, most) in enumerate(zip(settings.limits, robot, strict=False)):
+        if own.lower >= own.upper:
+            found.append((axis, "lower", f"{own.lower:g} is not below upper: {own.upper:g}"))
+        for name, is_beyond in (
+            ("lower", own.lower < most.lower - ROOM),
+            ("upper", own.upper > most.upper + ROOM),
+            ("speed", own.speed > most.speed + ROOM),
+        ):
+            if is_beyond:
+                value, limit = getattr(own, name), getattr(most, name)
+                what = f"{value:g} is wider than the URDF's for {AXES[axis]}: {limit:g}"
+                found.append((axis, name, what))
+    return found
+
+
+def _chain(urdf: str, flange: str) -> list[ET.Element]:
+    """Return the joints that move, from the root to the flange."""
+    try:
+        root = ET.fromstring(urdf)  # noqa: S314 - a local file of the site's own
+    except ET.ParseError as error:
+        raise UrdfLimitsError(f"not XML: {error}") from error
+    above: Mapping[str, ET.Element] = {
+        child.get("link", ""): joint
+        for joint in root.findall("joint")
+        if (child := joint.find("child")) is not None
+    }
+    joints: list[ET.Element] = []
+    link = flange
+    while link in above and len(joints) <= len(above):
+        joint = above[link]
+        joints.append(joint)
+        parent = joint.find("parent")
+        link = "" if parent is None else parent.get("link", "")
+    return [joint for joint in reversed(joints) if joint.get("type") in _MOST]
+
+
+def _limits(joint: ET.Element, *, is_whole: bool) -> AxisLimits:
+    name, kind = joint.get("name", "?"), joint.get("type", "")
+    limit = joint.find("limit")
+    if limit is None:
+        raise UrdfLimitsError(f"joint {name} has no <limit>")
+    lower, upper, speed = (_number(limit, name, key) for key in ("lower", "upper", "velocity"))
+    acceleration, jerk = (
+        _number(limit, name, key) if is_whole or key in limit.attrib else math.inf
+        for key in ("acceleration", "jerk")
+    )
+    most, unit = _MOST[kind]
+    for key, value in (("lower", lower), ("upper", upper)):
+        if abs(value) > most:
+            raise UrdfLimitsError(
+                f"joint {name}: {key} is {value:g}, at most {most:.3g} {unit}. Give it in {unit}."
+            )
+    if lower >= upper:
+        raise UrdfLimitsError(f"joint {name}: lower is {lower:g}, not below upper: {upper:g}")
+    if not 0.0 < speed <= _QUICKEST[kind]:
+        raise UrdfLimitsError(
+            f"joint {name}: velocity is {speed:g}, allowed are 0 to {_QUICKEST[kind]:g} {unit}/s"
+        )
+    if acceleration <= 0.0 or jerk <= 0.0:
+        raise UrdfLimitsError(f"joint {name}: acceleration and jerk must be above 0")
+    return AxisLimits(lower, upper, speed, acceleration, jerk)
+
+
+def _number(limit: ET.Element, joint: str, key: str) -> float:
+    text = limit.get(key)
+    if text is None:
+        raise UrdfLimitsError(
+            f"the <limit> of joint {joint} has no {key}. Give control.limits for this arm, or add "
+            f"{key} to the URDF."
+        )
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise UrdfLimitsError(f"joint {joint}: {key} is {text[:32]!r}, not a finite number")
+    return value

@@ -1,0 +1,168 @@
+"""All that a step is told beside its inputs, compiled once at start-up.
+
+Law of this file: settings and a task in, filters and matrices out; slow, and never in the loop.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from linemate.daemon.core import rotations
+from linemate.daemon.core.control import controller as control
+from linemate.daemon.core.control import kinematics, urdf_limits
+from linemate.daemon.core.control.settings import ControlSettings
+from linemate.daemon.core.tracking import contact, linear_axis, merge
+from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
+from linemate.daemon.core.tracking.classifiers.classifier_imm import ImmClassifier
+from linemate.daemon.core.tracking.classifiers.classifier_rule import RuleClassifier
+from linemate.daemon.core.tracking.conveyor import Classifier
+from linemate.daemon.core.tracking.reference import compile_reference, tabulated
+from linemate.daemon.core.tracking.settings import ClassifierKind, TrackingSettings
+from linemate.daemon.core.tracking.task import Phase, TaskFile
+from linemate.daemon.core.tracking.tracker import Foresight, Tracker, hanging
+from linemate.daemon.core.tracking.transverse import Transverse
+
+TOOL_AXIS = 2  # of the tcp
+HISTORY = 0.45  # of the robot's pose, to look up exposures in [s]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Parameters:
+    """What a step needs: both halves, compiled."""
+
+    tracker: Tracker
+    controller: control.Controller
+    cycle_s: float
+    settings: ControlSettings
+    """What the controller was compiled of; the tracker keeps its own."""
+
+
+def _classifier(task: TaskFile, settings: TrackingSettings) -> Classifier:
+    """Return the classifier that is set."""
+    deviation = settings.distance.deviation
+    if settings.classifier in {ClassifierKind.RULE, ClassifierKind.NONE}:
+        return RuleClassifier(
+            task.conveyor,
+            settings.fusion,
+            settings.rule,
+            deviation,
+            classes=settings.classifier is ClassifierKind.RULE,
+        )
+    if settings.classifier is ClassifierKind.BANK:
+        return BankClassifier(
+            task.conveyor,
+            settings.fusion,
+            settings.bank,
+            deviation,
+            settings.mixture,
+            settings.jerk,
+            settings.wave,
+        )
+    return ImmClassifier(task.conveyor, settings.fusion, settings.bank, settings.imm, deviation)
+
+
+def _axis_range(controller: control.Controller) -> tuple[float, float]:
+    """Return the least and the greatest position of the linear axis [m]."""
+    if not controller.arm.linear_axis:
+        return -math.inf, math.inf
+    return float(controller.limits.lower[6]), float(controller.limits.upper[6])
+
+
+def build(
+    task: TaskFile,
+    urdf_text: str,
+    tracking: TrackingSettings,
+    control_settings: ControlSettings,
+    cycle_s: float,
+) -> Parameters:
+    """Return the parameters of a cell.
+
+    Args:
+        task: what is assembled.
+        urdf_text: the arm, as text.
+        tracking: settings.
+        control_settings: settings.
+        cycle_s: T0 [s].
+
+    Raises:
+        ValueError: settings, task and arm do not fit together; the message says which.
+    """
+    tool = task.arm.tcp_in_flange
+    arm = kinematics.load(
+        urdf_text,
+        task.arm.flange,
+        np.array(tool.position),
+        rotations.matrix(tool.quaternion),
+        linear_axis=task.arm.linear_axis,
+    )
+    control_settings = urdf_limits.completed(
+        control_settings, urdf_text, task.arm.flange, linear_axis=task.arm.linear_axis
+    )
+    controller = control.compile_controller(
+        control_settings, arm, cycle_s, task.conveyor.nominal_speed
+    )
+    dead_time = max(model.dead_time for model in control_settings.servos[: arm.axes])
+    # The merge reads five committed steps; a robot without dead time commits them all the same.
+    commit = max(merge.commit_steps(dead_time, cycle_s), merge.ORDER)
+    along = merge.merge_matrix(tracking.merge.along, cycle_s, controller.steps - commit)
+    across = merge.merge_matrix(tracking.merge.across, cycle_s, controller.steps - commit)
+    camera = task.arm.camera_in_tcp
+    reference = compile_reference(task)
+    table = tabulated(reference, cycle_s, controller.steps)
+    clock = np.arange(len(table.poses)) * cycle_s
+    leave = reference.time_of(Phase.RETREAT)
+    along_tool = control_settings.effector[TOOL_AXIS]
+    span = np.arange(controller.steps + 1) * cycle_s
+    lag = linear_axis.delay(task.linear_axis.ramp, cycle_s)
+    ahead = np.append(span, controller.preview * cycle_s + lag)
+    tracker = Tracker(
+        task=task,
+        settings=tracking,
+        reference=reference,
+        classifier=_classifier(task, tracking),
+        transverse=Transverse(tracking.fusion, tracking.swing),
+        table=table,
+        camera=(np.array(camera.position), rotations.matrix(camera.quaternion)),
+        cycle_s=cycle_s,
+        steps=controller.steps,
+        commit=commit,
+        matrices=np.stack([along if axis == merge.ALONG else across for axis in range(6)]),
+        corner=merge.rounding(cycle_s, commit),
+        history_length=math.ceil(HISTORY / cycle_s),
+        span=span,
+        axis_steps=controller.preview,
+        axis_range=_axis_range(controller),
+        ahead=ahead,
+        free=hanging(reference, leave, control_settings.filters.contact_blend, clock),
+        ringing=contact.ringing(
+            along_tool.frequency_hz, along_tool.damping, tracking.tactile.contact_force, cycle_s
+        ),
+        sight_time=reference.sight_time,
+        search_time=reference.time_of(Phase.CONTACT, Phase.SCREWS),
+    )
+    return Parameters(tracker, controller, cycle_s, control_settings)
+
+
+def retuned(parameters: Parameters, tracking: TrackingSettings) -> Parameters:
+    """Return parameters with other numbers in the estimator; quick, between two steps.
+
+    Only for what changes no shape of a step's state and nothing of the plan: noise, gates, the
+    classifiers' thresholds. The same as ``build`` would make.
+
+    Args:
+        parameters: as they are.
+        tracking: settings, which differ from theirs in nothing else.
+    """
+    tracker = replace(
+        parameters.tracker,
+        settings=tracking,
+        classifier=_classifier(parameters.tracker.task, tracking),
+        transverse=Transverse(tracking.fusion, tracking.swing),
+    )
+    return replace(parameters, tracker=tracker)
+
+
+def with_foresight(parameters: Parameters, foresight: Foresight) -> Parameters:
+    """Return the parameters with an oracle instead of an estimate (the variant of a campaign)."""
+    return replace(parameters, tracker=replace(parameters.tracker, foresight=foresight))

@@ -1,0 +1,178 @@
+"""Rotations, single and over whole horizons; below both tracking and control.
+
+Law of this file: pure functions of arrays; rotation vectors [rad], matrices (3, 3), quaternions
+w first. Everything is differentiable at zero (series below ``SMALL``).
+"""
+
+import math
+
+import numpy as np
+
+from linemate.daemon.core.horizon import Array
+from linemate.protocol.samples import Quaternion
+
+SMALL = 1e-6
+EYE = np.eye(3)
+
+
+def skew(v: Array) -> Array:
+    """Return the matrix (3, 3) with ``skew(v) @ w == cross(v, w)``."""
+    x, y, z = v
+    return np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
+
+
+def _combined(x: float, y: float, z: float, one: float, cross: float, outer: float) -> Array:
+    """Return ``one I + cross skew(r) + outer r r'`` (3, 3): all functions of a turn are that.
+
+    In plain floats: a third of what the same sums of small arrays take; and shaped afterwards, for
+    a nest of tuples takes twice as long to become an array as one that is flat.
+    """
+    ox, oy, oz = outer * x, outer * y, outer * z
+    xy, xz, yz = ox * y, ox * z, oy * z
+    cx, cy, cz = cross * x, cross * y, cross * z
+    first = (one + ox * x, xy - cz, xz + cy)
+    second = (xy + cz, one + oy * y, yz - cx)
+    third = (xz - cy, yz + cx, one + oz * z)
+    return np.array(first + second + third).reshape(3, 3)
+
+
+def exp(r: Array) -> Array:
+    """Return the rotation matrix (3, 3) of a rotation vector (3,) [rad] (Rodrigues)."""
+    x, y, z = r.tolist()
+    angle2 = x * x + y * y + z * z
+    if angle2 < SMALL * SMALL:
+        a, b = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0
+    else:
+        angle = math.sqrt(angle2)
+        a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle2
+    return _combined(x, y, z, 1.0 - b * angle2, a, b)
+
+
+def log(R: Array) -> Array:
+    """Return the rotation vector (3,) [rad] of a rotation matrix; unique below pi.
+
+    By way of the quaternion, which stays accurate for small and for large angles.
+    """
+    return log_quaternion(quaternion(R))
+
+
+def quaternion(R: Array) -> Quaternion:
+    """Return the unit quaternion, w first and >= 0, of a rotation matrix (Shepperd)."""
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+    trace = a + e + i
+    if trace > 0.0:
+        s = 2.0 * math.sqrt(trace + 1.0)
+        q = (0.25 * s, (h - f) / s, (c - g) / s, (d - b) / s)
+    elif a >= e and a >= i:
+        s = 2.0 * math.sqrt(max(1.0 + a - e - i, 0.0))
+        q = ((h - f) / s, 0.25 * s, (b + d) / s, (c + g) / s)
+    elif e >= i:
+        s = 2.0 * math.sqrt(max(1.0 + e - a - i, 0.0))
+        q = ((c - g) / s, (b + d) / s, 0.25 * s, (f + h) / s)
+    else:
+        s = 2.0 * math.sqrt(max(1.0 + i - a - e, 0.0))
+        q = ((d - b) / s, (c + g) / s, (f + h) / s, 0.25 * s)
+    return q if q[0] >= 0.0 else (-q[0], -q[1], -q[2], -q[3])
+
+
+def log_quaternion(q: Quaternion) -> Array:
+    """Return the rotation vector (3,) [rad] of a unit quaternion, w first."""
+    w, x, y, z = q if q[0] >= 0.0 else (-q[0], -q[1], -q[2], -q[3])
+    n = math.sqrt(x * x + y * y + z * z)
+    scale = 2.0 / w if n < SMALL else 2.0 * math.atan2(n, w) / n
+    return np.array((scale * x, scale * y, scale * z))
+
+
+def matrix(q: Quaternion) -> Array:
+    """Return the rotation matrix (3, 3) of a quaternion, w first, normalised here."""
+    w, x, y, z = q
+    n = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
+    w, x, y, z = w * n, x * n, y * n, z * n
+    first = (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y))
+    second = (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x))
+    third = (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y))
+    return np.array(first + second + third).reshape(3, 3)
+
+
+def left_jacobian_inverse(r: Array) -> Array:
+    """Return J_l^-1(r), so that ``log(exp(d) @ exp(r)) = r + J_l^-1(r) d`` for small d."""
+    x, y, z = r.tolist()
+    angle2 = x * x + y * y + z * z
+    if angle2 < 1e-8:
+        c = 1.0 / 12.0
+    else:
+        half = 0.5 * math.sqrt(angle2)
+        c = (1.0 - half / math.tan(half)) / angle2
+    return _combined(x, y, z, 1.0 - c * angle2, -0.5, c)
+
+
+def left_jacobian(r: Array) -> Array:
+    """Return J_l(r), so that ``exp(r + e) = exp(J_l(r) e) @ exp(r)`` for small e."""
+    x, y, z = r.tolist()
+    angle2 = x * x + y * y + z * z
+    if angle2 < 1e-8:
+        a, b = 0.5, 1.0 / 6.0
+    else:
+        angle = math.sqrt(angle2)
+        a, b = (1.0 - math.cos(angle)) / angle2, (angle - math.sin(angle)) / (angle2 * angle)
+    return _combined(x, y, z, 1.0 - b * angle2, a, b)
+
+
+def in_own_axes(r: Array) -> Array:
+    """Return T (6, 6) of a pose with rotation vector r, for its small changes as rows (m, 6).
+
+    A change ``c`` of position and rotation vector is the twist ``c @ T`` in the pose's own axes:
+    ``T = diag(Exp(r), J_l(r))``, since the right Jacobian is the transpose of the left one.
+    """
+    T = np.zeros((6, 6))
+    T[:3, :3], T[3:, 3:] = exp(r), left_jacobian(r)
+    return T
+
+
+def in_own_axes_and_back(r: Array) -> tuple[Array, Array]:
+    """Return T of ``in_own_axes`` and its inverse ``diag(Exp(r)', J_l^-1(r))``."""
+    T, back = in_own_axes(r), np.zeros((6, 6))
+    back[:3, :3], back[3:, 3:] = T[:3, :3].T, left_jacobian_inverse(r)
+    return T, back
+
+
+def exp_many(r: Array) -> Array:
+    """Return rotation matrices (m, 3, 3) of rotation vectors (m, 3)."""
+    angle2 = np.einsum("ij,ij->i", r, r)
+    small = angle2 < SMALL * SMALL
+    safe = np.where(small, 1.0, angle2)
+    angle = np.sqrt(safe)
+    a = np.where(small, 1.0 - angle2 / 6.0, np.sin(angle) / angle)
+    b = np.where(small, 0.5 - angle2 / 24.0, (1.0 - np.cos(angle)) / safe)
+    W = np.zeros((len(r), 3, 3))
+    W[:, 0, 1], W[:, 0, 2] = -r[:, 2], r[:, 1]
+    W[:, 1, 0], W[:, 1, 2] = r[:, 2], -r[:, 0]
+    W[:, 2, 0], W[:, 2, 1] = -r[:, 1], r[:, 0]
+    return EYE + a[:, None, None] * W + b[:, None, None] * (W @ W)
+
+
+def log_many(R: Array) -> Array:
+    """Return rotation vectors (m, 3) of rotation matrices (m, 3, 3), angles below pi."""
+    return np.array([log(each) for each in R])
+
+
+def exp_quaternion(x: float, y: float, z: float) -> Quaternion:
+    """Return the unit quaternion, w first, of a rotation vector's components [rad]."""
+    angle = math.sqrt(x * x + y * y + z * z)
+    scale = 0.5 - angle * angle / 48.0 if angle < SMALL else math.sin(0.5 * angle) / angle
+    return (math.cos(0.5 * angle), scale * x, scale * y, scale * z)
+
+
+def multiply(p: Quaternion, q: Quaternion) -> Quaternion:
+    """Return the quaternion of rotation p after rotation q, w >= 0."""
+    a, b, c, d = p
+    w, x, y, z = q
+    product = (
+        a * w - b * x - c * y - d * z,
+        a * x + b * w + c * z - d * y,
+        a * y - b * z + c * w + d * x,
+        a * z + b * y - c * x + d * w,
+    )
+    if product[0] >= 0.0:
+        return product
+    return (-product[0], -product[1], -product[2], -product[3])

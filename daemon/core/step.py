@@ -1,0 +1,356 @@
+"""One sampling step: ``step(state, inputs, parameters) -> (state, outputs)``.
+
+Law of this file: a straight line through tracking and control, without I/O, clock or chance. What
+arrived before telegram k is in the inputs, the robot's state of k - 1 included, so that the reply
+can be ready before its telegram comes; nothing is lost by it, the commands are feed-forward.
+
+    predict -> correct -> classify -> predict the part over the horizon -> approach -> x_t
+    smooth -> damp -> inverse kinematics -> feed-forward -> limits -> q_c
+
+What the robot made of the last command is asked last of all, by the gate. All before it is the
+step's ``plan``, which stays as it is where a telegram tells another fate than was assumed.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from linemate.daemon.core import rotations
+from linemate.daemon.core.changed import changed
+from linemate.daemon.core.control import controller as control
+from linemate.daemon.core.control import limits
+from linemate.daemon.core.horizon import Array, Horizon
+from linemate.daemon.core.inputs import Inputs, Order
+from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.core.tracking import tracker as tracking
+from linemate.daemon.core.tracking.reference import Reference
+from linemate.daemon.core.tracking.task import Phase
+from linemate.protocol.frozen import frozen
+from linemate.protocol.samples import RobotSample
+
+Pose = tuple[float, float, float, float, float, float, float]
+"""Position [m] and unit quaternion, w first, in base."""
+
+FIX_SCREWS = 1
+RELEASE_WHEEL = 2
+REST_DISTANCE = 0.02  # from the programme's first pose, at most, to start [m]
+REST_ANGLE = 0.05  # [rad]
+SAME_PLACE = 0.05  # a robot that was led beside a line and stopped comes to rest within [m]
+
+
+@frozen(slots=False, eq=False)
+class State:
+    """Everything a step remembers.
+
+    Attributes:
+        tracker, control: of the two halves.
+        applied: (axes,) the last command that reached the wire.
+        moving: the robot has not come to rest since it last tracked.
+    """
+
+    tracker: tracking.TrackerState
+    control: control.ControlState
+    applied: Array
+    moving: bool = False
+
+
+@frozen(eq=False)
+class Outputs:
+    """What one step says.
+
+    Attributes:
+        k: number of the step.
+        stamp_ns: its time [ns].
+        command: absolute setpoints q_c, A1..A6 [rad] and E1 [m], within the limits.
+        digital_out: the tool's signals, bit 0 fix the screws, bit 1 release the wheel.
+        phase: of the task.
+        task_time: of the task's clock [s], None before the start.
+        scenario: the class in force.
+        scenario_state: ``confirmed`` or ``tentative``.
+        confidence: log odds of the change that is weighed.
+        events: of the classifier in this step.
+        target: x_c(k) = x_t(k, 0), the committed tcp in base.
+        sensed: x_f(k, 0) in base, None before the object was seen.
+        part: the object's estimated pose in base, None before it was seen.
+        speed: of the conveyor [m/s].
+        horizon: (n+1, 6) x_t in the nominal frame, None while the robot does not track.
+        contact: the tool is clamped to the object.
+        clamped: a retreat waits for the clamp, which is closed on the object or may be.
+        overdue: the tool has not done in its time what the programme needs: the clamp was not
+            reported open, or no contact was found.
+        overload: the force is beyond what the tool may bear.
+        finished: the task is over, or the retraction is.
+        held: why the command is not the one desired, None if it is.
+        ready: why the task cannot start, None if it can.
+        refused: sightings that the gate refused.
+        object_left: the object is tracked and out of reach, or about to be.
+    """
+
+    k: int
+    stamp_ns: int
+    command: tuple[float, ...]
+    digital_out: int
+    phase: Phase
+    task_time: float | None
+    scenario: str
+    scenario_state: str
+    confidence: float
+    events: tuple[tuple[str, str], ...]
+    target: Pose
+    sensed: Pose | None
+    part: Pose | None
+    speed: float | None
+    horizon: Array | None
+    contact: bool
+    clamped: bool
+    overdue: bool
+    overload: bool
+    finished: bool
+    held: str | None
+    ready: str | None
+    refused: int
+    object_left: bool = False
+
+
+def _joints(parameters: Parameters, robot: RobotSample) -> Array:
+    """Return a telegram's joints as the controller orders them (axes,)."""
+    if parameters.controller.arm.linear_axis:
+        return np.array(robot.joints + robot.external[:1])
+    return np.array(robot.joints)
+
+
+def _tcp(parameters: Parameters, joints: Array) -> Array:
+    """Return the undeflected tcp (6,) in c."""
+    return parameters.controller.arm.tcp_in(parameters.tracker.reference.nominal, joints)
+
+
+def _axis(parameters: Parameters, joints: Array) -> float:
+    """Return the linear axis' position [m], 0 without one."""
+    return float(joints[6]) if parameters.controller.arm.linear_axis else 0.0
+
+
+def _in_base(reference: Reference, pose: Array) -> Pose:
+    """Return a pose (6,) of c as position and quaternion in base; plain floats, it is hot."""
+    x, y, z, rx, ry, rz = pose.tolist()
+    (a, b, c), (d, e, f), (g, h, i) = reference.axes
+    position = (a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z)
+    return (
+        *position,
+        *rotations.multiply(reference.quaternion, rotations.exp_quaternion(rx, ry, rz)),
+    )
+
+
+def initial(parameters: Parameters, robot: RobotSample) -> State:
+    """Return the state of a robot that stands where a telegram says; its command is that place."""
+    joints = _joints(parameters, robot)
+    pose = _tcp(parameters, joints)
+    return State(
+        tracker=tracking.at_rest(parameters.tracker, pose, _axis(parameters, joints)),
+        control=control.at_rest(parameters.controller, joints, pose),
+        applied=joints,
+    )
+
+
+def resumed(parameters: Parameters, state: State, robot: RobotSample) -> State:
+    """Return the state of a robot that stands where a telegram says, its tool on the object.
+
+    The object's estimate and the tool's place in the task live on.
+    """
+    joints = _joints(parameters, robot)
+    pose = _tcp(parameters, joints)
+    tracker = tracking.rest(parameters.tracker, state.tracker, pose, _axis(parameters, joints))
+    return State(tracker, control.at_rest(parameters.controller, joints, pose), joints)
+
+
+def is_engaged(state: State, parameters: Parameters, robot: RobotSample) -> bool:
+    """Return whether a robot stands where its tool was left on the object.
+
+    One that was driven away since has been seen to by its operator.
+    """
+    if not state.tracker.contact:
+        return False
+    way = state.tracker.poses[0] - _tcp(parameters, _joints(parameters, robot))
+    return float(np.linalg.norm(way[:3])) <= SAME_PLACE
+
+
+@frozen(eq=False)
+class Plan:
+    """A step but for what the robot made of the last command.
+
+    Attributes:
+        tracker: one step later; whether the tool touches is still as it was.
+        report: of tracking.
+        horizon: x_t, None where the robot is to stand.
+        aim: of control, None likewise.
+    """
+
+    tracker: tracking.TrackerState
+    report: tracking.Report
+    horizon: Horizon | None = None
+    aim: control.Aim | None = None
+
+
+def step(state: State, inputs: Inputs, parameters: Parameters) -> tuple[State, Outputs]:
+    """Return the state and the outputs of one sampling step.
+
+    Args:
+        state: of the step before, or ``initial``.
+        inputs: everything that entered since, and the order.
+        parameters: compiled.
+    """
+    return finish(state, plan(state, inputs, parameters), inputs, parameters)
+
+
+def plan(state: State, inputs: Inputs, parameters: Parameters) -> Plan:
+    """Return nine tenths of a step, whatever the robot made of the last command.
+
+    Args:
+        state: of the step before.
+        inputs: of which ``sent``, ``applied`` and ``pace`` are not read.
+        parameters: compiled.
+    """
+    seen = _measurements(inputs, parameters)
+    if inputs.order is Order.HOLD:
+        return Plan(*tracking.observe(parameters.tracker, state.tracker, seen))
+    retreat = inputs.order is Order.RETREAT
+    tracker, horizon, report = tracking.track(
+        parameters.tracker, state.tracker, seen, start=inputs.start, retreat=retreat
+    )
+    aim = control.aim(parameters.controller, state.control, horizon)
+    return Plan(tracker, report, horizon, aim)
+
+
+def finish(
+    state: State, planned: Plan, inputs: Inputs, parameters: Parameters
+) -> tuple[State, Outputs]:
+    """Return a step's state and outputs, with what the robot made of the last command.
+
+    Args:
+        state: of the step before.
+        planned: by ``plan`` from the same state, inputs and parameters.
+        inputs: of which ``sent``, ``applied`` and ``pace`` may be others than it was planned with.
+        parameters: compiled.
+    """
+    begun = _applied(state, inputs)
+    horizon, aim = planned.horizon, planned.aim
+    if horizon is None or aim is None:
+        state = _halted(begun, planned.tracker, parameters)
+        return state, _outputs(state, inputs, planned.report, None, "hold", parameters)
+    tracker = tracking.touched(
+        parameters.tracker,
+        state.tracker,
+        planned.tracker,
+        planned.report,
+        held=not inputs.sent and inputs.pace is None,
+        is_open=inputs.robot is None or bool(inputs.robot.digital_in & tracking.CLAMP_OPEN),
+    )
+    steered, held = control.reach(
+        parameters.controller, aim, begun.control.gate, clamped=state.tracker.contact
+    )
+    state = State(tracker, steered, begun.applied, moving=True)
+    outputs = _outputs(state, inputs, planned.report, horizon.poses, held, parameters)
+    if planned.report.object_left or aim.command is None:
+        outputs = replace(outputs, object_left=True)
+    return state, outputs
+
+
+def _applied(state: State, inputs: Inputs) -> State:
+    """Return the state with its gate at what the robot has: without a command it holds.
+
+    Unless it is told to go on from there, see ``Inputs.pace``.
+    """
+    if inputs.sent:
+        return changed(state, applied=state.control.gate.position)
+    applied = state.applied if inputs.applied is None else np.array(inputs.applied)
+    gate, moving = limits.held(state.control.gate, applied), state.moving
+    if inputs.pace is not None:
+        # Also one that was taken to stand, and meanwhile ordered to: it has to brake first.
+        gate, moving = limits.under_way(applied, *map(np.array, inputs.pace)), True
+    return changed(state, applied=applied, control=changed(state.control, gate=gate), moving=moving)
+
+
+def _halted(state: State, tracker: tracking.TrackerState, parameters: Parameters) -> State:
+    """Return the state of a robot that is to stand: it brakes, and then its plan is rest."""
+    if not state.moving:
+        return changed(state, tracker=tracker)
+    steered = control.stop(parameters.controller, state.control)
+    still = limits.stands(steered.gate)
+    joints = steered.gate.position
+    pose = _tcp(parameters, joints)
+    if still:
+        steered = control.at_rest(parameters.controller, joints, pose)
+    tracker = tracking.rest(parameters.tracker, tracker, pose, _axis(parameters, joints))
+    return State(tracker, steered, state.applied, moving=not still)
+
+
+def _measurements(inputs: Inputs, parameters: Parameters) -> tracking.Measurements:
+    """Return the inputs as tracking sees them."""
+    tcp = stamp = None
+    if inputs.robot is not None:
+        tcp = _tcp(parameters, _joints(parameters, inputs.robot))
+        stamp = inputs.robot.stamp_ns
+    return tracking.Measurements(
+        stamp_ns=inputs.stamp_ns,
+        tcp=tcp,
+        tcp_stamp_ns=stamp or 0,
+        distance=inputs.distance,
+        camera=inputs.camera,
+        wrench=inputs.wrench,
+        digital_in=0 if inputs.robot is None else inputs.robot.digital_in,
+    )
+
+
+def _ready(state: State, parameters: Parameters) -> str | None:
+    """Return why the task cannot start, None if it can."""
+    if state.tracker.belief is None:
+        return "no distance has been measured yet"
+    off = state.tracker.poses[0] - parameters.tracker.reference.rest
+    if float(np.abs(off[:3]).max()) > REST_DISTANCE or float(np.abs(off[3:]).max()) > REST_ANGLE:
+        return (
+            f"the tcp is {1e3 * float(np.linalg.norm(off[:3])):.0f} mm and "
+            f"{1e3 * float(np.linalg.norm(off[3:])):.0f} mrad away from the task's first pose"
+        )
+    return None
+
+
+def _outputs(
+    state: State,
+    inputs: Inputs,
+    report: tracking.Report,
+    poses: Array | None,
+    held: str | None,
+    parameters: Parameters,
+) -> Outputs:
+    """Return what the step says."""
+    tracker, reference = state.tracker, parameters.tracker.reference
+    signals = 0
+    if tracker.fixing is not None and inputs.order is not Order.RETREAT:
+        signals |= FIX_SCREWS
+    if tracker.releasing is not None:
+        signals |= RELEASE_WHEEL
+    withdrawn = tracker.withdrawn is not None and tracker.withdrawn > 1.2 * tracking.AWAY_TIME
+    return Outputs(
+        k=inputs.k,
+        stamp_ns=inputs.stamp_ns,
+        command=tuple(state.control.gate.position.tolist()),
+        digital_out=signals,
+        phase=report.phase if tracker.withdrawn is None else Phase.RETREAT,
+        task_time=tracker.time if tracker.started else None,
+        scenario=report.motion.value,
+        scenario_state="tentative" if report.tentative else "confirmed",
+        confidence=report.confidence,
+        events=report.events,
+        target=_in_base(reference, tracker.poses[0]),
+        sensed=None if report.sensed is None else _in_base(reference, report.sensed),
+        part=None if report.part is None else _in_base(reference, report.part),
+        speed=report.speed,
+        horizon=poses,
+        contact=tracker.contact,
+        clamped=tracker.clamped,
+        overdue=tracking.is_overdue(parameters.tracker, tracker),
+        overload=report.overload,
+        finished=report.phase is Phase.DONE or withdrawn,
+        held=held,
+        ready="under way" if state.moving else _ready(state, parameters),
+        refused=report.refused,
+    )

@@ -1,0 +1,148 @@
+"""The feasible trajectory, first half: where the tcp should be over the horizon (Sect. III-C).
+
+Law of this file: from an estimate and the reference to the goal x_f(k + i), and from the
+programmed to the sensed motion without a step. Poses (m, 6) in c.
+"""
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from linemate.daemon.core import rotations
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.settings import SwingMode
+from linemate.protocol.frozen import frozen
+
+
+@frozen(eq=False)
+class Part:
+    """The object over the horizon, in c.
+
+    Attributes:
+        x, z: at rest across the conveyor [m].
+        along: (m,) positions along the conveyor [m].
+        rotation: (3, 3) at rest.
+        swing: (modes, m) angles [rad].
+    """
+
+    x: float
+    z: float
+    along: Array
+    rotation: Array
+    swing: Array
+
+
+def sensed(
+    part: Part, modes: Sequence[SwingMode], relative: Array, *, turned: bool
+) -> tuple[Array, Array]:
+    """Return x_f (m, 6), the sensed tcp with its programmed distance, and the object now (6,).
+
+    A swing moves the object by its levers, (9), and along the chord's sagitta, the second order
+    of the same rotation: 30 um at 8 mrad; and it turns the arm from object to tcp. So x_f is
+    linear in its terms: a step's arm, its arm times each angle, 1, the way along the conveyor,
+    each angle, each angle's square. One product adds them up; without an arm they are the object.
+
+    Args:
+        part: over the horizon.
+        modes: of its swing.
+        relative: (m, 6) programmed tcp in the nominal object, (x_o^nom)^-1 x_r.
+        turned: the programme turns the tcp against the object.
+    """
+    series = _series(tuple(modes))
+    one, along, swing, square = series.places
+    R = part.rotation
+    base = rotations.log(R)
+    terms, adds = np.empty((len(series.adds), len(relative))), series.adds.copy()
+    terms[:3], adds[:3, :3] = relative[:, :3].T, R.T
+    terms[one], adds[one] = 1.0, (part.x, 0.0, part.z, *base.tolist())
+    terms[along] = part.along
+    if modes:
+        inverse = rotations.left_jacobian_inverse(base)
+        terms[swing:square] = part.swing
+        np.multiply(part.swing, part.swing, out=terms[square:])
+    for m, mode in enumerate(modes):
+        turned_arm = slice(3 + 3 * m, 6 + 3 * m)
+        np.multiply(terms[:3], part.swing[m], out=terms[turned_arm])
+        adds[turned_arm, :3] = series.generators[m].dot(R).T
+        adds[swing + m, 3:] = inverse[:, mode.axis]
+    tcp = terms.T.dot(adds)
+    now = terms[one:, 0].dot(adds[one:])
+    programmed = relative[:, 3:]
+    if turned and bool(np.abs(programmed).max() > 0.0):
+        own = rotations.exp_many(tcp[:, 3:]) @ rotations.exp_many(programmed)
+        tcp[:, 3:] = rotations.log_many(own)
+    return tcp, now
+
+
+@frozen(eq=False)
+class _Series:
+    """What each term of x_f adds to a pose, as far as the modes alone tell.
+
+    Attributes:
+        adds: (t, 6) [m, rad] for one unit of the term.
+        places: of the first term without an arm, of the way along the conveyor, of the first
+            angle, of its square.
+        generators: (3, 3) of each mode.
+    """
+
+    adds: Array
+    places: tuple[int, int, int, int]
+    generators: tuple[Array, ...]
+
+
+@lru_cache(maxsize=8)
+def _series(modes: tuple[SwingMode, ...]) -> _Series:
+    """Return the series of some modes: their levers [m/rad] and the sagitta [m/rad^2] in it."""
+    count = len(modes)
+    one = 3 + 3 * count
+    along, swing, square = one + 1, one + 2, one + 2 + count
+    adds = np.zeros((square + count, 6))
+    adds[along, 1] = 1.0
+    generators = tuple(rotations.skew(np.eye(3)[mode.axis]) for mode in modes)
+    for m, (mode, generator) in enumerate(zip(modes, generators, strict=True)):
+        adds[swing + m, :3] = mode.levers
+        adds[square + m, :3] = 0.5 * (generator @ np.array(mode.levers))
+    adds.setflags(write=False)
+    return _Series(adds, (one, along, swing, square), generators)
+
+
+def known(
+    positions: Array, vectors: Array, relative: Array, *, turned: bool
+) -> tuple[Array, Array]:
+    """Return x_f (m, 6) and the object now (6,) where the object's poses are known.
+
+    Args:
+        positions: (m, 3) of the object.
+        vectors: (m, 3) rotation vectors of the object.
+        relative: (m, 6) programmed tcp in the nominal object.
+        turned: the programme turns the tcp against the object.
+    """
+    R = rotations.exp_many(vectors)
+    tcp = np.empty((len(positions), 6))
+    tcp[:, :3] = positions + (R @ relative[:, :3, None])[:, :, 0]
+    tcp[:, 3:] = vectors
+    if turned:
+        tcp[:, 3:] = rotations.log_many(R @ rotations.exp_many(relative[:, 3:]))
+    return tcp, np.concatenate((positions[0], vectors[0]))
+
+
+def smoothstep(s: Array) -> Array:
+    """Return the seventh-order step (m,) from 0 to 1: its first three derivatives end at 0."""
+    s = np.clip(s, 0.0, 1.0)
+    step: Array = s**4 * (35.0 + s * (-84.0 + s * (70.0 - 20.0 * s)))
+    return step
+
+
+def blend(programmed: Array, goal: Array, share: Array) -> Array:
+    """Return the way (m, 6) from the programmed to the sensed motion; share (m,) in [0, 1]."""
+    between: Array = programmed + share[:, None] * (goal - programmed)
+    return between
+
+
+def withdraw(goal: Array, way: Array) -> Array:
+    """Return the goal (m, 6) moved back along the tool's axis by ``way`` (m,) [m]."""
+    back = goal.copy()
+    axis = rotations.exp(goal[0, 3:])[:, 2]
+    back[:, :3] -= way[:, None] * axis
+    return back

@@ -1,0 +1,1 @@
+"""Classifiers of what the conveyor does: running, stopping, starting."""

@@ -1,0 +1,140 @@
+"""Check of a declared start against the readings of the distance sensor, for every classifier.
+
+A classifier that declares a start predicts a speed that rises. Its own filter cannot tell that the
+start was none: it adapts until the class predicts as well as any other. The check compares the
+speed over the last half second with two hypotheses: the start, and the class before it.
+"""
+
+import math
+from collections.abc import Sequence
+
+from linemate.daemon.core.tracking.conveyor import Motion, Row, Source
+from linemate.daemon.core.tracking.task import ConveyorClasses
+from linemate.protocol.frozen import frozen
+
+SPAN_S = 0.4  # of the readings that are compared; a start must be taken back within 0.5 s
+LEAST_READINGS = 8  # an interquartile mean of each half needs four
+SHARE = 0.3  # of the way from the class before to the start, below which the start is denied
+SIGMAS = 5.0  # by which a right start must exceed that share: it is checked in every cycle
+SPREAD = 1.2  # sigma of an interquartile mean of normal noise, as a multiple of the mean's
+LONGEST = 2.0  # a start of half the set acceleration lasts twice as long as one that is as set
+
+
+@frozen(eq=False)
+class StartCheck:
+    """What is known of a start since it was declared.
+
+    Attributes:
+        before: class before it.
+        speed: estimated as it was declared [m/s].
+        age: since then [s].
+        readings: time since the declaration [s] and position [m], the last ``SPAN_S``.
+    """
+
+    before: Motion
+    speed: float
+    age: float = 0.0
+    readings: tuple[tuple[float, float], ...] = ()
+
+
+@frozen()
+class Denial:
+    """A start that the readings contradict.
+
+    Attributes:
+        motion: class that is in force instead.
+        speed: now, by the readings [m/s].
+    """
+
+    motion: Motion
+    speed: float
+
+
+def follow(
+    check: StartCheck | None,
+    before: Motion,
+    motion: Motion,
+    speed: float,
+    rows: Sequence[Row],
+    dt: float,
+) -> StartCheck | None:
+    """Return the check one step later: None unless the class is STARTING.
+
+    Args:
+        check: of the step before.
+        before: class of the step before.
+        motion: class now.
+        speed: estimated now [m/s].
+        rows: of this step.
+        dt: since the step before [s].
+    """
+    if motion is not Motion.STARTING:
+        return None
+    if check is None:
+        return StartCheck(before, max(speed, 0.0))
+    age = check.age + dt
+    fresh = [(age - row.delay, row.value) for row in rows if row.source is Source.DISTANCE]
+    readings = [reading for reading in (*check.readings, *fresh) if reading[0] > age - SPAN_S]
+    return StartCheck(check.before, check.speed, age, tuple(readings))
+
+
+def denied(
+    check: StartCheck | None, conveyor: ConveyorClasses, cruise: float, deviation: float
+) -> Denial | None:
+    """Return what the readings make of a start; None while they do not contradict it.
+
+    Args:
+        check: of the start, None without one.
+        conveyor: accelerations of the classes.
+        cruise: speed at which a start ends [m/s].
+        deviation: one sigma of a reading [m].
+    """
+    if check is None:
+        return None
+    readings = [reading for reading in check.readings if reading[0] >= 0.0]
+    half = len(readings) // 2
+    if 2 * half < LEAST_READINGS:
+        return None
+    (early, here), (late, there) = _middle(readings[:half]), _middle(readings[half:])
+    span = late - early
+    if check.age < SPAN_S or span < 0.25 * SPAN_S:
+        return None
+    time, seen = 0.5 * (early + late), (there - here) / span
+    started, other = _expected(check, conveyor, cruise, time)
+    apart = started - other
+    is_clear = (1.0 - SHARE) * apart * span > SIGMAS * deviation * _noise(half)
+    if is_clear and seen < other + SHARE * apart:
+        return _instead(check, conveyor, seen, check.age - time)
+    overdue = check.age > LONGEST * (cruise - check.speed) / conveyor.acceleration
+    return Denial(Motion.RUNNING, seen) if overdue and started > 0.0 else None
+
+
+def _expected(
+    check: StartCheck, conveyor: ConveyorClasses, cruise: float, time: float
+) -> tuple[float, float]:
+    """Return the speeds at a time since the declaration if it was right and if it was wrong."""
+    started = min(check.speed + conveyor.acceleration * time, max(cruise, check.speed))
+    if check.before is Motion.STOPPING:
+        return started, max(check.speed - conveyor.deceleration * time, 0.0)
+    return started, 0.0
+
+
+def _instead(check: StartCheck, conveyor: ConveyorClasses, seen: float, ago: float) -> Denial:
+    """Return the class before the start, and its speed now from the one seen some time ago."""
+    speed = max(seen - conveyor.deceleration * ago, 0.0)
+    if check.before is Motion.STOPPING and speed > 0.0:
+        return Denial(Motion.STOPPING, speed)
+    return Denial(Motion.STANDING, 0.0)
+
+
+def _middle(readings: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Return the mean time and the interquartile mean of some readings: no outlier moves it."""
+    values = sorted(value for _, value in readings)
+    cut = len(values) // 4
+    inner = values[cut : len(values) - cut]
+    return sum(time for time, _ in readings) / len(readings), sum(inner) / len(inner)
+
+
+def _noise(half: int) -> float:
+    """Return the sigma of the difference of two halves, as a multiple of a reading's."""
+    return SPREAD * math.sqrt(2.0 / half)

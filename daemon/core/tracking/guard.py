@@ -1,0 +1,80 @@
+"""Guarded approach: advance beyond the estimated object until contact is felt, up to a bound.
+
+Invariants:
+    * The tool advances only while it can feel a contact and feels none.
+    * It advances by at most the overrun of the task.
+"""
+
+import math
+
+import numpy as np
+
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.contact import Feeling, Ringing, can_feel
+from linemate.daemon.core.tracking.task import GuardedApproach
+from linemate.protocol.frozen import frozen
+
+PATIENCE = 2.0  # a search that cannot advance ends after so many times its duration
+
+
+@frozen()
+class Search:
+    """How far the tool has searched for the object.
+
+    Attributes:
+        reach: beyond the programme, along the tool's axis [m].
+        lasted: time since the search began [s].
+    """
+
+    reach: float = 0.0
+    lasted: float = 0.0
+
+
+NO_SEARCH = Search()
+
+
+def advanced(
+    search: Search, guard: GuardedApproach, feeling: Feeling, ringing: Ringing, dt: float
+) -> Search:
+    """Return the search one step later.
+
+    Args:
+        search: before.
+        guard: speed and bound.
+        feeling: forces along the tool's axis.
+        ringing: of the tool, with the force of a contact.
+        dt: T0 [s].
+    """
+    reach = search.reach
+    # A force that is no contact yet may become one: wait for it.
+    if can_feel(feeling, ringing) and abs(feeling.forces[-1]) < ringing.force:
+        reach = min(reach + guard.speed * dt, guard.overrun)
+    return Search(reach, search.lasted + dt)
+
+
+def has_failed(search: Search, guard: GuardedApproach) -> bool:
+    """Return whether the object was not found within the overrun."""
+    if guard.overrun <= 0.0 or search.lasted <= 0.0:
+        return False
+    duration = guard.overrun / guard.speed
+    return search.reach >= guard.overrun or search.lasted > PATIENCE * duration
+
+
+def reached(
+    relative: Array, search: Search, guard: GuardedApproach, span: Array, *, is_on: bool
+) -> Array:
+    """Return the programmed tcp in the object (m, 6) with the search added along the tool's axis.
+
+    Args:
+        relative: (m, 6) programmed; not written to.
+        search: so far.
+        guard: speed and bound.
+        span: (m,) times from now [s].
+        is_on: the search goes on; otherwise it stays where it is.
+    """
+    if math.isclose(search.reach, 0.0) and not is_on:
+        return relative
+    way = search.reach + (guard.speed * span if is_on else 0.0 * span)
+    changed = relative.copy()
+    changed[:, 2] += np.minimum(way, guard.overrun)
+    return changed

@@ -1,0 +1,171 @@
+"""From samples to measurements in the nominal frame c: where the object was, and when.
+
+Law of this file: what a sensor saw, joined with where the robot was at that moment. The robot's
+pose is interpolated between telegrams, so that a delay need not be a whole number of steps.
+"""
+
+import math
+from bisect import bisect_left
+from operator import itemgetter
+
+import numpy as np
+
+from linemate.daemon.core import rotations
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.settings import CameraNoise, TactileNoise
+from linemate.protocol.frozen import frozen
+from linemate.protocol.samples import CameraSample, WrenchSample
+
+_diagonal = itemgetter(0, 6, 11, 15, 18, 20)  # of the upper triangle of a covariance (6, 6)
+
+
+@frozen(eq=False)
+class History:
+    """Where the undeflected tcp was, in c, newest last.
+
+    Attributes:
+        stamps_ns: (m,) rising.
+        poses: m poses (6,), position [m] and rotation vector [rad].
+    """
+
+    stamps_ns: tuple[int, ...]
+    poses: tuple[Array, ...]
+
+
+def remember(history: History | None, stamp_ns: int, pose: Array, length: int) -> History:
+    """Return the history with one pose more and at most ``length`` of them."""
+    if history is None:
+        return History((stamp_ns,), (pose.copy(),))
+    if stamp_ns <= history.stamps_ns[-1]:
+        return history
+    keep = slice(-(length - 1), None)
+    return History((*history.stamps_ns[keep], stamp_ns), (*history.poses[keep], pose.copy()))
+
+
+def pose_at(history: History, stamp_ns: int, reach: float) -> Array | None:
+    """Return the tcp's pose (6,) at a stamp, or None where it is not known.
+
+    Args:
+        history: of poses.
+        stamp_ns: when.
+        reach: how far the newest motion may be carried on [s].
+    """
+    stamps, poses = history.stamps_ns, history.poses
+    if len(stamps) < 2 or stamp_ns < stamps[0] or stamp_ns > stamps[-1] + reach * 1e9:
+        return None
+    i = min(max(bisect_left(stamps, stamp_ns), 1), len(stamps) - 1)
+    share = (stamp_ns - stamps[i - 1]) / (stamps[i] - stamps[i - 1])
+    at: Array = poses[i - 1] + share * (poses[i] - poses[i - 1])
+    return at
+
+
+def rate_now(history: History) -> Array:
+    """Return how fast the tcp moves (6,) [m/s, rad/s], 0 where one pose alone is known."""
+    if len(history.stamps_ns) < 2:
+        return np.zeros(6)
+    span = (history.stamps_ns[-1] - history.stamps_ns[-2]) * 1e-9
+    rate: Array = (history.poses[-1] - history.poses[-2]) / span
+    return rate
+
+
+@frozen(eq=False)
+class Sighting:
+    """One measured pose of the object in c.
+
+    Attributes:
+        position: (3,) [m].
+        rotation: (3, 3) of the object's axes in c.
+        delay: tau, from the measurement to now [s].
+        variance: (6,) of position and of a rotation about the axes of c [m^2, rad^2].
+    """
+
+    position: Array
+    rotation: Array
+    delay: float
+    variance: Array
+
+
+def sight(
+    sample: CameraSample,
+    tcp: Array,
+    camera: tuple[Array, Array],
+    noise: CameraNoise,
+    now_ns: int,
+    rate: Array,
+) -> Sighting:
+    """Return what a camera saw.
+
+    Args:
+        sample: object in camera.
+        tcp: (6,) undeflected tcp in c at the exposure.
+        camera: position (3,) and rotation (3, 3) of the camera in the tcp.
+        noise: model of its deviations where the sample has no covariance.
+        now_ns: time of the step.
+        rate: (6,) of the tcp.
+    """
+    R_tcp = rotations.exp(tcp[3:])
+    R_camera = R_tcp.dot(camera[1])
+    in_tcp = camera[0] + camera[1].dot(sample.position)
+    position = tcp[:3] + R_tcp.dot(in_tcp)
+    rotation = R_camera.dot(rotations.matrix(sample.quaternion))
+    if sample.covariance is not None:
+        diagonal = np.array(_diagonal(sample.covariance))
+    else:
+        far = math.hypot(*in_tcp.tolist())
+        lateral = noise.lateral + noise.lateral_slope * far
+        angle = noise.angle + noise.angle_slope * far
+        depth = noise.depth_factor * lateral
+        diagonal = np.array((lateral, lateral, depth, angle, angle, angle)) ** 2
+    variance = diagonal.reshape(2, 3).dot((R_camera * R_camera).T).reshape(6)
+    variance += (noise.stamp * rate) ** 2
+    return Sighting(position, rotation, (now_ns - sample.exposure_ns) * 1e-9, variance)
+
+
+@frozen(eq=False)
+class Wrench:
+    """The mean of the wrenches that came since the last step.
+
+    Attributes:
+        force: (3,) [N] in the tcp.
+        torque: (3,) [Nm] in the tcp.
+        stamp_ns: mean of the arrivals.
+        count: samples in it.
+    """
+
+    force: Array
+    torque: Array
+    stamp_ns: int
+    count: int
+
+
+def mean_wrench(samples: tuple[WrenchSample, ...]) -> Wrench | None:
+    """Return the mean of some wrenches, None of none."""
+    if not samples:
+        return None
+    count = len(samples)
+    stamp = sum([sample.stamp_ns for sample in samples]) // count
+    # A dozen floats are added up sooner than they have become an array.
+    rows = [sample.force + sample.torque for sample in samples]
+    mean = np.array([sum(column) / count for column in zip(*rows, strict=True)])
+    return Wrench(mean[:3], mean[3:], stamp, count)
+
+
+def touch(wrench: Wrench, tcp: Array, noise: TactileNoise, now_ns: int, rate: Array) -> Sighting:
+    """Return where the object holds the clamped tool: the tcp, deflected by the wrench.
+
+    Args:
+        wrench: in the tcp.
+        tcp: (6,) undeflected tcp in c at that moment.
+        noise: stiffness of the mount and deviation of a deflection.
+        now_ns: time of the step.
+        rate: (6,) of the tcp.
+    """
+    R = rotations.exp(tcp[3:])
+    shift = wrench.force / np.array(noise.stiffness)
+    turn = wrench.torque / np.array(noise.rotational_stiffness)
+    count = wrench.count
+    place, turned = noise.deflection**2 / count, noise.angle**2 / count
+    variance = np.array((place, place, place, turned, turned, turned))
+    variance += (noise.stamp * rate) ** 2
+    delay = (now_ns - wrench.stamp_ns) * 1e-9
+    return Sighting(tcp[:3] + R.dot(shift), R.dot(rotations.exp(turn)), delay, variance)

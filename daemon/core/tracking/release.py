@@ -1,0 +1,84 @@
+"""Opening of the clamp before a retreat: when the tool may withdraw, and that it does not press.
+
+Invariants:
+    * The tool does not withdraw while the clamp is closed on the object, or may be.
+    * An unreported opening ends: the tool is overdue after ``tool.release_timeout``.
+"""
+
+import math
+
+import numpy as np
+
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.observation import Wrench
+from linemate.protocol.samples import Vector3
+
+LEADING_S = 0.15  # commanded motion goes on for this long, whatever is decided now
+TOUCHING = 0.005  # within this distance the object may have been touched without a force [m]
+STAND_OFF = 0.003  # a closed clamp bears the pull at this distance, 150 N by the shipped mount [m]
+PULLING = 3.0  # times the force of a contact, as a mean: only a closed clamp feels so much
+PULL_S = 0.2  # time constant of that mean [s]; an open tool rings at 4 Hz or more
+
+
+def may_be_clamped(
+    *, contact: bool, released: bool, distance: float, opening: float | None, timeout: float
+) -> bool:
+    """Return whether to withdraw could pull at a closed clamp.
+
+    A clamp that was felt is closed until it is reported open. One that nobody felt may still have
+    closed on an object this near, for example without a force-torque sensor. It was ordered to
+    open, so it is open or on nothing once the timeout is over.
+
+    Args:
+        contact: contact was felt.
+        released: the opening was reported, or its configured time is over.
+        distance: programmed in ``LEADING_S`` from now, from the tcp to the object along z [m].
+        opening: time since the clamp was ordered to open, None before [s].
+        timeout: of the opening [s].
+    """
+    if released or contact:
+        return not released
+    return distance > -TOUCHING and (opening is None or opening < timeout)
+
+
+def is_overdue(opening: float | None, timeout: float, *, contact: bool) -> bool:
+    """Return whether a clamp that was felt to close should have been reported open by now."""
+    return contact and opening is not None and opening >= timeout
+
+
+def averaged(pull: Vector3, wrench: Wrench | None, dt: float) -> Vector3:
+    """Return the mean force on the tool one step later [N]."""
+    if wrench is None:
+        return pull
+    gain = 1.0 - math.exp(-dt / PULL_S)
+    x, y, z = (mean + gain * (f - mean) for mean, f in zip(pull, wrench.force, strict=True))
+    return x, y, z
+
+
+def without_press(relative: Array) -> Array:
+    """Return the programmed tcp in the object (m, 6), not beyond its surface.
+
+    A tool that waits for its clamp does not press: a loaded mount rings as the clamp opens.
+
+    Args:
+        relative: (m, 6) programmed tcp in the object; not written to.
+    """
+    if float(relative[:, 2].max()) <= 0.0:
+        return relative
+    changed = relative.copy()
+    changed[:, 2] = np.minimum(relative[:, 2], 0.0)
+    return changed
+
+
+def at_stand_off(relative: Array) -> Array:
+    """Return the programmed tcp in the object (m, 6), not farther off than the stand-off.
+
+    A tool that was led to the object before it was to retreat may be clamped without having felt
+    it: farther away it would tear its mount. It is not led nearer either: it could touch.
+
+    Args:
+        relative: (m, 6) programmed tcp in the object; not written to.
+    """
+    changed = relative.copy()
+    changed[:, 2] = np.maximum(relative[:, 2], -STAND_OFF)
+    return changed

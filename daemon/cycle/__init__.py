@@ -1,0 +1,1 @@
+"""One cycle: telegram in, reply out; session, states, watches and sensor health."""

@@ -1,0 +1,1 @@
+"""The sampling clock: phase lock, schedule, timer and cycle timing."""

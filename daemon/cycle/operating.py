@@ -1,0 +1,248 @@
+"""The operating state between two steps: what was noticed and ordered, and what may be done next.
+
+Law of this file: it gathers facts; ``watch`` puts time-outs and debounce in front of them and
+``states`` decides. What is noticed and what is ordered lasts until the next decision, no longer.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+
+from linemate.daemon.core.step import Outputs
+from linemate.daemon.core.tracking.task import Phase
+from linemate.daemon.cycle import causes, following, states, watch
+from linemate.daemon.cycle.causes import Change, Evidence
+from linemate.daemon.cycle.feeds import Feeds
+from linemate.daemon.cycle.states import Machine, Signals, State
+from linemate.protocol.frozen import frozen
+
+OnTransition = Callable[[Machine, Signals, Machine], None]
+
+SETTLED = 0.3  # a retreat is over when no axis is quicker [rad/s, m/s]; it may follow the object
+SETTLING = "the robot has not come to rest yet since its programme began"
+NEAR = frozenset({State.TRACK, State.HOLD})
+"""States in which it matters what a stop would leave between tool and object."""
+
+CHANGES = 64
+"""Changes that wait to be read; the oldest is dropped."""
+
+_AT_REST = frozenset({State.INIT, State.IDLE, State.HOLD, State.FAULT})
+
+
+@frozen(eq=False)
+class Situation:
+    """The robot and the task as a decision finds them.
+
+    Attributes:
+        last, before: what the last two steps said; None before there were any.
+        astray: which axis is not where it was sent, None if all are.
+        settling: the robot may still move although it was not sent anywhere yet.
+        sensed: poses lead the motion, and not its programme alone.
+        last_approach: the tool has left its last waypoint before contact; the camera, which soon
+            sees nothing any more, is not waited for.
+    """
+
+    last: Outputs | None
+    before: Outputs | None
+    astray: str | None
+    settling: bool
+    sensed: bool
+    last_approach: bool = False
+
+
+class Operating:
+    """Decides what the daemon may do.
+
+    Attributes:
+        machine: where the operating state stands.
+        signals: what the last decision saw.
+        settings: time-outs and debounce.
+        on_transition: told every decision, if set.
+        has_new_session: noticed: the robot's program has started again.
+        has_resynchronised: noticed: the counter or the address has changed, the program goes on.
+        is_loss_untold: noticed: a reply has not reached the robot.
+        has_failed: noticed: what was begun raised.
+        wrong_cycle: why the controller's period cannot be followed, None if it can.
+        cause: why the present state was entered.
+        fault: the cause of the latched fault, None without one.
+        decisions: made so far.
+    """
+
+    def __init__(
+        self, settings: watch.WatchSettings, cycle_s: float, *, wrench_expected: bool
+    ) -> None:
+        """Wait for the first telegram.
+
+        Args:
+            settings: time-outs and debounce.
+            cycle_s: T0 [s].
+            wrench_expected: there is a force-torque sensor.
+        """
+        self.machine = Machine()
+        self.signals = Signals()
+        self.settings = settings
+        self.on_transition: OnTransition | None = None
+        self.has_new_session = self.has_resynchronised = False
+        self.is_loss_untold = self.has_failed = False
+        self.wrong_cycle: str | None = None
+        self._cycle_s = cycle_s
+        self._wrench_expected = wrench_expected
+        self._watch = watch.Watch()
+        self.cause = self.machine.because
+        self.fault: str | None = None
+        self.decisions = 0
+        self._orders: dict[str, str] = {}  # operators by order
+        self._changes: deque[Change] = deque(maxlen=CHANGES)
+        self._settled: Machine | None = None  # the last signals led nowhere from there
+
+    def order(self, op: str, found: Situation, who: str = "") -> str | None:
+        """Take an operator's order for the next decision.
+
+        Args:
+            op: arm, start, stop, retreat or ack.
+            found: what keeps a robot from being armed is told before what follows from it.
+            who: gave it.
+
+        Returns:
+            None, or why it is refused.
+        """
+        reason = states.refusal(self.machine, self.signals, op)
+        if reason is not None and op == "arm" and found.last is not None:
+            reason = found.last.ready or (SETTLING if found.settling else reason)
+        if reason is None:
+            self._orders[op] = who
+        return reason
+
+    @property
+    def rests(self) -> bool:
+        """Whether nothing is about to move the robot."""
+        return self.machine.state in _AT_REST and not self._orders
+
+    def decide(self, stamp_ns: int, feeds: Feeds, found: Situation, *, telegram: bool) -> None:
+        """Move the operating state on what was seen up to now.
+
+        Args:
+            stamp_ns: of the step [ns].
+            feeds: what the sensors brought.
+            found: the robot and the task.
+            telegram: the step is made for one.
+        """
+        before = self.machine
+        facts = self._facts(stamp_ns, feeds, found, telegram=telegram)
+        orders = self._orders
+        self._orders = {}
+        self.decisions += 1
+        self.has_new_session = self.has_resynchronised = False
+        self.is_loss_untold = self.has_failed = False
+        seen = self.signals
+        self._watch, self.signals = watch.observe(self._watch, facts, before, self.settings)
+        # Where the same signals led nowhere a cycle ago, they lead nowhere now.
+        if before is not self._settled or self.signals is not seen:
+            self.machine = states.transition(before, self.signals)
+            self._settled = self.machine if self.machine is before else None
+            if self.machine is not before:
+                self._note_change(before, self._evidence(facts, feeds, found, orders))
+        if self.on_transition is not None:
+            self.on_transition(before, self.signals, self.machine)
+
+    def take_changes(self) -> list[Change]:
+        """Return the changes since the last call, oldest first."""
+        if not self._changes:
+            return []
+        changes = list(self._changes)
+        self._changes.clear()
+        return changes
+
+    def _note_change(self, before: Machine, evidence: Evidence) -> None:
+        """Keep why the machine changed."""
+        after, signals = self.machine, self.signals
+        if signals.fault and not before.latched:
+            self.fault = causes.fault(signals, evidence)
+            evidence = replace(evidence, fault=self.fault)
+            before = replace(before, latched=True)
+        row = states.deciding_row(before, signals)
+        why = f"latched: {self.fault}"
+        if row is not None:
+            why = self.cause = causes.cause(row, before, signals, evidence)
+        if after.latched and self.fault is None:
+            self.fault = why
+        elif not after.latched:
+            self.fault = None
+        self._changes.append(Change(evidence.facts.stamp_ns, before.state, after.state, why))
+
+    def _evidence(
+        self, facts: watch.Facts, feeds: Feeds, found: Situation, orders: dict[str, str]
+    ) -> Evidence:
+        last = found.last
+        return Evidence(
+            facts,
+            self._watch,
+            self.settings,
+            feeds.sensors(),
+            unready=SETTLING if found.settling else None if last is None else last.ready,
+            following_error=found.astray,
+            overload_n=feeds.overload_n,
+            ordered_by=orders,
+            fault=self.fault,
+        )
+
+    def _facts(
+        self, stamp_ns: int, feeds: Feeds, found: Situation, *, telegram: bool
+    ) -> watch.Facts:
+        """Return what was seen up to now, for the watch."""
+        # A link that carries telegrams but no replies is no link.
+        telegram = telegram and not self.is_loss_untold
+        last = found.last
+        if last is None:
+            return watch.Facts(
+                stamp_ns,
+                telegram,
+                self.has_new_session,
+                self.has_resynchronised,
+                self.wrong_cycle,
+                position_ns=feeds.newest_ns,
+                wrench_ns=feeds.wrench_ns,
+                wrench_expected=self._wrench_expected,
+                overload=feeds.overloaded,
+                fault=self.has_failed,
+                orders=frozenset(self._orders),
+            )
+        before, period, state = found.before or last, self._cycle_s, self.machine.state
+        # A motion that is led by poses has none that fit. An exercise is led by its programme
+        # alone: it is there to find out what does not fit.
+        contradicted = state is State.TRACK and feeds.camera_health.contradicts and found.sensed
+        # In the last approach the camera goes blind: the distance sensor alone shows the object.
+        lost = found.last_approach and feeds.distance_health.reason is not None
+        contradicted = contradicted or (state is State.TRACK and lost)
+        return watch.Facts(
+            stamp_ns=stamp_ns,
+            telegram=telegram,
+            new_session=self.has_new_session,
+            wrong_cycle=self.wrong_cycle,
+            resynchronised=self.has_resynchronised,
+            position_ns=feeds.newest_ns,
+            slower_ns=_slower_ns(feeds, last, last_approach=found.last_approach),
+            wrench_ns=feeds.wrench_ns,
+            wrench_expected=self._wrench_expected,
+            contradicted=contradicted,
+            gap_m=following.gap(last, period) if state in NEAR else None,
+            astray=found.astray is not None,
+            ready=last.ready is None and not found.settling,
+            object_left=last.object_left,
+            contact=last.contact,
+            clamped=last.clamped,
+            settling=found.settling,
+            overdue=last.overdue,
+            overload=feeds.overloaded,
+            done=last.phase is Phase.RETREAT,
+            fault=self.has_failed,
+            clear=last.finished and following.pace(before, last, period) < SETTLED,
+            orders=frozenset(self._orders),
+        )
+
+
+def _slower_ns(feeds: Feeds, last: Outputs, *, last_approach: bool) -> int | None:
+    """Return the stamp of the position sensor that must not be silent for long [ns], or None."""
+    if (last.task_time or 0.0) <= 0.0:
+        return None
+    return feeds.distance_ns if last_approach else feeds.slower_ns

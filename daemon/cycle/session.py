@@ -1,0 +1,398 @@
+"""A controller's program: where its corrections count from, and which command it applied last.
+
+The controller tells in its Delay that it threw replies away. ``correction_reference`` decides
+whether a program may get corrections at all. No step is made here and no byte is read.
+"""
+
+from collections import deque
+from collections.abc import Hashable
+from dataclasses import replace
+
+from linemate.daemon.cycle import correction_reference as proving
+from linemate.daemon.cycle.correction_reference import (
+    CONFIRMATIONS,
+    Axes,
+    Continuation,
+    Evidence,
+    Known,
+    Program,
+    Proof,
+    Start,
+)
+from linemate.protocol.samples import RobotSample
+
+__all__ = ["RESTART_PROGRAM", "Axes", "Session", "standing"]
+
+RESTART_PROGRAM = "Restart the KRL program: it must start while the daemon listens."
+REST_S = 0.12  # the axes are at rest if all telegrams of so long are ...
+STILL = 2e-4  # ... so near to each other [rad, m]
+
+
+class Session:
+    """The program that is served now.
+
+    Attributes:
+        start: the reference: absolute corrections count from there.
+        given: the command of the last reply while its delivery status is open.
+        taken: the last command that the controller applied.
+        was_lost: the last reply was not applied.
+        was_sent: the last step's command went out in a reply.
+        moves: the controller got a command in its last cycle, as far as is known.
+        proof: why the correction in force is known.
+        unproven: why it is not, and what to do; None while it is, and before any telegram.
+        unserved: telegrams that were accepted since and got no reply, because the daemon failed.
+        stalled_s: for so long the controller counted cycles and this process's clock did not [s].
+        openings: sessions begun.
+        replies_lost: replies that were not applied.
+    """
+
+    __slots__ = (
+        "_absolute",
+        "_candidate",
+        "_cycle_s",
+        "_delay",
+        "_heard_ns",
+        "_is_interrupted",
+        "_is_refuted",
+        "_lately",
+        "_listening_ns",
+        "_longest_s",
+        "_pause_s",
+        "_program",
+        "_silence_s",
+        "_silent_until_ns",
+        "_telegrams",
+        "given",
+        "moves",
+        "openings",
+        "proof",
+        "replies_lost",
+        "stalled_s",
+        "start",
+        "taken",
+        "unproven",
+        "unserved",
+        "was_lost",
+        "was_sent",
+    )
+
+    def __init__(self, cycle_s: float, *, absolute: bool = True) -> None:
+        """Wait for the first program.
+
+        Args:
+            cycle_s: the controller's cycle [s].
+            absolute: corrections count from a reference. Increments need none.
+        """
+        self.start: Axes = ()
+        self.given: Axes | None = None
+        self.taken: Axes = ()
+        self.was_lost = False
+        self.was_sent = True
+        self.moves = False
+        self.proof = Proof.NONE
+        self.unproven: str | None = None
+        self.stalled_s = 0.0
+        self.unserved = 0
+        self.openings = self.replies_lost = 0
+        self._absolute = absolute
+        self._cycle_s = cycle_s
+        self._delay: int | None = None
+        self._heard_ns: int | None = None
+        self._listening_ns: int | None = None
+        self._program: Program | None = None
+        self._candidate: Program | None = None
+        self._telegrams = 0
+        self._pause_s = self._longest_s = 0.0
+        self._silent_until_ns = 0
+        self._is_refuted = False
+        self._silence_s: float | None = None
+        self._is_interrupted = False
+        self._lately: deque[Axes] = deque(maxlen=max(2, round(REST_S / cycle_s)))
+
+    @property
+    def delay(self) -> int | None:
+        """What the controller has counted of bad cycles."""
+        return self._delay
+
+    @property
+    def held(self) -> Axes:
+        """Where the robot is, as far as is known: an open reply counts as applied."""
+        return self.taken if self.given is None else self.given
+
+    @property
+    def arrived(self) -> bool:
+        """The last step's command is the robot's."""
+        return self.was_sent and not self.was_lost
+
+    @property
+    def is_proven(self) -> bool:
+        """Whether the correction in force is known."""
+        return self.proof in proving.PROVEN
+
+    @property
+    def step(self) -> int | None:
+        """What the counter of the known program grows by each cycle; None while unknown."""
+        return None if self._program is None else self._program.step
+
+    def listen(self, now_ns: int) -> None:
+        """Note that telegrams can arrive from now on [ns]; before, none could be heard."""
+        self._listening_ns = now_ns
+
+    def hear(self, stamp_ns: int) -> None:
+        """Note a telegram, readable or not [ns]."""
+        since = [ns for ns in (self._heard_ns, self._listening_ns) if ns is not None]
+        self._heard_ns = stamp_ns
+        self._telegrams += 1
+        self._pause_s = (stamp_ns - max(since)) * 1e-9 if since else 0.0
+        if self._pause_s >= proving.SILENT_S:
+            self._silence_s, self._silent_until_ns = self._pause_s, stamp_ns
+        self._longest_s = max(self._longest_s, self._pause_s)
+
+    @property
+    def is_interrupted(self) -> bool:
+        """A bare reply went out since the last one with corrections."""
+        return self._is_interrupted or not self.is_proven
+
+    def needs_proof(self, robot: RobotSample, missed: int) -> bool:
+        """Return whether a telegram of the running exchange must be proven to be the program's.
+
+        Args:
+            robot: the telegram.
+            missed: cycles before it without a telegram, by the counter.
+        """
+        if not self._absolute:
+            return False
+        if not self.is_proven or self._program is None or self._is_interrupted:
+            return True
+        passed_s = (robot.stamp_ns - self._program.stamp_ns) * 1e-9
+        if max(passed_s, missed * self._cycle_s) >= proving.UNACCOUNTED_S:
+            return True
+        # Missed cycles got no reply. If Delay says otherwise, the counter has jumped.
+        bad = 0 if robot.delay is None or self._delay is None else robot.delay - self._delay
+        return missed > 0 and bad not in {missed, missed + 1}
+
+    def prove(
+        self,
+        robot: RobotSample,
+        axes: Axes,
+        programmed: Axes | None,
+        peer: Hashable,
+    ) -> tuple[Axes, Axes] | None:
+        """Find out which correction is in force.
+
+        Args:
+            robot: the telegram.
+            axes: where it says the axes are.
+            programmed: the programmed position of the same axes, None if not in the telegram.
+            peer: the controller's address.
+
+        Returns:
+            The reference, and where the robot holds; None if that is unknown. ``proof`` and
+            ``unproven`` say why.
+        """
+        if not self._absolute:
+            self.proof, self.unproven = Proof.STARTED, None
+            return axes, axes
+        program, found = self._program, None
+        if program is not None and not self._is_refuted:
+            program = program._replace(heard=self._telegrams - 1, silence_s=self._longest_s)
+            found = proving.continuation(program, robot, self._cycle_s)
+        evidence = self._evidence(robot, axes, programmed, peer, found)
+        self.proof = proving.decide(evidence)
+        if not self.is_proven:
+            self._doubt(robot, peer, goes_on=found is not None)
+            return None
+        self.unproven, self._candidate = None, None
+        self._lately.clear()
+        if self.proof is Proof.CONTINUED:
+            assert program is not None and found is not None  # noqa: PT018, S101 - as decided
+            passed_s = (robot.stamp_ns - program.stamp_ns) * 1e-9
+            self.stalled_s = max(0.0, found.cycles * self._cycle_s - passed_s)
+            return program.reference, axes if found.held is None else found.held
+        if self.proof is Proof.COMPUTED:
+            assert programmed is not None  # noqa: S101 - as decided
+            return programmed, axes
+        return axes, axes
+
+    def _evidence(
+        self,
+        robot: RobotSample,
+        axes: Axes,
+        programmed: Axes | None,
+        peer: Hashable,
+        found: Continuation | None,
+    ) -> Evidence:
+        program, known = self._program, Known.NONE
+        if program is not None and program.moved:
+            known = Known.MOVED
+        elif program is not None and program.peer == peer:
+            known = Known.UNMOVED
+        since_s = (robot.stamp_ns - self._silent_until_ns) * 1e-9
+        start = proving.start_seen(robot.delay, self._silence_s, since_s, self._cycle_s, known)
+        confirmations = self._follow_candidate(robot, axes, peer, start)
+        self._lately.append(axes)
+        spread = max(max(way) - min(way) for way in zip(*self._lately, strict=True))
+        return Evidence(
+            known=known,
+            goes_on=found is not None,
+            held=found is not None and found.held is not None,
+            start=Start.LIKELY if start is Start.NOT_SEEN and confirmations else start,
+            confirmed=confirmations >= CONFIRMATIONS,
+            programmed=proving.compare(axes, programmed),
+            refuted=program is not None and proving.refutes(program, programmed),
+            at_rest=len(self._lately) == self._lately.maxlen and spread < STILL,
+        )
+
+    def _follow_candidate(
+        self, robot: RobotSample, axes: Axes, peer: Hashable, start: Start
+    ) -> int:
+        """Return how many telegrams in a row agree with a start, the first of them included."""
+        candidate = self._candidate
+        if start is not Start.NOT_SEEN:
+            count = 1
+        elif candidate is not None and _agrees(candidate, robot, self._cycle_s):
+            count = candidate.replies + 1
+        else:
+            self._candidate = None
+            return 0
+        step = None if candidate is None or count == 1 else robot.ipoc - candidate.ipoc
+        self._candidate = Program(
+            robot.ipoc, step, robot.stamp_ns, robot.delay, peer, axes, axes, axes, False, count
+        )
+        return count
+
+    def _doubt(self, robot: RobotSample, peer: Hashable, *, goes_on: bool) -> None:
+        """Say why the correction in force is unknown; a bare reply follows."""
+        program = self._program
+        self.refuse(peer)
+        if program is not None and peer == program.peer and not goes_on:
+            # Later telegrams cannot tell any more which of the bare replies were applied.
+            self._is_refuted = True
+        if self.proof is Proof.PENDING:
+            self.unproven = "a KRL program has started: waiting for telegrams that confirm it"
+            return
+        what = "no start of its KRL program was seen"
+        if program is not None:
+            passed_s = (robot.stamp_ns - program.stamp_ns) * 1e-9
+            what = f"{passed_s:.2f} s since the last proven telegram are not accounted for"
+        self.unproven = (
+            f"the correction in force is unknown: {what} (Delay is {robot.delay}). "
+            f"{RESTART_PROGRAM}"
+        )
+
+    def open(self, start: Axes, held: Axes, delay: int | None) -> None:
+        """Begin with a robot that holds."""
+        self.openings += 1
+        self.start, self._program = start, None
+        self.resume(held, delay)
+        self.was_sent = True
+
+    def resume(self, held: Axes, delay: int | None) -> bool:
+        """Go on with a program whose controller has held the robot since its last reply.
+
+        Returns:
+            Whether that reply is lost.
+        """
+        is_lost = self.given is not None and self.given != held
+        self.replies_lost += is_lost
+        self.given, self.taken = None, held
+        self._delay = delay
+        self.was_lost, self.was_sent, self.moves = False, False, False
+        return is_lost
+
+    def refuse(self, peer: Hashable) -> None:
+        """Note that a bare reply goes out to a controller.
+
+        After a pause it may be another program's. What others get says nothing of this one's.
+        """
+        self._silence_s = None
+        program = self._program
+        if program is not None and program.peer == peer:
+            self._is_refuted |= self._pause_s > proving.UNACCOUNTED_S
+            self._program = program._replace(replies=program.replies + 1)
+            self._is_interrupted = True
+
+    def settle(self, delay: int | None, cycles: int, stamp_ns: int) -> bool:
+        """Find out whether the controller applied the last reply.
+
+        It counts every cycle without a good one. If as many are new as have passed, then the
+        last reply was not applied either: the robot holds, and the gate must begin from there.
+        More than have passed is a flipped digit where the clock agrees with the counters; where
+        it does not, a counter was flipped, and the next good one seems nearer than it is.
+
+        Args:
+            delay: what it has counted now.
+            cycles: since its last telegram, by their counters.
+            stamp_ns: arrival of the present one [ns].
+
+        Returns:
+            Whether a reply is lost.
+        """
+        cycles += self.unserved
+        self.unserved = 0
+        given, self.given = self.given, None
+        before, self._delay = self._delay, delay
+        program = self._program
+        answered_ns = stamp_ns if program is None else program.stamp_ns
+        passed = (stamp_ns - answered_ns) * 1e-9 / self._cycle_s
+        if given is None:
+            return False
+        bad = 0 if delay is None or before is None else delay - before
+        self.was_lost = bad == cycles or (bad > cycles and abs(passed - cycles) >= 1.0)
+        if self.was_lost:
+            self.moves = False
+            self.replies_lost += 1
+        else:
+            self.taken = given
+        return self.was_lost
+
+    def give(self, command: Axes) -> None:
+        """A reply goes to the wire; its delivery status is open."""
+        self.was_sent, self.was_lost, self.moves = True, False, True
+        self.given = command
+
+    def give_unread(self, command: Axes) -> None:
+        """Note a reply that went out to a telegram that could not be judged afterwards."""
+        self.given = command
+        program = self._program
+        if program is not None:
+            self._program = program._replace(given=command, replies=program.replies + 1)
+
+    def refrain(self) -> None:
+        """A cycle passed, or passes, without a command: the robot holds in it."""
+        self.was_sent = self.moves = False
+
+    def remember(self, robot: RobotSample, peer: Hashable, step: int | None) -> None:
+        """Remember the program as of a telegram that was answered; ``step`` is its IPOC's."""
+        moved = self._program is not None and self._program.moved
+        self._telegrams, self._silence_s, self._longest_s = 0, None, 0.0
+        self._is_interrupted = self._is_refuted = False
+        self._program = Program(
+            robot.ipoc,
+            step,
+            robot.stamp_ns,
+            robot.delay,
+            peer,
+            self.start,
+            self.taken,
+            self.held,
+            moved=moved or self.held != self.start,
+        )
+
+
+def _agrees(candidate: Program, robot: RobotSample, cycle_s: float) -> bool:
+    """Return whether a telegram follows those of a start that is likely, answered all."""
+    passed_s = (robot.stamp_ns - candidate.stamp_ns) * 1e-9
+    step = robot.ipoc - candidate.ipoc
+    if step <= 0 or (candidate.step is not None and step % candidate.step):
+        return False
+    if robot.delay is None or candidate.delay is None:
+        return False
+    # Less: it counts cycles in a row, and the bare reply was one that counts.
+    return (robot.delay - candidate.delay) * cycle_s <= passed_s + 2.0 * cycle_s
+
+
+def standing(robot: RobotSample, held: Axes) -> RobotSample:
+    """Return a robot's sample as if its axes were where it holds."""
+    external = (held[6], *robot.external[1:]) if len(held) > 6 else robot.external
+    return replace(robot, joints=held[:6], external=external)  # type: ignore[arg-type]

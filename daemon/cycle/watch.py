@@ -1,0 +1,309 @@
+"""Time-outs and debounce: from what one cycle showed to the signals of the state machine.
+
+Law of this file: pure; time comes in as a stamp. One bad sample changes nothing here, and a
+link once lost must prove itself again. Limits depend on the state, for in contact a missing
+telegram may be coasted over and a stop is not safe. Source: reference/reliability.md, 2.0, 4.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Annotated
+
+from annotated_types import Ge, Gt, Le
+
+from linemate.daemon.cycle.states import Link, Machine, Signals, State
+from linemate.protocol.frozen import frozen
+
+Count = Annotated[int, Ge(1), Le(10_000)]
+Duration = Annotated[float, Gt(0.0), Le(2.0)]  # without telegrams, a session ends after 2 s
+
+OPERATIONS = ("arm", "start", "stop", "retreat", "ack")
+"""An operator's orders, as ``Signals`` has them."""
+
+IN_CONTACT = frozenset({State.CONTACT, State.RETREAT})
+
+
+@dataclass(frozen=True, slots=True)
+class WatchSettings:
+    """When something counts as lost, stale, healthy or too long.
+
+    Attributes:
+        link_lost_s: without a telegram for this long the robot link is lost [s].
+        link_lost_in_contact_s: the same in contact, where the tool has to be released [s].
+        healthy_cycles: answered in a row before a new link is trusted.
+        missed_s: without a telegram for this long the link is doubtful [s].
+        missed_in_contact_s: the same in contact [s].
+        leak_s: level of the leaky bucket (twice the time without telegrams, less the time with
+            them) at which the link is doubtful too, in free space [s].
+        position_s: age of the newest position beyond which tracking stops [s].
+        position_in_contact_s: the same in contact: a blackout of 140 ms, and a cycle, is coasted
+            on the prediction [s].
+        one_sensor_s: age of the older of distance and camera beyond which tracking stops [s]; in
+            contact the force-torque sensor stands in for them.
+        wrench_s: age of the newest force [s].
+        cycles_of_contact: in a row, before contact counts.
+        cycles_of_overload: in a row, before overload counts; one is two samples in a row.
+        near_m: a stop that leaves less to the object, which moves and swings, is a retreat [m].
+        follow_s: the robot is at most so long behind its commands [s].
+        follow_tolerance: and so far beside where they led it in that time [rad, m].
+        cycles_astray: in a row beyond that, before it counts as a fault: the drives are off.
+        longest_hold_s: [s].
+        longest_retreat_s: [s].
+    """
+
+    link_lost_s: Duration = 0.1
+    link_lost_in_contact_s: Duration = 0.3
+    healthy_cycles: Count = 80
+    missed_s: Duration = 0.03
+    missed_in_contact_s: Duration = 0.15
+    leak_s: Duration = 0.11
+    position_s: Annotated[float, Gt(0.0), Le(5.0)] = 0.3
+    position_in_contact_s: Annotated[float, Gt(0.0), Le(1.0)] = 0.16
+    one_sensor_s: Annotated[float, Gt(0.0), Le(10.0)] = 1.0
+    wrench_s: Annotated[float, Gt(0.0), Le(2.0)] = 0.16
+    cycles_of_contact: Count = 2
+    cycles_of_overload: Count = 1
+    near_m: Annotated[float, Gt(0.0), Le(0.5)] = 0.03
+    follow_s: Annotated[float, Gt(0.0), Le(2.0)] = 0.25
+    follow_tolerance: Annotated[float, Gt(0.0), Le(0.2)] = 0.01
+    cycles_astray: Count = 5
+    longest_hold_s: Annotated[float, Gt(0.0), Le(3600.0)] = 60.0
+    longest_retreat_s: Annotated[float, Gt(0.0), Le(600.0)] = 20.0
+
+
+@frozen()
+class Facts:
+    """What one cycle showed, as it was.
+
+    Attributes:
+        stamp_ns: of the cycle [ns].
+        telegram: the cycle has a telegram.
+        new_session: the controller's program has started again.
+        resynchronised: the counter or the controller's address has changed, the program goes on.
+        wrong_cycle: why the controller's period cannot be followed, None if it can.
+        position_ns: arrival of the newest accepted position, distance or camera [ns], or None.
+        slower_ns: the same of that sensor of the two whose newest is older [ns]; None while the
+            task waits, for the object may be out of the camera's sight.
+        wrench_ns: arrival of the newest force [ns], or None.
+        wrench_expected: there is a force-torque sensor.
+        contradicted: the sensors of the position contradict each other.
+        gap_m: that a stop would leave between tool and object [m]; None while it is not seen.
+        astray: the robot is not where its commands led it.
+        clamped: a retreat waits for the clamp to open.
+        settling: the robot may still move although it was not sent anywhere yet.
+        ready, object_left, contact, overload, overdue, done, clear, fault: as in ``Signals``, raw.
+        orders: accepted orders that came since the last cycle.
+    """
+
+    stamp_ns: int
+    telegram: bool
+    new_session: bool = False
+    resynchronised: bool = False
+    wrong_cycle: str | None = None
+    position_ns: int | None = None
+    slower_ns: int | None = None
+    wrench_ns: int | None = None
+    wrench_expected: bool = True
+    contradicted: bool = False
+    gap_m: float | None = None
+    astray: bool = False
+    ready: bool = False
+    object_left: bool = False
+    contact: bool = False
+    clamped: bool = False
+    settling: bool = False
+    overload: bool = False
+    overdue: bool = False
+    done: bool = False
+    clear: bool = False
+    fault: bool = False
+    orders: frozenset[str] = frozenset()
+
+
+@frozen()
+class Watch:
+    """What must be remembered from cycle to cycle.
+
+    Attributes:
+        link: the verdict on the robot link.
+        telegram_ns: stamp of the last cycle with a telegram [ns], or None.
+        good: cycles with a telegram, in a row since the link came.
+        stamp_ns: stamp of the last cycle [ns], or None.
+        leak_ns: level of the leaky bucket [ns].
+        contact, overload, astray: cycles in a row that showed it.
+        state: the operating state as last seen.
+        since_ns: when it was entered [ns].
+    """
+
+    link: Link = Link.LOST
+    telegram_ns: int | None = None
+    good: int = 0
+    stamp_ns: int | None = None
+    leak_ns: int = 0
+    contact: int = 0
+    overload: int = 0
+    astray: int = 0
+    state: State = State.INIT
+    since_ns: int = 0
+
+
+def observe(
+    watch: Watch, facts: Facts, machine: Machine, settings: WatchSettings
+) -> tuple[Watch, Signals]:
+    """Judge one cycle.
+
+    Args:
+        watch: what was remembered.
+        facts: what the cycle showed.
+        machine: where the state machine stands before this cycle.
+        settings: the limits.
+
+    Returns:
+        What to remember, and the signals for ``states.transition``.
+    """
+    watch = _count(watch, facts, machine.state, settings)
+    return watch, _signals(watch, facts, settings)
+
+
+def _count(watch: Watch, facts: Facts, state: State, settings: WatchSettings) -> Watch:
+    # A link that was lost, or a controller that started anew, has proved nothing yet.
+    anew = facts.new_session or watch.link is Link.LOST
+    leak_ns = 0 if anew else _leaked(watch, facts, settings)
+    doubtful = anew or facts.resynchronised
+    good = (0 if doubtful else watch.good) + 1 if facts.telegram else 0
+    telegram_ns = facts.stamp_ns if facts.telegram else watch.telegram_ns
+    silent_s = _age_s(telegram_ns, facts.stamp_ns)
+    touches = state in IN_CONTACT
+    lost_s = settings.link_lost_in_contact_s if touches else settings.link_lost_s
+    begun = facts.new_session and watch.link is not Link.LOST
+    if begun or silent_s >= lost_s:
+        link = Link.LOST
+    elif watch.link is Link.HEALTHY:
+        missed_s = settings.missed_in_contact_s if touches else settings.missed_s
+        shaky = not touches and leak_ns >= round(settings.leak_s * 1e9)
+        shaky = shaky or silent_s >= missed_s
+        shaky = shaky or facts.resynchronised or facts.wrong_cycle is not None
+        link = Link.UNPROVEN if shaky else Link.HEALTHY
+    else:
+        proven = watch.link is Link.UNPROVEN and good >= settings.healthy_cycles
+        proven = proven and facts.wrong_cycle is None
+        link = Link.HEALTHY if proven else Link.UNPROVEN
+    return Watch(
+        link,
+        telegram_ns,
+        good,
+        facts.stamp_ns,
+        leak_ns,
+        contact=watch.contact + 1 if facts.contact else 0,
+        overload=watch.overload + 1 if facts.overload else 0,
+        astray=watch.astray + 1 if facts.astray else 0,
+        state=state,
+        since_ns=watch.since_ns if state is watch.state else facts.stamp_ns,
+    )
+
+
+def _leaked(watch: Watch, facts: Facts, settings: WatchSettings) -> int:
+    """Return the level of the leaky bucket one cycle later [ns]."""
+    passed_ns = 0 if watch.stamp_ns is None else max(0, facts.stamp_ns - watch.stamp_ns)
+    level_ns = watch.leak_ns + (-passed_ns if facts.telegram else 2 * passed_ns)
+    return max(0, min(level_ns, round(settings.leak_s * 1e9)))
+
+
+_SHORTER = (
+    ("missed_s", "link_lost_s"),
+    ("missed_in_contact_s", "link_lost_in_contact_s"),
+    ("missed_s", "missed_in_contact_s"),
+    ("link_lost_s", "link_lost_in_contact_s"),
+)
+"""Pairs of time-outs of which the first must not outlast the second, or it would never act."""
+
+
+def disorder(settings: WatchSettings, cycle_s: float) -> tuple[str, str] | None:
+    """Return the time-out that cannot act as it stands, and why; None if all can.
+
+    Args:
+        settings: the limits.
+        cycle_s: of the controller [s].
+    """
+    if settings.missed_s < cycle_s:
+        why = f"{settings.missed_s:g} s is shorter than a cycle of {cycle_s:g} s"
+        return "missed_s", f"{why}: every late telegram would stop the robot"
+    for first, second in _SHORTER:
+        value, limit = getattr(settings, first), getattr(settings, second)
+        if value > limit:
+            return first, f"{value:g} s is longer than watch.{second}: {limit:g} s"
+    return None
+
+
+def _signals(watch: Watch, facts: Facts, settings: WatchSettings) -> Signals:
+    stamp_ns = facts.stamp_ns
+    coasting = watch.state in IN_CONTACT
+    oldest_s = settings.position_in_contact_s if coasting else settings.position_s
+    both = coasting or facts.slower_ns is None
+    both = both or _age_s(facts.slower_ns, stamp_ns) <= settings.one_sensor_s
+    position_fresh = _age_s(facts.position_ns, stamp_ns) <= oldest_s and both
+    position_fresh = position_fresh and not facts.contradicted
+    wrench_fresh = _age_s(facts.wrench_ns, stamp_ns) <= settings.wrench_s
+    wrench_fresh = wrench_fresh or not facts.wrench_expected
+    fault = facts.fault or watch.astray >= settings.cycles_astray
+    trouble = fault or "stop" in facts.orders or watch.link is not Link.HEALTHY
+    trouble = trouble or facts.object_left or not (position_fresh and wrench_fresh)
+    near = facts.gap_m is not None and facts.gap_m < settings.near_m
+    # Whoever has to stop this near is as good as in contact.
+    contact = watch.contact >= settings.cycles_of_contact or (near and trouble)
+    return _seen(
+        watch.link,
+        position_fresh,
+        wrench_fresh,
+        facts.ready,
+        facts.object_left,
+        contact,
+        watch.overload >= settings.cycles_of_overload,
+        facts.overdue,
+        facts.done,
+        facts.clear,
+        _expired(watch, facts, settings),
+        fault,
+        *(_ordered(facts.orders) if facts.orders else _NO_ORDER),
+    )
+
+
+def _ordered(orders: frozenset[str]) -> tuple[bool, ...]:
+    """Return which of the operations are ordered."""
+    return tuple([op in orders for op in OPERATIONS])
+
+
+_NO_ORDER = _ordered(frozenset())
+
+
+_seen = lru_cache(maxsize=512)(Signals)
+"""Most cycles see what some cycle saw before."""
+
+
+def _expired(watch: Watch, facts: Facts, settings: WatchSettings) -> bool:
+    """Return whether the present state has lasted too long."""
+    lasted_s = _age_s(watch.since_ns, facts.stamp_ns)
+    if watch.state is State.HOLD:
+        return lasted_s > settings.longest_hold_s
+    if watch.state is State.FAULT and facts.contact:
+        # A tool may be withdrawn by itself only soon after the fault, and from where it rests.
+        late = lasted_s > settings.longest_retreat_s
+        return facts.settling or late or (facts.overdue and _is_blind(facts, settings))
+    if watch.state is not State.RETREAT:
+        return False
+    if facts.clamped:
+        # A stop would pull at the closed clamp as the object goes on. Without any sensor the
+        # prediction is good for the clamp's own time-out, not for longer.
+        return facts.overdue and _is_blind(facts, settings)
+    return lasted_s > settings.longest_retreat_s
+
+
+def _is_blind(facts: Facts, settings: WatchSettings) -> bool:
+    """Return whether no sensor shows the clamped object, neither its position nor its force."""
+    seen = _age_s(facts.position_ns, facts.stamp_ns) <= settings.position_in_contact_s
+    felt = _age_s(facts.wrench_ns, facts.stamp_ns) <= settings.wrench_s
+    return not (seen or felt)
+
+
+def _age_s(then_ns: int | None, now_ns: int) -> float:
+    return float("inf") if then_ns is None else (now_ns - then_ns) / 1e9

@@ -1,0 +1,1 @@
+"""Recordings: format, writer process, reader, snapshots and replay."""

@@ -1,0 +1,182 @@
+"""Encode the state of a step as bytes, and decode it, bit for bit.
+
+A recording can be replayed from any step that has a snapshot.
+
+Invariants:
+    A float keeps its 64 bits and an array its order in memory.
+    Only the classes in ``_PARTS`` are made, so that bytes of unknown origin can do no harm.
+"""
+
+import importlib
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from functools import cache
+from typing import Any, Literal
+
+import msgpack
+import numpy as np
+
+from linemate.daemon.core.step import State
+
+VERSION = 1
+
+_ROOT = "linemate.daemon.core."
+
+# Name in a recording: module below ``_ROOT`` and class. A name in a recording never changes.
+_PARTS = {
+    "control.controller:ControlState": "control.controller:ControlState",
+    "control.limits:GateState": "control.limits:GateState",
+    "step:State": "step:State",
+    "tracking.classifier_bank:BankState": "tracking.classifiers.classifier_bank:BankState",
+    "tracking.classifier_imm:ImmState": "tracking.classifiers.classifier_imm:ImmState",
+    "tracking.classifier_rule:RuleState": "tracking.classifiers.classifier_rule:RuleState",
+    "tracking.classifier_rule:Trial": "tracking.classifiers.classifier_rule:Trial",
+    "tracking.contact:Feeling": "tracking.contact:Feeling",
+    "tracking.conveyor:Motion": "tracking.conveyor:Motion",
+    "tracking.conveyor:Source": "tracking.conveyor:Source",
+    "tracking.guard:Search": "tracking.guard:Search",
+    "tracking.hypotheses:Bank": "tracking.classifiers.hypotheses:Bank",
+    "tracking.hypotheses:Verdict": "tracking.classifiers.hypotheses:Verdict",
+    "tracking.linear_axis:AxisPlan": "tracking.linear_axis:AxisPlan",
+    "tracking.observation:History": "tracking.observation:History",
+    "tracking.observation:Sighting": "tracking.observation:Sighting",
+    "tracking.ramp_check:StartCheck": "tracking.classifiers.ramp_check:StartCheck",
+    "tracking.task:Gate": "tracking.task:Gate",
+    "tracking.tracker:TrackerState": "tracking.tracker:TrackerState",
+    "tracking.transverse:TransverseState": "tracking.transverse:TransverseState",
+}
+
+_ARRAYS = {"<f8", "<i8", "|b1", "<i4"}
+
+
+class SnapshotError(ValueError):
+    """Bytes that are no state, or one of another version of the program."""
+
+
+def encode(state: State) -> bytes:
+    """Make bytes of a state.
+
+    Raises:
+        SnapshotError: there is something in it that cannot be kept.
+    """
+    try:
+        packed: bytes = msgpack.packb([VERSION, _plain(state)])
+    except (TypeError, ValueError, OverflowError) as error:
+        raise SnapshotError(f"the state cannot be kept: {error}") from error
+    return packed
+
+
+def decode(data: bytes) -> State:
+    """Make a state of bytes.
+
+    Raises:
+        SnapshotError: they are none, or their parts are not those of this version.
+    """
+    try:
+        version, tree = msgpack.unpackb(data, strict_map_key=False)
+        if version != VERSION:
+            raise SnapshotError(f"version {version!r} of a state is not known")
+        state = _made(tree)
+    except (ValueError, TypeError, LookupError, AttributeError, ImportError) as error:
+        if isinstance(error, SnapshotError):
+            raise
+        raise SnapshotError(f"not a state: {type(error).__name__}: {error}") from error
+    except msgpack.UnpackException as error:
+        raise SnapshotError(f"not a state: {error}") from error
+    if not isinstance(state, State):
+        raise SnapshotError(f"not a state: {type(state).__name__}")
+    return state
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as msgpack knows it: what is not plain becomes a tagged list."""
+    # Enumerations first: those of text are text as well.
+    if isinstance(value, Enum):
+        return ["e", _name(type(value)), value.name]
+    if isinstance(value, np.generic):
+        return value.item()
+    if value is None or isinstance(value, (bool, int, float, str, bytes)):
+        return value
+    tell = _TELLERS.get(type(value), _object)
+    return tell(value)
+
+
+def _object(value: Any) -> list[Any]:
+    if not is_dataclass(value) or isinstance(value, type):
+        raise TypeError(f"{type(value).__name__} has no place in a state")
+    own = {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+    return ["o", _name(type(value)), own]
+
+
+def _array(value: np.ndarray[Any, Any]) -> list[Any]:
+    if value.dtype.str not in _ARRAYS:
+        raise TypeError(f"an array of {value.dtype} has no place in a state")
+    # A sum may depend on the order in memory, in its last bit.
+    in_columns = value.flags.f_contiguous and not value.flags.c_contiguous
+    order: Literal["C", "F"] = "F" if in_columns else "C"
+    return ["a", value.dtype.str, list(value.shape), order, value.tobytes(order=order)]
+
+
+def _made(tree: Any) -> Any:
+    if not isinstance(tree, list):
+        return tree
+    return _MAKERS[tree[0]](*tree[1:])
+
+
+def _made_array(dtype: str, shape: list[int], order: str, data: bytes) -> np.ndarray[Any, Any]:
+    if dtype not in _ARRAYS or order not in {"C", "F"}:
+        raise ValueError(f"an array of {dtype!r} in order {order!r}")
+    flat = np.frombuffer(data, dtype=dtype)
+    return flat.reshape(shape, order="F" if order == "F" else "C").copy(order="K")
+
+
+def _made_object(name: str, own: dict[str, Any]) -> Any:
+    kind = _kind(name)
+    if not is_dataclass(kind):
+        raise TypeError(f"{name} is no part of a state")
+    return kind(**{key: _made(item) for key, item in own.items()})
+
+
+def _made_member(name: str, member: str) -> Any:
+    kind = _kind(name)
+    if not issubclass(kind, Enum):
+        raise TypeError(f"{name} is no enumeration")
+    return kind[member]
+
+
+@cache
+def _name(kind: type[Any]) -> str:
+    place = f"{kind.__module__.removeprefix(_ROOT)}:{kind.__qualname__}"
+    for name, part in _PARTS.items():
+        if part == place:
+            return name
+    raise TypeError(f"{kind.__module__}.{kind.__qualname__} has no place in a state")
+
+
+@cache
+def _kind(name: str) -> type[Any]:
+    if name not in _PARTS:
+        raise ValueError(f"{name!r} is no part of a state")
+    module, _, own = _PARTS[name].partition(":")
+    kind: type[Any] = getattr(importlib.import_module(_ROOT + module), own)
+    return kind
+
+
+_TELLERS: dict[type[Any], Callable[[Any], list[Any]]] = {
+    tuple: lambda items: ["t", *map(_plain, items)],
+    list: lambda items: ["l", *map(_plain, items)],
+    frozenset: lambda items: ["f", *map(_plain, sorted(items, key=str))],
+    dict: lambda items: ["d", *([_plain(key), _plain(item)] for key, item in items.items())],
+    np.ndarray: _array,
+}
+
+_MAKERS: dict[str, Callable[..., Any]] = {
+    "t": lambda *items: tuple(map(_made, items)),
+    "l": lambda *items: list(map(_made, items)),
+    "f": lambda *items: frozenset(map(_made, items)),
+    "d": lambda *pairs: {_made(key): _made(item) for key, item in pairs},
+    "a": _made_array,
+    "o": _made_object,
+    "e": _made_member,
+}

@@ -1,1 +1,0 @@
-"""Where must the tcp be? Measurements in, a horizon of desired poses out (paper, Sect. III)."""

@@ -1,0 +1,1 @@
+"""The command protocol: requests, replies, sessions and keys."""

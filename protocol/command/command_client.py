@@ -1,0 +1,250 @@
+"""What a client of the command protocol does whatever carries it: number, match, join.
+
+Law of this file: no I/O, no randomness, time as an argument. The server's clock is learnt
+from its frames as they arrive, so an estimate lags by the way back and never leads: a
+deadline can only come out too early. Frames that match nothing are counted, not raised.
+"""
+
+from abc import ABC, abstractmethod
+from collections import Counter, OrderedDict
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
+
+from linemate.protocol.command.command import (
+    MAX_RESULT_BYTES,
+    NS_PER_MS,
+    CommandError,
+    Frame,
+    FrameType,
+)
+from linemate.protocol.command.command_plain import (
+    BARE,
+    Reply,
+    decode_event,
+    decode_reply,
+    decode_result,
+    encode_bare,
+)
+
+MAX_OUTSTANDING: Final = 16
+PAGE_DEADLINE_NS: Final = 500_000_000
+
+
+class Sent(NamedTuple):
+    """A request to send, as often as need be, until its answer comes.
+
+    Attributes:
+        sequence: its number; the answer has the same.
+        frame: its bytes.
+    """
+
+    sequence: int
+    frame: bytes
+
+
+# Named tuples, not dataclasses: to make the classes alone took a tenth of what a status takes.
+
+
+class Ready:
+    """The handshake is done; requests can be made."""
+
+    __slots__ = ()
+
+
+class Answer(NamedTuple):
+    """The answer to a request.
+
+    Attributes:
+        sequence: of the request.
+        ok: carried out.
+        result: what the operation gave.
+        code: if refused, why, in one word.
+        reason: the same for a person.
+    """
+
+    sequence: int
+    ok: bool
+    result: dict[str, Any]
+    code: str = ""
+    reason: str = ""
+
+
+class More(NamedTuple):
+    """An answer has come in part; this request fetches the next.
+
+    Attributes:
+        sequence: of the request that is answered in parts.
+        request: to send.
+    """
+
+    sequence: int
+    request: Sent
+
+
+class Telemetry(NamedTuple):
+    """An event of a subscription.
+
+    Attributes:
+        server_ms: the server's clock.
+        data: the telemetry.
+    """
+
+    server_ms: int
+    data: dict[str, Any]
+
+
+Event = Ready | Answer | More | Telemetry
+
+
+class _Waiting:
+    """A request without its whole answer; ``root`` is the one that was asked first."""
+
+    __slots__ = ("page", "parts", "root")
+
+    def __init__(self, root: int, page: int = 0, parts: list[bytes] | None = None) -> None:
+        self.root = root
+        self.page = page
+        self.parts: list[bytes] = [] if parts is None else parts
+
+
+def _encode(op: str, params: Mapping[str, Any], deadline_ms: int) -> bytes:
+    if op in BARE and not params:
+        return encode_bare(op, deadline_ms)
+    # Loaded with the first parameters: a status shall not pay for the types that check them.
+    from linemate.protocol.command.command_request import encode_request
+
+    return encode_request(op, params, deadline_ms)
+
+
+class ClientCore(ABC):
+    """The common part of CommandClient and LocalClient.
+
+    Attributes:
+        counters: frames that came and matched nothing, by reason.
+    """
+
+    def __init__(self) -> None:
+        self.counters: Counter[str] = Counter()
+        self._offset_ms: int | None = None
+        self._last = 0
+        self._last_event = 0
+        self._waiting: OrderedDict[int, _Waiting] = OrderedDict()
+
+    @property
+    def ready(self) -> bool:
+        """Whether the handshake is done."""
+        return self._offset_ms is not None
+
+    def request(self, op: str, params: Mapping[str, Any], deadline_ns: int) -> Sent:
+        """Return a request to send.
+
+        Args:
+            op: one of OPERATIONS.
+            params: its parameters.
+            deadline_ns: on the client's own monotonic clock; not carried out after it.
+
+        Raises:
+            CommandError: no handshake yet, no such operation, or parameters that it does
+                not take.
+        """
+        sent = self._request(op, params, deadline_ns)
+        self._wait(sent.sequence, _Waiting(sent.sequence))
+        return sent
+
+    def on_datagram(self, data: bytes, now_ns: int) -> Event | None:
+        """Take one datagram. Never raises; what is refused is counted.
+
+        Args:
+            data: the datagram.
+            now_ns: the client's monotonic clock.
+        """
+        try:
+            frame = self._genuine(data)
+            if frame.type is FrameType.COOKIE:
+                return self._on_cookie(frame, now_ns)
+            if frame.type is FrameType.EVENT:
+                return self._on_event(frame)
+            return self._on_reply(frame, now_ns)
+        except CommandError as error:
+            self.counters[f"dropped_{error.kind}"] += 1
+            return None
+
+    @abstractmethod
+    def hello(self, now_ns: int) -> bytes:
+        """Return the bytes that open the handshake."""
+
+    @abstractmethod
+    def close(self) -> bytes | None:
+        """Return the bytes that end the session, None if none are needed."""
+
+    @abstractmethod
+    def _frame(self, kind: FrameType, sequence: int, payload: bytes) -> bytes: ...
+
+    @abstractmethod
+    def _genuine(self, data: bytes) -> Frame: ...
+
+    @abstractmethod
+    def _take_cookie(self, frame: Frame) -> None: ...
+
+    def _next(self) -> int:
+        self._last += 1
+        return self._last
+
+    def _request(self, op: str, params: Mapping[str, Any], deadline_ns: int) -> Sent:
+        if self._offset_ms is None:
+            raise CommandError("no_session", "the handshake has not been answered")
+        payload = _encode(op, params, deadline_ns // NS_PER_MS + self._offset_ms)
+        sequence = self._next()
+        return Sent(sequence, self._frame(FrameType.REQUEST, sequence, payload))
+
+    def _wait(self, sequence: int, waiting: _Waiting) -> None:
+        self._waiting[sequence] = waiting
+        while len(self._waiting) > MAX_OUTSTANDING:
+            self._waiting.popitem(last=False)
+
+    def _on_cookie(self, frame: Frame, now_ns: int) -> Event:
+        # Only the first: another would change the keys under requests already made.
+        if self.ready:
+            raise CommandError("duplicate", "COOKIE")
+        self._take_cookie(frame)
+        self._offset_ms = frame.sequence - now_ns // NS_PER_MS
+        return Ready()
+
+    def _on_event(self, frame: Frame) -> Event:
+        if frame.sequence <= self._last_event:
+            raise CommandError("replayed", "EVENT")
+        server_ms, data = decode_event(frame.payload)
+        self._last_event = frame.sequence
+        return Telemetry(server_ms, data)
+
+    def _on_reply(self, frame: Frame, now_ns: int) -> Event:
+        waiting = self._waiting.get(frame.sequence)
+        if waiting is None:
+            raise CommandError("unasked", "REPLY")
+        reply = decode_reply(frame.payload)
+        del self._waiting[frame.sequence]
+        self._offset_ms = reply.t - now_ns // NS_PER_MS
+        if not reply.ok:
+            return Answer(waiting.root, ok=False, result={}, code=reply.e, reason=reply.why)
+        return self._join(waiting, reply, now_ns)
+
+    def _join(self, waiting: _Waiting, reply: Reply, now_ns: int) -> Event:
+        waiting.parts.append(reply.r)
+        size = sum(len(part) for part in waiting.parts)
+        if reply.i != waiting.page or size > MAX_RESULT_BYTES:
+            why = f"part {reply.i} came for part {waiting.page}, {size} bytes in all"
+            return Answer(waiting.root, ok=False, result={}, code="page", reason=why)
+        if reply.i + 1 < reply.n:
+            return self._fetch_next(waiting, now_ns)
+        try:
+            result = decode_result(b"".join(waiting.parts))
+        except CommandError as error:
+            return Answer(waiting.root, ok=False, result={}, code=error.kind, reason=error.detail)
+        return Answer(waiting.root, ok=True, result=result)
+
+    def _fetch_next(self, waiting: _Waiting, now_ns: int) -> Event:
+        waiting.page += 1
+        params = {"of": waiting.root, "page": waiting.page}
+        sent = self._request("page", params, now_ns + PAGE_DEADLINE_NS)
+        self._wait(sent.sequence, waiting)
+        return More(waiting.root, sent)

@@ -1,0 +1,191 @@
+"""Pre-shared keys: the text of a key file, and what is derived from a key.
+
+Law of this file: text in, keys or every error at once out; no file is opened here. A
+key's bytes never stand in a repr, an error or a message. A key's id is derived from the
+key, so that two ends that share the key agree on the id without another setting.
+"""
+
+import base64
+import binascii
+import hashlib
+import re
+import stat
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Final
+
+from linemate.protocol.command.command import COOKIE_BYTES, CommandError, Role, Tagger
+
+KEY_BYTES: Final = 32
+MAX_KEYS: Final = 64
+_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,31}")
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """A pre-shared key.
+
+    Attributes:
+        name: who holds it, for logs and the control lease.
+        role: what its holder may do.
+        secret: 32 bytes.
+        id: 1..65535, derived from the secret; 0 is the local socket.
+    """
+
+    name: str
+    role: Role
+    secret: bytes = field(repr=False)
+    id: int
+
+
+def make_key(name: str, role: Role, secret: bytes) -> Key:
+    """Return a key with its id.
+
+    Raises:
+        CommandError: bad name, wrong length, or a secret that cannot be random.
+    """
+    if not _NAME.fullmatch(name):
+        raise CommandError("key", f"name {name[:40]!r}: letters, digits, . _ - and at most 32")
+    if len(secret) != KEY_BYTES:
+        raise CommandError("key", f"{len(secret)} bytes instead of {KEY_BYTES}")
+    # 32 random bytes with fewer than 8 different values do not occur; typed ones do.
+    if len(set(secret)) < 8:
+        raise CommandError("key", "not random; make one with `linemate keygen`")
+    return Key(name, role, secret, key_id(secret))
+
+
+def key_id(secret: bytes) -> int:
+    """Return the id of a key, 1..65535."""
+    digest = hashlib.blake2b(secret, digest_size=8, person=b"id").digest()
+    return int.from_bytes(digest, "big") % 65535 + 1
+
+
+def key_line(key: Key) -> str:
+    """Return a key as it stands in a key file, without the line's end."""
+    return f"{key.name} {key.role} {base64.b64encode(key.secret).decode('ascii')}"
+
+
+def parse_keys(text: str, source: str = "keys") -> tuple[Key, ...]:
+    """Read a key file: lines ``name role base64key``; ``#`` begins a comment line.
+
+    Args:
+        text: the whole file.
+        source: what to call it in errors.
+
+    Raises:
+        CommandError: with every bad line as ``source:line: what``, never a key's bytes.
+    """
+    keys: list[Key] = []
+    wrong: list[str] = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        try:
+            key = _parse_line(line)
+            _not_again(key, keys)
+        except CommandError as error:
+            wrong.append(f"{source}:{number}: {error.detail}")
+        else:
+            keys.append(key)
+    if len(keys) > MAX_KEYS:
+        wrong.append(f"{source}: {len(keys)} keys, at most {MAX_KEYS}")
+    if wrong:
+        raise CommandError("key", "\n".join(wrong))
+    return tuple(keys)
+
+
+def _parse_line(line: str) -> Key:
+    words = line.split()
+    if len(words) != 3:
+        raise CommandError("key", f"{len(words)} words instead of `name role base64key`")
+    name, role, encoded = words
+    if role not in set(Role):
+        raise CommandError("key", f"role of {name[:40]!r} is neither view nor operate")
+    try:
+        secret = base64.b64decode(encoded.encode("ascii"), validate=True)
+    except (binascii.Error, UnicodeEncodeError, ValueError):
+        raise CommandError("key", f"the key of {name[:40]!r} is not base64") from None
+    return make_key(name, Role(role), secret)
+
+
+def _not_again(key: Key, keys: Iterable[Key]) -> None:
+    for other in keys:
+        if other.name == key.name:
+            raise CommandError("key", f"name {key.name!r} stands twice")
+        if other.secret == key.secret:
+            raise CommandError("key", f"{key.name!r} has the key of {other.name!r}")
+        if other.id == key.id:
+            raise CommandError(
+                "key", f"{key.name!r} and {other.name!r} have one id; make either anew"
+            )
+
+
+def unsafe_file(mode: int, owner: int, user: int) -> str | None:
+    """Return why a file may not hold keys, None if it may.
+
+    Args:
+        mode: ``st_mode`` of the file.
+        owner: user id of its owner.
+        user: effective user id of the process that reads it.
+    """
+    if not stat.S_ISREG(mode):
+        return "not a regular file"
+    if owner not in {0, user}:
+        # Its owner could put keys of their own into it.
+        return f"owned by uid {owner}, should be uid {user} or root. chown it"
+    if mode & 0o077:
+        return f"mode {stat.S_IMODE(mode):04o} lets others in; chmod 0400 or 0600"
+    return None
+
+
+# --- what is derived from a key -----------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class SessionKeys:
+    """The two taggers of a session; what one end sends, only the other accepts.
+
+    Attributes:
+        to_server: over what the client sends.
+        to_client: over what the server sends.
+    """
+
+    to_server: Tagger
+    to_client: Tagger
+
+
+def cookie(secret: bytes, key: int, session: int) -> bytes:
+    """Return the proof of freshness that a server can make again without having kept it.
+
+    Args:
+        secret: the server's own, of the present or the last epoch.
+        key: id of the key.
+        session: the client's number.
+    """
+    named = key.to_bytes(2, "big") + session.to_bytes(8, "big")
+    return hashlib.blake2b(named, key=secret, digest_size=COOKIE_BYTES, person=b"proof").digest()
+
+
+def session_keys(key: Key, session: int, proof: bytes) -> SessionKeys:
+    """Derive a session's keys from the pre-shared one and a cookie.
+
+    Args:
+        key: pre-shared.
+        session: the client's random number.
+        proof: the server's cookie, 16 bytes.
+    """
+    named = key.id.to_bytes(2, "big") + session.to_bytes(8, "big") + proof
+    shared = hashlib.blake2b(named, key=key.secret, digest_size=32, person=b"session").digest()
+    to_server = hashlib.blake2b(key=shared, digest_size=32, person=b"c2s").digest()
+    to_client = hashlib.blake2b(key=shared, digest_size=32, person=b"s2c").digest()
+    return SessionKeys(Tagger(to_server), Tagger(to_client))
+
+
+def hello_tagger(key: Key) -> Tagger:
+    """Return the tagger of HELLO frames, under the pre-shared key itself."""
+    return Tagger(key.secret, person=b"hello")
+
+
+def cookie_tagger(key: Key) -> Tagger:
+    """Return the tagger of COOKIE frames, under the pre-shared key itself."""
+    return Tagger(key.secret, person=b"cookie")

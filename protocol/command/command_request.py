@@ -1,0 +1,217 @@
+"""Requests of the command protocol: what may be asked, with what, and by whom.
+
+Law of this file: a payload is decoded into a typed message or refused with CommandError,
+on both ends by the same types, so that what cannot be carried out does not leave the client.
+Whether it may be carried out now is judged in command_rules.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, Final, Literal, NamedTuple, TypeAlias
+
+import msgspec
+from msgspec import UNSET, Meta, Raw, Struct, UnsetType
+
+from linemate.protocol.command.command import MAX_PAGES, ROOM_BYTES, CommandError, Role
+from linemate.protocol.command.command_plain import pack
+
+Name: TypeAlias = Annotated[str, Meta(min_length=1, max_length=96)]
+Scalar: TypeAlias = bool | int | float | Annotated[str, Meta(max_length=512)] | None
+Value: TypeAlias = Scalar | Annotated[list[bool | int | float | str], Meta(max_length=64)]
+"""What a parameter can be set to."""
+
+
+class Empty(Struct, frozen=True, forbid_unknown_fields=True):
+    """Parameters of an operation that takes none."""
+
+
+class ParamsOf(Struct, frozen=True, forbid_unknown_fields=True):
+    """Parameters of ``params``: descriptions, all or those whose names begin so."""
+
+    prefix: Annotated[str, Meta(max_length=96)] | UnsetType = UNSET
+
+
+class GetOf(Struct, frozen=True, forbid_unknown_fields=True):
+    """Parameters of ``get``."""
+
+    names: Annotated[list[Name], Meta(min_length=1, max_length=32)]
+
+
+class SetOf(Struct, frozen=True, forbid_unknown_fields=True):
+    """Parameters of ``set``: all of them or none."""
+
+    values: Raw
+
+
+class RecordOf(Struct, frozen=True, forbid_unknown_fields=True):
+    """Parameters of ``record``."""
+
+    action: Literal["start", "stop"]
+
+
+class SubscribeOf(Struct, frozen=True, forbid_unknown_fields=True):
+    """Parameters of ``subscribe``: 0 Hz ends it; it ends by itself unless renewed."""
+
+    rate_hz: Annotated[float, Meta(ge=0.0, le=50.0)]
+    duration_s: Annotated[float, Meta(gt=0.0, le=30.0)] | UnsetType = UNSET
+
+
+class PageOf(Struct, frozen=True, forbid_unknown_fields=True):
+    """Parameters of ``page``: a further part of an answer that did not fit."""
+
+    of: Annotated[int, Meta(ge=1, le=2**63 - 1)]
+    page: Annotated[int, Meta(ge=1, lt=MAX_PAGES)]
+
+
+class Rule(NamedTuple):
+    """What an operation takes and what its sender must be.
+
+    Attributes:
+        params: type of its parameters.
+        role: the least role.
+        lease: needs the control lease.
+        ordered: refused once a later operate request of the same session was carried out.
+    """
+
+    params: type[Struct]
+    role: Role
+    lease: bool = False
+    ordered: bool = False
+
+
+OPERATIONS: Final[Mapping[str, Rule]] = {
+    "status": Rule(Empty, Role.VIEW),
+    "params": Rule(ParamsOf, Role.VIEW),
+    "get": Rule(GetOf, Role.VIEW),
+    "scene": Rule(Empty, Role.VIEW),
+    "subscribe": Rule(SubscribeOf, Role.VIEW),
+    "page": Rule(PageOf, Role.VIEW),
+    "set": Rule(SetOf, Role.OPERATE, ordered=True),
+    "save": Rule(Empty, Role.OPERATE, ordered=True),
+    "record": Rule(RecordOf, Role.OPERATE, ordered=True),
+    "arm": Rule(Empty, Role.OPERATE, lease=True, ordered=True),
+    "start": Rule(Empty, Role.OPERATE, lease=True, ordered=True),
+    "ack": Rule(Empty, Role.OPERATE, lease=True, ordered=True),
+    # Whoever may operate may always bring the robot to rest, in any order.
+    "stop": Rule(Empty, Role.OPERATE),
+    "retreat": Rule(Empty, Role.OPERATE),
+}
+
+
+class Request(NamedTuple):
+    """A request that was understood, not yet judged.
+
+    Attributes:
+        op: one of OPERATIONS.
+        deadline_ms: on the server's clock; never carried out after it.
+        params: checked, plain types.
+    """
+
+    op: str
+    deadline_ms: int
+    params: dict[str, Any]
+
+
+class _RequestWire(Struct, frozen=True, forbid_unknown_fields=True):
+    op: Annotated[str, Meta(max_length=16)]
+    t: Annotated[int, Meta(ge=0, le=2**63 - 1)]
+    p: Raw | UnsetType = UNSET
+
+
+_REQUEST: Final = msgspec.msgpack.Decoder(_RequestWire)
+_SET: Final = msgspec.msgpack.Decoder(dict[Name, Value])
+_PARAMS: Final = {op: msgspec.msgpack.Decoder(rule.params) for op, rule in OPERATIONS.items()}
+_EMPTY_MAP: Final = b"\x80"
+
+
+def _decode(decoder: msgspec.msgpack.Decoder[Any], data: bytes | Raw) -> Any:
+    # RecursionError and UnicodeDecodeError are msgspec's for deep and for ill-spelt input.
+    try:
+        return decoder.decode(data)
+    except (msgspec.MsgspecError, ValueError, RecursionError) as error:
+        raise CommandError("malformed", str(error)) from error
+
+
+def _entries(data: bytes) -> int:
+    """Return how many entries the msgpack map at the head of ``data`` says it has."""
+    head = data[0]
+    if head & 0xF0 == 0x80:
+        return head & 0x0F
+    width = {0xDE: 2, 0xDF: 4}.get(head, 0)
+    return int.from_bytes(data[1 : 1 + width], "big")
+
+
+def _once_each(data: bytes, message: Struct) -> None:
+    """Refuse a map in which a key stands twice; decoders keep the last silently."""
+    present = sum(getattr(message, name) is not UNSET for name in message.__struct_fields__)
+    if _entries(data) != present:
+        raise CommandError("malformed", "a key stands twice")
+
+
+def _finite(value: object) -> None:
+    items = value if isinstance(value, list) else [value]
+    for item in items:
+        if isinstance(item, float) and not math.isfinite(item):
+            raise CommandError("malformed", f"{item} is not a finite number")
+
+
+def encode_request(op: str, params: Mapping[str, Any], deadline_ms: int) -> bytes:
+    """Return the payload of a request.
+
+    Args:
+        op: one of OPERATIONS.
+        params: its parameters.
+        deadline_ms: on the server's clock [ms].
+
+    Raises:
+        CommandError: unknown operation, parameters it does not take, or too long.
+    """
+    if op not in OPERATIONS:
+        raise CommandError("unknown", f"no operation {op!r}")
+    _read_params(op, pack(dict(params)))
+    wire: dict[str, Any] = {"op": op, "t": max(0, deadline_ms)}
+    if params:
+        wire["p"] = dict(params)
+    payload = pack(wire)
+    if len(payload) > ROOM_BYTES:
+        raise CommandError("too_long", f"request of {len(payload)} bytes, room for {ROOM_BYTES}")
+    return payload
+
+
+def decode_request(payload: bytes) -> Request:
+    """Read the payload of an authenticated request.
+
+    Raises:
+        CommandError: not one map of the request's fields, a number that is not finite, a
+            key that stands twice, an operation unknown, or parameters it does not take.
+    """
+    wire: _RequestWire = _decode(_REQUEST, payload)
+    _once_each(payload, wire)
+    if wire.op not in OPERATIONS:
+        raise CommandError("unknown", f"no operation {wire.op!r}")
+    packed = _EMPTY_MAP if isinstance(wire.p, UnsetType) else bytes(wire.p)
+    return Request(wire.op, wire.t, _read_params(wire.op, packed))
+
+
+def _read_params(op: str, packed: bytes) -> dict[str, Any]:
+    message: Struct = _decode(_PARAMS[op], packed)
+    _once_each(packed, message)
+    params = {
+        name: value
+        for name in message.__struct_fields__
+        if (value := getattr(message, name)) is not UNSET
+    }
+    if isinstance(message, SetOf):
+        params["values"] = _read_values(bytes(message.values))
+    for value in params.values():
+        _finite(value)
+    return params
+
+
+def _read_values(packed: bytes) -> dict[str, Any]:
+    values: dict[str, Any] = _decode(_SET, packed)
+    if not values or _entries(packed) != len(values):
+        raise CommandError("malformed", "values: empty, or a name stands twice")
+    for value in values.values():
+        _finite(value)
+    return values

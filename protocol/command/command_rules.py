@@ -1,0 +1,245 @@
+"""What an authenticated peer may do, and the conversation with it, whatever carries it.
+
+Law of this file: nothing here knows of keys or sockets; a conversation gets the payload of
+a frame that is known to be genuine and to have come once. Deadline, role, order and lease
+are judged here and nowhere else, in that order, so that no path to the robot goes past
+one of them. Time is an argument.
+"""
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
+
+from linemate.protocol.command.command import (
+    MAX_AHEAD_MS,
+    NS_PER_MS,
+    PAGE_BYTES,
+    CommandError,
+    Role,
+)
+from linemate.protocol.command.command_plain import Reply, encode_event, encode_reply, encode_result
+from linemate.protocol.command.command_request import OPERATIONS, Request, decode_request
+
+LEASE_NS: Final = 5_000_000_000
+DEFAULT_SUBSCRIPTION_NS: Final = 5_000_000_000
+REFUSED: Final = "refused"
+"""The one key by which a handler's result says no, with the reason as its value."""
+
+
+class ControlLease:
+    """One operator at a time arms, starts and acknowledges; 5 s, renewed by operating.
+
+    Attributes:
+        holder: who has it or had it last, "" at first.
+    """
+
+    __slots__ = ("_until_ns", "holder")
+
+    def __init__(self) -> None:
+        self.holder = ""
+        self._until_ns = 0
+
+    def claim(self, who: str, now_ns: int) -> str | None:
+        """Take or renew the lease; return None, or why not."""
+        left_ns = self._until_ns - now_ns
+        if self.holder != who and left_ns > 0:
+            return f"control is held by {self.holder} for another {left_ns / 1e9:.1f} s"
+        self.holder = who
+        self._until_ns = now_ns + LEASE_NS
+        return None
+
+    def renew(self, who: str, now_ns: int) -> None:
+        """Renew the lease if ``who`` holds it."""
+        if self.holder == who and self._until_ns > now_ns:
+            self._until_ns = now_ns + LEASE_NS
+
+
+class Order(NamedTuple):
+    """A request that was judged and is to be carried out now.
+
+    Attributes:
+        op: one of OPERATIONS.
+        params: checked.
+        sequence: of its request.
+        role: of its sender.
+        who: its sender's name.
+    """
+
+    op: str
+    params: dict[str, Any]
+    sequence: int
+    role: Role
+    who: str
+
+
+class _Refusal(Exception):  # noqa: N818
+    def __init__(self, code: str, why: str) -> None:
+        super().__init__(code)
+        self.code = code
+        self.why = why
+
+
+class _Subscription:
+    __slots__ = ("next_ns", "period_ns", "until_ns")
+
+    def __init__(self, period_ns: int, until_ns: int, next_ns: int) -> None:
+        self.period_ns = period_ns
+        self.until_ns = until_ns
+        self.next_ns = next_ns
+
+
+class Conversation:
+    """One authenticated peer: what it asks, and what it is told.
+
+    Args:
+        who: its name.
+        role: its role.
+        lease: shared by all conversations of a server.
+        room: bytes that a reply's payload may have.
+        counters: shared by all conversations of a server.
+    """
+
+    __slots__ = (
+        "_counters",
+        "_lease",
+        "_newest",
+        "_parts",
+        "_parts_of",
+        "_room",
+        "_subscription",
+        "role",
+        "who",
+    )
+
+    def __init__(
+        self, who: str, role: Role, lease: ControlLease, room: int, counters: Counter[str]
+    ) -> None:
+        self.who = who
+        self.role = role
+        self._lease = lease
+        self._room = room
+        self._counters = counters
+        self._newest = 0
+        self._parts: list[bytes] = []
+        self._parts_of = 0
+        self._subscription: _Subscription | None = None
+
+    def ask(self, payload: bytes, sequence: int, now_ns: int) -> Order | bytes:
+        """Judge a request: an order to carry out, or the reply's payload at once."""
+        try:
+            request = decode_request(payload)
+            self._judge(request, sequence, now_ns)
+            if request.op == "page":
+                return self._further_part(request, now_ns)
+            if request.op == "subscribe":
+                return self._subscribe(request, now_ns)
+        except CommandError as error:
+            return self._refuse(error.kind, error.detail, now_ns)
+        except _Refusal as refusal:
+            return self._refuse(refusal.code, refusal.why, now_ns)
+        if OPERATIONS[request.op].role is Role.OPERATE:
+            self._newest = max(self._newest, sequence)
+        self._counters["orders"] += 1
+        return Order(request.op, request.params, sequence, self.role, self.who)
+
+    def answer(self, sequence: int, result: Mapping[str, Any], now_ns: int) -> bytes:
+        """Return the reply's payload for what a handler made of an order.
+
+        Args:
+            sequence: of the order.
+            result: any map; with the key ``refused`` it is a refusal with that reason.
+            now_ns: the server's clock.
+        """
+        if REFUSED in result:
+            return self._refuse(REFUSED, str(result[REFUSED]), now_ns)
+        try:
+            packed = encode_result(result)
+        except CommandError as error:
+            return self._refuse(error.kind, error.detail, now_ns)
+        whole = encode_reply(Reply(ok=True, t=now_ns // NS_PER_MS, r=packed))
+        if len(whole) <= self._room:
+            return whole
+        self._parts = [packed[at : at + PAGE_BYTES] for at in range(0, len(packed), PAGE_BYTES)]
+        self._parts_of = sequence
+        return self._part(0, now_ns)
+
+    def fail(self, now_ns: int) -> bytes:
+        """Return the reply's payload for an order that broke its handler."""
+        return self._refuse("internal", "the daemon failed to do this; see its log", now_ns)
+
+    def event_due(self, now_ns: int) -> bool:
+        """Tell whether telemetry is due, and count it as sent."""
+        subscription = self._subscription
+        if subscription is None or now_ns < subscription.next_ns:
+            return False
+        if now_ns >= subscription.until_ns:
+            self._subscription = None
+            return False
+        # From the schedule, so that the rate holds; but a stall is not made up for.
+        period_ns = subscription.period_ns
+        subscription.next_ns = max(subscription.next_ns + period_ns, now_ns + period_ns // 2)
+        return True
+
+    @property
+    def subscribed(self) -> bool:
+        """Whether telemetry is wanted."""
+        return self._subscription is not None
+
+    def event(self, packed: bytes, now_ns: int) -> bytes | None:
+        """Return an event's payload, None (counted) if it does not fit."""
+        payload = encode_event(now_ns // NS_PER_MS, packed)
+        if len(payload) > self._room:
+            self._counters["events_too_long"] += 1
+            return None
+        return payload
+
+    def _judge(self, request: Request, sequence: int, now_ns: int) -> None:
+        rule = OPERATIONS[request.op]
+        late_ms = now_ns // NS_PER_MS - request.deadline_ms
+        if late_ms > 0:
+            raise _Refusal("expired", f"came {late_ms} ms after its deadline")
+        if late_ms < -MAX_AHEAD_MS:
+            raise _Refusal("deadline", f"{-late_ms} ms ahead, at most {MAX_AHEAD_MS}")
+        if rule.role is Role.OPERATE and self.role is not Role.OPERATE:
+            raise _Refusal("role", f"{self.who} may view, not {request.op}")
+        if rule.ordered and sequence < self._newest:
+            raise _Refusal("order", f"{request.op} came after a later request was carried out")
+        if rule.lease:
+            held = self._lease.claim(self.who, now_ns)
+            if held is not None:
+                raise _Refusal("lease", held)
+        elif rule.role is Role.OPERATE:
+            self._lease.renew(self.who, now_ns)
+
+    def _subscribe(self, request: Request, now_ns: int) -> bytes:
+        rate_hz = float(request.params["rate_hz"])
+        duration_ns = int(request.params.get("duration_s", 0.0) * 1e9) or DEFAULT_SUBSCRIPTION_NS
+        if rate_hz == 0.0:
+            self._subscription = None
+        else:
+            period_ns = min(int(1e9 / rate_hz), duration_ns)
+            self._subscription = _Subscription(period_ns, now_ns + duration_ns, now_ns)
+        packed = encode_result({"rate_hz": rate_hz, "duration_s": duration_ns / 1e9})
+        return encode_reply(Reply(ok=True, t=now_ns // NS_PER_MS, r=packed))
+
+    def _further_part(self, request: Request, now_ns: int) -> bytes:
+        of, page = request.params["of"], request.params["page"]
+        if of != self._parts_of or page >= len(self._parts):
+            raise _Refusal("page", f"no part {page} of the answer to {of}")
+        return self._part(page, now_ns)
+
+    def _part(self, page: int, now_ns: int) -> bytes:
+        return encode_reply(
+            Reply(
+                ok=True,
+                t=now_ns // NS_PER_MS,
+                r=self._parts[page],
+                i=page,
+                n=len(self._parts),
+            )
+        )
+
+    def _refuse(self, code: str, why: str, now_ns: int) -> bytes:
+        self._counters[f"refused_{code}"] += 1
+        spelt = why[:256].encode("utf-8", "replace").decode("utf-8")
+        return encode_reply(Reply(ok=False, t=now_ns // NS_PER_MS, e=code, why=spelt))

@@ -1,0 +1,267 @@
+"""KUKA RSI over Ethernet: the robot's telegram and the sensor's reply, both directions.
+
+Law of this file: the one door to the wire's parts. A codec is made from a real
+RSI_EthernetConfig.xml and serves either end; any bytes give a telegram or RsiError, any
+telegram gives bytes or RsiError. No socket, no clock: what comes when is exchange's business.
+Source: reference/rsi.md, section 1.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from operator import mul
+from typing import cast
+
+from linemate.protocol.rsi.rsi_config import Element, RsiConfig, parse_config
+from linemate.protocol.rsi.rsi_layout import (
+    Layout,
+    Vector,
+    robot_layout,
+    sensor_constants,
+    sensor_layout,
+)
+from linemate.protocol.rsi.rsi_read import MAX_TELEGRAM_BYTES, Reader, Texts
+from linemate.protocol.rsi.rsi_scan import RsiError
+from linemate.protocol.rsi.rsi_telegram import Channel, PreparedReply, RobotTelegram, SensorTelegram
+from linemate.protocol.rsi.rsi_write import Writer
+from linemate.protocol.samples import Vector6
+
+__all__ = [
+    "MAX_TELEGRAM_BYTES",
+    "Channel",
+    "Element",
+    "PreparedReply",
+    "RobotTelegram",
+    "RsiCodec",
+    "RsiConfig",
+    "RsiError",
+    "SensorTelegram",
+    "parse_config",
+]
+
+ROBOT_TYPE = "KUKA"
+MAX_DECIMALS = 16
+
+
+class RsiCodec:
+    """Reads and writes the telegrams of one configuration.
+
+    Example::
+
+        codec = RsiCodec(parse_config(xml))
+        telegram = codec.parse_robot(datagram)
+        reply = SensorTelegram(telegram.ipoc, telegram.ipoc_text, joints=..., external=(0.0,))
+        datagram = codec.format_sensor(reply)
+    """
+
+    def __init__(
+        self,
+        config: RsiConfig,
+        linear_external: Iterable[str] = ("E1",),
+        decimals: int = 8,
+        joint_tags: Iterable[str] = ("AK", "AKorr"),
+        external_tags: Iterable[str] = ("EK", "EKorr"),
+        constants: Mapping[str, Channel] | None = None,
+    ) -> None:
+        """Make the templates and patterns.
+
+        Args:
+            config: the configuration.
+            linear_external: external axes that are linear (mm on the wire), others in degrees.
+            decimals: digits after the point when writing, 1..16.
+            joint_tags: elements of RECEIVE that mean corrections of A1..A6.
+            external_tags: elements of RECEIVE that mean corrections of E1..E6.
+            constants: values of RECEIVE elements that no reply gives, by TAG.
+
+        Raises:
+            RsiError: a configuration that makes no telegram, or a constant that does not fit.
+        """
+        if not 1 <= decimals <= MAX_DECIMALS:
+            raise RsiError(f"{decimals} decimals, not 1..{MAX_DECIMALS}")
+        linear = tuple(linear_external)
+        self.config = config
+        self._robot = robot_layout(config, linear)
+        self._sensor = sensor_layout(config, linear, joint_tags, external_tags)
+        self._robot_vectors = _Vectors(self._robot.vectors)
+        self._sensor_vectors = _Vectors(self._sensor.vectors)
+        joints = next((v for v in self._robot.vectors if v.name == "joints"), None)
+        whole = joints is not None and len(joints.fields) == joints.width
+        glanced = joints.fields if joints is not None and whole else ()
+        self._glance_scales = joints.scales if joints is not None and whole else ()
+        if self._robot.delay is not None:
+            glanced = (*glanced, self._robot.delay)
+        self._robot_writer = Writer(self._robot, decimals)
+        known = sensor_constants(config, self._sensor, constants or {})
+        self._sensor_writer = Writer(self._sensor, decimals, known)
+        self.robot_reader = Reader(self._robot, self._robot_writer.example(ROBOT_TYPE), glanced)
+        self.sensor_reader = Reader(self._sensor, self._sensor_writer.example(config.sentype))
+
+    def parse_robot(self, data: bytes) -> RobotTelegram:
+        """Read the controller's telegram.
+
+        Raises:
+            RsiError: not a telegram of this configuration; everything configured must be there.
+        """
+        texts, _ = self.robot_reader.read(data)
+        layout = self._robot
+        ipoc, ipoc_text = _ipoc(texts)
+        vector = self._robot_vectors.read(texts).get
+        return RobotTelegram(
+            ipoc,
+            ipoc_text,
+            vector("joints"),
+            vector("joint_setpoints"),
+            vector("external"),
+            vector("external_setpoints"),
+            vector("tcp"),
+            vector("tcp_setpoint"),
+            None if layout.delay is None else int(cast(str, texts[layout.delay])),
+            _channels(layout, texts),
+        )
+
+    def expect_robot(
+        self, ipoc: int, delay: int | None, joints: Vector6, reach: float
+    ) -> Callable[[bytes], bool] | None:
+        """Make what tells in the least time whether a datagram is the telegram that is expected.
+
+        Made before the telegram comes, so that nothing is left to do then but to compare.
+
+        Args:
+            ipoc: its counter.
+            delay: its Delay, None if none is configured.
+            joints: where the robot was [rad].
+            reach: how far from there a joint may be [rad].
+
+        Returns:
+            True for a telegram of the shape last seen, with this counter and Delay and all joints
+            within reach: :meth:`parse_robot` accepts it. None if telegrams carry no such values.
+        """
+        if not self._glance_scales or (delay is None) != (self._robot.delay is None):
+            return None
+        match, places = self.robot_reader.glance
+        wanted = [b"%d" % ipoc] if delay is None else [b"%d" % delay, b"%d" % ipoc]
+        low = [(q - reach) / scale for q, scale in zip(joints, self._glance_scales, strict=True)]
+        high = [(q + reach) / scale for q, scale in zip(joints, self._glance_scales, strict=True)]
+        a0, b0, c0, d0, e0, f0 = low
+        a1, b1, c1, d1, e1, f1 = high
+
+        def is_expected(data: bytes) -> bool:
+            found = match(data)
+            if found is None or len(data) > MAX_TELEGRAM_BYTES:
+                return False
+            a, b, c, d, e, f, *rest = found.group(*places)
+            return (
+                rest == wanted
+                and a0 < float(a) < a1
+                and b0 < float(b) < b1
+                and c0 < float(c) < c1
+                and d0 < float(d) < d1
+                and e0 < float(e) < e1
+                and f0 < float(f) < f1
+            )
+
+        return is_expected
+
+    def parse_sensor(self, data: bytes) -> SensorTelegram:
+        """Read the daemon's reply; what is not in it is None, or not among the channels.
+
+        Raises:
+            RsiError: not a reply of this configuration, or part of a vector missing.
+        """
+        texts, sentype = self.sensor_reader.read(data)
+        layout = self._sensor
+        ipoc, ipoc_text = _ipoc(texts)
+        vector = self._sensor_vectors.read(texts).get
+        return SensorTelegram(
+            ipoc,
+            ipoc_text,
+            sentype,
+            vector("joints"),
+            vector("external"),
+            _channels(layout, texts),
+            None if layout.message is None else texts[layout.message],
+        )
+
+    def format_robot(self, telegram: RobotTelegram) -> bytes:
+        """Write the controller's telegram; channels that are not given are zero.
+
+        Raises:
+            RsiError: a configured vector or Delay missing, a value that the wire cannot carry.
+        """
+        return self._robot_writer.write(telegram, ROBOT_TYPE)
+
+    def format_sensor(self, telegram: SensorTelegram) -> bytes:
+        """Write the daemon's reply; channels that are not given are zero.
+
+        Raises:
+            RsiError: a configured vector missing, a value that the wire cannot carry, a
+                correction that the configuration has no element for.
+        """
+        return self._sensor_writer.write(telegram, telegram.sentype or self.config.sentype)
+
+    def prepare_sensor(self, telegram: SensorTelegram) -> PreparedReply:
+        """Write the daemon's reply but for its IPOC, which is not looked at.
+
+        Raises:
+            RsiError: as :meth:`format_sensor`.
+        """
+        return self._sensor_writer.prepare(telegram, telegram.sentype or self.config.sentype)
+
+    def bare_sensor(self) -> PreparedReply:
+        """Write a reply of the constants alone: no corrections and no signals."""
+        return self._sensor_writer.bare(self.config.sentype)
+
+
+def _ipoc(texts: Texts) -> tuple[int, bytes]:
+    text = cast(str, texts[-1])
+    return int(text), text.encode("ascii")
+
+
+class _Vectors:
+    """Converts the vectors of one layout: all in one sweep where they lie in one block."""
+
+    def __init__(self, vectors: tuple[Vector, ...]) -> None:
+        self._vectors = sorted(vectors, key=lambda vector: vector.fields[0])
+        fields = [n for vector in self._vectors for n in vector.fields]
+        first = fields[0] if fields else 0
+        self._is_block = all(vector.contiguous for vector in vectors) and fields == list(
+            range(first, first + len(fields))
+        )
+        self._block = slice(first, first + len(fields))
+        self._scales = [scale for vector in self._vectors for scale in vector.scales]
+        self._parts = [
+            (v.name, slice(v.fields[0] - first, v.fields[-1] - first + 1)) for v in self._vectors
+        ]
+
+    def read(self, texts: Texts) -> dict[str, Vector6 | None]:
+        """The vectors by name in SI; typed as six numbers, external ones may be fewer."""
+        if not self._is_block or None in texts:
+            return {v.name: cast(Vector6 | None, _vector(v, texts)) for v in self._vectors}
+        raw = cast(Sequence[str], texts[self._block])
+        numbers = tuple(map(mul, map(float, raw), self._scales))
+        return {name: numbers[part] for name, part in self._parts}
+
+
+def _vector(vector: Vector, texts: Texts) -> tuple[float, ...] | None:
+    """One vector's values in SI; axes that are not configured are zero."""
+    if texts[vector.fields[0]] is None:
+        return None
+    out = [0.0] * vector.width
+    for position, axis, scale in zip(vector.fields, vector.axes, vector.scales, strict=True):
+        out[axis] = float(cast(str, texts[position])) * scale
+    return tuple(out)
+
+
+def _channels(layout: Layout, texts: Texts) -> Mapping[str, Channel]:
+    out: dict[str, Channel] = {}
+    for key, n in layout.channels.items():
+        text = texts[n]
+        if text is not None:
+            out[key] = _channel(layout.fields[n].type, text)
+    return out
+
+
+def _channel(kind: str, text: str) -> Channel:
+    if kind == "LONG":
+        return int(text)
+    if kind == "DOUBLE":
+        return float(text)
+    return text if kind == "STRING" else float(text) != 0.0

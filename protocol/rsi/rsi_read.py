@@ -1,0 +1,254 @@
+"""Telegram bytes to the texts of their configured values.
+
+Law of this file: two ways in, one way out. The fast way is a pattern of the shape last seen
+(literal but for the values); whatever it does not match goes the tolerant way, which decides.
+The fast way accepts a subset of what the tolerant way accepts, with the same result. Sizes and
+``<!`` are refused before either.
+"""
+
+import re
+from collections.abc import Callable, Sequence
+from operator import itemgetter
+
+from linemate.protocol.rsi.rsi_layout import Field, Layout
+from linemate.protocol.rsi.rsi_scan import BLANK, Document, RsiError, Span, scan, unescape
+
+MAX_TELEGRAM_BYTES = 2048
+MAX_IPOC = 2**64 - 1
+LONG_MIN, LONG_MAX = -(2**31), 2**32 - 1
+
+# Telegrams of a foreign shape before a pattern is made for it, doubled each time: compiling
+# one costs a millisecond or two, so whoever alternates shapes must not be able to keep us at it.
+_FIRST_PATIENCE = 3
+_LAST_PATIENCE = 4096
+
+_NUMBER = re.compile(
+    r"[+-]?(?:[0-9]{1,16}(?:\.[0-9]{0,32})?|\.[0-9]{1,32})(?:[eE][+-]?[0-9]{1,3})?", re.ASCII
+)
+MAX_NUMBER = 1e16  # as many digits as a number without exponent may have
+_WHOLE = re.compile(r"([+-]?[0-9]{1,10})(?:\.0{0,32})?", re.ASCII)
+_IPOC = re.compile(r"[0-9]{1,20}", re.ASCII)
+_COUNTER = re.compile(rb"<IPOC>\s*([0-9]{1,20})\s*</IPOC>")
+_TRUTHS = {"TRUE": "1", "FALSE": "0"}
+_TRAILING = "\0" + BLANK
+
+# Short enough to be in range whatever the digits; what is longer goes the tolerant way. Nothing
+# is ever given back, for no value is followed by what it is made of: a fifth of the time.
+# Groups themselves are not possessive, see ``rsi_scan``.
+_FAST_GROUPS = {
+    "DOUBLE": r"(-?+[0-9]{1,16}+(?:\.[0-9]{0,32}+)?(?:[eE]-[0-9]{1,3}+)?)",
+    "BOOL": r"(-?+[0-9]{1,16}+(?:\.[0-9]{0,32}+)?)",
+    "LONG": r"(-?+[0-9]{1,9}+)(?:\.0{0,32}+)?",
+    "STRING": r"([^\"'<>&]*+)",
+}
+_FAST_IPOC = r"([0-9]{1,19}+)"
+_FAST_UNKNOWN = r"[^\"'<>&]*+"
+
+Texts = Sequence[str | None]
+"""The values' texts in the order of ``Layout.fields``, then the IPOC's; None for an absent one."""
+
+_Key = tuple[str, str | None]
+_IPOC_KEY: _Key = ("IPOC", None)
+
+
+class Reader:
+    """Reads one direction's telegrams.
+
+    Attributes:
+        fast: telegrams read by the pattern.
+        tolerant: telegrams, good or bad, that went the tolerant way.
+    """
+
+    def __init__(self, layout: Layout, example: str, glanced: Sequence[int] = ()) -> None:
+        """Learn the shape of ``example``, a telegram in the codec's own writing.
+
+        Args:
+            layout: of the telegrams.
+            example: one of them.
+            glanced: positions of the fields that :attr:`glance` finds.
+        """
+        self._layout = layout
+        self._glanced = (*glanced, len(layout.fields))
+        self._positions: dict[_Key, int] = {
+            (field.element, field.attribute): n for n, field in enumerate(layout.fields)
+        }
+        self._positions[_IPOC_KEY] = len(layout.fields)
+        self._patience = _FIRST_PATIENCE
+        self._strangers = 0
+        self.fast = 0
+        self.tolerant = 0
+        self._learn(example, scan(example))
+
+    def read(self, data: bytes) -> tuple[Texts, str]:
+        """The values' texts, the last of them the IPOC's, and the root's Type.
+
+        Raises:
+            RsiError: refused.
+        """
+        if len(data) > MAX_TELEGRAM_BYTES:
+            raise RsiError(f"{len(data)} bytes, at most {MAX_TELEGRAM_BYTES}", evidence=data)
+        if b"<!" in data:
+            raise RsiError("document types and entities are refused", evidence=data)
+        text = data.decode("latin-1")
+        match = self._pattern.fullmatch(text)
+        if match is None:
+            return self._read_tolerantly(text, data)
+        self.fast += 1
+        self._strangers = 0
+        groups = match.groups()
+        return (groups if self._order is None else self._order(groups)), self._type
+
+    @property
+    def glance(self) -> tuple[Callable[[bytes], re.Match[bytes] | None], tuple[int, ...]]:
+        """How to tell in the least time a telegram of the shape last seen.
+
+        Returns:
+            What matches a whole datagram of that shape, and the groups of the glanced fields, the
+            IPOC's the last. What it matches is accepted by :meth:`read`, with the same texts.
+        """
+        return self._glance.fullmatch, self._glanced_groups
+
+    def _read_tolerantly(self, text: str, data: bytes) -> tuple[Texts, str]:
+        self.tolerant += 1
+        text = text.rstrip(_TRAILING)
+        try:
+            document = scan(text)
+            texts = self._texts(text, document)
+        except RsiError as error:
+            error.evidence = error.evidence or data[:256]
+            error.ipoc_text = error.ipoc_text or _counter(data)
+            raise
+        self._strangers += 1
+        if self._strangers >= self._patience and _is_plain(document) and None not in texts:
+            self._patience = min(2 * self._patience, _LAST_PATIENCE)
+            self._learn(text, document)
+        return texts, _type_of(document)
+
+    def _texts(self, text: str, document: Document) -> Texts:
+        if document.root.lower() != self._layout.root.lower():
+            raise RsiError(f"root is <{document.root[:32]}>, not <{self._layout.root}>")
+        found = self._found(text, document)
+        ipoc = found.get(_IPOC_KEY, "").strip(BLANK)
+        if not _IPOC.fullmatch(ipoc) or int(ipoc) > MAX_IPOC:
+            raise RsiError("missing, not digits or out of range", element="IPOC")
+        texts: list[str | None] = []
+        try:
+            texts.extend(self._text(field, found) for field in self._layout.fields)
+            self._refuse_parts(texts)
+        except RsiError as error:
+            error.ipoc_text = ipoc.encode("ascii")
+            raise
+        return (*texts, ipoc)
+
+    def _found(self, text: str, document: Document) -> dict[_Key, str]:
+        """Texts as written of the values that are configured."""
+        found: dict[_Key, str] = {
+            (name, None): "" for name in document.hollow if (name, None) in self._positions
+        }
+        for span in document.spans:
+            key = (span.element, span.attribute)
+            if key in self._positions:
+                if key in found:
+                    raise RsiError("stands twice in the telegram", element=_name(span))
+                found[key] = text[span.start : span.end]
+        return found
+
+    def _text(self, field: Field, found: dict[_Key, str]) -> str | None:
+        raw = found.get((field.element, field.attribute))
+        if raw is not None:
+            return _checked(field, raw)
+        if self._layout.required:
+            raise RsiError("missing", element=field.key)
+        return None
+
+    def _refuse_parts(self, texts: Texts) -> None:
+        """A vector is there or not; half a correction is no correction."""
+        for vector in self._layout.vectors:
+            missing = [n for n in vector.fields if texts[n] is None]
+            if missing and len(missing) < len(vector.fields):
+                raise RsiError("missing", element=self._layout.fields[missing[0]].key)
+
+    def _learn(self, text: str, document: Document) -> None:
+        """Make the patterns of a telegram that was accepted and is complete."""
+        parts: list[tuple[str, int | None]] = []
+        end = 0
+        for span in document.spans:
+            position = self._positions.get((span.element, span.attribute))
+            parts.append((re.escape(text[end : span.start]), position))
+            end = span.end
+        rest = re.escape(text[end:]) + r"[\0 \t\r\n]*"
+        order = [position for _, position in parts if position is not None]
+        whole = (literal + self._group(at) for literal, at in parts)
+        self._pattern = re.compile("".join(whole) + rest, re.ASCII)
+        self._order = _permutation(order)
+        glanced = (
+            literal + (self._group(at) if at in self._glanced else _silent(self._group(at)))
+            for literal, at in parts
+        )
+        self._glance = re.compile(("".join(glanced) + rest).encode("latin-1"), re.ASCII)
+        seen = [position for position in order if position in self._glanced]
+        self._glanced_groups = tuple(1 + seen.index(position) for position in self._glanced)
+        self._type = _type_of(document)
+        self._strangers = 0
+
+    def _group(self, position: int | None) -> str:
+        if position is None:
+            return _FAST_UNKNOWN
+        if position == len(self._layout.fields):
+            return _FAST_IPOC
+        return _FAST_GROUPS[self._layout.fields[position].type]
+
+
+def _counter(data: bytes) -> bytes | None:
+    """Return the IPOC's digits in a telegram that cannot be read otherwise; None if not once."""
+    found = _COUNTER.findall(data)
+    return found[0] if len(found) == 1 and int(found[0]) <= MAX_IPOC else None
+
+
+def _silent(group: str) -> str:
+    """The same group, its text not kept."""
+    return "(?:" + group.removeprefix("(") if group.startswith("(") else group
+
+
+def _permutation(order: list[int]) -> Callable[[tuple[str, ...]], tuple[str, ...]] | None:
+    """What brings groups in wire order into the layout's order; None if they are in it."""
+    if order == sorted(order):
+        return None
+    return itemgetter(*(order.index(n) for n in range(len(order))))
+
+
+def _is_plain(document: Document) -> bool:
+    return document.flat and not document.hollow
+
+
+def _type_of(document: Document) -> str:
+    return next((v for name, v in document.attributes.items() if name.lower() == "type"), "")
+
+
+def _name(span: Span) -> str:
+    return span.element if span.attribute is None else f"{span.element}.{span.attribute}"
+
+
+def _checked(field: Field, raw: str) -> str:
+    """The text of one value, such as float() or int() can take it.
+
+    Raises:
+        RsiError: a comma, NaN, infinity, out of range, or no number at all.
+    """
+    if field.type == "STRING":
+        return unescape(raw)
+    text = raw.strip(BLANK)
+    if field.type == "LONG":
+        whole = _WHOLE.fullmatch(text)
+        if whole is None:
+            raise RsiError(f"{text[:32]!r} is no whole number", element=field.key)
+        if not LONG_MIN <= int(whole[1]) <= LONG_MAX:
+            raise RsiError(f"{text[:32]} is out of range", element=field.key)
+        return whole[1]
+    if field.type == "BOOL":
+        text = _TRUTHS.get(text.upper(), text)
+    if not _NUMBER.fullmatch(text):
+        raise RsiError(f"{text[:32]!r} is no number", element=field.key)
+    if not abs(float(text)) < MAX_NUMBER:
+        raise RsiError(f"{text[:32]} is out of range", element=field.key)
+    return text

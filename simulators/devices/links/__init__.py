@@ -1,0 +1,1 @@
+"""Emulated devices on real transports: UDP, pseudo-terminals, TCP."""

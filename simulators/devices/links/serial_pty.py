@@ -1,0 +1,71 @@
+"""The force-torque sensor on a pty, or behind a TCP port.
+
+Law of this file: bytes go to and from the device as they are; here is only the port. The sensor
+powers on with the port, as one on a USB converter does.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from linemate.simulators.devices.force_torque import ForceTorqueSensor
+from linemate.simulators.devices.links.endpoint import Address
+from linemate.simulators.devices.links.pty_port import PtyPort
+from linemate.simulators.devices.links.tcp_port import TcpPort
+
+
+class SerialPty:
+    """A serial line with one sensor on it.
+
+    Attributes:
+        sensor: the device.
+        port: the pty, or the TCP port.
+    """
+
+    def __init__(
+        self, sensor: ForceTorqueSensor, link: Path | None = None, bind: Address | None = None
+    ) -> None:
+        """Set it up; it is not plugged in yet.
+
+        Args:
+            sensor: the device.
+            link: symbolic link to make for the pty.
+            bind: address and port of a TCP port instead of a pty.
+        """
+        self.sensor = sensor
+        self.port: PtyPort | TcpPort = (
+            PtyPort(self._heard, link=link) if bind is None else TcpPort(self._heard, bind)
+        )
+
+    def open(self) -> None:
+        """Plug the sensor in; it powers on.
+
+        Raises:
+            OSError: if no port can be had.
+        """
+        self.port.plug()
+        self.port.write(self.sensor.boot())
+
+    def close(self) -> None:
+        """Unplug the sensor."""
+        self.port.unplug()
+
+    def emit(self, force: Sequence[float], torque: Sequence[float], device_us: int) -> None:
+        """The sensor measures.
+
+        Args:
+            force: [N].
+            torque: [Nm].
+            device_us: the device's clock [us].
+        """
+        self.port.write(self.sensor.frame(force, torque, device_us))
+
+    def counters(self) -> dict[str, int]:
+        """What happened, by name."""
+        return {
+            "sent": self.sensor.sent,
+            "withheld": self.sensor.withheld,
+            "dropped_bytes": self.port.dropped_bytes,
+        }
+
+    def _heard(self, data: bytes) -> None:
+        self.port.write(self.sensor.feed(data))

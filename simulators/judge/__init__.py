@@ -1,0 +1,1 @@
+"""Judgement of runs by the plant's truth: figures, tables and reports."""

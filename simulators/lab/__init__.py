@@ -1,0 +1,1 @@
+"""Campaigns over many seeded runs: accuracy, detection, identification."""

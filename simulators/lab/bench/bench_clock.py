@@ -1,0 +1,66 @@
+"""The daemon's own clock alone in a process, to be held beside a C program that only wakes.
+
+Law of this file: the clock as the daemon runs it and nothing due; it speaks as
+``bench_floor timer`` does: ``ready``, and on SIGUSR1 ``late COUNT P50 P99 MAX`` [ns].
+"""
+
+import asyncio
+import gc
+import signal
+import sys
+import time
+
+from linemate.daemon.config.settings import RealtimeSettings
+from linemate.daemon.cycle.clock.clock import Clock
+from linemate.daemon.cycle.clock.pace import Pace
+from linemate.daemon.cycle.clock.schedule import Due
+from linemate.daemon.service import realtime
+
+
+def between(period_ns: int, now_ns: int) -> Pace:
+    """Return a pace that runs free and wakes half a period after whole periods.
+
+    The C timer wakes at those, on the same core with the same priority: where both wake at once one
+    waits for the other, and is held to be late (ratios of 0.7 and of 3 within a minute).
+
+    Args:
+        period_ns: of both [ns].
+        now_ns: monotonic time [ns].
+    """
+    whole_ns = now_ns // period_ns * period_ns
+    phase_ns = Pace.free(period_ns, whole_ns).wake_ns % period_ns
+    return Pace.free(period_ns, whole_ns + period_ns // 2 - phase_ns)
+
+
+async def run(period_ns: int) -> None:
+    """Wake until ended."""
+    late_ns: list[int] = []
+
+    def woken(_: Due) -> None:
+        late_ns.append(clock.lateness.last_ns)
+
+    def tell() -> None:
+        found, count = sorted(late_ns), len(late_ns)
+        late_ns.clear()
+        told = (
+            (found[count // 2], found[count - 1 - count // 100], found[-1]) if found else (0,) * 3
+        )
+        print("late", count, *told, flush=True)
+
+    def fail(error: Exception) -> None:
+        raise error
+
+    clock = Clock(woken, fail, lambda: None, between(period_ns, time.monotonic_ns()))
+    asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, tell)
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    clock.open()
+    print("ready", flush=True)
+    await asyncio.Event().wait()
+
+
+if __name__ == "__main__":
+    # As the bench's daemon, and as the C timer beside it.
+    realtime.ask(RealtimeSettings(lock_memory=True))
+    asyncio.run(run(int(sys.argv[1])))

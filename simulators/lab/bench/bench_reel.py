@@ -1,0 +1,118 @@
+"""What a station says during an assembly, kept so that it can be said again at any cycle.
+
+Law of this file: plain values on one time axis, no bytes and no clock. A reel is taken from a run
+in virtual time; the robot's axes between two of its telegrams lie on the straight line that a
+controller follows. Played to a daemon it gives it the work of the real thing, without a plant
+that computes on the same machine.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+from bisect import bisect_right
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from linemate.daemon.cycle.cycle import LogEntry
+
+DISTANCE_NS = 4_000_000
+"""A distance sensor speaks no faster than this, however short the cycle is [ns]."""
+
+Row = Sequence[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Reel:
+    """One run's readings; each row begins with its arrival after the run's begin [ns].
+
+    Attributes:
+        robot: joints A1..A6 [rad], E1 [m], the tool's signals.
+        distance: reading [m].
+        camera: exposure [ns], position [m], quaternion, covariance or None.
+        wrench: force [N], torque [Nm].
+    """
+
+    robot: Sequence[Row]
+    distance: Sequence[Row]
+    camera: Sequence[Row]
+    wrench: Sequence[Row]
+
+    @property
+    def length_ns(self) -> int:
+        """From its begin to its last telegram [ns]."""
+        return int(self.robot[-1][0])
+
+    def axes(self, at_ns: int) -> tuple[tuple[float, ...], int]:
+        """Where the robot is.
+
+        Args:
+            at_ns: after the begin [ns].
+
+        Returns:
+            A1..A6 [rad] and E1 [m], and the tool's signals.
+        """
+        after = bisect_right(self.robot, at_ns, key=lambda row: row[0])
+        old = self.robot[max(0, after - 1)]
+        new = self.robot[min(after, len(self.robot) - 1)]
+        span = new[0] - old[0]
+        share = (at_ns - old[0]) / span if span else 0.0
+        joints = tuple(a + share * (b - a) for a, b in zip(old[1:8], new[1:8], strict=True))
+        return joints, int(old[8])
+
+    def thinned(self, cycle_ns: int) -> list[Row]:
+        """The distance sensor's readings: one a cycle, but no faster than the sensor is.
+
+        Args:
+            cycle_ns: T0 [ns].
+        """
+        period, rows = max(cycle_ns, DISTANCE_NS), self.distance
+        found: list[Row] = []
+        for old, new in itertools.pairwise(rows):
+            at = -(-old[0] // period) * period
+            while at < new[0]:
+                share = (at - old[0]) / (new[0] - old[0])
+                found.append((at, old[1] + share * (new[1] - old[1])))
+                at += period
+        return found
+
+    def write(self, path: Path) -> None:
+        """Keep it in a file."""
+        path.write_text(json.dumps(asdict(self)), encoding="utf-8")
+
+    @classmethod
+    def read(cls, path: Path) -> Reel:
+        """Take it from a file."""
+        return cls(**json.loads(path.read_text(encoding="utf-8")))
+
+
+def from_entries(entries: Iterable[LogEntry]) -> Reel:
+    """Take the readings out of a run's steps.
+
+    Args:
+        entries: from its first step on.
+
+    Raises:
+        ValueError: there is no telegram among them.
+    """
+    inputs = [entry.inputs for entry in entries]
+    robots = [one.robot for one in inputs if one.robot is not None]
+    if not robots:
+        raise ValueError("a run without telegrams cannot be played")
+    begin = robots[0].stamp_ns
+    return Reel(
+        robot=[
+            (r.stamp_ns - begin, *r.joints, r.external[0] if r.external else 0.0, r.digital_in)
+            for r in robots
+        ],
+        distance=[(d.stamp_ns - begin, d.position) for one in inputs for d in one.distance],
+        camera=[
+            (c.stamp_ns - begin, c.exposure_ns - begin, c.position, c.quaternion, c.covariance)
+            for one in inputs
+            for c in one.camera
+        ],
+        wrench=[(w.stamp_ns - begin, w.force, w.torque) for one in inputs for w in one.wrench],
+    )

@@ -1,0 +1,234 @@
+"""Many runs: the same seeds through several variants, on all cores, and what they say together.
+
+Law of this file: a run depends on its job alone, so neither the number of workers nor the order
+in which they finish shows in the result; jobs and results keep the order variant, then seed.
+"""
+
+import multiprocessing
+import os
+import signal
+from argparse import Namespace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from linemate.simulators.harness.processes import die_with
+from linemate.simulators.harness.setup import Setup
+
+Progress = Callable[[], None]
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+LOCAL = "local"
+
+KEY_FIGURES = (
+    ("assembled", "assembled", 1.0),
+    ("control_error.approach.max_mm", "control approach mm", 1.0),
+    ("control_error.contact.max_mm", "control contact mm", 1.0),
+    ("total_error.stop.max_mm", "total stop mm", 1.0),
+    ("total_error.impact.max_mm", "total impact mm", 1.0),
+    ("total_error.contact.max_mm", "total contact mm", 1.0),
+    ("detection.stop.perceived_s", "stop perceived s", 1.0),
+    ("detection.stop.confirmed_s", "stop confirmed s", 1.0),
+    ("detection.start.perceived_s", "start perceived s", 1.0),
+    ("detection.start.confirmed_s", "start confirmed s", 1.0),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One run.
+
+    Attributes:
+        setup: what it is made of.
+        seed: of the plant's draws.
+        out: where its report goes, None for nowhere.
+        timing: measure computing times, which are no function of the seed.
+    """
+
+    setup: Setup
+    seed: int
+    out: Path | None = None
+    timing: bool = False
+
+
+def perform(job: Job) -> dict[str, Any]:
+    """Run one job in this process and judge it."""
+    from linemate.simulators.harness import lockstep
+    from linemate.simulators.judge.judge import judge
+
+    evidence = lockstep.run(job.setup, job.seed, timing=job.timing)
+    result = judge(evidence)
+    if job.out is not None:
+        from linemate.simulators.harness.run import leave
+
+        leave(job.out, result, evidence.rows)
+    return result
+
+
+def execute(
+    jobs: Sequence[Job],
+    workers: int | None = None,
+    progress: Progress = lambda: None,
+    scheduler: str = LOCAL,
+) -> list[dict[str, Any]]:
+    """Run jobs on local cores, or on a dask cluster.
+
+    Args:
+        jobs: what to run.
+        workers: processes; None takes the cores there are, 1 stays in this process.
+        progress: called after each run.
+        scheduler: "local", or the address of a cluster's scheduler, which has its own workers.
+
+    Returns:
+        Results in the order of the jobs.
+
+    Raises:
+        SetupError: a job or the cluster cannot be used.
+    """
+    return spread(perform, jobs, workers, progress, scheduler)
+
+
+def spread(
+    function: Callable[[Item], Result],
+    items: Sequence[Item],
+    workers: int | None = None,
+    progress: Progress = lambda: None,
+    scheduler: str = LOCAL,
+) -> list[Result]:
+    """Call a module's function with each item, where the scheduler says; see ``execute``."""
+    if scheduler != LOCAL:
+        from linemate.simulators.lab import cluster
+
+        return cluster.execute(function, items, scheduler, progress)
+    wanted = min(workers or available_cores(), len(items))
+    if wanted <= 1:
+        return [_noted(function(item), progress) for item in items]
+    with _pool(wanted) as pool:
+        return [_noted(result, progress) for result in pool.map(function, items)]
+
+
+def _noted(result: Result, progress: Progress) -> Result:
+    progress()
+    return result
+
+
+@contextmanager
+def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+    # Spawned, not forked: a fork of a process with BLAS threads may hang.
+    pool = ProcessPoolExecutor(
+        workers,
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=_begin_worker,
+        initargs=(os.getpid(),),
+    )
+    try:
+        yield pool
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
+    pool.shutdown()
+
+
+def _begin_worker(parent: int) -> None:
+    """Leave Ctrl-C to the parent, which ends its workers in order; without it there is no work."""
+    die_with(parent)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def available_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+@contextmanager
+def progress_bar(total: int, what: str) -> Iterator[Progress]:
+    """A bar on standard error, if that is a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    console = Console(stderr=True)
+    if not console.is_terminal or total < 2:
+        yield lambda: None
+        return
+    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Bar(*columns, console=console, transient=True) as bar:
+        task = bar.add_task(what, total=total)
+        yield lambda: bar.advance(task)
+
+
+def main(args: Namespace) -> int:
+    """``linemate-sim campaign``: runs, and a table of variants.
+
+    Args:
+        args: seeds, first_seed, scenario, variants, overrides, cycle_ms, workers, scheduler,
+            detection, json, out.
+
+    Returns:
+        The exit code: 0 when every run was made, whatever came of it.
+    """
+    from linemate.simulators.harness import setup
+    from linemate.simulators.judge import report_json
+
+    if args.detection is not None:
+        from linemate.simulators.lab import detection
+
+        return detection.main(args)
+    seeds = range(args.first_seed, args.first_seed + args.seeds)
+    jobs = [
+        Job(made, seed)
+        for made in (
+            setup.make(args.scenario, args.overrides, variant=variant, cycle_ms=args.cycle_ms)
+            for variant in args.variants
+        )
+        for seed in seeds
+    ]
+    with progress_bar(len(jobs), "campaign") as progress:
+        results = execute(jobs, args.workers, progress, args.scheduler)
+    whole = collect(results)
+    if args.out is not None:
+        report_json.write(args.out / "campaign.json", whole)
+    print(report_json.text(whole) if args.json else table(whole))
+    return 0
+
+
+def collect(results: Iterable[dict[str, Any]]) -> dict[str, Any]:
+    """What ``campaign --json`` prints: runs, and a summary for each variant."""
+    from linemate.simulators.judge.statistics import summarise
+
+    runs = list(results)
+    names = list(dict.fromkeys(run["variant"] for run in runs))
+    summary = {name: summarise([r for r in runs if r["variant"] == name]) for name in names}
+    return {"version": 1, "runs": runs, "summary": summary}
+
+
+def table(whole: dict[str, Any]) -> str:
+    """Key figures as text: a row a figure, a column a variant, "median [interval] (worst)"."""
+    from linemate.simulators.judge.table import aligned
+
+    summary = whole["summary"]
+    head = ("figure", *summary)
+    rows = [
+        (label, *(_cell(figures.get(name)) for figures in summary.values()))
+        for name, label, _ in KEY_FIGURES
+        if any(name in figures for figures in summary.values())
+    ]
+    counts = {name: sum(run["variant"] == name for run in whole["runs"]) for name in summary}
+    runs = ", ".join(f"{name} {count}" for name, count in counts.items())
+    legend = "median [95 % interval] (worst); assembled: share; -: missed or not there"
+    return "\n".join([*aligned(head, rows), "", legend, f"runs: {runs}"])
+
+
+def _cell(figure: dict[str, Any] | None) -> str:
+    if figure is None:
+        return "-"
+    low, high = (_number(bound) for bound in figure["ci95"])
+    return f"{_number(figure['median'])} [{low}, {high}] ({_number(figure['worst'])})"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"

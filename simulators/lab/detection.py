@@ -1,0 +1,253 @@
+"""``linemate-sim campaign --detection HOURS``: how soon, and how often in vain.
+
+Law of this file: drills in parallel, tallies added up in the order of the drills, figures with
+intervals; nothing depends on the number of workers. Rates count stops told while the conveyor runs
+against the time it runs, and starts while it stands; latencies of missed events are infinite.
+"""
+
+import math
+from argparse import Namespace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from scipy.stats import chi2
+
+from linemate.simulators.harness.setup import Setup
+from linemate.simulators.judge.statistics import CONFIDENCE, describe, share
+from linemate.simulators.lab import drills
+from linemate.simulators.lab.drills import Drill, Kind, Tally
+
+STRETCH_S = 900.0
+"""Length of one drill: short enough that all cores have work."""
+
+TRIED = 200
+"""Restarts, jerks and pushes that are tried in an hour or more; fewer in less."""
+
+EACH_S = {"restart": 39.0, "jerk": 12.1, "push": 12.1}
+"""How long one of them takes on average, to plan the time [s]."""
+
+TAIL = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is drilled.
+
+    Attributes:
+        setups: one a variant.
+        hours: of virtual time, of ``free`` and of ``contact`` each.
+        first_seed: of the drills.
+        kinds: of the drills.
+    """
+
+    setups: Sequence[Setup]
+    hours: float
+    first_seed: int = 0
+    kinds: tuple[Kind, ...] = drills.KINDS
+
+    def drills(self) -> Iterator[Drill]:
+        """Cut the time into drills, each with its own seed."""
+        for setup in self.setups:
+            for kind in self.kinds:
+                whole_s = self.hours * 3600.0
+                if kind in EACH_S:
+                    whole_s = EACH_S[kind] * TRIED * min(1.0, self.hours)
+                count = math.ceil(whole_s / STRETCH_S)
+                for i in range(count):
+                    yield Drill(kind, setup, self.first_seed + i, whole_s / count)
+
+
+def main(args: Namespace) -> int:
+    """Drill what the arguments say and print it.
+
+    Args:
+        args: detection (hours), first_seed, scenario, variants, overrides, cycle_ms, workers,
+            scheduler, json, out.
+    """
+    from linemate.simulators.harness import setup
+    from linemate.simulators.judge import report_json
+    from linemate.simulators.lab.campaign import progress_bar
+
+    setups = [
+        setup.make(args.scenario, args.overrides, variant=variant, cycle_ms=args.cycle_ms)
+        for variant in args.variants
+    ]
+    plan = Plan(setups, args.detection, args.first_seed)
+    with progress_bar(len(list(plan.drills())), "detection") as progress:
+        whole = execute(plan, args.workers, progress, args.scheduler)
+    if args.out is not None:
+        report_json.write(args.out / "detection.json", whole)
+    print(report_json.text(whole) if args.json else table(whole))
+    return 0
+
+
+def execute(
+    plan: Plan, workers: int | None = None, progress: Any = lambda: None, scheduler: str = "local"
+) -> dict[str, Any]:
+    """Drill a plan.
+
+    Returns:
+        ``{"version": 1, "detection": {variant: {kind: figures}}}``.
+    """
+    from linemate.simulators.lab.campaign import spread
+
+    jobs = list(plan.drills())
+    tallies = spread(drills.run, jobs, workers, progress, scheduler)
+    found: dict[str, dict[str, Tally]] = {}
+    for job, tally in zip(jobs, tallies, strict=True):
+        kinds = found.setdefault(job.setup.variant, {})
+        kinds.setdefault(job.kind, Tally()).add(tally)
+    return {
+        "version": 1,
+        "detection": {
+            variant: {kind: figures(kind, tally) for kind, tally in kinds.items()}
+            for variant, kinds in found.items()
+        },
+    }
+
+
+# Figures
+
+
+def figures(kind: str, tally: Tally) -> dict[str, Any]:
+    """Figures of one kind of drill, ready for JSON."""
+    if kind in {"jerk", "push"}:
+        return {"made": tally.pushed["made"], **_confusion(tally.pushed)}
+    found: dict[str, Any] = {
+        "hours": {name: round(tally.seconds[name] / 3600.0, 4) for name in ("running", "standing")}
+    }
+    for event in ("stop", "start"):
+        if tally.perceived[event]:
+            found[event] = {
+                "perceived_s": latencies(tally.perceived[event]),
+                "confirmed_s": latencies(tally.confirmed[event]),
+            }
+    if kind != "restart":
+        found["false_per_hour"] = {
+            event: {
+                what: rate(tally.false[event, what], tally.seconds[state] / 3600.0)
+                for what in ("tentative", "confirmed")
+            }
+            for event, state in (("stop", "running"), ("start", "standing"))
+        }
+        found["corrections"] = tally.corrections
+    return found
+
+
+def _confusion(pushed: Mapping[str, int]) -> dict[str, Any]:
+    made = pushed["made"]
+    if not made:
+        return {}
+    shares = {}
+    for name, word in (("not_suspected", "suspected"), ("not_taken", "taken")):
+        hits = made - pushed[word]
+        found = share([i < hits for i in range(made)])
+        shares[name] = {"share": found["median"], "ci95": found["ci95"]}
+    return shares
+
+
+def latencies(values: Sequence[float]) -> dict[str, Any]:
+    """Median with its interval, tail, worst, how many there were and how many were missed."""
+    found = describe(values)
+    ordered = sorted(values)
+    tail = ordered[math.ceil(TAIL * len(ordered)) - 1]
+    return {
+        "median": found["median"],
+        "ci95": found["ci95"],
+        "p95": round(tail, 6) if math.isfinite(tail) else None,
+        "worst": found["worst"],
+        "n": len(values),
+        "missed": sum(math.isinf(value) for value in values),
+    }
+
+
+def rate(count: int, hours: float) -> dict[str, Any]:
+    """Events an hour with their exact Poisson interval.
+
+    Source: Garwood (1936): the bounds are chi-square quantiles at 2 n and 2 n + 2 degrees.
+    """
+    if hours <= 0.0:
+        return {"rate": None, "ci95": [None, None], "count": count}
+    tail = 0.5 * (1.0 - CONFIDENCE)
+    low = 0.5 * float(chi2.ppf(tail, 2 * count)) if count else 0.0
+    high = 0.5 * float(chi2.ppf(1.0 - tail, 2 * count + 2))
+    return {
+        "rate": round(count / hours, 4),
+        "ci95": [round(low / hours, 4), round(high / hours, 4)],
+        "count": count,
+    }
+
+
+# Text
+
+
+LEGEND = (
+    "latencies: median [95 % interval] (95th percentile; worst), missed of all; "
+    "rates: an hour [95 % interval] (count)"
+)
+
+LABELS = {
+    "free": "distance sensor alone",
+    "contact": "in contact, distance and force",
+    "restart": "restart while stopping",
+    "jerk": "jerks in contact",
+    "push": "slow pushes in contact",
+}
+
+
+def table(whole: Mapping[str, Any]) -> str:
+    """All figures as text: a row a figure, a column a variant."""
+    from linemate.simulators.judge.table import aligned
+
+    variants = whole["detection"]
+    lines: list[str] = []
+    for kind, label in LABELS.items():
+        drilled = {name: kinds[kind] for name, kinds in variants.items() if kind in kinds}
+        told = {name: dict(cells(found)) for name, found in drilled.items()}
+        names = list(dict.fromkeys(name for found in told.values() for name in found))
+        rows = [(name, *(found.get(name, "-") for found in told.values())) for name in names]
+        if rows:
+            lines += [*aligned((label, *told), rows), ""]
+    return "\n".join([*lines, LEGEND])
+
+
+def cells(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Name and print every figure of one kind of drill."""
+    if "hours" in found:
+        hours = found["hours"]
+        yield "hours running, standing", f"{hours['running']:.2f}, {hours['standing']:.2f}"
+    for event in ("stop", "start"):
+        for name, value in found.get(event, {}).items():
+            yield f"{event} {name.removesuffix('_s')} s", latency_cell(value)
+    for event, rates in found.get("false_per_hour", {}).items():
+        for what, value in rates.items():
+            yield f"false {event}s {what} /h", rate_cell(value)
+    if "made" in found:
+        yield "made", str(found["made"])
+    for name in ("not_suspected", "not_taken"):
+        if name in found:
+            low, high = found[name]["ci95"]
+            yield (
+                f"{name.replace('_', ' ')} for a stop %",
+                (f"{100 * found[name]['share']:.1f} [{100 * low:.1f}, {100 * high:.1f}]"),
+            )
+
+
+def latency_cell(value: Mapping[str, Any]) -> str:
+    """One latency as text."""
+    low, high = (_number(bound) for bound in value["ci95"])
+    tail = f"({_number(value['p95'])}; {_number(value['worst'])})"
+    return f"{_number(value['median'])} [{low}, {high}] {tail}, {value['missed']} of {value['n']}"
+
+
+def rate_cell(value: Mapping[str, Any]) -> str:
+    """One rate as text."""
+    if value["rate"] is None:
+        return "-"
+    low, high = value["ci95"]
+    return f"{value['rate']:.2f} [{low:.2f}, {high:.2f}] ({value['count']})"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f}"

@@ -1,0 +1,1 @@
+"""Fault campaign (deterministic simulation testing) in virtual time."""

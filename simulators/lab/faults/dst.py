@@ -1,0 +1,233 @@
+"""Deterministic simulation: ``python -m linemate.simulators.lab.faults.dst FIRST:LAST``.
+
+Law of this file: seeds in, one line a violation out; the last line counts. Half open, on all
+cores. A seed that fails is shrunk to the least plan that still fails in the same way, and that
+plan is kept. Every fiftieth seed is lived through again in another process with another hash
+seed, and has to leave the same trace.
+"""
+
+import argparse
+import gc
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import get_args
+
+from linemate.simulators.lab.faults import dst_plan
+from linemate.simulators.lab.faults.dst_plan import SHORTEST_S, CycleMs, Plan
+
+AGAIN_EVERY = 50
+CHUNK = 10
+MOST_SEEDS = 10_000_000
+SHRINKING = 200
+"""Runs that shrinking may cost."""
+
+KEPT = Path("tests/dst/regressions.txt")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Live through many seeds.
+
+    Returns:
+        0 if nothing was violated, 1 if something was, 2 for wrong arguments.
+    """
+    args = _parser().parse_args(argv)
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    if args.trace:
+        for seed in args.trace.split(","):
+            print(seed, _live(dst_plan.draw(int(seed), args.cycle_ms))[1], flush=True)
+        return 0
+    try:
+        seeds = _seeds(args.seeds)
+    except ValueError as error:
+        print(f"dst: {error}", file=sys.stderr)
+        return 2
+    keep = None if args.forget else args.keep
+    return _swarm(seeds, args.cycle_ms, max(1, args.workers), keep, args.seconds)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="dst", description="Deterministic simulation of the daemon under seeded faults."
+    )
+    parser.add_argument("seeds", nargs="?", default="0:100", help="FIRST:LAST, half open")
+    parser.add_argument(
+        "--cycle-ms", type=int, choices=get_args(CycleMs), default=12, help="of the controller"
+    )
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
+    parser.add_argument("--keep", type=Path, default=KEPT, help="file for plans that failed")
+    parser.add_argument("--forget", action="store_true", help="neither shrink nor keep")
+    parser.add_argument(
+        "--seconds", type=float, default=float("inf"), help="begin no further seed after that"
+    )
+    parser.add_argument("--trace", metavar="SEED,...", help="print the traces of some seeds")
+    return parser
+
+
+def _seeds(text: str) -> range:
+    first, colon, last = text.partition(":")
+    if not (colon and first.isdigit() and last.isdigit()):
+        raise ValueError(f"seeds should be FIRST:LAST, not {text!r}")
+    seeds = range(int(first), int(last))
+    if not 0 < len(seeds) <= MOST_SEEDS:
+        raise ValueError(f"{len(seeds)} seeds, wanted 1..{MOST_SEEDS}")
+    return seeds
+
+
+def _swarm(seeds: range, cycle_ms: CycleMs, workers: int, keep: Path | None, seconds: float) -> int:
+    """Live through all seeds that there is time for, then through some of them again."""
+    begun = time.monotonic()
+    failed: list[tuple[int, tuple[str, ...]]] = []
+    traces: dict[int, str] = {}
+    done = 0
+    for done, (seed, violations, digest) in enumerate(_lives(seeds, cycle_ms, workers), 1):
+        if violations:
+            failed.append((seed, violations))
+            for what in violations:
+                print(f"seed {seed}: {what}", flush=True)
+        if seed % AGAIN_EVERY == 0:
+            traces[seed] = digest
+        passed_s = time.monotonic() - begun
+        if done % (AGAIN_EVERY * CHUNK) == 0:
+            print(f"{done} of {len(seeds)}, {passed_s:.0f} s", flush=True)
+        if passed_s > seconds:
+            break
+    lived_s = time.monotonic() - begun
+    different = list(_different(traces, cycle_ms))
+    for seed in different:
+        print(f"seed {seed}: determinism: another trace in another process", flush=True)
+    if keep is not None:
+        _keep(failed, cycle_ms, keep)
+    print(f"{60.0 * done / lived_s:.0f} runs a minute, {len(traces)} of them twice")
+    count = len(failed) + len(different)
+    print(f"{done} runs, {count} violations")
+    return 1 if count else 0
+
+
+def _lives(
+    seeds: Iterable[int], cycle_ms: CycleMs, workers: int
+) -> Iterator[tuple[int, tuple[str, ...], str]]:
+    settle, live = partial(_settle, cycle_ms), partial(_live_seed, cycle_ms)
+    if workers == 1:
+        settle()
+        try:
+            yield from map(live, seeds)
+        finally:
+            gc.enable()
+            gc.unfreeze()
+        return
+    with ProcessPoolExecutor(workers, initializer=settle) as pool:
+        try:
+            yield from pool.map(live, seeds, chunksize=CHUNK)
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _settle(cycle_ms: CycleMs) -> None:
+    """Load and compile what all runs share, and let the collector leave it alone."""
+    from linemate.simulators.lab.faults import dst_cells
+
+    dst_cells.compiled(Plan(0, cycle_ms=cycle_ms).cycle_s)
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+
+
+def _live_seed(cycle_ms: CycleMs, seed: int) -> tuple[int, tuple[str, ...], str]:
+    violations, digest = _live(dst_plan.draw(seed, cycle_ms))
+    if seed % CHUNK == 0:
+        gc.collect()
+    return seed, violations, digest
+
+
+def _live(plan: Plan) -> tuple[tuple[str, ...], str]:
+    from linemate.simulators.lab.faults import dst_run
+
+    outcome = dst_run.run(plan)
+    return outcome.violations, outcome.digest
+
+
+def _different(traces: dict[int, str], cycle_ms: CycleMs) -> Iterator[int]:
+    """Seeds whose trace is another one in a process with another hash seed."""
+    if not traces:
+        return
+    command = [sys.executable, "-m", __spec__.name if __spec__ else __name__]
+    command += ["--cycle-ms", str(cycle_ms)]
+    command += ["--trace", ",".join(map(str, traces))]
+    environment = {**os.environ, "PYTHONHASHSEED": str(1 + min(traces) % 4_000_000_000)}
+    told = subprocess.run(  # noqa: S603 - ourselves
+        command, env=environment, capture_output=True, text=True, check=True
+    )
+    again = dict(line.split() for line in told.stdout.splitlines())
+    yield from (seed for seed, digest in traces.items() if again.get(str(seed)) != digest)
+
+
+def _keep(failed: list[tuple[int, tuple[str, ...]]], cycle_ms: CycleMs, path: Path) -> None:
+    """Shrink what failed and add it to the regressions, one of a kind."""
+    kinds: set[str] = set()
+    for seed, violations in failed:
+        kind = _kind(violations)
+        if kind in kinds:
+            continue
+        kinds.add(kind)
+        plan = shrink(dst_plan.draw(seed, cycle_ms), kind)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("a", encoding="utf-8") as file:
+            file.write(f"# {violations[0][:160]}\n{plan.to_line()}\n")
+        print(f"seed {seed}: kept with {len(plan.faults)} faults in {path}", flush=True)
+
+
+def _kind(violations: tuple[str, ...]) -> str:
+    return violations[0].partition(":")[0] if violations else ""
+
+
+def shrink(plan: Plan, kind: str) -> Plan:
+    """The least plan found that is violated in the same way.
+
+    Args:
+        plan: one that fails.
+        kind: what its first violation is called.
+    """
+    budget = SHRINKING
+    progress = True
+    while progress:
+        progress = False
+        for smaller in _smaller(plan):
+            budget -= 1
+            if budget < 0:
+                return plan
+            if _kind(_live(smaller)[0]) == kind:
+                plan, progress = smaller, True
+                break
+    return plan
+
+
+def _smaller(plan: Plan) -> Iterator[Plan]:
+    """Plans with one thing less, the greatest cuts first."""
+    faults = plan.faults
+    half = len(faults) // 2
+    if half > 1:
+        yield replace(plan, faults=faults[:half])
+        yield replace(plan, faults=faults[half:])
+    for i in range(len(faults)):
+        yield replace(plan, faults=faults[:i] + faults[i + 1 :])
+    if plan.events:
+        yield replace(plan, events=())
+        yield replace(plan, events=plan.events[:-1])
+    if plan.duration_s > SHORTEST_S:
+        yield replace(plan, duration_s=max(SHORTEST_S, round(plan.duration_s / 2, 3)))
+    if plan.lead_ms:
+        yield replace(plan, lead_ms=0.0)
+    if plan.eager:
+        yield replace(plan, eager=False)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

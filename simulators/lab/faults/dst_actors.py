@@ -1,0 +1,227 @@
+"""Who acts in a plan beside the daemon: the controller's programme, and the operator.
+
+Law of this file: both act once a cycle and know of the daemon only what it answers and shows.
+"""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from linemate.daemon.cycle.states import State
+from linemate.daemon.service.app import App
+from linemate.simulators.lab.faults.dst_orders import NAMES, CommandWire
+from linemate.simulators.plants.scenario import Vector7
+
+if TYPE_CHECKING:
+    from linemate.simulators.lab.faults.dst_run import Simulation
+
+HOMING_S = 0.5
+HOMING_SPEED = 0.8
+"""How the programme drives the robot to its rest pose, without RSI: for so long at least [s], an
+axis at so much in the mean at most [rad/s, m/s]; it is not charged to the daemon's time."""
+HARMLESS: tuple[dict[str, Any], ...] = (
+    {"tracking.gate_probability": 0.998},
+    {"control.damping": True},
+    {"control.feed_forward": True},
+    {"tracking.mixture": False},
+)
+"""Parameters that may be set in motion."""
+HELD = "control is held"
+"""How a refusal begins whose reason is another operator."""
+SHORTEST_PAUSE_S = 0.12
+"""Between two programs: RSI_OFF, the interpreter, RSI_ON [s]. None is known to be quicker."""
+DITHERING_S = 0.2
+"""How long the operator waits for what is held to go on before beginning anew [s]."""
+
+
+class Programme:
+    """The controller's programme: pauses, brakes, drives home, begins anew.
+
+    Attributes:
+        quiet_s: when the exchange broke off last [s].
+        homing_s: time that the programme drove by itself [s].
+        breaks: how often the exchange broke off.
+        is_answered: a reply moved the robot in the closed cycle.
+        orders: the tool's signals, as ordered.
+    """
+
+    def __init__(self, simulation: "Simulation") -> None:
+        self._simulation = simulation
+        self._controller = simulation.controller
+        self._plant = simulation.plant
+        self._paused_until_s: float | None = None
+        self._braked_until_s: float | None = None
+        self._pose = self._plant.start
+        self._from = self._pose
+        self._took_s = 1.0
+        self._sent = self._is_open = False
+        self.quiet_s = float("-inf")
+        self.homing_s = 0.0
+        self.breaks = 0
+        self.is_answered = False
+        self.orders = 0
+
+    def pause(self, now_s: float, duration_s: float) -> None:
+        """End the program; it starts again after some time, which it needs at least."""
+        duration_s = max(duration_s, SHORTEST_PAUSE_S)
+        if self._paused_until_s is None:
+            # Drives that are off stay where they are, whatever the controller was sent meanwhile.
+            is_braked = self._braked_until_s is not None
+            self._from = self._pose = self._pose if is_braked else self._controller.setpoints
+        self._paused_until_s = max(now_s + duration_s, self._paused_until_s or now_s)
+
+    def brake(self, now_s: float, duration_s: float) -> None:
+        """Drives off: the axes stand where they were sent last, whatever comes."""
+        if self._paused_until_s is None:
+            self._braked_until_s = max(now_s + duration_s, self._braked_until_s or now_s)
+            self._pose = self._controller.setpoints
+
+    def home(self, now_s: float) -> None:
+        """Drive to the rest pose without RSI; the programme begins anew there."""
+        self._from, self._pose = self._controller.setpoints, self._plant.start
+        way = max(abs(a - b) for a, b in zip(self._from, self._pose, strict=True))
+        self._took_s = max(HOMING_S, way / HOMING_SPEED)
+        self._paused_until_s = now_s + self._took_s
+        self.homing_s += self._took_s
+
+    @property
+    def is_open(self) -> bool:
+        """A cycle is open."""
+        return self._is_open
+
+    @property
+    def stands(self) -> Vector7 | None:
+        """Where the axes are held while the drives are off, None while they are on."""
+        return None if self._braked_until_s is None else self._pose
+
+    @property
+    def is_paused(self) -> bool:
+        """No telegrams come."""
+        return self._paused_until_s is not None
+
+    def telegram(self, now_s: float) -> bytes | None:
+        """Open a cycle."""
+        self._is_open = True
+        if self._braked_until_s is not None and now_s >= self._braked_until_s:
+            self.pause(now_s, SHORTEST_PAUSE_S)
+            self._braked_until_s = None
+        if self._controller.broken is not None and self._paused_until_s is None:
+            self.quiet_s = now_s
+            self.breaks += 1
+            self.home(now_s)
+        if self._paused_until_s is not None and now_s >= self._paused_until_s:
+            self._paused_until_s = None
+            self._controller.restart(setpoints=self._pose)
+        if self._paused_until_s is not None:
+            self._sent = False
+            return None
+        data = self._controller.telegram()
+        self._sent = data is not None
+        return data
+
+    def close(self) -> Vector7:
+        """Close the cycle and move; returns where the axes are sent."""
+        if not self._sent:
+            self.is_answered = False
+            self._stand()
+            return self._pose
+        applied = self._controller.end_of_cycle()
+        self.is_answered, self.orders = applied.answered, applied.digital_out
+        if self._braked_until_s is not None:
+            applied = replace(applied, setpoints=self._pose)
+        self._plant.apply(applied)
+        return applied.setpoints
+
+    def _stand(self) -> None:
+        world, plant = self._simulation.world, self._plant
+        left_s = (self._paused_until_s or world.time_s) - world.time_s
+        share = min(max(1.0 - left_s / self._took_s, 0.0), 1.0)
+        share = share**3 * (10.0 + share * (6.0 * share - 15.0))
+        moved = (a + share * (b - a) for a, b in zip(self._from, self._pose, strict=True))
+        world.command(tuple(moved))
+        plant.cycle += 1
+        world.advance(world.cycle_start(plant.cycle))
+
+
+class Operator:
+    """Arms and starts once; when the trouble is over, or at once if eager, again and again."""
+
+    def __init__(self, simulation: "Simulation") -> None:
+        self._simulation = simulation
+        self._started = False
+        self._waited_s = 0.0
+        self._wire = CommandWire()
+        self.refusal = ""
+
+    def order(self, op: str, *, is_colleague: bool = False) -> bool:
+        """Give an order, a colleague's if said so; whether it was taken."""
+        simulation = self._simulation
+        app = simulation.app
+        if simulation.is_stalled or app is None:
+            return False
+        reason = self._ask(app, op, {}, NAMES[is_colleague])
+        if reason is not None and HELD in reason and not is_colleague:
+            # Who holds control is asked to give the order.
+            reason = self._ask(app, op, {}, NAMES[1])
+        simulation.oracle.ordered(op, app.cycle, reason)
+        if reason is not None:
+            self.refusal = f"{op}: {reason}"
+        return reason is None
+
+    def set(self, number: int) -> None:
+        """Set parameters, whatever moves."""
+        simulation = self._simulation
+        if simulation.app is not None and not simulation.is_stalled:
+            values = {"values": HARMLESS[number % len(HARMLESS)]}
+            self._ask(simulation.app, "set", values, NAMES[0])
+
+    def _ask(self, app: App, op: str, params: dict[str, Any], name: str) -> str | None:
+        """Return None if an order was taken, else why not."""
+        simulation = self._simulation
+        if simulation.plan.operators:
+            return self._wire.order(app, name, op, params, simulation.host_ns)
+        answer = app._handle(op, params, "operate", name)  # noqa: SLF001
+        # What is answered later was accepted.
+        return answer.get("refused") if isinstance(answer, dict) else None
+
+    def look(self, now_s: float) -> None:
+        """Give the next order if it is due."""
+        simulation = self._simulation
+        app = simulation.app
+        if simulation.is_stalled or simulation.robot.is_paused or app is None:
+            return
+        quiet = now_s >= simulation.plan.quiet_s
+        if self._started and not (quiet or simulation.plan.eager):
+            return
+        if quiet and simulation.tracked_s >= simulation.plan.quiet_s > float("-inf"):
+            return
+        self._act(now_s, app)
+
+    def _act(self, now_s: float, app: App) -> None:
+        simulation = self._simulation
+        state = app.cycle.machine.state
+        waits = state in {State.HOLD, State.FAULT} or app.cycle.is_unproven
+        self._waited_s = self._waited_s + simulation.plan.cycle_s if waits else 0.0
+        if app.cycle.is_unproven:
+            if self._waited_s > DITHERING_S:
+                self._drive_home(now_s)
+            return
+        match state:
+            case State.IDLE:
+                if not self.order("arm") and "away from the task's first pose" in self.refusal:
+                    simulation.robot.home(now_s)
+            case State.ARMED:
+                self._started = self.order("start") or self._started
+            case State.HOLD:
+                if not self.order("start") and self._waited_s > DITHERING_S:
+                    self.order("stop")
+            case State.FAULT:
+                if self.order("ack") or "overload" not in self.refusal:
+                    return
+                # A robot that stands pulls at a hub that moved on: it is driven off by hand.
+                if self._waited_s > DITHERING_S:
+                    self._drive_home(now_s)
+
+    def _drive_home(self, now_s: float) -> None:
+        """Drive the robot off by hand, and wait again before doing so once more."""
+        self._simulation.robot.home(now_s)
+        self._waited_s = 0.0

@@ -1,0 +1,561 @@
+"""One plan, lived through in virtual time: daemon, network, controller, robot and operator.
+
+Law of this file: no socket and no clock; everything happens in the order of its time, and what
+happens at one time in the order in which it was ordered. The daemon is the whole service, shell
+and drivers included, on a virtual loop; who judges it is ``dst_oracles``.
+"""
+
+import asyncio
+import contextlib
+import logging
+import struct
+import traceback
+from collections import Counter
+from dataclasses import dataclass
+from functools import partial
+from hashlib import blake2b
+from pathlib import Path
+from typing import Any
+
+from linemate.daemon.cycle.states import State
+from linemate.daemon.service import realtime
+from linemate.daemon.service.app import App
+from linemate.daemon.service.notify import Notifier
+from linemate.drivers.datagrams import Address
+from linemate.protocol.sensors.distance import DistanceEncoder
+from linemate.simulators.devices.controller import ControllerConfig, RsiController
+from linemate.simulators.devices.faults import Faults
+from linemate.simulators.devices.faulty_link import FaultyLink
+from linemate.simulators.devices.robot_plant import RobotPlant
+from linemate.simulators.harness.virtual import EPOCH_NS, VirtualLoop, VirtualTime, inhabited
+from linemate.simulators.harness.wires import Emitters
+from linemate.simulators.lab.faults.dst_actors import Operator, Programme
+from linemate.simulators.lab.faults.dst_cells import (
+    CELLS,
+    LEAD_IN_S,
+    axis_limits,
+    compiled,
+    scenario_of,
+    station,
+    station_of,
+)
+from linemate.simulators.lab.faults.dst_oracles import Oracle
+from linemate.simulators.lab.faults.dst_plan import Plan
+from linemate.simulators.lab.faults.dst_plant_oracles import PlantOracle, Seen
+from linemate.simulators.lab.faults.dst_strangers import Strangers
+from linemate.simulators.plants.contact import FIX_SCREWS
+from linemate.simulators.plants.scenario import Fault
+from linemate.simulators.plants.world import World
+
+TRANSIT_NS = 60_000
+"""One way on the wire."""
+THINKING_NS = 400_000
+"""From a telegram to its reply, for a daemon whose steps take no time."""
+TALKING_NS = 1_000_000
+"""From a host's bytes to the answer of a device on a serial line."""
+AHEAD_S = 1e-6
+"""The world is lived through up to so long before a cycle's end while its reply is open; no axis
+moves on it before its dead time is over [s]."""
+
+PATIENCE_S = 5.0
+"""After the last fault the operator must be able to track again within this time [s]."""
+LAST_PATIENCE_S = 12.0
+MOST_BREAKS = 3
+"""However long the programme drives, and however often the exchange has to be begun anew."""
+LONGEST_S = 60.0
+"""Beyond its plan no run goes on for longer, daemon or none [s]."""
+UNHEARD_S = 0.6
+"""After a fault of the exchange its answers are not judged for so long [s]."""
+ENDING_EVERY = 8
+"""One seed in so many is ended as by SIGTERM and has to come to rest."""
+ENDING_S = 5.0
+
+RSI_PORT, CAMERA_PORT = 49152, 49153
+DAEMON: Address = ("127.0.0.1", RSI_PORT)
+CAMERA: Address = ("127.0.0.1", 50_002)
+_SEVEN = struct.Struct("<7d")
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of a plan.
+
+    Attributes:
+        plan: as it was.
+        violations: what the oracles found, the first ones.
+        digest: of every byte that crossed the robot's wire and of all that was applied.
+        cycles: of the controller.
+        states: the operating states that were seen.
+    """
+
+    plan: Plan
+    violations: tuple[str, ...]
+    digest: str
+    cycles: int
+    states: frozenset[str]
+
+
+def run(plan: Plan) -> Outcome:
+    """Live a plan through.
+
+    Returns:
+        What became of it; whatever goes wrong in the daemon is a violation.
+    """
+    simulation = Simulation(plan)
+    simulation.live()
+    return simulation.outcome()
+
+
+class Simulation:
+    """One plan under way.
+
+    Attributes:
+        plan: what is lived through.
+        world: the plant.
+        controller: its RSI.
+        app: the daemon, None while there is none.
+        oracle: the judge.
+        robot: the controller's programme.
+        tracked_s: when the daemon tracked last [s].
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        """Begin at the lead-in, daemon and controller just started."""
+        self.plan = plan
+        scenario, files = scenario_of(plan), station(plan.cell)
+        cell = CELLS[plan.cell]
+        self.world = World(scenario)
+        self.plant = RobotPlant(self.world)
+        self.controller = RsiController(
+            files.rsi,
+            self.plant.read,
+            self.plant.start,
+            ControllerConfig(
+                # The controller counts in the cycle that it says it has.
+                cycle_s=plan.cycle_s,
+                timeout_rule="row" if plan.rule == "row" else "total",
+                limits=axis_limits(plan.cell),
+            ),
+        )
+        brake = files.config.control.brake
+        braking = (*(brake.acceleration,) * 6, brake.axis_acceleration)
+        axes = 7 if files.task.file.arm.linear_axis else 6
+        self.oracle = Oracle(plan.real_cycle_s, braking[:axes])
+        self.oracle.holds = lambda: self.controller.setpoints
+        self.app: App | None = None
+        self.robot = Programme(self)
+        self.operator = Operator(self)
+        self.tracked_s = float("-inf")
+        self._faults = Faults(scenario.faults)
+        self._emitters = Emitters(
+            self.world,
+            Faults(scenario.faults),
+            files.task.file.conveyor.start_position,
+            _ns,
+            DistanceEncoder(message=cell.message, signal=cell.signal),
+            cell.force_torque,
+        )
+        self._there = FaultyLink("robot", self._faults, plan.seed)
+        self._back = FaultyLink("reply", self._faults, plan.seed)
+        self.plant_oracle = PlantOracle(
+            self.world,
+            self._emitters,
+            plan.real_cycle_s,
+            self.oracle.blame,
+            plan.cycle_off,
+            has_rail=files.task.file.arm.linear_axis,
+        )
+        self._ready_s = float("-inf")
+        self._strangers = Strangers(
+            files.rsi, self.plant.start, plan.cycle_s, self.controller.config.ipoc_step
+        )
+        self._telegram = b""
+        self._cycle = 0
+        self._cycle_ns = round(plan.real_cycle_s * 1e9)
+        self._is_over = False
+        self._hash = blake2b(digest_size=16)
+        self._time = VirtualTime(EPOCH_NS - LISTENING_NS)
+        self._time.on_datagram = self._replied
+        self._time.on_line = self._talk
+        self._loop: VirtualLoop | None = None
+        self._process: asyncio.Task[None] | None = None
+        self._log = _LogCounter(self._time)
+
+    # The life of a run.
+
+    def live(self) -> None:
+        """Live through all of it."""
+        with inhabited(self._time), self._log.listening():
+            self._loop = loop = VirtualLoop(self._time)
+            loop.set_exception_handler(self._unhandled)
+            try:
+                self._time.at(EPOCH_NS, self._begin_cycle)
+                loop.run_until_complete(self._main())
+            except Exception as error:  # noqa: BLE001 - an exception is the finding
+                self._blame(error)
+            finally:
+                loop.close()
+        if self._log.worst > MOST_LINES:
+            self.oracle.blame(f"log: {self._log.worst} lines in a second: {self._log.example}")
+
+    async def _main(self) -> None:
+        self._over = asyncio.Event()
+        self._boot()
+        await self._over.wait()
+        if self.app is not None and self._process is not None:
+            if self.plan.seed % ENDING_EVERY == 0 and not self.oracle.violations:
+                await self._end_gently(self.app, self._process)
+            await self._kill()
+
+    async def _end_gently(self, app: App, process: "asyncio.Task[None]") -> None:
+        """End it as by SIGTERM: it has to come to rest first."""
+        moved = app.cycle.machine.state in {State.TRACK, State.CONTACT, State.RETREAT}
+        app.end()
+        await asyncio.wait([process], timeout=ENDING_S)
+        if not process.done():
+            self.oracle.blame("end: the daemon is still there after it was told to end")
+        elif moved and app.cycle.machine.state in {State.TRACK, State.CONTACT}:
+            self.oracle.blame(f"end: it ended in {app.cycle.machine.state.upper()}")
+
+    def _boot(self) -> None:
+        """Start the daemon's process."""
+        assert self._loop is not None  # noqa: S101 - a run is under way
+        plan = self.plan
+        app = App(
+            station_of(plan.lead_ms, plan.cycle_ms, plan.cell),
+            compiled(plan.cycle_s, plan.cell),
+            realtime.Host(),
+            Notifier(),
+        )
+        self.app = app
+        self._log.note_start()
+        self.oracle.attend(app.cycle)
+        self._process = self._loop.create_task(app.run())
+        self._process.add_done_callback(self._ended)
+
+    def _ended(self, process: "asyncio.Task[None]") -> None:
+        if process is self._process and not process.cancelled():
+            error = process.exception()
+            if error is not None:
+                self._blame(error)
+
+    async def _kill(self) -> None:
+        """The process is gone at once."""
+        process, self._process = self._process, None
+        app, self.app = self.app, None
+        if process is None or app is None:
+            return
+        self._look_at(app)
+        process.cancel()
+        with contextlib.suppress(asyncio.CancelledError, Exception):
+            await process
+
+    def _crash(self, duration_s: float) -> None:
+        assert self._loop is not None  # noqa: S101 - a run is under way
+        if self.app is None:
+            return
+        self._dying = self._loop.create_task(self._kill())
+        self._time.at(self._time.now_ns + round(duration_s * 1e9), self._revive)
+
+    def _revive(self) -> None:
+        if not self._dying.done():
+            # It was stalled when it was ended, and ends as soon as it gets the processor.
+            self._dying.add_done_callback(lambda _: self._revive())
+        elif self.app is None and not self._is_over:
+            self._boot()
+
+    def _blame(self, error: BaseException) -> None:
+        frames = traceback.extract_tb(error.__traceback__)
+        where = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "nowhere"
+        self.oracle.blame(f"exception: {type(error).__name__} in {where}: {error}")
+
+    def _unhandled(self, _loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        error = context.get("exception")
+        if error is not None:
+            self._blame(error)
+        else:
+            self.oracle.blame(f"exception: {context.get('message')}")
+
+    def _look_at(self, app: App) -> None:
+        """What the shell has counted and nobody should have."""
+        counters: Counter[str] = Counter(app.counters)
+        for link in app._links:  # noqa: SLF001 - what an operator sees through status
+            for name in ("callback_errors", "hasty"):
+                counters[name] += link.counters[name]
+        for name in ("faults", "callback_errors", "hasty"):
+            if counters[name]:
+                self.oracle.blame(f"exception: {counters[name]} {name}: {self._log.example}")
+
+    def outcome(self) -> Outcome:
+        """What has become of the plan."""
+        self.oracle.judge(self.controller.judge)
+        self._hash.update(repr(self.oracle.story).encode())
+        return Outcome(
+            self.plan,
+            tuple(self.oracle.violations),
+            self._hash.hexdigest(),
+            self._cycle,
+            frozenset(self.oracle.states),
+        )
+
+    # The controller's cycle.
+
+    @property
+    def now_s(self) -> float:
+        """Scenario time at which the open cycle began [s]."""
+        return self.world.cycle_start(self._cycle)
+
+    def _begin_cycle(self) -> None:
+        """Close a cycle of the controller and open the next one."""
+        if self._cycle or self.robot.is_open:
+            self._hash.update(_SEVEN.pack(*self.robot.close()))
+            self._cycle += 1
+            self._look()
+        if self._is_over:
+            self._time.at(EPOCH_NS + (self._cycle + 1) * self._cycle_ns, self._begin_cycle)
+            self._exchange()
+            return
+        for fault in self._faults.strike(self.now_s):
+            self._strike(fault)
+        self._stall()
+        self.operator.look(self.now_s)
+        self._exchange()
+        self._time.at(EPOCH_NS + (self._cycle + 1) * self._cycle_ns, self._begin_cycle)
+
+    def _exchange(self) -> None:
+        """Send the telegram, and let the sensors see the cycle."""
+        now_s = self.now_s
+        data = self.robot.telegram(now_s)
+        if data is not None:
+            self._hash.update(data)
+            self._telegram = data
+            self._strangers.passed(data)
+            for at_s, piece in self._there.carry(data, now_s):
+                self._send(_ns(at_s) + TRANSIT_NS, piece, self._strangers.source, RSI_PORT)
+        is_there = self._faults.in_force("robot", "second", now_s) is not None
+        self._strangers.second(now_s, is_there=is_there, send=self._send_to_robot_port)
+        self.world.advance(self.world.cycle_start(self._cycle + 1) - AHEAD_S)
+        self._plug(now_s)
+        for at_s, link, piece in self._emitters.collect():
+            match link:
+                case "camera":
+                    self._send(_ns(at_s), piece, CAMERA, CAMERA_PORT)
+                case "robot":
+                    self._send(_ns(at_s), piece, self._strangers.source, RSI_PORT)
+                case "distance":
+                    self._time.at(_ns(at_s), partial(self._frame, piece))
+                case _:
+                    self._time.at(_ns(at_s), partial(self._line, piece))
+
+    def _look(self) -> None:
+        """Judge the cycle that was closed."""
+        app, now_s = self.app, self.now_s
+        machine = None if app is None else app.cycle.machine
+        if app is None or self.is_stalled:
+            self._ready_s = now_s
+        self.oracle.now_s = now_s
+        self.plant_oracle.look(
+            Seen(
+                now_s=now_s,
+                state=None if machine is None else machine.state,
+                because="" if machine is None else machine.because,
+                answered=self.robot.is_answered,
+                programme=not self.robot.is_paused and self.robot.stands is None,
+                busy_s=self._ready_s,
+                sent=self.controller.setpoints,
+                stands=self.robot.stands,
+                screws=bool(self.robot.orders & FIX_SCREWS),
+                is_heard=self._is_heard(now_s),
+            )
+        )
+        if app is not None:
+            self.oracle.look(app.cycle, now_s)
+            if app.cycle.machine.state in {State.TRACK, State.CONTACT}:
+                self.tracked_s = self.now_s
+        if not self._is_over and not self._goes_on(app):
+            if app is not None:
+                self.oracle.size(app.cycle)
+            self._is_over = True
+            self._over.set()
+
+    def _is_heard(self, now_s: float) -> bool:
+        """Tell whether nothing keeps telegrams and replies from arriving."""
+        return not any(
+            fault.at_s - 0.1 <= now_s <= fault.at_s + fault.duration_s + UNHEARD_S
+            for link in ("robot", "reply", "daemon")
+            for fault in self._faults.of(link)
+            if fault.kind not in {"unreadable", "exponent"}
+        )
+
+    def _goes_on(self, app: App | None) -> bool:
+        if self.oracle.violations:
+            return False
+        if self.now_s > self.plan.duration_s + LONGEST_S:
+            self.oracle.blame("liveness: the run does not end")
+            return False
+        if app is None or self.now_s < self.plan.duration_s:
+            return True
+        quiet_s = max(self.plan.quiet_s, self.robot.quiet_s)
+        if self.tracked_s >= quiet_s:
+            return False
+        patience_s = min(PATIENCE_S + self.robot.homing_s, LAST_PATIENCE_S)
+        if self.now_s - max(quiet_s, 0.0) > patience_s or self.robot.breaks > MOST_BREAKS:
+            machine = app.cycle.machine
+            self.oracle.blame(
+                f"liveness: {machine.state} ({machine.because}) {PATIENCE_S:g} s after the last"
+                f" fault; {self.operator.refusal}"
+            )
+            return False
+        return True
+
+    def _strike(self, fault: Fault) -> None:
+        match fault.link, fault.kind:
+            case "robot", "restart":
+                self.robot.pause(self.now_s, fault.duration_s)
+            case "robot", "drives_off":
+                self.robot.brake(self.now_s, fault.duration_s)
+            case "daemon", "crash":
+                self._crash(fault.duration_s)
+            case "robot", "ipoc_jump":
+                self.controller.jump(int(fault.value) or None)
+            case "robot", "readdress":
+                self._strangers.readdress(fault)
+            case "robot", "forged":
+                self._strangers.forge(fault, self._telegram, self._send_to_robot_port)
+            case "daemon", "wall_step":
+                self._time.wall_step_ns += round(fault.value * 1e9)
+            case "daemon", "pause":
+                self._time.pause(round(fault.duration_s * 1e9))
+            case "operator", "set":
+                self.operator.set(fault.count)
+            case "operator", order:
+                self.operator.order(order, is_colleague=self.plan.operators > 1)
+
+    def _stall(self) -> None:
+        fault = self._faults.in_force("daemon", "stall", self.now_s)
+        if fault is not None:
+            end_ns = _ns(fault.at_s + fault.duration_s)
+            self._time.stalled_until_ns = max(self._time.stalled_until_ns, end_ns)
+
+    @property
+    def host_ns(self) -> int:
+        """The monotonic clock of the daemon's machine [ns]."""
+        return self._time.host_ns
+
+    @property
+    def is_stalled(self) -> bool:
+        """The daemon takes no orders now."""
+        return self._time.now_ns < self._time.stalled_until_ns
+
+    # The network.
+
+    def _send_to_robot_port(self, at_s: float, data: bytes, source: Address) -> None:
+        self._send(_ns(at_s), data, source, RSI_PORT)
+
+    def _send(self, at_ns: int, data: bytes, source: Address, port: int) -> None:
+        self._time.at(at_ns, partial(self._arrive, data, source, port))
+
+    def _arrive(self, data: bytes, source: Address, port: int) -> None:
+        socket = self._time.sockets.get(port)
+        if socket is not None:
+            socket.put(data, source)
+
+    def _replied(self, data: bytes, source: Address, target: Address) -> None:
+        """The daemon has sent a datagram."""
+        del source
+        self._hash.update(data)
+        self.oracle.reply(data)
+        forged = self._strangers.moved_by(data)
+        if forged is not None:
+            self.oracle.blame(forged)
+        if target != self._strangers.source:
+            return
+        if self._faults.in_force("robot", "deafness", self.now_s) is None:
+            sent_s = _seconds(self._time.now_ns + THINKING_NS)
+            for at_s, piece in self._back.carry(data, sent_s):
+                self._time.at(_ns(at_s) + TRANSIT_NS, partial(self._hear, piece))
+
+    def _hear(self, data: bytes) -> None:
+        self.controller.on_reply(data, self._time.now_ns)
+
+    def _frame(self, data: bytes) -> None:
+        can_id, extended = self._emitters.frame
+        for bus in self._time.buses:
+            bus.put(can_id, data, extended=extended)
+
+    def _line(self, data: bytes) -> None:
+        for line in self._time.lines:
+            line.put(data)
+
+    def _talk(self, data: bytes | None) -> None:
+        """The host has written to the force-torque sensor, or opened its port."""
+        device = self._emitters.force_torque
+        answer = device.boot() if data is None else device.feed(data)
+        if answer:
+            self._time.at(self._time.now_ns + TALKING_NS, partial(self._line, answer))
+
+    def _plug(self, now_s: float) -> None:
+        for link in ("distance", "force_torque"):
+            if self._faults.in_force(link, "unplug", now_s) is None:
+                self._time.unplugged.discard(link)
+            else:
+                self._time.unplugged.add(link)
+
+
+LISTENING_NS = 300_000_000
+"""The daemon listens for so long before the controller's program starts [ns]."""
+
+MOST_LINES = 10
+"""Of the daemon's log in any second, but for"""
+STARTING_NS = 1_000_000_000
+"""the first second after a start, which has 12: links, sensors and states."""
+
+
+class _LogCounter(logging.Handler):
+    """Counts the daemon's lines, second by second of virtual time."""
+
+    def __init__(self, time: VirtualTime) -> None:
+        super().__init__(logging.INFO)
+        self.example = ""
+        self._time = time
+        self._started_ns = 0
+        self._lines: Counter[int] = Counter()
+
+    def note_start(self) -> None:
+        """Note that the daemon starts now."""
+        self._started_ns = self._time.now_ns
+
+    @property
+    def worst(self) -> int:
+        """Most lines in a second."""
+        return max(self._lines.values(), default=0)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Count a line."""
+        if self._time.now_ns - self._started_ns >= STARTING_NS:
+            self._lines[self._time.now_ns // 10**9] += 1
+        error = record.exc_info[1] if record.exc_info else None
+        self.example = f"{record.getMessage()} {error!r}"[:300] if error else record.getMessage()
+
+    @contextlib.contextmanager
+    def listening(self) -> Any:
+        """Listen to the daemon and to its drivers."""
+        logger = logging.getLogger("linemate")
+        level, propagate = logger.level, logger.propagate
+        logger.addHandler(self)
+        logger.setLevel(logging.INFO)
+        logger.propagate = False
+        try:
+            yield
+        finally:
+            logger.removeHandler(self)
+            logger.setLevel(level)
+            logger.propagate = propagate
+
+
+def _ns(time_s: float) -> int:
+    return EPOCH_NS + round((time_s + LEAD_IN_S) * 1e9)
+
+
+def _seconds(stamp_ns: int) -> float:
+    return (stamp_ns - EPOCH_NS) * 1e-9 - LEAD_IN_S

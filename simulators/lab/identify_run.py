@@ -1,0 +1,166 @@
+"""From fresh recordings in virtual time to an overlay of identified parameters.
+
+Law of this file: the daemon starts from beliefs that are nobody's truth (``STRANGER``), exercises
+in front of an object, is identified, assembles a few wheels with what it learned, and is identified
+again from all recordings. The recordings are real files, read back as ``linemate identify`` does;
+nothing of the plant's scenario reaches the overlay but by way of the wires.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from linemate.daemon.config import task_file
+from linemate.daemon.config.files import DAEMON_DATA
+from linemate.daemon.core.control.settings import ControlSettings, EffectorMode, ServoModel
+from linemate.daemon.core.tracking.settings import SwingMode, TrackingSettings
+from linemate.daemon.cycle.cycle import LogEntry
+from linemate.daemon.identification.identify import Identified
+from linemate.daemon.operator import identify
+from linemate.daemon.recording.recording import encode
+from linemate.daemon.recording.step_feed import described
+from linemate.daemon.recording.step_file import StepFile
+from linemate.simulators.harness import lockstep, scenario_file
+from linemate.simulators.harness.overlay import laid_over
+from linemate.simulators.harness.setup import Setup, override, shipped_task
+from linemate.simulators.plants.scenario import Scenario
+
+EXERCISE = "exercise.yaml"
+EXERCISE_SCENARIO = "identify"
+FIRST_SEED = 5000  # of recordings: neither tuned on nor verified with
+NEVER_S = 1e6
+
+STRANGER = ControlSettings(
+    servos=(ServoModel(5.0, 0.7, 0.03),) * 7, effector=(EffectorMode(6.0, 0.03),) * 6
+)
+"""What one believes of an arm and a tool that nobody has measured."""
+
+STRANGE_TRACKING = TrackingSettings(swing=(SwingMode(1, 0.7, 0.0, (-0.25, 0.0, -0.8)),))
+"""What one believes of an object whose swing nobody has measured."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How much is recorded.
+
+    Attributes:
+        exercises: recordings of the exercise.
+        wheels: recordings of ordinary runs with what the exercise told.
+        seed: of the first recording.
+        cycle_ms: instead of the scenarios' cycle.
+        overrides: ``KEY=VALUE`` of the plant, as for a run; for a cell that is not the default one.
+    """
+
+    exercises: int = 2
+    wheels: int = 2
+    seed: int = FIRST_SEED
+    cycle_ms: float | None = None
+    overrides: tuple[str, ...] = ()
+
+
+def identified(plan: Plan, folder: Path) -> Identified:
+    """Return what a cell tells of itself; the recordings stay in ``folder``."""
+    files = [
+        record(_exercise(plan), plan.seed + i, folder / f"exercise-{i}.mcap")
+        for i in range(plan.exercises)
+    ]
+    found = identify.from_files(files)
+    if not plan.wheels:
+        return found
+    wheel = laid_over(_belief(plan, "wheel"), found.overlay)
+    files += [
+        record(wheel, plan.seed + 100 + i, folder / f"wheel-{i}.mcap") for i in range(plan.wheels)
+    ]
+    return identify.from_files(files)
+
+
+def record(setup: Setup, seed: int, path: Path) -> Path:
+    """Leave the recording of one run in virtual time; return where."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    config = {
+        "tracking": _plain(setup.tracking),
+        "control": _plain(setup.control),
+    }
+    text = (DAEMON_DATA / EXERCISE).read_text() if setup.task.name == "exercise" else None
+    texts = {
+        "config": yaml.safe_dump(config),
+        "task": text or shipped_task().text,
+        "urdf": setup.urdf,
+    }
+    file = StepFile(path.open("wb"), described(texts))
+
+    def keep(entry: LogEntry) -> None:
+        data = encode(entry.ipoc, entry.state, entry.inputs, entry.outputs)
+        file.write(entry.inputs.stamp_ns, data)
+
+    try:
+        lockstep.run(setup, seed, on_step=keep)
+    finally:
+        file.close()
+    return path
+
+
+def _exercise(plan: Plan) -> Setup:
+    """Return the exercise: programmed motion alone, undamped, so that the tool rings."""
+    setup = _belief(plan, EXERCISE_SCENARIO)
+    task = task_file.load(DAEMON_DATA / EXERCISE)
+    return replace(
+        setup,
+        task=task.file,
+        urdf=task.urdf,
+        tracking=replace(setup.tracking, merge=replace(setup.tracking.merge, blend=NEVER_S)),
+        control=replace(setup.control, damping=False),
+    )
+
+
+def _belief(plan: Plan, name: str) -> Setup:
+    truth: Scenario = scenario_file.load(name)
+    if plan.cycle_ms is not None:
+        truth = replace(truth, cycle_s=round(plan.cycle_ms * 1e-3, 9))
+    setup = Setup(truth, tracking=STRANGE_TRACKING, control=STRANGER)
+    return override(setup, plan.overrides) if plan.overrides else setup
+
+
+def _plain(settings: TrackingSettings | ControlSettings) -> dict[str, Any]:
+    from pydantic import TypeAdapter
+
+    plain: dict[str, Any] = TypeAdapter(type(settings)).dump_python(settings, mode="json")
+    return plain
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Make recordings, identify, and leave an overlay.
+
+    Returns:
+        0 if there is one.
+    """
+    plain = Plan()
+    parser = argparse.ArgumentParser(prog="python -m linemate.simulators.lab.identify_run")
+    parser.add_argument("--out", type=Path, default=Path("out/identify"), metavar="DIR")
+    parser.add_argument("--overlay", type=Path, metavar="FILE", help="DIR/identified.yaml")
+    parser.add_argument("--exercises", type=int, default=plain.exercises, metavar="N")
+    parser.add_argument("--wheels", type=int, default=plain.wheels, metavar="N")
+    parser.add_argument("--first-seed", type=int, default=FIRST_SEED, metavar="M")
+    parser.add_argument("--cycle-ms", type=float, metavar="MS")
+    parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
+    args = parser.parse_args(argv)
+    plan = Plan(args.exercises, args.wheels, args.first_seed, args.cycle_ms, tuple(args.overrides))
+    found = identified(plan, args.out)
+    print(identify.table(found.findings))
+    if not found.overlay:
+        print("nothing could be identified", file=sys.stderr)
+        return 1
+    path = args.overlay or args.out / "identified.yaml"
+    names = sorted(file.name for file in args.out.glob("*.mcap"))
+    identify.write(path, identify.overlay_text(found, names))
+    print(f"\noverlay: {path}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,306 @@
+"""Configuration files: what is told about a bad one, and what a good one resolves to."""
+
+import base64
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from linemate.daemon.config import config
+from linemate.daemon.config.documents import FileError
+from linemate.daemon.config.files import PROTOCOL_DATA
+from linemate.daemon.config.settings import CameraSettings, Corrections
+from linemate.daemon.core.tracking.settings import TrackingSettings
+from linemate.simulators.harness.setup import shipped_control
+
+Write = Callable[[str], Path]
+
+KEY = f"panel operate {base64.b64encode(bytes(range(32))).decode()}\n"
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    def write(text: str) -> Path:
+        path = tmp_path / "linemated.yaml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+def errors(path: Path) -> list[str]:
+    with pytest.raises(FileError) as caught:
+        config.load(path)
+    return [line.removeprefix(f"{path}:") for line in caught.value.lines]
+
+
+def test_the_shortest_file_names_a_task_and_takes_every_default(write: Write) -> None:
+    station = config.load(write("task: wheel.yaml\n"))
+    assert station.task.file.name == "wheel"
+    assert station.config.rsi.corrections is Corrections.ABSOLUTE
+    assert station.rsi_port == station.rsi.port == 49152
+    assert station.config.tracking == TrackingSettings()
+    assert station.config.control == shipped_control()
+    assert station.dbc is None
+    assert set(station.texts) == {"config", "task", "urdf", "rsi"}
+
+
+def test_every_section_can_be_given(write: Write, tmp_path: Path) -> None:
+    keys = tmp_path / "keys"
+    keys.write_text(KEY)
+    keys.chmod(0o400)
+    xml = (PROTOCOL_DATA / "rsi_joints_setpoints.xml").read_text(encoding="utf-8")
+    (tmp_path / "rsi.xml").write_text(xml.replace('HOLDON="1"', 'HOLDON="0"'), encoding="utf-8")
+    station = config.load(
+        write(
+            """
+task: wheel.yaml
+rsi: {config: rsi.xml, port: 0, cycle_ms: 4, corrections: relative}
+distance:
+  can: {interface: slcan, channel: /dev/ttyACM0, bitrate: 500000, ttyBaudrate: 115200}
+  message: TF03
+  signal: Distance
+camera: {port: 0, frame: null}
+force_torque: {url: "socket://127.0.0.1:5000", device: robotiq-ft300}
+command: {socket: command.sock, udp: {port: 0, keys: keys}}
+recording: {directory: .}
+realtime: {priority: 60, cpus: [1], lock_memory: true, timer_slack_ns: 1}
+watch: {healthy_cycles: 50}
+tracking: {classifier: rule, distance: {deviation: 1e-3}}
+control: {horizon_s: 0.25}
+"""
+        )
+    )
+    assert station.rsi_port == 0
+    assert station.config.distance is not None
+    assert station.config.distance.can["ttyBaudrate"] == 115200
+    assert station.dbc is not None
+    assert [key.name for key in station.keys] == ["panel"]
+    assert station.config.tracking.distance.deviation == 1e-3
+    assert station.config.tracking.distance.gate == TrackingSettings().distance.gate
+
+
+def test_every_error_of_every_file_is_told_at_once(write: Write, tmp_path: Path) -> None:
+    (tmp_path / "task.yaml").write_text("name: 3\narm: {urdf: none.urdf}\n")
+    path = write(
+        """
+task: task.yaml
+rsi: {config: nope.xml, cycle_ms: 5, bind: localhost}
+distance: {can: {channel: x}, message: Missing}
+camera: {port: 70000, port: 1}
+command: {socket: /nonexistent/s, udp: {bind: 192.0.2.1, keys: keys}}
+recording: {directory: none}
+tracking: {distance: {deviation: .nan}}
+watch: {wrench_s: -1}
+speeling: 1
+"""
+    )
+    lines = errors(path)
+    own = [line.split(": ")[1] for line in lines if not line.startswith(str(tmp_path))]
+    assert own == [
+        "rsi.config",
+        "rsi.cycle_ms",
+        "rsi.bind",
+        "distance.can",
+        "distance.message",
+        "camera.port",
+        "camera.port",
+        "command.socket",
+        "command.udp.bind",
+        "command.udp.keys",
+        "recording.directory",
+        "tracking.distance.deviation",
+        "watch.wrench_s",
+        "speeling",
+    ]
+    others = [line for line in lines if line.startswith(str(tmp_path / "task.yaml"))]
+    assert len(others) == 5
+    assert any("name: should be a valid string, not 3" in line for line in others)
+    assert any("arm.urdf: no such file" in line for line in others)
+
+
+def test_a_missing_file_is_told_in_the_same_form(tmp_path: Path) -> None:
+    (line,) = errors(tmp_path / "none.yaml")
+    assert line.startswith("1:1: (file): ")
+    assert line.endswith("No such file or directory")
+
+
+def test_a_file_beyond_the_limit_is_not_read(write: Write) -> None:
+    (line,) = errors(write("#" * 10_000_000))
+    assert "longer than" in line
+
+
+def test_a_controller_file_that_makes_no_telegram_is_told_at_its_key(
+    write: Write, tmp_path: Path
+) -> None:
+    (tmp_path / "rsi.xml").write_text("<ROOT><CONFIG></CONFIG></ROOT>")
+    (line,) = errors(write("task: wheel.yaml\nrsi: {config: rsi.xml}\n"))
+    assert line.startswith("2:15: rsi.config: ")
+
+
+def test_a_controller_file_without_an_axis_of_the_arm_is_told(write: Write, tmp_path: Path) -> None:
+    xml = (PROTOCOL_DATA / "rsi_joints.xml").read_text(encoding="utf-8")
+    assert "DEF_EIPos" in xml
+    assert "EK.E1" in xml
+    bare = xml.replace("DEF_EIPos", "DEF_EPos9").replace("EK.E1", "Spare")
+    (tmp_path / "rsi.xml").write_text(bare, encoding="utf-8")
+    text = "task: wheel.yaml\nrsi: {config: rsi.xml, constants: {Spare: 0}}\n"
+    (line,) = errors(write(text))
+    assert line == "2:15: rsi.config: the task's arm needs SEND DEF_EIPos, RECEIVE EK.E1"
+
+
+def test_axes_that_would_be_read_in_the_wrong_unit_are_told(write: Write) -> None:
+    (line,) = errors(write("task: wheel.yaml\nrsi: {linear_axes: [E2]}\n"))
+    assert line == "2:20: rsi.linear_axes: the task's arm stands on E1, which is linear"
+    (line,) = errors(write("task: wheel.yaml\nrsi: {linear_axes: [E1, Q1]}\n"))
+    assert line.startswith("2:25: rsi.linear_axes[1]: ")
+
+
+def test_what_a_dbc_lacks_is_told_at_the_key_that_names_it(write: Write, tmp_path: Path) -> None:
+    (tmp_path / "bad.dbc").write_text("BO_ nonsense\n")
+    text = "task: wheel.yaml\ndistance: {{can: {{interface: slcan}}, {}}}\n"
+    for named, key in (
+        ("dbc: bad.dbc", "dbc"),
+        ("message: Nope", "message"),
+        ("signal: Nope", "message"),
+        ("strength: Nope", "strength"),
+        ("message: Nope, strength: Nope", "message"),
+    ):
+        (line,) = errors(write(text.format(named)))
+        assert f": distance.{key}: distance: " in line
+
+
+def test_frames_by_multicast_must_not_leave_the_host(write: Write) -> None:
+    text = "task: wheel.yaml\ndistance: {{can: {{interface: udp_multicast{}}}}}\n"
+    for hops in ("", ", hop_limit: 1", ", hop_limit: '0'"):
+        (line,) = errors(write(text.format(hops)))
+        assert line.startswith("2:17: distance.can: udp_multicast needs hop_limit: 0")
+    assert config.load(write(text.format(", hop_limit: 0"))).config.distance is not None
+
+
+def test_a_key_given_twice_does_not_hide_what_is_wrong_with_its_value(write: Write) -> None:
+    first, second = errors(write("task: wheel.yaml\nrsi: {bind: here, bind: there}\n"))
+    assert first.startswith("2:13: rsi.bind: 'here' ")
+    assert second.startswith("2:19: rsi.bind: given twice")
+
+
+def test_directories_that_are_not_there_are_told(write: Write) -> None:
+    text = "task: wheel.yaml\nrecording: {directory: none}\nrealtime: {incidents: none}\n"
+    told = [line.split(": ")[1] for line in errors(write(text))]
+    assert told == ["recording.directory", "realtime.incidents"]
+
+
+def test_groups_that_are_not_there_are_told(write: Write) -> None:
+    text = "task: wheel.yaml\ncommand: {{view_groups: [{}], operate_groups: [{}]}}\n"
+    viewers, operators = errors(write(text.format("root, nobody-has-this", "or-this")))
+    assert "command.operate_groups: no such group: or-this" in operators
+    assert "command.view_groups: no such group: nobody-has-this" in viewers
+    command = config.load(write(text.format('root, "77"', '"5"'))).config.command
+    assert (command.view_groups, command.operate_groups) == (("root", "77"), ("5",))
+    assert config.group_ids(command.view_groups) == {0, 77}
+
+
+def test_a_camera_peer_that_is_no_address_is_told(write: Write) -> None:
+    for peer in ("camera.local", "10.0.0.1:0", "10.0.0.1:99999", "10.0.0.1:x", "[::1]5", "[::1"):
+        (line,) = errors(write(f'task: wheel.yaml\ncamera: {{peer: "{peer}"}}\n'))
+        assert "camera.peer: " in line, peer
+    text = 'task: wheel.yaml\ncamera: {peer: "10.0.0.1:5"}\n'
+    assert config.load(write(text)).config.camera == CameraSettings(peer="10.0.0.1:5")
+
+
+def test_keys_that_others_can_read_are_refused(write: Write, tmp_path: Path) -> None:
+    keys = tmp_path / "keys"
+    keys.write_text(KEY)
+    keys.chmod(0o644)
+    (line,) = errors(write("task: wheel.yaml\ncommand: {udp: {keys: keys}}\n"))
+    assert "command.udp.keys" in line
+    assert "0644" in line
+    keys.chmod(0o600)
+    keys.write_text("# none\n")
+    (line,) = errors(write("task: wheel.yaml\ncommand: {udp: {keys: keys}}\n"))
+    assert "holds no key" in line
+
+
+def test_every_bad_line_of_a_key_file_is_told_at_the_key_that_names_it(
+    write: Write, tmp_path: Path
+) -> None:
+    keys = tmp_path / "keys"
+    keys.write_text(f"{KEY}panel operate\n{KEY}")
+    keys.chmod(0o400)
+    told = errors(write("task: wheel.yaml\ncommand: {udp: {keys: keys}}\n"))
+    where = f"2:23: command.udp.keys: {keys}"
+    assert [line.removeprefix(where)[:3] for line in told] == [":2:", ":3:"]
+
+
+def test_keys_can_be_a_credential_of_systemd(
+    write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = "task: wheel.yaml\ncommand: {udp: {keys: 'credential:link.key'}}\n"
+    monkeypatch.delenv("CREDENTIALS_DIRECTORY", raising=False)
+    (line,) = errors(write(text))
+    assert "LoadCredential" in line
+    (tmp_path / "credentials").mkdir()
+    key = tmp_path / "credentials" / "link.key"
+    key.write_text(KEY)
+    key.chmod(0o400)
+    monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(key.parent))
+    assert config.load(write(text)).keys[0].name == "panel"
+
+
+def test_a_remote_command_port_needs_consent(write: Write, tmp_path: Path) -> None:
+    keys = tmp_path / "keys"
+    keys.write_text(KEY)
+    keys.chmod(0o400)
+    section = "command: {{udp: {{keys: keys, bind: 0.0.0.0, allow_remote: {}}}}}"
+    (line,) = errors(write("task: wheel.yaml\n" + section.format("false")))
+    assert "allow_remote" in line
+    assert config.load(write("task: wheel.yaml\n" + section.format("true"))).keys
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "task:",
+        "task: 3",
+        "task: {}",
+        "task: ''",
+        "[]",
+        "rsi: 3",
+        "distance: []",
+        "command: {udp: 1}",
+        "camera: null",
+    ],
+)
+def test_sections_of_any_kind_are_told_and_nothing_else_happens(write: Write, text: str) -> None:
+    assert errors(write(text))
+
+
+def test_the_schema_covers_every_section() -> None:
+    schema = config.schema()
+    assert {"rsi", "distance", "camera", "tracking", "control"} <= set(schema["properties"])
+    assert schema["required"] == ["task"]
+
+
+def test_two_links_on_one_port_are_told_where_their_addresses_meet(write: Write) -> None:
+    text = "task: wheel.yaml\nrsi: {{bind: {}}}\ncamera: {{port: 49152, bind: {}}}\n"
+    for robot, camera, clash in (
+        ("127.0.0.1", "127.0.0.1", True),
+        ("0.0.0.0", "127.0.0.1", True),
+        ("127.0.0.2", "127.0.0.1", False),
+    ):
+        path = write(text.format(robot, camera))
+        if clash:
+            assert "camera.port: 49152 is rsi.port's already" in errors(path)[0]
+        else:
+            assert config.load(path).rsi_port == 49152
+
+
+def test_limits_wider_than_the_urdfs_are_told_at_their_place(write: Write) -> None:
+    rows = [
+        f"{{lower: -0.1, upper: {upper}, speed: {speed}, acceleration: 40, jerk: 15000}}"
+        for upper, speed in ((0.1, 1.0), (-0.08, 1.0), *[(0.1, 1.0)] * 4, (0.1, 1.6))
+    ]
+    first, second = errors(write(f"task: wheel.yaml\ncontrol: {{limits: [{', '.join(rows)}]}}\n"))
+    assert "control.limits[1].upper: -0.08 is wider than the URDF's for A2: -0.08726" in first
+    assert "control.limits[6].speed: 1.6 is wider than the URDF's for E1: 1.5" in second

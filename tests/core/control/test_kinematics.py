@@ -1,0 +1,300 @@
+"""Kinematics: forwards and backwards are inverse, and what cannot be says why."""
+
+import re
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from linemate.daemon.config import task_file
+from linemate.daemon.config.files import DAEMON_DATA
+from linemate.daemon.core import rotations
+from linemate.daemon.core.control import kinematics
+from linemate.daemon.core.control.kinematics import Arm, KinematicsError, UnreachableError
+from linemate.daemon.core.horizon import Array
+
+TASK = task_file.load(DAEMON_DATA / "wheel.yaml")
+URDF = TASK.urdf
+TOOL = (np.array((-0.35, 0.0, 0.20)), rotations.exp(np.array((0.0, -np.pi / 2, 0.0))))
+
+
+def load(urdf: str = URDF, flange: str = "flange", *, linear_axis: bool = True) -> Arm:
+    return kinematics.load(urdf, flange, *TOOL, linear_axis=linear_axis)
+
+
+def fixed(urdf: str) -> str:
+    """The same arm without its linear axis."""
+    return re.sub(r'(<joint name="[^"]*" type=")prismatic(")', r"\1fixed\2", urdf)
+
+
+NOMINAL = rotations.exp(np.array((0.1, 1.5, -0.2)))
+
+
+def tiled(position: Array | tuple[float, ...], rotation: Array) -> Array:
+    return np.tile(np.concatenate((position, rotations.log(rotation))), (3, 1))
+
+
+ARM = load()
+FIXED_ARM = load(fixed(URDF), linear_axis=False)
+
+# Away from the wrist's and the elbow's singularities, within the limits.
+poses = st.tuples(
+    st.floats(-1.0, 1.0),
+    st.floats(-2.0, -0.6),
+    st.floats(0.5, 2.2),
+    st.floats(-1.5, 1.5),
+    st.floats(0.4, 1.6),
+    st.floats(-1.5, 1.5),
+    st.floats(0.0, 4.0),
+).map(np.array)
+
+
+@settings(max_examples=60, deadline=None)
+@given(poses, st.lists(st.floats(-0.08, 0.08), min_size=6, max_size=6))
+def test_backwards_undoes_forwards_from_a_guess_nearby(joints: Array, off: list[float]) -> None:
+    guess = joints + np.array((*off, 0.0))
+    assert np.allclose(ARM.solve(guess, *ARM.tcp_in_base(joints)), joints, atol=1e-7)
+
+
+@settings(max_examples=60, deadline=None)
+@given(poses)
+def test_the_pose_in_another_frame_is_the_pose_in_base_turned(joints: Array) -> None:
+    position, rotation = ARM.tcp_in_base(joints)
+    pose = ARM.tcp_in(NOMINAL, joints)
+    assert np.allclose(NOMINAL @ pose[:3], position, atol=1e-12)
+    assert np.allclose(NOMINAL @ rotations.exp(pose[3:]), rotation, atol=1e-9)
+
+
+@settings(max_examples=60, deadline=None)
+@given(poses)
+def test_forwards_undoes_backwards_from_rest(joints: Array) -> None:
+    position, rotation = ARM.tcp_in_base(joints)
+    rest = np.array((*TASK.file.arm.rest_joints, joints[6]))
+    try:
+        found = ARM.solve(rest, position, rotation)
+    except UnreachableError:
+        # Newton from far away may end in a singularity; it must say so, never lie.
+        return
+    back = ARM.tcp_in_base(found)
+    assert np.allclose(back[0], position, atol=1e-8)
+    assert np.allclose(back[1], rotation, atol=1e-8)
+    assert found[6] == joints[6]
+
+
+def test_the_geometry_is_that_of_the_station() -> None:
+    """Facts of the cell, written down by hand: flange and axes at zero and at home."""
+    bare = kinematics.load(URDF, "flange", np.zeros(3), np.eye(3), linear_axis=True)
+    position, rotation = bare.tcp_in_base(np.zeros(7))
+    assert np.allclose(position, (2.915, 0.0, 0.634), atol=1e-12)
+    assert np.allclose(rotation.T, ((0, 0, -1), (0, 1, 0), (1, 0, 0)), atol=1e-12)
+    home = np.array((0.0, -np.pi / 2, np.pi / 2, 0.0, 0.0, 0.0, 1.5))
+    position, rotation = bare.tcp_in_base(home)
+    # The upper arm stands up, the forearm points along X: 1.15 m up, its 1.2 m ahead.
+    assert np.allclose(position, (0.35 + 1.2 + 0.215, 1.5, 0.675 + 1.15 - 0.041), atol=1e-12)
+    assert np.allclose(rotation[:, 2], (1, 0, 0), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("axis", "direction"),
+    [
+        (0, (0, 0, -1)),
+        (1, (0, 1, 0)),
+        (2, (0, 1, 0)),
+        (3, (-1, 0, 0)),
+        (4, (0, 1, 0)),
+        (5, (-1, 0, 0)),
+    ],
+)
+def test_each_axis_turns_the_way_of_the_makers_arm(
+    axis: int, direction: tuple[float, float, float]
+) -> None:
+    joints = np.zeros(7)
+    _, before = ARM.tcp_in_base(joints)
+    joints[axis] = 0.3
+    _, after = ARM.tcp_in_base(joints)
+    assert np.allclose(rotations.log(after @ before.T), 0.3 * np.array(direction), atol=1e-12)
+
+
+def test_the_shipped_rest_is_the_tasks_first_pose() -> None:
+    point = TASK.file.waypoints[0].pose
+    position, rotation = ARM.tcp_in_base(np.array((*TASK.file.arm.rest_joints, 0.0)))
+    assert np.allclose(position, point.position, atol=1e-6)
+    assert np.allclose(rotation, rotations.matrix(point.quaternion), atol=1e-6)
+
+
+@settings(max_examples=30, deadline=None)
+@given(poses, st.floats(-1.0, 1.0))
+def test_the_linear_axis_carries_the_arm_along_y(joints: Array, way: float) -> None:
+    before = ARM.tcp_in_base(joints)
+    after = ARM.tcp_in_base(joints + way * np.eye(7)[6])
+    assert np.allclose(after[0] - before[0], (0.0, way, 0.0), atol=1e-12)
+    assert np.allclose(after[1], before[1], atol=1e-12)
+    still = FIXED_ARM.tcp_in_base(joints[:6])
+    assert np.allclose(still[0] + (0.0, joints[6], 0.0), before[0], atol=1e-12)
+
+
+@settings(max_examples=30, deadline=None)
+@given(poses, st.integers(0, 6))
+def test_the_jacobian_behind_the_solver_is_the_derivative_of_the_pose(
+    joints: Array, axis: int
+) -> None:
+    h = 1e-6
+    step = h * np.eye(7)[axis]
+    (p1, R1), (p0, R0) = ARM.tcp_in_base(joints + step), ARM.tcp_in_base(joints - step)
+    q = np.concatenate((joints[6:], joints[:6]))
+    pin.computeJointJacobians(ARM.model, ARM.data, q)
+    pin.updateFramePlacement(ARM.model, ARM.data, ARM.flange)
+    world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    J = pin.getFrameJacobian(ARM.model, ARM.data, ARM.flange, world)[:, (axis + 1) % 7]
+    flange = ARM.data.oMf[ARM.flange].translation
+    arm = ARM.tcp_in_base(joints)[0] - flange
+    turning = rotations.log(R1 @ R0.T) / (2 * h)
+    assert np.allclose(turning, J[3:], atol=1e-7)
+    assert np.allclose((p1 - p0) / (2 * h), J[:3] + np.cross(J[3:], arm), atol=1e-7)
+
+
+@settings(max_examples=25, deadline=None)
+@given(poses, st.integers(0, 1000))
+@pytest.mark.parametrize("arm", [ARM, FIXED_ARM], ids=["with E1", "without"])
+def test_a_list_of_neighbours_is_followed_within_its_tolerance(
+    arm: Arm, joints: Array, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    count = 9
+    # Ten millimetres along a list, the guesses off by what one step changes.
+    wanted = joints[: arm.axes] + np.outer(np.linspace(0, 1, count), rng.normal(0, 0.005, arm.axes))
+    guesses = wanted + rng.normal(0, 5e-5, wanted.shape)
+    if arm.linear_axis:
+        guesses[:, 6] = wanted[:, 6]
+    poses = np.array([arm.tcp_in(NOMINAL, row) for row in wanted])
+    found = arm.follow(guesses, poses, NOMINAL)
+    for row, pose in zip(found, poses, strict=True):
+        assert np.abs(arm.tcp_in(NOMINAL, row) - pose).max() < 1e-5
+    # Where the guesses' own poses are known, only the ends are looked at: what is off in between
+    # is some hundredths of the change, and put right when it has come to the front.
+    before = np.array([arm.tcp_in(NOMINAL, row) for row in guesses])
+    again = arm.follow(guesses, poses, NOMINAL, before)
+    assert np.abs(again[[0, -1]] - found[[0, -1]]).max() < 1e-12
+    for row, pose in zip(again, poses, strict=True):
+        assert np.abs(arm.tcp_in(NOMINAL, row) - pose).max() < 3e-5
+    if arm.linear_axis:
+        assert np.array_equal(found[:, 6], guesses[:, 6])
+
+
+def test_a_list_that_starts_far_off_is_solved_one_by_one() -> None:
+    rest = np.array((*TASK.file.arm.rest_joints, 0.0))
+    wanted = rest + np.outer(np.linspace(0.1, 0.15, 5), np.array((1, 1, -1, 1, 1, 1, 0)))
+    targets = [ARM.tcp_in_base(row) for row in wanted]
+    poses = np.array([ARM.tcp_in(NOMINAL, row) for row in wanted])
+    found = ARM.follow(np.tile(rest, (5, 1)), poses, NOMINAL)
+    for row, (position, rotation) in zip(found, targets, strict=True):
+        p, R = ARM.tcp_in_base(row)
+        assert np.allclose(p, position, atol=3e-5)
+        assert np.allclose(R, rotation, atol=3e-5)
+
+
+@pytest.mark.parametrize("position", [(9.0, 0.0, 1.0), (0.0, 0.0, 5.0), (2.0, 4.0, 1.0)])
+def test_a_pose_out_of_reach_is_an_error_that_holds_what_was_left(
+    position: tuple[float, float, float],
+) -> None:
+    rest = np.array((*TASK.file.arm.rest_joints, 0.0))
+    rotation = ARM.tcp_in_base(rest)[1]
+    with pytest.raises(UnreachableError) as caught:
+        ARM.solve(rest, np.array(position), rotation)
+    assert caught.value.residual > 1e-3
+    assert "does not reach" in str(caught.value)
+    with pytest.raises(UnreachableError):
+        ARM.follow(np.tile(rest, (3, 1)), tiled(position, rotation), np.eye(3))
+
+
+@pytest.mark.parametrize("count", [5, 30])
+def test_a_list_far_off_takes_little_more_than_an_iteration_a_pose(
+    count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = 0
+    jacobian = pin.computeFrameJacobian
+
+    def counted(*told: Any) -> Array:
+        nonlocal made
+        made += 1
+        found: Array = jacobian(*told)
+        return found
+
+    rest = np.array((*TASK.file.arm.rest_joints, 0.0))
+    way = np.outer(np.linspace(0.1, 0.1 + 0.01 * count, count), np.array((1, 1, -1, 1, 1, 1, 0)))
+    poses = np.array([ARM.tcp_in(NOMINAL, row) for row in rest + way])
+    monkeypatch.setattr(pin, "computeFrameJacobian", counted)
+    ARM.follow(rest + way - way[0], poses, NOMINAL)
+    assert made <= kinematics.MOST_IN_CYCLE + 2 * count
+    # What is out of reach at its far end costs nothing but that end.
+    made, beyond = 0, poses.copy()
+    beyond[-1, :3] += 9.0
+    with pytest.raises(UnreachableError):
+        ARM.follow(rest + way - way[0], beyond, NOMINAL)
+    assert made <= kinematics.MOST_IN_CYCLE
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_pose_that_is_no_number_is_unreachable(bad: float) -> None:
+    rest = np.array((*TASK.file.arm.rest_joints, 0.0))
+    position, rotation = ARM.tcp_in_base(rest)
+    position[1] = bad
+    with pytest.raises(UnreachableError):
+        ARM.follow(np.tile(rest, (3, 1)), tiled(position, rotation), np.eye(3))
+
+
+def test_a_singular_arm_stops_and_does_not_crash() -> None:
+    home = np.array((0.0, -np.pi / 2, np.pi / 2, 0.0, 0.0, 0.0, 0.0))
+    position, rotation = ARM.tcp_in_base(home)
+    with pytest.raises(UnreachableError):
+        ARM.follow(np.tile(home, (3, 1)), tiled(position, rotation), np.eye(3))
+
+
+def test_limits_come_in_the_controllers_order() -> None:
+    assert len(ARM.lower) == len(ARM.upper) == ARM.axes == 7
+    assert (ARM.lower < ARM.upper).all()
+    assert np.array_equal(ARM.lower[:6], FIXED_ARM.lower)
+    assert FIXED_ARM.axes == 6
+    # E1 is metres of travel along the line, last and not first.
+    e1 = re.search(r'type="prismatic".*?lower="([-\d.]+)"\s+upper="([-\d.]+)"', URDF, re.DOTALL)
+    assert e1 is not None
+    assert (ARM.lower[6], ARM.upper[6]) == (float(e1[1]), float(e1[2]))
+
+
+@pytest.mark.parametrize(
+    ("urdf", "flange", "linear_axis", "says"),
+    [
+        ("", "flange", True, "not a URDF"),
+        ("<robot/>", "flange", True, "not a URDF"),
+        ("no xml at all", "flange", True, "not a URDF"),
+        (URDF[: len(URDF) // 2], "flange", True, "not a URDF"),
+        (URDF, "flansch", True, "no frame 'flansch'"),
+        (URDF, "flange", False, "7 joints, the task's arm has 6"),
+        (fixed(URDF), "flange", True, "6 joints, the task's arm has 7"),
+    ],
+)
+def test_a_urdf_that_cannot_be_says_what_is_wrong(
+    urdf: str, flange: str, linear_axis: bool, says: str
+) -> None:
+    with pytest.raises(KinematicsError, match=re.escape(says)):
+        load(urdf, flange, linear_axis=linear_axis)
+
+
+def test_a_missing_flange_is_answered_with_the_frames_there_are() -> None:
+    with pytest.raises(KinematicsError, match=r"it has .*flange"):
+        load(flange="tool0")
+
+
+@pytest.mark.parametrize("short", [0.01, -0.003])
+def test_the_arm_makes_up_for_a_linear_axis_that_is_behind(short: float) -> None:
+    joints = np.array((0.1, -1.4, 1.5, 0.2, 1.2, -0.1, 0.5))
+    position, rotation = ARM.tcp_in_base(joints)
+    behind = joints.copy()
+    behind[6] -= short
+    behind[:6] += ARM.stand_in(joints, short)
+    place, turned = ARM.tcp_in_base(behind)
+    assert np.abs(place - position).max() < 0.02 * abs(short)
+    assert np.abs(turned - rotation).max() < 0.02 * abs(short)

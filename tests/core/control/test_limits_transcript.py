@@ -1,0 +1,143 @@
+"""The gate's commands to the last bit, in long random journeys to the edges of its limits.
+
+Only additions, multiplications and square roots are made, which every machine rounds alike.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from transcripts import Chance, Transcript
+
+from linemate.daemon.core.control import limits
+from linemate.daemon.core.control.limits import GateState, Limits
+from linemate.daemon.core.horizon import Array
+
+HOUSE = Limits(
+    np.array((-1.0, -0.5, 0.0)),
+    np.array((1.0, 0.5, 3.0)),
+    np.array((1.0, 3.0, 0.2)),
+    np.array((4.0, 60.0, 1.0)),
+    np.array((40.0, 20000.0, 10.0)),
+    ("slow", "quick", "soft"),
+)
+GENTLE = Limits(
+    HOUSE.lower,
+    HOUSE.upper,
+    HOUSE.speed,
+    0.3 * HOUSE.acceleration,
+    0.2 * HOUSE.jerk,
+    HOUSE.names,
+)
+START = np.array((0.0, 0.1, 1.5))
+AIMS = ((-1.3, 1.3), (-0.7, 0.7), (-0.5, 3.5))
+WILD = (float("nan"), float("inf"), 1e99, 1e100, -1e101)
+
+
+def _wishes(chance: Chance, period: float) -> Iterator[Array]:
+    """Steps, ramps, swings, trembling and nonsense, one after another."""
+    wish = START.copy()
+    while True:
+        kind = int(chance.between(0, 7))
+        aim = np.array(
+            [chance.between(-1.3, 1.3), chance.between(-0.7, 0.7), chance.between(-0.5, 3.5)]
+        )
+        pace = chance.between(0.02, 1.3) * HOUSE.speed * period
+        first = wish.copy()
+        for n in range(1, int(chance.between(5, 70))):
+            match kind:
+                case 0:
+                    wish = aim.copy()
+                case 1 | 2:
+                    wish = wish + np.clip(aim - wish, -pace, pace)
+                case 3:
+                    wish = first + 0.5 * pace * n * n * period * np.sign(aim - first)
+                case 4:
+                    wish = first + pace * (n % 3 - 1)
+                case 5:
+                    wish = first.copy()
+                case _:
+                    wish = wish + np.clip(aim - wish, -0.1 * pace, 0.1 * pace)
+            yield wish
+        if chance.happens(0.1):
+            spoilt = wish.copy()
+            spoilt[int(chance.between(0, 3))] = chance.pick(WILD)
+            yield spoilt
+
+
+def _journey(chance: Chance, period: float, told: Transcript) -> None:
+    state = limits.at_rest(START)
+    wishes = _wishes(chance, period)
+    braking, gentle = 0, None
+    for _ in range(400):
+        if braking:
+            braking -= 1
+            state = limits.brake(state, HOUSE, period, gentle)
+            why = "brake"
+        else:
+            state, why = limits.admit(state, next(wishes), HOUSE, period)
+            if chance.happens(0.01):
+                braking = int(chance.between(3, 150))
+                gentle = chance.pick((None, GENTLE))
+        told.say(why, limits.stands(state), _bits(state))
+
+
+def _bits(state: GateState) -> list[str]:
+    parts = (state.position, state.speed, state.acceleration, state.desired, state.desired_speed)
+    return [value.hex() for part in parts for value in part.tolist()]
+
+
+@pytest.mark.parametrize(
+    ("period", "digest"),
+    [(0.012, "c21c35386129a61e"), (0.004, "8efdb339b7b94323")],
+)
+def test_the_gate_admits_to_the_bit_what_it_always_did(period: float, digest: str) -> None:
+    told = Transcript()
+    for journey in range(10):
+        _journey(Chance(f"gate/{journey}"), period, told)
+    assert told.digest == digest
+
+
+@pytest.mark.parametrize(
+    ("speed", "acceleration", "stands"),
+    [(9.9e-5, 0.0, True), (1e-4, 0.0, False), (0.0, 9.9e-3, True), (0.0, 1e-2, False)],
+)
+def test_what_counts_as_standing(speed: float, acceleration: float, stands: bool) -> None:
+    for axis in range(3):
+        moving = np.zeros((2, 3))
+        moving[:, axis] = speed, acceleration
+        state = GateState(START, moving[0], moving[1], START, np.zeros(3))
+        assert limits.stands(state) is stands
+
+
+def _near(chance: Chance, edge: float, grain: float) -> float:
+    return edge + chance.pick((-1.0, 1.0)) * grain * chance.between(0.0, 1.0) ** 4
+
+
+@pytest.mark.parametrize("period", [0.012, 0.004])
+def test_what_passes_the_short_cut_would_pass_the_long_way(period: float) -> None:
+    chance, passed = Chance(f"short cut/{period}"), 0
+    for bounds in limits._by_axis(HOUSE, period):
+        step = bounds.jerk * period
+        room = bounds.clear_lower - bounds.lower
+        for _ in range(6000):
+            a = chance.between(-1.0, 1.0) * bounds.acceleration
+            wanted = chance.pick((a + step, a - step, a, 0.0, bounds.acceleration))
+            wanted = _near(chance, wanted * chance.pick((1.0, 1.0, -1.0, 0.5)), step)
+            end = 0.5 * wanted * abs(wanted) / bounds.jerk + 1.5 * period * wanted
+            v = chance.pick((bounds.speed - end, -bounds.speed - end, 0.0, 0.5 * bounds.speed))
+            v = _near(chance, v, 0.3 * bounds.speed)
+            v = max(-bounds.speed, min(v, bounds.speed))
+            way = abs(v) * period
+            p = chance.pick((bounds.clear_upper - way, bounds.clear_lower + way, 0.0))
+            p = max(bounds.lower, min(_near(chance, p, 0.5 * room), bounds.upper))
+            desired = p + (v + wanted * period) * period
+            axis = limits._Axis(p, v, a, p, v, desired)
+            wanted = ((desired - p) / period - v) / period
+            if not limits._is_clear(p, v, a, wanted, bounds):
+                continue
+            passed += 1
+            low, high = limits._range(p, v, a, bounds)
+            assert low - bounds.margin <= wanted <= high + bounds.margin
+            assert limits._stays(axis, wanted, bounds)
+    assert passed > 500

@@ -1,0 +1,145 @@
+"""Start-up: settings, task and arm become parameters, or a reason why they cannot."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cell import TASK, World, parameters
+
+from linemate.daemon.core.control.kinematics import KinematicsError
+from linemate.daemon.core.control.settings import ControlSettings, ServoModel
+from linemate.daemon.core.inputs import Order
+from linemate.daemon.core.parameters import Parameters, build
+from linemate.daemon.core.tracking.merge import ORDER
+from linemate.daemon.core.tracking.settings import ClassifierKind, TrackingSettings
+from linemate.daemon.core.tracking.task import PoseFile, TaskFile
+from linemate.simulators.harness.setup import shipped_control
+
+CYCLES = (0.012, 0.004)
+
+
+def built(
+    control: ControlSettings | None = None,
+    tracking: TrackingSettings | None = None,
+    task: TaskFile | None = None,
+    cycle_s: float = 0.012,
+    urdf: str = TASK.urdf,
+) -> Parameters:
+    return build(
+        task or TASK.file,
+        urdf,
+        tracking or TrackingSettings(),
+        control or ControlSettings(),
+        cycle_s,
+    )
+
+
+@pytest.mark.parametrize("cycle_s", CYCLES)
+def test_the_horizon_is_half_a_second_and_everything_in_it_fits(cycle_s: float) -> None:
+    made = parameters(cycle_s)
+    tracker, controller = made.tracker, made.controller
+    assert made.cycle_s == tracker.cycle_s == controller.cycle_s == cycle_s
+    assert tracker.steps == controller.steps
+    assert tracker.steps * cycle_s == pytest.approx(0.49, abs=0.01)
+    assert tracker.matrices.shape == (6, tracker.steps - tracker.commit, ORDER)
+    assert np.allclose(tracker.span, np.arange(tracker.steps + 1) * cycle_s)
+
+
+@pytest.mark.parametrize("cycle_s", CYCLES)
+def test_the_longest_dead_time_is_committed(cycle_s: float) -> None:
+    slow = replace(ControlSettings().servos[2], dead_time=0.05)
+    servos = (*ControlSettings().servos[:2], slow, *ControlSettings().servos[3:])
+    assert built(cycle_s=cycle_s).tracker.commit * cycle_s >= 0.036 + 2 * cycle_s - 1e-9
+    longer = built(replace(ControlSettings(), servos=servos), cycle_s=cycle_s)
+    assert longer.tracker.commit * cycle_s >= 0.05 + 2 * cycle_s - 1e-9
+
+
+@pytest.mark.parametrize("cycle_s", CYCLES)
+def test_a_robot_without_dead_time_is_driven_all_the_same(cycle_s: float) -> None:
+    servos = tuple(replace(model, dead_time=0.0) for model in ControlSettings().servos)
+    made = built(replace(ControlSettings(), servos=servos), cycle_s=cycle_s)
+    assert made.tracker.commit >= ORDER
+    assert made.tracker.matrices.shape[1] == made.tracker.steps - made.tracker.commit
+    world = World(made)
+    world.run(0.3)
+    world.step(Order.TRACK, start=True)
+    outputs = world.run(0.3, Order.TRACK)
+    assert outputs.horizon is not None
+    assert np.isfinite(outputs.command).all()
+
+
+@pytest.mark.parametrize("kind", list(ClassifierKind))
+def test_every_classifier_that_can_be_chosen_is_there(kind: ClassifierKind) -> None:
+    made = built(tracking=replace(TrackingSettings(), classifier=kind))
+    world = World(made)
+    world.run(0.9)
+    assert world.outputs is not None
+    assert world.outputs.speed == pytest.approx(0.106, abs=2e-3)
+
+
+def test_a_finer_cycle_tells_the_same() -> None:
+    """What is found and wanted is the same at 12 and at 4 ms."""
+    targets = []
+    for cycle_s in CYCLES:
+        world = World(parameters(cycle_s))
+        world.run(1.2)
+        world.step(Order.TRACK, start=True)
+        while world.time < 0.299:
+            world.step(Order.TRACK)
+        assert world.outputs is not None
+        assert world.outputs.part is not None
+        targets.append((world.outputs.target[:3], world.outputs.part[:3]))
+    # The last steps lie within a coarse cycle of each other: 1.3 mm along the conveyor.
+    for one, other in zip(*targets, strict=True):
+        assert np.abs(np.array(one) - other).max() < 0.003
+
+
+@pytest.mark.parametrize("what", ["servos", "limits"])
+def test_six_models_for_seven_axes_are_refused(what: str) -> None:
+    settings = shipped_control()
+    with pytest.raises(ValueError, match="7 axes"):
+        built(replace(settings, **{what: getattr(settings, what)[:6]}))
+
+
+def test_a_urdf_that_does_not_fit_the_task_is_refused_with_its_reason() -> None:
+    with pytest.raises(KinematicsError, match="joints"):
+        built(task=replace(TASK.file, arm=replace(TASK.file.arm, linear_axis=False)))
+    with pytest.raises(KinematicsError, match="no frame 'tool'"):
+        built(task=replace(TASK.file, arm=replace(TASK.file.arm, flange="tool")))
+    with pytest.raises(KinematicsError, match="not a URDF"):
+        built(urdf="<robot")
+
+
+def test_a_task_that_cannot_be_is_refused_with_its_reason() -> None:
+    with pytest.raises(ValueError, match="times must rise"):
+        built(task=replace(TASK.file, waypoints=TASK.file.waypoints[::-1]))
+    turned = replace(TASK.file.object, nominal=PoseFile((2.2, 0.0, 1.1), (0.0, 0.0, 0.0, 1.0)))
+    with pytest.raises(ValueError, match="y axis"):
+        built(task=replace(TASK.file, object=turned))
+
+
+def test_without_prediction_the_tool_is_behind_the_object() -> None:
+    behind = {}
+    for predict in (True, False):
+        world = World(built(tracking=replace(TrackingSettings(), predict=predict)))
+        world.run(1.2)
+        world.step(Order.TRACK, start=True)
+        # Past the blend from the programmed to the sensed motion.
+        outputs = world.run(2.9, Order.TRACK)
+        assert outputs.sensed is not None
+        behind[predict] = outputs.sensed[1] - outputs.target[1]
+    # Five committed steps, and what the merge needs after them, at 106 mm/s.
+    assert abs(behind[True]) < 0.0005
+    assert 0.106 * 0.060 < behind[False] < 0.106 * 0.2
+
+
+def test_settings_of_a_servo_may_be_anything_their_ranges_allow() -> None:
+    for model in (
+        ServoModel(1.0, 0.06, 0.0),
+        ServoModel(30.0, 2.9, 0.1),
+        ServoModel(3.0, 1.0, 0.02),
+    ):
+        servos = (model, *ControlSettings().servos[1:])
+        made = built(replace(ControlSettings(), servos=servos))
+        assert np.isfinite(made.controller.servo).all()
+        assert np.allclose(made.controller.servo.sum(axis=0), 1.0)

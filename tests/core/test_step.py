@@ -1,0 +1,662 @@
+"""One sampling step: pure, committed to what it has said, and never beyond its limits."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from cell import AXIS, EPOCH_NS, REST, SPEED, World, object_at, parameters, robot_sample
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from linemate.daemon.core import rotations
+from linemate.daemon.core import step as stepping
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.inputs import Inputs, Order
+from linemate.daemon.core.step import (
+    FIX_SCREWS,
+    RELEASE_WHEEL,
+    Outputs,
+    State,
+    finish,
+    initial,
+    plan,
+    step,
+)
+from linemate.daemon.core.tracking import tracker as tracking_state
+from linemate.daemon.core.tracking.task import Phase
+from linemate.daemon.recording import snapshot
+from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
+
+P = parameters()
+HOME = (*REST, AXIS)
+C = P.tracker.reference.nominal
+
+
+@dataclass(frozen=True, repr=False)
+class Told:
+    """A run, step by step: the state before, the inputs, the outputs."""
+
+    states: list[State]
+    inputs: list[Inputs]
+    outputs: list[Outputs]
+
+    def at(self, task_time: float) -> Outputs:
+        """The first outputs at or after a task time."""
+        return next(o for o in self.outputs if (o.task_time or 0.0) >= task_time - 1e-9)
+
+
+def watched(world: World, told: Told, order: Order, **changes: Any) -> Outputs:
+    inputs = world.inputs(order, **changes)
+    told.states.append(world.state)
+    told.inputs.append(inputs)
+    told.outputs.append(world.take(inputs))
+    return told.outputs[-1]
+
+
+@pytest.fixture(scope="module")
+def assembly() -> Told:
+    """The whole task beside a conveyor that never stops: the tool does what it is asked for."""
+    world, told = World(P), Told([], [], [])
+    for _ in range(100):
+        watched(world, told, Order.HOLD)
+    watched(world, told, Order.TRACK, start=True)
+    for _ in range(1700):
+        asked = told.outputs[-1].digital_out
+        robot = robot_sample(world.stamp_ns - world.period_ns, world.joints, asked)
+        outputs = watched(world, told, Order.TRACK, robot=robot)
+        if outputs.finished:
+            break
+    return told
+
+
+def text(outputs: Outputs) -> str:
+    """Everything that a step says, to the last bit."""
+    horizon = None if outputs.horizon is None else outputs.horizon.tobytes()
+    return repr((replace(outputs, horizon=None), horizon))
+
+
+def assert_within(commands: Sequence[Sequence[float]] | Array, cycle_s: float = 0.012) -> None:
+    """Position, speed, acceleration and jerk of commands that begin at rest."""
+    bounds = P.controller.limits
+    rows = np.array([*[commands[0]] * 3, *commands])
+    assert np.isfinite(rows).all()
+    assert (rows >= bounds.lower - 1e-12).all()
+    assert (rows <= bounds.upper + 1e-12).all()
+    grain = 8.0 * np.spacing(4.0)
+    nib = 4e-6 * bounds.acceleration
+    for order, limit in enumerate((bounds.speed, bounds.acceleration, bounds.jerk), 1):
+        rates = np.abs(np.diff(rows, n=order, axis=0)) / cycle_s**order
+        assert (rates <= limit + nib * cycle_s ** (2 - order) + grain / cycle_s**order).all()
+
+
+# Purity.
+
+
+def test_the_same_state_and_inputs_give_the_same_outputs_bit_for_bit(assembly: Told) -> None:
+    for k in range(0, len(assembly.inputs), 23):
+        _, again = step(assembly.states[k], assembly.inputs[k], P)
+        assert text(again) == text(assembly.outputs[k])
+
+
+def test_a_recording_of_the_inputs_replays_bit_for_bit(assembly: Told) -> None:
+    state = initial(P, robot_sample(EPOCH_NS))
+    for inputs, outputs in list(zip(assembly.inputs, assembly.outputs, strict=True))[:350]:
+        state, again = step(state, inputs, P)
+        assert text(again) == text(outputs)
+
+
+def other_fates(state: State, inputs: Inputs) -> list[Inputs]:
+    """The same inputs, the last command's fate being another: held, held elsewhere, gone on."""
+    gate = state.control.gate
+    there = tuple((gate.position + 1e-4).tolist())
+    pace = (tuple(gate.speed.tolist()), tuple(gate.acceleration.tolist()))
+    return [
+        replace(inputs, sent=True, applied=None, pace=None),
+        replace(inputs, sent=False, applied=None, pace=None),
+        replace(inputs, sent=False, applied=there, pace=None),
+        replace(inputs, sent=False, applied=there, pace=pace),
+    ]
+
+
+@pytest.mark.parametrize("order", list(Order))
+def test_a_plan_finished_for_another_fate_of_the_last_command_is_the_whole_step(
+    assembly: Told, order: Order
+) -> None:
+    contacts = set()
+    for state, first in zip(assembly.states[::3], assembly.inputs[::3], strict=True):
+        assumed = replace(first, order=order)
+        planned = plan(state, assumed, P)
+        for inputs in other_fates(state, assumed):
+            (whole, said), (made, told) = (
+                step(state, inputs, P),
+                finish(state, planned, inputs, P),
+            )
+            assert snapshot.encode(made) == snapshot.encode(whole)
+            assert text(told) == text(said)
+            contacts.add((told.contact, state.tracker.contact))
+    assert len(contacts) > 1
+
+
+def test_a_pose_out_of_reach_is_held_whatever_became_of_the_last_command(assembly: Told) -> None:
+    state, first = assembly.states[900], assembly.inputs[900]
+    tracker = replace(state.tracker, poses=state.tracker.poses + np.array((5.0, 0, 0, 0, 0, 0)))
+    state = replace(state, tracker=tracker)
+    planned = plan(state, first, P)
+    for inputs in other_fates(state, first):
+        whole, said = step(state, inputs, P)
+        made, told = finish(state, planned, inputs, P)
+        assert said.held is not None
+        assert "reach" in said.held
+        assert snapshot.encode(made) == snapshot.encode(whole)
+        assert text(told) == text(said)
+
+
+def test_two_robots_may_take_turns_in_one_process() -> None:
+    """Nothing is kept outside the state: interleaving two runs changes neither."""
+    alone, one, two = tracking(1.6), tracking(1.6), tracking(1.0)
+    alone.run(0.5, Order.TRACK)
+    one.run(0.5, Order.TRACK, each=lambda _: two.step(Order.TRACK))
+    assert one.outputs is not None
+    assert alone.outputs is not None
+    assert text(one.outputs) == text(alone.outputs)
+
+
+# What was promised.
+
+
+def test_what_is_committed_is_kept_bit_for_bit(assembly: Told) -> None:
+    """x_t(k, i) == x_t(k-1, i+1) for i <= nc, in every step that tracks after one that did."""
+    nc = P.tracker.commit
+    assert nc == 5
+    tracked = 0
+    for before, after in zip(assembly.outputs, assembly.outputs[1:], strict=False):
+        if before.horizon is None or after.horizon is None:
+            continue
+        tracked += 1
+        assert np.array_equal(after.horizon[: nc + 1], before.horizon[1 : nc + 2])
+    assert tracked > 1000
+
+
+def test_the_target_is_the_value_that_was_committed_first(assembly: Told) -> None:
+    nc = P.tracker.commit
+    for k in range(200, len(assembly.outputs), 37):
+        promised = assembly.outputs[k - nc].horizon
+        assert promised is not None
+        target = assembly.outputs[k].target
+        assert np.allclose(C @ promised[nc, :3], target[:3], atol=1e-12)
+        turn = rotations.log(C @ rotations.exp(promised[nc, 3:]) @ rotations.matrix(target[3:]).T)
+        assert np.abs(turn).max() < 1e-9
+
+
+def test_no_measured_pose_of_the_robot_enters_the_command() -> None:
+    """The chain is feed-forward: a robot that says it is elsewhere is commanded the same."""
+    honest, lying = World(P, camera=False), World(P, camera=False)
+    for world in (honest, lying):
+        world.run(0.3)
+        world.step(Order.TRACK, start=True)
+    joints = (0.1, -1.5, 1.7, 0.2, 1.2, 0.1, 0.4)
+    for _ in range(150):
+        one = honest.step(Order.TRACK)
+        robot = robot_sample(lying.stamp_ns, joints)
+        assert lying.step(Order.TRACK, robot=robot).command == one.command
+
+
+def test_the_task_is_done_from_start_to_end(assembly: Told) -> None:
+    phases = [outputs.phase for outputs in assembly.outputs]
+    order = [phase for i, phase in enumerate(phases) if i == 0 or phase is not phases[i - 1]]
+    assert order == [
+        Phase.WAIT,
+        Phase.APPROACH,
+        Phase.CONTACT,
+        Phase.SCREWS,
+        Phase.CONTACT,
+        Phase.RETREAT,
+        Phase.DONE,
+    ]
+    assert assembly.outputs[-1].finished
+    assert {outputs.held for outputs in assembly.outputs[101:]} == {None}
+
+
+def test_the_tool_is_asked_when_the_task_says(assembly: Told) -> None:
+    assert assembly.at(8.45).digital_out == 0
+    assert assembly.at(8.55).digital_out == FIX_SCREWS
+    assert assembly.at(14.45).digital_out == FIX_SCREWS
+    assert assembly.at(14.55).digital_out == FIX_SCREWS | RELEASE_WHEEL
+
+
+def test_contact_is_felt_where_the_task_plans_it_and_lost_when_the_wheel_is(
+    assembly: Told,
+) -> None:
+    touched = [o.task_time or 0.0 for o in assembly.outputs if o.contact]
+    assert 5.9 < touched[0] < 6.1
+    assert touched[-1] < 15.1
+    assert len(touched) > 500
+
+
+@pytest.mark.parametrize(("touching", "counts"), [(0.0, False), (0.07, False), (0.09, True)])
+def test_a_force_measures_the_object_only_after_the_clamp_has_drawn_the_tool_in(
+    assembly: Told, touching: float, *, counts: bool
+) -> None:
+    k = next(k for k, o in enumerate(assembly.outputs) if o.contact)
+    tracker, inputs = assembly.states[k + 1].tracker, assembly.inputs[k + 1]
+    state = replace(tracker, contact=True, touching=touching)
+    bent = WrenchSample(inputs.stamp_ns, (0.0, 20.0, 0.0), (0.0, 0.0, 0.0))
+    seen = tracking_state.Measurements(
+        inputs.stamp_ns, state.poses[0], inputs.stamp_ns, (), (), (bent,), 0
+    )
+    blind = replace(seen, wrench=())
+    felt, *_ = tracking_state.estimate(P.tracker, state, seen)
+    unfelt, *_ = tracking_state.estimate(P.tracker, state, blind)
+    assert felt.belief.contact == counts
+    assert unfelt.across is not None
+    assert felt.across is not None
+    assert (felt.belief.x == unfelt.belief.x).all() != counts
+    assert (felt.across.x == unfelt.across.x).all() != counts
+
+
+def test_the_tcp_is_where_the_object_wants_it_once_it_is_close(assembly: Told) -> None:
+    for outputs, inputs in zip(assembly.outputs, assembly.inputs, strict=True):
+        time = outputs.task_time
+        if time is None or outputs.sensed is None or outputs.part is None or not 5.0 < time < 5.9:
+            continue
+        assert np.abs(np.array(outputs.target[:3]) - outputs.sensed[:3]).max() < 5e-4
+        place, turned = object_at((inputs.stamp_ns - EPOCH_NS) * 1e-9 - 1.5)
+        assert np.abs(C @ place - outputs.part[:3]).max() < 1.5e-3
+        off = rotations.log(C @ turned @ rotations.matrix(outputs.part[3:]).T)
+        assert np.abs(off).max() < 1.5e-3
+
+
+def test_the_commands_of_a_whole_task_stay_within_the_limits(assembly: Told) -> None:
+    assert_within([outputs.command for outputs in assembly.outputs])
+
+
+# Holding.
+
+
+junk = st.floats(-10.0, 10.0)
+distances = st.builds(
+    lambda late, position: DistanceSample(EPOCH_NS - late, position, 1.0),
+    st.integers(0, 50_000_000),
+    junk,
+)
+wrenches = st.builds(
+    lambda force, torque: WrenchSample(EPOCH_NS, force, torque),
+    st.tuples(*[st.floats(-500, 500)] * 3),
+    st.tuples(*[st.floats(-50, 50)] * 3),
+)
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    st.lists(
+        st.tuples(st.lists(distances, max_size=3), st.lists(wrenches, max_size=3), st.booleans()),
+        max_size=30,
+    )
+)
+def test_hold_never_moves_a_robot_at_rest(
+    steps: list[tuple[list[DistanceSample], list[WrenchSample], bool]],
+) -> None:
+    state = initial(P, robot_sample(EPOCH_NS))
+    for k, (distance, wrench, telegram) in enumerate(steps, 1):
+        now = EPOCH_NS + k * 12_000_000
+        inputs = Inputs(
+            k,
+            now,
+            robot_sample(now) if telegram else None,
+            tuple(replace(each, stamp_ns=each.stamp_ns + k * 12_000_000) for each in distance),
+            (),
+            tuple(replace(each, stamp_ns=now) for each in wrench),
+        )
+        state, outputs = step(state, inputs, P)
+        assert outputs.command == HOME
+        assert outputs.held == "hold"
+        assert outputs.digital_out == 0
+
+
+@pytest.mark.parametrize("order", list(Order))
+def test_a_step_without_any_sample_works(order: Order) -> None:
+    state = initial(P, robot_sample(EPOCH_NS))
+    for k in range(1, 30):
+        now = EPOCH_NS + k * 12_000_000
+        state, outputs = step(state, Inputs(k, now, None, order=order), P)
+        assert np.isfinite(outputs.command).all()
+        assert outputs.part is None
+        assert outputs.speed is None
+        assert outputs.ready is not None
+    if order is not Order.RETREAT:
+        assert np.allclose(outputs.command, HOME, atol=1e-9)
+
+
+_TRACKING: dict[float, World] = {}
+
+
+def tracking(seconds: float) -> World:
+    """A world whose robot has tracked for some time, past the start position."""
+    if seconds not in _TRACKING:
+        world = World(P)
+        world.run(1.2)
+        world.step(Order.TRACK, start=True)
+        for _ in range(round(seconds / P.cycle_s)):
+            world.step(Order.TRACK)
+        _TRACKING[seconds] = world
+    return _TRACKING[seconds].fork()
+
+
+def test_hold_in_motion_comes_to_rest_within_the_limits_and_stays_there(assembly: Told) -> None:
+    k = next(i for i, outputs in enumerate(assembly.outputs) if (outputs.task_time or 0.0) > 2.0)
+    before = [outputs.command for outputs in assembly.outputs[:k]]
+    state = assembly.states[k]
+    assert np.abs(state.control.gate.speed).max() > 0.05
+    commands = []
+    for inputs in assembly.inputs[k : k + 80]:
+        state, outputs = step(state, replace(inputs, order=Order.HOLD), P)
+        commands.append(outputs.command)
+    assert_within([*before, *commands])
+    assert len(set(commands[-20:])) == 1
+    assert not state.moving
+
+
+def test_after_a_hold_the_task_can_begin_anew_only_from_its_first_pose() -> None:
+    world = tracking(2.4)
+    world.run(0.8, Order.HOLD)
+    assert world.outputs is not None
+    assert world.outputs.task_time is None
+    assert world.outputs.ready is not None
+    assert "away from the task's first pose" in world.outputs.ready
+
+
+def test_ready_says_what_is_missing() -> None:
+    world = World(P, distance=False)
+    assert world.run(0.3).ready == "no distance has been measured yet"
+    assert World(P).run(0.3).ready is None
+
+
+# Retreat.
+
+
+def test_a_retreat_withdraws_straight_back_and_says_when_it_is_over() -> None:
+    world = tracking(2.4)
+    outputs = world.outputs
+    assert outputs is not None
+    commands = [outputs.command]
+    world.run(0.3, Order.RETREAT, each=lambda o: commands.append(o.command))
+    assert world.outputs is not None
+    assert not world.outputs.finished
+    assert world.outputs.phase is Phase.RETREAT
+    assert world.outputs.digital_out & RELEASE_WHEEL
+    world.run(1.2, Order.RETREAT, each=lambda o: commands.append(o.command))
+    assert world.outputs.finished
+    assert world.outputs.sensed is not None
+    tool = rotations.matrix(world.outputs.target[3:])
+    way = tool.T @ (np.array(world.outputs.target[:3]) - world.outputs.sensed[:3])
+    assert way[2] < -0.1
+    assert np.isfinite(commands).all()
+
+
+@pytest.mark.parametrize("begun", [5.3, 5.5, 5.6])
+def test_a_retreat_before_contact_stands_still_and_withdraws(begun: float) -> None:
+    """Led on towards the object, the tool would come to it: 0.2 s later it touches."""
+    world = tracking(begun)
+    assert world.outputs is not None
+    assert not world.outputs.contact
+    assert world.outputs.task_time is not None
+    assert world.outputs.task_time < P.tracker.reference.contact_time
+    told: list[Outputs] = []
+    # A tool that may be clamped waits for its clamp's time-out of 2 s.
+    world.run(3.2, Order.RETREAT, each=told.append)
+    assert {o.task_time for o in told} == {world.outputs.task_time}
+    depths = [depth(o) for o in told]
+    # Commands that were sent before go on for a while.
+    assert max(depths) < -0.001
+    assert depths[-1] < -0.1
+    assert told[-1].finished
+
+
+def depth(outputs: Outputs) -> float:
+    """Return how far the commanded tool is beyond the object, along its own axis [m]."""
+    assert outputs.part is not None
+    tool = rotations.matrix(outputs.target[3:])
+    return float((tool.T @ (np.array(outputs.target[:3]) - outputs.part[:3]))[2])
+
+
+def test_no_screws_are_ordered_while_the_object_does_not_push_back() -> None:
+    world = tracking(8.3)
+    assert world.outputs is not None
+    assert world.outputs.contact
+    for force in (0.0, 50.0):
+        fork = world.fork()
+        fork.state = replace(
+            fork.state, tracker=replace(fork.state.tracker, pull=(0.0, 0.0, force))
+        )
+        for _ in range(round(0.5 / P.cycle_s)):
+            inputs = fork.inputs(Order.TRACK)
+            felt = tuple(replace(w, force=(0.0, 0.0, force)) for w in inputs.wrench)
+            outputs = fork.take(replace(inputs, wrench=felt))
+            assert not outputs.digital_out & FIX_SCREWS
+        assert (outputs.task_time or 0.0) > 8.5
+
+
+def test_no_screws_are_ordered_in_a_retreat() -> None:
+    world = tracking(9.0)
+    assert world.outputs is not None
+    assert world.outputs.digital_out == FIX_SCREWS
+    told: list[Outputs] = []
+    world.run(0.5, Order.RETREAT, each=told.append)
+    assert {o.digital_out for o in told} == {RELEASE_WHEEL}
+
+
+@cache
+def on_the_object() -> World:
+    """A tool that was clamped for half a second when the robot was ordered to hold."""
+    world = tracking(7.0)
+    assert world.outputs is not None
+    assert world.outputs.contact
+    world.run(0.5, Order.HOLD)
+    return world
+
+
+def test_a_tool_that_is_held_on_the_object_is_asked_to_release_it_and_stays_in_contact() -> None:
+    outputs = on_the_object().outputs
+    assert outputs is not None
+    assert outputs.digital_out == RELEASE_WHEEL
+    assert outputs.contact
+
+
+def test_from_there_it_follows_the_object_and_withdraws_once_it_is_released() -> None:
+    world = on_the_object().fork()
+    world.run(0.4, Order.RETREAT)
+    assert world.outputs is not None
+    assert world.outputs.clamped
+    speed = np.array(world.outputs.target[:3])
+    world.step(Order.RETREAT)
+    moved = np.array(world.outputs.target[:3]) - speed
+    assert np.linalg.norm(moved) / P.cycle_s == pytest.approx(SPEED, rel=0.3)
+    for _ in range(round(1.0 / P.cycle_s)):
+        inputs = world.inputs(Order.RETREAT)
+        assert inputs.robot is not None
+        world.take(replace(inputs, robot=replace(inputs.robot, digital_in=2)))
+    assert world.outputs.finished
+    assert not world.outputs.contact
+
+
+@pytest.mark.parametrize(("withdrawn", "is_on_it"), [(None, True), (0.3, True), (0.61, False)])
+def test_a_tool_that_was_withdrawn_is_not_on_the_object_any_more(
+    withdrawn: float | None, *, is_on_it: bool
+) -> None:
+    there = replace(on_the_object().state.tracker, withdrawn=withdrawn)
+    rested = tracking_state.rest(P.tracker, there, there.poses[0], 0.0)
+    assert rested.contact == is_on_it
+    assert rested.started == is_on_it
+    assert rested.withdrawn is None
+
+
+def test_a_controller_that_begins_again_there_finds_the_tool_on_the_object() -> None:
+    world = on_the_object()
+    there = robot_sample(world.stamp_ns, world.command)
+    assert stepping.is_engaged(world.state, P, there)
+    state = stepping.resumed(P, world.state, there)
+    assert state.tracker.contact
+    assert state.tracker.belief is world.state.tracker.belief
+    assert not state.moving
+    away = robot_sample(world.stamp_ns, (world.command[0] + 0.1, *world.command[1:]))
+    assert not stepping.is_engaged(world.state, P, away)
+
+
+# Whatever comes in.
+
+
+BAD = (float("nan"), float("inf"), float("-inf"), 1e308, -1e308, 1e12)
+
+
+def spoiled(inputs: Inputs, where: str, value: float) -> Inputs:
+    """Inputs with one number that no sensor could mean; decoders refuse it, the step survives."""
+    if where == "distance":
+        return replace(inputs, distance=(DistanceSample(inputs.stamp_ns, value, 1.0),))
+    if where == "force":
+        sample = WrenchSample(inputs.stamp_ns, (0.0, value, value), (0.0, 0.0, value))
+        return replace(inputs, wrench=(sample,))
+    if where in {"camera", "turn"}:
+        place = (0.0, value, 0.4) if where == "camera" else (0.0, 0.0, 0.4)
+        quaternion = (1.0, 0.0, value, 0.0) if where == "turn" else (1.0, 0.0, 0.0, 0.0)
+        sample = CameraSample(
+            inputs.stamp_ns,
+            inputs.stamp_ns - 50_000_000,
+            "c",
+            "camera",
+            "hub",
+            1,
+            place,
+            quaternion,
+        )
+        return replace(inputs, camera=(sample,))
+    assert inputs.robot is not None
+    joints: Any = (*inputs.robot.joints[:4], value, 0.0)
+    return replace(inputs, robot=replace(inputs.robot, joints=joints))
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("where", ["distance", "force", "camera", "turn", "robot"])
+@pytest.mark.parametrize("value", BAD)
+def test_no_number_reaches_the_command_that_is_none(where: str, value: float) -> None:
+    world = tracking(1.0)
+    commands = [world.command]
+    for k in range(30):
+        inputs = world.inputs(Order.TRACK)
+        if k in {5, 6, 7, 8, 9, 20}:
+            inputs = spoiled(inputs, where, value)
+        commands.append(world.take(inputs).command)
+    assert_within(commands)
+
+
+@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(list(Order)),
+            st.integers(1, 25),
+            st.sampled_from(("all", "no camera", "no distance", "nothing", "unsent", "outlier")),
+        ),
+        min_size=1,
+        max_size=5,
+    )
+)
+def test_whatever_is_ordered_and_lost_the_robots_setpoints_stay_within_the_limits(
+    stretches: list[tuple[Order, int, str]],
+) -> None:
+    world = tracking(1.6)
+    applied = [world.command]
+    for order, length, what in stretches:
+        for i in range(length):
+            inputs = world.inputs(order)
+            if what == "nothing":
+                inputs = replace(inputs, robot=None, distance=(), camera=(), wrench=())
+            elif what == "no camera":
+                inputs = replace(inputs, camera=())
+            elif what == "no distance":
+                inputs = replace(inputs, distance=())
+            elif what == "outlier":
+                inputs = replace(inputs, distance=(DistanceSample(inputs.stamp_ns, 1.0 * i, 1.0),))
+            elif what == "unsent" and i == length // 2:
+                # The reply before did not arrive: the robot stands where it was.
+                inputs = replace(inputs, sent=False)
+                assert_steady(applied[:-1] or applied)
+                applied = [applied[max(len(applied) - 2, 0)]]
+            applied.append(world.take(inputs).command)
+    assert_steady(applied)
+
+
+def assert_steady(commands: list[tuple[float, ...]]) -> None:
+    """As ``assert_within``, but the first of them may have been in motion."""
+    bounds = P.controller.limits
+    rows = np.array(commands)
+    assert np.isfinite(rows).all()
+    assert (rows >= bounds.lower - 1e-12).all()
+    assert (rows <= bounds.upper + 1e-12).all()
+    for order, limit in enumerate((bounds.speed, bounds.acceleration, bounds.jerk), 1):
+        rates = np.abs(np.diff(rows, n=order, axis=0)) / 0.012**order
+        assert (rates <= limit * (1 + 1e-5) + 1e-14 / 0.012**order).all()
+
+
+def test_a_reply_that_was_lost_is_taken_up_from_where_the_robot_stands() -> None:
+    world = tracking(2.4)
+    commands = [world.command]
+    world.run(0.12, Order.TRACK, each=lambda o: commands.append(o.command))
+    stood = commands[-2]
+    outputs = world.step(Order.TRACK, sent=False)
+    limits = P.controller.limits
+    first = np.abs(np.array(outputs.command) - stood)
+    assert (first <= limits.jerk * 0.012**3 * (1 + 1e-6)).all()
+    assert outputs.held is not None
+    world.run(0.5, Order.TRACK)
+    assert world.outputs is not None
+    assert world.outputs.held is None
+
+
+def test_where_the_robot_holds_may_be_told() -> None:
+    world = tracking(1.0)
+    stands = tuple(q + 0.001 for q in world.command)
+    outputs = world.step(Order.HOLD, sent=False, applied=stands)
+    assert np.allclose(outputs.command, stands, atol=1e-9)
+
+
+def test_a_robot_that_goes_on_is_led_as_if_the_step_before_were_its_own(assembly: Told) -> None:
+    k = next(k for k, o in enumerate(assembly.outputs) if (o.task_time or 0.0) > 2.0)
+    state, inputs = assembly.states[k], assembly.inputs[k]
+    gate = state.control.gate
+    there = tuple(gate.position.tolist())
+    pace = (tuple(gate.speed.tolist()), tuple(gate.acceleration.tolist()))
+    sent, told = step(state, inputs, P)
+    on, goes_on = step(state, replace(inputs, sent=False, applied=there, pace=pace), P)
+    held, _ = step(state, replace(inputs, sent=False, applied=there), P)
+    assert np.abs(gate.speed).max() > 0.05
+    assert goes_on.command == pytest.approx(told.command, abs=1e-9)
+    asked = sent.control.gate.acceleration
+    assert on.control.gate.acceleration == pytest.approx(asked, abs=1e-6)
+    assert np.abs(held.control.gate.acceleration - asked).max() > 1.0
+    # One that held has set its tool ringing, and its force tells nothing for a while.
+    assert on.tracker.feeling == sent.tracker.feeling
+    assert held.tracker.feeling.calm == 0 < sent.tracker.feeling.calm
+
+
+def test_a_robot_that_goes_on_brakes_within_its_limits_though_it_was_taken_to_stand(
+    assembly: Told,
+) -> None:
+    k = next(k for k, o in enumerate(assembly.outputs) if (o.task_time or 0.0) > 2.0)
+    before, state = assembly.states[k - 2 : k]
+    gate = state.control.gate
+    there = tuple(gate.position.tolist())
+    pace = (tuple(gate.speed.tolist()), tuple(gate.acceleration.tolist()))
+    commands = [tuple(s.control.gate.position.tolist()) for s in (before, state)]
+    hold = replace(assembly.inputs[k], order=Order.HOLD, start=False, sent=False, applied=there)
+    state, _ = step(state, hold, P)
+    assert not state.moving
+    state, told = step(state, replace(hold, pace=pace), P)
+    commands.append(told.command)
+    while state.moving:
+        state, told = step(state, replace(hold, sent=True, applied=None), P)
+        commands.append(told.command)
+    assert_steady(commands)
+    assert np.abs(np.subtract(commands[-1], there)).max() > 1e-4

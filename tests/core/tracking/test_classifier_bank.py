@@ -1,0 +1,414 @@
+"""The bank's evidence is a likelihood ratio: against a second filter for every hypothesis."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conveyor_truth import DEVIATION, NOMINAL, STOP, T0, Truth
+from filterpy.kalman import KalmanFilter
+from scipy import integrate
+
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.classifiers import hypotheses
+from linemate.daemon.core.tracking.classifiers.classifier_bank import (
+    ACCELERATION,
+    PACE,
+    SETTLING,
+    STATES,
+    WAVE,
+    BankClassifier,
+    BankState,
+)
+from linemate.daemon.core.tracking.conveyor import Motion, Row, Source
+from linemate.daemon.core.tracking.settings import BankSettings, FusionSettings, WaveSettings
+from linemate.daemon.core.tracking.task import ConveyorClasses
+
+NEVER = 1e9
+# Without ripple the filter's own noise does not depend on what it believes of the speed.
+FUSION = FusionSettings(ripple=1e-9)
+NO_WAVE = WaveSettings(deviation=0.0)
+SETTINGS = BankSettings(perceived=NEVER, stop_confirmed=NEVER, start_confirmed=NEVER)
+PRIOR = hypotheses.Prior(1.0, SETTINGS.amplitude_deviation**2)
+BANK = BankClassifier(ConveyorClasses(), FUSION, SETTINGS, DEVIATION, wave=NO_WAVE)
+CAMERA_DELAY = 0.1
+
+
+def measured(truth: Truth, seed: int) -> list[list[Row]]:
+    """Rows of some steps: a distance at each, a late camera at every second."""
+    rng = np.random.default_rng(seed)
+    steps = []
+    for k in range(round(1.2 / T0)):
+        t = k * T0
+        value = float(truth.at(t - 0.001)) + rng.normal(0.0, DEVIATION)
+        rows = [Row(Source.DISTANCE, value, 0.001, DEVIATION**2, NEVER)]
+        if k % 2:
+            value = float(truth.at(t - CAMERA_DELAY)) + rng.normal(0.0, 5e-4)
+            rows.append(Row(Source.CAMERA, value, CAMERA_DELAY, 25e-8, NEVER))
+        steps.append(rows)
+    return steps
+
+
+def told(steps: list[list[Row]], bank: BankClassifier = BANK) -> tuple[BankState, int, BankState]:
+    """The state before the bank has hypotheses, its step, and the state at the end."""
+    state = bank.initial(steps[0][0].value)
+    start, first = state, 0
+    for k, rows in enumerate(steps[1:], 1):
+        state = bank.advance(state, rows, T0)
+        if len(state.bank.age) == 0:
+            start, first = state, k
+    return start, first, state
+
+
+def log_likelihood(
+    start: BankState, steps: list[list[Row]], onset: float, amplitude: float, first: int
+) -> float:
+    """A whole filter of its own, filterpy's, whose world has had a change since ``onset``."""
+    kf = KalmanFilter(dim_x=5, dim_z=1)
+    kf.x, kf.P = start.x[:5].copy(), start.P[:5, :5].copy()
+    kf.F = np.eye(5)
+    kf.F[0, 1] = kf.F[0, 2] = kf.F[1, 4] = T0
+    kf.F[0, 4], kf.F[2, 2] = 0.5 * T0 * T0, math.exp(-T0 / FUSION.ripple_time)
+    kf.Q = np.diag((1e-12, FUSION.speed**2 * T0, 0.0, FUSION.offset**2 * T0, 0.0))
+    total = 0.0
+    for k, rows in enumerate(steps[first + 1 :], first + 1):
+        kf.predict()
+        for row in rows:
+            moved = max(k * T0 - row.delay - onset, 0.0)
+            change = -0.5 * STOP * moved * moved
+            seen = 1.0 if row.source is Source.DISTANCE else 0.0
+            H = np.array(((1.0, -row.delay, -row.delay, seen, 0.0),))
+            kf.update(
+                np.array((row.value - amplitude * change,)), R=np.array(((row.variance,),)), H=H
+            )
+            total += float(kf.log_likelihood)
+    return total
+
+
+@pytest.mark.parametrize("events", [(), ((0.95, -STOP),)], ids=["running on", "a stop at 0.95 s"])
+def test_evidence_is_the_likelihood_ratio_of_a_filter_for_each_hypothesis(
+    events: tuple[tuple[float, float], ...],
+) -> None:
+    steps = measured(Truth(1.5, events), seed=3)
+    start, first, state = told(steps)
+    assert start.age <= SETTLING + 1e-9
+    evidence, _ = hypotheses.evidence(state.bank, BANK._prior)
+    now = (len(steps) - 1) * T0
+    null = log_likelihood(start, steps, now, 0.0, first)
+    for j in (2, 12, 30, len(evidence) - 1):
+        onset = now - float(state.bank.age[j])
+        full, opposite = (
+            log_likelihood(start, steps, onset, amplitude, first) - null
+            for amplitude in (1.0, -1.0)
+        )
+        # A linear filter's likelihood is a parabola of the amplitude: three filters tell it all.
+        A, B = -(full + opposite), 0.5 * (full - opposite)
+        assert state.bank.A[j] == pytest.approx(A, rel=1e-6)
+        assert state.bank.B[j] == pytest.approx(B, rel=1e-6, abs=1e-6)
+        assert evidence[j] == pytest.approx(integrated(A, B), rel=1e-6, abs=1e-6)
+
+
+def integrated(A: float, B: float) -> float:
+    """ln of the mean of exp(a B - a^2 A / 2) over amplitudes a ~ N(1, s^2), by quadrature."""
+    s = SETTINGS.amplitude_deviation
+    peak = (B * s * s + 1.0) / (A * s * s + 1.0)
+
+    def exponent(a: float) -> float:
+        return a * B - 0.5 * a * a * A - 0.5 * ((a - 1.0) / s) ** 2
+
+    width = s / math.sqrt(1.0 + s * s * A)
+    total, _ = integrate.quad(
+        lambda a: math.exp(exponent(a) - exponent(peak)), peak - 9 * width, peak + 9 * width
+    )
+    return exponent(peak) + math.log(total / (s * math.sqrt(2.0 * math.pi)))
+
+
+def test_the_best_hypothesis_is_the_onset_that_was() -> None:
+    steps = measured(Truth(1.5, ((0.9, -STOP),)), seed=4)
+    _, _, state = told(steps)
+    best = state.bank.age[int(np.argmax(hypotheses.evidence(state.bank, BANK._prior)[0]))]
+    assert best == pytest.approx(1.2 - 0.9, abs=0.06)
+    assert state.odds > 10.0
+
+
+@pytest.mark.parametrize("found", [-0.08, -0.095, -0.104, -0.12, -0.14])
+@pytest.mark.parametrize("sigma", [0.004, 0.008])
+def test_a_ramp_is_as_set_as_far_as_the_readings_let_it(found: float, sigma: float) -> None:
+    """Against the posterior of the two priors together, by quadrature over accelerations."""
+    nominal, settings = -BANK.conveyor.deceleration, BANK.bank
+    x, P = np.zeros(STATES), np.zeros((STATES, STATES))
+    x[ACCELERATION], P[ACCELERATION, ACCELERATION] = found, sigma**2
+    state = replace(BANK.initial(0.0), x=x, P=P, motion=Motion.STOPPING)
+    a = np.linspace(-0.25, 0.05, 30001)
+    wide, narrow = (
+        gaussian(a, nominal, share * nominal)
+        for share in (settings.amplitude_deviation, settings.as_set_deviation)
+    )
+    told = gaussian(a, found, sigma) / wide  # by the readings alone
+    belief = told * (settings.as_set * narrow + (1.0 - settings.as_set) * wide)
+    expected = float((a * belief).sum() / belief.sum())
+    assert BANK._as_set(state)[ACCELERATION] == pytest.approx(expected, abs=0.03 * sigma)
+
+
+def gaussian(a: Array, mean: float, sigma: float) -> Array:
+    """A density (m,) at ``a``."""
+    density: Array = np.exp(-0.5 * ((a - mean) / sigma) ** 2) / abs(sigma)
+    return density
+
+
+@pytest.mark.parametrize("motion", [Motion.RUNNING, Motion.STANDING])
+def test_only_a_ramp_has_been_set(motion: Motion) -> None:
+    state = replace(BANK.initial(0.0), motion=motion)
+    assert BANK._as_set(state) is state.x
+
+
+@pytest.mark.parametrize("share", [0.75, 1.0, 1.25])
+def test_the_amplitude_of_a_stop_is_found_with_its_onset(share: float) -> None:
+    truth = Truth(3.5, ((1.0, -share * STOP),), ripple=0.0)
+    bank = replace(BANK, bank=BankSettings(), mixture=False)
+    state = bank.initial(float(truth.at(-1.5)))
+    errors = {}
+    for t in np.arange(-1.5 + T0, 1.6, T0):
+        value = float(truth.at(t - 0.001))
+        state = bank.advance(state, [Row(Source.DISTANCE, value, 0.001, DEVIATION**2, 4.0)], T0)
+        ahead = np.array((0.4,))
+        errors[float(t)] = float((bank.outlook(state, ahead) - truth.at(t + ahead))[0])
+    assert state.motion is Motion.STOPPING
+    assert state.x[4] == pytest.approx(-share * STOP, rel=0.12)
+    late = [abs(error) for t, error in errors.items() if t > 1.45]
+    assert max(late) < 0.003
+
+
+def test_the_bank_never_grows_beyond_its_oldest_onset() -> None:
+    state = BANK.initial(0.0)
+    for k in range(1, 300):
+        state = BANK.advance(state, measured_row(NOMINAL * k * T0), T0)
+        assert len(state.bank.age) <= round(SETTINGS.longest_onset / T0)
+        assert all(each.shape[-1] == len(state.bank.age) for each in arrays(state))
+    assert float(state.bank.age.max()) <= SETTINGS.longest_onset + 1e-9
+    assert (np.diff(state.bank.age) > 0.0).all()
+
+
+def measured_row(value: float) -> list[Row]:
+    return [Row(Source.DISTANCE, value, 0.0, DEVIATION**2, NEVER)]
+
+
+def arrays(state: BankState) -> list[Array]:
+    return [state.bank.error, state.bank.A, state.bank.B]
+
+
+def test_the_covariance_stays_symmetric_and_positive_through_a_stop_and_a_start() -> None:
+    truth = Truth(6.0, ((0.5, -STOP), (3.0, 0.013)))
+    bank = replace(BANK, bank=BankSettings(), fusion=FusionSettings())
+    rng = np.random.default_rng(1)
+    state = bank.initial(float(truth.at(-1.5)))
+    motions = set()
+    for t in np.arange(-1.5 + T0, 6.0, T0):
+        value = float(truth.at(t)) + rng.normal(0.0, DEVIATION)
+        state = bank.advance(state, [Row(Source.DISTANCE, value, 0.0, DEVIATION**2, 4.0)], T0)
+        motions.add(state.motion)
+        assert np.allclose(state.P, state.P.T, rtol=0.0, atol=1e-12)
+        assert np.linalg.eigvalsh(0.5 * (state.P + state.P.T))[0] > -1e-12
+    assert motions == {Motion.RUNNING, Motion.STOPPING, Motion.STANDING, Motion.STARTING}
+
+
+# In contact: the force sensor sees the body, the distance sensor the conveyor.
+
+CONTACT = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), DEVIATION)
+TOUCH = 0.00005
+
+
+def in_contact(
+    truth: Truth, push: Callable[[float], float], seconds: float, seed: int
+) -> list[tuple[float, str, str]]:
+    """Events of a bank in contact whose body is pushed; the push starts at 0 s or later."""
+    rng = np.random.default_rng(seed)
+    state = CONTACT.initial(float(truth.at(-1.5)))
+    events = []
+    for t in np.arange(-1.5 + T0, seconds, T0):
+        read = round((float(truth.at(t - 0.001)) + rng.normal(0.0, 0.00025)) * 1e3) / 1e3
+        felt = float(truth.at(t - 0.006)) + push(t - 0.006) + rng.normal(0.0, TOUCH)
+        rows = [
+            Row(Source.DISTANCE, read, 0.001, DEVIATION**2, 4.0),
+            Row(Source.TACTILE, felt, 0.006, TOUCH**2, 5.0),
+        ]
+        state = CONTACT.advance(state, rows, T0)
+        events += [(float(t), kind, what) for kind, what in CONTACT.view(state).events]
+    return events
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_in_contact_a_stop_is_confirmed_beside_the_hypothesis_of_a_push(seed: int) -> None:
+    truth = Truth(1.0, ((0.4, -STOP),), seed=seed)
+    events = in_contact(truth, lambda _: 0.0, 0.9, seed)
+    confirmed = [t for t, kind, what in events if (kind, what) == ("stop", "confirmed")]
+    assert len(confirmed) == 1
+    assert 0.4 < confirmed[0] < 0.4 + 0.2
+
+
+@pytest.mark.parametrize("size", [0.001, -0.002, 0.003])
+@pytest.mark.parametrize("frequency_hz", [1.0, 2.0])
+def test_a_push_of_the_body_is_not_taken_for_a_stop(size: float, frequency_hz: float) -> None:
+    w = 2.0 * math.pi * frequency_hz
+
+    def push(t: float) -> float:
+        return size * math.exp(-0.1 * w * max(t, 0.0)) * math.sin(w * max(t, 0.0))
+
+    events = in_contact(Truth(1.3, seed=5), push, 1.2, 5)
+    assert not [t for t, kind, what in events if (kind, what) == ("stop", "confirmed")]
+
+
+# A fine sensor: it sees the ripple, and a stop leaves its gate before anybody has perceived it.
+
+FINE = 5.8e-5
+SHARP = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), FINE)
+
+
+def fine_row(truth: Truth, t: float, rng: np.random.Generator) -> list[Row]:
+    read = round((float(truth.at(t - 0.001)) + rng.normal(0.0, 5e-5)) * 1e4) / 1e4
+    return [Row(Source.DISTANCE, read, 0.001, FINE**2, 4.0)]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_fine_sensor_lets_no_stop_out_of_its_gate_and_takes_no_ripple_for_one(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    onset = 6.0 + 0.002 * seed
+    truth = Truth(onset + 0.4, ((onset, -STOP),), seed=seed)
+    state = SHARP.initial(float(truth.at(-1.5)))
+    events = []
+    for t in np.arange(-1.5 + T0, onset + 0.35, T0):
+        state = SHARP.advance(state, fine_row(truth, float(t), rng), T0)
+        events += [(float(t), *event) for event in state.events]
+    confirmed = [t for t, kind, what in events if (kind, what) == ("stop", "confirmed")]
+    assert len(confirmed) == 1
+    assert onset < confirmed[0] < onset + 0.15
+
+
+def test_a_stop_that_does_not_slow_the_conveyor_is_taken_back() -> None:
+    truth = Truth(4.0, ripple=0.0)
+    rng = np.random.default_rng(2)
+    state = SHARP.initial(float(truth.at(-1.5)))
+    times = np.arange(-1.5 + T0, 3.5, T0)
+    for t in times[:150]:
+        state = SHARP.advance(state, fine_row(truth, float(t), rng), T0)
+    braking = state.x.copy()
+    braking[4] = -STOP
+    P = state.P.copy()
+    P[4, 4] = (0.15 * STOP) ** 2
+    state = replace(state, x=braking, P=P, motion=Motion.STOPPING, since=0.0)
+    events = []
+    for t in times[150:]:
+        state = SHARP.advance(state, fine_row(truth, float(t), rng), T0)
+        events += state.events
+    assert ("stop", "cancelled") in events
+    assert state.motion is Motion.RUNNING
+    assert state.x[1] + state.x[2] == pytest.approx(NOMINAL, abs=0.002)
+
+
+@pytest.mark.parametrize("share", [0.75, 1.25])
+def test_a_stop_at_the_edge_of_what_is_known_of_it_is_not_taken_back(share: float) -> None:
+    truth = Truth(3.0, ((1.0, -share * STOP),))
+    rng = np.random.default_rng(4)
+    bank = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), DEVIATION)
+    state = bank.initial(float(truth.at(-1.5)))
+    events = []
+    for t in np.arange(-1.5 + T0, 2.9, T0):
+        read = round((float(truth.at(t - 0.001)) + rng.normal(0.0, 0.00025)) * 1e3) / 1e3
+        rows = [Row(Source.DISTANCE, read, 0.001, DEVIATION**2, 4.0)]
+        state = bank.advance(state, rows, T0)
+        events += state.events
+    assert events.count(("stop", "confirmed")) == 1
+    assert ("stop", "cancelled") not in events[events.index(("stop", "confirmed")) :]
+    assert state.motion is Motion.STANDING
+
+
+def test_in_contact_little_evidence_moves_the_prediction_less_than_bayes_would() -> None:
+    """A quiet line is not followed as if it braked a little; a stop is as soon as it shows."""
+    shares = {}
+    for caution in (1.0, BankSettings().contact_caution):
+        settings = BankSettings(contact_caution=caution)
+        bank = BankClassifier(ConveyorClasses(), FusionSettings(), settings, DEVIATION)
+        state = replace(
+            bank.initial(0.0),
+            contact=True,
+            bank=hypotheses.begun(np.zeros(STATES), (0.0,)),
+        )
+        shares[caution] = [
+            bank._shares(replace(state, change=hypotheses.Verdict(odds, np.ones(1), np.ones(1))))[0]
+            for odds in (1.2, 7.0)
+        ]
+    bayes, careful = shares.values()
+    assert careful[0] < 0.02 < bayes[0]
+    assert careful[1] > bayes[1] > 0.9
+
+
+# The periodic part of the ripple: a frequency known to a few hundredths, phase and size unknown.
+
+WAVE_HZ, WAVE_M = 1.2, 0.0001
+
+
+def waved(bank: BankClassifier, hz: float, ahead: float, *, touch: bool) -> Array:
+    """Errors of the outlook ``ahead`` s, of the last 10 s of 14 on a conveyor with a wave."""
+    rng = np.random.default_rng(7)
+    truth = Truth(14.0, seed=7)
+
+    def at(t: float) -> float:
+        return float(truth.at(t)) + WAVE_M * math.sin(2.0 * math.pi * hz * t)
+
+    state = bank.initial(at(-1.5))
+    errors = []
+    for t in np.arange(-1.5 + T0, 13.8, T0):
+        read = round((at(t - 0.001) + rng.normal(0.0, 0.00025)) * 1e3) / 1e3
+        rows = [Row(Source.DISTANCE, read, 0.001, DEVIATION**2, 4.0)]
+        if touch:
+            felt = at(t - 0.006) + rng.normal(0.0, TOUCH)
+            rows.append(Row(Source.TACTILE, felt, 0.006, TOUCH**2, 5.0))
+        state = bank.advance(state, rows, T0)
+        if t > 4.0:
+            errors.append(float(bank.outlook(state, np.array((ahead,)))[0]) - at(t + ahead))
+    return np.array(errors)
+
+
+@pytest.mark.parametrize("touch", [False, True], ids=["distance alone", "in contact"])
+@pytest.mark.parametrize("off", [0.97, 1.0, 1.03])
+def test_a_periodic_ripple_is_foreseen_with_its_frequency_a_few_hundredths_off(
+    off: float, touch: bool
+) -> None:
+    quiet = BankSettings(penalty=50.0, contact_penalty=50.0)
+    plain, foreseeing = (
+        BankClassifier(ConveyorClasses(), FusionSettings(), quiet, DEVIATION, wave=wave)
+        for wave in (NO_WAVE, WaveSettings(frequency_hz=WAVE_HZ))
+    )
+    before, now = (
+        float(np.std(waved(bank, WAVE_HZ * off, 0.12, touch=touch))) for bank in (plain, foreseeing)
+    )
+    assert now < (0.8 if touch else 0.9) * before
+
+
+@pytest.mark.parametrize("touch", [False, True], ids=["distance alone", "in contact"])
+def test_a_wave_where_none_is_expected_costs_little(touch: bool) -> None:
+    quiet = BankSettings(penalty=50.0, contact_penalty=50.0)
+    plain, foreseeing = (
+        BankClassifier(ConveyorClasses(), FusionSettings(), quiet, DEVIATION, wave=wave)
+        for wave in (NO_WAVE, WaveSettings(frequency_hz=WAVE_HZ))
+    )
+    before, now = (
+        float(np.std(waved(bank, 2.1, 0.12, touch=touch))) for bank in (plain, foreseeing)
+    )
+    assert now < 1.1 * before
+
+
+def test_a_conveyor_that_has_stood_begins_its_wave_anew_at_the_frequency_that_was_learnt() -> None:
+    bank = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), DEVIATION)
+    truth = Truth(8.0, ((5.0, -STOP),))
+    rng = np.random.default_rng(4)
+    state, paces = bank.initial(float(truth.at(-1.5))), []
+    for t in np.arange(-1.5 + T0, 7.5, T0):
+        read = round((float(truth.at(t - 0.001)) + rng.normal(0.0, 0.00025)) * 1e3) / 1e3
+        state = bank.advance(state, [Row(Source.DISTANCE, read, 0.001, DEVIATION**2, 4.0)], T0)
+        paces.append(state.pace)
+    assert state.motion is Motion.STANDING
+    assert np.diag(state.P)[WAVE:PACE] == pytest.approx(WaveSettings().deviation ** 2, rel=1e-3)
+    assert paces[-1] == pytest.approx(paces[-60], abs=1e-4)
+    assert state.P[PACE, PACE] < WaveSettings().spread ** 2

@@ -1,0 +1,126 @@
+"""A contact is felt at once, and a tool that rings in the air is not taken for one."""
+
+import math
+import random
+
+import pytest
+
+from linemate.daemon.core.tracking.contact import (
+    NOTHING,
+    TOUCHES,
+    Feeling,
+    Ringing,
+    assumed,
+    feel,
+    ringing,
+    touched,
+)
+
+FREQUENCY, DAMPING, FORCE = 7.0, 0.02, 15.0
+
+
+def rung(t: float, amplitude: float, frequency: float = FREQUENCY) -> float:
+    """The force of a tool that was kicked at 0."""
+    w = math.tau * frequency
+    return amplitude * math.exp(-DAMPING * w * t) * math.sin(w * t) if t > 0.0 else 0.0
+
+
+def first_touch(
+    cycle_s: float,
+    forces: list[float | None],
+    *,
+    held: int | None = None,
+    distance: float = 0.0,
+    mode: Ringing | None = None,
+) -> int | None:
+    mode = mode or ringing(FREQUENCY, DAMPING, FORCE, cycle_s)
+    feeling: Feeling = NOTHING
+    for k, force in enumerate(forces):
+        feeling = touched(feel(feeling, mode, force, held=k == held), mode, distance)
+        if feeling.touches >= 2:
+            return k
+    return None
+
+
+@pytest.mark.parametrize("cycle_s", [0.012, 0.004, 0.001])
+def test_a_tool_that_rings_does_not_touch(cycle_s: float) -> None:
+    chance = random.Random(1)
+    steps = round(3.0 / cycle_s)
+    kick = round(1.0 / cycle_s)
+    forces = [
+        6.0 + rung((k - kick) * cycle_s, 100.0) + chance.gauss(0.0, 1.5) for k in range(steps)
+    ]
+    assert first_touch(cycle_s, list(forces), held=kick) is None
+
+
+@pytest.mark.parametrize("cycle_s", [0.012, 0.004])
+def test_nor_does_one_whose_mode_is_a_twentieth_off(cycle_s: float) -> None:
+    steps, kick = round(3.0 / cycle_s), round(1.0 / cycle_s)
+    for off in (0.95, 1.05):
+        forces = [rung((k - kick) * cycle_s, 60.0, off * FREQUENCY) for k in range(steps)]
+        assert first_touch(cycle_s, list(forces), held=kick) is None
+
+
+@pytest.mark.parametrize("cycle_s", [0.012, 0.004])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize("amplitude", [0.0, 60.0])
+def test_a_contact_is_felt_within_two_steps_of_its_force_also_while_ringing(
+    cycle_s: float, sign: float, amplitude: float
+) -> None:
+    kick, made = round(1.0 / cycle_s), round(1.6 / cycle_s)
+    rate = 800.0  # a millimetre of 50 N in 60 ms [N/s]
+    forces = [
+        6.0
+        + rung((k - kick) * cycle_s, amplitude)
+        + sign * min(50.0, max(0.0, (k - made) * cycle_s * rate))
+        for k in range(made + round(0.2 / cycle_s))
+    ]
+    found = first_touch(cycle_s, list(forces), held=kick)
+    assert found is not None
+    enough = made + math.ceil(1.3 * FORCE / rate / cycle_s)
+    assert made < found <= enough + 2
+
+
+def test_weight_and_bias_are_no_contact() -> None:
+    assert first_touch(0.004, [40.0] * 500) is None
+
+
+def test_far_from_the_object_nothing_is_a_contact() -> None:
+    forces: list[float | None] = [0.0] * 100 + [60.0] * 10
+    assert first_touch(0.004, forces, distance=-0.05) is None
+
+
+def test_a_contact_is_felt_beyond_the_estimated_object_too() -> None:
+    forces: list[float | None] = [0.0] * 100 + [60.0] * 10
+    assert first_touch(0.004, forces, distance=0.012) is not None
+    assert first_touch(0.004, forces, distance=-0.005) == 101
+
+
+def test_while_it_remembers_the_time_before_the_robot_held_nothing_is_said() -> None:
+    memory = ringing(FREQUENCY, DAMPING, FORCE, 0.004).memory
+    assert memory * 0.004 == pytest.approx(1.5 / FREQUENCY, abs=0.012)
+    forces: list[float | None] = [6.0] * 100 + [0.5 * k for k in range(200)]
+    assert first_touch(0.004, forces, held=100) == 100 + memory + 1
+
+
+def test_a_step_without_a_force_repeats_the_last_one_and_memory_is_bounded() -> None:
+    mode = ringing(FREQUENCY, DAMPING, FORCE, 0.004)
+    feeling = feel(NOTHING, mode, None, held=False)
+    assert feeling.forces == ()
+    for force in [1.0, None, 2.0] * 100:
+        feeling = feel(feeling, mode, force, held=False)
+    assert feeling.forces[-3:] == (1.0, 1.0, 2.0)
+    assert len(feeling.forces) == mode.memory
+
+
+def test_without_a_force_sensor_a_touch_is_assumed_at_the_place_when_it_is_due() -> None:
+    feeling = NOTHING
+    for _ in range(TOUCHES):
+        feeling = assumed(feeling, 0.001, is_due=True)
+    assert feeling.touches == TOUCHES
+    assert assumed(feeling, 0.001, is_due=False).touches == 0
+
+
+@pytest.mark.parametrize("distance", [-0.02, math.inf])
+def test_without_a_force_sensor_no_touch_is_assumed_far_from_the_object(distance: float) -> None:
+    assert assumed(NOTHING, distance, is_due=True).touches == 0

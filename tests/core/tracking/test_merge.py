@@ -1,0 +1,212 @@
+"""The merge: what is committed stays, what deviates dies out as an LQ regulator would have it."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking import merge
+from linemate.daemon.core.tracking.merge import ORDER
+
+CYCLES = (0.012, 0.004)
+COMMIT, STEPS = 5, 41
+
+lists = st.integers(0, 100_000).map(
+    lambda seed: np.cumsum(np.random.default_rng(seed).normal(size=(STEPS + 1, 6)), axis=0)
+)
+
+
+def matrices(cycle_s: float = 0.012, commit: int = COMMIT, steps: int = STEPS) -> Array:
+    along = merge.merge_matrix(0.025, cycle_s, steps - commit)
+    across = merge.merge_matrix(0.04, cycle_s, steps - commit)
+    return np.stack([along if axis == 1 else across for axis in range(6)])
+
+
+MATRICES = matrices()
+
+
+def cubic(t: Array) -> Array:
+    """A motion (m, 6) without a jump."""
+    return np.outer(t, np.arange(1.0, 7.0)) * 0.01 + np.outer(np.sin(t), np.ones(6)) * 0.02
+
+
+@pytest.mark.parametrize(
+    ("dead_time", "cycle_s", "known"),
+    # The reading notes' two figures; then by hand: ceil((D + T0) / T0) + 1.
+    [(0.036, 0.012, 5), (0.036, 0.004, 11), (0.0, 0.012, 2), (0.030, 0.012, 5), (0.024, 0.012, 4)],
+)
+def test_committed_is_dead_time_one_cycle_of_interpolation_and_one_more(
+    dead_time: float, cycle_s: float, known: int
+) -> None:
+    assert merge.commit_steps(dead_time, cycle_s) == known
+
+
+@settings(max_examples=50, deadline=None)
+@given(lists, lists)
+def test_committed_steps_are_kept_bit_for_bit(old: Array, goal: Array) -> None:
+    merged = merge.merge(old, goal, MATRICES, COMMIT)
+    assert np.array_equal(merged[: COMMIT + 1], old[1 : COMMIT + 2])
+    assert merged.shape == goal.shape
+
+
+@settings(max_examples=30, deadline=None)
+@given(lists, lists, st.integers(0, 5))
+def test_each_axis_is_merged_for_itself(old: Array, goal: Array, axis: int) -> None:
+    merged = merge.merge(old, goal, MATRICES, COMMIT)
+    other = goal.copy()
+    other[:, axis] += 1.0
+    changed = merge.merge(old, other, MATRICES, COMMIT)
+    rest = [i for i in range(6) if i != axis]
+    assert np.array_equal(merged[:, rest], changed[:, rest])
+
+
+@settings(max_examples=30, deadline=None)
+@given(lists, lists, lists)
+def test_the_merge_is_linear(old: Array, goal: Array, shift: Array) -> None:
+    plain = merge.merge(old, goal, MATRICES, COMMIT)
+    # A motion that both lists share, seen a step earlier by the older one.
+    moved = np.vstack((np.zeros((1, 6)), shift[:-1]))
+    both = merge.merge(old + moved, goal + shift, MATRICES, COMMIT)
+    assert np.allclose(both, plain + shift, atol=1e-9)
+
+
+@settings(max_examples=30, deadline=None)
+@given(lists)
+def test_an_unchanged_goal_changes_nothing(old: Array) -> None:
+    """The old list is the goal already: the merge carries on with the goal, and with nothing."""
+    goal = np.vstack((old[1:], old[-1:] + 0.3))
+    assert np.allclose(merge.merge(old, goal, MATRICES, COMMIT), goal, atol=1e-12)
+
+
+@pytest.mark.parametrize("cycle_s", CYCLES)
+@pytest.mark.parametrize("tau", [0.019, 0.025, 0.04])
+def test_a_deviation_dies_out(tau: float, cycle_s: float) -> None:
+    steps = round(1.0 / cycle_s)
+    M = merge.merge_matrix(tau, cycle_s, steps)
+    history = np.ones(ORDER)  # off by 1 for long
+    after = M @ history
+    assert abs(after[round(12 * tau / cycle_s) :]).max() < 0.02
+    # The slowest of five poles on a circle of 1/tau decays with sin(18 deg)/tau.
+    assert abs(after[-1]) < 2.0 * math.exp(-0.3 * steps * cycle_s / tau)
+    # No step: it sets off as it was, and overshoots by less than a quarter.
+    assert abs(after[0] - 1.0) < 0.05 * (cycle_s / 0.004) ** 3
+    assert after.min() > -0.25
+
+
+@pytest.mark.parametrize("cycle_s", CYCLES)
+def test_a_longer_time_constant_is_slower_and_softer(cycle_s: float) -> None:
+    rows = [
+        merge.merge_matrix(tau, cycle_s, round(0.6 / cycle_s)) @ np.ones(ORDER)
+        for tau in (0.025, 0.04)
+    ]
+    joined = [np.concatenate((np.ones(ORDER), row)) for row in rows]
+    jerk = [np.abs(np.diff(row, n=4)).max() for row in joined]
+    assert jerk[1] < 0.5 * jerk[0]
+    assert (np.abs(rows[1]) > 0.5).sum() > (np.abs(rows[0]) > 0.5).sum()
+
+
+@pytest.mark.parametrize(("tau", "cycle_s"), [(0.025, 0.012), (0.04, 0.012), (0.019, 0.004)])
+def test_the_matrix_is_the_optimum_of_the_whole_sum(tau: float, cycle_s: float) -> None:
+    """Minimise sum e^2 + (tau/T0)^10 (fifth difference)^2 over a long list, stacked, at once."""
+    n = round(32 * tau / cycle_s)
+    history = np.array((1.0, 0.7, 0.5, 0.2, -0.1))  # e(nc), e(nc-1), ... e(nc-4)
+    weight = (tau / cycle_s) ** ORDER
+    known = history[::-1]
+    binomial = np.array([math.comb(ORDER, j) * (-1.0) ** j for j in range(ORDER + 1)])
+    difference = np.zeros((n, n + ORDER))
+    for row in range(n):
+        difference[row, row : row + ORDER + 1] = binomial[::-1]
+    A = np.vstack((np.eye(n), weight * difference[:, ORDER:]))
+    b = np.concatenate((np.zeros(n), -weight * (difference[:, :ORDER] @ known)))
+    best = np.linalg.lstsq(A, b, rcond=None)[0]
+    found = merge.merge_matrix(tau, cycle_s, n) @ history
+    near = round(10 * tau / cycle_s)
+    assert np.allclose(found[:near], best[:near], atol=2e-4 * np.abs(best).max())
+
+
+def test_merging_again_under_the_same_goal_goes_on_along_the_closed_loop() -> None:
+    """Merging each step is the regulator going on: no step notices that it was merged anew."""
+    T0 = 0.012
+    span = np.arange(STEPS + 1) * T0
+    old = cubic(span - T0)
+    offset = np.array((0.004, -0.02, 0.003, 0.01, 0.0, -0.02))
+    first = merge.merge(old, cubic(span) + offset, MATRICES, COMMIT)
+    lists = [first]
+    for k in range(1, 25):
+        goal = cubic(span + k * T0) + offset
+        lists.append(merge.merge(lists[-1], goal, MATRICES, COMMIT))
+    for before, after in pairwise(lists):
+        assert np.allclose(after[:-1], before[1:], atol=1e-9)
+
+
+@pytest.mark.parametrize("cycle_s", CYCLES)
+def test_a_constant_goal_is_reached_and_kept(cycle_s: float) -> None:
+    steps = math.ceil(0.492 / cycle_s)
+    commit = merge.commit_steps(0.036, cycle_s)
+    M = matrices(cycle_s, commit, steps)
+    goal = np.tile((0.01, -0.05, 0.02, 0.05, -0.02, 0.4), (steps + 1, 1))
+    poses = np.zeros((steps + 1, 6))
+    for _ in range(round(3.0 / cycle_s)):
+        poses = merge.merge(poses, goal, M, commit)
+    assert np.allclose(poses, goal, atol=1e-8)
+
+
+def ramp(t: Array) -> Array:
+    """A conveyor (m,) that stops: 0.1 m/s less 0.104 m/s^2, at rest from t = 0 on."""
+    return np.where(t < 0.0, -0.5 * 0.104 * t * t, 0.0)
+
+
+def swung(cycle_s: float, kernel: Array) -> float:
+    """By how much a plan without corners swings out at most where a ramp ends [m]."""
+    steps = math.ceil(0.492 / cycle_s)
+    commit = merge.commit_steps(0.036, cycle_s)
+    M = matrices(cycle_s, commit, steps)
+    span = np.arange(steps + 1) * cycle_s
+    beside = np.linspace(-0.06, 0.06, 241)
+    weight = np.exp(-0.5 * (beside / 0.02) ** 2)
+    worst = 0.0
+    for end_s in (np.arange(commit + 1) + 0.5) * cycle_s:
+        truth = np.outer(ramp(span - end_s), np.eye(6)[1])
+        times = span[:, None] - cycle_s - end_s + beside
+        old = np.outer(ramp(times) @ weight / weight.sum(), np.eye(6)[1])
+        plan = merge.merge(old, merge.rounded(truth, kernel), M, commit)
+        worst = max(worst, float(np.abs(plan - truth)[:, 1].max()))
+    return worst
+
+
+def test_the_end_of_a_ramp_among_the_five_known_steps_throws_no_plan_off_at_4_ms() -> None:
+    commit = merge.commit_steps(0.036, 0.004)
+    bare, kernel = np.ones(1), merge.rounding(0.004, commit)
+    assert swung(0.004, bare) > 5.0 * swung(0.004, kernel)
+    assert swung(0.004, kernel) < 3e-4
+
+
+def test_nothing_is_rounded_at_12_ms_and_never_among_the_steps_that_a_merge_reads_first() -> None:
+    assert merge.rounding(0.012, 5).tolist() == [1.0]
+    for cycle_s in (0.004, 0.002, 0.001):
+        commit = merge.commit_steps(0.036, cycle_s)
+        kernel = merge.rounding(cycle_s, commit)
+        assert kernel.sum() == pytest.approx(1.0)
+        assert len(kernel) // 2 <= commit + 1 - ORDER
+        goal = np.random.default_rng(1).normal(size=(200, 6))
+        smooth = merge.rounded(goal, kernel)
+        assert np.array_equal(smooth[:, [0, 2, 3, 4, 5]], goal[:, [0, 2, 3, 4, 5]])
+        assert smooth[100, 1] == pytest.approx(
+            kernel @ goal[100 - len(kernel) // 2 : 101 + len(kernel) // 2, 1]
+        )
+
+
+def test_a_goal_that_flickers_every_step_is_followed_without_growing() -> None:
+    """Switching must not pump the loop up: bounded goals give bounded lists, for ever."""
+    rng = np.random.default_rng(5)
+    poses = np.zeros((STEPS + 1, 6))
+    largest = 0.0
+    for _ in range(400):
+        goal = np.tile(rng.choice((-0.001, 0.001), 6), (STEPS + 1, 1))
+        poses = merge.merge(poses, goal, MATRICES, COMMIT)
+        largest = max(largest, float(np.abs(poses[: COMMIT + 1]).max()))
+    assert largest < 0.003

@@ -1,0 +1,68 @@
+"""When a tool may withdraw, and how far it presses until then."""
+
+import numpy as np
+import pytest
+
+from linemate.daemon.core.tracking import release
+from linemate.daemon.core.tracking.observation import Wrench
+
+NEAR, FAR = 0.0, -0.05
+
+
+@pytest.mark.parametrize(
+    ("contact", "released", "distance", "opening", "clamped"),
+    [
+        (True, False, NEAR, 0.0, True),
+        (True, False, NEAR, 100.0, True),
+        (True, True, NEAR, 0.3, False),
+        (False, True, NEAR, 0.3, False),
+        (False, False, NEAR, None, True),
+        (False, False, NEAR, 1.9, True),
+        (False, False, NEAR, 2.0, False),
+        (False, False, FAR, None, False),
+    ],
+)
+def test_a_tool_is_held_back_while_its_clamp_may_be_closed(
+    contact: bool, released: bool, distance: float, opening: float | None, clamped: bool
+) -> None:
+    assert clamped == release.may_be_clamped(
+        contact=contact, released=released, distance=distance, opening=opening, timeout=2.0
+    )
+
+
+def test_a_clamp_is_overdue_only_if_it_was_felt_and_ordered_to_open() -> None:
+    assert release.is_overdue(2.0, 2.0, contact=True)
+    assert not release.is_overdue(1.99, 2.0, contact=True)
+    assert not release.is_overdue(None, 2.0, contact=True)
+    assert not release.is_overdue(5.0, 2.0, contact=False)
+
+
+def test_a_tool_that_is_to_retreat_does_not_press() -> None:
+    relative = np.zeros((3, 6))
+    relative[:, 2] = -0.004, 0.0, 0.001
+    assert release.without_press(relative)[:, 2].tolist() == [-0.004, 0.0, 0.0]
+    assert relative[:, 2].tolist() == [-0.004, 0.0, 0.001]
+    assert release.without_press(relative[:2])[:, 2].tolist() == [-0.004, 0.0]
+
+
+def test_a_tool_that_may_be_clamped_unfelt_stands_off_by_what_its_mount_bears() -> None:
+    relative = np.full((3, 6), 0.001)
+    relative[:, 2] = -0.012, -0.002, 0.0
+    stood = release.at_stand_off(relative)
+    assert stood[:, 2].tolist() == [-0.003, -0.002, 0.0]
+    assert np.delete(stood, 2, axis=1).tolist() == np.delete(relative, 2, axis=1).tolist()
+    assert relative[0, 2] == -0.012
+
+
+def test_a_mean_force_follows_a_pull_and_not_a_tool_that_rings() -> None:
+    dt, pulled, rung = 0.012, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    highest = 0.0
+    for k in range(100):
+        steady, ring = np.array((60.0, 0.0, 0.0)), np.zeros(3)
+        ring[0] = 100.0 * np.sin(2.0 * np.pi * 5.0 * k * dt)
+        pulled = release.averaged(pulled, Wrench(steady, np.zeros(3), 0, 1), dt)
+        rung = release.averaged(rung, Wrench(ring, np.zeros(3), 0, 1), dt)
+        highest = max(highest, abs(rung[0]))
+    assert pulled[0] == pytest.approx(60.0, rel=0.01)
+    assert highest < 45.0
+    assert release.averaged(pulled, None, dt) == pulled

@@ -1,0 +1,491 @@
+"""Across the conveyor: found, believed, predicted; with filterpy and chi-square as witnesses."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import linalg, stats
+
+from linemate.daemon.core import rotations
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.observation import Sighting
+from linemate.daemon.core.tracking.settings import CameraNoise, FusionSettings, SwingMode
+from linemate.daemon.core.tracking.transverse import (
+    DOUBTED,
+    JUMPED,
+    MOST_DOUBT,
+    PACES,
+    STATIC,
+    TURN,
+    Transverse,
+    TransverseState,
+)
+
+T0 = 0.012
+FRAME = 0.025  # of a camera with 40 Hz
+MODE = SwingMode()
+EXACT = replace(MODE, spread=0.0)
+FILTER = Transverse(FusionSettings(), (MODE,))
+GATE = CameraNoise().gate
+CHECKS = 3  # instants of a run at which its NEES is taken
+OMEGA = 2.0 * math.pi * MODE.frequency_hz
+VARIANCE = np.array((0.3e-3, 0.3e-3, 0.6e-3, 0.8e-3, 0.8e-3, 0.8e-3)) ** 2
+OFF = math.radians(23.0) * np.array((0.4, -0.5, 0.768))
+
+
+def angle(t: float | Array, amplitude: float = 0.006, phase: float = 0.7) -> Array:
+    """The swing (8), written by its own formula: begins at ``phase`` and dies out."""
+    decay = np.exp(-MODE.damping * OMEGA * np.asarray(t))
+    return np.asarray(amplitude * decay * np.cos(OMEGA * np.asarray(t) + phase))
+
+
+def seen(
+    place: Array, rotation: Array, swing: float, delay: float, noise: Array | None = None
+) -> Sighting:
+    """What is measured of an object at rest at ``place`` that is turned by ``swing`` about y."""
+    off = np.zeros(6) if noise is None else noise
+    position = place + swing * np.array(MODE.levers) + off[:3]
+    turned = rotations.exp(off[3:]) @ rotations.exp(np.array((0.0, swing, 0.0))) @ rotation
+    return Sighting(position, turned, delay, VARIANCE)
+
+
+PLACE = np.array((-1.06, 0.3, 2.17))
+
+
+def run(
+    seconds: float,
+    *,
+    amplitude: float = 0.0,
+    delay: float = 0.1,
+    jitter: float = 0.0,
+    seed: int | None = None,
+    rotation: Array | None = None,
+) -> TransverseState:
+    """A filter that starts as the tracker starts it and then runs at 12 ms with 40 images/s."""
+    rng = np.random.default_rng(seed)
+    turned = rotations.exp(OFF) if rotation is None else rotation
+
+    def look(now: float) -> Sighting:
+        late = delay + jitter * rng.uniform(-1.0, 1.0)
+        noise = rng.normal(0.0, np.sqrt(VARIANCE)) if seed is not None else None
+        return seen(PLACE, turned, float(angle(now - late, amplitude)), late, noise)
+
+    state = FILTER.initial([look(-FRAME * i) for i in range(4, -1, -1)])
+    due = FRAME
+    for k in range(1, round(seconds / T0) + 1):
+        state = FILTER.predict(state, T0)
+        while due <= k * T0:
+            state, taken = FILTER.correct(state, look(k * T0), GATE)
+            assert taken
+            due += FRAME
+    return state
+
+
+def off(state: TransverseState, rotation: Array) -> float:
+    return float(np.linalg.norm(rotations.log(state.rotation @ rotation.T)))
+
+
+def test_an_object_at_rest_and_23_degrees_off_is_found() -> None:
+    state = run(4.0)
+    assert np.allclose(state.x[:2], PLACE[[0, 2]], atol=1e-6)
+    assert off(state, rotations.exp(OFF)) < 1e-6
+    noisy = run(4.0, seed=1)
+    assert np.abs(noisy.x[:2] - PLACE[[0, 2]]).max() < 4e-4
+    assert off(noisy, rotations.exp(OFF)) < 6e-4
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3), st.floats(0.0, 2.5))
+def test_the_orientation_may_be_off_by_any_turn(axis: list[float], size: float) -> None:
+    turn = np.array(axis) * size / max(float(np.linalg.norm(axis)), 0.1)
+    sightings = [seen(PLACE, rotations.exp(turn), 0.0, 0.1)] * 5
+    state = FILTER.initial(sightings)
+    assert off(state, rotations.exp(turn)) < 1e-9
+
+
+def test_the_median_of_the_first_images_forgives_two_outliers_in_five() -> None:
+    good = seen(PLACE, rotations.exp(OFF), 0.0, 0.1)
+    way, turn = np.array((0.03, 0.0, -0.02)), np.array((0.05, 0.0, -0.04))
+    bad = seen(PLACE + way, rotations.exp(OFF + turn), 0.0, 0.1)
+    worse = seen(PLACE + 2.0 * way, rotations.exp(OFF + 2.0 * turn), 0.0, 0.1)
+    state = FILTER.initial([bad, good, good, worse, good])
+    assert np.allclose(state.x[:2], PLACE[[0, 2]])
+    assert off(state, rotations.exp(OFF)) < 1e-3
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.0853, 0.1, 0.21])
+def test_the_swing_is_found_from_delayed_sightings_and_predicted(delay: float) -> None:
+    seconds = 6.0
+    state = run(seconds, amplitude=0.006, delay=delay)
+    ahead = np.linspace(0.0, 0.5, 40)
+    known = angle(seconds + ahead, 0.006)
+    assert np.abs(FILTER.swing_angles(state, ahead)[0] - known).max() < 0.03e-3
+    found = float(np.hypot(*state.x[STATIC : STATIC + 2]))
+    assert found == pytest.approx(0.006 * math.exp(-MODE.damping * OMEGA * seconds), rel=0.01)
+    assert off(state, rotations.exp(OFF)) < 0.05e-3
+    assert np.allclose(state.x[:2], PLACE[[0, 2]], atol=0.03e-3)
+
+
+def test_delays_that_jitter_cost_nothing_for_each_is_measured() -> None:
+    seconds = 6.0
+    state = run(seconds, amplitude=0.006, jitter=0.015)
+    ahead = np.linspace(0.0, 0.5, 40)
+    assert np.abs(FILTER.swing_angles(state, ahead)[0] - angle(seconds + ahead)).max() < 0.03e-3
+
+
+def test_the_swing_a_while_ago_is_what_the_rows_take_it_for() -> None:
+    state = run(3.0, amplitude=0.006)
+    for delay in (0.0, 0.05, 0.2):
+        rows = FILTER.rows(state, delay)[:, STATIC:] @ state.x[STATIC:]
+        back = float(FILTER.swing_angles(state, np.array((-delay,)))[0, 0])
+        levers = MODE.levers
+        known = (levers[0] * back, levers[2] * back, 0.0, back, 0.0)
+        assert np.allclose(rows, known, atol=1e-12)
+
+
+def test_the_swing_carries_on_while_the_camera_is_blind() -> None:
+    state = run(6.0, amplitude=0.006)
+    for _ in range(round(1.5 / T0)):
+        state = FILTER.predict(state, T0)
+    assert float(FILTER.swing_angles(state, np.zeros(1))[0, 0]) == pytest.approx(
+        float(angle(7.5)), abs=0.06e-3
+    )
+
+
+@pytest.mark.parametrize(
+    "jump",
+    [
+        ((0.0, 0.0, 0.0), (0.0012, -0.0015, 0.0)),  # the screws
+        ((0.05, 0.0, -0.05), (0.0, 0.0, 0.0)),
+        ((0.0, 0.0, 0.0), (0.2, -0.1, 0.3)),
+        ((1.0, 0.0, 1.0), (1.0, 0.5, -0.5)),
+    ],
+)
+def test_no_real_step_is_locked_out(
+    jump: tuple[tuple[float, float, float], tuple[float, float, float]],
+) -> None:
+    state = run(3.0)
+    place, rotation = PLACE + jump[0], rotations.exp(np.array(jump[1])) @ rotations.exp(OFF)
+    taken = 0
+    for _ in range(60):
+        state = FILTER.predict(FILTER.predict(state, T0), T0)
+        state, believed = FILTER.correct(state, seen(place, rotation, 0.0, 0.1), GATE)
+        taken += believed
+    assert taken >= 60 - JUMPED
+    assert np.abs(state.x[:2] - place[[0, 2]]).max() < 0.02 * max(np.abs(jump[0]).max(), 0.01)
+    assert off(state, rotation) < 0.05 * max(float(np.linalg.norm(jump[1])), 0.01)
+
+
+def scattered(
+    scale: float, *, doubted: bool, seed: int, seconds: float = 4.0
+) -> list[TransverseState]:
+    """What is believed while a camera looks at rest that misses by ``scale`` of what it tells."""
+    rng = np.random.default_rng(seed)
+
+    def look() -> Sighting:
+        return seen(PLACE, rotations.exp(OFF), 0.0, 0.1, scale * rng.normal(0.0, np.sqrt(VARIANCE)))
+
+    states = [FILTER.initial([look() for _ in range(5)])]
+    for _ in range(round(seconds / FRAME)):
+        state = FILTER.predict(states[-1], FRAME)
+        states.append(FILTER.correct(state, look(), GATE, doubted=doubted)[0])
+    return states[40:]
+
+
+def test_a_camera_twice_as_noisy_as_it_tells_is_weighed_by_what_it_shows() -> None:
+    ratios = []
+    for seed in range(5):
+        doubted = scattered(2.0, doubted=True, seed=seed)
+        believed = scattered(2.0, doubted=False, seed=seed)
+        assert all(2.5 < state.doubt < 6.0 for state in doubted[40:])
+        misses = [
+            np.sqrt(np.mean([(state.x[0] - PLACE[0]) ** 2 for state in states[40:]]))
+            for states in (doubted, believed)
+        ]
+        ratios.append(misses[0] / misses[1])
+    assert np.median(ratios) < 0.9
+
+
+def test_a_camera_that_is_as_good_as_it_tells_is_believed_to_the_last_bit() -> None:
+    for seed in range(5):
+        doubted = scattered(1.0, doubted=True, seed=seed)
+        believed = scattered(1.0, doubted=False, seed=seed)
+        assert max(state.scatter for state in doubted) < 0.8 * DOUBTED
+        for state, other in zip(doubted, believed, strict=True):
+            assert np.array_equal(state.x, other.x)
+            assert np.array_equal(state.P, other.P)
+
+
+def test_what_a_gate_refuses_teaches_no_doubt_and_what_it_lets_in_a_bounded_one() -> None:
+    state = run(3.0)
+    wild = seen(PLACE + np.array((0.05, 0.0, 0.0)), rotations.exp(OFF), 0.0, 0.1)
+    after, believed = FILTER.correct(state, wild, GATE, doubted=True)
+    assert not believed
+    assert after.scatter == state.scatter
+    for state in scattered(8.0, doubted=True, seed=1):
+        assert 1.0 <= state.doubt <= MOST_DOUBT
+
+
+def test_single_outliers_are_refused_and_change_nothing() -> None:
+    state = run(3.0)
+    for axis in (0, 2):
+        wrong = seen(PLACE + 0.03 * np.eye(3)[axis], rotations.exp(OFF), 0.0, 0.1)
+        after, believed = FILTER.correct(state, wrong, GATE)
+        assert not believed
+        assert np.array_equal(after.x, state.x)
+        assert np.array_equal(after.P, state.P)
+        assert after.refused == 1
+        good, believed = FILTER.correct(after, seen(PLACE, rotations.exp(OFF), 0.0, 0.1), GATE)
+        assert believed
+        assert good.refused == 0
+
+
+@pytest.mark.parametrize("axis", [0, 2])
+def test_a_sighting_that_is_no_number_is_refused_and_changes_nothing(axis: int) -> None:
+    state = run(3.0)
+    place = PLACE.copy()
+    place[axis] = math.nan
+    nowhere = seen(place, rotations.exp(OFF), 0.0, 0.1)
+    after, believed = FILTER.correct(state, nowhere, GATE, doubted=True)
+    assert not believed
+    assert np.array_equal(after.x, state.x)
+    assert np.array_equal(after.P, state.P)
+    assert after.scatter == state.scatter
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    st.integers(0, 10_000),
+    st.lists(st.tuples(st.floats(-0.2, 0.2), st.floats(-0.4, 0.4), st.floats(0.0, 0.3))),
+)
+def test_the_covariance_stays_symmetric_and_positive_whatever_is_seen(
+    seed: int, shocks: list[tuple[float, float, float]]
+) -> None:
+    state = FILTER.initial([seen(PLACE, rotations.exp(OFF), 0.0, 0.1)] * 5)
+    rng = np.random.default_rng(seed)
+    for shift, turn, delay in shocks:
+        state = FILTER.predict(state, float(rng.choice((T0, 0.004, 0.1))))
+        place = PLACE + shift * rng.normal(size=3)
+        rotation = rotations.exp(turn * rng.normal(size=3)) @ rotations.exp(OFF)
+        state, _ = FILTER.correct(state, seen(place, rotation, 0.0, delay), GATE)
+        assert np.allclose(state.P, state.P.T, rtol=0.0, atol=1e-15)
+        assert np.linalg.eigvalsh(state.P)[0] > 0.0
+        assert np.allclose(state.rotation @ state.rotation.T, np.eye(3), atol=1e-9)
+
+
+def test_the_covariance_stays_positive_over_minutes_at_250_hz() -> None:
+    state = FILTER.initial([seen(PLACE, rotations.exp(OFF), 0.0, 0.1)] * 5)
+    for k in range(3000):
+        state = FILTER.predict(state, 0.02)
+        if k % 2 == 0:
+            state, _ = FILTER.correct(state, seen(PLACE, rotations.exp(OFF), 0.0, 0.1), GATE)
+    assert np.linalg.eigvalsh(state.P)[0] > 0.0
+    assert np.allclose(state.rotation @ state.rotation.T, np.eye(3), atol=1e-12)
+
+
+def transition(dt: float, size: int, modes: tuple[SwingMode, ...]) -> Array:
+    """A of (5) by scipy's exponential of the oscillators' equation."""
+    generator = np.zeros((size, size))
+    for m, mode in enumerate(modes):
+        w, i = 2.0 * math.pi * mode.frequency_hz, STATIC + 2 * m
+        d = -mode.damping * w
+        generator[i : i + 2, i : i + 2] = ((d, w), (-w, d))
+    return np.asarray(linalg.expm(generator * dt))
+
+
+def witness(state: TransverseState, modes: tuple[SwingMode, ...]) -> KalmanFilter:
+    """filterpy's filter with the same model; its state holds the turn that ours folds away."""
+    size = len(state.x)
+    kf = KalmanFilter(dim_x=size, dim_z=STATIC)
+    kf.x = state.x.copy()
+    kf.x[TURN:STATIC] = rotations.log(state.rotation)
+    kf.P = state.P.copy()
+    fusion = FusionSettings()
+    rates = [fusion.position] * 2 + [fusion.angle] * 3 + [fusion.swing] * (size - STATIC)
+    kf.Q = np.diag(np.array(rates) ** 2) * T0
+    kf.F = transition(T0, size, modes)
+    kf.R = np.diag(VARIANCE[[0, 2, 3, 4, 5]])
+    return kf
+
+
+@pytest.mark.parametrize(
+    "modes",
+    [(EXACT,), (EXACT, SwingMode(1, 0.9, damping=0.01, levers=(0.2, 0.0, 0.5), spread=0.0))],
+    ids=["one swing", "two swings"],
+)
+def test_the_recursion_is_filterpys(modes: tuple[SwingMode, ...]) -> None:
+    """Turns about y alone commute, so that the error-state filter is linear and must agree."""
+    own = Transverse(FusionSettings(), modes)
+    rng = np.random.default_rng(11)
+    tilt = np.array((0.0, 0.15, 0.0))
+    state = own.initial([seen(PLACE, rotations.exp(tilt), 0.0, 0.1)] * 5)
+    kf = witness(state, modes)
+    size = len(state.x)
+    for k in range(200):
+        state = own.predict(state, T0)
+        kf.predict()
+        if k % 2:
+            continue
+        delay = float(rng.uniform(0.05, 0.15))
+        noise = rng.normal(0.0, np.sqrt(VARIANCE)) * (1, 1, 1, 0, 1, 0)
+        sighting = seen(PLACE, rotations.exp(tilt), float(angle(k * T0 - delay)), delay, noise)
+        state, taken = own.correct(state, sighting, 50.0)
+        assert taken
+        H = np.zeros((STATIC, size))
+        H[:, :STATIC] = np.eye(STATIC)
+        back = transition(-delay, size, modes)
+        for m, mode in enumerate(modes):
+            row = back[STATIC + 2 * m]
+            H[0] += mode.levers[0] * row
+            H[1] += mode.levers[2] * row
+            H[TURN + mode.axis] += row
+        turn = rotations.log(sighting.rotation)
+        R = np.diag(sighting.variance[[0, 2, 3, 4, 5]] + own._walk(delay))
+        kf.update(np.concatenate((sighting.position[[0, 2]], turn)), R=R, H=H)
+    static = np.r_[0, 1, STATIC:size]
+    assert np.allclose(state.x[static], kf.x[static], atol=1e-12)
+    assert np.allclose(rotations.log(state.rotation), kf.x[TURN:STATIC], atol=1e-12)
+    assert np.allclose(state.P, kf.P, rtol=1e-8, atol=1e-18)
+
+
+def squared_errors(seed: int, late: int, fusion: FusionSettings) -> list[float]:
+    """NEES of one run whose truth is the filter's own model, at some instants far apart."""
+    rng = np.random.default_rng(seed)
+    size = STATIC + 2
+    start = np.diag(np.r_[(2e-3,) * 2, (5e-3,) * 3, (4e-3,) * 2] ** 2)
+    F = transition(T0, size, (EXACT,))
+    own = Transverse(fusion, (EXACT,))
+    walk = np.r_[(fusion.position,) * 2, (fusion.angle,) * 3, (fusion.swing,) * 2] * math.sqrt(T0)
+    first = rng.multivariate_normal(np.zeros(size), start)
+    truth = [first.copy()]
+    rotation = [rotations.exp(first[TURN:STATIC]) @ rotations.exp(OFF)]
+    state = TransverseState(np.zeros(size), start, rotations.exp(OFF))
+    state = replace(state, x=np.r_[PLACE[[0, 2]], np.zeros(size - 2)])
+    truth[0][:2] += PLACE[[0, 2]]
+    found = []
+    for k in range(1, CHECKS * 60 + 1):
+        kick = walk * rng.normal(size=size)
+        truth.append(F @ truth[-1] + kick)
+        rotation.append(rotations.exp(kick[TURN:STATIC]) @ rotation[-1])
+        state = own.predict(state, T0)
+        if k % 2 == 0 and k >= late:
+            then = truth[k - late]
+            place = np.array((then[0], 0.0, then[1]))
+            sighting = seen(
+                place, rotation[k - late], then[STATIC], late * T0, rng.normal(0, np.sqrt(VARIANCE))
+            )
+            state, _ = own.correct(state, sighting, 8.0)
+        if k % 60 == 0:
+            error = truth[-1] - state.x
+            error[TURN:STATIC] = rotations.log(rotation[-1] @ state.rotation.T)
+            found.append(float(error @ np.linalg.solve(state.P, error)))
+    return found
+
+
+def swinging_at(pace: float, seconds: float, amplitude: float = 0.006) -> TransverseState:
+    """A filter whose object swings at ``pace`` times the frequency that it was told."""
+    rng = np.random.default_rng(3)
+    turned = rotations.exp(OFF)
+
+    def look(now: float) -> Sighting:
+        late = 0.1 + 0.015 * rng.uniform(-1.0, 1.0)
+        noise = rng.normal(0.0, np.sqrt(VARIANCE))
+        return seen(PLACE, turned, float(angle(pace * (now - late), amplitude)), late, noise)
+
+    state = FILTER.initial([look(-FRAME * i) for i in range(4, -1, -1)])
+    due = FRAME
+    for k in range(1, round(seconds / T0) + 1):
+        state = FILTER.predict(state, T0)
+        while due <= k * T0:
+            state, _ = FILTER.correct(state, look(k * T0), GATE)
+            due += FRAME
+    return state
+
+
+@pytest.mark.parametrize("pace", [0.95, 0.98, 1.05])
+def test_a_frequency_that_is_wrong_is_found_and_the_swing_foreseen_with_it(pace: float) -> None:
+    seconds = 7.2
+    state = swinging_at(pace, seconds)
+    assert state.paces[0] == pytest.approx(pace, abs=0.006)
+    ahead = np.linspace(0.0, 0.5, 40)
+    known = angle(pace * (seconds + ahead))
+    assert np.abs(FILTER.swing_angles(state, ahead)[0] - known).max() < 0.3e-3
+
+
+def test_an_object_that_does_not_swing_tells_nothing_of_a_frequency() -> None:
+    state = swinging_at(1.0, 7.2, amplitude=0.0)
+    assert abs(state.paces[0] - 1.0) < 0.02
+    assert math.sqrt(state.P[-1, -1]) > 0.5 * MODE.spread
+
+
+def test_a_frequency_stays_near_what_was_identified_whatever_is_seen() -> None:
+    state = swinging_at(1.6, 7.2)
+    assert PACES[0] <= state.paces[0] <= PACES[1]
+
+
+def test_a_frequency_taken_for_exact_has_no_state() -> None:
+    own = Transverse(FusionSettings(), (EXACT, MODE))
+    state = own.initial([seen(PLACE, rotations.exp(OFF), 0.0, 0.1)] * 5)
+    assert len(state.x) == own.size == STATIC + 4 + 1
+    for k in range(40):
+        sighting = seen(PLACE, rotations.exp(OFF), float(angle(k * T0)), 0.0)
+        state, _ = own.correct(own.predict(state, T0), sighting, GATE)
+    assert state.paces[0] == 1.0
+
+
+def test_a_wrong_pace_enters_the_rows_and_the_transition_as_it_enters_the_swing() -> None:
+    state = run(4.0, amplitude=0.006)
+    off = 1e-4
+    faster = replace(state, paces=(state.paces[0] + off,))
+    for delay in (0.0, 0.1, 0.25):
+        column = FILTER.rows(state, delay)[:, -1]
+        rows = [FILTER.rows(each, delay) @ each.x for each in (faster, state)]
+        assert np.allclose(column, (rows[0] - rows[1]) / off, rtol=0.02, atol=2e-6)
+    late = 0.3
+    moved = [FILTER.predict(each, late).x for each in (faster, state)]
+    kicked = replace(state, P=np.zeros_like(state.P))
+    kicked.P[-1, -1] = 1.0
+    noise = FILTER.fusion
+    P = FILTER.predict(kicked, late).P
+    slope = (moved[0] - moved[1]) / off
+    assert P[STATIC, -1] == pytest.approx(float(slope[STATIC]), rel=0.02, abs=2e-6)
+    assert P[STATIC + 1, -1] == pytest.approx(float(slope[STATIC + 1]), rel=0.02, abs=2e-6)
+    assert P[-1, -1] == pytest.approx(1.0 + noise.pace**2 * late)
+
+
+def test_a_step_of_the_orientation_is_no_swing_while_the_tool_seats_itself() -> None:
+    """The screws' 1.5 mrad: what the filter makes of them in the swing, expected and not."""
+    swings = []
+    for seating in (True, False):
+        state = run(5.0, amplitude=0.004)
+        fine = np.array((50e-6, 50e-6, 50e-6, 2e-4, 2e-4, 2e-4)) ** 2
+        for k in range(60):
+            now = 5.0 + (k + 1) * T0
+            step = rotations.exp(np.array((0.0, min(k / 4.0, 1.0) * -0.0015, 0.0)))
+            sighting = seen(PLACE, step @ rotations.exp(OFF), float(angle(now, 0.004)), 0.0)
+            state = FILTER.predict(state, T0, seating=seating)
+            state, _ = FILTER.correct(state, replace(sighting, variance=fine), 20.0)
+        ahead = np.linspace(0.0, 0.4, 30)
+        found = FILTER.swing_angles(state, ahead)[0] - angle(now + ahead, 0.004)
+        swings.append(float(np.abs(found).max()))
+    expected, unexpected = swings
+    assert expected < 0.05e-3
+    assert expected < 0.5 * unexpected
+
+
+# A sighting's row knows how the swing came here from then, but not what else has walked since:
+# with a delay the model matches only where next to nothing walks.
+@pytest.mark.parametrize(
+    ("late", "fusion"),
+    [(0, FusionSettings()), (8, FusionSettings(position=1e-5, angle=2e-5, swing=1e-5))],
+    ids=["at once", "96 ms late"],
+)
+def test_the_covariance_is_honest(late: int, fusion: FusionSettings) -> None:
+    """NEES over seeded runs of a matching model lies in its 95 % band."""
+    nees = np.array([squared_errors(seed, late, fusion) for seed in range(72)])
+    low, high = stats.chi2.ppf((0.025, 0.975), nees.size * (STATIC + 2)) / nees.size
+    assert low < nees.mean() < high

@@ -1,0 +1,910 @@
+"""The cyclic heart: a telegram in, a reply out, with the real codec and in virtual time."""
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from linemate.daemon.config.task_file import Task
+from linemate.daemon.core import step as stepping
+from linemate.daemon.core.inputs import Order
+from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.core.tracking.task import Phase
+from linemate.daemon.cycle.correction_reference import CONFIRMATIONS, Proof
+from linemate.daemon.cycle.cycle import CATCH_UP_S, LONGEST_LOG, Cycle, Inbox
+from linemate.daemon.cycle.operating import SETTLING
+from linemate.daemon.cycle.states import State
+from linemate.protocol.rsi.rsi import RobotTelegram, RsiCodec, SensorTelegram, parse_config
+from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
+
+PERIOD = 12_000_000
+START = 9_000_000_000
+XML = files("linemate.protocol").joinpath("data", "rsi_joints.xml").read_bytes()
+CODEC = RsiCodec(parse_config(XML))
+SPEED = 0.106
+LEAD_S = 1.4
+"""The unit passes the start position this long after the first telegram."""
+
+
+class Station:
+    """A controller that takes each reply at once, and sensors that are always fresh."""
+
+    def __init__(self, parameters: Parameters, task: Task, **options: Any) -> None:
+        """Begin at the task's rest."""
+        self.parameters = parameters
+        self.cycle = Cycle(parameters, CODEC, **options)
+        self.cycle.listen(0)
+        self.start = (*task.file.arm.rest_joints, 0.0)
+        self.mount = task.file.conveyor.start_position
+        self.axes = self.start
+        self.held = self.start
+        self.absolute = bool(options.get("absolute", True))
+        self.k = 0
+        self.ipoc, self.step = 4_208_111_000, 12
+        self.delay = 0
+        self.offset_ns = 0
+        self.commands = [self.start]
+
+    @property
+    def stamp_ns(self) -> int:
+        return START + self.k * PERIOD + self.offset_ns
+
+    def telegram(self, **changed: Any) -> bytes:
+        a, b, c, d, e, f, axis = self.axes
+        made = RobotTelegram(
+            ipoc=self.ipoc,
+            joints=(a, b, c, d, e, f),
+            external=(axis, 0.0, 0.0, 0.0, 0.0, 0.0),
+            tcp=(0.0,) * 6,
+            delay=self.delay,
+            channels={"DiL": 0},
+        )
+        return CODEC.format_robot(replace(made, **changed))
+
+    def feed(self) -> None:
+        stamp_ns = self.stamp_ns - 3_000_000
+        self.cycle.feed_distance(DistanceSample(stamp_ns, self.where(stamp_ns), 1.0))
+        self.cycle.feed_wrench(WrenchSample(stamp_ns, (0.0, 0.0, 0.1), (0.0, 0.0, self.k * 1e-6)))
+
+    def where(self, stamp_ns: int) -> float:
+        """What the distance sensor reads [m]."""
+        return self.mount + SPEED * ((stamp_ns - START) * 1e-9 - LEAD_S)
+
+    def exchange(self, *, lost: bool = False, feed: bool = True) -> SensorTelegram:
+        """One cycle; a lost reply is counted and the robot holds."""
+        if feed:
+            self.feed()
+        reply = self.cycle.on_telegram(self.telegram(), self.stamp_ns)
+        assert reply is not None
+        told = CODEC.parse_sensor(reply)
+        self.next()
+        if lost:
+            self.delay += 1
+        else:
+            self.take(told)
+        return told
+
+    def take(self, told: SensorTelegram) -> None:
+        assert told.joints is not None
+        assert told.external is not None
+        origin = self.start if self.absolute else self.axes
+        offsets = (*told.joints, told.external[0])
+        self.axes = tuple(o + d for o, d in zip(origin, offsets, strict=True))
+        self.commands.append(self.axes)
+
+    def next(self, cycles: int = 1) -> None:
+        """Time goes on."""
+        self.k += cycles
+        self.ipoc += cycles * self.step
+
+    def run(self, cycles: int) -> None:
+        for _ in range(cycles):
+            self.exchange()
+
+    def track(self, cycles: int = 0) -> "Station":
+        """Get the task going: healthy, armed, started."""
+        self.run(90)
+        assert self.cycle.order("arm") is None
+        self.run(2)
+        assert self.cycle.order("start") is None
+        self.run(2 + cycles)
+        assert self.cycle.machine.state is State.TRACK
+        return self
+
+
+@pytest.fixture
+def station(parameters: Parameters, task: Task) -> Station:
+    return Station(parameters, task)
+
+
+def bare(station: Station) -> bool:
+    """One cycle; whether its reply has no corrections."""
+    reply = station.cycle.on_telegram(station.telegram(), station.stamp_ns)
+    is_bare = reply == b'<Sen Type="ImFree"><IPOC>%d</IPOC></Sen>' % station.ipoc
+    station.next()
+    return is_bare
+
+
+def zero(told: SensorTelegram) -> bool:
+    assert told.joints is not None
+    assert told.external is not None
+    return not any((*told.joints, *told.external)) and told.channels["DiO"] == 0
+
+
+# One telegram, one reply.
+
+
+@pytest.mark.parametrize("step", [1, 4, 12])
+@pytest.mark.parametrize("first", [b"0", b"0000000000", b"4208111000", b"0004294967295"])
+def test_every_telegram_gets_one_reply_with_its_ipoc_to_the_digit(
+    station: Station, first: bytes, step: int
+) -> None:
+    for k in range(8):
+        station.feed()
+        digits = str(int(first) + k * step).zfill(len(first)).encode()
+        data = station.telegram(ipoc=int(digits), ipoc_text=digits)
+        reply = station.cycle.on_telegram(data, station.stamp_ns)
+        assert reply is not None
+        assert re.findall(rb"<IPOC>(.*?)</IPOC>", reply) == [digits]
+        station.next()
+    assert station.cycle.steps == 8
+    assert [entry.ipoc for entry in station.cycle.take_log()] == [
+        int(first) + k * step for k in range(8)
+    ]
+
+
+def test_the_first_reply_is_zero_wherever_the_robot_stands(station: Station) -> None:
+    station.start = station.axes = (0.3, -1.2, 1.4, 0.2, 0.9, -0.7, 2.5)
+    assert zero(station.exchange())
+
+
+def test_a_robot_that_nobody_has_started_is_told_to_stay_for_ever(station: Station) -> None:
+    assert all(zero(station.exchange()) for _ in range(200))
+    assert station.cycle.machine.state is State.IDLE
+
+
+def test_what_was_answered_once_is_not_answered_again(station: Station) -> None:
+    station.run(5)
+    station.feed()
+    data = station.telegram()
+    assert station.cycle.on_telegram(data, station.stamp_ns) is not None
+    steps = station.cycle.steps
+    assert station.cycle.on_telegram(data, station.stamp_ns + 100_000) is None
+    older = station.telegram(ipoc=station.ipoc - 3 * station.step)
+    assert station.cycle.on_telegram(older, station.stamp_ns + 200_000) is None
+    assert station.cycle.steps == steps
+    counters = station.cycle.status()["telegrams"]
+    assert (counters["duplicate"], counters["backward"]) == (1, 1)
+
+
+def test_the_step_sees_the_robot_of_the_telegram_before(station: Station) -> None:
+    """So that the reply can be ready before its telegram comes."""
+    station.run(4)
+    for entry in station.cycle.take_log()[1:]:
+        assert entry.inputs.robot is not None
+        assert entry.ipoc is not None
+        assert entry.inputs.robot.ipoc == entry.ipoc - station.step
+        assert entry.inputs.robot.stamp_ns == entry.inputs.stamp_ns - PERIOD
+
+
+# Telegrams that do not come.
+
+
+@pytest.mark.parametrize("missing", [1, 3, 10])
+def test_a_gap_makes_the_steps_that_were_missed(station: Station, missing: int) -> None:
+    station.run(20)
+    station.cycle.take_log()
+    station.next(missing)
+    station.exchange()
+    log = station.cycle.take_log()
+    assert [entry.ipoc is None for entry in log] == [True] * missing + [False]
+    assert [entry.inputs.k for entry in log] == list(range(20, 21 + missing))
+    stamps = [entry.inputs.stamp_ns for entry in log]
+    assert np.diff(stamps).tolist() == [PERIOD] * missing
+    assert station.cycle.status()["telegrams"]["missed"] == missing
+
+
+def test_a_long_gap_is_caught_up_with_in_bounded_time(station: Station) -> None:
+    station.run(20)
+    station.cycle.take_log()
+    station.next(80)
+    station.exchange()
+    assert len(station.cycle.take_log()) == round(CATCH_UP_S / 0.012)
+
+
+@pytest.mark.parametrize("missing", [1, 4])
+def test_steps_that_the_clock_made_are_not_made_again(station: Station, missing: int) -> None:
+    station.run(20)
+    for _ in range(missing):
+        station.feed()
+        station.cycle.on_missing(station.stamp_ns)
+        station.next()
+    station.exchange()
+    assert station.cycle.steps == 21 + missing
+    ks = [entry.inputs.k for entry in station.cycle.take_log()]
+    assert ks == list(range(21 + missing))
+
+
+def test_without_a_session_the_clock_makes_no_steps(station: Station) -> None:
+    station.cycle.on_missing(START)
+    assert station.cycle.steps == 0
+    assert not station.cycle.prepare(START)
+
+
+def test_a_gap_in_motion_is_taken_up_from_where_the_robot_holds(station: Station) -> None:
+    station.track(60)
+    assert station.cycle.last is not None
+    assert station.cycle.last.outputs.phase is Phase.APPROACH
+    held = np.array(station.axes)
+    station.next(2)
+    station.exchange()
+    # At rest before it: no more than a first step's jerk away.
+    first = np.abs(np.array(station.axes) - held)
+    limits = station.parameters.controller.limits
+    assert (first <= limits.jerk * 0.012**3 * 1.001 + 1e-9).all()
+    assert first.max() > 0.0
+
+
+def test_a_reply_that_the_controller_did_not_take_is_noticed_by_its_delay(
+    station: Station,
+) -> None:
+    station.track(60)
+    held = np.array(station.axes)
+    station.exchange(lost=True)
+    station.exchange()
+    limits = station.parameters.controller.limits
+    first = np.abs(np.array(station.axes) - held)
+    assert (first <= limits.jerk * 0.012**3 * 1.001 + 1e-9).all()
+    assert station.cycle.session.replies_lost == 1
+
+
+# Sessions.
+
+
+def moved(station: Station) -> Station:
+    """Mid-motion, and then silence for longer than a session lives."""
+    station.track(80)
+    assert np.abs(np.array(station.axes) - station.start).max() > 0.005
+    station.next(200)
+    return station
+
+
+def test_a_new_session_begins_with_zero_where_the_robot_is_and_needs_arming(
+    station: Station,
+) -> None:
+    moved(station)
+    # The program was started again: another counter, corrections count from here on.
+    station.ipoc, station.delay = 77, 0
+    station.start = station.axes
+    for _ in range(CONFIRMATIONS - 1):
+        assert bare(station)
+    assert zero(station.exchange())
+    assert station.cycle.machine.state not in {State.TRACK, State.ARMED}
+    for _ in range(120):
+        assert zero(station.exchange())
+    assert station.cycle.order("start") is not None
+    assert station.cycle.status()["telegrams"]["sessions"] == 2
+
+
+def test_a_program_that_ran_before_the_daemon_gets_bare_replies_until_it_is_restarted(
+    station: Station,
+) -> None:
+    moved = list(station.axes)
+    moved[0] += 0.2
+    station.axes, station.delay = tuple(moved), 40
+    station.cycle.listen(station.stamp_ns - PERIOD)
+    assert all(bare(station) for _ in range(120))
+    status = station.cycle.status()
+    assert status["state"] == "init"
+    assert "Restart the KRL program" in status["correction"]["unproven"]
+    assert "Restart the KRL program" in str(station.cycle.order("arm"))
+    # Started again: its corrections count from where it stands now.
+    station.next(20)
+    station.ipoc, station.delay, station.start = 5_000, 0, station.axes
+    for _ in range(CONFIRMATIONS - 1):
+        # Its counter is not believed yet.
+        assert station.cycle.on_telegram(station.telegram(), station.stamp_ns) is None
+        station.next()
+        station.delay += 1
+    assert zero(station.exchange())
+    assert station.cycle.status()["correction"] == {"proof": "started", "unproven": None}
+
+
+def test_a_robot_that_comes_to_rest_after_its_session_began_counts_from_where_it_rests(
+    station: Station,
+) -> None:
+    true = station.start
+    for k in range(40):
+        station.axes = (true[0] - 0.02 * 0.8**k, *true[1:])
+        station.feed()
+        reply = station.cycle.on_telegram(station.telegram(), station.stamp_ns)
+        assert reply is not None
+        assert zero(CODEC.parse_sensor(reply))
+        station.next()
+    station.axes = true
+    station.track(60)
+    assert station.cycle.last is not None
+    assert station.cycle.last.outputs.command == pytest.approx(station.axes, abs=2e-4)
+    assert station.cycle.status()["astray"] is None
+
+
+def test_a_robot_that_has_not_come_to_rest_since_its_programme_began_cannot_be_armed(
+    station: Station,
+) -> None:
+    true = station.start
+    refusals = []
+    for k in range(120):
+        station.axes = (true[0] - 0.01 * 0.985**k, *true[1:])
+        station.feed()
+        assert station.cycle.on_telegram(station.telegram(), station.stamp_ns) is not None
+        if station.cycle.machine.state is State.IDLE:
+            refusals.append(station.cycle.order("arm"))
+        station.next()
+    assert len(refusals) > 10
+    assert set(refusals) == {SETTLING}
+    station.axes = true
+    station.run(100)
+    assert station.cycle.order("arm") is None
+
+
+def test_a_robot_that_trembles_a_little_where_it_stands_can_be_armed(station: Station) -> None:
+    true = station.start
+    for k in range(120):
+        station.axes = (true[0] + 2e-4 * (-1) ** k, *true[1:])
+        station.feed()
+        assert station.cycle.on_telegram(station.telegram(), station.stamp_ns) is not None
+        station.next()
+    assert station.cycle.order("arm") is None
+
+
+def test_a_programme_that_goes_on_after_a_long_silence_keeps_its_start(station: Station) -> None:
+    moved(station)
+    held = station.axes
+    station.delay = 200  # every cycle of the silence was counted
+    told = station.exchange()
+    assert told.joints is not None
+    assert station.axes == pytest.approx(held, abs=1e-9)
+    assert not zero(told)
+    assert station.cycle.machine.state not in {State.TRACK, State.ARMED}
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_after_another_controller_the_first_one_is_known_again(
+    station: Station, *, lost: bool
+) -> None:
+    station.track(80)
+    held = station.axes
+    station.feed()
+    reply = station.cycle.on_telegram(station.telegram(), station.stamp_ns)
+    assert reply is not None
+    station.next()
+    if not lost:
+        station.take(CODEC.parse_sensor(reply))
+        held = station.axes
+    for k in range(30):
+        station.offset_ns = 5_000_000
+        alien = station.telegram(ipoc=9 + 12 * k, delay=0)
+        station.cycle.on_telegram(alien, station.stamp_ns, "another")
+        station.next()
+    station.next(20)
+    station.offset_ns = 0
+    station.delay = 50 + lost
+    station.exchange()
+    assert station.axes == pytest.approx(held, abs=1e-9)
+
+
+def test_a_telegram_that_comes_after_its_step_gets_that_step(station: Station) -> None:
+    station.track(60)
+    station.feed()
+    steps = station.cycle.steps
+    station.cycle.on_missing(station.stamp_ns)
+    made = station.cycle.last
+    station.offset_ns = 7_000_000
+    station.exchange(feed=False)
+    station.offset_ns = 0
+    assert station.cycle.steps == steps + 1
+    assert made is not None
+    assert station.axes == pytest.approx(made.outputs.command, abs=1e-9)
+    station.exchange()
+    assert station.cycle.steps == steps + 2
+
+
+@pytest.mark.parametrize("is_missed_again", [True, False])
+def test_a_step_stands_on_what_the_telegram_before_it_was_given_however_late(
+    parameters: Parameters, task: Task, is_missed_again: bool
+) -> None:
+    late, prompt = Station(parameters, task), Station(parameters, task)
+    late.track(160)
+    prompt.track(163)
+    late.feed()
+    assert late.cycle.prepare(late.stamp_ns)
+    late.cycle.on_missing(late.stamp_ns)
+    # The next step is made before its time, and assumes that the last one was never sent.
+    assert late.cycle.prepare(late.stamp_ns + PERIOD)
+    late.exchange(feed=False)
+    if is_missed_again:
+        late.cycle.on_missing(late.stamp_ns)
+    late.exchange(feed=False)
+    late.exchange()
+    moves, expected = np.array(late.commands[-5:]), np.array(prompt.commands[-5:])
+    assert np.abs(np.diff(expected, axis=0)).max() > 1e-3
+    assert moves == pytest.approx(expected, abs=1e-4)
+
+
+@pytest.mark.parametrize("is_prepared", [True, False])
+@pytest.mark.parametrize("told_missing", [0, 1, 2])
+@pytest.mark.parametrize("slipped", [0, 1, 3])
+@pytest.mark.parametrize("unanswered", [1, 2])
+def test_after_a_cycle_without_a_reply_a_step_begins_where_the_robot_holds(
+    parameters: Parameters,
+    task: Task,
+    slipped: int,
+    unanswered: int,
+    told_missing: int,
+    is_prepared: bool,
+) -> None:
+    station = Station(parameters, task).track(163)
+    # A controller that was held up counts no cycles: the clock's steps are ahead of its IPOC.
+    for _ in range(slipped):
+        station.cycle.on_missing(station.stamp_ns)
+        station.k += 1
+    station.exchange()
+    # Of telegrams that wait together only the newest is answered; the clock may have seen to both.
+    for count in range(unanswered):
+        if count < told_missing:
+            station.cycle.on_missing(station.stamp_ns)
+        station.next()
+        station.delay += 1
+    if is_prepared:
+        station.feed()
+        station.cycle.prepare(station.stamp_ns)
+    held = np.array(station.axes)
+    station.exchange(feed=not is_prepared)
+    assert station.cycle.last is not None
+    assert station.cycle.last.inputs.applied == pytest.approx(held, abs=1e-9)
+    before = station.cycle.last.outputs.command
+    station.exchange()
+    assert station.cycle.last.inputs.sent
+    assert station.axes == pytest.approx(station.cycle.last.outputs.command, abs=1e-9)
+    assert np.abs(np.array(before) - held).max() > 0.0
+
+
+@pytest.mark.parametrize("is_prepared", [True, False])
+@pytest.mark.parametrize("steps_ahead", [2, 3, 5])
+def test_a_robot_that_moves_gets_no_step_that_took_it_for_one_that_holds(
+    parameters: Parameters, task: Task, steps_ahead: int, *, is_prepared: bool
+) -> None:
+    station = Station(parameters, task).track(163)
+    # The controller is held up and counts no cycles; the clock goes on without it.
+    for _ in range(steps_ahead):
+        station.cycle.on_missing(station.stamp_ns)
+        station.k += 1
+    if is_prepared:
+        station.feed()
+        station.cycle.prepare(station.stamp_ns)
+    before = len(station.commands)
+    pace = (np.array(station.axes) - np.array(station.commands[-2])) / parameters.cycle_s
+    station.exchange(feed=not is_prepared)
+    assert station.cycle.last is not None
+    entered = station.cycle.last.inputs
+    assert not entered.sent
+    assert entered.pace is not None
+    assert entered.pace[0] == pytest.approx(pace, abs=1e-6)
+    for _ in range(3):
+        station.exchange()
+    assert len(station.commands) == before + 4
+    commands, bounds = np.array(station.commands[before - 4 :]), parameters.controller.limits
+    speeds = np.diff(commands, axis=0) / parameters.cycle_s
+    assert np.abs(speeds).max() > 0.1
+    for limit in (bounds.acceleration, bounds.jerk):
+        speeds = np.diff(speeds, axis=0) / parameters.cycle_s
+        assert (np.abs(speeds) <= limit * (1.0 + 1e-6) + 1e-3).all()
+
+
+@pytest.mark.parametrize("is_prepared", [True, False])
+@pytest.mark.parametrize("lost", [True, False])
+def test_a_telegram_whose_step_the_clock_has_made_makes_no_other_one(
+    parameters: Parameters, task: Task, *, lost: bool, is_prepared: bool
+) -> None:
+    station = Station(parameters, task).track(163)
+    ahead = station.cycle.steps - station.k
+    for _ in range(10):
+        station.exchange(lost=lost)
+        station.cycle.on_missing(station.stamp_ns)
+        if is_prepared:
+            station.feed()
+            station.k += 1
+            station.cycle.prepare(station.stamp_ns)
+            station.k -= 1
+        station.exchange(feed=False)
+    assert station.cycle.steps - station.k == ahead + is_prepared
+    assert station.cycle.repeated == (10 if lost else 0)
+    bounds = parameters.controller.limits
+    speeds = np.diff(np.array(station.commands[-30:]), axis=0) / parameters.cycle_s
+    assert (np.abs(speeds) <= bounds.speed * (1.0 + 1e-6)).all()
+
+
+@pytest.mark.parametrize("is_prepared", [True, False])
+def test_a_step_that_is_finished_once_more_replays_from_the_state_that_it_tells(
+    parameters: Parameters, task: Task, *, is_prepared: bool
+) -> None:
+    station = Station(parameters, task).track(163)
+    station.cycle.take_log()
+    station.exchange(lost=True)
+    station.cycle.on_missing(station.stamp_ns)
+    if is_prepared:
+        station.cycle.prepare(station.stamp_ns + PERIOD)
+    station.exchange()
+    station.exchange()
+    entries = station.cycle.take_log()
+    assert [e.inputs.k for e in entries].count(entries[1].inputs.k) == 2
+    for entry in entries:
+        assert entry.before is not None
+        after, outputs = stepping.step(entry.before, entry.inputs, parameters)
+        assert outputs.command == entry.outputs.command
+        assert entry.after is not None
+        assert np.array_equal(after.control.gate.position, entry.after.control.gate.position)
+
+
+@pytest.mark.parametrize("ahead", [1, 2])
+def test_a_reply_to_a_flipped_counter_moves_no_robot_and_neither_do_the_steps_after_it(
+    parameters: Parameters, task: Task, ahead: int
+) -> None:
+    station = Station(parameters, task).track(163)
+    held = np.array(station.axes)
+    # One telegram's counter is flipped forward: it is answered as if cycles had been missed.
+    # Those that follow seem late or repeated, and the clock sees to them.
+    flipped = station.telegram(ipoc=station.ipoc + ahead * station.step)
+    assert station.cycle.on_telegram(flipped, station.stamp_ns) is not None
+    for _ in range(ahead):
+        station.next()
+        station.delay += 1
+        assert station.cycle.on_telegram(station.telegram(), station.stamp_ns) is None
+        station.cycle.on_missing(station.stamp_ns)
+    station.next()
+    station.delay += 1
+    station.exchange()
+    assert station.cycle.last is not None
+    entered = station.cycle.last.inputs
+    assert (entered.sent, entered.pace) == (False, None)
+    assert entered.applied == pytest.approx(held, abs=1e-9)
+    assert station.cycle.session.replies_lost == 1
+
+
+def test_a_robot_that_does_not_go_where_it_is_sent_is_held_with_the_axis_named(
+    station: Station,
+) -> None:
+    station.track(60)
+    braked = station.axes
+    for _ in range(60):
+        station.exchange()
+        station.axes = braked
+        if station.cycle.machine.state is not State.TRACK:
+            break
+    assert station.cycle.machine.state in {State.HOLD, State.FAULT}
+    assert station.cycle.machine.latched
+    assert "it was sent to" in station.cycle.status()["astray"]
+    station.run(3)
+    assert station.cycle.machine.state is State.FAULT
+
+
+@pytest.mark.parametrize(("forces", "retreats"), [((900.0,), False), ((900.0, 900.0), True)])
+def test_one_sample_of_overload_is_ignored_and_the_second_is_not(
+    station: Station, forces: tuple[float, ...], *, retreats: bool
+) -> None:
+    station.track(30)
+    for i, force in enumerate((0.0, *forces, 0.0)):
+        stamp_ns = station.stamp_ns - 8_000_000 + 2_000_000 * i
+        station.cycle.feed_wrench(WrenchSample(stamp_ns, (0.0, force, 0.0), (0.0,) * 3))
+    station.exchange()
+    assert (station.cycle.machine.state is State.RETREAT) == retreats
+
+
+def test_two_samples_of_overload_in_two_cycles_are_two_in_a_row(station: Station) -> None:
+    station.track(30)
+    for _ in range(2):
+        station.exchange()
+        station.cycle.feed_wrench(WrenchSample(station.stamp_ns, (0.0, 0.0, 500.0), (0.0,) * 3))
+        station.exchange(feed=False)
+    assert station.cycle.machine.state is State.TRACK
+    for _ in range(2):
+        station.cycle.feed_wrench(WrenchSample(station.stamp_ns, (0.0, 0.0, 500.0), (0.0,) * 3))
+        station.exchange(feed=False)
+    assert station.cycle.machine.state is State.RETREAT
+
+
+def test_a_link_that_was_lost_in_motion_latches_a_fault(station: Station) -> None:
+    station.track(30)
+    for _ in range(12):
+        station.feed()
+        station.cycle.on_missing(station.stamp_ns)
+        station.next()
+        station.delay += 1
+    station.run(100)
+    assert station.cycle.machine.state is State.FAULT
+    assert station.cycle.order("arm") is not None
+    assert station.cycle.order("ack") is None
+    station.run(2)
+    assert station.cycle.machine.state is State.IDLE
+
+
+# Orders.
+
+
+def test_orders_are_refused_with_a_reason_until_they_mean_something(station: Station) -> None:
+    assert station.cycle.order("arm") is not None
+    station.exchange()
+    assert station.cycle.order("arm") is not None
+    assert station.cycle.order("start") is not None
+    assert station.cycle.order("dance") == "no such order: dance"
+    station.run(90)
+    assert station.cycle.order("start") is not None
+    assert station.cycle.order("arm") is None
+    station.exchange()
+    assert station.cycle.machine.state is State.ARMED
+
+
+def test_a_start_is_one_edge_for_the_step(station: Station) -> None:
+    station.track(20)
+    starts = [entry.inputs.start for entry in station.cycle.take_log()]
+    assert starts.count(True) == 1
+    orders = [entry.inputs.order for entry in station.cycle.take_log()]
+    assert set(orders) <= {Order.TRACK}
+
+
+def test_a_stop_in_motion_comes_to_rest_within_the_limits(station: Station) -> None:
+    station.track(80)
+    assert station.cycle.order("stop") is None
+    station.run(60)
+    assert station.cycle.machine.state is State.HOLD
+    assert station.commands[-1] == pytest.approx(station.commands[-10], abs=1e-9)
+    bounds = station.parameters.controller.limits
+    rows = np.array(station.commands)
+    # Eight decimals of a degree or a millimetre on the wire.
+    grain = np.radians(1e-8)
+    for order, limit in enumerate((bounds.speed, bounds.acceleration, bounds.jerk), 1):
+        rates = np.abs(np.diff(rows, n=order, axis=0)) / 0.012**order
+        assert (rates <= limit * 1.0001 + 2**order * grain / 0.012**order).all()
+
+
+def test_a_sensor_that_falls_silent_holds_the_robot(station: Station) -> None:
+    station.track(30)
+    for _ in range(40):
+        station.cycle.feed_wrench(WrenchSample(station.stamp_ns, (0, 0, 0), (0, 0, 0)))
+        station.exchange(feed=False)
+    assert station.cycle.machine.state is State.HOLD
+    assert "position" in station.cycle.machine.because
+
+
+# Prepared replies.
+
+
+def camera_samples(stamp_ns: int, k: int) -> Iterator[CameraSample]:
+    if k % 2 == 0:
+        yield CameraSample(
+            stamp_ns - 1_000_000,
+            stamp_ns - 100_000_000,
+            "cam1",
+            "camera",
+            "hub",
+            k,
+            (0.09, 0.01, 0.51),
+            (0.99, 0.1, 0.0, 0.1),
+        )
+
+
+def test_prepared_and_in_line_replies_are_the_same_bytes_in_motion(
+    parameters: Parameters, task: Task
+) -> None:
+    one, other = Station(parameters, task), Station(parameters, task)
+    for k in range(200):
+        orders = {90: "arm", 92: "start"}
+        replies = []
+        for station, ahead in ((one, False), (other, True)):
+            if k in orders:
+                assert station.cycle.order(orders[k]) is None
+            station.feed()
+            for sample in camera_samples(station.stamp_ns, k):
+                station.cycle.feed_camera(sample)
+            if ahead and k > 0:
+                assert station.cycle.prepare(station.stamp_ns)
+            replies.append(station.cycle.on_telegram(station.telegram(), station.stamp_ns))
+            told = replies[-1]
+            assert told is not None
+            station.take(CODEC.parse_sensor(told))
+            station.next()
+        assert replies[0] == replies[1]
+    assert np.abs(np.array(one.axes) - one.start).max() > 0.001
+    assert (one.cycle.prepared, one.cycle.inline) == (0, 200)
+    assert (other.cycle.prepared, other.cycle.inline) == (199, 1)
+
+
+def test_a_prepared_step_whose_telegram_does_not_come_is_not_sent(station: Station) -> None:
+    station.track(60)
+    held = np.array(station.axes)
+    station.feed()
+    assert station.cycle.prepare(station.stamp_ns)
+    station.cycle.on_missing(station.stamp_ns)
+    station.next()
+    station.exchange()
+    limits = station.parameters.controller.limits
+    first = np.abs(np.array(station.axes) - held)
+    assert (first <= limits.jerk * 0.012**3 * 1.001 + 1e-9).all()
+
+
+# Whatever comes in.
+
+
+@pytest.mark.parametrize("lost", [0, 1, 2])
+def test_after_an_unreadable_telegram_and_its_bare_reply_the_motion_goes_on_from_where_it_is(
+    station: Station, lost: int
+) -> None:
+    station.track(80)
+    if lost == 2:
+        station.exchange(lost=True)
+    held = station.axes
+    station.feed()
+    data = station.telegram().replace(b'A4="', b'A4="?', 1)
+    reply = station.cycle.on_telegram(data, station.stamp_ns)
+    assert reply == b'<Sen Type="ImFree"><IPOC>%d</IPOC></Sen>' % station.ipoc
+    station.next()
+    station.delay += lost > 0
+    waited = 0
+    while bare(station):  # until the axes rest, if it is unknown which of the replies is lost
+        waited += 1
+        assert waited < 20
+    assert (waited > 0) == (lost == 1)
+    station.next(-1)
+    moved = np.array(station.cycle.session.held) - held
+    limits = station.parameters.controller.limits
+    assert (np.abs(moved) <= limits.jerk * 0.012**3 * 1.001 + 1e-9).all()
+    assert station.cycle.refused == 1
+    # Waiting for the axes to rest takes longer than a link may be silent.
+    assert station.cycle.machine.state is (State.FAULT if lost == 1 else State.TRACK)
+
+
+def test_telegrams_that_are_unreadable_for_a_second_are_all_answered(station: Station) -> None:
+    station.track(80)
+    held = station.axes
+    for _ in range(83):
+        data = station.telegram().replace(b'A4="', b'A4="?', 1)
+        assert station.cycle.on_telegram(data, station.stamp_ns) is not None
+        station.next()
+    assert station.cycle.machine.state in {State.HOLD, State.FAULT}
+    station.exchange()
+    assert station.axes == pytest.approx(held, abs=1e-6)
+    assert station.cycle.session.proof is Proof.CONTINUED
+
+
+@settings(max_examples=60)
+@given(st.lists(st.binary(max_size=300), min_size=1, max_size=5))
+@example([b"", b"<Rob>", b"<Rob Type='KUKA'></Rob>", b"\x00" * 3000, b"<!DOCTYPE x>"])
+def test_garbage_is_counted_and_costs_nothing(
+    parameters: Parameters, task: Task, junk: list[bytes]
+) -> None:
+    station = Station(parameters, task)
+    station.run(2)
+    for data in junk:
+        assert station.cycle.on_telegram(data, station.stamp_ns) is None
+    assert station.cycle.refused == len(junk)
+    assert station.cycle.steps == 2
+    assert station.cycle.status()["telegrams"]["unreadable"] == len(junk)
+    assert station.cycle.last_refusal
+    assert zero(station.exchange())
+
+
+def test_a_good_telegram_cut_anywhere_is_refused_or_complete(station: Station) -> None:
+    station.run(2)
+    data = station.telegram()
+    for end in range(0, len(data), 7):
+        reply = station.cycle.on_telegram(data[:end], station.stamp_ns)
+        assert reply in {None, b'<Sen Type="ImFree"><IPOC>%d</IPOC></Sen>' % station.ipoc}
+        refused = station.cycle.refused
+    assert refused == len(range(0, len(data), 7))
+    station.next()
+    data = station.telegram()
+    assert station.cycle.on_telegram(data, station.stamp_ns) is not None
+
+
+@pytest.mark.parametrize(
+    ("cut", "says"), [("AIPos", "no AIPos"), ("EIPos", "no EIPos")], ids=["joints", "axis"]
+)
+def test_a_configuration_without_what_the_daemon_needs_is_refused_by_name(
+    parameters: Parameters, task: Task, cut: str, says: str
+) -> None:
+    xml = re.sub(rf'<ELEMENT TAG="DEF_{cut}"[^>]*/>'.encode(), b"", XML)
+    codec = RsiCodec(parse_config(xml))
+    cycle = Cycle(parameters, codec)
+    telegram = RobotTelegram(
+        ipoc=1,
+        joints=None if cut == "AIPos" else (0.0,) * 6,
+        external=None if cut == "EIPos" else (0.0,) * 6,
+        tcp=(0.0,) * 6,
+        delay=0,
+        channels={"DiL": 0},
+    )
+    reply = cycle.on_telegram(codec.format_robot(telegram), START)
+    assert reply == b'<Sen Type="ImFree"><IPOC>1</IPOC></Sen>'
+    assert cycle.last_refusal is not None
+    assert says in cycle.last_refusal
+
+
+def test_inboxes_are_bounded_and_what_is_dropped_is_counted_and_oldest(station: Station) -> None:
+    station.run(2)
+    for i in range(1000):
+        stamp_ns = station.stamp_ns - 1_000_000 + i
+        station.cycle.feed_distance(DistanceSample(stamp_ns, station.where(stamp_ns), 1.0))
+        station.cycle.feed_wrench(WrenchSample(stamp_ns, (0, 0, 0), (0, 0, 0)))
+        for sample in camera_samples(stamp_ns, 0):
+            station.cycle.feed_camera(sample)
+    newest = station.stamp_ns - 1_000_000 + 999
+    station.exchange(feed=False)
+    entry = station.cycle.take_log()[-1]
+    dropped = station.cycle.status()["dropped"]
+    for name, samples in (
+        ("distance", entry.inputs.distance),
+        ("camera", entry.inputs.camera),
+        ("wrench", entry.inputs.wrench),
+    ):
+        assert len(samples) + dropped[name] == 1000
+        assert len(samples) <= 64
+    assert entry.inputs.distance[-1].stamp_ns == newest
+
+
+@settings(max_examples=50)
+@given(st.integers(1, 20), st.lists(st.one_of(st.none(), st.integers()), max_size=80))
+def test_an_inbox_loses_nothing_without_counting_it(size: int, story: list[int | None]) -> None:
+    """``None`` takes, anything else is put: all that was put is taken, waits or is counted."""
+    inbox: Inbox[int] = Inbox(size)
+    put: list[int] = []
+    taken: list[int] = []
+    for what in story:
+        if what is None:
+            taken += inbox.take()
+        else:
+            inbox.put(what)
+            put.append(what)
+    waiting = inbox.take()
+    assert len(waiting) <= size
+    assert len(taken) + len(waiting) + inbox.dropped == len(put)
+    assert inbox.taken == len(taken) + len(waiting)
+    assert list(waiting) == put[len(put) - len(waiting) :]
+
+
+def test_a_log_that_nobody_takes_is_bounded_and_counted(station: Station) -> None:
+    station.run(LONGEST_LOG + 30)
+    assert station.cycle.log_dropped == 30
+    log = station.cycle.take_log()
+    assert len(log) == LONGEST_LOG
+    assert log[-1].ipoc == station.ipoc - station.step
+    assert station.cycle.take_log() == []
+
+
+# What is told.
+
+
+def test_the_status_is_plain_at_every_moment(station: Station) -> None:
+    json.dumps(station.cycle.status())
+    station.exchange()
+    json.dumps(station.cycle.status())
+    station.track(60)
+    told = json.loads(json.dumps(station.cycle.status(), allow_nan=False))
+    assert told["state"] == "track"
+    assert told["steps"] == station.cycle.steps
+    assert told["speed"] == pytest.approx(SPEED, abs=0.002)
+    assert told["ages_s"]["position"] == pytest.approx(0.003)
+
+
+def test_increments_add_up_to_the_corrections(parameters: Parameters, task: Task) -> None:
+    absolute = Station(parameters, task).track(70)
+    relative = Station(parameters, task, absolute=False).track(70)
+    assert np.abs(np.array(absolute.axes) - absolute.start).max() > 0.001
+    # Each increment is rounded by the wire, and the sum of roundings is not.
+    assert np.allclose(absolute.axes, relative.axes, atol=170 * np.radians(0.5e-8))

@@ -1,0 +1,176 @@
+"""A reply made before its telegram is the reply that the telegram would have got."""
+
+from dataclasses import replace
+from importlib.resources import files
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from linemate.daemon.config.task_file import Task
+from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.cycle.cycle import LONGEST_JUMP, Cycle
+from linemate.protocol.rsi.rsi import RobotTelegram, RsiCodec, parse_config
+from linemate.protocol.samples import DistanceSample
+
+T = 12_000_000
+START = 5_000_000_000
+PEER = ("127.0.0.1", 50_000)
+XML = files("linemate.protocol").joinpath("data", "rsi_joints.xml").read_bytes()
+
+
+class Robot:
+    """A robot that goes where the last reply says, and sends its telegrams to several cycles."""
+
+    def __init__(self, task: Task) -> None:
+        self.codec = RsiCodec(parse_config(XML))
+        self.rest = task.file.arm.rest_joints
+        self.offsets: tuple[float, ...] = (0.0,) * 6
+        self.axis = 0.0
+        self.k = 0
+
+    @property
+    def stamp_ns(self) -> int:
+        return START + self.k * T
+
+    def telegram(self, **changed: object) -> bytes:
+        joints = tuple(a + b for a, b in zip(self.rest, self.offsets, strict=True))
+        telegram = RobotTelegram(
+            ipoc=1000 + 12 * self.k,
+            joints=joints,  # type: ignore[arg-type]
+            external=(self.axis, 0.0, 0.0, 0.0, 0.0, 0.0),
+            tcp=(0.0,) * 6,
+            delay=0,
+            channels={"DiL": 0},
+        )
+        return self.codec.format_robot(replace(telegram, **changed))  # type: ignore[arg-type]
+
+    def follow(self, reply: bytes) -> None:
+        told = self.codec.parse_sensor(reply)
+        assert told.joints is not None
+        assert told.external is not None
+        self.offsets, self.axis = told.joints, told.external[0]
+        self.k += 1
+
+
+def distance(robot: Robot, cycle: Cycle, before_ns: int = 3_000_000) -> None:
+    """The unit goes by at the nominal speed."""
+    stamp_ns = robot.stamp_ns - before_ns
+    cycle.feed_distance(DistanceSample(stamp_ns, 1.0 + 0.106e-9 * (stamp_ns - START)))
+
+
+def ready_cycle(parameters: Parameters, robot: Robot, cycles: int = 5) -> Cycle:
+    """A cycle that has answered some telegrams and has the next reply ready."""
+    cycle = Cycle(parameters, RsiCodec(parse_config(XML)))
+    cycle.listen(0)
+    for _ in range(cycles):
+        distance(robot, cycle)
+        reply = cycle.on_telegram(robot.telegram(), robot.stamp_ns, PEER)
+        assert reply is not None
+        robot.follow(reply)
+    assert cycle.prepare(robot.stamp_ns)
+    return cycle
+
+
+def haste(cycle: Cycle, data: bytes, peer: tuple[str, int]) -> bytes | None:
+    """What is answered before the telegram is judged in full."""
+    express = cycle.express()
+    return None if express is None else express(data, peer)
+
+
+def test_for_the_same_inputs_prepared_and_in_line_give_the_same_bytes(
+    parameters: Parameters, task: Task
+) -> None:
+    robot = Robot(task)
+    codec = RsiCodec(parse_config(XML))
+    inline, prepared, hasty = (Cycle(parameters, codec) for _ in range(3))
+    for cycle in (inline, prepared, hasty):
+        cycle.listen(0)
+    for k in range(300):
+        for cycle in (inline, prepared, hasty):
+            distance(robot, cycle)
+        data = robot.telegram()
+        ready = [cycle.prepare(robot.stamp_ns) for cycle in (prepared, hasty)]
+        assert ready == [k > 0] * 2
+        express = hasty.express()
+        early = None if express is None else express(data, PEER)
+        replies = [
+            cycle.on_telegram(data, robot.stamp_ns, PEER) for cycle in (inline, prepared, hasty)
+        ]
+        assert replies[0] is not None
+        assert replies[0] == replies[1] == replies[2]
+        assert early in {None, replies[0]}
+        assert (early is not None) == (k > 2)  # the counter's step takes three telegrams to learn
+        logs = [cycle.take_log() for cycle in (inline, prepared, hasty)]
+        assert [len(log) for log in logs] == [1, 1, 1]
+        assert logs[0][0].inputs == logs[1][0].inputs == logs[2][0].inputs
+        robot.follow(replies[0])
+    assert (inline.prepared, inline.inline) == (0, 300)
+    assert (prepared.prepared, prepared.inline) == (299, 1)
+
+
+def test_a_sample_that_comes_after_the_step_was_made_is_the_next_steps(
+    parameters: Parameters, task: Task
+) -> None:
+    robot = Robot(task)
+    cycle = ready_cycle(parameters, robot)
+    cycle.take_log()
+    distance(robot, cycle, before_ns=100_000)
+    for count in (0, 1):
+        reply = cycle.on_telegram(robot.telegram(), robot.stamp_ns, PEER)
+        assert reply is not None
+        robot.follow(reply)
+        assert [len(entry.inputs.distance) for entry in cycle.take_log()] == [count]
+
+
+@pytest.mark.parametrize(
+    "change",
+    ["nothing ready", "another peer", "a gap", "the last one", "a jump", "the delay", "cut", "nan"],
+)
+def test_what_was_not_assumed_is_not_answered_in_haste(
+    parameters: Parameters, task: Task, change: str
+) -> None:
+    robot = Robot(task)
+    cycle = ready_cycle(parameters, robot)
+    assert haste(cycle, robot.telegram(), PEER) is not None
+    data, peer = robot.telegram(), PEER
+    if change == "nothing ready":
+        cycle.on_missing(robot.stamp_ns)
+    elif change == "another peer":
+        peer = ("127.0.0.1", 50_001)
+    elif change == "a gap":
+        data = robot.telegram(ipoc=1000 + 12 * (robot.k + 1), ipoc_text=b"")
+    elif change == "the last one":
+        data = robot.telegram(ipoc=1000 + 12 * (robot.k - 1), ipoc_text=b"")
+    elif change == "a jump":
+        joints = list(robot.rest)
+        joints[3] += 1.1 * LONGEST_JUMP
+        data = robot.telegram(joints=tuple(joints))
+    elif change == "the delay":
+        data = robot.telegram(delay=1)
+    elif change == "cut":
+        data = data[:-3]
+    else:
+        data = data.replace(b'X="0.0', b'X="nan')
+    assert haste(cycle, data, peer) is None
+
+
+@given(st.data())
+def test_whatever_is_answered_in_haste_would_have_been_answered_so(
+    parameters: Parameters, task: Task, data: st.DataObject
+) -> None:
+    robot = Robot(task)
+    cycle = ready_cycle(parameters, robot, cycles=3)
+    telegram = bytearray(robot.telegram())
+    for _ in range(data.draw(st.integers(1, 3))):
+        place = data.draw(st.integers(0, len(telegram) - 1))
+        kind = data.draw(st.sampled_from(("flip", "drop", "put")))
+        if kind == "flip":
+            telegram[place] ^= 1 << data.draw(st.integers(0, 7))
+        elif kind == "drop":
+            del telegram[place]
+        else:
+            telegram.insert(place, data.draw(st.sampled_from(b"0159.-+eE\"'<>/ xA")))
+    early = haste(cycle, bytes(telegram), PEER)
+    usual = cycle.on_telegram(bytes(telegram), robot.stamp_ns, PEER)
+    assert early is None or early == usual

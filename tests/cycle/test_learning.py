@@ -1,0 +1,69 @@
+"""Servos are learned anew from a whole wheel, by nothing but commands and answers."""
+
+from functools import cache
+
+import pytest
+
+from linemate.daemon.core.control.adaptation import AdaptationSettings
+from linemate.daemon.core.control.settings import ServoModel
+from linemate.daemon.cycle.learning import WORTH, Learner
+from linemate.daemon.cycle.step_log import LogEntry
+from linemate.simulators.harness import lockstep, setup
+
+
+@cache
+def wheel(factor: float) -> tuple[tuple[ServoModel, ...], tuple[LogEntry, ...]]:
+    """The servos that the daemon believed in, and all steps of a wheel with others."""
+    axes = setup.make("wheel").scenario.robot.axes
+    slower = [
+        f"scenario.robot.axes.{n}.frequency_hz={factor * axis.frequency_hz:.6g}"
+        for n, axis in enumerate(axes)
+    ]
+    made = setup.make("wheel", slower)
+    entries: list[LogEntry] = []
+    lockstep.run(made, 0, on_step=entries.append)
+    return made.control.servos, tuple(entries)
+
+
+def learner(servos: tuple[ServoModel, ...], **bounds: float) -> Learner:
+    return Learner(AdaptationSettings(**bounds), servos, 0.012)
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.0])
+def test_a_wheel_tells_how_quick_the_servos_have_become(factor: float) -> None:
+    servos, entries = wheel(factor)
+    mine = learner(servos)
+    for entry in entries:
+        mine.take([entry])
+    assert mine.ripe
+    values = mine.keep(mine.look(mine.motion()), servos)
+    assert not mine.ripe
+    if factor == 1.0:
+        assert not values
+        return
+    # A1, A2, A3 and E1 carry the approach; an axis that hardly moved keeps what it has.
+    for axis in (0, 1, 2):
+        found = values[f"control.servos.{axis}.frequency_hz"]
+        assert found == pytest.approx(factor * servos[axis].frequency_hz, rel=0.02)
+    for name, found in values.items():
+        axis = int(name.split(".")[2])
+        assert factor - 0.02 < found / servos[axis].frequency_hz < 1.0 - WORTH
+
+
+def test_what_is_learned_stays_within_its_reach() -> None:
+    servos, entries = wheel(0.9)
+    mine = learner(servos, reach=0.04)
+    mine.take(entries)
+    values = mine.keep(mine.look(mine.motion()), servos)
+    assert values
+    for name, found in values.items():
+        axis = int(name.split(".")[2])
+        assert found >= (1.0 - 0.04 - 1e-5) * servos[axis].frequency_hz
+
+
+def test_a_robot_that_did_not_move_teaches_nothing() -> None:
+    servos, entries = wheel(1.0)
+    mine = learner(servos)
+    mine.take([entry for entry in entries if entry.state == "idle"])
+    assert not mine.ripe
+    assert not mine.keep(mine.look(mine.motion()), servos)

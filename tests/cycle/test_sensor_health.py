@@ -1,0 +1,204 @@
+"""Sensors go out and come back in by rule, sample by sample."""
+
+import random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from linemate.daemon.cycle.feeds import Feeds
+from linemate.daemon.cycle.sensor_health import (
+    BAD,
+    CONTRADICTIONS,
+    GOOD,
+    SAME_POSES,
+    SAME_WRENCHES,
+    CameraHealth,
+    DistanceHealth,
+    Health,
+    WrenchHealth,
+)
+from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
+
+PERIOD_NS = 10_000_000
+SPEED = 0.106
+SIGMA = 0.25e-3
+ONE = (1.0, 0.0, 0.0, 0.0)
+
+
+class Conveyor:
+    """A distance sensor at a conveyor, and its health."""
+
+    def __init__(self, unit: float = 1e-3, seed: int = 1) -> None:
+        self.health = DistanceHealth()
+        self.k = 0
+        self.place = 0.5
+        self._unit = unit
+        self._chance = random.Random(seed)
+
+    def reads(self) -> float:
+        return round((self.place + self._chance.gauss(0.0, SIGMA)) / self._unit) * self._unit
+
+    def run(self, samples: int, speed: float = SPEED) -> list[bool]:
+        return [self.shows(None, speed) for _ in range(samples)]
+
+    def shows(self, reading: float | None, speed: float = SPEED) -> bool:
+        self.k += 1
+        self.place += speed * PERIOD_NS * 1e-9
+        shown = self.reads() if reading is None else reading
+        return self.health.believes(DistanceSample(self.k * PERIOD_NS, shown), SIGMA)
+
+
+@pytest.mark.parametrize("unit", [1e-4, 1e-3, 1e-2])
+def test_a_conveyor_that_runs_brakes_stands_and_starts_is_believed_throughout(unit: float) -> None:
+    conveyor = Conveyor(unit)
+    assert all(conveyor.run(300))
+    for speed in (SPEED - 0.104 * 0.01 * n for n in range(102)):
+        assert conveyor.shows(None, max(0.0, speed))
+    assert all(conveyor.run(300, 0.0))
+    assert all(conveyor.run(300))
+    assert conveyor.health.outs == 0
+
+
+def test_one_outlier_is_refused_and_nothing_else() -> None:
+    conveyor = Conveyor()
+    conveyor.run(100)
+    assert not conveyor.shows(conveyor.place + 0.08)
+    assert all(conveyor.run(100))
+    assert conveyor.health.reason is None
+
+
+@pytest.mark.parametrize("wrong", [1000.0, 1e-3, -1.0])
+def test_a_wrong_unit_or_sign_is_never_believed_and_puts_the_sensor_out(wrong: float) -> None:
+    conveyor = Conveyor()
+    conveyor.run(100)
+    assert not any(conveyor.shows(conveyor.place * wrong) for _ in range(80))
+    reason = conveyor.health.reason
+    assert reason is not None
+    assert "jumped" in reason
+    told = conveyor.health.status(conveyor.k * PERIOD_NS)
+    assert told["since_s"] == pytest.approx(0.01 * (80 - BAD))
+    assert told["refused"] == 80
+
+
+def test_a_sensor_is_back_after_ten_good_samples() -> None:
+    conveyor = Conveyor()
+    conveyor.run(100)
+    for _ in range(20):
+        conveyor.shows(conveyor.place + 10.0)
+    assert conveyor.run(GOOD) == [False] * (GOOD - 1) + [True]
+    assert conveyor.health.reason is None
+    assert conveyor.health.outs == 1
+
+
+@pytest.mark.parametrize("wrong", [1000.0, 495.3, 1e-3, -1.0])
+def test_a_sensor_that_began_with_a_wrong_unit_is_back_soon_after_it_is_right(wrong: float) -> None:
+    conveyor = Conveyor()
+    for _ in range(50):
+        conveyor.shows(conveyor.place * wrong)
+    believed = conveyor.run(300)
+    assert any(believed[: 200 + GOOD + 1])
+    assert all(believed[200 + GOOD + 1 :])
+
+
+def test_a_distance_that_stays_stuck_stays_out() -> None:
+    conveyor = Conveyor()
+    conveyor.run(100)
+    stuck = conveyor.reads()
+    for _ in range(16):
+        conveyor.shows(stuck)
+    assert not any(conveyor.shows(stuck) for _ in range(1000))
+
+
+@pytest.mark.parametrize("unit", [1e-4, 1e-3])
+def test_a_distance_that_is_stuck_is_out_within_160_ms(unit: float) -> None:
+    conveyor = Conveyor(unit)
+    conveyor.run(100)
+    stuck = conveyor.reads()
+    believed = sum(conveyor.shows(stuck) for _ in range(60))
+    assert believed <= 16
+    assert "stands still all at once" in str(conveyor.health.reason)
+
+
+def test_a_coarse_sensor_is_given_the_time_of_its_own_unit() -> None:
+    conveyor = Conveyor(unit=0.02)
+    assert all(conveyor.run(400))
+
+
+def camera(k: int, x: float) -> CameraSample:
+    stamp_ns = k * 25_000_000
+    return CameraSample(stamp_ns, stamp_ns, "c", "camera", "hub", k, (x, 0.0, 1.0), ONE)
+
+
+def test_a_camera_that_repeats_itself_is_out_while_something_moves_and_only_then() -> None:
+    health = CameraHealth()
+    assert all(health.believes(camera(k, 0.5), moving=False) for k in range(50))
+    health = CameraHealth()
+    alike = [health.believes(camera(k, 0.5), moving=True) for k in range(SAME_POSES)]
+    assert alike == [True] * (SAME_POSES - 1) + [False]
+    assert "alike" in str(health.reason)
+    believed = [health.believes(camera(k, 0.6 + 1e-9 * k), moving=True) for k in range(GOOD)]
+    assert believed == [False] * (GOOD - 1) + [True]
+
+
+def test_poses_that_the_tracker_refuses_in_a_row_contradict_until_one_is_taken() -> None:
+    health = CameraHealth()
+    for _ in range(CONTRADICTIONS):
+        assert not health.contradicts
+        health.answered(1, 1)
+        health.answered(0, 0)
+    assert health.contradicts
+    health.answered(1, 0)
+    assert not health.contradicts
+
+
+def wrench(k: int, force: float, torque: float = 0.0) -> WrenchSample:
+    return WrenchSample(k * 4_000_000, (force, 0.0, 0.0), (0.0, torque, 0.0))
+
+
+def test_a_wrench_that_is_stuck_is_out_within_100_ms_of_motion() -> None:
+    health = WrenchHealth()
+    alike = [health.believes(wrench(k, 7.0), moving=True) for k in range(SAME_WRENCHES)]
+    assert alike == [True] * (SAME_WRENCHES - 1) + [False]
+    assert "alike" in str(health.reason)
+    assert SAME_WRENCHES * 0.004 <= 0.1
+    assert all(WrenchHealth().believes(wrench(k, 7.0), moving=False) for k in range(100))
+
+
+@pytest.mark.parametrize(("force", "torque"), [(1e30, 0.0), (-3e5, 0.0), (0.0, 1e300)])
+def test_what_is_beyond_all_measure_is_no_overload_but_no_measurement(
+    force: float, torque: float
+) -> None:
+    feeds = Feeds()
+    for k in range(5):
+        feeds.put_wrench(wrench(k, force, torque))
+    taken = feeds.take(500.0, SIGMA, moving=True)
+    assert taken.wrench == ()
+    assert not feeds.overloaded
+    assert feeds.wrench_ns is None
+    assert feeds.status(0)["sensors"]["wrench"]["out"] == "it is beyond all measure"
+
+
+def test_bad_for_100_ms_is_out_even_where_samples_are_rare() -> None:
+    health = Health()
+    assert health.judge(0, None)
+    assert not health.judge(1, "bad")
+    assert health.reason is None
+    assert not health.judge(100_000_001, "bad")
+    assert health.reason == "bad"
+
+
+@given(st.lists(st.booleans(), max_size=200))
+def test_out_needs_three_bad_of_five_and_back_needs_ten_good(verdicts: list[bool]) -> None:
+    health = Health()
+    for k, good in enumerate(verdicts):
+        was_out = health.reason is not None
+        used = health.judge(k * 1_000_000, None if good else "bad")
+        if used:
+            assert good
+        if was_out and health.reason is None:
+            assert all(verdicts[k - GOOD + 1 : k + 1])
+        if not was_out and health.reason is not None:
+            lately = verdicts[max(0, k - 4) : k + 1]
+            assert lately.count(False) >= BAD or verdicts[max(0, k - 100) : k + 1].count(True) == 0
+    assert health.refused <= len(verdicts)

@@ -1,0 +1,129 @@
+"""What a session remembers of a controller's program, telegram by telegram."""
+
+import pytest
+
+from linemate.daemon.cycle.correction_reference import Proof
+from linemate.daemon.cycle.session import Axes, Session
+from linemate.protocol.samples import RobotSample
+
+CYCLE_S, STEP = 0.012, 12
+START: Axes = (0.0, -1.4, 1.6, 0.0, 1.3, 0.0, 0.0)
+BEFORE: Axes = (-0.019, -1.4, 1.6, 0.0, 1.3, 0.0, 0.09)
+SENT: Axes = (-0.02, -1.4, 1.6, 0.0, 1.3, 0.0, 0.1)
+THERE: Axes = (-0.0125, -1.4, 1.6, 0.0, 1.3, 0.0, 0.08)
+
+
+def telegram(ipoc: int, at_s: float, delay: int | None, axes: Axes) -> RobotSample:
+    return RobotSample(round(at_s * 1e9), ipoc, axes[:6], (axes[6],), delay)  # type: ignore[arg-type]
+
+
+def running(*, absolute: bool = True) -> Session:
+    """Served up to counter 1200 at 12 s with Delay 4, the reply to it still open."""
+    session = Session(CYCLE_S, absolute=absolute)
+    session.listen(0)
+    first = telegram(1188, 11.988, 0, BEFORE)
+    session.hear(first.stamp_ns)
+    assert session.prove(first, START, None, "robot") == (START, START)
+    session.open(START, START, 0)
+    session.give(BEFORE)
+    session.remember(first, "robot", STEP)
+    session.hear(12_000_000_000)
+    session.settle(0, 1, 12_000_000_000)
+    session.give(SENT)
+    session.remember(telegram(1200, 12.0, 4, SENT), "robot", STEP)
+    return session
+
+
+def proven(
+    session: Session, robot: RobotSample, peer: str = "robot", programmed: Axes | None = None
+) -> tuple[Axes, Axes] | None:
+    session.hear(robot.stamp_ns)
+    return session.prove(robot, THERE, programmed, peer)
+
+
+@pytest.mark.parametrize(
+    ("cycles", "delay"), [(-3, 2), (-1, 4), (-6, 0), (-3, 7), (-3, None), (0, 4)]
+)
+def test_a_telegram_of_the_programs_past_does_not_move_its_reference(
+    cycles: int, delay: int | None
+) -> None:
+    late = telegram(1200 + cycles * STEP, 12.03, delay, THERE)
+    assert proven(running(), late) == (START, SENT)
+
+
+@pytest.mark.parametrize(
+    ("cycles", "delay", "held"),
+    [(10, 13, SENT), (10, 14, BEFORE), (10, 9, SENT), (60, 63, SENT), (60, 64, BEFORE)],
+)
+def test_cycles_that_delay_has_counted_continue_the_program_whatever_the_clock_says(
+    cycles: int, delay: int, held: Axes
+) -> None:
+    for passed_s in (0.012, cycles * CYCLE_S):
+        session = running()
+        back = telegram(1200 + cycles * STEP, 12.0 + passed_s, delay, THERE)
+        assert proven(session, back) == (START, held)
+        assert session.proof is Proof.CONTINUED
+
+
+@pytest.mark.parametrize(
+    ("ipoc", "at_s", "delay"),
+    [
+        (1200 + 10 * STEP, 12.12, 0),  # restarted in between: Delay counts from zero
+        (1200 + 10 * STEP, 12.12, 11),
+        (1200 + 10 * STEP, 12.12, None),
+        (1200 - 3 * STEP, 12.6, 40),  # of a past that is too long ago
+        (77, 12.6, 40),
+    ],
+)
+def test_a_program_that_cannot_be_proven_to_go_on_is_refused_with_what_to_do(
+    ipoc: int, at_s: float, delay: int | None
+) -> None:
+    session = running()
+    assert proven(session, telegram(ipoc, at_s, delay, THERE)) is None
+    assert session.unproven is not None
+    assert "Restart the KRL program" in session.unproven
+    # The same stays so: bare replies may have been applied since, or not.
+    assert proven(session, telegram(ipoc + STEP, at_s + CYCLE_S, delay, THERE)) is None
+
+
+def test_a_counter_that_jumped_at_its_pace_continues_the_program() -> None:
+    session = running()
+    for n, delay in ((1, 5), (2, 6)):
+        session.hear(round((12.0 + n * CYCLE_S) * 1e9))
+        assert delay
+    assert proven(session, telegram(77, 12.036, 6, THERE)) == (START, SENT)
+
+
+def test_another_address_continues_the_program_if_its_cycles_are_accounted_for() -> None:
+    assert proven(running(), telegram(1200 + 9 * STEP, 12.108, 12, THERE), "relay") == (START, SENT)
+    assert proven(running(), telegram(1200 + 9 * STEP, 12.108, 0, THERE), "relay") is None
+
+
+def test_a_programmed_position_gives_the_correction_once_the_axes_rest() -> None:
+    session = Session(CYCLE_S)
+    for n in range(9):
+        robot = telegram(STEP * n, 1.0 + n * CYCLE_S, 40 + n, THERE)
+        assert proven(session, robot, programmed=START) is None
+    robot = telegram(STEP * 9, 1.0 + 9 * CYCLE_S, 49, THERE)
+    assert proven(session, robot, programmed=START) == (START, THERE)
+    assert session.proof is Proof.COMPUTED
+
+
+def test_a_programmed_position_equal_to_the_actual_one_proves_nothing() -> None:
+    """It may have the correction in it: no source says that it does not on every controller."""
+    session = Session(CYCLE_S)
+    for n in range(50):
+        robot = telegram(STEP * n, 1.0 + n * CYCLE_S, 40 + n, THERE)
+        assert proven(session, robot, programmed=THERE) is None
+
+
+def test_a_programmed_position_elsewhere_refutes_a_program_that_seems_to_go_on() -> None:
+    moved = (0.5, *START[1:])
+    back = telegram(1200 + 10 * STEP, 12.12, 13, THERE)
+    assert proven(running(), back, programmed=START) == (START, SENT)
+    assert proven(running(), back, programmed=moved) is None
+
+
+def test_increments_need_no_reference() -> None:
+    session = Session(CYCLE_S, absolute=False)
+    assert proven(session, telegram(9, 1.0, 40, THERE)) == (THERE, THERE)

@@ -1,0 +1,386 @@
+"""The table of operating states, tried with every state and every combination of signals."""
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import fields, replace
+from typing import Any
+
+import pytest
+
+from linemate.daemon.core.inputs import Order
+from linemate.daemon.cycle.states import (
+    CLAMP_CLOSED,
+    MOVING,
+    TABLE,
+    Link,
+    Machine,
+    Signals,
+    State,
+    fit,
+    order,
+    refusal,
+    transition,
+    unfit,
+)
+
+NAMES = [field.name for field in fields(Signals)]
+GOOD = Signals(link=Link.HEALTHY, position_fresh=True, wrench_fresh=True, ready=True)
+QUIET = {State.INIT, State.IDLE, State.ARMED, State.FAULT}
+EDGES = ("arm", "start", "stop", "retreat", "ack")
+
+
+def with_order(name: str) -> Signals:
+    flags: dict[str, Any] = {name: True}
+    return replace(GOOD, **flags)
+
+
+def all_signals() -> Iterator[Signals]:
+    for link in Link:
+        for bits in itertools.product((False, True), repeat=len(NAMES) - 1):
+            yield Signals(link, *bits)
+
+
+SIGNALS = tuple(all_signals())
+
+
+Edges = dict[tuple[Machine, Machine], list[Signals]]
+
+
+@pytest.fixture(scope="module")
+def edges() -> Edges:
+    """Every transition from every machine that can be reached: which signals cause it."""
+    found: Edges = {}
+    waiting, seen = [Machine()], {Machine()}
+    while waiting:
+        machine = waiting.pop()
+        for after, causes in all_transitions(machine):
+            found.setdefault((machine, after), []).extend(causes)
+            DECIDED.add((machine.state, after.because))
+            if after not in seen:
+                seen.add(after)
+                waiting.append(after)
+    return found
+
+
+DECIDED: set[tuple[State, str]] = set()
+
+
+def all_transitions(machine: Machine) -> Iterator[tuple[Machine, list[Signals]]]:
+    causes: dict[tuple[str, bool], list[Signals]] = {}
+    after: dict[tuple[str, bool], Machine] = {}
+    for signals in SIGNALS:
+        reached = transition(machine, signals)
+        key = (reached.because, reached.latched)
+        if key not in causes:
+            causes[key] = []
+            after[key] = reached
+        assert reached is machine or reached == after[key]
+        causes[key].append(signals)
+    for key, signals_of in causes.items():
+        yield after[key], signals_of
+
+
+def test_the_modes_lead_to_each_other_as_the_design_draws_them(edges: Edges) -> None:
+    modes = {(a.state.name, b.state.name) for a, b in edges if a.state is not b.state}
+    assert modes == {
+        ("INIT", "IDLE"),
+        ("INIT", "FAULT"),
+        ("IDLE", "INIT"),
+        ("IDLE", "ARMED"),
+        ("IDLE", "FAULT"),
+        ("ARMED", "INIT"),
+        ("ARMED", "IDLE"),
+        ("ARMED", "TRACK"),
+        ("ARMED", "FAULT"),
+        ("TRACK", "CONTACT"),
+        ("TRACK", "RETREAT"),
+        ("TRACK", "HOLD"),
+        ("TRACK", "FAULT"),
+        ("CONTACT", "RETREAT"),
+        ("CONTACT", "FAULT"),
+        ("RETREAT", "IDLE"),
+        ("RETREAT", "FAULT"),
+        ("HOLD", "IDLE"),
+        ("HOLD", "TRACK"),
+        ("HOLD", "RETREAT"),
+        ("HOLD", "FAULT"),
+        ("FAULT", "IDLE"),
+        ("FAULT", "RETREAT"),
+    }
+
+
+def test_i1_the_step_is_told_to_hold_in_every_quiet_state(edges: Edges) -> None:
+    for machine in {after for _, after in edges}:
+        held = order(machine) is Order.HOLD
+        assert held == (machine.state in QUIET | {State.HOLD})
+        assert held == (machine.state not in MOVING)
+
+
+def test_i2_a_fault_is_left_by_an_acknowledgement_to_idle_or_out_of_contact_by_a_retreat(
+    edges: Edges,
+) -> None:
+    for (before, after), causes in edges.items():
+        if before.state is not State.FAULT or after.state is State.FAULT:
+            continue
+        assert all(s.link is not Link.LOST for s in causes)
+        if after.state is State.RETREAT:
+            assert all(s.contact and not s.expired for s in causes)
+            assert after.latched
+            assert not after.programmed
+        else:
+            assert after.state is State.IDLE
+            assert all(s.ack for s in causes)
+            assert not any(s.overload or s.fault for s in causes)
+
+
+def test_without_an_order_motion_begins_only_to_get_out_of_contact(edges: Edges) -> None:
+    for (before, after), causes in edges.items():
+        if after.state in MOVING and before.state not in MOVING:
+            for s in causes:
+                ordered = s.start or s.retreat
+                assert ordered or (after.state is State.RETREAT and (s.contact or s.overload))
+
+
+def test_i3_tracking_begins_by_a_start_with_everything_fresh(edges: Edges) -> None:
+    for (before, after), causes in edges.items():
+        if after.state is State.TRACK and before.state is not State.TRACK:
+            assert before.state in {State.ARMED, State.HOLD}
+            assert all(s.start and fit(s) and s.position_fresh and s.wrench_fresh for s in causes)
+            assert not any(s.stop or s.retreat or s.fault for s in causes)
+
+
+def test_i4_contact_with_a_live_link_ends_in_a_retreat(edges: Edges) -> None:
+    for (before, after), causes in edges.items():
+        if before.state is State.CONTACT and after.state not in {State.CONTACT, State.RETREAT}:
+            assert all(s.link is Link.LOST for s in causes)
+
+
+def test_i5_a_lost_link_ends_in_init_or_fault(edges: Edges) -> None:
+    for (before, after), causes in edges.items():
+        if any(s.link is Link.LOST for s in causes):
+            assert after.state in {State.INIT, State.FAULT}
+            assert before.state in QUIET or after.state is State.FAULT
+
+
+def test_i6_a_latched_fault_is_never_forgotten(edges: Edges) -> None:
+    for (before, after), causes in edges.items():
+        acknowledged = before.state is State.FAULT and after.state is State.IDLE
+        if acknowledged:
+            assert not after.latched
+            continue
+        if before.latched or any(s.fault for s in causes):
+            assert after.latched
+        if after.state is State.FAULT:
+            assert after.latched
+
+
+def test_i8_trouble_ends_tracking_at_once_and_any_motion_when_time_is_up(edges: Edges) -> None:
+    for (before, after), causes in edges.items():
+        troubled = [s for s in causes if s.overload or not s.position_fresh or not s.wrench_fresh]
+        if before.state in {State.TRACK, State.CONTACT} and troubled:
+            assert after.state in {State.RETREAT, State.HOLD, State.FAULT}
+        if before.state is State.RETREAT and any(s.clear or s.expired for s in causes):
+            assert after.state in QUIET
+
+
+def test_i14_a_closed_clamp_is_followed_as_long_as_something_shows_the_object(
+    edges: Edges,
+) -> None:
+    for (before, after), causes in edges.items():
+        closed = [s for s in causes if s.overdue and not (s.expired or s.clear)]
+        if before.state in {State.CONTACT, State.RETREAT} and closed:
+            assert after.state is State.RETREAT or all(s.link is Link.LOST for s in closed)
+
+
+def test_i9_idle_can_be_reached_from_everywhere(edges: Edges) -> None:
+    reached = {m for m, _ in edges if m.state is State.IDLE}
+    machines = {m for edge in edges for m in edge}
+    while more := {a for a, b in edges if b in reached} - reached:
+        reached |= more
+    assert reached == machines
+
+
+def test_i11_contact_is_entered_from_tracking_with_fresh_sensors(edges: Edges) -> None:
+    for (before, after), causes in edges.items():
+        if after.state is State.CONTACT and before.state is not State.CONTACT:
+            assert before.state is State.TRACK
+            assert all(s.contact and s.position_fresh and s.wrench_fresh for s in causes)
+
+
+def test_i12_armed_is_entered_by_an_edge_with_everything_fresh(edges: Edges) -> None:
+    for (before, after), causes in edges.items():
+        if after.state is State.ARMED and before.state is not State.ARMED:
+            assert before.state is State.IDLE
+            assert all(s.arm and fit(s) and not s.contact and not s.overload for s in causes)
+
+
+def test_i13_an_operators_stop_and_retreat_are_never_lost(edges: Edges) -> None:
+    for (before, after), causes in edges.items():
+        if any(s.retreat for s in causes):
+            assert after.state not in {State.TRACK, State.CONTACT, State.ARMED, State.HOLD}
+            assert not (after.state is State.RETREAT and after.programmed)
+        if any(s.stop for s in causes):
+            assert after.state not in {State.TRACK, State.CONTACT, State.ARMED}
+            assert not (after.state is State.RETREAT and after.programmed)
+        if before.state is State.HOLD and any(s.stop for s in causes):
+            assert after.state in {State.IDLE, State.RETREAT, State.FAULT}
+
+
+def test_a_start_together_with_another_order_does_not_start() -> None:
+    for other in ("stop", "retreat", "ack", "arm"):
+        signals = replace(with_order(other), start=True)
+        assert transition(Machine(State.ARMED), signals).state is State.IDLE
+
+
+def test_the_usual_day_runs_through_the_states() -> None:
+    machine = Machine()
+    told = []
+    for signals in (
+        GOOD,
+        replace(GOOD, arm=True),
+        replace(GOOD, start=True),
+        GOOD,
+        replace(GOOD, contact=True, ready=False),
+        replace(GOOD, contact=True, ready=False),
+        replace(GOOD, done=True),
+        replace(GOOD, done=True, clear=True),
+    ):
+        machine = transition(machine, signals)
+        told.append((machine.state, order(machine)))
+    assert told == [
+        (State.IDLE, Order.HOLD),
+        (State.ARMED, Order.HOLD),
+        (State.TRACK, Order.TRACK),
+        (State.TRACK, Order.TRACK),
+        (State.CONTACT, Order.TRACK),
+        (State.CONTACT, Order.TRACK),
+        (State.RETREAT, Order.TRACK),
+        (State.IDLE, Order.HOLD),
+    ]
+
+
+def test_nothing_new_leaves_the_machine_as_it_is() -> None:
+    tracking = Machine(State.TRACK)
+    assert transition(tracking, GOOD) is tracking
+
+
+@pytest.mark.parametrize("machine", [Machine(s, latched=s is State.FAULT) for s in State])
+def test_an_order_that_would_change_nothing_is_refused_with_a_reason(machine: Machine) -> None:
+    for edge in EDGES:
+        if edge in {"stop", "retreat"}:
+            continue
+        changes = transition(machine, with_order(edge)) != transition(machine, GOOD)
+        taken = refusal(machine, GOOD, edge) is None
+        # A second arm takes ARMED back to IDLE, as any order but start does.
+        assert taken == (
+            changes
+            and (machine.state, edge)
+            not in {
+                (State.ARMED, "arm"),
+                (State.ARMED, "ack"),
+            }
+        )
+
+
+def test_a_stop_is_taken_in_every_state_and_a_retreat_in_motion() -> None:
+    for state in State:
+        assert refusal(Machine(state), Signals(), "stop") is None
+        assert (refusal(Machine(state), Signals(), "retreat") is None) == (
+            state in MOVING | {State.HOLD}
+        )
+
+
+def test_a_refusal_names_everything_that_is_missing() -> None:
+    reason = refusal(Machine(State.IDLE), Signals(contact=True), "arm")
+    assert reason is not None
+    for part in ("robot link is lost", "position", "force", "estimate", "in contact"):
+        assert part in reason
+    assert refusal(Machine(State.IDLE), GOOD, "dance") == "no such order: dance"
+    assert "IDLE" in str(refusal(Machine(State.TRACK), GOOD, "arm"))
+
+
+@pytest.mark.parametrize(
+    ("signals", "reason"),
+    [
+        (GOOD, None),
+        (replace(GOOD, link=Link.UNPROVEN), None),
+        (replace(GOOD, link=Link.LOST), "the robot link is lost"),
+        (replace(GOOD, overload=True), "overload"),
+        (replace(GOOD, fault=True), "the fault is still present"),
+        (replace(GOOD, fault=True, overload=True), "overload"),
+    ],
+)
+def test_a_fault_is_acknowledged_once_its_reason_is_gone(
+    signals: Signals, reason: str | None
+) -> None:
+    faulty = Machine(State.FAULT, latched=True)
+    assert refusal(faulty, signals, "ack") == reason
+    left = transition(faulty, replace(signals, ack=True)).state is State.IDLE
+    assert left == (reason is None)
+
+
+@pytest.mark.parametrize(
+    ("machine", "signals", "after"),
+    [
+        (Machine(State.TRACK), replace(GOOD, link=Link.UNPROVEN), Machine(State.HOLD)),
+        (
+            Machine(State.TRACK),
+            replace(GOOD, link=Link.UNPROVEN, contact=True),
+            Machine(State.RETREAT),
+        ),
+        (
+            Machine(State.TRACK),
+            replace(GOOD, contact=True, position_fresh=False),
+            Machine(State.RETREAT, latched=True),
+        ),
+        (
+            Machine(State.CONTACT),
+            replace(GOOD, contact=True, wrench_fresh=False),
+            Machine(State.RETREAT, latched=True),
+        ),
+        (Machine(State.TRACK), replace(GOOD, object_left=True), Machine(State.HOLD)),
+        (Machine(State.TRACK), replace(GOOD, done=True), Machine(State.RETREAT, programmed=True)),
+        (Machine(State.RETREAT), replace(GOOD, overload=True), Machine(State.RETREAT)),
+        (
+            Machine(State.RETREAT, programmed=True),
+            replace(GOOD, overload=True),
+            Machine(State.RETREAT),
+        ),
+        (
+            Machine(State.RETREAT, programmed=True),
+            GOOD,
+            Machine(State.RETREAT, programmed=True),
+        ),
+        (Machine(State.RETREAT), replace(GOOD, expired=True), Machine(State.FAULT, latched=True)),
+        (Machine(State.HOLD), replace(GOOD, expired=True), Machine(State.FAULT, latched=True)),
+        (
+            Machine(State.CONTACT),
+            replace(GOOD, overdue=True, done=True),
+            Machine(State.RETREAT, latched=True),
+        ),
+        (Machine(State.RETREAT), replace(GOOD, overdue=True), Machine(State.RETREAT, latched=True)),
+        (
+            Machine(State.RETREAT, latched=True, because=CLAMP_CLOSED),
+            replace(GOOD, overdue=True),
+            Machine(State.RETREAT, latched=True),
+        ),
+        (Machine(State.INIT), replace(GOOD, fault=True), Machine(State.FAULT, latched=True)),
+    ],
+)
+def test_a_transition_is_the_one_that_was_agreed_on(
+    machine: Machine, signals: Signals, after: Machine
+) -> None:
+    reached = transition(machine, signals)
+    assert reached == after
+    # An emergency retreat is not begun anew in every cycle.
+    assert (reached is machine) == (machine == after)
+
+
+def test_unfit_has_words_exactly_when_a_start_is_impossible() -> None:
+    for signals in SIGNALS[::7]:
+        assert (unfit(signals) is None) == fit(signals)
+
+
+def test_every_row_of_the_table_can_decide(edges: Edges) -> None:
+    assert edges
+    assert {(row.source, row.because) for row in TABLE} <= DECIDED

@@ -1,0 +1,137 @@
+"""States and watch as they always answered: the whole table, and long random days at its edges.
+
+The time-outs stand here as numbers of their own; see ``transcripts`` for what a digest says.
+"""
+
+import itertools
+from dataclasses import astuple, fields, replace
+
+import pytest
+from transcripts import Chance, Transcript
+
+from linemate.daemon.cycle.states import (
+    Link,
+    Machine,
+    Signals,
+    State,
+    fit,
+    order,
+    refusal,
+    transition,
+    unfit,
+)
+from linemate.daemon.cycle.watch import Facts, Watch, WatchSettings, observe
+
+FLAGS = len(fields(Signals)) - 1
+OPS = ("arm", "start", "stop", "retreat", "ack", "status")
+MS = 1_000_000
+EDGES = (0.0, 0.0999, 0.1, 0.1001, 0.14, 0.16, 0.161, 0.25, 0.3, 0.301, 0.999, 1.0, 1.001, 60.0)
+
+
+def _said(machine: Machine) -> tuple[object, ...]:
+    return str(machine.state), machine.latched, machine.programmed, machine.because
+
+
+@pytest.mark.parametrize(
+    ("state", "digest"),
+    [
+        (State.INIT, "dcc8f1cc99cffa28"),
+        (State.IDLE, "a395282f6323c313"),
+        (State.ARMED, "c3190ac7f712aa9c"),
+        (State.TRACK, "68469f41cd1dc5cf"),
+        (State.CONTACT, "28d8ac8177b8b258"),
+        (State.RETREAT, "e21dd4e062a47ef8"),
+        (State.HOLD, "f3875c49d18bea62"),
+        (State.FAULT, "0bd2a3f5c8ea8fea"),
+    ],
+)
+def test_the_whole_table_decides_as_it_always_did(state: State, digest: str) -> None:
+    told = Transcript()
+    machines = [Machine(state, *bits) for bits in itertools.product((False, True), repeat=2)]
+    chance = Chance(f"states/{state}")
+    for link in Link:
+        for bits in itertools.product((False, True), repeat=FLAGS):
+            if not chance.happens(0.05):
+                continue
+            signals = Signals(link, *bits)
+            told.say(fit(signals), unfit(signals))
+            for machine in machines:
+                told.say(_said(transition(machine, signals)))
+                told.say([refusal(machine, signals, op) for op in OPS])
+    told.say([str(order(machine)) for machine in machines])
+    assert told.digest == digest
+
+
+SMALL = WatchSettings(healthy_cycles=7, missed_s=0.03, missed_in_contact_s=0.055, leak_s=0.1)
+SHIPPED = WatchSettings()
+
+
+def _day(settings: WatchSettings, chance: Chance, told: Transcript) -> None:
+    """Cycles with and without telegrams, sensors of every age, in every state."""
+    watch, machine, now_ns = Watch(), Machine(), 10_000 * MS
+    weather = 0.99
+    for _ in range(150):
+        now_ns += chance.pick((12, 12, 12, 12, 50, 100, 101)) * MS
+        if chance.happens(0.1):
+            weather = chance.pick((1.0, 0.9, 0.6, 0.0))
+        if chance.happens(0.1):
+            machine = Machine(chance.pick(tuple(State)))
+
+        def aged(now_ns: int = now_ns) -> int | None:
+            age_s = chance.pick(EDGES) if chance.happens(0.3) else 0.01
+            return None if chance.happens(0.03) else now_ns - round(age_s * 1e9)
+
+        def seldom(share: float = 0.05) -> bool:
+            return chance.happens(share)
+
+        facts = Facts(
+            now_ns,
+            chance.happens(weather),
+            new_session=seldom(0.02),
+            position_ns=aged(),
+            slower_ns=None if seldom(0.3) else aged(),
+            wrench_ns=aged(),
+            wrench_expected=not seldom(),
+            contradicted=seldom(),
+            gap_m=chance.pick((None, 0.0, 0.0299, 0.03, 0.0301, 1.0)),
+            astray=chance.happens(0.6),
+            ready=not seldom(),
+            object_left=seldom(),
+            contact=seldom(0.5),
+            overload=seldom(0.3),
+            done=seldom(),
+            clear=seldom(),
+            fault=seldom(),
+            orders=frozenset(op for op in OPS[:5] if seldom()),
+        )
+        watch, signals = observe(watch, facts, machine, settings)
+        told.say(str(watch.link), str(watch.state), [str(v) for v in astuple(watch)])
+        told.say([str(v) for v in astuple(signals)])
+
+
+@pytest.mark.parametrize(
+    ("settings", "digest"),
+    [
+        (SMALL, "c083e69a5308b85c"),
+        (SHIPPED, "f21799515a868d01"),
+        (replace(SHIPPED, healthy_cycles=1, leak_s=0.02), "0e5f417a9d38ab57"),
+    ],
+    ids=["small", "shipped", "least"],
+)
+def test_the_watch_sees_as_it_always_did(settings: WatchSettings, digest: str) -> None:
+    told = Transcript()
+    for day in range(60):
+        _day(settings, Chance(f"watch/{day}"), told)
+    assert told.digest == digest
+
+
+@pytest.mark.parametrize(
+    ("state", "longest_s"), [(State.HOLD, 60.0), (State.RETREAT, 20.0), (State.TRACK, 1e9)]
+)
+def test_a_state_may_last_to_the_nanosecond(state: State, longest_s: float) -> None:
+    begun_ns = 5_000 * MS
+    watch, _ = observe(Watch(), Facts(begun_ns, telegram=True), Machine(state), SHIPPED)
+    for beyond, expired in ((0, False), (200, state is not State.TRACK)):
+        at_ns = begun_ns + round(longest_s * 1e9) + beyond
+        _, signals = observe(watch, Facts(at_ns, telegram=True), Machine(state), SHIPPED)
+        assert signals.expired is expired
