@@ -12,7 +12,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from linemate.daemon.operator.client import Client
+from linemate.daemon.transport.client import Client
 
 LINEMATED = (sys.executable, "-m", "linemate.daemon.service.main")
 LINEMATE = (sys.executable, "-m", "linemate.daemon.operator.main")

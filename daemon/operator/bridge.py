@@ -17,7 +17,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from linemate.daemon.operator import fleet
-from linemate.daemon.operator.client import Client, NoAnswerError, RefusedError, default_socket_path
+from linemate.daemon.transport.client import (
+    Client,
+    NoAnswerError,
+    RefusedError,
+    default_socket_path,
+)
 from linemate.protocol.command.command import CommandError
 
 if TYPE_CHECKING:

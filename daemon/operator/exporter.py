@@ -18,11 +18,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from linemate.daemon.operator import metrics
-from linemate.daemon.operator.client import Client, NoAnswerError, RefusedError
+from linemate.daemon.transport.client import Client, NoAnswerError, RefusedError
 from linemate.protocol.command.command import CommandError
 
 if TYPE_CHECKING:
-    from linemate.daemon.view.server import Server
+    from linemate.daemon.transport.http_server import Server
 
 PORT: Final = 9465
 TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
@@ -79,7 +79,7 @@ def server_of(address: tuple[str, int], stations: Stations, names: Iterable[str]
         stations: whose metrics it serves.
         names: by which it may be asked, beside its address and localhost.
     """
-    from linemate.daemon.view.server import NoPageError, Page, Server
+    from linemate.daemon.transport.http_server import NoPageError, Page, Server
 
     asking = asyncio.Lock()
 
@@ -144,7 +144,7 @@ def main(args: argparse.Namespace) -> int:
     Returns:
         0; with --once 3 if no daemon answered; 1 if the port cannot be had.
     """
-    from linemate.daemon.operator.client import default_socket_path
+    from linemate.daemon.transport.client import default_socket_path
 
     stations = Stations(dict(args.station) or {"linemate": default_socket_path()}, asked)
     if args.once:

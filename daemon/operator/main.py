@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final, NoReturn
 
 from linemate.daemon.operator import render
-from linemate.daemon.operator.client import (
+from linemate.daemon.transport.client import (
     DEFAULT_PORT,
     DEFAULT_TIMEOUT_S,
     Client,

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from linemate.daemon.operator.client import Client
+    from linemate.daemon.transport.client import Client
     from linemate.daemon.view.run import Where
 
 OK, NOT_OK, USAGE = 0, 1, 2

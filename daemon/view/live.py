@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from linemate.daemon.operator.client import Client, RefusedError
+from linemate.daemon.transport.client import Client, RefusedError
 from linemate.daemon.view.board import Board
 from linemate.daemon.view.frames import Framer
 from linemate.daemon.view.scene import Scene, of

@@ -14,10 +14,10 @@ from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from linemate.daemon.operator.client import Client
+from linemate.daemon.transport.client import Client
+from linemate.daemon.transport.http_server import Server
 from linemate.daemon.view.board import Board
 from linemate.daemon.view.live import Live
-from linemate.daemon.view.server import Server
 from linemate.daemon.view.site import LiveSite, TapeSite
 
 LEAST_URGENT = 19

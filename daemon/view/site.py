@@ -13,9 +13,9 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
+from linemate.daemon.transport.http_server import Answer, NoPageError, Page
 from linemate.daemon.view import tape
 from linemate.daemon.view.board import ONLOOKERS, Board, FullError, event
-from linemate.daemon.view.server import Answer, NoPageError, Page
 from linemate.daemon.view.tape import Tape
 
 JSON: Final = "application/json"

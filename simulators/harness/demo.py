@@ -23,8 +23,8 @@ from typing import Any
 import yaml
 
 from linemate.daemon.operator import doctor
-from linemate.daemon.operator.client import Client, NoAnswerError, RefusedError
 from linemate.daemon.service.awake import Awake
+from linemate.daemon.transport.client import Client, NoAnswerError, RefusedError
 from linemate.simulators.devices import truth
 from linemate.simulators.harness import host, live, overlay, scenario_file
 from linemate.simulators.harness.live import Glimpse, LinkGlimpse, View

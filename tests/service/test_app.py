@@ -20,12 +20,12 @@ from linemate.daemon.config import config
 from linemate.daemon.config.files import PROTOCOL_DATA
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.core.parameters import Parameters
-from linemate.daemon.operator.client import Client, RefusedError
 from linemate.daemon.recording.recording import decode
 from linemate.daemon.recording.step_file import TOPIC
 from linemate.daemon.service import realtime
 from linemate.daemon.service.app import App, StartError
 from linemate.daemon.service.notify import Notifier
+from linemate.daemon.transport.client import Client, RefusedError
 from linemate.protocol.rsi.rsi import RobotTelegram, RsiCodec, SensorTelegram
 from linemate.protocol.rsi.rsi_config import parse_config
 

@@ -14,13 +14,6 @@ from typing import Any
 import pytest
 from command_ends import key_of, open_port, served
 
-from linemate.daemon.operator.client import (
-    Client,
-    KeyFileError,
-    NoAnswerError,
-    RefusedError,
-    read_key,
-)
 from linemate.daemon.service.command_server import (
     MAX_CONNECTIONS,
     CommandPort,
@@ -28,6 +21,13 @@ from linemate.daemon.service.command_server import (
     LocalDoor,
     UdpDoor,
     read_keys,
+)
+from linemate.daemon.transport.client import (
+    Client,
+    KeyFileError,
+    NoAnswerError,
+    RefusedError,
+    read_key,
 )
 from linemate.protocol.command.command import FrameType, Role, cut_local, local_body
 from linemate.protocol.command.command_client import Answer, Telemetry

@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 from daemon_process import DaemonProcess
 
-from linemate.daemon.operator.client import Client, RefusedError
+from linemate.daemon.transport.client import Client, RefusedError
 from linemate.protocol.command.command import Role
 from linemate.protocol.command.command_keys import key_line, make_key
 from linemate.protocol.exchange import ControllerCounts

@@ -17,8 +17,8 @@ from command_ends import key_of, open_port, served
 from rerun import LINEMATE, Rerun, recording, rerun
 
 from linemate.daemon.operator import main as tool
-from linemate.daemon.operator.client import Client, KeyFileError
 from linemate.daemon.service.command_server import CommandPort, LocalDoor
+from linemate.daemon.transport.client import Client, KeyFileError
 from linemate.daemon.view.board import Board
 from linemate.daemon.view.live import Live
 from linemate.protocol.command.command import Role

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from linemate.daemon.recording.recordings import UnreadableRecordingError
-from linemate.daemon.view.server import NoPageError, Page
+from linemate.daemon.transport.http_server import NoPageError, Page
 from linemate.daemon.view.site import TapeSite
 
 GOLDEN = Path(__file__).parents[1] / "system" / "golden" / "wheel.mcap"

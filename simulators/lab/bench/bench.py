@@ -25,8 +25,8 @@ from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.step import State, initial, step
 from linemate.daemon.cycle.cycle import LogEntry
 from linemate.daemon.operator import doctor
-from linemate.daemon.operator.client import NoAnswerError, RefusedError
 from linemate.daemon.service.awake import Awake
+from linemate.daemon.transport.client import NoAnswerError, RefusedError
 from linemate.simulators.harness import host, setup
 from linemate.simulators.harness.lockstep import Lockstep
 from linemate.simulators.harness.processes import ChildError, interruptible

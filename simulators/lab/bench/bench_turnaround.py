@@ -24,7 +24,7 @@ from typing import Any, Final
 
 import yaml
 
-from linemate.daemon.operator.client import Client, RefusedError
+from linemate.daemon.transport.client import Client, RefusedError
 from linemate.simulators.harness.processes import Child, ChildError, Children, wait_until
 from linemate.simulators.lab.bench.bench_floor import (
     Hogs,

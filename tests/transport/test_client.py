@@ -1,4 +1,4 @@
-"""The blocking client against real doors, and against nobody, the deaf and the slow."""
+"""The blocking client with real servers, without one, and with slow ones."""
 
 import socket
 import threading
@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 from command_ends import key_of, open_port, served
 
-from linemate.daemon.operator.client import (
+from linemate.daemon.service.command_server import CommandPort
+from linemate.daemon.transport.client import (
     Client,
     KeyFileError,
     NoAnswerError,
@@ -19,7 +20,6 @@ from linemate.daemon.operator.client import (
     default_socket_path,
     read_key,
 )
-from linemate.daemon.service.command_server import CommandPort
 from linemate.protocol.command.command import CommandError, Role
 from linemate.protocol.command.command_client import ClientCore
 from linemate.protocol.command.command_keys import key_line

@@ -1,4 +1,4 @@
-"""The page's server: what it answers, to whom, and that nobody holds it up."""
+"""HTTP server: what it answers and to whom, and that a slow client delays no other."""
 
 import asyncio
 import contextlib
@@ -8,9 +8,9 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 
 import pytest
 
-from linemate.daemon.view import server as serving
+from linemate.daemon.transport import http_server as serving
+from linemate.daemon.transport.http_server import Answer, NoPageError, Page, Server
 from linemate.daemon.view.board import ONLOOKERS, WAITING, Board
-from linemate.daemon.view.server import Answer, NoPageError, Page, Server
 from linemate.daemon.view.site import LiveSite, assets
 
 

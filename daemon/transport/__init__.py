@@ -1,0 +1,1 @@
+"""Sockets of the tools outside the daemon: the command protocol's client and the HTTP server."""
