@@ -79,7 +79,6 @@ class CameraPeer:
         """Return what becomes of a datagram.
 
         Args:
-            source: who sent it.
             stamp_ns: when it came [ns].
         """
         if not self._may_be(source):
@@ -93,7 +92,6 @@ class CameraPeer:
         """Note a good pose of a sender that was not judged foreign.
 
         Args:
-            source: who sent it.
             stamp_ns: when it came [ns].
 
         Returns:

@@ -38,7 +38,6 @@ class Datagram:
     Attributes:
         data: its bytes, cut at 2 KiB.
         stamp_ns: monotonic arrival [ns].
-        source: who sent it.
         oversize: it was longer than 2 KiB and is incomplete.
     """
 
@@ -68,7 +67,6 @@ class DatagramSocket:
     """A bound, non-blocking UDP socket.
 
     Attributes:
-        endpoint: the socket itself.
         clock: maps the kernel's stamps.
         kernel_drops: datagrams the kernel dropped because nobody read them in time.
     """
@@ -88,7 +86,6 @@ class DatagramSocket:
         """Open and bind; no address is ever shared with another process.
 
         Args:
-            host: local address.
             port: local port, 0 for any.
 
         Returns:

@@ -20,7 +20,6 @@ def told(error: BaseException | None, port: int, proc: Path = PROC) -> str:
 
     Args:
         error: why it cannot; only of one that is in use there is somebody to name.
-        port: that was wanted.
         proc: where the kernel's tables are.
     """
     is_taken = getattr(error, "errno", None) == errno.EADDRINUSE

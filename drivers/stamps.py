@@ -27,11 +27,7 @@ Ancillary = Iterable[tuple[int, int, bytes]]
 
 
 def request_kernel_stamps(endpoint: socket.socket) -> None:
-    """Ask the kernel to stamp arrivals and to tell of drops, where it can.
-
-    Args:
-        endpoint: a datagram socket.
-    """
+    """Ask the kernel to stamp arrivals and to tell of drops, where it can."""
     for option in (SO_TIMESTAMPNS, SO_RXQ_OVFL):
         try:
             endpoint.setsockopt(socket.SOL_SOCKET, option, 1)

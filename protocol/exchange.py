@@ -124,7 +124,6 @@ class Verdict:
     """What to do with one telegram.
 
     Attributes:
-        kind: what it is.
         answer: True if it is to be answered. Of several telegrams waiting at once only the
             newest that is so should be.
         missed: cycles between it and the telegram accepted before it.
@@ -271,7 +270,6 @@ class Exchange:
 
         Args:
             stamp_ns: its arrival [ns].
-            peer: who sent it.
         """
         if self._state is State.IDLE or peer != self._peer:
             return True
@@ -297,7 +295,6 @@ class Exchange:
         """Judge one telegram.
 
         Args:
-            ipoc: its counter.
             stamp_ns: its arrival [ns].
             peer: who sent it; another value is another controller.
         """

@@ -40,14 +40,11 @@ class CameraSample:
     Attributes:
         stamp_ns: arrival [ns].
         exposure_ns: middle of the exposure on the local monotonic clock [ns].
-        source: camera id.
         frame: frame the pose is given in.
         object_id: object the pose is of.
-        sequence: the sender's counter.
         position: object in ``frame`` [m].
         quaternion: orientation of the object in ``frame``, w x y z.
         covariance: upper triangle row by row, order x y z rx ry rz [m, rad], or None.
-        quality: -1 unknown, 0..100.
         reset: the tracker's restart counter.
     """
 
@@ -91,7 +88,6 @@ class RobotSample:
 
     Attributes:
         stamp_ns: arrival [ns].
-        ipoc: the telegram's counter.
         joints: measured joint angles A1..A6 [rad].
         external: measured external axes [m] (linear) or [rad] (rotary), E1 first.
         delay: the controller's count of late replies, None if not configured.

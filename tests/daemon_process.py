@@ -24,8 +24,6 @@ class DaemonProcess:
     """A running ``linemated``; the end of the ``with`` block ends it.
 
     Attributes:
-        folder: of its files.
-        log: what it said.
         listening: its own word of its ports.
     """
 
@@ -33,7 +31,6 @@ class DaemonProcess:
         """Write its configuration.
 
         Args:
-            folder: must exist.
             text: of the configuration, without ``command``, which is added.
         """
         self.folder = folder

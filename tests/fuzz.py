@@ -41,7 +41,6 @@ class Wire:
     """One parser.
 
     Attributes:
-        examples: whole messages.
         parse: takes bytes; raises ``ProtocolError`` or nothing.
     """
 

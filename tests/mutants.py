@@ -171,9 +171,6 @@ class Mutant:
     """One change.
 
     Attributes:
-        file: of the project.
-        line: where.
-        function: around it.
         statement: the statement around it, its first line.
         what: was made of what.
         source: of the whole module.

@@ -38,7 +38,6 @@ class PlainRobot:
         """Ask so often; how long each reply took [s], None where none came in its cycle.
 
         Args:
-            count: of cycles.
             at: called before each cycle with its number.
         """
         took: list[float | None] = []

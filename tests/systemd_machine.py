@@ -90,11 +90,7 @@ class Machine:
     """
 
     def __init__(self, scratch: Path) -> None:
-        """Lay out its files.
-
-        Args:
-            scratch: an empty folder.
-        """
+        """Lay out its files."""
         self.scratch = scratch
         self.tree = scratch / "tree"
         self.out = scratch / "out"

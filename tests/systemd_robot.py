@@ -25,7 +25,6 @@ def main(config: str, axes: list[float]) -> None:
     """Serve until SIGTERM.
 
     Args:
-        config: the controller's RSI_EthernetConfig.xml.
         axes: where the robot stands: A1..A6 [rad], E1 [m].
     """
     codec = RsiCodec(parse_config(Path(config).read_bytes()))

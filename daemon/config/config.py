@@ -58,7 +58,6 @@ class Station:
 
     Attributes:
         path: of the configuration file.
-        config: what it says.
         task: the task and the arm.
         rsi: the controller's own configuration.
         dbc: the distance sensor's, None without one.
@@ -402,9 +401,6 @@ class _Named:
 
 def group_ids(names: Iterable[str]) -> frozenset[int]:
     """Return the ids of groups of this host.
-
-    Args:
-        names: or numbers.
 
     Raises:
         ValueError: there are no such groups.

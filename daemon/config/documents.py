@@ -122,7 +122,6 @@ def read(data: bytes, name: str) -> Document:
     """Read YAML and keep places.
 
     Args:
-        data: the file's bytes.
         name: of the file, for messages.
 
     Returns:
@@ -184,7 +183,6 @@ def schema(target: type[Any], title: str) -> dict[str, Any]:
 
     Args:
         target: the dataclass that the file fills.
-        title: of the schema.
     """
     whole = _model(target).model_json_schema()
     definitions: dict[str, Any] = whole.pop("$defs")

@@ -22,7 +22,6 @@ def find(name: str, base: Path, shipped: Path) -> Path:
     """Where a named file is.
 
     Args:
-        name: as written.
         base: directory of the file that names it.
         shipped: directory of the shipped files.
 
@@ -46,7 +45,6 @@ def read(path: Path, limit: int) -> bytes:
     """A file's bytes.
 
     Args:
-        path: of the file.
         limit: longest file accepted [bytes].
 
     Raises:

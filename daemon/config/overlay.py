@@ -36,7 +36,6 @@ def directory(config: Config, base: Path) -> Path | None:
     """Return where operators' parameters are kept, None if nowhere.
 
     Args:
-        config: of the daemon.
         base: directory of its file.
     """
     if config.state is not None:
@@ -49,9 +48,6 @@ def laid(document: Document, config: Config, base: Path, *, saved: bool = True) 
     """Return a configuration with its overlays laid over it.
 
     Args:
-        document: its file.
-        config: what that says.
-        base: its directory.
         saved: what operators saved among them.
 
     Raises:
@@ -82,8 +78,6 @@ def save(folder: Path, settings: Settings, written: Settings) -> Path:
     """Keep what differs from the user's file; without a difference there is no overlay.
 
     Args:
-        folder: of the overlay.
-        settings: in force.
         written: by the user, with the overlays that he named.
 
     Returns:
@@ -104,10 +98,6 @@ def save(folder: Path, settings: Settings, written: Settings) -> Path:
 
 def journal(folder: Path, told: Mapping[str, Any]) -> None:
     """Add a line of JSON to the log of changes; an older half of it is kept.
-
-    Args:
-        folder: of the log.
-        told: what happened.
 
     Raises:
         OSError: it cannot be written.

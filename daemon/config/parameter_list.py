@@ -67,11 +67,7 @@ RULES: Final[dict[str, Rule]] = {
 
 
 def rule(name: str) -> Rule:
-    """Return when a parameter may change.
-
-    Args:
-        name: dotted.
-    """
+    """Return when a parameter may change."""
     parts = name.split(".")
     for length in range(len(parts), 0, -1):
         found = RULES.get(".".join(parts[:length]))
@@ -84,7 +80,6 @@ def described(listed: Sequence[Described], params: Mapping[str, Any]) -> dict[st
     """Answer the operation ``params``.
 
     Args:
-        listed: every parameter.
         params: ``prefix`` picks those whose names begin so.
     """
     prefix = params.get("prefix", "")
@@ -92,12 +87,7 @@ def described(listed: Sequence[Described], params: Mapping[str, Any]) -> dict[st
 
 
 def values(listed: Sequence[Described], params: Mapping[str, Any]) -> dict[str, Any]:
-    """Answer the operation ``get``.
-
-    Args:
-        listed: every parameter.
-        params: ``names``.
-    """
+    """Answer the operation ``get``."""
     known = {one["name"]: one["value"] for one in listed}
     missing = [name for name in params["names"] if name not in known]
     if missing:
@@ -106,11 +96,7 @@ def values(listed: Sequence[Described], params: Mapping[str, Any]) -> dict[str, 
 
 
 def every(config: Config) -> Iterator[Described]:
-    """Every parameter there is; slow, for the start-up.
-
-    Args:
-        config: the daemon's.
-    """
+    """Every parameter there is; slow, for the start-up."""
     usual = Config(task=config.task)
     for section in SECTIONS:
         yield from _of(section, getattr(config, section), getattr(usual, section))
@@ -162,11 +148,7 @@ def _one(name: str, value: Any, default: Any) -> Described:
 
 
 def kinds(kind: type[Any]) -> Iterator[type[Any]]:
-    """Every settings class below one, in the order of its fields.
-
-    Args:
-        kind: the class above.
-    """
+    """Every settings class below one, in the order of its fields."""
     for hint in get_type_hints(kind).values():
         for inner in _classes(hint):
             yield inner
@@ -181,11 +163,7 @@ def _classes(hint: Any) -> Iterator[type[Any]]:
 
 
 def about(kind: type[Any]) -> dict[str, Described]:
-    """Type, range, unit and meaning of each field of a settings class.
-
-    Args:
-        kind: the class.
-    """
+    """Type, range, unit and meaning of each field of a settings class."""
     hints = get_type_hints(kind, include_extras=True)
     meanings = _meanings(kind.__doc__ or "")
     return {

@@ -34,7 +34,6 @@ def exchange_errors(rsi: RsiConfig, corrections: Corrections) -> Iterator[str]:
     """Return what makes a lost reply or a restart move the robot.
 
     Args:
-        rsi: the controller's configuration.
         corrections: how the controller reads them.
     """
     if rsi.onlysend:
@@ -56,12 +55,7 @@ def exchange_errors(rsi: RsiConfig, corrections: Corrections) -> Iterator[str]:
 
 
 def unfilled(rsi: RsiConfig, constants: Mapping[str, Any]) -> Iterator[str]:
-    """Return RECEIVE elements that replies have no value for.
-
-    Args:
-        rsi: the controller's configuration.
-        constants: values by TAG.
-    """
+    """Return RECEIVE elements that replies have no value for."""
     without = [
         element.tag
         for element in rsi.receive
@@ -77,12 +71,7 @@ def unfilled(rsi: RsiConfig, constants: Mapping[str, Any]) -> Iterator[str]:
 
 
 def constant_errors(rsi: RsiConfig, constants: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Return the TAG and what is wrong for each constant that cannot be written.
-
-    Args:
-        rsi: the controller's configuration.
-        constants: values by TAG.
-    """
+    """Return the TAG and what is wrong for each constant that cannot be written."""
     elements = {element.tag: element for element in rsi.receive}
     for tag, value in constants.items():
         element = elements.get(tag)
@@ -107,7 +96,6 @@ def gate_errors(rsi: RsiConfig, task: TaskFile) -> Iterator[str]:
     """Return gates of a task that wait for a signal which the controller does not carry.
 
     Args:
-        rsi: the controller's configuration.
         task: with its gates and the times that stand for signals.
     """
     has_signals = SIGNALS_IN in {element.tag for element in rsi.send}

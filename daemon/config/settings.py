@@ -85,7 +85,7 @@ class CameraSettings:
 
     Attributes:
         bind: numeric address to listen on.
-        port: 0 takes any.
+        port: UDP port; 0 takes any free one.
         peer: the only sender that is heard, ``ADDRESS`` or ``ADDRESS:PORT``. None: the first one
             that sends good poses; another may take over while that one is silent for 5 s.
         frame, object, source: the only ones accepted, None for any.
@@ -123,8 +123,8 @@ class UdpSettings:
     Attributes:
         keys: file of the pre-shared keys, which others must not read. With systemd's
             LoadCredential give its name with ``credential:`` before it.
-        bind: numeric address.
-        port: 0 takes any.
+        bind: numeric address of the interface.
+        port: UDP port; 0 takes any free one.
         allow_remote: explicit consent to an address that others can reach.
     """
 
@@ -188,7 +188,7 @@ class RealtimeSettings:
 
     Attributes:
         priority: of SCHED_FIFO, None leaves the scheduler alone.
-        lock_memory: mlockall.
+        lock_memory: lock the pages in memory (mlockall).
         cpus: the only cores used, empty leaves them alone.
         timer_slack_ns: None leaves it alone.
         cpu_dma_latency_us: deepest sleep allowed to the cores, None leaves it alone.

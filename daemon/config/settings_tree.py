@@ -60,7 +60,6 @@ def leaves(value: Any, name: str = NAME) -> Iterator[tuple[str, Any]]:
 
     Args:
         value: settings, or a part of them.
-        name: of that part.
     """
     if is_dataclass(value) and not isinstance(value, type):
         for field in fields(value):
@@ -74,10 +73,6 @@ def leaves(value: Any, name: str = NAME) -> Iterator[tuple[str, Any]]:
 
 def changed(settings: Settings, values: Mapping[str, Any]) -> Settings:
     """Return settings with some values changed: all of them, or none.
-
-    Args:
-        settings: as they are.
-        values: by dotted name.
 
     Raises:
         SettingError: a name that there is not, or a value that does not fit; every one of them.
@@ -188,10 +183,6 @@ def _joined(name: str, part: str) -> str:
 
 def read_file(data: bytes, name: str) -> dict[str, Any]:
     """Return a YAML file's plain values, strictly read; what they mean is not looked at.
-
-    Args:
-        data: its bytes.
-        name: for messages.
 
     Raises:
         SettingError: everything that is wrong with it.

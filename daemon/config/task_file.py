@@ -30,7 +30,6 @@ class Task:
 
     Attributes:
         file: what the task file says.
-        urdf: the arm's description.
         text: the task file itself, for recordings.
         document: where each of its values stands.
     """

@@ -79,10 +79,7 @@ def build(
     """Return the parameters of a cell.
 
     Args:
-        task: what is assembled.
         urdf_text: the arm, as text.
-        tracking: settings.
-        control_settings: settings.
         cycle_s: T0 [s].
 
     Raises:
@@ -151,7 +148,6 @@ def retuned(parameters: Parameters, tracking: TrackingSettings) -> Parameters:
     classifiers' thresholds. The same as ``build`` would make.
 
     Args:
-        parameters: as they are.
         tracking: settings, which differ from theirs in nothing else.
     """
     tracker = replace(

@@ -63,10 +63,8 @@ class Outputs:
         stamp_ns: its time [ns].
         command: absolute setpoints q_c, A1..A6 [rad] and E1 [m], within the limits.
         digital_out: the tool's signals, bit 0 fix the screws, bit 1 release the wheel.
-        phase: of the task.
         task_time: of the task's clock [s], None before the start.
         scenario: the class in force.
-        scenario_state: ``confirmed`` or ``tentative``.
         confidence: log odds of the change that is weighed.
         events: of the classifier in this step.
         target: x_c(k) = x_t(k, 0), the committed tcp in base.
@@ -179,7 +177,6 @@ class Plan:
 
     Attributes:
         tracker: one step later; whether the tool touches is still as it was.
-        report: of tracking.
         horizon: x_t, None where the robot is to stand.
         aim: of control, None likewise.
     """
@@ -196,7 +193,6 @@ def step(state: State, inputs: Inputs, parameters: Parameters) -> tuple[State, O
     Args:
         state: of the step before, or ``initial``.
         inputs: everything that entered since, and the order.
-        parameters: compiled.
     """
     return finish(state, plan(state, inputs, parameters), inputs, parameters)
 
@@ -207,7 +203,6 @@ def plan(state: State, inputs: Inputs, parameters: Parameters) -> Plan:
     Args:
         state: of the step before.
         inputs: of which ``sent``, ``applied`` and ``pace`` are not read.
-        parameters: compiled.
     """
     seen = _measurements(inputs, parameters)
     if inputs.order is Order.HOLD:
@@ -229,7 +224,6 @@ def finish(
         state: of the step before.
         planned: by ``plan`` from the same state, inputs and parameters.
         inputs: of which ``sent``, ``applied`` and ``pace`` may be others than it was planned with.
-        parameters: compiled.
     """
     begun = _applied(state, inputs)
     horizon, aim = planned.horizon, planned.aim

@@ -33,7 +33,6 @@ class Answers:
     """Orders that wait for their decision.
 
     Attributes:
-        operating: decides.
         cycle_s: T0 [s].
     """
 
@@ -70,8 +69,6 @@ def outcome(op: str, operating: Operating, *, decided: bool) -> Answer:
     """Return the answer to an order.
 
     Args:
-        op: that was accepted.
-        operating: now.
         decided: whether a decision was made since.
     """
     machine = operating.machine

@@ -41,7 +41,6 @@ class Evidence:
         unready: why the task cannot start, None if it can.
         following_error: the axis that is not where it was sent, in words.
         overload_n: the last force beyond the limit, and the limit [N].
-        ordered_by: operators by order.
         fault: the cause of the latched fault.
     """
 
@@ -63,7 +62,6 @@ class Change:
     Attributes:
         stamp_ns: of the decision [ns].
         before, after: the states; equal if a fault was latched and the state stayed.
-        cause: why.
     """
 
     stamp_ns: int
@@ -80,9 +78,7 @@ def cause(row: Row, machine: Machine, signals: Signals, evidence: Evidence) -> s
     """Return why a row was taken.
 
     Args:
-        row: that decided.
         machine: before the change, with this cycle's fault latched.
-        signals: of the decision.
         evidence: what the signals were made from.
     """
     names = decisive(row, machine, signals)

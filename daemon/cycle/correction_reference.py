@@ -124,11 +124,9 @@ class Program(NamedTuple):
     """A controller's program as of its last telegram that was answered with a proof.
 
     Attributes:
-        ipoc: its counter.
         step: what the counter grows by each cycle; None while unknown.
         stamp_ns: its arrival [ns].
         delay: bad cycles that the controller had counted.
-        peer: the controller's address.
         reference: the position that corrections count from.
         taken: the last command that the controller is known to have applied.
         given: the command of the reply to this telegram.

@@ -92,7 +92,6 @@ class Cycle:
         verdict: on the last telegram that could be read.
         date: gives the beginning of a controller's cycle from its telegram's arrival [ns] and the
             cycles since the telegram before; without one a telegram is taken to come at once.
-        last: the last step.
         steps, prepared, inline: made in all, sent as prepared, made in line.
         remade: steps that were finished once more, the last command's fate not being as assumed.
         repeated: telegrams answered with a step that the clock had made, finished once more.
@@ -111,9 +110,7 @@ class Cycle:
         """Wait for the first telegram.
 
         Args:
-            parameters: of the step.
             codec: of the robot's telegrams.
-            watch_settings: time-outs and debounce.
             absolute: corrections are offsets from the start (#ABSOLUTE), else increments.
             wrench_expected: there is a force-torque sensor.
         """
@@ -166,7 +163,6 @@ class Cycle:
 
         Args:
             op: arm, start, stop, retreat or ack.
-            who: gave it.
 
         Returns:
             None, or why it is refused.
@@ -219,9 +215,7 @@ class Cycle:
         """Return the reply to one telegram, None if it is not to be answered.
 
         Args:
-            data: the datagram.
             stamp_ns: its arrival [ns].
-            peer: who sent it.
         """
         self._begin()
         try:
@@ -517,11 +511,6 @@ class Cycle:
         The clock has made the step of this telegram, or of a later one. Another step would be one
         more than the controller has cycles, and the object would be predicted farther and farther
         ahead.
-
-        Args:
-            last: the last step.
-            plan: of it.
-            ipoc: of the telegram.
         """
         sent, applied, pace = self._fate(answering=True)
         before, made_with = last.before, last.parameters

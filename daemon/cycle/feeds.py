@@ -128,7 +128,6 @@ class Feeds:
         Args:
             bearable: the force that the tool bears [N].
             deviation: standard deviation of the distance sensor [m].
-            moving: the tool moves.
         """
         self.overloaded = False
         if not (self.distance or self.camera or self.wrench):

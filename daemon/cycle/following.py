@@ -55,7 +55,6 @@ class Following:
         """Look where a robot is that was sent somewhere.
 
         Args:
-            axes: where it is.
             far: it may be so far beside where the last commands led it [rad, m].
         """
         self._rest.clear()
@@ -73,7 +72,6 @@ class Following:
         """Look where a robot is that was not sent anywhere yet.
 
         Args:
-            axes: where it is.
             start: where it was when its session began.
 
         Returns:

@@ -34,12 +34,10 @@ class Learner:
     """What moved, and what is believed of the servos.
 
     Args:
-        settings: bounds.
         identified: the models that the configuration names, one an axis.
         cycle_s: T0 [s].
 
     Attributes:
-        learned: what is believed.
         ripe: a motion is over and has not been looked at.
     """
 
@@ -107,7 +105,6 @@ class Learner:
         """Keep what was learned and return the parameters that it changes, by name.
 
         Args:
-            found: by ``look``.
             present: the models in force.
         """
         self.learned = found

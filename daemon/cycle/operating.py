@@ -56,7 +56,6 @@ class Operating:
     Attributes:
         machine: where the operating state stands.
         signals: what the last decision saw.
-        settings: time-outs and debounce.
         on_transition: told every decision, if set.
         has_new_session: noticed: the robot's program has started again.
         has_resynchronised: noticed: the counter or the address has changed, the program goes on.
@@ -65,7 +64,6 @@ class Operating:
         wrong_cycle: why the controller's period cannot be followed, None if it can.
         cause: why the present state was entered.
         fault: the cause of the latched fault, None without one.
-        decisions: made so far.
     """
 
     def __init__(
@@ -74,7 +72,6 @@ class Operating:
         """Wait for the first telegram.
 
         Args:
-            settings: time-outs and debounce.
             cycle_s: T0 [s].
             wrench_expected: there is a force-torque sensor.
         """
@@ -101,7 +98,6 @@ class Operating:
         Args:
             op: arm, start, stop, retreat or ack.
             found: what keeps a robot from being armed is told before what follows from it.
-            who: gave it.
 
         Returns:
             None, or why it is refused.

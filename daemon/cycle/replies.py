@@ -51,7 +51,6 @@ class Replies:
         Args:
             command: where the axes shall be [rad, m].
             origin: where corrections count from [rad, m].
-            digital_out: the tool's signals.
 
         Raises:
             RsiError: the wire cannot carry it.

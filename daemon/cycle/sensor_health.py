@@ -58,7 +58,6 @@ class Health:
     Attributes:
         reason: why the sensor is out, None if it is in.
         since_ns: when that began [ns], None before the first change.
-        refused: samples.
         outs: how often it went out.
     """
 
@@ -142,7 +141,6 @@ class DistanceHealth(Health):
         """Return whether a sample may be used.
 
         Args:
-            sample: the newest.
             deviation: standard deviation of the sensor [m].
         """
         trusted, stamp_ns, position = self._trusted, sample.stamp_ns, sample.position
@@ -194,7 +192,6 @@ def _jumped(
     """Return why a sample is not where a distance was heading, None if it may be there.
 
     Args:
-        sample: the newest.
         lately: stamp and median of the last ones, None while there are too few.
         speed: at which it was heading on [m/s], None if that is not known.
         deviation: standard deviation of the sensor [m].
@@ -225,7 +222,6 @@ class CameraHealth(Health):
         """Return whether a sample may be used.
 
         Args:
-            sample: the newest.
             moving: something moves, so that no two poses are alike.
         """
         pose = (*sample.position, *sample.quaternion)
@@ -247,7 +243,6 @@ class CameraHealth(Health):
 
         Args:
             given: to the tracker, in one step.
-            refused: by it.
         """
         if given:
             self._contradictions = self._contradictions + given if refused >= given else 0
@@ -268,7 +263,6 @@ class WrenchHealth(Health):
         """Return whether a sample may be used.
 
         Args:
-            sample: the newest.
             moving: the tool moves, so that no two are alike for long.
         """
         wrench = (*sample.force, *sample.torque)

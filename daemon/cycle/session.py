@@ -42,7 +42,6 @@ class Session:
         unproven: why it is not, and what to do; None while it is, and before any telegram.
         unserved: telegrams that were accepted since and got no reply, because the daemon failed.
         stalled_s: for so long the controller counted cycles and this process's clock did not [s].
-        openings: sessions begun.
         replies_lost: replies that were not applied.
     """
 
@@ -157,7 +156,6 @@ class Session:
         """Return whether a telegram of the running exchange must be proven to be the program's.
 
         Args:
-            robot: the telegram.
             missed: cycles before it without a telegram, by the counter.
         """
         if not self._absolute:
@@ -181,10 +179,8 @@ class Session:
         """Find out which correction is in force.
 
         Args:
-            robot: the telegram.
             axes: where it says the axes are.
             programmed: the programmed position of the same axes, None if not in the telegram.
-            peer: the controller's address.
 
         Returns:
             The reference, and where the robot holds; None if that is unknown. ``proof`` and

@@ -84,7 +84,6 @@ class Machine:
     """Where the machine stands.
 
     Attributes:
-        state: the operating state.
         latched: a fault waits for its acknowledgement.
         programmed: in RETREAT, the task's own retreat and not an emergency.
         because: why the state was entered; never decides anything.
@@ -106,7 +105,6 @@ class Row:
     Attributes:
         source: the state it is for.
         target: the state it leads to.
-        because: when, in words.
         when: when, exactly; the machine given has this cycle's fault latched already.
         latches: entering this way must be acknowledged.
         programmed: the retreat is the task's own.
@@ -125,11 +123,7 @@ def _fresh(s: Signals) -> bool:
 
 
 def fit(s: Signals) -> bool:
-    """Everything is as it must be for a motion to begin.
-
-    Args:
-        s: this cycle's signals.
-    """
+    """Everything is as it must be for a motion to begin."""
     healthy = s.link is Link.HEALTHY
     return healthy and _fresh(s) and s.ready and not (s.contact or s.overload or s.fault)
 
@@ -294,10 +288,6 @@ _ROWS = {state: tuple(row for row in TABLE if row.source is state) for state in 
 def transition(machine: Machine, signals: Signals) -> Machine:
     """One cycle of the machine.
 
-    Args:
-        machine: where it stands.
-        signals: what it sees.
-
     Returns:
         Where it stands after it; the same object when nothing changed.
     """
@@ -312,7 +302,6 @@ def deciding_row(machine: Machine, signals: Signals) -> Row | None:
 
     Args:
         machine: where it stands, with this cycle's fault latched.
-        signals: what it sees.
     """
     for row in _ROWS[machine.state]:
         if row.when(signals, machine):

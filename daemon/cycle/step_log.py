@@ -20,7 +20,6 @@ class LogEntry:
 
     Attributes:
         ipoc: the one it answered, None if it answered none.
-        state: the operating state.
         inputs, outputs: in and out.
         before, after: the step's own state; where ``before`` is not the ``after`` of the entry
             before, a session began anew, or steps are missing.

@@ -153,10 +153,8 @@ def observe(
     """Judge one cycle.
 
     Args:
-        watch: what was remembered.
         facts: what the cycle showed.
         machine: where the state machine stands before this cycle.
-        settings: the limits.
 
     Returns:
         What to remember, and the signals for ``states.transition``.
@@ -222,7 +220,6 @@ def disorder(settings: WatchSettings, cycle_s: float) -> tuple[str, str] | None:
     """Return the time-out that cannot act as it stands, and why; None if all can.
 
     Args:
-        settings: the limits.
         cycle_s: of the controller [s].
     """
     if settings.missed_s < cycle_s:

@@ -45,9 +45,7 @@ class Recorded:
     """One recording, read.
 
     Attributes:
-        name: of the file.
         texts: of the cell: at least task and urdf.
-        steps: oldest first.
     """
 
     name: str

@@ -39,7 +39,6 @@ def identify_offset(
     """Return the offsets: reading less start position, less the object's place from its nominal.
 
     Args:
-        scene: fitted.
         seen: the images it rests on.
         bodies: which recording, hence which body, each of them is of.
         start_position: the reading at which the object is at its nominal place [m].

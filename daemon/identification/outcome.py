@@ -44,7 +44,6 @@ class Finding:
         name: what it is, as a parameter's path where it is one.
         unit: in which it is shown.
         scale: from SI to that unit.
-        outcome: value or refusal.
         told: it goes into the overlay.
     """
 

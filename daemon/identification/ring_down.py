@@ -49,7 +49,6 @@ class ModeResult:
     """One axis of the tool.
 
     Attributes:
-        axis: 0..5.
         mode: what goes into an overlay, None if refused.
         frequency_hz, damping: outcomes.
         noise: deviation of a single reading [N, Nm], None if refused.

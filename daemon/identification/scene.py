@@ -40,7 +40,6 @@ class Views:
         times: (m,) exposures since the recording's begin [s].
         positions, rotations: (m, 3), (m, 3, 3) object in the camera.
         along, speed: (m,) the conveyor's position and speed, as the distance sensor tells [m, m/s].
-        way: of the robot.
         deviations: (m, 6) of position and rotation in the camera [m, rad].
         middle: time to which phases refer [s].
         ranges: (m,) distance from tcp to object [m].
@@ -95,8 +94,6 @@ class Scene:
     """Everything that is fitted.
 
     Attributes:
-        modes: of the swing.
-        rests: one a recording.
         hand_eye: (6,) what must be added to the hand-eye pose: position in the tcp [m] and a turn
             about the camera's axes [rad].
         stamp_error: what must be added to the exposures' stamps [s].
@@ -128,8 +125,6 @@ def views(
     two scenes. A stretch of too few images is left out.
 
     Args:
-        tape: of the recording.
-        camera: as configured.
         noise: of the camera, where it states none.
         distance_delay: of the distance sensor, from measuring to arrival [s].
     """
@@ -263,9 +258,6 @@ def fit(
     """Return the best scene near a guess, and which images (m,) of each recording took part.
 
     Args:
-        scene: the guess.
-        seen: one a recording.
-        camera: as configured.
         shared: fit hand-eye offset and stamp error too.
     """
     kept = [np.ones(len(view.times), dtype=bool) for view in seen]

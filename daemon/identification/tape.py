@@ -82,7 +82,6 @@ class Tape:
         robot_times: (m,) of the robot's telegrams [s].
         tcp: (m, 6) undeflected tcp in c, position [m] and rotation vector [rad].
         distances: (d, 2) arrival [s] and reading [m].
-        images: of the camera.
         wrenches: (w, 7) arrival [s], force [N], torque [Nm].
         contact: (c, 2) begin and end of each contact [s].
     """
@@ -109,7 +108,6 @@ def make_tape(steps: Iterable[Step], kinematics: Kinematics, nominal: Array) -> 
     """Return a recording's arrays.
 
     Args:
-        steps: oldest first.
         kinematics: of the arm with its tool.
         nominal: (3, 3) C, the nominal object's axes in base.
 

@@ -49,7 +49,6 @@ class Station:
 
     Args:
         name: part of its keys.
-        socket: its local socket.
         session: where it is told.
         rate_hz: of the telemetry, 0 for none.
 

@@ -49,8 +49,6 @@ class Finding:
 
     Attributes:
         name: what was looked at.
-        grade: how it is.
-        what: was found.
         cost: what it costs and how to change it; empty if it is good.
     """
 
@@ -83,11 +81,7 @@ class Host:
 
 
 def examine(host: Host) -> tuple[Finding, ...]:
-    """Make every check.
-
-    Args:
-        host: this one.
-    """
+    """Make every check."""
     return (*(check(host) for check in CHECKS), *_can(host), *_serial(host))
 
 

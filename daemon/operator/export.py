@@ -76,11 +76,7 @@ def add_parsers(commands: Any) -> None:
 
 
 def main_export(args: argparse.Namespace) -> int:
-    """Write a recording's tables.
-
-    Args:
-        args: file, out.
-    """
+    """Write a recording's tables."""
     path: Path = args.file
     folder: Path = args.out or path.with_suffix("")
     try:
@@ -96,11 +92,7 @@ def main_export(args: argparse.Namespace) -> int:
 
 
 def main_recover(args: argparse.Namespace) -> int:
-    """Finish a recording that was cut short.
-
-    Args:
-        args: file, out.
-    """
+    """Finish a recording that was cut short."""
     path: Path = args.file
     out: Path = args.out or path.with_name(f"{path.stem}-recovered.mcap")
     try:
@@ -129,7 +121,6 @@ def export(path: Path, folder: Path) -> "tuple[dict[str, int], Broken | None]":
     """Write a table for each channel.
 
     Args:
-        path: of the recording.
         folder: made if it is not there.
 
     Returns:
@@ -274,8 +265,6 @@ class Recovered:
     """What a recovery found.
 
     Attributes:
-        messages: of all channels.
-        steps: of them.
         damaged: chunks that had to be left out.
         reason: why the file breaks off, None if it does not.
     """

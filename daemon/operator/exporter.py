@@ -43,8 +43,6 @@ class Stations:
     """Daemons by name, and what they said last.
 
     Attributes:
-        sockets: their local sockets.
-        ask: asks one.
         now: monotonic time [s].
     """
 
@@ -102,7 +100,6 @@ async def serve(server: "Server", ready: Callable[["Server"], None]) -> None:
     """Serve until the process is told to end.
 
     Args:
-        server: not open yet.
         ready: called when it listens.
 
     Raises:

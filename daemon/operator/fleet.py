@@ -29,7 +29,6 @@ def message(station: str, time_s: float, data: Mapping[str, Any]) -> bytes:
     """Return a message as JSON.
 
     Args:
-        station: its name.
         time_s: wall clock of the bridge [s].
         data: what the daemon said.
     """
@@ -49,7 +48,6 @@ def changes(
 
     Args:
         before: None for a daemon that did not answer.
-        after: the same.
     """
     if (before is None) != (after is None):
         yield event("answers", before is not None, after is not None)
@@ -94,7 +92,6 @@ def asked(op: str, parameters: Mapping[str, str]) -> dict[str, Any]:
     """Return a daemon's parameters of an operation from those of a query.
 
     Args:
-        op: one of ASKABLE.
         parameters: ``prefix`` of params; ``names`` of get, separated by commas.
 
     Raises:

@@ -37,9 +37,6 @@ def add_parser(commands: Any) -> None:
 def main(args: argparse.Namespace) -> int:
     """Identify what the files tell.
 
-    Args:
-        args: files, out, json.
-
     Returns:
         0 something was identified, 1 nothing was.
     """

@@ -54,10 +54,6 @@ class Sample:
 
     Attributes:
         name: of its metric, without the prefix.
-        kind: gauge or counter.
-        what: help.
-        labels: beside the station's.
-        value: finite.
     """
 
     name: str

@@ -114,11 +114,6 @@ def compare(
 ) -> "tuple[Account, dict[str, Summary]]":
     """Return what a recording's replay came to, and what differs by field.
 
-    Args:
-        path: of the recording.
-        overrides: other parameters.
-        tolerance: see ``replay.summarise``.
-
     Raises:
         UnreadableRecordingError: it is no recording.
         ReplayError: it cannot be replayed.

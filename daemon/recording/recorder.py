@@ -85,7 +85,6 @@ class Recorder:
         queue: items that may wait.
         chunk_bytes: size of a chunk.
         flush_s: what a sudden death of the writer loses at most, beside what waits [s].
-        rotation: of files.
     """
 
     directory: Path
@@ -251,7 +250,6 @@ class Recorder:
         """Record steps; called in the loop after the reply, and never waits.
 
         Args:
-            entries: oldest first.
             times: what their cycles took.
         """
         if not self._status.recording:
@@ -278,8 +276,6 @@ class Recorder:
 
         Args:
             stamp_ns: when [ns].
-            text: what happened.
-            level: viewer_messages.INFO or WARNING.
             name: of who writes it; ``linemated.state`` for changes of the operating state.
         """
         if self._status.recording:
@@ -290,7 +286,6 @@ class Recorder:
 
         Args:
             parameters: that will be in force.
-            who: set them.
             changed: by name, the old and the new value.
         """
         self._feed.explain(parameters, who, changed)

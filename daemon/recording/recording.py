@@ -61,7 +61,6 @@ class StepRecord:
 
     Attributes:
         ipoc: of the telegram it answered, None if there was none.
-        state: the operating state.
         inputs: exactly what entered the step.
         outputs: the fields of ``Outputs`` by name, plain; the horizon as a digest.
     """
@@ -77,9 +76,6 @@ def encode(ipoc: int | None, state: str, inputs: Inputs, outputs: Outputs) -> by
 
     Args:
         ipoc: of the telegram it answered, None if there was none.
-        state: the operating state.
-        inputs: of the step.
-        outputs: of the step.
 
     Returns:
         A msgpack array.
@@ -129,7 +125,6 @@ def differences(record: StepRecord, outputs: Outputs) -> tuple[str, ...]:
     """Which fields of the outputs are not, bit for bit, the recorded ones.
 
     Args:
-        record: as recorded.
         outputs: of the same step, made again.
 
     Returns:

@@ -41,7 +41,6 @@ class Rotation:
     """When a file is followed by the next one, and what is kept.
 
     Attributes:
-        size_bytes: of a file.
         age_s: of a file [s].
         total_bytes: of all recordings in the directory; the oldest go. None keeps them all.
         reserve_bytes: left free on the disk, or the recording ends.
@@ -63,7 +62,6 @@ class Beginning:
         texts: by name, the same for every file.
         chunk_bytes: size of a chunk.
         flush_s: what a sudden death of this process loses at most [s].
-        rotation: of files.
     """
 
     number: int

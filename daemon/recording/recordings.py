@@ -36,7 +36,6 @@ class Recording:
 
     Attributes:
         texts: by name, as the daemon left them.
-        steps: oldest first.
         damage: why not all of it could be read, and how many steps were; None if it is whole.
     """
 
@@ -112,7 +111,6 @@ def broken(damage: "Damage", steps: int) -> "Broken":
 
     Args:
         damage: as ``records`` tells it.
-        steps: that were read.
     """
     from linemate.daemon.recording.replay import Broken
 

@@ -49,7 +49,6 @@ class StateBefore:
     """A piece: the state before step ``k``.
 
     Attributes:
-        k: of the step.
         data: as ``snapshot.encode`` made it.
         anew: it is not what the recorded step before it led to.
     """
@@ -73,7 +72,6 @@ class Broken:
 
     Attributes:
         reason: what is wrong with the file.
-        read: steps read before.
         total: steps that the file should hold, None where its end is missing.
     """
 
@@ -171,7 +169,6 @@ def replay(pieces: Iterable[Piece], overrides: Overrides | None = None) -> Itera
 
     Args:
         pieces: of a recording, in its order.
-        overrides: other parameters.
 
     Raises:
         ReplayError: the texts of the cell are missing, or the parameters do not fit.
@@ -226,7 +223,6 @@ def summarise(verdicts: Iterable[Verdict], tolerance: float = 0.0) -> dict[str, 
     """Return what changed, by field, in the order in which it first did.
 
     Args:
-        verdicts: of a replay.
         tolerance: numbers that are no further apart count as the same, and a field that has no
             numbers to compare (the horizon's digest) does not count.
     """

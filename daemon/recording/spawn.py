@@ -23,7 +23,6 @@ class Spawned:
     """A child process.
 
     Attributes:
-        pid: its process id.
         returncode: exit code, negative for a signal; None while it runs.
     """
 

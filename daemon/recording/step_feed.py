@@ -119,8 +119,6 @@ def parameters_message(
     """Return what is recorded of parameters that a step begins to be made with.
 
     Args:
-        k: of the step.
-        parameters: which.
         who: set them, empty for those from the start.
         changed: by name, the old and the new value.
     """

@@ -47,9 +47,7 @@ class Item(NamedTuple):
     """Something to be written.
 
     Attributes:
-        kind: what.
         stamp_ns: its time [ns].
-        payload: as ``Kind`` says.
     """
 
     kind: Kind
@@ -67,7 +65,6 @@ class StepFile:
         wall_offset_ns: from monotonic stamps to the times of the file [ns].
 
     Attributes:
-        written: steps.
         bytes: of payload, before compression.
     """
 

@@ -122,7 +122,6 @@ class Glimpse:
 
     Attributes:
         measured: joints A1..A6 [rad] and E1 [m], None without a telegram.
-        commanded: the same.
         poses: in base, position and quaternion w first, by their name in the outputs.
     """
 
@@ -145,7 +144,6 @@ def shown(seen: Glimpse, wall_ns: int, root: str) -> list[tuple[str, bytes]]:
     """Return the messages of a step, topic and JSON.
 
     Args:
-        seen: of the step.
         wall_ns: its time since the epoch [ns].
         root: the URDF's first link, which stands in base.
     """
@@ -169,7 +167,6 @@ def line(text: str, wall_ns: int, level: int = INFO, name: str = "linemated") ->
     Args:
         text: for whoever reads it.
         wall_ns: its time since the epoch [ns].
-        level: INFO or WARNING.
         name: of who writes it.
     """
     told = {"timestamp": _time(wall_ns), "level": level, "message": text, "name": name}

@@ -15,11 +15,7 @@ from linemate.daemon.cycle.states import State
 
 @dataclass(slots=True)
 class Account:
-    """Takes the parts of a cycle as they happen.
-
-    Attributes:
-        timing: the account.
-    """
+    """Takes the parts of a cycle as they happen."""
 
     timing: Timing
     _expected_ns: int | None = None

@@ -101,13 +101,9 @@ class App:
     """One daemon.
 
     Args:
-        station: everything from files.
-        parameters: of the step.
         host: what the host granted.
-        notifier: the service manager.
 
     Attributes:
-        cycle: the heart.
         counters: what went wrong around it, by name.
     """
 

@@ -27,9 +27,6 @@ class Awake:
     def __init__(self, cores: Iterable[int]) -> None:
         """Start a process on each core.
 
-        Args:
-            cores: their numbers.
-
         Raises:
             OSError: a process cannot be started; none is left then.
         """

@@ -81,7 +81,6 @@ class UdpDoor:
 
     Attributes:
         host: numeric address; another than loopback only with ``allow_remote``.
-        port: 0 takes any.
         keys: pre-shared keys; without one the door is not opened.
         allow_remote: explicit consent to an address that others can reach.
     """
@@ -127,7 +126,6 @@ class CommandPort:
         telemetry: gives what subscribers are sent.
         local: the local socket, None for none.
         udp: the UDP port, None for none.
-        now_ns: monotonic clock.
         secret: returns 32 random bytes.
 
     Attributes:
@@ -237,7 +235,6 @@ class CommandPort:
         It ends by itself: at its time, or with its budget; what is left waits for ``poll``.
 
         Args:
-            loop: the running one.
             until_ns: monotonic time from which on the cycle has the loop for itself [ns].
             budget: messages until then, at most.
         """

@@ -28,7 +28,6 @@ class Journal:
         """Have written nothing.
 
         Args:
-            write: takes a line.
             most: lines in any second.
         """
         self.suppressed = 0
@@ -41,7 +40,6 @@ class Journal:
 
         Args:
             now_ns: monotonic time [ns].
-            text: the line.
         """
         if len(self._waiting) < WAITING:
             self._waiting.append(text)
@@ -79,7 +77,6 @@ class Sensors:
 
         Args:
             now_ns: monotonic time [ns].
-            sensors: as they are.
             limits_s: age of the newest sample beyond which a sensor is out [s].
             covered: sensors that the tool covers now, so that their silence is normal.
         """

@@ -49,7 +49,6 @@ class Outlook:
         """Take in steps, after their replies.
 
         Args:
-            entries: oldest first.
             times: what their cycles took.
         """
         for entry in entries:
@@ -76,7 +75,6 @@ class Outlook:
 
         Args:
             stamp_ns: when [ns].
-            text: for people.
         """
         self.happened += 1
         self._told.append((self.happened, stamp_ns, text[:LONGEST]))

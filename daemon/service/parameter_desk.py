@@ -52,7 +52,6 @@ class Changed:
 
     Attributes:
         wall_s: when, since the epoch [s].
-        who: made it.
         values: by name, the old and the new value.
     """
 
@@ -66,11 +65,8 @@ class Desk:
     """Parameters of a running daemon.
 
     Attributes:
-        station: everything from files.
-        cycle: the heart.
         told: hears of a change before it is in force.
         said: hears of it in words, after.
-        settings: in force.
         history: of changes, the newest last.
     """
 
@@ -109,10 +105,6 @@ class Desk:
 
     def set(self, values: Mapping[str, Any], who: str) -> Answer | asyncio.Future[Answer]:
         """Answer the operation ``set``: all of it or nothing.
-
-        Args:
-            values: by name.
-            who: wants it.
 
         Returns:
             ``changed`` with old and new values, or ``refused``; a promise of that where a

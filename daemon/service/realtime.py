@@ -33,8 +33,6 @@ class Outcome:
     """What became of one request.
 
     Attributes:
-        what: was asked for.
-        granted: or not.
         message: for an operator; empty if granted.
     """
 

@@ -36,7 +36,6 @@ class Peak:
         name: ``tcp``, or the axis.
         speed: [m/s], [rad/s].
         at_s: task time [s].
-        limit: of the speed.
         margin: to the nearest position limit [rad], [m]; infinity for the tcp.
     """
 
@@ -68,11 +67,7 @@ class Rehearsal:
 
 
 def rehearse(parameters: Parameters) -> Rehearsal:
-    """Run the nominal task through the kinematics.
-
-    Args:
-        parameters: compiled.
-    """
+    """Run the nominal task through the kinematics."""
     complaints = [*_pressed(parameters)]
     start = _start(parameters)
     if isinstance(start, Complaint):

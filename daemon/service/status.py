@@ -66,7 +66,6 @@ class Rates:
         """Count anew.
 
         Args:
-            links: every link.
             now_ns: monotonic time [ns].
         """
         counts = {link.name: link.counters[RATED.get(link.name, "samples")] for link in links}
@@ -101,11 +100,7 @@ class Snapshot:
 
 
 def status(snapshot: Snapshot) -> dict[str, Any]:
-    """The whole status.
-
-    Args:
-        snapshot: of this moment.
-    """
+    """The whole status."""
     cycle = snapshot.cycle.status()
     links = {view.status.name: _link(view, snapshot.now_ns) for view in snapshot.links}
     complaints = tuple(_complaints(snapshot, cycle, links))
@@ -142,11 +137,7 @@ def status(snapshot: Snapshot) -> dict[str, Any]:
 
 
 def covered(cycle: Cycle) -> frozenset[str]:
-    """Return the sensors that the tool covers: a camera sees nothing of a part that it touches.
-
-    Args:
-        cycle: the heart.
-    """
+    """Return the sensors that the tool covers: a camera sees nothing of a part that it touches."""
     if cycle.machine.state in _AT_THE_PART:
         return _CAMERA
     part = None if cycle.last is None else cycle.last.outputs.part
@@ -157,11 +148,7 @@ def covered(cycle: Cycle) -> frozenset[str]:
 
 
 def telemetry(cycle: Cycle) -> dict[str, Any]:
-    """What subscribers are sent, up to 50 times a second.
-
-    Args:
-        cycle: the heart.
-    """
+    """What subscribers are sent, up to 50 times a second."""
     shown: dict[str, Any] = {"state": cycle.machine.state.value, "k": cycle.steps}
     if cycle.last is not None:
         outputs = cycle.last.outputs

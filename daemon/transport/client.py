@@ -38,7 +38,6 @@ class RefusedError(Exception):
 
     Attributes:
         code: one word for programs.
-        reason: for a person.
     """
 
     def __init__(self, code: str, reason: str) -> None:
@@ -76,7 +75,6 @@ def read_key(path: Path, name: str | None = None) -> "Key":
     """Read one key from a key file that nobody else can read.
 
     Args:
-        path: of the file.
         name: which, if it holds several; else the first.
 
     Raises:
@@ -149,8 +147,6 @@ class Client:
         """Ask for one operation and return its result.
 
         Args:
-            op: one of protocol.command.command.OPERATIONS.
-            params: its parameters.
             timeout_s: its deadline from now; each further part of a long answer has as
                 much again.
 

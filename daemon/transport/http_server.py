@@ -32,12 +32,7 @@ HEADERS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """An answer that is whole.
-
-    Attributes:
-        kind: its media type.
-        body: its bytes.
-    """
+    """An answer that is whole."""
 
     kind: str
     body: bytes
@@ -60,8 +55,6 @@ class Server:
 
     Attributes:
         ask: gives what is at a path.
-        host: numeric address.
-        port: 0 takes any.
         head_s: in which a request must have come [s].
         names: further names by which it may be asked, lower case.
         refused: requests that were not understood, or one too many.

@@ -79,7 +79,6 @@ def read(urdf: str, flange: str, tool: Pose, *, linear_axis: bool) -> Chain:
     """Return the chain of a URDF that ends at the flange.
 
     Args:
-        urdf: the text.
         flange: name of its last link.
         tool: the tcp in the flange.
         linear_axis: the first joint that moves is E1.

@@ -33,7 +33,6 @@ def add_parser(
     """Add the command to the tool's.
 
     Args:
-        commands: the tool's subparsers.
         common: where the daemon is.
         client: makes one of the arguments.
     """

@@ -49,9 +49,6 @@ class Foreseen:
 def foreseen(path: Path) -> Iterator[Foreseen]:
     """Return what the steps of a recording foresaw, as far as it can be made again.
 
-    Args:
-        path: of the recording.
-
     Raises:
         UnreadableRecordingError, ReplayError: it cannot be replayed.
     """

@@ -37,7 +37,6 @@ class Framer:
     """Makes frames, and remembers the last moments.
 
     Attributes:
-        scene: of the cell.
         unfit: telemetry that no frame could be made of.
     """
 
@@ -47,9 +46,6 @@ class Framer:
 
     def note(self, told: Mapping[str, Any]) -> None:
         """Remember a moment that is not drawn.
-
-        Args:
-            told: as ``frame``.
 
         Raises:
             TypeError, ValueError: it is none.

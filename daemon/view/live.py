@@ -32,8 +32,6 @@ class Live:
     Attributes:
         make: a client that has not been used.
         board: where it is shown.
-        call: the event loop's.
-        rate_hz: of telemetry.
     """
 
     make: Callable[[], Client]

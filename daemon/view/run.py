@@ -29,8 +29,6 @@ class Where:
     """Where the page is.
 
     Attributes:
-        host: numeric address.
-        port: 0 takes any.
         is_opened: in a browser, at once.
     """
 
@@ -45,7 +43,6 @@ async def watch(make: Callable[[], Client], source: str, where: Where) -> None:
     Args:
         make: a client that has not been used.
         source: what the daemon is called.
-        where: the page is.
 
     Raises:
         OSError: the port is taken.
@@ -62,10 +59,6 @@ async def watch(make: Callable[[], Client], source: str, where: Where) -> None:
 
 async def play(paths: Sequence[Path], where: Where) -> None:
     """Show recordings until told to end.
-
-    Args:
-        paths: of the files.
-        where: the page is.
 
     Raises:
         OSError: the port is taken.
@@ -87,7 +80,6 @@ async def serve(
 
     Args:
         site: what is at which path.
-        where: it listens.
         work: beside it; what it raises ends the serving.
 
     Raises:

@@ -21,7 +21,6 @@ class Scene:
     """A cell.
 
     Attributes:
-        task: its name.
         cycle_s: T0 [s], 0 if it is not known.
         chain: of the arm, None if it cannot be drawn.
         trouble: why not, empty if it can.

@@ -82,7 +82,6 @@ class TapeSite:
     """Recordings to play.
 
     Attributes:
-        paths: of their files.
         tapes: in the same order, as far as they have been read.
         share: of all of them that has been read, 0 to 1.
     """

@@ -52,12 +52,9 @@ class Tape:
     """A recording, read.
 
     Attributes:
-        name: of the file.
-        scene: of the cell.
         frames: oldest first, of each only what ``LIGHT`` names; ``t`` counts from the first [s].
         happened: time [s] and text.
         trouble: why not all of it is here, empty if it is.
-        steps: in the file.
         foreseen: parts of frames by step, as far as they have been made again.
         inexact: of them, how many are not bit for bit the recorded ones.
     """
@@ -133,11 +130,7 @@ class Tape:
 
 
 def overview(frames: Sequence[Frame]) -> list[dict[str, Any]]:
-    """Return at most OVERVIEW moments of a recording: the worst of each stretch.
-
-    Args:
-        frames: oldest first.
-    """
+    """Return at most OVERVIEW moments of a recording: the worst of each stretch."""
     stride = max(1, -(-len(frames) // OVERVIEW))
     return [_worst(frames[i : i + stride]) for i in range(0, len(frames), stride)]
 
@@ -164,11 +157,7 @@ def _worst(stretch: Sequence[Frame]) -> dict[str, Any]:
 
 
 def summary(frames: Sequence[Frame]) -> list[dict[str, Any]]:
-    """Return a table of errors by the operating state: of the frames, root mean square and worst.
-
-    Args:
-        frames: oldest first.
-    """
+    """Return the root mean square and the largest error of the frames by operating state."""
     rows: dict[tuple[str, str], list[Frame]] = {}
     for frame in frames:
         if _moves(frame):
@@ -180,11 +169,7 @@ def summary(frames: Sequence[Frame]) -> list[dict[str, Any]]:
 
 
 def total(tape: Tape) -> dict[str, Any]:
-    """Return one line of a table of recordings: errors on the way, and the least slack.
-
-    Args:
-        tape: the recording.
-    """
+    """Return one line of a table of recordings: errors on the way, and the least slack."""
     moving = [frame for frame in tape.frames if _moves(frame)]
     slacks = [frame["slack_ms"] for frame in tape.frames if "slack_ms" in frame]
     told = {"name": tape.name, "length_s": tape.length_s, **_table(moving)}
@@ -214,7 +199,6 @@ def read(path: Path, tell: Callable[[float], None] = lambda _: None) -> Tape:
     """Read a recording.
 
     Args:
-        path: of the file.
         tell: told how much of it has been read, 0 to 1, now and then.
 
     Raises:

@@ -36,7 +36,6 @@ def program_page(
     """A program's page.
 
     Args:
-        parser: its command line.
         number: of the manual's section.
         what: it is, in one line.
         more: further sections, a paragraph a line; one with a tab has a term before it.

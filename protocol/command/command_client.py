@@ -35,7 +35,6 @@ class Sent(NamedTuple):
 
     Attributes:
         sequence: its number; the answer has the same.
-        frame: its bytes.
     """
 
     sequence: int
@@ -55,8 +54,6 @@ class Answer(NamedTuple):
     """The answer to a request.
 
     Attributes:
-        sequence: of the request.
-        ok: carried out.
         result: what the operation gave.
         code: if refused, why, in one word.
         reason: the same for a person.
@@ -74,7 +71,6 @@ class More(NamedTuple):
 
     Attributes:
         sequence: of the request that is answered in parts.
-        request: to send.
     """
 
     sequence: int
@@ -82,12 +78,7 @@ class More(NamedTuple):
 
 
 class Telemetry(NamedTuple):
-    """An event of a subscription.
-
-    Attributes:
-        server_ms: the server's clock.
-        data: the telemetry.
-    """
+    """An event of a subscription."""
 
     server_ms: int
     data: dict[str, Any]
@@ -139,8 +130,6 @@ class ClientCore(ABC):
         """Return a request to send.
 
         Args:
-            op: one of OPERATIONS.
-            params: its parameters.
             deadline_ns: on the client's own monotonic clock; not carried out after it.
 
         Raises:
@@ -155,7 +144,6 @@ class ClientCore(ABC):
         """Take one datagram. Never raises; what is refused is counted.
 
         Args:
-            data: the datagram.
             now_ns: the client's monotonic clock.
         """
         try:

@@ -28,7 +28,6 @@ class Key:
     Attributes:
         name: who holds it, for logs and the control lease.
         role: what its holder may do.
-        secret: 32 bytes.
         id: 1..65535, derived from the secret; 0 is the local socket.
     """
 
@@ -69,7 +68,6 @@ def parse_keys(text: str, source: str = "keys") -> tuple[Key, ...]:
     """Read a key file: lines ``name role base64key``; ``#`` begins a comment line.
 
     Args:
-        text: the whole file.
         source: what to call it in errors.
 
     Raises:
@@ -160,7 +158,6 @@ def cookie(secret: bytes, key: int, session: int) -> bytes:
     Args:
         secret: the server's own, of the present or the last epoch.
         key: id of the key.
-        session: the client's number.
     """
     named = key.to_bytes(2, "big") + session.to_bytes(8, "big")
     return hashlib.blake2b(named, key=secret, digest_size=COOKIE_BYTES, person=b"proof").digest()
@@ -170,7 +167,6 @@ def session_keys(key: Key, session: int, proof: bytes) -> SessionKeys:
     """Derive a session's keys from the pre-shared one and a cookie.
 
     Args:
-        key: pre-shared.
         session: the client's random number.
         proof: the server's cookie, 16 bytes.
     """

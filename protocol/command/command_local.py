@@ -48,9 +48,7 @@ class LocalServer:
 
     Args:
         who: the peer's name for logs and the lease.
-        role: its role.
         lease: shared with all other conversations.
-        counters: shared likewise.
     """
 
     def __init__(self, who: str, role: Role, lease: ControlLease, counters: Counter[str]) -> None:

@@ -22,7 +22,6 @@ class Reply(NamedTuple):
     """An answer as it stands on the wire; what has its default is left out there.
 
     Attributes:
-        ok: carried out.
         t: the server's clock at the answer [ms].
         r: the result, msgpack; with ``n`` above 1 the part numbered ``i`` of its bytes.
         e: if refused, why, in one word for programs.

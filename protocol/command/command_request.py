@@ -68,7 +68,6 @@ class Rule(NamedTuple):
 
     Attributes:
         params: type of its parameters.
-        role: the least role.
         lease: needs the control lease.
         ordered: refused once a later operate request of the same session was carried out.
     """
@@ -102,9 +101,7 @@ class Request(NamedTuple):
     """A request that was understood, not yet judged.
 
     Attributes:
-        op: one of OPERATIONS.
         deadline_ms: on the server's clock; never carried out after it.
-        params: checked, plain types.
     """
 
     op: str
@@ -159,8 +156,6 @@ def encode_request(op: str, params: Mapping[str, Any], deadline_ms: int) -> byte
     """Return the payload of a request.
 
     Args:
-        op: one of OPERATIONS.
-        params: its parameters.
         deadline_ms: on the server's clock [ms].
 
     Raises:

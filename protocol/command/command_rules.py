@@ -55,15 +55,7 @@ class ControlLease:
 
 
 class Order(NamedTuple):
-    """A request that was judged and is to be carried out now.
-
-    Attributes:
-        op: one of OPERATIONS.
-        params: checked.
-        sequence: of its request.
-        role: of its sender.
-        who: its sender's name.
-    """
+    """A request that was judged and is to be carried out now."""
 
     op: str
     params: dict[str, Any]
@@ -92,8 +84,6 @@ class Conversation:
     """One authenticated peer: what it asks, and what it is told.
 
     Args:
-        who: its name.
-        role: its role.
         lease: shared by all conversations of a server.
         room: bytes that a reply's payload may have.
         counters: shared by all conversations of a server.
@@ -146,9 +136,7 @@ class Conversation:
         """Return the reply's payload for what a handler made of an order.
 
         Args:
-            sequence: of the order.
             result: any map; with the key ``refused`` it is a refusal with that reason.
-            now_ns: the server's clock.
         """
         if REFUSED in result:
             return self._refuse(REFUSED, str(result[REFUSED]), now_ns)

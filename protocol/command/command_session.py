@@ -85,9 +85,6 @@ class Incoming(NamedTuple):
     """An order to carry out, and whose it is.
 
     Attributes:
-        order: what to do.
-        key_id: of the session.
-        session: of the session.
         tag: of the request's frame, to know an exact duplicate by.
     """
 
@@ -138,7 +135,6 @@ class CommandServer:
     """The daemon's end of the authenticated protocol, for any number of clients.
 
     Args:
-        keys: pre-shared keys.
         secret_source: returns 32 fresh random bytes, called once an epoch.
         lease: the control lease, shared with the local socket.
 
@@ -173,8 +169,6 @@ class CommandServer:
         """Take one datagram. Never raises; what is refused is counted.
 
         Args:
-            data: the datagram.
-            address: its sender, opaque.
             now_ns: the server's monotonic clock.
         """
         self.counters["received"] += 1
@@ -398,7 +392,6 @@ class CommandClient(ClientCore):
     """A client of the authenticated protocol: one key, one session.
 
     Args:
-        key: pre-shared.
         session: 64 random bits; a new client for every session.
     """
 

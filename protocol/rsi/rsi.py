@@ -64,7 +64,6 @@ class RsiCodec:
         """Make the templates and patterns.
 
         Args:
-            config: the configuration.
             linear_external: external axes that are linear (mm on the wire), others in degrees.
             decimals: digits after the point when writing, 1..16.
             joint_tags: elements of RECEIVE that mean corrections of A1..A6.
@@ -125,7 +124,6 @@ class RsiCodec:
         Made before the telegram comes, so that nothing is left to do then but to compare.
 
         Args:
-            ipoc: its counter.
             delay: its Delay, None if none is configured.
             joints: where the robot was [rad].
             reach: how far from there a joint may be [rad].

@@ -51,7 +51,6 @@ class RsiConfig:
 
     Attributes:
         ip: address of the sensor's side (the daemon).
-        port: its UDP port.
         sentype: what ``Sen/@Type`` must be.
         onlysend: True if the controller expects no replies.
         send: robot to daemon, in order.

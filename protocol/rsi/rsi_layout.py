@@ -53,7 +53,6 @@ class Vector:
     """Fields that together are one vector of a telegram.
 
     Attributes:
-        name: the telegram's attribute.
         element: the element on the wire.
         fields: positions in ``Layout.fields``, one a configured axis.
         axes: for each of them its place in the vector, ascending.
@@ -76,7 +75,6 @@ class Layout:
     """One direction's telegram.
 
     Attributes:
-        root: ``"Rob"`` or ``"Sen"``.
         required: True if a telegram without one of the fields is refused.
         fields: every configured value in wire order, IPOC not among them.
         vectors: those that are vectors.
@@ -98,7 +96,6 @@ def robot_layout(config: RsiConfig, linear_external: Iterable[str]) -> Layout:
     """The telegram from the robot: SEND.
 
     Args:
-        config: the configuration.
         linear_external: external axes in mm on the wire, by name; the others are in degrees.
     """
     fields = _grouped(field for e in config.send for field in _robot_fields(e))
@@ -122,7 +119,6 @@ def sensor_layout(
     """The reply to the robot: RECEIVE.
 
     Args:
-        config: the configuration.
         linear_external: external axes in mm on the wire, by name; the others are in degrees.
         joint_tags: element names that mean corrections of A1..A6.
         external_tags: element names that mean corrections of E1..E6.
@@ -149,8 +145,6 @@ def sensor_constants(
     """Return constants by the key of their channel.
 
     Args:
-        config: the configuration.
-        layout: of the reply.
         constants: by TAG; one of a function generator is the value of each of its parameters.
 
     Raises:

@@ -63,8 +63,6 @@ class Reader:
         """Learn the shape of ``example``, a telegram in the codec's own writing.
 
         Args:
-            layout: of the telegrams.
-            example: one of them.
             glanced: positions of the fields that :attr:`glance` finds.
         """
         self._layout = layout

@@ -37,7 +37,6 @@ class RsiError(ProtocolError):
     """A configuration, a telegram or a value that the RSI wire refuses.
 
     Attributes:
-        reason: what is wrong.
         element: the element or attribute it is about (``"AIPos"``, ``"AIPos.A3"``), or None.
         evidence: the first bytes of what was read, empty when formatting.
         ipoc_text: the telegram's IPOC where it could still be read, so that a telegram
@@ -86,7 +85,6 @@ class Document:
 
     Attributes:
         root: the root's name as written.
-        attributes: the root's attributes.
         spans: values of attributes and texts of the root's children, in wire order.
         hollow: children written ``<Name/>`` without attributes.
         flat: False if some child has children (they are skipped).

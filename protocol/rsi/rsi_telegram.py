@@ -19,7 +19,6 @@ class RobotTelegram:
     """What the controller says in one cycle.
 
     Attributes:
-        ipoc: the controller's counter.
         ipoc_text: its digits verbatim; empty when made here: those of ``ipoc``.
         joints: measured A1..A6 [rad] (AIPos), None if not configured.
         joint_setpoints: programmed A1..A6 [rad] (ASPos), None if not configured.
@@ -48,7 +47,6 @@ class SensorTelegram:
     """What the daemon answers in one cycle: corrections.
 
     Attributes:
-        ipoc: the counter echoed.
         ipoc_text: its digits verbatim; empty when made here: those of ``ipoc``.
         sentype: Sen/@Type; empty when made here: the configured one.
         joints: corrections of A1..A6 [rad] (AK, AKorr), None if not there.

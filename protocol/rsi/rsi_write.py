@@ -31,7 +31,6 @@ class Writer:
         """Make the template.
 
         Args:
-            layout: of the telegram.
             decimals: digits after the point.
             constants: values of channels that no telegram gives, by key; the others are zero.
 

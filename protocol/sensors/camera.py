@@ -36,7 +36,6 @@ class CameraError(ProtocolError):
 
     Attributes:
         reason: one word to count it by, one of ``REFUSALS``.
-        data: the datagram.
     """
 
     def __init__(self, reason: str, what: str, data: bytes = b"") -> None:
@@ -62,8 +61,6 @@ class CameraMessage(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     """The fields of the wire, by their names there.
 
     Attributes:
-        v: version.
-        src: camera id.
         seq: +1 for each message.
         t_exp: middle of the exposure on the sender's clock [ns].
         t_tx: moment of sending on the sender's clock [ns].
@@ -72,7 +69,6 @@ class CameraMessage(msgspec.Struct, frozen=True, kw_only=True, gc=False):
         p: position [m].
         q: unit quaternion, w x y z.
         cov: upper triangle row by row, order x y z rx ry rz [m, rad], or None.
-        quality: -1 unknown, 0..100.
         reset: +1 when the tracker starts anew.
     """
 
@@ -201,10 +197,8 @@ class CameraDecoder:
         max_sources: cameras remembered at once; silent ones make room after ``window_s``.
 
     Attributes:
-        accepted: samples given out.
         gaps: places where sequence numbers are missing.
         lost: how many are missing, at most ``MAX_GAP`` a gap.
-        resets: risen ``reset`` counters.
         restarts: senders believed to have started anew without telling.
         clamped: exposures later than their arrival, set to it.
         refused: refusals by reason, one of ``REFUSALS``.
@@ -238,7 +232,6 @@ class CameraDecoder:
         """One datagram's sample.
 
         Args:
-            data: the datagram.
             stamp_ns: its arrival [ns].
 
         Raises:

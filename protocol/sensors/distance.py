@@ -191,7 +191,6 @@ class DistanceDecoder:
         step: worth of one count [m] instead of the DBC's, e.g. as set by object 6501h.
 
     Attributes:
-        can_id: identifier listened to.
         extended: whether it is a 29-bit identifier.
         period_s: cycle time by the DBC's GenMsgCycleTime [s], None if it says nothing.
 
@@ -227,7 +226,6 @@ class DistanceDecoder:
 
         Args:
             can_id: identifier of the frame.
-            data: payload.
             stamp_ns: arrival [ns].
             extended: whether the identifier has 29 bits.
 

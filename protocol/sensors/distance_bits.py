@@ -23,7 +23,6 @@ class Bits:
     Attributes:
         order: which end of the frame comes first.
         length: bytes of the message.
-        shift: bits below it.
         mask: its bits, shifted down.
         sign: its highest bit if that means a negative number, else 0.
     """
@@ -50,10 +49,6 @@ class Bits:
 
 def find(message: Message, names: Sequence[str]) -> dict[str, Bits] | None:
     """Find the places of some signals.
-
-    Args:
-        message: of a DBC.
-        names: of its signals.
 
     Returns:
         Their places by name; None if one of them is not plain.

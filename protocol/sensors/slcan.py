@@ -33,11 +33,7 @@ _EXTENDED_LIMIT = 1 << 29
 
 
 class SlcanError(ProtocolError):
-    """A line that is no frame, or a frame that is none.
-
-    Attributes:
-        line: the line.
-    """
+    """A line that is no frame, or a frame that is none."""
 
     def __init__(self, what: str, line: bytes = b"") -> None:
         """Keep the evidence and print it."""
@@ -50,7 +46,6 @@ class CanFrame:
     """One classic CAN frame.
 
     Attributes:
-        can_id: identifier.
         data: payload, at most 8 bytes; empty in a remote frame.
         extended: whether the identifier has 29 bits.
         remote: a request for data.
@@ -82,7 +77,6 @@ def format_frame(frame: CanFrame, stamp_ms: int | None = None) -> bytes:
     """A frame as a line, CR included; the same in both directions.
 
     Args:
-        frame: the frame.
         stamp_ms: the adapter's clock [ms], modulo a minute, where ``Z1`` asked for it.
     """
     letter = "tTrR"[frame.extended + 2 * frame.remote]

@@ -108,9 +108,6 @@ def _known(device: str) -> str:
 def make_decoder(device: str) -> WrenchDecoder:
     """A decoder for a device's stream.
 
-    Args:
-        device: one of ``DEVICES``.
-
     Raises:
         WrenchError: no such device.
     """

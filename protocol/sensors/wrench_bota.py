@@ -86,7 +86,6 @@ def bota_frame(
     Args:
         force: Fx Fy Fz [N].
         torque: Mx My Mz [Nm].
-        status: status word.
         device_us: the device's clock [us]; wraps at 32 bits as the device's does.
         temperature: [deg C].
 
@@ -109,11 +108,8 @@ class BotaSettings:
 
     Attributes:
         sinc: length of the sinc filter, 51..512; the sample time is sinc x 19.53125 us.
-        baud_rate: one of ``BOTA_BAUD_RATES``.
-        temperature_compensation: on or off.
         calibration: apply the calibration matrix (else raw values).
         chop: sinc filter with chopping.
-        fast: fast settling.
         skip_fir: leave the FIR filter out.
     """
 

@@ -91,7 +91,6 @@ class WrenchDecoder(ABC):
         """Take what the port gave, return the samples now complete, in order.
 
         Args:
-            data: bytes, cut anywhere.
             stamp_ns: their arrival [ns]; every sample completed by them carries it.
         """
         buffer = self._buffer + data if self._buffer else data

@@ -15,7 +15,6 @@ class CameraSender:
     """Encodes poses.
 
     Attributes:
-        source: camera id.
         frame: frame the poses are given in.
         object_id: object the poses are of.
         clock_offset_ns: its clock minus the clock of the stamps given to it [ns].

@@ -17,7 +17,6 @@ class CanSensor:
     Attributes:
         encoder: the sensor's message, from a DBC.
         mount: what the sensor reads when the conveyor unit is at s = 0 [m].
-        sent: frames made.
         out_of_range: readings the message could not carry.
     """
 

@@ -102,7 +102,6 @@ class Applied:
 
     Attributes:
         cycle: number of the cycle in this session, 0 for the first.
-        ipoc: its counter.
         setpoints: where the axes go during it, A1..A6 [rad], E1 [m].
         digital_out: signals to the tool.
         outcome: what became of its reply; None after the exchange broke off.
@@ -127,7 +126,6 @@ class _Receive:
     """One receive element.
 
     Attributes:
-        tag: its name.
         holdon: its value is held while none comes.
         place: where a reply has it: A1..A6, then E1..E6; None if it is one of the channels.
         axis: which of the seven it corrects, None if it is no correction.
@@ -167,7 +165,6 @@ class RsiController:
 
     Attributes:
         config: how it is set up.
-        codec: its wire.
         judge: the emulator's own view of the applied setpoints.
         refusals: replies refused, by reason.
         clamped: cycles in which a correction limit held something back.
@@ -184,7 +181,6 @@ class RsiController:
         """Stand ready before the first cycle.
 
         Args:
-            rsi: the site's RSI_EthernetConfig.xml.
             read: gives the robot's state at a cycle's start.
             setpoints: where the robot stands, A1..A6 [rad], E1 [m].
             config: how the controller is set up.
@@ -306,7 +302,6 @@ class RsiController:
         """Judge a reply.
 
         Args:
-            data: a datagram.
             stamp_ns: its arrival [ns].
             deadline_ns: end of the open cycle [ns], None if the caller closes it in time.
 

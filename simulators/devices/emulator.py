@@ -82,19 +82,15 @@ class Emulator:
 
     Attributes:
         config: how they are set up.
-        world: the plant.
         link: the controller on its socket.
         can: the distance sensor behind its adapter.
-        camera: the camera.
         force_torque: the sensor on its line.
-        truth: what happened.
     """
 
     def __init__(self, config: EmulatorConfig, on_state: OnState | None = None) -> None:
         """Set everything up; no port is opened yet.
 
         Args:
-            config: the station.
             on_state: told when it is ready, how it goes, and how it ended.
 
         Raises:
@@ -268,11 +264,7 @@ class Emulator:
         }
 
     def facts(self, reason: str) -> dict[str, Any]:
-        """The run as a whole.
-
-        Args:
-            reason: why it ended.
-        """
+        """The run as a whole."""
         controller, world, scenario = self.link.controller, self.world, self.world.scenario
         judge = controller.judge
         return {
@@ -445,7 +437,6 @@ async def run_emulator(
     """Run a station of emulated devices to its end.
 
     Args:
-        config: the station.
         on_state: told when it is ready, how it goes, and how it ended; it must not block.
         stop: ends the run early when set.
 
@@ -464,8 +455,6 @@ def serve(config: EmulatorConfig, out: TextIO = sys.stdout, priority: int = 0) -
     """The body of an emulator process: a JSON line for each state; SIGTERM and SIGINT end it.
 
     Args:
-        config: the station.
-        out: takes the lines.
         priority: of SCHED_FIFO, where the host grants it; 0 leaves the scheduler alone.
 
     Returns:

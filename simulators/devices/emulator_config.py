@@ -24,23 +24,23 @@ class EmulatorConfig:
     Attributes:
         scenario: the world and its sensors.
         controller: how the controller is set up; its cycle is the scenario's.
-        rsi_xml: the site's RSI_EthernetConfig.xml.
+        rsi_xml: path of the site's RSI_EthernetConfig.xml.
         robot_target: where telegrams go; None: to IP_NUMBER and PORT of the configuration.
         robot_bind: where the controller sends from, port 0 for any.
-        camera_target: where poses go.
-        camera_source: camera id.
+        camera_target: address and port that poses are sent to.
+        camera_source: camera id in each pose.
         camera_frame: frame the poses are given in.
         camera_object: object they are of.
         camera_clock_offset_s: the camera's clock minus this host's monotonic one [s].
         can_link: symbolic link to make for the slcan pty, None for none.
         can_bind: TCP port of the slcan adapter instead of the pty, None for the pty.
         dbc: describes the distance sensor's message.
-        dbc_message: its name.
+        dbc_message: name of the message in the DBC.
         dbc_signal: the distance in it.
         distance_mount: what the sensor reads when the conveyor unit is at s = 0 [m].
         serial_link: symbolic link to make for the force-torque pty, None for none.
         serial_bind: TCP port of the force-torque sensor instead of the pty, None for the pty.
-        force_torque_device: "bota" or "robotiq-ft300".
+        force_torque_device: protocol of the sensor, "bota" or "robotiq-ft300".
         wait_answered: the world stands still until so many telegrams were answered, a missed one
             taking back an eighth of them; until then nothing is charged.
         end_after_release_s: end so long after the tool let go of the part [s]; None: do not.

@@ -128,7 +128,6 @@ class Faults:
         """Check the list.
 
         Args:
-            faults: of a scenario.
             kinds: what there is; ``REAL`` refuses what only virtual time can do.
 
         Raises:
@@ -148,7 +147,6 @@ class Faults:
         """The fault of a kind that a link suffers at a time.
 
         Args:
-            link: one of ``KINDS``.
             kind: one of its kinds.
             time_s: scenario time [s].
 

@@ -61,9 +61,6 @@ class FaultyLink:
         """Take the link's own faults from a scenario's.
 
         Args:
-            link: one of ``faults.KINDS``.
-            faults: of the scenario.
-            seed: of the run.
             ordered: a line or a bus, on which nothing overtakes anything.
         """
         self.suffered: Counter[str] = Counter()
@@ -79,7 +76,6 @@ class FaultyLink:
         """Send one piece.
 
         Args:
-            data: the piece.
             time_s: when it leaves, not before the one before it [s].
 
         Returns:
@@ -185,11 +181,6 @@ def flipped(data: bytes, count: int, chance: random.Random) -> bytes:
 
     A telegram's Delay is spared: it alone tells the daemon whether its reply was taken, a flip
     there that UDP's checksum lets pass looks exactly like a lost reply, and nobody can tell.
-
-    Args:
-        data: the piece.
-        count: how many bits.
-        chance: where.
 
     Returns:
         The spoilt piece.

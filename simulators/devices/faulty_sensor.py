@@ -29,13 +29,7 @@ class FaultySensor:
     """
 
     def __init__(self, link: str, faults: Faults, seed: int) -> None:
-        """Take the sensor's own faults from a scenario's.
-
-        Args:
-            link: one of ``faults.KINDS``.
-            faults: of the scenario.
-            seed: of the run.
-        """
+        """Take the sensor's own faults from a scenario's."""
         self.suffered: Counter[str] = Counter()
         mine = faults.of(link)
         self._faults = [(fault, stream(seed, fault)) for fault in mine if fault.kind in KINDS]
@@ -49,7 +43,6 @@ class FaultySensor:
         """What the sensor says instead of a reading.
 
         Args:
-            values: the reading.
             time_s: when it was taken [s].
             additive: how many leading values can be scaled and offset, None: all. A quaternion
                 behind a position cannot.

@@ -29,8 +29,6 @@ class ForceTorqueSensor:
     """The device's end of the line.
 
     Attributes:
-        device: one of ``linemate.protocol.sensors.wrench.DEVICES``.
-        sent: frames streamed.
         withheld: readings taken while the device did not stream.
     """
 

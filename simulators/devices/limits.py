@@ -35,11 +35,11 @@ class AxisLimit:
     """What one axis may be asked to do, in rad or m and seconds.
 
     Attributes:
-        low: least position.
-        high: greatest position.
-        speed: greatest magnitude.
-        acceleration: greatest magnitude.
-        jerk: greatest magnitude.
+        low: least position [rad or m].
+        high: greatest position [rad or m].
+        speed: greatest magnitude [rad/s or m/s].
+        acceleration: greatest magnitude [rad/s^2 or m/s^2].
+        jerk: greatest magnitude [rad/s^3 or m/s^3].
     """
 
     low: float

@@ -13,7 +13,6 @@ class RobotPlant:
     """Reads and commands a world.
 
     Attributes:
-        world: the plant.
         cycle: the controller's cycle that is open, counted from the start of the run.
         axes: what was last read, A1..A6 [rad], E1 [m].
     """
@@ -52,9 +51,6 @@ class RobotPlant:
 
 def seven(values: tuple[float, ...]) -> Seven:
     """Seven values, A1..A6 and E1.
-
-    Args:
-        values: as many.
 
     Returns:
         The same.

@@ -64,9 +64,6 @@ class SlcanAdapter:
     def feed(self, data: bytes) -> bytes:
         """Take what the host wrote, cut anywhere.
 
-        Args:
-            data: the host's bytes.
-
         Returns:
             The answers.
         """
@@ -76,7 +73,6 @@ class SlcanAdapter:
         """A frame was on the bus: what the host gets to see of it.
 
         Args:
-            frame: the frame.
             time_ms: the adapter's clock [ms], told if the host asked for it.
 
         Returns:

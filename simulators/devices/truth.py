@@ -93,7 +93,6 @@ class TruthLog:
         """Note the world at the instant of a telegram.
 
         Args:
-            world: at that instant.
             axes: what the telegram says was measured, A1..A6 [rad], E1 [m].
         """
         self._begun = self._count < self._room
@@ -186,9 +185,6 @@ class TruthLog:
 
 def load(path: Path) -> tuple[dict[str, Column], dict[str, Any]]:
     """Read what ``TruthLog.save`` wrote.
-
-    Args:
-        path: the file.
 
     Returns:
         The columns, and the facts.

@@ -70,7 +70,6 @@ class Station:
 
     Attributes:
         folder: temporary, for ports, logs and configurations.
-        scenario: of the run.
         cores: the daemon's and the emulators'; empty leaves them to the scheduler.
         ports: TCP ports of the slcan adapter and of the force-torque sensor.
     """
@@ -447,12 +446,7 @@ def _withheld(before_s: float | None, after_s: float | None, passed_s: float) ->
 
 
 def _notes(status: Mapping[str, Any], facts: Mapping[str, Any]) -> list[str]:
-    """What whoever reads the result should know: refusals of the host, and what it cost.
-
-    Args:
-        status: the daemon's last.
-        facts: the emulator's.
-    """
+    """What whoever reads the result should know: refusals of the host, and what it cost."""
     notes = [str(refusal) for refusal in status.get("host") or ()]
     pace = facts["pace"]
     if pace["slips"] or pace["late"]:

@@ -88,9 +88,6 @@ def load(path: Path) -> tuple[EmulatorConfig, Wishes]:
 def main(args: Namespace) -> int:
     """Run a station to its end, or until it is told to end.
 
-    Args:
-        args: config.
-
     Returns:
         0; 69 when a port or device cannot be had.
 

@@ -37,11 +37,7 @@ def machine() -> dict[str, Any]:
 
 
 def stolen_s(stat: Path = Path("/proc/stat")) -> float | None:
-    """Tell how much of all cores' time a hypervisor has withheld since the start [s], if known.
-
-    Args:
-        stat: the kernel's counters.
-    """
+    """Tell how much of all cores' time a hypervisor has withheld since the start [s], if known."""
     try:
         # cpu user nice system idle iowait irq softirq steal ...
         steal = stat.read_text(encoding="ascii").split("\n", 1)[0].split()[8]

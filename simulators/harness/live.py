@@ -44,13 +44,11 @@ class Glimpse:
     Attributes:
         time_s: of the scenario, as the emulator has it, or since the start [s].
         state: of the daemon's operation.
-        phase: of the task.
         task_time: of the task's clock [s].
         scenario: class of the conveyor's motion.
         tentative: the class is not confirmed.
         speed: estimated, of the conveyor [m/s].
         errors: names and values with their units, e.g. ("control", "0.06 mm").
-        links: the daemon's links.
         slack_us: what the last replies left of the cycle, least of them [us].
         cycle_us: length of a cycle [us].
         missed: telegrams late, lost or refused so far.

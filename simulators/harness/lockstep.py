@@ -99,9 +99,7 @@ class Lockstep:
     """One run, a telegram at a time.
 
     Attributes:
-        world: the plant.
         controller: the pure RSI controller.
-        cycle: the daemon's.
         wires: the sensors' way to the daemon.
     """
 

@@ -33,7 +33,6 @@ class ChildError(Exception):
     """A child ended, or did not get ready, and its last words.
 
     Attributes:
-        name: which child.
         tail: the last lines it wrote.
     """
 
@@ -140,8 +139,6 @@ class Children:
         """Start a process in a group of its own.
 
         Args:
-            name: for messages.
-            command: program and arguments.
             log: file that takes its standard output and error.
             keep: file descriptors that it inherits.
         """

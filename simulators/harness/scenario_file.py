@@ -71,7 +71,6 @@ def parse(data: bytes, name: str) -> Scenario:
     """Read a scenario from YAML; the file's stem names it unless it does so itself.
 
     Args:
-        data: the file's bytes.
         name: of the file, for messages.
 
     Raises:
@@ -90,9 +89,6 @@ def to_plain(scenario: Scenario) -> dict[str, Any]:
 
 def schema(kind: str) -> dict[str, Any]:
     """JSON schema of a file.
-
-    Args:
-        kind: "scenario" or "task".
 
     Raises:
         ValueError: another kind.

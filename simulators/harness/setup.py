@@ -29,11 +29,7 @@ TASK = "wheel.yaml"
 
 
 class OverrideError(SetupError):
-    """A ``--set KEY=VALUE`` that cannot be applied.
-
-    Attributes:
-        key: which.
-    """
+    """A ``--set KEY=VALUE`` that cannot be applied."""
 
     def __init__(self, key: str, what: str) -> None:
         """Keep the key and print it."""
@@ -62,10 +58,6 @@ class Setup:
     """One run before its seed.
 
     Attributes:
-        scenario: the plant's truth.
-        tracking: the daemon's.
-        control: the daemon's.
-        task: the daemon's.
         urdf: text of the task's URDF.
         variant: which transformation has been applied to tracking and control.
     """
@@ -99,7 +91,6 @@ def make(
     """Put a run together.
 
     Args:
-        scenario: name or file.
         overrides: ``KEY=VALUE`` each; a key is a path from one of ROOTS, or the end of one
             that is unique; a value is YAML.
         variant: applied before the overrides, which have the last word.

@@ -96,7 +96,6 @@ class VirtualTime:
         stalled_until_ns: the process gets no processor before [ns].
         ports: what can be watched, by descriptor.
         filled: descriptors of the ports of which reading gives something.
-        sockets: bound UDP ports.
         devices: what is behind a bus and a line, by name.
     """
 
@@ -444,11 +443,7 @@ class _Selector(selectors.BaseSelector):
 
 
 class VirtualLoop(asyncio.SelectorEventLoop):
-    """asyncio's own loop on virtual time.
-
-    Attributes:
-        world: its time.
-    """
+    """asyncio's own loop on virtual time."""
 
     def __init__(self, world: VirtualTime) -> None:
         selector = _Selector(world)

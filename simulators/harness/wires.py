@@ -105,8 +105,6 @@ class Emitters:
         """Switch everything on.
 
         Args:
-            world: whose sensors emit.
-            faults: of the scenario.
             mount: what the distance sensor reads when the conveyor unit is at s = 0 [m].
             stamp: the monotonic stamp of a scenario time [ns].
             distance: the distance sensor's message; None: CIA 406.
@@ -233,16 +231,12 @@ class Wires:
 
     Attributes:
         refused: what a decoder did not accept, by link.
-        emitters: the other end.
     """
 
     def __init__(self, world: World, cycle: Cycle, faults: Faults, mount: float) -> None:
         """Plug everything in; the force-torque sensor has been talked to and streams.
 
         Args:
-            world: whose sensors emit.
-            cycle: that takes samples.
-            faults: of the scenario.
             mount: what the distance sensor reads when the conveyor unit is at s = 0 [m].
         """
         self.refused: Counter[str] = Counter()

@@ -63,7 +63,6 @@ class Oracle:
         """Return the hub's positions (m, 3) [m] and rotation vectors (m, 3) [rad] in c.
 
         Args:
-            stamp_ns: of the step.
             ahead: times from it (m,) [s].
         """
         now_s = self._begin_s + (stamp_ns - EPOCH_NS) * 1e-9

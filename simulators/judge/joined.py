@@ -73,8 +73,6 @@ def evidence(truth_file: Path, recording_file: Path, scenario: Scenario) -> Evid
     """Join what the emulator and the daemon left behind.
 
     Args:
-        truth_file: the emulator's, `.npz`.
-        recording_file: the daemon's, `.mcap`.
         scenario: of the run, before its seed's draws.
 
     Raises:
@@ -104,7 +102,6 @@ def join(found: Mapping[str, Any], steps: Iterator[StepRecord]) -> Rows:
     """Join the truth's columns and recorded steps.
 
     Args:
-        found: columns of `truth.load`.
         steps: in order; those of telegrams that the truth does not have are left out.
     """
     n = len(found["t"])

@@ -83,12 +83,8 @@ class Evidence:
     """All that a verdict rests on.
 
     Attributes:
-        rows: of the run.
-        scenario: its name.
-        seed: of the run.
         cycle_s: the controller's cycle [s].
         events: stops and starts that took place.
-        telegrams: the controller's counts.
         limits: of the seven axes, the emulator's own.
         collision: what hit what, None if nothing did.
         broken: why the controller broke off, None if it did not.
@@ -120,7 +116,6 @@ def judge(evidence: Evidence, *, strict: bool = False) -> dict[str, Any]:
     """Judge one run.
 
     Args:
-        evidence: rows, events, counts.
         strict: one telegram without a good reply in time is too many.
 
     Returns:
@@ -448,7 +443,6 @@ def violations(
     Args:
         setpoints: (n, axes) [rad], [m].
         answered: rows in which a fresh reply was applied, (n,).
-        limits: one an axis.
         cycle_s: [s].
 
     Returns:

@@ -55,8 +55,6 @@ class Plan:
     """What is run.
 
     Attributes:
-        cases: by name.
-        drilled: cycles and classifiers.
         seeds: of each group at most.
         hours: of each kind of drill.
         own: seeds of a case, hours of a drill, where they differ from those of all.

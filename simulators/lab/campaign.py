@@ -78,7 +78,6 @@ def execute(
     """Run jobs on local cores, or on a dask cluster.
 
     Args:
-        jobs: what to run.
         workers: processes; None takes the cores there are, 1 stays in this process.
         progress: called after each run.
         scheduler: "local", or the address of a cluster's scheduler, which has its own workers.

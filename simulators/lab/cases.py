@@ -34,14 +34,7 @@ class Case:
     """One row.
 
     Attributes:
-        label: for readers.
-        scenario: shipped.
-        variant: of the method.
-        cycle_ms: of the controller.
         scaled: paths of the scenario and the factor by which the truth differs.
-        sets: overrides.
-        tuned: seeds of TUNED.
-        verify: seeds of VERIFY.
     """
 
     label: str

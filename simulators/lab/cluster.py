@@ -49,9 +49,7 @@ def execute(
     """Run jobs on the cluster behind a scheduler.
 
     Args:
-        perform: a module's function.
         jobs: what it is called with, one after another.
-        address: of the scheduler.
         progress: called after each job.
 
     Returns:

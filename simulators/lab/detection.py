@@ -35,10 +35,7 @@ class Plan:
     """What is drilled.
 
     Attributes:
-        setups: one a variant.
         hours: of virtual time, of ``free`` and of ``contact`` each.
-        first_seed: of the drills.
-        kinds: of the drills.
     """
 
     setups: Sequence[Setup]

@@ -66,7 +66,6 @@ class Drill:
     Attributes:
         kind: what happens in it.
         setup: truth and settings; its robot and camera stay at home.
-        seed: of all draws.
         duration_s: of the stretch, lead-in excluded [s].
     """
 

@@ -54,10 +54,6 @@ def _compiled(links: tuple[Link, ...], tool: Pose) -> Callable[[tuple[float, ...
 def _chain(links: tuple[Link, ...], tool: Pose) -> list[str]:
     """Write the chain out.
 
-    Args:
-        links: the table.
-        tool: in the flange.
-
     Returns:
         Lines of a function of ``joints``.
     """

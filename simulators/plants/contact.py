@@ -214,8 +214,6 @@ class ContactPlant:
             dt: length of the substep [s].
             earlier: the tool off the hub a substep ago, in base, and the hub's orientation then.
             tcp: the tool in the hub's frame, and the hub's orientation.
-            rigid: rigid tcp.
-            deflection: of the mount.
         """
         (x, y, _), turn = tcp
         lateral = math.hypot(x, y)

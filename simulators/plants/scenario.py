@@ -22,7 +22,7 @@ class ConveyorEvent:
     """An order to the conveyor's drive.
 
     Attributes:
-        kind: "stop" or "start".
+        kind: what the conveyor does, "stop" or "start".
         onset_s: scenario time at which the speed begins to change [s].
         acceleration: magnitude of the deceleration or acceleration [m/s^2].
     """
@@ -72,7 +72,7 @@ class Swing:
         amplitude: angle at t = 0 [rad]; None draws it from 0.5..1 times `amplitude_max`.
         amplitude_max: [rad].
         frequency_hz: frequency of the oscillation.
-        damping: ratio.
+        damping: damping ratio, share of critical.
         phase: [rad]; None draws it.
     """
 
@@ -92,7 +92,7 @@ class Jerk:
         onset_s: scenario time [s].
         displacement: direction and amplitude in c [m].
         frequency_hz: frequency of the sine.
-        damping: ratio.
+        damping: damping ratio, share of critical.
     """
 
     onset_s: float
@@ -113,7 +113,6 @@ class Body:
         tilt: angle of the drawn rotation [rad].
         suspension_to_hub: vector in c [m].
         swings: oscillations, applied one after another, outermost first.
-        jerks: pushes.
     """
 
     nominal: Vector3 = (2.20, 0.0, 1.10)
@@ -230,8 +229,8 @@ class Axis:
     """One servo axis: dead time and a second order lag with limited acceleration.
 
     Attributes:
-        frequency_hz: natural frequency.
-        damping: ratio.
+        frequency_hz: natural frequency of the servo [Hz].
+        damping: damping ratio, share of critical.
         dead_time_s: [s].
         acceleration_limit: of the actual motion [rad/s^2] or [m/s^2].
         encoder_sigma: noise of the reading [rad] or [m].
@@ -279,7 +278,7 @@ class Robot:
     """Six axes on a linear axis.
 
     Attributes:
-        axes: servos A1..A6, E1.
+        axes: servos in the order A1..A6, E1.
         start: setpoints and positions at the start, A1..A6 [rad], E1 [m].
         links: Denavit-Hartenberg table; a half turn about x follows the last row (flange).
         tcp_position: tcp in the flange [m].
@@ -307,7 +306,7 @@ class Effector:
 
     Attributes:
         frequency_hz: x y z, rotations about x y z.
-        damping: ratios.
+        damping: damping ratio of each axis, share of critical.
         stiffness: [N/m], [Nm/rad].
     """
 
@@ -359,7 +358,7 @@ class Fault:
         kind: what happens, in the device's words.
         duration_s: how long [s].
         value: size, in the kind's unit.
-        count: how often.
+        count: number of times that the fault occurs.
     """
 
     at_s: float
@@ -375,7 +374,7 @@ class AppliedEvent:
     """A stop or start that really changed the motion, for judging.
 
     Attributes:
-        kind: "stop" or "start".
+        kind: what the conveyor does, "stop" or "start".
         onset_s: scenario time [s].
         speed: speed at the onset, without ripple [m/s].
         acceleration: signed [m/s^2].
@@ -394,20 +393,11 @@ class Scenario:
     """One run: t = 0 is when the nominal conveyor unit passes s = 0.
 
     Attributes:
-        name: for reports.
+        name: name of the scenario in reports.
         seed: of all random streams.
         cycle_s: the controller's cycle [s].
         lead_in_s: the run starts this long before t = 0 [s].
         duration_s: scenario time at the latest end [s].
-        conveyor: the conveyor unit.
-        body: the car body.
-        distance: the distance sensor.
-        camera: the camera.
-        force_torque: the force-torque sensor.
-        robot: the robot.
-        effector: its elastic tool.
-        contact: mating.
-        faults: timed faults.
     """
 
     name: str = "wheel"

@@ -26,8 +26,6 @@ class DistanceEmission(NamedTuple):
         time_s: when it leaves the sensor [s].
         exposure_s: when it was measured [s].
         position: [m].
-        strength: of the signal.
-        outlier: truth for judging.
     """
 
     time_s: float
@@ -46,7 +44,6 @@ class CameraEmission(NamedTuple):
         position: hub in camera [m].
         quaternion: hub in camera, w x y z.
         covariance: upper triangle row by row, x y z rx ry rz in the camera's frame, or None.
-        outlier: truth for judging.
     """
 
     time_s: float
@@ -171,7 +168,6 @@ class CameraPlant:
 
         Args:
             rigid: rigid tcp in base.
-            hub: hub in base.
         """
         camera = self._camera
         exposure = self.clock.next_s

@@ -288,7 +288,6 @@ def _pieces(axis: Axis, omega: float, step: float, substeps: int, part: int) -> 
         axis: with its dead time.
         omega: natural frequency [rad/s].
         step: length of a substep [s].
-        substeps: of a cycle.
         part: which substep of the cycle.
 
     Returns:

@@ -19,7 +19,6 @@ def stream(seed: int, name: str) -> Generator:
 
     Args:
         seed: of the run, not negative.
-        name: of the stream.
 
     Returns:
         A fresh generator, always the same for the same arguments.

@@ -141,7 +141,8 @@ def test_an_overlay_replaces_the_old_one_whole_and_leaves_nothing_beside(tmp_pat
 
 def test_the_command_line_stays_light() -> None:
     code = (
-        "import sys; from linemate.daemon.operator import identify, recordings; "
+        "import sys; from linemate.daemon.operator import identify; "
+        "from linemate.daemon.recording import recordings; "
         "print([m for m in ('numpy', 'scipy', 'pinocchio', 'mcap', 'yaml', 'pydantic') "
         "if m in sys.modules])"
     )

@@ -35,7 +35,6 @@ class Site:
 
     Attributes:
         config, task: plain values.
-        urdf: text.
     """
 
     config: dict[str, Any]

@@ -92,7 +92,6 @@ class Learned:
     """What is believed of all axes.
 
     Attributes:
-        beliefs: one an axis.
         models: to be inverted, one an axis.
     """
 
@@ -110,7 +109,6 @@ def note(window: Window, command: Array, answer: Array | None) -> Window:
     """Return the window one cycle on.
 
     Args:
-        window: so far.
         command: (axes,) setpoint in force from this cycle's telegram on; the one held, if none
             was sent.
         answer: (axes,) measured in this cycle's telegram, None without one.
@@ -140,10 +138,8 @@ def learn(
     """Return what is believed after one more look at the window.
 
     Args:
-        settings: bounds.
         identified: models of the axes as they were identified, the middle of the bounds.
         learned: what was believed so far.
-        window: the last cycles.
         cycle_s: T0 [s].
         elapsed: time since the last look, at these axes [s].
         only: axes to look at, a few at a time where a cycle is short; None: all.
@@ -172,8 +168,6 @@ def between(old: Array, new: Array, share: float) -> Array:
     Taps of both sum to 1, and so do all between them: rest stays rest.
 
     Args:
-        old: (m, axes).
-        new: (m, axes).
         share: 0 old, 1 new.
     """
     mixed: Array = old + min(max(share, 0.0), 1.0) * (new - old)

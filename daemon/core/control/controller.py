@@ -29,17 +29,14 @@ class Controller:
     """What control needs, compiled.
 
     Attributes:
-        arm: kinematics.
         cycle_s: T0 [s].
         smoothing: taps (n_imp + 1,) of (16).
         effector: taps (n_l + 1 + n_u, 6) of (11), in the tool's frame.
-        effector_past: n_l.
         damper: (6, n_rob + 1, n_l + n_rob + 1 + n_u) the change that (11) makes of x_s, each
             component's taps as rows of a matrix.
         servo: taps (past + 1 + n_rob, axes) of (12).
         servo_past: steps of (12) in the past.
         limits: of the last gate.
-        tcp_limit: likewise.
         gentle: with which a hold comes to rest.
         steps: n, the horizon that control reads.
         contact_steps: over how many steps (11) is blended out before contact.
@@ -74,7 +71,6 @@ class ControlState:
         passed: (servo_past, axes) the last q_d(0), oldest first.
         desired: (n_rob + 1, axes) q_d of the last step, the next guess.
         wanted: (n_rob + 1, 6) the x_d that they are for.
-        gate: of the commands.
     """
 
     smooth: Array
@@ -90,8 +86,6 @@ def compile_controller(
     """Return the controller with its filters designed.
 
     Args:
-        settings: of control.
-        arm: kinematics.
         cycle_s: T0 [s].
         conveyor_speed: which the tcp may have beside its own [m/s].
 
@@ -270,7 +264,6 @@ def reach(
     """Return the state after the last gate; its gate's position is the command.
 
     Args:
-        controller: with the limits.
         aimed: at what is desired.
         gate: of the commands that the robot has; without a pose to aim at it brakes.
         clamped: the tool is clamped to the object: what the linear axis is behind, the arm makes
@@ -302,8 +295,6 @@ def _made_up(controller: Controller, command: Array, rail: float) -> Array:
     held for 84 ms beside a car at 106 mm/s was so pulled with 326 N instead of 200 N.
 
     Args:
-        controller: with the arm.
-        command: that is desired.
         rail: where the linear axis is sent instead [m].
     """
     short = float(command[6]) - rail

@@ -92,7 +92,6 @@ class Arm:
 
         Args:
             nominal: (3, 3) C, the axes of c in base.
-            joints: (axes,).
         """
         pose = self._placed(self._order(joints))
         seen = np.dot(nominal.T, pose.homogeneous[:3])
@@ -205,7 +204,6 @@ class Arm:
         """Return the joints (m, axes) after one Newton step, all by the Jacobian at q.
 
         Args:
-            guesses: (m, axes).
             q: (axes,) where the Jacobian is taken, in the URDF's order.
             errors: (m, 6) twists of the tcp that are left [m, rad]; written over.
         """

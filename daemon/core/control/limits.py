@@ -301,8 +301,6 @@ def admit(
 
     Args:
         state: of the commands so far.
-        desired: setpoints (m,), SI.
-        limits: of each axis.
         period: T0 [s].
 
     Returns:
@@ -362,7 +360,6 @@ def brake(
 
     Args:
         state: of the commands so far.
-        limits: never left.
         period: T0 [s].
         gentle: acceleration and jerk to stop with; None: those of ``limits``, the quickest stop.
     """
@@ -431,9 +428,7 @@ def slow_down(
 
     Args:
         state: of the commands so far.
-        admitted: by ``admit``.
         jacobian: (3, m) of the tcp's position.
-        limits: of each axis.
         period: T0 [s].
         cap: of the tcp's mean speed [m/s].
 
@@ -468,9 +463,7 @@ def _keeps_speed(
     ``MEAN_S``.
 
     Args:
-        gate: after the command.
         jacobian: (3, m) of the tcp's position.
-        limits: of each axis.
         before: (3,) mean velocity of the tcp one step ago [m/s].
         change: by which the mean may rise in its own direction in this step [m/s].
         cap: limit of the mean [m/s].
@@ -511,7 +504,6 @@ def _between(
     Args:
         state: of the commands so far.
         stopping: accelerations (m,) of the stop.
-        admitted: by ``admit``.
         share: 0 for the stop, 1 for the admitted command.
         period: T0 [s].
     """

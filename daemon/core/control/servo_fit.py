@@ -51,7 +51,6 @@ class ServoFit:
     """A fitted model.
 
     Attributes:
-        model: the best one.
         covariance: (3, 3) of frequency [Hz], damping and dead time [s].
         residual: root mean square of what is left [rad, m].
         motion: the same of what the model explains beside the setpoint itself.
@@ -91,7 +90,6 @@ def fit(
     along: an encoder's zero is no property of the servo.
 
     Args:
-        passages: of one axis.
         cycle_s: T0 [s].
         start: where to begin; without one a coarse grid is searched.
 

@@ -21,7 +21,7 @@ class ServoModel:
 
     Attributes:
         frequency_hz: of the second-order answer.
-        damping: share of critical.
+        damping: damping ratio, share of critical.
         dead_time: from a setpoint's cycle to its first effect [s].
     """
 
@@ -35,8 +35,8 @@ class EffectorMode:
     """One elastic mode of the tool's suspension along or about a tcp axis.
 
     Attributes:
-        frequency_hz: of the mode.
-        damping: share of critical.
+        frequency_hz: natural frequency of the mode [Hz].
+        damping: damping ratio, share of critical.
     """
 
     frequency_hz: Annotated[float, Ge(0.1), Le(200.0)]

@@ -35,7 +35,6 @@ def read(
     """Return the limits of A1..A6, then E1 where there is a linear axis.
 
     Args:
-        urdf: the text.
         flange: name of the flange's link.
         linear_axis: the first joint of the chain is E1.
         is_whole: acceleration and jerk are needed; else infinity stands for one that is missing.

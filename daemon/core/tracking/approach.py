@@ -44,8 +44,6 @@ def sensed(
     each angle, each angle's square. One product adds them up; without an arm they are the object.
 
     Args:
-        part: over the horizon.
-        modes: of its swing.
         relative: (m, 6) programmed tcp in the nominal object, (x_o^nom)^-1 x_r.
         turned: the programme turns the tcp against the object.
     """

@@ -71,8 +71,6 @@ def feel(feeling: Feeling, ringing: Ringing, force: float | None, *, held: bool)
     """Return the feeling one step later.
 
     Args:
-        feeling: before.
-        ringing: of the tool.
         force: along its axis [N], None if none was measured: then it is what it was.
         held: the robot did not get the last command and held.
     """
@@ -109,8 +107,6 @@ def touched(feeling: Feeling, ringing: Ringing, distance: float) -> Feeling:
     """Return the feeling with its touches counted.
 
     Args:
-        feeling: of this step.
-        ringing: of the tool.
         distance: programmed, to the object [m].
     """
     # Beyond the estimated object too: the tool may search for it there.
@@ -122,7 +118,6 @@ def assumed(feeling: Feeling, distance: float, *, is_due: bool) -> Feeling:
     """Return the feeling of a tool without a force sensor: it touches at its place.
 
     Args:
-        feeling: of this step.
         distance: programmed, to the object [m].
         is_due: the programme has reached its waypoint of contact and the clamp may be closed.
     """

@@ -39,8 +39,6 @@ def advanced(
     """Return the search one step later.
 
     Args:
-        search: before.
-        guard: speed and bound.
         feeling: forces along the tool's axis.
         ringing: of the tool, with the force of a contact.
         dt: T0 [s].
@@ -67,8 +65,6 @@ def reached(
 
     Args:
         relative: (m, 6) programmed; not written to.
-        search: so far.
-        guard: speed and bound.
         span: (m,) times from now [s].
         is_on: the search goes on; otherwise it stays where it is.
     """

@@ -37,7 +37,6 @@ def merge_matrix(tau: float, cycle_s: float, steps: int) -> Array:
     Args:
         tau: time constant [s].
         cycle_s: T0 [s].
-        steps: rows wanted.
     """
     binomial = np.array([math.comb(ORDER, j) * (-1.0) ** j for j in range(ORDER + 1)])
     A = np.zeros((ORDER, ORDER))
@@ -69,7 +68,6 @@ def rounding(cycle_s: float, commit: int) -> Array:
 
     Args:
         cycle_s: T0 [s].
-        commit: nc.
     """
     half = min(int(2.0 * (CORNER_S / cycle_s) ** 2 + 1e-9), commit + 1 - ORDER)
     taps = np.array([math.comb(2 * half, i) for i in range(2 * half + 1)], dtype=float)

@@ -24,7 +24,6 @@ class History:
     """Where the undeflected tcp was, in c, newest last.
 
     Attributes:
-        stamps_ns: (m,) rising.
         poses: m poses (6,), position [m] and rotation vector [rad].
     """
 
@@ -46,8 +45,6 @@ def pose_at(history: History, stamp_ns: int, reach: float) -> Array | None:
     """Return the tcp's pose (6,) at a stamp, or None where it is not known.
 
     Args:
-        history: of poses.
-        stamp_ns: when.
         reach: how far the newest motion may be carried on [s].
     """
     stamps, poses = history.stamps_ns, history.poses
@@ -96,7 +93,6 @@ def sight(
     """Return what a camera saw.
 
     Args:
-        sample: object in camera.
         tcp: (6,) undeflected tcp in c at the exposure.
         camera: position (3,) and rotation (3, 3) of the camera in the tcp.
         noise: model of its deviations where the sample has no covariance.
@@ -129,7 +125,6 @@ class Wrench:
         force: (3,) [N] in the tcp.
         torque: (3,) [Nm] in the tcp.
         stamp_ns: mean of the arrivals.
-        count: samples in it.
     """
 
     force: Array
@@ -154,7 +149,6 @@ def touch(wrench: Wrench, tcp: Array, noise: TactileNoise, now_ns: int, rate: Ar
     """Return where the object holds the clamped tool: the tcp, deflected by the wrench.
 
     Args:
-        wrench: in the tcp.
         tcp: (6,) undeflected tcp in c at that moment.
         noise: stiffness of the mount and deviation of a deflection.
         now_ns: time of the step.

@@ -28,7 +28,6 @@ class Reference:
         points: (w, 6) in c; of those that travel, relative to the nominal object.
         travels: (w,) 1.0 for waypoints in the object's frame.
         phases: of the stretch behind each waypoint.
-        gates: of each waypoint.
         turned: some waypoint is turned against the object.
         contact_time: when the tool is programmed to reach the object [s]; infinity if never.
         rest: (6,) the first pose, where the robot waits, in c.
@@ -211,7 +210,6 @@ class Table:
         Args:
             time: of the task's clock, a multiple of T0 [s].
             limit: at which the clock stands, likewise; infinity if at none [s].
-            steps: n.
         """
         first = round(time / self.cycle_s)
         last = first + steps

@@ -30,7 +30,6 @@ def may_be_clamped(
     open, so it is open or on nothing once the timeout is over.
 
     Args:
-        contact: contact was felt.
         released: the opening was reported, or its configured time is over.
         distance: programmed in ``LEADING_S`` from now, from the tcp to the object along z [m].
         opening: time since the clamp was ordered to open, None before [s].

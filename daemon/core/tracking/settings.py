@@ -111,8 +111,8 @@ class SwingMode:
 
     Attributes:
         axis: 0, 1 or 2, rotation about x, y or z of the nominal frame.
-        frequency_hz: of the swing.
-        damping: share of critical.
+        frequency_hz: natural frequency of the swing [Hz].
+        damping: damping ratio, share of critical.
         levers: displacement of the object for each radian of swing, x y z [m/rad].
         spread: one sigma of the frequency, as a share of it; what is left is estimated while the
             object is seen. 0 takes it for exact.
@@ -164,7 +164,7 @@ class WaveSettings:
     """The periodic part of the conveyor's ripple, as a drive or a chain makes it.
 
     Attributes:
-        frequency_hz: at full speed.
+        frequency_hz: frequency at full conveyor speed [Hz].
         spread: one sigma of the frequency, as a share of it; what is left is estimated while the
             conveyor runs. 0 takes it for exact.
         deviation: one sigma of its amplitude at full speed [m]; 0 for a conveyor without.
@@ -237,7 +237,7 @@ class JerkSettings:
 
     Attributes:
         frequencies_hz: at which a pushed body may swing along the conveyor.
-        damping: share of critical.
+        damping: damping ratio, share of critical.
         deviation: of the amplitude [m].
         confirmed: log odds at which a push is taken.
         longest_onset: age of the oldest onset in the bank [s].

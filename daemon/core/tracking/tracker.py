@@ -57,7 +57,6 @@ class Tracker:
         table: the reference at every step of the task's clock.
         camera: position (3,) and rotation (3, 3) of the camera in the tcp.
         cycle_s: T0 [s].
-        steps: n.
         commit: nc, the last step that a merge keeps.
         matrices: (6, n - nc, 5) of the merge.
         corner: (2 h + 1,) kernel that rounds the goal's corners along the conveyor.
@@ -171,7 +170,6 @@ class Report:
         part: the object now (6,) in c, or None.
         speed: of the conveyor [m/s], or None.
         motion, tentative, confidence, events: of the classifier.
-        phase: of the task.
         force: mean force [N], or None without a sample.
         overload: the force is beyond what the tool may bear.
         object_left: the object is about to be beyond what the linear axis reaches.
@@ -376,9 +374,6 @@ def _sightings(
     """Return what the camera saw of the object, and the tactile sensor.
 
     Args:
-        tracker: compiled.
-        history: of the tcp.
-        seen: the step's samples.
         wrench: of the clamped tool; None if it tells nothing of the object.
     """
     found: list[tuple[Source, Sighting, float]] = []
@@ -574,7 +569,6 @@ def _sensed(
     """Return x_f over the horizon, (9) under the class, and the object now.
 
     Args:
-        tracker: compiled.
         state: with the object's estimate across the conveyor.
         stamp_ns: of now [ns].
         along: (m,) predicted positions along the conveyor [m].
@@ -727,10 +721,7 @@ def touched(
     """Return the state of ``track`` with contact made or lost, which the next step knows of.
 
     Args:
-        tracker: compiled.
-        before: the step.
         after: it, contact as it was.
-        report: of the step.
         held: the robot did not get the last command and stood still.
         is_open: the tool reports an open clamp, or no telegram says that it does not.
     """

@@ -43,7 +43,6 @@ class TransverseState:
         x: (5 + 2 m,): x, z [m], a turn [rad] that is folded into ``rotation`` after each
             correction and then 0, and for each swing its angle and its quadrature [rad]; then for
             each swing with a ``spread`` the error of its pace, folded into ``paces`` and 0 as well.
-        P: covariance.
         rotation: (3, 3) the object at rest in c.
         refused: sightings gated in a row.
         paces: each swing's frequency, as a multiple of the identified one.
@@ -232,8 +231,6 @@ class Transverse:
         a real step out for ever.
 
         Args:
-            state: before.
-            sighting: of the object.
             gate: refused beyond so many sigma.
             doubted: its variance is weighed against how far its like missed lately.
         """
@@ -325,7 +322,6 @@ def _scattered(scatter: float, doubt: float, beyond: Array, variance: Array) -> 
     """Return the memory of how sightings scatter, with one more in it.
 
     Args:
-        scatter: before.
         doubt: in which the sighting was held.
         beyond: (5,) squared misses, less what was expected of them.
         variance: (5,) with the doubt in it.

@@ -85,7 +85,6 @@ class Lateness:
     """How late the loop woke.
 
     Attributes:
-        wakes: how many.
         last_ns, worst_ns: [ns].
         late: wakes later than a quarter of a cycle.
     """
@@ -113,7 +112,6 @@ class Clock:
         on_error: told of what the others raised.
         look: takes telegrams that wait, so that none is called missing that is there already.
         pace: which step is due when.
-        lateness: of the wakes.
         attend: waits for a telegram whose reply is ready, told when it is expected [ns].
     """
 

@@ -15,7 +15,6 @@ class Histogram:
     """Durations, counted.
 
     Attributes:
-        count: how many.
         greatest_ns: the longest [ns].
     """
 
@@ -36,9 +35,6 @@ class Histogram:
 
     def percentile(self, share: float) -> float | None:
         """A duration that this share of all does not exceed.
-
-        Args:
-            share: 0..1.
 
         Returns:
             Its bucket's upper edge, at most the greatest value [s]; None if there is none.

@@ -20,7 +20,6 @@ class Pace:
     """What is due when.
 
     Attributes:
-        schedule: where it stands.
         adapts: the lead follows what steps cost; else it is the schedule's own, 0 for none.
         phase: the controller's, as its telegrams tell it.
         lead: from what steps cost.

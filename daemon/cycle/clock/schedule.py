@@ -50,7 +50,6 @@ class Schedule:
         next_ns: when the next telegram is expected [ns].
         grace_ns: how long after that it counts as missing [ns].
         lead_ns: how long before that its step is prepared [ns], 0: never.
-        prepared: it has been.
         attended: its telegram is or was waited for.
         locked: telegrams set the phase; else it runs free.
         skipped: cycles of which no step was made, after stalls.
@@ -87,7 +86,6 @@ def on_telegram(schedule: Schedule, stamp_ns: int) -> Schedule:
     """A telegram was answered.
 
     Args:
-        schedule: before it.
         stamp_ns: its arrival [ns].
     """
     period_ns = schedule.period_ns
@@ -108,7 +106,6 @@ def follow(schedule: Schedule, next_ns: int, period_ns: int, lead_ns: int) -> Sc
     """A telegram was answered, and somebody foresees the next one.
 
     Args:
-        schedule: before it.
         next_ns: when the next telegram is expected [ns].
         period_ns: the controller's cycle [ns].
         lead_ns: how long before it the step is prepared [ns], 0: never.
@@ -127,7 +124,6 @@ def run_free(schedule: Schedule, period_ns: int) -> Schedule:
     """The robot is gone: the next telegram sets the phase, however late it seems.
 
     Args:
-        schedule: before.
         period_ns: of the clock alone [ns].
     """
     return changed(schedule, locked=False, period_ns=period_ns, grace_ns=period_ns // 2)
@@ -146,7 +142,6 @@ def on_wake(schedule: Schedule, now_ns: int) -> tuple[Schedule, tuple[Due, ...]]
     """Find what is due.
 
     Args:
-        schedule: before.
         now_ns: monotonic time [ns].
 
     Returns:
@@ -172,7 +167,6 @@ def attend(schedule: Schedule, now_ns: int) -> tuple[Schedule, int | None]:
     """Find the telegram that is about to come and whose reply is ready.
 
     Args:
-        schedule: before.
         now_ns: monotonic time [ns].
 
     Returns:

@@ -29,8 +29,6 @@ class CycleTimes:
         arrival_ns: of the telegram, or the deadline that stood in for it.
         expected_ns: when the telegram was expected.
         woken_late_ns: the clock, for this cycle's step.
-        lead_ns: in force.
-        step_ns: computing the step.
         turnaround_ns: from arrival to the reply sent.
         prepared: the reply was ready before its telegram.
         state: the operating state after it.
@@ -77,9 +75,7 @@ class Timing:
 
     Attributes:
         period_ns: T0 [ns].
-        turnaround: of replies.
         lateness: of the clock's wakes.
-        step: computing one.
         lead: in force, cycle by cycle.
         ages: of each sensor's newest sample when a step took it.
         late: replies that took longer than a cycle.
@@ -105,11 +101,7 @@ class Timing:
         self._ring = deque(maxlen=max(1, round(KEPT_S * 1e9 / self.period_ns)))
 
     def note(self, cycle: CycleTimes) -> None:
-        """Take in one cycle.
-
-        Args:
-            cycle: what it took.
-        """
+        """Take in one cycle."""
         self._ring.append(cycle)
         self.lead.add(cycle.lead_ns)
         if cycle.step_ns is not None:
@@ -128,7 +120,6 @@ class Timing:
         """Take in how old a sensor's newest sample was when a step took it.
 
         Args:
-            sensor: one of ``SENSORS``.
             age_ns: [ns].
         """
         self.ages[sensor].add(age_ns)

@@ -12,13 +12,7 @@ from linemate.simulators.devices.links.endpoint import Address, Endpoint
 
 
 class CameraUdp:
-    """Sends poses to one receiver.
-
-    Attributes:
-        sender: encodes poses.
-        target: the receiver.
-        sent: datagrams that left.
-    """
+    """Sends poses to one receiver."""
 
     def __init__(self, sender: CameraSender, target: Address) -> None:
         self.sender = sender
@@ -63,11 +57,7 @@ class CameraUdp:
         )
 
     def put(self, data: bytes) -> None:
-        """Send any datagram.
-
-        Args:
-            data: the datagram.
-        """
+        """Send any datagram."""
         if self._endpoint is not None and self._endpoint.send(data, self.target):
             self.sent += 1
 

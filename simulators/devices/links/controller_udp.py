@@ -71,7 +71,6 @@ class ControllerUdp:
     """Drives a controller's cycles.
 
     Attributes:
-        controller: the pure controller.
         turnaround: how long good replies took.
         pace: how well the schedule was kept.
         is_mute: a fault keeps telegrams from leaving.
@@ -140,9 +139,6 @@ class ControllerUdp:
 
     def put(self, data: bytes) -> bool:
         """Send any datagram to the daemon.
-
-        Args:
-            data: the datagram.
 
         Returns:
             Whether the kernel took it.

@@ -24,7 +24,6 @@ class Endpoint:
     """A non-blocking UDP socket.
 
     Attributes:
-        link: the socket.
         unsent: datagrams the kernel would not take.
     """
 
@@ -36,7 +35,6 @@ class Endpoint:
         """Open and bind.
 
         Args:
-            host: local address.
             port: local port, 0 for any.
 
         Returns:
@@ -66,10 +64,6 @@ class Endpoint:
 
     def send(self, data: bytes, target: Address) -> bool:
         """Send one datagram now or never.
-
-        Args:
-            data: the datagram.
-            target: whereto.
 
         Returns:
             Whether the kernel took it.

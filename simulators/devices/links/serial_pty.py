@@ -17,7 +17,6 @@ class SerialPty:
     """A serial line with one sensor on it.
 
     Attributes:
-        sensor: the device.
         port: the pty, or the TCP port.
     """
 
@@ -27,7 +26,6 @@ class SerialPty:
         """Set it up; it is not plugged in yet.
 
         Args:
-            sensor: the device.
             link: symbolic link to make for the pty.
             bind: address and port of a TCP port instead of a pty.
         """

@@ -18,8 +18,6 @@ class SlcanPty:
     """A CAN adapter with one sensor on its bus.
 
     Attributes:
-        sensor: encodes readings.
-        adapter: speaks slcan.
         port: the pty, or the TCP port.
     """
 
@@ -29,7 +27,6 @@ class SlcanPty:
         """Set it up; it is not plugged in yet.
 
         Args:
-            sensor: encodes readings.
             link: symbolic link to make for the pty.
             bind: address and port of a TCP port instead of a pty.
         """
@@ -64,11 +61,7 @@ class SlcanPty:
             self.put(frame)
 
     def put(self, frame: CanFrame) -> None:
-        """Put any frame on the bus.
-
-        Args:
-            frame: the frame.
-        """
+        """Put any frame on the bus."""
         self.port.write(self.adapter.forward(frame))
 
     def counters(self) -> dict[str, int]:

@@ -66,7 +66,6 @@ class Job:
 
     Attributes:
         name: key of its figure.
-        measure: runs one round.
     """
 
     name: str
@@ -79,7 +78,6 @@ def interleaved(jobs: Sequence[Job], rounds: int = ROUNDS, warm: int = 1) -> dic
     Args:
         jobs: in the order of measuring; every second round goes backwards, so that a drift of
             the machine favours none.
-        rounds: that count.
         warm: rounds before them that do not.
     """
     taken: dict[str, list[float]] = {job.name: [] for job in jobs}
@@ -169,10 +167,8 @@ class Options:
     """What to measure.
 
     Attributes:
-        rounds: of each.
         round_s: how long one of turn-around or lateness is [s].
         cycles_ms: cycles that are measured [ms].
-        parts: which of `PARTS`.
         awake: no core sleeps while processes are measured.
     """
 
@@ -184,11 +180,7 @@ class Options:
 
 
 def measure_all(options: Options) -> dict[str, Any]:
-    """Measure everything, and return what `bench --json` prints.
-
-    Args:
-        options: what to measure.
-    """
+    """Measure everything, and return what `bench --json` prints."""
     result: dict[str, Any] = {
         "version": 1,
         "machine": host.machine(),

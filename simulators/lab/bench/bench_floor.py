@@ -93,9 +93,6 @@ class Place:
 def compiled(folder: Path) -> Path | None:
     """Compile the C programs.
 
-    Args:
-        folder: takes the executable.
-
     Returns:
         The executable; None without a compiler that makes one.
     """
@@ -186,7 +183,6 @@ def c_timer(program: Path, period_ns: int, spike_ns: int) -> list[str]:
     """The command of the C program that only wakes.
 
     Args:
-        program: the C programs.
         period_ns: of its wakes [ns].
         spike_ns: a wake later than this is told [ns].
     """

@@ -90,8 +90,6 @@ class Asked:
         """Send one telegram.
 
         Args:
-            data: the telegram.
-            ipoc: its counter.
             counted: its reply is to be measured.
         """
         index = -1
@@ -172,7 +170,6 @@ class Arm:
         """Say where it is.
 
         Args:
-            ipoc: the telegram's counter.
             at_ns: after the reel's begin [ns].
         """
         _, signals = self._reel.axes(at_ns)

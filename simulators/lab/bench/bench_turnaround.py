@@ -59,9 +59,7 @@ class Bench:
     Attributes:
         reel: file of the reel that is played.
         program: the C programs, None without a compiler.
-        folder: temporary.
         fifo: real-time priorities are granted.
-        rounds: of each mode.
         round_s: length of one [s].
         cpus: the cores there are.
     """
@@ -104,11 +102,9 @@ class Measured:
     """What one cycle's rounds came to.
 
     Attributes:
-        modes: figures by mode.
         cpu_per_cycle_us: of the daemon, all its threads, in the first mode [us].
         start_s: from the daemon's start to its first word of being ready [s].
         state: the daemon's as the rounds began; not of `MOVING` where the machine is too slow.
-        status: the daemon's last.
     """
 
     modes: dict[str, dict[str, Any]]
@@ -147,9 +143,7 @@ def figures(rounds: Sequence[Round], cycle_ns: int, spikes: Sequence[Spike]) -> 
     """What the rounds of one mode come to, keys as in the bench's JSON.
 
     Args:
-        rounds: of one mode.
         cycle_ns: T0 [ns].
-        spikes: of all probes.
     """
     told: dict[str, Any] = {}
     for name, share in (("p50", 0.5), ("p99", 0.99)):
@@ -188,7 +182,6 @@ def measure(
     """Measure one cycle, with replies made beforehand or in line.
 
     Args:
-        bench: what with.
         cycle_us: T0 [us].
         prepared: replies are made beforehand.
         modes: idle, loaded or both; they take turns.
@@ -206,9 +199,6 @@ def measure(
 
 def wakeup(bench: Bench) -> dict[str, float] | None:
     """Hold the daemon's clock beside the C timer: same core, same seconds, same priority.
-
-    Args:
-        bench: what with.
 
     Returns:
         Medians over rounds [us] and of the rounds' ratio; None without a compiler.

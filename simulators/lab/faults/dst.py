@@ -192,7 +192,6 @@ def shrink(plan: Plan, kind: str) -> Plan:
     """The least plan found that is violated in the same way.
 
     Args:
-        plan: one that fails.
         kind: what its first violation is called.
     """
     budget = SHRINKING

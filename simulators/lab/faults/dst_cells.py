@@ -39,7 +39,6 @@ class Cell:
     """What is at hand.
 
     Attributes:
-        file: the daemon's configuration.
         force_torque: the device, None for none.
         message, signal: of the distance sensor.
         distance: the sensor behind it.

@@ -41,7 +41,6 @@ class Oracle:
 
     Attributes:
         violations: what was found, at most ``MOST_EVIDENCE``.
-        states: operating states seen.
         story: changes of the operating state, in order.
         now_s: scenario time of the cycle that is judged [s].
         holds: tells where the robot was sent last; a daemon that learns how much of what it sent
@@ -214,8 +213,6 @@ def invariants(before: Machine, s: Signals, after: Machine) -> tuple[tuple[str, 
 
     Args:
         before: where the machine stood.
-        s: what it saw.
-        after: where it stands.
     """
     a, b = before.state, after.state
     fresh = s.position_fresh and s.wrench_fresh

@@ -36,10 +36,6 @@ class CommandWire:
         """Give an order in a client's name.
 
         Args:
-            app: the daemon.
-            name: one of ``NAMES``.
-            op: the operation.
-            params: its parameters.
             now_ns: the monotonic clock of client and daemon [ns].
 
         Returns:

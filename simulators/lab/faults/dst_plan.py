@@ -103,11 +103,8 @@ class Plan:
         lead_ms: how long before its telegram a step is prepared, 0: never [ms].
         rule: how the controller counts faulty cycles.
         eager: the operator acts at once, and not only when the trouble is over.
-        events: of the conveyor.
-        faults: the trouble.
         cycle_ms: of the controller, as configured [ms].
         row: of the second catalogue that the trouble is, empty if it is none.
-        cell: one of ``dst_cells.CELLS``.
         cycle_off: by what share of the configured cycle the controller's own is longer.
         operators: who give orders over the command protocol; 0: orders reach the daemon directly.
     """

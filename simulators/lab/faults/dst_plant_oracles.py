@@ -125,10 +125,8 @@ class PlantOracle:
         """Have seen nothing.
 
         Args:
-            world: the plant.
             emitters: the sensors' ends of the links.
             cycle_s: of the controller [s].
-            blame: takes each violation.
             cycle_off: by what share the controller's cycle is not the configured one.
             has_rail: the daemon moves E1.
         """

@@ -260,7 +260,6 @@ class Found:
     """What became of one planted error.
 
     Attributes:
-        name: of the error.
         runs: to the first violation that the error caused; of all runs if there was none.
         violation: that one, None if there was none.
     """
@@ -294,7 +293,6 @@ def hunt(name: str, seeds: range, cycle_ms: CycleMs = 12) -> Found:
     """Count the runs to the first violation that a planted error causes.
 
     Args:
-        name: one of ``ERRORS``.
         seeds: of the plans, in order.
         cycle_ms: of the controller [ms].
 
@@ -319,11 +317,7 @@ def hunt(name: str, seeds: range, cycle_ms: CycleMs = 12) -> Found:
 
 @contextlib.contextmanager
 def planted(name: str) -> Iterator[None]:
-    """Let one error be in the daemon.
-
-    Args:
-        name: one of ``ERRORS``.
-    """
+    """Let one error be in the daemon."""
     patches = ERRORS[name]()
     kept = [(owner, what, vars(owner)[what]) for owner, what, _ in patches]
     try:

@@ -81,10 +81,8 @@ class Outcome:
     """What became of a plan.
 
     Attributes:
-        plan: as it was.
         violations: what the oracles found, the first ones.
         digest: of every byte that crossed the robot's wire and of all that was applied.
-        cycles: of the controller.
         states: the operating states that were seen.
     """
 
@@ -111,11 +109,7 @@ class Simulation:
 
     Attributes:
         plan: what is lived through.
-        world: the plant.
-        controller: its RSI.
         app: the daemon, None while there is none.
-        oracle: the judge.
-        robot: the controller's programme.
         tracked_s: when the daemon tracked last [s].
     """
 

@@ -65,8 +65,6 @@ class BankState:
         x: y, speed, ripple, x10, acceleration, a push with its quadrature [m], the conveyor's
             wave at full speed with its quadrature [m], and the error of the wave's pace, which is
             folded into ``pace`` after each correction and then 0.
-        P: covariance.
-        motion: class in force.
         cruise: speed at which a start ends [m/s].
         bank: of changes of class.
         pushes: of pushes of the body.
@@ -641,8 +639,6 @@ class BankClassifier:
         """Return what one hypothesis' ramp, wave and push (m,) add to its steady run.
 
         Args:
-            x: its estimate (10,).
-            motion: its class.
             omega: of its push [rad/s].
             cruise: speed at which a start ends [m/s].
             times: from now [s].

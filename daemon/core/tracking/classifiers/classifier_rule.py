@@ -32,7 +32,6 @@ class Trial:
     """A class on trial.
 
     Attributes:
-        old: class before.
         position, speed: what the old class expects to be read, uncorrected since [m, m/s].
         old_error, new_error: squared prediction errors since, fading.
         age: [s].
@@ -52,10 +51,7 @@ class RuleState:
 
     Attributes:
         x: y [m], x7 [m/s], x10 [m].
-        P: covariance of x.
         w: the watch: what the distance sensor should read [m], and its speed [m/s].
-        W: covariance of w.
-        motion: class in force.
         cruise: speed at which a start ends [m/s].
         age: of the belief [s].
         since: how long the class has been acting [s].

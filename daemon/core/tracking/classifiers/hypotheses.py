@@ -110,7 +110,6 @@ def aged(bank: Bank, began: Bank, F: Array, dt: float, longest: float) -> Bank:
     """Return the bank one step older, with hypotheses that began before it, without the oldest.
 
     Args:
-        bank: before.
         began: hypotheses that are added.
         F: the null filter's transition (n, n).
         dt: [s].
@@ -157,7 +156,6 @@ def moments(bank: Bank, unit: Array, prior: Prior) -> tuple[Array, Array]:
     Args:
         bank: with at least one hypothesis.
         unit: (n, m) by how much each would at amplitude 1.
-        prior: of the amplitude.
     """
     told = verdict(bank, prior)
     shift = unit * told.amplitudes

@@ -25,7 +25,6 @@ class StartCheck:
     """What is known of a start since it was declared.
 
     Attributes:
-        before: class before it.
         speed: estimated as it was declared [m/s].
         age: since then [s].
         readings: time since the declaration [s] and position [m], the last ``SPAN_S``.
@@ -63,9 +62,7 @@ def follow(
     Args:
         check: of the step before.
         before: class of the step before.
-        motion: class now.
         speed: estimated now [m/s].
-        rows: of this step.
         dt: since the step before [s].
     """
     if motion is not Motion.STARTING:

@@ -1,0 +1,188 @@
+"""Check the vocabulary: words, docstring entries, and names with one meaning.
+
+``python docs/make/vocabulary.py [--count] [FOLDER ...]`` prints each hit as ``file:line`` and ends
+with 1 if there is one. Folders limit the files that are read.
+
+Invariants:
+    A word counts in text and as a part of an identifier: ``told_by`` has the word ``told``.
+    ``ALLOWED`` names the words that a file may use, with the reason.
+"""
+
+import argparse
+import ast
+import re
+import shutil
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+SUFFIXES = (".py", ".md", ".js", ".html", ".css", ".yaml", ".toml", ".service", ".conf", ".sh")
+FILES = ("Makefile", ".ci/run")
+
+# Word or phrase: what to write instead.
+WORDS = {
+    "law of this file": "(nothing; say what the module does)",
+    "room": "package, layer",
+    "house": "package",
+    "wall": "import contract",
+    "storey": "layer",
+    "desk": "parameter service",
+    "said": "(name what it holds)",
+    "told": "(name what it holds)",
+    "door": "endpoint",
+    "guest": "client",
+    "invite": "service window",
+    "express": "fast path",
+    "hasty": "fast-path mismatch",
+    "glance": "quick check",
+    "astray": "following error",
+    "fate": "delivery status",
+    "under way": "attached to a running program",
+    "belief": "estimate",
+    "doubt": "covariance inflation",
+    "scatter": "NIS, standard deviation",
+    "verdict": "decision, posterior",
+    "wave": "ripple",
+    "crest": "quadrature component",
+    "feeling": "contact detection",
+    "tape": "recorded run, trace",
+    "reel": "recorded run, trace",
+    "wires": "sensor links",
+    "swarm": "fault campaign",
+    "lived through": "ran",
+    "drill": "detection benchmark",
+    "put out": "excluded",
+    "let back in": "readmitted",
+    "inbox": "sample queue",
+    "patience": "tolerance, time-out",
+    "awake": "idle spinner",
+    "companion": "helper thread",
+    "slack": "idle time",
+    "onlooker": "subscriber",
+    "board": "broadcast hub",
+    "outlook": "live telemetry",
+    "anew": "again",
+    "whoever": "anyone who, the caller",
+    "nobody": "no one",
+    "meanwhile": "while",
+    "beside": "next to, with",
+    "hence": "so",
+    "held up": "delayed",
+    "lest": "so that not",
+    "nought": "0",
+}
+
+# File: words that it may use, and why.
+ALLOWED: dict[str, tuple[str, ...]] = {
+    # The list itself.
+    "docs/make/vocabulary.py": tuple(WORDS),
+}
+
+SHORTEST_ENTRY = 4  # words of an Args or Attributes entry
+CLASSES_USED_TWICE = 8
+
+_ENTRY = re.compile(r"^\s+\*{0,2}(\w+)(?: \([^)]*\))?: (.+)$")
+_SECTIONS = ("Args:", "Attributes:")
+_CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
+
+
+def main() -> int:
+    """Print the hits of the files that git knows.
+
+    Returns:
+        The exit code: 1 if there are any.
+    """
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("folder", nargs="*", help="limits the files that are read")
+    parser.add_argument("--count", action="store_true", help="print the number of hits a word")
+    args = parser.parse_args()
+    paths = [path for path in tracked() if is_below(path, args.folder)]
+    hits = [hit for path in paths for hit in check(path, (ROOT / path).read_text("utf-8"))]
+    hits += names_used_twice([path for path in paths if not path.startswith(("tests/", "docs/"))])
+    if args.count:
+        for what, number in Counter(what for _, _, what in hits).most_common():
+            print(f"{number:5d} {what}")
+    else:
+        for path, line, what in hits:
+            print(f"{path}:{line}: {what}")
+    print(f"{len(hits)} hits in {len(paths)} files")
+    return 1 if hits else 0
+
+
+def tracked() -> list[str]:
+    """Return the files that the check reads, relative to the repository's root."""
+    listing = [shutil.which("git") or "git", "ls-files"]
+    # Its arguments are constants.
+    done = subprocess.run(listing, cwd=ROOT, check=True, capture_output=True, text=True)  # noqa: S603
+    names = [name for name in done.stdout.splitlines() if (ROOT / name).is_file()]
+    return [name for name in names if name.endswith(SUFFIXES) or name in FILES]
+
+
+def is_below(path: str, folders: list[str]) -> bool:
+    """Return whether a file is in one of some folders, or in any if there are none."""
+    return not folders or any(path.startswith(folder.rstrip("/")) for folder in folders)
+
+
+def check(path: str, text: str) -> Iterator[tuple[str, int, str]]:
+    """Yield the words and the short entries of a file as (path, line, what)."""
+    allowed = ALLOWED.get(path, ())
+    plain = _CAMEL.sub(" ", text).replace("_", " ").lower()
+    for word, instead in WORDS.items():
+        if word in allowed:
+            continue
+        pattern = r"(?<![a-z])" + word.replace(" ", r"\s+") + r"s?(?![a-z])"
+        for match in re.finditer(pattern, plain):
+            yield path, plain.count("\n", 0, match.start()) + 1, f"'{word}': write {instead}"
+    if path.endswith(".py"):
+        yield from short_entries(path, text)
+
+
+def short_entries(path: str, text: str) -> Iterator[tuple[str, int, str]]:
+    """Yield the Args and Attributes entries that have too few words to add anything."""
+    for node in ast.walk(ast.parse(text)):
+        if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
+        lines = (ast.get_docstring(node, clean=True) or "").splitlines()
+        inside, begin = False, getattr(node, "lineno", 1)
+        for number, line in enumerate(lines):
+            if not line.startswith(" "):
+                inside = line in _SECTIONS
+            entry = _ENTRY.match(line) if inside else None
+            if entry is None or _goes_on(lines, number):
+                continue
+            if len(entry[2].split()) < SHORTEST_ENTRY:
+                yield path, begin + number, f"entry '{entry[1]}' says too little: delete it"
+
+
+def _goes_on(lines: list[str], number: int) -> bool:
+    """Return whether the next line belongs to the same entry."""
+    after = lines[number + 1] if number + 1 < len(lines) else ""
+    return after.startswith("        ")
+
+
+def names_used_twice(paths: list[str]) -> Iterator[tuple[str, int, str]]:
+    """Yield class names in two modules beyond the allowed number, and module names in two."""
+    classes: dict[str, list[str]] = {}
+    modules: dict[str, list[str]] = {}
+    for path in paths:
+        if not path.endswith(".py"):
+            continue
+        for node in ast.parse((ROOT / path).read_text("utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                classes.setdefault(node.name, []).append(path)
+        if Path(path).stem not in {"__init__", "main", "settings"}:
+            modules.setdefault(Path(path).name, []).append(path)
+    twice = {name: where for name, where in classes.items() if len(where) > 1}
+    if len(twice) > CLASSES_USED_TWICE:
+        for name, where in twice.items():
+            yield where[0], 1, f"class {name} is also in {', '.join(where[1:])}"
+    for name, where in modules.items():
+        if len(where) > 1:
+            yield where[0], 1, f"module {name} is also in {', '.join(where[1:])}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
