@@ -25,11 +25,11 @@ from linemate.daemon.config import (
 )
 from linemate.daemon.config.documents import Complaint, Document, FileError
 from linemate.daemon.config.files import UnreadableError
+from linemate.daemon.config.key_file import key_path, read_keys
 from linemate.daemon.config.settings import Config, Corrections
 from linemate.daemon.config.settings_tree import Settings
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.core.control import urdf_limits
-from linemate.daemon.service.command_server import CommandPortError, read_keys
 from linemate.drivers.camera_peer import parse_peer
 from linemate.protocol.command.command_keys import Key
 from linemate.protocol.rsi.rsi import RsiCodec
@@ -40,7 +40,6 @@ from linemate.protocol.sensors.distance import DistanceDecoder, DistanceError, m
 T = TypeVar("T")
 
 MAX_LINK_BYTES = 1_048_576
-CREDENTIAL = "credential:"
 
 _CORRECTION = {"A": "AK", "E": "EK"}
 _ADDRESSES = (
@@ -219,7 +218,7 @@ class _Named:
             read()
         except FileError as error:
             self.elsewhere.extend(error.lines)
-        except (UnreadableError, RsiError, DistanceError, CommandPortError, ValueError) as error:
+        except (UnreadableError, RsiError, DistanceError, ValueError) as error:
             for what in str(error).splitlines():  # a bad key file has one for each bad line
                 yield Complaint(path, what)
 
@@ -420,21 +419,3 @@ def group_ids(names: Iterable[str]) -> frozenset[int]:
 def _overlap(first: str, second: str) -> bool:
     """Tell whether two addresses to listen on share one."""
     return first == second or not {first, second}.isdisjoint({"0.0.0.0", "::"})  # noqa: S104
-
-
-def key_path(name: str, base: Path) -> Path:
-    """Where a key file is.
-
-    Args:
-        name: a path, or ``credential:NAME`` for systemd's LoadCredential.
-        base: directory of the configuration file.
-
-    Raises:
-        ValueError: a credential where systemd gave none.
-    """
-    if not name.startswith(CREDENTIAL):
-        return base / name
-    directory = os.environ.get("CREDENTIALS_DIRECTORY")
-    if directory is None:
-        raise ValueError("no credentials here: systemd's LoadCredential gives them")
-    return Path(directory) / Path(name.removeprefix(CREDENTIAL)).name

@@ -11,10 +11,10 @@ from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Gt, Le, Len
 
+from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core.control.adaptation import AdaptationSettings
 from linemate.daemon.core.control.settings import ControlSettings
 from linemate.daemon.core.tracking.settings import TrackingSettings
-from linemate.daemon.cycle.watch import WatchSettings
 
 Port = Annotated[int, Ge(0), Le(65535)]
 Text = Annotated[str, Len(1, 4096)]

@@ -12,9 +12,9 @@ from typing import Any
 
 from linemate.daemon.config import documents
 from linemate.daemon.config.documents import Document, FileError
+from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core.control.settings import ControlSettings
 from linemate.daemon.core.tracking.settings import TrackingSettings
-from linemate.daemon.cycle.watch import WatchSettings
 
 NAME = ""
 

@@ -1,7 +1,7 @@
-"""Whether the time-outs of a configuration's plain values can act in their order.
+"""Check that the time-outs of a configuration can act in their order.
 
 Invariants:
-- Values of the wrong kind are left to whoever fills the configuration with them.
+- Values of the wrong kind are passed over. ``documents.fill`` refuses them.
 """
 
 from collections.abc import Iterator
@@ -9,18 +9,17 @@ from dataclasses import fields
 from typing import Any
 
 from linemate.daemon.config.documents import Complaint
-from linemate.daemon.cycle import watch
-from linemate.daemon.cycle.watch import WatchSettings
+from linemate.daemon.config.watch_settings import WatchSettings, timeout_error
 
 _KNOWN = frozenset(field.name for field in fields(WatchSettings))
 _NUMBERS = (int, float)
 
 
 def complaints(value: Any) -> Iterator[Complaint]:
-    """Find a time-out that never acts.
+    """Return the time-out that can never act.
 
     Args:
-        value: of a configuration file, with its overlays.
+        value: plain values of a configuration file, with its overlays.
     """
     whole = value if isinstance(value, dict) else {}
     own, rsi = _section(whole, "watch"), _section(whole, "rsi")
@@ -28,9 +27,9 @@ def complaints(value: Any) -> Iterator[Complaint]:
     cycle_ms = rsi.get("cycle_ms", 12)
     if any(type(number) not in _NUMBERS for number in (*given.values(), cycle_ms)):
         return
-    found = watch.disorder(WatchSettings(**given), 1e-3 * cycle_ms)
-    if found is not None:
-        name, what = found
+    error = timeout_error(WatchSettings(**given), 1e-3 * cycle_ms)
+    if error is not None:
+        name, what = error
         yield Complaint(("watch", name), what)
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, replace
 from typing import Any, Final
 
+from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.cycle import watch
 from linemate.daemon.cycle.feeds import SensorFact
 from linemate.daemon.cycle.states import Link, Machine, Row, Signals, State, deciding_row
@@ -46,7 +47,7 @@ class Evidence:
 
     facts: watch.Facts
     counts: watch.Watch
-    settings: watch.WatchSettings
+    settings: WatchSettings
     sensors: Mapping[str, SensorFact]
     unready: str | None
     following_error: str | None

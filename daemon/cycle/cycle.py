@@ -11,11 +11,12 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 from typing import Any
 
+from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core import step as stepping
 from linemate.daemon.core.changed import changed
 from linemate.daemon.core.inputs import Inputs, Order
 from linemate.daemon.core.parameters import Parameters
-from linemate.daemon.cycle import states, watch
+from linemate.daemon.cycle import states
 from linemate.daemon.cycle.causes import Change
 from linemate.daemon.cycle.correction_reference import RESTART_S, Proof
 from linemate.daemon.cycle.feeds import Feeds, Inbox
@@ -102,7 +103,7 @@ class Cycle:
         self,
         parameters: Parameters,
         codec: RsiCodec,
-        watch_settings: watch.WatchSettings | None = None,
+        watch_settings: WatchSettings | None = None,
         *,
         absolute: bool = True,
         wrench_expected: bool = True,
@@ -116,7 +117,7 @@ class Cycle:
         """
         self.parameters = parameters
         self.codec = codec
-        settings = watch_settings or watch.WatchSettings()
+        settings = watch_settings or WatchSettings()
         self.exchange = Exchange(parameters.cycle_s)
         self.operating = Operating(settings, parameters.cycle_s, wrench_expected=wrench_expected)
         self.feeds = Feeds()
@@ -184,7 +185,7 @@ class Cycle:
         anew = anew or (self._swap is not None and self._swap.anew)
         self._swap = _Swap(parameters, anew)
 
-    def watch_by(self, settings: watch.WatchSettings) -> None:
+    def watch_by(self, settings: WatchSettings) -> None:
         """Take other time-outs and debounce from the next step on."""
         self.operating.settings = settings
 

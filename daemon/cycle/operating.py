@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
+from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core.step import Outputs
 from linemate.daemon.core.tracking.task import Phase
 from linemate.daemon.cycle import causes, following, states, watch
@@ -66,9 +67,7 @@ class Operating:
         fault: the cause of the latched fault, None without one.
     """
 
-    def __init__(
-        self, settings: watch.WatchSettings, cycle_s: float, *, wrench_expected: bool
-    ) -> None:
+    def __init__(self, settings: WatchSettings, cycle_s: float, *, wrench_expected: bool) -> None:
         """Wait for the first telegram.
 
         Args:

@@ -5,70 +5,16 @@ link once lost must prove itself again. Limits depend on the state, for in conta
 telegram may be coasted over and a stop is not safe. Source: reference/reliability.md, 2.0, 4.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated
 
-from annotated_types import Ge, Gt, Le
-
+from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.cycle.states import Link, Machine, Signals, State
 from linemate.protocol.frozen import frozen
-
-Count = Annotated[int, Ge(1), Le(10_000)]
-Duration = Annotated[float, Gt(0.0), Le(2.0)]  # without telegrams, a session ends after 2 s
 
 OPERATIONS = ("arm", "start", "stop", "retreat", "ack")
 """An operator's orders, as ``Signals`` has them."""
 
 IN_CONTACT = frozenset({State.CONTACT, State.RETREAT})
-
-
-@dataclass(frozen=True, slots=True)
-class WatchSettings:
-    """When something counts as lost, stale, healthy or too long.
-
-    Attributes:
-        link_lost_s: without a telegram for this long the robot link is lost [s].
-        link_lost_in_contact_s: the same in contact, where the tool has to be released [s].
-        healthy_cycles: answered in a row before a new link is trusted.
-        missed_s: without a telegram for this long the link is doubtful [s].
-        missed_in_contact_s: the same in contact [s].
-        leak_s: level of the leaky bucket (twice the time without telegrams, less the time with
-            them) at which the link is doubtful too, in free space [s].
-        position_s: age of the newest position beyond which tracking stops [s].
-        position_in_contact_s: the same in contact: a blackout of 140 ms, and a cycle, is coasted
-            on the prediction [s].
-        one_sensor_s: age of the older of distance and camera beyond which tracking stops [s]; in
-            contact the force-torque sensor stands in for them.
-        wrench_s: age of the newest force [s].
-        cycles_of_contact: in a row, before contact counts.
-        cycles_of_overload: in a row, before overload counts; one is two samples in a row.
-        near_m: a stop that leaves less to the object, which moves and swings, is a retreat [m].
-        follow_s: the robot is at most so long behind its commands [s].
-        follow_tolerance: and so far beside where they led it in that time [rad, m].
-        cycles_astray: in a row beyond that, before it counts as a fault: the drives are off.
-        longest_hold_s: [s].
-        longest_retreat_s: [s].
-    """
-
-    link_lost_s: Duration = 0.1
-    link_lost_in_contact_s: Duration = 0.3
-    healthy_cycles: Count = 80
-    missed_s: Duration = 0.03
-    missed_in_contact_s: Duration = 0.15
-    leak_s: Duration = 0.11
-    position_s: Annotated[float, Gt(0.0), Le(5.0)] = 0.3
-    position_in_contact_s: Annotated[float, Gt(0.0), Le(1.0)] = 0.16
-    one_sensor_s: Annotated[float, Gt(0.0), Le(10.0)] = 1.0
-    wrench_s: Annotated[float, Gt(0.0), Le(2.0)] = 0.16
-    cycles_of_contact: Count = 2
-    cycles_of_overload: Count = 1
-    near_m: Annotated[float, Gt(0.0), Le(0.5)] = 0.03
-    follow_s: Annotated[float, Gt(0.0), Le(2.0)] = 0.25
-    follow_tolerance: Annotated[float, Gt(0.0), Le(0.2)] = 0.01
-    cycles_astray: Count = 5
-    longest_hold_s: Annotated[float, Gt(0.0), Le(3600.0)] = 60.0
-    longest_retreat_s: Annotated[float, Gt(0.0), Le(600.0)] = 20.0
 
 
 @frozen()
@@ -205,31 +151,6 @@ def _leaked(watch: Watch, facts: Facts, settings: WatchSettings) -> int:
     passed_ns = 0 if watch.stamp_ns is None else max(0, facts.stamp_ns - watch.stamp_ns)
     level_ns = watch.leak_ns + (-passed_ns if facts.telegram else 2 * passed_ns)
     return max(0, min(level_ns, round(settings.leak_s * 1e9)))
-
-
-_SHORTER = (
-    ("missed_s", "link_lost_s"),
-    ("missed_in_contact_s", "link_lost_in_contact_s"),
-    ("missed_s", "missed_in_contact_s"),
-    ("link_lost_s", "link_lost_in_contact_s"),
-)
-"""Pairs of time-outs of which the first must not outlast the second, or it would never act."""
-
-
-def disorder(settings: WatchSettings, cycle_s: float) -> tuple[str, str] | None:
-    """Return the time-out that cannot act as it stands, and why; None if all can.
-
-    Args:
-        cycle_s: of the controller [s].
-    """
-    if settings.missed_s < cycle_s:
-        why = f"{settings.missed_s:g} s is shorter than a cycle of {cycle_s:g} s"
-        return "missed_s", f"{why}: every late telegram would stop the robot"
-    for first, second in _SHORTER:
-        value, limit = getattr(settings, first), getattr(settings, second)
-        if value > limit:
-            return first, f"{value:g} s is longer than watch.{second}: {limit:g} s"
-    return None
 
 
 def _signals(watch: Watch, facts: Facts, settings: WatchSettings) -> Signals:

@@ -20,11 +20,11 @@ from linemate.daemon.config import settings_tree as tree
 from linemate.daemon.config.documents import FileError
 from linemate.daemon.config.settings import RsiSettings
 from linemate.daemon.config.settings_tree import SettingError, Settings
+from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core import parameters as compiling
 from linemate.daemon.core import step as stepping
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.tracking.task import TaskFile
-from linemate.daemon.cycle.watch import WatchSettings
 from linemate.daemon.recording import recording, snapshot
 from linemate.daemon.recording.recording import StepRecord
 from linemate.protocol.samples import RobotSample

@@ -17,7 +17,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from linemate.daemon.config.config import Station, group_ids, key_path
+from linemate.daemon.config.config import Station, group_ids
+from linemate.daemon.config.files import UnreadableError
+from linemate.daemon.config.key_file import key_path, read_keys
 from linemate.daemon.config.settings import Corrections
 from linemate.daemon.core.control.adaptation import Learned
 from linemate.daemon.core.inputs import Order
@@ -42,7 +44,6 @@ from linemate.daemon.service.command_server import (
     CommandPortError,
     LocalDoor,
     UdpDoor,
-    read_keys,
 )
 from linemate.daemon.service.incidents import IncidentFiles
 from linemate.daemon.service.journal import Journal, Sensors
@@ -272,7 +273,7 @@ class App:
         if udp is not None:
             try:
                 keys = read_keys(key_path(udp.keys, self._station.path.parent))
-            except (CommandPortError, ValueError) as error:
+            except (UnreadableError, ValueError) as error:
                 log.error("keys are not reloaded: %s", error)  # noqa: TRY400 - an operator's line
             else:
                 self._commands.replace_keys(keys)

@@ -24,8 +24,8 @@ from typing import Any, Final
 
 from linemate.drivers import port_holder
 from linemate.drivers.sole_sender import attach
-from linemate.protocol.command.command import MAGIC, MAX_FRAME_BYTES, CommandError, Role
-from linemate.protocol.command.command_keys import Key, parse_keys, unsafe_file
+from linemate.protocol.command.command import MAGIC, MAX_FRAME_BYTES, Role
+from linemate.protocol.command.command_keys import Key
 from linemate.protocol.command.command_local import LocalAccess, LocalServer
 from linemate.protocol.command.command_request import OPERATIONS
 from linemate.protocol.command.command_rules import REFUSED, ControlLease, Order
@@ -89,25 +89,6 @@ class UdpDoor:
     port: int = 49160
     keys: tuple[Key, ...] = ()
     allow_remote: bool = False
-
-
-def read_keys(path: Path) -> tuple[Key, ...]:
-    """Read the daemon's key file, which belongs to the daemon's user or root.
-
-    Raises:
-        CommandPortError: missing, another's, readable by others, or malformed (every line of it).
-    """
-    try:
-        with path.open(encoding="utf-8") as file:
-            found = os.fstat(file.fileno())
-            wrong = unsafe_file(found.st_mode, found.st_uid, os.geteuid())
-            if wrong is not None:
-                raise CommandPortError(f"{path}: {wrong}")
-            return parse_keys(file.read(65536), str(path))
-    except (OSError, UnicodeDecodeError) as error:
-        raise CommandPortError(f"{path}: {error}") from error
-    except CommandError as error:
-        raise CommandPortError(error.detail) from error
 
 
 @dataclass(slots=True)

@@ -22,11 +22,11 @@ from linemate.daemon.config import settings_tree as tree
 from linemate.daemon.config.config import Station
 from linemate.daemon.config.parameter_list import Change, Described
 from linemate.daemon.config.settings_tree import SettingError, Settings
+from linemate.daemon.config.watch_settings import timeout_error
 from linemate.daemon.core import parameters as compiling
 from linemate.daemon.core import step as stepping
 from linemate.daemon.core.control import urdf_limits
 from linemate.daemon.core.parameters import Parameters
-from linemate.daemon.cycle import watch
 from linemate.daemon.cycle.cycle import Cycle
 from linemate.daemon.cycle.states import State
 
@@ -178,7 +178,7 @@ class Desk:
 
     def _disordered(self, wanted: Settings) -> str | None:
         """Return which time-out would never act, None if all can."""
-        found = watch.disorder(wanted.watch, self.cycle.parameters.cycle_s)
+        found = timeout_error(wanted.watch, self.cycle.parameters.cycle_s)
         return None if found is None else f"watch.{found[0]}: {found[1]}"
 
     def _untimely(self, names: Mapping[str, Any]) -> str | None:

@@ -15,7 +15,7 @@ from linemate.daemon.config.parameter_list import (
     values,
 )
 from linemate.daemon.config.settings import CameraSettings, Config, RecordingSettings
-from linemate.daemon.cycle.watch import WatchSettings
+from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.protocol.command.command import MAX_RESULT_BYTES
 from linemate.protocol.command.command_plain import encode_result
 from linemate.simulators.harness.setup import shipped_control

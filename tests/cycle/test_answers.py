@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 from loops import run
 
+from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.cycle import watch
 from linemate.daemon.cycle.answers import CYCLES, Answers
 from linemate.daemon.cycle.feeds import Feeds
@@ -18,7 +19,7 @@ SITUATION = Situation(None, None, None, False, True)
 
 
 def operating(state: State) -> Operating:
-    made = Operating(watch.WatchSettings(), CYCLE_S, wrench_expected=False)
+    made = Operating(WatchSettings(), CYCLE_S, wrench_expected=False)
     made.machine, made.signals = Machine(state), FIT
     return made
 

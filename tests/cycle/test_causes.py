@@ -10,12 +10,13 @@ from pathlib import Path
 import pytest
 
 from linemate.daemon.config import config
+from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle import causes, watch
 from linemate.daemon.cycle.feeds import Feeds
 from linemate.daemon.cycle.operating import Situation
 from linemate.daemon.cycle.states import TABLE, Link, Machine, Row, Signals, State, deciding_row
-from linemate.daemon.cycle.watch import Watch, WatchSettings
+from linemate.daemon.cycle.watch import Watch
 from linemate.daemon.service import realtime
 from linemate.daemon.service.app import App
 from linemate.daemon.service.notify import Notifier

@@ -9,6 +9,7 @@ from dataclasses import astuple, fields, replace
 import pytest
 from transcripts import Chance, Transcript
 
+from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.cycle.states import (
     Link,
     Machine,
@@ -20,7 +21,7 @@ from linemate.daemon.cycle.states import (
     transition,
     unfit,
 )
-from linemate.daemon.cycle.watch import Facts, Watch, WatchSettings, observe
+from linemate.daemon.cycle.watch import Facts, Watch, observe
 
 FLAGS = len(fields(Signals)) - 1
 OPS = ("arm", "start", "stop", "retreat", "ack", "status")

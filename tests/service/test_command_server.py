@@ -20,18 +20,15 @@ from linemate.daemon.service.command_server import (
     CommandPortError,
     LocalDoor,
     UdpDoor,
-    read_keys,
 )
 from linemate.daemon.transport.client import (
     Client,
-    KeyFileError,
     NoAnswerError,
     RefusedError,
-    read_key,
 )
 from linemate.protocol.command.command import FrameType, Role, cut_local, local_body
 from linemate.protocol.command.command_client import Answer, Telemetry
-from linemate.protocol.command.command_keys import Key, key_line
+from linemate.protocol.command.command_keys import Key
 from linemate.protocol.command.command_local import LocalAccess
 from linemate.protocol.command.command_local_client import LocalClient
 from linemate.protocol.command.command_request import encode_request
@@ -509,42 +506,6 @@ def test_a_blocking_client_meets_refusals_as_errors(tmp_path: Path) -> None:
         pytest.raises(RefusedError, match="not armed"),
     ):
         client.call("start")
-
-
-# --- the key file -------------------------------------------------------------------------
-
-
-def test_the_daemons_key_file_must_be_its_own(tmp_path: Path) -> None:
-    path = tmp_path / "keys"
-    path.write_text(key_line(ALICE) + "\n" + key_line(EVE) + "\n")
-    path.chmod(0o400)
-    assert read_keys(path) == (ALICE, EVE)
-    path.chmod(0o440)
-    with pytest.raises(CommandPortError, match="0440"):
-        read_keys(path)
-    path.chmod(0o600)
-    path.write_text("alice operate x\nbob\n")
-    with pytest.raises(CommandPortError, match=r":1: (.|\n)*:2: "):
-        read_keys(path)
-    path.write_bytes(b"\xff\xfe")
-    with pytest.raises(CommandPortError):
-        read_keys(path)
-    with pytest.raises(CommandPortError, match="missing"):
-        read_keys(tmp_path / "missing")
-
-
-@pytest.mark.skipif(os.getuid() != 0, reason="only root can give a file away")
-def test_a_key_file_of_another_user_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "keys"
-    path.write_text(key_line(ALICE) + "\n")
-    path.chmod(0o400)
-    os.chown(path, 65534, -1)
-    with pytest.raises(CommandPortError, match="owned by uid 65534, should be uid 0 or root"):
-        read_keys(path)
-    with pytest.raises(KeyFileError, match="owned by uid 65534"):
-        read_key(path)
-    os.chown(path, 0, -1)
-    assert read_keys(path) == (ALICE,)
 
 
 def test_a_deadline_in_the_past_is_refused_on_the_local_socket_too(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, get_args
 
+from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core.control import limits
 from linemate.daemon.core.inputs import Order
 from linemate.daemon.core.tracking import tracker
@@ -22,7 +23,7 @@ from linemate.daemon.cycle.replies import Replies
 from linemate.daemon.cycle.sensor_health import CameraHealth, DistanceHealth, WrenchHealth
 from linemate.daemon.cycle.session import Session
 from linemate.daemon.cycle.states import Link, Machine, State
-from linemate.daemon.cycle.watch import Facts, WatchSettings
+from linemate.daemon.cycle.watch import Facts
 from linemate.protocol.sensors.camera import CameraDecoder
 from linemate.protocol.sensors.distance import DistanceDecoder
 from linemate.protocol.sensors.wrench_stream import WrenchDecoder

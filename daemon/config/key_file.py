@@ -1,0 +1,48 @@
+"""The command server's key file: its path and its keys."""
+
+import os
+from pathlib import Path
+
+from linemate.daemon.config.files import UnreadableError
+from linemate.protocol.command.command import CommandError
+from linemate.protocol.command.command_keys import Key, parse_keys, unsafe_file
+
+CREDENTIAL = "credential:"
+MAX_BYTES = 65_536
+
+
+def key_path(name: str, base: Path) -> Path:
+    """Return the path of a key file.
+
+    Args:
+        name: a path, or ``credential:NAME`` for systemd's LoadCredential.
+        base: directory of the configuration file.
+
+    Raises:
+        ValueError: a credential outside a systemd service.
+    """
+    if not name.startswith(CREDENTIAL):
+        return base / name
+    directory = os.environ.get("CREDENTIALS_DIRECTORY")
+    if directory is None:
+        raise ValueError("no credentials here: systemd's LoadCredential gives them")
+    return Path(directory) / Path(name.removeprefix(CREDENTIAL)).name
+
+
+def read_keys(path: Path) -> tuple[Key, ...]:
+    """Read a key file, which must belong to the daemon's user or root.
+
+    Raises:
+        UnreadableError: missing, another user's, readable by others, or malformed: every line.
+    """
+    try:
+        with path.open(encoding="utf-8") as file:
+            status = os.fstat(file.fileno())
+            unsafe = unsafe_file(status.st_mode, status.st_uid, os.geteuid())
+            if unsafe is not None:
+                raise UnreadableError(f"{path}: {unsafe}")
+            return parse_keys(file.read(MAX_BYTES), str(path))
+    except (OSError, UnicodeDecodeError) as error:
+        raise UnreadableError(f"{path}: {error}") from error
+    except CommandError as error:
+        raise UnreadableError(error.detail) from error
