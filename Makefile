@@ -16,7 +16,7 @@ SHARE ?= $(if $(OWN),$(OWN)/share,/usr/local/share)
 SERVICES := linemated.service linemated@.service linemate-metrics.service linemate-bridge.service
 
 .PHONY: help demo test lint format bench dst fuzz coverage judged mutants mutation floods accuracy install install-program install-files \
-	uninstall systemd-test docs docs-write clean
+	uninstall systemd-test docs docs-write sbom clean
 
 help:
 	@echo "make demo     the wheel assembly in real time, ARGS=... for options; leaves out/demo"
@@ -31,6 +31,7 @@ help:
 	@echo "make floods   20 000 datagrams a second on each port, judged by a robot beside it"
 	@echo "make accuracy the tables of docs/accuracy.md, in hours; ARGS=--short for a few runs"
 	@echo "make docs     links, generated pages, and every command that the pages show"
+	@echo "make sbom     bill of materials (CycloneDX) of what make install installs"
 	@echo "make systemd-test  the service under a real systemd, in namespaces; as root"
 	@echo "make install  into PREFIX=$(PREFIX), with units, manuals and a first configuration"
 
@@ -118,7 +119,7 @@ install: install-program install-files
 
 install-program:
 	rm -rf build
-	$(call environment,$(PREFIX),.)
+	$(call environment,$(PREFIX),--no-deps -r requirements.txt .)
 	rm -rf build
 	@case "$$(readlink -f $(PREFIX)/bin/python)" in /home/*|/root/*) \
 		echo "note: the unit's sandbox does not see $$(readlink -f $(PREFIX)/bin/python);" \
@@ -140,7 +141,7 @@ install-files:
 		install -m 644 docs/completion/$$program.bash \
 			$(DESTDIR)$(SHARE)/bash-completion/completions/$$program; \
 		install -m 644 docs/completion/_$$program $(DESTDIR)$(SHARE)/zsh/site-functions/; done
-	install -m 644 docs/linemated.schema.json $(DESTDIR)$(SHARE)/linemate/
+	install -m 644 docs/linemated.schema.json docs/sbom.cdx.json $(DESTDIR)$(SHARE)/linemate/
 	test -e $(DESTDIR)$(ETC)/linemated.yaml || sed \
 		's|/run/linemate|$(OWN)&|; s|/var/li[b]/linemate|$(OWN)&|; s|/var/log/linemate|$(OWN)&|' \
 		systemd/linemated.yaml > $(DESTDIR)$(ETC)/linemated.yaml
@@ -169,9 +170,13 @@ systemd-test: .venv/.ok
 docs: .venv/.ok
 	$(PYTEST) tests/docs $(ARGS)
 
-# Makes the generated pages, manuals and completions anew.
+# Write the generated pages, manuals, completions and the bill of materials.
 docs-write: .venv/.ok
 	.venv/bin/python -m docs.make.write
+
+# docs/sbom.cdx.json and requirements.txt: what `make install` installs.
+sbom: .venv/.ok
+	.venv/bin/python -m docs.make.write sbom.cdx.json requirements.txt
 
 clean:
 	rm -rf out build .coverage .coverage.* .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -1,9 +1,8 @@
 """`linemate`, the operator's tool.
 
 Law of this file: words of a command line in, one question to the daemon, text and an exit
-code out. Light imports only, for a status must not cost a second: no numpy, and rich only
-when something is watched. Exit codes: 0 done or healthy, 1 refused or not healthy,
-2 usage, 3 no answer.
+code out. Light imports only, for a status must not cost a second: no numpy. Exit codes:
+0 done or healthy, 1 refused or not healthy, 2 usage, 3 no answer.
 """
 
 import argparse
@@ -110,24 +109,19 @@ def _health(answer: Mapping[str, Any]) -> int:
 
 
 def _watch(args: argparse.Namespace) -> int:
-    from rich.live import Live
-    from rich.table import Table
-
     code = NO_ANSWER
+    clear = "\x1b[H\x1b[J" if sys.stdout.isatty() else ""
     end = time.monotonic() + args.seconds if args.seconds is not None else None
-    with _client(args) as client, Live(refresh_per_second=10) as live:
+    with _client(args) as client:
         while end is None or time.monotonic() < end:
-            shown = Table.grid(padding=(0, 2))
             try:
                 answer = client.call("status", None, getattr(args, "timeout", DEFAULT_TIMEOUT_S))
             except NoAnswerError as error:
                 code = NO_ANSWER
-                shown.add_row("[red]no answer[/]", str(error))
+                print(f"{clear}no answer: {error}", flush=True)
             else:
                 code = _health(answer)
-                for name, value in render.rows(answer):
-                    shown.add_row(name, value)
-            live.update(shown)
+                print(clear + render.table((), render.rows(answer)), flush=True)
             time.sleep(args.interval)
     return code
 

@@ -1,7 +1,7 @@
-"""Makes everything in docs that is generated; ``--check`` only tells what is out of step.
+"""Write the generated files: tables of pages, schema, manuals, completions, bill of materials.
 
-Law of this file: which file is made of what. A page with a hand-written head keeps it: what is
-made begins below the line of ``reference.MADE``.
+Invariants:
+- A page keeps its head. The generated part begins below the line of ``reference.MADE``.
 """
 
 import argparse
@@ -12,14 +12,17 @@ from pathlib import Path
 
 import shtab
 
-from docs.make import manual, programs, reference
+from docs.make import manual, programs, reference, sbom
 from linemate.daemon.config import config
 
 DOCS = Path(__file__).resolve().parents[1]
 
 
 def pages() -> Iterator[tuple[Path, str]]:
-    """Every generated file and what it should hold."""
+    """Yield every generated file and its text."""
+    packages = sbom.closure()
+    yield DOCS / "sbom.cdx.json", sbom.bill(packages)
+    yield DOCS.parent / "requirements.txt", sbom.requirements(packages)
     yield DOCS / "linemated.schema.json", json.dumps(config.schema(), indent=1) + "\n"
     for name, made in (
         ("configuration.md", reference.configuration_page()),
@@ -38,7 +41,7 @@ def pages() -> Iterator[tuple[Path, str]]:
 
 
 def _complete_files(parser: argparse.ArgumentParser) -> None:
-    """Let shells complete files and folders where a command line says that it takes them."""
+    """Let shells complete files and folders where an option takes them."""
     kinds = {"FILE": shtab.FILE, "PATH": shtab.FILE, "DIR": shtab.DIRECTORY}
     for action in parser._actions:  # noqa: SLF001 - argparse has no public name for it
         if action.metavar in kinds:
@@ -49,21 +52,24 @@ def _complete_files(parser: argparse.ArgumentParser) -> None:
 
 
 def main() -> int:
-    """Write or check."""
+    """Write the generated files, or report those that are out of date."""
     parser = argparse.ArgumentParser(prog="python -m docs.make.write", description=__doc__)
-    parser.add_argument("--check", action="store_true")
-    check = parser.parse_args().check
+    parser.add_argument("--check", action="store_true", help="write nothing, name stale files")
+    parser.add_argument("names", nargs="*", help="names of files; all without")
+    args = parser.parse_args()
     stale = []
     for path, text in pages():
+        if args.names and path.name not in args.names:
+            continue
         if path.exists() and path.read_text(encoding="utf-8") == text:
             continue
         stale.append(str(path.relative_to(DOCS.parent)))
-        if not check:
+        if not args.check:
             path.parent.mkdir(exist_ok=True)
             path.write_text(text, encoding="utf-8")
-    if stale and check:
-        print("out of step, `make docs-write`:", *stale, file=sys.stderr)
-    return 1 if stale and check else 0
+    if stale and args.check:
+        print("out of date, run `make docs-write`:", *stale, file=sys.stderr)
+    return 1 if stale and args.check else 0
 
 
 if __name__ == "__main__":

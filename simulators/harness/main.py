@@ -27,6 +27,7 @@ ROOMS = {
     "bench": "lab.bench.bench",
 }
 """The room that does a command, by its ``main(args) -> int``."""
+DEMO_PACKAGES = ("matplotlib", "rich")  # of the extra `demo`
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -66,6 +67,16 @@ def _dispatch(args: argparse.Namespace) -> int:
         return EX_CONFIG
     except SetupError as error:
         print(f"linemate-sim: {error}", file=sys.stderr)
+        return 2
+    except ModuleNotFoundError as error:
+        package = str(error.name).partition(".")[0]
+        if package not in DEMO_PACKAGES:
+            raise
+        print(
+            f"linemate-sim: package {package} is missing. Install the extra:"
+            " pip install 'linemate[demo]'",
+            file=sys.stderr,
+        )
         return 2
 
 

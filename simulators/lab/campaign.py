@@ -7,11 +7,13 @@ in which they finish shows in the result; jobs and results keep the order varian
 import multiprocessing
 import os
 import signal
+import sys
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -146,14 +148,14 @@ def available_cores() -> int:
 @contextmanager
 def progress_bar(total: int, what: str) -> Iterator[Progress]:
     """A bar on standard error, if that is a terminal."""
+    if not sys.stderr.isatty() or total < 2 or find_spec("rich") is None:
+        yield lambda: None
+        return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
 
     console = Console(stderr=True)
-    if not console.is_terminal or total < 2:
-        yield lambda: None
-        return
     columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Bar(*columns, console=console, transient=True) as bar:
         task = bar.add_task(what, total=total)
