@@ -13,7 +13,7 @@ from linemate.daemon.identification.tape import Images, Tape
 from linemate.simulators.plants import rotation
 from linemate.simulators.plants.effector import EffectorPlant
 from linemate.simulators.plants.scenario import Axis, Effector
-from linemate.simulators.plants.servo import ServoBank
+from linemate.simulators.plants.servo_plant import ServoBank
 
 Array = NDArray[np.float64]
 

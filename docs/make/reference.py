@@ -14,8 +14,8 @@ from typing import Any, get_args, get_type_hints
 from linemate.daemon.config import parameter_list
 from linemate.daemon.config.settings import Config
 from linemate.daemon.config.settings_tree import SECTIONS
-from linemate.simulators.devices.emulator_config import EmulatorConfig
 from linemate.simulators.devices.faults import KINDS, MEANINGS, REAL
+from linemate.simulators.devices.links.emulator_config import EmulatorConfig
 from linemate.simulators.harness.setup import shipped_control
 from linemate.simulators.plants.scenario import Scenario
 

@@ -5,7 +5,7 @@ cycle's setpoints are commanded within that cycle; the world is never ahead of t
 """
 
 from linemate.protocol.units import rotation_to_abc
-from linemate.simulators.devices.controller import Applied, RobotReading, Seven
+from linemate.simulators.devices.rsi_controller import Applied, RobotReading, Seven
 from linemate.simulators.plants.world import World
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from linemate.simulators.devices.controller import Applied
+from linemate.simulators.devices.rsi_controller import Applied
 from linemate.simulators.plants.world import World
 
 CONTACT_CODES = {"free": 0, "clamped": 1, "released": 2}

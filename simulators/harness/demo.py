@@ -26,8 +26,9 @@ from linemate.daemon.operator import doctor
 from linemate.daemon.service.awake import Awake
 from linemate.daemon.transport.client import Client, NoAnswerError, RefusedError
 from linemate.simulators.devices import truth
-from linemate.simulators.harness import host, live, overlay, scenario_file
-from linemate.simulators.harness.live import Glimpse, LinkGlimpse, View
+from linemate.simulators.harness import host, scenario_file
+from linemate.simulators.harness import identified_overlay as overlay
+from linemate.simulators.harness import terminal_view as live
 from linemate.simulators.harness.processes import (
     Child,
     ChildError,
@@ -35,8 +36,8 @@ from linemate.simulators.harness.processes import (
     interruptible,
     wait_until,
 )
-from linemate.simulators.harness.run import leave
 from linemate.simulators.harness.setup import shipped_task
+from linemate.simulators.harness.terminal_view import Glimpse, LinkGlimpse, View
 from linemate.simulators.judge import joined, report_json, table
 from linemate.simulators.judge.judge import judge, unanswered
 from linemate.simulators.plants.scenario import Scenario
@@ -248,7 +249,7 @@ def perform(
         result["step_us"] = _step_us(status) or result["step_us"]
         facts = truth.load(station.truth)[1]
         result["notes"] = [*_notes(status, facts), *withheld]
-        leave(out, result, evidence.rows)
+        report_json.write_results(out, result, evidence.rows)
         kept = out / f"{scenario.name}-seed{scenario.seed}-{result['cycle_ms']:g}ms.mcap"
         shutil.move(recording, kept)
     return result

@@ -22,17 +22,17 @@ from linemate.daemon.core.tracking.task import TaskFile
 from linemate.daemon.cycle.cycle import Cycle, LogEntry
 from linemate.daemon.cycle.states import State
 from linemate.protocol.rsi.rsi import RsiCodec, parse_config
-from linemate.simulators.devices.controller import ControllerConfig, RsiController
 from linemate.simulators.devices.faults import KINDS, Faults
 from linemate.simulators.devices.faulty_link import FaultyLink
 from linemate.simulators.devices.robot_plant import RobotPlant
+from linemate.simulators.devices.rsi_controller import ControllerConfig, RsiController
 from linemate.simulators.devices.truth import TruthLog
 from linemate.simulators.harness.setup import Setup
 from linemate.simulators.harness.variants import ORACLE, SetupError
 from linemate.simulators.harness.wires import Wires
 from linemate.simulators.judge import rows as columns
-from linemate.simulators.judge.foresight import Oracle
 from linemate.simulators.judge.judge import Evidence, StateChange, Telegrams
+from linemate.simulators.judge.oracle import Oracle
 from linemate.simulators.judge.rows import DaemonEvent, Rows
 from linemate.simulators.plants.scenario import sample
 from linemate.simulators.plants.world import World

@@ -21,9 +21,9 @@ BENCH_PARTS = ("turnaround", "wakeup", "step", "virtual")
 MAX_HOURS = 10_000.0
 ROOMS = {
     "demo": "harness.demo",
-    "run": "harness.run",
+    "run": "lab.runs",
     "campaign": "lab.campaign",
-    "emulator": "harness.emulator",
+    "emulator": "harness.emulator_command",
     "bench": "lab.bench.bench",
 }
 """The room that does a command, by its ``main(args) -> int``."""
@@ -112,7 +112,7 @@ def variants(text: str) -> tuple[str, ...]:
 
 def scheduler(text: str) -> str:
     """Where runs are made: ``local``, or a dask scheduler's address."""
-    from linemate.simulators.lab import cluster
+    from linemate.simulators.harness import cluster
 
     if text != "local" and not cluster.is_address(text):
         schemes = ", ".join(cluster.SCHEMES)

@@ -114,7 +114,7 @@ def identified() -> Setup:
 
     The plant's own numbers never reach a run; see ``overlay.SHIPPED``.
     """
-    from linemate.simulators.harness import overlay
+    from linemate.simulators.harness import identified_overlay as overlay
 
     return overlay.laid_over(Setup(scenario_file.load(scenario_file.DEFAULT)), overlay.load())
 

@@ -22,14 +22,12 @@ from linemate.simulators.devices.faults import GARBAGE_BYTES, Faults
 from linemate.simulators.devices.faulty_link import FaultyLink
 from linemate.simulators.devices.faulty_sensor import FaultySensor
 from linemate.simulators.devices.force_torque import ForceTorqueSensor
+from linemate.simulators.judge.rows import EPOCH_NS
 from linemate.simulators.plants.sensors import CameraEmission, WrenchEmission
 from linemate.simulators.plants.world import World
 
 DEVICE = "bota"
 SENSORS = ("distance", "camera", "force_torque")
-
-EPOCH_NS = 1_000_000_000_000
-"""The monotonic stamp at which a run begins; any other would do."""
 
 CAMERA_CLOCK_NS = 86_400_000_000_123
 """The camera's clock minus the host's: the daemon has to learn it."""

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from linemate.simulators.devices.limits import LIMITS, AxisLimit
+from linemate.simulators.devices.limit_judge import LIMITS, AxisLimit
 from linemate.simulators.judge import poses
 from linemate.simulators.judge.rows import (
     CLAMPED,

@@ -12,6 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+# Monotonic stamp of the begin of a run [ns]; its value has no meaning.
+EPOCH_NS = 1_000_000_000_000
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]

@@ -20,6 +20,7 @@ from typing import Any
 from linemate.daemon.config.documents import FileError
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.simulators.harness import variants
+from linemate.simulators.harness.cluster import digest
 from linemate.simulators.harness.main import one_thread
 from linemate.simulators.harness.main import scheduler as parse_scheduler
 from linemate.simulators.harness.setup import Setup, shipped_control
@@ -27,7 +28,6 @@ from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.judge import report_json
 from linemate.simulators.lab import accuracy_tables
 from linemate.simulators.lab.cases import ABLATIONS, CASES, TUNED, VERIFY, Case
-from linemate.simulators.lab.cluster import digest
 from linemate.simulators.lab.drills import Kind
 
 PAGE = Path("docs/accuracy.md")
@@ -292,7 +292,7 @@ def _known(what: str, text: str, known: Mapping[str, object]) -> dict[str, float
 
 
 def _overlay(path: Path) -> Mapping[str, Any]:
-    from linemate.simulators.harness import overlay
+    from linemate.simulators.harness import identified_overlay as overlay
 
     return overlay.load(path)
 

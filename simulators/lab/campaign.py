@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 
 from linemate.simulators.harness.processes import die_with
 from linemate.simulators.harness.setup import Setup
+from linemate.simulators.judge import report_json
 
 Progress = Callable[[], None]
 Item = TypeVar("Item")
@@ -65,9 +66,7 @@ def perform(job: Job) -> dict[str, Any]:
     evidence = lockstep.run(job.setup, job.seed, timing=job.timing)
     result = judge(evidence)
     if job.out is not None:
-        from linemate.simulators.harness.run import leave
-
-        leave(job.out, result, evidence.rows)
+        report_json.write_results(job.out, result, evidence.rows)
     return result
 
 
@@ -102,7 +101,7 @@ def spread(
 ) -> list[Result]:
     """Call a module's function with each item, where the scheduler says; see ``execute``."""
     if scheduler != LOCAL:
-        from linemate.simulators.lab import cluster
+        from linemate.simulators.harness import cluster
 
         return cluster.execute(function, items, scheduler, progress)
     wanted = min(workers or available_cores(), len(items))
@@ -173,7 +172,6 @@ def main(args: Namespace) -> int:
         The exit code: 0 when every run was made, whatever came of it.
     """
     from linemate.simulators.harness import setup
-    from linemate.simulators.judge import report_json
 
     if args.detection is not None:
         from linemate.simulators.lab import detection

@@ -21,7 +21,7 @@ from linemate.simulators.harness.setup import Setup
 from linemate.simulators.judge.judge import attribute
 from linemate.simulators.judge.rows import DaemonEvent
 from linemate.simulators.plants.body import BodyPlant
-from linemate.simulators.plants.conveyor import ConveyorPlant
+from linemate.simulators.plants.conveyor_plant import ConveyorPlant
 from linemate.simulators.plants.scenario import (
     AppliedEvent,
     Body,

@@ -26,7 +26,7 @@ from linemate.daemon.recording.recording import encode
 from linemate.daemon.recording.step_feed import described
 from linemate.daemon.recording.step_file import StepFile
 from linemate.simulators.harness import lockstep, scenario_file
-from linemate.simulators.harness.overlay import laid_over
+from linemate.simulators.harness.identified_overlay import laid_over
 from linemate.simulators.harness.setup import Setup, override, shipped_task
 from linemate.simulators.plants.scenario import Scenario
 

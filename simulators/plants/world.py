@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from linemate.simulators.plants import rotation
 from linemate.simulators.plants.arm import ArmPlant
 from linemate.simulators.plants.body import BodyPlant
-from linemate.simulators.plants.contact import Collision, ContactPlant, Impact, Phase
-from linemate.simulators.plants.conveyor import ConveyorPlant
+from linemate.simulators.plants.contact_plant import Collision, ContactPlant, Impact, Phase
+from linemate.simulators.plants.conveyor_plant import ConveyorPlant
 from linemate.simulators.plants.effector import EffectorPlant, Six, deflected
 from linemate.simulators.plants.rotation import Pose
 from linemate.simulators.plants.scenario import Scenario, sample
@@ -29,7 +29,7 @@ from linemate.simulators.plants.sensors import (
     ForceTorquePlant,
     WrenchEmission,
 )
-from linemate.simulators.plants.servo import ServoBank
+from linemate.simulators.plants.servo_plant import ServoBank
 from linemate.simulators.plants.streams import Draws
 
 SUBSTEP_S = 0.004

@@ -14,14 +14,14 @@ from loops import run, until
 from linemate import protocol
 from linemate.drivers.rsi_udp import RsiLink
 from linemate.protocol.rsi.rsi import RsiCodec, SensorTelegram, parse_config
-from linemate.simulators.devices.controller import (
+from linemate.simulators.devices.links.controller_udp import ControllerUdp
+from linemate.simulators.devices.rsi_controller import (
     Applied,
     ControllerConfig,
     RobotReading,
     RsiController,
     Seven,
 )
-from linemate.simulators.devices.links.controller_udp import ControllerUdp
 from linemate.simulators.devices.schedule import Schedule
 
 RSI = parse_config((Path(next(iter(protocol.__path__))) / "data" / "rsi_joints.xml").read_bytes())

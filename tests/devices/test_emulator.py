@@ -18,7 +18,7 @@ from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
 from linemate.protocol.sensors.camera import CameraDecoder
 from linemate.protocol.sensors.distance import DistanceDecoder
 from linemate.protocol.sensors.wrench import make_decoder, make_host
-from linemate.simulators.devices.emulator import SHIPPED_RSI, Emulator, EmulatorConfig
+from linemate.simulators.devices.links.emulator import SHIPPED_RSI, Emulator, EmulatorConfig
 from linemate.simulators.devices.truth import load
 from linemate.simulators.plants.scenario import Camera, DistanceSensor, Fault, Scenario
 

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from linemate.protocol.exchange import Judgement
-from linemate.simulators.devices.controller import Applied
 from linemate.simulators.devices.robot_plant import RobotPlant
+from linemate.simulators.devices.rsi_controller import Applied
 from linemate.simulators.devices.truth import TruthLog, load, pose_rows
 from linemate.simulators.plants.scenario import Scenario
 from linemate.simulators.plants.world import World

@@ -6,12 +6,12 @@ from typing import Any
 import pytest
 
 from linemate.daemon.cycle.states import State
-from linemate.simulators.devices.limits import LIMITS, LimitJudge
+from linemate.simulators.devices.limit_judge import LIMITS, LimitJudge
 from linemate.simulators.lab.faults import dst_plant_oracles as oracles
 from linemate.simulators.lab.faults.dst_plant_oracles import PlantOracle, Seen
-from linemate.simulators.plants.contact import Collision
+from linemate.simulators.plants.contact_plant import Collision
 from linemate.simulators.plants.scenario import Robot, Scenario
-from linemate.simulators.plants.servo import ServoBank
+from linemate.simulators.plants.servo_plant import ServoBank
 
 T0 = 0.012
 TURN = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)

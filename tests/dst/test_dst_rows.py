@@ -15,7 +15,7 @@ from linemate.simulators.lab.faults import dst_plan, dst_plan_rows, dst_run
 from linemate.simulators.lab.faults.dst_cells import CELLS, TASKS
 from linemate.simulators.lab.faults.dst_plan import Plan
 from linemate.simulators.lab.faults.dst_run import Simulation
-from linemate.simulators.plants.contact import WHEEL_RELEASED, ContactPlant
+from linemate.simulators.plants.contact_plant import WHEEL_RELEASED, ContactPlant
 from linemate.simulators.plants.scenario import ConveyorEvent, Fault
 
 
@@ -237,7 +237,7 @@ def test_a_tool_without_a_force_sensor_is_not_in_contact_while_its_clamp_is_repo
 
 
 def test_x5_a_layout_without_delay_is_refused_at_the_check(tmp_path: Any) -> None:
-    from linemate.simulators.devices.emulator_config import SHIPPED_RSI
+    from linemate.simulators.devices.links.emulator_config import SHIPPED_RSI
 
     lines = SHIPPED_RSI.read_text(encoding="utf-8").splitlines()
     without = [line for line in lines if "DEF_Delay" not in line]

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from linemate.simulators.harness import setup
+from linemate.simulators.harness import cluster, setup
+from linemate.simulators.harness.cluster import ClusterError
 from linemate.simulators.harness.main import main
 from linemate.simulators.harness.variants import SetupError
-from linemate.simulators.lab import campaign, cluster
+from linemate.simulators.lab import campaign
 from linemate.simulators.lab.campaign import Job
-from linemate.simulators.lab.cluster import ClusterError
 
 SHORT = ("scenario.lead_in_s=1.3", "scenario.duration_s=0.1")
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from linemate.daemon.config.documents import FileError
-from linemate.simulators.harness import emulator
+from linemate.simulators.harness import emulator_command as emulator
 
 
 def test_names_seeds_and_paths_are_taken_from_the_file(tmp_path: Path) -> None:

@@ -29,9 +29,9 @@ from linemate.protocol.exchange import ControllerCounts
 from linemate.protocol.rsi.rsi import SensorTelegram
 from linemate.protocol.sensors import camera
 from linemate.protocol.sensors.slcan import CanFrame, format_frame
-from linemate.simulators.devices.controller import ControllerConfig, RsiController
-from linemate.simulators.devices.emulator import Emulator, EmulatorConfig, EmulatorResult
-from linemate.simulators.devices.limits import LIMITS
+from linemate.simulators.devices.limit_judge import LIMITS
+from linemate.simulators.devices.links.emulator import Emulator, EmulatorConfig, EmulatorResult
+from linemate.simulators.devices.rsi_controller import ControllerConfig, RsiController
 from linemate.simulators.harness import scenario_file
 from linemate.simulators.harness.setup import shipped_control, shipped_task
 from linemate.simulators.plants.scenario import Camera, Scenario

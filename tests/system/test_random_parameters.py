@@ -20,7 +20,7 @@ from linemate.daemon.config.parameter_list import Change, rule
 from linemate.daemon.config.settings_tree import SettingError
 from linemate.daemon.cycle.states import MOVING
 from linemate.daemon.service.parameter_desk import Desk
-from linemate.simulators.devices.limits import LIMITS
+from linemate.simulators.devices.limit_judge import LIMITS
 from linemate.simulators.harness import lockstep, setup
 from linemate.simulators.judge.judge import judge
 

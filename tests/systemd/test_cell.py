@@ -16,7 +16,7 @@ import pytest
 import yaml
 from systemd_machine import CHECKOUT, OUT, PROGRAM, Machine, lacking
 
-from linemate.simulators.harness import overlay
+from linemate.simulators.harness import identified_overlay as overlay
 from linemate.simulators.harness.setup import shipped_task
 
 REASON = lacking()

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from linemate.protocol.exchange import Judgement
-from linemate.simulators.devices.controller import Applied, RsiController
 from linemate.simulators.devices.links.endpoint import Address, Endpoint
+from linemate.simulators.devices.rsi_controller import Applied, RsiController
 from linemate.simulators.devices.schedule import Entry, Schedule
 from linemate.simulators.devices.turnaround import TurnAround
 

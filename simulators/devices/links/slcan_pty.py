@@ -11,7 +11,7 @@ from linemate.simulators.devices.can_sensor import CanSensor
 from linemate.simulators.devices.links.endpoint import Address
 from linemate.simulators.devices.links.pty_port import PtyPort
 from linemate.simulators.devices.links.tcp_port import TcpPort
-from linemate.simulators.devices.slcan import SlcanAdapter
+from linemate.simulators.devices.slcan_adapter import SlcanAdapter
 
 
 class SlcanPty:

@@ -34,7 +34,7 @@ from linemate.protocol.sensors.slcan import CanFrame
 from linemate.simulators.devices.camera_sender import CameraSender
 from linemate.simulators.devices.can_sensor import CanSensor
 from linemate.simulators.devices.force_torque import ForceTorqueSensor
-from linemate.simulators.devices.slcan import SlcanAdapter
+from linemate.simulators.devices.slcan_adapter import SlcanAdapter
 from linemate.simulators.lab.bench.bench_reel import Reel
 
 SO_TIMESTAMPNS: Final = 35

@@ -12,7 +12,7 @@ from linemate.daemon.config.config import Station
 from linemate.daemon.core.control.settings import AxisLimits
 from linemate.daemon.core.parameters import Parameters
 from linemate.simulators import harness
-from linemate.simulators.devices.limits import LIMITS, AxisLimit
+from linemate.simulators.devices.limit_judge import LIMITS, AxisLimit
 from linemate.simulators.devices.robot_plant import seven
 from linemate.simulators.harness.lockstep import parameters
 from linemate.simulators.lab.faults.dst_plan import CycleMs, Plan

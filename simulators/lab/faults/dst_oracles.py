@@ -15,7 +15,7 @@ import numpy as np
 
 from linemate.daemon.cycle.cycle import Cycle, LogEntry
 from linemate.daemon.cycle.states import Link, Machine, Signals, State
-from linemate.simulators.devices.limits import LimitJudge
+from linemate.simulators.devices.limit_judge import LimitJudge
 
 MOST_EVIDENCE = 5
 QUIET = frozenset({State.INIT, State.IDLE, State.ARMED, State.FAULT})

@@ -29,7 +29,7 @@ from linemate.protocol.sensors.distance import DistanceDecoder
 from linemate.protocol.sensors.wrench_stream import WrenchDecoder
 from linemate.simulators.lab.faults import dst_plan, dst_run
 from linemate.simulators.lab.faults.dst_plan import CycleMs
-from linemate.simulators.plants.contact import RELEASE_WHEEL
+from linemate.simulators.plants.contact_plant import RELEASE_WHEEL
 
 RUNS = 500
 OFF_M = 0.03

@@ -23,10 +23,10 @@ from linemate.daemon.service.app import App
 from linemate.daemon.service.notify import Notifier
 from linemate.drivers.datagrams import Address
 from linemate.protocol.sensors.distance import DistanceEncoder
-from linemate.simulators.devices.controller import ControllerConfig, RsiController
 from linemate.simulators.devices.faults import Faults
 from linemate.simulators.devices.faulty_link import FaultyLink
 from linemate.simulators.devices.robot_plant import RobotPlant
+from linemate.simulators.devices.rsi_controller import ControllerConfig, RsiController
 from linemate.simulators.harness.virtual import EPOCH_NS, VirtualLoop, VirtualTime, inhabited
 from linemate.simulators.harness.wires import Emitters
 from linemate.simulators.lab.faults.dst_actors import Operator, Programme
@@ -43,7 +43,7 @@ from linemate.simulators.lab.faults.dst_oracles import Oracle
 from linemate.simulators.lab.faults.dst_plan import Plan
 from linemate.simulators.lab.faults.dst_plant_oracles import PlantOracle, Seen
 from linemate.simulators.lab.faults.dst_strangers import Strangers
-from linemate.simulators.plants.contact import FIX_SCREWS
+from linemate.simulators.plants.contact_plant import FIX_SCREWS
 from linemate.simulators.plants.scenario import Fault
 from linemate.simulators.plants.world import World
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from linemate.drivers.datagrams import Address
 from linemate.protocol.rsi.rsi import RsiConfig
-from linemate.simulators.devices.controller import ControllerConfig, RobotReading, RsiController
+from linemate.simulators.devices.rsi_controller import ControllerConfig, RobotReading, RsiController
 from linemate.simulators.plants.scenario import Fault, Vector7
 
 FIRST: Address = ("127.0.0.1", 50_000)

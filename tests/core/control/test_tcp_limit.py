@@ -12,7 +12,7 @@ from linemate.daemon.core.control import limits
 from linemate.daemon.core.control.controller import Controller
 from linemate.daemon.core.horizon import Array
 from linemate.simulators.plants.scenario import Scenario
-from linemate.simulators.plants.servo import ServoBank
+from linemate.simulators.plants.servo_plant import ServoBank
 
 CYCLES = (0.012, 0.004)
 ARM = parameters().controller.arm

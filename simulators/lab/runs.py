@@ -11,7 +11,6 @@ from typing import Any
 
 from linemate.simulators.harness.setup import make
 from linemate.simulators.judge import report_json
-from linemate.simulators.judge.rows import Rows
 from linemate.simulators.lab.campaign import Job, collect, execute, progress_bar
 
 
@@ -36,14 +35,6 @@ def main(args: Namespace) -> int:
     else:
         print(_told(results))
     return 0 if all(result["within_limits"] for result in results) else 1
-
-
-def leave(out: Path, result: dict[str, Any], rows: Rows) -> None:
-    """Leave result.json, the report and its plots in a folder."""
-    from linemate.simulators.judge import report
-
-    report_json.write(out / "result.json", result)
-    report.write(out, result, rows)
 
 
 def _folder(out: Path | None, seed: int, single: bool) -> Path | None:

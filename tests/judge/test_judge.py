@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from linemate.simulators.devices.limits import AxisLimit
+from linemate.simulators.devices.limit_judge import AxisLimit
 from linemate.simulators.judge import judge as judging
 from linemate.simulators.judge import table
 from linemate.simulators.judge.judge import Evidence, StateChange, Telegrams, judge

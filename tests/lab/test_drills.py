@@ -12,7 +12,7 @@ from linemate.simulators.harness import setup
 from linemate.simulators.judge.rows import DaemonEvent
 from linemate.simulators.lab import drills
 from linemate.simulators.lab.drills import Drill, Kind, Push, Tally
-from linemate.simulators.plants.conveyor import ConveyorPlant
+from linemate.simulators.plants.conveyor_plant import ConveyorPlant
 from linemate.simulators.plants.scenario import (
     AppliedEvent,
     Conveyor,

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from linemate.simulators.plants.conveyor import ConveyorPlant
+from linemate.simulators.plants.conveyor_plant import ConveyorPlant
 from linemate.simulators.plants.scenario import (
     Conveyor,
     ConveyorEvent,

@@ -9,7 +9,7 @@ import pytest
 from linemate import protocol
 from linemate.protocol.exchange import Judgement
 from linemate.protocol.rsi.rsi import RsiCodec, RsiConfig, SensorTelegram, parse_config
-from linemate.simulators.devices.controller import (
+from linemate.simulators.devices.rsi_controller import (
     Applied,
     ControllerConfig,
     RobotReading,

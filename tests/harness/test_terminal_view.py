@@ -5,7 +5,14 @@ from dataclasses import replace
 
 from rich.console import Console
 
-from linemate.simulators.harness.live import Glimpse, Lines, LinkGlimpse, line, picture, view
+from linemate.simulators.harness.terminal_view import (
+    Glimpse,
+    Lines,
+    LinkGlimpse,
+    line,
+    picture,
+    view,
+)
 
 MOMENT = Glimpse(
     time_s=5.25,

@@ -12,9 +12,9 @@ import numpy as np
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
-from linemate.simulators.harness.wires import EPOCH_NS
+from linemate.simulators.judge.rows import EPOCH_NS
 from linemate.simulators.plants.body import BodyPlant
-from linemate.simulators.plants.conveyor import ConveyorPlant
+from linemate.simulators.plants.conveyor_plant import ConveyorPlant
 from linemate.simulators.plants.world import World
 
 AHEAD_S = 3.0

@@ -11,7 +11,8 @@ from linemate.daemon.config.files import DAEMON_DATA
 from linemate.daemon.identification.identify import Identified
 from linemate.daemon.identification.outcome import Estimate, Refusal
 from linemate.daemon.operator import identify
-from linemate.simulators.harness import overlay, setup
+from linemate.simulators.harness import identified_overlay as overlay
+from linemate.simulators.harness import setup
 from linemate.simulators.lab import identify_run
 from linemate.simulators.lab.identify_run import Plan
 from linemate.simulators.plants.scenario import Effector, Robot

@@ -25,7 +25,7 @@ from linemate.protocol.rsi.rsi import (
     SensorTelegram,
 )
 from linemate.protocol.samples import Vector6
-from linemate.simulators.devices.limits import LIMITS, AxisLimit, LimitJudge
+from linemate.simulators.devices.limit_judge import LIMITS, AxisLimit, LimitJudge
 
 AXES = 7
 EXTERNAL_AXES = 6

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from linemate import protocol
 from linemate.protocol.sensors.distance import SHIPPED_DBC
-from linemate.simulators.devices.controller import ControllerConfig
 from linemate.simulators.devices.links.endpoint import Address
+from linemate.simulators.devices.rsi_controller import ControllerConfig
 from linemate.simulators.plants.scenario import Scenario
 
 SHIPPED_RSI = Path(next(iter(protocol.__path__))) / "data" / "rsi_joints.xml"

@@ -14,9 +14,9 @@ from typing import Any
 from linemate.daemon.config import documents
 from linemate.daemon.config.documents import Complaint, FileError
 from linemate.protocol.errors import ProtocolError
-from linemate.simulators.devices.emulator import serve
-from linemate.simulators.devices.emulator_config import EmulatorConfig
 from linemate.simulators.devices.faults import REAL, Faults
+from linemate.simulators.devices.links.emulator import serve
+from linemate.simulators.devices.links.emulator_config import EmulatorConfig
 from linemate.simulators.harness import host, scenario_file
 
 OWN = ("scenario", "seed", "cycle_ms", "priority", "cpus")

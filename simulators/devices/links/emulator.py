@@ -25,17 +25,17 @@ from linemate.protocol.rsi.rsi import parse_config
 from linemate.protocol.sensors.distance import DistanceEncoder
 from linemate.simulators.devices.camera_sender import CameraSender
 from linemate.simulators.devices.can_sensor import CanSensor
-from linemate.simulators.devices.controller import Applied, RsiController
-from linemate.simulators.devices.emulator_config import SHIPPED_RSI, EmulatorConfig
 from linemate.simulators.devices.faults import GARBAGE_BYTES, REAL, Faults
 from linemate.simulators.devices.force_torque import ForceTorqueSensor
-from linemate.simulators.devices.links.camera_udp import CameraUdp
+from linemate.simulators.devices.links.camera_sender_udp import CameraUdp
 from linemate.simulators.devices.links.controller_udp import ControllerUdp
+from linemate.simulators.devices.links.emulator_config import SHIPPED_RSI, EmulatorConfig
 from linemate.simulators.devices.links.pty_port import PtyPort
 from linemate.simulators.devices.links.serial_pty import SerialPty
 from linemate.simulators.devices.links.slcan_pty import SlcanPty
 from linemate.simulators.devices.links.tcp_port import TcpPort
 from linemate.simulators.devices.robot_plant import RobotPlant
+from linemate.simulators.devices.rsi_controller import Applied, RsiController
 from linemate.simulators.devices.schedule import Schedule
 from linemate.simulators.devices.truth import TruthLog
 from linemate.simulators.plants.scenario import Scenario

@@ -7,7 +7,7 @@ import pytest
 
 from linemate.simulators.plants import rotation
 from linemate.simulators.plants.body import C_IN_BASE
-from linemate.simulators.plants.contact import (
+from linemate.simulators.plants.contact_plant import (
     FIX_SCREWS,
     RELEASE_WHEEL,
     SCREWS_FIXED,

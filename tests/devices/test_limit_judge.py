@@ -5,7 +5,7 @@ import random
 
 import pytest
 
-from linemate.simulators.devices.limits import AxisLimit, LimitJudge
+from linemate.simulators.devices.limit_judge import AxisLimit, LimitJudge
 
 T0 = 0.012
 LIMIT = AxisLimit(low=-1.0, high=1.0, speed=0.5, acceleration=2.0, jerk=50.0)

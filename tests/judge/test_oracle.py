@@ -8,10 +8,9 @@ import pytest
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.simulators.harness import lockstep, setup
-from linemate.simulators.harness.wires import EPOCH_NS
-from linemate.simulators.judge.foresight import Oracle
 from linemate.simulators.judge.judge import compute_errors, judge
-from linemate.simulators.judge.rows import CLAMPED
+from linemate.simulators.judge.oracle import Oracle
+from linemate.simulators.judge.rows import CLAMPED, EPOCH_NS
 from linemate.simulators.plants.body import C_IN_BASE
 from linemate.simulators.plants.scenario import Scenario, sample
 from linemate.simulators.plants.world import World

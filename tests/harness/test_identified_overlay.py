@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from linemate.daemon.config.documents import FileError
-from linemate.simulators.harness import overlay, setup
+from linemate.simulators.harness import identified_overlay as overlay
+from linemate.simulators.harness import setup
 from linemate.simulators.harness.variants import SetupError
 
 

@@ -8,7 +8,7 @@ from scipy import signal
 
 from linemate.simulators.plants.oscillator import transition
 from linemate.simulators.plants.scenario import Axis, Robot
-from linemate.simulators.plants.servo import ServoBank
+from linemate.simulators.plants.servo_plant import ServoBank
 
 UNLIMITED = 1e9
 
