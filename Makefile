@@ -2,7 +2,6 @@
 # first, in .venv, from constraints.txt. `make demo ARGS="--cycle-ms 4"` passes options.
 
 PYTHON ?= python3
-export LINEMATE_FROZEN ?= 1
 ARGS ?=
 PYTEST ?= .venv/bin/python -m pytest
 PREFIX ?= /opt/linemate

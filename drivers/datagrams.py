@@ -13,6 +13,8 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from dataclasses import dataclass, field
 
+from msgspec import Struct
+
 from linemate.drivers.backoff import Backoff
 from linemate.drivers.link import LinkStatus, why
 from linemate.drivers.stamps import (
@@ -22,7 +24,6 @@ from linemate.drivers.stamps import (
     read_ancillary,
     request_kernel_stamps,
 )
-from linemate.protocol.frozen import frozen
 
 BUFFER_BYTES = 2048
 
@@ -31,8 +32,7 @@ RawDatagram = tuple[bytes, list[tuple[int, int, bytes]], int, Address]
 """Bytes, control messages, flags and source, as the kernel hands them over."""
 
 
-@frozen()
-class Datagram:
+class Datagram(Struct, frozen=True):
     """One datagram as it came.
 
     Attributes:
@@ -47,8 +47,7 @@ class Datagram:
     oversize: bool
 
 
-@frozen()
-class Received:
+class Received(Struct, frozen=True):
     """One datagram before anybody asked when it came: what the kernel handed over."""
 
     data: bytes

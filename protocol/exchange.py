@@ -11,8 +11,9 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 from enum import StrEnum
 
+from msgspec import Struct
+
 from linemate.protocol.exchange_controller import ControllerCounts, ControllerExchange, Judgement
-from linemate.protocol.frozen import frozen
 
 __all__ = [
     "TABLE",
@@ -119,8 +120,7 @@ _KNOWN = frozenset({Event.SAME, Event.MISSED})
 _DOUBTFUL = _KNOWN | {Event.OLDER, Event.STRAY}
 
 
-@frozen()
-class Verdict:
+class Verdict(Struct, frozen=True):
     """What to do with one telegram.
 
     Attributes:

@@ -7,7 +7,7 @@ nanoseconds of the local monotonic clock at *arrival*; a sensor's own delay is b
 
 from typing import NewType
 
-from linemate.protocol.frozen import frozen
+from msgspec import Struct
 
 Stamp = NewType("Stamp", int)
 """Monotonic time of arrival [ns]."""
@@ -18,8 +18,7 @@ Quaternion = tuple[float, float, float, float]
 """Unit quaternion, w first."""
 
 
-@frozen()
-class DistanceSample:
+class DistanceSample(Struct, frozen=True):
     """One reading of the distance sensor at the conveyor.
 
     Attributes:
@@ -33,8 +32,7 @@ class DistanceSample:
     strength: float | None = None
 
 
-@frozen()
-class CameraSample:
+class CameraSample(Struct, frozen=True):
     """One pose of an object as a camera saw it.
 
     Attributes:
@@ -61,8 +59,7 @@ class CameraSample:
     reset: int = 0
 
 
-@frozen()
-class WrenchSample:
+class WrenchSample(Struct, frozen=True):
     """One reading of the force-torque sensor, in the sensor's frame.
 
     Attributes:
@@ -82,8 +79,7 @@ class WrenchSample:
     temperature: float | None = None
 
 
-@frozen()
-class RobotSample:
+class RobotSample(Struct, frozen=True):
     """What the robot controller said of itself in one telegram.
 
     Attributes:

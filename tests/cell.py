@@ -2,11 +2,11 @@
 
 from collections.abc import Callable
 from copy import copy
-from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 
 from linemate.daemon.config import task_file
 from linemate.daemon.config.files import DAEMON_DATA

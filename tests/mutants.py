@@ -360,9 +360,10 @@ def _heads(tree: ast.AST, kind: type[ast.stmt]) -> dict[int, str]:
 
 
 def _decorating(node: ast.AST) -> Iterator[ast.AST]:
-    """What a decorator is told: frozen, slots and sizes of caches change no result."""
-    for decorator in getattr(node, "decorator_list", ()):
-        yield from ast.walk(decorator)
+    """Options of decorators and structs: frozen, slots and cache sizes change no result."""
+    options = [word for word in getattr(node, "keywords", ()) if word.arg in {"frozen", "eq"}]
+    for option in (*getattr(node, "decorator_list", ()), *options):
+        yield from ast.walk(option)
 
 
 def _changes(node: ast.AST) -> Iterator[Callable[[ast.AST], None]]:

@@ -8,15 +8,13 @@ object (y along the conveyor), its origin is that of base.
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
-
-from linemate.protocol.frozen import frozen
 
 Array = NDArray[np.floating[Any]]
 
 
-@frozen(eq=False)
-class Horizon:
+class Horizon(Struct, frozen=True, eq=False):
     """Desired tcp poses at steps k + i, i = 0..n.
 
     Attributes:

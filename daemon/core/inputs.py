@@ -6,7 +6,8 @@ exactly. Empty means "no new sample"; ``robot`` is None in a step without a tele
 
 from enum import StrEnum
 
-from linemate.protocol.frozen import frozen
+from msgspec import Struct
+
 from linemate.protocol.samples import CameraSample, DistanceSample, RobotSample, WrenchSample
 
 
@@ -18,8 +19,7 @@ class Order(StrEnum):
     RETREAT = "retreat"
 
 
-@frozen()
-class Inputs:
+class Inputs(Struct, frozen=True):
     """What one sampling step is given.
 
     Attributes:

@@ -11,12 +11,11 @@ What the robot made of the last command is asked last of all, by the gate. All b
 step's ``plan``, which stays as it is where a telegram tells another fate than was assumed.
 """
 
-from dataclasses import replace
-
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from linemate.daemon.core import rotations
-from linemate.daemon.core.changed import changed
 from linemate.daemon.core.control import controller as control
 from linemate.daemon.core.control import limits
 from linemate.daemon.core.horizon import Array, Horizon
@@ -25,7 +24,6 @@ from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.tracking import tracker as tracking
 from linemate.daemon.core.tracking.reference import Reference
 from linemate.daemon.core.tracking.task import Phase
-from linemate.protocol.frozen import frozen
 from linemate.protocol.samples import RobotSample
 
 Pose = tuple[float, float, float, float, float, float, float]
@@ -38,8 +36,7 @@ REST_ANGLE = 0.05  # [rad]
 SAME_PLACE = 0.05  # a robot that was led beside a line and stopped comes to rest within [m]
 
 
-@frozen(slots=False, eq=False)
-class State:
+class State(Struct, frozen=True, eq=False):
     """Everything a step remembers.
 
     Attributes:
@@ -54,8 +51,7 @@ class State:
     moving: bool = False
 
 
-@frozen(eq=False)
-class Outputs:
+class Outputs(Struct, frozen=True, eq=False):
     """What one step says.
 
     Attributes:
@@ -171,8 +167,7 @@ def is_engaged(state: State, parameters: Parameters, robot: RobotSample) -> bool
     return float(np.linalg.norm(way[:3])) <= SAME_PLACE
 
 
-@frozen(eq=False)
-class Plan:
+class Plan(Struct, frozen=True, eq=False):
     """A step but for what the robot made of the last command.
 
     Attributes:
@@ -254,19 +249,19 @@ def _applied(state: State, inputs: Inputs) -> State:
     Unless it is told to go on from there, see ``Inputs.pace``.
     """
     if inputs.sent:
-        return changed(state, applied=state.control.gate.position)
+        return replace(state, applied=state.control.gate.position)
     applied = state.applied if inputs.applied is None else np.array(inputs.applied)
     gate, moving = limits.held(state.control.gate, applied), state.moving
     if inputs.pace is not None:
         # Also one that was taken to stand, and meanwhile ordered to: it has to brake first.
         gate, moving = limits.under_way(applied, *map(np.array, inputs.pace)), True
-    return changed(state, applied=applied, control=changed(state.control, gate=gate), moving=moving)
+    return replace(state, applied=applied, control=replace(state.control, gate=gate), moving=moving)
 
 
 def _halted(state: State, tracker: tracking.TrackerState, parameters: Parameters) -> State:
     """Return the state of a robot that is to stand: it brakes, and then its plan is rest."""
     if not state.moving:
-        return changed(state, tracker=tracker)
+        return replace(state, tracker=tracker)
     steered = control.stop(parameters.controller, state.control)
     still = limits.stands(steered.gate)
     joints = steered.gate.position

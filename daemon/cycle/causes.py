@@ -11,11 +11,12 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, replace
 from typing import Any, Final
 
+from msgspec import Struct
+
 from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.cycle import watch
 from linemate.daemon.cycle.feeds import SensorFact
 from linemate.daemon.cycle.states import Link, Machine, Row, Signals, State, deciding_row
-from linemate.protocol.frozen import frozen
 
 Explanation = tuple[str, str]
 """What is wrong with its value and limit, and what to do; the second may be empty."""
@@ -32,8 +33,7 @@ LATCHED: Final = "latched"
 """Name of the machine's own condition beside the signals'."""
 
 
-@frozen(eq=False)
-class Evidence:
+class Evidence(Struct, frozen=True, eq=False):
     """What a decision was made from.
 
     Attributes:
@@ -56,8 +56,7 @@ class Evidence:
     fault: str | None
 
 
-@frozen()
-class Change:
+class Change(Struct, frozen=True):
     """A change of the operating state.
 
     Attributes:

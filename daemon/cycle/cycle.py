@@ -8,12 +8,14 @@ operating state in ``operating``, a reply's bytes in ``replies``.
 """
 
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core import step as stepping
-from linemate.daemon.core.changed import changed
 from linemate.daemon.core.inputs import Inputs, Order
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle import states
@@ -27,7 +29,6 @@ from linemate.daemon.cycle.session import Axes, Session, standing
 from linemate.daemon.cycle.states import Machine, State
 from linemate.daemon.cycle.step_log import LONGEST_LOG, LogEntry, StepLog
 from linemate.protocol.exchange import Exchange, Kind, Verdict
-from linemate.protocol.frozen import frozen
 from linemate.protocol.rsi.rsi import PreparedReply, RobotTelegram, RsiCodec, RsiError
 from linemate.protocol.samples import (
     CameraSample,
@@ -75,8 +76,7 @@ class _Swap:
     anew: bool
 
 
-@frozen()
-class _Prepared:
+class _Prepared(Struct, frozen=True):
     """A step made before its telegram, what it planned, and its reply but for the IPOC."""
 
     reply: PreparedReply
@@ -519,7 +519,7 @@ class Cycle:
         if sent:
             # The robot has the command of this very step, and goes on towards what it desired.
             gate = last.after.control.gate
-            before = changed(before, control=changed(before.control, gate=gate))
+            before = replace(before, control=replace(before.control, gate=gate))
         inputs = replace(last.inputs, sent=sent, applied=applied, pace=pace)
         self._state, outputs = stepping.finish(before, plan, inputs, made_with)
         entry = replace(

@@ -8,8 +8,9 @@ from collections import deque
 from math import sqrt
 from typing import Any, Generic, TypeVar
 
+from msgspec import Struct
+
 from linemate.daemon.cycle.sensor_health import CameraHealth, DistanceHealth, WrenchHealth
-from linemate.protocol.frozen import frozen
 from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
 from linemate.protocol.sensors.even_clock import EvenClock
 from linemate.protocol.sensors.wrench_clock import WrenchClock
@@ -49,8 +50,7 @@ class Inbox(Generic[Sample]):
         return samples
 
 
-@frozen()
-class Taken:
+class Taken(Struct, frozen=True):
     """The samples of one step, oldest first."""
 
     distance: tuple[DistanceSample, ...]
@@ -58,8 +58,7 @@ class Taken:
     wrench: tuple[WrenchSample, ...]
 
 
-@frozen()
-class SensorFact:
+class SensorFact(Struct, frozen=True):
     """One sensor at one moment.
 
     Attributes:

@@ -8,6 +8,8 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
+from msgspec import Struct, structs
+
 from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core.step import Outputs
 from linemate.daemon.core.tracking.task import Phase
@@ -15,7 +17,6 @@ from linemate.daemon.cycle import causes, following, states, watch
 from linemate.daemon.cycle.causes import Change, Evidence
 from linemate.daemon.cycle.feeds import Feeds
 from linemate.daemon.cycle.states import Machine, Signals, State
-from linemate.protocol.frozen import frozen
 
 OnTransition = Callable[[Machine, Signals, Machine], None]
 
@@ -30,8 +31,7 @@ CHANGES = 64
 _AT_REST = frozenset({State.INIT, State.IDLE, State.HOLD, State.FAULT})
 
 
-@frozen(eq=False)
-class Situation:
+class Situation(Struct, frozen=True, eq=False):
     """The robot and the task as a decision finds them.
 
     Attributes:
@@ -153,7 +153,7 @@ class Operating:
         after, signals = self.machine, self.signals
         if signals.fault and not before.latched:
             self.fault = causes.fault(signals, evidence)
-            evidence = replace(evidence, fault=self.fault)
+            evidence = structs.replace(evidence, fault=self.fault)
             before = replace(before, latched=True)
         row = states.deciding_row(before, signals)
         why = f"latched: {self.fault}"

@@ -6,7 +6,8 @@ whether a program may get corrections at all. No step is made here and no byte i
 
 from collections import deque
 from collections.abc import Hashable
-from dataclasses import replace
+
+from msgspec.structs import replace
 
 from linemate.daemon.cycle import correction_reference as proving
 from linemate.daemon.cycle.correction_reference import (

@@ -6,16 +6,16 @@ cycle waits for anybody who reads it.
 
 from collections import deque
 
+from msgspec import Struct
+
 from linemate.daemon.core import step as stepping
 from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.core.parameters import Parameters
-from linemate.protocol.frozen import frozen
 
 LONGEST_LOG = 256
 
 
-@frozen()
-class LogEntry:
+class LogEntry(Struct, frozen=True):
     """One step as the recorder wants it.
 
     Attributes:

@@ -7,9 +7,10 @@ telegram may be coasted over and a stop is not safe. Source: reference/reliabili
 
 from functools import lru_cache
 
+from msgspec import Struct
+
 from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.cycle.states import Link, Machine, Signals, State
-from linemate.protocol.frozen import frozen
 
 OPERATIONS = ("arm", "start", "stop", "retreat", "ack")
 """An operator's orders, as ``Signals`` has them."""
@@ -17,8 +18,7 @@ OPERATIONS = ("arm", "start", "stop", "retreat", "ack")
 IN_CONTACT = frozenset({State.CONTACT, State.RETREAT})
 
 
-@frozen()
-class Facts:
+class Facts(Struct, frozen=True):
     """What one cycle showed, as it was.
 
     Attributes:
@@ -66,8 +66,7 @@ class Facts:
     orders: frozenset[str] = frozenset()
 
 
-@frozen()
-class Watch:
+class Watch(Struct, frozen=True):
     """What must be remembered from cycle to cycle.
 
     Attributes:

@@ -11,9 +11,11 @@ import csv
 import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
+
+from msgspec import structs
 
 from linemate.daemon.recording.recordings import (
     LAYOUT,
@@ -177,7 +179,7 @@ def _add_step(tables: "_Tables", record: "StepRecord") -> None:
         found = getattr(inputs, name)
         for sample in found if isinstance(found, tuple) else (found,):
             if sample is not None:
-                own = {f.name: getattr(sample, f.name) for f in fields(sample)}
+                own = structs.asdict(sample)
                 flat: Cells = {"k": inputs.k}
                 for key, value in own.items():
                     flat.update(_spread(key, value))

@@ -6,7 +6,7 @@ what an earlier one wrote. The horizon is kept as a digest: the inputs give it a
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
 
@@ -22,16 +22,8 @@ VERSION = 1
 
 _KINDS = (Inputs, Outputs, RobotSample, DistanceSample, CameraSample, WrenchSample)
 
-_IN_BASE = {"target_c": "target", "sensed_c": "sensed", "part_c": "part"}
-"""Poses that a step keeps in the nominal frame; a recording tells them in base."""
-
-LAYOUT: dict[str, tuple[str, ...]] = {
-    kind.__name__: tuple(
-        _IN_BASE.get(field.name, field.name) for field in fields(kind) if field.name != "nominal"
-    )
-    for kind in _KINDS
-}
-"""The values of each kind, in the order in which they are written."""
+# The values of each kind, in the order in which they are written.
+LAYOUT: dict[str, tuple[str, ...]] = {kind.__name__: kind.__struct_fields__ for kind in _KINDS}
 
 _VALUES: dict[type[Any], Callable[[Any], Any]] = {
     kind: attrgetter(*LAYOUT[kind.__name__]) for kind in _KINDS

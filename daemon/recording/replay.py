@@ -426,7 +426,7 @@ def _fits(state: stepping.State, parameters: Parameters) -> bool:
 
 def _alike(born: Any, belief: Any) -> bool:
     """Whether two beliefs have arrays of the same shapes."""
-    for name in type(born).__dataclass_fields__:
+    for name in born.__struct_fields__:
         a, b = getattr(born, name), getattr(belief, name)
         if isinstance(a, np.ndarray) and np.shape(a) != np.shape(b):
             return False

@@ -9,13 +9,13 @@ Invariants:
 
 import importlib
 from collections.abc import Callable
-from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import cache
 from typing import Any, Literal
 
 import msgpack
 import numpy as np
+from msgspec import Struct
 
 from linemate.daemon.core.step import State
 
@@ -103,9 +103,9 @@ def _plain(value: Any) -> Any:
 
 
 def _object(value: Any) -> list[Any]:
-    if not is_dataclass(value) or isinstance(value, type):
+    if not isinstance(value, Struct):
         raise TypeError(f"{type(value).__name__} has no place in a state")
-    own = {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+    own = {name: _plain(getattr(value, name)) for name in value.__struct_fields__}
     return ["o", _name(type(value)), own]
 
 
@@ -133,7 +133,7 @@ def _made_array(dtype: str, shape: list[int], order: str, data: bytes) -> np.nda
 
 def _made_object(name: str, own: dict[str, Any]) -> Any:
     kind = _kind(name)
-    if not is_dataclass(kind):
+    if not issubclass(kind, Struct):
         raise TypeError(f"{name} is no part of a state")
     return kind(**{key: _made(item) for key, item in own.items()})
 

@@ -12,7 +12,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
-from linemate.protocol.frozen import frozen
+from msgspec import Struct
 
 if TYPE_CHECKING:  # the process that writes recordings has nothing of the step to load
     from linemate.daemon.core.inputs import Inputs
@@ -116,8 +116,7 @@ TOPICS: Final[dict[str, str]] = {
 """Topics and the schema of each."""
 
 
-@frozen()
-class Glimpse:
+class Glimpse(Struct, frozen=True):
     """What a viewer is shown of one step.
 
     Attributes:

@@ -5,17 +5,16 @@ number to reckon with and as the digits on the wire, because it is echoed digit 
 """
 
 from collections.abc import Mapping
-from dataclasses import field
 
-from linemate.protocol.frozen import frozen
+from msgspec import Struct
+
 from linemate.protocol.samples import Vector6
 
 Channel = float | int | bool | str
 """A value of a DOUBLE, LONG, BOOL or STRING channel, in the wire's own unit."""
 
 
-@frozen()
-class RobotTelegram:
+class RobotTelegram(Struct, frozen=True):
     """What the controller says in one cycle.
 
     Attributes:
@@ -39,11 +38,10 @@ class RobotTelegram:
     tcp: Vector6 | None = None
     tcp_setpoint: Vector6 | None = None
     delay: int | None = None
-    channels: Mapping[str, Channel] = field(default_factory=dict)
+    channels: Mapping[str, Channel] = {}
 
 
-@frozen()
-class SensorTelegram:
+class SensorTelegram(Struct, frozen=True):
     """What the daemon answers in one cycle: corrections.
 
     Attributes:
@@ -61,12 +59,11 @@ class SensorTelegram:
     sentype: str = ""
     joints: Vector6 | None = None
     external: tuple[float, ...] | None = None
-    channels: Mapping[str, Channel] = field(default_factory=dict)
+    channels: Mapping[str, Channel] = {}
     message: str | None = None
 
 
-@frozen()
-class PreparedReply:
+class PreparedReply(Struct, frozen=True):
     """A reply that lacks only its IPOC, made before its telegram arrives."""
 
     head: bytes

@@ -9,8 +9,10 @@ Source: the Lawicel CAN232 manual, as python-can and the Linux kernel speak it.
 from dataclasses import dataclass
 from enum import Enum
 
+from msgspec import Struct
+from msgspec.structs import force_setattr
+
 from linemate.protocol.errors import ProtocolError
-from linemate.protocol.frozen import frozen
 
 OK = b"\r"
 """Answer to a command that was done."""
@@ -41,8 +43,7 @@ class SlcanError(ProtocolError):
         self.line = line
 
 
-@frozen()
-class CanFrame:
+class CanFrame(Struct, frozen=True):
     """One classic CAN frame.
 
     Attributes:
@@ -65,7 +66,7 @@ class CanFrame:
             SlcanError: identifier, length or payload out of range.
         """
         if self.length < 0:
-            object.__setattr__(self, "length", len(self.data))
+            force_setattr(self, "length", len(self.data))
         limit = _EXTENDED_LIMIT if self.extended else _STANDARD_LIMIT
         if not 0 <= self.can_id < limit:
             raise SlcanError(f"identifier {self.can_id:#x} is out of range", self.data)

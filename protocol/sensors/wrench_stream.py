@@ -9,8 +9,9 @@ Between two calls less than one frame is kept; everything dropped is counted.
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 
+from msgspec import Struct
+
 from linemate.protocol.errors import ProtocolError
-from linemate.protocol.frozen import frozen
 from linemate.protocol.samples import WrenchSample
 
 
@@ -18,8 +19,7 @@ class WrenchError(ProtocolError):
     """A wrench, a device or a setting that the serial wire cannot carry."""
 
 
-@frozen()
-class HostOutput:
+class HostOutput(Struct, frozen=True):
     """What the host's end of a dialogue gives after some bytes or some time.
 
     Attributes:

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from operator import add
 from typing import Literal
 
+from msgspec import Struct
+
 from linemate.protocol.exchange import ControllerCounts, ControllerExchange, Judgement
-from linemate.protocol.frozen import frozen
 from linemate.protocol.rsi.rsi import (
     Channel,
     Element,
@@ -39,8 +40,7 @@ Seven = tuple[float, float, float, float, float, float, float]
 """A1..A6 [rad] and E1 [m]."""
 
 
-@frozen()
-class RobotReading:
+class RobotReading(Struct, frozen=True):
     """What the controller knows of its robot at a cycle's start.
 
     Attributes:
@@ -96,8 +96,7 @@ class ControllerConfig:
         return self.timeout if self.timeout_rule == "total" else None
 
 
-@frozen()
-class Applied:
+class Applied(Struct, frozen=True):
     """What became of one cycle.
 
     Attributes:

@@ -1,7 +1,7 @@
 """One sampling step: pure, committed to what it has said, and never beyond its limits."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -10,6 +10,7 @@ import pytest
 from cell import AXIS, EPOCH_NS, REST, SPEED, World, object_at, parameters, robot_sample
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core import step as stepping

@@ -8,6 +8,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
+from msgspec import structs
 
 from linemate.daemon.config import config
 from linemate.daemon.config.watch_settings import WatchSettings
@@ -143,7 +144,7 @@ def evidence(**changes: object) -> causes.Evidence:
     whole = causes.Evidence(
         facts, Watch(), WatchSettings(), feeds().sensors(), None, None, None, {}, None
     )
-    return replace(whole, **changes)  # type: ignore[arg-type]
+    return structs.replace(whole, **changes)  # type: ignore[arg-type]
 
 
 def test_what_is_named_is_enough_for_the_row_whatever_else_is_the_case() -> None:

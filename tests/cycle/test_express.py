@@ -1,11 +1,11 @@
 """A reply made before its telegram is the reply that the telegram would have got."""
 
-from dataclasses import replace
 from importlib.resources import files
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.core.parameters import Parameters

@@ -1,11 +1,11 @@
 """The sampling schedule in virtual time."""
 
 import random
-from dataclasses import replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from linemate.daemon.cycle.clock import schedule as scheduling
 from linemate.daemon.cycle.clock.schedule import ATTEND_NS, MOST_AT_ONCE, Due, Kind, Schedule

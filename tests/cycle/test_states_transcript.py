@@ -7,6 +7,7 @@ import itertools
 from dataclasses import astuple, fields, replace
 
 import pytest
+from msgspec import structs
 from transcripts import Chance, Transcript
 
 from linemate.daemon.config.watch_settings import WatchSettings
@@ -106,7 +107,7 @@ def _day(settings: WatchSettings, chance: Chance, told: Transcript) -> None:
             orders=frozenset(op for op in OPS[:5] if seldom()),
         )
         watch, signals = observe(watch, facts, machine, settings)
-        told.say(str(watch.link), str(watch.state), [str(v) for v in astuple(watch)])
+        told.say(str(watch.link), str(watch.state), [str(v) for v in structs.astuple(watch)])
         told.say([str(v) for v in astuple(signals)])
 
 

@@ -1,7 +1,8 @@
 """Times are kept in fixed room, and the ring is there when something went wrong."""
 
 import csv
-from dataclasses import replace
+
+from msgspec.structs import replace
 
 from linemate.daemon.cycle.clock.timing import COLUMNS, PAUSE_S, CycleTimes, Timing
 

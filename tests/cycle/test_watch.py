@@ -1,11 +1,11 @@
 """Time-outs and debounce, cycle by cycle in virtual time."""
 
-from dataclasses import replace
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import structs
 
 from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.cycle.states import Link, Machine, Signals, State
@@ -28,7 +28,7 @@ class Run:
 
     def cycle(self, telegram: bool = True, **facts: Any) -> Signals:
         self.now_ns += self.cycle_ns
-        given_facts = replace(Facts(self.now_ns, telegram), **facts)  # type: ignore[arg-type]
+        given_facts = structs.replace(Facts(self.now_ns, telegram), **facts)  # type: ignore[arg-type]
         self.watch, self.signals = observe(self.watch, given_facts, self.machine, SETTINGS)
         return self.signals
 

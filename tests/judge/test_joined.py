@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from linemate.daemon.cycle.cycle import LogEntry
 from linemate.daemon.recording import recording
@@ -78,7 +79,7 @@ def test_order_does_not_matter_and_foreign_telegrams_fill_no_row(
     run: tuple[Lockstep, list[LogEntry]], tmp_path: Path
 ) -> None:
     lockstep, entries = run
-    foreign = replace(entries[0], ipoc=1)
+    foreign = structs.replace(entries[0], ipoc=1)
     path = recorded([foreign, *entries], tmp_path / "run.mcap")
     found = joined.join(columns(lockstep), joined.read_steps(path))
     assert_same(found, lockstep.evidence().rows)

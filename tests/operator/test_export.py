@@ -1,12 +1,12 @@
 """Recordings as tables, and recordings made whole."""
 
 import csv
-from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
 import pytest
 from cell import TASK, World, parameters
+from msgspec.structs import astuple
 
 from linemate.daemon.core.inputs import Order
 from linemate.daemon.cycle.clock.timing import CycleTimes

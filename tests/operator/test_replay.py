@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from cell import TASK, World, parameters
+from msgspec import structs
 
 from linemate.daemon.core.inputs import Order
 from linemate.daemon.cycle.cycle import LogEntry
@@ -177,7 +178,7 @@ def test_an_older_recording_without_states_begins_where_the_robot_was(tmp_path: 
     path = tmp_path / "older.mcap"
     file = StepFile(path.open("wb"), described(TEXTS))
     for entry in entries(World(parameters()), 40):
-        for item in Feed().of(replace(entry, before=None, after=None, parameters=None)):
+        for item in Feed().of(structs.replace(entry, before=None, after=None, parameters=None)):
             file.put(item)
     file.close()
     verdicts = list(replay(pieces(path)))

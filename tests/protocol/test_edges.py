@@ -4,11 +4,11 @@ Numbers are written out: a test that takes a constant from the module says nothi
 """
 
 import struct
-from dataclasses import replace
 from pathlib import Path
 
 import msgpack
 import pytest
+from msgspec.structs import replace
 
 from linemate.protocol.command import command, command_plain, command_request
 from linemate.protocol.command.command import CommandError

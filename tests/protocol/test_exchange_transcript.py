@@ -6,6 +6,7 @@ The edges stand here as numbers of their own: 100 cycles, 2 s, 100 ms, 4 cycles 
 from dataclasses import astuple
 
 import pytest
+from msgspec import structs
 from transcripts import Chance, Transcript
 
 from linemate.protocol.exchange import ControllerExchange, Exchange
@@ -34,7 +35,7 @@ class Controller:
         exchange = self.exchange
         foreseen = exchange.foreseen()
         verdict = exchange.on_telegram(ipoc, self.now_ns, peer or self.peer)
-        self.told.say(ipoc, foreseen, astuple(verdict), exchange.state, exchange.step)
+        self.told.say(ipoc, foreseen, structs.astuple(verdict), exchange.state, exchange.step)
         self.told.say(exchange.session, exchange.silence_ns(self.now_ns + 1))
 
     def next(self, cycles: int = 1, passed: float | None = None) -> None:

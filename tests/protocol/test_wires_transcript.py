@@ -5,11 +5,11 @@ Of a refusal only its class is said, for its words may become better. See ``tran
 
 import random
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import fuzz
 import pytest
+from msgspec.structs import replace
 from transcripts import Chance, Transcript
 
 from linemate.protocol.errors import ProtocolError

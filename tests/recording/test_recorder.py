@@ -8,13 +8,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader, make_reader
+from msgspec.structs import replace
 
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.core import step as stepping

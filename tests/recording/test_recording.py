@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import structs
 
 from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.cycle.cycle import LogEntry
@@ -40,18 +41,18 @@ def test_one_bit_of_one_command_or_of_the_horizon_shows(entries: tuple[LogEntry,
     record = decode(encoded(entry))
     command = entry.outputs.command
     near = (float(np.nextafter(command[0], 9.0)), *command[1:])
-    assert differences(record, replace(entry.outputs, command=near)) == ("command",)
+    assert differences(record, structs.replace(entry.outputs, command=near)) == ("command",)
     assert entry.outputs.horizon is not None
     bent = entry.outputs.horizon.copy()
     bent[-1, -1] = np.nextafter(bent[-1, -1], 9.0)
-    assert differences(record, replace(entry.outputs, horizon=bent)) == ("horizon",)
+    assert differences(record, structs.replace(entry.outputs, horizon=bent)) == ("horizon",)
 
 
 def test_minus_zero_is_not_zero(entries: tuple[LogEntry, ...]) -> None:
     entry = entries[0]
-    zero = replace(entry.outputs, speed=0.0)
+    zero = structs.replace(entry.outputs, speed=0.0)
     record = decode(encode(1, "idle", entry.inputs, zero))
-    assert differences(record, replace(zero, speed=-0.0)) == ("speed",)
+    assert differences(record, structs.replace(zero, speed=-0.0)) == ("speed",)
 
 
 @given(st.floats(), st.integers(-(2**63), 2**64 - 1))

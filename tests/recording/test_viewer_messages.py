@@ -1,7 +1,6 @@
 """What viewers are shown: the shapes that they know, and the numbers of the step."""
 
 import json
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -9,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from msgspec.structs import replace
 
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.core import rotations

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from loops import run, until
+from msgspec import structs
 
 from linemate.daemon.cycle.clock.schedule import follow, free
 from linemate.daemon.cycle.clock.timing import CycleTimes, Incident, Timing
@@ -21,7 +22,7 @@ T = 12_000_000
 
 def test_a_prepared_cycle_is_accounted_for_with_its_parts(entries: tuple[LogEntry, ...]) -> None:
     account = Account(Timing(T))
-    entry = replace(entries[3], ipoc=36)
+    entry = structs.replace(entries[3], ipoc=36)
     account.prepared(woken_late_ns=20_000, step_ns=300_000)
     account.expected(follow(free(T, 0), entry.inputs.stamp_ns - 5_000, T, 500_000))
     account.close([entry], turnaround_ns=70_000)
@@ -39,10 +40,10 @@ def test_a_prepared_cycle_is_accounted_for_with_its_parts(entries: tuple[LogEntr
 def test_what_was_of_one_cycle_is_not_of_the_next(entries: tuple[LogEntry, ...]) -> None:
     account = Account(Timing(T))
     account.prepared(woken_late_ns=20_000, step_ns=300_000)
-    account.close([replace(entries[0], ipoc=12)], turnaround_ns=70_000)
+    account.close([structs.replace(entries[0], ipoc=12)], turnaround_ns=70_000)
     account.stepped(900_000)
-    account.close([replace(entries[1], ipoc=24)], turnaround_ns=950_000)
-    account.close([replace(entries[2], ipoc=None)], turnaround_ns=950_000)
+    account.close([structs.replace(entries[1], ipoc=24)], turnaround_ns=950_000)
+    account.close([structs.replace(entries[2], ipoc=None)], turnaround_ns=950_000)
     first, second, third = account.timing.last()
     assert (first.prepared, second.prepared, third.prepared) == (True, False, False)
     assert (second.woken_late_ns, second.step_ns) == (None, 900_000)
@@ -54,16 +55,18 @@ def test_after_a_stall_only_the_last_step_has_the_measured_times(
 ) -> None:
     account = Account(Timing(T))
     account.stepped(900_000)
-    account.close([replace(e, ipoc=None) for e in entries[:3]] + [replace(entries[3], ipoc=48)], 5)
+    account.close(
+        [structs.replace(e, ipoc=None) for e in entries[:3]] + [replace(entries[3], ipoc=48)], 5
+    )
     assert [told.step_ns for told in account.timing.last()] == [None, None, None, 900_000]
 
 
 def test_entering_a_fault_takes_the_ring_once(entries: tuple[LogEntry, ...]) -> None:
     account = Account(Timing(T))
-    account.close([replace(entries[0], state=State.TRACK.value)], None)
+    account.close([structs.replace(entries[0], state=State.TRACK.value)], None)
     assert account.take_incident() is None
     for n in (1, 2):
-        account.close([replace(entries[n], state=State.FAULT.value)], None)
+        account.close([structs.replace(entries[n], state=State.FAULT.value)], None)
     incident = account.take_incident()
     assert incident is not None
     assert incident.why == "a fault was entered"

@@ -21,6 +21,7 @@ import msgspec
 import numpy as np
 import pytest
 from daemon_process import DaemonProcess
+from msgspec import structs
 
 from linemate.daemon.transport.client import Client, RefusedError
 from linemate.protocol.command.command import Role
@@ -394,7 +395,7 @@ def test_a_second_controllers_flawless_telegrams_are_refused_while_the_first_one
 def codec_telegram(controller: RsiController, ipoc: int) -> bytes:
     """A telegram of a robot that stands elsewhere."""
     reading = controller._describe(ipoc, controller._read())
-    return controller.codec.format_robot(replace(reading, joints=(0.1,) * 6))
+    return controller.codec.format_robot(structs.replace(reading, joints=(0.1,) * 6))
 
 
 def test_garbage_at_the_cameras_port_is_counted_and_poses_still_come(

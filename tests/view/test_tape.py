@@ -2,12 +2,12 @@
 
 import json
 import shutil
-from dataclasses import astuple
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 from cell import TASK, World, parameters
+from msgspec.structs import astuple
 
 from linemate.daemon.core.inputs import Order
 from linemate.daemon.cycle.clock.timing import CycleTimes

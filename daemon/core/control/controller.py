@@ -8,16 +8,15 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec import Struct, structs
 
 from linemate.daemon.core import rotations
-from linemate.daemon.core.changed import changed
 from linemate.daemon.core.control import inverse_filter, limits
 from linemate.daemon.core.control.kinematics import Arm, UnreachableError
 from linemate.daemon.core.control.limits import Limits, TcpLimit
 from linemate.daemon.core.control.settings import BrakeSettings, ControlSettings
 from linemate.daemon.core.control.smoothing import smoothing_taps
 from linemate.daemon.core.horizon import Array, Horizon
-from linemate.protocol.frozen import frozen
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
 LONGEST_STAND_IN = 0.03  # of the linear axis' way that the arm makes up for [m]
@@ -62,8 +61,7 @@ class Controller:
         return len(self.servo) - 1 - self.servo_past
 
 
-@frozen(slots=False, eq=False)
-class ControlState:
+class ControlState(Struct, frozen=True, eq=False):
     """What control remembers.
 
     Attributes:
@@ -211,8 +209,7 @@ def damp(controller: Controller, smoothed: Array, free: Array, first: int = 0) -
     return desired
 
 
-@frozen(eq=False)
-class Aim:
+class Aim(Struct, frozen=True, eq=False):
     """Where one step along the horizon leads, whatever the robot made of the last command.
 
     Attributes:
@@ -273,7 +270,7 @@ def reach(
         The new state, and None or the reason why the command is not the one desired.
     """
     if aimed.command is None:
-        return stop(controller, changed(aimed.state, gate=gate)), aimed.reason
+        return stop(controller, structs.replace(aimed.state, gate=gate)), aimed.reason
     bounds, period = controller.limits, controller.cycle_s
     after, held = limits.admit(gate, aimed.command, bounds, period)
     if clamped and held is not None and controller.arm.linear_axis:
@@ -285,7 +282,7 @@ def reach(
         slower = limits.slow_down(gate, after, jacobian, bounds, period, cap)
         if slower is not after:
             after, held = slower, "limited: tcp" if held is None else f"{held}, tcp"
-    return changed(aimed.state, gate=after), held
+    return structs.replace(aimed.state, gate=after), held
 
 
 def _made_up(controller: Controller, command: Array, rail: float) -> Array:
@@ -314,4 +311,4 @@ def _made_up(controller: Controller, command: Array, rail: float) -> Array:
 def stop(controller: Controller, state: ControlState) -> ControlState:
     """Return the state after one step of a gentle stop within the limits."""
     gate = limits.brake(state.gate, controller.limits, controller.cycle_s, controller.gentle)
-    return changed(state, gate=gate)
+    return structs.replace(state, gate=gate)

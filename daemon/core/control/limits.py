@@ -13,9 +13,9 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from linemate.daemon.core.horizon import Array
-from linemate.protocol.frozen import frozen
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,8 +92,7 @@ def _axis_bounds(
     )
 
 
-@frozen(eq=False)
-class GateState:
+class GateState(Struct, frozen=True, eq=False):
     """The last command and its differences, and what had been desired.
 
     Attributes:

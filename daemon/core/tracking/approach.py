@@ -8,15 +8,14 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
+from msgspec import Struct
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.settings import SwingMode
-from linemate.protocol.frozen import frozen
 
 
-@frozen(eq=False)
-class Part:
+class Part(Struct, frozen=True, eq=False):
     """The object over the horizon, in c.
 
     Attributes:
@@ -73,8 +72,7 @@ def sensed(
     return tcp, now
 
 
-@frozen(eq=False)
-class _Series:
+class _Series(Struct, frozen=True, eq=False):
     """What each term of x_f adds to a pose, as far as the modes alone tell.
 
     Attributes:

@@ -10,7 +10,7 @@ A contact, which was there at neither time, shows at once and in full.
 import math
 from dataclasses import dataclass
 
-from linemate.protocol.frozen import frozen
+from msgspec import Struct
 
 TOUCHES = 2  # steps in a row that make a contact
 NEAR = 0.008  # programmed distance to the object from which a force may be a contact [m]
@@ -49,8 +49,7 @@ def ringing(frequency_hz: float, damping: float, force: float, cycle_s: float) -
     return Ringing(half, math.exp(-math.pi * damping / math.sqrt(1.0 - damping**2)), force)
 
 
-@frozen()
-class Feeling:
+class Feeling(Struct, frozen=True):
     """What the tool has felt.
 
     Attributes:

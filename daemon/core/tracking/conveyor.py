@@ -12,9 +12,9 @@ from enum import StrEnum
 from typing import Any, Protocol
 
 import numpy as np
+from msgspec import Struct
 
 from linemate.daemon.core.horizon import Array
-from linemate.protocol.frozen import frozen
 
 LONGEST_TRIAL = 1.0
 """A change that is neither confirmed nor cancelled for so long is cancelled [s]: the slowest
@@ -38,8 +38,7 @@ class Source(StrEnum):
     TACTILE = "tactile"
 
 
-@frozen()
-class Row:
+class Row(Struct, frozen=True):
     """One measured component along the conveyor, (1), (8) and (10).
 
     Attributes:
@@ -57,8 +56,7 @@ class Row:
     gate: float
 
 
-@frozen()
-class View:
+class View(Struct, frozen=True):
     """What a classifier believes now.
 
     Attributes:

@@ -8,17 +8,16 @@ Invariants:
 import math
 
 import numpy as np
+from msgspec import Struct
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.contact import Feeling, Ringing, can_feel
 from linemate.daemon.core.tracking.task import GuardedApproach
-from linemate.protocol.frozen import frozen
 
 PATIENCE = 2.0  # a search that cannot advance ends after so many times its duration
 
 
-@frozen()
-class Search:
+class Search(Struct, frozen=True):
     """How far the tool has searched for the object.
 
     Attributes:

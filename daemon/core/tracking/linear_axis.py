@@ -9,16 +9,15 @@ Invariants:
 import math
 
 import numpy as np
+from msgspec import Struct
 
 from linemate.daemon.core.horizon import Array
-from linemate.protocol.frozen import frozen
 
 LAGS = 3  # equal lags in a row make position, speed and acceleration continuous
 RATE = 6.0  # of one lag, as a multiple of 1 / ramp: three of them settle within the ramp
 
 
-@frozen(eq=False)
-class AxisPlan:
+class AxisPlan(Struct, frozen=True, eq=False):
     """What the axis will do.
 
     Attributes:

@@ -9,18 +9,17 @@ from bisect import bisect_left
 from operator import itemgetter
 
 import numpy as np
+from msgspec import Struct
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.settings import CameraNoise, TactileNoise
-from linemate.protocol.frozen import frozen
 from linemate.protocol.samples import CameraSample, WrenchSample
 
 _diagonal = itemgetter(0, 6, 11, 15, 18, 20)  # of the upper triangle of a covariance (6, 6)
 
 
-@frozen(eq=False)
-class History:
+class History(Struct, frozen=True, eq=False):
     """Where the undeflected tcp was, in c, newest last.
 
     Attributes:
@@ -65,8 +64,7 @@ def rate_now(history: History) -> Array:
     return rate
 
 
-@frozen(eq=False)
-class Sighting:
+class Sighting(Struct, frozen=True, eq=False):
     """One measured pose of the object in c.
 
     Attributes:
@@ -117,8 +115,7 @@ def sight(
     return Sighting(position, rotation, (now_ns - sample.exposure_ns) * 1e-9, variance)
 
 
-@frozen(eq=False)
-class Wrench:
+class Wrench(Struct, frozen=True, eq=False):
     """The mean of the wrenches that came since the last step.
 
     Attributes:

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
-from linemate.daemon.core.changed import changed
 from linemate.daemon.core.horizon import Array, Horizon
 from linemate.daemon.core.tracking import approach, contact, guard, linear_axis, merge, release
 from linemate.daemon.core.tracking.conveyor import Classifier, Motion, Row, Source, View
@@ -30,7 +31,6 @@ from linemate.daemon.core.tracking.reference import Reference, Table, barrier, l
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.task import Gate, Phase, TaskFile
 from linemate.daemon.core.tracking.transverse import Transverse, TransverseState
-from linemate.protocol.frozen import frozen
 from linemate.protocol.samples import CameraSample, DistanceSample, Vector3, WrenchSample
 
 AWAY = 0.15  # way of an emergency retraction [m]
@@ -99,8 +99,7 @@ class Tracker:
     foresight: Foresight | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class TrackerState:
+class TrackerState(Struct, frozen=True, eq=False):
     """What tracking remembers.
 
     Attributes:
@@ -161,8 +160,7 @@ class TrackerState:
     seen_ns: int | None = None
 
 
-@frozen(eq=False)
-class Report:
+class Report(Struct, frozen=True, eq=False):
     """What one step of tracking has to say beside the horizon.
 
     Attributes:
@@ -190,8 +188,7 @@ class Report:
     refused: int
 
 
-@frozen(eq=False)
-class Measurements:
+class Measurements(Struct, frozen=True, eq=False):
     """One step's samples, and where the robot is."""
 
     stamp_ns: int
@@ -223,7 +220,7 @@ def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> Tra
     """
     poses = np.tile(pose, (tracker.steps + 1, 1))
     if _is_engaged(state):
-        return changed(
+        return replace(
             state,
             poses=poses,
             axis=linear_axis.at_rest(axis, tracker.axis_steps),
@@ -233,7 +230,7 @@ def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> Tra
             clamped=False,
             anchor=None,
         )
-    return changed(
+    return replace(
         state,
         poses=poses,
         axis=linear_axis.at_rest(axis, tracker.axis_steps),
@@ -303,7 +300,7 @@ def estimate(
             belief = tracker.classifier.initial(readings[-1])
     else:
         belief = tracker.classifier.advance(belief, rows, tracker.cycle_s)
-    state = changed(
+    state = replace(
         state,
         history=history,
         belief=belief,
@@ -406,9 +403,9 @@ def track(
     state, refused, wrench = estimate(tracker, state, seen)
     view = _view(tracker, state)
     if start and not state.started:
-        state = changed(state, started=True)
+        state = replace(state, started=True)
     if retreat and not state.started and state.anchor is None:
-        state = changed(state, anchor=state.poses[-1])
+        state = replace(state, anchor=state.poses[-1])
     stood = retreat and state.anchor is None and bool((state.poses == state.poses[0]).all())
     state = _clock(tracker, state, view, seen, retreat)
     span = tracker.span
@@ -418,7 +415,7 @@ def track(
         relative = _waiting(state, relative)
     is_searching = not retreat and _searches(tracker, state)
     if is_searching:
-        state = changed(state, search=_searched(tracker, state))
+        state = replace(state, search=_searched(tracker, state))
     guarded = tracker.task.guard
     # Without a force sensor the tool waits at the waypoint of contact: it would feel nothing.
     advances = is_searching and bool(state.feeling.forces)
@@ -443,7 +440,7 @@ def track(
     goal = merge.rounded(goal, tracker.corner)
     poses = merge.merge(state.poses, goal, tracker.matrices, tracker.commit)
     state = _following(tracker, state, view, along)
-    state = changed(state, poses=poses, distance=float(relative[0, 2]))
+    state = replace(state, poses=poses, distance=float(relative[0, 2]))
     free = _free(tracker, state.time, limit)
     horizon = Horizon(poses, state.axis.positions, free, tracker.reference.nominal, tracker.commit)
     return state, horizon, report(tracker, state, view, wrench, refused, target, part)
@@ -480,7 +477,7 @@ def _found(tracker: Tracker, state: TrackerState) -> TrackerState:
     across = state.across
     if across is not None:
         across = tracker.transverse.widened(across, state.search.reach)
-    return changed(state, across=across, search=guard.NO_SEARCH)
+    return replace(state, across=across, search=guard.NO_SEARCH)
 
 
 def _anchored(state: TrackerState, goal: Array) -> tuple[TrackerState, Array]:
@@ -488,7 +485,7 @@ def _anchored(state: TrackerState, goal: Array) -> tuple[TrackerState, Array]:
     anchor = state.anchor
     if anchor is None:
         anchor = _offset(state.poses[0], goal[0])
-        state = changed(state, anchor=anchor)
+        state = replace(state, anchor=anchor)
     return state, goal + anchor if state.started else np.tile(anchor, (len(goal), 1))
 
 
@@ -514,7 +511,7 @@ def observe(
         passed = _passed(tracker, state, _view(tracker, state), seen)
         releasing = _since(state.releasing, True, tracker.cycle_s)
         touching = state.touching + tracker.cycle_s
-        state = changed(state, passed=passed, fixing=None, releasing=releasing, touching=touching)
+        state = replace(state, passed=passed, fixing=None, releasing=releasing, touching=touching)
     target = part = None
     if state.across is not None and state.belief is not None:
         _, relative = tracker.table.ahead(state.time, math.inf, 0)
@@ -617,7 +614,7 @@ def _clock(
     tool, passed = tracker.task.tool, _passed(tracker, state, view, seen)
     clamped = retreat and state.withdrawn is None and _may_be_clamped(tracker, state, passed)
     if retreat:
-        state = changed(
+        state = replace(
             state,
             clamped=clamped,
             releasing=_since(state.releasing, True, T0),
@@ -627,7 +624,7 @@ def _clock(
         return state
     # Counted in steps: a sum of many periods is no multiple of one.
     steps = round(state.time / T0) + 1
-    stand = _stand(tracker, changed(state, passed=passed), seen.stamp_ns, retreat)
+    stand = _stand(tracker, replace(state, passed=passed), seen.stamp_ns, retreat)
     time = min(steps * T0, stand)
     blended = state.blended
     if blended is not None:
@@ -636,7 +633,7 @@ def _clock(
         blended = 0.0
     screwing = time >= tool.fix_screws and not retreat and _is_pressed(tracker, state)
     releasing = time >= tool.release_wheel
-    return changed(
+    return replace(
         state,
         passed=passed,
         time=time,
@@ -728,7 +725,7 @@ def touched(
     if before.contact:
         lost = Gate.WHEEL_RELEASED in after.passed
         touching = before.touching + tracker.cycle_s
-        return changed(after, contact=not lost, touching=touching, feeling=contact.NOTHING)
+        return replace(after, contact=not lost, touching=touching, feeling=contact.NOTHING)
     if after.blended is None or Gate.WHEEL_RELEASED in after.passed:
         return after
     if after.clamped or after.withdrawn is not None:
@@ -744,7 +741,7 @@ def touched(
         feeling = contact.assumed(feeling, before.distance, is_due=is_due)
     made = feeling.touches >= contact.TOUCHES
     assumed = made and not feeling.forces
-    return changed(after, feeling=feeling, contact=made, assumed=assumed, touching=0.0)
+    return replace(after, feeling=feeling, contact=made, assumed=assumed, touching=0.0)
 
 
 def _following(
@@ -771,7 +768,7 @@ def _following(
         # The goal is ahead of the axis by the plan's length and lag: time to hold or to retreat.
         left = goal != wanted
     axis = linear_axis.advance(state.axis, goal, file.ramp, T0)
-    return changed(state, axis=axis, departure=departure, object_left=left)
+    return replace(state, axis=axis, departure=departure, object_left=left)
 
 
 def _free(tracker: Tracker, time: float, limit: float) -> Array:

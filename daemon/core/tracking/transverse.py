@@ -13,14 +13,14 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 from scipy.linalg.lapack import dposv as _solve
 
 from linemate.daemon.core import rotations
-from linemate.daemon.core.changed import changed
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.observation import Sighting
 from linemate.daemon.core.tracking.settings import FusionSettings, SwingMode
-from linemate.protocol.frozen import frozen
 
 X, Z, TURN = 0, 1, 2  # rows of x, z, and of the first of three turns
 STATIC = 5  # states that do not swing
@@ -35,8 +35,7 @@ MOST_DOUBT = 25.0
 JUMPED = 20  # so many in a row, half a second: by then it was somebody else's to end the motion
 
 
-@frozen(slots=False, eq=False)
-class TransverseState:
+class TransverseState(Struct, frozen=True, eq=False):
     """Belief across the conveyor.
 
     Attributes:
@@ -164,7 +163,7 @@ class Transverse:
         F = self._paced(F, state, dt)
         P = F.dot(state.P).dot(F.T)
         P += Q
-        return changed(state, x=F.dot(state.x), P=P)
+        return replace(state, x=F.dot(state.x), P=P)
 
     def _paced(self, F: Array, state: TransverseState, dt: float) -> Array:
         """Return A with each swing at its pace, and with how an error of the pace enters it."""
@@ -204,7 +203,7 @@ class Transverse:
         P = state.P.copy()
         P[X, X] += deviation**2
         P[Z, Z] += deviation**2
-        return changed(state, P=P)
+        return replace(state, P=P)
 
     def rows(self, state: TransverseState, delay: float) -> Array:
         """Return the rows (5, n) of (8) for x, z and the three turns, ``delay`` s ago."""
@@ -251,7 +250,7 @@ class Transverse:
         if not beyond <= 1.0:
             enough = REFUSALS if beyond <= JUMP * JUMP else JUMPED
             if state.refused + 1 < enough:
-                return changed(state, refused=state.refused + 1), False
+                return replace(state, refused=state.refused + 1), False
             P = P.copy()
             P.flat[: STATIC * (len(P) + 1) : len(P) + 1] += squared
             PH = P.dot(H.T)
@@ -262,7 +261,7 @@ class Transverse:
         # LAPACK itself: numpy's wrapper costs three times what these five rows do.
         _, K, failed = _solve(S, PH.T)
         if failed:
-            return changed(state, refused=state.refused + 1, scatter=scatter), False
+            return replace(state, refused=state.refused + 1, scatter=scatter), False
         x = state.x + measured.dot(K)
         P = P - PH.dot(K)
         P = 0.5 * (P + P.T.copy())  # two that lie alike are added sooner
@@ -270,7 +269,7 @@ class Transverse:
         paces = self._corrected(state, x)
         x[TURN:STATIC] = 0.0
         x[self._first_pace :] = 0.0
-        state = changed(state, x=x, P=P, rotation=rotation, refused=0, paces=paces, scatter=scatter)
+        state = replace(state, x=x, P=P, rotation=rotation, refused=0, paces=paces, scatter=scatter)
         return state, True
 
     def _walk(self, delay: float) -> Array:

@@ -8,8 +8,8 @@ the phase follows the early ones at once and the late ones slowly. Source: refer
 
 from enum import StrEnum
 
-from linemate.daemon.core.changed import changed
-from linemate.protocol.frozen import frozen
+from msgspec import Struct
+from msgspec.structs import replace
 
 LATE_SHARE = 0.1
 """How much of an arrival's lateness enters the phase."""
@@ -28,8 +28,7 @@ class Kind(StrEnum):
     MISSING = "missing"
 
 
-@frozen()
-class Due:
+class Due(Struct, frozen=True):
     """One thing that is due.
 
     Attributes:
@@ -41,8 +40,7 @@ class Due:
     stamp_ns: int
 
 
-@frozen(slots=False)
-class Schedule:
+class Schedule(Struct, frozen=True):
     """Where the schedule stands.
 
     Attributes:
@@ -97,7 +95,7 @@ def on_telegram(schedule: Schedule, stamp_ns: int) -> Schedule:
         phase_ns = expected_ns + round(LATE_SHARE * late_ns)
     else:
         phase_ns = stamp_ns
-    return changed(
+    return replace(
         schedule, next_ns=phase_ns + period_ns, prepared=False, attended=False, locked=True
     )
 
@@ -126,7 +124,7 @@ def run_free(schedule: Schedule, period_ns: int) -> Schedule:
     Args:
         period_ns: of the clock alone [ns].
     """
-    return changed(schedule, locked=False, period_ns=period_ns, grace_ns=period_ns // 2)
+    return replace(schedule, locked=False, period_ns=period_ns, grace_ns=period_ns // 2)
 
 
 def wake_ns(schedule: Schedule) -> int:
@@ -151,7 +149,7 @@ def on_wake(schedule: Schedule, now_ns: int) -> tuple[Schedule, tuple[Due, ...]]
     schedule = _skip(schedule, now_ns)
     while schedule.next_ns + schedule.grace_ns <= now_ns:
         due.append(Due(Kind.MISSING, schedule.next_ns))
-        schedule = changed(
+        schedule = replace(
             schedule,
             next_ns=schedule.next_ns + schedule.period_ns,
             prepared=False,
@@ -159,7 +157,7 @@ def on_wake(schedule: Schedule, now_ns: int) -> tuple[Schedule, tuple[Due, ...]]
         )
     if _prepares(schedule) and wake_ns(schedule) <= now_ns:
         due.append(Due(Kind.PREPARE, schedule.next_ns))
-        schedule = changed(schedule, prepared=True)
+        schedule = replace(schedule, prepared=True)
     return schedule, tuple(due)
 
 
@@ -174,7 +172,7 @@ def attend(schedule: Schedule, now_ns: int) -> tuple[Schedule, int | None]:
     """
     if not _attends(schedule) or now_ns < schedule.next_ns - ATTEND_NS:
         return schedule, None
-    return changed(schedule, attended=True), schedule.next_ns
+    return replace(schedule, attended=True), schedule.next_ns
 
 
 def _attends(schedule: Schedule) -> bool:
@@ -191,7 +189,7 @@ def _skip(schedule: Schedule, now_ns: int) -> Schedule:
     excess = overdue - MOST_AT_ONCE
     if excess <= 0:
         return schedule
-    return changed(
+    return replace(
         schedule,
         next_ns=schedule.next_ns + excess * schedule.period_ns,
         skipped=schedule.skipped + excess,

@@ -7,11 +7,12 @@ at most; who writes it does so in the slack.
 
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any, Final
 
+from msgspec import Struct
+
 from linemate.daemon.cycle.clock.histogram import Histogram
-from linemate.protocol.frozen import frozen
 
 KEPT_S: Final = 2.0
 PAUSE_S: Final = 10.0
@@ -20,8 +21,7 @@ PAUSE_S: Final = 10.0
 SENSORS: Final = ("distance", "camera", "wrench")
 
 
-@frozen()
-class CycleTimes:
+class CycleTimes(Struct, frozen=True):
     """One cycle. Times are [ns], None where there was no such thing.
 
     Attributes:
@@ -45,7 +45,7 @@ class CycleTimes:
     state: str
 
 
-COLUMNS: Final = tuple(part.name for part in fields(CycleTimes))
+COLUMNS: Final = CycleTimes.__struct_fields__
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,8 +3,9 @@
 Law of this file: both act once a cycle and know of the daemon only what it answers and shows.
 """
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
+
+from msgspec.structs import replace
 
 from linemate.daemon.cycle.states import State
 from linemate.daemon.service.app import App

@@ -12,6 +12,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, get_args
 
+from msgspec import structs
+
 from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core.control import limits
 from linemate.daemon.core.inputs import Order
@@ -48,7 +50,7 @@ def _facts(**wrong: Callable[[Facts], Any]) -> list[Patch]:
         before: watch.Watch, facts: Facts, machine: Any, settings: WatchSettings
     ) -> tuple[watch.Watch, Any]:
         changes: dict[str, Any] = {name: tell(facts) for name, tell in wrong.items()}
-        return whole(before, replace(facts, **changes), machine, settings)
+        return whole(before, structs.replace(facts, **changes), machine, settings)
 
     return [(watch, "observe", observe)]
 
@@ -86,7 +88,7 @@ def _camera_off() -> list[Patch]:
     def feed(self: CameraDecoder, data: bytes, stamp_ns: int) -> Any:
         sample = whole(self, data, stamp_ns)
         x, y, z = sample.position
-        return replace(sample, position=(x, y + OFF_M, z))
+        return structs.replace(sample, position=(x, y + OFF_M, z))
 
     return [(CameraDecoder, "feed", feed)]
 
@@ -101,7 +103,7 @@ def _distance_off() -> list[Patch]:
         if sample is None:
             return None
         seen = count[id(self)] = count.get(id(self), 0) + 1
-        return replace(sample, position=sample.position + OFF_M) if seen > 60 else sample
+        return structs.replace(sample, position=sample.position + OFF_M) if seen > 60 else sample
 
     return [
         (DistanceDecoder, "decode", decode),
@@ -151,7 +153,7 @@ def _crc_unchecked() -> list[Patch]:
 
 def _gate_open() -> list[Patch]:
     def admit(state: limits.GateState, desired: Any, *_args: Any) -> tuple[limits.GateState, None]:
-        return replace(state, position=desired, desired=desired), None
+        return structs.replace(state, position=desired, desired=desired), None
 
     return [(limits, "admit", admit)]
 
@@ -176,7 +178,7 @@ def _camera_not_late() -> list[Patch]:
     whole = CameraDecoder.feed
 
     def feed(self: CameraDecoder, data: bytes, stamp_ns: int) -> Any:
-        return replace(whole(self, data, stamp_ns), exposure_ns=stamp_ns)
+        return structs.replace(whole(self, data, stamp_ns), exposure_ns=stamp_ns)
 
     return [(CameraDecoder, "feed", feed)]
 

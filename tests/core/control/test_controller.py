@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from linemate.daemon.config import task_file
 from linemate.daemon.config.files import DAEMON_DATA
@@ -216,7 +217,7 @@ def test_a_pose_that_cannot_be_reached_brakes_and_says_so(bad: float) -> None:
 def test_a_stop_is_the_gates_gentle_brake_and_leaves_the_plan_alone() -> None:
     controller = made(PLAIN)
     state = control.at_rest(controller, REST, pose_of(REST))
-    moving = replace(state, gate=replace(state.gate, speed=np.full(7, 0.1)))
+    moving = structs.replace(state, gate=structs.replace(state.gate, speed=np.full(7, 0.1)))
     stopped = control.stop(controller, moving)
     known = limits.brake(moving.gate, controller.limits, controller.cycle_s, controller.gentle)
     assert np.array_equal(stopped.gate.position, known.position)
@@ -247,7 +248,7 @@ def test_while_clamped_the_arm_makes_up_for_what_the_linear_axis_is_behind(cycle
     for clamped in (False, True):
         gate, state = limits.at_rest(REST), control.at_rest(controller, REST, pose_of(REST))
         for _ in range(round(0.036 / cycle_s)):
-            aimed = control.Aim(replace(state, gate=gate), desired)
+            aimed = control.Aim(structs.replace(state, gate=gate), desired)
             after, _ = control.reach(controller, aimed, gate, clamped=clamped)
             gate = after.gate
         off[clamped] = float(np.abs(pose_of(gate.position) - pose_of(desired))[:3].max())

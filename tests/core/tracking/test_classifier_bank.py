@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from conveyor_truth import DEVIATION, NOMINAL, STOP, T0, Truth
 from filterpy.kalman import KalmanFilter
+from msgspec import structs
 from scipy import integrate
 
 from linemate.daemon.core.horizon import Array
@@ -139,7 +140,7 @@ def test_a_ramp_is_as_set_as_far_as_the_readings_let_it(found: float, sigma: flo
     nominal, settings = -BANK.conveyor.deceleration, BANK.bank
     x, P = np.zeros(STATES), np.zeros((STATES, STATES))
     x[ACCELERATION], P[ACCELERATION, ACCELERATION] = found, sigma**2
-    state = replace(BANK.initial(0.0), x=x, P=P, motion=Motion.STOPPING)
+    state = structs.replace(BANK.initial(0.0), x=x, P=P, motion=Motion.STOPPING)
     a = np.linspace(-0.25, 0.05, 30001)
     wide, narrow = (
         gaussian(a, nominal, share * nominal)
@@ -159,7 +160,7 @@ def gaussian(a: Array, mean: float, sigma: float) -> Array:
 
 @pytest.mark.parametrize("motion", [Motion.RUNNING, Motion.STANDING])
 def test_only_a_ramp_has_been_set(motion: Motion) -> None:
-    state = replace(BANK.initial(0.0), motion=motion)
+    state = structs.replace(BANK.initial(0.0), motion=motion)
     assert BANK._as_set(state) is state.x
 
 
@@ -296,7 +297,7 @@ def test_a_stop_that_does_not_slow_the_conveyor_is_taken_back() -> None:
     braking[4] = -STOP
     P = state.P.copy()
     P[4, 4] = (0.15 * STOP) ** 2
-    state = replace(state, x=braking, P=P, motion=Motion.STOPPING, since=0.0)
+    state = structs.replace(state, x=braking, P=P, motion=Motion.STOPPING, since=0.0)
     events = []
     for t in times[150:]:
         state = SHARP.advance(state, fine_row(truth, float(t), rng), T0)
@@ -329,13 +330,15 @@ def test_in_contact_little_evidence_moves_the_prediction_less_than_bayes_would()
     for caution in (1.0, BankSettings().contact_caution):
         settings = BankSettings(contact_caution=caution)
         bank = BankClassifier(ConveyorClasses(), FusionSettings(), settings, DEVIATION)
-        state = replace(
+        state = structs.replace(
             bank.initial(0.0),
             contact=True,
             bank=hypotheses.begun(np.zeros(STATES), (0.0,)),
         )
         shares[caution] = [
-            bank._shares(replace(state, change=hypotheses.Verdict(odds, np.ones(1), np.ones(1))))[0]
+            bank._shares(
+                structs.replace(state, change=hypotheses.Verdict(odds, np.ones(1), np.ones(1)))
+            )[0]
             for odds in (1.2, 7.0)
         ]
     bayes, careful = shares.values()

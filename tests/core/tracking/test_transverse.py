@@ -8,6 +8,7 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec import structs
 from scipy import linalg, stats
 
 from linemate.daemon.core import rotations
@@ -364,7 +365,7 @@ def squared_errors(seed: int, late: int, fusion: FusionSettings) -> list[float]:
     truth = [first.copy()]
     rotation = [rotations.exp(first[TURN:STATIC]) @ rotations.exp(OFF)]
     state = TransverseState(np.zeros(size), start, rotations.exp(OFF))
-    state = replace(state, x=np.r_[PLACE[[0, 2]], np.zeros(size - 2)])
+    state = structs.replace(state, x=np.r_[PLACE[[0, 2]], np.zeros(size - 2)])
     truth[0][:2] += PLACE[[0, 2]]
     found = []
     for k in range(1, CHECKS * 60 + 1):
@@ -440,14 +441,14 @@ def test_a_frequency_taken_for_exact_has_no_state() -> None:
 def test_a_wrong_pace_enters_the_rows_and_the_transition_as_it_enters_the_swing() -> None:
     state = run(4.0, amplitude=0.006)
     off = 1e-4
-    faster = replace(state, paces=(state.paces[0] + off,))
+    faster = structs.replace(state, paces=(state.paces[0] + off,))
     for delay in (0.0, 0.1, 0.25):
         column = FILTER.rows(state, delay)[:, -1]
         rows = [FILTER.rows(each, delay) @ each.x for each in (faster, state)]
         assert np.allclose(column, (rows[0] - rows[1]) / off, rtol=0.02, atol=2e-6)
     late = 0.3
     moved = [FILTER.predict(each, late).x for each in (faster, state)]
-    kicked = replace(state, P=np.zeros_like(state.P))
+    kicked = structs.replace(state, P=np.zeros_like(state.P))
     kicked.P[-1, -1] = 1.0
     noise = FILTER.fusion
     P = FILTER.predict(kicked, late).P
@@ -468,7 +469,7 @@ def test_a_step_of_the_orientation_is_no_swing_while_the_tool_seats_itself() -> 
             step = rotations.exp(np.array((0.0, min(k / 4.0, 1.0) * -0.0015, 0.0)))
             sighting = seen(PLACE, step @ rotations.exp(OFF), float(angle(now, 0.004)), 0.0)
             state = FILTER.predict(state, T0, seating=seating)
-            state, _ = FILTER.correct(state, replace(sighting, variance=fine), 20.0)
+            state, _ = FILTER.correct(state, structs.replace(sighting, variance=fine), 20.0)
         ahead = np.linspace(0.0, 0.4, 30)
         found = FILTER.swing_angles(state, ahead)[0] - angle(now + ahead, 0.004)
         swings.append(float(np.abs(found).max()))

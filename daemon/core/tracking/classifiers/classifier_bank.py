@@ -15,8 +15,9 @@ from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
-from linemate.daemon.core.changed import changed
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.classifiers import hypotheses, ramp_check
 from linemate.daemon.core.tracking.classifiers.hypotheses import NOTHING, Bank, Prior, Verdict
@@ -57,8 +58,7 @@ _NEXT = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class BankState:
+class BankState(Struct, frozen=True, eq=False):
     """Belief of the bank.
 
     Attributes:
@@ -94,7 +94,7 @@ class BankState:
     pace: float = 1.0
     age: float = 0.0
     since: float = 0.0
-    refused: Mapping[Source, int] = field(default_factory=dict)
+    refused: Mapping[Source, int] = {}
     change: Verdict = NOTHING
     push: Verdict = NOTHING
     odds: float = -30.0
@@ -284,7 +284,7 @@ class BankClassifier:
                 pushes = hypotheses.aged(pushes, began, F, dt, longest)
             elif len(pushes):
                 pushes = hypotheses.empty(STATES)
-        state = changed(
+        state = replace(
             state,
             x=F.dot(state.x),
             P=P,
@@ -316,7 +316,7 @@ class BankClassifier:
         x[WAVE] = x[CREST] = 0.0
         P[WAVE:PACE, :] = P[:, WAVE:PACE] = 0.0
         P[WAVE, WAVE] = P[CREST, CREST] = self.wave.deviation**2
-        return changed(state, x=x, P=P)
+        return replace(state, x=x, P=P)
 
     def _unless_it_slows(self, state: BankState) -> BankState:
         """Return the state running again if a stop has turned out not to slow the conveyor.
@@ -329,7 +329,7 @@ class BankClassifier:
         if float(state.x[ACCELERATION]) - 2.0 * sigma <= slowest:
             return state
         state = _enter(state, Motion.RUNNING, float(state.x[V]), REST_DEVIATION)
-        return changed(state, events=(*state.events, ("stop", "cancelled")))
+        return replace(state, events=(*state.events, ("stop", "cancelled")))
 
     def _correct(self, state: BankState, rows: Sequence[Row]) -> BankState:
         """Return (2)-(4) for some rows, null filter and banks alike, each gated.
@@ -363,7 +363,7 @@ class BankClassifier:
                 refusals = refused.get(row.source, 0) + 1
                 refused = {**refused, row.source: refusals}
                 if refusals >= REFUSALS:
-                    return self._widened(changed(state, x=J[:, STATES], P=J[:, :STATES]), nu)
+                    return self._widened(replace(state, x=J[:, STATES], P=J[:, :STATES]), nu)
                 continue
             if refused.get(row.source):
                 refused = {**refused, row.source: 0}
@@ -374,7 +374,7 @@ class BankClassifier:
         x = J[:, STATES].copy()
         low, high = PACES
         pace, x[PACE] = min(max(state.pace + float(x[PACE]), low), high), 0.0
-        return changed(
+        return replace(
             state,
             x=x,
             P=J[:, :STATES],
@@ -391,7 +391,7 @@ class BankClassifier:
         P[Y, Y] += nu * nu
         P[OFFSET, OFFSET] += nu * nu
         P[V, V] += (0.5 * self.conveyor.nominal_speed) ** 2
-        return changed(self._still(_cleared(changed(state, P=P))), age=0.0, refused={})
+        return replace(self._still(_cleared(replace(state, P=P))), age=0.0, refused={})
 
     def _plausible(self, state: BankState, nu: float, rho: Array, gate: float) -> bool:
         """Tell whether an innovation lies in the range that the live hypotheses span.
@@ -414,20 +414,20 @@ class BankClassifier:
             state = self._correct(state, rows)
         contact = any(row.source is Source.TACTILE for row in rows)
         if contact is not state.contact:
-            state = changed(state, contact=contact)
+            state = replace(state, contact=contact)
         state = self._bounded(self._decide(state), before, dt)
         return self._settle(self._checked(before, state, rows, dt), dt)
 
     def _bounded(self, state: BankState, before: BankState, dt: float) -> BankState:
         """Return the state with a change cancelled that has been tentative for too long."""
         if not state.tentative:
-            return changed(state, trial_s=0.0) if state.trial_s else state
+            return replace(state, trial_s=0.0) if state.trial_s else state
         trial_s = state.trial_s + dt if before.tentative else 0.0
         if trial_s < LONGEST_TRIAL:
-            return changed(state, trial_s=trial_s)
+            return replace(state, trial_s=trial_s)
         event = (_NEXT[state.motion][1], "cancelled")
         # The evidence is kept: a slow change is still confirmed by more of it.
-        return changed(
+        return replace(
             state, tentative=False, is_spent=True, trial_s=0.0, events=(*state.events, event)
         )
 
@@ -441,7 +441,7 @@ class BankClassifier:
         check = ramp_check.follow(state.check, before.motion, state.motion, speed, rows, dt)
         denial = ramp_check.denied(check, self.conveyor, state.cruise, self.distance_deviation)
         if denial is None:
-            return changed(state, check=check)
+            return replace(state, check=check)
         return self._denied(state, denial)
 
     def _denied(self, state: BankState, denial: Denial) -> BankState:
@@ -460,8 +460,8 @@ class BankClassifier:
             P[ACCELERATION, ACCELERATION] = (
                 self.bank.amplitude_deviation * self.conveyor.deceleration
             ) ** 2
-            state = changed(state, x=x, P=P)
-        return changed(state, trial_s=0.0, check=None, events=events)
+            state = replace(state, x=x, P=P)
+        return replace(state, trial_s=0.0, check=None, events=events)
 
     def _decide(self, state: BankState) -> BankState:
         """Return the state with a change perceived, confirmed or cancelled, or a push taken."""
@@ -474,20 +474,20 @@ class BankClassifier:
         limit = settings.start_confirmed
         if word == "stop":
             limit = settings.contact_confirmed if state.contact else settings.stop_confirmed
-        state = changed(state, change=change, push=push, odds=odds, push_odds=push_odds)
+        state = replace(state, change=change, push=push, odds=odds, push_odds=push_odds)
         if odds > limit:
             events = [*state.events, (word, "tentative"), (word, "confirmed")]
             if state.tentative:
                 events.remove((word, "tentative"))
-            return self._accept(changed(state, events=tuple(events)), motion)
+            return self._accept(replace(state, events=tuple(events)), motion)
         if push_odds > self.jerk.confirmed:
             return self._accept_push(state)
         if state.is_spent:
-            return changed(state, is_spent=False) if odds < CALM else state
+            return replace(state, is_spent=False) if odds < CALM else state
         if not state.tentative and odds > settings.perceived:
-            return changed(state, tentative=True, events=(*state.events, (word, "tentative")))
+            return replace(state, tentative=True, events=(*state.events, (word, "tentative")))
         if state.tentative and odds < CALM:
-            return changed(state, tentative=False, events=(*state.events, (word, "cancelled")))
+            return replace(state, tentative=False, events=(*state.events, (word, "cancelled")))
         return state
 
     def _raw_push(self, state: BankState) -> Array:
@@ -500,7 +500,7 @@ class BankClassifier:
         """Return the state in its new class, the banks cleared."""
         mean, spread = hypotheses.moments(state.bank, -state.bank.error, self._prior)
         since = float(state.change.weights @ state.bank.age)
-        return changed(
+        return replace(
             _cleared(state), x=state.x + mean, P=state.P + spread, motion=motion, since=since
         )
 
@@ -512,7 +512,7 @@ class BankClassifier:
         events = [*state.events, ("push", "confirmed")]
         if state.tentative:
             events.append((_NEXT[state.motion][1], "cancelled"))
-        return changed(
+        return replace(
             _cleared(state),
             x=state.x + mean,
             P=state.P + spread,
@@ -535,7 +535,7 @@ class BankClassifier:
         if SETTLING < state.age < SETTLING + 1.5 * dt and speed < 0.3 * nominal:
             return self._still(_enter(state, Motion.STANDING, speed, REST_DEVIATION))
         if state.age > SETTLING and not state.tentative and speed > 0.7 * nominal:
-            return changed(state, cruise=state.cruise + dt * (speed - state.cruise))
+            return replace(state, cruise=state.cruise + dt * (speed - state.cruise))
         return state
 
     # The prediction.
@@ -705,7 +705,7 @@ def _softplus(value: float) -> float:
 
 def _cleared(state: BankState) -> BankState:
     """Return the state without a hypothesis."""
-    return changed(
+    return replace(
         state,
         bank=hypotheses.empty(STATES),
         pushes=hypotheses.empty(STATES),
@@ -724,4 +724,4 @@ def _enter(state: BankState, motion: Motion, speed: float, deviation: float) -> 
     x[V], x[ACCELERATION] = speed, 0.0
     P[ACCELERATION, :] = P[:, ACCELERATION] = 0.0
     P[V, V] += deviation**2
-    return changed(_cleared(state), x=x, P=P, motion=motion, since=0.0)
+    return replace(_cleared(state), x=x, P=P, motion=motion, since=0.0)

@@ -7,9 +7,11 @@ so those transitions are not rates. The mixed prediction needs no threshold; the
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.classifiers import ramp_check
@@ -30,8 +32,7 @@ FLOOR = 1e-9  # of a mode's probability: leakage bounds the odds, nothing may be
 _WORDS = {STOP: "stop", STAND: "stop", START: "start", RUN: "start"}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ImmState:
+class ImmState(Struct, frozen=True, eq=False):
     """One estimate (4, 5) and covariance (4, 5, 5) a mode, and the modes' odds (4,).
 
     Attributes:

@@ -8,9 +8,11 @@ to be: a stiffer one would perceive a start sooner, but this is the paper's meth
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.classifiers import ramp_check
@@ -27,8 +29,7 @@ ACTING = 0.15  # how long a class has acted as it is tried [s]
 BEHIND = 0.5  # share of the error that tries it by which the estimate lags; the rest is noise
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Trial:
+class Trial(Struct, frozen=True, eq=False):
     """A class on trial.
 
     Attributes:
@@ -45,8 +46,7 @@ class Trial:
     age: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RuleState:
+class RuleState(Struct, frozen=True, eq=False):
     """Belief of the rule.
 
     Attributes:
@@ -70,7 +70,7 @@ class RuleState:
     cruise: float
     age: float = 0.0
     since: float = 0.0
-    refused: Mapping[Source, int] = field(default_factory=dict)
+    refused: Mapping[Source, int] = {}
     wild: int = 0
     trial: Trial | None = None
     check: StartCheck | None = None

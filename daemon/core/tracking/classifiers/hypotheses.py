@@ -16,13 +16,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from linemate.daemon.core.horizon import Array
-from linemate.protocol.frozen import frozen
 
 
-@frozen(eq=False)
-class Bank:
+class Bank(Struct, frozen=True, eq=False):
     """Hypotheses, youngest first.
 
     Attributes:
@@ -71,8 +70,7 @@ class Prior:
     variance: float
 
 
-@frozen(eq=False)
-class Verdict:
+class Verdict(Struct, frozen=True, eq=False):
     """What a bank's evidence says.
 
     Attributes:

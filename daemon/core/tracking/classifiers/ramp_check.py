@@ -8,9 +8,10 @@ speed over the last half second with two hypotheses: the start, and the class be
 import math
 from collections.abc import Sequence
 
+from msgspec import Struct
+
 from linemate.daemon.core.tracking.conveyor import Motion, Row, Source
 from linemate.daemon.core.tracking.task import ConveyorClasses
-from linemate.protocol.frozen import frozen
 
 SPAN_S = 0.4  # of the readings that are compared; a start must be taken back within 0.5 s
 LEAST_READINGS = 8  # an interquartile mean of each half needs four
@@ -20,8 +21,7 @@ SPREAD = 1.2  # sigma of an interquartile mean of normal noise, as a multiple of
 LONGEST = 2.0  # a start of half the set acceleration lasts twice as long as one that is as set
 
 
-@frozen(eq=False)
-class StartCheck:
+class StartCheck(Struct, frozen=True, eq=False):
     """What is known of a start since it was declared.
 
     Attributes:
@@ -36,8 +36,7 @@ class StartCheck:
     readings: tuple[tuple[float, float], ...] = ()
 
 
-@frozen()
-class Denial:
+class Denial(Struct, frozen=True):
     """A start that the readings contradict.
 
     Attributes:
