@@ -56,7 +56,9 @@ def test_after_a_stall_only_the_last_step_has_the_measured_times(
     account = Account(Timing(T))
     account.stepped(900_000)
     account.close(
-        [structs.replace(e, ipoc=None) for e in entries[:3]] + [replace(entries[3], ipoc=48)], 5
+        [structs.replace(e, ipoc=None) for e in entries[:3]]
+        + [structs.replace(entries[3], ipoc=48)],
+        5,
     )
     assert [told.step_ns for told in account.timing.last()] == [None, None, None, 900_000]
 
