@@ -392,4 +392,4 @@ def _agrees(candidate: Program, robot: RobotSample, cycle_s: float) -> bool:
 def standing(robot: RobotSample, held: Axes) -> RobotSample:
     """Return a robot's sample as if its axes were where it holds."""
     external = (held[6], *robot.external[1:]) if len(held) > 6 else robot.external
-    return replace(robot, joints=held[:6], external=external)  # type: ignore[arg-type]
+    return replace(robot, joints=held[:6], external=external)
