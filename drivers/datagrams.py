@@ -10,7 +10,6 @@ import select
 import socket
 import time
 from abc import ABC, abstractmethod
-from collections import Counter
 from dataclasses import dataclass, field
 
 from msgspec import Struct
@@ -21,7 +20,6 @@ from linemate.drivers.stamps import (
     ANCILLARY_BYTES,
     ArrivalClock,
     paired_clocks,
-    read_ancillary,
     request_kernel_stamps,
 )
 
@@ -45,20 +43,6 @@ class Datagram(Struct, frozen=True):
     stamp_ns: int
     source: Address
     oversize: bool
-
-
-class Received(Struct, frozen=True):
-    """One datagram before anybody asked when it came: what the kernel handed over."""
-
-    data: bytes
-    ancillary: list[tuple[int, int, bytes]]
-    flags: int
-    source: Address
-
-    @property
-    def oversize(self) -> bool:
-        """It was longer than 2 KiB and is incomplete."""
-        return bool(self.flags & socket.MSG_TRUNC)
 
 
 @dataclass(slots=True)
@@ -123,38 +107,27 @@ class DatagramSocket:
         Raises:
             OSError: if the socket is broken.
         """
-        received = self.receive()
-        if received is None:
-            self.clock.drained(paired_clocks()[0])
-            return None
-        return self.stamped(received)
-
-    def receive(self) -> Received | None:
-        """Take one datagram without its time.
-
-        Raises:
-            OSError: if the socket is broken.
-        """
         try:
             size, ancillary, flags, source = self.endpoint.recvmsg_into(
                 [self._buffer], ANCILLARY_BYTES
             )
         except (BlockingIOError, InterruptedError):
+            self.clock.drained(paired_clocks()[0])
             return None
-        return Received(bytes(memoryview(self._buffer)[:size]), ancillary, flags, source)
+        return self.stamped((bytes(memoryview(self._buffer)[:size]), ancillary, flags, source))
 
     def wait(self, timeout_ns: int) -> RawDatagram | None:
-        """Sleep until a datagram comes, for whoever must answer it first.
+        """Sleep until a datagram comes, and return it without its time.
 
         Args:
             timeout_ns: how long at most [ns].
 
         Returns:
-            What ``Received`` is made of, when there is time for it; None if nothing came.
+            To be given to ``stamped`` once its reply is out; None if nothing came.
 
         Raises:
-            OSError: if the socket is broken.
-            ValueError: a descriptor beyond those that can be waited for so.
+            OSError: the socket is broken.
+            ValueError: select cannot wait for a descriptor this great.
         """
         # A socket's own time-out counts in ticks of the kernel, poll in milliseconds.
         if not select.select(self._alone, (), (), max(0, timeout_ns) * 1e-9)[0]:
@@ -164,22 +137,13 @@ class DatagramSocket:
         except (BlockingIOError, InterruptedError):
             return None
 
-    def stamped(self, received: Received) -> Datagram:
-        """Tell when a datagram came.
-
-        Args:
-            received: the datagram; not long ago, for its age is counted from now.
-        """
-        now_ns, wall_ns = paired_clocks()
-        stamp_wall_ns, drops = read_ancillary(received.ancillary)
+    def stamped(self, raw: RawDatagram) -> Datagram:
+        """Return a datagram with its arrival; its age is counted from now, so call it soon."""
+        data, ancillary, flags, source = raw
+        stamp_ns, drops = self.clock.date(ancillary)
         if drops is not None:
             self.kernel_drops = drops
-        return Datagram(
-            data=received.data,
-            stamp_ns=self.clock.arrival(stamp_wall_ns, now_ns, wall_ns),
-            source=received.source,
-            oversize=received.oversize,
-        )
+        return Datagram(data, stamp_ns, source, bool(flags & socket.MSG_TRUNC))
 
     def close(self) -> None:
         """Close the socket."""
@@ -191,12 +155,14 @@ class DatagramLink(ABC):
 
     Attributes:
         status: the link's visible state.
+        counters: the status's.
         refusal: why it could not be bound the last time that it was tried, None if it could.
         opened_ns: since when datagrams can arrive [ns], 0 before the link was open.
     """
 
     def __init__(self, name: str, host: str, port: int, backoff: Backoff | None = None) -> None:
         self.status = LinkStatus(name)
+        self.counters = self.status.counters
         self.refusal: OSError | OverflowError | None = None
         self.opened_ns = 0
         self._bind = (host, port)
@@ -204,11 +170,6 @@ class DatagramLink(ABC):
         self._socket: DatagramSocket | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._retry: asyncio.TimerHandle | None = None
-
-    @property
-    def counters(self) -> Counter[str]:
-        """Events by name."""
-        return self.status.counters
 
     @property
     def address(self) -> Address | None:

@@ -1,54 +1,63 @@
-"""The robot controller's wire: a UDP socket that answers telegrams.
+"""RSI link: a UDP socket that answers the robot controller's telegrams.
 
-Law of this file: bytes in, bytes out. It never sends unasked, never waits, and knows no XML.
-After a stall only the newest telegram of each sender is answered; the older ones are counted,
-for an answer to them would be late. An older one is looked at only if what came after it was
-not worth an answer, so that junk cannot push a telegram aside. While a controller is answered the
-kernel drops what others send; after its silence another one may come.
-A reply that is ready beforehand may go out before the telegram is judged in full: whoever gives
-it has looked at the telegram's counter and shape.
-Source: reference/rsi.md, 1.1; reference/reliability.md, 0; reference/real-time.md, 5.
+One reply path: a telegram that equals the expected one gets the ready reply at once. Then every
+telegram goes the ordinary way, ``on_telegram``, which returns the reply to those that got none.
+
+Invariants:
+- Bytes in, bytes out. The link sends nothing unasked.
+- After a stall only the newest telegram of each sender is answered. Older ones are counted: an
+  answer to them would be late. If the newest gets no answer, the one before it is tried.
+- While a controller is answered, the kernel drops what others send.
 """
 
 import logging
 import time
 from collections import deque
 from collections.abc import Callable
+from typing import Protocol
 
 from linemate.drivers.backoff import Backoff
-from linemate.drivers.datagrams import Address, Datagram, DatagramLink, DatagramSocket, Received
+from linemate.drivers.datagrams import Address, Datagram, DatagramLink, DatagramSocket
 from linemate.drivers.link import why
 from linemate.drivers.sole_sender import SoleSender
+from linemate.protocol.rsi.rsi_expected import ReadyReply
 
-BUDGET = 64
-SENDERS = 4
-LOOK_BACK = 4
-MOST_SELECTED = 1024
-"""Descriptors from here on cannot be waited for with a resolution of microseconds."""
-
-REHEARSAL_NS = 150_000
-"""Less time than this before the telegram is not spent on rehearsing [ns]."""
-
-SILENCE_S = 0.1
-"""As long as the exchange believes in a controller of which it hears nothing [s]."""
+BUDGET = 64  # datagrams read at once
+SENDERS = 4  # told apart in one read
+LOOK_BACK = 4  # datagrams of one sender that may be tried
+MAX_SELECTABLE = 1024  # select waits for descriptors below, with a resolution of microseconds
+WARM_UP_NS = 150_000  # a comparison before the telegram comes takes less than this
+SILENCE_S = 0.1  # of the controller, before the exchange accepts another one
 
 log = logging.getLogger(__name__)
 
-OnTelegram = Callable[[bytes, int, Address], bytes | None]
-Express = Callable[[bytes, Address], bytes | None]
+
+class OnTelegram(Protocol):
+    """The ordinary way of a telegram."""
+
+    def __call__(
+        self, data: bytes, stamp_ns: int, source: Address, /, *, is_answered: bool
+    ) -> bytes | None:
+        """Return the reply, None if there is none.
+
+        Args:
+            data: of the telegram.
+            stamp_ns: its arrival [ns].
+            source: who sent it.
+            is_answered: the ready reply is out. The same reply is to be returned.
+        """
 
 
 class RsiLink(DatagramLink):
-    """Hands telegrams to a callback and sends what it returns, at once.
+    """Answers telegrams.
 
     Attributes:
         status: the link's visible state. Counters: ``received``, ``answered``, ``unanswered``
-            (the callback gave no reply), ``stale`` (a newer one waited), ``oversize``,
-            ``crowded`` (too many senders at once), ``send_errors``, ``callback_errors``,
-            ``express`` (answered with what was ready), ``hasty`` (of these, what the callback
-            would not have answered so),
-            ``kernel_drops`` (found no room, or came from others while a controller was
-            answered), ``stamps_refused``.
+            (no reply), ``stale`` (a newer one waited), ``oversize``, ``crowded`` (too many
+            senders at once), ``send_errors``, ``callback_errors``, ``express`` (answered with
+            the ready reply), ``hasty`` (of these, those with another reply in the ordinary way),
+            ``kernel_drops`` (no room, or others while a controller was answered),
+            ``stamps_refused``.
         turnaround_ns: from the arrival of the last answered telegram to its reply [ns].
     """
 
@@ -58,13 +67,16 @@ class RsiLink(DatagramLink):
         host: str = "127.0.0.1",
         port: int = 49152,
         *,
+        ready_reply: Callable[[], ReadyReply | None] = lambda: None,
         name: str = "robot",
         backoff: Backoff | None = None,
     ) -> None:
         super().__init__(name, host, port, backoff)
         self.turnaround_ns: int | None = None
         self._on_telegram = on_telegram
-        self._last: tuple[bytes, Address] | None = None
+        self._ready_reply = ready_reply
+        self._last = b""
+        self._sent_ns = 0
         self._sole = SoleSender(SILENCE_S, 1, lambda: self.status.last_sample_stamp_ns)
 
     @property
@@ -72,56 +84,31 @@ class RsiLink(DatagramLink):
         """The controller that has the port for itself, None while anybody may come."""
         return self._sole.kept
 
-    def attend(self, until_ns: int, express: Express) -> bool:
-        """Wait for the one telegram that is about to come, and answer it with what is ready.
+    def attend(self, until_ns: int) -> bool:
+        """Sleep until a telegram comes, answer it, and return whether one came.
 
-        The loop stands still meanwhile, asleep: the telegram wakes the process by itself and not
-        by way of the loop. Afterwards the telegram takes its usual way, its reply being out.
+        The telegram wakes the process directly. Through the event loop it takes longer.
 
         Args:
             until_ns: when to give up [ns].
-            express: gives the reply that is ready for a telegram, None if it takes more; it must
-                give none for a datagram of 2 KiB or more, for that may be incomplete.
-
-        Returns:
-            Whether a telegram came.
         """
         transport = self._socket
-        if transport is None or transport.fileno() >= MOST_SELECTED:
+        if transport is None or transport.fileno() >= MAX_SELECTABLE:
             return False
         try:
-            return self._attend(transport, until_ns, express)
+            ready = self._ready_reply()
+            if ready is not None and until_ns - time.monotonic_ns() > WARM_UP_NS:
+                # The comparison's code and data are in the processor's caches when it counts.
+                ready.telegram.matches(self._last)
+            raw = transport.wait(until_ns - time.monotonic_ns())
+            if raw is None:
+                return False
+            self.counters["received"] += 1
+            sent = self._send_ready(transport, raw[0], raw[3])
+            if not self._answer(transport, transport.stamped(raw), sent):
+                self._read(transport)
         except OSError as error:
             self._down(why(error))
-            return False
-
-    def _attend(self, transport: DatagramSocket, until_ns: int, express: Express) -> bool:
-        left_ns = until_ns - time.monotonic_ns()
-        if left_ns > REHEARSAL_NS and self._last is not None:
-            # Whatever the way to the reply needs is in the processor's caches when it counts.
-            express(*self._last)
-            left_ns = until_ns - time.monotonic_ns()
-        raw = transport.wait(left_ns)
-        if raw is None:
-            return False
-        data, source = raw[0], raw[3]
-        reply = express(data, source)
-        if reply is not None:
-            transport.endpoint.sendto(reply, source)
-            sent_ns = time.monotonic_ns()
-        datagram = transport.stamped(Received(*raw))
-        self.counters["received"] += 1
-        if reply is None:
-            self._take_first(transport, datagram)
-            return True
-        self._last = (data, source)
-        self.counters["express"] += 1
-        self.counters["answered"] += 1
-        self.status.last_sample_stamp_ns = datagram.stamp_ns
-        self.turnaround_ns = sent_ns - datagram.stamp_ns
-        self._sole.good(transport, source)
-        if self._ask(datagram) != reply:
-            self.counters["hasty"] += 1
         return True
 
     def _read(self, transport: DatagramSocket) -> None:
@@ -130,21 +117,17 @@ class RsiLink(DatagramLink):
             datagram = transport.read()
             if datagram is None:
                 break
+            self.counters["received"] += 1
             self._keep(waiting, datagram)
         for datagrams in waiting.values():
-            while datagrams and not self._answer(transport, datagrams.pop()):
-                pass
+            while datagrams:
+                newest = datagrams.pop()
+                sent = self._send_ready(transport, newest.data, newest.source)
+                if self._answer(transport, newest, sent):
+                    break
             self.counters["stale"] += len(datagrams)
 
-    def _take_first(self, transport: DatagramSocket, datagram: Datagram) -> None:
-        """A telegram that takes more: the usual way, and what came with it."""
-        if datagram.oversize:
-            self.counters["oversize"] += 1
-        elif not self._answer(transport, datagram):
-            self._read(transport)
-
     def _keep(self, waiting: dict[Address, deque[Datagram]], datagram: Datagram) -> None:
-        self.counters["received"] += 1
         if datagram.oversize:
             self.counters["oversize"] += 1
             return
@@ -159,33 +142,59 @@ class RsiLink(DatagramLink):
             self.counters["stale"] += 1
         datagrams.append(datagram)
 
-    def _answer(self, transport: DatagramSocket, datagram: Datagram) -> bool:
-        """Whether the telegram was worth an answer."""
-        reply = self._ask(datagram)
-        if reply is None:
+    def _send_ready(self, transport: DatagramSocket, data: bytes, source: Address) -> bytes | None:
+        """Send the ready reply to the telegram that it was made for, and return it."""
+        ready = self._ready_reply()
+        if ready is None or ready.peer != source or not ready.telegram.matches(data):
+            return None
+        if time.monotonic_ns() > ready.until_ns:
+            return None
+        self._send(transport, ready.data, source)
+        return ready.data
+
+    def _answer(self, transport: DatagramSocket, datagram: Datagram, sent: bytes | None) -> bool:
+        """Hand a telegram on, send its reply unless one is out, and return whether it has one."""
+        if datagram.oversize:
+            self.counters["oversize"] += 1
+            return False
+        source = datagram.source
+        reply = self._ask(datagram, is_answered=sent is not None)
+        if sent is not None:
+            self.counters["express"] += 1
+            if reply != sent:
+                self.counters["hasty"] += 1
+        elif reply is None:
             self.counters["unanswered"] += 1
             return False
+        else:
+            self._send(transport, reply, source)
+        self._last = datagram.data
+        self.status.last_sample_stamp_ns = datagram.stamp_ns
+        self.turnaround_ns = self._sent_ns - datagram.stamp_ns
+        self._sole.good(transport, source)
+        return True
+
+    def _send(self, transport: DatagramSocket, reply: bytes, source: Address) -> None:
         try:
-            transport.endpoint.sendto(reply, datagram.source)
+            transport.endpoint.sendto(reply, source)
         except OSError as error:
             self.counters["send_errors"] += 1
             log.debug("%s: reply not sent: %s", self.status.name, error)
-            return True
-        self.counters["answered"] += 1
-        self.status.last_sample_stamp_ns = datagram.stamp_ns
-        self.turnaround_ns = time.monotonic_ns() - datagram.stamp_ns
-        self._sole.good(transport, datagram.source)
-        return True
+        else:
+            self.counters["answered"] += 1
+        self._sent_ns = time.monotonic_ns()
 
     def _release(self) -> None:
         self._sole.forget()
         super()._release()
 
-    def _ask(self, datagram: Datagram) -> bytes | None:
+    def _ask(self, datagram: Datagram, *, is_answered: bool) -> bytes | None:
         try:
-            return self._on_telegram(datagram.data, datagram.stamp_ns, datagram.source)
+            return self._on_telegram(
+                datagram.data, datagram.stamp_ns, datagram.source, is_answered=is_answered
+            )
         except Exception:
-            # The loop must outlive a fault in the cycle; silence makes the controller stop.
+            # The loop must outlive a fault in the cycle. Silence makes the controller stop.
             self.counters["callback_errors"] += 1
             log.exception("%s: the cycle failed on a telegram", self.status.name)
             return None

@@ -95,6 +95,16 @@ class ArrivalClock:
         """
         self._empty_ns = now_ns
 
+    def date(self, ancillary: Ancillary) -> tuple[int, int | None]:
+        """Return when a datum arrived that is read now [ns], and the kernel's drops if it says.
+
+        Args:
+            ancillary: control messages of the datum.
+        """
+        now_ns, wall_ns = paired_clocks()
+        stamp_wall_ns, drops = read_ancillary(ancillary)
+        return self.arrival(stamp_wall_ns, now_ns, wall_ns), drops
+
     def arrival(self, stamp_wall_ns: int | None, now_ns: int, wall_ns: int) -> int:
         """When a datum arrived.
 

@@ -269,14 +269,13 @@ EQUIVALENT: dict[str, dict[tuple[str, str], str]] = {
             "a controller tells all six joints or none"
         )
         for statement in (
-            "glanced = joints.fields if joints is not None and whole else ()",
-            "self._glance_scales = joints.scales if joints is not None and whole else ()",
+            "self._joint_fields = joints.fields if joints is not None and whole else ()",
+            "self._joint_scales = joints.scales if joints is not None and whole else ()",
         )
     }
     | {
         (
-            f"{name} = [(q {sign} reach) / scale for q, scale in"
-            " zip(joints, self._glance_scales, strict=True)]",
+            f"{name} = [(q {sign} reach) / scale for q, scale in zip(joints, scales, strict=True)]",
             "True -> False",
         ): "the other of the two lines refuses as many"
         for name, sign in (("low", "-"), ("high", "+"))

@@ -30,6 +30,7 @@ from linemate.daemon.cycle.states import Machine, State
 from linemate.daemon.cycle.step_log import LONGEST_LOG, LogEntry, StepLog
 from linemate.protocol.exchange import Exchange, Kind, Verdict
 from linemate.protocol.rsi.rsi import PreparedReply, RobotTelegram, RsiCodec, RsiError
+from linemate.protocol.rsi.rsi_expected import ReadyReply
 from linemate.protocol.samples import (
     CameraSample,
     DistanceSample,
@@ -38,13 +39,9 @@ from linemate.protocol.samples import (
     WrenchSample,
 )
 
-__all__ = ["CATCH_UP_S", "LONGEST_JUMP", "LONGEST_LOG", "Cycle", "Express", "Inbox", "LogEntry"]
+__all__ = ["CATCH_UP_S", "LONGEST_JUMP", "LONGEST_LOG", "Cycle", "Inbox", "LogEntry"]
 
-Express = Callable[..., bytes | None]
-"""Gives the reply to a datagram and its sender, or None."""
-
-LONGEST_JUMP = 0.05
-"""Of a joint from one telegram to the next, before a reply is looked at twice [rad]."""
+LONGEST_JUMP = 0.05  # of a joint in the expected telegram [rad]
 
 PROGRAMMED_S = 1000.0  # a blend as long as that is none [s]
 CATCH_UP_S = 0.3  # steps made at once after a gap, at most
@@ -90,6 +87,7 @@ class Cycle:
     Attributes:
         parameters, codec: of the step, of the robot's telegrams.
         exchange, operating, feeds, session, following: the parts, each with its own memory.
+        ready_reply: the reply to the one telegram that is expected next, None if none is ready.
         verdict: on the last telegram that could be read.
         date: gives the beginning of a controller's cycle from its telegram's arrival [ns] and the
             cycles since the telegram before; without one a telegram is taken to come at once.
@@ -132,7 +130,8 @@ class Cycle:
         self._replies = Replies(codec, absolute=absolute)
         self._log = StepLog()
         self._is_under_way = self._was_preparing = self._is_judged = False
-        self._hastened: Axes | None = None  # of a reply that went out before its telegram was read
+        self.ready_reply: ReadyReply | None = None
+        self._sent_ahead: Axes | None = None  # command of a reply that preceded on_telegram
         self._state: stepping.State | None = None
         self._began_with: stepping.State | None = None
         self._before: stepping.Outputs | None = None  # of the step before ``last``
@@ -212,13 +211,18 @@ class Cycle:
 
     # The cycle.
 
-    def on_telegram(self, data: bytes, stamp_ns: int, peer: Hashable = None) -> bytes | None:
+    def on_telegram(
+        self, data: bytes, stamp_ns: int, peer: Hashable = None, *, is_answered: bool = False
+    ) -> bytes | None:
         """Return the reply to one telegram, None if it is not to be answered.
 
         Args:
             stamp_ns: its arrival [ns].
+            is_answered: ``ready_reply`` is sent already.
         """
         self._begin()
+        if is_answered and self._ready is not None:
+            self._sent_ahead = self._ready.entry.outputs.command
         try:
             telegram = self.codec.parse_robot(data)
             robot = self._robot_sample(telegram, stamp_ns)
@@ -228,7 +232,7 @@ class Cycle:
             reply = self._answer_unreadable(error.ipoc_text, stamp_ns, peer)
         else:
             reply = self._exchange(telegram, robot, peer)
-        self._is_under_way, self._hastened = False, None
+        self._end()
         return reply
 
     def listen(self, now_ns: int) -> None:
@@ -251,12 +255,32 @@ class Cycle:
             self.operating.has_failed = True
             if not self._was_preparing or self._state is not self._began_with:
                 self.session.refrain()
-            if self._hastened is not None:
-                self.session.give_unread(self._hastened)
+            if self._sent_ahead is not None:
+                self.session.give_unread(self._sent_ahead)
             elif self._is_judged:
                 self.session.unserved += 1
         self._is_under_way, self._was_preparing, self._is_judged = True, preparing, False
         self._began_with = self._state
+        self._sent_ahead = self.ready_reply = None
+
+    def _end(self) -> None:
+        """Note that nothing failed, and foresee the next telegram."""
+        self.ready_reply = self._foresee()
+        self._sent_ahead, self._is_under_way = None, False
+
+    def _foresee(self) -> ReadyReply | None:
+        """Return the ready reply and the telegram that goes on as everything did."""
+        ready, foreseen = self._ready, self.exchange.foreseen()
+        if ready is None or foreseen is None or self._joints is None:
+            return None
+        if not ready.entry.inputs.sent or self.session.is_interrupted:
+            return None
+        ipoc, peer = foreseen
+        telegram = self.codec.expect_robot(ipoc, self.session.delay, self._joints, LONGEST_JUMP)
+        if telegram is None:
+            return None
+        reply = ready.reply.with_ipoc(b"%d" % ipoc)
+        return ReadyReply(telegram, peer, self.session.accounted_until_ns, reply)
 
     def _exchange(
         self, telegram: RobotTelegram, robot: RobotSample, peer: Hashable
@@ -298,38 +322,6 @@ class Cycle:
         self.session.refuse(peer)
         return self._reply_bare(ipoc_text, stamp_ns, verdict.steps)
 
-    def express(self) -> Express | None:
-        """Return what answers in the least time the telegram that the ready reply was made for.
-
-        ``on_telegram`` has to follow at once, and returns the same reply.
-
-        Returns:
-            Takes a datagram and its sender and gives the reply; None if counter, sender, shape,
-            Delay (the controller may have thrown the last reply away) or the robot's place are
-            not what was assumed. None at once if nothing is ready or foreseen.
-        """
-        ready, foreseen = self._ready, self.exchange.foreseen()
-        if ready is None or not ready.entry.inputs.sent or foreseen is None:
-            return None
-        if self.session.is_interrupted:
-            return None
-        ipoc, expected_peer = foreseen
-        if self._joints is None:
-            return None
-        delay = self.session.delay
-        is_expected = self.codec.expect_robot(ipoc, delay, self._joints, LONGEST_JUMP)
-        if is_expected is None:
-            return None
-        reply, command = ready.reply.with_ipoc(b"%d" % ipoc), ready.entry.outputs.command
-
-        def answer(data: bytes, peer: Hashable = None) -> bytes | None:
-            if peer != expected_peer or not is_expected(data):
-                return None
-            self._hastened = command
-            return reply
-
-        return answer
-
     def prepare(self, stamp_ns: int) -> bool:
         """Make the step of a telegram that is expected at ``stamp_ns``; True if it is ready."""
         if self._state is None or self._ready is not None:
@@ -337,7 +329,7 @@ class Cycle:
         self._begin(preparing=True)
         entry, plan = self._step(self._state, stamp_ns, telegram=True)
         self._ready = _Prepared(self._reply(entry), entry, plan)
-        self._is_under_way = False
+        self._end()
         return True
 
     def on_missing(self, stamp_ns: int) -> None:
@@ -352,7 +344,7 @@ class Cycle:
         else:
             # The telegram before may have come, and been answered, since this one was made.
             self._note_unsent(self._confirmed(ready))
-        self._is_under_way = False
+        self._end()
 
     def take_changes(self) -> list[Change]:
         """Return the changes of the operating state since the last call, oldest first."""

@@ -149,6 +149,12 @@ class Session:
         self._longest_s = max(self._longest_s, self._pause_s)
 
     @property
+    def accounted_until_ns(self) -> int:
+        """When the time since the last proven telegram needs a proof again [ns]."""
+        passed_ns = round(proving.UNACCOUNTED_S * 1e9)
+        return 0 if self._program is None else self._program.stamp_ns + passed_ns - 1
+
+    @property
     def is_interrupted(self) -> bool:
         """A bare reply went out since the last one with corrections."""
         return self._is_interrupted or not self.is_proven

@@ -127,7 +127,12 @@ class App:
             absolute=config.rsi.corrections is Corrections.ABSOLUTE,
             wrench_expected=config.force_torque is not None,
         )
-        self._robot = RsiLink(self._on_telegram, config.rsi.bind, station.rsi_port)
+        self._robot = RsiLink(
+            self._on_telegram,
+            config.rsi.bind,
+            station.rsi_port,
+            ready_reply=lambda: self.cycle.ready_reply,
+        )
         self._sensors = tuple(_sensors(station, self.cycle))
         self._links: tuple[Link, ...] = (self._robot, *self._sensors)
         self._rates = Rates()
@@ -282,7 +287,9 @@ class App:
 
     # The cycle.
 
-    def _on_telegram(self, data: bytes, stamp_ns: int, source: Address) -> bytes | None:
+    def _on_telegram(
+        self, data: bytes, stamp_ns: int, source: Address, *, is_answered: bool
+    ) -> bytes | None:
         peer = self._station.config.rsi.peer
         if peer is not None and source[0] != peer:
             self.counters["foreign_telegrams"] += 1
@@ -291,7 +298,7 @@ class App:
         prepared = self.cycle.prepared
         self.cycle.listen(self._robot.opened_ns)
         try:
-            reply = self.cycle.on_telegram(data, stamp_ns, source)
+            reply = self.cycle.on_telegram(data, stamp_ns, source, is_answered=is_answered)
         except Exception as error:  # noqa: BLE001 - an unanswered telegram stops the robot
             self._failing_ns = stamp_ns
             self._failed(error)
@@ -307,11 +314,10 @@ class App:
         return reply
 
     def _attend(self, expected_ns: int) -> None:
-        """Wait for the telegram whose reply is ready; until then nothing else is to be done."""
-        express = self.cycle.express()
-        if express is not None:
+        """Sleep until the expected telegram comes; nothing else is to be done before it."""
+        if self.cycle.ready_reply is not None:
             patience_ns = min(PATIENCE_NS, self._clock.schedule.period_ns // 4)
-            self._robot.attend(expected_ns + patience_ns, express)
+            self._robot.attend(expected_ns + patience_ns)
 
     def _look(self) -> None:
         """Answer telegrams that wait, so that none is called missing that is there already."""

@@ -6,11 +6,12 @@ telegram gives bytes or RsiError. No socket, no clock: what comes when is exchan
 Source: reference/rsi.md, section 1.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from operator import mul
 from typing import cast
 
 from linemate.protocol.rsi.rsi_config import Element, RsiConfig, parse_config
+from linemate.protocol.rsi.rsi_expected import ExpectedTelegram
 from linemate.protocol.rsi.rsi_layout import (
     Layout,
     Vector,
@@ -83,14 +84,12 @@ class RsiCodec:
         self._sensor_vectors = _Vectors(self._sensor.vectors)
         joints = next((v for v in self._robot.vectors if v.name == "joints"), None)
         whole = joints is not None and len(joints.fields) == joints.width
-        glanced = joints.fields if joints is not None and whole else ()
-        self._glance_scales = joints.scales if joints is not None and whole else ()
-        if self._robot.delay is not None:
-            glanced = (*glanced, self._robot.delay)
+        self._joint_fields = joints.fields if joints is not None and whole else ()
+        self._joint_scales = joints.scales if joints is not None and whole else ()
         self._robot_writer = Writer(self._robot, decimals)
         known = sensor_constants(config, self._sensor, constants or {})
         self._sensor_writer = Writer(self._sensor, decimals, known)
-        self.robot_reader = Reader(self._robot, self._robot_writer.example(ROBOT_TYPE), glanced)
+        self.robot_reader = Reader(self._robot, self._robot_writer.example(ROBOT_TYPE))
         self.sensor_reader = Reader(self._sensor, self._sensor_writer.example(config.sentype))
 
     def parse_robot(self, data: bytes) -> RobotTelegram:
@@ -112,51 +111,30 @@ class RsiCodec:
             vector("external_setpoints"),
             vector("tcp"),
             vector("tcp_setpoint"),
-            None if layout.delay is None else int(cast(str, texts[layout.delay])),
+            None if layout.delay is None else int(cast(bytes, texts[layout.delay])),
             _channels(layout, texts),
         )
 
     def expect_robot(
         self, ipoc: int, delay: int | None, joints: Vector6, reach: float
-    ) -> Callable[[bytes], bool] | None:
-        """Make what tells in the least time whether a datagram is the telegram that is expected.
-
-        Made before the telegram comes, so that nothing is left to do then but to compare.
+    ) -> ExpectedTelegram | None:
+        """Return the telegram to expect next, None if telegrams carry no such values.
 
         Args:
             delay: its Delay, None if none is configured.
             joints: where the robot was [rad].
             reach: how far from there a joint may be [rad].
-
-        Returns:
-            True for a telegram of the shape last seen, with this counter and Delay and all joints
-            within reach: :meth:`parse_robot` accepts it. None if telegrams carry no such values.
         """
-        if not self._glance_scales or (delay is None) != (self._robot.delay is None):
+        scales, position = self._joint_scales, self._robot.delay
+        if not scales or (delay is None) != (position is None):
             return None
-        match, places = self.robot_reader.glance
-        wanted = [b"%d" % ipoc] if delay is None else [b"%d" % delay, b"%d" % ipoc]
-        low = [(q - reach) / scale for q, scale in zip(joints, self._glance_scales, strict=True)]
-        high = [(q + reach) / scale for q, scale in zip(joints, self._glance_scales, strict=True)]
-        a0, b0, c0, d0, e0, f0 = low
-        a1, b1, c1, d1, e1, f1 = high
-
-        def is_expected(data: bytes) -> bool:
-            found = match(data)
-            if found is None or len(data) > MAX_TELEGRAM_BYTES:
-                return False
-            a, b, c, d, e, f, *rest = found.group(*places)
-            return (
-                rest == wanted
-                and a0 < float(a) < a1
-                and b0 < float(b) < b1
-                and c0 < float(c) < c1
-                and d0 < float(d) < d1
-                and e0 < float(e) < e1
-                and f0 < float(f) < f1
-            )
-
-        return is_expected
+        reader = self.robot_reader
+        fields, texts = self._joint_fields, [b"%d" % ipoc]
+        if delay is not None and position is not None:
+            fields, texts = (*fields, position), [b"%d" % delay, *texts]
+        low = [(q - reach) / scale for q, scale in zip(joints, scales, strict=True)]
+        high = [(q + reach) / scale for q, scale in zip(joints, scales, strict=True)]
+        return ExpectedTelegram(reader.match, reader.groups(fields), texts, low, high)
 
     def parse_sensor(self, data: bytes) -> SensorTelegram:
         """Read the daemon's reply; what is not in it is None, or not among the channels.
@@ -168,6 +146,7 @@ class RsiCodec:
         layout = self._sensor
         ipoc, ipoc_text = _ipoc(texts)
         vector = self._sensor_vectors.read(texts).get
+        message = None if layout.message is None else texts[layout.message]
         return SensorTelegram(
             ipoc,
             ipoc_text,
@@ -175,7 +154,7 @@ class RsiCodec:
             vector("joints"),
             vector("external"),
             _channels(layout, texts),
-            None if layout.message is None else texts[layout.message],
+            None if message is None else message.decode("latin-1"),
         )
 
     def format_robot(self, telegram: RobotTelegram) -> bytes:
@@ -209,8 +188,8 @@ class RsiCodec:
 
 
 def _ipoc(texts: Texts) -> tuple[int, bytes]:
-    text = cast(str, texts[-1])
-    return int(text), text.encode("ascii")
+    text = cast(bytes, texts[-1])
+    return int(text), text
 
 
 class _Vectors:
@@ -233,7 +212,7 @@ class _Vectors:
         """The vectors by name in SI; typed as six numbers, external ones may be fewer."""
         if not self._is_block or None in texts:
             return {v.name: cast(Vector6 | None, _vector(v, texts)) for v in self._vectors}
-        raw = cast(Sequence[str], texts[self._block])
+        raw = cast(Sequence[bytes], texts[self._block])
         numbers = tuple(map(mul, map(float, raw), self._scales))
         return {name: numbers[part] for name, part in self._parts}
 
@@ -244,7 +223,7 @@ def _vector(vector: Vector, texts: Texts) -> tuple[float, ...] | None:
         return None
     out = [0.0] * vector.width
     for position, axis, scale in zip(vector.fields, vector.axes, vector.scales, strict=True):
-        out[axis] = float(cast(str, texts[position])) * scale
+        out[axis] = float(cast(bytes, texts[position])) * scale
     return tuple(out)
 
 
@@ -257,9 +236,9 @@ def _channels(layout: Layout, texts: Texts) -> Mapping[str, Channel]:
     return out
 
 
-def _channel(kind: str, text: str) -> Channel:
+def _channel(kind: str, text: bytes) -> Channel:
     if kind == "LONG":
         return int(text)
     if kind == "DOUBLE":
         return float(text)
-    return text if kind == "STRING" else float(text) != 0.0
+    return text.decode("latin-1") if kind == "STRING" else float(text) != 0.0

@@ -1,9 +1,10 @@
 """Telegram bytes to the texts of their configured values.
 
-Law of this file: two ways in, one way out. The fast way is a pattern of the shape last seen
-(literal but for the values); whatever it does not match goes the tolerant way, which decides.
-The fast way accepts a subset of what the tolerant way accepts, with the same result. Sizes and
-``<!`` are refused before either.
+Invariants:
+- The fast reader is a pattern of the shape last seen: literal except for the values.
+- What the pattern does not match is read by the tolerant reader, which decides.
+- What the pattern matches, the tolerant reader accepts with the same result.
+- Too long a telegram and ``<!`` are refused before either.
 """
 
 import re
@@ -44,7 +45,7 @@ _FAST_GROUPS = {
 _FAST_IPOC = r"([0-9]{1,19}+)"
 _FAST_UNKNOWN = r"[^\"'<>&]*+"
 
-Texts = Sequence[str | None]
+Texts = Sequence[bytes | None]
 """The values' texts in the order of ``Layout.fields``, then the IPOC's; None for an absent one."""
 
 _Key = tuple[str, str | None]
@@ -59,14 +60,9 @@ class Reader:
         tolerant: telegrams, good or bad, that went the tolerant way.
     """
 
-    def __init__(self, layout: Layout, example: str, glanced: Sequence[int] = ()) -> None:
-        """Learn the shape of ``example``, a telegram in the codec's own writing.
-
-        Args:
-            glanced: positions of the fields that :attr:`glance` finds.
-        """
+    def __init__(self, layout: Layout, example: str) -> None:
+        """Learn the shape of ``example``, a telegram in the codec's own writing."""
         self._layout = layout
-        self._glanced = (*glanced, len(layout.fields))
         self._positions: dict[_Key, int] = {
             (field.element, field.attribute): n for n, field in enumerate(layout.fields)
         }
@@ -87,28 +83,30 @@ class Reader:
             raise RsiError(f"{len(data)} bytes, at most {MAX_TELEGRAM_BYTES}", evidence=data)
         if b"<!" in data:
             raise RsiError("document types and entities are refused", evidence=data)
-        text = data.decode("latin-1")
-        match = self._pattern.fullmatch(text)
+        match = self._pattern.fullmatch(data)
         if match is None:
-            return self._read_tolerantly(text, data)
+            return self._read_tolerantly(data)
         self.fast += 1
         self._strangers = 0
         groups = match.groups()
         return (groups if self._order is None else self._order(groups)), self._type
 
     @property
-    def glance(self) -> tuple[Callable[[bytes], re.Match[bytes] | None], tuple[int, ...]]:
-        """How to tell in the least time a telegram of the shape last seen.
+    def match(self) -> Callable[[bytes], re.Match[bytes] | None]:
+        """The fast reader: match of a whole telegram in the shape last seen."""
+        return self._pattern.fullmatch
 
-        Returns:
-            What matches a whole datagram of that shape, and the groups of the glanced fields, the
-            IPOC's the last. What it matches is accepted by :meth:`read`, with the same texts.
+    def groups(self, fields: Sequence[int]) -> tuple[int, ...]:
+        """Return the numbers of fields' groups in :attr:`match`, the IPOC's last.
+
+        Args:
+            fields: positions in ``Layout.fields``.
         """
-        return self._glance.fullmatch, self._glanced_groups
+        return tuple(1 + self._seen.index(n) for n in (*fields, len(self._layout.fields)))
 
-    def _read_tolerantly(self, text: str, data: bytes) -> tuple[Texts, str]:
+    def _read_tolerantly(self, data: bytes) -> tuple[Texts, str]:
         self.tolerant += 1
-        text = text.rstrip(_TRAILING)
+        text = data.decode("latin-1").rstrip(_TRAILING)
         try:
             document = scan(text)
             texts = self._texts(text, document)
@@ -129,14 +127,14 @@ class Reader:
         ipoc = found.get(_IPOC_KEY, "").strip(BLANK)
         if not _IPOC.fullmatch(ipoc) or int(ipoc) > MAX_IPOC:
             raise RsiError("missing, not digits or out of range", element="IPOC")
-        texts: list[str | None] = []
+        texts: list[bytes | None] = []
         try:
             texts.extend(self._text(field, found) for field in self._layout.fields)
             self._refuse_parts(texts)
         except RsiError as error:
             error.ipoc_text = ipoc.encode("ascii")
             raise
-        return (*texts, ipoc)
+        return (*texts, ipoc.encode("ascii"))
 
     def _found(self, text: str, document: Document) -> dict[_Key, str]:
         """Texts as written of the values that are configured."""
@@ -151,10 +149,10 @@ class Reader:
                 found[key] = text[span.start : span.end]
         return found
 
-    def _text(self, field: Field, found: dict[_Key, str]) -> str | None:
+    def _text(self, field: Field, found: dict[_Key, str]) -> bytes | None:
         raw = found.get((field.element, field.attribute))
         if raw is not None:
-            return _checked(field, raw)
+            return _checked(field, raw).encode("latin-1")
         if self._layout.required:
             raise RsiError("missing", element=field.key)
         return None
@@ -167,7 +165,7 @@ class Reader:
                 raise RsiError("missing", element=self._layout.fields[missing[0]].key)
 
     def _learn(self, text: str, document: Document) -> None:
-        """Make the patterns of a telegram that was accepted and is complete."""
+        """Make the pattern of a telegram that was accepted and is complete."""
         parts: list[tuple[str, int | None]] = []
         end = 0
         for span in document.spans:
@@ -175,17 +173,10 @@ class Reader:
             parts.append((re.escape(text[end : span.start]), position))
             end = span.end
         rest = re.escape(text[end:]) + r"[\0 \t\r\n]*"
-        order = [position for _, position in parts if position is not None]
-        whole = (literal + self._group(at) for literal, at in parts)
-        self._pattern = re.compile("".join(whole) + rest, re.ASCII)
-        self._order = _permutation(order)
-        glanced = (
-            literal + (self._group(at) if at in self._glanced else _silent(self._group(at)))
-            for literal, at in parts
-        )
-        self._glance = re.compile(("".join(glanced) + rest).encode("latin-1"), re.ASCII)
-        seen = [position for position in order if position in self._glanced]
-        self._glanced_groups = tuple(1 + seen.index(position) for position in self._glanced)
+        self._seen = [position for _, position in parts if position is not None]
+        whole = "".join(literal + self._group(position) for literal, position in parts) + rest
+        self._pattern = re.compile(whole.encode("latin-1"), re.ASCII)
+        self._order = _permutation(self._seen)
         self._type = _type_of(document)
         self._strangers = 0
 
@@ -203,12 +194,7 @@ def _counter(data: bytes) -> bytes | None:
     return found[0] if len(found) == 1 and int(found[0]) <= MAX_IPOC else None
 
 
-def _silent(group: str) -> str:
-    """The same group, its text not kept."""
-    return "(?:" + group.removeprefix("(") if group.startswith("(") else group
-
-
-def _permutation(order: list[int]) -> Callable[[tuple[str, ...]], tuple[str, ...]] | None:
+def _permutation(order: list[int]) -> Callable[[tuple[bytes, ...]], tuple[bytes, ...]] | None:
     """What brings groups in wire order into the layout's order; None if they are in it."""
     if order == sorted(order):
         return None

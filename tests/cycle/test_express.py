@@ -9,6 +9,7 @@ from msgspec.structs import replace
 
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.cycle.correction_reference import UNACCOUNTED_S
 from linemate.daemon.cycle.cycle import LONGEST_JUMP, Cycle
 from linemate.protocol.rsi.rsi import RobotTelegram, RsiCodec, parse_config
 from linemate.protocol.samples import DistanceSample
@@ -72,10 +73,12 @@ def ready_cycle(parameters: Parameters, robot: Robot, cycles: int = 5) -> Cycle:
     return cycle
 
 
-def haste(cycle: Cycle, data: bytes, peer: tuple[str, int]) -> bytes | None:
-    """What is answered before the telegram is judged in full."""
-    express = cycle.express()
-    return None if express is None else express(data, peer)
+def ready_reply(cycle: Cycle, data: bytes, peer: tuple[str, int], stamp_ns: int) -> bytes | None:
+    """What the driver sends before the telegram goes the ordinary way."""
+    ready = cycle.ready_reply
+    if ready is None or ready.peer != peer or stamp_ns > ready.until_ns:
+        return None
+    return ready.data if ready.telegram.matches(data) else None
 
 
 def test_for_the_same_inputs_prepared_and_in_line_give_the_same_bytes(
@@ -92,8 +95,7 @@ def test_for_the_same_inputs_prepared_and_in_line_give_the_same_bytes(
         data = robot.telegram()
         ready = [cycle.prepare(robot.stamp_ns) for cycle in (prepared, hasty)]
         assert ready == [k > 0] * 2
-        express = hasty.express()
-        early = None if express is None else express(data, PEER)
+        early = ready_reply(hasty, data, PEER, robot.stamp_ns)
         replies = [
             cycle.on_telegram(data, robot.stamp_ns, PEER) for cycle in (inline, prepared, hasty)
         ]
@@ -125,15 +127,25 @@ def test_a_sample_that_comes_after_the_step_was_made_is_the_next_steps(
 
 @pytest.mark.parametrize(
     "change",
-    ["nothing ready", "another peer", "a gap", "the last one", "a jump", "the delay", "cut", "nan"],
+    [
+        "nothing ready",
+        "another peer",
+        "a gap",
+        "the last one",
+        "a jump",
+        "the delay",
+        "cut",
+        "nan",
+        "too late",
+    ],
 )
 def test_what_was_not_assumed_is_not_answered_in_haste(
     parameters: Parameters, task: Task, change: str
 ) -> None:
     robot = Robot(task)
     cycle = ready_cycle(parameters, robot)
-    assert haste(cycle, robot.telegram(), PEER) is not None
-    data, peer = robot.telegram(), PEER
+    data, peer, stamp_ns = robot.telegram(), PEER, robot.stamp_ns
+    assert ready_reply(cycle, data, peer, stamp_ns) is not None
     if change == "nothing ready":
         cycle.on_missing(robot.stamp_ns)
     elif change == "another peer":
@@ -148,11 +160,13 @@ def test_what_was_not_assumed_is_not_answered_in_haste(
         data = robot.telegram(joints=tuple(joints))
     elif change == "the delay":
         data = robot.telegram(delay=1)
+    elif change == "too late":
+        stamp_ns += round(UNACCOUNTED_S * 1e9) - T
     elif change == "cut":
         data = data[:-3]
     else:
         data = data.replace(b'X="0.0', b'X="nan')
-    assert haste(cycle, data, peer) is None
+    assert ready_reply(cycle, data, peer, stamp_ns) is None
 
 
 @given(st.data())
@@ -171,6 +185,6 @@ def test_whatever_is_answered_in_haste_would_have_been_answered_so(
             del telegram[place]
         else:
             telegram.insert(place, data.draw(st.sampled_from(b"0159.-+eE\"'<>/ xA")))
-    early = haste(cycle, bytes(telegram), PEER)
+    early = ready_reply(cycle, bytes(telegram), PEER, robot.stamp_ns)
     usual = cycle.on_telegram(bytes(telegram), robot.stamp_ns, PEER)
     assert early is None or early == usual

@@ -1,6 +1,7 @@
 """The robot's link on real sockets."""
 
 import asyncio
+import re
 import socket
 import time
 from collections.abc import Iterator
@@ -11,6 +12,23 @@ from loops import run, until
 
 from linemate.drivers.backoff import Backoff
 from linemate.drivers.rsi_udp import RsiLink
+from linemate.protocol.rsi.rsi_expected import ExpectedTelegram, ReadyReply
+
+
+class Anything(ExpectedTelegram):
+    """Expects any datagram, up to the longest that may be complete."""
+
+    def __init__(self) -> None:
+        super().__init__(re.compile(b".*").fullmatch, (0, 0), (), (), ())
+
+    def matches(self, data: bytes) -> bool:
+        return len(data) < 2048
+
+
+def _ready(controller: socket.socket, data: bytes, late_ns: int = 0) -> ReadyReply:
+    """Whatever the controller sends is answered so, within a second."""
+    until_ns = time.monotonic_ns() + 1_000_000_000 - late_ns
+    return ReadyReply(Anything(), controller.getsockname(), until_ns, data)
 
 
 @pytest.fixture
@@ -21,7 +39,10 @@ def controller() -> Iterator[socket.socket]:
         yield endpoint
 
 
-def _echo(data: bytes, stamp_ns: int, address: tuple[str, int]) -> bytes | None:
+def _echo(
+    data: bytes, stamp_ns: int, address: tuple[str, int], *, is_answered: bool
+) -> bytes | None:
+    assert not is_answered
     assert stamp_ns > 0
     assert address[0] == "127.0.0.1"
     return b"re:" + data
@@ -79,7 +100,7 @@ def test_a_stranger_does_not_displace_the_controller(controller: socket.socket) 
 
 def test_junk_behind_a_telegram_does_not_push_it_aside(controller: socket.socket) -> None:
     async def main() -> None:
-        link = RsiLink(lambda data, *_: None if data == b"junk" else data, port=0)
+        link = RsiLink(lambda data, *_, is_answered: None if data == b"junk" else data, port=0)
         link.open()
         assert link.address is not None
         for data in (b"old", b"newest", b"junk", b"junk"):
@@ -108,7 +129,7 @@ def test_more_than_two_kilobytes_are_refused_unread(controller: socket.socket) -
 
 def test_no_reply_is_sent_when_the_cycle_gives_none(controller: socket.socket) -> None:
     async def main() -> None:
-        link = RsiLink(lambda data, stamp_ns, address: None, port=0)
+        link = RsiLink(lambda *_, is_answered: None, port=0)
         link.open()
         assert link.address is not None
         controller.sendto(b"x", link.address)
@@ -119,28 +140,32 @@ def test_no_reply_is_sent_when_the_cycle_gives_none(controller: socket.socket) -
     run(main())
 
 
-def test_a_reply_that_is_ready_goes_out_before_its_telegram_is_judged(
-    controller: socket.socket,
+@pytest.mark.parametrize("attended", [True, False])
+def test_a_ready_reply_goes_out_before_its_telegram_is_judged(
+    controller: socket.socket, attended: bool
 ) -> None:
     async def main() -> None:
-        order: list[str] = []
+        order: list[bytes] = []
 
-        def judge(data: bytes, stamp_ns: int, address: tuple[str, int]) -> bytes:
-            # The reply is out already: whoever asked has it before this is over.
-            order.append(controller.recv(100).decode())
+        def judge(
+            data: bytes, stamp_ns: int, address: tuple[str, int], *, is_answered: bool
+        ) -> bytes:
+            assert is_answered
+            # The reply is out already: who asked has it before this is over.
+            order.append(controller.recv(100))
             return b"re:" + data
 
-        def express(data: bytes, address: tuple[str, int]) -> bytes | None:
-            order.append("express")
-            return b"re:" + data
-
-        link = RsiLink(judge, port=0)
+        ready = _ready(controller, b"re:1")
+        link = RsiLink(judge, port=0, ready_reply=lambda: ready)
         link.open()
         assert link.address is not None
         controller.sendto(b"1", link.address)
-        assert link.attend(time.monotonic_ns() + 1_000_000_000, express)
+        if attended:
+            assert link.attend(time.monotonic_ns() + 1_000_000_000)
+        else:
+            link.poll()
         link.close()
-        assert order == ["express", "re:1"]
+        assert order == [b"re:1"]
         assert link.counters["received"] == link.counters["answered"] == 1
         assert link.counters["express"] == 1
         assert link.counters["hasty"] == 0
@@ -150,18 +175,28 @@ def test_a_reply_that_is_ready_goes_out_before_its_telegram_is_judged(
     run(main())
 
 
-def test_a_telegram_that_nothing_is_ready_for_takes_the_usual_way(
-    controller: socket.socket,
+@pytest.mark.parametrize("wrong", ["nothing ready", "another peer", "too late", "too long"])
+def test_a_telegram_that_nothing_is_ready_for_goes_the_ordinary_way(
+    controller: socket.socket, wrong: str
 ) -> None:
+    ready: ReadyReply | None = _ready(controller, b"wrong")
+    if wrong == "nothing ready":
+        ready = None
+    elif wrong == "another peer":
+        ready = _ready(controller, b"wrong")._replace(peer=("127.0.0.1", 1))
+    elif wrong == "too late":
+        ready = _ready(controller, b"wrong", late_ns=1_000_000_001)
+    size = 2048 if wrong == "too long" else 1
+
     async def main() -> None:
-        link = RsiLink(_echo, port=0)
+        link = RsiLink(_echo, port=0, ready_reply=lambda: ready)
         link.open()
         assert link.address is not None
         for number in range(3):
-            controller.sendto(b"%d" % number, link.address)
-        assert link.attend(time.monotonic_ns() + 1_000_000_000, lambda _data, _source: None)
-        assert await _receive(controller) == b"re:0"
-        assert await _receive(controller) == b"re:2"
+            controller.sendto(b"%d" % number * size, link.address)
+        assert link.attend(time.monotonic_ns() + 1_000_000_000)
+        assert await _receive(controller) == b"re:" + b"0" * size
+        assert await _receive(controller) == b"re:" + b"2" * size
         link.close()
         assert link.counters["express"] == 0
         assert link.counters["stale"] == 1
@@ -172,23 +207,26 @@ def test_a_telegram_that_nothing_is_ready_for_takes_the_usual_way(
 def test_waiting_for_a_telegram_ends_at_its_time(controller: socket.socket) -> None:
     async def main() -> None:
         link = RsiLink(_echo, port=0)
-        assert not link.attend(time.monotonic_ns() + 1_000_000_000, lambda _data, _source: None)
+        assert not link.attend(time.monotonic_ns() + 1_000_000_000)
         link.open()
         until_ns = time.monotonic_ns() + 3_000_000
-        assert not link.attend(until_ns, lambda _data, _source: pytest.fail("nothing came"))
+        assert not link.attend(until_ns)
         assert until_ns <= time.monotonic_ns() < until_ns + 1_000_000_000
         link.close()
 
     run(main())
 
 
-def test_a_reply_that_its_telegram_does_not_deserve_is_counted(controller: socket.socket) -> None:
+def test_a_ready_reply_that_the_ordinary_way_would_not_give_is_counted(
+    controller: socket.socket,
+) -> None:
     async def main() -> None:
-        link = RsiLink(lambda _data, _stamp, _source: None, port=0)
+        ready = _ready(controller, b"rash")
+        link = RsiLink(lambda *_, is_answered: None, port=0, ready_reply=lambda: ready)
         link.open()
         assert link.address is not None
         controller.sendto(b"1", link.address)
-        assert link.attend(time.monotonic_ns() + 1_000_000_000, lambda _data, _source: b"rash")
+        assert link.attend(time.monotonic_ns() + 1_000_000_000)
         link.close()
         assert link.counters["hasty"] == 1
 
@@ -196,7 +234,9 @@ def test_a_reply_that_its_telegram_does_not_deserve_is_counted(controller: socke
 
 
 def test_a_fault_in_the_cycle_is_counted_and_the_link_lives(controller: socket.socket) -> None:
-    def fault(data: bytes, stamp_ns: int, address: tuple[str, int]) -> bytes | None:
+    def fault(
+        data: bytes, stamp_ns: int, address: tuple[str, int], *, is_answered: bool
+    ) -> bytes | None:
         if data == b"bad":
             raise ZeroDivisionError
         return data

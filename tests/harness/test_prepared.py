@@ -16,8 +16,8 @@ def approach(*, prepared: bool) -> tuple[Lockstep, list[LogEntry]]:
 
     def on_telegram(data: bytes, stamp_ns: int) -> bytes | None:
         run.cycle.prepare(stamp_ns)
-        express = run.cycle.express()
-        early = None if express is None else express(data)
+        ready = run.cycle.ready_reply
+        early = ready.data if ready is not None and ready.telegram.matches(data) else None
         reply = in_line(data, stamp_ns)
         assert early in {None, reply}
         return reply

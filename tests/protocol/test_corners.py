@@ -111,10 +111,10 @@ def _foreseen(**changed: object) -> bool:
     codec = RsiCodec(parse_config(SHIPPED))
     plain = {"joints": SIX, "external": SIX, "tcp": SIX, "delay": 0, "channels": {"DiL": 0}}
     codec.parse_robot(codec.format_robot(RobotTelegram(12, **plain)))  # type: ignore[arg-type]
-    is_expected = codec.expect_robot(24, 0, SIX, 0.05)
-    assert is_expected is not None
+    expected = codec.expect_robot(24, 0, SIX, 0.05)
+    assert expected is not None
     told = {"ipoc": 24, **plain, **changed}
-    return bool(is_expected(codec.format_robot(RobotTelegram(**told))))  # type: ignore[arg-type]
+    return expected.matches(codec.format_robot(RobotTelegram(**told)))  # type: ignore[arg-type]
 
 
 def test_the_expected_telegram_is_known_by_counter_delay_and_place() -> None:
@@ -140,15 +140,15 @@ def test_what_is_no_telegram_or_too_long_a_one_is_not_expected() -> None:
     codec = RsiCodec(parse_config(SHIPPED))
     telegram = RobotTelegram(12, joints=SIX, external=SIX, tcp=SIX, delay=0)
     codec.parse_robot(codec.format_robot(telegram))
-    is_expected = codec.expect_robot(24, 0, SIX, 0.05)
-    assert is_expected is not None
+    expected = codec.expect_robot(24, 0, SIX, 0.05)
+    assert expected is not None
     data = codec.format_robot(
         RobotTelegram(24, joints=SIX, external=SIX, tcp=SIX, delay=0, channels={})
     )
-    assert is_expected(data)
-    assert not is_expected(data[:-1])
-    assert not is_expected(b"")
-    assert not is_expected(data.replace(b"<IPOC>", b" " * 2048 + b"<IPOC>"))
+    assert expected.matches(data)
+    assert not expected.matches(data[:-1])
+    assert not expected.matches(b"")
+    assert not expected.matches(data.replace(b"<IPOC>", b" " * 2048 + b"<IPOC>"))
 
 
 # Sensors of other sites.

@@ -40,13 +40,13 @@ def test_a_joint_that_is_as_far_as_it_may_be_is_not_expected(axis: int, sign: fl
     codec = RsiCodec(parse_config(SHIPPED))
     plain = RobotTelegram(12, joints=ZEROS, external=ZEROS, tcp=ZEROS, delay=0)
     codec.parse_robot(codec.format_robot(plain))
-    is_expected = codec.expect_robot(24, 0, ZEROS, DEG)
-    assert is_expected is not None
+    telegram = codec.expect_robot(24, 0, ZEROS, DEG)
+    assert telegram is not None
     for degrees, expected in ((1.0, False), (0.999999, True)):
         joints = [0.0] * 6
         joints[axis] = sign * degrees * DEG
         data = codec.format_robot(replace(plain, ipoc=24, joints=tuple(joints)))
-        assert is_expected(data) is expected
+        assert telegram.matches(data) is expected
 
 
 def test_more_or_fewer_joints_than_there_are_cannot_be_expected() -> None:

@@ -1,0 +1,72 @@
+"""The telegram that is expected next and the reply that is ready for it."""
+
+import re
+from collections.abc import Callable, Hashable, Sequence
+from typing import NamedTuple
+
+from linemate.protocol.rsi.rsi_read import MAX_TELEGRAM_BYTES
+
+
+class ExpectedTelegram:
+    """Accepts one counter, one Delay and a range for each joint.
+
+    Invariants:
+    - Made before the telegram comes. One match and eight comparisons are left.
+    - What it accepts, ``RsiCodec.parse_robot`` accepts too.
+    """
+
+    __slots__ = ("_groups", "_high", "_low", "_match", "_texts")
+
+    def __init__(
+        self,
+        match: Callable[[bytes], re.Match[bytes] | None],
+        groups: Sequence[int],
+        texts: Sequence[bytes],
+        low: Sequence[float],
+        high: Sequence[float],
+    ) -> None:
+        """Keep what to compare with.
+
+        Args:
+            match: of a whole telegram in the shape last seen.
+            groups: numbers of the joints' groups, then those of ``texts``.
+            texts: Delay if there is one, and IPOC, as they must stand in the telegram.
+            low: open lower bound of each joint, in the unit of the wire [deg].
+            high: the upper bounds [deg].
+        """
+        self._match = match
+        self._groups = tuple(groups)
+        self._texts = tuple(texts)
+        self._low = tuple(low)
+        self._high = tuple(high)
+
+    def matches(self, data: bytes) -> bool:
+        """Return whether a datagram is the telegram."""
+        match = self._match(data)
+        # A datagram as long as the buffer may be incomplete.
+        if match is None or len(data) >= MAX_TELEGRAM_BYTES:
+            return False
+        texts = match.group(*self._groups)
+        joints = len(self._low)
+        if texts[joints:] != self._texts:
+            return False
+        for text, low, high in zip(texts, self._low, self._high, strict=False):
+            if not low < float(text) < high:
+                return False
+        return True
+
+
+class ReadyReply(NamedTuple):
+    """A reply that is made before its telegram.
+
+    Attributes:
+        telegram: the only one that it answers.
+        peer: who must send it.
+        until_ns: latest arrival [ns]. The ordinary way asks a later telegram for a proof.
+        data: bytes of the reply.
+    """
+
+    telegram: ExpectedTelegram
+    peer: Hashable
+    until_ns: int
+    data: bytes
