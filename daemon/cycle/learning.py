@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from linemate.daemon.core.control import adaptation
-from linemate.daemon.core.control.adaptation import AdaptationSettings, Learned
+from linemate.daemon.core.control.adaptation import AdaptationSettings, ServoEstimates
 from linemate.daemon.core.control.settings import ServoModel
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.cycle.states import MOVING
@@ -44,7 +44,7 @@ class Learner:
     def __init__(
         self, settings: AdaptationSettings, identified: Sequence[ServoModel], cycle_s: float
     ) -> None:
-        self.learned: Learned = adaptation.initial(identified)
+        self.learned: ServoEstimates = adaptation.initial(identified)
         self.ripe = False
         self._settings = settings
         self._identified = tuple(identified)
@@ -75,7 +75,9 @@ class Learner:
         self._motion.clear()
         return kept
 
-    def look(self, motion: Sequence[tuple[tuple[float, ...], tuple[float, ...] | None]]) -> Learned:
+    def look(
+        self, motion: Sequence[tuple[tuple[float, ...], tuple[float, ...] | None]]
+    ) -> ServoEstimates:
         """Return what is believed after a motion, window by window; in a thread.
 
         Args:
@@ -90,8 +92,8 @@ class Learner:
             for row, (_, answer) in zip(answers, rows, strict=True):
                 if answer is not None:
                     row[:] = answer[:axes]
-            window = adaptation.Window(commands, answers, size)
-            found = adaptation.learn(
+            window = adaptation.ServoWindow(commands, answers)
+            found = adaptation.update(
                 self._settings,
                 self._identified,
                 found,
@@ -101,7 +103,7 @@ class Learner:
             )
         return found
 
-    def keep(self, found: Learned, present: Sequence[ServoModel]) -> dict[str, float]:
+    def keep(self, found: ServoEstimates, present: Sequence[ServoModel]) -> dict[str, float]:
         """Keep what was learned and return the parameters that it changes, by name.
 
         Args:

@@ -21,7 +21,7 @@ from linemate.daemon.config.config import Station, group_ids
 from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.key_file import key_path, read_keys
 from linemate.daemon.config.settings import Corrections
-from linemate.daemon.core.control.adaptation import Learned
+from linemate.daemon.core.control.adaptation import ServoEstimates
 from linemate.daemon.core.inputs import Order
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle import learning, states
@@ -415,7 +415,7 @@ class App:
             return
         work = asyncio.get_running_loop().run_in_executor(None, learner.look, learner.motion())
 
-        def done(finished: asyncio.Future[Learned]) -> None:
+        def done(finished: asyncio.Future[ServoEstimates]) -> None:
             if finished.cancelled():
                 return
             error = finished.exception()
