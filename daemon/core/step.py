@@ -16,8 +16,8 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from linemate.daemon.core import rotations
+from linemate.daemon.core.control import command_limiter
 from linemate.daemon.core.control import controller as control
-from linemate.daemon.core.control import limits
 from linemate.daemon.core.horizon import Array, Horizon
 from linemate.daemon.core.inputs import Inputs, Order
 from linemate.daemon.core.parameters import Parameters
@@ -251,10 +251,10 @@ def _applied(state: State, inputs: Inputs) -> State:
     if inputs.sent:
         return replace(state, applied=state.control.gate.position)
     applied = state.applied if inputs.applied is None else np.array(inputs.applied)
-    gate, moving = limits.held(state.control.gate, applied), state.moving
+    gate, moving = command_limiter.held(state.control.gate, applied), state.moving
     if inputs.pace is not None:
         # Also one that was taken to stand, and meanwhile ordered to: it has to brake first.
-        gate, moving = limits.under_way(applied, *map(np.array, inputs.pace)), True
+        gate, moving = command_limiter.moving(applied, *map(np.array, inputs.pace)), True
     return replace(state, applied=applied, control=replace(state.control, gate=gate), moving=moving)
 
 
@@ -263,7 +263,7 @@ def _halted(state: State, tracker: tracking.TrackerState, parameters: Parameters
     if not state.moving:
         return replace(state, tracker=tracker)
     steered = control.stop(parameters.controller, state.control)
-    still = limits.stands(steered.gate)
+    still = command_limiter.is_standing(steered.gate)
     joints = steered.gate.position
     pose = _tcp(parameters, joints)
     if still:

@@ -26,7 +26,7 @@ _ROOT = "linemate.daemon.core."
 # Name in a recording: module below ``_ROOT`` and class. A name in a recording never changes.
 _PARTS = {
     "control.controller:ControlState": "control.controller:ControlState",
-    "control.limits:GateState": "control.limits:GateState",
+    "control.limits:GateState": "control.command_limiter:LimiterState",
     "step:State": "step:State",
     "tracking.classifier_bank:BankState": "tracking.classifiers.classifier_bank:BankState",
     "tracking.classifier_imm:ImmState": "tracking.classifiers.classifier_imm:ImmState",

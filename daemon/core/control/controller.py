@@ -11,11 +11,13 @@ import numpy as np
 from msgspec import Struct, structs
 
 from linemate.daemon.core import rotations
-from linemate.daemon.core.control import inverse_filter, limits
+from linemate.daemon.core.control import command_limiter, inverse_filter, tcp_limit
+from linemate.daemon.core.control.axis_limits import Limits
+from linemate.daemon.core.control.command_limiter import LimiterState
 from linemate.daemon.core.control.kinematics import Arm, UnreachableError
-from linemate.daemon.core.control.limits import Limits, TcpLimit
 from linemate.daemon.core.control.settings import BrakeSettings, ControlSettings
 from linemate.daemon.core.control.smoothing import smoothing_taps
+from linemate.daemon.core.control.tcp_limit import TcpLimit
 from linemate.daemon.core.horizon import Array, Horizon
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
@@ -75,7 +77,7 @@ class ControlState(Struct, frozen=True, eq=False):
     passed: Array
     desired: Array
     wanted: Array
-    gate: limits.GateState
+    gate: LimiterState
 
 
 def compile_controller(
@@ -123,6 +125,7 @@ def compile_controller(
         np.array([row.acceleration for row in rows]),
         np.array([row.jerk for row in rows]),
         AXES[: arm.axes],
+        cycle_s,
     )
     return Controller(
         arm=arm,
@@ -170,7 +173,7 @@ def at_rest(controller: Controller, joints: Array, pose: Array) -> ControlState:
         passed=np.tile(joints, (controller.servo_past, 1)),
         desired=np.tile(joints, (controller.preview + 1, 1)),
         wanted=np.tile(pose, (controller.preview + 1, 1)),
-        gate=limits.at_rest(joints),
+        gate=command_limiter.at_rest(joints),
     )
 
 
@@ -256,7 +259,7 @@ def aim(controller: Controller, state: ControlState, horizon: Horizon) -> Aim:
 
 
 def reach(
-    controller: Controller, aimed: Aim, gate: limits.GateState, *, clamped: bool = False
+    controller: Controller, aimed: Aim, gate: LimiterState, *, clamped: bool = False
 ) -> tuple[ControlState, str | None]:
     """Return the state after the last gate; its gate's position is the command.
 
@@ -271,15 +274,15 @@ def reach(
     """
     if aimed.command is None:
         return stop(controller, structs.replace(aimed.state, gate=gate)), aimed.reason
-    bounds, period = controller.limits, controller.cycle_s
-    after, held = limits.admit(gate, aimed.command, bounds, period)
+    bounds = controller.limits
+    after, held = command_limiter.admit(gate, aimed.command, bounds)
     if clamped and held is not None and controller.arm.linear_axis:
         command = _made_up(controller, aimed.command, float(after.position[6]))
-        after, held = limits.admit(gate, command, bounds, period)
-    if not limits.is_slow(after, controller.tcp_limit):
+        after, held = command_limiter.admit(gate, command, bounds)
+    if not tcp_limit.is_slow(after, controller.tcp_limit):
         jacobian = controller.arm.tcp_jacobian(gate.position)
         cap = controller.tcp_limit.commanded
-        slower = limits.slow_down(gate, after, jacobian, bounds, period, cap)
+        slower = tcp_limit.slow_down(gate, after, jacobian, bounds, cap)
         if slower is not after:
             after, held = slower, "limited: tcp" if held is None else f"{held}, tcp"
     return structs.replace(aimed.state, gate=after), held
@@ -310,5 +313,5 @@ def _made_up(controller: Controller, command: Array, rail: float) -> Array:
 
 def stop(controller: Controller, state: ControlState) -> ControlState:
     """Return the state after one step of a gentle stop within the limits."""
-    gate = limits.brake(state.gate, controller.limits, controller.cycle_s, controller.gentle)
+    gate = command_limiter.brake(state.gate, controller.limits, controller.gentle)
     return structs.replace(state, gate=gate)

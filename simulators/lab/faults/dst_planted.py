@@ -15,7 +15,8 @@ from typing import Any, get_args
 from msgspec import structs
 
 from linemate.daemon.config.watch_settings import WatchSettings
-from linemate.daemon.core.control import limits
+from linemate.daemon.core.control import command_limiter
+from linemate.daemon.core.control.command_limiter import LimiterState
 from linemate.daemon.core.inputs import Order
 from linemate.daemon.core.tracking import tracker
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
@@ -152,17 +153,17 @@ def _crc_unchecked() -> list[Patch]:
 
 
 def _gate_open() -> list[Patch]:
-    def admit(state: limits.GateState, desired: Any, *_args: Any) -> tuple[limits.GateState, None]:
+    def admit(state: LimiterState, desired: Any, *_args: Any) -> tuple[LimiterState, None]:
         return structs.replace(state, position=desired, desired=desired), None
 
-    return [(limits, "admit", admit)]
+    return [(command_limiter, "admit", admit)]
 
 
 def _stops_dead() -> list[Patch]:
-    def brake(state: limits.GateState, *_args: Any) -> limits.GateState:
-        return limits.at_rest(state.position)
+    def brake(state: LimiterState, *_args: Any) -> LimiterState:
+        return command_limiter.at_rest(state.position)
 
-    return [(limits, "brake", brake)]
+    return [(command_limiter, "brake", brake)]
 
 
 def _delay_ignored() -> list[Patch]:

@@ -9,8 +9,8 @@ from msgspec import structs
 from linemate.daemon.config import task_file
 from linemate.daemon.config.files import DAEMON_DATA
 from linemate.daemon.core import rotations
+from linemate.daemon.core.control import command_limiter, inverse_filter, kinematics
 from linemate.daemon.core.control import controller as control
-from linemate.daemon.core.control import inverse_filter, kinematics, limits
 from linemate.daemon.core.control.controller import Controller, ControlState
 from linemate.daemon.core.control.settings import ControlSettings, SmoothingSettings
 from linemate.daemon.core.horizon import Array, Horizon
@@ -219,7 +219,7 @@ def test_a_stop_is_the_gates_gentle_brake_and_leaves_the_plan_alone() -> None:
     state = control.at_rest(controller, REST, pose_of(REST))
     moving = structs.replace(state, gate=structs.replace(state.gate, speed=np.full(7, 0.1)))
     stopped = control.stop(controller, moving)
-    known = limits.brake(moving.gate, controller.limits, controller.cycle_s, controller.gentle)
+    known = command_limiter.brake(moving.gate, controller.limits, controller.gentle)
     assert np.array_equal(stopped.gate.position, known.position)
     assert stopped.passed is moving.passed
     assert isinstance(stopped, ControlState)
@@ -246,7 +246,10 @@ def test_while_clamped_the_arm_makes_up_for_what_the_linear_axis_is_behind(cycle
     desired = REST + np.array((0.0,) * 6 + (0.009,))
     off = {}
     for clamped in (False, True):
-        gate, state = limits.at_rest(REST), control.at_rest(controller, REST, pose_of(REST))
+        gate, state = (
+            command_limiter.at_rest(REST),
+            control.at_rest(controller, REST, pose_of(REST)),
+        )
         for _ in range(round(0.036 / cycle_s)):
             aimed = control.Aim(structs.replace(state, gate=gate), desired)
             after, _ = control.reach(controller, aimed, gate, clamped=clamped)
@@ -261,5 +264,5 @@ def test_the_arm_makes_up_for_a_short_way_only(short: float) -> None:
     controller = made(PLAIN)
     desired = REST + np.array((0.0,) * 6 + (short + 0.002,))
     aimed = control.Aim(control.at_rest(controller, REST, pose_of(REST)), desired)
-    after, _ = control.reach(controller, aimed, limits.at_rest(REST), clamped=True)
+    after, _ = control.reach(controller, aimed, command_limiter.at_rest(REST), clamped=True)
     assert np.array_equal(after.gate.position[:6], REST[:6])

@@ -7,8 +7,9 @@ import pytest
 from cell import AXIS, parameters
 from cell import REST as JOINTS
 
+from linemate.daemon.core.control import command_limiter, tcp_limit
 from linemate.daemon.core.control import controller as control
-from linemate.daemon.core.control import limits
+from linemate.daemon.core.control.axis_limits import Limits
 from linemate.daemon.core.control.controller import Controller
 from linemate.daemon.core.horizon import Array
 from linemate.simulators.plants.scenario import Scenario
@@ -33,7 +34,7 @@ def compiled(cycle_s: float, share: float = 1.0) -> Controller:
     return replace(controller, limits=bounds)
 
 
-def assert_within(commands: Array, bounds: limits.Limits, period: float) -> None:
+def assert_within(commands: Array, bounds: Limits, period: float) -> None:
     """Check position, speed, acceleration and jerk from the commands alone."""
     assert (commands >= bounds.lower - 1e-12).all()
     assert (commands <= bounds.upper + 1e-12).all()
@@ -43,7 +44,7 @@ def assert_within(commands: Array, bounds: limits.Limits, period: float) -> None
         assert (np.abs(derivative) <= bound * (1.0 + 1e-5) + 1e-13 / period**order).all()
 
 
-def wishes(seed: int, steps: int, bounds: limits.Limits) -> Array:
+def wishes(seed: int, steps: int, bounds: Limits) -> Array:
     """Return desired joints (steps, 7): jumps, ramps that are too fast, trembling."""
     random, rows = np.random.default_rng(seed), []
     here = REST.copy()
@@ -98,7 +99,7 @@ def mean_speed(commands: Array, cycle_s: float) -> float:
     places = np.array([ARM.tcp_in_base(joints)[0] for joints in commands])
     mean, worst = np.zeros(3), 0.0
     for speed in np.diff(places, axis=0) / cycle_s:
-        mean += cycle_s / (limits.MEAN_S + cycle_s) * (speed - mean)
+        mean += cycle_s / (command_limiter.MEAN_S + cycle_s) * (speed - mean)
         worst = max(worst, float(np.linalg.norm(mean)))
     return worst
 
@@ -166,13 +167,16 @@ def test_a_robot_that_was_slowed_down_arrives_where_it_was_sent() -> None:
 
 def test_no_pose_is_needed_while_the_axes_are_slow() -> None:
     controller = compiled(0.012)
-    rest = limits.at_rest(REST)
-    assert limits.is_slow(rest, controller.tcp_limit)
-    slow = limits.under_way(REST, 0.02 * np.ones(7), np.zeros(7))
-    assert float(controller.tcp_limit.levers.sum() * 0.02) < limits.FREE * limits.COMMANDED * 0.606
-    assert limits.is_slow(slow, controller.tcp_limit)
-    quick = limits.under_way(REST, np.array((0.0, 0.4, 0.0, 0.0, 0.0, 0.0, 0.0)), np.zeros(7))
-    assert not limits.is_slow(quick, controller.tcp_limit)
+    rest = command_limiter.at_rest(REST)
+    assert tcp_limit.is_slow(rest, controller.tcp_limit)
+    slow = command_limiter.moving(REST, 0.02 * np.ones(7), np.zeros(7))
+    assert (
+        float(controller.tcp_limit.levers.sum() * 0.02)
+        < tcp_limit.FREE * tcp_limit.COMMANDED * 0.606
+    )
+    assert tcp_limit.is_slow(slow, controller.tcp_limit)
+    quick = command_limiter.moving(REST, np.array((0.0, 0.4, 0.0, 0.0, 0.0, 0.0, 0.0)), np.zeros(7))
+    assert not tcp_limit.is_slow(quick, controller.tcp_limit)
 
 
 def test_the_levers_bound_the_speed_of_the_tcp_in_every_pose() -> None:

@@ -1,16 +1,17 @@
 """The last gate: whatever is desired, the commands' own differences stay within the limits."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from linemate.daemon.core.control import limits
+from linemate.daemon.core.control import command_limiter as limiter
+from linemate.daemon.core.control.axis_limits import Limits
+from linemate.daemon.core.control.command_limiter import LimiterState
 from linemate.daemon.core.control.controller import AXES
-from linemate.daemon.core.control.limits import GateState, Limits
 from linemate.daemon.core.horizon import Array
 from linemate.simulators.harness.setup import shipped_control
 
@@ -23,6 +24,7 @@ SHIPPED = Limits(
     np.array([row.acceleration for row in ROWS]),
     np.array([row.jerk for row in ROWS]),
     AXES,
+    0.012,
 )
 # One axis of another kind each: a slow one, a nervous one, one whose jerk bites at 4 ms.
 HOUSE = Limits(
@@ -32,8 +34,14 @@ HOUSE = Limits(
     np.array((4.0, 60.0, 1.0)),
     np.array((40.0, 20000.0, 10.0)),
     ("slow", "quick", "soft"),
+    0.012,
 )
 REST = {7: np.array((0.0, -1.2, 1.2, 0.0, 0.8, 0.0, 1.0)), 3: np.array((0.0, 0.1, 1.5))}
+
+
+def at(bounds: Limits, period: float) -> Limits:
+    """Return the limits for commands that are another period apart."""
+    return replace(bounds, period=period)
 
 
 @dataclass(frozen=True)
@@ -41,15 +49,15 @@ class Run:
     """Commands (n, m), and the same with three steps of rest before them."""
 
     commands: Array
-    states: list[GateState]
+    states: list[LimiterState]
     held: list[str | None]
 
 
 def run(desired: Iterable[Array], bounds: Limits, period: float, start: Array | None = None) -> Run:
-    state = limits.at_rest(REST[len(bounds.names)] if start is None else start)
+    state = limiter.at_rest(REST[len(bounds.names)] if start is None else start)
     states, held = [state], []
     for each in desired:
-        state, why = limits.admit(state, each, bounds, period)
+        state, why = limiter.admit(state, each, at(bounds, period))
         states.append(state)
         held.append(why)
     return Run(np.array([s.position for s in states]), states, held)
@@ -131,7 +139,7 @@ def test_a_wish_that_is_not_finite_brakes_and_says_so(period: float) -> None:
         result = run([*moving, *[row] * 200], HOUSE, period)
         assert set(result.held[60:]) == {"the command was not finite"}
         assert_within(result.commands, HOUSE, period)
-        assert limits.stands(result.states[-1])
+        assert limiter.is_standing(result.states[-1])
 
 
 @pytest.mark.parametrize("period", CYCLES)
@@ -149,12 +157,12 @@ def test_the_brake_comes_to_rest_within_the_limits_from_wherever_the_gate_can_be
     steps = int(2.0 * ways.max() / period) + 40
     after = []
     for _ in range(steps):
-        state = limits.brake(state, bounds, period)
+        state = limiter.brake(state, at(bounds, period))
         after.append(state.position)
-    assert limits.stands(state)
+    assert limiter.is_standing(state)
     assert_within(np.vstack((before.commands, after)), bounds, period)
     for _ in range(50):
-        state = limits.brake(state, bounds, period)
+        state = limiter.brake(state, at(bounds, period))
     assert np.allclose(state.position, after[-1], atol=1e-5)
 
 
@@ -224,10 +232,10 @@ def test_a_robot_that_held_while_more_was_desired_catches_up_without_a_stop_in_b
     state = run(desired[:begin], SHIPPED, period, desired[0]).states[-1]
     stood = state.position
     for each in desired[begin:end]:
-        state, _ = limits.admit(limits.held(state, stood), each, SHIPPED, period)
-    state, speeds = limits.held(state, stood), []
+        state, _ = limiter.admit(limiter.held(state, stood), each, at(SHIPPED, period))
+    state, speeds = limiter.held(state, stood), []
     for each in desired[end:]:
-        state, _ = limits.admit(state, each, SHIPPED, period)
+        state, _ = limiter.admit(state, each, at(SHIPPED, period))
         speeds.append(state.speed[6])
     regained = speeds[: int(0.05 / period)]
     assert min(regained[1:]) > regained[0] > 0.0
@@ -283,16 +291,16 @@ def test_a_gate_at_rest_stays_where_it_is(place: float) -> None:
     result = run([start] * 20, HOUSE, 0.012, start)
     assert (result.commands == start).all()
     assert result.held == [None] * 20
-    assert limits.stands(limits.brake(result.states[-1], HOUSE, 0.012))
+    assert limiter.is_standing(limiter.brake(result.states[-1], at(HOUSE, 0.012)))
 
 
 def test_moving_is_not_standing() -> None:
-    rest = limits.at_rest(REST[3])
-    assert limits.stands(rest)
-    creeping = GateState(REST[3], np.full(3, 2e-4), rest.acceleration, REST[3], rest.speed)
-    turning = GateState(REST[3], rest.speed, np.full(3, 0.02), REST[3], rest.speed)
-    assert not limits.stands(creeping)
-    assert not limits.stands(turning)
+    rest = limiter.at_rest(REST[3])
+    assert limiter.is_standing(rest)
+    creeping = LimiterState(REST[3], np.full(3, 2e-4), rest.acceleration, REST[3], rest.speed)
+    turning = LimiterState(REST[3], rest.speed, np.full(3, 0.02), REST[3], rest.speed)
+    assert not limiter.is_standing(creeping)
+    assert not limiter.is_standing(turning)
 
 
 GENTLE = Limits(
@@ -302,6 +310,7 @@ GENTLE = Limits(
     0.25 * HOUSE.acceleration,
     0.25 * HOUSE.jerk,
     HOUSE.names,
+    0.012,
 )
 
 
@@ -313,9 +322,9 @@ def test_a_gentle_stop_stays_gentle_and_comes_to_rest(period: float) -> None:
     assert (state.speed > 0.09 * HOUSE.speed).all()
     after = []
     for _ in range(int(6.0 / period)):
-        state = limits.brake(state, HOUSE, period, GENTLE)
+        state = limiter.brake(state, at(HOUSE, period), at(GENTLE, period))
         after.append(state)
-    assert limits.stands(state)
+    assert limiter.is_standing(state)
     assert_within(np.vstack((before.commands, [s.position for s in after])), HOUSE, period)
     taken = np.array([s.acceleration for s in after])
     # Once what the motion itself had is let go, no more than the gentle deceleration is used.
@@ -325,13 +334,13 @@ def test_a_gentle_stop_stays_gentle_and_comes_to_rest(period: float) -> None:
     assert (jerk <= GENTLE.jerk * (1.0 + 1e-9) + 1e-6).all()
 
 
-def stopping_way(state: GateState, period: float, gentle: Limits | None) -> Array:
+def stopping_way(state: LimiterState, period: float, gentle: Limits | None) -> Array:
     """Return how far the axes still go (m,); the commands of the stop are within the limits."""
     commands = [state.position - state.speed * period * i for i in (3, 2, 1, 0)]
     for _ in range(int(6.0 / period)):
-        state = limits.brake(state, HOUSE, period, gentle)
+        state = limiter.brake(state, at(HOUSE, period), gentle and at(gentle, period))
         commands.append(state.position)
-    assert limits.stands(state)
+    assert limiter.is_standing(state)
     jumps = np.diff(np.diff(np.array(commands), axis=0), axis=0) / period**2
     assert (np.abs(jumps) <= HOUSE.acceleration * (1.0 + 1e-6) + 1e-6).all()
     return state.position - commands[3]
@@ -340,13 +349,13 @@ def stopping_way(state: GateState, period: float, gentle: Limits | None) -> Arra
 @pytest.mark.parametrize("period", CYCLES)
 def test_a_gentle_stop_does_not_begin_at_the_speed_of_a_catch_up(period: float) -> None:
     planned, here = 0.1 * HOUSE.speed, REST[3]
-    caught_up = GateState(here, 3.0 * planned, 0.0 * planned, here, planned)
-    steady = GateState(here, planned, 0.0 * planned, here, planned)
+    caught_up = LimiterState(here, 3.0 * planned, 0.0 * planned, here, planned)
+    steady = LimiterState(here, planned, 0.0 * planned, here, planned)
     quickest = stopping_way(caught_up, period, None)
     most = quickest + stopping_way(steady, period, GENTLE) + period * planned
     assert (stopping_way(caught_up, period, GENTLE) <= most).all()
     # A motion of that speed that is no catching up is stopped gently.
-    motion = GateState(here, 3.0 * planned, 0.0 * planned, here, 3.0 * planned)
+    motion = LimiterState(here, 3.0 * planned, 0.0 * planned, here, 3.0 * planned)
     assert (stopping_way(motion, period, GENTLE) > 1.5 * most).any()
 
 
@@ -358,8 +367,8 @@ def test_an_acceleration_beyond_the_gentle_one_is_let_go_at_the_jerk_of_the_limi
         for had in (HOUSE, GENTLE):
             held = way * 0.9 * had.acceleration
             speed = way * 0.5 * HOUSE.speed
-            state = GateState(REST[3], speed, held, REST[3], speed)
-            after = limits.brake(state, HOUSE, period, GENTLE)
+            state = LimiterState(REST[3], speed, held, REST[3], speed)
+            after = limiter.brake(state, at(HOUSE, period), at(GENTLE, period))
             fallen = way * (held - after.acceleration)
             whole = np.abs(held) + GENTLE.acceleration
             assert np.allclose(fallen, np.minimum(had.jerk * period, whole), rtol=1e-6)
@@ -370,12 +379,39 @@ def test_a_gate_made_of_what_a_robot_does_goes_on_as_the_one_that_led_it(period:
     times = period * np.arange(1, 60)[:, None]
     wishes = REST[3] + 0.02 * (1.0 - np.cos(2.0 * times)) ** 2
     led = run(wishes[:-1], HOUSE, period).states[-1]
-    made = limits.under_way(led.position, led.speed, led.acceleration)
-    expected, _ = limits.admit(led, wishes[-1], HOUSE, period)
-    found, why = limits.admit(made, wishes[-1], HOUSE, period)
+    made = limiter.moving(led.position, led.speed, led.acceleration)
+    expected, _ = limiter.admit(led, wishes[-1], at(HOUSE, period))
+    found, why = limiter.admit(made, wishes[-1], at(HOUSE, period))
     assert why is None
     assert np.abs(expected.position - led.position).min() > 1e-5
     for name in ("position", "speed", "acceleration"):
         assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-6)
     # From rest the same wish would be a jump.
-    assert limits.admit(limits.at_rest(led.position), wishes[-1], HOUSE, period)[1] is not None
+    _, why = limiter.admit(limiter.at_rest(led.position), wishes[-1], at(HOUSE, period))
+    assert why is not None
+
+
+HARD = Limits(
+    np.array((-10.0,)), np.array((10.0,)), np.array((2.0,)), np.array((8.0,)), np.array((200.0,)),
+    ("A1",),
+    0.012,
+)  # fmt: skip
+SOFT = replace(HARD, acceleration=np.array((1.0,)), jerk=np.array((20.0,)))
+
+
+@pytest.mark.parametrize("period", [0.004, 0.012])
+def test_a_gentle_stop_lets_a_hard_acceleration_go_at_once_and_ends_gently(period: float) -> None:
+    state, rows = limiter.at_rest(np.array((0.0,))), []
+    for k in range(20):
+        state, _ = limiter.admit(state, np.array((0.02 * k * k,)), at(HARD, period))
+    assert abs(state.acceleration[0]) > SOFT.acceleration[0]
+    letting_go = True
+    for _ in range(2000):
+        before = state
+        state = limiter.brake(state, at(HARD, period), at(SOFT, period))
+        change = abs(float(state.acceleration[0] - before.acceleration[0])) / period
+        letting_go = letting_go and abs(float(before.acceleration[0])) > 1.0
+        assert change <= (HARD if letting_go else SOFT).jerk[0] * 1.0001
+        rows.append(abs(float(state.acceleration[0])))
+    assert limiter.is_standing(state)
+    assert max(rows[100:]) <= 1.0001

@@ -4,13 +4,15 @@ Only additions, multiplications and square roots are made, which every machine r
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from transcripts import Chance, Transcript
 
-from linemate.daemon.core.control import limits
-from linemate.daemon.core.control.limits import GateState, Limits
+from linemate.daemon.core.control import command_limiter as limiter
+from linemate.daemon.core.control.axis_limits import Limits
+from linemate.daemon.core.control.command_limiter import LimiterState
 from linemate.daemon.core.horizon import Array
 
 HOUSE = Limits(
@@ -20,6 +22,7 @@ HOUSE = Limits(
     np.array((4.0, 60.0, 1.0)),
     np.array((40.0, 20000.0, 10.0)),
     ("slow", "quick", "soft"),
+    0.012,
 )
 GENTLE = Limits(
     HOUSE.lower,
@@ -28,7 +31,15 @@ GENTLE = Limits(
     0.3 * HOUSE.acceleration,
     0.2 * HOUSE.jerk,
     HOUSE.names,
+    0.012,
 )
+
+
+def at(bounds: Limits, period: float) -> Limits:
+    """Return the limits for commands that are another period apart."""
+    return replace(bounds, period=period)
+
+
 START = np.array((0.0, 0.1, 1.5))
 AIMS = ((-1.3, 1.3), (-0.7, 0.7), (-0.5, 3.5))
 WILD = (float("nan"), float("inf"), 1e99, 1e100, -1e101)
@@ -66,23 +77,23 @@ def _wishes(chance: Chance, period: float) -> Iterator[Array]:
 
 
 def _journey(chance: Chance, period: float, told: Transcript) -> None:
-    state = limits.at_rest(START)
+    state = limiter.at_rest(START)
     wishes = _wishes(chance, period)
     braking, gentle = 0, None
     for _ in range(400):
         if braking:
             braking -= 1
-            state = limits.brake(state, HOUSE, period, gentle)
+            state = limiter.brake(state, at(HOUSE, period), gentle and at(gentle, period))
             why = "brake"
         else:
-            state, why = limits.admit(state, next(wishes), HOUSE, period)
+            state, why = limiter.admit(state, next(wishes), at(HOUSE, period))
             if chance.happens(0.01):
                 braking = int(chance.between(3, 150))
                 gentle = chance.pick((None, GENTLE))
-        told.say(why, limits.stands(state), _bits(state))
+        told.say(why, limiter.is_standing(state), _bits(state))
 
 
-def _bits(state: GateState) -> list[str]:
+def _bits(state: LimiterState) -> list[str]:
     parts = (state.position, state.speed, state.acceleration, state.desired, state.desired_speed)
     return [value.hex() for part in parts for value in part.tolist()]
 
@@ -106,38 +117,5 @@ def test_what_counts_as_standing(speed: float, acceleration: float, stands: bool
     for axis in range(3):
         moving = np.zeros((2, 3))
         moving[:, axis] = speed, acceleration
-        state = GateState(START, moving[0], moving[1], START, np.zeros(3))
-        assert limits.stands(state) is stands
-
-
-def _near(chance: Chance, edge: float, grain: float) -> float:
-    return edge + chance.pick((-1.0, 1.0)) * grain * chance.between(0.0, 1.0) ** 4
-
-
-@pytest.mark.parametrize("period", [0.012, 0.004])
-def test_what_passes_the_short_cut_would_pass_the_long_way(period: float) -> None:
-    chance, passed = Chance(f"short cut/{period}"), 0
-    for bounds in limits._by_axis(HOUSE, period):
-        step = bounds.jerk * period
-        room = bounds.clear_lower - bounds.lower
-        for _ in range(6000):
-            a = chance.between(-1.0, 1.0) * bounds.acceleration
-            wanted = chance.pick((a + step, a - step, a, 0.0, bounds.acceleration))
-            wanted = _near(chance, wanted * chance.pick((1.0, 1.0, -1.0, 0.5)), step)
-            end = 0.5 * wanted * abs(wanted) / bounds.jerk + 1.5 * period * wanted
-            v = chance.pick((bounds.speed - end, -bounds.speed - end, 0.0, 0.5 * bounds.speed))
-            v = _near(chance, v, 0.3 * bounds.speed)
-            v = max(-bounds.speed, min(v, bounds.speed))
-            way = abs(v) * period
-            p = chance.pick((bounds.clear_upper - way, bounds.clear_lower + way, 0.0))
-            p = max(bounds.lower, min(_near(chance, p, 0.5 * room), bounds.upper))
-            desired = p + (v + wanted * period) * period
-            axis = limits._Axis(p, v, a, p, v, desired)
-            wanted = ((desired - p) / period - v) / period
-            if not limits._is_clear(p, v, a, wanted, bounds):
-                continue
-            passed += 1
-            low, high = limits._range(p, v, a, bounds)
-            assert low - bounds.margin <= wanted <= high + bounds.margin
-            assert limits._stays(axis, wanted, bounds)
-    assert passed > 500
+        state = LimiterState(START, moving[0], moving[1], START, np.zeros(3))
+        assert limiter.is_standing(state) is stands

@@ -1,0 +1,113 @@
+"""Limits of the axes, and the range of accelerations that they allow in one step.
+
+Invariants:
+- An acceleration of the range keeps a later stop within all limits possible.
+
+Plain floats, axis by axis: arrays cost four times as much for seven axes.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+from linemate.daemon.core.horizon import Array
+
+
+@dataclass(frozen=True, slots=True)
+class AxisBounds:
+    """Limits of one axis and what follows from them and the cycle time, SI.
+
+    Attributes:
+        lower, upper: position.
+        period: T0 [s].
+        change: largest change of the acceleration in one step.
+        margin: tolerance for rounding, a millionth of the acceleration.
+    """
+
+    lower: float
+    upper: float
+    speed: float
+    acceleration: float
+    jerk: float
+    period: float
+    change: float
+    margin: float
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Limits of all axes as arrays (m,), SI, for commands that are a period apart.
+
+    Attributes:
+        lower, upper: position.
+        names: of the axes, for reasons.
+        period: T0 [s].
+    """
+
+    lower: Array
+    upper: Array
+    speed: Array
+    acceleration: Array
+    jerk: Array
+    names: tuple[str, ...]
+    period: float
+
+    @cached_property
+    def axes(self) -> tuple[AxisBounds, ...]:
+        """The same limits axis by axis."""
+        columns = (self.lower, self.upper, self.speed, self.acceleration, self.jerk)
+        T0 = self.period
+        return tuple(
+            AxisBounds(low, high, speed, acceleration, jerk, T0, jerk * T0, 1e-6 * acceleration)
+            for low, high, speed, acceleration, jerk in zip(
+                *(column.tolist() for column in columns), strict=True
+            )
+        )
+
+
+def acceleration_range(p: float, v: float, a: float, bounds: AxisBounds) -> tuple[float, float]:
+    """Return the least and the largest acceleration that are allowed now.
+
+    Args:
+        p: position of the last command.
+        v: its speed.
+        a: its acceleration.
+        bounds: of the axis.
+    """
+    period = bounds.period
+    hard_low = max(a - bounds.change, -bounds.acceleration)
+    hard_high = min(a + bounds.change, bounds.acceleration)
+    up = min(bounds.speed, _stoppable_speed(bounds.upper - p - max(v, 0.0) * period, bounds))
+    down = min(bounds.speed, _stoppable_speed(p - bounds.lower + min(v, 0.0) * period, bounds))
+    high = clip(_largest_acceleration(v, up, bounds.jerk, period), hard_low, hard_high)
+    low = clip(-_largest_acceleration(-v, down, bounds.jerk, period), hard_low, hard_high)
+    return min(low, high), max(low, high)
+
+
+def _largest_acceleration(speed: float, cap: float, jerk: float, period: float) -> float:
+    """Return the largest acceleration after which the speed can still be kept at ``cap``.
+
+    From an acceleration a the speed rises by a^2/2j + aT/2 before jerk can end it, and by aT in
+    this step.
+    """
+    room = cap - speed
+    if room < 0.0:
+        return room / period
+    b = 1.5 * period
+    return jerk * (math.sqrt(b * b + 2.0 * room / jerk) - b)
+
+
+def _stoppable_speed(room: float, bounds: AxisBounds) -> float:
+    """Return the speed from which a stop within ``room`` is possible with limited jerk.
+
+    ``room = c u + u^2 / 2A`` with c the time that jerk needs to build the deceleration up and to
+    end it, and three steps of margin.
+    """
+    A = bounds.acceleration
+    c = 2.0 * A / bounds.jerk + 3.0 * bounds.period
+    return A * (math.sqrt(c * c + 2.0 * max(room, 0.0) / A) - c)
+
+
+def clip(value: float, low: float, high: float) -> float:
+    """Return a value within bounds; numpy's clip costs twenty times as much."""
+    return low if value < low else min(value, high)
