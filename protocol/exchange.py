@@ -148,6 +148,7 @@ class _Line:
     Attributes:
         paced: of these, in a row, those that came a cycle apart. A controller keeps its pace; a
             burst of forged or delayed datagrams does not.
+        known: of these, in a row, those that are the last one, or were missed before it.
     """
 
     ipoc: int = 0
@@ -155,8 +156,16 @@ class _Line:
     length: int = 0
     stamp_ns: int = 0
     paced: int = 0
+    known: int = 0
 
-    def extend(self, ipoc: int, stamp_ns: int, reach: int, cycle_ns: int) -> bool:
+    @property
+    def is_new(self) -> bool:
+        """Enough telegrams at the cycle's pace, of which one at least was not expected."""
+        return self.paced >= CONSISTENT > self.known
+
+    def extend(
+        self, ipoc: int, stamp_ns: int, reach: int, cycle_ns: int, *, known: bool = False
+    ) -> bool:
         """Add a telegram: True if it is one of enough in one line."""
         passed_ns = stamp_ns - self.stamp_ns
         if self.length and ipoc == self.ipoc:
@@ -166,6 +175,7 @@ class _Line:
         in_line = self._extend(ipoc, reach)
         is_paced = self.length > 1 and cycle_ns // 2 <= passed_ns <= SLACK * cycle_ns
         self.paced = self.paced + 1 if is_paced else 1
+        self.known = self.known + 1 if known else 0
         self.stamp_ns = stamp_ns
         return in_line
 
@@ -315,16 +325,16 @@ class Exchange:
         self._heard_ns = stamp_ns
         if stamp_ns - self._last_ns >= self._session_gap_ns:
             return Event.OPENING
-        in_line = self._line.extend(ipoc, stamp_ns, self._reach, self._cycle_ns)
         event = self._place(ipoc, stamp_ns)
+        known = event in _KNOWN and stamp_ns - self._last_ns < self._peer_gap_ns
+        in_line = self._line.extend(ipoc, stamp_ns, self._reach, self._cycle_ns, known=known)
         if event not in _DOUBTFUL or not in_line:
             return event
         if self._goes_on(ipoc, stamp_ns):
             return Event.RESUME
-        # Telegrams that were missed and come at last are in one line too, and are nothing new; nor
-        # is the one that a counter which was flipped ahead had told of.
-        is_new = event not in _KNOWN and self._line.paced >= CONSISTENT
-        return Event.RESYNC if is_new else event
+        # Missed telegrams that arrive late are in one line too, up to the one accepted before
+        # them. No session begins with those, unless all has been silent for longer.
+        return Event.RESYNC if self._line.is_new else event
 
     def _place(self, ipoc: int, stamp_ns: int) -> Event:
         delta = ipoc - self._last_ipoc

@@ -381,8 +381,15 @@ NOISE = st.lists(
 
 
 @settings(max_examples=300)
-@given(NOISE, st.integers(0, 2**40), st.integers(1, 1000))
+@given(
+    NOISE,
+    st.one_of(st.integers(-8, 40).map(lambda n: FIRST + 4 * n), st.integers(0, 2**40)),
+    st.one_of(st.just(4), st.integers(1, 1000)),
+)
 @example([(FIRST + 4 * n, 4_000_000, None, False) for n in (0, 2, 4)], FIRST + 20, 4)
+@example([(2, 0, "a", False)], 0, 1)
+@example([(FIRST + 4 * n, CYCLE_NS, "a", False) for n in range(6)], FIRST + 12, 4)
+@example([(FIRST + 4 * n, CYCLE_NS, "a", False) for n in (0, 1, 2, 3, 7)], FIRST + 12, 4)
 def test_whatever_came_before_a_clean_line_is_answered_from_its_third_telegram(
     noise: list[tuple[int, int, str | None, bool]], start: int, step: int
 ) -> None:
