@@ -74,7 +74,7 @@ def test_x5_a_daemon_that_is_back_soon_moves_no_robot(at_s: float, lasting_s: fl
     lived(Fault(at_s, "daemon", "crash", lasting_s))
 
 
-@pytest.mark.parametrize("share", [0.05, 0.1, open_case(0.2, reason="a clamped tool is not felt")])
+@pytest.mark.parametrize("share", [0.05, 0.1, 0.2])
 def test_x6_lost_replies_leave_no_limit(share: float) -> None:
     lived(Fault(FREE_S, "reply", "loss", 1.0, share))
 

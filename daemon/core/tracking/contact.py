@@ -5,6 +5,10 @@ kicked, with more force than a contact's: a robot that held for one cycle at 0.5
 reply came late, left 100 N behind. Half a period ago that force was the opposite one, so the sum of
 both is free of it; what presses for longer (gravity, a bias) is the mean of the period before that.
 A contact, which was there at neither time, shows at once and in full.
+
+Replies that are lost again and again leave no such time: each lost one kicks the tool. Then a
+contact is a force that stays on one side of the free tool's mean for a full period. A tool that
+rings changes its side twice in a period, however often it is kicked.
 """
 
 import math
@@ -33,7 +37,12 @@ class Ringing:
     @property
     def memory(self) -> int:
         """Forces that are remembered: half a period, the period before it, and the newest."""
-        return math.ceil(self.half) + math.ceil(2.0 * self.half) + 1
+        return math.ceil(self.half) + self.period + 1
+
+    @property
+    def period(self) -> int:
+        """Steps of a full period."""
+        return math.ceil(2.0 * self.half)
 
 
 def ringing(frequency_hz: float, damping: float, force: float, cycle_s: float) -> Ringing:
@@ -56,11 +65,14 @@ class Feeling(Struct, frozen=True):
         forces: along its axis, the newest last, one a step [N].
         calm: steps since the robot last held against its command, as far as memory goes.
         touches: steps in a row with a contact's force.
+        free: mean force of the last full period before the tool came near the object [N]; None
+            while less is known.
     """
 
     forces: tuple[float, ...] = ()
     calm: int = 0
     touches: int = 0
+    free: float | None = None
 
 
 NOTHING = Feeling()
@@ -78,7 +90,7 @@ def feel(feeling: Feeling, ringing: Ringing, force: float | None, *, held: bool)
     if newest is not None:
         forces = (*forces, newest)[-ringing.memory :]
     calm = 0 if held else min(feeling.calm + 1, ringing.memory)
-    return Feeling(forces, calm, feeling.touches)
+    return Feeling(forces, calm, feeling.touches, feeling.free)
 
 
 def can_feel(feeling: Feeling, ringing: Ringing) -> bool:
@@ -97,9 +109,16 @@ def presses(feeling: Feeling, ringing: Ringing) -> bool:
     whole, part = divmod(ringing.half, 1.0)
     ago = -1 - int(whole)
     opposite = forces[ago] + part * (forces[ago - 1] - forces[ago])
-    period = math.ceil(2.0 * ringing.half)
-    mean = sum(forces[:period]) / period
+    mean = sum(forces[: ringing.period]) / ringing.period
     return abs(forces[-1] - mean + ringing.kept * (opposite - mean)) > ringing.force
+
+
+def presses_for_long(feeling: Feeling, ringing: Ringing) -> bool:
+    """Return whether a contact's force has been on one side for a full period."""
+    free, newest = feeling.free, feeling.forces[-ringing.period :]
+    if free is None or len(newest) < ringing.period:
+        return False
+    return min(newest) > free + ringing.force or max(newest) < free - ringing.force
 
 
 def touched(feeling: Feeling, ringing: Ringing, distance: float) -> Feeling:
@@ -108,9 +127,14 @@ def touched(feeling: Feeling, ringing: Ringing, distance: float) -> Feeling:
     Args:
         distance: programmed, to the object [m].
     """
+    forces, free = feeling.forces, feeling.free
     # Beyond the estimated object too: the tool may search for it there.
-    near = -NEAR < distance < math.inf and presses(feeling, ringing)
-    return Feeling(feeling.forces, feeling.calm, feeling.touches + 1 if near else 0)
+    if not -NEAR < distance < math.inf:
+        if len(forces) >= ringing.period:
+            free = sum(forces[-ringing.period :]) / ringing.period
+        return Feeling(forces, feeling.calm, 0, free)
+    is_pressed = presses(feeling, ringing) or presses_for_long(feeling, ringing)
+    return Feeling(forces, feeling.calm, feeling.touches + 1 if is_pressed else 0, free)
 
 
 def assumed(feeling: Feeling, distance: float, *, is_due: bool) -> Feeling:
@@ -121,4 +145,4 @@ def assumed(feeling: Feeling, distance: float, *, is_due: bool) -> Feeling:
         is_due: the programme has reached its waypoint of contact and the clamp may be closed.
     """
     near = is_due and -NEAR < distance < math.inf
-    return Feeling(feeling.forces, feeling.calm, feeling.touches + 1 if near else 0)
+    return Feeling(feeling.forces, feeling.calm, feeling.touches + 1 if near else 0, feeling.free)

@@ -103,6 +103,44 @@ def test_while_it_remembers_the_time_before_the_robot_held_nothing_is_said() -> 
     assert first_touch(0.004, forces, held=100) == 100 + memory + 1
 
 
+def often_held(cycle_s: float, seconds: float, lost: float, press: float) -> int | None:
+    """Return the step of the first contact for a robot that loses replies again and again.
+
+    Each lost reply kicks the tool. It comes near the object after 1 s and is pressed 0.1 s later.
+    """
+    mode = ringing(FREQUENCY, DAMPING, FORCE, cycle_s)
+    chance = random.Random(3)
+    feeling, kicks = NOTHING, list[int]()
+    for k in range(round(seconds / cycle_s)):
+        held = chance.random() < lost
+        if held:
+            kicks.append(k)
+        force = 6.0 + sum(rung((k - kick) * cycle_s, 30.0) for kick in kicks)
+        force += press if k * cycle_s >= 1.1 else 0.0
+        distance = -0.05 if k * cycle_s < 1.0 else 0.0
+        feeling = touched(feel(feeling, mode, force, held=held), mode, distance)
+        if feeling.touches >= TOUCHES:
+            return k
+    return None
+
+
+@pytest.mark.parametrize(("cycle_s", "lost"), [(0.012, 0.2), (0.004, 0.1)])
+@pytest.mark.parametrize("press", [-180.0, 180.0])
+def test_a_contact_is_felt_within_a_period_although_replies_are_lost_all_the_time(
+    cycle_s: float, lost: float, press: float
+) -> None:
+    found = often_held(cycle_s, 2.0, lost, press)
+    assert found is not None
+    assert 1.1 < found * cycle_s <= 1.1 + 2.0 / FREQUENCY
+
+
+@pytest.mark.parametrize(("cycle_s", "lost"), [(0.012, 0.2), (0.004, 0.1)])
+def test_a_tool_that_lost_replies_kick_again_and_again_does_not_touch(
+    cycle_s: float, lost: float
+) -> None:
+    assert often_held(cycle_s, 6.0, lost, 0.0) is None
+
+
 def test_a_step_without_a_force_repeats_the_last_one_and_memory_is_bounded() -> None:
     mode = ringing(FREQUENCY, DAMPING, FORCE, 0.004)
     feeling = feel(NOTHING, mode, None, held=False)
