@@ -344,6 +344,8 @@ class Cycle:
         else:
             # The telegram before may have come, and been answered, since this one was made.
             self._note_unsent(self._confirmed(ready))
+            # The step was decided on as if its telegram would come.
+            self.operating.is_loss_untold = True
         self._end()
 
     def take_changes(self) -> list[Change]:
