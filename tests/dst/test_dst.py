@@ -24,7 +24,6 @@ REGRESSIONS = Path(__file__).parent / "regressions.txt"
 FIT = Signals(link=Link.HEALTHY, position_fresh=True, wrench_fresh=True, ready=True)
 OPEN_SEEDS = {7: "an object 5 mm farther than seen: screws before the hub"}
 OPEN_REGRESSIONS = {
-    1: "lost replies: the tool 25 mm beside the hub in TRACK",
     60758: "jitter in contact: mount overloaded, 8.1 mm",
     414903: "jitter in contact: 216 N",
     420155: "jitter and a retreat in contact: 250 N",

@@ -90,6 +90,30 @@ def test_x8_telegrams_lost_in_contact_cost_no_mount(lasting_s: float, cycle_ms: 
     lived(Fault(HELD_S, "robot", "silence", lasting_s), cycle_ms=cycle_ms)
 
 
+RINGING = "the tool rings at the stand-off and passes the hub's plane"
+
+
+@pytest.mark.parametrize("lead_ms", [0.0, 5.0])
+@pytest.mark.parametrize(
+    ("at_s", "lasting_s"),
+    [
+        (0.8, 0.07),
+        (0.8, 0.25),
+        (0.85, 0.12),
+        (0.9, 0.07),
+        (0.9, 0.12),
+        (0.9, 0.25),
+        open_case(0.95, 0.07, reason=RINGING),
+        (0.95, 0.12),
+        (1.0, 0.12),
+    ],
+)
+def test_x8_telegrams_lost_close_to_the_hub_lead_the_tool_past_no_hub(
+    at_s: float, lasting_s: float, lead_ms: float
+) -> None:
+    lived(Fault(at_s, "robot", "silence", lasting_s), lead_ms=lead_ms)
+
+
 @pytest.mark.parametrize(
     "fault",
     [

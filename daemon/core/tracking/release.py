@@ -14,6 +14,7 @@ from linemate.daemon.core.tracking.observation import Wrench
 from linemate.protocol.samples import Vector3
 
 LEADING_S = 0.15  # commanded motion goes on for this long, whatever is decided now
+STANDING_S = 0.1  # the last command leads a robot on for this long: servos, and the tool's swing
 TOUCHING = 0.005  # within this distance the object may have been touched without a force [m]
 STAND_OFF = 0.003  # a closed clamp bears the pull at this distance, 150 N by the shipped mount [m]
 PULLING = 3.0  # times the force of a contact, as a mean: only a closed clamp feels so much

@@ -130,6 +130,7 @@ class TrackerState(Struct, frozen=True, eq=False):
         pull: mean force on the clamped tool [N].
         search: for an object that is farther away than estimated.
         seen_ns: exposure of the camera's last accepted pose [ns], None before.
+        stood: time for which the robot has got no command and stood still [s].
     """
 
     history: History | None
@@ -158,6 +159,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     pull: Vector3 = (0.0, 0.0, 0.0)
     search: guard.Search = guard.NO_SEARCH
     seen_ns: int | None = None
+    stood: float = 0.0
 
 
 class Report(Struct, frozen=True, eq=False):
@@ -229,6 +231,7 @@ def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> Tra
             withdrawn=None,
             clamped=False,
             anchor=None,
+            stood=0.0,
         )
     return replace(
         state,
@@ -249,6 +252,7 @@ def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> Tra
         anchor=None,
         search=guard.NO_SEARCH,
         distance=math.inf,
+        stood=0.0,
     )
 
 
@@ -612,7 +616,12 @@ def _clock(
     """Return the state with the task's clock one step further, as far as its gates let it."""
     T0 = tracker.cycle_s
     tool, passed = tracker.task.tool, _passed(tracker, state, view, seen)
-    clamped = retreat and state.withdrawn is None and _may_be_clamped(tracker, state, passed)
+    if retreat and state.releasing is None and not state.contact:
+        state = _set_back(tracker, state)
+    stood = max(state.stood - release.STANDING_S, 0.0)
+    moved = 0.0 if view is None else abs(view.speed) * stood
+    clamped = retreat and state.withdrawn is None
+    clamped = clamped and _may_be_clamped(tracker, state, passed, moved)
     if retreat:
         state = replace(
             state,
@@ -643,6 +652,19 @@ def _clock(
     )
 
 
+def _set_back(tracker: Tracker, state: TrackerState) -> TrackerState:
+    """Return the state with the task's clock where the robot got its last command.
+
+    A retreat that begins while commands are lost must not lead the tool on to where it should be
+    by now: nearer to the object, at the speed of a catch-up.
+    """
+    if state.stood <= 0.0:
+        return state
+    T0 = tracker.cycle_s
+    steps = round(state.time / T0) - round(state.stood / T0)
+    return changed(state, time=max(steps, 0) * T0)
+
+
 def _is_pressed(tracker: Tracker, state: TrackerState) -> bool:
     """Return whether the tool is in contact and the object has pushed it back for a while.
 
@@ -653,9 +675,21 @@ def _is_pressed(tracker: Tracker, state: TrackerState) -> bool:
     return state.contact and state.pull[2] < -tracker.settings.tactile.contact_force
 
 
-def _may_be_clamped(tracker: Tracker, state: TrackerState, passed: frozenset[Gate]) -> bool:
-    """Return whether to withdraw now could pull at a closed clamp."""
-    steps = math.ceil(release.LEADING_S / tracker.cycle_s)
+def _may_be_clamped(
+    tracker: Tracker, state: TrackerState, passed: frozenset[Gate], moved: float
+) -> bool:
+    """Return whether to withdraw now could pull at a closed clamp.
+
+    Args:
+        tracker: compiled.
+        state: with the task's clock at the last command that the robot got.
+        passed: gates that are open.
+        moved: way of the object while the robot stood, for it got no commands [m].
+    """
+    if moved > BENT and not state.contact:
+        return False
+    leading = release.LEADING_S if state.stood <= 0.0 else release.STANDING_S
+    steps = math.ceil(leading / tracker.cycle_s)
     _, relative = tracker.table.ahead(state.time, math.inf, steps)
     return release.may_be_clamped(
         contact=state.contact,
@@ -722,6 +756,8 @@ def touched(
         held: the robot did not get the last command and stood still.
         is_open: the tool reports an open clamp, or no telegram says that it does not.
     """
+    if held or before.stood > 0.0:
+        after = changed(after, stood=before.stood + tracker.cycle_s if held else 0.0)
     if before.contact:
         lost = Gate.WHEEL_RELEASED in after.passed
         touching = before.touching + tracker.cycle_s
