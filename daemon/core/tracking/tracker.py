@@ -662,7 +662,7 @@ def _set_back(tracker: Tracker, state: TrackerState) -> TrackerState:
         return state
     T0 = tracker.cycle_s
     steps = round(state.time / T0) - round(state.stood / T0)
-    return changed(state, time=max(steps, 0) * T0)
+    return replace(state, time=max(steps, 0) * T0)
 
 
 def _is_pressed(tracker: Tracker, state: TrackerState) -> bool:
@@ -757,7 +757,7 @@ def touched(
         is_open: the tool reports an open clamp, or no telegram says that it does not.
     """
     if held or before.stood > 0.0:
-        after = changed(after, stood=before.stood + tracker.cycle_s if held else 0.0)
+        after = replace(after, stood=before.stood + tracker.cycle_s if held else 0.0)
     if before.contact:
         lost = Gate.WHEEL_RELEASED in after.passed
         touching = before.touching + tracker.cycle_s
