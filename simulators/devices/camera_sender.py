@@ -1,7 +1,8 @@
-"""A camera that sends poses, one msgpack map a datagram.
+"""Emulated camera: encode a pose as one msgpack datagram.
 
-Law of this file: a pose in, a datagram out; no socket, no clock. Its stamps are on a clock of its
-own, off by whatever the configuration says, as a camera's computer is; only the receiver can tell.
+Invariants:
+    Pure: no socket, no clock.
+    Stamps are on the camera's own clock, which has a configured offset.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,8 @@
-"""A distance sensor on CAN.
+"""Emulated distance sensor on CAN: encode a reading as a frame.
 
-Law of this file: a reading in, a frame out; no port, no clock. What the sensor's message cannot
-carry (a target out of range) makes it silent, as the real one is, and is counted.
+Invariants:
+    Pure: no port, no clock.
+    A reading out of the message's range gives no frame and is counted.
 """
 
 from dataclasses import dataclass

@@ -1,8 +1,10 @@
-"""A scenario's timed faults: which there are, which are in force, which strike now.
+"""Timed faults of a scenario: kinds, active intervals, single events.
 
-Law of this file: pure; scenario time is an argument. The list is checked when it is read, so that
-a misspelt fault is an error at the start and not a run without its fault. What a fault does to
-bytes is in ``faulty_link``, what it does to a sensor's reading in ``faulty_sensor``.
+``faulty_link`` applies faults to bytes, ``faulty_sensor`` to readings.
+
+Invariants:
+    Pure: scenario time is an argument.
+    An unknown fault is an error when the list is read.
 """
 
 from collections.abc import Iterable, Iterator, Mapping

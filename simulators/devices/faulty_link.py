@@ -1,8 +1,9 @@
-"""A link that loses, delays, doubles, swaps and spoils what it carries.
+"""Emulated link that loses, delays, duplicates, reorders and corrupts bytes.
 
-Law of this file: bytes and a time in, bytes and times of arrival out; pure. Every fault draws from
-a stream of its own, named by the seed and the fault, so that taking one fault away changes nothing
-of the others. What was done is counted by kind.
+Invariants:
+    Pure: bytes and a time in, bytes and times of arrival out.
+    Each fault has its own random stream, named by seed and fault.
+    Every applied fault is counted by kind.
 """
 
 import random

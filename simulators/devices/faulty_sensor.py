@@ -1,8 +1,9 @@
-"""A sensor that is stuck, wrong by a unit, drifts, says NaN, or whose clock is wrong.
+"""Faults of a sensor's reading: frozen, wrong unit, drift, NaN, wrong clock.
 
-Law of this file: a reading and a time in, the reading that the sensor's own encoder is given out;
-pure, and before any checksum, so that what comes out is well-formed and wrong. Streams of chance
-as in ``faulty_link``.
+Invariants:
+    Pure: a reading and a time in, a reading out.
+    Faults act before the checksum, so the frame is well-formed.
+    Each fault has its own random stream, as in ``faulty_link``.
 """
 
 import math

@@ -1,7 +1,8 @@
-"""A force-torque sensor on a serial line: start-up dialogue and stream.
+"""Emulated force-torque sensor on a serial line: start-up dialogue and stream.
 
-Law of this file: host bytes in, device bytes out; no port, no clock. It streams when the device's
-own rules say so, and not before the host has talked to it where the device wants that.
+Invariants:
+    Pure: host bytes in, device bytes out; no port, no clock.
+    It streams only after the dialogue that the device requires.
 """
 
 from collections.abc import Callable, Sequence

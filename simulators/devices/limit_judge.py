@@ -1,12 +1,10 @@
-"""The emulator's own judgement of the applied setpoints: position, speed, acceleration, jerk.
+"""Judgement of applied setpoints: position, speed, acceleration and jerk.
 
-Law of this file: finite differences of what the controller really applied, one a cycle, against
-limits that are the emulator's and not the daemon's. The wire has finite decimals, so each
-difference is granted what rounding alone can make of it. In a cycle without a fresh reply the
-controller holds by itself; nobody is blamed for that, and the robot counts as at rest after it.
-A schedule that slipped held the robot as well for whoever has a clock, and did not for the plant:
-what would tell the two apart is not judged.
-Source: reference/reliability.md, 2.0 (ENV).
+Invariants:
+    Limits are the emulator's own, not the daemon's.
+    Finite differences allow for the rounding of the decimals on the wire.
+    A cycle without a fresh reply is not judged; the robot counts as at rest after it.
+    A slipped schedule is not judged: wall time and plant time differ there.
 """
 
 import math

@@ -1,7 +1,8 @@
-"""The world as a controller sees and moves it, cycle by cycle: the same in real and virtual time.
+"""Robot as a controller sees it: units and frames between plant and wire.
 
-Law of this file: units and frames between the plant and the wire's values, nothing else. A
-cycle's setpoints are commanded within that cycle; the world is never ahead of the next telegram.
+Invariants:
+    Setpoints of a cycle act within that cycle.
+    The plant is never ahead of the next telegram.
 """
 
 from linemate.protocol.units import rotation_to_abc

@@ -1,10 +1,11 @@
-"""A strict RSI controller: its telegrams, its judgement of replies, what it makes of them.
+"""Strict RSI controller: telegrams, judgement of replies, applied setpoints.
 
-Law of this file: cycle by cycle and pure; bytes in and out, the clock is an argument. A reply
-counts only if it is readable, of the right SENTYPE, of the open cycle's IPOC and in time; all
-else is as no answer. Corrections are relative to the start pose, clamped in silence, and watched
-by a monitor that stops. What is missing is held or zero, as the configuration's HOLDON says.
-Source: reference/rsi.md, 1.6.
+Invariants:
+    Pure: bytes in and out, time is an argument.
+    A reply counts if it is readable, in time, and has the SENTYPE and the open IPOC.
+    Corrections are relative to the start pose and are clamped to the limits.
+    A correction beyond the monitor's range stops the program.
+    HOLDON says whether a missing value is held or zero.
 """
 
 from collections import Counter, deque

@@ -1,8 +1,8 @@
-"""Doing things at absolute instants of the monotonic clock, from an asyncio loop.
+"""Timer for absolute instants of the monotonic clock in an asyncio loop.
 
-Law of this file: an instant is given, never a delay, so lateness does not add up. asyncio's own
-timers round to a millisecond; a timerfd read by the loop wakes within a tenth of one.
-Source: reference/real-time.md, 1.
+Invariants:
+    Lateness does not add up: each instant is absolute.
+    A timerfd wakes the loop within 0.1 ms; asyncio's own timers round to 1 ms.
 """
 
 import asyncio

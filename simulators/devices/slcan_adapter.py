@@ -1,8 +1,10 @@
-"""A CAN adapter that speaks slcan, the ASCII protocol of Lawicel's adapters.
+"""Emulated CAN adapter that speaks slcan, the ASCII protocol of Lawicel.
 
-Law of this file: the adapter's state and what it answers; bytes in, bytes out, no port, no clock.
-Each command is answered with CR (done) or BEL (refused). Frames are passed on only while the
-channel is open. Commands it does not know or that come out of order are refused and counted.
+Invariants:
+    Pure: bytes in, bytes out; no port, no clock.
+    Each command is answered with CR (done) or BEL (refused).
+    Frames pass only while the channel is open.
+    An unknown or misplaced command is refused and counted.
 """
 
 from collections import deque

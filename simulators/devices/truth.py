@@ -1,9 +1,10 @@
-"""What really happened, a row a telegram: the ground on which a run is judged.
+"""Ground truth of a run: one row a telegram.
 
-Law of this file: preallocated and bounded; truth of the plant and of the controller, never the
-daemon's word. Row i is the state at the instant of telegram i and what the controller applied
-from that instant on. Poses are position [m] and unit quaternion w x y z, in base. In a cycle the
-plant's numbers are put down as they are; columns are made of them when somebody asks.
+Invariants:
+    Preallocated and bounded.
+    Plant and controller only, nothing from the daemon.
+    Row i: state at the instant of telegram i, and what the controller applied from then on.
+    Poses are position [m] and unit quaternion w x y z, in base.
 """
 
 import json

@@ -1,6 +1,8 @@
-"""How long replies take, at the controller.
+"""Turn-around times of replies, measured at the controller.
 
-Law of this file: bounded memory; percentiles are of all kept values, sorted, no interpolation.
+Invariants:
+    Bounded memory.
+    Percentiles are order statistics of all values, without interpolation.
 """
 
 from array import array

@@ -1,9 +1,10 @@
-"""Jobs on a dask cluster: the same jobs, the same results, other machines.
+"""Run jobs on a dask cluster.
 
-Law of this file: dask is an extra, imported when it is asked for. A job is a pure function of its
-argument, so the cluster only decides where it runs; that a worker runs other sources than the
-caller would show in the numbers alone, so it is refused beforehand. A job that cannot run raises
-here as it would locally.
+Invariants:
+    The result is the same as that of a local run.
+    Workers with other sources than the caller's are refused before the first job.
+    A job that fails raises here.
+    dask is an extra and is imported on use.
 """
 
 import hashlib

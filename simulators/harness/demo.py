@@ -1,8 +1,9 @@
-"""``linemate-sim demo``: daemon and emulators as separate processes, in real time, over real links.
+"""``linemate-sim demo``: daemon and emulators as processes, in real time, over real links.
 
-Law of this file: this process only starts, watches, orders and judges; not one datum of the run
-passes through it. What it knows of the run in the end comes from two files, the emulator's truth
-and the daemon's recording. However it ends, nothing that it started is left.
+Invariants:
+    This process starts, orders and judges; no datum of the run passes through it.
+    The judgement uses the emulator's truth file and the daemon's recording.
+    Every process that it started has ended when it ends.
 """
 
 import json

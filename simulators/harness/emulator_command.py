@@ -1,8 +1,9 @@
-"""``linemate-sim emulator``: a file becomes a station of emulated devices, in real time.
+"""``linemate-sim emulator``: run a station of emulated devices from a file.
 
-Law of this file: the file's keys are those of ``EmulatorConfig``, with a scenario by name or path
-in the place of its values; relative paths are relative to the file. A line of JSON for each state
-goes to standard output, everything else to standard error.
+Invariants:
+    Keys are those of ``EmulatorConfig``; a scenario is a name or a path.
+    Relative paths are relative to the file.
+    Standard output has one JSON line a state; the rest goes to standard error.
 """
 
 import sys

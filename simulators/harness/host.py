@@ -1,7 +1,8 @@
-"""What this machine is, and what it grants: said beside every figure that depends on it.
+"""Facts of this machine and its rights, printed with figures that depend on them.
 
-Law of the file: asks the kernel, changes nothing unasked, and never fails:
-what cannot be found out is None or a reason.
+Invariants:
+    It changes nothing unless asked, and never fails.
+    An unknown fact is None or a reason.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
-"""Overlays: identified parameters laid over the daemon's settings of a run.
+"""Overlay of identified parameters over the daemon's settings of a run.
 
-Law of this file: an overlay has the sections of a configuration (``tracking``, ``control``) and,
-where the hand-eye pose was found wrong, ``task.arm.camera_in_tcp``. It reaches beliefs only; one
-that speaks of the scenario, the truth, is refused. A list is one value and replaces the old one.
+Invariants:
+    Sections: ``tracking``, ``control`` and ``task.arm.camera_in_tcp``.
+    An overlay that changes the scenario is refused.
+    A list replaces the whole old list.
 """
 
 import json

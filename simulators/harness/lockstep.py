@@ -1,9 +1,10 @@
-"""Virtual time: the world, the pure devices and the daemon's cycle, hand in hand.
+"""Run of plant, emulated devices and daemon cycle in virtual time.
 
-Law of this file: no socket and no clock (a stopwatch only if computing times are asked for). Every
-datum crosses as bytes, through the emulator's encoder and the daemon's decoder, stamped with its
-own instant of emission; so one seed gives one run, to the byte. The controller stops for nobody:
-cycle k begins at -lead_in + k T0, and its reply takes no time.
+Invariants:
+    No socket and no clock, but a stopwatch if computing times are requested.
+    Every datum passes as bytes through an encoder and a decoder, with its own stamp.
+    One seed gives one run, to the byte.
+    Cycle k begins at -lead_in + k T0; its reply takes no time.
 """
 
 import math

@@ -1,7 +1,8 @@
-"""``linemate-sim``: the command line of the emulators and of every kind of run.
+"""``linemate-sim``: command line of the emulators and the runs.
 
-Law of this file: arguments only; each command's room is imported when it is asked for, so that
-``--help`` and ``schema`` cost nothing. Exit codes: 0 good, 1 not, 2 usage, 78 a bad file.
+Invariants:
+    A command's module is imported on use, so ``--help`` is quick.
+    Exit codes: 0 good, 1 not good, 2 usage, 78 bad file.
 """
 
 import argparse

@@ -1,8 +1,9 @@
-"""The processes that a demonstration starts, and that no end of it may leave behind.
+"""Child processes of a demonstration.
 
-Law of the file: every child leads a process group of its own and dies with its parent, even
-if that is killed; whatever ends the `with` block ends them all, politely first. Only
-processes started here are ever signalled, by their own id.
+Invariants:
+    Each child leads a process group and dies with its parent.
+    The end of the ``with`` block ends all children, SIGTERM first.
+    Only processes started here are signalled, by id.
 """
 
 from __future__ import annotations

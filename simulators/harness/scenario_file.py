@@ -1,8 +1,9 @@
-"""Scenario files: YAML to the plants' Scenario, and the schemas of scenario and task files.
+"""Scenario files: YAML to ``Scenario``, and the schemas of scenario and task files.
 
-Law of this file: the file's keys are the fields of ``plants.scenario.Scenario`` and nothing else;
-what a file leaves out keeps its default. Every error comes at once, with its place in the file.
-The plants carry no ranges of their own, so the ranges stand here, by a field's name.
+Invariants:
+    Keys are the fields of ``plants.scenario.Scenario``; a missing key keeps its default.
+    All errors are reported together, each with its place.
+    Ranges are here, by field name, because the plants have none.
 """
 
 import json

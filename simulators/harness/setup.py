@@ -1,8 +1,9 @@
-"""What a run is made of: the plant's truth beside the daemon's settings, and ``--set`` for both.
+"""Setup of a run: the plant's truth, the daemon's settings, and ``--set`` for both.
 
-Law of this file: truth (``scenario``) and belief (``tracking``, ``control``, ``task``) are set
-apart and never copied into each other, so that a run can make the daemon's model wrong. An
-override goes through the same strict validation as a file.
+Invariants:
+    Truth (``scenario``) and settings (``tracking``, ``control``, ``task``) are never copied
+        into each other.
+    An override passes the same validation as a file.
 """
 
 import difflib

@@ -1,8 +1,8 @@
-"""A run as it goes, in the terminal: one picture that renews itself, or plain lines in a pipe.
+"""Progress of a run in the terminal: a live picture, or plain lines in a pipe.
 
-Law of this file: it shows what it is given and asks nobody; a `Glimpse` in, text out. On a
-terminal rich draws in place; anywhere else a line appears when something changes, and one a
-second at most besides, so that a log stays readable.
+Invariants:
+    Output depends on the given ``Glimpse`` alone.
+    In a pipe a line appears on a change, and at most one a second otherwise.
 """
 
 from __future__ import annotations

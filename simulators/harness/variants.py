@@ -1,8 +1,8 @@
-"""Variants of the method: the paper's chain with one part taken away, or changed for another.
+"""Variants of the method: the full chain with one part removed or replaced.
 
-Law of this file: a variant is a pure transformation of the daemon's settings and of nothing else;
-the plant, the task and the seed stay what they are, so that two variants differ by the method.
-One of them, ``oracle``, is told the future beside its settings: what prediction alone costs.
+Invariants:
+    A variant changes the daemon's settings and nothing else.
+    ``oracle`` also gives the tracker the true future: the bound of prediction.
 """
 
 from collections.abc import Callable

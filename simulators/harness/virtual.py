@@ -1,9 +1,11 @@
-"""Virtual time: an event loop whose select advances a clock, and ports that are only memory.
+"""Virtual time: an event loop whose select advances a clock, and ports in memory.
 
-Law of this file: nothing sleeps, nothing touches the host's network, threads are not started; what
-is ordered for one instant happens in the order in which it was ordered. The daemon's own shell
-runs on it unchanged: only where it would ask the kernel for something (the clock, a socket, a
-timer, a bus, a line) does it get one of these. Outside ``inhabited`` nothing is replaced.
+Invariants:
+    Nothing sleeps, no thread starts, the host's network is not used.
+    Events of one instant run in the order in which they were scheduled.
+    The daemon's service runs unchanged; only clock, sockets, timer, bus and line are
+        replaced.
+    Nothing is replaced outside ``inhabited``.
 """
 
 import asyncio

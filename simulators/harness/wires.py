@@ -1,7 +1,9 @@
-"""What sensors emit, carried to the daemon's cycle as bytes, in virtual time.
+"""Sensor links in virtual time: emissions carried to the daemon's cycle as bytes.
 
-Law of this file: the emulator's encoder on one side, the daemon's decoder on the other, nothing
-but bytes and a stamp in between; a scenario's faults act there. What a decoder refuses is counted.
+Invariants:
+    Emulator's encoder on one side, daemon's decoder on the other.
+    Faults of the scenario act on the bytes.
+    Refused bytes are counted.
 """
 
 import heapq

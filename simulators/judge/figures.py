@@ -1,8 +1,9 @@
-"""The paper's two figures, and a third that hides nothing, from the rows of a run.
+"""Figures 4 and 5 of the paper, and the errors over time, from the rows of a run.
 
-Law of the file: rows in, matplotlib figures out; no file is written here, no pyplot state is
-touched, nothing is judged. Positions are drawn in the conveyor's frame (x down, y along the
-travel, z towards the car) relative to the nominal contact pose with the unit at s = 0.
+Invariants:
+    Rows in, matplotlib figures out; no file, no pyplot state.
+    Positions are in the conveyor's frame c (x down, y travel, z to the car), relative to
+        the nominal contact pose at s = 0.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The emulator's truth and the daemon's recording, joined by IPOC, for the judge.
+"""Join the emulator's truth and the daemon's recording by IPOC.
 
-Law of this file: files in, evidence out. The truth's rows are the rows; a recorded step fills the
-daemon's columns of the telegram that it answered, and no other. Nothing is interpolated but the
-instant of a step that answered no telegram.
+Invariants:
+    The truth's rows are the rows; a step fills the columns of the telegram it answered.
+    Only the instant of a step without a telegram is interpolated.
 """
 
 import json

@@ -1,10 +1,13 @@
-"""The judge: truth rows, the daemon's rows and the controller's counts become ``result.json``.
+"""Judge a run: truth, daemon columns and controller counts give ``result.json``.
 
-Law of this file: pure, and the emulator's word alone decides: errors against its own truth,
-telegrams as the controller counted them, limits on the setpoints that it applied. The daemon's
-columns say only what it committed itself to (target), sensed and programmed.
-Errors are kept apart: control (tcp - x_c), plan (x_c - x_f), prediction (x_f - truth),
-total (tcp - truth), where truth is the true hub at the programmed tool-to-hub distance.
+Errors: control (tcp - x_c), plan (x_c - x_f), prediction (x_f - truth) and total (tcp - truth).
+Truth is the true hub at the programmed distance from tool to hub.
+
+Invariants:
+    Pure.
+    Errors are against the emulator's truth; telegrams and limits are as the controller
+        counted.
+    Of the daemon only target, sensed and programmed pose are used.
 """
 
 from bisect import bisect_left

@@ -1,8 +1,9 @@
-"""The true future of the object, for the variant ``oracle``: what a perfect prediction would say.
+"""True future of the object for the variant ``oracle``.
 
-Law of this file: the plants' own motion, evaluated ahead of time by the same law as the world's;
-the world itself is asked only for what cannot be known beforehand, the step of the screws once
-they are ordered. Poses leave in the nominal frame c, as the tracker wants them.
+Invariants:
+    The plants' own motion, evaluated ahead of time.
+    The world is asked only for the step of the screws after their order.
+    Poses are in the nominal frame c.
 """
 
 import math

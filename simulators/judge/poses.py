@@ -1,7 +1,8 @@
-"""Poses as columns of seven numbers: the judge's own small algebra of (n, 7) arrays.
+"""Algebra of poses as (n, 7) arrays for the judge.
 
-Law of this file: position [m] and unit quaternion w x y z, vectorised over rows; NaN stays NaN.
-It uses neither the daemon's transforms nor the plants', so that neither can excuse itself.
+Invariants:
+    Position [m] and unit quaternion w x y z, row by row; NaN stays NaN.
+    It shares no code with the daemon's transforms nor with the plants'.
 """
 
 import numpy as np

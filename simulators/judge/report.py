@@ -1,7 +1,8 @@
-"""What a run leaves to read: fig4.png, fig5.png and one page that needs no other file.
+"""Report of a run: fig4.png, fig5.png and one self-contained HTML page.
 
-Law of the file: a result and its rows in, files out. The page embeds its pictures and its
-style, loads nothing and runs nothing, so that it can be mailed and opened in ten years.
+Invariants:
+    A result and its rows in, files out.
+    The page embeds its pictures and styles and loads nothing.
 """
 
 from __future__ import annotations

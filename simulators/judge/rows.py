@@ -1,8 +1,10 @@
-"""What one run leaves behind for its judge: a row a telegram, the truth beside the daemon's word.
+"""Rows of a run: one a telegram, truth next to the daemon's columns.
 
-Law of this file: preallocated arrays and the events, nothing computed but poses as seven numbers.
-Row i belongs to telegram i of the controller, sent at scenario time ``t[i]``; an unanswered
-telegram leaves NaN in the daemon's columns. Poses are (n, 7): position [m], quaternion w x y z.
+Invariants:
+    Preallocated arrays; nothing is computed except poses as seven numbers.
+    Row i belongs to telegram i, sent at scenario time ``t[i]``.
+    An unanswered telegram has NaN in the daemon's columns.
+    Poses are (n, 7): position [m], quaternion w x y z.
 """
 
 from dataclasses import dataclass, fields, replace

@@ -1,8 +1,10 @@
-"""Figures of many runs: median, worst, and a 95 % interval that assumes no distribution.
+"""Statistics of many runs: median, worst and a distribution-free 95 % interval.
 
-Law of this file: pure; results in, numbers out. The interval of a median comes from order
-statistics (binomial, distribution-free, no random draws), that of a share from Clopper and
-Pearson. A missed detection is worse than any latency: it counts as infinite and prints as null.
+Invariants:
+    Pure.
+    The interval of a median is of order statistics (binomial); that of a share is Clopper-
+        Pearson.
+    A missed detection counts as infinite and prints as null.
 """
 
 import math

@@ -1,7 +1,9 @@
-"""A result as rows of text, once, for the terminal and for the page.
+"""Rows of text from a result, for the terminal and the page.
 
-Law of the file: reads a result as `result.json` has it and nothing else; a value that is
-missing or null prints as a dash, never as a zero. No judging here: `judge` has the limits.
+Invariants:
+    It reads what ``result.json`` has.
+    A missing value prints as a dash, never as zero.
+    Limits are applied in ``judge`` only.
 """
 
 from __future__ import annotations

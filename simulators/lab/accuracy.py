@@ -1,9 +1,10 @@
-"""``make accuracy``: every run that ``docs/accuracy.md`` rests on, and its tables.
+"""``make accuracy``: the runs and the tables of ``docs/accuracy.md``.
 
-Law of this file: what is found replaces what stands between two marks of the page; whatever people
-wrote around it stays. A piece of the work (a case's seeds, a classifier's hours of one kind) is
-kept in a folder under the digest of the sources that made it, so that a campaign may be broken off
-and goes on where it was, and a stale piece is never taken for a fresh one.
+Invariants:
+    Results replace the text between two marks of the page.
+    A piece of work is stored under the digest of its sources, so an interrupted campaign
+        goes on.
+    A piece of other sources is not used.
 """
 
 import argparse

@@ -1,8 +1,9 @@
-"""The tables of ``docs/accuracy.md``: figures of runs beside their bars, as Markdown.
+"""Tables of ``docs/accuracy.md``: figures and their bars as Markdown.
 
-Law of this file: pure; figures in, text out. A bar is met only if it is met on the seeds that
-nobody tuned on; a figure that a run did not give counts as missed, not as zero. Bars and aims are
-those of the project's own list.
+Invariants:
+    Pure: figures in, text out.
+    A bar counts as met only on the verification seeds.
+    A missing figure counts as missed, not as zero.
 """
 
 import math

@@ -1,7 +1,8 @@
-"""Many runs: the same seeds through several variants, on all cores, and what they say together.
+"""Many runs: the same seeds through several variants, on all cores.
 
-Law of this file: a run depends on its job alone, so neither the number of workers nor the order
-in which they finish shows in the result; jobs and results keep the order variant, then seed.
+Invariants:
+    A run depends on its job alone.
+    Jobs and results are ordered by variant, then seed.
 """
 
 import multiprocessing

@@ -1,9 +1,10 @@
-"""The rows of the accuracy campaign: what is run, on how many seeds, and in what the models err.
+"""Cases of the accuracy campaign: scenario, variant, overrides and seeds.
 
-Law of this file: a case is a scenario, a variant and overrides as ``--set`` takes them; nothing a
-case does cannot be typed. Where a model is wrong it is the plant that changes and the daemon that
-keeps its belief, unless the row says that it has learnt. Seeds 0-39 may be tuned on, 1000-1199
-only verify.
+Invariants:
+    A case can be typed as ``--set`` options.
+    A model error changes the plant; the daemon keeps its settings unless the case says
+        otherwise.
+    Seeds 0-39 may be tuned on; 1000-1199 verify only.
 """
 
 import shlex

@@ -1,8 +1,9 @@
-"""``linemate-sim campaign --detection HOURS``: how soon, and how often in vain.
+"""``linemate-sim campaign --detection HOURS``: latencies and false alarms of a classifier.
 
-Law of this file: drills in parallel, tallies added up in the order of the drills, figures with
-intervals; nothing depends on the number of workers. Rates count stops told while the conveyor runs
-against the time it runs, and starts while it stands; latencies of missed events are infinite.
+Invariants:
+    The result does not depend on the number of workers.
+    Rate of false stops: per hour of running; of false starts: per hour of standing.
+    The latency of a missed event is infinite.
 """
 
 import math

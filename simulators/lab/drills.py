@@ -1,10 +1,11 @@
-"""A classifier alone with a conveyor and its sensors, for hours: alarms, latencies, confusion.
+"""Detection benchmark: a classifier with conveyor and sensors only, for hours.
 
-Law of this file: the plants' own conveyor, distance sensor, force-torque sensor and pushed body on
-one side, the daemon's classifier on the other, rows as the tracker makes them in between; no robot
-and no wire, so that an hour takes half a minute. A drill is a function of its fields alone.
 Kinds: ``free`` (distance sensor), ``contact`` (and force), ``restart`` (a start before the stop
-has ended), ``jerk`` and ``push`` (somebody touches the body; nothing stops).
+has ended), ``jerk`` and ``push`` (an impulse on the body; the conveyor does not stop).
+
+Invariants:
+    Plant's conveyor, sensors and body on one side, the daemon's classifier on the other.
+    No robot and no wire: an hour takes half a minute.
 """
 
 import math

@@ -1,9 +1,10 @@
 """From fresh recordings in virtual time to an overlay of identified parameters.
 
-Law of this file: the daemon starts from beliefs that are nobody's truth (``STRANGER``), exercises
-in front of an object, is identified, assembles a few wheels with what it learned, and is identified
-again from all recordings. The recordings are real files, read back as ``linemate identify`` does;
-nothing of the plant's scenario reaches the overlay but by way of the wires.
+Invariants:
+    The daemon starts from wrong settings (``STRANGER``).
+    It exercises, identifies, assembles some wheels, and identifies again from all
+        recordings.
+    The scenario reaches the overlay only through the sensor links.
 """
 
 import argparse

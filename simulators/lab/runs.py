@@ -1,8 +1,8 @@
 """``linemate-sim run``: the whole chain in virtual time, for one seed or several.
 
-Law of this file: arguments in, results out, an exit code that a script can trust: 0 only if every
-run assembled within limits. What is printed and written is a function of the arguments alone,
-unless computing times are asked for.
+Invariants:
+    Exit code 0 only if every run assembled within the limits.
+    Output depends on the arguments alone, unless computing times are requested.
 """
 
 from argparse import Namespace

@@ -1,8 +1,10 @@
-"""Forward kinematics of the arm on its linear axis, by Denavit and Hartenberg (Craig's form).
+"""Forward kinematics of the arm on its linear axis (Denavit-Hartenberg, Craig's form).
 
-Law of this file: the emulator's own kinematics, made from the table in the scenario; it shares
-no model file with the daemon. The chain is written out once as straight code in which nothing is
-multiplied by 0 or 1. Poses in base; joints in KUKA's sense of rotation.
+The chain is straight code without multiplications by 0 or 1.
+
+Invariants:
+    The table is in the scenario; no model file is shared with the daemon.
+    Poses in base; joints in KUKA's sense of rotation.
 """
 
 import math

@@ -1,8 +1,9 @@
-"""The car body on its hanger: where the hub is, given where the conveyor unit is.
+"""Car body on its hanger: pose of the hub for a position of the conveyor.
 
-Law of this file: a function of time alone, exact rotations. The hub sits off nominal, swings
-about its suspension, and may be pushed. Conveyor frame c: x down, y travel, z towards the car.
-One instant is computed in plain floats, a block of instants in numpy, by the same law.
+Invariants:
+    A function of time alone, with exact rotations.
+    The hub is off nominal, swings about its suspension, and may get impulses.
+    Conveyor frame c: x down, y travel, z to the car.
 """
 
 import math

@@ -1,8 +1,10 @@
-"""Mating of tool and hub: capture, clamp, screws, release, and everything that is a collision.
+"""Mating of tool and hub: capture, clamp, screws, release and collision.
 
-Law of this file: a small state machine over (tool, hub) at the ends of substeps. It decides; the
-effector integrates. Bits from the controller: 0 fix the screws, 1 release the wheel; bits back:
-0 screws fixed, 1 wheel released. The first collision is kept, with its time and its reason.
+Invariants:
+    A state machine over (tool, hub) at the ends of substeps; the effector integrates.
+    Bits from the controller: 0 fix the screws, 1 release the wheel.
+    Bits to the controller: 0 screws fixed, 1 wheel released.
+    The first collision is kept with its time and reason.
 """
 
 import math

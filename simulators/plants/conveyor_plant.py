@@ -1,8 +1,9 @@
-"""The conveyor unit: ramps of constant acceleration between standing and nominal speed, ripple.
+"""Conveyor: ramps of constant acceleration between rest and nominal speed, and ripple.
 
-Law of this file: the motion is a function of time alone, known in advance and evaluated anywhere;
-only the Ornstein-Uhlenbeck ripple is drawn, on a fixed grid, ahead of use and never twice.
-The ripple's speed is linear between grid points, so its position is exact everywhere.
+Invariants:
+    The motion is a function of time alone.
+    Only the Ornstein-Uhlenbeck ripple is drawn, on a fixed grid, each point once.
+    The ripple's speed is linear between grid points, so positions are exact.
 """
 
 import math

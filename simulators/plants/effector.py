@@ -1,9 +1,11 @@
-"""The elastically suspended tool: six independent modes along the axes of the tool frame.
+"""Elastically suspended tool: six independent modes along the axes of the tool frame.
 
-Law of this file: x'' + 2 zeta w (x' - r') + w^2 (x - r) = 0 for each axis, x the elastic and r
-the rigid tcp; r is a straight line within a step (first order hold) and the step is exact.
-State: the deflection d = x - r and the tool's own velocity, both in the rigid tcp's frame, which
-turns with the robot: after each step they are expressed in the new frame.
+x'' + 2 zeta w (x' - r') + w^2 (x - r) = 0 for each axis; x elastic tcp, r rigid tcp.
+The input r is a straight line within a step (first order hold) and the step is exact.
+
+Invariants:
+    State: deflection d = x - r and the tool's velocity, both in the rigid tcp's frame.
+    After each step the state is expressed in the new frame.
 """
 
 import math

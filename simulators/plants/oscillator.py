@@ -1,7 +1,8 @@
-"""The exact step of x'' + 2 zeta w x' + w^2 x = 0, which servos and elastic modes share.
+"""Exact step of x'' + 2 zeta w x' + w^2 x = 0.
 
-Law of this file: closed form, any damping, any duration. A piecewise linear input needs no more:
-its particular solution is a shifted ramp, and only the difference to it obeys this equation.
+Invariants:
+    Closed form for any damping and any duration.
+    A piecewise linear input has a shifted ramp as its particular solution.
 """
 
 import cmath

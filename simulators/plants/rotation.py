@@ -1,7 +1,8 @@
-"""Rotations and poses in plain floats: nine numbers row by row, faster here than small arrays.
+"""Rotations and poses in plain floats, which are faster here than small arrays.
 
-Law of this file: pure functions on tuples, no allocation beyond the result. A rotation is
-(r11, r12, r13, r21, ..., r33); a pose is (position, rotation). Numpy appears only at the door.
+Invariants:
+    Pure functions on tuples.
+    A rotation is (r11, r12, r13, r21, ..., r33); a pose is (position, rotation).
 """
 
 import math

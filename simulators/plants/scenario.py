@@ -1,9 +1,10 @@
-"""The truth of one run: what the conveyor, the body, the robot and the sensors really do.
+"""True parameters of a run: conveyor, body, robot and sensors.
 
-Law of this file: nested frozen dataclasses of plain numbers and tuples, SI (m, rad, s, N, Nm;
-frequencies in Hz and times carry a suffix), so that a loader can fill them from a file. A value
-that is None is drawn per run by `sample`, one named random stream a value; a value given is kept.
-Defaults are the parameters of the study (reading notes). Nothing here knows what a daemon believes.
+Invariants:
+    Nested frozen dataclasses in SI (m, rad, s, N, Nm); frequencies in Hz.
+    ``sample`` draws a value that is None, with one named random stream a value.
+    Defaults are the parameters of the study, see docs/method.md.
+    Nothing here knows the daemon's settings.
 """
 
 import math

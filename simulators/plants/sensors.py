@@ -1,8 +1,8 @@
-"""What each sensor makes of the truth: instants, delay, noise, resolution, outliers, blindness.
+"""Sensors: instants, delay, noise, resolution, outliers and blindness.
 
-Law of this file: a sensor is asked at its own instants, in order, and hands out emissions when
-they are due. Each kind of draw (noise, outlier, dropout, delay) has its own stream and advances
-alike at every instant, so that one setting never shifts another sensor or another kind of draw.
+Invariants:
+    A sensor is asked at its own instants, in order.
+    Each kind of draw has its own stream and advances alike at every instant.
 """
 
 import math

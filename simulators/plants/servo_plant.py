@@ -1,10 +1,10 @@
-"""The axes' servos: interpolation over a cycle, dead time, second order lag, limited acceleration.
+"""Servos: interpolation over a cycle, dead time, second order lag, limited acceleration.
 
-Law of this file: setpoints are nodes at cycle starts; between nodes the input is a straight line,
-and each axis sees it exactly `dead_time_s` later, wherever that falls within a substep. A substep
-is cut at the node it meets, and each piece is solved exactly; a cycle of all axes is one matrix,
-since all of that is linear. Only where the acceleration saturates is a piece cut into sixteen,
-each with constant or with unlimited acceleration.
+Invariants:
+    Setpoints are nodes at cycle starts with straight lines between them.
+    An axis follows the input exactly ``dead_time_s`` later.
+    A substep is cut at the node it meets; each piece is solved exactly.
+    A saturated piece is cut into sixteen of constant or unlimited acceleration.
 """
 
 import math

@@ -1,8 +1,8 @@
-"""Named random streams: one generator a name, so that a new one shifts no other.
+"""Named random streams: one generator a name.
 
-Law of this file: a stream depends on the seed and its name alone. Draws are made in blocks,
-because one scalar draw from numpy costs ten times a list access, and handed out one by one;
-the values are those of drawing singly, whatever the block.
+Invariants:
+    A stream depends on the seed and its name alone.
+    Values do not depend on the block size of the draws.
 """
 
 import hashlib

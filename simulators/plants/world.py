@@ -1,8 +1,10 @@
-"""The whole plant of one run: conveyor, body, robot, tool, contact and sensors, in scenario time.
+"""Plant of one run: conveyor, body, robot, tool, contact and sensors.
 
-Law of this file: time is an argument and only goes forward; the same commands at the same cycles
-give the same world to the byte, however `advance` is cut. Substeps are at most 4 ms and divide
-the cycle; sensors are evaluated at their exact instants. Nobody's wall clock is known here.
+Invariants:
+    Scenario time is an argument and only goes forward.
+    The same commands at the same cycles give the same world to the byte.
+    Substeps are at most 4 ms and divide the cycle.
+    Sensors are evaluated at their exact instants.
 """
 
 import math

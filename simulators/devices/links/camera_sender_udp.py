@@ -1,7 +1,8 @@
-"""The camera on a UDP socket.
+"""Emulated camera on a UDP socket.
 
-Law of this file: a datagram is sent at once or not at all. Stamps are taken at the moment of
-sending, for the receiver learns the camera's clock from them.
+Invariants:
+    A datagram is sent at once or dropped.
+    The stamp is the time of sending.
 """
 
 import time

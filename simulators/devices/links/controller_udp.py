@@ -1,10 +1,10 @@
-"""The RSI controller on a UDP socket, in real time.
+"""Emulated RSI controller on a UDP socket, in real time.
 
-Law of this file: one telegram a cycle on an absolute schedule, and never more. When this process
-itself was held up for part of a cycle, that telegram goes out late and the schedule stands, for the
-world goes by it: the conveyor must not stand still while the host does. Held up for longer, the
-schedule slips as a whole, because a controller does not send in bursts. Both are counted. Replies
-are judged by the kernel's stamps, not by when they are read.
+Invariants:
+    One telegram a cycle on an absolute schedule, never two at once.
+    A telegram delayed by less than a cycle is sent late; the schedule stays.
+    After a longer delay the whole schedule slips. Both cases are counted.
+    The kernel's receive stamp decides whether a reply is in time.
 """
 
 import asyncio

@@ -1,8 +1,9 @@
-"""All devices of a station and the world behind them, in real time, in one process.
+"""All devices of a station and the plant behind them, in real time, in one process.
 
-Law of this file: the world's clock is the controller's cycle count; cycle k begins at scenario
-time -lead_in + k T0, whatever the host does. Sensors emit at their own instants in between. What
-happened is written down from the plant's and the controller's side alone.
+Invariants:
+    Cycle k begins at scenario time -lead_in + k T0.
+    Sensors emit at their own instants between cycles.
+    The log has the plant's and the controller's side only.
 """
 
 import asyncio

@@ -1,7 +1,7 @@
-"""How a station of emulated devices is set up.
+"""Configuration of a station of emulated devices.
 
-Law of this file: values only. What the daemon is told of the same station is its own affair; the
-two meet on the wire.
+Invariants:
+    Values only; the daemon has its own configuration of the same station.
 """
 
 from dataclasses import dataclass, field

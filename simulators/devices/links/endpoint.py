@@ -1,8 +1,8 @@
-"""A UDP socket of an emulated device, stamped by the kernel.
+"""UDP socket of an emulated device with kernel stamps.
 
-Law of this file: it binds loopback unless told otherwise, never blocks and never queues; what
-cannot be sent at once is counted by the caller. It is written apart from the daemon's drivers,
-so that one error is not made on both ends of the wire.
+Invariants:
+    It binds loopback unless configured otherwise, never blocks and never queues.
+    It shares no code with the daemon's drivers.
 """
 
 import socket

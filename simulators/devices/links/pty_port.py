@@ -1,8 +1,9 @@
-"""A serial port that somebody may open, close and unplug: the master end of a pty.
+"""Serial port on a pty that a client can open, close and lose.
 
-Law of this file: while nobody has the port open, nothing is written to it, as on a real line,
-so that no stale bytes wait for the next opener. It never blocks: what does not fit is dropped
-and counted. Unplugging closes the master, and the other end reads an error.
+Invariants:
+    Nothing is written while no client has the port open.
+    It never blocks; bytes that do not fit are dropped and counted.
+    Unplugging closes the master; the client reads an error.
 """
 
 import asyncio

@@ -1,7 +1,8 @@
-"""The force-torque sensor on a pty, or behind a TCP port.
+"""Emulated force-torque sensor on a pty or behind a TCP port.
 
-Law of this file: bytes go to and from the device as they are; here is only the port. The sensor
-powers on with the port, as one on a USB converter does.
+Invariants:
+    Bytes pass unchanged.
+    The sensor powers on when the port opens, as with a USB converter.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
-"""The distance sensor behind an slcan adapter on a pty, or behind a TCP port.
+"""Emulated distance sensor behind an slcan adapter, on a pty or a TCP port.
 
-Law of this file: bytes go to and from the adapter as they are; here is only the port. Whatever
-python-can makes of the port's path is what a site's adapter would give it.
+Invariants:
+    Bytes pass unchanged.
 """
 
 from pathlib import Path

@@ -1,8 +1,10 @@
-"""`linemate-sim bench`: turn-around, lateness and computing time, beside a bare echo.
+"""``linemate-sim bench``: turn-around, lateness and computing time next to a bare echo.
 
-Law of the file: measurements that are compared are taken in turns within one run, round by round,
-after a warm-up; a figure is the median over rounds, because a machine's floor is not stable. What
-is computed in this process is a `Job`; what needs processes is `bench_turnaround`'s.
+A ``Job`` computes in this process; ``bench_turnaround`` measures with processes.
+
+Invariants:
+    Compared measurements take turns, round by round, after a warm-up.
+    A figure is the median over rounds.
 """
 
 from __future__ import annotations

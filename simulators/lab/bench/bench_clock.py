@@ -1,7 +1,8 @@
-"""The daemon's own clock alone in a process, to be held beside a C program that only wakes.
+"""The daemon's clock alone in a process, to compare with a C program that only wakes.
 
-Law of this file: the clock as the daemon runs it and nothing due; it speaks as
-``bench_floor timer`` does: ``ready``, and on SIGUSR1 ``late COUNT P50 P99 MAX`` [ns].
+Invariants:
+    Protocol as ``bench_floor timer``: ``ready``, and on SIGUSR1 ``late COUNT P50 P99 MAX``
+        [ns].
 """
 
 import asyncio

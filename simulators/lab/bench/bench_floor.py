@@ -1,7 +1,8 @@
-"""The floor under the daemon: C programs that only echo and only wake, compiled on the spot.
+"""C programs that only echo and only wake, compiled on the spot: the floor of the daemon.
 
-Law of this file: what a measurement is compared with, and nothing of linemate. Without a compiler
-the echo is a blocking Python program and there is no timer and no probe; the result says so.
+Invariants:
+    No code of linemate.
+    Without a compiler the echo is a blocking Python program; the result says so.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""Plays a reel to a daemon over its real links, and takes the time of every reply.
-
-Law of this file: a process of its own with light imports. In the loop it sleeps until the next
-instant, sends, and reads stamps that the kernel gave; the robot it plays goes where it is sent.
-In every cycle it asks the daemon and, half a cycle later, a program that only echoes, so that
-both meet the same machine. It never polls and never waits for a reply.
+"""Play a trace to a daemon over its real links, and measure every reply.
 
 Messages of its socket, JSON: out ``{"can": , "force_torque": }``; in ``{"robot": , "camera": ,
 "echo": }`` begins the play; in ``{"measure": CYCLES, "file": }``; out ``{"measured": }``.
+
+Invariants:
+    A process of its own with light imports.
+    It sleeps to the next instant, sends, and reads kernel stamps; it never polls.
+    Each cycle goes to the daemon and, half a cycle later, to an echo program.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
-"""The bench as a picture: how many times an echo each reply took.
+"""Plot of a bench result: reply times as multiples of an echo.
 
-Law of this file: reads what ``bench --json`` prints, measures nothing.
+Invariants:
+    Input is the output of ``bench --json``.
 """
 
 from collections.abc import Mapping

@@ -1,9 +1,8 @@
-"""What a station says during an assembly, kept so that it can be said again at any cycle.
+"""Trace of a station during an assembly, to be played at any cycle time.
 
-Law of this file: plain values on one time axis, no bytes and no clock. A reel is taken from a run
-in virtual time; the robot's axes between two of its telegrams lie on the straight line that a
-controller follows. Played to a daemon it gives it the work of the real thing, without a plant
-that computes on the same machine.
+Invariants:
+    Plain values on one time axis; no bytes, no clock.
+    Between two telegrams the robot's axes are on a straight line.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""The daemon in its own process beside a program that only echoes, in the same seconds.
+"""Turn-around of the daemon's process next to a program that only echoes.
 
-Law of this file: processes are started, placed and asked here, figures are made of what the
-player measured. Rounds idle and under load take turns; a ratio is the median over rounds of the
-daemon's figure by the echo's in that round. A late reply is explained only if the machine stood
-still, as a probe of higher priority saw it, for as long as the reply was late.
+Invariants:
+    Idle and loaded rounds take turns.
+    A ratio is the median over rounds of the daemon's figure by the echo's.
+    A late reply is excused only if a probe of higher priority was stalled as long.
 """
 
 from __future__ import annotations

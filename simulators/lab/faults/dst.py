@@ -1,9 +1,9 @@
 """Deterministic simulation: ``python -m linemate.simulators.lab.faults.dst FIRST:LAST``.
 
-Law of this file: seeds in, one line a violation out; the last line counts. Half open, on all
-cores. A seed that fails is shrunk to the least plan that still fails in the same way, and that
-plan is kept. Every fiftieth seed is lived through again in another process with another hash
-seed, and has to leave the same trace.
+Invariants:
+    Seeds in (half open), one line a violation out; the last line counts.
+    A failing seed is shrunk to the smallest plan that fails in the same way.
+    Every fiftieth seed runs again with another hash seed and must give the same trace.
 """
 
 import argparse

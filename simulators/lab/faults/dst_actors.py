@@ -1,6 +1,7 @@
-"""Who acts in a plan beside the daemon: the controller's programme, and the operator.
+"""Actors of a plan: the controller's program and the operator.
 
-Law of this file: both act once a cycle and know of the daemon only what it answers and shows.
+Invariants:
+    Each acts once a cycle and knows only the daemon's answers.
 """
 
 from typing import TYPE_CHECKING, Any

@@ -1,8 +1,9 @@
-"""Who judges a simulated run: what must hold whatever happens.
+"""Oracles of the fault campaign: what must hold in every run.
 
-Law of this file: an oracle looks and blames, it never helps. Applied setpoints are judged by the
-emulator's own judge; transitions by the invariants of reference/reliability.md, section 4, here
-anew and not from the table; the rest is that nothing is lost, nothing grows and nothing is NaN.
+Invariants:
+    An oracle reads and reports; it changes nothing.
+    Setpoints are judged by the emulator's own judge.
+    Transitions are judged by invariants written here, not by the daemon's table.
 """
 
 import math

@@ -1,8 +1,9 @@
-"""One plan, lived through in virtual time: daemon, network, controller, robot and operator.
+"""Run one plan in virtual time: daemon, network, controller, robot and operator.
 
-Law of this file: no socket and no clock; everything happens in the order of its time, and what
-happens at one time in the order in which it was ordered. The daemon is the whole service, shell
-and drivers included, on a virtual loop; who judges it is ``dst_oracles``.
+Invariants:
+    No socket and no clock.
+    Events of one instant run in the order in which they were scheduled.
+    The daemon is the whole service with its drivers, on a virtual loop.
 """
 
 import asyncio
