@@ -39,12 +39,7 @@ from linemate.daemon.recording.recorder import MIB, Recorder, Rotation
 from linemate.daemon.recording.step_file import STATE_LOG
 from linemate.daemon.service import realtime
 from linemate.daemon.service.account import Account
-from linemate.daemon.service.command_server import (
-    CommandPort,
-    CommandPortError,
-    LocalDoor,
-    UdpDoor,
-)
+from linemate.daemon.service.command_server import CommandPort, CommandPortError, LocalDoor, UdpDoor
 from linemate.daemon.service.incidents import IncidentFiles
 from linemate.daemon.service.journal import Journal, Sensors
 from linemate.daemon.service.notify import Notifier

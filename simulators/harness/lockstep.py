@@ -28,9 +28,9 @@ from linemate.simulators.devices.faulty_link import FaultyLink
 from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.devices.rsi_controller import ControllerConfig, RsiController
 from linemate.simulators.devices.truth import TruthLog
+from linemate.simulators.harness.sensor_links import SensorLinks
 from linemate.simulators.harness.setup import Setup
 from linemate.simulators.harness.variants import ORACLE, SetupError
-from linemate.simulators.harness.wires import Wires
 from linemate.simulators.judge import rows as columns
 from linemate.simulators.judge.judge import Evidence, StateChange, Telegrams
 from linemate.simulators.judge.oracle import Oracle
@@ -101,7 +101,7 @@ class Lockstep:
 
     Attributes:
         controller: the pure RSI controller.
-        wires: the sensors' way to the daemon.
+        links: sensor links to the daemon, in virtual time.
     """
 
     def __init__(
@@ -129,7 +129,7 @@ class Lockstep:
             FaultyLink(name, self._faults, scenario.seed) for name in ("robot", "reply")
         )
         mount = setup.task.conveyor.start_position
-        self.wires = Wires(self.world, self.cycle, self._faults, mount)
+        self.links = SensorLinks(self.world, self.cycle, self._faults, mount)
         self._operator = _Operator(self.cycle)
         n = _count(scenario.lead_in_s + scenario.duration_s, scenario.cycle_s)
         self._truth = TruthLog(n)
@@ -144,7 +144,7 @@ class Lockstep:
         Returns:
             Whether the run goes on.
         """
-        self.wires.carry()
+        self.links.carry()
         self._operator.look()
         data = self.controller.telegram()
         self._truth.begin(self.world, self._plant.axes)
@@ -181,7 +181,7 @@ class Lockstep:
 
     def _exchange(self, data: bytes, t: float) -> None:
         """Bring a telegram to the daemon and its reply back, unless a fault is in the way."""
-        stamp_ns = self.wires.stamp(t)
+        stamp_ns = self.links.stamp(t)
         there, back = self._ways
         arrived = there.carry(data, t)
         if not arrived:

@@ -29,7 +29,7 @@ from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.judge import report_json
 from linemate.simulators.lab import accuracy_tables
 from linemate.simulators.lab.cases import ABLATIONS, CASES, TUNED, VERIFY, Case
-from linemate.simulators.lab.drills import Kind
+from linemate.simulators.lab.detection_runs import Kind
 
 PAGE = Path("docs/accuracy.md")
 KEPT = Path("out/accuracy")
@@ -37,7 +37,7 @@ BEGIN, END = "<!-- tables: begin -->", "<!-- tables: end -->"
 HEAD = "# Accuracy\n\n"
 
 HOURS = 20.0
-DRILLED: Mapping[str, tuple[Kind, ...]] = {
+DETECTION: Mapping[str, tuple[Kind, ...]] = {
     "12 default": ("free", "contact", "restart", "jerk", "push"),
     "12 bank": ("free", "contact", "jerk", "push"),
     "12 imm": ("free", "contact", "jerk", "push"),
@@ -47,7 +47,7 @@ DRILLED: Mapping[str, tuple[Kind, ...]] = {
 """Hours of each kind by cycle and classifier."""
 
 SHORT = ("wheel", "oracle", "servo-0.9")
-SHORT_DRILLED = ("12 default", "12 rule")
+SHORT_DETECTION = ("12 default", "12 rule")
 SHORT_HOURS = 0.02
 
 
@@ -57,13 +57,13 @@ class Plan:
 
     Attributes:
         seeds: of each group at most.
-        hours: of each kind of drill.
-        own: seeds of a case, hours of a drill, where they differ from those of all.
+        hours: of each kind of detection run.
+        own: seeds of a case, hours of a detection run, where they differ from those of all.
         overlay: identified parameters for all of them, or None.
     """
 
     cases: tuple[str, ...]
-    drilled: tuple[str, ...]
+    sources: tuple[str, ...]
     seeds: int = len(VERIFY)
     hours: float = HOURS
     own: Mapping[str, float] = field(default_factory=dict)
@@ -130,7 +130,7 @@ def gather(plan: Plan, where: Where) -> tuple[accuracy_tables.Runs, accuracy_tab
             runs.setdefault(name, {})[group] = _piece(
                 where, f"{name}-{group}", (setup, seeds), make
             )
-    detection = {source: _drilled(plan, source, where) for source in plan.drilled}
+    detection = {source: _detected(plan, source, where) for source in plan.sources}
     return runs, detection
 
 
@@ -158,7 +158,7 @@ def _made(setup: Setup, seeds: Sequence[int], where: Where) -> list[dict[str, An
     ]
 
 
-def _drilled(plan: Plan, source: str, where: Where) -> dict[str, Any]:
+def _detected(plan: Plan, source: str, where: Where) -> dict[str, Any]:
     from linemate.simulators.lab import detection
     from linemate.simulators.lab.campaign import progress_bar
 
@@ -167,17 +167,17 @@ def _drilled(plan: Plan, source: str, where: Where) -> dict[str, Any]:
     hours = plan.own.get(source, plan.hours)
 
     def make(kind: Kind) -> dict[str, Any]:
-        drills = detection.Plan([setup], hours, VERIFY.start, (kind,))
+        detection_plan = detection.Plan([setup], hours, VERIFY.start, (kind,))
         label = f"detection {source} {kind}"
-        with progress_bar(len(list(drills.drills())), label) as progress:
-            whole = detection.execute(drills, where.workers, progress, where.scheduler)
+        with progress_bar(len(list(detection_plan.runs())), label) as progress:
+            whole = detection.execute(detection_plan, where.workers, progress, where.scheduler)
         found: dict[str, Any] = whole["detection"][variant][kind]
         return found
 
     name = f"detection-{source.replace(' ', 'ms-')}"
     return {
         kind: _piece(where, f"{name}-{kind}", (setup, hours), partial(make, kind))
-        for kind in DRILLED[source]
+        for kind in DETECTION[source]
     }
 
 
@@ -214,7 +214,7 @@ def told(plan: Plan, runs: accuracy_tables.Runs, detection: accuracy_tables.Dete
         f"Seeds that parameters were tuned on: {_range(TUNED.start, most['tuned'])}. "
         f"Seeds that only verify: {_range(VERIFY.start, most['verify'])}; a bar is met or not by "
         f"these. A case takes the first of them, as many as the table of runs says. "
-        f"Drills: seeds from {VERIFY.start} on, as many hours as their table says. "
+        f"Detection: seeds from {VERIFY.start} on, as many hours as their table says. "
         f"All runs on {parameters}. Figures: median over the seeds of a run's largest value "
         "[95 % interval of the median] (worst seed); a dash: not there in every run.",
     ]
@@ -245,18 +245,18 @@ def _plan(args: argparse.Namespace) -> Plan:
     named = (
         name for name in CASES if name not in ABLATIONS or not _is_default(CASES[name].variant)
     )
-    drilled = (source for source in DRILLED if not _is_default(source.split()[1]))
-    plan = Plan(tuple(named), tuple(drilled))
+    sources = (source for source in DETECTION if not _is_default(source.split()[1]))
+    plan = Plan(tuple(named), tuple(sources))
     if args.overlay is not None:
         plan = replace(plan, overlay=_overlay(args.overlay))
     if args.short:
-        plan = replace(plan, cases=SHORT, seeds=1, drilled=SHORT_DRILLED, hours=SHORT_HOURS)
+        plan = replace(plan, cases=SHORT, seeds=1, sources=SHORT_DETECTION, hours=SHORT_HOURS)
     if args.cases is not None:
         cases = _known("case", args.cases, CASES)
         plan = replace(plan, cases=tuple(cases), own={**plan.own, **_told(cases)})
-    if args.drills is not None:
-        drills = _known("drill", args.drills, DRILLED)
-        plan = replace(plan, drilled=tuple(drills), own={**plan.own, **_told(drills)})
+    if args.detection is not None:
+        sources = _known("detection run", args.detection, DETECTION)
+        plan = replace(plan, sources=tuple(sources), own={**plan.own, **_told(sources)})
     seeds = plan.seeds if args.seeds is None else args.seeds
     hours = plan.hours if args.hours is None else args.hours
     if seeds < 1 or not 0.0 < hours < math.inf:
@@ -308,12 +308,12 @@ def _parser() -> argparse.ArgumentParser:
         help=f"some of {', '.join(CASES)}, each with its seeds if it is A:N; empty for none",
     )
     add(
-        "--drills",
+        "--detection",
         metavar="A,B,...",
-        help=f"some of {', '.join(DRILLED)}, each with its hours if it is A:H; empty for none",
+        help=f"some of {', '.join(DETECTION)}, each with its hours if it is A:H; empty for none",
     )
     add("--seeds", type=int, metavar="N", help="of each group at most")
-    add("--hours", type=float, metavar="H", help=f"of each kind of drill; {HOURS:g}")
+    add("--hours", type=float, metavar="H", help=f"of each kind of detection run; {HOURS:g}")
     add("--overlay", type=Path, metavar="FILE", help="identified parameters for all runs")
     add("--page", type=Path, metavar="FILE", help=f"where tables go; {PAGE}, unless short")
     add("--kept", type=Path, default=KEPT, metavar="DIR", help=f"for pieces of the work; {KEPT}")

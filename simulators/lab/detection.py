@@ -16,11 +16,11 @@ from scipy.stats import chi2
 
 from linemate.simulators.harness.setup import Setup
 from linemate.simulators.judge.statistics import CONFIDENCE, describe, share
-from linemate.simulators.lab import drills
-from linemate.simulators.lab.drills import Drill, Kind, Tally
+from linemate.simulators.lab import detection_runs
+from linemate.simulators.lab.detection_runs import DetectionRun, Kind, Tally
 
 STRETCH_S = 900.0
-"""Length of one drill: short enough that all cores have work."""
+"""Length of one run: short enough that all cores have work."""
 
 TRIED = 200
 """Restarts, jerks and pushes that are tried in an hour or more; fewer in less."""
@@ -33,7 +33,7 @@ TAIL = 0.95
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is drilled.
+    """Kinds, hours and seeds of the runs.
 
     Attributes:
         hours: of virtual time, of ``free`` and of ``contact`` each.
@@ -42,10 +42,10 @@ class Plan:
     setups: Sequence[Setup]
     hours: float
     first_seed: int = 0
-    kinds: tuple[Kind, ...] = drills.KINDS
+    kinds: tuple[Kind, ...] = detection_runs.KINDS
 
-    def drills(self) -> Iterator[Drill]:
-        """Cut the time into drills, each with its own seed."""
+    def runs(self) -> Iterator[DetectionRun]:
+        """Cut the time into runs, each with its own seed."""
         for setup in self.setups:
             for kind in self.kinds:
                 whole_s = self.hours * 3600.0
@@ -53,11 +53,11 @@ class Plan:
                     whole_s = EACH_S[kind] * TRIED * min(1.0, self.hours)
                 count = math.ceil(whole_s / STRETCH_S)
                 for i in range(count):
-                    yield Drill(kind, setup, self.first_seed + i, whole_s / count)
+                    yield DetectionRun(kind, setup, self.first_seed + i, whole_s / count)
 
 
 def main(args: Namespace) -> int:
-    """Drill what the arguments say and print it.
+    """Run what the arguments say and print the result.
 
     Args:
         args: detection (hours), first_seed, scenario, variants, overrides, cycle_ms, workers,
@@ -72,7 +72,7 @@ def main(args: Namespace) -> int:
         for variant in args.variants
     ]
     plan = Plan(setups, args.detection, args.first_seed)
-    with progress_bar(len(list(plan.drills())), "detection") as progress:
+    with progress_bar(len(list(plan.runs())), "detection") as progress:
         whole = execute(plan, args.workers, progress, args.scheduler)
     if args.out is not None:
         report_json.write(args.out / "detection.json", whole)
@@ -83,15 +83,15 @@ def main(args: Namespace) -> int:
 def execute(
     plan: Plan, workers: int | None = None, progress: Any = lambda: None, scheduler: str = "local"
 ) -> dict[str, Any]:
-    """Drill a plan.
+    """Run a plan.
 
     Returns:
         ``{"version": 1, "detection": {variant: {kind: figures}}}``.
     """
     from linemate.simulators.lab.campaign import spread
 
-    jobs = list(plan.drills())
-    tallies = spread(drills.run, jobs, workers, progress, scheduler)
+    jobs = list(plan.runs())
+    tallies = spread(detection_runs.run, jobs, workers, progress, scheduler)
     found: dict[str, dict[str, Tally]] = {}
     for job, tally in zip(jobs, tallies, strict=True):
         kinds = found.setdefault(job.setup.variant, {})
@@ -109,7 +109,7 @@ def execute(
 
 
 def figures(kind: str, tally: Tally) -> dict[str, Any]:
-    """Figures of one kind of drill, ready for JSON."""
+    """Figures of one kind of run, ready for JSON."""
     if kind in {"jerk", "push"}:
         return {"made": tally.pushed["made"], **_confusion(tally.pushed)}
     found: dict[str, Any] = {
@@ -201,8 +201,8 @@ def table(whole: Mapping[str, Any]) -> str:
     variants = whole["detection"]
     lines: list[str] = []
     for kind, label in LABELS.items():
-        drilled = {name: kinds[kind] for name, kinds in variants.items() if kind in kinds}
-        told = {name: dict(cells(found)) for name, found in drilled.items()}
+        measured = {name: kinds[kind] for name, kinds in variants.items() if kind in kinds}
+        told = {name: dict(cells(found)) for name, found in measured.items()}
         names = list(dict.fromkeys(name for found in told.values() for name in found))
         rows = [(name, *(found.get(name, "-") for found in told.values())) for name in names]
         if rows:
@@ -211,7 +211,7 @@ def table(whole: Mapping[str, Any]) -> str:
 
 
 def cells(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Name and print every figure of one kind of drill."""
+    """Name and print every figure of one kind of run."""
     if "hours" in found:
         hours = found["hours"]
         yield "hours running, standing", f"{hours['running']:.2f}, {hours['standing']:.2f}"

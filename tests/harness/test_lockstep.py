@@ -122,7 +122,7 @@ def test_junk_on_a_wire_is_refused_and_counted() -> None:
     run = lockstep.Lockstep(made, 0)
     while run.turn():
         pass
-    assert run.wires.refused["camera"] == 7
+    assert run.links.refused["camera"] == 7
 
 
 def test_a_delayed_sample_is_stamped_at_its_arrival() -> None:

@@ -69,7 +69,7 @@ def test_the_page_is_written_from_real_runs_and_kept_work_makes_the_same(
     short = Case("cut short", variant="oracle", sets=SHORT)
     monkeypatch.setitem(cast(dict[str, Case], CASES), "oracle", short)
     page = tmp_path / "page.md"
-    arguments = ["--cases", "oracle", "--drills", "", "--seeds", "1", "--workers", "1"]
+    arguments = ["--cases", "oracle", "--detection", "", "--seeds", "1", "--workers", "1"]
     arguments += ["--page", str(page), "--kept", str(tmp_path / "kept")]
     assert accuracy.main(arguments) == 0
     first = page.read_text()
@@ -84,15 +84,15 @@ def test_the_default_is_not_run_twice_under_two_names() -> None:
     plan = accuracy._plan(accuracy._parser().parse_args([]))
     kind = TrackingSettings().classifier.value
     assert kind not in plan.cases
-    assert f"12 {kind}" not in plan.drilled
+    assert f"12 {kind}" not in plan.sources
     assert {"wheel", "oracle", "rule", "imm"} <= set(plan.cases) | {kind}
-    assert {"12 default", "4 default", "12 rule"} <= set(plan.drilled)
+    assert {"12 default", "4 default", "12 rule"} <= set(plan.sources)
 
 
-def test_a_case_has_its_own_seeds_and_a_drill_its_own_hours() -> None:
-    arguments = ["--cases", "oracle:3,rule", "--drills", "12 rule:0.5", "--seeds", "7"]
+def test_a_case_has_its_own_seeds_and_a_detection_run_its_own_hours() -> None:
+    arguments = ["--cases", "oracle:3,rule", "--detection", "12 rule:0.5", "--seeds", "7"]
     plan = accuracy._plan(accuracy._parser().parse_args(arguments))
-    assert (plan.cases, plan.drilled) == (("oracle", "rule"), ("12 rule",))
+    assert (plan.cases, plan.sources) == (("oracle", "rule"), ("12 rule",))
     assert (plan.seeds, plan.own) == (7, {"oracle": 3.0, "12 rule": 0.5})
 
 
@@ -100,11 +100,11 @@ def test_a_case_has_its_own_seeds_and_a_drill_its_own_hours() -> None:
     "arguments",
     [
         ["--cases", "luck"],
-        ["--drills", "luck"],
+        ["--detection", "luck"],
         ["--overlay", "/nowhere/overlay.yaml"],
         ["--seeds", "0"],
         ["--cases", "oracle:few"],
-        ["--drills", "12 default:0"],
+        ["--detection", "12 default:0"],
         ["--hours", "nan"],
     ],
 )

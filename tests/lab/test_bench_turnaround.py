@@ -8,7 +8,7 @@ import pytest
 from linemate.simulators.harness import host
 from linemate.simulators.harness.processes import Children
 from linemate.simulators.lab.bench import bench_clock, bench_floor, bench_turnaround
-from linemate.simulators.lab.bench.bench import record_reel
+from linemate.simulators.lab.bench.bench import record_trace
 from linemate.simulators.lab.bench.bench_floor import Place, Spike, TimerProgram
 from linemate.simulators.lab.bench.bench_turnaround import (
     PROBE_PERIOD_NS,
@@ -128,10 +128,10 @@ def test_the_daemons_clock_wakes_halfway_between_the_c_timers_wakes(now_ns: int)
 
 @pytest.mark.timeout(120)
 def test_one_short_round_for_real(program: Path, tmp_path: Path) -> None:
-    reel = tmp_path / "reel.json"
-    record_reel(0.5).write(reel)
+    trace = tmp_path / "trace.json"
+    record_trace(0.5).write(trace)
     fifo = host.missing_rights() is None
-    bench = Bench(reel, program, tmp_path, fifo, 1, 0.1, (0, 0))
+    bench = Bench(trace, program, tmp_path, fifo, 1, 0.1, (0, 0))
     found = bench_turnaround.measure(bench, 12_000, prepared=True, modes=("idle",))
     told = found.modes["idle"]
     assert told["cycles"] == bench_turnaround.LEAST_CYCLES

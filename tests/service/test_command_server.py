@@ -21,11 +21,7 @@ from linemate.daemon.service.command_server import (
     LocalDoor,
     UdpDoor,
 )
-from linemate.daemon.transport.client import (
-    Client,
-    NoAnswerError,
-    RefusedError,
-)
+from linemate.daemon.transport.client import Client, NoAnswerError, RefusedError
 from linemate.protocol.command.command import FrameType, Role, cut_local, local_body
 from linemate.protocol.command.command_client import Answer, Telemetry
 from linemate.protocol.command.command_keys import Key

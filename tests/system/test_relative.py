@@ -16,7 +16,7 @@ from linemate.protocol.rsi.rsi import RsiCodec, parse_config
 from linemate.simulators.devices.rsi_controller import ControllerConfig, RsiController
 from linemate.simulators.harness import setup
 from linemate.simulators.harness.lockstep import Lockstep
-from linemate.simulators.harness.wires import Wires
+from linemate.simulators.harness.sensor_links import SensorLinks
 from linemate.simulators.judge.judge import judge
 from linemate.simulators.plants.scenario import Fault
 
@@ -37,7 +37,9 @@ class Relative(Lockstep):
         settings = ControllerConfig(cycle_s=truth.cycle_s, mode="relative")
         self.controller = RsiController(rsi, self._plant.read, self._plant.start, settings)
         self.cycle = Cycle(self.cycle.parameters, RsiCodec(rsi), absolute=False)
-        self.wires = Wires(self.world, self.cycle, self._faults, made.task.conveyor.start_position)
+        self.links = SensorLinks(
+            self.world, self.cycle, self._faults, made.task.conveyor.start_position
+        )
         self._operator.__init__(self.cycle)  # type: ignore[misc]
 
     def off(self) -> float:

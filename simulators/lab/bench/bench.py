@@ -34,8 +34,9 @@ from linemate.simulators.harness.lockstep import Lockstep
 from linemate.simulators.harness.processes import ChildError, interruptible
 from linemate.simulators.judge import report_json
 from linemate.simulators.judge.table import DASH, aligned, number
-from linemate.simulators.lab.bench import bench_floor, bench_reel, bench_turnaround
-from linemate.simulators.lab.bench.bench_reel import Reel
+from linemate.simulators.lab.bench import bench_floor, bench_turnaround
+from linemate.simulators.lab.bench import bench_trace as bench_reel
+from linemate.simulators.lab.bench.bench_trace import StationTrace
 from linemate.simulators.lab.bench.bench_turnaround import MOVING, Bench, Measured
 
 ROUNDS: Final = 5
@@ -220,13 +221,13 @@ def _measure_processes(options: Options, folder: Path, result: dict[str, Any]) -
             "no C compiler: the echo is a blocking Python program, there is no probe and no timer"
         )
     bench = Bench(
-        folder / "reel.json", program, folder, refused is None, options.rounds, options.round_s,
+        folder / "trace.json", program, folder, refused is None, options.rounds, options.round_s,
         tuple(sorted(os.sched_getaffinity(0))),
     )  # fmt: skip
     result["echo"] = "python" if program is None else "c"
     result["fifo"] = bench.fifo
     if "turnaround" in options.parts:
-        record_reel(options.rounds * options.round_s).write(bench.reel)
+        record_trace(options.rounds * options.round_s).write(bench.trace)
         starts = []
         result["turnaround"] = {}
         for cycle_ms in options.cycles_ms:
@@ -254,7 +255,7 @@ def _resting(name: str, measured: Measured) -> Iterator[str]:
         yield f"{name}: too much for this machine; the daemon answers but is in {measured.state}"
 
 
-def record_reel(measured_s: float) -> Reel:
+def record_trace(measured_s: float) -> StationTrace:
     """Run the assembly in virtual time for as long as the rounds may take, and keep its readings.
 
     Args:

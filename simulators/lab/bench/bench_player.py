@@ -35,7 +35,7 @@ from linemate.simulators.devices.camera_sender import CameraSender
 from linemate.simulators.devices.can_sensor import CanSensor
 from linemate.simulators.devices.force_torque import ForceTorqueSensor
 from linemate.simulators.devices.slcan_adapter import SlcanAdapter
-from linemate.simulators.lab.bench.bench_reel import Reel
+from linemate.simulators.lab.bench.bench_trace import StationTrace
 
 SO_TIMESTAMPNS: Final = 35
 TIMESPEC: Final = struct.Struct("@ll")
@@ -141,17 +141,17 @@ class Port:
 
 
 class Arm:
-    """An ideal robot: it is where the last reply sent it; its tool's signals are the reel's."""
+    """An ideal robot: it is where the last reply sent it; its tool's signals are the trace's."""
 
-    def __init__(self, reel: Reel) -> None:
+    def __init__(self, trace: StationTrace) -> None:
         xml = files("linemate.protocol").joinpath("data", "rsi_joints.xml").read_bytes()
         self._codec = RsiCodec(parse_config(xml))
-        self._reel = reel
-        self._start, _ = reel.axes(0)
+        self._reel = trace
+        self._start, _ = trace.axes(0)
         self._axes = self._start
 
     def rest(self) -> None:
-        """Stand where the reel begins; a new session counts corrections from there."""
+        """Stand where the trace begins; a new session counts corrections from there."""
         self._axes = self._start
 
     def follow(self, reply: bytes | None) -> None:
@@ -170,7 +170,7 @@ class Arm:
         """Say where it is.
 
         Args:
-            at_ns: after the reel's begin [ns].
+            at_ns: after the trace's begin [ns].
         """
         _, signals = self._reel.axes(at_ns)
         return self._codec.format_robot(
@@ -188,16 +188,16 @@ class Arm:
 class Player:
     """The loop."""
 
-    def __init__(self, reel: Reel, cycle_ns: int, control: socket.socket) -> None:
+    def __init__(self, trace: StationTrace, cycle_ns: int, control: socket.socket) -> None:
         self._cycle_ns = cycle_ns
         self._control = control
         self._adapter = SlcanAdapter()
         self._sensor = ForceTorqueSensor("bota")
         self._can = Port(self._adapter.feed)
         self._serial = Port(self._sensor.feed)
-        self._arm = Arm(reel)
-        self._cycles = reel.length_ns // cycle_ns
-        self._actions = self._sorted(reel)
+        self._arm = Arm(trace)
+        self._cycles = trace.length_ns // cycle_ns
+        self._actions = self._sorted(trace)
         self._camera_target: Address = ("127.0.0.1", 0)
         self._camera = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._camera.setblocking(False)
@@ -226,7 +226,7 @@ class Player:
             played_ns += self._cycle_ns * self._cycles
 
     def _pass(self, begin_ns: int, played_ns: int) -> int | None:
-        """Play the reel once.
+        """Play the trace once.
 
         Args:
             begin_ns: the first telegram's instant [ns].
@@ -314,14 +314,14 @@ class Player:
             return now_ns
         return due_ns
 
-    def _sorted(self, reel: Reel) -> list[Action]:
+    def _sorted(self, trace: StationTrace) -> list[Action]:
         """Everything the sensors say, as bytes, in the order of its instants."""
-        found = [*self._distances(reel), *self._poses(reel), *self._wrenches(reel)]
+        found = [*self._distances(trace), *self._poses(trace), *self._wrenches(trace)]
         return sorted(found, key=lambda action: action[0])
 
-    def _distances(self, reel: Reel) -> Iterator[Action]:
+    def _distances(self, trace: StationTrace) -> Iterator[Action]:
         sensor = CanSensor(DistanceEncoder())
-        for at_ns, reading in reel.thinned(self._cycle_ns):
+        for at_ns, reading in trace.thinned(self._cycle_ns):
             frame = sensor.frame(reading)
             if frame is not None:
                 yield at_ns, partial(self._say_distance, frame)
@@ -329,9 +329,9 @@ class Player:
     def _say_distance(self, frame: CanFrame, _played_ns: int) -> None:
         self._can.write(self._adapter.forward(frame))
 
-    def _poses(self, reel: Reel) -> Iterator[Action]:
+    def _poses(self, trace: StationTrace) -> Iterator[Action]:
         sender = CameraSender(clock_offset_ns=FIRST_IPOC)
-        for at_ns, *pose in reel.camera:
+        for at_ns, *pose in trace.camera:
             yield at_ns, partial(self._say_pose, sender, at_ns, *pose)
 
     def _say_pose(
@@ -353,8 +353,8 @@ class Player:
         )
         self._camera.sendto(data, self._camera_target)
 
-    def _wrenches(self, reel: Reel) -> Iterator[Action]:
-        for at_ns, force, torque in reel.wrench:
+    def _wrenches(self, trace: StationTrace) -> Iterator[Action]:
+        for at_ns, force, torque in trace.wrench:
             yield at_ns, partial(self._say_wrench, at_ns, force, torque)
 
     def _say_wrench(
@@ -366,12 +366,12 @@ class Player:
 def main(argv: Sequence[str] | None = None) -> int:
     """Play."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("--reel", type=Path, required=True)
+    parser.add_argument("--trace", type=Path, required=True)
     parser.add_argument("--cycle-us", type=int, required=True)
     parser.add_argument("--control-fd", type=int, required=True)
     args = parser.parse_args(argv)
     with socket.socket(fileno=args.control_fd) as control:
-        Player(Reel.read(args.reel), args.cycle_us * 1000, control).run()
+        Player(StationTrace.read(args.trace), args.cycle_us * 1000, control).run()
     return 0
 
 

@@ -57,14 +57,14 @@ class Bench:
     """What is measured, and with what.
 
     Attributes:
-        reel: file of the reel that is played.
+        trace: file of the trace that is played.
         program: the C programs, None without a compiler.
         fifo: real-time priorities are granted.
         round_s: length of one [s].
         cpus: the cores there are.
     """
 
-    reel: Path
+    trace: Path
     program: Path | None
     folder: Path
     fifo: bool
@@ -333,7 +333,7 @@ class _Run:
         with there:
             command = [
                 sys.executable, "-m", "linemate.simulators.lab.bench.bench_player",
-                "--reel", str(self._bench.reel), "--cycle-us", str(self._cycle_us),
+                "--trace", str(self._bench.trace), "--cycle-us", str(self._cycle_us),
                 "--control-fd", str(there.fileno()),
             ]  # fmt: skip
             log = self._folder / "player.log"

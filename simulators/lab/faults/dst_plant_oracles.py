@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from linemate.daemon.cycle.states import State
-from linemate.simulators.harness.wires import Emitters
+from linemate.simulators.harness.sensor_links import Emitters
 from linemate.simulators.lab.faults.dst_unavoidable import Harm, Loss, excuse
 from linemate.simulators.plants import rotation
 from linemate.simulators.plants.effector import deflected

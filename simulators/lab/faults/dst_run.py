@@ -28,8 +28,8 @@ from linemate.simulators.devices.faults import Faults
 from linemate.simulators.devices.faulty_link import FaultyLink
 from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.devices.rsi_controller import ControllerConfig, RsiController
+from linemate.simulators.harness.sensor_links import Emitters
 from linemate.simulators.harness.virtual import EPOCH_NS, VirtualLoop, VirtualTime, inhabited
-from linemate.simulators.harness.wires import Emitters
 from linemate.simulators.lab.faults.dst_actors import Operator, Programme
 from linemate.simulators.lab.faults.dst_cells import (
     CELLS,

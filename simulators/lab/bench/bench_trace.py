@@ -25,7 +25,7 @@ Row = Sequence[Any]
 
 
 @dataclass(frozen=True, slots=True)
-class Reel:
+class StationTrace:
     """One run's readings; each row begins with its arrival after the run's begin [ns].
 
     Attributes:
@@ -83,12 +83,12 @@ class Reel:
         path.write_text(json.dumps(asdict(self)), encoding="utf-8")
 
     @classmethod
-    def read(cls, path: Path) -> Reel:
+    def read(cls, path: Path) -> StationTrace:
         """Take it from a file."""
         return cls(**json.loads(path.read_text(encoding="utf-8")))
 
 
-def from_entries(entries: Iterable[LogEntry]) -> Reel:
+def from_entries(entries: Iterable[LogEntry]) -> StationTrace:
     """Take the readings out of a run's steps.
 
     Args:
@@ -102,7 +102,7 @@ def from_entries(entries: Iterable[LogEntry]) -> Reel:
     if not robots:
         raise ValueError("a run without telegrams cannot be played")
     begin = robots[0].stamp_ns
-    return Reel(
+    return StationTrace(
         robot=[
             (r.stamp_ns - begin, *r.joints, r.external[0] if r.external else 0.0, r.digital_in)
             for r in robots

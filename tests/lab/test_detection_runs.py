@@ -1,4 +1,4 @@
-"""Drills: true to the plants, judged as they should be, the same every time."""
+"""Detection runs: true to the plants, judged correctly, and reproducible."""
 
 import math
 from dataclasses import replace
@@ -10,8 +10,8 @@ from linemate.daemon.core.tracking.conveyor import Source
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.simulators.harness import setup
 from linemate.simulators.judge.rows import DaemonEvent
-from linemate.simulators.lab import drills
-from linemate.simulators.lab.drills import Drill, Kind, Push, Tally
+from linemate.simulators.lab import detection_runs
+from linemate.simulators.lab.detection_runs import DetectionRun, Kind, Push, Tally
 from linemate.simulators.plants.conveyor_plant import ConveyorPlant
 from linemate.simulators.plants.scenario import (
     AppliedEvent,
@@ -31,13 +31,13 @@ def applied() -> tuple[AppliedEvent, ...]:
     return applied_events(Conveyor(events=EVENTS))
 
 
-def drill(kind: Kind, duration_s: float, *overrides: str) -> Drill:
-    return Drill(kind, setup.make("wheel", overrides), 1, duration_s)
+def spec_of(kind: Kind, duration_s: float, *overrides: str) -> DetectionRun:
+    return DetectionRun(kind, setup.make("wheel", overrides), 1, duration_s)
 
 
 def tallied(*told: tuple[float, str, str], pushes: tuple[Push, ...] = ()) -> Tally:
     events = [DaemonEvent(*one) for one in told]
-    return drills._tally(events, () if pushes else applied(), list(pushes), 40.0)
+    return detection_runs._tally(events, () if pushes else applied(), list(pushes), 40.0)
 
 
 def test_rows_say_where_the_unit_was_as_long_ago_as_they_say() -> None:
@@ -47,11 +47,11 @@ def test_rows_say_where_the_unit_was_as_long_ago_as_they_say() -> None:
         force_torque=ForceTorque(sigma_translation=0.0),
     )
     push = Push(1.0, lambda t: 0.002 * (t - 1.0))
-    station = drills._Station(scenario, TrackingSettings(), [push], touched=True)
-    truth = ConveyorPlant(scenario.conveyor, 3, -drills.LEAD_IN_S)
+    station = detection_runs._Station(scenario, TrackingSettings(), [push], touched=True)
+    truth = ConveyorPlant(scenario.conveyor, 3, -detection_runs.LEAD_IN_S)
     sources = []
     for k in range(1, 600):
-        now_s = -drills.LEAD_IN_S + k * scenario.cycle_s
+        now_s = -detection_runs.LEAD_IN_S + k * scenario.cycle_s
         for row in station.rows(now_s):
             at = now_s - row.delay
             sources.append(row.source)
@@ -95,23 +95,23 @@ def test_a_push_is_taken_for_a_stop_only_by_a_confirmed_stop_soon_after() -> Non
         (5.1, "stop", "tentative"),
         (5.3, "stop", "cancelled"),
         (15.2, "stop", "confirmed"),
-        (25.0 + drills.TAKEN_S, "stop", "confirmed"),
+        (25.0 + detection_runs.TAKEN_S, "stop", "confirmed"),
         pushes=pushes,
     )
     assert tally.pushed == {"made": 3, "suspected": 2, "taken": 1}
 
 
-def test_a_drill_finds_its_stop_and_its_start_and_is_the_same_every_time() -> None:
-    one, other = (drills.run(drill("free", 70.0)) for _ in range(2))
-    assert one == other
-    assert len(one.confirmed["stop"]) == len(one.confirmed["start"]) == 1
-    assert 0.0 < one.perceived["stop"][0] <= one.confirmed["stop"][0] < 1.0
-    assert 0.0 < one.perceived["start"][0] <= one.confirmed["start"][0] < 3.0
+def test_a_run_finds_its_stop_and_its_start_and_is_reproducible() -> None:
+    first, second = (detection_runs.run(spec_of("free", 70.0)) for _ in range(2))
+    assert first == second
+    assert len(first.confirmed["stop"]) == len(first.confirmed["start"]) == 1
+    assert 0.0 < first.perceived["stop"][0] <= first.confirmed["stop"][0] < 1.0
+    assert 0.0 < first.perceived["start"][0] <= first.confirmed["start"][0] < 3.0
 
 
 def test_a_restart_comes_while_the_conveyor_brakes() -> None:
-    asked = drill("restart", 600.0)
-    orders = tuple(drills._orders(asked, asked.setup.scenario))
+    spec = spec_of("restart", 600.0)
+    orders = tuple(detection_runs._orders(spec, spec.setup.scenario))
     events = applied_events(Conveyor(events=orders))
     assert len(events) > 20
     stops = events[0::2]
@@ -122,16 +122,16 @@ def test_a_restart_comes_while_the_conveyor_brakes() -> None:
 
 
 def test_orders_take_the_scenarios_accelerations() -> None:
-    asked = drill("free", 300.0, "scenario.conveyor.events.0.acceleration=0.083")
-    orders = list(drills._orders(asked, asked.setup.scenario))
+    spec = spec_of("free", 300.0, "scenario.conveyor.events.0.acceleration=0.083")
+    orders = list(detection_runs._orders(spec, spec.setup.scenario))
     rates = {event.kind: event.acceleration for event in orders}
     assert rates == {"stop": 0.083, "start": 0.013}
 
 
 @pytest.mark.parametrize("kind", ["jerk", "push"])
 def test_pushes_reach_half_a_millimetre_to_three_and_end(kind: Kind) -> None:
-    asked = drill(kind, 900.0)
-    pushes = list(drills._pushes(asked))
+    spec = spec_of(kind, 900.0)
+    pushes = list(detection_runs._pushes(spec))
     assert len(pushes) > 60
     peaks = []
     for push in pushes:

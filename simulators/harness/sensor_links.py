@@ -226,7 +226,7 @@ class Emitters:
         return self.force_torque.frame(force, torque, round((taken_s - self._begin_s) * 1e6))
 
 
-class Wires:
+class SensorLinks:
     """The three sensors' links to a cycle, and junk on any of the four.
 
     Attributes:

@@ -46,7 +46,7 @@ LEAD_IN_S = 4.0
 RUNNING_S = (15.0, 45.0)
 STANDING_S = (8.0, 25.0)
 BRAKING_S = (0.20, 0.90)
-"""Spans that the drill's onsets are drawn from; restarts come this long after a stop's onset."""
+"""Spans that the onsets of a run are drawn from; restarts come this long after a stop's onset."""
 
 PUSHED_S = (10.0, 14.0)
 PUSH_M = (0.5e-3, 3.0e-3)
@@ -61,7 +61,7 @@ _ORIGIN = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Drill:
+class DetectionRun:
     """One stretch of virtual time.
 
     Attributes:
@@ -78,7 +78,7 @@ class Drill:
 
 @dataclass(slots=True)
 class Tally:
-    """What came of one drill, or of many.
+    """What came of one run, or of many.
 
     Attributes:
         perceived, confirmed: latencies [s] by "stop" and "start"; infinity where missed.
@@ -96,7 +96,7 @@ class Tally:
     pushed: Counter[str] = field(default_factory=Counter)
 
     def add(self, other: "Tally") -> None:
-        """Take in another drill of the same kind."""
+        """Add another run of the same kind."""
         for kind in self.perceived:
             self.perceived[kind] += other.perceived[kind]
             self.confirmed[kind] += other.confirmed[kind]
@@ -107,28 +107,28 @@ class Tally:
         self.pushed.update(other.pushed)
 
 
-def run(drill: Drill) -> Tally:
-    """Run one drill.
+def run(spec: DetectionRun) -> Tally:
+    """Run the classifier once.
 
     Raises:
         SetupError: settings and task do not fit together.
     """
     from linemate.simulators.harness.lockstep import parameters
 
-    setup = drill.setup
-    scenario = sample(drill.seed, setup.scenario)
+    setup = spec.setup
+    scenario = sample(spec.seed, setup.scenario)
     pushes: list[Push] = []
-    if drill.kind in {"jerk", "push"}:
-        pushes = list(_pushes(drill))
+    if spec.kind in {"jerk", "push"}:
+        pushes = list(_pushes(spec))
         events: tuple[ConveyorEvent, ...] = ()
     else:
-        events = tuple(_orders(drill, scenario))
+        events = tuple(_orders(spec, scenario))
     conveyor = replace(scenario.conveyor, events=events)
     scenario = replace(scenario, conveyor=conveyor)
     compiled = parameters(setup.task, setup.urdf, setup.tracking, setup.control, scenario.cycle_s)
-    station = _Station(scenario, setup.tracking, pushes, touched=drill.kind in TOUCHED)
-    told = list(_watch(compiled.tracker.classifier, station, drill.duration_s))
-    return _tally(told, applied_events(conveyor), pushes, drill.duration_s)
+    station = _Station(scenario, setup.tracking, pushes, touched=spec.kind in TOUCHED)
+    told = list(_watch(compiled.tracker.classifier, station, spec.duration_s))
+    return _tally(told, applied_events(conveyor), pushes, spec.duration_s)
 
 
 # What happens
@@ -147,16 +147,16 @@ class Push:
     way: Callable[[float], float]
 
 
-def _orders(drill: Drill, scenario: Scenario) -> Iterator[ConveyorEvent]:
+def _orders(spec: DetectionRun, scenario: Scenario) -> Iterator[ConveyorEvent]:
     """Order stops and starts at random, at the accelerations of the scenario's own."""
     rates = {"stop": 0.104, "start": 0.013}
     rates.update({event.kind: event.acceleration for event in reversed(scenario.conveyor.events)})
-    draws = stream(drill.seed, f"drill.{drill.kind}.orders")
+    draws = stream(spec.seed, f"drill.{spec.kind}.orders")
     speed_up = scenario.conveyor.nominal_speed / rates["start"]
-    t, end = 0.0, drill.duration_s
+    t, end = 0.0, spec.duration_s
     while True:
         t += float(draws.uniform(*RUNNING_S))
-        standing = float(draws.uniform(*(BRAKING_S if drill.kind == "restart" else STANDING_S)))
+        standing = float(draws.uniform(*(BRAKING_S if spec.kind == "restart" else STANDING_S)))
         # An event within the last seconds would have no time to be found.
         if t + standing + speed_up > end:
             return
@@ -166,15 +166,15 @@ def _orders(drill: Drill, scenario: Scenario) -> Iterator[ConveyorEvent]:
         t += speed_up
 
 
-def _pushes(drill: Drill) -> Iterator[Push]:
-    draws = stream(drill.seed, f"drill.{drill.kind}.pushes")
+def _pushes(spec: DetectionRun) -> Iterator[Push]:
+    draws = stream(spec.seed, f"drill.{spec.kind}.pushes")
     t = 0.0
     while True:
         t += float(draws.uniform(*PUSHED_S))
         size = float(draws.uniform(*PUSH_M)) * (1.0 if draws.random() < 0.5 else -1.0)
-        if t + TAKEN_S > drill.duration_s:
+        if t + TAKEN_S > spec.duration_s:
             return
-        if drill.kind == "jerk":
+        if spec.kind == "jerk":
             shape = float(draws.uniform(*JERK_HZ)), float(draws.uniform(*JERK_DAMPING))
             yield Push(t, _jerked(Jerk(t, (0.0, size, 0.0), *shape)))
         else:
@@ -253,7 +253,7 @@ class _Station:
 
 
 def _watch(classifier: Classifier, station: _Station, duration_s: float) -> Iterator[DaemonEvent]:
-    """Step the classifier through the drill and pass on what it tells."""
+    """Step the classifier through the run and yield its events."""
     belief: Any = None
     readings: list[float] = []
     for k in count(1):
