@@ -255,8 +255,8 @@ def _plan(args: argparse.Namespace) -> Plan:
         cases = _known("case", args.cases, CASES)
         plan = replace(plan, cases=tuple(cases), own={**plan.own, **_told(cases)})
     if args.detection is not None:
-        sources = _known("detection run", args.detection, DETECTION)
-        plan = replace(plan, sources=tuple(sources), own={**plan.own, **_told(sources)})
+        asked = _known("detection run", args.detection, DETECTION)
+        plan = replace(plan, sources=tuple(asked), own={**plan.own, **_told(asked)})
     seeds = plan.seeds if args.seeds is None else args.seeds
     hours = plan.hours if args.hours is None else args.hours
     if seeds < 1 or not 0.0 < hours < math.inf:
