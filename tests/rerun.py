@@ -12,7 +12,7 @@ from typing import Any
 from command_ends import open_port, served
 
 from linemate.daemon.recording import viewer_messages
-from linemate.daemon.recording.recordings import Recording, read
+from linemate.daemon.recording.reader import Recording, read
 from linemate.daemon.service.command_server import CommandPort
 
 GOLDEN = Path(__file__).parent / "system" / "golden" / "wheel.mcap"

@@ -29,7 +29,7 @@ from linemate.daemon.identification.ring_down import ModeResult, identify_modes
 from linemate.daemon.identification.servo import ServoResult, identify_servos
 from linemate.daemon.identification.swing import SwingResult, identify_swings
 from linemate.daemon.identification.tape import Tape, make_tape
-from linemate.daemon.recording.recording import StepRecord
+from linemate.daemon.recording.step_codec import StepRecord
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
 SIGNIFICANT = 4.0  # deviations by which a hand-eye pose must be off to be corrected

@@ -17,21 +17,14 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from msgspec import structs
 
-from linemate.daemon.recording.recordings import (
-    LAYOUT,
-    METADATA,
-    TOPIC,
-    UnreadableRecordingError,
-    broken,
-    layout_of,
-    records,
-)
+from linemate.daemon.recording.format import LAYOUT, METADATA, STEP, UnreadableRecordingError
+from linemate.daemon.recording.reader import damage_report, layout_of, records
 
 if TYPE_CHECKING:
     from mcap.records import Message
 
-    from linemate.daemon.recording.recording import StepRecord
-    from linemate.daemon.recording.replay import Broken
+    from linemate.daemon.recording.format import DamageReport
+    from linemate.daemon.recording.step_codec import StepRecord
 
 OK, NOT_OK = 0, 1
 TABLES = {
@@ -119,7 +112,7 @@ def _failed(error: Exception) -> int:
 # --- tables -------------------------------------------------------------------------------
 
 
-def export(path: Path, folder: Path) -> "tuple[dict[str, int], Broken | None]":
+def export(path: Path, folder: Path) -> "tuple[dict[str, int], DamageReport | None]":
     """Write a table for each channel.
 
     Args:
@@ -135,11 +128,11 @@ def export(path: Path, folder: Path) -> "tuple[dict[str, int], Broken | None]":
     from mcap.records import Message, Metadata
 
     from linemate.daemon.recording.bounded_mcap import Damage
-    from linemate.daemon.recording.recording import RecordingError, decode
+    from linemate.daemon.recording.step_codec import RecordingError, decode
 
     layout: Mapping[str, tuple[str, ...]] | None = None
     topics: dict[int, str] = {}
-    damage: Broken | None = None
+    damage: DamageReport | None = None
     with path.open("rb") as stream, _Tables(folder) as tables:
         try:
             for record in records(stream, topics):
@@ -147,12 +140,12 @@ def export(path: Path, folder: Path) -> "tuple[dict[str, int], Broken | None]":
                     layout = layout_of(record.metadata)
                 elif isinstance(record, Message) and layout is not None:
                     topic = topics[record.channel_id]
-                    if topic == TOPIC:
+                    if topic == STEP:
                         _add_step(tables, decode(record.data, layout))
                     elif topic in TABLES:
                         _add_told(tables, TABLES[topic], record)
                 elif isinstance(record, Damage):
-                    damage = broken(record, tables.rows().get("steps.csv", 0))
+                    damage = damage_report(record, tables.rows().get("steps.csv", 0))
         except (RecordingError, ValueError, KeyError) as error:
             raise UnreadableRecordingError(f"{path}: not a linemate recording: {error}") from error
         if layout is None:
@@ -357,7 +350,7 @@ class _Copy:
             )
         elif isinstance(record, Message) and record.channel_id in self._channels:
             self._found.messages += 1
-            self._found.steps += self._topics[record.channel_id] == TOPIC
+            self._found.steps += self._topics[record.channel_id] == STEP
             self._writer.add_message(
                 self._channels[record.channel_id],
                 record.log_time,

@@ -44,7 +44,7 @@ def main(args: argparse.Namespace) -> int:
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     from linemate.daemon.identification.identify import IdentifyError
-    from linemate.daemon.recording.recordings import UnreadableRecordingError
+    from linemate.daemon.recording.format import UnreadableRecordingError
 
     try:
         found = from_files(args.files)
@@ -72,7 +72,8 @@ def from_files(files: Iterable[Path]) -> "Identified":
         UnreadableRecordingError: a file is no recording.
         IdentifyError: the recordings cannot be used together.
     """
-    from linemate.daemon.recording.recordings import UnreadableRecordingError, read
+    from linemate.daemon.recording.format import UnreadableRecordingError
+    from linemate.daemon.recording.reader import read
 
     recordings = []
     for path in files:

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 from linemate.daemon.operator import render
 
 if TYPE_CHECKING:
-    from linemate.daemon.recording.replay import Broken, Overrides, Summary, Verdict
+    from linemate.daemon.recording.format import DamageReport
+    from linemate.daemon.recording.step_replay import Overrides, ReplayedStep, Summary
 
 OK, NOT_OK, USAGE = 0, 1, 2
 VERSION = 1
@@ -51,10 +52,10 @@ class Account:
     different: int = 0
     unmade: int = 0
     first_ns: int | None = None
-    broken: "Broken | None" = None
-    notes: list[tuple["Verdict", str]] = field(default_factory=list)
+    broken: "DamageReport | None" = None
+    notes: list[tuple["ReplayedStep", str]] = field(default_factory=list)
 
-    def take(self, verdicts: "Iterator[Verdict]") -> "Iterator[Verdict]":
+    def take(self, verdicts: "Iterator[ReplayedStep]") -> "Iterator[ReplayedStep]":
         """Count verdicts as they pass."""
         for verdict in verdicts:
             if self.first_ns is None:
@@ -72,7 +73,7 @@ class Account:
         """Every step of the file was read and made again."""
         return self.broken is None and not self.unmade and self.steps > 0
 
-    def at_s(self, verdict: "Verdict") -> float:
+    def at_s(self, verdict: "ReplayedStep") -> float:
         """When a step was, since the first one [s]."""
         return (verdict.stamp_ns - (self.first_ns or 0)) * 1e-9
 
@@ -89,8 +90,8 @@ def main(args: argparse.Namespace) -> int:
     # BLAS threads would add in another order than the daemon's one.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
-    from linemate.daemon.recording.recordings import UnreadableRecordingError
-    from linemate.daemon.recording.replay import ReplayError
+    from linemate.daemon.recording.format import UnreadableRecordingError
+    from linemate.daemon.recording.step_replay import ReplayError
 
     try:
         overrides = overrides_of(args.config, args.values)
@@ -118,14 +119,15 @@ def compare(
         UnreadableRecordingError: it is no recording.
         ReplayError: it cannot be replayed.
     """
-    from linemate.daemon.recording.recordings import pieces
-    from linemate.daemon.recording.replay import Broken, Piece, replay, summarise, with_cycle
+    from linemate.daemon.recording.format import DamageReport
+    from linemate.daemon.recording.reader import pieces
+    from linemate.daemon.recording.step_replay import Piece, replay, summarise, with_cycle
 
     account = Account()
 
     def heard() -> "Iterator[Piece]":
         for piece in with_cycle(pieces(path)):
-            if isinstance(piece, Broken):
+            if isinstance(piece, DamageReport):
                 account.broken = piece
             yield piece
 
@@ -140,7 +142,7 @@ def overrides_of(config: Path | None, assignments: list[str]) -> "Overrides":
         ValueError: the file or an assignment cannot be read.
     """
     from linemate.daemon.config.settings_tree import SECTIONS
-    from linemate.daemon.recording.replay import Overrides
+    from linemate.daemon.recording.step_replay import Overrides
 
     sections: dict[str, Any] = {}
     if config is not None:
@@ -211,7 +213,7 @@ def as_plain(account: Account, summaries: "Mapping[str, Summary]") -> dict[str, 
     }
 
 
-def _place(account: Account, verdict: "Verdict", name: str) -> dict[str, Any]:
+def _place(account: Account, verdict: "ReplayedStep", name: str) -> dict[str, Any]:
     was, made = verdict.changes[name]
     return {"k": verdict.k, "at_s": account.at_s(verdict), "recorded": was, "made": made}
 

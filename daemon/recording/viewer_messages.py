@@ -1,8 +1,10 @@
-"""What a step says, as the messages that viewers know: joints, transforms, poses, log.
+"""Messages for viewers: joints, transforms, poses and log lines of a step, as JSON.
 
-Law of this file: pure; values in, JSON out. Shapes as published by Foxglove as ``foxglove.*`` JSON
-schemas; Lichtblick, Foxglove Studio and PlotJuggler read them. Rounded to a micrometre and a
-microradian: whoever wants every bit reads the steps.
+Foxglove publishes the shapes as ``foxglove.*`` JSON schemas. Lichtblick, Foxglove Studio and
+PlotJuggler read them.
+
+Invariants:
+- Values are rounded to 1 um and 1 urad. The exact values are in the steps.
 """
 
 from __future__ import annotations
@@ -14,14 +16,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
-if TYPE_CHECKING:  # the process that writes recordings has nothing of the step to load
+if TYPE_CHECKING:  # the writer process must not import daemon.core
     from linemate.daemon.core.inputs import Inputs
     from linemate.daemon.core.step import Outputs
 
 BASE: Final = "base"
 AXES: Final = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
-POSES: Final = {"target": "tcp", "sensed": "tcp_sensed", "part": "hub"}
-"""Poses of the outputs, and what the frames are called that they make."""
+POSES: Final = {"target": "tcp", "sensed": "tcp_sensed", "part": "hub"}  # output: frame
 
 INFO: Final = 2
 WARNING: Final = 3
@@ -47,6 +48,7 @@ _TIME: Final = {
 _VECTOR: Final = _object(dict.fromkeys("xyz", _NUMBER), "foxglove.Vector3")
 _QUATERNION: Final = _object(dict.fromkeys("xyzw", _NUMBER), "foxglove.Quaternion")
 
+# JSON schemas by name, without the optional properties that are never written.
 SCHEMAS: Final[dict[str, dict[str, Any]]] = {
     schema["title"]: schema
     for schema in (
@@ -104,8 +106,8 @@ SCHEMAS: Final[dict[str, dict[str, Any]]] = {
         ),
     )
 }
-"""JSON schemas by name; optional properties that are never written are left out."""
 
+# Schema of each topic.
 TOPICS: Final[dict[str, str]] = {
     "/joints": "foxglove.JointStates",
     "/joints_commanded": "foxglove.JointStates",
@@ -113,15 +115,15 @@ TOPICS: Final[dict[str, str]] = {
     **{f"/pose/{name}": "foxglove.PoseInFrame" for name in POSES},
     "/log": "foxglove.Log",
 }
-"""Topics and the schema of each."""
 
 
-class Glimpse(Struct, frozen=True):
-    """What a viewer is shown of one step.
+class StepView(Struct, frozen=True):
+    """Joints and poses of one step.
 
     Attributes:
         measured: joints A1..A6 [rad] and E1 [m], None without a telegram.
-        poses: in base, position and quaternion w first, by their name in the outputs.
+        commanded: setpoints, as ``measured``.
+        poses: (name in the outputs, position [m] and quaternion w first), in base.
     """
 
     measured: tuple[float, ...] | None
@@ -129,47 +131,47 @@ class Glimpse(Struct, frozen=True):
     poses: tuple[tuple[str, tuple[float, ...]], ...]
 
 
-def glimpse(inputs: Inputs, outputs: Outputs) -> Glimpse:
-    """Return what a viewer is shown of a step."""
+def step_view(inputs: Inputs, outputs: Outputs) -> StepView:
+    """Return the joints and poses of a step."""
     axes = len(outputs.command)
     robot = inputs.robot
     measured = None if robot is None else (*robot.joints, *robot.external)[:axes]
     poses = ((name, getattr(outputs, name)) for name in POSES)
-    there = tuple((name, pose) for name, pose in poses if pose is not None)
-    return Glimpse(measured, outputs.command, there)
+    known = tuple((name, pose) for name, pose in poses if pose is not None)
+    return StepView(measured, outputs.command, known)
 
 
-def shown(seen: Glimpse, wall_ns: int, root: str) -> list[tuple[str, bytes]]:
-    """Return the messages of a step, topic and JSON.
+def encode_view(view: StepView, wall_ns: int, root: str) -> list[tuple[str, bytes]]:
+    """Return the topics and JSON messages of a step.
 
     Args:
-        wall_ns: its time since the epoch [ns].
-        root: the URDF's first link, which stands in base.
+        wall_ns: time of the step since the epoch [ns].
+        root: first link of the URDF, whose frame is base.
     """
     time = _time(wall_ns)
-    messages = [("/joints_commanded", _joints(time, seen.commanded))]
-    if seen.measured is not None:
-        messages.append(("/joints", _joints(time, seen.measured)))
+    messages = [("/joints_commanded", _joints(time, view.commanded))]
+    if view.measured is not None:
+        messages.append(("/joints", _joints(time, view.measured)))
     transforms = [_transform(time, root, (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))]
-    for name, pose in seen.poses:
+    for name, pose in view.poses:
         where = {"position": _vector(pose[:3]), "orientation": _quaternion(pose[3:])}
-        told = {"timestamp": time, "frame_id": BASE, "pose": where}
-        messages.append((f"/pose/{name}", told))
+        message = {"timestamp": time, "frame_id": BASE, "pose": where}
+        messages.append((f"/pose/{name}", message))
         transforms.append(_transform(time, POSES[name], pose))
     messages.append(("/tf", {"transforms": transforms}))
     return [(topic, as_json(value)) for topic, value in messages]
 
 
-def line(text: str, wall_ns: int, level: int = INFO, name: str = "linemated") -> bytes:
-    """Return a line of the log, as JSON.
+def encode_line(text: str, wall_ns: int, level: int = INFO, name: str = "linemated") -> bytes:
+    """Return a log line as JSON.
 
     Args:
-        text: for whoever reads it.
-        wall_ns: its time since the epoch [ns].
-        name: of who writes it.
+        wall_ns: time of the line since the epoch [ns].
+        level: INFO or WARNING.
+        name: name of the writer.
     """
-    told = {"timestamp": _time(wall_ns), "level": level, "message": text, "name": name}
-    return as_json({**told, "file": "", "line": 0})
+    message = {"timestamp": _time(wall_ns), "level": level, "message": text, "name": name}
+    return as_json({**message, "file": "", "line": 0})
 
 
 def as_json(value: Any) -> bytes:
@@ -178,7 +180,7 @@ def as_json(value: Any) -> bytes:
 
 
 def root_link(urdf: str) -> str:
-    """Return the link of a URDF that no joint leads to, the base's own name if there is none."""
+    """Return the link of a URDF that is no joint's child, ``base`` if there is none."""
     try:
         robot = ET.fromstring(urdf)  # noqa: S314 - of our own configuration
     except ET.ParseError:
@@ -189,11 +191,10 @@ def root_link(urdf: str) -> str:
 
 
 def scene(texts: Mapping[str, str], cycle_s: float) -> dict[str, Any]:
-    """Return what a view must know once to draw the cell: its task, its arm, its cycle.
+    """Return what a viewer needs once to draw the cell: task, arm and period T0 [s].
 
     Args:
-        texts: of the cell, by name, as a recording holds them.
-        cycle_s: T0 [s].
+        texts: texts of the cell by name, as in a recording.
     """
     return {
         "task": texts.get("task", ""),
@@ -203,11 +204,7 @@ def scene(texts: Mapping[str, str], cycle_s: float) -> dict[str, Any]:
 
 
 def kinematics(urdf: str) -> str:
-    """Return a URDF with its links and joints alone, without what they look like or weigh.
-
-    Args:
-        urdf: the text; one that is no URDF gives an empty text.
-    """
+    """Return a URDF with links and joints only, an empty text if it is not XML."""
     try:
         robot = ET.fromstring(urdf)  # noqa: S314 - of our own configuration
     except ET.ParseError:
@@ -218,9 +215,9 @@ def kinematics(urdf: str) -> str:
     for joint in robot.iterfind("joint"):
         kept = ET.SubElement(bare, "joint", dict(joint.attrib))
         for part in ("parent", "child", "origin", "axis"):
-            found = joint.find(part)
-            if found is not None:
-                ET.SubElement(kept, part, dict(found.attrib))
+            element = joint.find(part)
+            if element is not None:
+                ET.SubElement(kept, part, dict(element.attrib))
     return ET.tostring(bare, encoding="unicode")
 
 

@@ -35,8 +35,8 @@ from linemate.daemon.cycle.learning import Learner
 from linemate.daemon.cycle.states import State
 from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.recording import viewer_messages
+from linemate.daemon.recording.format import STATE_LOG
 from linemate.daemon.recording.recorder import MIB, Recorder, Rotation
-from linemate.daemon.recording.step_file import STATE_LOG
 from linemate.daemon.service import realtime
 from linemate.daemon.service.account import Account
 from linemate.daemon.service.command_server import CommandPort, CommandPortError, LocalDoor, UdpDoor
@@ -242,7 +242,7 @@ class App:
         for link in self._links:
             await link.wait_closed()
         if self._recorder is not None:
-            self._recorder.take(self.cycle.take_log())
+            self._recorder.record(self.cycle.take_log())
             await asyncio.to_thread(self._recorder.close)
         self._host.close()
         self._collector.thaw()
@@ -384,7 +384,7 @@ class App:
             self._incidents.take(incident)
         self._incidents.slack()
         if self._recorder is not None:
-            self._recorder.take(entries, times)
+            self._recorder.record(entries, times)
         self._outlook.take(entries, times)
         if self._learner is not None:
             self._learn(self._learner, entries)
@@ -395,7 +395,7 @@ class App:
             self._told_ns = now_ns
             self._companions.look()
             if self._recorder is not None:
-                self._recorder.tend(now_ns)
+                self._recorder.restart_writer_if_lost(now_ns)
             self._rates.take((link.status for link in self._links), now_ns)
             self._tell_links(now_ns)
             if self._notifier.address:
@@ -482,11 +482,11 @@ class App:
         at_ns = time.monotonic_ns() if stamp_ns is None else stamp_ns
         self._outlook.say(at_ns, text)
         if self._recorder is not None:
-            self._recorder.say(at_ns, text, name=name)
+            self._recorder.write_line(at_ns, text, name=name)
 
     def _explain(self, parameters: Parameters, who: str, changed: Mapping[str, Any]) -> None:
         if self._recorder is not None:
-            self._recorder.explain(parameters, who, changed)
+            self._recorder.note_change(parameters, who, changed)
 
     def _failed(self, error: Exception) -> None:
         """Count a fault of our own; the log must not drown in it."""

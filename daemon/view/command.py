@@ -58,7 +58,7 @@ def main(args: argparse.Namespace, client: "Callable[[argparse.Namespace], Clien
     """
     import asyncio
 
-    from linemate.daemon.recording.recordings import UnreadableRecordingError
+    from linemate.daemon.recording.format import UnreadableRecordingError
     from linemate.daemon.view import run
 
     with contextlib.suppress(OSError):

@@ -18,8 +18,8 @@ from typing import Final
 import numpy as np
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.recording import recordings, replay
-from linemate.daemon.recording.recording import digest
+from linemate.daemon.recording import reader, step_replay
+from linemate.daemon.recording.step_codec import digest
 
 SHOWN: Final = 8
 SPACING_NS: Final = 30_000_000
@@ -53,8 +53,8 @@ def foreseen(path: Path) -> Iterator[Foreseen]:
         UnreadableRecordingError, ReplayError: it cannot be replayed.
     """
     last_ns = None
-    pieces = replay.with_cycle(recordings.pieces(path))
-    for record, outputs, parameters in replay.again(pieces):
+    pieces = step_replay.with_cycle(reader.pieces(path))
+    for record, outputs, parameters in step_replay.again(pieces):
         stamp_ns, horizon = record.inputs.stamp_ns, outputs.horizon
         if last_ns is not None and 0 <= stamp_ns - last_ns < SPACING_NS:
             continue

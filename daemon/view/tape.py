@@ -11,15 +11,22 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from linemate.daemon.recording import recordings
-from linemate.daemon.recording.recordings import UnreadableRecordingError
+from linemate.daemon.recording import reader
+from linemate.daemon.recording.format import (
+    LOG,
+    METADATA,
+    PARAMETERS,
+    STEP,
+    TIMING,
+    UnreadableRecordingError,
+)
 from linemate.daemon.view.frames import Frame, Framer
 from linemate.daemon.view.scene import Scene, of
 
 if TYPE_CHECKING:
     from mcap.records import Message
 
-    from linemate.daemon.recording.recording import StepRecord
+    from linemate.daemon.recording.step_codec import StepRecord
 
 SPACING_NS: Final = 30_000_000
 """Between two frames [ns]; a change of state or class has a frame of its own."""
@@ -37,8 +44,6 @@ NEAR: Final = 12
 """Steps by which a horizon may be older than the frame that shows it."""
 
 OF_STEPS: Final = ("state: ", "conveyor: ")
-TIMING: Final = "/linemate/timing"
-LOG: Final = "/log"
 LIGHT: Final = ("t", "k", "state", "phase", "scenario", "tentative", "confidence", "speed",
                 "errors", "slack_ms", "ages_ms")  # fmt: skip
 MOVING: Final = frozenset({"track", "contact", "retreat"})
@@ -207,7 +212,7 @@ def read(path: Path, tell: Callable[[float], None] = lambda _: None) -> Tape:
     from mcap.records import Message, Metadata
 
     from linemate.daemon.recording.bounded_mcap import Damage
-    from linemate.daemon.recording.recording import RecordingError
+    from linemate.daemon.recording.step_codec import RecordingError
 
     reading: _Reading | None = None
     layout: dict[str, tuple[str, ...]] = {}
@@ -216,14 +221,14 @@ def read(path: Path, tell: Callable[[float], None] = lambda _: None) -> Tape:
     try:
         with path.open("rb") as stream:
             size = max(1, path.stat().st_size)
-            for number, record in enumerate(recordings.records(stream, topics)):
+            for number, record in enumerate(reader.records(stream, topics)):
                 if number % TOLD_EVERY == 0:
                     tell(stream.tell() / size)
                 if isinstance(record, Damage):
                     steps = 0 if reading is None else reading.tape.steps
-                    trouble = str(recordings.broken(record, steps))
-                elif isinstance(record, Metadata) and record.name == recordings.METADATA:
-                    layout = recordings.layout_of(record.metadata)
+                    trouble = str(reader.damage_report(record, steps))
+                elif isinstance(record, Metadata) and record.name == METADATA:
+                    layout = reader.layout_of(record.metadata)
                     reading = reading or _Reading(Tape(path.name, of(record.metadata)))
                 elif isinstance(record, Message) and reading is not None:
                     reading.take(topics[record.channel_id], record, layout)
@@ -264,9 +269,9 @@ class _Reading:
         Raises:
             RecordingError, ValueError, KeyError, TypeError: it is not what its topic says.
         """
-        from linemate.daemon.recording.recording import decode
+        from linemate.daemon.recording.step_codec import decode
 
-        if topic == recordings.TOPIC:
+        if topic == STEP:
             self._step(decode(message.data, layout))
         elif topic == TIMING:
             turnaround_ns = json.loads(message.data).get("turnaround_ns")
@@ -274,7 +279,7 @@ class _Reading:
                 self._turnaround_us = turnaround_ns / 1e3
         elif topic == LOG:
             self._line(message.publish_time, str(json.loads(message.data)["message"]))
-        elif topic == recordings.PARAMETERS:
+        elif topic == PARAMETERS:
             cycle_s = json.loads(message.data)["settings"].get("cycle_s")
             self._cycle_ms = None if cycle_s is None else round(1e3 * cycle_s, 6)
 

@@ -14,10 +14,10 @@ from typing import Any
 
 from mcap.records import Message, Metadata
 
-from linemate.daemon.recording import recording
+from linemate.daemon.recording import step_codec
 from linemate.daemon.recording.bounded_mcap import Damage, records
-from linemate.daemon.recording.recording import RecordingError, StepRecord
-from linemate.daemon.recording.step_file import LAYOUT, LOG, METADATA, STATE_LOG, TOPIC
+from linemate.daemon.recording.format import LAYOUT, LOG, METADATA, STATE_LOG, STEP
+from linemate.daemon.recording.step_codec import RecordingError, StepRecord
 from linemate.simulators.devices import truth
 from linemate.simulators.judge import rows as columns
 from linemate.simulators.judge.judge import Evidence, StateChange, Telegrams
@@ -39,15 +39,15 @@ def read_steps(path: Path) -> Iterator[StepRecord]:
         OSError: it cannot be read.
         RecordingError: it is no recording, or a broken one.
     """
-    layout, topics = recording.LAYOUT, dict[int, str]()
+    layout, topics = step_codec.LAYOUT, dict[int, str]()
     with path.open("rb") as stream:
         for record in records(stream, topics):
             if isinstance(record, Damage):
                 raise RecordingError(f"{path}: damaged: {record.reason}")
             if isinstance(record, Metadata):
                 layout = _layout(record, layout)
-            elif isinstance(record, Message) and topics[record.channel_id] == TOPIC:
-                yield recording.decode(record.data, layout)
+            elif isinstance(record, Message) and topics[record.channel_id] == STEP:
+                yield step_codec.decode(record.data, layout)
 
 
 def read_changes(path: Path) -> Iterator[StateChange]:

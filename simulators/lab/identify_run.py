@@ -23,9 +23,9 @@ from linemate.daemon.core.tracking.settings import SwingMode, TrackingSettings
 from linemate.daemon.cycle.cycle import LogEntry
 from linemate.daemon.identification.identify import Identified
 from linemate.daemon.operator import identify
-from linemate.daemon.recording.recording import encode
-from linemate.daemon.recording.step_feed import described
+from linemate.daemon.recording.step_codec import encode
 from linemate.daemon.recording.step_file import StepFile
+from linemate.daemon.recording.step_items import metadata_of
 from linemate.simulators.harness import lockstep, scenario_file
 from linemate.simulators.harness.identified_overlay import laid_over
 from linemate.simulators.harness.setup import Setup, override, shipped_task
@@ -93,7 +93,7 @@ def record(setup: Setup, seed: int, path: Path) -> Path:
         "task": text or shipped_task().text,
         "urdf": setup.urdf,
     }
-    file = StepFile(path.open("wb"), described(texts))
+    file = StepFile(path.open("wb"), metadata_of(texts))
 
     def keep(entry: LogEntry) -> None:
         data = encode(entry.ipoc, entry.state, entry.inputs, entry.outputs)

@@ -9,10 +9,11 @@ import pytest
 from msgspec import structs
 
 from linemate.daemon.cycle.cycle import LogEntry
-from linemate.daemon.recording import recording
-from linemate.daemon.recording.recording import RecordingError
-from linemate.daemon.recording.step_feed import described
-from linemate.daemon.recording.step_file import STATE_LOG, Item, Kind, StepFile
+from linemate.daemon.recording import step_codec
+from linemate.daemon.recording.format import STATE_LOG, Item, ItemKind
+from linemate.daemon.recording.step_codec import RecordingError
+from linemate.daemon.recording.step_file import StepFile
+from linemate.daemon.recording.step_items import metadata_of
 from linemate.simulators.harness import setup
 from linemate.simulators.harness.lockstep import Lockstep
 from linemate.simulators.judge import joined
@@ -32,9 +33,9 @@ def run() -> tuple[Lockstep, list[LogEntry]]:
 
 
 def recorded(entries: list[LogEntry], path: Path) -> Path:
-    file = StepFile(path.open("xb"), described({"task": "wheel"}))
+    file = StepFile(path.open("xb"), metadata_of({"task": "wheel"}))
     for entry in entries:
-        data = recording.encode(entry.ipoc, entry.state, entry.inputs, entry.outputs)
+        data = step_codec.encode(entry.ipoc, entry.state, entry.inputs, entry.outputs)
         file.write(entry.inputs.stamp_ns, data)
     file.close()
     return path
@@ -87,7 +88,7 @@ def test_order_does_not_matter_and_foreign_telegrams_fill_no_row(
 
 def test_changes_of_state_are_read_from_the_log_and_no_other_line_is_one(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
-    file = StepFile(path.open("xb"), described({"task": "wheel"}))
+    file = StepFile(path.open("xb"), metadata_of({"task": "wheel"}))
     cause = "no fresh position: camera silent for 0.31 s (limit 0.30 s). Check its link: now."
     for n, payload in enumerate(
         (
@@ -97,7 +98,7 @@ def test_changes_of_state_are_read_from_the_log_and_no_other_line_is_one(tmp_pat
             ("hold -> retreat: overload", 2, STATE_LOG),
         )
     ):
-        file.put(Item(Kind.LINE, n, payload))
+        file.write_item(Item(ItemKind.LINE, n, payload))
     file.close()
     assert list(joined.read_changes(path)) == [
         StateChange("track", "hold", cause),

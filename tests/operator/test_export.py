@@ -12,9 +12,10 @@ from linemate.daemon.core.inputs import Order
 from linemate.daemon.cycle.clock.timing import CycleTimes
 from linemate.daemon.cycle.cycle import LogEntry
 from linemate.daemon.operator import main as tool
-from linemate.daemon.recording.recordings import read
-from linemate.daemon.recording.step_feed import Feed, described
-from linemate.daemon.recording.step_file import Item, Kind, StepFile
+from linemate.daemon.recording.format import Item, ItemKind
+from linemate.daemon.recording.reader import read
+from linemate.daemon.recording.step_file import StepFile
+from linemate.daemon.recording.step_items import StepItems, metadata_of
 
 STEPS = 100
 TEXTS = {"config": "task: wheel.yaml\n", "task": TASK.text, "urdf": TASK.urdf}
@@ -24,19 +25,19 @@ TEXTS = {"config": "task: wheel.yaml\n", "task": TASK.text, "urdf": TASK.urdf}
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("recordings") / "whole.mcap"
     file, feed, world = (
-        StepFile(path.open("wb"), described(TEXTS), 8192),
-        Feed(),
+        StepFile(path.open("wb"), metadata_of(TEXTS), 8192),
+        StepItems(),
         World(parameters()),
     )
     for k in range(STEPS):
         inputs, before = world.inputs(Order.HOLD), world.state
         outputs = world.take(inputs)
         entry = LogEntry(k, "idle", inputs, outputs, before, world.state, world.parameters)
-        for item in feed.of(entry):
-            file.put(item)
+        for item in feed.convert(entry):
+            file.write_item(item)
         turnaround = None if k == 0 else 1000 + k
         times = CycleTimes(k, inputs.stamp_ns, None, None, 0, None, turnaround, True, "idle")
-        file.put(Item(Kind.TIMING, inputs.stamp_ns, astuple(times)))
+        file.write_item(Item(ItemKind.TIMING, inputs.stamp_ns, astuple(times)))
     file.close()
     return path
 

@@ -14,10 +14,10 @@ from linemate.daemon.config.files import DAEMON_DATA
 from linemate.daemon.identification.identify import Identified
 from linemate.daemon.identification.outcome import Estimate, Finding, Refusal
 from linemate.daemon.operator import identify
-from linemate.daemon.recording import recordings, step_file
-from linemate.daemon.recording.recordings import UnreadableRecordingError
-from linemate.daemon.recording.step_feed import described
+from linemate.daemon.recording import reader
+from linemate.daemon.recording.format import UnreadableRecordingError
 from linemate.daemon.recording.step_file import StepFile
+from linemate.daemon.recording.step_items import metadata_of
 
 TEXTS = {
     "task": (DAEMON_DATA / "wheel.yaml").read_text(),
@@ -33,7 +33,7 @@ def run(*words: str | Path) -> int:
 
 
 def recording(path: Path, texts: Mapping[str, str] = TEXTS, steps: int = 0) -> Path:
-    file = StepFile(path.open("wb"), described(texts))
+    file = StepFile(path.open("wb"), metadata_of(texts))
     for _ in range(steps):
         file.write(1, b"\x00")
     file.close()
@@ -78,25 +78,17 @@ def test_recordings_of_two_arms_are_not_mixed(
 
 def test_bytes_that_are_no_step_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UnreadableRecordingError, match="not a step"):
-        recordings.read(recording(tmp_path / "a.mcap", steps=1))
+        reader.read(recording(tmp_path / "a.mcap", steps=1))
 
 
 def test_a_file_that_breaks_off_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
     whole = recording(tmp_path / "a.mcap")
-    assert recordings.read(whole).whole
+    assert reader.read(whole).whole
     cut = tmp_path / "b.mcap"
     cut.write_bytes(whole.read_bytes()[:-40])
-    read = recordings.read(cut)
+    read = reader.read(cut)
     assert not read.whole
     assert read.texts["urdf"] == TEXTS["urdf"]
-
-
-def test_reader_and_recorder_mean_the_same_channel() -> None:
-    assert (recordings.TOPIC, recordings.METADATA, recordings.LAYOUT) == (
-        step_file.TOPIC,
-        step_file.METADATA,
-        step_file.LAYOUT,
-    )
 
 
 FOUND = Identified(
@@ -142,7 +134,7 @@ def test_an_overlay_replaces_the_old_one_whole_and_leaves_nothing_beside(tmp_pat
 def test_the_command_line_stays_light() -> None:
     code = (
         "import sys; from linemate.daemon.operator import identify; "
-        "from linemate.daemon.recording import recordings; "
+        "from linemate.daemon.recording import reader; "
         "print([m for m in ('numpy', 'scipy', 'pinocchio', 'mcap', 'yaml', 'pydantic') "
         "if m in sys.modules])"
     )

@@ -13,11 +13,12 @@ from msgspec import structs
 from linemate.daemon.core.inputs import Order
 from linemate.daemon.cycle.cycle import LogEntry
 from linemate.daemon.operator import main as tool
-from linemate.daemon.recording.recording import StepRecord
-from linemate.daemon.recording.recordings import pieces, read
-from linemate.daemon.recording.replay import InForce, StateBefore, Texts, distance, replay
-from linemate.daemon.recording.step_feed import Feed, described
+from linemate.daemon.recording.format import CellTexts, ParametersInForce, StateBefore
+from linemate.daemon.recording.reader import pieces, read
+from linemate.daemon.recording.step_codec import StepRecord
 from linemate.daemon.recording.step_file import StepFile
+from linemate.daemon.recording.step_items import StepItems, metadata_of
+from linemate.daemon.recording.step_replay import distance, replay
 
 STEPS = 120
 TEXTS = {"config": "task: wheel.yaml\n", "task": TASK.text, "urdf": TASK.urdf}
@@ -32,11 +33,11 @@ def entries(world: World, count: int, order: Order = Order.HOLD) -> Iterator[Log
         )
 
 
-def record(path: Path, steps: Iterator[LogEntry], feed: Feed | None = None) -> Path:
-    file, feed = StepFile(path.open("wb"), described(TEXTS)), feed or Feed()
+def record(path: Path, steps: Iterator[LogEntry], feed: StepItems | None = None) -> Path:
+    file, feed = StepFile(path.open("wb"), metadata_of(TEXTS)), feed or StepItems()
     for entry in steps:
-        for item in feed.of(entry):
-            file.put(item)
+        for item in feed.convert(entry):
+            file.write_item(item)
     file.close()
     return path
 
@@ -129,12 +130,12 @@ def test_a_recording_that_begins_in_the_middle_replays_from_its_own_state(tmp_pa
 
 
 def test_steps_that_were_dropped_are_bridged_by_a_state(tmp_path: Path) -> None:
-    feed = Feed()
+    feed = StepItems()
 
     def with_a_gap() -> Iterator[LogEntry]:
         for entry in entries(World(parameters()), 60):
             if 20 <= entry.inputs.k < 30:
-                feed.lost()
+                feed.drop_step()
                 continue
             yield entry
 
@@ -158,7 +159,7 @@ def test_other_parameters_in_the_middle_are_replayed_from_their_own_step_on(
 
     path = record(tmp_path / "swapped.mcap", swapped())
     found = list(pieces(path))
-    assert [piece.k for piece in found if isinstance(piece, InForce)] == [0, 40]
+    assert [piece.k for piece in found if isinstance(piece, ParametersInForce)] == [0, 40]
     assert sum(isinstance(piece, StateBefore) for piece in found) == 1
     assert all(not v.changes and v.unmade is None for v in replay(found))
 
@@ -176,10 +177,12 @@ def test_one_flipped_bit_of_a_command_is_found(whole: Path) -> None:
 
 def test_an_older_recording_without_states_begins_where_the_robot_was(tmp_path: Path) -> None:
     path = tmp_path / "older.mcap"
-    file = StepFile(path.open("wb"), described(TEXTS))
+    file = StepFile(path.open("wb"), metadata_of(TEXTS))
     for entry in entries(World(parameters()), 40):
-        for item in Feed().of(structs.replace(entry, before=None, after=None, parameters=None)):
-            file.put(item)
+        for item in StepItems().convert(
+            structs.replace(entry, before=None, after=None, parameters=None)
+        ):
+            file.write_item(item)
     file.close()
     verdicts = list(replay(pieces(path)))
     assert "begun at rest" in str(verdicts[0].begun)
@@ -204,10 +207,10 @@ def test_a_damaged_recording_says_how_many_of_its_steps_were_read(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "damaged.mcap"
-    file, feed = StepFile(path.open("wb"), described(TEXTS), 8192), Feed()
+    file, feed = StepFile(path.open("wb"), metadata_of(TEXTS), 8192), StepItems()
     for entry in entries(World(parameters()), STEPS):
-        for item in feed.of(entry):
-            file.put(item)
+        for item in feed.convert(entry):
+            file.write_item(item)
     file.close()
     data = bytearray(path.read_bytes())
     middle = len(data) // 2
@@ -245,7 +248,7 @@ def test_a_recording_has_its_texts_and_all_its_steps(whole: Path) -> None:
     assert recording.whole
     assert len(recording.steps) == STEPS
     assert recording.texts["urdf"] == TASK.urdf
-    assert isinstance(next(pieces(whole)), Texts)
+    assert isinstance(next(pieces(whole)), CellTexts)
 
 
 def test_a_distance_is_that_of_the_numbers_and_none_of_words() -> None:

@@ -25,7 +25,7 @@ from mcap.records import Channel, Chunk, Header, Message, Metadata
 
 from linemate.daemon.recording import bounded_mcap
 from linemate.daemon.recording.bounded_mcap import MAGIC, MIB, Damage, records
-from linemate.daemon.recording.step_feed import described
+from linemate.daemon.recording.step_items import metadata_of
 
 BOMB_BYTES = 96 * 1024
 MEMORY_MIB = 256
@@ -42,7 +42,7 @@ def built(*parts: Any) -> bytes:
 
 def head() -> bytes:
     """The beginning of a recording of ours."""
-    texts = described({"config": "task: wheel.yaml\n", "task": TASK.text, "urdf": TASK.urdf})
+    texts = metadata_of({"config": "task: wheel.yaml\n", "task": TASK.text, "urdf": TASK.urdf})
     return MAGIC + built(Header("", "linemate"), Metadata("linemate", dict(texts)))
 
 

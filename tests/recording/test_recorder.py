@@ -21,27 +21,20 @@ from linemate.daemon.core import step as stepping
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle.clock.timing import CycleTimes
 from linemate.daemon.cycle.cycle import LogEntry
+from linemate.daemon.recording.format import LAYOUT, METADATA, STEP, TIMING, Item, ItemKind
+from linemate.daemon.recording.reader import pieces
+from linemate.daemon.recording.reader import read as read_recording
 from linemate.daemon.recording.recorder import Recorder, Rotation
-from linemate.daemon.recording.recording import StepRecord, decode, differences
-from linemate.daemon.recording.recording_writer import Beginning, Told, Writer
-from linemate.daemon.recording.recordings import pieces
-from linemate.daemon.recording.recordings import read as read_recording
-from linemate.daemon.recording.replay import Verdict, replay
-from linemate.daemon.recording.revival import (
+from linemate.daemon.recording.step_codec import StepRecord, decode, differences
+from linemate.daemon.recording.step_file import StepFile
+from linemate.daemon.recording.step_replay import ReplayedStep, replay
+from linemate.daemon.recording.writer_process import RecordingStart, RecordingWriter, Report
+from linemate.daemon.recording.writer_restart import (
     FIRST_NS,
     LONGEST_NS,
     MOST_IN_A_ROW,
     STEADY_NS,
-    Revival,
-)
-from linemate.daemon.recording.step_file import (
-    LAYOUT,
-    METADATA,
-    TIMING,
-    TOPIC,
-    Item,
-    Kind,
-    StepFile,
+    WriterRestart,
 )
 
 Entries = tuple[LogEntry, ...]
@@ -58,7 +51,7 @@ def wait_for(holds: Callable[[], bool]) -> None:
 
 def read(path: Path) -> list[StepRecord]:
     with path.open("rb") as stream:
-        return [decode(message.data) for _, _, message in make_reader(stream).iter_messages(TOPIC)]
+        return [decode(message.data) for _, _, message in make_reader(stream).iter_messages(STEP)]
 
 
 @pytest.fixture
@@ -72,8 +65,8 @@ def test_a_recording_holds_every_step_and_all_that_a_replay_needs(
     recorder: Recorder, entries: Entries
 ) -> None:
     assert recorder.start() is None
-    recorder.take(entries[:12])
-    recorder.take(entries[12:])
+    recorder.record(entries[:12])
+    recorder.record(entries[12:])
     recorder.close()
     path = Path(recorder.status.file)
     records = read(path)
@@ -90,7 +83,7 @@ def test_a_recording_holds_every_step_and_all_that_a_replay_needs(
 
 
 def test_steps_outside_of_a_recording_are_not_taken(recorder: Recorder, entries: Entries) -> None:
-    recorder.take(entries)
+    recorder.record(entries)
     assert recorder.stop() == "nothing is being recorded"
     assert not list(recorder.directory.iterdir())
 
@@ -112,19 +105,19 @@ def test_a_writer_that_stands_still_costs_steps_that_are_counted_and_no_cycle(
     recorder.queue = 50
     assert recorder.start() is None
     wait_for(lambda: recorder.status.files == 1)
-    assert recorder.writer is not None
-    os.kill(recorder.writer, signal.SIGSTOP)
+    assert recorder.writer_pid is not None
+    os.kill(recorder.writer_pid, signal.SIGSTOP)
     try:
         taken, longest = 0, 0.0
         while recorder.status.dropped < 100:
             assert taken < 100_000
             began = time.thread_time()
-            recorder.take(entries)
+            recorder.record(entries)
             longest = max(longest, time.thread_time() - began)
             taken += len(entries)
             assert len(recorder._waiting) < 50 + 6
     finally:
-        os.kill(recorder.writer, signal.SIGCONT)
+        os.kill(recorder.writer_pid, signal.SIGCONT)
     wait_for(lambda: recorder.status.written > taken - recorder.status.dropped - 100)
     recorder.close()
     assert recorder.status.written == taken - recorder.status.dropped
@@ -141,7 +134,7 @@ def test_a_directory_that_is_gone_is_a_reason_and_no_exception(
 def test_a_step_that_cannot_be_packed_is_counted(recorder: Recorder, entries: Entries) -> None:
     recorder.start()
     bad = LogEntry(1, object(), entries[0].inputs, entries[0].outputs)  # type: ignore[arg-type]
-    recorder.take([bad, entries[0]])
+    recorder.record([bad, entries[0]])
     recorder.close()
     assert recorder.status.unfit == 1
     assert recorder.status.written == 1
@@ -149,19 +142,19 @@ def test_a_step_that_cannot_be_packed_is_counted(recorder: Recorder, entries: En
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
 def test_a_full_disk_ends_the_recording_and_nothing_else(tmp_path: Path) -> None:
-    told: list[Told] = []
-    writer = Writer(told.append)
-    writer.begin(Beginning(1, "/dev/full", {}, 65_536, 0.0, Rotation()))
-    writer.take([Item(Kind.STEP, 1, b"step")])
-    writer.look(1.0)
+    told: list[Report] = []
+    writer = RecordingWriter(told.append)
+    writer.begin(RecordingStart(1, "/dev/full", {}, 65_536, 0.0, Rotation()))
+    writer.write([Item(ItemKind.STEP, 1, b"step")])
+    writer.flush_if_due(1.0)
     assert "No space left" in told[-1]["failure"]
     assert told[-1]["ended"]
     path = tmp_path / "next.mcap"
-    writer.begin(Beginning(2, str(path), {}, 65_536, 0.0, Rotation()))
-    writer.take([Item(Kind.STEP, 1, b"step"), Item(Kind.END, 0)])
+    writer.begin(RecordingStart(2, str(path), {}, 65_536, 0.0, Rotation()))
+    writer.write([Item(ItemKind.STEP, 1, b"step"), Item(ItemKind.END, 0)])
     assert (told[-1]["number"], told[-1]["written"], told[-1]["failure"]) == (2, 1, "")
     with path.open("rb") as stream:
-        assert [m.data for _, _, m in make_reader(stream).iter_messages(TOPIC)] == [b"step"]
+        assert [m.data for _, _, m in make_reader(stream).iter_messages(STEP)] == [b"step"]
 
 
 def test_what_the_daemon_hears_as_failure_ends_the_recording_and_a_new_one_may_begin(
@@ -169,13 +162,13 @@ def test_what_the_daemon_hears_as_failure_ends_the_recording_and_a_new_one_may_b
 ) -> None:
     assert recorder.start() is None
     wait_for(lambda: recorder.status.files == 1)
-    assert recorder.writer is not None
-    os.kill(recorder.writer, signal.SIGKILL)
+    assert recorder.writer_pid is not None
+    os.kill(recorder.writer_pid, signal.SIGKILL)
     wait_for(lambda: not recorder.status.recording)
     assert "has ended" in recorder.status.failure
-    recorder.take(entries)
+    recorder.record(entries)
     assert recorder.start() is None
-    recorder.take(entries)
+    recorder.record(entries)
     recorder.close()
     assert (recorder.status.written, recorder.status.failure) == (len(entries), "")
 
@@ -203,17 +196,17 @@ KILLED = """
 import sys, time
 from pathlib import Path
 from linemate.daemon.recording.recorder import Recorder
-from linemate.daemon.recording.step_file import Item, Kind
+from linemate.daemon.recording.format import Item, ItemKind
 recorder = Recorder(Path(sys.argv[1]), {}, flush_s=0.05)
 recorder.start()
 for k in range(100):
-    recorder._enqueue(Item(Kind.STEP, k, b"step %d" % k))
-    recorder._push()
+    recorder._enqueue(Item(ItemKind.STEP, k, b"step %d" % k))
+    recorder._send_waiting()
 if sys.argv[2] == "daemon":
-    print(recorder.status.file, recorder.writer, flush=True)
+    print(recorder.status.file, recorder.writer_pid, flush=True)
 while recorder.status.written < 100 or Path(recorder.status.file).stat().st_size < 500:
     time.sleep(0.001)
-print(recorder.status.file, recorder.writer, flush=True)
+print(recorder.status.file, recorder.writer_pid, flush=True)
 time.sleep(30)
 """
 
@@ -229,7 +222,7 @@ def test_a_killed_daemon_loses_nothing_that_it_sent(tmp_path: Path) -> None:
     process.stdout.close()
     wait_for(lambda: not Path(f"/proc/{writer}/fd").exists() or is_over(int(writer)))
     with Path(path).open("rb") as stream:
-        found = [message.data for _, _, message in make_reader(stream).iter_messages(TOPIC)]
+        found = [message.data for _, _, message in make_reader(stream).iter_messages(STEP)]
     assert found == [b"step %d" % k for k in range(100)]
 
 
@@ -274,7 +267,7 @@ def chained(entries: Entries, parameters: Parameters) -> Entries:
     return tuple(made)
 
 
-def replayed(path: Path) -> list[Verdict]:
+def replayed(path: Path) -> list[ReplayedStep]:
     return list(replay(pieces(path)))
 
 
@@ -285,9 +278,9 @@ def test_a_file_that_is_full_is_followed_by_one_that_stands_for_itself(
     recorder = Recorder(tmp_path, texts, flush_s=0.01, rotation=Rotation(size_bytes=1))
     steps = chained(entries, parameters)
     assert recorder.start() is None
-    recorder.take(steps[:8])
+    recorder.record(steps[:8])
     wait_for(lambda: recorder.status.written == 8 and recorder._is_full)
-    recorder.take(steps[8:])
+    recorder.record(steps[8:])
     wait_for(lambda: recorder.status.files == 2)
     recorder.close()
     # A file of a byte is full at once: on a slow machine a third is begun before the end.
@@ -306,7 +299,7 @@ def test_a_file_that_is_old_is_followed_by_the_next(tmp_path: Path, entries: Ent
     assert recorder.start() is None
     for files in (2, 3, 4):
         wait_for(lambda: recorder.status.recording and recorder._is_full)
-        recorder.take(entries[:1])
+        recorder.record(entries[:1])
         wait_for(lambda: recorder.status.files >= files)  # noqa: B023 - called at once
     recorder.close()
     assert recorder.status.files == len(list(tmp_path.glob("*.mcap"))) >= 4
@@ -320,7 +313,7 @@ def test_the_oldest_recordings_make_room_and_nothing_else_is_touched(
         (tmp_path / name).write_bytes(b"x" * 1000)
     recorder = Recorder(tmp_path, TEXTS, rotation=Rotation(total_bytes=1500))
     assert recorder.start() is None
-    recorder.take(entries)
+    recorder.record(entries)
     recorder.close()
     left = {path.name for path in tmp_path.iterdir()}
     assert names[0] not in left
@@ -333,7 +326,7 @@ def test_a_disk_that_is_nearly_full_ends_the_recording_with_its_file_readable(
 ) -> None:
     recorder = Recorder(tmp_path, TEXTS, flush_s=0.01, rotation=Rotation(reserve_bytes=2**60))
     assert recorder.start() is None
-    recorder.take(entries)
+    recorder.record(entries)
     wait_for(lambda: not recorder.status.recording)
     recorder.close()
     assert "MiB are free" in recorder.status.failure
@@ -346,11 +339,11 @@ def test_dropped_steps_are_bridged_so_that_the_rest_replays(
     recorder = Recorder(tmp_path, {"task": task.text, "urdf": task.urdf})
     steps = chained(entries, parameters)
     assert recorder.start() is None
-    recorder.take(steps[:5])
+    recorder.record(steps[:5])
     recorder.queue = 0
-    recorder.take(steps[5:9])
+    recorder.record(steps[5:9])
     recorder.queue = 4096
-    recorder.take(steps[9:])
+    recorder.record(steps[9:])
     recorder.close()
     assert recorder.status.dropped == 4
     verdicts = replayed(Path(recorder.status.file))
@@ -362,9 +355,9 @@ def test_the_lines_for_people_and_the_times_of_cycles_stand_beside_the_steps(
     recorder: Recorder, entries: Entries
 ) -> None:
     recorder.start()
-    recorder.say(7, "link camera is down: nobody sends")
+    recorder.write_line(7, "link camera is down: nobody sends")
     times = CycleTimes(1, 8, None, None, 0, 100, 200, False, "idle")
-    recorder.take(entries, [times])
+    recorder.record(entries, [times])
     recorder.close()
     with Path(recorder.status.file).open("rb") as stream:
         told: dict[str, list[object]] = {}
@@ -390,31 +383,31 @@ def test_a_killed_writer_is_started_again_and_the_recording_goes_on(
     steps = chained(entries, parameters)
     half = len(steps) // 2
     assert recorder.start() is None
-    recorder.take(steps[:half])
+    recorder.record(steps[:half])
     wait_for(lambda: recorder.status.written == half)
-    first, writer = recorder.status.file, recorder.writer
+    first, writer = recorder.status.file, recorder.writer_pid
     assert writer is not None
     os.kill(writer, signal.SIGKILL)
     wait_for(lambda: not recorder.status.recording)
     assert "signal 9" in recorder.status.failure
-    recorder.take(steps[half : half + 2])
+    recorder.record(steps[half : half + 2])
     now_ns = 10 * SECOND_NS
-    recorder.tend(now_ns)
-    recorder.tend(now_ns + FIRST_NS - 1)
+    recorder.restart_writer_if_lost(now_ns)
+    recorder.restart_writer_if_lost(now_ns + FIRST_NS - 1)
     assert recorder.status.restarts == 0
     longest_s = 0.0
     while not recorder.status.recording:
         began = time.thread_time()
-        recorder.tend(now_ns + FIRST_NS)
+        recorder.restart_writer_if_lost(now_ns + FIRST_NS)
         longest_s = max(longest_s, time.thread_time() - began)
         time.sleep(0.002)
     assert longest_s < 0.004  # of a cycle of 12 ms
-    recorder.take(steps[half + 2 :])
+    recorder.record(steps[half + 2 :])
     recorder.close()
     status = recorder.status
     assert (status.restarts, status.dropped, status.failure) == (1, 2, "")
     assert status.file != first
-    assert recorder.writer is None
+    assert recorder.writer_pid is None
     verdicts = replayed(Path(status.file))
     assert len(verdicts) == len(steps) - half - 2
     assert not any(verdict.changes or verdict.unmade for verdict in verdicts)
@@ -422,38 +415,38 @@ def test_a_killed_writer_is_started_again_and_the_recording_goes_on(
 
 
 def test_starts_of_a_writer_grow_apart_and_end_after_eight_in_a_row() -> None:
-    revival: Revival[None] = Revival()
+    restart: WriterRestart[None] = WriterRestart()
     at_ns, starts = 0, []
     while at_ns < 400 * SECOND_NS:
         at_ns += SECOND_NS // 10
-        revival.tend(at_ns, lambda: None)
-        if revival.is_running:
+        restart.start_if_due(at_ns, lambda: None)
+        if restart.is_running:
             starts.append(at_ns)
-            wait_for(lambda: revival.taken() is not None)
+            wait_for(lambda: restart.pop_result() is not None)
     apart = [b - a for a, b in pairwise(starts)]
-    assert len(starts) == revival.restarts == MOST_IN_A_ROW
+    assert len(starts) == restart.restarts == MOST_IN_A_ROW
     assert apart == sorted(apart)
     assert starts[0] >= FIRST_NS
     assert max(apart) <= LONGEST_NS + SECOND_NS
-    assert revival.is_over
-    revival.reset()
-    revival.tend(at_ns, lambda: None)
-    revival.tend(at_ns + FIRST_NS, lambda: None)
-    assert revival.restarts == MOST_IN_A_ROW + 1
-    revival.close()
+    assert restart.is_over
+    restart.reset()
+    restart.start_if_due(at_ns, lambda: None)
+    restart.start_if_due(at_ns + FIRST_NS, lambda: None)
+    assert restart.restarts == MOST_IN_A_ROW + 1
+    restart.close()
 
 
 def test_a_writer_that_lived_for_a_minute_begins_a_new_row() -> None:
-    revival: Revival[None] = Revival()
+    restart: WriterRestart[None] = WriterRestart()
     at_ns = 0
     for _ in range(3 * MOST_IN_A_ROW):
         at_ns += STEADY_NS
-        revival.tend(at_ns, lambda: None)
+        restart.start_if_due(at_ns, lambda: None)
         at_ns += LONGEST_NS
-        revival.tend(at_ns, lambda: None)
-        wait_for(lambda: revival.taken() is not None)
-    assert revival.restarts == 3 * MOST_IN_A_ROW
-    revival.close()
+        restart.start_if_due(at_ns, lambda: None)
+        wait_for(lambda: restart.pop_result() is not None)
+    assert restart.restarts == 3 * MOST_IN_A_ROW
+    restart.close()
 
 
 def test_an_ordered_end_while_a_killed_writer_is_away_ends_the_wish_to_record(
@@ -461,16 +454,20 @@ def test_an_ordered_end_while_a_killed_writer_is_away_ends_the_wish_to_record(
 ) -> None:
     assert recorder.start() is None
     wait_for(lambda: recorder.status.files == 1)
-    assert recorder.writer is not None
-    os.kill(recorder.writer, signal.SIGKILL)
+    assert recorder.writer_pid is not None
+    os.kill(recorder.writer_pid, signal.SIGKILL)
     wait_for(lambda: not recorder.status.recording)
     assert recorder.stop() is None
     assert recorder.stop() == "nothing is being recorded"
-    recorder.tend(0)
-    recorder.tend(FIRST_NS)
-    wait_for(lambda: recorder.tend(FIRST_NS) is None and not recorder._revival.is_running)
+    recorder.restart_writer_if_lost(0)
+    recorder.restart_writer_if_lost(FIRST_NS)
+    wait_for(
+        lambda: (
+            recorder.restart_writer_if_lost(FIRST_NS) is None and not recorder._restart.is_running
+        )
+    )
     assert not recorder.status.recording
     assert recorder.start() is None
-    recorder.take(entries)
+    recorder.record(entries)
     recorder.close()
     assert recorder.status.written == len(entries)

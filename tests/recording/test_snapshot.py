@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from linemate.daemon.core.inputs import Inputs, Order
 from linemate.daemon.core.step import Outputs, State, step
 from linemate.daemon.recording import snapshot
-from linemate.daemon.recording.recording import decode, differences, encode
 from linemate.daemon.recording.snapshot import SnapshotError
+from linemate.daemon.recording.step_codec import decode, differences, encode
 
 
 @cache

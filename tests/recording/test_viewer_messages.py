@@ -15,8 +15,8 @@ from linemate.daemon.core import rotations
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle.cycle import LogEntry
 from linemate.daemon.recording import viewer_messages
-from linemate.daemon.recording.step_feed import Feed, described
 from linemate.daemon.recording.step_file import StepFile
+from linemate.daemon.recording.step_items import StepItems, metadata_of
 
 KINDS: dict[str, tuple[type, ...]] = {
     "object": (dict,),
@@ -52,14 +52,14 @@ def recording(
 ) -> Path:
     path = tmp_path_factory.mktemp("viewers") / "r.mcap"
     file, feed = (
-        StepFile(path.open("wb"), described({"urdf": task.urdf}), wall_offset_ns=10**18),
-        Feed(),
+        StepFile(path.open("wb"), metadata_of({"urdf": task.urdf}), wall_offset_ns=10**18),
+        StepItems(),
     )
     last = entries[-1]
     seen = replace(last.outputs, part=last.outputs.target, sensed=last.outputs.target)
     for entry in (*entries[:-2], replace(last, outputs=seen)):
-        for item in feed.of(entry):
-            file.put(item)
+        for item in feed.convert(entry):
+            file.write_item(item)
     file.close()
     return path
 

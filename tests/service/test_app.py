@@ -20,8 +20,8 @@ from linemate.daemon.config import config
 from linemate.daemon.config.files import PROTOCOL_DATA
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.core.parameters import Parameters
-from linemate.daemon.recording.recording import decode
-from linemate.daemon.recording.step_file import TOPIC
+from linemate.daemon.recording.format import STEP
+from linemate.daemon.recording.step_codec import decode
 from linemate.daemon.service import realtime
 from linemate.daemon.service.app import App, StartError
 from linemate.daemon.service.notify import Notifier
@@ -226,7 +226,7 @@ def test_every_telegram_is_answered_at_rest_and_recorded(
     run(main())
     (path,) = tmp_path.glob("*.mcap")
     with path.open("rb") as stream:
-        records = [decode(m.data) for _, _, m in make_reader(stream).iter_messages(TOPIC)]
+        records = [decode(m.data) for _, _, m in make_reader(stream).iter_messages(STEP)]
     answered = [record for record in records if record.ipoc is not None]
     # A step that the clock made before its late telegram is recorded without it.
     assert 20 - overdue[0] <= len(answered) <= 20

@@ -10,13 +10,14 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from linemate.daemon.cycle.cycle import LogEntry
-from linemate.daemon.recording.step_feed import Feed, described
-from linemate.daemon.recording.step_file import Kind, StepFile
+from linemate.daemon.recording.format import ItemKind
+from linemate.daemon.recording.step_file import StepFile
+from linemate.daemon.recording.step_items import StepItems, metadata_of
 from linemate.simulators.harness import lockstep, setup
 
 GOLDEN = Path(__file__).parent / "golden" / "wheel.mcap"
 OVERRIDES = ("scenario.lead_in_s=1.5", "scenario.duration_s=10.5")
-KEPT = frozenset({Kind.STEP, Kind.STATE, Kind.PARAMETERS})
+KEPT = frozenset({ItemKind.STEP, ItemKind.STATE, ItemKind.PARAMETERS})
 
 
 def make(path: Path) -> None:
@@ -24,12 +25,12 @@ def make(path: Path) -> None:
     made = setup.make("wheel", OVERRIDES)
     task = setup.shipped_task()
     texts = {"config": "task: wheel.yaml\n", "task": task.text, "urdf": task.urdf}
-    file, feed = StepFile(path.open("wb"), described(texts), chunk_bytes=1 << 20), Feed()
+    file, feed = StepFile(path.open("wb"), metadata_of(texts), chunk_bytes=1 << 20), StepItems()
 
     def keep(entry: LogEntry) -> None:
-        for item in feed.of(entry):
+        for item in feed.convert(entry):
             if item.kind in KEPT:
-                file.put(item)
+                file.write_item(item)
 
     lockstep.run(made, 0, on_step=keep)
     file.close()

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from linemate.daemon.operator.replay import compare, overrides_of, report
-from linemate.daemon.recording.recordings import read
+from linemate.daemon.recording.reader import read
 
 GOLDEN = Path(__file__).parent / "golden" / "wheel.mcap"
 TOLERANCE = 1e-6

@@ -14,7 +14,7 @@ from daemon_process import DaemonProcess
 from linemate.daemon.config import task_file
 from linemate.daemon.config.files import DAEMON_DATA, PROTOCOL_DATA
 from linemate.daemon.operator import main as tool
-from linemate.daemon.recording.recordings import read
+from linemate.daemon.recording.reader import read
 from linemate.protocol.rsi.rsi import RobotTelegram, RsiCodec, parse_config
 
 CYCLE_S = 0.012

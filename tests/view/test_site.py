@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from linemate.daemon.recording.recordings import UnreadableRecordingError
+from linemate.daemon.recording.format import UnreadableRecordingError
 from linemate.daemon.transport.http_server import NoPageError, Page
 from linemate.daemon.view.site import TapeSite
 

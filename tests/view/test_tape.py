@@ -12,10 +12,10 @@ from msgspec.structs import astuple
 from linemate.daemon.core.inputs import Order
 from linemate.daemon.cycle.clock.timing import CycleTimes
 from linemate.daemon.cycle.cycle import LogEntry
-from linemate.daemon.recording.recordings import UnreadableRecordingError
-from linemate.daemon.recording.recordings import read as read_steps
-from linemate.daemon.recording.step_feed import Feed, described
-from linemate.daemon.recording.step_file import Item, Kind, StepFile
+from linemate.daemon.recording.format import Item, ItemKind, UnreadableRecordingError
+from linemate.daemon.recording.reader import read as read_steps
+from linemate.daemon.recording.step_file import StepFile
+from linemate.daemon.recording.step_items import StepItems, metadata_of
 from linemate.daemon.view import foresight, tape
 from linemate.daemon.view.tape import MOST_ASKED, OVERVIEW, SPACING_NS, Tape
 
@@ -114,8 +114,8 @@ def recorded(path: Path, steps: int = 100) -> Path:
     """A recording in small chunks, as a daemon's recorder writes it."""
     texts = {"config": "task: wheel.yaml\n", "task": TASK.text, "urdf": TASK.urdf}
     file, feed, world = (
-        StepFile(path.open("wb"), described(texts), 8192),
-        Feed(),
+        StepFile(path.open("wb"), metadata_of(texts), 8192),
+        StepItems(),
         World(parameters()),
     )
     for k in range(steps):
@@ -123,12 +123,12 @@ def recorded(path: Path, steps: int = 100) -> Path:
         outputs = world.take(inputs)
         state = "idle" if k < steps // 2 else "armed"
         entry = LogEntry(k, state, inputs, outputs, before, world.state, world.parameters)
-        for item in feed.of(entry):
-            file.put(item)
+        for item in feed.convert(entry):
+            file.write_item(item)
         times = CycleTimes(k, inputs.stamp_ns, None, None, 0, None, 400_000, True, state)
-        file.put(Item(Kind.TIMING, inputs.stamp_ns, astuple(times)))
+        file.write_item(Item(ItemKind.TIMING, inputs.stamp_ns, astuple(times)))
         if k == 10:
-            file.put(Item(Kind.LINE, inputs.stamp_ns, ("alice ordered arm", 2)))
+            file.write_item(Item(ItemKind.LINE, inputs.stamp_ns, ("alice ordered arm", 2)))
     file.close()
     return path
 

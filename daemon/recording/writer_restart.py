@@ -1,8 +1,8 @@
-"""Starting the process that writes recordings again, after it has ended by itself.
+"""Restart of the writer process after it has ended by itself.
 
 Invariants:
-    * The work is done in a thread of its own: the loop neither waits for a process nor for a disk.
-    * The time between two starts grows, and after MOST_IN_A_ROW starts in a row there are no more.
+- A thread starts the process. The loop waits neither for a process nor for a disk.
+- The time between two starts grows. After MOST_IN_A_ROW starts in a row there are no more.
 """
 
 import logging
@@ -14,7 +14,7 @@ from typing import Final, Generic, TypeVar
 MOST_IN_A_ROW: Final = 8
 FIRST_NS: Final = 500_000_000  # from the end of a process to its next start [ns]
 LONGEST_NS: Final = 30_000_000_000
-STEADY_NS: Final = 60_000_000_000  # a process that has lived so long ends a row [ns]
+STEADY_NS: Final = 60_000_000_000  # a process that runs this long ends a row [ns]
 
 log = logging.getLogger(__name__)
 
@@ -22,11 +22,11 @@ T = TypeVar("T")
 
 
 @dataclass(slots=True)
-class Revival(Generic[T]):
-    """Starts, their number and their times.
+class WriterRestart(Generic[T]):
+    """Back-off between starts.
 
     Attributes:
-        restarts: that have been begun, in all.
+        restarts: number of starts since the daemon began.
     """
 
     restarts: int = 0
@@ -38,7 +38,7 @@ class Revival(Generic[T]):
 
     @property
     def is_running(self) -> bool:
-        """A start has been begun and not been taken."""
+        """A start has begun and its result has not been taken."""
         return self._work is not None
 
     @property
@@ -47,15 +47,15 @@ class Revival(Generic[T]):
         return self._in_a_row >= MOST_IN_A_ROW
 
     def reset(self) -> None:
-        """Begin a new row: an operator wants it."""
+        """Begin a new row of starts."""
         self._in_a_row, self._due_ns = 0, None
 
-    def tend(self, now_ns: int, start: Callable[[], T]) -> None:
-        """Begin a start when it is due; the process is known to have ended.
+    def start_if_due(self, now_ns: int, start: Callable[[], T]) -> None:
+        """Start the process when its back-off is over; it is known to have ended.
 
         Args:
             now_ns: monotonic time [ns].
-            start: does it; called in a thread.
+            start: starts the process; called in a thread.
         """
         if self._work is not None or self.is_over:
             return
@@ -74,12 +74,13 @@ class Revival(Generic[T]):
         if self.is_over:
             log.error(
                 "the process that writes recordings is started again for the last time: "
-                "%d in a row. `linemate record start` tries again.",
+                "%d starts in a row, limit %d. `linemate record start` tries again.",
                 self._in_a_row,
+                MOST_IN_A_ROW,
             )
 
-    def taken(self) -> "Future[T] | None":
-        """Return what a start came to, once; None if there is nothing yet."""
+    def pop_result(self) -> "Future[T] | None":
+        """Return the result of a start, once; None if there is none yet."""
         work = self._work
         if work is None or not work.done():
             return None
@@ -87,8 +88,8 @@ class Revival(Generic[T]):
         return work
 
     def close(self) -> "Future[T] | None":
-        """Wait for what runs; for the end of the process."""
+        """Wait for a start that runs, and return its result."""
         if self._thread is not None:
             self._thread.shutdown(wait=True)
             self._thread = None
-        return self.taken()
+        return self.pop_result()

@@ -12,8 +12,8 @@ from msgspec import structs
 
 from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.cycle.cycle import LogEntry
-from linemate.daemon.recording import recording
-from linemate.daemon.recording.recording import RecordingError, decode, differences, digest, encode
+from linemate.daemon.recording import step_codec
+from linemate.daemon.recording.step_codec import RecordingError, decode, differences, digest, encode
 from linemate.protocol.samples import DistanceSample
 
 
@@ -58,8 +58,8 @@ def test_minus_zero_is_not_zero(entries: tuple[LogEntry, ...]) -> None:
 @given(st.floats(), st.integers(-(2**63), 2**64 - 1))
 def test_any_float_and_any_stamp_come_back_exactly(number: float, stamp: int) -> None:
     inputs = Inputs(0, 5, None, (DistanceSample(stamp, number),))
-    packed = recording._pack(inputs)
-    again = recording._inputs(msgpack.unpackb(packed, use_list=False), recording.LAYOUT)
+    packed = step_codec._pack(inputs)
+    again = step_codec._inputs(msgpack.unpackb(packed, use_list=False), step_codec.LAYOUT)
     (sample,) = again.distance
     assert struct.pack("<d", sample.position) == struct.pack("<d", number)
     assert sample.stamp_ns == stamp
@@ -94,4 +94,4 @@ def test_a_digest_sees_shape_and_every_bit() -> None:
 
 def test_what_does_not_belong_into_a_recording_is_refused() -> None:
     with pytest.raises(TypeError, match="complex"):
-        recording._pack((1j,))
+        step_codec._pack((1j,))

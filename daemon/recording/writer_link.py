@@ -1,7 +1,8 @@
-"""The daemon's end of the process that writes recordings.
+"""The daemon's end of the socket to the writer process.
 
-Law of this file: nothing here waits, but ``close``. What the kernel has no room for stays with
-the caller; that the process is gone is a sentence, never an exception.
+Invariants:
+- Only ``close`` waits. What the kernel has no room for stays with the caller.
+- The end of the process is a text in ``lost``, never an exception.
 """
 
 import contextlib
@@ -16,16 +17,16 @@ import msgpack
 
 from linemate.daemon.recording.spawn import Spawned
 
-WRITER: Final = "linemate.daemon.recording.recording_writer"
-BUFFER: Final = 1_048_576
-ANSWER: Final = 65_536
+WRITER: Final = "linemate.daemon.recording.writer_process"
+SEND_BYTES: Final = 1_048_576
+RECEIVE_BYTES: Final = 65_536
 
 
 class WriterLink:
-    """One process that writes, and the socket to it.
+    """One writer process and the socket to it.
 
     Attributes:
-        lost: why the process is gone, empty while it is there.
+        lost: why the process has ended, empty while it runs.
     """
 
     def __init__(self) -> None:
@@ -40,14 +41,13 @@ class WriterLink:
         self._packer = msgpack.Packer()
         ours, theirs = socket.socketpair()
         with theirs:
-            ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER)
+            ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)
             command = [sys.executable, "-m", WRITER, str(theirs.fileno())]
-            # Wherever the daemon was found, by whatever means, the writer is found as well.
-            found = os.pathsep.join(path for path in sys.path if path)
+            # The writer imports linemate from where the daemon has it.
+            search_path = os.pathsep.join(path for path in sys.path if path)
             try:
-                # Not our standard input; its complaints go where ours go.
                 self._process = Spawned(
-                    command, {**os.environ, "PYTHONPATH": found}, theirs.fileno()
+                    command, {**os.environ, "PYTHONPATH": search_path}, theirs.fileno()
                 )
             except OSError:
                 ours.close()
@@ -57,15 +57,11 @@ class WriterLink:
 
     @property
     def pid(self) -> int:
-        """Its process id."""
+        """Process id of the writer."""
         return self._process.pid
 
     def send(self, message: Any) -> bool:
-        """Send a message, if the one before is out.
-
-        Returns:
-            Whether it was taken; False if it was not and never will be by itself.
-        """
+        """Send a message if the one before is out; return False if it was not taken."""
         if not self.flush():
             return False
         self._rest = self._packer.pack(message)
@@ -73,57 +69,52 @@ class WriterLink:
         return True
 
     def flush(self) -> bool:
-        """Hand on what is left of the last message; True if nothing is."""
+        """Send the rest of the last message; return True if nothing is left."""
         try:
             while self._rest:
                 self._rest = self._rest[self._socket.send(self._rest) :]
         except BlockingIOError:
             return False
         except OSError as error:
-            self._lose(error)
+            self._mark_lost(error)
             return False
         return True
 
-    def hear(self) -> list[dict[str, Any]]:
-        """Return what it has told since, oldest first."""
+    def receive(self) -> list[dict[str, Any]]:
+        """Return the reports that have come, oldest first."""
         try:
-            while data := self._socket.recv(ANSWER):
+            while data := self._socket.recv(RECEIVE_BYTES):
                 self._unpacker.feed(data)
-            self._lose(None)
+            self._mark_lost(None)
         except BlockingIOError:
             pass
         except OSError as error:
-            self._lose(error)
+            self._mark_lost(error)
         return list(self._unpacker)
 
-    def close(self, patience_s: float, last: Any = None) -> list[dict[str, Any]]:
-        """Let it finish, and end it.
+    def close(self, timeout_s: float, last: Any = None) -> list[dict[str, Any]]:
+        """End the process after a last message, and return its last reports.
 
         Args:
-            patience_s: until it is killed [s].
-            last: a message that it gets before.
-
-        Returns:
-            What it told at the end.
+            timeout_s: it is killed after this [s].
         """
-        end = time.monotonic() + patience_s
-        told = self.hear()
+        end_s = time.monotonic() + timeout_s
+        reports = self.receive()
         with contextlib.suppress(OSError):
-            self._socket.settimeout(patience_s)
+            self._socket.settimeout(timeout_s)
             self._socket.sendall(self._rest + (b"" if last is None else msgpack.packb(last)))
             self._socket.shutdown(socket.SHUT_WR)
         try:
-            self._process.wait(max(0.0, end - time.monotonic()))
+            self._process.wait(max(0.0, end_s - time.monotonic()))
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
         self._socket.setblocking(False)
-        told += self.hear()
+        reports += self.receive()
         self._socket.close()
-        return told
+        return reports
 
-    def _lose(self, error: OSError | None) -> None:
-        """Note that the process is gone, and how it ended as far as that is known yet."""
+    def _mark_lost(self, error: OSError | None) -> None:
         if self.lost:
             return
         code = self._process.poll()

@@ -25,8 +25,14 @@ from linemate.daemon.core import parameters as compiling
 from linemate.daemon.core import step as stepping
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.tracking.task import TaskFile
-from linemate.daemon.recording import recording, snapshot
-from linemate.daemon.recording.recording import StepRecord
+from linemate.daemon.recording import snapshot, step_codec
+from linemate.daemon.recording.format import (
+    CellTexts,
+    DamageReport,
+    ParametersInForce,
+    StateBefore,
+)
+from linemate.daemon.recording.step_codec import StepRecord
 from linemate.protocol.samples import RobotSample
 
 FIRST_STEPS = 50
@@ -37,62 +43,11 @@ class ReplayError(ValueError):
     """A recording that cannot be replayed, or parameters that do not fit; the message says why."""
 
 
-@dataclass(frozen=True, slots=True)
-class Texts:
-    """A piece: the texts of the cell, by name."""
-
-    texts: Mapping[str, str]
+Piece = CellTexts | StateBefore | ParametersInForce | StepRecord | DamageReport
 
 
 @dataclass(frozen=True, slots=True)
-class StateBefore:
-    """A piece: the state before step ``k``.
-
-    Attributes:
-        data: as ``snapshot.encode`` made it.
-        anew: it is not what the recorded step before it led to.
-    """
-
-    k: int
-    data: bytes
-    anew: bool = True
-
-
-@dataclass(frozen=True, slots=True)
-class InForce:
-    """A piece: parameters from step ``k`` on; ``settings`` as ``step_file`` tells them."""
-
-    k: int
-    settings: Mapping[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class Broken:
-    """A piece: the recording is damaged and cannot be read further.
-
-    Attributes:
-        reason: what is wrong with the file.
-        total: steps that the file should hold, None where its end is missing.
-    """
-
-    reason: str
-    read: int = 0
-    total: int | None = None
-
-    def __str__(self) -> str:
-        """Return a sentence for an operator."""
-        total = "an unknown number of" if self.total is None else str(self.total)
-        return (
-            f"damaged: {self.reason}. {self.read} of {total} steps were read. "
-            "Keep what can be read with `linemate recover FILE`."
-        )
-
-
-Piece = Texts | StateBefore | InForce | StepRecord | Broken
-
-
-@dataclass(frozen=True, slots=True)
-class Verdict:
+class ReplayedStep:
     """What became of one step.
 
     Attributes:
@@ -159,12 +114,12 @@ class Summary:
     """
 
     steps: int
-    first: Verdict
+    first: ReplayedStep
     largest: float | None
-    at: Verdict
+    at: ReplayedStep
 
 
-def replay(pieces: Iterable[Piece], overrides: Overrides | None = None) -> Iterator[Verdict]:
+def replay(pieces: Iterable[Piece], overrides: Overrides | None = None) -> Iterator[ReplayedStep]:
     """Make every recorded step again.
 
     Args:
@@ -209,17 +164,17 @@ def with_cycle(pieces: Iterable[Piece]) -> Iterator[Piece]:
     """Return the pieces, after telling the cycle time where an older recording does not."""
     rest = iter(pieces)
     first = list(islice(rest, FIRST_STEPS))
-    if not any(isinstance(piece, InForce) for piece in first):
+    if not any(isinstance(piece, ParametersInForce) for piece in first):
         steps = [piece.inputs for piece in first if isinstance(piece, StepRecord)]
         spans = [(b.stamp_ns - a.stamp_ns) / (b.k - a.k) for a, b in pairwise(steps) if b.k > a.k]
         if spans:
             cycle_s = max(1, round(statistics.median(spans) * 1e-6)) * 1e-3
-            at = 1 if isinstance(first[0], Texts) else 0
-            first.insert(at, InForce(steps[0].k, {"cycle_s": cycle_s}))
+            at = 1 if isinstance(first[0], CellTexts) else 0
+            first.insert(at, ParametersInForce(steps[0].k, {"cycle_s": cycle_s}))
     return chain(first, rest)
 
 
-def summarise(verdicts: Iterable[Verdict], tolerance: float = 0.0) -> dict[str, Summary]:
+def summarise(verdicts: Iterable[ReplayedStep], tolerance: float = 0.0) -> dict[str, Summary]:
     """Return what changed, by field, in the order in which it first did.
 
     Args:
@@ -286,16 +241,16 @@ class _Again:
         """In force."""
         return self._parameters
 
-    def hear(self, piece: Texts | StateBefore | InForce | Broken) -> None:
+    def hear(self, piece: CellTexts | StateBefore | ParametersInForce | DamageReport) -> None:
         """Take what is not a step."""
-        if isinstance(piece, Texts):
+        if isinstance(piece, CellTexts):
             self._read_cell(piece.texts)
-        elif isinstance(piece, InForce):
+        elif isinstance(piece, ParametersInForce):
             self._build(piece.settings)
         elif isinstance(piece, StateBefore):
             self._told = piece
 
-    def step(self, record: StepRecord) -> Verdict:
+    def step(self, record: StepRecord) -> ReplayedStep:
         """Make a step again."""
         inputs = record.inputs
         self.outputs = None
@@ -304,21 +259,21 @@ class _Again:
         begun = self._enter(record)
         if self._state is None:
             why = begun or "the state before it is not known"
-            return Verdict(inputs.k, inputs.stamp_ns, {}, unmade=why)
+            return ReplayedStep(inputs.k, inputs.stamp_ns, {}, unmade=why)
         try:
             self._state, outputs = stepping.step(self._state, inputs, self._parameters)
         except (ValueError, IndexError, TypeError, ArithmeticError) as error:
             self._state = self._next = None
             why = f"{type(error).__name__}: {error}"
-            return Verdict(inputs.k, inputs.stamp_ns, {}, unmade=why, begun=begun)
+            return ReplayedStep(inputs.k, inputs.stamp_ns, {}, unmade=why, begun=begun)
         self._next = inputs.k + 1
         self.outputs = outputs
         changes = {}
-        names = recording.differences(record, outputs)
+        names = step_codec.differences(record, outputs)
         if names:
-            made = recording.plain(outputs)
+            made = step_codec.plain(outputs)
             changes = {name: (record.outputs.get(name), made.get(name)) for name in names}
-        return Verdict(inputs.k, inputs.stamp_ns, changes, begun=begun)
+        return ReplayedStep(inputs.k, inputs.stamp_ns, changes, begun=begun)
 
     def _enter(self, record: StepRecord) -> str | None:
         """Have the state before a step; why it had to be made anew, None if it did not."""
