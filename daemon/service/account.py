@@ -7,7 +7,7 @@ The parts of a cycle come in the order in which they happen and are cleared with
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from linemate.daemon.cycle.clock.schedule import Schedule
+from linemate.daemon.cycle.clock.phase_lock import PhaseLock
 from linemate.daemon.cycle.clock.timing import CycleTimes, Incident, Timing
 from linemate.daemon.cycle.cycle import LogEntry
 from linemate.daemon.cycle.states import State
@@ -42,14 +42,14 @@ class Account:
         """
         self._step_ns, self._prepared = step_ns, False
 
-    def expected(self, schedule: Schedule) -> None:
+    def expected(self, lock: PhaseLock) -> None:
         """What was expected of this cycle.
 
         Args:
-            schedule: before its telegram, or its deadline.
+            lock: before its telegram, or its deadline.
         """
-        self._expected_ns = schedule.next_ns if schedule.locked else None
-        self._lead_ns = schedule.lead_ns
+        self._expected_ns = lock.next_ns if lock.is_locked else None
+        self._lead_ns = lock.lead_ns
 
     def missing(self, at_ns: int) -> None:
         """A telegram that was expected did not come.

@@ -26,9 +26,8 @@ from linemate.daemon.core.inputs import Order
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle import learning, states
 from linemate.daemon.cycle.answers import Answers
-from linemate.daemon.cycle.clock.clock import Clock
-from linemate.daemon.cycle.clock.pace import Pace
-from linemate.daemon.cycle.clock.schedule import Due, Kind
+from linemate.daemon.cycle.clock.phase_lock import Due, DueKind, PhaseLock
+from linemate.daemon.cycle.clock.timer import CycleTimer
 from linemate.daemon.cycle.clock.timing import Timing
 from linemate.daemon.cycle.cycle import Cycle
 from linemate.daemon.cycle.learning import Learner
@@ -139,11 +138,11 @@ class App:
         period_ns = round(parameters.cycle_s * 1e9)
         lead_ms = config.realtime.lead_ms
         lead_ns = None if lead_ms is None else round(lead_ms * 1e6)
-        self._clock = Clock(
+        self._timer = CycleTimer(
             self._on_due,
             self._failed,
             self._look,
-            Pace.free(period_ns, time.monotonic_ns(), lead_ns),
+            PhaseLock(period_ns, time.monotonic_ns(), lead_ns),
             attend=self._attend,
         )
         self.cycle.date = self._date
@@ -232,10 +231,10 @@ class App:
         if self._station.config.realtime.freeze_collector:
             # A last full collection takes some 50 ms: before the clock runs.
             self._collector.freeze()
-        self._clock.open()
+        self._timer.open()
 
     async def _close(self) -> None:
-        self._clock.close()
+        self._timer.close()
         self._commands.close()
         for link in self._links:
             link.close()
@@ -311,7 +310,7 @@ class App:
     def _attend(self, expected_ns: int) -> None:
         """Sleep until the expected telegram comes; nothing else is to be done before it."""
         if self.cycle.ready_reply is not None:
-            patience_ns = min(PATIENCE_NS, self._clock.schedule.period_ns // 4)
+            patience_ns = min(PATIENCE_NS, self._timer.lock.period_ns // 4)
             self._robot.attend(expected_ns + patience_ns)
 
     def _look(self) -> None:
@@ -323,7 +322,7 @@ class App:
         """Return when the controller's cycle began whose telegram has come [ns]."""
         if self._arrival is not None:
             return stamp_ns  # the clock has not followed the telegram before yet
-        return self._clock.pace.date(stamp_ns, cycles)
+        return self._timer.lock.date(stamp_ns, cycles)
 
     def _follow(self) -> None:
         """Let the clock follow the telegram that was answered; after the reply, it takes time."""
@@ -331,26 +330,28 @@ class App:
         verdict = self.cycle.verdict
         if stamp_ns is None or verdict is None:
             return
-        self._account.expected(self._clock.schedule)
-        anew = verdict.kind in {Telegram.FIRST, Telegram.NEW_SESSION}
-        self._clock.telegram(stamp_ns, verdict.missed + 1, anew=anew)
-        self.cycle.operating.wrong_cycle = self._clock.pace.phase.lasting_refusal
+        self._account.expected(self._timer.lock)
+        lock = self._timer.lock
+        restarts = verdict.kind in {Telegram.FIRST, Telegram.NEW_SESSION}
+        lock.follow(stamp_ns, verdict.missed + 1, restarts=restarts)
+        self._timer.arm()
+        self.cycle.operating.wrong_cycle = lock.estimate.lasting_refusal
 
     def _on_due(self, due: Due) -> None:
-        if due.kind is Kind.PREPARE:
+        if due.kind is DueKind.PREPARE:
             began_ns = time.monotonic_ns()
             if self.cycle.prepare(due.stamp_ns):
-                late_ns = self._clock.lateness.last_ns
+                late_ns = self._timer.lateness.last_ns
                 self._account.prepared(late_ns, time.monotonic_ns() - began_ns)
             return
         lost_s = self._station.config.watch.link_lost_s
         if self._telegram_ns is None or due.stamp_ns - self._telegram_ns > lost_s * 1e9:
-            self._clock.run_free()
+            self._timer.lock.run_free()
             if self._failing_ns is not None and due.stamp_ns - self._failing_ns > lost_s * 1e9:
                 self._failing_ns = None
-        elif self._clock.schedule.locked:
+        elif self._timer.lock.is_locked:
             self._account.missing(due.stamp_ns)
-        self._account.expected(self._clock.schedule)
+        self._account.expected(self._timer.lock)
         self.cycle.on_missing(due.stamp_ns)
         self._later()
 
@@ -428,12 +429,12 @@ class App:
         """Handle what operators sent; until the next step is due also what they send yet."""
         budget = self._station.config.command.budget
         self._commands.poll(budget)
-        schedule = self._clock.schedule
-        if schedule.locked:
-            until_ns = schedule.next_ns - schedule.lead_ns - GUEST_NS
+        lock = self._timer.lock
+        if lock.is_locked:
+            until_ns = lock.next_ns - lock.lead_ns - GUEST_NS
         else:
             # Without a robot there is nobody whom operators could hold up.
-            until_ns = time.monotonic_ns() + schedule.period_ns
+            until_ns = time.monotonic_ns() + lock.period_ns
         self._commands.invite(asyncio.get_running_loop(), until_ns, budget)
 
     def _tell_changes(self, now_ns: int) -> None:
@@ -515,9 +516,9 @@ class App:
 
         What else forbids it is told before a period that is not measured yet.
         """
-        phase = self._clock.pace.phase
+        estimate = self._timer.lock.estimate
         is_idle = self.cycle.machine.state is State.IDLE
-        return phase.arm_refusal if is_idle else phase.refusal
+        return estimate.arm_refusal if is_idle else estimate.refusal
 
     def _record(self, action: str) -> dict[str, Any]:
         if self._recorder is None:
@@ -547,7 +548,7 @@ class App:
             began_ns=self._began_ns,
             cycle=self.cycle,
             links=tuple(links),
-            clock=self._clock,
+            timer=self._timer,
             timing=self._account.timing,
             recorder=None if self._recorder is None else self._recorder.status,
             commands=self._commands.status(),

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from linemate.daemon.cycle.clock.clock import Clock
+from linemate.daemon.cycle.clock.timer import CycleTimer
 from linemate.daemon.cycle.clock.timing import Timing
 from linemate.daemon.cycle.cycle import Cycle
 from linemate.daemon.cycle.states import State
@@ -91,7 +91,7 @@ class Snapshot:
     began_ns: int
     cycle: Cycle
     links: tuple[LinkView, ...]
-    clock: Clock
+    timer: CycleTimer
     timing: Timing
     recorder: RecorderStatus | None
     commands: Mapping[str, Any]
@@ -105,10 +105,8 @@ def status(snapshot: Snapshot) -> dict[str, Any]:
     links = {view.status.name: _link(view, snapshot.now_ns) for view in snapshot.links}
     complaints = tuple(_complaints(snapshot, cycle, links))
     faulty = snapshot.cycle.machine.state is State.FAULT or snapshot.cycle.machine.latched
-    schedule = snapshot.clock.schedule
-    lateness = snapshot.clock.lateness
-    phase = snapshot.clock.pace.phase
-    measured_ns = phase.measured_ns
+    lock, lateness = snapshot.timer.lock, snapshot.timer.lateness
+    measured_ns = lock.estimate.measured_ns
     return {
         "version": VERSION,
         "health": "fault" if faulty else "degraded" if complaints else "healthy",
@@ -120,11 +118,11 @@ def status(snapshot: Snapshot) -> dict[str, Any]:
         "links": links,
         **snapshot.timing.summary(),
         "clock": {
-            "locked": schedule.locked,
+            "locked": lock.is_locked,
             "period_ms": None if measured_ns is None else round(measured_ns * 1e-6, 5),
-            "lead_ms": round(schedule.lead_ns * 1e-6, 4),
-            "relocks": phase.relocks,
-            "skipped": schedule.skipped,
+            "lead_ms": round(lock.lead_ns * 1e-6, 4),
+            "relocks": lock.estimate.relocks,
+            "skipped": lock.skipped,
             "wakes": lateness.wakes,
             "late_wakes": lateness.late,
             "worst_us": round(lateness.worst_ns / 1e3, 1),
@@ -187,8 +185,9 @@ def _complaints(
             yield f"link {name} is silent"
     if cycle["link"] != "healthy" and links["robot"]["up"]:
         yield f"the robot link is {cycle['link']}"
-    if snapshot.clock.pace.phase.refusal:
-        yield snapshot.clock.pace.phase.refusal
+    refusal = snapshot.timer.lock.estimate.refusal
+    if refusal:
+        yield refusal
     if snapshot.recorder is not None and snapshot.recorder.failure:
         yield f"recording ended: {snapshot.recorder.failure}"
     if snapshot.counters.get("faults"):

@@ -27,7 +27,7 @@ import can
 import serialx
 
 from linemate.daemon.config import parameter_list
-from linemate.daemon.cycle.clock import clock as daemon_clock
+from linemate.daemon.cycle.clock import timer as daemon_timer
 from linemate.drivers import sole_sender
 from linemate.drivers.datagrams import Address, DatagramSocket
 from linemate.drivers.stamps import SO_TIMESTAMPNS
@@ -533,7 +533,7 @@ def inhabited(world: VirtualTime) -> Iterator[None]:
         (DatagramSocket, "bound", bound),
         (select_module, "select", wait),
         (sole_sender, "keep_only", lambda endpoint, source: endpoint.keep_only(source)),
-        (daemon_clock, "Timer", lambda: VirtualTimer(world)),
+        (daemon_timer, "TimerFd", lambda: VirtualTimer(world)),
         (can, "Bus", lambda **_config: VirtualBus(world)),
         (serialx, "create_serial_connection", connect),
         # A DBC is parsed once a process: it takes longer than the second that is simulated.

@@ -10,7 +10,7 @@ import pytest
 from loops import run, until
 from msgspec import structs
 
-from linemate.daemon.cycle.clock.schedule import follow, free
+from linemate.daemon.cycle.clock.phase_lock import PhaseLock
 from linemate.daemon.cycle.clock.timing import CycleTimes, Incident, Timing
 from linemate.daemon.cycle.cycle import LogEntry
 from linemate.daemon.cycle.states import State
@@ -24,7 +24,9 @@ def test_a_prepared_cycle_is_accounted_for_with_its_parts(entries: tuple[LogEntr
     account = Account(Timing(T))
     entry = structs.replace(entries[3], ipoc=36)
     account.prepared(woken_late_ns=20_000, step_ns=300_000)
-    account.expected(follow(free(T, 0), entry.inputs.stamp_ns - 5_000, T, 500_000))
+    lock = PhaseLock(T, 0, 500_000)
+    lock.follow(entry.inputs.stamp_ns - 5_000 - T)
+    account.expected(lock)
     account.close([entry], turnaround_ns=70_000)
     (told,) = account.timing.last()
     assert told == CycleTimes(

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from linemate.daemon.cycle.clock import phase
+from linemate.daemon.cycle.clock import phase_lock
 from linemate.daemon.service.app import App
 from linemate.daemon.service.notify import Notifier
 from linemate.daemon.service.realtime import Host
@@ -68,7 +68,7 @@ def test_a_motion_at_a_wrong_cycle_is_held(monkeypatch: pytest.MonkeyPatch) -> N
     """The controller is 4 % off; from the middle of the approach on, 3 % is the limit."""
     run = Mismatched(planned(1.04))
     middle_ns = EPOCH_NS + round((dst_run.LEAD_IN_S + 0.6) * 1e9)
-    run._time.at(middle_ns, lambda: monkeypatch.setattr(phase, "TOLERANCE", 0.03))
+    run._time.at(middle_ns, lambda: monkeypatch.setattr(phase_lock, "TOLERANCE", 0.03))
     run.live()
     assert {"track", "hold"} <= set(run.oracle.states)
     assert "contact" not in run.oracle.states

@@ -12,14 +12,13 @@ import sys
 import time
 
 from linemate.daemon.config.settings import RealtimeSettings
-from linemate.daemon.cycle.clock.clock import Clock
-from linemate.daemon.cycle.clock.pace import Pace
-from linemate.daemon.cycle.clock.schedule import Due
+from linemate.daemon.cycle.clock.phase_lock import Due, PhaseLock
+from linemate.daemon.cycle.clock.timer import CycleTimer
 from linemate.daemon.service import realtime
 
 
-def between(period_ns: int, now_ns: int) -> Pace:
-    """Return a pace that runs free and wakes half a period after whole periods.
+def between(period_ns: int, now_ns: int) -> PhaseLock:
+    """Return a phase lock that runs free and wakes half a period after whole periods.
 
     The C timer wakes at those, on the same core with the same priority: where both wake at once one
     waits for the other, and is held to be late (ratios of 0.7 and of 3 within a minute).
@@ -29,8 +28,8 @@ def between(period_ns: int, now_ns: int) -> Pace:
         now_ns: monotonic time [ns].
     """
     whole_ns = now_ns // period_ns * period_ns
-    phase_ns = Pace.free(period_ns, whole_ns).wake_ns % period_ns
-    return Pace.free(period_ns, whole_ns + period_ns // 2 - phase_ns)
+    phase_ns = PhaseLock(period_ns, whole_ns).wake_ns % period_ns
+    return PhaseLock(period_ns, whole_ns + period_ns // 2 - phase_ns)
 
 
 async def run(period_ns: int) -> None:
@@ -38,7 +37,7 @@ async def run(period_ns: int) -> None:
     late_ns: list[int] = []
 
     def woken(_: Due) -> None:
-        late_ns.append(clock.lateness.last_ns)
+        late_ns.append(timer.lateness.last_ns)
 
     def tell() -> None:
         found, count = sorted(late_ns), len(late_ns)
@@ -51,12 +50,12 @@ async def run(period_ns: int) -> None:
     def fail(error: Exception) -> None:
         raise error
 
-    clock = Clock(woken, fail, lambda: None, between(period_ns, time.monotonic_ns()))
+    timer = CycleTimer(woken, fail, lambda: None, between(period_ns, time.monotonic_ns()))
     asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, tell)
     gc.collect()
     gc.freeze()
     gc.disable()
-    clock.open()
+    timer.open()
     print("ready", flush=True)
     await asyncio.Event().wait()
 

@@ -1,8 +1,7 @@
-"""The sampling clock: a timerfd that the loop watches, driven by the pace.
+"""Sampling timer: a timerfd that the event loop watches, armed by the phase lock.
 
-Law of this file: the timer and nothing else; which step is due is ``pace``'s. asyncio's own
-timers round to a millisecond, a timerfd wakes within 0.1 ms. Stamps are absolute, so a late wake
-does not delay the next one. Source: reference/real-time.md, sections 1 and 5.
+asyncio's own timers round to a millisecond; a timerfd wakes within 0.1 ms. Times are absolute, so
+a late wake does not delay the next one.
 """
 
 import asyncio
@@ -14,8 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
 
-from linemate.daemon.cycle.clock.pace import Pace
-from linemate.daemon.cycle.clock.schedule import Due, Kind, Schedule
+from linemate.daemon.cycle.clock.phase_lock import Due, DueKind, PhaseLock
 
 CLOCK_MONOTONIC: Final = 1
 TFD_FLAGS: Final = os.O_NONBLOCK | os.O_CLOEXEC
@@ -24,10 +22,10 @@ ITIMERSPEC: Final = struct.Struct("@llll")  # interval, value: seconds and nanos
 EXPIRATIONS: Final = struct.Struct("@Q")
 NS: Final = 1_000_000_000
 
-What = TypeVar("What")
+Argument = TypeVar("Argument")
 
 
-class Timer:
+class TimerFd:
     """One timerfd on the monotonic clock; os.timerfd_create where Python has it."""
 
     def __init__(self) -> None:
@@ -94,48 +92,41 @@ class Lateness:
     worst_ns: int = 0
     late: int = 0
 
-    def note(self, late_ns: int, bearable_ns: int) -> None:
+    def add(self, late_ns: int, limit_ns: int) -> None:
         """Count one wake."""
         self.wakes += 1
         self.last_ns = late_ns
         self.worst_ns = max(self.worst_ns, late_ns)
-        self.late += late_ns > bearable_ns
+        self.late += late_ns > limit_ns
 
 
 @dataclass(slots=True)
-class Clock:
-    """Calls what is due, in the loop.
+class CycleTimer:
+    """Wakes the loop when the phase lock says so, and calls what is due.
 
     Attributes:
-        on_due: does it; what it or ``attend`` raises is counted by the caller and never stops the
-            clock.
-        on_error: told of what the others raised.
-        look: takes telegrams that wait, so that none is called missing that is there already.
-        pace: which step is due when.
-        attend: waits for a telegram whose reply is ready, told when it is expected [ns].
+        on_due: makes a step.
+        on_error: gets what ``on_due`` or ``attend`` raised. The timer goes on.
+        poll: reads telegrams that wait, so that none of them is called missing.
+        attend: waits for a telegram whose reply is ready and that is expected then [ns].
     """
 
     on_due: Callable[[Due], None]
     on_error: Callable[[Exception], None]
-    look: Callable[[], None]
-    pace: Pace
+    poll: Callable[[], None]
+    lock: PhaseLock
     lateness: Lateness = field(default_factory=Lateness)
     attend: Callable[[int], None] = lambda _: None
-    _timer: Timer | None = None
+    _timer: TimerFd | None = None
     _loop: asyncio.AbstractEventLoop | None = None
     _armed_ns: int = 0
-
-    @property
-    def schedule(self) -> Schedule:
-        """Where the schedule stands."""
-        return self.pace.schedule
 
     def open(self) -> None:
         """Run on the running loop."""
         self._loop = asyncio.get_running_loop()
-        self._timer = Timer()
+        self._timer = TimerFd()
         self._loop.add_reader(self._timer.fileno(), self._wake)
-        self._arm()
+        self.arm()
 
     def close(self) -> None:
         """Stop."""
@@ -144,23 +135,9 @@ class Clock:
             self._timer.close()
             self._timer = None
 
-    def telegram(self, stamp_ns: int, cycles: int = 1, *, anew: bool = False) -> None:
-        """A telegram was answered: follow it.
-
-        Args:
-            stamp_ns: its arrival [ns].
-            cycles: of the controller since the telegram before.
-            anew: it begins a session.
-        """
-        self.pace.telegram(stamp_ns, cycles, anew=anew)
-        self._arm()
-
-    def run_free(self) -> None:
-        """The robot is gone; keep the period alone."""
-        self.pace.run_free()
-
-    def _arm(self) -> None:
-        self._armed_ns = self.pace.wake_ns
+    def arm(self) -> None:
+        """Wake when the phase lock says so; to be called when a telegram has moved it."""
+        self._armed_ns = self.lock.wake_ns
         if self._timer is not None:
             self._timer.arm(self._armed_ns)
 
@@ -168,24 +145,23 @@ class Clock:
         now_ns = time.monotonic_ns()
         if self._timer is None or self._timer.read() == 0:
             return
-        armed_ns = self._armed_ns
+        armed_ns, lock = self._armed_ns, self.lock
         # A telegram in the same turn of the loop may have moved the wake into the future.
         if now_ns >= armed_ns:
-            self.lateness.note(now_ns - armed_ns, self.schedule.period_ns // 4)
-        self.look()
-        for one in self.pace.wake(now_ns):
-            self._do(self.on_due, one)
-            if one.kind is Kind.PREPARE:
-                began_ns = one.stamp_ns - self.schedule.lead_ns
-                self.pace.prepared(time.monotonic_ns() - began_ns)
+            self.lateness.add(now_ns - armed_ns, lock.period_ns // 4)
+        self.poll()
+        for due in lock.take_due(now_ns):
+            self._call(self.on_due, due)
+            if due.kind is DueKind.PREPARE:
+                lock.add_cost(time.monotonic_ns() - (due.stamp_ns - lock.lead_ns))
         # Only now: until shortly before its telegram there is time for everything else.
-        expected_ns = self.pace.attend(time.monotonic_ns())
+        expected_ns = lock.attend(time.monotonic_ns())
         if expected_ns is not None:
-            self._do(self.attend, expected_ns)
-        self._arm()
+            self._call(self.attend, expected_ns)
+        self.arm()
 
-    def _do(self, action: Callable[[What], None], what: What) -> None:
+    def _call(self, action: Callable[[Argument], None], argument: Argument) -> None:
         try:
-            action(what)
-        except Exception as error:  # noqa: BLE001 - the clock must outlive a fault
+            action(argument)
+        except Exception as error:  # noqa: BLE001 - the timer must outlive a fault
             self.on_error(error)

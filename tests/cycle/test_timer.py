@@ -1,4 +1,4 @@
-"""The clock on a real timerfd: a few cycles of a few milliseconds."""
+"""The timer on a real timerfd: a few cycles of a few milliseconds."""
 
 import asyncio
 import itertools
@@ -9,15 +9,14 @@ from typing import Any
 import pytest
 from loops import run, until
 
-from linemate.daemon.cycle.clock.clock import Clock, Timer
-from linemate.daemon.cycle.clock.pace import Pace
-from linemate.daemon.cycle.clock.schedule import ATTEND_NS, Due, Kind
+from linemate.daemon.cycle.clock.phase_lock import ATTEND_NS, Due, DueKind, PhaseLock
+from linemate.daemon.cycle.clock.timer import CycleTimer, TimerFd
 
 T = 4_000_000
 
 
 def test_a_timer_expires_once_at_its_time() -> None:
-    timer = Timer()
+    timer = TimerFd()
     assert timer.read() == 0
     at_ns = time.monotonic_ns() + 2_000_000
     timer.arm(at_ns)
@@ -29,14 +28,14 @@ def test_a_timer_expires_once_at_its_time() -> None:
 
 
 def test_a_time_that_has_passed_expires_at_once() -> None:
-    timer = Timer()
+    timer = TimerFd()
     timer.arm(-5)
     assert timer.read() == 1
     timer.close()
 
 
 def test_a_closed_timer_says_so() -> None:
-    timer = Timer()
+    timer = TimerFd()
     timer.close()
     with pytest.raises(OSError, match="Bad file descriptor"):
         timer.arm(1)
@@ -44,7 +43,7 @@ def test_a_closed_timer_says_so() -> None:
 
 @pytest.mark.skipif(hasattr(os, "timerfd_create"), reason="Python has its own")
 def test_the_timers_own_structure_has_the_kernels_size() -> None:
-    from linemate.daemon.cycle.clock.clock import ITIMERSPEC
+    from linemate.daemon.cycle.clock.timer import ITIMERSPEC
 
     assert ITIMERSPEC.size == 32
 
@@ -53,19 +52,19 @@ def test_without_telegrams_the_clock_steps_by_itself_on_its_grid() -> None:
     async def main() -> None:
         stamps: list[int] = []
         began_ns = time.monotonic_ns()
-        clock = Clock(
+        timer = CycleTimer(
             lambda due: stamps.append(due.stamp_ns),
             lambda error: pytest.fail(str(error)),
             lambda: None,
-            Pace.free(T, began_ns),
+            PhaseLock(T, began_ns),
         )
-        clock.open()
+        timer.open()
         await until(lambda: len(stamps) >= 5)
-        clock.close()
+        timer.close()
         count = len(stamps)
         assert {b - a for a, b in itertools.pairwise(stamps)} == {T}
         assert stamps[0] == began_ns + T
-        assert clock.lateness.wakes >= 1
+        assert timer.lateness.wakes >= 1
         await asyncio.sleep(2 * T / 1e9)
         assert len(stamps) == count
 
@@ -74,19 +73,20 @@ def test_without_telegrams_the_clock_steps_by_itself_on_its_grid() -> None:
 
 def test_a_telegram_puts_the_step_off_and_a_preparation_comes_before_it() -> None:
     async def main() -> None:
-        told: list[Due] = []
-        clock = Clock(
-            told.append,
+        calls: list[Due] = []
+        timer = CycleTimer(
+            calls.append,
             lambda error: pytest.fail(str(error)),
             lambda: None,
-            Pace.free(50 * T, time.monotonic_ns(), 20 * T),
+            PhaseLock(50 * T, time.monotonic_ns(), 20 * T),
         )
-        clock.open()
+        timer.open()
         stamp_ns = time.monotonic_ns() - 28 * T
-        clock.telegram(stamp_ns)
-        await until(lambda: bool(told))
-        assert told == [Due(Kind.PREPARE, stamp_ns + 50 * T)]
-        clock.close()
+        timer.lock.follow(stamp_ns)
+        timer.arm()
+        await until(lambda: bool(calls))
+        assert calls == [Due(DueKind.PREPARE, stamp_ns + 50 * T)]
+        timer.close()
 
     run(main())
 
@@ -94,21 +94,22 @@ def test_a_telegram_puts_the_step_off_and_a_preparation_comes_before_it() -> Non
 @pytest.mark.parametrize("lead", [20, 6])
 def test_a_telegram_is_waited_for_once_its_step_is_made_and_it_is_about_to_come(lead: int) -> None:
     async def main() -> None:
-        told: list[Any] = []
-        clock = Clock(
-            told.append,
+        calls: list[Any] = []
+        timer = CycleTimer(
+            calls.append,
             lambda error: pytest.fail(str(error)),
             lambda: None,
-            Pace.free(50 * T, time.monotonic_ns(), lead * T),
-            attend=lambda expected_ns: told.append((expected_ns, time.monotonic_ns())),
+            PhaseLock(50 * T, time.monotonic_ns(), lead * T),
+            attend=lambda expected_ns: calls.append((expected_ns, time.monotonic_ns())),
         )
-        clock.open()
+        timer.open()
         stamp_ns = time.monotonic_ns() - 40 * T
-        clock.telegram(stamp_ns)
-        await until(lambda: len(told) >= 2)
-        clock.close()
-        preparation, (expected_ns, now_ns) = told[:2]
-        assert preparation == Due(Kind.PREPARE, stamp_ns + 50 * T)
+        timer.lock.follow(stamp_ns)
+        timer.arm()
+        await until(lambda: len(calls) >= 2)
+        timer.close()
+        preparation, (expected_ns, now_ns) = calls[:2]
+        assert preparation == Due(DueKind.PREPARE, stamp_ns + 50 * T)
         assert expected_ns == stamp_ns + 50 * T
         assert now_ns >= expected_ns - ATTEND_NS
 
@@ -117,37 +118,38 @@ def test_a_telegram_is_waited_for_once_its_step_is_made_and_it_is_about_to_come(
 
 def test_telegrams_that_wait_are_taken_before_any_is_called_missing() -> None:
     async def main() -> None:
-        told: list[Due] = []
-        clock: Clock | None = None
+        calls: list[Due] = []
+        timer: CycleTimer | None = None
 
         def look() -> None:
-            assert clock is not None
-            clock.telegram(time.monotonic_ns())
+            assert timer is not None
+            timer.lock.follow(time.monotonic_ns())
+            timer.arm()
 
-        clock = Clock(
-            told.append,
+        timer = CycleTimer(
+            calls.append,
             lambda error: pytest.fail(str(error)),
             look,
-            Pace.free(T, time.monotonic_ns()),
+            PhaseLock(T, time.monotonic_ns()),
         )
-        clock.open()
-        await until(lambda: clock.lateness.wakes >= 3)
-        assert told == []
-        clock.close()
+        timer.open()
+        await until(lambda: timer.lateness.wakes >= 3)
+        assert calls == []
+        timer.close()
 
     run(main())
 
 
-def test_what_a_step_raises_is_told_and_the_clock_goes_on() -> None:
+def test_what_a_step_raises_is_reported_and_the_timer_goes_on() -> None:
     async def main() -> None:
         errors: list[Exception] = []
 
         def fail(due: Due) -> None:
             raise RuntimeError(str(due.stamp_ns))
 
-        clock = Clock(fail, errors.append, lambda: None, Pace.free(T, time.monotonic_ns()))
-        clock.open()
+        timer = CycleTimer(fail, errors.append, lambda: None, PhaseLock(T, time.monotonic_ns()))
+        timer.open()
         await until(lambda: len(errors) >= 3)
-        clock.close()
+        timer.close()
 
     run(main())
