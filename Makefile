@@ -64,8 +64,7 @@ fuzz: .venv/.ok
 OWN_TESTS := tests/protocol tests/cycle/test_states.py tests/cycle/test_states_transcript.py \
 	tests/cycle/test_watch.py tests/core/control/test_limits.py tests/core/control/test_limits_transcript.py
 JUDGED := daemon/cycle/states.py,daemon/cycle/watch.py,daemon/core/control/limits.py,protocol/exchange*.py
-JUDGED := $(JUDGED),protocol/rsi/*.py,protocol/command/*.py,protocol/units.py,protocol/sensors/slcan.py
-JUDGED := $(JUDGED),protocol/sensors/camera*.py,protocol/sensors/distance*.py,protocol/sensors/wrench*.py
+JUDGED := $(JUDGED),protocol/rsi/*.py,protocol/command/*.py,protocol/sensors/*.py,protocol/units.py
 
 coverage: .venv/.ok
 	COVERAGE_FILE=.coverage.judged .venv/bin/python -m coverage run -m pytest -q $(OWN_TESTS) $(ARGS)

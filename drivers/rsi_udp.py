@@ -20,7 +20,7 @@ from linemate.drivers.backoff import Backoff
 from linemate.drivers.datagrams import Address, Datagram, DatagramLink, DatagramSocket
 from linemate.drivers.link import why
 from linemate.drivers.sole_sender import SoleSender
-from linemate.protocol.rsi.rsi_expected import ReadyReply
+from linemate.protocol.rsi.expected_telegram import ReadyReply
 
 BUDGET = 64  # datagrams read at once
 SENDERS = 4  # told apart in one read

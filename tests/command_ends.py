@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from linemate.daemon.service.command_server import CommandPort, LocalDoor, UdpDoor
-from linemate.protocol.command.command import Role
-from linemate.protocol.command.command_client import Answer, ClientCore, More
-from linemate.protocol.command.command_keys import Key, make_key
-from linemate.protocol.command.command_session import CommandClient, CommandServer
+from linemate.protocol.command.authenticated import CommandClient, CommandServer
+from linemate.protocol.command.client_core import Answer, ClientCore, More
+from linemate.protocol.command.frame_codec import Role
+from linemate.protocol.command.preshared_keys import Key, make_key
 
 MS = 1_000_000
 S = 1_000_000_000

@@ -183,8 +183,8 @@ def main() -> int:
         print(_pour((host, int(port)), flood))
         return 0
     failed = False
-    from linemate.protocol.command.command import Role
-    from linemate.protocol.command.command_keys import key_line, make_key
+    from linemate.protocol.command.frame_codec import Role
+    from linemate.protocol.command.preshared_keys import key_line, make_key
 
     for port in ("command", "camera", "robot"):
         with tempfile.TemporaryDirectory() as name:

@@ -15,16 +15,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from linemate.protocol.command import command, command_plain, command_request
+from linemate.protocol.command import frame_codec, payloads, requests
 from linemate.protocol.errors import ProtocolError
-from linemate.protocol.rsi import rsi_config
-from linemate.protocol.rsi.rsi import RobotTelegram, RsiCodec, SensorTelegram, parse_config
-from linemate.protocol.sensors import camera, slcan
-from linemate.protocol.sensors.camera import CameraDecoder, CameraError, CameraMessage
+from linemate.protocol.rsi import ethernet_config
+from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, SensorTelegram, parse_config
+from linemate.protocol.sensors import camera_codec, slcan
+from linemate.protocol.sensors.bota import bota_frame
+from linemate.protocol.sensors.camera_codec import CameraDecoder, CameraError, CameraMessage
 from linemate.protocol.sensors.distance import DistanceDecoder, DistanceEncoder
+from linemate.protocol.sensors.ft300 import ft300_frame
 from linemate.protocol.sensors.wrench import make_decoder
-from linemate.protocol.sensors.wrench_bota import bota_frame
-from linemate.protocol.sensors.wrench_ft300 import ft300_frame
 
 DATA = Path(__file__).resolve().parents[1] / "protocol" / "data"
 SIX = (0.1, -0.2, 0.3, -0.4, 0.5, -0.6)
@@ -60,7 +60,9 @@ def _rsi() -> tuple[Wire, Wire, Wire]:
     return (
         Wire((robot, robot.replace(b" />", b"/>")), codec.parse_robot),
         Wire((reply,), codec.parse_sensor),
-        Wire((config, (DATA / "rsi_joints_setpoints.xml").read_bytes()), rsi_config.parse_config),
+        Wire(
+            (config, (DATA / "rsi_joints_setpoints.xml").read_bytes()), ethernet_config.parse_config
+        ),
     )
 
 
@@ -72,13 +74,13 @@ def _camera() -> Wire:
     decoder = CameraDecoder()
 
     def parse(data: bytes) -> object:
-        message = camera.decode(data)
+        message = camera_codec.decode(data)
         with contextlib.suppress(CameraError):  # the same image twice, or one too old
             sample = decoder.feed(data, 1_100_000_000)
             assert sample is None or abs(sum(v * v for v in sample.quaternion) - 1.0) < 1e-3
         return message, decoder.counters()
 
-    return Wire((camera.encode(message),), parse)
+    return Wire((camera_codec.encode(message),), parse)
 
 
 def _distance() -> Wire:
@@ -106,17 +108,17 @@ def _stream(device: str, frame: bytes) -> Wire:
 
 
 def _command() -> tuple[Wire, Wire, Wire]:
-    request = command_request.encode_request("set", {"values": {"watch.missed_s": 0.03}}, 1000)
-    body = command.frame_body(command.FrameType.REQUEST, 1, 2, 3, request)
-    result = command_plain.encode_result({"state": "idle", "steps": 3})
-    reply = command_plain.encode_reply(command_plain.Reply(ok=True, t=1, r=result))
+    request = requests.encode_request("set", {"values": {"watch.missed_s": 0.03}}, 1000)
+    body = frame_codec.frame_body(frame_codec.FrameType.REQUEST, 1, 2, 3, request)
+    result = payloads.encode_result({"state": "idle", "steps": 3})
+    reply = payloads.encode_reply(payloads.Reply(ok=True, t=1, r=result))
     return (
-        Wire((body + bytes(16),), command.cut_frame),
+        Wire((body + bytes(16),), frame_codec.cut_frame),
         Wire(
-            (request, command_request.encode_request("status", {}, 1)),
-            command_request.decode_request,
+            (request, requests.encode_request("status", {}, 1)),
+            requests.decode_request,
         ),
-        Wire((reply, result), command_plain.decode_reply),
+        Wire((reply, result), payloads.decode_reply),
     )
 
 

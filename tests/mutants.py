@@ -56,41 +56,41 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/protocol/test_exchange_transcript.py",
         "tests/protocol/test_exchange.py",
     ),
-    "protocol/rsi/rsi.py": (
+    "protocol/rsi/codec.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_corners.py",
-        "tests/protocol/test_rsi.py",
+        "tests/protocol/test_codec.py",
         "tests/protocol/test_edges.py",
     ),
-    "protocol/rsi/rsi_config.py": (
+    "protocol/rsi/ethernet_config.py": (
         "tests/protocol/test_wires_transcript.py",
-        "tests/protocol/test_rsi.py",
+        "tests/protocol/test_codec.py",
         "tests/protocol/test_edges.py",
     ),
-    "protocol/rsi/rsi_layout.py": (
+    "protocol/rsi/telegram_layout.py": (
         "tests/protocol/test_wires_transcript.py",
-        "tests/protocol/test_rsi.py",
+        "tests/protocol/test_codec.py",
         "tests/protocol/test_edges.py",
     ),
-    "protocol/rsi/rsi_read.py": (
+    "protocol/rsi/telegram_reader.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_corners.py",
-        "tests/protocol/test_rsi.py",
+        "tests/protocol/test_codec.py",
     ),
-    "protocol/rsi/rsi_scan.py": (
+    "protocol/rsi/xml_scan.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_corners.py",
-        "tests/protocol/test_rsi.py",
+        "tests/protocol/test_codec.py",
         "tests/protocol/test_edges.py",
     ),
-    "protocol/rsi/rsi_write.py": (
+    "protocol/rsi/telegram_writer.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_corners.py",
-        "tests/protocol/test_rsi.py",
+        "tests/protocol/test_codec.py",
     ),
-    "protocol/sensors/camera.py": (
+    "protocol/sensors/camera_codec.py": (
         "tests/protocol/test_wires_transcript.py",
-        "tests/protocol/test_camera.py",
+        "tests/protocol/test_camera_codec.py",
     ),
     "protocol/sensors/distance.py": (
         "tests/protocol/test_wires_transcript.py",
@@ -108,11 +108,11 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/protocol/test_slcan.py",
         "tests/protocol/test_edges.py",
     ),
-    "protocol/sensors/wrench_bota.py": (
+    "protocol/sensors/bota.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_wrench.py",
     ),
-    "protocol/sensors/wrench_ft300.py": (
+    "protocol/sensors/ft300.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_wrench.py",
         "tests/protocol/test_edges.py",
@@ -121,24 +121,24 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_wrench.py",
     ),
-    "protocol/command/command.py": (
-        "tests/protocol/test_command.py",
-        "tests/protocol/test_command_local.py",
+    "protocol/command/frame_codec.py": (
+        "tests/protocol/test_frame_codec.py",
+        "tests/protocol/test_local_server.py",
         "tests/protocol/test_edges.py",
     ),
-    "protocol/command/command_plain.py": (
+    "protocol/command/payloads.py": (
         "tests/protocol/test_edges.py",
-        "tests/protocol/test_command.py",
+        "tests/protocol/test_frame_codec.py",
     ),
-    "protocol/command/command_request.py": (
+    "protocol/command/requests.py": (
         "tests/protocol/test_edges.py",
-        "tests/protocol/test_command.py",
-        "tests/protocol/test_command_rules.py",
+        "tests/protocol/test_frame_codec.py",
+        "tests/protocol/test_conversation.py",
     ),
-    "protocol/command/command_session.py": (
-        "tests/protocol/test_session_edges.py",
+    "protocol/command/authenticated.py": (
+        "tests/protocol/test_authenticated_edges.py",
         "tests/protocol/test_corners.py",
-        "tests/protocol/test_command_session.py",
+        "tests/protocol/test_authenticated.py",
     ),
 }
 """What judges a mutant of each file, the quickest first."""
@@ -191,7 +191,7 @@ class Mutant:
 
 SHORT_CUTS = {
     "daemon/core/control/limits.py": frozenset({"_is_clear", "_stopping_way"}),
-    "protocol/rsi/rsi_write.py": frozenset({"_block"}),
+    "protocol/rsi/telegram_writer.py": frozenset({"_block"}),
 }
 """Functions that only spare work. Taken too often their answer would differ, which a test notices;
 taken too seldom it is the same: a mutant in them that survives is equivalent."""
@@ -249,7 +249,7 @@ EQUIVALENT: dict[str, dict[tuple[str, str], str]] = {
         ("self._anchor_ipoc = 0", "0 -> 1"): IDLE_MEMORY,
         ("self._anchor_ns = 0", "0 -> 1"): IDLE_MEMORY,
     },
-    "protocol/sensors/camera.py": {
+    "protocol/sensors/camera_codec.py": {
         (f"self.{name} = 0", "0 -> 1"): FIRST_POSE
         for name in ("reset", "t_tx", "arrival_ns", "candidates", "jumps")
     },
@@ -264,7 +264,7 @@ EQUIVALENT: dict[str, dict[tuple[str, str], str]] = {
             " signal.multiplexer_signal or signal.multiplexer_ids",
         ): "a signal has both or neither",
     },
-    "protocol/rsi/rsi.py": {
+    "protocol/rsi/codec.py": {
         (statement, "joints is not None and whole -> joints is not None or whole"): (
             "a controller tells all six joints or none"
         )
@@ -288,7 +288,7 @@ EQUIVALENT: dict[str, dict[tuple[str, str], str]] = {
             "first + len(fields) -> first - len(fields)",
         ): NO_SWEEP,
     },
-    "protocol/command/command_request.py": {
+    "protocol/command/requests.py": {
         (
             "width = {222: 2, 223: 4}.get(head, 0)",
             "0 -> 1",
@@ -311,7 +311,7 @@ EQUIVALENT: dict[str, dict[tuple[str, str], str]] = {
             "frame.extended + 2 * frame.remote -> frame.extended - 2 * frame.remote",
         ): "two from the end of four letters is two from their beginning",
     },
-    "protocol/sensors/wrench_bota.py": {
+    "protocol/sensors/bota.py": {
         ("crc = fastcrc.crc16.ibm_sdlc(data[1:35])", what): WHOLE_FRAME
         for what in ("1 -> 2", "35 -> 36")
     }

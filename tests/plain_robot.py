@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from linemate.protocol.rsi.rsi import RobotTelegram, RsiCodec, parse_config
+from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, parse_config
 from linemate.simulators.harness.setup import shipped_task
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -14,7 +14,7 @@ import sys
 import time
 from pathlib import Path
 
-from linemate.protocol.rsi.rsi import RobotTelegram, RsiCodec, RsiError, parse_config
+from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, RsiError, parse_config
 
 CYCLE_S = 0.012
 TIMEOUT = 25

@@ -31,10 +31,10 @@ from linemate.daemon.config.settings_tree import Settings
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.core.control import urdf_limits
 from linemate.drivers.camera_peer import parse_peer
-from linemate.protocol.command.command_keys import Key
-from linemate.protocol.rsi.rsi import RsiCodec
-from linemate.protocol.rsi.rsi_config import RsiConfig, parse_config
-from linemate.protocol.rsi.rsi_scan import RsiError
+from linemate.protocol.command.preshared_keys import Key
+from linemate.protocol.rsi.codec import RsiCodec
+from linemate.protocol.rsi.ethernet_config import RsiConfig, parse_config
+from linemate.protocol.rsi.xml_scan import RsiError
 from linemate.protocol.sensors.distance import DistanceDecoder, DistanceError, message_names
 
 T = TypeVar("T")

@@ -4,8 +4,8 @@ import os
 from pathlib import Path
 
 from linemate.daemon.config.files import UnreadableError
-from linemate.protocol.command.command import CommandError
-from linemate.protocol.command.command_keys import Key, parse_keys, unsafe_file
+from linemate.protocol.command.frame_codec import CommandError
+from linemate.protocol.command.preshared_keys import Key, parse_keys, unsafe_file
 
 CREDENTIAL = "credential:"
 MAX_BYTES = 65_536

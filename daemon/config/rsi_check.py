@@ -9,7 +9,7 @@ from typing import Any
 
 from linemate.daemon.config.settings import Corrections
 from linemate.daemon.core.tracking.task import Gate, TaskFile
-from linemate.protocol.rsi.rsi_config import PLACEHOLDER, Element, RsiConfig
+from linemate.protocol.rsi.ethernet_config import PLACEHOLDER, Element, RsiConfig
 
 JOINT_WORDS = frozenset({"AK", "AKorr"})
 EXTERNAL_WORDS = frozenset({"EK", "EKorr"})

@@ -29,8 +29,8 @@ from linemate.daemon.cycle.session import Axes, Session, standing
 from linemate.daemon.cycle.states import Machine, State
 from linemate.daemon.cycle.step_log import LONGEST_LOG, LogEntry, StepLog
 from linemate.protocol.exchange import Exchange, Kind, Verdict
-from linemate.protocol.rsi.rsi import PreparedReply, RobotTelegram, RsiCodec, RsiError
-from linemate.protocol.rsi.rsi_expected import ReadyReply
+from linemate.protocol.rsi.codec import PreparedReply, RobotTelegram, RsiCodec, RsiError
+from linemate.protocol.rsi.expected_telegram import ReadyReply
 from linemate.protocol.samples import (
     CameraSample,
     DistanceSample,

@@ -7,8 +7,8 @@ refuses it. External axes that it has elements for and the arm does not have sta
 
 from typing import cast
 
-from linemate.protocol.rsi.rsi import PreparedReply, RsiCodec, SensorTelegram
-from linemate.protocol.rsi.rsi_layout import EXTERNAL_AXES
+from linemate.protocol.rsi.codec import PreparedReply, RsiCodec, SensorTelegram
+from linemate.protocol.rsi.telegram_layout import EXTERNAL_AXES
 from linemate.protocol.samples import Vector6
 
 

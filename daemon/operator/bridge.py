@@ -23,7 +23,7 @@ from linemate.daemon.transport.client import (
     RefusedError,
     default_socket_path,
 )
-from linemate.protocol.command.command import CommandError
+from linemate.protocol.command.frame_codec import CommandError
 
 if TYPE_CHECKING:
     import zenoh

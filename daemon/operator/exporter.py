@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from linemate.daemon.operator import metrics
 from linemate.daemon.transport.client import Client, NoAnswerError, RefusedError
-from linemate.protocol.command.command import CommandError
+from linemate.protocol.command.frame_codec import CommandError
 
 if TYPE_CHECKING:
     from linemate.daemon.transport.http_server import Server

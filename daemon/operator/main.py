@@ -26,7 +26,7 @@ from linemate.daemon.transport.client import (
     read_key,
 )
 from linemate.daemon.version import Version
-from linemate.protocol.command.command import CommandError, Role
+from linemate.protocol.command.frame_codec import CommandError, Role
 
 OK: Final = 0
 NOT_OK: Final = 1
@@ -217,7 +217,7 @@ def _operate(args: argparse.Namespace) -> int:
 
 
 def _keygen(args: argparse.Namespace) -> int:
-    from linemate.protocol.command.command_keys import (
+    from linemate.protocol.command.preshared_keys import (
         KEY_BYTES,
         key_line,
         make_key,

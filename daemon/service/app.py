@@ -54,8 +54,8 @@ from linemate.drivers.link import NOT_OPENED
 from linemate.drivers.rsi_udp import RsiLink
 from linemate.drivers.serial_port import SerialLink
 from linemate.protocol.exchange import Kind as Telegram
-from linemate.protocol.rsi.rsi import RsiCodec
-from linemate.protocol.sensors.camera import CameraDecoder
+from linemate.protocol.rsi.codec import RsiCodec
+from linemate.protocol.sensors.camera_codec import CameraDecoder
 from linemate.protocol.sensors.distance import DistanceDecoder
 from linemate.protocol.sensors.wrench import BAUD_RATES, make_decoder, make_host
 

@@ -24,12 +24,12 @@ from typing import Any, Final
 
 from linemate.drivers import port_holder
 from linemate.drivers.sole_sender import attach
-from linemate.protocol.command.command import MAGIC, MAX_FRAME_BYTES, Role
-from linemate.protocol.command.command_keys import Key
-from linemate.protocol.command.command_local import LocalAccess, LocalServer
-from linemate.protocol.command.command_request import OPERATIONS
-from linemate.protocol.command.command_rules import REFUSED, ControlLease, Order
-from linemate.protocol.command.command_session import CommandServer
+from linemate.protocol.command.authenticated import CommandServer
+from linemate.protocol.command.conversation import REFUSED, ControlLease, Order
+from linemate.protocol.command.frame_codec import MAGIC, MAX_FRAME_BYTES, Role
+from linemate.protocol.command.local_server import LocalAccess, LocalServer
+from linemate.protocol.command.preshared_keys import Key
+from linemate.protocol.command.requests import OPERATIONS
 
 Result = Mapping[str, Any]
 Handler = Callable[[str, dict[str, Any], str, str], Result | asyncio.Future[Any]]

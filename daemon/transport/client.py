@@ -13,12 +13,12 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from linemate.protocol.command.command import LOCAL_LIMIT_BYTES, CommandError
-from linemate.protocol.command.command_client import Answer, ClientCore, Event, More, Telemetry
-from linemate.protocol.command.command_local_client import LocalClient
+from linemate.protocol.command.client_core import Answer, ClientCore, Event, More, Telemetry
+from linemate.protocol.command.frame_codec import LOCAL_LIMIT_BYTES, CommandError
+from linemate.protocol.command.local_client import LocalClient
 
 if TYPE_CHECKING:
-    from linemate.protocol.command.command_keys import Key
+    from linemate.protocol.command.preshared_keys import Key
 
 SOCKET_NAME: Final = "linemate/command.sock"
 DEFAULT_PORT: Final = 49160
@@ -80,7 +80,7 @@ def read_key(path: Path, name: str | None = None) -> "Key":
     Raises:
         KeyFileError: missing, another's, readable by others, malformed, or no such name.
     """
-    from linemate.protocol.command.command_keys import parse_keys, unsafe_file
+    from linemate.protocol.command.preshared_keys import parse_keys, unsafe_file
 
     try:
         with path.open(encoding="utf-8") as file:
@@ -256,7 +256,7 @@ class Client:
         if self._key is None:
             return LocalClient()
         # The local socket needs no keys: what UDP needs is loaded with the first of its sessions.
-        from linemate.protocol.command.command_session import CommandClient
+        from linemate.protocol.command.authenticated import CommandClient
 
         return CommandClient(self._key, int.from_bytes(os.urandom(8)))
 

@@ -14,7 +14,7 @@ from linemate.daemon.transport.client import Client, RefusedError
 from linemate.daemon.view.board import Board
 from linemate.daemon.view.frames import Framer
 from linemate.daemon.view.scene import Scene, of
-from linemate.protocol.command.command import CommandError
+from linemate.protocol.command.frame_codec import CommandError
 
 RATE_HZ: Final = 25.0
 STATUS_S: Final = 1.0

@@ -2,19 +2,19 @@
 
 Law of this file: names and a table, no logic. A configuration names a device; here that name
 becomes a decoder, the host's end of its start-up dialogue and, for an emulator, the device's.
-A further device is one file beside ``wrench_bota`` and one line in each table.
+A further device is one file beside ``bota`` and one line in each table.
 """
 
 from typing import Protocol
 
-from linemate.protocol.sensors.wrench_bota import (
+from linemate.protocol.sensors.bota import (
     BotaDecoder,
     BotaDevice,
     BotaHost,
     BotaSettings,
     bota_frame,
 )
-from linemate.protocol.sensors.wrench_ft300 import (
+from linemate.protocol.sensors.ft300 import (
     Ft300Device,
     Ft300Host,
     Robotiq300Decoder,

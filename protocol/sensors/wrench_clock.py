@@ -7,7 +7,7 @@ be late, never early: the smallest difference of the last seconds is the offset.
 """
 
 from linemate.protocol.samples import WrenchSample
-from linemate.protocol.sensors.camera_clock import ClockOffset
+from linemate.protocol.sensors.clock_offset import ClockOffset
 
 WRAP_US = 1 << 32
 LONGEST_LATE_NS = 50_000_000

@@ -8,7 +8,7 @@ Invariants:
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from linemate.protocol.sensors.camera import CameraMessage, encode
+from linemate.protocol.sensors.camera_codec import CameraMessage, encode
 
 
 @dataclass(slots=True)

@@ -17,7 +17,7 @@ from typing import Literal
 from msgspec import Struct
 
 from linemate.protocol.exchange import ControllerCounts, ControllerExchange, Judgement
-from linemate.protocol.rsi.rsi import (
+from linemate.protocol.rsi.codec import (
     Channel,
     Element,
     RobotTelegram,

@@ -22,7 +22,7 @@ from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.task import TaskFile
 from linemate.daemon.cycle.cycle import Cycle, LogEntry
 from linemate.daemon.cycle.states import State
-from linemate.protocol.rsi.rsi import RsiCodec, parse_config
+from linemate.protocol.rsi.codec import RsiCodec, parse_config
 from linemate.simulators.devices.faults import KINDS, Faults
 from linemate.simulators.devices.faulty_link import FaultyLink
 from linemate.simulators.devices.robot_plant import RobotPlant

@@ -15,7 +15,7 @@ from operator import itemgetter
 
 from linemate.daemon.cycle.cycle import Cycle
 from linemate.protocol.errors import ProtocolError
-from linemate.protocol.sensors.camera import CameraDecoder
+from linemate.protocol.sensors.camera_codec import CameraDecoder
 from linemate.protocol.sensors.distance import DistanceDecoder, DistanceEncoder
 from linemate.protocol.sensors.wrench import make_decoder, make_host
 from linemate.simulators.devices.camera_sender import CameraSender

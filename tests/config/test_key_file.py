@@ -9,8 +9,8 @@ from command_ends import key_of
 from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.key_file import read_keys
 from linemate.daemon.transport.client import KeyFileError, read_key
-from linemate.protocol.command.command import Role
-from linemate.protocol.command.command_keys import key_line
+from linemate.protocol.command.frame_codec import Role
+from linemate.protocol.command.preshared_keys import key_line
 
 ALICE = key_of("alice", Role.OPERATE, 1)
 EVE = key_of("eve", Role.VIEW, 2)

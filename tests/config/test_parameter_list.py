@@ -16,8 +16,8 @@ from linemate.daemon.config.parameter_list import (
 )
 from linemate.daemon.config.settings import CameraSettings, Config, RecordingSettings
 from linemate.daemon.config.watch_settings import WatchSettings
-from linemate.protocol.command.command import MAX_RESULT_BYTES
-from linemate.protocol.command.command_plain import encode_result
+from linemate.protocol.command.frame_codec import MAX_RESULT_BYTES
+from linemate.protocol.command.payloads import encode_result
 from linemate.simulators.harness.setup import shipped_control
 
 CONFIG = replace(Config("t"), control=shipped_control(), watch=WatchSettings(healthy_cycles=7))

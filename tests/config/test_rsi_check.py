@@ -11,7 +11,7 @@ from linemate.daemon.config import config
 from linemate.daemon.config.documents import FileError
 from linemate.daemon.config.files import PROTOCOL_DATA
 from linemate.daemon.cycle.replies import Replies
-from linemate.protocol.rsi.rsi import RsiCodec, RsiError, parse_config
+from linemate.protocol.rsi.codec import RsiCodec, RsiError, parse_config
 
 SHIPPED = (PROTOCOL_DATA / "rsi_joints.xml").read_text(encoding="utf-8")
 DELAY = '<ELEMENT TAG="DEF_Delay" TYPE="LONG" INDX="INTERNAL"/>'

@@ -21,7 +21,7 @@ from linemate.daemon.cycle.correction_reference import CONFIRMATIONS, Proof
 from linemate.daemon.cycle.cycle import CATCH_UP_S, LONGEST_LOG, Cycle, Inbox
 from linemate.daemon.cycle.operating import SETTLING
 from linemate.daemon.cycle.states import State
-from linemate.protocol.rsi.rsi import RobotTelegram, RsiCodec, SensorTelegram, parse_config
+from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, SensorTelegram, parse_config
 from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
 
 PERIOD = 12_000_000

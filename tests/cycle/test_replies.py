@@ -1,7 +1,7 @@
 """A command as a reply: what the configuration has elements for, and nothing else."""
 
 from linemate.daemon.cycle.replies import Replies
-from linemate.protocol.rsi.rsi import RsiCodec, parse_config
+from linemate.protocol.rsi.codec import RsiCodec, parse_config
 
 AXES = tuple(f"AK.A{n}" for n in range(1, 7))
 START = (0.0, -1.5, 1.5, 0.0, 0.5, 0.0, 0.0)

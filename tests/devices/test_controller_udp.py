@@ -13,7 +13,7 @@ from loops import run, until
 
 from linemate import protocol
 from linemate.drivers.rsi_udp import RsiLink
-from linemate.protocol.rsi.rsi import RsiCodec, SensorTelegram, parse_config
+from linemate.protocol.rsi.codec import RsiCodec, SensorTelegram, parse_config
 from linemate.simulators.devices.links.controller_udp import ControllerUdp
 from linemate.simulators.devices.rsi_controller import (
     Applied,

@@ -8,7 +8,7 @@ import pytest
 
 from linemate import protocol
 from linemate.protocol.exchange import Judgement
-from linemate.protocol.rsi.rsi import RsiCodec, RsiConfig, SensorTelegram, parse_config
+from linemate.protocol.rsi.codec import RsiCodec, RsiConfig, SensorTelegram, parse_config
 from linemate.simulators.devices.rsi_controller import (
     Applied,
     ControllerConfig,

@@ -2,7 +2,7 @@
 
 import pytest
 
-from linemate.protocol.sensors.camera import CameraDecoder
+from linemate.protocol.sensors.camera_codec import CameraDecoder
 from linemate.protocol.sensors.distance import DistanceDecoder, DistanceEncoder
 from linemate.protocol.sensors.wrench import WrenchError, make_decoder, make_host
 from linemate.simulators.devices.camera_sender import CameraSender

@@ -12,7 +12,7 @@ from loops import run, until
 
 from linemate.drivers.backoff import Backoff
 from linemate.drivers.rsi_udp import RsiLink
-from linemate.protocol.rsi.rsi_expected import ExpectedTelegram, ReadyReply
+from linemate.protocol.rsi.expected_telegram import ExpectedTelegram, ReadyReply
 
 
 class Anything(ExpectedTelegram):

@@ -15,7 +15,7 @@ from linemate.drivers.datagrams import DatagramSocket
 from linemate.drivers.rsi_udp import RsiLink
 from linemate.drivers.sole_sender import SoleSender, keep_only, only_from
 from linemate.protocol.samples import CameraSample
-from linemate.protocol.sensors.camera import CameraDecoder
+from linemate.protocol.sensors.camera_codec import CameraDecoder
 from linemate.simulators.devices.camera_sender import CameraSender
 
 Sender = socket.socket

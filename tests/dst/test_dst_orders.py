@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from linemate.daemon.service.app import App
-from linemate.protocol.command.command_session import CommandServer
+from linemate.protocol.command.authenticated import CommandServer
 from linemate.simulators.lab.faults.dst_orders import NAMES, CommandWire
 
 NOW_NS = 10**15

@@ -91,5 +91,5 @@ def test_what_is_no_address_is_wrong_usage(text: str) -> None:
 
 def test_the_digest_knows_sources_and_shipped_files() -> None:
     names = [name for name, _ in cluster._sources()]
-    assert {"daemon/core/step.py", "daemon/data/wheel.yaml", "protocol/rsi/rsi.py"} <= set(names)
+    assert {"daemon/core/step.py", "daemon/data/wheel.yaml", "protocol/rsi/codec.py"} <= set(names)
     assert cluster.digest() == cluster.digest()

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from linemate.protocol.rsi.rsi import RsiCodec, SensorTelegram, parse_config
+from linemate.protocol.rsi.codec import RsiCodec, SensorTelegram, parse_config
 from linemate.simulators.lab.bench import bench_player
 from linemate.simulators.lab.bench.bench_trace import DISTANCE_NS, StationTrace
 

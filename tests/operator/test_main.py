@@ -16,8 +16,8 @@ from command_ends import key_of, open_port, served
 from linemate.daemon.operator import render
 from linemate.daemon.operator.main import main
 from linemate.daemon.service.command_server import CommandPort
-from linemate.protocol.command.command import Role
-from linemate.protocol.command.command_keys import key_line, parse_keys
+from linemate.protocol.command.frame_codec import Role
+from linemate.protocol.command.preshared_keys import key_line, parse_keys
 
 ALICE = key_of("alice", Role.OPERATE, 1)
 
@@ -299,10 +299,10 @@ def test_a_status_loads_nothing_that_it_does_not_need() -> None:
         [sys.executable, "-c", LOADED], capture_output=True, text=True, check=True
     )
     loaded = set(done.stdout.split())
-    assert "linemate.protocol.command.command_local_client" in loaded
+    assert "linemate.protocol.command.local_client" in loaded
     rooms = ("daemon.operator.replay", "daemon.operator.export", "daemon.operator.doctor")
     unwanted = {
-        f"linemate.{room}" for room in (*rooms, "protocol.command.command_session", "daemon.view")
+        f"linemate.{room}" for room in (*rooms, "protocol.command.authenticated", "daemon.view")
     }
     assert not loaded & (
         unwanted

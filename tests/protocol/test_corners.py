@@ -9,7 +9,10 @@ import cantools
 import pytest
 from command_ends import MS, START_NS, World, client_address, key_of
 
-from linemate.protocol.command.command import (
+from linemate.protocol.command.authenticated import CommandClient
+from linemate.protocol.command.client_core import Answer
+from linemate.protocol.command.conversation import ControlLease, Conversation, Order
+from linemate.protocol.command.frame_codec import (
     CommandError,
     FrameType,
     Role,
@@ -17,15 +20,12 @@ from linemate.protocol.command.command import (
     frame_body,
     local_body,
 )
-from linemate.protocol.command.command_client import Answer
-from linemate.protocol.command.command_keys import cookie_tagger
-from linemate.protocol.command.command_local import LocalServer
-from linemate.protocol.command.command_plain import decode_reply
-from linemate.protocol.command.command_request import encode_request
-from linemate.protocol.command.command_rules import ControlLease, Conversation, Order
-from linemate.protocol.command.command_session import CommandClient
+from linemate.protocol.command.local_server import LocalServer
+from linemate.protocol.command.payloads import decode_reply
+from linemate.protocol.command.preshared_keys import cookie_tagger
+from linemate.protocol.command.requests import encode_request
 from linemate.protocol.exchange import Exchange
-from linemate.protocol.rsi.rsi import (
+from linemate.protocol.rsi.codec import (
     RobotTelegram,
     RsiCodec,
     RsiError,
@@ -297,7 +297,7 @@ def test_a_genuine_cookie_of_another_length_opens_no_session() -> None:
 
 
 def test_the_bits_of_a_botas_status_are_those_of_its_manual() -> None:
-    from linemate.protocol.sensors import wrench_bota as bota
+    from linemate.protocol.sensors import bota
 
     bits = bota.STATUS_SKIPPED, bota.STATUS_OVERRANGE, bota.STATUS_INVALID, bota.STATUS_RAW
     assert bits == (1, 2, 4, 8)

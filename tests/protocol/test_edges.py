@@ -10,20 +10,20 @@ import msgpack
 import pytest
 from msgspec.structs import replace
 
-from linemate.protocol.command import command, command_plain, command_request
-from linemate.protocol.command.command import CommandError
-from linemate.protocol.rsi.rsi import RobotTelegram, RsiCodec, RsiError, parse_config
-from linemate.protocol.rsi.rsi_layout import robot_layout
-from linemate.protocol.rsi.rsi_scan import scan
+from linemate.protocol.command import frame_codec, payloads, requests
+from linemate.protocol.command.frame_codec import CommandError
+from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, RsiError, parse_config
+from linemate.protocol.rsi.telegram_layout import robot_layout
+from linemate.protocol.rsi.xml_scan import scan
 from linemate.protocol.sensors import slcan
 from linemate.protocol.sensors.distance import DistanceDecoder, DistanceEncoder, DistanceError
-from linemate.protocol.sensors.slcan import CanFrame, CommandDecoder, LineDecoder, SlcanError
-from linemate.protocol.sensors.wrench_ft300 import (
+from linemate.protocol.sensors.ft300 import (
     Ft300Device,
     Ft300Host,
     Robotiq300Decoder,
     ft300_frame,
 )
+from linemate.protocol.sensors.slcan import CanFrame, CommandDecoder, LineDecoder, SlcanError
 from linemate.protocol.units import DEG
 
 SHIPPED = (Path(__file__).resolve().parents[2] / "protocol/data/rsi_joints.xml").read_bytes()
@@ -334,19 +334,19 @@ def test_a_frame_is_cut_from_38_to_1200_bytes() -> None:
     for size, is_cut in ((37, False), (38, True), (1200, True), (1201, False)):
         data = head + bytes(size - 22)
         if is_cut:
-            frame = command.cut_frame(data)
+            frame = frame_codec.cut_frame(data)
             assert (len(frame.payload), frame.tag) == (size - 38, bytes(16))
             assert (frame.key_id, frame.session, frame.sequence) == (7, 8, 9)
         else:
             with pytest.raises(CommandError, match=f"length: {size} bytes"):
-                command.cut_frame(data)
+                frame_codec.cut_frame(data)
     for size, is_cut in ((21, False), (22, True), (1200, True), (1201, False)):
         data = head + bytes(max(0, size - 22)) if size >= 22 else head[:size]
         if is_cut:
-            assert command.cut_local(data).tag == b""
+            assert frame_codec.cut_local(data).tag == b""
         else:
             with pytest.raises(CommandError, match=f"length: {size} bytes"):
-                command.cut_local(data)
+                frame_codec.cut_local(data)
 
 
 @pytest.mark.parametrize(
@@ -361,12 +361,12 @@ def test_a_frame_is_cut_from_38_to_1200_bytes() -> None:
 )
 def test_a_foreign_head_is_named(head: tuple[bytes, int, int], what: str) -> None:
     with pytest.raises(CommandError) as told:
-        command.cut_frame(struct.pack(">2sBBHQQ", *head, 7, 8, 9) + bytes(16))
+        frame_codec.cut_frame(struct.pack(">2sBBHQQ", *head, 7, 8, 9) + bytes(16))
     assert str(told.value) == what
 
 
 def test_what_all_messages_share_is_as_specified() -> None:
-    assert {kind.name: int(kind) for kind in command.FrameType} == {
+    assert {kind.name: int(kind) for kind in frame_codec.FrameType} == {
         "HELLO": 1,
         "COOKIE": 2,
         "REQUEST": 3,
@@ -374,18 +374,26 @@ def test_what_all_messages_share_is_as_specified() -> None:
         "EVENT": 5,
         "CLOSE": 6,
     }
-    assert (command.TAG_BYTES, command.COOKIE_BYTES, command.HANDSHAKE_BYTES) == (16, 16, 54)
-    assert (command.MAX_FRAME_BYTES, command.ROOM_BYTES) == (1200, 1162)
-    assert (command.MAX_RESULT_BYTES, command.PAGE_BYTES, command.MAX_PAGES) == (65536, 1024, 64)
-    assert (command.LOCAL_ROOM_BYTES, command.LOCAL_LIMIT_BYTES) == (65792, 65814)
-    assert (command.NS_PER_MS, command.MAX_AHEAD_MS) == (1_000_000, 5000)
+    assert (frame_codec.TAG_BYTES, frame_codec.COOKIE_BYTES, frame_codec.HANDSHAKE_BYTES) == (
+        16,
+        16,
+        54,
+    )
+    assert (frame_codec.MAX_FRAME_BYTES, frame_codec.ROOM_BYTES) == (1200, 1162)
+    assert (frame_codec.MAX_RESULT_BYTES, frame_codec.PAGE_BYTES, frame_codec.MAX_PAGES) == (
+        65536,
+        1024,
+        64,
+    )
+    assert (frame_codec.LOCAL_ROOM_BYTES, frame_codec.LOCAL_LIMIT_BYTES) == (65792, 65814)
+    assert (frame_codec.NS_PER_MS, frame_codec.MAX_AHEAD_MS) == (1_000_000, 5000)
 
 
 def test_an_event_is_a_map_of_its_time_and_its_data() -> None:
-    data = command_plain.encode_result({"a": 1, "b": "x"})
-    event = command_plain.encode_event(2**40, data)
+    data = payloads.encode_result({"a": 1, "b": "x"})
+    event = payloads.encode_event(2**40, data)
     assert event == msgpack.packb({"t": 2**40, "d": {"a": 1, "b": "x"}})
-    assert command_plain.decode_event(event) == (2**40, {"a": 1, "b": "x"})
+    assert payloads.decode_event(event) == (2**40, {"a": 1, "b": "x"})
 
 
 @pytest.mark.parametrize(
@@ -396,20 +404,20 @@ def test_a_time_is_a_whole_number_of_63_bits(time_ms: float, is_one: bool) -> No
     reply = msgpack.packb({"ok": True, "t": time_ms})
     request = msgpack.packb({"op": "status", "t": time_ms})
     if is_one:
-        assert command_plain.decode_event(event) == (time_ms, {})
-        assert command_plain.decode_reply(reply).t == time_ms
-        assert command_request.decode_request(request).deadline_ms == time_ms
+        assert payloads.decode_event(event) == (time_ms, {})
+        assert payloads.decode_reply(reply).t == time_ms
+        assert requests.decode_request(request).deadline_ms == time_ms
     else:
         for decode, payload in (
-            (command_plain.decode_event, event),
-            (command_plain.decode_reply, reply),
-            (command_request.decode_request, request),
+            (payloads.decode_event, event),
+            (payloads.decode_reply, reply),
+            (requests.decode_request, request),
         ):
             with pytest.raises(CommandError, match="malformed: "):
                 decode(payload)
 
 
-@pytest.mark.parametrize("op", sorted(command_request.OPERATIONS))
+@pytest.mark.parametrize("op", sorted(requests.OPERATIONS))
 def test_a_deadline_before_the_servers_beginning_is_its_beginning(op: str) -> None:
     params: dict[str, object] = {
         "get": {"names": ["a"]},
@@ -419,8 +427,8 @@ def test_a_deadline_before_the_servers_beginning_is_its_beginning(op: str) -> No
         "page": {"of": 1, "page": 1},
     }.get(op, {})  # type: ignore[assignment]
     for asked_ms, deadline_ms in ((-5, 0), (0, 0), (7, 7)):
-        payload = command_request.encode_request(op, params, asked_ms)
-        assert command_request.decode_request(payload) == (op, deadline_ms, params)
+        payload = requests.encode_request(op, params, asked_ms)
+        assert requests.decode_request(payload) == (op, deadline_ms, params)
 
 
 @pytest.mark.parametrize(
@@ -457,25 +465,24 @@ def test_a_deadline_before_the_servers_beginning_is_its_beginning(op: str) -> No
 def test_parameters_are_taken_to_their_ends_on_both_sides(
     op: str, good: dict[str, object], bad: dict[str, object]
 ) -> None:
-    payload = command_request.encode_request(op, good, 7)
-    assert command_request.decode_request(payload) == (op, 7, good)
+    payload = requests.encode_request(op, good, 7)
+    assert requests.decode_request(payload) == (op, 7, good)
     with pytest.raises(CommandError, match="malformed: "):
-        command_request.encode_request(op, bad, 7)
+        requests.encode_request(op, bad, 7)
     with pytest.raises(CommandError, match="malformed: "):
-        command_request.decode_request(msgpack.packb({"op": op, "t": 7, "p": bad}))
+        requests.decode_request(msgpack.packb({"op": op, "t": 7, "p": bad}))
 
 
 def test_an_operation_has_a_name_of_sixteen_letters_at_most() -> None:
     for size, kind in ((16, "unknown"), (17, "malformed")):
         with pytest.raises(CommandError) as told:
-            command_request.decode_request(msgpack.packb({"op": "x" * size, "t": 7}))
+            requests.decode_request(msgpack.packb({"op": "x" * size, "t": 7}))
         assert told.value.kind == kind
 
 
 def test_only_stop_and_retreat_are_taken_in_any_order_and_without_the_lease() -> None:
     table = {
-        op: (str(rule.role), rule.lease, rule.ordered)
-        for op, rule in command_request.OPERATIONS.items()
+        op: (str(rule.role), rule.lease, rule.ordered) for op, rule in requests.OPERATIONS.items()
     }
     viewing = dict.fromkeys(
         ("status", "params", "get", "scene", "subscribe", "page"), ("view", False, False)

@@ -22,7 +22,7 @@ from linemate.protocol.exchange_controller import HISTORY
 from linemate.protocol.exchange_controller import TABLE as CONTROLLER_TABLE
 from linemate.protocol.exchange_controller import Event as ControllerEvent
 from linemate.protocol.exchange_controller import State as ControllerState
-from linemate.protocol.rsi.rsi import (
+from linemate.protocol.rsi.codec import (
     RobotTelegram,
     RsiCodec,
     RsiError,

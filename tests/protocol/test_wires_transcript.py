@@ -13,14 +13,14 @@ from msgspec.structs import replace
 from transcripts import Chance, Transcript
 
 from linemate.protocol.errors import ProtocolError
-from linemate.protocol.rsi.rsi import RobotTelegram, RsiCodec, SensorTelegram, parse_config
-from linemate.protocol.sensors import camera, slcan
-from linemate.protocol.sensors.camera import CameraDecoder, CameraMessage
+from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, SensorTelegram, parse_config
+from linemate.protocol.sensors import camera_codec, slcan
+from linemate.protocol.sensors.bota import bota_frame
+from linemate.protocol.sensors.camera_codec import CameraDecoder, CameraMessage
 from linemate.protocol.sensors.distance import DistanceDecoder, DistanceEncoder
+from linemate.protocol.sensors.ft300 import ft300_frame
 from linemate.protocol.sensors.slcan import CommandDecoder, LineDecoder
 from linemate.protocol.sensors.wrench import make_decoder, make_device, make_host
-from linemate.protocol.sensors.wrench_bota import bota_frame
-from linemate.protocol.sensors.wrench_ft300 import ft300_frame
 
 DATA = Path(__file__).resolve().parents[2] / "protocol" / "data"
 MS = 1_000_000
@@ -161,7 +161,7 @@ def test_cameras_are_followed_as_they_always_were(part: int, digest: str) -> Non
     for script in range(8):
         decoder = CameraDecoder(*expected)
         for message, now_ns in _poses(Chance(f"camera/{script}")):
-            data = answered(camera.encode, message)
+            data = answered(camera_codec.encode, message)
             if not isinstance(data, bytes):
                 told.say(data)
                 continue

@@ -26,8 +26,8 @@ from linemate.daemon.service import realtime
 from linemate.daemon.service.app import App, StartError
 from linemate.daemon.service.notify import Notifier
 from linemate.daemon.transport.client import Client, RefusedError
-from linemate.protocol.rsi.rsi import RobotTelegram, RsiCodec, SensorTelegram
-from linemate.protocol.rsi.rsi_config import parse_config
+from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, SensorTelegram
+from linemate.protocol.rsi.ethernet_config import parse_config
 
 CYCLE_S = 0.012
 CONFIG = """

@@ -22,13 +22,13 @@ from linemate.daemon.service.command_server import (
     UdpDoor,
 )
 from linemate.daemon.transport.client import Client, NoAnswerError, RefusedError
-from linemate.protocol.command.command import FrameType, Role, cut_local, local_body
-from linemate.protocol.command.command_client import Answer, Telemetry
-from linemate.protocol.command.command_keys import Key
-from linemate.protocol.command.command_local import LocalAccess
-from linemate.protocol.command.command_local_client import LocalClient
-from linemate.protocol.command.command_request import encode_request
-from linemate.protocol.command.command_session import CommandClient
+from linemate.protocol.command.authenticated import CommandClient
+from linemate.protocol.command.client_core import Answer, Telemetry
+from linemate.protocol.command.frame_codec import FrameType, Role, cut_local, local_body
+from linemate.protocol.command.local_client import LocalClient
+from linemate.protocol.command.local_server import LocalAccess
+from linemate.protocol.command.preshared_keys import Key
+from linemate.protocol.command.requests import encode_request
 
 ALICE = key_of("alice", Role.OPERATE, 1)
 EVE = key_of("eve", Role.VIEW, 2)

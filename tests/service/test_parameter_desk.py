@@ -18,7 +18,7 @@ from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle.cycle import Cycle
 from linemate.daemon.cycle.states import Machine, State
 from linemate.daemon.service.parameter_desk import Desk
-from linemate.protocol.rsi.rsi import RobotTelegram, RsiCodec
+from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec
 from linemate.protocol.samples import DistanceSample
 
 CYCLE_NS = 12_000_000

@@ -24,11 +24,11 @@ from daemon_process import DaemonProcess
 from msgspec import structs
 
 from linemate.daemon.transport.client import Client, RefusedError
-from linemate.protocol.command.command import Role
-from linemate.protocol.command.command_keys import key_line, make_key
+from linemate.protocol.command.frame_codec import Role
+from linemate.protocol.command.preshared_keys import key_line, make_key
 from linemate.protocol.exchange import ControllerCounts
-from linemate.protocol.rsi.rsi import SensorTelegram
-from linemate.protocol.sensors import camera
+from linemate.protocol.rsi.codec import SensorTelegram
+from linemate.protocol.sensors import camera_codec
 from linemate.protocol.sensors.slcan import CanFrame, format_frame
 from linemate.simulators.devices.limit_judge import LIMITS
 from linemate.simulators.devices.links.emulator import Emulator, EmulatorConfig, EmulatorResult
@@ -401,7 +401,7 @@ def codec_telegram(controller: RsiController, ipoc: int) -> bytes:
 def test_garbage_at_the_cameras_port_is_counted_and_poses_still_come(
     station: Station, stranger: socket.socket
 ) -> None:
-    good = camera.CameraMessage(
+    good = camera_codec.CameraMessage(
         v=1,
         src="camera",
         seq=10**6,
@@ -424,7 +424,7 @@ def test_garbage_at_the_cameras_port_is_counted_and_poses_still_come(
     ]
     target = station.daemon.listening["camera"]
     with station.unharmed() as before:
-        junk = (*JUNK, *map(camera.encode, broken), camera.encode(good)[:40])
+        junk = (*JUNK, *map(camera_codec.encode, broken), camera_codec.encode(good)[:40])
         sent = throw(station, stranger, target, junk)
         for data in junk:  # and from the camera's own address, which is no stranger's
             station.do(station.emulator.camera.put, data)

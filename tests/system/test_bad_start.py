@@ -16,9 +16,9 @@ import pytest
 from daemon_process import LINEMATED, DaemonProcess
 
 from linemate.daemon.config.files import DAEMON_DATA, PROTOCOL_DATA
-from linemate.protocol.command.command import Role
-from linemate.protocol.command.command_keys import key_line, make_key
-from linemate.protocol.rsi.rsi import RobotTelegram, RsiCodec, parse_config
+from linemate.protocol.command.frame_codec import Role
+from linemate.protocol.command.preshared_keys import key_line, make_key
+from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, parse_config
 
 LINEMATE_SIM = (sys.executable, "-m", "linemate.simulators.harness.main")
 TOLD = re.compile(r"(?P<file>/[^:]+):(?P<line>\d+):(?P<column>\d+): (?P<key>[^:]+): (?P<what>.+)")

@@ -12,14 +12,14 @@ import pytest
 from fastcrc import crc16
 
 from linemate.daemon.cycle.feeds import Feeds
-from linemate.protocol.rsi.rsi import (
+from linemate.protocol.rsi.codec import (
     RobotTelegram,
     RsiCodec,
     RsiError,
     SensorTelegram,
     parse_config,
 )
-from linemate.protocol.sensors.camera import CameraDecoder, CameraError
+from linemate.protocol.sensors.camera_codec import CameraDecoder, CameraError
 from linemate.protocol.sensors.distance import DistanceDecoder, DistanceError
 from linemate.protocol.sensors.wrench import make_decoder
 

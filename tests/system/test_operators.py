@@ -12,9 +12,9 @@ from daemon_process import DaemonProcess
 from linemate.daemon.config import task_file
 from linemate.daemon.config.files import DAEMON_DATA, PROTOCOL_DATA
 from linemate.daemon.transport.client import Client, NoAnswerError, RefusedError, read_key
-from linemate.protocol.command.command import Role
-from linemate.protocol.command.command_keys import key_line, make_key
-from linemate.protocol.rsi.rsi import RobotTelegram, RsiCodec, parse_config
+from linemate.protocol.command.frame_codec import Role
+from linemate.protocol.command.preshared_keys import key_line, make_key
+from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, parse_config
 
 CYCLE_S = 0.012
 CALLS = 200

@@ -18,7 +18,7 @@ from linemate.daemon.cycle.replies import Replies
 from linemate.daemon.cycle.session import Session
 from linemate.daemon.cycle.step_log import StepLog
 from linemate.protocol.exchange import Exchange
-from linemate.protocol.rsi.rsi import RsiCodec
+from linemate.protocol.rsi.codec import RsiCodec
 from linemate.simulators.lab.faults.dst_plan import Plan
 from linemate.simulators.lab.faults.dst_run import Simulation
 

@@ -29,8 +29,8 @@ command: {socket: c.sock, udp: {port: 0, keys: keys}}
 
 @pytest.fixture
 def daemon(tmp_path: Path) -> Iterator[DaemonProcess]:
-    from linemate.protocol.command.command import Role
-    from linemate.protocol.command.command_keys import key_line, make_key
+    from linemate.protocol.command.frame_codec import Role
+    from linemate.protocol.command.preshared_keys import key_line, make_key
 
     keys = tmp_path / "keys"
     key = make_key("operator", Role.OPERATE, os.urandom(32))

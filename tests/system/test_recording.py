@@ -15,7 +15,7 @@ from linemate.daemon.config import task_file
 from linemate.daemon.config.files import DAEMON_DATA, PROTOCOL_DATA
 from linemate.daemon.operator import main as tool
 from linemate.daemon.recording.reader import read
-from linemate.protocol.rsi.rsi import RobotTelegram, RsiCodec, parse_config
+from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, parse_config
 
 CYCLE_S = 0.012
 TEXT = """

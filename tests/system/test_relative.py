@@ -12,7 +12,7 @@ import pytest
 
 from linemate.daemon.config.files import PROTOCOL_DATA
 from linemate.daemon.cycle.cycle import Cycle
-from linemate.protocol.rsi.rsi import RsiCodec, parse_config
+from linemate.protocol.rsi.codec import RsiCodec, parse_config
 from linemate.simulators.devices.rsi_controller import ControllerConfig, RsiController
 from linemate.simulators.harness import setup
 from linemate.simulators.harness.lockstep import Lockstep

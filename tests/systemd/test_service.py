@@ -16,8 +16,8 @@ from typing import Any
 import pytest
 from systemd_machine import CHECKOUT, INTERPRETER, OUT, PACKAGES, PROGRAM, Machine, lacking
 
-from linemate.protocol.command.command import Role
-from linemate.protocol.command.command_keys import key_line, make_key
+from linemate.protocol.command.frame_codec import Role
+from linemate.protocol.command.preshared_keys import key_line, make_key
 
 REASON = lacking()
 pytestmark = pytest.mark.skipif(REASON is not None, reason=f"no systemd to be booted: {REASON}")

@@ -20,9 +20,9 @@ from linemate.daemon.transport.client import (
     default_socket_path,
     read_key,
 )
-from linemate.protocol.command.command import CommandError, Role
-from linemate.protocol.command.command_client import ClientCore
-from linemate.protocol.command.command_keys import key_line
+from linemate.protocol.command.client_core import ClientCore
+from linemate.protocol.command.frame_codec import CommandError, Role
+from linemate.protocol.command.preshared_keys import key_line
 
 ALICE = key_of("alice", Role.OPERATE, 1)
 EVE = key_of("eve", Role.VIEW, 2)

@@ -10,7 +10,7 @@ import pytest
 from daemon_process import DaemonProcess
 from plain_robot import CYCLE_S, PlainRobot
 
-from linemate.protocol.command.command_local_client import LocalClient
+from linemate.protocol.command.local_client import LocalClient
 
 TEXT = """
 task: wheel.yaml

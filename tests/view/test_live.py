@@ -21,8 +21,8 @@ from linemate.daemon.service.command_server import CommandPort, LocalDoor
 from linemate.daemon.transport.client import Client, KeyFileError
 from linemate.daemon.view.board import Board
 from linemate.daemon.view.live import Live
-from linemate.protocol.command.command import Role
-from linemate.protocol.command.command_local_client import LocalClient
+from linemate.protocol.command.frame_codec import Role
+from linemate.protocol.command.local_client import LocalClient
 
 PERIOD_NS = 12_000_000
 SUBSCRIBERS = 3

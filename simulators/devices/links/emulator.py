@@ -22,7 +22,7 @@ from queue import SimpleQueue
 from threading import Thread
 from typing import Any, TextIO
 
-from linemate.protocol.rsi.rsi import parse_config
+from linemate.protocol.rsi.codec import parse_config
 from linemate.protocol.sensors.distance import DistanceEncoder
 from linemate.simulators.devices.camera_sender import CameraSender
 from linemate.simulators.devices.can_sensor import CanSensor

@@ -28,7 +28,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
-from linemate.protocol.rsi.rsi import RobotTelegram, RsiCodec, parse_config
+from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, parse_config
 from linemate.protocol.sensors.distance import DistanceEncoder
 from linemate.protocol.sensors.slcan import CanFrame
 from linemate.simulators.devices.camera_sender import CameraSender

@@ -8,10 +8,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from linemate.daemon.service.app import App
-from linemate.protocol.command.command import Role
-from linemate.protocol.command.command_client import Answer
-from linemate.protocol.command.command_keys import Key, make_key
-from linemate.protocol.command.command_session import CommandClient, Incoming
+from linemate.protocol.command.authenticated import CommandClient, Incoming
+from linemate.protocol.command.client_core import Answer
+from linemate.protocol.command.frame_codec import Role
+from linemate.protocol.command.preshared_keys import Key, make_key
 
 DEADLINE_NS = 200_000_000
 NAMES = ("operator", "colleague")

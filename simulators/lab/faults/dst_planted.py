@@ -27,7 +27,7 @@ from linemate.daemon.cycle.sensor_health import CameraHealth, DistanceHealth, Wr
 from linemate.daemon.cycle.session import Session
 from linemate.daemon.cycle.states import Link, Machine, State
 from linemate.daemon.cycle.watch import Facts
-from linemate.protocol.sensors.camera import CameraDecoder
+from linemate.protocol.sensors.camera_codec import CameraDecoder
 from linemate.protocol.sensors.distance import DistanceDecoder
 from linemate.protocol.sensors.wrench_stream import WrenchDecoder
 from linemate.simulators.lab.faults import dst_plan, dst_run

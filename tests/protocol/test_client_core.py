@@ -3,10 +3,10 @@
 import pytest
 from command_ends import MS, World, client_address, key_of
 
-from linemate.protocol.command.command import CommandError, FrameType, frame_body
-from linemate.protocol.command.command_client import MAX_OUTSTANDING, Answer, More, Telemetry
-from linemate.protocol.command.command_plain import Reply, encode_reply
-from linemate.protocol.command.command_session import CommandClient
+from linemate.protocol.command.authenticated import CommandClient
+from linemate.protocol.command.client_core import MAX_OUTSTANDING, Answer, More, Telemetry
+from linemate.protocol.command.frame_codec import CommandError, FrameType, frame_body
+from linemate.protocol.command.payloads import Reply, encode_reply
 
 
 def asked(world: World, client: CommandClient, op: str = "status") -> bytes:

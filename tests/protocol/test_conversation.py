@@ -9,10 +9,10 @@ from command_ends import MS, START_NS, S, World, key_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linemate.protocol.command.command import MAX_AHEAD_MS, MAX_RESULT_BYTES, ROOM_BYTES, Role
-from linemate.protocol.command.command_plain import decode_reply
-from linemate.protocol.command.command_request import OPERATIONS, encode_request
-from linemate.protocol.command.command_rules import ControlLease, Conversation, Order
+from linemate.protocol.command.conversation import ControlLease, Conversation, Order
+from linemate.protocol.command.frame_codec import MAX_AHEAD_MS, MAX_RESULT_BYTES, ROOM_BYTES, Role
+from linemate.protocol.command.payloads import decode_reply
+from linemate.protocol.command.requests import OPERATIONS, encode_request
 
 ALICE = key_of("alice", Role.OPERATE, 1)
 BOB = key_of("bob", Role.OPERATE, 2)

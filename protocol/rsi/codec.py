@@ -10,19 +10,19 @@ from collections.abc import Iterable, Mapping, Sequence
 from operator import mul
 from typing import cast
 
-from linemate.protocol.rsi.rsi_config import Element, RsiConfig, parse_config
-from linemate.protocol.rsi.rsi_expected import ExpectedTelegram
-from linemate.protocol.rsi.rsi_layout import (
+from linemate.protocol.rsi.ethernet_config import Element, RsiConfig, parse_config
+from linemate.protocol.rsi.expected_telegram import ExpectedTelegram
+from linemate.protocol.rsi.telegram import Channel, PreparedReply, RobotTelegram, SensorTelegram
+from linemate.protocol.rsi.telegram_layout import (
     Layout,
     Vector,
     robot_layout,
     sensor_constants,
     sensor_layout,
 )
-from linemate.protocol.rsi.rsi_read import MAX_TELEGRAM_BYTES, Reader, Texts
-from linemate.protocol.rsi.rsi_scan import RsiError
-from linemate.protocol.rsi.rsi_telegram import Channel, PreparedReply, RobotTelegram, SensorTelegram
-from linemate.protocol.rsi.rsi_write import Writer
+from linemate.protocol.rsi.telegram_reader import MAX_TELEGRAM_BYTES, Reader, Texts
+from linemate.protocol.rsi.telegram_writer import Writer
+from linemate.protocol.rsi.xml_scan import RsiError
 from linemate.protocol.samples import Vector6
 
 __all__ = [

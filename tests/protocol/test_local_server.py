@@ -8,13 +8,13 @@ from command_ends import MS, START_NS
 from hypothesis import given
 from hypothesis import strategies as st
 
-from linemate.protocol.command.command import FrameType, Role, cut_local, local_body
-from linemate.protocol.command.command_client import Answer
-from linemate.protocol.command.command_local import LocalAccess, LocalServer
-from linemate.protocol.command.command_local_client import LocalClient
-from linemate.protocol.command.command_plain import decode_reply
-from linemate.protocol.command.command_request import OPERATIONS, encode_request
-from linemate.protocol.command.command_rules import ControlLease, Order
+from linemate.protocol.command.client_core import Answer
+from linemate.protocol.command.conversation import ControlLease, Order
+from linemate.protocol.command.frame_codec import FrameType, Role, cut_local, local_body
+from linemate.protocol.command.local_client import LocalClient
+from linemate.protocol.command.local_server import LocalAccess, LocalServer
+from linemate.protocol.command.payloads import decode_reply
+from linemate.protocol.command.requests import OPERATIONS, encode_request
 
 
 def server_of(role: Role = Role.OPERATE) -> LocalServer:

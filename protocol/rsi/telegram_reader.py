@@ -11,8 +11,8 @@ import re
 from collections.abc import Callable, Sequence
 from operator import itemgetter
 
-from linemate.protocol.rsi.rsi_layout import Field, Layout
-from linemate.protocol.rsi.rsi_scan import BLANK, Document, RsiError, Span, scan, unescape
+from linemate.protocol.rsi.telegram_layout import Field, Layout
+from linemate.protocol.rsi.xml_scan import BLANK, Document, RsiError, Span, scan, unescape
 
 MAX_TELEGRAM_BYTES = 2048
 MAX_IPOC = 2**64 - 1
@@ -35,7 +35,7 @@ _TRAILING = "\0" + BLANK
 
 # Short enough to be in range whatever the digits; what is longer goes the tolerant way. Nothing
 # is ever given back, for no value is followed by what it is made of: a fifth of the time.
-# Groups themselves are not possessive, see ``rsi_scan``.
+# Groups themselves are not possessive, see ``xml_scan``.
 _FAST_GROUPS = {
     "DOUBLE": r"(-?+[0-9]{1,16}+(?:\.[0-9]{0,32}+)?(?:[eE]-[0-9]{1,3}+)?)",
     "BOOL": r"(-?+[0-9]{1,16}+(?:\.[0-9]{0,32}+)?)",

@@ -10,15 +10,15 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
-from linemate.protocol.command.command import (
+from linemate.protocol.command.frame_codec import (
     MAX_AHEAD_MS,
     NS_PER_MS,
     PAGE_BYTES,
     CommandError,
     Role,
 )
-from linemate.protocol.command.command_plain import Reply, encode_event, encode_reply, encode_result
-from linemate.protocol.command.command_request import OPERATIONS, Request, decode_request
+from linemate.protocol.command.payloads import Reply, encode_event, encode_reply, encode_result
+from linemate.protocol.command.requests import OPERATIONS, Request, decode_request
 
 LEASE_NS: Final = 5_000_000_000
 DEFAULT_SUBSCRIPTION_NS: Final = 5_000_000_000

@@ -17,7 +17,7 @@ from msgspec import Meta
 
 from linemate.protocol.errors import ProtocolError
 from linemate.protocol.samples import CameraSample, Quaternion
-from linemate.protocol.sensors.camera_clock import ClockOffset
+from linemate.protocol.sensors.clock_offset import ClockOffset
 
 MAX_DATAGRAM_BYTES = 1199
 """A message is under 1200 bytes, so that no network fragments it."""

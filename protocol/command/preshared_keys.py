@@ -14,7 +14,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Final
 
-from linemate.protocol.command.command import COOKIE_BYTES, CommandError, Role, Tagger
+from linemate.protocol.command.frame_codec import COOKIE_BYTES, CommandError, Role, Tagger
 
 KEY_BYTES: Final = 32
 MAX_KEYS: Final = 64

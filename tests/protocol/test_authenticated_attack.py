@@ -12,9 +12,16 @@ from collections.abc import Callable
 
 from command_ends import MS, S, Secrets, World, client_address, key_of
 
-from linemate.protocol.command.command import HEADER, TAG_BYTES, FrameType, Role, Tagger, frame_body
-from linemate.protocol.command.command_client import Answer
-from linemate.protocol.command.command_session import CommandClient, CommandServer
+from linemate.protocol.command.authenticated import CommandClient, CommandServer
+from linemate.protocol.command.client_core import Answer
+from linemate.protocol.command.frame_codec import (
+    HEADER,
+    TAG_BYTES,
+    FrameType,
+    Role,
+    Tagger,
+    frame_body,
+)
 
 TRIES = int(os.environ.get("LINEMATE_ATTACKS", "100000"))
 SEED = int(os.environ.get("LINEMATE_SEED", "1"))

@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable, Hashable, Sequence
 from typing import NamedTuple
 
-from linemate.protocol.rsi.rsi_read import MAX_TELEGRAM_BYTES
+from linemate.protocol.rsi.telegram_reader import MAX_TELEGRAM_BYTES
 
 
 class ExpectedTelegram:

@@ -10,14 +10,14 @@ from collections import Counter, OrderedDict
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
-from linemate.protocol.command.command import (
+from linemate.protocol.command.frame_codec import (
     MAX_RESULT_BYTES,
     NS_PER_MS,
     CommandError,
     Frame,
     FrameType,
 )
-from linemate.protocol.command.command_plain import (
+from linemate.protocol.command.payloads import (
     BARE,
     Reply,
     decode_event,
@@ -102,7 +102,7 @@ def _encode(op: str, params: Mapping[str, Any], deadline_ms: int) -> bytes:
     if op in BARE and not params:
         return encode_bare(op, deadline_ms)
     # Loaded with the first parameters: a status shall not pay for the types that check them.
-    from linemate.protocol.command.command_request import encode_request
+    from linemate.protocol.command.requests import encode_request
 
     return encode_request(op, params, deadline_ms)
 

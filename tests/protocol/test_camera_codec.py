@@ -8,7 +8,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from linemate.protocol.sensors.camera import (
+from linemate.protocol.sensors.camera_codec import (
     MAX_DATAGRAM_BYTES,
     MAX_GAP,
     QUATERNION_TOLERANCE,
@@ -19,7 +19,7 @@ from linemate.protocol.sensors.camera import (
     decode,
     encode,
 )
-from linemate.protocol.sensors.camera_clock import SLICES, ClockOffset
+from linemate.protocol.sensors.clock_offset import SLICES, ClockOffset
 
 MS = 1_000_000
 S = 1_000_000_000

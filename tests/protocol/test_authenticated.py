@@ -15,16 +15,16 @@ from command_ends import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linemate.protocol.command.command import FrameType, Role, Tagger, frame_body
-from linemate.protocol.command.command_client import Answer, Ready, Telemetry
-from linemate.protocol.command.command_keys import SessionKeys
-from linemate.protocol.command.command_session import (
+from linemate.protocol.command.authenticated import (
     MAX_SESSIONS,
     MAX_TOMBSTONES_PER_KEY,
     CommandClient,
     CommandServer,
     ReplayWindow,
 )
+from linemate.protocol.command.client_core import Answer, Ready, Telemetry
+from linemate.protocol.command.frame_codec import FrameType, Role, Tagger, frame_body
+from linemate.protocol.command.preshared_keys import SessionKeys
 
 ALICE = key_of("alice", Role.OPERATE, 1)
 BOB = key_of("bob", Role.OPERATE, 2)

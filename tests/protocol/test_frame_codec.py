@@ -13,8 +13,9 @@ from command_ends import MS, World, client_address
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linemate.protocol.command import command
-from linemate.protocol.command.command import (
+from linemate.protocol.command import frame_codec
+from linemate.protocol.command.authenticated import CommandClient, CommandServer
+from linemate.protocol.command.frame_codec import (
     CommandError,
     Frame,
     FrameType,
@@ -23,8 +24,7 @@ from linemate.protocol.command.command import (
     cut_local,
     frame_body,
 )
-from linemate.protocol.command.command_keys import cookie, hello_tagger, make_key, session_keys
-from linemate.protocol.command.command_plain import (
+from linemate.protocol.command.payloads import (
     BARE,
     Reply,
     decode_event,
@@ -34,13 +34,13 @@ from linemate.protocol.command.command_plain import (
     encode_reply,
     encode_result,
 )
-from linemate.protocol.command.command_request import (
+from linemate.protocol.command.preshared_keys import cookie, hello_tagger, make_key, session_keys
+from linemate.protocol.command.requests import (
     OPERATIONS,
     Empty,
     decode_request,
     encode_request,
 )
-from linemate.protocol.command.command_session import CommandClient, CommandServer
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "command-protocol.md"
 
@@ -149,7 +149,7 @@ def test_any_bytes_are_cut_or_refused(data: bytes) -> None:
     st.integers(0, 2**16 - 1),
     st.integers(0, 2**64 - 1),
     st.integers(0, 2**64 - 1),
-    st.binary(max_size=command.ROOM_BYTES),
+    st.binary(max_size=frame_codec.ROOM_BYTES),
 )
 def test_a_frame_is_cut_into_what_it_was_made_of(
     kind: FrameType, key_id: int, session: int, sequence: int, payload: bytes
@@ -167,7 +167,7 @@ def test_a_number_that_does_not_fit_its_field_is_refused(too_big: int) -> None:
 
 def test_a_payload_that_does_not_fit_is_refused() -> None:
     with pytest.raises(CommandError, match="too_long"):
-        frame_body(FrameType.REQUEST, 1, 1, 1, bytes(command.ROOM_BYTES + 1))
+        frame_body(FrameType.REQUEST, 1, 1, 1, bytes(frame_codec.ROOM_BYTES + 1))
 
 
 @pytest.mark.parametrize("op", ["stop", "set"])
@@ -270,7 +270,7 @@ def test_a_payload_that_is_no_request_is_refused(name: str) -> None:
     assert caught.value.kind in {"malformed", "unknown"}
 
 
-@given(st.binary(max_size=command.ROOM_BYTES))
+@given(st.binary(max_size=frame_codec.ROOM_BYTES))
 def test_any_payload_is_a_message_or_refused(payload: bytes) -> None:
     for decode in (decode_request, decode_reply, decode_event, decode_result):
         assert refusal(decode, payload) in {None, "malformed", "unknown"}
@@ -388,7 +388,7 @@ def test_what_takes_no_parameters_is_asked_without_its_schema() -> None:
         {"ok": True, "t": 1, "why": "x" * 901},
         {"ok": True, "t": 1, "i": -1},
         {"ok": True, "t": 1, "n": 0},
-        {"ok": True, "t": 1, "n": command.MAX_PAGES + 1},
+        {"ok": True, "t": 1, "n": frame_codec.MAX_PAGES + 1},
         {"ok": True, "t": 1, "x": 1},
         {1: 2},
         [True, 1],
@@ -429,7 +429,7 @@ def test_every_operation_of_the_interface_is_there() -> None:
         st.text(max_size=32),
         st.text(max_size=900),
         st.integers(0, 31),
-        st.integers(32, command.MAX_PAGES),
+        st.integers(32, frame_codec.MAX_PAGES),
     )
 )
 def test_a_reply_is_read_as_it_was_written(reply: Reply) -> None:
@@ -443,6 +443,6 @@ def test_a_part_beyond_the_last_is_refused() -> None:
 
 def test_a_result_that_nothing_can_carry_is_refused() -> None:
     with pytest.raises(CommandError, match="too_long"):
-        encode_result({"a": bytes(command.MAX_RESULT_BYTES)})
+        encode_result({"a": bytes(frame_codec.MAX_RESULT_BYTES)})
     with pytest.raises(CommandError, match="unencodable"):
         encode_result({"a": object()})

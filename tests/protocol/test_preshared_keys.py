@@ -9,8 +9,8 @@ from command_ends import key_of, secret_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from linemate.protocol.command.command import CommandError, Role
-from linemate.protocol.command.command_keys import (
+from linemate.protocol.command.frame_codec import CommandError, Role
+from linemate.protocol.command.preshared_keys import (
     MAX_KEYS,
     key_line,
     make_key,

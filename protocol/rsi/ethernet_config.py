@@ -1,7 +1,7 @@
 """RSI_EthernetConfig.xml: the one file that both controller and daemon are set up with.
 
 Law of this file: it says what stands in the file, not what the telegrams look like (that is
-rsi_layout). Comments, byte order marks and the usual looseness of hand-edited files are read
+telegram_layout). Comments, byte order marks and the usual looseness of hand-edited files are read
 through; what would make the two sides disagree is refused by name.
 """
 
@@ -10,7 +10,7 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
-from linemate.protocol.rsi.rsi_scan import BLANK, Event, RsiError, attributes, events, unescape
+from linemate.protocol.rsi.xml_scan import BLANK, Event, RsiError, attributes, events, unescape
 
 ElementType = Literal["BOOL", "LONG", "DOUBLE", "STRING"]
 

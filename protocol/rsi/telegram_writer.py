@@ -9,10 +9,10 @@ import math
 from collections.abc import Mapping, Sequence
 from operator import attrgetter, truediv
 
-from linemate.protocol.rsi.rsi_layout import Field, Layout, Vector
-from linemate.protocol.rsi.rsi_read import LONG_MAX, LONG_MIN, MAX_IPOC, MAX_TELEGRAM_BYTES
-from linemate.protocol.rsi.rsi_scan import RsiError, escape
-from linemate.protocol.rsi.rsi_telegram import Channel, PreparedReply, RobotTelegram, SensorTelegram
+from linemate.protocol.rsi.telegram import Channel, PreparedReply, RobotTelegram, SensorTelegram
+from linemate.protocol.rsi.telegram_layout import Field, Layout, Vector
+from linemate.protocol.rsi.telegram_reader import LONG_MAX, LONG_MIN, MAX_IPOC, MAX_TELEGRAM_BYTES
+from linemate.protocol.rsi.xml_scan import RsiError, escape
 
 MAX_IPOC_DIGITS = 20
 # Far beyond any axis or length on a robot, and short enough to be read back by any parser.

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from linemate.protocol.rsi.rsi import (
+from linemate.protocol.rsi.codec import (
     MAX_TELEGRAM_BYTES,
     Element,
     PreparedReply,

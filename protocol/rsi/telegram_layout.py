@@ -10,9 +10,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from linemate.protocol.rsi.rsi_config import PLACEHOLDER, Element, ElementType, RsiConfig
-from linemate.protocol.rsi.rsi_scan import RsiError
-from linemate.protocol.rsi.rsi_telegram import Channel
+from linemate.protocol.rsi.ethernet_config import PLACEHOLDER, Element, ElementType, RsiConfig
+from linemate.protocol.rsi.telegram import Channel
+from linemate.protocol.rsi.xml_scan import RsiError
 from linemate.protocol.units import DEG, MM
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")

@@ -2,7 +2,7 @@
 
 Law of this file: a payload is decoded into a typed message or refused with CommandError,
 on both ends by the same types, so that what cannot be carried out does not leave the client.
-Whether it may be carried out now is judged in command_rules.
+Whether it may be carried out now is judged in conversation.
 """
 
 import math
@@ -12,8 +12,8 @@ from typing import Annotated, Any, Final, Literal, NamedTuple, TypeAlias
 import msgspec
 from msgspec import UNSET, Meta, Raw, Struct, UnsetType
 
-from linemate.protocol.command.command import MAX_PAGES, ROOM_BYTES, CommandError, Role
-from linemate.protocol.command.command_plain import pack
+from linemate.protocol.command.frame_codec import MAX_PAGES, ROOM_BYTES, CommandError, Role
+from linemate.protocol.command.payloads import pack
 
 Name: TypeAlias = Annotated[str, Meta(min_length=1, max_length=96)]
 Scalar: TypeAlias = bool | int | float | Annotated[str, Meta(max_length=512)] | None

@@ -3,7 +3,7 @@
 Law of this file: nothing is kept for a stranger; a session exists from the first request
 that proves a cookie of the last two epochs, so nothing recorded earlier can make one.
 What is not genuine, fresh and new gets no answer, only a count. Time and randomness are
-arguments. The local socket uses the same conversation without tags, in command_local.
+arguments. The local socket uses the same conversation without tags, in local_server.
 """
 
 from collections import Counter, OrderedDict
@@ -11,7 +11,9 @@ from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
-from linemate.protocol.command.command import (
+from linemate.protocol.command.client_core import ClientCore, Event, Ready, Sent
+from linemate.protocol.command.conversation import ControlLease, Conversation, Order
+from linemate.protocol.command.frame_codec import (
     COOKIE_BYTES,
     HANDSHAKE_BYTES,
     NS_PER_MS,
@@ -23,8 +25,8 @@ from linemate.protocol.command.command import (
     cut_frame,
     frame_body,
 )
-from linemate.protocol.command.command_client import ClientCore, Event, Ready, Sent
-from linemate.protocol.command.command_keys import (
+from linemate.protocol.command.payloads import encode_result
+from linemate.protocol.command.preshared_keys import (
     Key,
     SessionKeys,
     cookie,
@@ -32,8 +34,6 @@ from linemate.protocol.command.command_keys import (
     hello_tagger,
     session_keys,
 )
-from linemate.protocol.command.command_plain import encode_result
-from linemate.protocol.command.command_rules import ControlLease, Conversation, Order
 
 __all__ = [
     "CommandClient",

@@ -1,7 +1,7 @@
 """Messages of the command protocol that need no schema: answers, results, telemetry.
 
 Law of this file: any payload gives a value or CommandError. Written on msgpack alone: the
-typed messages of command_request take a quarter of what a status from the shell may last to
+typed messages of requests take a quarter of what a status from the shell may last to
 be loaded, and neither a request without parameters nor its answer has need of them.
 """
 
@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 
 import msgpack
 
-from linemate.protocol.command.command import MAX_PAGES, MAX_RESULT_BYTES, CommandError
+from linemate.protocol.command.frame_codec import MAX_PAGES, MAX_RESULT_BYTES, CommandError
 
 BARE: Final = frozenset({"status", "scene", "save", "arm", "start", "ack", "stop", "retreat"})
 """The operations that take no parameters."""
@@ -69,7 +69,7 @@ def _map(packed: bytes) -> dict[str, Any]:
 
 
 def encode_bare(op: str, deadline_ms: int) -> bytes:
-    """Return the payload of a request without parameters; see command_request.
+    """Return the payload of a request without parameters; see requests.
 
     Raises:
         CommandError: an operation that is unknown or takes parameters.

@@ -2,8 +2,8 @@
 
 Law of this file: a frame is cut by fixed offsets and its tag compared before one byte of
 its payload is looked at; any bytes give a frame or CommandError. Payloads are
-command_request's and command_reply's. No key material, no session, no time is kept here;
-those live in command_keys, command_rules and command_session. Light imports only: a
+requests' and payloads'. No key material, no session, no time is kept here;
+those live in preshared_keys, conversation and authenticated. Light imports only: a
 status from the shell pays for them. `docs/command-protocol.md` is the specification, with
 vectors made by another implementation of BLAKE2b.
 """

@@ -1,10 +1,11 @@
-"""The operator's end of the local socket; command_local is the daemon's.
+"""The operator's end of the local socket; local_server is the daemon's.
 
-Law of this file: the conversation of command_client without key and tag. A file of its own,
+Law of this file: the conversation of client_core without key and tag. A file of its own,
 so that a status from the shell loads nothing of the server.
 """
 
-from linemate.protocol.command.command import (
+from linemate.protocol.command.client_core import ClientCore
+from linemate.protocol.command.frame_codec import (
     LOCAL_LIMIT_BYTES,
     CommandError,
     Frame,
@@ -12,7 +13,6 @@ from linemate.protocol.command.command import (
     cut_local,
     local_body,
 )
-from linemate.protocol.command.command_client import ClientCore
 
 
 class LocalClient(ClientCore):

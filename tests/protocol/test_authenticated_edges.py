@@ -3,8 +3,8 @@
 import pytest
 from command_ends import MS, START_NS, S, World, client_address, key_of
 
-from linemate.protocol.command.command import Role, cut_frame
-from linemate.protocol.command.command_session import CommandClient
+from linemate.protocol.command.authenticated import CommandClient
+from linemate.protocol.command.frame_codec import Role, cut_frame
 
 ALICE, BOB = key_of(), key_of("bob", Role.VIEW, seed=2)
 

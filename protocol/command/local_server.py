@@ -9,7 +9,8 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-from linemate.protocol.command.command import (
+from linemate.protocol.command.conversation import ControlLease, Conversation, Order
+from linemate.protocol.command.frame_codec import (
     LOCAL_ROOM_BYTES,
     NS_PER_MS,
     CommandError,
@@ -19,8 +20,7 @@ from linemate.protocol.command.command import (
     cut_local,
     local_body,
 )
-from linemate.protocol.command.command_plain import encode_result
-from linemate.protocol.command.command_rules import ControlLease, Conversation, Order
+from linemate.protocol.command.payloads import encode_result
 
 
 class LocalAccess(NamedTuple):
