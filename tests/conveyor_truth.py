@@ -7,7 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from linemate.daemon.core.tracking.conveyor import Classifier, Motion, Row, Source, View
+from linemate.daemon.core.tracking.conveyor import (
+    Classifier,
+    ConveyorEstimate,
+    Motion,
+    PositionMeasurement,
+    Source,
+)
 
 Array = NDArray[np.floating[Any]]
 
@@ -83,8 +89,10 @@ class Sensor:
 IDEAL = Sensor(step=0.0, deviation=0.0)
 
 
-def row(value: float, *, delay: float = DELAY, source: Source = Source.DISTANCE) -> Row:
-    return Row(source, value, delay, DEVIATION**2, GATE)
+def row(
+    value: float, *, delay: float = DELAY, source: Source = Source.DISTANCE
+) -> PositionMeasurement:
+    return PositionMeasurement(source, value, delay, DEVIATION**2, GATE)
 
 
 @dataclass(frozen=True)
@@ -92,7 +100,7 @@ class Story:
     """What a classifier told over a run."""
 
     times: Array
-    views: list[View]
+    views: list[ConveyorEstimate]
     states: list[Any]
     events: list[tuple[float, str, str]]
 
@@ -129,7 +137,7 @@ def tell(
     views, states, events = [], [], []
     for t, value in zip(times[1:], readings[1:], strict=True):
         state = classifier.advance(state, [] if np.isnan(value) else [row(float(value))], T0)
-        view = classifier.view(state)
+        view = classifier.estimate(state)
         views.append(view)
         states.append(state)
         events += [(float(t), kind, what) for kind, what in view.events]

@@ -43,9 +43,13 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/cycle/test_sensor_belief.py",
         "tests/cycle/test_sensor_health.py",
     ),
-    "daemon/core/control/limits.py": (
-        "tests/core/control/test_limits_transcript.py",
-        "tests/core/control/test_limits.py",
+    "daemon/core/control/command_limiter.py": (
+        "tests/core/control/test_command_limiter_transcript.py",
+        "tests/core/control/test_command_limiter.py",
+    ),
+    "daemon/core/control/axis_limits.py": (
+        "tests/core/control/test_command_limiter_transcript.py",
+        "tests/core/control/test_command_limiter.py",
     ),
     "protocol/exchange.py": (
         "tests/protocol/test_exchange_transcript.py",
@@ -190,7 +194,6 @@ class Mutant:
 
 
 SHORT_CUTS = {
-    "daemon/core/control/limits.py": frozenset({"_is_clear", "_stopping_way"}),
     "protocol/rsi/telegram_writer.py": frozenset({"_block"}),
 }
 """Functions that only spare work. Taken too often their answer would differ, which a test notices;

@@ -14,8 +14,6 @@ from linemate.daemon.core.control import kinematics, urdf_limits
 from linemate.daemon.core.control.settings import ControlSettings
 from linemate.daemon.core.tracking import contact, linear_axis, merge
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
-from linemate.daemon.core.tracking.classifiers.classifier_imm import ImmClassifier
-from linemate.daemon.core.tracking.classifiers.classifier_rule import RuleClassifier
 from linemate.daemon.core.tracking.conveyor import Classifier
 from linemate.daemon.core.tracking.reference import compile_reference, tabulated
 from linemate.daemon.core.tracking.settings import ClassifierKind, TrackingSettings
@@ -39,27 +37,29 @@ class Parameters:
 
 
 def _classifier(task: TaskFile, settings: TrackingSettings) -> Classifier:
-    """Return the classifier that is set."""
-    deviation = settings.distance.deviation
-    if settings.classifier in {ClassifierKind.RULE, ClassifierKind.NONE}:
-        return RuleClassifier(
-            task.conveyor,
-            settings.fusion,
-            settings.rule,
-            deviation,
-            classes=settings.classifier is ClassifierKind.RULE,
-        )
+    """Return the classifier that is set.
+
+    filterpy takes as long to import as all the rest (1 s): only by the classifiers that use it.
+    """
+    conveyor, fusion, deviation = task.conveyor, settings.fusion, settings.distance.deviation
     if settings.classifier is ClassifierKind.BANK:
         return BankClassifier(
-            task.conveyor,
-            settings.fusion,
+            conveyor,
+            fusion,
             settings.bank,
             deviation,
             settings.mixture,
             settings.jerk,
             settings.wave,
         )
-    return ImmClassifier(task.conveyor, settings.fusion, settings.bank, settings.imm, deviation)
+    if settings.classifier is ClassifierKind.IMM:
+        from linemate.daemon.core.tracking.classifiers.classifier_imm import ImmClassifier
+
+        return ImmClassifier(conveyor, fusion, settings.bank, settings.imm, deviation)
+    from linemate.daemon.core.tracking.classifiers.classifier_rule import RuleClassifier
+
+    has_classes = settings.classifier is ClassifierKind.RULE
+    return RuleClassifier(conveyor, fusion, settings.rule, deviation, classes=has_classes)
 
 
 def _axis_range(controller: control.Controller) -> tuple[float, float]:

@@ -28,23 +28,55 @@ _PARTS = {
     "control.controller:ControlState": "control.controller:ControlState",
     "control.limits:GateState": "control.command_limiter:LimiterState",
     "step:State": "step:State",
-    "tracking.classifier_bank:BankState": "tracking.classifiers.classifier_bank:BankState",
+    "tracking.classifier_bank:BankState": "tracking.classifiers.bank_model:BankState",
     "tracking.classifier_imm:ImmState": "tracking.classifiers.classifier_imm:ImmState",
     "tracking.classifier_rule:RuleState": "tracking.classifiers.classifier_rule:RuleState",
-    "tracking.classifier_rule:Trial": "tracking.classifiers.classifier_rule:Trial",
+    "tracking.classifier_rule:Trial": "tracking.classifiers.classifier_rule:TentativeClass",
     "tracking.contact:Feeling": "tracking.contact:Feeling",
     "tracking.conveyor:Motion": "tracking.conveyor:Motion",
     "tracking.conveyor:Source": "tracking.conveyor:Source",
     "tracking.guard:Search": "tracking.guard:Search",
-    "tracking.hypotheses:Bank": "tracking.classifiers.hypotheses:Bank",
-    "tracking.hypotheses:Verdict": "tracking.classifiers.hypotheses:Verdict",
+    "tracking.hypotheses:Bank": "tracking.classifiers.onset_bank:OnsetBank",
+    "tracking.hypotheses:Verdict": "tracking.classifiers.onset_bank:OnsetPosterior",
     "tracking.linear_axis:AxisPlan": "tracking.linear_axis:AxisPlan",
     "tracking.observation:History": "tracking.observation:History",
     "tracking.observation:Sighting": "tracking.observation:Sighting",
-    "tracking.ramp_check:StartCheck": "tracking.classifiers.ramp_check:StartCheck",
+    "tracking.ramp_check:StartCheck": "tracking.classifiers.start_check:StartCheck",
     "tracking.task:Gate": "tracking.task:Gate",
     "tracking.tracker:TrackerState": "tracking.tracker:TrackerState",
     "tracking.transverse:TransverseState": "tracking.transverse:TransverseState",
+}
+
+# By name in a recording: fields whose name in a recording is not the present one.
+_FIELDS = {
+    "tracking.classifier_bank:BankState": {
+        "bank": "changes",
+        "pushes": "impulses",
+        "omega": "impulse_omega",
+        "pace": "ripple_factor",
+        "since": "class_age",
+        "refused": "rejected",
+        "push": "impulse",
+        "odds": "change_odds",
+        "push_odds": "impulse_odds",
+        "trial_s": "tentative_s",
+        "is_spent": "is_expired",
+        "check": "start_check",
+    },
+    "tracking.classifier_imm:ImmState": {
+        "refused": "rejected",
+        "trial_s": "tentative_s",
+        "check": "start_check",
+    },
+    "tracking.classifier_rule:RuleState": {
+        "w": "monitor",
+        "W": "monitor_P",
+        "since": "class_age",
+        "refused": "rejected",
+        "wild": "outliers",
+        "trial": "tentative",
+        "check": "start_check",
+    },
 }
 
 _ARRAYS = {"<f8", "<i8", "|b1", "<i4"}
@@ -105,8 +137,13 @@ def _plain(value: Any) -> Any:
 def _object(value: Any) -> list[Any]:
     if not isinstance(value, Struct):
         raise TypeError(f"{type(value).__name__} has no place in a state")
-    own = {name: _plain(getattr(value, name)) for name in value.__struct_fields__}
-    return ["o", _name(type(value)), own]
+    stored = _name(type(value))
+    current = _FIELDS.get(stored, {})
+    names = {now: name for name, now in current.items()}
+    own = {
+        names.get(field, field): _plain(getattr(value, field)) for field in value.__struct_fields__
+    }
+    return ["o", stored, own]
 
 
 def _array(value: np.ndarray[Any, Any]) -> list[Any]:
@@ -135,7 +172,8 @@ def _made_object(name: str, own: dict[str, Any]) -> Any:
     kind = _kind(name)
     if not issubclass(kind, Struct):
         raise TypeError(f"{name} is no part of a state")
-    return kind(**{key: _made(item) for key, item in own.items()})
+    current = _FIELDS.get(name, {})
+    return kind(**{current.get(key, key): _made(item) for key, item in own.items()})
 
 
 def _made_member(name: str, member: str) -> Any:

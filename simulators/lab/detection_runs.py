@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from itertools import count, pairwise
 from typing import Any, Literal
 
-from linemate.daemon.core.tracking.conveyor import Classifier, Row, Source
+from linemate.daemon.core.tracking.conveyor import Classifier, PositionMeasurement, Source
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.tracker import AGREEING, AGREEMENT
 from linemate.simulators.harness.setup import Setup
@@ -217,7 +217,7 @@ class _Station:
         self._pushes, self._next = pushes, 0
         self._way: Callable[[float], float] | None = None
 
-    def rows(self, now_s: float) -> list[Row]:
+    def rows(self, now_s: float) -> list[PositionMeasurement]:
         """Return what has arrived since the last step, as the tracker makes rows of it."""
         clock = self._distance.clock
         while clock.next_s < now_s + _TINY:
@@ -228,10 +228,12 @@ class _Station:
             seen = due.popleft()
             delay = now_s - seen.time_s + noise.delay
             variance = noise.deviation**2
-            found.append(Row(Source.DISTANCE, seen.position, delay, variance, noise.gate))
+            found.append(
+                PositionMeasurement(Source.DISTANCE, seen.position, delay, variance, noise.gate)
+            )
         return found + self._touch(now_s) if self._touched else found
 
-    def _touch(self, now_s: float) -> list[Row]:
+    def _touch(self, now_s: float) -> list[PositionMeasurement]:
         clock = self._force.clock
         while clock.next_s < now_s + _TINY:
             y = self._conveyor.at(clock.next_s)[0] + self._pushed(clock.next_s)
@@ -242,7 +244,9 @@ class _Station:
         while due and due[0].time_s <= now_s + _TINY:
             felt = due.popleft()
             y = felt.force[1] / self._stiffness
-            found.append(Row(Source.TACTILE, y, now_s - felt.time_s, variance, gate))
+            found.append(
+                PositionMeasurement(Source.TACTILE, y, now_s - felt.time_s, variance, gate)
+            )
         return found
 
     def _pushed(self, t: float) -> float:
@@ -269,7 +273,7 @@ def _watch(classifier: Classifier, station: _Station, duration_s: float) -> Iter
                 belief = classifier.initial(readings[-1])
             continue
         belief = classifier.advance(belief, rows, station.cycle_s)
-        for kind, what in classifier.view(belief).events:
+        for kind, what in classifier.estimate(belief).events:
             yield DaemonEvent(now_s, kind, what)
 
 

@@ -96,3 +96,16 @@ def test_any_bytes_are_a_state_or_its_one_error(data: bytes) -> None:
 def test_what_has_no_place_in_a_state_is_refused() -> None:
     with pytest.raises(SnapshotError, match="complex"):
         snapshot.encode(1j)  # type: ignore[arg-type]
+
+
+def test_a_renamed_field_keeps_its_name_in_a_recording() -> None:
+    for name, renamed in snapshot._FIELDS.items():
+        fields = snapshot._kind(name).__struct_fields__
+        assert set(renamed.values()) <= set(fields)
+        assert not set(renamed) & (set(fields) - set(renamed.values()))
+    state = told()[-1][0]
+    _, tree = msgpack.unpackb(snapshot.encode(state))
+    stored = tree[2]["tracker"][2]["belief"][2]
+    assert "pushes" in stored
+    assert "impulses" not in stored
+    assert snapshot.encode(snapshot.decode(snapshot.encode(state))) == snapshot.encode(state)

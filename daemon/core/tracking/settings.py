@@ -160,7 +160,7 @@ class FusionSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class WaveSettings:
+class RippleSettings:
     """The periodic part of the conveyor's ripple, as a drive or a chain makes it.
 
     Attributes:
@@ -232,7 +232,7 @@ class BankSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class JerkSettings:
+class ImpulseSettings:
     """A push of the body, as by a hand or a second robot: the hypothesis beside the classes.
 
     Attributes:
@@ -300,12 +300,12 @@ class TrackingSettings:
     tactile: TactileNoise = TactileNoise()
     swing: tuple[SwingMode, ...] = (SwingMode(),)
     fusion: FusionSettings = FusionSettings()
-    wave: WaveSettings = WaveSettings()
+    wave: RippleSettings = RippleSettings()
     classifier: ClassifierKind = ClassifierKind.BANK
     rule: RuleSettings = RuleSettings()
     bank: BankSettings = BankSettings()
     imm: ImmSettings = ImmSettings()
-    jerk: JerkSettings = JerkSettings()
+    jerk: ImpulseSettings = ImpulseSettings()
     merge: MergeSettings = MergeSettings()
     predict: bool = True
     mixture: bool = True

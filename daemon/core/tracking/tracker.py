@@ -15,7 +15,13 @@ from msgspec.structs import replace
 
 from linemate.daemon.core.horizon import Array, Horizon
 from linemate.daemon.core.tracking import approach, contact, guard, linear_axis, merge, release
-from linemate.daemon.core.tracking.conveyor import Classifier, Motion, Row, Source, View
+from linemate.daemon.core.tracking.conveyor import (
+    Classifier,
+    ConveyorEstimate,
+    Motion,
+    PositionMeasurement,
+    Source,
+)
 from linemate.daemon.core.tracking.observation import (
     History,
     Sighting,
@@ -317,12 +323,12 @@ def estimate(
     return state, refused, wrench
 
 
-def _distance_row(tracker: Tracker, now_ns: int, sample: DistanceSample) -> Row:
+def _distance_row(tracker: Tracker, now_ns: int, sample: DistanceSample) -> PositionMeasurement:
     """Return (10)'s row: the sensor reads the start position as the object is at its origin."""
     noise = tracker.settings.distance
     value = sample.position - tracker.task.conveyor.start_position + tracker.reference.origin[1]
     delay = (now_ns - sample.stamp_ns) * 1e-9 + noise.delay
-    return Row(Source.DISTANCE, float(value), delay, noise.deviation**2, noise.gate)
+    return PositionMeasurement(Source.DISTANCE, float(value), delay, noise.deviation**2, noise.gate)
 
 
 def _along_row(
@@ -331,7 +337,7 @@ def _along_row(
     source: Source,
     sighting: Sighting,
     gate: float,
-) -> Row:
+) -> PositionMeasurement:
     """Return a sighting's component along the conveyor, its swing taken out."""
     value, variance = float(sighting.position[1]), float(sighting.variance[1])
     if across is not None:
@@ -340,7 +346,7 @@ def _along_row(
         angles = tracker.transverse.swing_now(across, sighting.delay)
         for mode, angle in zip(tracker.transverse.swing, angles, strict=True):
             value -= mode.levers[1] * angle
-    return Row(source, value, sighting.delay, variance, gate)
+    return PositionMeasurement(source, value, sighting.delay, variance, gate)
 
 
 def _counts(tracker: Tracker, state: TrackerState) -> bool:
@@ -426,7 +432,7 @@ def track(
     relative = guard.reached(relative, state.search, guarded, span, is_on=advances)
     target = part = along = None
     if state.belief is not None:
-        along = tracker.classifier.outlook(state.belief, tracker.ahead)
+        along = tracker.classifier.predict_positions(state.belief, tracker.ahead)
         if not tracker.settings.predict:
             along[:-1] = along[0]
     if state.across is not None and along is not None:
@@ -520,21 +526,21 @@ def observe(
     if state.across is not None and state.belief is not None:
         _, relative = tracker.table.ahead(state.time, math.inf, 0)
         now = np.zeros(1)
-        along = tracker.classifier.outlook(state.belief, now)
+        along = tracker.classifier.predict_positions(state.belief, now)
         target, part = _sensed(tracker, state, seen.stamp_ns, along, now, relative)
     view = _view(tracker, state)
     return state, report(tracker, state, view, wrench, refused, target, part)
 
 
-def _view(tracker: Tracker, state: TrackerState) -> View | None:
+def _view(tracker: Tracker, state: TrackerState) -> ConveyorEstimate | None:
     """Return what the classifier believes, None before it does."""
-    return None if state.belief is None else tracker.classifier.view(state.belief)
+    return None if state.belief is None else tracker.classifier.estimate(state.belief)
 
 
 def report(
     tracker: Tracker,
     state: TrackerState,
-    view: View | None,
+    view: ConveyorEstimate | None,
     wrench: Wrench | None,
     refused: int,
     target: Array | None,
@@ -611,7 +617,11 @@ def _is_before_contact(state: TrackerState) -> bool:
 
 
 def _clock(
-    tracker: Tracker, state: TrackerState, view: View | None, seen: Measurements, retreat: bool
+    tracker: Tracker,
+    state: TrackerState,
+    view: ConveyorEstimate | None,
+    seen: Measurements,
+    retreat: bool,
 ) -> TrackerState:
     """Return the state with the task's clock one step further, as far as its gates let it."""
     T0 = tracker.cycle_s
@@ -710,7 +720,7 @@ def is_overdue(tracker: Tracker, state: TrackerState) -> bool:
 
 
 def _passed(
-    tracker: Tracker, state: TrackerState, view: View | None, seen: Measurements
+    tracker: Tracker, state: TrackerState, view: ConveyorEstimate | None, seen: Measurements
 ) -> frozenset[Gate]:
     """Return the gates that are open, with those that what is known now opens."""
     tool, fixing, releasing = tracker.task.tool, state.fixing, state.releasing
@@ -781,7 +791,7 @@ def touched(
 
 
 def _following(
-    tracker: Tracker, state: TrackerState, view: View | None, along: Array | None
+    tracker: Tracker, state: TrackerState, view: ConveyorEstimate | None, along: Array | None
 ) -> TrackerState:
     """Return the state with the plan of the linear axis one step further.
 

@@ -200,12 +200,12 @@ def _screws_anywhere() -> list[Patch]:
 
 def _not_predicted() -> list[Patch]:
     """The object is expected where it is now."""
-    whole = BankClassifier.outlook
+    whole = BankClassifier.predict_positions
 
-    def outlook(self: BankClassifier, state: Any, times: Any) -> Any:
+    def predict_positions(self: BankClassifier, state: Any, times: Any) -> Any:
         return whole(self, state, 0.0 * times)
 
-    return [(BankClassifier, "outlook", outlook)]
+    return [(BankClassifier, "predict_positions", predict_positions)]
 
 
 def _clamp_never_opens() -> list[Patch]:

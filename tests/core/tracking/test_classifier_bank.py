@@ -12,58 +12,64 @@ from msgspec import structs
 from scipy import integrate
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.classifiers import hypotheses
-from linemate.daemon.core.tracking.classifiers.classifier_bank import (
+from linemate.daemon.core.tracking.classifiers import bank_prediction, onset_bank
+from linemate.daemon.core.tracking.classifiers.bank_filter import SETTLING
+from linemate.daemon.core.tracking.classifiers.bank_model import (
     ACCELERATION,
-    PACE,
-    SETTLING,
+    FREQUENCY,
+    RIPPLE,
     STATES,
-    WAVE,
-    BankClassifier,
     BankState,
 )
-from linemate.daemon.core.tracking.conveyor import Motion, Row, Source
-from linemate.daemon.core.tracking.settings import BankSettings, FusionSettings, WaveSettings
+from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
+from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, Source
+from linemate.daemon.core.tracking.settings import BankSettings, FusionSettings, RippleSettings
 from linemate.daemon.core.tracking.task import ConveyorClasses
 
 NEVER = 1e9
 # Without ripple the filter's own noise does not depend on what it believes of the speed.
 FUSION = FusionSettings(ripple=1e-9)
-NO_WAVE = WaveSettings(deviation=0.0)
+NO_RIPPLE = RippleSettings(deviation=0.0)
 SETTINGS = BankSettings(perceived=NEVER, stop_confirmed=NEVER, start_confirmed=NEVER)
-PRIOR = hypotheses.Prior(1.0, SETTINGS.amplitude_deviation**2)
-BANK = BankClassifier(ConveyorClasses(), FUSION, SETTINGS, DEVIATION, wave=NO_WAVE)
+PRIOR = onset_bank.AmplitudePrior(1.0, SETTINGS.amplitude_deviation**2)
+BANK = BankClassifier(ConveyorClasses(), FUSION, SETTINGS, DEVIATION, ripple=NO_RIPPLE)
 CAMERA_DELAY = 0.1
 
 
-def measured(truth: Truth, seed: int) -> list[list[Row]]:
+def measured(truth: Truth, seed: int) -> list[list[PositionMeasurement]]:
     """Rows of some steps: a distance at each, a late camera at every second."""
     rng = np.random.default_rng(seed)
     steps = []
     for k in range(round(1.2 / T0)):
         t = k * T0
         value = float(truth.at(t - 0.001)) + rng.normal(0.0, DEVIATION)
-        rows = [Row(Source.DISTANCE, value, 0.001, DEVIATION**2, NEVER)]
+        rows = [PositionMeasurement(Source.DISTANCE, value, 0.001, DEVIATION**2, NEVER)]
         if k % 2:
             value = float(truth.at(t - CAMERA_DELAY)) + rng.normal(0.0, 5e-4)
-            rows.append(Row(Source.CAMERA, value, CAMERA_DELAY, 25e-8, NEVER))
+            rows.append(PositionMeasurement(Source.CAMERA, value, CAMERA_DELAY, 25e-8, NEVER))
         steps.append(rows)
     return steps
 
 
-def told(steps: list[list[Row]], bank: BankClassifier = BANK) -> tuple[BankState, int, BankState]:
+def told(
+    steps: list[list[PositionMeasurement]], bank: BankClassifier = BANK
+) -> tuple[BankState, int, BankState]:
     """The state before the bank has hypotheses, its step, and the state at the end."""
     state = bank.initial(steps[0][0].value)
     start, first = state, 0
     for k, rows in enumerate(steps[1:], 1):
         state = bank.advance(state, rows, T0)
-        if len(state.bank.age) == 0:
+        if len(state.changes.age) == 0:
             start, first = state, k
     return start, first, state
 
 
 def log_likelihood(
-    start: BankState, steps: list[list[Row]], onset: float, amplitude: float, first: int
+    start: BankState,
+    steps: list[list[PositionMeasurement]],
+    onset: float,
+    amplitude: float,
+    first: int,
 ) -> float:
     """A whole filter of its own, filterpy's, whose world has had a change since ``onset``."""
     kf = KalmanFilter(dim_x=5, dim_z=1)
@@ -94,19 +100,19 @@ def test_evidence_is_the_likelihood_ratio_of_a_filter_for_each_hypothesis(
     steps = measured(Truth(1.5, events), seed=3)
     start, first, state = told(steps)
     assert start.age <= SETTLING + 1e-9
-    evidence, _ = hypotheses.evidence(state.bank, BANK._prior)
+    evidence, _ = onset_bank.likelihood_ratios(state.changes, BANK.change_prior)
     now = (len(steps) - 1) * T0
     null = log_likelihood(start, steps, now, 0.0, first)
     for j in (2, 12, 30, len(evidence) - 1):
-        onset = now - float(state.bank.age[j])
+        onset = now - float(state.changes.age[j])
         full, opposite = (
             log_likelihood(start, steps, onset, amplitude, first) - null
             for amplitude in (1.0, -1.0)
         )
         # A linear filter's likelihood is a parabola of the amplitude: three filters tell it all.
         A, B = -(full + opposite), 0.5 * (full - opposite)
-        assert state.bank.A[j] == pytest.approx(A, rel=1e-6)
-        assert state.bank.B[j] == pytest.approx(B, rel=1e-6, abs=1e-6)
+        assert state.changes.A[j] == pytest.approx(A, rel=1e-6)
+        assert state.changes.B[j] == pytest.approx(B, rel=1e-6, abs=1e-6)
         assert evidence[j] == pytest.approx(integrated(A, B), rel=1e-6, abs=1e-6)
 
 
@@ -128,9 +134,11 @@ def integrated(A: float, B: float) -> float:
 def test_the_best_hypothesis_is_the_onset_that_was() -> None:
     steps = measured(Truth(1.5, ((0.9, -STOP),)), seed=4)
     _, _, state = told(steps)
-    best = state.bank.age[int(np.argmax(hypotheses.evidence(state.bank, BANK._prior)[0]))]
+    best = state.changes.age[
+        int(np.argmax(onset_bank.likelihood_ratios(state.changes, BANK.change_prior)[0]))
+    ]
     assert best == pytest.approx(1.2 - 0.9, abs=0.06)
-    assert state.odds > 10.0
+    assert state.change_odds > 10.0
 
 
 @pytest.mark.parametrize("found", [-0.08, -0.095, -0.104, -0.12, -0.14])
@@ -149,7 +157,9 @@ def test_a_ramp_is_as_set_as_far_as_the_readings_let_it(found: float, sigma: flo
     told = gaussian(a, found, sigma) / wide  # by the readings alone
     belief = told * (settings.as_set * narrow + (1.0 - settings.as_set) * wide)
     expected = float((a * belief).sum() / belief.sum())
-    assert BANK._as_set(state)[ACCELERATION] == pytest.approx(expected, abs=0.03 * sigma)
+    assert bank_prediction.ramp_estimate(BANK, state)[ACCELERATION] == pytest.approx(
+        expected, abs=0.03 * sigma
+    )
 
 
 def gaussian(a: Array, mean: float, sigma: float) -> Array:
@@ -161,7 +171,7 @@ def gaussian(a: Array, mean: float, sigma: float) -> Array:
 @pytest.mark.parametrize("motion", [Motion.RUNNING, Motion.STANDING])
 def test_only_a_ramp_has_been_set(motion: Motion) -> None:
     state = structs.replace(BANK.initial(0.0), motion=motion)
-    assert BANK._as_set(state) is state.x
+    assert bank_prediction.ramp_estimate(BANK, state) is state.x
 
 
 @pytest.mark.parametrize("share", [0.75, 1.0, 1.25])
@@ -172,9 +182,11 @@ def test_the_amplitude_of_a_stop_is_found_with_its_onset(share: float) -> None:
     errors = {}
     for t in np.arange(-1.5 + T0, 1.6, T0):
         value = float(truth.at(t - 0.001))
-        state = bank.advance(state, [Row(Source.DISTANCE, value, 0.001, DEVIATION**2, 4.0)], T0)
+        state = bank.advance(
+            state, [PositionMeasurement(Source.DISTANCE, value, 0.001, DEVIATION**2, 4.0)], T0
+        )
         ahead = np.array((0.4,))
-        errors[float(t)] = float((bank.outlook(state, ahead) - truth.at(t + ahead))[0])
+        errors[float(t)] = float((bank.predict_positions(state, ahead) - truth.at(t + ahead))[0])
     assert state.motion is Motion.STOPPING
     assert state.x[4] == pytest.approx(-share * STOP, rel=0.12)
     late = [abs(error) for t, error in errors.items() if t > 1.45]
@@ -185,18 +197,18 @@ def test_the_bank_never_grows_beyond_its_oldest_onset() -> None:
     state = BANK.initial(0.0)
     for k in range(1, 300):
         state = BANK.advance(state, measured_row(NOMINAL * k * T0), T0)
-        assert len(state.bank.age) <= round(SETTINGS.longest_onset / T0)
-        assert all(each.shape[-1] == len(state.bank.age) for each in arrays(state))
-    assert float(state.bank.age.max()) <= SETTINGS.longest_onset + 1e-9
-    assert (np.diff(state.bank.age) > 0.0).all()
+        assert len(state.changes.age) <= round(SETTINGS.longest_onset / T0)
+        assert all(each.shape[-1] == len(state.changes.age) for each in arrays(state))
+    assert float(state.changes.age.max()) <= SETTINGS.longest_onset + 1e-9
+    assert (np.diff(state.changes.age) > 0.0).all()
 
 
-def measured_row(value: float) -> list[Row]:
-    return [Row(Source.DISTANCE, value, 0.0, DEVIATION**2, NEVER)]
+def measured_row(value: float) -> list[PositionMeasurement]:
+    return [PositionMeasurement(Source.DISTANCE, value, 0.0, DEVIATION**2, NEVER)]
 
 
 def arrays(state: BankState) -> list[Array]:
-    return [state.bank.error, state.bank.A, state.bank.B]
+    return [state.changes.error, state.changes.A, state.changes.B]
 
 
 def test_the_covariance_stays_symmetric_and_positive_through_a_stop_and_a_start() -> None:
@@ -207,7 +219,9 @@ def test_the_covariance_stays_symmetric_and_positive_through_a_stop_and_a_start(
     motions = set()
     for t in np.arange(-1.5 + T0, 6.0, T0):
         value = float(truth.at(t)) + rng.normal(0.0, DEVIATION)
-        state = bank.advance(state, [Row(Source.DISTANCE, value, 0.0, DEVIATION**2, 4.0)], T0)
+        state = bank.advance(
+            state, [PositionMeasurement(Source.DISTANCE, value, 0.0, DEVIATION**2, 4.0)], T0
+        )
         motions.add(state.motion)
         assert np.allclose(state.P, state.P.T, rtol=0.0, atol=1e-12)
         assert np.linalg.eigvalsh(0.5 * (state.P + state.P.T))[0] > -1e-12
@@ -231,11 +245,11 @@ def in_contact(
         read = round((float(truth.at(t - 0.001)) + rng.normal(0.0, 0.00025)) * 1e3) / 1e3
         felt = float(truth.at(t - 0.006)) + push(t - 0.006) + rng.normal(0.0, TOUCH)
         rows = [
-            Row(Source.DISTANCE, read, 0.001, DEVIATION**2, 4.0),
-            Row(Source.TACTILE, felt, 0.006, TOUCH**2, 5.0),
+            PositionMeasurement(Source.DISTANCE, read, 0.001, DEVIATION**2, 4.0),
+            PositionMeasurement(Source.TACTILE, felt, 0.006, TOUCH**2, 5.0),
         ]
         state = CONTACT.advance(state, rows, T0)
-        events += [(float(t), kind, what) for kind, what in CONTACT.view(state).events]
+        events += [(float(t), kind, what) for kind, what in CONTACT.estimate(state).events]
     return events
 
 
@@ -266,9 +280,9 @@ FINE = 5.8e-5
 SHARP = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), FINE)
 
 
-def fine_row(truth: Truth, t: float, rng: np.random.Generator) -> list[Row]:
+def fine_row(truth: Truth, t: float, rng: np.random.Generator) -> list[PositionMeasurement]:
     read = round((float(truth.at(t - 0.001)) + rng.normal(0.0, 5e-5)) * 1e4) / 1e4
-    return [Row(Source.DISTANCE, read, 0.001, FINE**2, 4.0)]
+    return [PositionMeasurement(Source.DISTANCE, read, 0.001, FINE**2, 4.0)]
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -297,7 +311,7 @@ def test_a_stop_that_does_not_slow_the_conveyor_is_taken_back() -> None:
     braking[4] = -STOP
     P = state.P.copy()
     P[4, 4] = (0.15 * STOP) ** 2
-    state = structs.replace(state, x=braking, P=P, motion=Motion.STOPPING, since=0.0)
+    state = structs.replace(state, x=braking, P=P, motion=Motion.STOPPING, class_age=0.0)
     events = []
     for t in times[150:]:
         state = SHARP.advance(state, fine_row(truth, float(t), rng), T0)
@@ -316,7 +330,7 @@ def test_a_stop_at_the_edge_of_what_is_known_of_it_is_not_taken_back(share: floa
     events = []
     for t in np.arange(-1.5 + T0, 2.9, T0):
         read = round((float(truth.at(t - 0.001)) + rng.normal(0.0, 0.00025)) * 1e3) / 1e3
-        rows = [Row(Source.DISTANCE, read, 0.001, DEVIATION**2, 4.0)]
+        rows = [PositionMeasurement(Source.DISTANCE, read, 0.001, DEVIATION**2, 4.0)]
         state = bank.advance(state, rows, T0)
         events += state.events
     assert events.count(("stop", "confirmed")) == 1
@@ -333,11 +347,14 @@ def test_in_contact_little_evidence_moves_the_prediction_less_than_bayes_would()
         state = structs.replace(
             bank.initial(0.0),
             contact=True,
-            bank=hypotheses.begun(np.zeros(STATES), (0.0,)),
+            changes=onset_bank.begin(np.zeros(STATES), (0.0,)),
         )
         shares[caution] = [
-            bank._shares(
-                structs.replace(state, change=hypotheses.Verdict(odds, np.ones(1), np.ones(1)))
+            bank_prediction.hypothesis_weights(
+                bank,
+                structs.replace(
+                    state, change=onset_bank.OnsetPosterior(odds, np.ones(1), np.ones(1))
+                ),
             )[0]
             for odds in (1.2, 7.0)
         ]
@@ -363,13 +380,15 @@ def waved(bank: BankClassifier, hz: float, ahead: float, *, touch: bool) -> Arra
     errors = []
     for t in np.arange(-1.5 + T0, 13.8, T0):
         read = round((at(t - 0.001) + rng.normal(0.0, 0.00025)) * 1e3) / 1e3
-        rows = [Row(Source.DISTANCE, read, 0.001, DEVIATION**2, 4.0)]
+        rows = [PositionMeasurement(Source.DISTANCE, read, 0.001, DEVIATION**2, 4.0)]
         if touch:
             felt = at(t - 0.006) + rng.normal(0.0, TOUCH)
-            rows.append(Row(Source.TACTILE, felt, 0.006, TOUCH**2, 5.0))
+            rows.append(PositionMeasurement(Source.TACTILE, felt, 0.006, TOUCH**2, 5.0))
         state = bank.advance(state, rows, T0)
         if t > 4.0:
-            errors.append(float(bank.outlook(state, np.array((ahead,)))[0]) - at(t + ahead))
+            errors.append(
+                float(bank.predict_positions(state, np.array((ahead,)))[0]) - at(t + ahead)
+            )
     return np.array(errors)
 
 
@@ -380,8 +399,8 @@ def test_a_periodic_ripple_is_foreseen_with_its_frequency_a_few_hundredths_off(
 ) -> None:
     quiet = BankSettings(penalty=50.0, contact_penalty=50.0)
     plain, foreseeing = (
-        BankClassifier(ConveyorClasses(), FusionSettings(), quiet, DEVIATION, wave=wave)
-        for wave in (NO_WAVE, WaveSettings(frequency_hz=WAVE_HZ))
+        BankClassifier(ConveyorClasses(), FusionSettings(), quiet, DEVIATION, ripple=ripple)
+        for ripple in (NO_RIPPLE, RippleSettings(frequency_hz=WAVE_HZ))
     )
     before, now = (
         float(np.std(waved(bank, WAVE_HZ * off, 0.12, touch=touch))) for bank in (plain, foreseeing)
@@ -393,8 +412,8 @@ def test_a_periodic_ripple_is_foreseen_with_its_frequency_a_few_hundredths_off(
 def test_a_wave_where_none_is_expected_costs_little(touch: bool) -> None:
     quiet = BankSettings(penalty=50.0, contact_penalty=50.0)
     plain, foreseeing = (
-        BankClassifier(ConveyorClasses(), FusionSettings(), quiet, DEVIATION, wave=wave)
-        for wave in (NO_WAVE, WaveSettings(frequency_hz=WAVE_HZ))
+        BankClassifier(ConveyorClasses(), FusionSettings(), quiet, DEVIATION, ripple=ripple)
+        for ripple in (NO_RIPPLE, RippleSettings(frequency_hz=WAVE_HZ))
     )
     before, now = (
         float(np.std(waved(bank, 2.1, 0.12, touch=touch))) for bank in (plain, foreseeing)
@@ -409,9 +428,13 @@ def test_a_conveyor_that_has_stood_begins_its_wave_anew_at_the_frequency_that_wa
     state, paces = bank.initial(float(truth.at(-1.5))), []
     for t in np.arange(-1.5 + T0, 7.5, T0):
         read = round((float(truth.at(t - 0.001)) + rng.normal(0.0, 0.00025)) * 1e3) / 1e3
-        state = bank.advance(state, [Row(Source.DISTANCE, read, 0.001, DEVIATION**2, 4.0)], T0)
-        paces.append(state.pace)
+        state = bank.advance(
+            state, [PositionMeasurement(Source.DISTANCE, read, 0.001, DEVIATION**2, 4.0)], T0
+        )
+        paces.append(state.ripple_factor)
     assert state.motion is Motion.STANDING
-    assert np.diag(state.P)[WAVE:PACE] == pytest.approx(WaveSettings().deviation ** 2, rel=1e-3)
+    assert np.diag(state.P)[RIPPLE:FREQUENCY] == pytest.approx(
+        RippleSettings().deviation ** 2, rel=1e-3
+    )
     assert paces[-1] == pytest.approx(paces[-60], abs=1e-4)
-    assert state.P[PACE, PACE] < WaveSettings().spread ** 2
+    assert state.P[FREQUENCY, FREQUENCY] < RippleSettings().spread ** 2

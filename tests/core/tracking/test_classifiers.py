@@ -248,7 +248,7 @@ def test_delayed_rows_tell_the_same_of_a_constant_speed_as_rows_without_delay(
         same = [row(NOMINAL * t, delay=0.0, source=source)]
         prompt = classifier.advance(prompt, [*known, *same], T0)
         late = classifier.advance(late, [*known, *other], T0)
-    one, two = classifier.view(prompt), classifier.view(late)
+    one, two = classifier.estimate(prompt), classifier.estimate(late)
     assert two.position == pytest.approx(one.position, abs=2e-6)
     # A mixture of models always doubts a little, and doubts a little less with older rows.
     assert two.speed == pytest.approx(one.speed, abs=5e-5)
@@ -270,7 +270,7 @@ def test_a_late_camera_does_no_harm_while_the_conveyor_brakes(classifier: Classi
             if delay is not None:
                 rows.append(row(float(truth.at(t - delay)), delay=delay, source=Source.CAMERA))
             state = classifier.advance(state, rows, T0)
-            view = classifier.view(state)
+            view = classifier.estimate(state)
             errors.append(view.position + view.offset - float(truth.at(t)))
         worst[delay] = float(np.abs(errors[round(1.5 / T0) :]).max())
     assert worst[0.1] < max(1.3 * worst[None], 0.0006)
@@ -285,7 +285,7 @@ def test_the_offset_of_the_distance_sensor_is_found_beside_a_camera(
         rows = [row(NOMINAL * (t - DELAY) + 0.025)]
         rows.append(row(NOMINAL * (t - 0.1), delay=0.1, source=Source.CAMERA))
         state = classifier.advance(state, rows, T0)
-    view = classifier.view(state)
+    view = classifier.estimate(state)
     assert view.offset == pytest.approx(0.025, abs=1e-4)
     assert view.position == pytest.approx(NOMINAL * t, abs=2e-4)
 
@@ -299,7 +299,7 @@ sober = pytest.mark.parametrize("classifier", [RULE, SOBER], ids=["rule", "bank"
 def test_the_outlook_begins_where_the_view_is(classifier: Classifier) -> None:
     told = story(classifier, 1, STOP_AND_GO, 7.0)
     for state, view in list(zip(told.states, told.views, strict=True))[::20]:
-        now = float(classifier.outlook(state, np.zeros(1))[0])
+        now = float(classifier.predict_positions(state, np.zeros(1))[0])
         assert now == pytest.approx(view.position, abs=1e-9)
 
 
@@ -311,7 +311,7 @@ def test_the_outlook_of_a_stop_ends_where_the_conveyor_will_stand(classifier: Cl
         truth = Truth(4.2, ONE_STOP, seed=seed)
         k = int(np.searchsorted(told.times, 3.6))
         ahead = np.linspace(0.0, 0.5, 30)
-        way = classifier.outlook(told.states[k], ahead) + told.views[k].offset
+        way = classifier.predict_positions(told.states[k], ahead) + told.views[k].offset
         # A ripple that is left may take it back by as much as it has brought it.
         assert (np.diff(way) >= -3e-5).all()
         errors.append(np.abs(way - truth.at(told.times[k] + ahead)).max())
@@ -324,7 +324,7 @@ def test_the_outlook_of_a_running_conveyor_goes_on(classifier: Classifier) -> No
     truth = Truth(3.0, ripple=0.0)
     told = tell(classifier, truth, IDEAL)
     ahead = np.linspace(0.0, 0.5, 10)
-    way = classifier.outlook(told.states[-1], ahead) + told.views[-1].offset
+    way = classifier.predict_positions(told.states[-1], ahead) + told.views[-1].offset
     assert np.allclose(way, truth.at(told.times[-1]) + NOMINAL * ahead, atol=2e-4)
 
 
@@ -339,7 +339,11 @@ def test_the_mixture_acts_before_it_is_sure_and_costs_little_in_peace() -> None:
             if view.motion is not Motion.RUNNING:
                 continue
             errors = [
-                abs(float((c.outlook(state, ahead) + view.offset - truth.at(t + ahead))[0]))
+                abs(
+                    float(
+                        (c.predict_positions(state, ahead) + view.offset - truth.at(t + ahead))[0]
+                    )
+                )
                 for c in (BANK, SOBER)
             ]
             if 3.06 < t < 3.2:
@@ -365,7 +369,7 @@ def test_a_step_changes_no_state_that_was_given(classifier: Classifier) -> None:
     for k in range(200, 380, 7):
         again = classifier.advance(told.states[k], [row(0.5)], T0)
         twice = classifier.advance(told.states[k], [row(0.5)], T0)
-        assert classifier.view(again) == classifier.view(twice)
+        assert classifier.estimate(again) == classifier.estimate(twice)
     replayed = tell(classifier, Truth(4.2, ONE_STOP, seed=0))
     assert replayed.views == told.views
 
@@ -384,7 +388,7 @@ def test_a_stop_that_the_rule_tries_has_already_cost_speed() -> None:
         story = tell(RULE, truth)
         at = [t for t, kind, what in story.events if (kind, what) == ("stop", "tentative")][-1]
         state = story.states[int(np.searchsorted(story.times, at))]
-        ahead = float(RULE.outlook(state, np.array((0.1,)))[0]) + story.views[0].offset
+        ahead = float(RULE.predict_positions(state, np.array((0.1,)))[0]) + story.views[0].offset
         errors.append(ahead - float(truth.at(at + 0.1)))
     assert abs(float(np.median(errors))) < 0.0008
 
@@ -400,7 +404,7 @@ def test_an_estimate_that_follows_more_readily_is_nearer_in_a_stop_told_no_later
         for name, story in stories.items():
             k = int(np.searchsorted(story.times, first[0][0])) - 1
             classifier = RULE if name == "as shipped" else stiff
-            ahead = float(classifier.outlook(story.states[k], np.array((0.1,)))[0])
+            ahead = float(classifier.predict_positions(story.states[k], np.array((0.1,)))[0])
             late[name].append(ahead + story.views[k].offset - float(truth.at(story.times[k] + 0.1)))
     assert np.median(late["as shipped"]) < 0.92 * np.median(late["stiff"])
 
@@ -425,7 +429,7 @@ def disturbed(
     state = classifier.initial(float(clean[0]))
     confirmed = ended = float("inf")
     drift = tentative = longest = 0.0
-    view = classifier.view(state)
+    view = classifier.estimate(state)
     for t, value in zip(times[1:], clean[1:], strict=True):
         if t > 4.0 and confirmed > t:
             drift = 0.5 * growth * (t - 4.0) ** 2
@@ -433,7 +437,7 @@ def disturbed(
             drift = 0.0
         reading = round((float(value) + drift) * 1e3) * 1e-3
         state = classifier.advance(state, [row(reading)], T0)
-        view = classifier.view(state)
+        view = classifier.estimate(state)
         if t > 4.0 and ("start", "confirmed") in view.events:
             confirmed = min(confirmed, t)
         if confirmed <= t and view.motion is not Motion.STARTING:

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from linemate.daemon.core.tracking.conveyor import Motion, change_of, travel
+from linemate.daemon.core.tracking.conveyor import way
 
 NOMINAL = 0.106
 speeds = st.floats(-0.02, 0.15)
@@ -32,39 +32,22 @@ def test_travel_is_the_integral_of_a_speed_that_ends_at_rest_or_at_nominal(
     known, _ = quad(
         speed_at, 0.0, t, args=(speed, acceleration), points=sorted({min(end, t), 0.0, t})
     )
-    way = travel(speed, acceleration, NOMINAL, np.array((t,)))
-    assert way.shape == (1,)
-    assert float(way[0]) == pytest.approx(known, abs=1e-9)
+    gone = way(speed, acceleration, NOMINAL, np.array((t,)))
+    assert gone.shape == (1,)
+    assert float(gone[0]) == pytest.approx(known, abs=1e-9)
 
 
 @settings(max_examples=50, deadline=None)
 @given(st.floats(0.0, 0.15), st.floats(0.01, 0.2))
 def test_a_stop_never_runs_backwards_and_ends_after_v2_over_2a(speed: float, brake: float) -> None:
     t = np.linspace(0.0, 20.0, 300)
-    way = travel(speed, -brake, NOMINAL, t)
-    assert (np.diff(way) >= -1e-12).all()
-    assert float(way[-1]) == pytest.approx(speed**2 / (2.0 * brake), abs=1e-9)
+    gone = way(speed, -brake, NOMINAL, t)
+    assert (np.diff(gone) >= -1e-12).all()
+    assert float(gone[-1]) == pytest.approx(speed**2 / (2.0 * brake), abs=1e-9)
 
 
 @settings(max_examples=50, deadline=None)
 @given(st.floats(0.0, 0.1), st.floats(0.005, 0.1))
 def test_a_start_goes_on_at_nominal_speed(speed: float, push: float) -> None:
-    late = travel(speed, push, NOMINAL, np.array((100.0, 101.0)))
+    late = way(speed, push, NOMINAL, np.array((100.0, 101.0)))
     assert float(np.diff(late)[0]) == pytest.approx(NOMINAL, abs=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "word"),
-    [
-        (Motion.RUNNING, Motion.STOPPING, "stop"),
-        (Motion.STARTING, Motion.STOPPING, "stop"),
-        (Motion.RUNNING, Motion.STANDING, "stop"),
-        (Motion.STANDING, Motion.STARTING, "start"),
-        (Motion.STOPPING, Motion.STARTING, "start"),
-        (Motion.STOPPING, Motion.RUNNING, "start"),
-    ],
-)
-def test_a_change_of_class_is_called_what_the_conveyor_does(
-    before: Motion, after: Motion, word: str
-) -> None:
-    assert change_of(before, after) == word

@@ -1,8 +1,13 @@
-"""An interacting multiple model filter over the conveyor's classes.
+"""IMM classifier: an interacting multiple model filter over the conveyor's classes.
 
-Law of this file: four Kalman filters, one a class, mixed each step by a Markov chain of rare stops
-and starts (Blom and Bar-Shalom). A stop ends and a start ends where the model's own speed says so,
-so those transitions are not rates. The mixed prediction needs no threshold; the events do.
+Four Kalman filters, one a class, mixed in each step by a Markov chain of rare stops and starts
+(Blom and Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching
+coefficients", IEEE Transactions on Automatic Control, 1988; filterpy's ``IMMEstimator``). The
+model's own speed decides where a stop or a start ends, so that those transitions are no rates. The
+mixed prediction needs no threshold; the events do.
+
+Invariants:
+- A step builds the estimator from the state and keeps none of it: filterpy's filters are mutable.
 """
 
 import math
@@ -10,35 +15,55 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from filterpy.common import Q_continuous_white_noise
+from filterpy.kalman import IMMEstimator, KalmanFilter
 from msgspec import Struct
 from msgspec.structs import replace
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.classifiers import ramp_check
-from linemate.daemon.core.tracking.classifiers.ramp_check import Denial, StartCheck
-from linemate.daemon.core.tracking.conveyor import LONGEST_TRIAL, Motion, Row, Source, View, travel
+from linemate.daemon.core.tracking.classifiers import start_check
+from linemate.daemon.core.tracking.classifiers.start_check import StartCheck, StartRejection
+from linemate.daemon.core.tracking.conveyor import (
+    LONGEST_TENTATIVE_S,
+    ConveyorEstimate,
+    Motion,
+    PositionMeasurement,
+    Source,
+    way,
+)
 from linemate.daemon.core.tracking.settings import BankSettings, FusionSettings, ImmSettings
 from linemate.daemon.core.tracking.task import ConveyorClasses
 
-Y, V, RIPPLE, OFFSET, ACCELERATION = range(5)
+STATES = 4
+Y, V, RIPPLE, OFFSET = range(STATES)
 MODES = (Motion.RUNNING, Motion.STOPPING, Motion.STANDING, Motion.STARTING)
 RUN, STOP, STAND, START = range(4)
 OFFSET_DEVIATION = 0.1  # of x10 before anything but the distance sensor saw the object [m]
-SETTLING = 0.6  # no events until the speed has been seen [s]
-REFUSALS = 8  # of one sensor in a row, after which the filter widens
-END = 0.3  # chance a step that a class whose speed has reached its end is left
-FLOOR = 1e-9  # of a mode's probability: leakage bounds the odds, nothing may be impossible
+STANDING_VARIANCE = 1e-8  # of the speed of a conveyor that stands [m^2/s^2]
+SETTLING = 0.6  # no events until the speed is estimated [s]
+MOST_REJECTED = 8  # measurements of one sensor in a row, after which the filter widens
+RAMP_S = 0.1  # correlation time of an acceleration's deviation from its nominal one [s]
+END = 0.3  # probability a step that a class whose speed has reached its end is left
+FLOOR = 1e-9  # of a mode's probability: no class becomes impossible
+LEAST_LIKELIHOOD = 1e-60  # of one measurement, likewise within a step
+NEGLIGIBLE = 1e-4  # probability of a mode that the prediction leaves out
 
-_WORDS = {STOP: "stop", STAND: "stop", START: "start", RUN: "start"}
+_EVENTS = {STOP: "stop", STAND: "stop", START: "start", RUN: "start"}
+_INITIAL_ODDS = (0.49, 0.01, 0.49, 0.01)
 
 
 class ImmState(Struct, frozen=True, eq=False):
-    """One estimate (4, 5) and covariance (4, 5, 5) a mode, and the modes' odds (4,).
+    """Estimates (4, 4), covariances (4, 4, 4) and probabilities (4,) of the modes.
 
     Attributes:
         mode: number of the class in force.
-        trial_s: how long a change has been tentative [s].
-        check: of a start against the readings, or None.
+        cruise: speed at which a start ends [m/s].
+        age: of the estimate [s].
+        rejected: measurements rejected in a row, by sensor.
+        tentative: a change has been perceived.
+        tentative_s: how long it has been tentative [s].
+        start_check: of a start against the readings, or None.
+        events: of the last step.
     """
 
     x: Array
@@ -47,16 +72,37 @@ class ImmState(Struct, frozen=True, eq=False):
     mode: int
     cruise: float
     age: float = 0.0
-    refused: tuple[tuple[Source, int], ...] = ()
+    rejected: tuple[tuple[Source, int], ...] = ()
     tentative: bool = False
-    trial_s: float = 0.0
-    check: StartCheck | None = None
+    tentative_s: float = 0.0
+    start_check: StartCheck | None = None
     events: tuple[tuple[str, str], ...] = ()
+
+
+class _ModeFilter(KalmanFilter):  # type: ignore[misc]  # filterpy is not typed
+    """Kalman filter of one class; its likelihood without scipy's distributions (0.3 ms each).
+
+    Attributes:
+        acted: way that the acceleration of the class has added since the measurement [m].
+    """
+
+    acted = 0.0
+
+    def update(self, z: Array, R: Array | None = None, H: Array | None = None) -> None:
+        """Correct by a delayed measurement (1,)."""
+        super().update(z - self.acted, R, H)
+
+    @property
+    def likelihood(self) -> float:
+        """Density of the last measurement."""
+        S = float(self.S[0, 0])
+        density = math.exp(-0.5 * float(self.y[0]) ** 2 / S) / math.sqrt(2.0 * math.pi * S)
+        return max(density, LEAST_LIKELIHOOD)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImmClassifier:
-    """The mixing filter with its rates and thresholds."""
+    """IMM filter with its rates and thresholds; see ``conveyor.Classifier``."""
 
     conveyor: ConveyorClasses
     fusion: FusionSettings
@@ -66,28 +112,25 @@ class ImmClassifier:
 
     @property
     def _accelerations(self) -> tuple[float, float, float, float]:
-        """Return each mode's nominal acceleration [m/s^2]."""
+        """Nominal acceleration of each mode [m/s^2]."""
         return (0.0, -self.conveyor.deceleration, 0.0, self.conveyor.acceleration)
 
     def initial(self, position: float) -> ImmState:
-        """Return the belief at a first distance reading; class and speed are not known yet."""
+        """Return the state at a first distance reading; class and speed are unknown."""
         nominal = self.conveyor.nominal_speed
         offset = OFFSET_DEVIATION**2
-        x = np.zeros((4, 5))
+        x = np.zeros((4, STATES))
         x[:, Y] = position
         x[RUN, V] = nominal
         x[STOP, V] = x[START, V] = 0.5 * nominal
-        x[:, ACCELERATION] = self._accelerations
-        P = np.zeros((4, 5, 5))
+        P = np.zeros((4, STATES, STATES))
         P[:, Y, Y] = self.distance_deviation**2 + offset
         P[:, OFFSET, OFFSET] = offset
         P[:, Y, OFFSET] = P[:, OFFSET, Y] = -offset
         P[:, RIPPLE, RIPPLE] = self.fusion.ripple**2
         P[:, V, V] = (0.3 * nominal) ** 2
-        P[STAND, V, V] = 1e-8
-        share = self.bank.amplitude_deviation
-        P[:, ACCELERATION, ACCELERATION] = (share * np.array(self._accelerations)) ** 2
-        return ImmState(x, P, np.array((0.49, 0.01, 0.49, 0.01)), RUN, nominal)
+        P[STAND, V, V] = STANDING_VARIANCE
+        return ImmState(x, P, np.array(_INITIAL_ODDS), RUN, nominal)
 
     def _chain(self, state: ImmState, dt: float) -> Array:
         """Return the Markov chain (4, 4) of this step, row: from, column: to."""
@@ -100,138 +143,118 @@ class ImmClassifier:
         chain[np.arange(4), np.arange(4)] = 1.0 - chain.sum(axis=1)
         return chain
 
-    def _mix(self, state: ImmState, dt: float) -> tuple[Array, Array, Array]:
-        """Return estimates, covariances and odds of the modes after the chain's step."""
-        chain = self._chain(state, dt)
-        odds = np.maximum(state.mu @ chain, FLOOR)
-        x, P = state.x.copy(), state.P.copy()
-        nominal = self._accelerations
-        for to in range(4):
-            weights = chain[:, to] * state.mu / odds[to]
-            if weights[to] > 1.0 - 1e-12:
+    def _filter(self, state: ImmState, mode: int, dt: float) -> _ModeFilter:
+        """Return the Kalman filter of a mode: (5), (6), with its acceleration as control input."""
+        kf = _ModeFilter(dim_x=STATES, dim_z=1, dim_u=1)
+        kf.x, kf.P = state.x[mode].copy(), state.P[mode].copy()
+        decay = math.exp(-dt / self.fusion.ripple_time)
+        if mode == STAND:
+            kf.F = np.diag((1.0, 0.0, 0.0, 1.0))
+            kf.Q = np.diag((1e-12, STANDING_VARIANCE, 0.0, self.fusion.offset**2 * dt))
+            return kf
+        kf.F[Y, V] = kf.F[Y, RIPPLE] = dt
+        kf.F[RIPPLE, RIPPLE] = decay
+        acceleration = self._accelerations[mode]
+        kf.B = np.array((0.5 * dt * dt, dt, 0.0, 0.0)) * acceleration
+        kf.B.shape = (STATES, 1)
+        density = self.fusion.speed**2
+        density += (self.bank.amplitude_deviation * acceleration) ** 2 * RAMP_S
+        share = min(max(float(state.x[mode, V]) / self.conveyor.nominal_speed, 0.0), 1.0)
+        kf.Q = np.zeros((STATES, STATES))
+        kf.Q[:RIPPLE, :RIPPLE] = Q_continuous_white_noise(2, dt, density)
+        kf.Q[RIPPLE, RIPPLE] = (self.fusion.ripple * share) ** 2 * (1.0 - decay * decay)
+        kf.Q[OFFSET, OFFSET] = self.fusion.offset**2 * dt
+        return kf
+
+    def _estimate(
+        self, state: ImmState, measurements: Sequence[PositionMeasurement], dt: float
+    ) -> ImmState:
+        """Return the state one step later, (2)-(6) in each mode, without a decision."""
+        filters = [self._filter(state, mode, dt) for mode in range(4)]
+        estimator = IMMEstimator(filters, state.mu, self._chain(state, dt))
+        estimator.predict(u=np.ones(1))
+        estimator.mu = estimator.cbar.copy()
+        # The chain acts once a step, not once a measurement.
+        estimator.M = np.eye(4)
+        rejected = dict(state.rejected)
+        for measurement in measurements:
+            innovations, variances = self._innovations(filters, measurement)
+            gates = measurement.gate**2 * variances
+            is_live = estimator.mu > 0.01
+            source = measurement.source
+            if not bool((innovations[is_live] ** 2 <= gates[is_live]).any()):
+                rejected[source] = rejected.get(source, 0) + 1
+                if rejected[source] >= MOST_REJECTED:
+                    return self._widened(_merged(state, estimator), float(innovations[is_live][0]))
                 continue
-            sources = state.x.copy()
-            spreads = state.P.copy()
-            for source in range(4):
-                if source != to:
-                    # Who enters a class does not bring an acceleration along.
-                    sources[source, ACCELERATION] = nominal[to]
-                    spreads[source, ACCELERATION, :] = spreads[source, :, ACCELERATION] = 0.0
-                    deviation = self.bank.amplitude_deviation * nominal[to]
-                    spreads[source, ACCELERATION, ACCELERATION] = deviation**2
-            x[to] = weights @ sources
-            off = sources - x[to]
-            P[to] = np.einsum("i,ijk->jk", weights, spreads + off[:, :, None] * off[:, None, :])
-        return x, P, odds / odds.sum()
-
-    def _predict(self, state: ImmState, dt: float) -> ImmState:
-        """Return (5), (6) for each mode."""
-        x, P, mu = self._mix(state, dt)
-        F = np.eye(5)
-        F[Y, V], F[Y, RIPPLE], F[Y, ACCELERATION] = dt, dt, 0.5 * dt * dt
-        F[V, ACCELERATION] = dt
-        F[RIPPLE, RIPPLE] = math.exp(-dt / self.fusion.ripple_time)
-        x = x @ F.T
-        P = F @ P @ F.T
-        decay = 1.0 - F[RIPPLE, RIPPLE] ** 2
-        share = np.clip(x[:, V] / self.conveyor.nominal_speed, 0.0, 1.0)
-        P[:, Y, Y] += 1e-12
-        P[:, V, V] += self.fusion.speed**2 * dt
-        P[:, RIPPLE, RIPPLE] += (self.fusion.ripple * share) ** 2 * decay
-        P[:, OFFSET, OFFSET] += self.fusion.offset**2 * dt
-        x[STAND, V] = x[STAND, RIPPLE] = 0.0
-        P[STAND, V, :] = P[STAND, :, V] = 0.0
-        P[STAND, RIPPLE, :] = P[STAND, :, RIPPLE] = 0.0
-        P[STAND, V, V] = 1e-8
-        return replace(state, x=x, P=P, mu=mu, age=state.age + dt, events=())
-
-    def _correct(self, state: ImmState, row: Row) -> ImmState:
-        """Return (2)-(4) for one row in each mode, and the modes' odds by their likelihood."""
-        seen = 1.0 if row.source is Source.DISTANCE else 0.0
-        h = np.array((1.0, -row.delay, -row.delay, seen, 0.5 * row.delay**2))
-        Ph = state.P @ h  # (4, 5)
-        S = Ph @ h + row.variance
-        nu = row.value - state.x @ h
-        counts = dict(state.refused)
-        live = state.mu > 0.01
-        if not bool((nu[live] ** 2 <= row.gate**2 * S[live]).any()):
-            counts[row.source] = counts.get(row.source, 0) + 1
-            if counts[row.source] < REFUSALS:
-                return replace(state, refused=tuple(counts.items()))
-            return self._widened(state, float(nu[live][0]))
-        counts[row.source] = 0
-        K = Ph / S[:, None]
-        fit = -0.5 * (nu * nu / S + np.log(S))
-        mu = np.maximum(state.mu * np.exp(fit - fit.max()), FLOOR)
+            rejected[source] = 0
+            estimator.update(np.array((measurement.value,)))
         return replace(
-            state,
-            x=state.x + K * nu[:, None],
-            P=state.P - K[:, :, None] * Ph[:, None, :],
-            mu=mu / mu.sum(),
-            refused=tuple(counts.items()),
+            _merged(state, estimator),
+            age=state.age + dt,
+            rejected=tuple(rejected.items()),
+            events=(),
         )
 
+    def _innovations(
+        self, filters: Sequence[_ModeFilter], measurement: PositionMeasurement
+    ) -> tuple[Array, Array]:
+        """Return the innovations (4,) of the modes and their variances (4,); set h and R."""
+        tau, has_offset = measurement.delay, measurement.source is Source.DISTANCE
+        h = np.array(((1.0, -tau, -tau, float(has_offset)),))
+        innovations, variances = np.empty(4), np.empty(4)
+        for mode, kf in enumerate(filters):
+            kf.H, kf.R = h, np.array(((measurement.variance,),))
+            kf.acted = 0.5 * self._accelerations[mode] * tau * tau
+            innovations[mode] = measurement.value - kf.acted - float(h[0] @ kf.x)
+            variances[mode] = float(h[0] @ kf.P @ h[0]) + measurement.variance
+        return innovations, variances
+
     def _widened(self, state: ImmState, nu: float) -> ImmState:
-        """Return the state opened up: a sensor that stays refused is right."""
+        """Return the state with a larger covariance: a sensor that stays rejected is right."""
         P = state.P.copy()
         P[:, Y, Y] += nu * nu
         P[:, OFFSET, OFFSET] += nu * nu
         P[:, V, V] += (0.5 * self.conveyor.nominal_speed) ** 2
-        return replace(
-            state, P=P, mu=np.array((0.49, 0.01, 0.49, 0.01)), age=0.0, refused=(), tentative=False
-        )
+        mu = np.array(_INITIAL_ODDS)
+        return replace(state, P=P, mu=mu, age=0.0, rejected=(), tentative=False, events=())
 
-    def advance(self, state: ImmState, rows: Sequence[Row], dt: float) -> ImmState:
-        """Return the belief one step later, its class decided."""
-        before = state
-        state = self._predict(state, dt)
-        for row in rows:
-            state = self._correct(state, row)
-        state = self._bounded(self._decide(state), before, dt)
-        return self._learn(self._checked(before, state, rows, dt), dt)
-
-    def _bounded(self, state: ImmState, before: ImmState, dt: float) -> ImmState:
-        """Return the state with a change cancelled that has been tentative for too long."""
-        if not state.tentative:
-            return replace(state, trial_s=0.0) if state.trial_s else state
-        trial_s = state.trial_s + dt if before.tentative else 0.0
-        if trial_s < LONGEST_TRIAL:
-            return replace(state, trial_s=trial_s)
-        event = ("stop" if state.mode in {RUN, START} else "start", "cancelled")
-        return replace(
-            state,
-            mu=_certain(state.mode),
-            tentative=False,
-            trial_s=0.0,
-            events=(*state.events, event),
-        )
-
-    def _checked(
-        self, before: ImmState, state: ImmState, rows: Sequence[Row], dt: float
+    def advance(
+        self, state: ImmState, measurements: Sequence[PositionMeasurement], dt: float
     ) -> ImmState:
-        """Return the state with a start taken back, or ended, if the readings contradict it."""
-        if state.mode != START and state.check is None:
+        """Return the state ``dt`` seconds later, its class decided."""
+        before = state
+        state = self._decide(self._estimate(state, measurements, dt))
+        state = _bound_tentative(state, before, dt)
+        return self._learn(self._check_start(before, state, measurements, dt), dt)
+
+    def _check_start(
+        self,
+        before: ImmState,
+        state: ImmState,
+        measurements: Sequence[PositionMeasurement],
+        dt: float,
+    ) -> ImmState:
+        """Return the state with a start cancelled, or ended, if the readings contradict it."""
+        if state.mode != START and state.start_check is None:
             return state
         speed = float(state.x[START, V])
-        check = ramp_check.follow(
-            state.check, MODES[before.mode], MODES[state.mode], speed, rows, dt
+        check = start_check.update(
+            state.start_check, MODES[before.mode], MODES[state.mode], speed, measurements, dt
         )
-        denial = ramp_check.denied(check, self.conveyor, state.cruise, self.distance_deviation)
-        if denial is None:
-            return replace(state, check=check)
-        return self._denied(state, denial)
+        rejection = start_check.reject(check, self.conveyor, state.cruise, self.distance_deviation)
+        if rejection is None:
+            return replace(state, start_check=check)
+        return self._reject_start(state, rejection)
 
-    def _denied(self, state: ImmState, denial: Denial) -> ImmState:
+    def _reject_start(self, state: ImmState, rejection: StartRejection) -> ImmState:
         """Return the state in the class that the readings speak for."""
-        mode = MODES.index(denial.motion)
+        mode = MODES.index(rejection.motion)
         x, P = state.x.copy(), state.P.copy()
-        if mode != STAND:  # that one has a filter of its own, which knows no speed
+        if mode != STAND:  # has a filter of its own, which has no speed
             x[mode], P[mode] = state.x[START], state.P[START]
-            P[mode, V, V] += (x[mode, V] - denial.speed) ** 2
-            x[mode, V], x[mode, ACCELERATION] = denial.speed, self._accelerations[mode]
-            P[mode, ACCELERATION, :] = P[mode, :, ACCELERATION] = 0.0
-            spread = self.bank.amplitude_deviation * self._accelerations[mode]
-            P[mode, ACCELERATION, ACCELERATION] = spread**2
+            P[mode, V, V] += (x[mode, V] - rejection.speed) ** 2
+            x[mode, V] = rejection.speed
         events = state.events
         if state.tentative:
             events = (*events, ("stop", "cancelled"))
@@ -244,8 +267,8 @@ class ImmClassifier:
             mu=_certain(mode),
             mode=mode,
             tentative=False,
-            trial_s=0.0,
-            check=None,
+            tentative_s=0.0,
+            start_check=None,
             events=events,
         )
 
@@ -254,50 +277,51 @@ class ImmClassifier:
         best = int(np.argmax(state.mu))
         if state.age < SETTLING:
             return replace(state, mode=best)
-        ending = (state.mode, best) in {(STOP, STAND), (START, RUN)}
-        if ending and state.mu[best] > 0.5:
+        is_end = (state.mode, best) in {(STOP, STAND), (START, RUN)}
+        if is_end and state.mu[best] > 0.5:
             return replace(state, mode=best, tentative=False)
         other = 1.0 - float(state.mu[state.mode])
         if {state.mode, best} == {STOP, STAND}:
             other = float(state.mu[RUN] + state.mu[START])
-        word = _WORDS[best]
+        event = _EVENTS[best]
         if best != state.mode and other > self.imm.confirmed:
-            events = [(word, "tentative"), (word, "confirmed")]
+            events = [(event, "tentative"), (event, "confirmed")]
             if state.tentative:
                 events.pop(0)
             return replace(state, mode=best, tentative=False, events=(*state.events, *events))
         if not state.tentative and best != state.mode and other > self.imm.perceived:
-            return replace(state, tentative=True, events=(*state.events, (word, "tentative")))
+            return replace(state, tentative=True, events=(*state.events, (event, "tentative")))
         if state.tentative and other < 0.5 * self.imm.perceived:
-            word = "stop" if state.mode in {RUN, START} else "start"
-            return replace(state, tentative=False, events=(*state.events, (word, "cancelled")))
+            cancelled = (_next_event(state.mode), "cancelled")
+            return replace(state, tentative=False, events=(*state.events, cancelled))
         return state
 
     def _learn(self, state: ImmState, dt: float) -> ImmState:
-        """Return the state with the cruising speed learnt slowly."""
+        """Return the state with the cruising speed averaged slowly."""
         speed = float(state.x[RUN, V])
         if state.mode == RUN and state.age > SETTLING and state.mu[RUN] > 0.9:
             return replace(state, cruise=state.cruise + dt * (speed - state.cruise))
         return state
 
-    def outlook(self, state: ImmState, times: Array) -> Array:
-        """Return positions (m,) at ``times``: each mode's future by its odds."""
+    def predict_positions(self, state: ImmState, times: Array) -> Array:
+        """Return positions (m,) at ``times`` from now: the mean over the modes."""
         tau = self.fusion.ripple_time
         fade = tau * (1.0 - np.exp(-times / tau))
         total = np.zeros(len(times))
         for mode, weight in enumerate(state.mu.tolist()):
-            if weight > 1e-4:
-                y, v, r, _, a = state.x[mode].tolist()
-                total += weight * (y + travel(v, a, state.cruise, times) + r * fade)
-        return total / float(state.mu[state.mu > 1e-4].sum())
+            if weight > NEGLIGIBLE:
+                y, v, ripple, _ = state.x[mode].tolist()
+                a = self._accelerations[mode]
+                total += weight * (y + way(v, a, state.cruise, times) + ripple * fade)
+        return total / float(state.mu[state.mu > NEGLIGIBLE].sum())
 
-    def view(self, state: ImmState) -> View:
-        """Return what the mixture believes."""
+    def estimate(self, state: ImmState) -> ConveyorEstimate:
+        """Return the estimate of the conveyor now, the modes merged."""
         mean = state.mu @ state.x
         off = state.x - mean
         P = np.einsum("i,ijk->jk", state.mu, state.P + off[:, :, None] * off[:, None, :])
         other = min(max(1.0 - float(state.mu[state.mode]), 1e-12), 1.0 - 1e-12)
-        return View(
+        return ConveyorEstimate(
             position=float(mean[Y]),
             speed=float(mean[V] + mean[RIPPLE]),
             offset=float(mean[OFFSET]),
@@ -310,8 +334,40 @@ class ImmClassifier:
         )
 
 
+def _merged(state: ImmState, estimator: IMMEstimator) -> ImmState:
+    """Return the state with the estimator's numbers."""
+    mu = np.maximum(estimator.mu, FLOOR)
+    return replace(
+        state,
+        x=np.array([kf.x for kf in estimator.filters]),
+        P=np.array([kf.P for kf in estimator.filters]),
+        mu=mu / mu.sum(),
+    )
+
+
+def _bound_tentative(state: ImmState, before: ImmState, dt: float) -> ImmState:
+    """Return the state with a change cancelled that has been tentative for too long."""
+    if not state.tentative:
+        return replace(state, tentative_s=0.0) if state.tentative_s else state
+    tentative_s = state.tentative_s + dt if before.tentative else 0.0
+    if tentative_s < LONGEST_TENTATIVE_S:
+        return replace(state, tentative_s=tentative_s)
+    return replace(
+        state,
+        mu=_certain(state.mode),
+        tentative=False,
+        tentative_s=0.0,
+        events=(*state.events, (_next_event(state.mode), "cancelled")),
+    )
+
+
+def _next_event(mode: int) -> str:
+    """Return the event that can follow a mode."""
+    return "stop" if mode in {RUN, START} else "start"
+
+
 def _certain(mode: int) -> Array:
-    """Return the odds (4,) of the modes if one is certain."""
+    """Return the probabilities (4,) of the modes if one is certain."""
     mu = np.full(4, FLOOR)
     mu[mode] = 1.0 - 3.0 * FLOOR
     return mu

@@ -1,40 +1,49 @@
-"""The paper's rule (Sect. III-B): classes switched by prediction errors.
+"""Rule classifier: the paper's rule (Sect. III-B), classes switched by prediction errors.
 
-Law of this file: tentative when the old class predicts worse than one threshold, confirmed when
-the old class, no longer corrected, goes on getting worse, cancelled when the new one is inferior.
+A class is tentative when the old class predicts worse than one threshold. It is confirmed when the
+old class, no longer corrected, goes on getting worse, and cancelled when the new one is inferior.
 The estimate is (2)-(7) with the states y, x7 and x10 and all sensors. The prediction errors are
-those of a watch beside it, on the distance sensor alone, its speed as adaptive as the rule needs it
-to be: a stiffer one would perceive a start sooner, but this is the paper's method.
+those of a monitor: a second filter on the distance sensor alone, with the bandwidth that the rule
+needs. A stiffer one would perceive a start sooner, but this is the paper's method.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from filterpy.common import Q_continuous_white_noise
 from msgspec import Struct
 from msgspec.structs import replace
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.classifiers import ramp_check
-from linemate.daemon.core.tracking.classifiers.ramp_check import Denial, StartCheck
-from linemate.daemon.core.tracking.conveyor import LONGEST_TRIAL, Motion, Row, Source, View, travel
+from linemate.daemon.core.tracking.classifiers import start_check
+from linemate.daemon.core.tracking.classifiers.start_check import StartCheck, StartRejection
+from linemate.daemon.core.tracking.conveyor import (
+    LONGEST_TENTATIVE_S,
+    ConveyorEstimate,
+    Motion,
+    PositionMeasurement,
+    Source,
+    way,
+)
 from linemate.daemon.core.tracking.settings import FusionSettings, RuleSettings
 from linemate.daemon.core.tracking.task import ConveyorClasses
 
 OFFSET_DEVIATION = 0.1  # of x10 before anything but the distance sensor saw the object [m]
-SETTLING = 0.5  # the rule is silent until the speed of a class has been seen [s]
-REFUSALS = 3  # gated rows in a row after which the filter widens
+SETTLING_S = 0.5  # no class is tried before the speed has settled [s]
+MOST_REJECTED = 3  # measurements rejected in a row, after which the filter widens
 FADING = 0.7  # of the squared errors that compare two classes, a reading
-ACTING = 0.15  # how long a class has acted as it is tried [s]
-BEHIND = 0.5  # share of the error that tries it by which the estimate lags; the rest is noise
+ACTING_S = 0.15  # how long a class has acted when it becomes tentative [s]
+LAG_SHARE = 0.5  # share of the prediction error by which the estimate lags; the rest is noise
 
 
-class Trial(Struct, frozen=True, eq=False):
-    """A class on trial.
+class TentativeClass(Struct, frozen=True, eq=False):
+    """A class that is compared with the one before it.
 
     Attributes:
-        position, speed: what the old class expects to be read, uncorrected since [m, m/s].
-        old_error, new_error: squared prediction errors since, fading.
+        old: class before.
+        position, speed: prediction of the old class, uncorrected since [m, m/s].
+        old_error, new_error: squared prediction errors since, fading [m^2].
         age: [s].
     """
 
@@ -47,39 +56,47 @@ class Trial(Struct, frozen=True, eq=False):
 
 
 class RuleState(Struct, frozen=True, eq=False):
-    """Belief of the rule.
+    """Estimate and class of the rule.
 
     Attributes:
-        x: y [m], x7 [m/s], x10 [m].
-        w: the watch: what the distance sensor should read [m], and its speed [m/s].
+        x: (3,) y [m], x7 [m/s], x10 [m].
+        P: (3, 3) covariance of x.
+        monitor: (2,) predicted reading of the distance sensor [m] and its speed [m/s].
+        monitor_P: (2, 2) covariance of the monitor.
+        motion: class in force.
         cruise: speed at which a start ends [m/s].
-        age: of the belief [s].
-        since: how long the class has been acting [s].
-        refused: rows gated in a row, by sensor.
-        wild: readings that the watch gated in a row.
-        trial: of a class, or None.
-        check: of a start against the readings, or None.
+        age: of the estimate [s].
+        class_age: time since the class began to act [s].
+        rejected: measurements rejected in a row, by sensor.
+        outliers: readings that the monitor rejected in a row.
+        tentative: comparison of a tentative class, or None.
+        start_check: of a start against the readings, or None.
         events: of the last step.
     """
 
     x: Array
     P: Array
-    w: Array
-    W: Array
+    monitor: Array
+    monitor_P: Array
     motion: Motion
     cruise: float
     age: float = 0.0
-    since: float = 0.0
-    refused: Mapping[Source, int] = {}
-    wild: int = 0
-    trial: Trial | None = None
-    check: StartCheck | None = None
+    class_age: float = 0.0
+    rejected: Mapping[Source, int] = {}
+    outliers: int = 0
+    tentative: TentativeClass | None = None
+    start_check: StartCheck | None = None
     events: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RuleClassifier:
-    """The rule with its thresholds; ``classes`` False keeps the speed constant (ablation)."""
+    """Filter and rule with their thresholds; see ``conveyor.Classifier``.
+
+    Attributes:
+        distance_deviation: one sigma of a reading of the distance sensor [m].
+        classes: False keeps the speed constant (ablation).
+    """
 
     conveyor: ConveyorClasses
     fusion: FusionSettings
@@ -88,7 +105,7 @@ class RuleClassifier:
     classes: bool = True
 
     def initial(self, position: float) -> RuleState:
-        """Return the belief at a first distance reading; the speed is not known yet."""
+        """Return the state at a first reading of the distance sensor [m]; the speed is unknown."""
         nominal = self.conveyor.nominal_speed
         variance = self.distance_deviation**2
         offset = OFFSET_DEVIATION**2
@@ -96,8 +113,8 @@ class RuleClassifier:
             ((variance + offset, 0.0, -offset), (0.0, nominal**2, 0.0), (-offset, 0.0, offset))
         )
         x = np.array((position, 0.5 * nominal, 0.0))
-        w = np.array((position, 0.5 * nominal))
-        return RuleState(x, P, w, np.diag((variance, nominal**2)), Motion.RUNNING, nominal)
+        monitor = np.array((position, 0.5 * nominal))
+        return RuleState(x, P, monitor, np.diag((variance, nominal**2)), Motion.RUNNING, nominal)
 
     def _acceleration(self, motion: Motion) -> float:
         """Return b's acceleration of a class."""
@@ -105,156 +122,172 @@ class RuleClassifier:
             return -self.conveyor.deceleration
         return self.conveyor.acceleration if motion is Motion.STARTING else 0.0
 
-    def _speed_noise(self, bandwidth: float, dt: float) -> float:
-        """Return Q77 for a bandwidth [rad/s].
+    def _process_noise(self, bandwidth: float, dt: float) -> Array:
+        """Return Q (2, 2) of position and speed for a bandwidth w [rad/s].
 
-        A filter that sees a position with variance R each dt, its speed walking by q each step,
-        settles with both poles at ``w^4 = q / (R dt^2)``, damped by 0.7.
+        A filter that measures a position with variance R in each step, its speed walking by q a
+        step, settles with both poles at ``w^4 = q / (R dt^2)``, damped by 0.7.
         """
-        return self.distance_deviation**2 * bandwidth**4 * dt * dt
+        density = self.distance_deviation**2 * bandwidth**4 * dt
+        Q: Array = Q_continuous_white_noise(2, dt, density)
+        return Q
 
     def _predict(self, state: RuleState, dt: float) -> RuleState:
         """Return (5), (6) with the class in A and b."""
         y, v, o = state.x.tolist()
         a = self._acceleration(state.motion)
         times = np.array((dt,))
-        way = float(travel(v, a, state.cruise, times)[0])
+        distance = float(way(v, a, state.cruise, times)[0])
         speed = v + a * dt
         motion = state.motion
-        reading, pace = state.w.tolist()
-        reading += float(travel(pace, a, state.cruise, times)[0])
-        pace += a * dt
+        monitor_position, monitor_speed = state.monitor.tolist()
+        monitor_position += float(way(monitor_speed, a, state.cruise, times)[0])
+        monitor_speed += a * dt
         if motion is Motion.STOPPING and speed <= 0.0:
-            speed, pace, motion = 0.0, 0.0, Motion.STANDING
+            speed, monitor_speed, motion = 0.0, 0.0, Motion.STANDING
         elif motion is Motion.STARTING and speed >= state.cruise:
-            speed, pace, motion = state.cruise, state.cruise, Motion.RUNNING
+            speed, monitor_speed, motion = state.cruise, state.cruise, Motion.RUNNING
         F = np.array(((1.0, dt, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
         G = F[:2, :2]
-        p, q = (self._speed_noise(w, dt) for w in (self.rule.following, self.rule.bandwidth))
-        square = dt * dt / 3.0
-        Q = np.diag((p * square + 1e-12, p, self.fusion.offset**2 * dt))
-        trial = state.trial
-        if trial is not None:
-            old = self._acceleration(trial.old)
-            moved = float(travel(trial.speed, old, state.cruise, times)[0])
-            trial = replace(
-                trial,
-                position=trial.position + moved,
-                speed=min(max(trial.speed + old * dt, 0.0), max(state.cruise, trial.speed)),
-                age=trial.age + dt,
+        Q = np.zeros((3, 3))
+        Q[:2, :2] = self._process_noise(self.rule.following, dt)
+        Q[2, 2] = self.fusion.offset**2 * dt
+        tentative = state.tentative
+        if tentative is not None:
+            old = self._acceleration(tentative.old)
+            moved = float(way(tentative.speed, old, state.cruise, times)[0])
+            tentative = replace(
+                tentative,
+                position=tentative.position + moved,
+                speed=min(max(tentative.speed + old * dt, 0.0), max(state.cruise, tentative.speed)),
+                age=tentative.age + dt,
             )
         return replace(
             state,
-            x=np.array((y + way, speed, o)),
+            x=np.array((y + distance, speed, o)),
             P=F @ state.P @ F.T + Q,
-            w=np.array((reading, pace)),
-            W=G @ state.W @ G.T + np.diag((q * square + 1e-12, q)),
+            monitor=np.array((monitor_position, monitor_speed)),
+            monitor_P=G @ state.monitor_P @ G.T + self._process_noise(self.rule.bandwidth, dt),
             motion=motion,
             age=state.age + dt,
-            since=state.since + dt,
-            trial=trial,
+            class_age=state.class_age + dt,
+            tentative=tentative,
             events=(),
         )
 
-    def _innovation(self, state: RuleState, row: Row) -> tuple[float, Array, float]:
-        """Return innovation, row h and its variance S; delayed rows as in (8)."""
+    def _innovation(
+        self, state: RuleState, measurement: PositionMeasurement
+    ) -> tuple[float, Array, float]:
+        """Return the innovation, the row h and the variance S; the delay enters as in (8)."""
         a = self._acceleration(state.motion)
-        seen = 1.0 if row.source is Source.DISTANCE else 0.0
-        h = np.array((1.0, -row.delay, seen))
-        back = min(row.delay, state.since)
-        innovation = row.value - float(h @ state.x) - 0.5 * a * back * back
-        return innovation, h, float(h @ state.P @ h) + row.variance
+        seen = 1.0 if measurement.source is Source.DISTANCE else 0.0
+        h = np.array((1.0, -measurement.delay, seen))
+        back = min(measurement.delay, state.class_age)
+        innovation = measurement.value - float(h @ state.x) - 0.5 * a * back * back
+        return innovation, h, float(h @ state.P @ h) + measurement.variance
 
-    def _wild(self, error: float, S: float, row: Row) -> bool:
-        """Return whether an error is an outlier's, or no number.
+    def _is_outlier(self, error: float, S: float, measurement: PositionMeasurement) -> bool:
+        """Return whether a prediction error is an outlier, or no number.
 
-        A class that ends is confirmed before its readings err by more than what confirms the next.
-        An outlier of 6.5 mm that was let in was taken for a stop; taken back 48 ms later, it had
-        moved the horizon's end by 50 mm.
+        Errors that confirm a class are never outliers. Without this gate an outlier of 6.5 mm
+        became a tentative stop: cancelled 48 ms later, it had moved the horizon's end by 50 mm.
         """
-        return not error * error <= max(row.gate**2 * S, self.rule.confirmed**2)
+        return not error * error <= max(measurement.gate**2 * S, self.rule.confirmed**2)
 
-    def _correct(self, state: RuleState, row: Row) -> RuleState:
-        """Return (2)-(4) for one row, gated; after some refusals in a row the filter widens."""
-        innovation, h, S = self._innovation(state, row)
-        if self._wild(innovation, S, row):
-            refusals = state.refused.get(row.source, 0) + 1
-            if refusals < REFUSALS:
-                return replace(state, refused={**state.refused, row.source: refusals})
+    def _correct(self, state: RuleState, measurement: PositionMeasurement) -> RuleState:
+        """Return (2)-(4) for one measurement, gated; after some rejections the filter widens."""
+        innovation, h, S = self._innovation(state, measurement)
+        if self._is_outlier(innovation, S, measurement):
+            rejections = state.rejected.get(measurement.source, 0) + 1
+            if rejections < MOST_REJECTED:
+                return replace(state, rejected={**state.rejected, measurement.source: rejections})
             wide = (innovation**2, 0.25 * self.conveyor.nominal_speed**2, innovation**2)
             P = state.P + np.diag(wide)
             state = replace(state, P=P)
-            S = float(h @ P @ h) + row.variance
+            S = float(h @ P @ h) + measurement.variance
         K = state.P @ h / S
         return replace(
             state,
             x=state.x + K * innovation,
             P=state.P - np.outer(K, h @ state.P),
-            refused={**state.refused, row.source: 0},
+            rejected={**state.rejected, measurement.source: 0},
         )
 
-    def _watch(self, state: RuleState, row: Row) -> RuleState:
-        """Return the state with its class weighed against one distance reading."""
+    def _monitor(self, state: RuleState, measurement: PositionMeasurement) -> RuleState:
+        """Return the state with its class compared with one reading of the distance sensor."""
         a = self._acceleration(state.motion)
-        h = np.array((1.0, -row.delay))
-        S = float(h @ state.W @ h) + row.variance
-        error = row.value - float(h @ state.w) - 0.5 * a * min(row.delay, state.since) ** 2
-        wild = self._wild(error, S, row)
-        if wild and state.wild + 1 < REFUSALS:
-            return replace(state, wild=state.wild + 1)
-        if wild:  # it stays: the sensor has moved, or the watch is wrong
-            w = np.array((row.value + state.w[1] * row.delay, state.w[1]))
-            W = np.diag((row.variance, (0.5 * self.conveyor.nominal_speed) ** 2))
-            return replace(state, w=w, W=W, wild=0, age=0.0, trial=None)
-        if state.wild:
-            state = replace(state, wild=0)
-        if self.classes and state.age > SETTLING:
-            state = self._judge(state, row, error)
-        K = state.W @ h / S
-        return replace(state, w=state.w + K * error, W=state.W - np.outer(K, h @ state.W))
-
-    def _judge(self, state: RuleState, row: Row, error: float) -> RuleState:
-        """Return the state with a class tried, confirmed or cancelled by a prediction error."""
-        trial = state.trial
-        if trial is None:
-            if abs(error) < self.rule.tentative or state.since < SETTLING:
-                return state
-            return self._try(state, error)
-        old = row.value - trial.position + trial.speed * row.delay
-        trial = replace(
-            trial,
-            old_error=FADING * trial.old_error + old * old,
-            new_error=FADING * trial.new_error + error * error,
+        h = np.array((1.0, -measurement.delay))
+        S = float(h @ state.monitor_P @ h) + measurement.variance
+        error = (
+            measurement.value
+            - float(h @ state.monitor)
+            - 0.5 * a * min(measurement.delay, state.class_age) ** 2
         )
-        word = _word(state.motion)
-        worse = old > 0.0 if state.motion is Motion.STARTING else old < 0.0
-        if worse and abs(old) > self.rule.confirmed and trial.old_error > trial.new_error:
-            events = (*state.events, (word, "confirmed"))
-            return replace(state, trial=None, since=0.0, events=events)
-        if trial.new_error > trial.old_error or trial.age > LONGEST_TRIAL:
-            return self._cancel(state, trial, word)
-        return replace(state, trial=trial)
+        if self._is_outlier(error, S, measurement):
+            if state.outliers + 1 < MOST_REJECTED:
+                return replace(state, outliers=state.outliers + 1)
+            # Outliers that persist: the sensor has moved, or the monitor is wrong.
+            speed = state.monitor[1]
+            return replace(
+                state,
+                monitor=np.array((measurement.value + speed * measurement.delay, speed)),
+                monitor_P=np.diag((measurement.variance, (0.5 * self.conveyor.nominal_speed) ** 2)),
+                outliers=0,
+                age=0.0,
+                tentative=None,
+            )
+        if state.outliers:
+            state = replace(state, outliers=0)
+        if self.classes and state.age > SETTLING_S:
+            state = self._judge_class(state, measurement, error)
+        K = state.monitor_P @ h / S
+        monitor_P = state.monitor_P - np.outer(K, h @ state.monitor_P)
+        return replace(state, monitor=state.monitor + K * error, monitor_P=monitor_P)
 
-    def _cancel(self, state: RuleState, trial: Trial, word: str) -> RuleState:
-        """Return the state in its old class again: an outlier is assumed."""
+    def _judge_class(
+        self, state: RuleState, measurement: PositionMeasurement, error: float
+    ) -> RuleState:
+        """Return the state with a class tentative, confirmed or cancelled by a prediction error."""
+        tentative = state.tentative
+        if tentative is None:
+            if abs(error) < self.rule.tentative or state.class_age < SETTLING_S:
+                return state
+            return self._start_tentative(state, error)
+        old = measurement.value - tentative.position + tentative.speed * measurement.delay
+        tentative = replace(
+            tentative,
+            old_error=FADING * tentative.old_error + old * old,
+            new_error=FADING * tentative.new_error + error * error,
+        )
+        event = _event(state.motion)
+        worse = old > 0.0 if state.motion is Motion.STARTING else old < 0.0
+        if worse and abs(old) > self.rule.confirmed and tentative.old_error > tentative.new_error:
+            events = (*state.events, (event, "confirmed"))
+            return replace(state, tentative=None, class_age=0.0, events=events)
+        if tentative.new_error > tentative.old_error or tentative.age > LONGEST_TENTATIVE_S:
+            return self._cancel(state, tentative, event)
+        return replace(state, tentative=tentative)
+
+    def _cancel(self, state: RuleState, tentative: TentativeClass, event: str) -> RuleState:
+        """Return the state in its old class again: the error is taken for an outlier."""
         x = state.x.copy()
-        x[1] += trial.speed - state.w[1]
+        x[1] += tentative.speed - state.monitor[1]
         return replace(
             state,
             x=x,
-            w=np.array((trial.position, trial.speed)),
-            motion=trial.old,
-            since=SETTLING,
-            trial=None,
-            events=(*state.events, (word, "cancelled")),
+            monitor=np.array((tentative.position, tentative.speed)),
+            motion=tentative.old,
+            class_age=SETTLING_S,
+            tentative=None,
+            events=(*state.events, (event, "cancelled")),
         )
 
-    def _try(self, state: RuleState, error: float) -> RuleState:
+    def _start_tentative(self, state: RuleState, error: float) -> RuleState:
         """Return the state with the class of least prediction error applied tentatively.
 
-        A stop of a running conveyor has acted for a while before its error is seen: the speed is
-        less by what it did since, and the estimate ahead by what it has not followed. A class
-        that began at the old speed would be found a tenth of a second later, all of it latency.
+        A stop of a running conveyor has acted for a while before its error shows. The speed is
+        lower by what it did since, and the estimate ahead by what it has not followed. A class that
+        began at the old speed would be confirmed a tenth of a second later.
         """
         if error < 0.0 and state.motion in {Motion.RUNNING, Motion.STARTING}:
             new, width = Motion.STOPPING, 0.2 * self.conveyor.deceleration
@@ -262,107 +295,117 @@ class RuleClassifier:
             new, width = Motion.STARTING, 0.8 * self.conveyor.acceleration
         else:
             return state
-        trial = Trial(state.motion, float(state.w[0]), float(state.w[1]), error**2, 0.0, 0.0)
+        position, speed = state.monitor.tolist()
+        tentative = TentativeClass(state.motion, position, speed, error**2, 0.0, 0.0)
         # The speed has changed since the onset by what the filter could not follow.
         wide = np.array((0.0, width * width))
         moved = np.zeros(3)
         if state.motion is Motion.RUNNING:
-            moved[:2] = BEHIND * error, ACTING * self._acceleration(new)
+            moved[:2] = LAG_SHARE * error, ACTING_S * self._acceleration(new)
         return replace(
             state,
             x=state.x + moved,
-            w=state.w + moved[:2],
+            monitor=state.monitor + moved[:2],
             P=state.P + np.diag((*wide, 0.0)),
-            W=state.W + np.diag(wide),
+            monitor_P=state.monitor_P + np.diag(wide),
             motion=new,
-            trial=trial,
-            since=ACTING,
-            events=(*state.events, (_word(new), "tentative")),
+            tentative=tentative,
+            class_age=ACTING_S,
+            events=(*state.events, (_event(new), "tentative")),
         )
 
-    def advance(self, state: RuleState, rows: Sequence[Row], dt: float) -> RuleState:
-        """Return the belief one step later."""
+    def advance(
+        self, state: RuleState, measurements: Sequence[PositionMeasurement], dt: float
+    ) -> RuleState:
+        """Return the state ``dt`` seconds later, its class decided."""
         before = state.motion
         state = self._predict(state, dt)
-        for row in rows:
-            if row.source is Source.DISTANCE:
-                state = self._watch(state, row)
-            state = self._correct(state, row)
+        for measurement in measurements:
+            if measurement.source is Source.DISTANCE:
+                state = self._monitor(state, measurement)
+            state = self._correct(state, measurement)
         if self.classes:
-            state = self._checked(before, state, rows, dt)
-        if state.motion is Motion.RUNNING and state.trial is None and state.age > SETTLING:
+            state = self._check_start(before, state, measurements, dt)
+        if state.motion is Motion.RUNNING and state.tentative is None and state.age > SETTLING_S:
             return self._settle(state, dt)
         return state
 
-    def _checked(
-        self, before: Motion, state: RuleState, rows: Sequence[Row], dt: float
+    def _check_start(
+        self,
+        before: Motion,
+        state: RuleState,
+        measurements: Sequence[PositionMeasurement],
+        dt: float,
     ) -> RuleState:
-        """Return the state with a start taken back, or ended, if the readings contradict it."""
-        # A stop on trial does not end the check of the start before it: it may be cancelled.
-        is_start = state.trial is not None and state.trial.old is Motion.STARTING
+        """Return the state with a start cancelled, or ended, if the readings contradict it."""
+        # A tentative stop does not end the check of the start before it: it may be cancelled.
+        is_start = state.tentative is not None and state.tentative.old is Motion.STARTING
         motion = Motion.STARTING if is_start else state.motion
-        if motion is not Motion.STARTING and state.check is None:
+        if motion is not Motion.STARTING and state.start_check is None:
             return state
-        check = ramp_check.follow(state.check, before, motion, float(state.x[1]), rows, dt)
-        denial = ramp_check.denied(check, self.conveyor, state.cruise, self.distance_deviation)
-        if denial is None or is_start:
-            return replace(state, check=check)
-        return self._denied(state, denial)
+        check = start_check.update(
+            state.start_check, before, motion, float(state.x[1]), measurements, dt
+        )
+        rejection = start_check.reject(check, self.conveyor, state.cruise, self.distance_deviation)
+        if rejection is None or is_start:
+            return replace(state, start_check=check)
+        return self._reject_start(state, rejection)
 
-    def _denied(self, state: RuleState, denial: Denial) -> RuleState:
+    def _reject_start(self, state: RuleState, rejection: StartRejection) -> RuleState:
         """Return the state in the class that the readings speak for."""
-        x, w, P, W = state.x.copy(), state.w.copy(), state.P.copy(), state.W.copy()
-        spread = (x[1] - denial.speed) ** 2 + (w[1] - denial.speed) ** 2
-        x[1] = w[1] = denial.speed
+        x, P = state.x.copy(), state.P.copy()
+        monitor, monitor_P = state.monitor.copy(), state.monitor_P.copy()
+        spread = (x[1] - rejection.speed) ** 2 + (monitor[1] - rejection.speed) ** 2
+        x[1] = monitor[1] = rejection.speed
         P[1, 1] += spread
-        W[1, 1] += spread
+        monitor_P[1, 1] += spread
         events = state.events
-        if denial.motion is not Motion.RUNNING or state.trial is not None:
+        if rejection.motion is not Motion.RUNNING or state.tentative is not None:
             events = (*events, ("start", "cancelled"))
         return replace(
             state,
             x=x,
             P=P,
-            w=w,
-            W=W,
-            motion=denial.motion,
-            since=0.0,
-            trial=None,
-            check=None,
+            monitor=monitor,
+            monitor_P=monitor_P,
+            motion=rejection.motion,
+            class_age=0.0,
+            tentative=None,
+            start_check=None,
             events=events,
         )
 
     def _settle(self, state: RuleState, dt: float) -> RuleState:
-        """Return the state with the cruising speed learnt slowly, or found to be standing."""
+        """Return the state with the cruising speed averaged slowly, or standing."""
         speed = float(state.x[1])
         nominal = self.conveyor.nominal_speed
-        if self.classes and state.age < SETTLING + 2 * dt and speed < 0.3 * nominal:
+        if self.classes and state.age < SETTLING_S + 2 * dt and speed < 0.3 * nominal:
             return replace(state, motion=Motion.STANDING, cruise=nominal)
         if speed > 0.8 * nominal:
             return replace(state, cruise=state.cruise + dt * (speed - state.cruise))
         return state
 
-    def outlook(self, state: RuleState, times: Array) -> Array:
+    def predict_positions(self, state: RuleState, times: Array) -> Array:
         """Return positions (m,) at ``times`` under the class in force, tentative or not."""
         y, v, _ = state.x.tolist()
-        positions: Array = y + travel(v, self._acceleration(state.motion), state.cruise, times)
+        positions: Array = y + way(v, self._acceleration(state.motion), state.cruise, times)
         return positions
 
-    def view(self, state: RuleState) -> View:
-        """Return what the rule says."""
+    def estimate(self, state: RuleState) -> ConveyorEstimate:
+        """Return the estimate of the conveyor now."""
         y, v, o = state.x.tolist()
-        return View(
+        return ConveyorEstimate(
             position=y,
             speed=v,
             offset=o,
             deviation=float(np.sqrt(max(state.P[0, 0], 0.0))),
             speed_deviation=float(np.sqrt(max(state.P[1, 1], 0.0))),
             motion=state.motion,
-            tentative=state.trial is not None,
+            tentative=state.tentative is not None,
             events=state.events,
         )
 
 
-def _word(motion: Motion) -> str:
-    """Return the event's word for a class."""
+def _event(motion: Motion) -> str:
+    """Return the event that begins a class."""
     return "start" if motion is Motion.STARTING else "stop"

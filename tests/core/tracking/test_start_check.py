@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from conveyor_truth import DEVIATION, NOMINAL, START, STOP, T0, row
 
-from linemate.daemon.core.tracking.classifiers import ramp_check
-from linemate.daemon.core.tracking.classifiers.ramp_check import Denial
+from linemate.daemon.core.tracking.classifiers import start_check
+from linemate.daemon.core.tracking.classifiers.start_check import StartRejection
 from linemate.daemon.core.tracking.conveyor import Motion
 from linemate.daemon.core.tracking.task import ConveyorClasses
 
@@ -22,7 +22,7 @@ def judged(
     seed: int = 0,
     declared: float = DECLARED,
     outliers: float = 0.0,
-) -> tuple[float, Denial] | None:
+) -> tuple[float, StartRejection] | None:
     """When a declared start is denied [s] and how, None if it never is.
 
     The truth begins with ``speed`` and keeps ``acceleration`` until it stands or cruises.
@@ -35,8 +35,8 @@ def judged(
         value = position + rng.normal(0.0, DEVIATION)
         if rng.random() < outliers:
             value += 0.1
-        check = ramp_check.follow(check, before, Motion.STARTING, declared, [row(value)], T0)
-        denial = ramp_check.denied(check, CONVEYOR, NOMINAL, DEVIATION)
+        check = start_check.update(check, before, Motion.STARTING, declared, [row(value)], T0)
+        denial = start_check.reject(check, CONVEYOR, NOMINAL, DEVIATION)
         if denial is not None:
             return k * T0, denial
     return None
@@ -47,7 +47,7 @@ def test_a_start_that_stands_still_is_denied_within_half_a_second(seed: int) -> 
     found = judged(Motion.STANDING, 0.0, 0.0, 1.0, seed=seed, outliers=0.02)
     assert found is not None
     assert found[0] <= 0.5
-    assert found[1] == Denial(Motion.STANDING, 0.0)
+    assert found[1] == StartRejection(Motion.STANDING, 0.0)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -69,7 +69,7 @@ def test_a_start_of_another_acceleration_is_not_denied(share: float, seed: int) 
 def test_a_start_that_stays_below_the_cruising_speed_ends_after_twice_its_time() -> None:
     found = judged(Motion.STANDING, 0.06, 0.0, 20.0)
     assert found is not None
-    expected = ramp_check.LONGEST * (NOMINAL - DECLARED) / START
+    expected = start_check.LONGEST * (NOMINAL - DECLARED) / START
     assert found[0] == pytest.approx(expected, abs=3 * T0)
     assert found[1].motion is Motion.RUNNING
     assert found[1].speed == pytest.approx(0.06, abs=0.002)
@@ -78,14 +78,16 @@ def test_a_start_that_stays_below_the_cruising_speed_ends_after_twice_its_time()
 def test_without_readings_nothing_is_denied() -> None:
     check = None
     for _ in range(round(3.0 / T0)):
-        check = ramp_check.follow(check, Motion.STANDING, Motion.STARTING, 0.0, [], T0)
-        assert ramp_check.denied(check, CONVEYOR, NOMINAL, DEVIATION) is None
+        check = start_check.update(check, Motion.STANDING, Motion.STARTING, 0.0, [], T0)
+        assert start_check.reject(check, CONVEYOR, NOMINAL, DEVIATION) is None
 
 
 def test_a_check_ends_with_the_start_and_its_memory_is_bounded() -> None:
     check = None
     for k in range(1000):
-        check = ramp_check.follow(check, Motion.STANDING, Motion.STARTING, 0.0, [row(k * 1e-4)], T0)
+        check = start_check.update(
+            check, Motion.STANDING, Motion.STARTING, 0.0, [row(k * 1e-4)], T0
+        )
     assert check is not None
-    assert len(check.readings) <= ramp_check.SPAN_S / T0 + 1
-    assert ramp_check.follow(check, Motion.STARTING, Motion.RUNNING, NOMINAL, [], T0) is None
+    assert len(check.readings) <= start_check.SPAN_S / T0 + 1
+    assert start_check.update(check, Motion.STARTING, Motion.RUNNING, NOMINAL, [], T0) is None

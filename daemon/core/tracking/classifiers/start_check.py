@@ -1,8 +1,8 @@
-"""Check of a declared start against the readings of the distance sensor, for every classifier.
+"""Check of a declared start against the readings of the distance sensor.
 
-A classifier that declares a start predicts a speed that rises. Its own filter cannot tell that the
-start was none: it adapts until the class predicts as well as any other. The check compares the
-speed over the last half second with two hypotheses: the start, and the class before it.
+A classifier that declares a start predicts a rising speed. Its own filter cannot detect a wrong
+start: it adapts until the class predicts as well as any other. The check compares the speed over
+the last half second with two hypotheses: the start, and the class before it.
 """
 
 import math
@@ -10,22 +10,23 @@ from collections.abc import Sequence
 
 from msgspec import Struct
 
-from linemate.daemon.core.tracking.conveyor import Motion, Row, Source
+from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, Source
 from linemate.daemon.core.tracking.task import ConveyorClasses
 
-SPAN_S = 0.4  # of the readings that are compared; a start must be taken back within 0.5 s
+SPAN_S = 0.4  # of the readings that are compared; a start must be cancelled within 0.5 s
 LEAST_READINGS = 8  # an interquartile mean of each half needs four
-SHARE = 0.3  # of the way from the class before to the start, below which the start is denied
+SHARE = 0.3  # of the way from the class before to the start, below which the start is rejected
 SIGMAS = 5.0  # by which a right start must exceed that share: it is checked in every cycle
 SPREAD = 1.2  # sigma of an interquartile mean of normal noise, as a multiple of the mean's
-LONGEST = 2.0  # a start of half the set acceleration lasts twice as long as one that is as set
+LONGEST = 2.0  # a start of half the configured acceleration lasts twice as long
 
 
 class StartCheck(Struct, frozen=True, eq=False):
-    """What is known of a start since it was declared.
+    """Readings since a start was declared.
 
     Attributes:
-        speed: estimated as it was declared [m/s].
+        before: class before the start.
+        speed: estimated at the declaration [m/s].
         age: since then [s].
         readings: time since the declaration [s] and position [m], the last ``SPAN_S``.
     """
@@ -36,24 +37,24 @@ class StartCheck(Struct, frozen=True, eq=False):
     readings: tuple[tuple[float, float], ...] = ()
 
 
-class Denial(Struct, frozen=True):
+class StartRejection(Struct, frozen=True):
     """A start that the readings contradict.
 
     Attributes:
         motion: class that is in force instead.
-        speed: now, by the readings [m/s].
+        speed: now, from the readings [m/s].
     """
 
     motion: Motion
     speed: float
 
 
-def follow(
+def update(
     check: StartCheck | None,
     before: Motion,
     motion: Motion,
     speed: float,
-    rows: Sequence[Row],
+    measurements: Sequence[PositionMeasurement],
     dt: float,
 ) -> StartCheck | None:
     """Return the check one step later: None unless the class is STARTING.
@@ -61,7 +62,9 @@ def follow(
     Args:
         check: of the step before.
         before: class of the step before.
+        motion: class now.
         speed: estimated now [m/s].
+        measurements: of this step.
         dt: since the step before [s].
     """
     if motion is not Motion.STARTING:
@@ -69,15 +72,17 @@ def follow(
     if check is None:
         return StartCheck(before, max(speed, 0.0))
     age = check.age + dt
-    fresh = [(age - row.delay, row.value) for row in rows if row.source is Source.DISTANCE]
-    readings = [reading for reading in (*check.readings, *fresh) if reading[0] > age - SPAN_S]
+    new = [
+        (age - each.delay, each.value) for each in measurements if each.source is Source.DISTANCE
+    ]
+    readings = [reading for reading in (*check.readings, *new) if reading[0] > age - SPAN_S]
     return StartCheck(check.before, check.speed, age, tuple(readings))
 
 
-def denied(
+def reject(
     check: StartCheck | None, conveyor: ConveyorClasses, cruise: float, deviation: float
-) -> Denial | None:
-    """Return what the readings make of a start; None while they do not contradict it.
+) -> StartRejection | None:
+    """Return the class that the readings speak for; None while they do not contradict the start.
 
     Args:
         check: of the start, None without one.
@@ -95,17 +100,17 @@ def denied(
     span = late - early
     if check.age < SPAN_S or span < 0.25 * SPAN_S:
         return None
-    time, seen = 0.5 * (early + late), (there - here) / span
-    started, other = _expected(check, conveyor, cruise, time)
+    time, measured = 0.5 * (early + late), (there - here) / span
+    started, other = _expected_speeds(check, conveyor, cruise, time)
     apart = started - other
-    is_clear = (1.0 - SHARE) * apart * span > SIGMAS * deviation * _noise(half)
-    if is_clear and seen < other + SHARE * apart:
-        return _instead(check, conveyor, seen, check.age - time)
+    is_clear = (1.0 - SHARE) * apart * span > SIGMAS * deviation * _difference_sigma(half)
+    if is_clear and measured < other + SHARE * apart:
+        return _class_before(check, conveyor, measured, check.age - time)
     overdue = check.age > LONGEST * (cruise - check.speed) / conveyor.acceleration
-    return Denial(Motion.RUNNING, seen) if overdue and started > 0.0 else None
+    return StartRejection(Motion.RUNNING, measured) if overdue and started > 0.0 else None
 
 
-def _expected(
+def _expected_speeds(
     check: StartCheck, conveyor: ConveyorClasses, cruise: float, time: float
 ) -> tuple[float, float]:
     """Return the speeds at a time since the declaration if it was right and if it was wrong."""
@@ -115,22 +120,24 @@ def _expected(
     return started, 0.0
 
 
-def _instead(check: StartCheck, conveyor: ConveyorClasses, seen: float, ago: float) -> Denial:
-    """Return the class before the start, and its speed now from the one seen some time ago."""
-    speed = max(seen - conveyor.deceleration * ago, 0.0)
+def _class_before(
+    check: StartCheck, conveyor: ConveyorClasses, measured: float, ago: float
+) -> StartRejection:
+    """Return the class before the start, and its speed now from the one measured ``ago`` s ago."""
+    speed = max(measured - conveyor.deceleration * ago, 0.0)
     if check.before is Motion.STOPPING and speed > 0.0:
-        return Denial(Motion.STOPPING, speed)
-    return Denial(Motion.STANDING, 0.0)
+        return StartRejection(Motion.STOPPING, speed)
+    return StartRejection(Motion.STANDING, 0.0)
 
 
 def _middle(readings: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Return the mean time and the interquartile mean of some readings: no outlier moves it."""
+    """Return the mean time and the interquartile mean of some readings: robust to outliers."""
     values = sorted(value for _, value in readings)
     cut = len(values) // 4
     inner = values[cut : len(values) - cut]
     return sum(time for time, _ in readings) / len(readings), sum(inner) / len(inner)
 
 
-def _noise(half: int) -> float:
+def _difference_sigma(half: int) -> float:
     """Return the sigma of the difference of two halves, as a multiple of a reading's."""
     return SPREAD * math.sqrt(2.0 / half)

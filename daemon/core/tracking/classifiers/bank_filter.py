@@ -1,0 +1,232 @@
+"""Kalman filter of the bank classifier, (2)-(6), with its onset banks."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from msgspec.structs import replace
+
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.classifiers import onset_bank
+from linemate.daemon.core.tracking.classifiers.bank_model import (
+    ACCELERATION,
+    FREQUENCY,
+    OFFSET,
+    RANDOM,
+    RIPPLE,
+    RIPPLE_QUADRATURE,
+    STATES,
+    BankModel,
+    BankState,
+    V,
+    Y,
+)
+from linemate.daemon.core.tracking.classifiers.onset_bank import NO_POSTERIOR, OnsetBank
+from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, Source
+
+OFFSET_DEVIATION = 0.1  # of x10 before anything but the distance sensor saw the object [m]
+SETTLING = 0.6  # the banks are empty until the speed is estimated [s]
+RIPPLE_FACTORS = (0.9, 1.1)  # range of the ripple's frequency over the configured one
+MOST_REJECTED = 8  # measurements of one sensor rejected in a row, after which the filter widens
+REST_DEVIATION = 0.002  # of the speed when a stop ends [m/s]
+FAST_SHARE = 0.7  # of the cruising speed, above which a stop may turn out to be none
+SLOWEST_STOP = 0.5  # of the nominal deceleration, which every stop exceeds
+
+_FIRST = STATES + 1  # column of J, after P and x, from which on the hypotheses stand
+
+
+def initial(model: BankModel, position: float) -> BankState:
+    """Return the estimate at a first reading of the distance sensor [m]; the speed is unknown."""
+    nominal = model.conveyor.nominal_speed
+    offset = OFFSET_DEVIATION**2
+    P = np.zeros((STATES, STATES))
+    P[V, V], P[RANDOM, RANDOM], P[OFFSET, OFFSET] = nominal**2, model.fusion.ripple**2, offset
+    P[RIPPLE, RIPPLE] = P[RIPPLE_QUADRATURE, RIPPLE_QUADRATURE] = model.ripple.deviation**2
+    P[FREQUENCY, FREQUENCY] = model.ripple.spread**2
+    P[Y, Y] = model.distance_deviation**2 + offset
+    P[Y, OFFSET] = P[OFFSET, Y] = -offset
+    x = np.zeros(STATES)
+    x[Y], x[V] = position, 0.5 * nominal
+    return BankState(
+        x=x,
+        P=P,
+        motion=Motion.RUNNING,
+        cruise=nominal,
+        changes=onset_bank.empty(STATES),
+        impulses=onset_bank.empty(STATES),
+        impulse_omega=2.0 * math.pi * model.impulse.frequencies_hz[0],
+    )
+
+
+def predict(model: BankModel, state: BankState, dt: float) -> BankState:
+    """Return (5), (6), the banks one step older, and new hypotheses that begin now."""
+    F = model.transition(state, dt)
+    P = F.dot(state.P).dot(F.T)
+    diagonal = P.reshape(-1)[:: STATES + 1]
+    diagonal += model.process_noise(state, dt)
+    changes, impulses = state.changes, state.impulses
+    if state.age > SETTLING:
+        onsets = model.change_onsets[state.motion]
+        changes = onset_bank.propagate(changes, onsets, F, dt, model.bank.longest_onset)
+        if state.contact:
+            onsets, longest = model.impulse_onsets, model.impulse.longest_onset
+            impulses = onset_bank.propagate(impulses, onsets, F, dt, longest)
+        elif len(impulses):
+            impulses = onset_bank.empty(STATES)
+    state = replace(
+        state,
+        x=F.dot(state.x),
+        P=P,
+        changes=changes,
+        impulses=impulses,
+        age=state.age + dt,
+        class_age=state.class_age + dt,
+        events=(),
+    )
+    return _end_class(model, state)
+
+
+def _end_class(model: BankModel, state: BankState) -> BankState:
+    """Return the state past the end of a stop (standing) or a start (running)."""
+    v = float(state.x[V])
+    if state.motion is Motion.STOPPING and v <= 0.0:
+        standing = enter_class(state, Motion.STANDING, max(v, 0.0), REST_DEVIATION)
+        return reset_ripple(model, standing)
+    if state.motion is Motion.STOPPING and v > FAST_SHARE * state.cruise:
+        return _cancel_stop(model, state)
+    if state.motion is Motion.STARTING and v >= state.cruise:
+        return enter_class(state, Motion.RUNNING, v, 2.0 * REST_DEVIATION)
+    return state
+
+
+def reset_ripple(model: BankModel, state: BankState) -> BankState:
+    """Return the state of a conveyor that stands: the phase of its next ripple is unknown.
+
+    The frequency belongs to the drive and stays known.
+    """
+    x, P = state.x.copy(), state.P.copy()
+    x[RIPPLE] = x[RIPPLE_QUADRATURE] = 0.0
+    P[RIPPLE:FREQUENCY, :] = P[:, RIPPLE:FREQUENCY] = 0.0
+    P[RIPPLE, RIPPLE] = P[RIPPLE_QUADRATURE, RIPPLE_QUADRATURE] = model.ripple.deviation**2
+    return replace(state, x=x, P=P)
+
+
+def _cancel_stop(model: BankModel, state: BankState) -> BankState:
+    """Return the state running again if a stop has turned out not to slow the conveyor.
+
+    Without this a wrong stop would last for ever. Its deceleration is soon estimated as zero, and
+    neither a start nor the next stop looks like what can follow it.
+    """
+    slowest = -SLOWEST_STOP * model.conveyor.deceleration
+    sigma = math.sqrt(float(state.P[ACCELERATION, ACCELERATION]))
+    if float(state.x[ACCELERATION]) - 2.0 * sigma <= slowest:
+        return state
+    state = enter_class(state, Motion.RUNNING, float(state.x[V]), REST_DEVIATION)
+    return replace(state, events=(*state.events, ("stop", "cancelled")))
+
+
+def correct(
+    model: BankModel, state: BankState, measurements: Sequence[PositionMeasurement]
+) -> BankState:
+    """Return (2)-(4) for some measurements, null filter and banks alike, each gated.
+
+    All that is linear is corrected as one array: ``J = [P, x, f_1 .. f_m]`` (10, 11 + m) becomes
+    ``J - K (h'J - z)``. Here z is 0 for P, the measured value for x, and for each f the part of
+    its signature that F does not propagate.
+    """
+    changes, impulses, rejected = state.changes, state.impulses, state.rejected
+    count = len(changes)
+    middle = _FIRST + count
+    J = np.concatenate((state.P, state.x[:, None], changes.error, impulses.error), axis=1)
+    sums = np.concatenate((changes.sums, impulses.sums), axis=1)
+    A, B = sums[0], sums[1]
+    change = model.changes[state.motion]
+    for measurement in measurements:
+        h = model.observation_row(measurement, state)
+        off = h.dot(J)
+        Ph, minus_rho = off[:STATES], off[_FIRST:]
+        S = float(Ph.dot(h)) + measurement.variance
+        nu = measurement.value - float(off[STATES])
+        off[STATES] = -nu
+        later = int(changes.age.searchsorted(measurement.delay))
+        if later:  # not begun when this was measured: without h'D, which is in f
+            ages, acted = changes.age[:later], float(h[ACCELERATION])
+            minus_rho[:later] += change * (ages * (0.5 * ages - measurement.delay) + acted)
+        if len(impulses) and measurement.source is not Source.DISTANCE:
+            minus_rho[count:] -= model.delayed_response(
+                impulses.age, measurement.delay, impulses.omega
+            )
+        gate = measurement.gate * math.sqrt(S)
+        # Written so that a NaN is rejected too.
+        if not abs(nu) <= gate and not _is_plausible(model, state, nu, -off[_FIRST:middle], gate):
+            rejections = rejected.get(measurement.source, 0) + 1
+            rejected = {**rejected, measurement.source: rejections}
+            if rejections >= MOST_REJECTED:
+                return _widened(model, replace(state, x=J[:, STATES], P=J[:, :STATES]), nu)
+            continue
+        if rejected.get(measurement.source):
+            rejected = {**rejected, measurement.source: 0}
+        J = J - (Ph / S)[:, None].dot(off[None])
+        weighted = minus_rho / S
+        A += minus_rho * weighted
+        B -= weighted * nu
+    x = J[:, STATES].copy()
+    low, high = RIPPLE_FACTORS
+    factor, x[FREQUENCY] = min(max(state.ripple_factor + float(x[FREQUENCY]), low), high), 0.0
+    return replace(
+        state,
+        x=x,
+        P=J[:, :STATES],
+        changes=OnsetBank(J[:, _FIRST:middle], sums[:, :count]),
+        impulses=OnsetBank(J[:, middle:], sums[:, count:]),
+        rejected=rejected,
+        ripple_factor=factor,
+    )
+
+
+def _widened(model: BankModel, state: BankState, nu: float) -> BankState:
+    """Return the state with a larger covariance: the filter is wrong, not eight readings."""
+    P = state.P.copy()
+    P[Y, Y] += nu * nu
+    P[OFFSET, OFFSET] += nu * nu
+    P[V, V] += (0.5 * model.conveyor.nominal_speed) ** 2
+    # A ripple that was estimated by a wrong filter would be predicted for seconds.
+    state = reset_ripple(model, clear_banks(replace(state, P=P)))
+    return replace(state, age=0.0, rejected={})
+
+
+def _is_plausible(model: BankModel, state: BankState, nu: float, rho: Array, gate: float) -> bool:
+    """Return whether an innovation lies in the range that the hypotheses span.
+
+    The gate of a fine sensor is narrower than the way of a stop that is not perceived yet. Readings
+    that are rejected there would keep the stop from being perceived.
+    """
+    if len(rho) == 0:
+        return False
+    weights = onset_bank.posterior(state.changes, model.change_prior).weights
+    expected = float(weights @ rho)
+    return min(0.0, expected) - gate < nu < max(0.0, expected) + gate
+
+
+def clear_banks(state: BankState) -> BankState:
+    """Return the state without hypotheses."""
+    return replace(
+        state,
+        changes=onset_bank.empty(STATES),
+        impulses=onset_bank.empty(STATES),
+        change=NO_POSTERIOR,
+        impulse=NO_POSTERIOR,
+        change_odds=-30.0,
+        impulse_odds=-30.0,
+        tentative=False,
+        is_expired=False,
+    )
+
+
+def enter_class(state: BankState, motion: Motion, speed: float, deviation: float) -> BankState:
+    """Return the state in a class without acceleration; later measurements correct the speed."""
+    x, P = state.x.copy(), state.P.copy()
+    x[V], x[ACCELERATION] = speed, 0.0
+    P[ACCELERATION, :] = P[:, ACCELERATION] = 0.0
+    P[V, V] += deviation**2
+    return replace(clear_banks(state), x=x, P=P, motion=motion, class_age=0.0)

@@ -1,0 +1,273 @@
+"""Models of the bank classifier: state, transition, process noise and observation rows.
+
+The conveyor's speed has two kinds of ripple: a random one, which is a speed that decays, and a
+periodic one, a rotating pair of way and quadrature whose frequency is estimated. Both fade with the
+speed. While the tool is in contact the body may be pushed: an impulse disturbance makes it swing
+like a damped sine. Camera and force-torque sensor see that, the distance sensor does not.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+
+import numpy as np
+from msgspec import Struct
+
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.classifiers import onset_bank
+from linemate.daemon.core.tracking.classifiers.onset_bank import (
+    NO_POSTERIOR,
+    AmplitudePrior,
+    OnsetBank,
+    OnsetPosterior,
+)
+from linemate.daemon.core.tracking.classifiers.start_check import StartCheck
+from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, Source
+from linemate.daemon.core.tracking.settings import (
+    BankSettings,
+    FusionSettings,
+    ImpulseSettings,
+    RippleSettings,
+)
+from linemate.daemon.core.tracking.task import ConveyorClasses
+
+STATES = 10
+Y, V, RANDOM, OFFSET, ACCELERATION, IMPULSE, IMPULSE_QUADRATURE = range(7)
+RIPPLE, RIPPLE_QUADRATURE, FREQUENCY = range(7, STATES)
+RAMPS = (Motion.STOPPING, Motion.STARTING)
+_CONSTANT = (0.0,)  # frequencies of a change of class [rad/s]
+
+# Class and event that can follow each class.
+_STOP = (Motion.STOPPING, "stop")
+_START = (Motion.STARTING, "start")
+NEXT = {
+    Motion.RUNNING: _STOP,
+    Motion.STARTING: _STOP,
+    Motion.STANDING: _START,
+    Motion.STOPPING: _START,
+}
+
+
+class BankState(Struct, frozen=True, eq=False):
+    """Estimate of the null filter, and the onset banks.
+
+    Attributes:
+        x: (10,) position y [m], speed [m/s], random ripple [m/s], offset x10 of the distance sensor
+            [m], acceleration [m/s^2], swing after an impulse and its quadrature [m], periodic
+            ripple at full speed and its quadrature [m], and the error of the ripple's frequency as
+            a share. The last is folded into ``ripple_factor`` after each correction and then 0.
+        P: (10, 10) covariance.
+        motion: class in force.
+        cruise: speed at which a start ends [m/s].
+        changes: onsets of the next class.
+        impulses: onsets of impulse disturbances.
+        impulse_omega: frequency of the swing in x [rad/s].
+        ripple_factor: frequency of the periodic ripple over the configured one.
+        age: of the estimate [s].
+        class_age: time since the class began to act [s].
+        rejected: measurements rejected in a row, by sensor.
+        change, impulse: posteriors of the two banks after the last step.
+        change_odds: log odds of a change against no change and against an impulse.
+        impulse_odds: log odds of an impulse against both others.
+        tentative: a change has been perceived.
+        tentative_s: how long it has been tentative [s].
+        is_expired: it was cancelled for its duration, and its odds have not been calm since.
+        start_check: of a start against the readings, or None.
+        contact: the force-torque sensor took part in the last step.
+        events: of the last step.
+    """
+
+    x: Array
+    P: Array
+    motion: Motion
+    cruise: float
+    changes: OnsetBank
+    impulses: OnsetBank
+    impulse_omega: float
+    ripple_factor: float = 1.0
+    age: float = 0.0
+    class_age: float = 0.0
+    rejected: Mapping[Source, int] = {}
+    change: OnsetPosterior = NO_POSTERIOR
+    impulse: OnsetPosterior = NO_POSTERIOR
+    change_odds: float = -30.0
+    impulse_odds: float = -30.0
+    tentative: bool = False
+    tentative_s: float = 0.0
+    is_expired: bool = False
+    start_check: StartCheck | None = None
+    contact: bool = False
+    events: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class BankModel:
+    """Settings of the bank classifier, and the models that follow from them.
+
+    Attributes:
+        distance_deviation: one sigma of a reading of the distance sensor [m].
+        mixture: the prediction weighs the hypotheses; False takes the class in force.
+    """
+
+    conveyor: ConveyorClasses
+    fusion: FusionSettings
+    bank: BankSettings
+    distance_deviation: float
+    mixture: bool = True
+    impulse: ImpulseSettings = field(default_factory=ImpulseSettings)
+    ripple: RippleSettings = field(default_factory=RippleSettings)
+
+    @cached_property
+    def changes(self) -> dict[Motion, float]:
+        """Acceleration that the change out of each class adds [m/s^2]."""
+        stop, start = self.conveyor.deceleration, self.conveyor.acceleration
+        return {
+            Motion.RUNNING: -stop,
+            Motion.STANDING: start,
+            Motion.STOPPING: start + stop,
+            Motion.STARTING: -(stop + start),
+        }
+
+    @cached_property
+    def change_onsets(self) -> dict[Motion, OnsetBank]:
+        """The hypothesis that a change out of each class begins now."""
+        onsets = {}
+        for motion, change in self.changes.items():
+            error = np.zeros(STATES)
+            error[ACCELERATION] = -change
+            onsets[motion] = onset_bank.begin(error, _CONSTANT)
+        return onsets
+
+    @cached_property
+    def impulse_onsets(self) -> OnsetBank:
+        """The hypotheses that an impulse disturbance begins now."""
+        return onset_bank.begin(np.zeros(STATES), self.impulse.omegas)
+
+    @cached_property
+    def change_prior(self) -> AmplitudePrior:
+        """Prior of a change's amplitude, as a share of its nominal one."""
+        return AmplitudePrior(1.0, self.bank.amplitude_deviation**2)
+
+    @cached_property
+    def impulse_prior(self) -> AmplitudePrior:
+        """Prior of the amplitude of an impulse disturbance [m]."""
+        return AmplitudePrior(0.0, self.impulse.deviation**2)
+
+    def class_acceleration(self, motion: Motion) -> float:
+        """Return the nominal acceleration of a class [m/s^2]."""
+        if motion is Motion.STOPPING:
+            return -self.conveyor.deceleration
+        return self.conveyor.acceleration if motion is Motion.STARTING else 0.0
+
+    def random_ripple(self, state: BankState) -> tuple[float, float]:
+        """Return the random ripple's standard deviation [m/s] and correlation time [s]."""
+        if state.contact or self._is_fine_sensor:
+            return self.fusion.contact_ripple, self.fusion.contact_ripple_time
+        return self.fusion.ripple, self.fusion.ripple_time
+
+    @cached_property
+    def _is_fine_sensor(self) -> bool:
+        """Whether the distance sensor alone resolves the ripple.
+
+        A stop is detected as motion that the ripple cannot make. With a ripple that is modelled too
+        small, a sensor that resolves its way would take every ripple for a stop.
+        """
+        way = self.fusion.contact_ripple * self.fusion.contact_ripple_time
+        return self.distance_deviation < 0.5 * way
+
+    def process_noise(self, state: BankState, dt: float) -> Array:
+        """Return the diagonal of Q (10,) of (6): independent random walks and a stationary ripple.
+
+        filterpy's white-noise matrices couple position and speed. The walk of the speed is slow
+        enough (0.5 mm/s after 1 s) that its share of the position is left out.
+        """
+        fusion = self.fusion
+        share = self.speed_share(float(state.x[V]))
+        ripple, time = self.random_ripple(state)
+        is_ramp = state.motion in RAMPS
+        ripple = (ripple * share) ** 2 * (1.0 - math.exp(-2.0 * dt / time))
+        rate = (0.05 * abs(self.class_acceleration(state.motion))) ** 2 * dt if is_ramp else 0.0
+        speed = fusion.speed * (1.0 if state.motion is not Motion.STANDING else 0.3)
+        amplitude = frequency = 0.0
+        if self.ripple.deviation > 0.0:
+            amplitude = (self.ripple.walk * share) ** 2 * dt
+            frequency = (self.ripple.pace * share) ** 2 * dt
+        offset = fusion.offset**2 * dt
+        return np.array(
+            [1e-12, speed**2 * dt, ripple, offset, rate, 0.0, 0.0, amplitude, amplitude, frequency]
+        )
+
+    def speed_share(self, speed: float) -> float:
+        """Return the share of the nominal speed, with which every ripple fades."""
+        return min(max(speed / self.conveyor.nominal_speed, 0.0), 1.0)
+
+    def ripple_omega(self, state: BankState) -> float:
+        """Return the estimated frequency of the periodic ripple [rad/s]."""
+        return 2.0 * math.pi * self.ripple.frequency_hz * state.ripple_factor
+
+    def transition(self, state: BankState, dt: float) -> Array:
+        """Return A (10, 10) of (5), linearised in the error of the ripple's frequency."""
+        time = self.random_ripple(state)[1]
+        F = _fixed_transition(dt, time, state.impulse_omega, self.impulse.damping).copy()
+        angle = self.ripple_omega(state) * dt
+        way = 2.0 * math.pi * self.ripple.frequency_hz * dt
+        c, s = math.cos(angle), math.sin(angle)
+        ripple, quadrature = state.x[RIPPLE:FREQUENCY].tolist()
+        F[RIPPLE, RIPPLE] = F[RIPPLE_QUADRATURE, RIPPLE_QUADRATURE] = c
+        F[RIPPLE, RIPPLE_QUADRATURE], F[RIPPLE_QUADRATURE, RIPPLE] = s, -s
+        F[RIPPLE, FREQUENCY] = way * (c * quadrature - s * ripple)
+        F[RIPPLE_QUADRATURE, FREQUENCY] = -way * (c * ripple + s * quadrature)
+        return F
+
+    def observation_row(self, measurement: PositionMeasurement, state: BankState) -> Array:
+        """Return h (10,) of (1), (8), (10), with the delay in it.
+
+        The acceleration of the class acts since its onset only.
+        """
+        tau = measurement.delay
+        back = min(tau, state.class_age)
+        acted = tau * back - 0.5 * back * back
+        share, angle = self.speed_share(float(state.x[V])), self.ripple_omega(state) * tau
+        ripple, quadrature = share * math.cos(angle), -share * math.sin(angle)
+        if measurement.source is Source.DISTANCE:
+            return np.array([1.0, -tau, -tau, 1.0, acted, 0.0, 0.0, ripple, quadrature, 0.0])
+        w = state.impulse_omega
+        grown = math.exp(self.impulse.damping * w * tau)
+        swing, swing_quadrature = grown * math.cos(w * tau), -grown * math.sin(w * tau)
+        return np.array(
+            [1.0, -tau, -tau, 0.0, acted, swing, swing_quadrature, ripple, quadrature, 0.0]
+        )
+
+    def impulse_response(self, ages: Array, omega: Array) -> tuple[Array, Array]:
+        """Return swing and quadrature (m,) for amplitude 1, ``ages`` after the impulse."""
+        late = np.maximum(ages, 0.0)
+        fade = np.where(ages > 0.0, np.exp(-self.impulse.damping * omega * late), 0.0)
+        return fade * np.sin(omega * late), fade * np.cos(omega * late)
+
+    def delayed_response(self, ages: Array, delay: float, omega: Array) -> Array:
+        """Return the swing (m,) for amplitude 1, ``delay`` s ago."""
+        phase = omega * np.maximum(ages - delay, 0.0)
+        swing: Array = np.exp(-self.impulse.damping * phase) * np.sin(phase)
+        return swing
+
+    def likeliest_omega(self, state: BankState) -> float:
+        """Return the impulse frequency with the largest posterior weight [rad/s]."""
+        weights = state.impulse.weights
+        best = max(self.impulse.omegas, key=lambda w: float(weights.dot(state.impulses.omega == w)))
+        return float(best)
+
+
+@lru_cache(maxsize=32)
+def _fixed_transition(dt: float, ripple_time: float, omega: float, damping: float) -> Array:
+    """Return A of (5) without the periodic ripple."""
+    F = np.eye(STATES)
+    F[Y, V], F[Y, RANDOM], F[Y, ACCELERATION] = dt, dt, 0.5 * dt * dt
+    F[V, ACCELERATION] = dt
+    F[RANDOM, RANDOM] = math.exp(-dt / ripple_time)
+    fade = math.exp(-damping * omega * dt)
+    c, s = fade * math.cos(omega * dt), fade * math.sin(omega * dt)
+    F[IMPULSE, IMPULSE] = F[IMPULSE_QUADRATURE, IMPULSE_QUADRATURE] = c
+    F[IMPULSE, IMPULSE_QUADRATURE], F[IMPULSE_QUADRATURE, IMPULSE] = s, -s
+    F.setflags(write=False)
+    return F

@@ -1,0 +1,181 @@
+"""Prediction of the bank classifier: the class in force, mixed with the hypotheses, (9).
+
+The prediction acts before a change is confirmed: hypotheses count by their posterior weight.
+"""
+
+import math
+
+import numpy as np
+
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.classifiers.bank_model import (
+    ACCELERATION,
+    IMPULSE,
+    IMPULSE_QUADRATURE,
+    NEXT,
+    RAMPS,
+    RANDOM,
+    BankModel,
+    BankState,
+    V,
+    Y,
+)
+from linemate.daemon.core.tracking.conveyor import ConveyorEstimate, Motion, added_way
+
+LEAST_WEIGHT = 1e-4  # of a hypothesis in the prediction
+LEAST_RIPPLE = 1e-7  # amplitude of a ripple in the prediction [m]
+LEAST_SWING = 1e-6  # amplitude of a swing in the prediction [m]
+
+
+def predict_positions(model: BankModel, state: BankState, times: Array) -> Array:
+    """Return positions (m,) [m] at ``times`` from now [s].
+
+    What is linear in the estimate is predicted once, for the weighted mean.
+    """
+    tau = model.random_ripple(state)[1]
+    phase = model.ripple_omega(state) * times
+    turn = np.cos(phase), np.sin(phase)
+    y = v = r = 0.0
+    nonlinear: Array | float = 0.0
+    for weight, estimate, motion, omega in _weighted_estimates(model, state):
+        x = estimate.tolist()
+        y, v, r = y + weight * x[Y], v + weight * x[V], r + weight * x[RANDOM]
+        part = _nonlinear_part(model, x, motion, omega, state.cruise, times, turn)
+        nonlinear = nonlinear + weight * part
+    steady: Array = (y + r * tau) + v * times - (r * tau) * np.exp(times * (-1.0 / tau))
+    return steady + nonlinear
+
+
+def _weighted_estimates(
+    model: BankModel, state: BankState
+) -> list[tuple[float, Array, Motion, float]]:
+    """Return weight, estimate (10,), class and impulse frequency of what the prediction mixes."""
+    change, impulse = hypothesis_weights(model, state)
+    estimates, rest = [], 1.0
+    if change > LEAST_WEIGHT:
+        motion, _ = NEXT[state.motion]
+        estimates.append((change, _after_change(state), motion, state.impulse_omega))
+        rest -= change
+    if impulse > LEAST_WEIGHT:
+        omega = model.likeliest_omega(state)
+        estimates.append((impulse, _after_impulse(model, state), state.motion, omega))
+        rest -= impulse
+    estimates.append((rest, ramp_estimate(model, state), state.motion, state.impulse_omega))
+    return estimates
+
+
+def ramp_estimate(model: BankModel, state: BankState) -> Array:
+    """Return the estimate (10,), drawn to the configured ramp as far as that is likely.
+
+    The filter's prior of the acceleration is wide, for ramps differ. Most ramps are as configured:
+    a narrow hypothesis next to the wide one. Its odds are the ratio of the wide hypothesis' density
+    at the configured value after and before the readings (Savage-Dickey density ratio). Its
+    estimate is the filter's with that value measured.
+    """
+    nominal, share = model.class_acceleration(state.motion), model.bank.as_set
+    if not nominal or not share:
+        return state.x
+    narrow = (model.bank.as_set_deviation * nominal) ** 2
+    wide = (model.bank.amplitude_deviation * nominal) ** 2 + narrow
+    column = state.P[ACCELERATION]
+    off = nominal - float(state.x[ACCELERATION])
+    left = float(column[ACCELERATION]) + narrow
+    odds = share / (1.0 - share) * math.sqrt(wide / left) * math.exp(-0.5 * off * off / left)
+    drawn: Array = state.x + column * (odds / (1.0 + odds) * off / left)
+    return drawn
+
+
+def _after_change(state: BankState) -> Array:
+    """Return the estimate (10,) if the class has changed: ``merge_moments`` without the spread."""
+    x: Array = state.x - state.changes.error.dot(state.change.weights * state.change.amplitudes)
+    return x
+
+
+def _after_impulse(model: BankModel, state: BankState) -> Array:
+    """Return the estimate (10,) after an impulse: ``merge_moments`` without the spread."""
+    weights = state.impulse.weights * state.impulse.amplitudes
+    swing, quadrature = model.impulse_response(state.impulses.age, state.impulses.omega)
+    x: Array = state.x - state.impulses.error.dot(weights)
+    x[IMPULSE] += float(weights.dot(swing))
+    x[IMPULSE_QUADRATURE] += float(weights.dot(quadrature))
+    return x
+
+
+def hypothesis_weights(model: BankModel, state: BankState) -> tuple[float, float]:
+    """Return the weights of a change of class and of an impulse in the prediction.
+
+    Only a running or standing conveyor is mixed: on a ramp a mixture does harm. A penalty keeps
+    quiet tracking quiet.
+    """
+    if not model.mixture or not len(state.changes):
+        return 0.0, 0.0
+    caution, penalty = 1.0, model.bank.penalty
+    if state.motion is Motion.RUNNING:
+        if state.contact:
+            caution, penalty = model.bank.contact_caution, model.bank.contact_penalty
+    elif state.motion is Motion.STANDING:
+        penalty = 0.0
+    else:
+        return 0.0, 0.0
+    change = math.exp(min(caution * (state.change.odds - penalty), 50.0))
+    impulse = math.exp(min(state.impulse.odds - max(penalty, model.impulse.confirmed), 50.0))
+    total = 1.0 + change + impulse
+    return change / total, impulse / total
+
+
+def _nonlinear_part(
+    model: BankModel,
+    x: list[float],
+    motion: Motion,
+    omega: float,
+    cruise: float,
+    times: Array,
+    turn: tuple[Array, Array],
+) -> Array | float:
+    """Return what ramp, ripple and swing of one hypothesis (m,) add to its steady motion.
+
+    Args:
+        model: of the conveyor.
+        x: estimate (10,).
+        motion: its class.
+        omega: of its swing [rad/s].
+        cruise: speed at which a start ends [m/s].
+        times: from now [s].
+        turn: cosine and sine (m,) of the ripple's phase from now.
+    """
+    _, v, _, _, a, swing, swing_quadrature, ripple, quadrature, _ = x
+    is_ramp = motion in RAMPS
+    part = added_way(v, a, cruise, times) if is_ramp else 0.0
+    if abs(ripple) + abs(quadrature) > LEAST_RIPPLE:
+        share = _ramp_shares(model, v, a, times) if is_ramp else model.speed_share(v)
+        c, s = turn
+        part = part + share * (ripple * c + quadrature * s)
+    if abs(swing) + abs(swing_quadrature) > LEAST_SWING:
+        pole = complex(-model.impulse.damping * omega, omega)
+        part = part + (complex(swing, -swing_quadrature) * np.exp(pole * times)).real
+    return part
+
+
+def _ramp_shares(model: BankModel, v: float, a: float, times: Array) -> Array:
+    """Return the shares (m,) of the nominal speed on a ramp."""
+    nominal = model.conveyor.nominal_speed
+    shares: Array = v / nominal + (a / nominal) * times
+    return np.minimum(np.maximum(shares, 0.0), 1.0)
+
+
+def estimate(model: BankModel, state: BankState) -> ConveyorEstimate:
+    """Return the estimate of the conveyor now."""
+    y, v, random, offset, _, swing, _, ripple, quadrature, _ = ramp_estimate(model, state).tolist()
+    variance = state.P.diagonal().tolist()
+    share = model.speed_share(v)
+    return ConveyorEstimate(
+        position=y + swing + share * ripple,
+        speed=v + random + share * quadrature * model.ripple_omega(state),
+        offset=offset,
+        deviation=math.sqrt(max(variance[Y] + variance[IMPULSE], 0.0)),
+        speed_deviation=math.sqrt(max(variance[V] + variance[RANDOM], 0.0)),
+        motion=state.motion,
+        tentative=state.tentative,
+        confidence=state.change_odds,
+        events=state.events,
+    )

@@ -1,0 +1,166 @@
+"""Onset bank: a generalised likelihood ratio test over the time at which something began.
+
+Each hypothesis "it began u seconds ago" is held by two sums, without a second filter (Willsky and
+Jones, "A generalized likelihood ratio approach to the detection and estimation of jumps in linear
+systems", IEEE Transactions on Automatic Control, 1976). The error f of the null filter under the
+hypothesis is propagated with the filter's own F and K:
+
+    rho = z - h'f,   A += rho^2 / S,   B += rho nu / S,   f <- F f + K rho.
+
+For a change of class, f is the whole error: it begins as the added acceleration and needs no z. An
+impulse response has a frequency that F does not know. Its signature z is known in closed form, and
+f is the part of it that the null filter has absorbed. The amplitude is N(mean, variance) and
+integrated out.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from msgspec import Struct
+
+from linemate.daemon.core.horizon import Array
+
+
+class OnsetBank(Struct, frozen=True, eq=False):
+    """Hypotheses, youngest first.
+
+    Attributes:
+        error: f (n, m), error of the null filter for amplitude 1, as far as F propagates it.
+        sums: (4, m): A and B, the evidence; the time since each onset [s]; the frequency of the
+            impulse response [rad/s], 0 for a change of class.
+    """
+
+    error: Array
+    sums: Array
+
+    def __len__(self) -> int:
+        return len(self.sums[0])
+
+    @property
+    def A(self) -> Array:
+        """(m,) sum of rho^2 / S."""
+        row: Array = self.sums[0]
+        return row
+
+    @property
+    def B(self) -> Array:
+        """(m,) sum of rho nu / S."""
+        row: Array = self.sums[1]
+        return row
+
+    @property
+    def age(self) -> Array:
+        """(m,) time since each onset [s]."""
+        row: Array = self.sums[2]
+        return row
+
+    @property
+    def omega(self) -> Array:
+        """(m,) frequency [rad/s]."""
+        row: Array = self.sums[3]
+        return row
+
+
+@dataclass(frozen=True, slots=True)
+class AmplitudePrior:
+    """Prior N(mean, variance) of an amplitude."""
+
+    mean: float
+    variance: float
+
+
+class OnsetPosterior(Struct, frozen=True, eq=False):
+    """Posterior of a bank.
+
+    Attributes:
+        odds: log of the sum of all likelihood ratios.
+        weights: (m,) posterior of the onsets.
+        amplitudes: (m,) posterior mean of each amplitude.
+    """
+
+    odds: float
+    weights: Array
+    amplitudes: Array
+
+
+NO_POSTERIOR = OnsetPosterior(-30.0, np.zeros(0), np.zeros(0))
+
+
+def empty(states: int) -> OnsetBank:
+    """Return a bank without hypotheses for a filter of some states."""
+    return OnsetBank(np.zeros((states, 0)), np.zeros((4, 0)))
+
+
+def begin(error: Array, omegas: tuple[float, ...]) -> OnsetBank:
+    """Return hypotheses that begin now.
+
+    Args:
+        error: f of each at its onset (n,).
+        omegas: frequency of each [rad/s]; 0 for a change of class.
+    """
+    sums = np.zeros((4, len(omegas)))
+    sums[3] = omegas
+    return OnsetBank(np.repeat(error[:, None], len(omegas), axis=1), sums)
+
+
+def propagate(bank: OnsetBank, onsets: OnsetBank, F: Array, dt: float, longest: float) -> OnsetBank:
+    """Return the bank one step later: new onsets before the step, without the oldest.
+
+    Args:
+        bank: before.
+        onsets: hypotheses that are added.
+        F: the null filter's transition (n, n).
+        dt: [s].
+        longest: age of the oldest onset [s].
+    """
+    keep = min(len(bank), len(onsets) * (round(longest / dt) - 1))
+    error = F.dot(np.concatenate((onsets.error, bank.error[:, :keep]), axis=1))
+    sums = np.concatenate((onsets.sums, bank.sums[:, :keep]), axis=1)
+    age = sums[2]
+    age += dt
+    return OnsetBank(error, sums)
+
+
+def likelihood_ratios(bank: OnsetBank, prior: AmplitudePrior) -> tuple[Array, Array]:
+    """Return each log likelihood ratio (m,), the amplitude integrated out, and its mean (m,).
+
+    The posterior precision of the amplitude is ``A + 1 / variance``.
+    """
+    precision = bank.A + 1.0 / prior.variance
+    weighted = bank.B + prior.mean / prior.variance
+    mean: Array = weighted / precision
+    ratio: Array = weighted * mean - np.log(precision)
+    ratio -= prior.mean**2 / prior.variance + math.log(prior.variance)
+    ratio *= 0.5
+    return ratio, mean
+
+
+def posterior(bank: OnsetBank, prior: AmplitudePrior) -> OnsetPosterior:
+    """Return the posterior; an empty bank has log odds of -30 and no weights."""
+    if not len(bank):
+        return NO_POSTERIOR
+    ratios, amplitudes = likelihood_ratios(bank, prior)
+    top = float(ratios[ratios.argmax()])
+    raw = np.exp(ratios - top)
+    total = float(np.add.reduce(raw))
+    return OnsetPosterior(top + math.log(total), raw / total, amplitudes)
+
+
+def merge_moments(bank: OnsetBank, unit: Array, prior: AmplitudePrior) -> tuple[Array, Array]:
+    """Return by how much the bank moves the null estimate (n,), and its spread (n, n).
+
+    Onsets are merged by their moments; the posterior variance of the amplitude is added.
+
+    Args:
+        bank: with at least one hypothesis.
+        unit: (n, m) by how much each would at amplitude 1.
+        prior: of the amplitude.
+    """
+    result = posterior(bank, prior)
+    shift = unit * result.amplitudes
+    mean: Array = shift.dot(result.weights)
+    off = shift - mean[:, None]
+    variances = result.weights / (bank.A + 1.0 / prior.variance)
+    spread: Array = (result.weights * off) @ off.T + (variances * unit) @ unit.T
+    return mean, spread
