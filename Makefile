@@ -15,7 +15,7 @@ SHARE ?= $(if $(OWN),$(OWN)/share,/usr/local/share)
 SERVICES := linemated.service linemated@.service linemate-metrics.service linemate-bridge.service
 
 .PHONY: help demo test lint format bench dst fuzz coverage judged mutants mutation floods accuracy install install-program install-files \
-	uninstall systemd-test docs docs-write sbom clean
+	uninstall systemd-test docs docs-write results sbom clean
 
 help:
 	@echo "make demo     the wheel assembly in real time, ARGS=... for options; leaves out/demo"
@@ -28,8 +28,9 @@ help:
 	@echo "make coverage every branch of states, watch, gate, exchange and parsers by their own tests"
 	@echo "make mutants  changes of states, watch, gate, exchange and parsers that no test notices"
 	@echo "make floods   20 000 datagrams a second on each port, judged by a robot beside it"
-	@echo "make accuracy the tables of docs/accuracy.md, in hours; ARGS=--short for a few runs"
+	@echo "make accuracy the tables of docs/results/accuracy.md, in hours; ARGS=--short for a few runs"
 	@echo "make docs     links, generated pages, and every command that the pages show"
+	@echo "make results  measure the figures of the pages again, NAME=campaign or another"
 	@echo "make sbom     bill of materials (CycloneDX) of what make install installs"
 	@echo "make systemd-test  the service under a real systemd, in namespaces; as root"
 	@echo "make install  into PREFIX=$(PREFIX), with units, manuals and a first configuration"
@@ -171,6 +172,10 @@ docs: .venv/.ok
 # Write the generated pages, manuals, completions and the bill of materials.
 docs-write: .venv/.ok
 	.venv/bin/python -m docs.make.write
+
+# Measure one result of docs/results again; the tree must have no changes.
+results: .venv/.ok
+	.venv/bin/python -m docs.make.results $(NAME)
 
 # docs/sbom.cdx.json and requirements.txt: what `make install` installs.
 sbom: .venv/.ok

@@ -14,6 +14,7 @@ from typing import Any, get_args, get_type_hints
 from linemate.daemon.config import parameter_list
 from linemate.daemon.config.settings import Config
 from linemate.daemon.config.settings_tree import SECTIONS
+from linemate.daemon.core.tracking.task import TaskFile
 from linemate.simulators.devices.faults import KINDS, MEANINGS, REAL
 from linemate.simulators.devices.links.emulator_config import EmulatorConfig
 from linemate.simulators.harness.setup import shipped_control
@@ -169,6 +170,16 @@ def scenarios_page() -> str:
         if section.name.partition(".")[0] != "scenario":
             lines += [f"### `{section.name}`", ""] if section.name else []
             lines += [meaning(section), "", *_table(list(keys(section))), ""]
+    return "\n".join(lines)
+
+
+def task_page() -> str:
+    """The tables of docs/task.md: a task file's keys."""
+    lines = []
+    for section in sections(TaskFile):
+        name = f"{section.name}[]" if section.is_list else section.name
+        lines += [f"### `{name}`" if name else "### The file", ""]
+        lines += [meaning(section), "", *_table(list(keys(section))), ""]
     return "\n".join(lines)
 
 

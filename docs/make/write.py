@@ -12,7 +12,7 @@ from pathlib import Path
 
 import shtab
 
-from docs.make import manual, programs, reference, sbom
+from docs.make import manual, programs, reference, results, sbom, states
 from linemate.daemon.config import config
 
 DOCS = Path(__file__).resolve().parents[1]
@@ -20,6 +20,9 @@ DOCS = Path(__file__).resolve().parents[1]
 
 def pages() -> Iterator[tuple[Path, str]]:
     """Yield every generated file and its text."""
+    for page in (DOCS.parent / "README.md", DOCS / "accuracy.md", DOCS / "performance.md"):
+        yield page, results.filled(page.read_text(encoding="utf-8"))
+    yield states.PAGE, states.drawn(states.PAGE.read_text(encoding="utf-8"))
     packages = sbom.closure()
     yield DOCS / "sbom.cdx.json", sbom.bill(packages)
     yield DOCS.parent / "requirements.txt", sbom.requirements(packages)
@@ -28,6 +31,7 @@ def pages() -> Iterator[tuple[Path, str]]:
         ("configuration.md", reference.configuration_page()),
         ("parameters.md", reference.parameters_page()),
         ("scenarios.md", reference.scenarios_page()),
+        ("task.md", reference.task_page()),
     ):
         path = DOCS / name
         kept = path.read_text(encoding="utf-8").partition(reference.MADE)[0]

@@ -1,4 +1,4 @@
-"""``make accuracy``: the runs and the tables of ``docs/accuracy.md``.
+"""``make accuracy``: the runs and the tables of ``docs/results/accuracy.md``.
 
 Invariants:
     Results replace the text between two marks of the page.
@@ -31,7 +31,7 @@ from linemate.simulators.lab import accuracy_tables
 from linemate.simulators.lab.cases import ABLATIONS, CASES, TUNED, VERIFY, Case
 from linemate.simulators.lab.detection_runs import Kind
 
-PAGE = Path("docs/accuracy.md")
+PAGE = Path("docs/results/accuracy.md")
 KEPT = Path("out/accuracy")
 BEGIN, END = "<!-- tables: begin -->", "<!-- tables: end -->"
 HEAD = "# Accuracy\n\n"
@@ -299,7 +299,7 @@ def _overlay(path: Path) -> Mapping[str, Any]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="accuracy", description="Write docs/accuracy.md.")
+    parser = argparse.ArgumentParser(prog="accuracy", description="Write docs/results/accuracy.md.")
     add = parser.add_argument
     add("--short", action="store_true", help="a few runs of a few cases, for CI")
     add(

@@ -1,4 +1,4 @@
-"""Tables of ``docs/accuracy.md``: figures and their bars as Markdown.
+"""Tables of ``docs/results/accuracy.md``: figures and their bars as Markdown.
 
 Invariants:
     Pure: figures in, text out.

@@ -26,7 +26,11 @@ from linemate.daemon.service import main as service
 from linemate.simulators.harness import main as harness
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = sorted(
+    path
+    for folder in (ROOT, ROOT / "docs", ROOT / "docs/decisions", ROOT / "docs/results")
+    for path in folder.glob("*.md")
+)
 ASSIGNMENT = re.compile(r"[A-Za-z_]+=")
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 FENCE = re.compile(r"^```(\S*)[ ]?(.*?)\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -101,7 +105,7 @@ def parsed(words: list[str]) -> None:
             raise AssertionError(words) from ended
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_every_link_leads_somewhere(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     for target in LINK.findall(FENCE.sub("", text)):
