@@ -4,16 +4,18 @@ Invariants:
     Pure.
     The interval of a median is of order statistics (binomial); that of a share is Clopper-
         Pearson.
+    Fewer than six values have no 95 % interval: even their whole range covers less.
     A missed detection counts as infinite and prints as null.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from scipy.stats import beta, binom
 
 CONFIDENCE = 0.95
+MIN_INTERVAL_VALUES = 6  # 2 * 0.5**6 is the first below 5 %
 
 ERRORS = ("control_error", "plan_error", "prediction_error", "total_error")
 MEASURES = ("max_mm", "rms_mm", "max_mrad", "rms_mrad")
@@ -63,8 +65,8 @@ def summarise(results: Sequence[Mapping[str, Any]]) -> dict[str, Figure]:
 
 
 def describe(values: Sequence[float]) -> Figure:
-    """Median, worst (largest) and 95 % interval of the median, and how many values."""
-    low, high = median_interval(values)
+    """Return median, worst (largest) and 95 % interval of the median, and how many values."""
+    low, high = median_interval(values) or (math.inf, math.inf)
     return {
         "median": _finite(_median(sorted(values))),
         "worst": _finite(max(values)),
@@ -74,7 +76,7 @@ def describe(values: Sequence[float]) -> Figure:
 
 
 def share(flags: Sequence[bool]) -> Figure:
-    """Share of true, worst case, and its Clopper-Pearson interval."""
+    """Return the share of true, the worst case, and the share's Clopper-Pearson interval."""
     n, hits = len(flags), sum(flags)
     tail = 0.5 * (1.0 - CONFIDENCE)
     low = float(beta.ppf(tail, hits, n - hits + 1)) if hits else 0.0
@@ -82,25 +84,32 @@ def share(flags: Sequence[bool]) -> Figure:
     return {
         "median": round(hits / n, 6),
         "worst": float(hits == n),
-        "ci95": [round(low, 6), round(high, 6)],
+        "ci95": [None, None] if n < MIN_INTERVAL_VALUES else [round(low, 6), round(high, 6)],
         "n": n,
     }
 
 
-def median_interval(values: Sequence[float], confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Order statistics that enclose the median with at least the confidence asked for.
+def interval_text(ci95: Sequence[float | None], number: Callable[[float | None], str]) -> str:
+    """Return `` [low, high]``, empty without an interval."""
+    low, high = ci95
+    return "" if low is None and high is None else f" [{number(low)}, {number(high)}]"
 
-    With fewer than six values no pair does; then the smallest and the largest are given.
+
+def median_interval(values: Sequence[float]) -> tuple[float, float] | None:
+    """Return the narrowest order statistics that enclose the median with 95 % confidence.
+
+    None for fewer than MIN_INTERVAL_VALUES: no pair of them does.
 
     Source: David and Nagaraja, Order Statistics, 7.1: P(x_(r) < m < x_(n+1-r)) is the binomial
     probability, n trials of 1/2, of r..n-r.
     """
     ordered, n = sorted(values), len(values)
-    below = int(binom.ppf(0.5 * (1.0 - confidence), n, 0.5))
-    # The largest r whose two tails, each P(B <= r - 1), stay within what is left over.
-    while below > 0 and 2.0 * binom.cdf(below - 1, n, 0.5) > 1.0 - confidence:
-        below -= 1
-    rank = max(below, 1)
+    rank = int(binom.ppf(0.5 * (1.0 - CONFIDENCE), n, 0.5))
+    # The largest rank whose two tails, each P(B <= rank - 1), hold at most 5 %.
+    while rank > 0 and 2.0 * binom.cdf(rank - 1, n, 0.5) > 1.0 - CONFIDENCE:
+        rank -= 1
+    if rank == 0:
+        return None
     return ordered[rank - 1], ordered[n - rank]
 
 

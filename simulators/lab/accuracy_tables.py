@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from linemate.simulators.judge.statistics import describe
+from linemate.simulators.judge.statistics import describe, interval_text
 from linemate.simulators.lab.cases import ABLATIONS, CASES, NOMINAL, WRONG
 
 Run = Mapping[str, float | bool | None]
@@ -285,8 +285,7 @@ def _told(found: Mapping[str, Any]) -> str:
     from linemate.simulators.lab.detection import latency_cell, rate_cell
 
     if "share" in found:
-        low, high = found["ci95"]
-        return f"{found['share']:.3f} [{low:.3f}, {high:.3f}]"
+        return f"{found['share']:.3f}{interval_text(found['ci95'], '{:.3f}'.format)}"
     return rate_cell(found) if "rate" in found else latency_cell(found)
 
 
@@ -417,8 +416,8 @@ def commands(runs: Runs) -> str:
 
 def cell(figure: Mapping[str, Any]) -> str:
     """Print "median [95 % interval] (worst)"; a dash for what was not there in a run."""
-    low, high = (number(bound) for bound in figure["ci95"])
-    return f"{number(figure['median'])} [{low}, {high}] ({number(figure['worst'])})"
+    interval = interval_text(figure["ci95"], number)
+    return f"{number(figure['median'])}{interval} ({number(figure['worst'])})"
 
 
 def number(one: float | None) -> str:

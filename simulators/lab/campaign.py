@@ -219,15 +219,17 @@ def table(whole: dict[str, Any]) -> str:
     ]
     counts = {name: sum(run["variant"] == name for run in whole["runs"]) for name in summary}
     runs = ", ".join(f"{name} {count}" for name, count in counts.items())
-    legend = "median [95 % interval] (worst); assembled: share; -: missed or not there"
+    legend = "median [95 % interval, of 6 runs or more] (worst); assembled: share; -: missed"
     return "\n".join([*aligned(head, rows), "", legend, f"runs: {runs}"])
 
 
 def _cell(figure: dict[str, Any] | None) -> str:
     if figure is None:
         return "-"
-    low, high = (_number(bound) for bound in figure["ci95"])
-    return f"{_number(figure['median'])} [{low}, {high}] ({_number(figure['worst'])})"
+    from linemate.simulators.judge.statistics import interval_text
+
+    interval = interval_text(figure["ci95"], _number)
+    return f"{_number(figure['median'])}{interval} ({_number(figure['worst'])})"
 
 
 def _number(value: float | None) -> str:

@@ -15,7 +15,7 @@ from typing import Any
 from scipy.stats import chi2
 
 from linemate.simulators.harness.setup import Setup
-from linemate.simulators.judge.statistics import CONFIDENCE, describe, share
+from linemate.simulators.judge.statistics import CONFIDENCE, describe, interval_text, share
 from linemate.simulators.lab import detection_runs
 from linemate.simulators.lab.detection_runs import DetectionRun, Kind, Tally
 
@@ -225,18 +225,16 @@ def cells(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "made", str(found["made"])
     for name in ("not_suspected", "not_taken"):
         if name in found:
-            low, high = found[name]["ci95"]
-            yield (
-                f"{name.replace('_', ' ')} for a stop %",
-                (f"{100 * found[name]['share']:.1f} [{100 * low:.1f}, {100 * high:.1f}]"),
-            )
+            interval = interval_text(found[name]["ci95"], _percent)
+            shown = f"{_percent(found[name]['share'])}{interval}"
+            yield f"{name.replace('_', ' ')} for a stop %", shown
 
 
 def latency_cell(value: Mapping[str, Any]) -> str:
     """One latency as text."""
-    low, high = (_number(bound) for bound in value["ci95"])
+    interval = interval_text(value["ci95"], _number)
     tail = f"({_number(value['p95'])}; {_number(value['worst'])})"
-    return f"{_number(value['median'])} [{low}, {high}] {tail}, {value['missed']} of {value['n']}"
+    return f"{_number(value['median'])}{interval} {tail}, {value['missed']} of {value['n']}"
 
 
 def rate_cell(value: Mapping[str, Any]) -> str:
@@ -245,6 +243,10 @@ def rate_cell(value: Mapping[str, Any]) -> str:
         return "-"
     low, high = value["ci95"]
     return f"{value['rate']:.2f} [{low:.2f}, {high:.2f}] ({value['count']})"
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.1f}"
 
 
 def _number(value: float | None) -> str:

@@ -20,7 +20,9 @@ def test_the_interval_of_a_median_is_the_textbooks() -> None:
 
 @given(st.integers(6, 400))
 def test_the_interval_is_the_narrowest_that_covers_with_the_confidence(n: int) -> None:
-    low, high = statistics.median_interval(list(range(1, n + 1)))
+    interval = statistics.median_interval(list(range(1, n + 1)))
+    assert interval is not None
+    low, high = interval
     assert low + high == n + 1
 
     def coverage(rank: float) -> float:
@@ -34,15 +36,19 @@ def test_the_interval_covers_the_true_median_as_often_as_it_says() -> None:
     rng = np.random.default_rng(1)
     hits = 0
     for _ in range(400):
-        low, high = statistics.median_interval(rng.exponential(1.0, 40).tolist())
-        hits += low <= math.log(2.0) <= high
+        interval = statistics.median_interval(rng.exponential(1.0, 40).tolist())
+        hits += interval is not None and interval[0] <= math.log(2.0) <= interval[1]
     assert hits >= 0.93 * 400
 
 
 @pytest.mark.parametrize("n", [1, 2, 5])
-def test_few_values_give_their_whole_span(n: int) -> None:
+def test_fewer_than_six_values_have_no_interval(n: int) -> None:
     values = [float(i) for i in range(n)]
-    assert statistics.median_interval(values) == (0.0, n - 1.0)
+    assert statistics.median_interval(values) is None
+    assert statistics.describe(values)["ci95"] == [None, None]
+    assert statistics.share([True] * n)["ci95"] == [None, None]
+    assert statistics.interval_text([None, None], str) == ""
+    assert None not in statistics.describe([*values, *range(6 - n)])["ci95"]
 
 
 def test_a_missed_detection_is_the_worst_and_prints_as_null() -> None:
@@ -56,4 +62,4 @@ def test_a_share_of_all_is_not_certain() -> None:
     # The rule of three, Clopper and Pearson two-sided: (alpha/2)^(1/n).
     assert whole["ci95"] == [pytest.approx(0.025 ** (1 / 40), abs=1e-6), 1.0]
     assert statistics.share([True, False])["worst"] == 0.0
-    assert statistics.share([False])["ci95"][0] == 0.0
+    assert statistics.share([False] * 6)["ci95"][0] == 0.0
