@@ -353,29 +353,29 @@ def _add_record(commands: Any, common: argparse.ArgumentParser) -> None:
 
 
 def _add_files(commands: Any, _: argparse.ArgumentParser) -> None:
-    from linemate.daemon.operator import export, identify, replay
+    from linemate.daemon.operator import export_command, identify_command, replay_command
 
-    identify.add_parser(commands)
-    replay.add_parser(commands)
-    export.add_parsers(commands)
+    identify_command.add_parser(commands)
+    replay_command.add_parser(commands)
+    export_command.add_parsers(commands)
 
 
 def _add_view(commands: Any, common: argparse.ArgumentParser) -> None:
-    from linemate.daemon.view import command
+    from linemate.daemon.operator import view_command
 
-    command.add_parser(commands, common, _client)
+    view_command.add_parser(commands, common, _client)
 
 
 def _add_metrics(commands: Any, _: argparse.ArgumentParser) -> None:
-    from linemate.daemon.operator import exporter
+    from linemate.daemon.operator import metrics_command
 
-    exporter.add_parser(commands)
+    metrics_command.add_parser(commands)
 
 
 def _add_bridge(commands: Any, _: argparse.ArgumentParser) -> None:
-    from linemate.daemon.operator import bridge
+    from linemate.daemon.operator import bridge_command
 
-    bridge.add_parser(commands)
+    bridge_command.add_parser(commands)
 
 
 def _add_doctor(commands: Any, _: argparse.ArgumentParser) -> None:

@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from linemate.daemon.view.cell import Scene
 from linemate.daemon.view.chain import Vector
-from linemate.daemon.view.scene import Scene
 
 Frame = dict[str, Any]
 

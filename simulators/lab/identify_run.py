@@ -22,7 +22,7 @@ from linemate.daemon.core.control.settings import ControlSettings, EffectorMode,
 from linemate.daemon.core.tracking.settings import SwingMode, TrackingSettings
 from linemate.daemon.cycle.cycle import LogEntry
 from linemate.daemon.identification.identify import Identified
-from linemate.daemon.operator import identify
+from linemate.daemon.operator import identify_command
 from linemate.daemon.recording.step_codec import encode
 from linemate.daemon.recording.step_file import StepFile
 from linemate.daemon.recording.step_items import metadata_of
@@ -70,14 +70,14 @@ def identified(plan: Plan, folder: Path) -> Identified:
         record(_exercise(plan), plan.seed + i, folder / f"exercise-{i}.mcap")
         for i in range(plan.exercises)
     ]
-    found = identify.from_files(files)
+    found = identify_command.from_files(files)
     if not plan.wheels:
         return found
     wheel = laid_over(_belief(plan, "wheel"), found.overlay)
     files += [
         record(wheel, plan.seed + 100 + i, folder / f"wheel-{i}.mcap") for i in range(plan.wheels)
     ]
-    return identify.from_files(files)
+    return identify_command.from_files(files)
 
 
 def record(setup: Setup, seed: int, path: Path) -> Path:
@@ -152,13 +152,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser.parse_args(argv)
     plan = Plan(args.exercises, args.wheels, args.first_seed, args.cycle_ms, tuple(args.overrides))
     found = identified(plan, args.out)
-    print(identify.table(found.findings))
+    print(identify_command.table(found.findings))
     if not found.overlay:
         print("nothing could be identified", file=sys.stderr)
         return 1
     path = args.overlay or args.out / "identified.yaml"
     names = sorted(file.name for file in args.out.glob("*.mcap"))
-    identify.write(path, identify.overlay_text(found, names))
+    identify_command.write(path, identify_command.overlay_text(found, names))
     print(f"\noverlay: {path}")
     return 0
 

@@ -10,7 +10,7 @@ from linemate.daemon.config import task_file
 from linemate.daemon.config.files import DAEMON_DATA
 from linemate.daemon.identification.identify import Identified
 from linemate.daemon.identification.outcome import Estimate, Refusal
-from linemate.daemon.operator import identify
+from linemate.daemon.operator import identify_command
 from linemate.simulators.harness import identified_overlay as overlay
 from linemate.simulators.harness import setup
 from linemate.simulators.lab import identify_run
@@ -70,8 +70,8 @@ def test_the_overlay_is_what_the_command_line_writes_and_a_run_accepts(
     found: Identified, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "identified.yaml"
-    text = identify.overlay_text(found, ["exercise-0.mcap"])
-    identify.write(path, text)
+    text = identify_command.overlay_text(found, ["exercise-0.mcap"])
+    identify_command.write(path, text)
     read = yaml.safe_load(path.read_text())
     assert read == found.overlay
     made = overlay.laid_over(setup.make("wheel"), read)

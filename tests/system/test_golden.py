@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from linemate.daemon.operator.replay import compare, overrides_of, report
+from linemate.daemon.operator.replay_command import compare, overrides_of, report
 from linemate.daemon.recording.reader import read
 
 GOLDEN = Path(__file__).parent / "golden" / "wheel.mcap"

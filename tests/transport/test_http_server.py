@@ -10,8 +10,8 @@ import pytest
 
 from linemate.daemon.transport import http_server as serving
 from linemate.daemon.transport.http_server import Answer, NoPageError, Page, Server
-from linemate.daemon.view.board import ONLOOKERS, WAITING, Board
-from linemate.daemon.view.site import LiveSite, assets
+from linemate.daemon.view.broadcast_hub import ONLOOKERS, WAITING, Board
+from linemate.daemon.view.page_routes import LiveSite, assets
 
 
 def ask(path: str, query: Mapping[str, str]) -> Answer:

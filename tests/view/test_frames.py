@@ -9,11 +9,11 @@ from cell import REST, TASK
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linemate.daemon.view import scene as scenes
-from linemate.daemon.view.board import Board
+from linemate.daemon.view import cell
+from linemate.daemon.view.broadcast_hub import Board
 from linemate.daemon.view.frames import Framer
 
-SCENE = scenes.of({"task": TASK.text, "urdf": TASK.urdf, "cycle_s": 0.012})
+SCENE = cell.of({"task": TASK.text, "urdf": TASK.urdf, "cycle_s": 0.012})
 CYCLE_NS = 12_000_000
 SPEED = 0.106
 
@@ -53,7 +53,7 @@ def test_the_scene_of_the_shipped_task_can_be_drawn() -> None:
 def test_a_cell_that_cannot_be_read_is_said_and_nothing_breaks(
     told: dict[str, Any], why: str
 ) -> None:
-    scene = scenes.of(told)
+    scene = cell.of(told)
     assert why in scene.trouble
     frame = Framer(scene).frame(moving(1))
     assert frame is not None

@@ -16,9 +16,9 @@ from pathlib import Path
 
 from linemate.daemon.transport.client import Client
 from linemate.daemon.transport.http_server import Server
-from linemate.daemon.view.board import Board
-from linemate.daemon.view.live import Live
-from linemate.daemon.view.site import LiveSite, TapeSite
+from linemate.daemon.view.broadcast_hub import Board
+from linemate.daemon.view.live_feed import Live
+from linemate.daemon.view.page_routes import LiveSite, TapeSite
 
 LEAST_URGENT = 19
 """The greatest niceness."""

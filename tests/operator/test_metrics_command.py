@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 from daemon_process import LINEMATE, DaemonProcess
 
-from linemate.daemon.operator import metrics
-from linemate.daemon.operator.exporter import REQUEST_S, Stations
+from linemate.daemon.operator import metrics_page
+from linemate.daemon.operator.metrics_command import REQUEST_S, Stations
 
 TEXT = "task: wheel.yaml\nrsi: {port: 0}\ncamera: {port: 0}\ncommand: {socket: c.sock}\n"
 
@@ -175,7 +175,7 @@ def test_what_is_no_number_is_left_out_and_odd_names_are_escaped() -> None:
         "faults": "many",
         "links": {'x"\n\\': {"up": True, "age_s": math.inf, "counters": {"lost": 2}}},
     }
-    found = parsed(metrics.text({'we"st\n': status, "east": None}))
+    found = parsed(metrics_page.text({'we"st\n': status, "east": None}))
     west = ("station", 'we"st\n')
     assert found["linemate_link_up", frozenset({west, ("link", 'x"\n\\')})] == 1.0
     assert found["linemate_up", frozenset({("station", "east")})] == 0.0

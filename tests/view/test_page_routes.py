@@ -9,7 +9,7 @@ import pytest
 
 from linemate.daemon.recording.format import UnreadableRecordingError
 from linemate.daemon.transport.http_server import NoPageError, Page
-from linemate.daemon.view.site import TapeSite
+from linemate.daemon.view.page_routes import TapeSite
 
 GOLDEN = Path(__file__).parents[1] / "system" / "golden" / "wheel.mcap"
 

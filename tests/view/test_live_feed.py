@@ -19,8 +19,8 @@ from rerun import LINEMATE, Rerun, recording, rerun
 from linemate.daemon.operator import main as tool
 from linemate.daemon.service.command_server import CommandPort, LocalDoor
 from linemate.daemon.transport.client import Client, KeyFileError
-from linemate.daemon.view.board import Board
-from linemate.daemon.view.live import Live
+from linemate.daemon.view.broadcast_hub import Board
+from linemate.daemon.view.live_feed import Live
 from linemate.protocol.command.frame_codec import Role
 from linemate.protocol.command.local_client import LocalClient
 

@@ -8,7 +8,7 @@ import webbrowser
 
 import pytest
 
-from linemate.daemon.view import run
+from linemate.daemon.view import view_process
 
 
 def test_a_browser_that_is_opened_gives_way_and_the_server_does_not(
@@ -24,6 +24,6 @@ def test_a_browser_that_is_opened_gives_way_and_the_server_does_not(
 
     monkeypatch.setattr(webbrowser, "open", pretend)
     before = os.nice(0)
-    asyncio.run(asyncio.to_thread(run._open, "http://127.0.0.1:1/"))  # type: ignore[arg-type]
+    asyncio.run(asyncio.to_thread(view_process._open, "http://127.0.0.1:1/"))  # type: ignore[arg-type]
     assert opened == [("http://127.0.0.1:1/", 19)]
     assert os.nice(0) == before

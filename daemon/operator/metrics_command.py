@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from linemate.daemon.operator import metrics
+from linemate.daemon.operator import metrics_page
 from linemate.daemon.transport.client import Client, NoAnswerError, RefusedError
 from linemate.protocol.command.frame_codec import CommandError
 
@@ -85,7 +85,7 @@ def server_of(address: tuple[str, int], stations: Stations, names: Iterable[str]
         # One client asks the stations, the others wait for its answer; the loop waits for nobody.
         async with asking:
             statuses = await asyncio.to_thread(stations.statuses)
-        return Page(TYPE, metrics.text(statuses).encode())
+        return Page(TYPE, metrics_page.text(statuses).encode())
 
     def ask(path: str, _query: Mapping[str, str]) -> Awaitable[Page]:
         if path != "/metrics":
@@ -146,7 +146,7 @@ def main(args: argparse.Namespace) -> int:
     stations = Stations(dict(args.station) or {"linemate": default_socket_path()}, asked)
     if args.once:
         told = stations.statuses()
-        print(metrics.text(told), end="")
+        print(metrics_page.text(told), end="")
         return 0 if any(status is not None for status in told.values()) else 3
     host, port = args.listen
     if not ipaddress.ip_address(host).is_loopback and not args.allow_remote:

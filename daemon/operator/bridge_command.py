@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from linemate.daemon.operator import fleet
+from linemate.daemon.operator import bridge_messages as messages
 from linemate.daemon.transport.client import (
     Client,
     NoAnswerError,
@@ -67,7 +67,8 @@ class Station:
         self._known: Mapping[str, Any] | None = None
         self._token: Token | None = None
         self._askable = [
-            session.declare_queryable(fleet.key(name, op), self._taker(op)) for op in fleet.ASKABLE
+            session.declare_queryable(messages.key(name, op), self._taker(op))
+            for op in messages.ASKABLE
         ]
         work = [self._tell_status] + ([self._tell_telemetry] if rate_hz > 0.0 else [])
         self._threads = [threading.Thread(target=one, daemon=True) for one in work]
@@ -95,8 +96,8 @@ class Station:
         return take
 
     def _put(self, data: Mapping[str, Any], *parts: str) -> None:
-        payload = fleet.message(self._name, time.time(), data)
-        self._session.put(fleet.key(self._name, *parts), payload, encoding=JSON)
+        payload = messages.message(self._name, time.time(), data)
+        self._session.put(messages.key(self._name, *parts), payload, encoding=JSON)
 
     def _tell_status(self) -> None:
         client = Client.local(self._socket)
@@ -115,26 +116,26 @@ class Station:
             status: Mapping[str, Any] | None = client.call("status", None, ASK_S)
         except _FAILURES:
             status = None
-        for change in fleet.changes(self._known, status):
+        for change in messages.changes(self._known, status):
             self._put(change, "events")
         self._known = status
         if status is not None:
             self._put(status, "status")
             if self._token is None:
-                self._token = self._session.liveliness().declare_token(fleet.key(self._name))
+                self._token = self._session.liveliness().declare_token(messages.key(self._name))
         elif self._token is not None:
             self._token.undeclare()
             self._token = None
 
     def _answer(self, client: Client, op: str, query: Query) -> None:
         try:
-            parameters = {name: query.parameters.get(name) or "" for name in fleet.PARAMETERS}
-            told = client.call(op, fleet.asked(op, parameters), ASK_S)
+            parameters = {name: query.parameters.get(name) or "" for name in messages.PARAMETERS}
+            told = client.call(op, messages.asked(op, parameters), ASK_S)
         except (*_FAILURES, ValueError) as error:
             query.reply_err(str(error).encode())
         else:
-            payload = fleet.message(self._name, time.time(), told)
-            query.reply(fleet.key(self._name, op), payload, encoding=JSON)
+            payload = messages.message(self._name, time.time(), told)
+            query.reply(messages.key(self._name, op), payload, encoding=JSON)
         # Whoever asked is told that this was all when the query goes.
         query.drop()
 

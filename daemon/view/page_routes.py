@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from linemate.daemon.transport.http_server import Answer, NoPageError, Page
-from linemate.daemon.view import tape
-from linemate.daemon.view.board import ONLOOKERS, Board, FullError, event
-from linemate.daemon.view.tape import Tape
+from linemate.daemon.view import recorded_run
+from linemate.daemon.view.broadcast_hub import ONLOOKERS, Board, FullError, event
+from linemate.daemon.view.recorded_run import Tape
 
 JSON: Final = "application/json"
 KINDS: Final = {
@@ -127,7 +127,7 @@ class TapeSite:
             UnreadableRecordingError: a file is none.
         """
         for path in self.paths:
-            self.tapes.append(await asyncio.to_thread(tape.read, path, self._tell))
+            self.tapes.append(await asyncio.to_thread(recorded_run.read, path, self._tell))
 
     def _tell(self, share: float) -> None:
         self.share = (len(self.tapes) + share) / len(self.paths)
@@ -136,7 +136,7 @@ class TapeSite:
         """Have the horizons made again, recording by recording, by a process beside this one."""
         for number, (shown, path) in enumerate(zip(self.tapes, self.paths, strict=True)):
             process = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-m", "linemate.daemon.view.foresight", str(path.resolve())),
+                *(sys.executable, "-m", "linemate.daemon.view.horizon_replay", str(path.resolve())),
                 stdin=asyncio.subprocess.DEVNULL,
                 stdout=asyncio.subprocess.PIPE,
                 stderr=asyncio.subprocess.DEVNULL,
@@ -155,7 +155,7 @@ class TapeSite:
             self._done.add(number)
 
     def _list(self) -> list[dict[str, Any]]:
-        return [tape.total(shown) for shown in self.tapes]
+        return [recorded_run.total(shown) for shown in self.tapes]
 
 
 def _asset(found: Mapping[str, Page], path: str) -> Page:

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from daemon_process import LINEMATE, DaemonProcess
 
-from linemate.daemon.operator import fleet
+from linemate.daemon.operator import bridge_messages as messages
 
 zenoh = pytest.importorskip("zenoh", reason="zenoh is in the extra fleet")
 
@@ -79,7 +79,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
         stack.callback(bridge.kill)
         assert bridge.stdout is not None
         assert bridge.stdout.readline().startswith("2 stations")
-        from linemate.daemon.operator.bridge import opened
+        from linemate.daemon.operator.bridge_command import opened
 
         session = stack.enter_context(opened([], [endpoint]))
         fleet = Fleet(daemons, bridge, session)
@@ -144,7 +144,7 @@ def test_a_station_that_dies_is_an_event_and_the_other_goes_on(made: Fleet) -> N
     west = made.daemons["west"].process
     west.send_signal(signal.SIGKILL)
     west.wait()
-    gone = fleet.event("answers", True, False)
+    gone = messages.event("answers", True, False)
     made.until(lambda: gone in made.events("west"))
     alive = {str(reply.ok.key_expr) for reply in made.session.liveliness().get("linemate/*")}
     assert alive == {"linemate/east"}
@@ -180,10 +180,10 @@ def test_what_changes_is_told_once_and_ages_are_no_events() -> None:
         "complaints": ["link robot is down"],
         "links": {"robot": {"up": False, "age_s": 2.0}},
     }
-    assert list(fleet.changes(before, after)) == [
-        fleet.event("state", "idle", "fault"),
-        fleet.event("link robot", "up", "down"),
-        fleet.event("complaint", None, "link robot is down"),
+    assert list(messages.changes(before, after)) == [
+        messages.event("state", "idle", "fault"),
+        messages.event("link robot", "up", "down"),
+        messages.event("complaint", None, "link robot is down"),
     ]
-    assert list(fleet.changes(after, {**after, "links": {"robot": {"up": False}}})) == []
-    assert list(fleet.changes(None, before)) == [fleet.event("answers", False, True)]
+    assert list(messages.changes(after, {**after, "links": {"robot": {"up": False}}})) == []
+    assert list(messages.changes(None, before)) == [messages.event("answers", False, True)]

@@ -3,7 +3,7 @@
 Law of this file: a recording holds only a digest of each horizon, but everything that led to it;
 so the steps are made again, as ``linemate replay`` does. Each says whether its digest is the
 recorded one; where another version of the program foresaw from another place, nothing is shown.
-``python -m linemate.daemon.view.foresight FILE`` prints one JSON line a step.
+``python -m linemate.daemon.view.horizon_replay FILE`` prints one JSON line a step.
 """
 
 import json

@@ -6,7 +6,14 @@ from typing import Any
 
 import pytest
 
-from linemate.daemon.view.board import ONLOOKERS, REMEMBERED, WAITING, Board, FullError, event
+from linemate.daemon.view.broadcast_hub import (
+    ONLOOKERS,
+    REMEMBERED,
+    WAITING,
+    Board,
+    FullError,
+    event,
+)
 
 
 def events_of(data: bytes) -> list[tuple[str, Any]]:

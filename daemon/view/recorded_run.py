@@ -21,7 +21,6 @@ from linemate.daemon.recording.format import (
     UnreadableRecordingError,
 )
 from linemate.daemon.view.frames import Frame, Framer
-from linemate.daemon.view.scene import Scene, of
 
 if TYPE_CHECKING:
     from mcap.records import Message

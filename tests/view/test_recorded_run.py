@@ -16,15 +16,15 @@ from linemate.daemon.recording.format import Item, ItemKind, UnreadableRecording
 from linemate.daemon.recording.reader import read as read_steps
 from linemate.daemon.recording.step_file import StepFile
 from linemate.daemon.recording.step_items import StepItems, metadata_of
-from linemate.daemon.view import foresight, tape
-from linemate.daemon.view.tape import MOST_ASKED, OVERVIEW, SPACING_NS, Tape
+from linemate.daemon.view import horizon_replay, recorded_run
+from linemate.daemon.view.recorded_run import MOST_ASKED, OVERVIEW, SPACING_NS, Tape
 
 GOLDEN = Path(__file__).parents[1] / "system" / "golden" / "wheel.mcap"
 
 
 @pytest.fixture(scope="module")
 def golden() -> Tape:
-    return tape.read(GOLDEN)
+    return recorded_run.read(GOLDEN)
 
 
 def test_a_whole_run_is_shown_from_its_first_step_to_its_last(golden: Tape) -> None:
@@ -88,7 +88,7 @@ def test_the_overview_keeps_the_worst_of_each_stretch() -> None:
          {"plan_mm": 9.0 if i == 4321 else 0.1}, "confidence": float(i == 77)}
         for i in range(10_000)
     ]  # fmt: skip
-    told = tape.overview(frames)
+    told = recorded_run.overview(frames)
     assert len(told) <= OVERVIEW
     assert max(one["errors"]["plan_mm"] for one in told) == 9.0
     assert min(one["slack_ms"] for one in told) == 10.0
@@ -97,9 +97,9 @@ def test_the_overview_keeps_the_worst_of_each_stretch() -> None:
 
 
 def test_what_a_step_foresaw_is_made_again_and_shown_with_it(tmp_path: Path) -> None:
-    shown = tape.read(GOLDEN)
+    shown = recorded_run.read(GOLDEN)
     found = []
-    for one in foresight.foreseen(GOLDEN):
+    for one in horizon_replay.foreseen(GOLDEN):
         shown.foresee(one.k, one.ahead_ms, one.points, exact=one.exact)
         found.append(one)
         if len(found) == 40:
@@ -136,7 +136,7 @@ def recorded(path: Path, steps: int = 100) -> Path:
 def test_a_daemons_recording_tells_its_happenings_once_and_what_was_left_of_each_cycle(
     tmp_path: Path,
 ) -> None:
-    shown = tape.read(recorded(tmp_path / "whole.mcap"))
+    shown = recorded_run.read(recorded(tmp_path / "whole.mcap"))
     texts = [text for _, text in shown.happened if not text.startswith("conveyor")]
     assert texts == ["state: idle", "alice ordered arm", "state: armed"]
     assert shown.frames[-1]["slack_ms"] == 11.6
@@ -149,15 +149,15 @@ def test_a_recording_cut_short_is_shown_as_far_as_it_goes(tmp_path: Path) -> Non
     whole, cut = recorded(tmp_path / "whole.mcap"), tmp_path / "cut.mcap"
     data = whole.read_bytes()
     cut.write_bytes(data[: len(data) // 2])
-    all_of_it, shown = tape.read(whole), tape.read(cut)
+    all_of_it, shown = recorded_run.read(whole), recorded_run.read(cut)
     assert "damaged: the file ends early" in shown.trouble
     assert 0 < len(shown.frames) < len(all_of_it.frames)
     assert shown.frames == all_of_it.frames[: len(shown.frames)]
 
 
 def test_one_too_long_is_shown_as_far_as_may_be(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tape, "MOST_FRAMES", 20)
-    shown = tape.read(GOLDEN)
+    monkeypatch.setattr(recorded_run, "MOST_FRAMES", 20)
+    shown = recorded_run.read(GOLDEN)
     assert len(shown.frames) == 20
     assert "longer than 20 frames" in shown.trouble
 
@@ -167,17 +167,17 @@ def test_what_is_no_recording_is_refused_by_its_name(tmp_path: Path, content: by
     file = tmp_path / "x.mcap"
     file.write_bytes(content)
     with pytest.raises(UnreadableRecordingError, match=r"x\.mcap: not a linemate recording"):
-        tape.read(file)
+        recorded_run.read(file)
 
 
 def test_a_file_that_is_not_there_is_said(tmp_path: Path) -> None:
     with pytest.raises(UnreadableRecordingError, match="No such file"):
-        tape.read(tmp_path / "none.mcap")
+        recorded_run.read(tmp_path / "none.mcap")
     shutil.rmtree(tmp_path)
 
 
 def test_a_line_of_many_recordings_has_what_was_worst_on_the_way(golden: Tape) -> None:
-    told = tape.total(golden)
+    told = recorded_run.total(golden)
     on_the_way = [
         frame["errors"]["control_mm"]
         for frame in golden.frames

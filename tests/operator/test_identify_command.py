@@ -13,7 +13,7 @@ import yaml
 from linemate.daemon.config.files import DAEMON_DATA
 from linemate.daemon.identification.identify import Identified
 from linemate.daemon.identification.outcome import Estimate, Finding, Refusal
-from linemate.daemon.operator import identify
+from linemate.daemon.operator import identify_command
 from linemate.daemon.recording import reader
 from linemate.daemon.recording.format import UnreadableRecordingError
 from linemate.daemon.recording.step_file import StepFile
@@ -27,7 +27,7 @@ TEXTS = {
 
 def run(*words: str | Path) -> int:
     parser = argparse.ArgumentParser()
-    identify.add_parser(parser.add_subparsers())
+    identify_command.add_parser(parser.add_subparsers())
     args = parser.parse_args(["identify", *map(str, words)])
     return int(args.run(args))
 
@@ -103,19 +103,19 @@ FOUND = Identified(
 
 
 def test_the_table_shows_doubts_marks_and_reasons() -> None:
-    lines = identify.table(FOUND.findings).splitlines()
+    lines = identify_command.table(FOUND.findings).splitlines()
     assert lines[1].split()[:6] == ["servo", "A1", "frequency", "4.0123", "0.0040", "Hz"]
     assert "*" in lines[1]
     assert "refused: the axis hardly moved" in lines[2]
     assert "36.00" in lines[3]
-    plain = identify.as_plain(FOUND)
+    plain = identify_command.as_plain(FOUND)
     assert plain["findings"][1] == {
         "name": "servo A2 frequency", "told": False, "refused": "the axis hardly moved",
     }  # fmt: skip
 
 
 def test_the_overlay_is_yaml_with_its_origin() -> None:
-    text = identify.overlay_text(FOUND, ["a.mcap"])
+    text = identify_command.overlay_text(FOUND, ["a.mcap"])
     assert yaml.safe_load(io.StringIO(text)) == FOUND.overlay
     assert "# from a.mcap" in text
     assert "# kept as configured: control.servos.1" in text
@@ -124,16 +124,16 @@ def test_the_overlay_is_yaml_with_its_origin() -> None:
 def test_an_overlay_replaces_the_old_one_whole_and_leaves_nothing_beside(tmp_path: Path) -> None:
     path = tmp_path / "o.yaml"
     path.write_text("old")
-    identify.write(path, "new")
+    identify_command.write(path, "new")
     assert path.read_text() == "new"
     assert [file.name for file in tmp_path.iterdir()] == ["o.yaml"]
     with pytest.raises(OSError, match="No such file"):
-        identify.write(tmp_path / "gone" / "o.yaml", "new")
+        identify_command.write(tmp_path / "gone" / "o.yaml", "new")
 
 
 def test_the_command_line_stays_light() -> None:
     code = (
-        "import sys; from linemate.daemon.operator import identify; "
+        "import sys; from linemate.daemon.operator import identify_command; "
         "from linemate.daemon.recording import reader; "
         "print([m for m in ('numpy', 'scipy', 'pinocchio', 'mcap', 'yaml', 'pydantic') "
         "if m in sys.modules])"

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from linemate.daemon.transport.client import Client
-    from linemate.daemon.view.run import Where
+    from linemate.daemon.view.view_process import Where
 
 OK, NOT_OK, USAGE = 0, 1, 2
 NICE: Final = 10
@@ -59,15 +59,15 @@ def main(args: argparse.Namespace, client: "Callable[[argparse.Namespace], Clien
     import asyncio
 
     from linemate.daemon.recording.format import UnreadableRecordingError
-    from linemate.daemon.view import run
+    from linemate.daemon.view import view_process
 
     with contextlib.suppress(OSError):
         os.nice(NICE)  # whatever else runs here goes first
     try:
         if args.files:
-            asyncio.run(run.play(args.files, _at(args)))
+            asyncio.run(view_process.play(args.files, _at(args)))
         else:
-            asyncio.run(run.watch(lambda: client(args), _name(args), _at(args)))
+            asyncio.run(view_process.watch(lambda: client(args), _name(args), _at(args)))
     except UnreadableRecordingError as error:
         print(f"linemate view: {error}", file=sys.stderr)
         return NOT_OK
@@ -79,7 +79,7 @@ def main(args: argparse.Namespace, client: "Callable[[argparse.Namespace], Clien
 
 
 def _at(args: argparse.Namespace) -> "Where":
-    from linemate.daemon.view.run import Where
+    from linemate.daemon.view.view_process import Where
 
     return Where(args.bind, args.port, is_opened=not args.no_browser and has_display())
 

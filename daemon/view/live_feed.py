@@ -11,9 +11,10 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from linemate.daemon.transport.client import Client, RefusedError
-from linemate.daemon.view.board import Board
+from linemate.daemon.view.broadcast_hub import Board
+from linemate.daemon.view.cell import Scene, of
 from linemate.daemon.view.frames import Framer
-from linemate.daemon.view.scene import Scene, of
+from linemate.daemon.view.cell import Scene, of
 from linemate.protocol.command.frame_codec import CommandError
 
 RATE_HZ: Final = 25.0
