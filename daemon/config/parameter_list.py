@@ -16,6 +16,7 @@ import annotated_types
 
 from linemate.daemon.config.settings import Config
 from linemate.daemon.config.settings_tree import SECTIONS
+from linemate.daemon.near_names import near_names
 
 _ENTRY = re.compile(r"^ {8}([a-z_][a-z_0-9, ]*): (.+(?:\n {12}.+)*)", re.MULTILINE)
 _UNIT = re.compile(r"\[([^\]]+)\]")
@@ -91,7 +92,7 @@ def values(listed: Sequence[Described], params: Mapping[str, Any]) -> dict[str, 
     known = {one["name"]: one["value"] for one in listed}
     missing = [name for name in params["names"] if name not in known]
     if missing:
-        return {"refused": f"no parameter {', '.join(missing)}"}
+        return {"refused": f"no parameter {', '.join(missing)}{near_names(missing[0], known)}"}
     return {"values": {name: known[name] for name in params["names"]}}
 
 

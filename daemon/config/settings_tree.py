@@ -4,7 +4,6 @@ Law of this file: pure; a change goes through the same strict reading as a file 
 frozen set, whole or not at all. What does not fit is told as ``name: what``.
 """
 
-import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
@@ -15,6 +14,7 @@ from linemate.daemon.config.documents import Document, FileError
 from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core.control.settings import ControlSettings
 from linemate.daemon.core.tracking.settings import TrackingSettings
+from linemate.daemon.near_names import near_names
 
 NAME = ""
 
@@ -167,8 +167,7 @@ def _is_branch(value: Any) -> bool:
 
 
 def _unknown(name: str, known: Sequence[str]) -> str:
-    near = difflib.get_close_matches(name, known, n=2, cutoff=0.6)
-    return f"no parameter {name}" + (f"; near are {', '.join(near)}" if near else "")
+    return f"no parameter {name}{near_names(name, known)}"
 
 
 def _dotted(line: str) -> str:

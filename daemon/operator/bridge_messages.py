@@ -1,7 +1,8 @@
-"""What a bridge tells of a station: keys, messages, and what has changed since.
+"""Keys and messages of the zenoh bridge, and the events between two statuses.
 
-Law of this file: pure; what a daemon answered in, plain values out. Messages are maps of a version,
-the station, the time, and what the daemon said, unchanged.
+Invariants:
+    * Pure: a daemon's answers in, plain values out.
+    * A message is a map of version, station, time and the daemon's answer, which is unchanged.
 """
 
 from collections.abc import Iterator, Mapping
@@ -11,13 +12,11 @@ from linemate.daemon.operator import render
 
 VERSION: Final = 1
 PREFIX: Final = "linemate"
-ASKABLE: Final = ("status", "params", "get")
-"""What can be asked through a bridge: nothing that changes anything."""
-
-PARAMETERS: Final = ("prefix", "names")
-"""What a query may have with it."""
-
+ASKABLE: Final = ("status", "params", "get")  # operations that change nothing
+PARAMETERS: Final = ("prefix", "names")  # of a query
 WATCHED: Final = ("state", "health", "because", "task")
+
+Status = Mapping[str, Any]
 
 
 def key(station: str, *parts: str) -> str:
@@ -25,15 +24,16 @@ def key(station: str, *parts: str) -> str:
     return "/".join((PREFIX, station, *parts))
 
 
-def message(station: str, time_s: float, data: Mapping[str, Any]) -> bytes:
-    """Return a message as JSON.
+def message(station: str, time_s: float, data: Status) -> bytes:
+    """Return a daemon's answer as a JSON message.
 
     Args:
-        time_s: wall clock of the bridge [s].
-        data: what the daemon said.
+        station: Its name in the keys.
+        time_s: System time of the bridge [s].
+        data: The answer, or an event.
     """
-    told = {"version": VERSION, "station": station, "time_s": round(time_s, 3), "data": data}
-    return render.as_json(told, indent=None).encode()
+    whole = {"version": VERSION, "station": station, "time_s": round(time_s, 3), "data": data}
+    return render.as_json(whole, indent=None).encode()
 
 
 def event(what: str, before: object, after: object) -> dict[str, Any]:
@@ -41,14 +41,8 @@ def event(what: str, before: object, after: object) -> dict[str, Any]:
     return {"what": what, "from": before, "to": after}
 
 
-def changes(
-    before: Mapping[str, Any] | None, after: Mapping[str, Any] | None
-) -> Iterator[dict[str, Any]]:
-    """Return what has changed between two statuses.
-
-    Args:
-        before: None for a daemon that did not answer.
-    """
+def changes(before: Status | None, after: Status | None) -> Iterator[dict[str, Any]]:
+    """Yield the events between two statuses; None stands for a daemon that did not answer."""
     if (before is None) != (after is None):
         yield event("answers", before is not None, after is not None)
     if before is None or after is None:
@@ -56,46 +50,47 @@ def changes(
     for name in WATCHED:
         if before.get(name) != after.get(name):
             yield event(name, before.get(name), after.get(name))
-    known, now = _links(before), _links(after)
-    for link in sorted(known.keys() | now.keys()):
-        if known.get(link) != now.get(link):
-            yield event(f"link {link}", known.get(link), now.get(link))
-    for sensor, out in _out(after).items():
-        if _out(before).get(sensor) != out:
-            yield event(f"sensor {sensor} out", _out(before).get(sensor), out)
-    gone, come = _complaints(before), _complaints(after)
-    for complaint in sorted(come - gone):
+    links_before, links = _links(before), _links(after)
+    for link in sorted(links_before.keys() | links.keys()):
+        if links_before.get(link) != links.get(link):
+            yield event(f"link {link}", links_before.get(link), links.get(link))
+    excluded_before = _excluded(before)
+    for sensor, reason in _excluded(after).items():
+        if excluded_before.get(sensor) != reason:
+            yield event(f"sensor {sensor} out", excluded_before.get(sensor), reason)
+    complaints_before, complaints = _complaints(before), _complaints(after)
+    for complaint in sorted(complaints - complaints_before):
         yield event("complaint", None, complaint)
-    for complaint in sorted(gone - come):
+    for complaint in sorted(complaints_before - complaints):
         yield event("complaint", complaint, None)
 
 
-def _links(status: Mapping[str, Any]) -> dict[str, str]:
-    """Each link with whether it is up; ages and rates change all the time and are no events."""
+def _links(status: Status) -> dict[str, str]:
+    """Return whether each link is up. Ages and rates change all the time and are no events."""
     links = status.get("links")
-    told = links.items() if isinstance(links, Mapping) else ()
-    return {str(name): "up" if link.get("up") else "down" for name, link in told}
+    items = links.items() if isinstance(links, Mapping) else ()
+    return {str(name): "up" if link.get("up") else "down" for name, link in items}
 
 
-def _out(status: Mapping[str, Any]) -> dict[str, Any]:
-    """Each sensor with why it is not believed."""
+def _excluded(status: Status) -> dict[str, Any]:
+    """Return why each sensor is excluded, None for one that is not."""
     sensors = status.get("sensors")
-    told = sensors.items() if isinstance(sensors, Mapping) else ()
-    return {str(name): sensor.get("out") for name, sensor in told}
+    items = sensors.items() if isinstance(sensors, Mapping) else ()
+    return {str(name): sensor.get("out") for name, sensor in items}
 
 
-def _complaints(status: Mapping[str, Any]) -> set[str]:
+def _complaints(status: Status) -> set[str]:
     return {str(complaint) for complaint in status.get("complaints") or ()}
 
 
-def asked(op: str, parameters: Mapping[str, str]) -> dict[str, Any]:
-    """Return a daemon's parameters of an operation from those of a query.
+def request(op: str, parameters: Mapping[str, str]) -> dict[str, Any]:
+    """Return the parameters of a daemon's operation from those of a query.
 
     Args:
         parameters: ``prefix`` of params; ``names`` of get, separated by commas.
 
     Raises:
-        ValueError: what is missing.
+        ValueError: A parameter is missing.
     """
     if op == "params":
         prefix = parameters.get("prefix", "")

@@ -1,10 +1,11 @@
-"""`linemate doctor`: what this host lacks for real time and for the links, and what that costs.
+"""``linemate doctor``: what this host lacks for real time and for the links, and what that costs.
 
-Law of this file: it looks and changes nothing that stays; each check is one function with one
-finding, and what does not exist here (no CAN, no serial port) is not a lack. Light imports only.
-Source: reference/real-time.md, 1 and 2; reference/sensors-and-tools.md, 8.
+Invariants:
+    * A check changes nothing that stays. It is one function with one finding.
+    * What does not exist here (no CAN, no serial port) is not a lack.
 """
 
+import argparse
 import ctypes
 import fcntl
 import os
@@ -12,21 +13,22 @@ import resource
 import struct
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
+
+from linemate.daemon.command_line import NO, OK
+from linemate.daemon.operator import render
 
 FIFO_PRIORITY: Final = 70
 CAP_IPC_LOCK: Final = 14
-CAN_TYPE: Final = "280"
-"""ARPHRD_CAN."""
+CAN_TYPE: Final = "280"  # ARPHRD_CAN
 
 GOOD_CLOCKS: Final = frozenset(
     {"tsc", "kvm-clock", "arch_sys_counter", "hyperv_clocksource_tsc_page"}
 )
-DEEP_SLEEP_US: Final = 50
-"""A core that takes longer than this to wake is worth holding awake."""
+DEEP_SLEEP_US: Final = 50  # a core that wakes more slowly should not sleep deeply
 
 TIOCGSERIAL: Final = 0x541E
 SERIAL_STRUCT: Final = 72
@@ -35,7 +37,7 @@ ASYNC_LOW_LATENCY: Final = 1 << 13
 
 
 class Grade(StrEnum):
-    """How a check ended."""
+    """Result of a check."""
 
     GOOD = "good"
     ADVICE = "could be better"
@@ -45,11 +47,11 @@ class Grade(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One check's outcome.
+    """Result of one check.
 
     Attributes:
-        name: what was looked at.
-        cost: what it costs and how to change it; empty if it is good.
+        what: The value or state that was read.
+        cost: What it costs and how to change it; empty if it is good.
     """
 
     name: str
@@ -60,33 +62,52 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Host:
-    """Where the kernel tells of itself.
+    """The files in which the kernel describes the host.
 
     Attributes:
-        root: of the file system; another one in tests.
+        root: Root of the file system; another one in tests.
     """
 
     root: Path = Path("/")
 
     def read(self, path: str) -> str | None:
-        """The text of a file of the kernel's, None if there is none."""
+        """Return the text of a file, None if there is none."""
         try:
             return (self.root / path).read_text(encoding="utf-8", errors="replace").strip()
         except OSError:
             return None
 
     def each(self, pattern: str) -> list[Path]:
-        """Files by pattern, in order."""
+        """Return the files of a pattern in order."""
         return sorted(self.root.glob(pattern))
 
 
+def add_parser(commands: Any, _: argparse.ArgumentParser) -> None:
+    """Add the command."""
+    parser = commands.add_parser("doctor", help="what this host lacks for real time and links")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.set_defaults(run=main)
+
+
+def main(args: argparse.Namespace) -> int:
+    """Print the findings; the exit code says whether anything is lacking."""
+    findings = examine(Host())
+    if args.json:
+        print(render.versioned({"findings": [asdict(finding) for finding in findings]}))
+    else:
+        print(render.table((), [(f.name, str(f.grade), f.what) for f in findings]))
+        costs = [f"{f.name}: {f.cost}" for f in findings if f.cost]
+        print("\n".join(["", *costs] if costs else ["", "nothing is lacking"]))
+    return NO if is_lacking(findings) else OK
+
+
 def examine(host: Host) -> tuple[Finding, ...]:
-    """Make every check."""
+    """Run every check."""
     return (*(check(host) for check in CHECKS), *_can(host), *_serial(host))
 
 
 def is_lacking(findings: Iterable[Finding]) -> bool:
-    """Whether anything is missing that costs replies or links."""
+    """Return whether anything is missing that costs replies or links."""
     return any(finding.grade is Grade.LACK for finding in findings)
 
 
@@ -94,7 +115,7 @@ def is_lacking(findings: Iterable[Finding]) -> bool:
 
 
 def fifo(_: Host) -> Finding:
-    """May a process started here have a real-time priority?"""
+    """Check whether a process may have a real-time priority."""
     name = "SCHED_FIFO"
     policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
@@ -111,7 +132,7 @@ def fifo(_: Host) -> Finding:
 
 
 def locked_memory(host: Host) -> Finding:
-    """May it keep its memory from being paged out?"""
+    """Check whether a process may lock its memory."""
     name = "mlockall"
     hard = resource.getrlimit(resource.RLIMIT_MEMLOCK)[1]
     if hard == resource.RLIM_INFINITY:
@@ -127,21 +148,21 @@ def locked_memory(host: Host) -> Finding:
 
 
 def timer_slack(host: Host) -> Finding:
-    """How late may the kernel make timers of the ordinary class?"""
+    """Check how late the kernel may make timers of the ordinary class."""
     slack = host.read("proc/self/timerslack_ns")
     if slack is None:
-        return Finding("timer slack", Grade.ABSENT, "the kernel does not tell")
+        return Finding("timer slack", Grade.ABSENT, "the kernel does not report it")
     grade = Grade.GOOD if int(slack) <= 50_000 else Grade.ADVICE
     cost = "" if grade is Grade.GOOD else "every sleep may be late by as much"
     return Finding("timer slack", grade, f"{int(slack) / 1000:g} us", cost)
 
 
 def throttling(host: Host) -> Finding:
-    """Does the kernel stop a real-time process that takes too much?"""
+    """Check whether the kernel throttles a real-time process."""
     name, runtime = "real-time throttling", host.read("proc/sys/kernel/sched_rt_runtime_us")
     period = host.read("proc/sys/kernel/sched_rt_period_us")
     if runtime is None or period is None:
-        return Finding(name, Grade.ABSENT, "the kernel does not tell")
+        return Finding(name, Grade.ABSENT, "the kernel does not report it")
     if int(runtime) < 0:
         return Finding(name, Grade.GOOD, "off")
     share = int(runtime) / max(1, int(period))
@@ -154,7 +175,7 @@ def throttling(host: Host) -> Finding:
 
 
 def cores(_: Host) -> Finding:
-    """Is there one for everything else?"""
+    """Check for a core that the cycle does not need."""
     count = len(os.sched_getaffinity(0))
     if count > 1:
         return Finding("cores", Grade.GOOD, str(count))
@@ -163,27 +184,28 @@ def cores(_: Host) -> Finding:
 
 
 def preemption(host: Host) -> Finding:
-    """Can a real-time process interrupt the kernel?"""
+    """Check whether a real-time process can preempt the kernel."""
     name = "kernel preemption"
     if host.read("sys/kernel/realtime") == "1":
         return Finding(name, Grade.GOOD, "PREEMPT_RT")
     version = host.read("proc/version") or ""
-    found = next((w for w in ("PREEMPT_RT", "PREEMPT_DYNAMIC", "PREEMPT") if w in version), None)
-    if found == "PREEMPT_RT":
-        return Finding(name, Grade.GOOD, found)
+    models = ("PREEMPT_RT", "PREEMPT_DYNAMIC", "PREEMPT")
+    model = next((model for model in models if model in version), None)
+    if model == "PREEMPT_RT":
+        return Finding(name, Grade.GOOD, model)
     return Finding(
-        name, Grade.ADVICE, found or "none",
+        name, Grade.ADVICE, model or "none",
         "now and then the kernel keeps the processor for some ms; good for 12 and 4 ms, "
         "for 1 ms take a PREEMPT_RT kernel",
     )  # fmt: skip
 
 
 def clock_source(host: Host) -> Finding:
-    """How dear is it to read the clock?"""
+    """Check that reading the clock is no system call."""
     where = "sys/devices/system/clocksource/clocksource0/"
     name, current = "clock source", host.read(where + "current_clocksource")
     if current is None:
-        return Finding(name, Grade.ABSENT, "the kernel does not tell")
+        return Finding(name, Grade.ABSENT, "the kernel does not report it")
     if current in GOOD_CLOCKS:
         return Finding(name, Grade.GOOD, current)
     others = host.read(where + "available_clocksource") or ""
@@ -194,21 +216,21 @@ def clock_source(host: Host) -> Finding:
 
 
 def governor(host: Host) -> Finding:
-    """Does the processor slow down between two cycles?"""
+    """Check that the processor keeps its frequency between two cycles."""
     files = host.each("sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor")
-    found = sorted({path.read_text(encoding="ascii").strip() for path in files})
-    if not found:
+    governors = sorted({path.read_text(encoding="ascii").strip() for path in files})
+    if not governors:
         return Finding("governor", Grade.ABSENT, "no frequency scaling")
-    if found == ["performance"]:
+    if governors == ["performance"]:
         return Finding("governor", Grade.GOOD, "performance")
     return Finding(
-        "governor", Grade.ADVICE, ", ".join(found),
+        "governor", Grade.ADVICE, ", ".join(governors),
         "a step takes up to three times as long; cpupower frequency-set -g performance",
     )  # fmt: skip
 
 
 def deep_sleep(host: Host) -> Finding:
-    """How long does a core take to wake, and may we keep it from sleeping deeply?"""
+    """Check how long a core takes to wake, and whether deep sleep can be prevented."""
     name = "cpu_dma_latency"
     latencies = [
         int(text)
@@ -230,7 +252,7 @@ def deep_sleep(host: Host) -> Finding:
 
 
 def is_virtual(host: Host) -> bool:
-    """Whether this is a virtual machine, as far as its processor says so."""
+    """Return whether the processor reports a hypervisor."""
     lines = (host.read("proc/cpuinfo") or "").splitlines()
     return any(line.startswith("flags") and "hypervisor" in line.split() for line in lines)
 
@@ -239,7 +261,7 @@ def virtual(host: Host) -> Finding:
     """Does a host of its own give its cores back when they are to wake?"""
     name = "virtual machine"
     if not is_virtual(host):
-        return Finding(name, Grade.GOOD, "none that the processor tells of")
+        return Finding(name, Grade.GOOD, "none that the processor reports")
     return Finding(
         name, Grade.ADVICE, "yes",
         "a core that sleeps is woken when its host comes to it, now and then 4 ms late and more; "
@@ -248,7 +270,7 @@ def virtual(host: Host) -> Finding:
 
 
 def openmp(_: Host) -> Finding:
-    """Is the library there that pinocchio's wheel does not bring along?"""
+    """Check for the library that pinocchio's wheel does not contain."""
     try:
         ctypes.CDLL("libgomp.so.1")
     except OSError:
@@ -268,12 +290,12 @@ CHECKS: Final[tuple[Callable[[Host], Finding], ...]] = (
 
 
 def _can(host: Host) -> Iterator[Finding]:
-    """Are the kernel's CAN interfaces up?"""
-    found = False
+    """Check that the kernel's CAN interfaces are up."""
+    has_interface = False
     for path in host.each("sys/class/net/*/type"):
         if path.read_text(encoding="ascii").strip() != CAN_TYPE:
             continue
-        found = True
+        has_interface = True
         interface = path.parent.name
         state = host.read(f"sys/class/net/{interface}/operstate") or "unknown"
         if state in {"up", "unknown"} and _is_up(host, interface):
@@ -284,7 +306,7 @@ def _can(host: Host) -> Iterator[Finding]:
                 f"no distance from it; ip link set {interface} up type can bitrate 500000 "
                 "restart-ms 100",
             )  # fmt: skip
-    if not found:
+    if not has_interface:
         yield Finding("CAN", Grade.ABSENT, "no interface of the kernel's; slcan needs none")
 
 
@@ -294,7 +316,7 @@ def _is_up(host: Host, interface: str) -> bool:
 
 
 def _serial(host: Host) -> Iterator[Finding]:
-    """Do serial adapters hand on what they have at once?"""
+    """Check that serial adapters forward bytes at once."""
     ports = host.each("sys/class/tty/ttyUSB*") + host.each("sys/class/tty/ttyACM*")
     if not ports:
         yield Finding("serial", Grade.ABSENT, "no adapter")
@@ -317,12 +339,12 @@ def _serial(host: Host) -> Iterator[Finding]:
 
 
 def _is_slow(device: Path) -> bool:
-    """Whether a serial driver says that it may wait for more; False if it does not say."""
+    """Return whether a serial driver may hold bytes back; False if it does not report it."""
     with suppress(OSError, struct.error):
         fd = os.open(device, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
         try:
-            told = fcntl.ioctl(fd, TIOCGSERIAL, bytes(SERIAL_STRUCT))
-            (flags,) = struct.unpack_from("@i", told, FLAGS_AT)
+            settings = fcntl.ioctl(fd, TIOCGSERIAL, bytes(SERIAL_STRUCT))
+            (flags,) = struct.unpack_from("@i", settings, FLAGS_AT)
             return not flags & ASYNC_LOW_LATENCY
         finally:
             os.close(fd)

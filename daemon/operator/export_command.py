@@ -1,15 +1,14 @@
-"""``linemate export FILE`` and ``linemate recover FILE``: recordings as tables, and made whole.
+"""``linemate export`` and ``linemate recover``: recordings as CSV, damaged ones repaired.
 
-Law of this file: files only. A table a channel, a row a sample, numbers with all their digits; a
-value that was not there is an empty cell. The file that is read is never changed, and none that
-exists is written over. Exit codes: 0 done, 1 damaged, not a recording or not to be
-written.
+Invariants:
+    * A table for each channel, a row for each sample, numbers with all their digits.
+    * A missing value is an empty cell.
+    * The recording is never changed, and no existing file is overwritten.
 """
 
 import argparse
 import csv
 import json
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +16,15 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from msgspec import structs
 
+from linemate.daemon.command_line import (
+    NO,
+    OK,
+    NegativeError,
+    UsageError,
+    check_output_file,
+    make_folder,
+)
+from linemate.daemon.operator import console
 from linemate.daemon.recording.format import LAYOUT, METADATA, STEP, UnreadableRecordingError
 from linemate.daemon.recording.reader import damage_report, layout_of, records
 
@@ -26,13 +34,12 @@ if TYPE_CHECKING:
     from linemate.daemon.recording.format import DamageReport
     from linemate.daemon.recording.step_codec import StepRecord
 
-OK, NOT_OK = 0, 1
+# Channels with a table of their own; the viewers' channels repeat what the steps have.
 TABLES = {
     "/linemate/timing": "timing",
     "/linemate/parameters": "parameters",
     "/log": "log",
 }
-"""Channels of their own beside the steps; what viewers are shown is in the steps, exactly."""
 
 COLUMNS = {
     "timing": (
@@ -54,8 +61,8 @@ _PARTS: dict[str, tuple[str, ...]] = {
 Cells = dict[str, Any]
 
 
-def add_parsers(commands: Any) -> None:
-    """Add the two commands to the tool's."""
+def add_parser(commands: Any, _: argparse.ArgumentParser) -> None:
+    """Add the two commands."""
     export = commands.add_parser("export", help="a recording as CSV, a file a channel")
     export.add_argument("file", type=Path, metavar="FILE")
     export.add_argument(
@@ -71,42 +78,41 @@ def add_parsers(commands: Any) -> None:
 
 
 def main_export(args: argparse.Namespace) -> int:
-    """Write a recording's tables."""
+    """Write a recording's tables; the exit code says whether the recording was complete."""
     path: Path = args.file
     folder: Path = args.out or path.with_suffix("")
+    if args.out is not None:
+        make_folder(folder)
     try:
         written, damage = export(path, folder)
-    except (UnreadableRecordingError, OSError) as error:
-        return _failed(error)
+    except UnreadableRecordingError as error:
+        raise NegativeError(str(error)) from error
+    except OSError as error:
+        raise UsageError(f"{error.filename}: {error.strerror}") from error
     for name, rows in sorted(written.items()):
         print(f"{folder / name}  {rows} rows")
     if damage is not None:
-        print(f"linemate: {path}: {damage}", file=sys.stderr)
-        return NOT_OK
+        console.complain(f"{path}: {damage}")
+        return NO
     return OK
 
 
 def main_recover(args: argparse.Namespace) -> int:
-    """Finish a recording that was cut short."""
+    """Write a complete recording from what can be read of a damaged one."""
     path: Path = args.file
     out: Path = args.out or path.with_name(f"{path.stem}-recovered.mcap")
+    check_output_file(out)
     try:
-        found = recover(path, out)
-    except (UnreadableRecordingError, OSError) as error:
-        return _failed(error)
-    lost = f", {found.damaged} damaged chunks left out" if found.damaged else ""
-    print(f"{out}: {found.messages} messages, {found.steps} steps{lost}")
-    if found.reason is None and not found.damaged:
-        print(f"linemate: {path} was whole already", file=sys.stderr)
+        recovered = recover(path, out)
+    except UnreadableRecordingError as error:
+        raise NegativeError(str(error)) from error
+    except OSError as error:
+        raise UsageError(f"{error.filename}: {error.strerror}") from error
+    lost = f", {recovered.damaged} damaged chunks left out" if recovered.damaged else ""
+    print(f"{out}: {recovered.messages} messages, {recovered.steps} steps{lost}")
+    if recovered.reason is None and not recovered.damaged:
+        console.complain(f"{path} was complete already")
     return OK
-
-
-def _failed(error: Exception) -> int:
-    text = str(error)
-    if isinstance(error, OSError) and error.filename is not None:
-        text = f"{error.filename}: {error.strerror}"
-    print(f"linemate: {text}", file=sys.stderr)
-    return NOT_OK
 
 
 # --- tables -------------------------------------------------------------------------------
@@ -115,15 +121,12 @@ def _failed(error: Exception) -> int:
 def export(path: Path, folder: Path) -> "tuple[dict[str, int], DamageReport | None]":
     """Write a table for each channel.
 
-    Args:
-        folder: made if it is not there.
-
     Returns:
         Rows by the name of the file, and the recording's damage.
 
     Raises:
-        UnreadableRecordingError: it is no recording.
-        OSError: a file exists already, or cannot be written.
+        UnreadableRecordingError: The file is not a recording.
+        OSError: A file exists already, or cannot be written.
     """
     from mcap.records import Message, Metadata
 
@@ -143,7 +146,7 @@ def export(path: Path, folder: Path) -> "tuple[dict[str, int], DamageReport | No
                     if topic == STEP:
                         _add_step(tables, decode(record.data, layout))
                     elif topic in TABLES:
-                        _add_told(tables, TABLES[topic], record)
+                        _add_json(tables, TABLES[topic], record)
                 elif isinstance(record, Damage):
                     damage = damage_report(record, tables.rows().get("steps.csv", 0))
         except (RecordingError, ValueError, KeyError) as error:
@@ -169,8 +172,8 @@ def _add_step(tables: "_Tables", record: "StepRecord") -> None:
             cells.update(_spread(name, value))
     tables.add("steps", cells)
     for name in SAMPLES:
-        found = getattr(inputs, name)
-        for sample in found if isinstance(found, tuple) else (found,):
+        value = getattr(inputs, name)
+        for sample in value if isinstance(value, tuple) else (value,):
             if sample is not None:
                 own = structs.asdict(sample)
                 flat: Cells = {"k": inputs.k}
@@ -179,18 +182,18 @@ def _add_step(tables: "_Tables", record: "StepRecord") -> None:
                 tables.add(name, flat)
 
 
-def _add_told(tables: "_Tables", name: str, message: "Message") -> None:
-    """Add a JSON message: its known parts, lists and maps as JSON."""
-    told = json.loads(message.data)
+def _add_json(tables: "_Tables", name: str, message: "Message") -> None:
+    """Add the known columns of a JSON message; lists and maps stay JSON."""
+    data = json.loads(message.data)
     cells: Cells = {"log_time_ns": message.log_time, "stamp_ns": message.publish_time}
     for column in COLUMNS[name]:
-        value = told.get(column)
+        value = data.get(column)
         cells[column] = json.dumps(value) if isinstance(value, (list, dict)) else value
     tables.add(name, cells)
 
 
 def _spread(name: str, value: Any) -> Cells:
-    """Return a value as cells: a pose as seven, a vector as many as it has."""
+    """Return a value as cells: one for each part of a pose or a vector."""
     if name in _PARTS:
         parts = _PARTS[name]
         values = value if value is not None else (None,) * len(parts)
@@ -213,7 +216,7 @@ class _Table:
 
 @dataclass(slots=True)
 class _Tables:
-    """CSV files of a folder, each opened with its first row, whose cells are its columns."""
+    """CSV files of a folder, each opened with its first row, whose keys are its columns."""
 
     folder: Path
     _open: dict[str, _Table] = field(default_factory=dict)
@@ -240,7 +243,7 @@ class _Tables:
     def _begin(self, name: str, columns: Sequence[str]) -> _Table:
         self.folder.mkdir(parents=True, exist_ok=True)
         stream = (self.folder / f"{name}.csv").open("x", encoding="utf-8", newline="")
-        # What only later rows have has no column: a table has one shape.
+        # Keys that only later rows have get no column: a CSV file has one header.
         writer = csv.DictWriter(stream, columns, extrasaction="ignore", lineterminator="\n")
         writer.writeheader()
         return _Table(stream, writer)
@@ -257,11 +260,12 @@ def _cell(value: Any) -> Any:
 
 @dataclass(slots=True)
 class Recovered:
-    """What a recovery found.
+    """Result of a recovery.
 
     Attributes:
-        damaged: chunks that had to be left out.
-        reason: why the file breaks off, None if it does not.
+        steps: Messages of the channel of steps.
+        damaged: Chunks that had to be left out.
+        reason: Why the file breaks off, None if it does not.
     """
 
     messages: int = 0
@@ -271,65 +275,61 @@ class Recovered:
 
 
 def recover(path: Path, out: Path) -> Recovered:
-    """Write a whole recording from what can be read of another.
-
-    Args:
-        path: of the one cut short.
-        out: of the new one.
+    """Write a complete recording from what can be read of another.
 
     Raises:
-        UnreadableRecordingError: it is no recording.
-        OSError: the new file exists, or cannot be written.
+        UnreadableRecordingError: The file is not a recording.
+        OSError: The new file exists, or cannot be written.
     """
     from mcap.writer import CompressionType, Writer
 
-    found = Recovered()
+    recovered = Recovered()
     with path.open("rb") as stream:
-        whole = _readable(stream, found)
+        readable = _readable(stream, recovered)
         try:
-            first = next(whole)
+            first = next(readable)
         except StopIteration:
             raise UnreadableRecordingError(f"{path}: not a recording") from None
         with out.open("xb") as target:
             writer = Writer(target, chunk_size=65_536, compression=CompressionType.ZSTD)
-            copy = _Copy(writer, found)
+            copy = _Copy(writer, recovered)
             copy.add(first)
-            for record in whole:
+            for record in readable:
                 copy.add(record)
             writer.finish()  # type: ignore[no-untyped-call]
-    if not copy.is_ours:
+    if not copy.is_linemate:
         out.unlink()
         raise UnreadableRecordingError(f"{path}: not a linemate recording")
-    return found
+    return recovered
 
 
-def _readable(stream: Any, found: Recovered) -> Iterator[Any]:
-    """Return the records of a file without those of damaged chunks, which are counted."""
+def _readable(stream: Any, recovered: Recovered) -> Iterator[Any]:
+    """Yield the records of a file without those of damaged chunks, and count these."""
     from linemate.daemon.recording.bounded_mcap import Damage
 
     skipped: list[str] = []
     for record in records(stream, skipped=skipped):
         if isinstance(record, Damage):
-            found.reason = record.reason
+            recovered.reason = record.reason
         else:
             yield record
-    found.damaged = len(skipped)
+    recovered.damaged = len(skipped)
 
 
 class _Copy:
-    """Puts records into a writer under new numbers."""
+    """Copies records to a writer, which gives them new ids."""
 
-    def __init__(self, writer: Any, found: Recovered) -> None:
-        self.is_ours = False
+    def __init__(self, writer: Any, recovered: Recovered) -> None:
+        self.is_linemate = False
         self._writer = writer
-        self._found = found
+        self._recovered = recovered
         self._schemas: dict[int, int] = {0: 0}
         self._channels: dict[int, int] = {}
         self._topics: dict[int, str] = {}
         self._has_begun = False
 
     def add(self, record: Any) -> None:
-        """Copy a record; those that a writer makes by itself are left out."""
+        """Copy a record, unless the writer makes it by itself."""
         from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
 
         if not self._has_begun:
@@ -349,8 +349,8 @@ class _Copy:
                 record.metadata,
             )
         elif isinstance(record, Message) and record.channel_id in self._channels:
-            self._found.messages += 1
-            self._found.steps += self._topics[record.channel_id] == STEP
+            self._recovered.messages += 1
+            self._recovered.steps += self._topics[record.channel_id] == STEP
             self._writer.add_message(
                 self._channels[record.channel_id],
                 record.log_time,
@@ -359,7 +359,9 @@ class _Copy:
                 record.sequence,
             )
         elif isinstance(record, Metadata):
-            self.is_ours = self.is_ours or (record.name == METADATA and LAYOUT in record.metadata)
+            self.is_linemate = self.is_linemate or (
+                record.name == METADATA and LAYOUT in record.metadata
+            )
             self._writer.add_metadata(record.name, record.metadata)
         elif isinstance(record, Attachment):
             self._writer.add_attachment(

@@ -1,4 +1,4 @@
-"""``linemate metrics``: a page for Prometheus, by a process of its own.
+"""``linemate metrics``: serve the status of daemons to Prometheus, from a process of its own.
 
 Invariants:
     * A daemon is asked for its status at most once a second, however often the page is asked for.
@@ -10,57 +10,56 @@ import argparse
 import asyncio
 import contextlib
 import ipaddress
-import sys
 import time
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-from linemate.daemon.operator import metrics_page
-from linemate.daemon.transport.client import Client, NoAnswerError, RefusedError
+from linemate.daemon.command_line import NO_ANSWER, OK, UsageError
+from linemate.daemon.operator import console, metrics_page
+from linemate.daemon.transport.client import (
+    Client,
+    NoAnswerError,
+    RefusedError,
+    default_socket_path,
+)
+from linemate.daemon.transport.http_server import NoPageError, Page, Server
 from linemate.protocol.command.frame_codec import CommandError
-
-if TYPE_CHECKING:
-    from linemate.daemon.transport.http_server import Server
 
 PORT: Final = 9465
 TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
-FRESH_S: Final = 1.0
-"""No daemon is asked more often than this [s]."""
-
-REQUEST_S: Final = 2.0
-"""Time for a request to come in whole [s]."""
-
+FRESH_S: Final = 1.0  # shortest time between two requests to one daemon
+REQUEST_S: Final = 2.0  # time for a whole request to arrive
 ANSWER_S: Final = 0.5
-UNUSABLE: Final = 1
 
 Status = Mapping[str, Any]
 
 
 @dataclass(slots=True)
 class Stations:
-    """Daemons by name, and what they said last.
+    """Daemons by name, with their newest statuses.
 
     Attributes:
-        now: monotonic time [s].
+        sockets: Local socket of each daemon by its name.
+        ask: Asks the daemon at a socket; None if it does not answer.
     """
 
     sockets: Mapping[str, Path]
     ask: Callable[[Path], Status | None]
     now: Callable[[], float] = time.monotonic
-    _told: dict[str, Status | None] = field(default_factory=dict)
-    _at: float | None = None
+    _newest: dict[str, Status | None] = field(default_factory=dict)
+    _asked_at: float | None = None
 
     def statuses(self) -> Mapping[str, Status | None]:
-        """What each says, at most a second old."""
-        if self._at is None or self.now() - self._at >= FRESH_S:
-            self._told = {name: self.ask(path) for name, path in self.sockets.items()}
-            self._at = self.now()
-        return self._told
+        """Return each daemon's status, at most FRESH_S old."""
+        if self._asked_at is None or self.now() - self._asked_at >= FRESH_S:
+            self._newest = {name: self.ask(path) for name, path in self.sockets.items()}
+            self._asked_at = self.now()
+        return self._newest
 
 
-def asked(path: Path) -> Status | None:
+def ask_status(path: Path) -> Status | None:
     """Ask one daemon; None if it does not answer."""
     try:
         with Client.local(path) as client:
@@ -69,20 +68,18 @@ def asked(path: Path) -> Status | None:
         return None
 
 
-def server_of(address: tuple[str, int], stations: Stations, names: Iterable[str] = ()) -> "Server":
+def make_server(address: tuple[str, int], stations: Stations, names: Iterable[str] = ()) -> Server:
     """Return a server of the page; its caller opens it.
 
     Args:
-        address: numeric; port 0 takes any.
-        stations: whose metrics it serves.
-        names: by which it may be asked, beside its address and localhost.
+        address: Numeric address and port; port 0 takes any free one.
+        stations: Those whose metrics it serves.
+        names: Further host names of the server.
     """
-    from linemate.daemon.transport.http_server import NoPageError, Page, Server
-
     asking = asyncio.Lock()
 
     async def page() -> Page:
-        # One client asks the stations, the others wait for its answer; the loop waits for nobody.
+        # One client asks the stations, the others wait for its answer; the loop never waits.
         async with asking:
             statuses = await asyncio.to_thread(stations.statuses)
         return Page(TYPE, metrics_page.text(statuses).encode())
@@ -96,37 +93,28 @@ def server_of(address: tuple[str, int], stations: Stations, names: Iterable[str]
     return Server(ask, *address, head_s=REQUEST_S, names=known)
 
 
-async def serve(server: "Server", ready: Callable[["Server"], None]) -> None:
-    """Serve until the process is told to end.
-
-    Args:
-        ready: called when it listens.
+async def serve(server: Server) -> None:
+    """Serve until the process is ended.
 
     Raises:
-        OSError: the port cannot be had.
+        OSError: The port cannot be had.
     """
     await server.open()
     try:
-        ready(server)
+        print(f"{server.address}metrics", flush=True)
         await asyncio.Event().wait()
     finally:
         await server.close()
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command to the tool's."""
+def add_parser(commands: Any, _: argparse.ArgumentParser) -> None:
+    """Add the command."""
     parser = commands.add_parser("metrics", help="serve the status of daemons to Prometheus")
     parser.add_argument(
         "--listen", type=_address, default=("127.0.0.1", PORT), metavar="ADDRESS[:PORT]",
         help=f"numeric; 127.0.0.1:{PORT}",
     )  # fmt: skip
-    parser.add_argument(
-        "--allow-remote", action="store_true", help="consent to an address that others can reach"
-    )
-    parser.add_argument(
-        "--station", action="append", type=_station, default=[], metavar="NAME=SOCKET",
-        help="a daemon's local socket and the name it goes by; the system's daemon",
-    )  # fmt: skip
+    console.add_stations(parser)
     parser.add_argument(
         "--host", action="append", default=[], metavar="NAME",
         help="answer requests to this host name too; else to localhost and addresses alone",
@@ -136,31 +124,22 @@ def add_parser(commands: Any) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Serve until told to end, or print once.
-
-    Returns:
-        0; with --once 3 if no daemon answered; 1 if the port cannot be had.
-    """
-    from linemate.daemon.transport.client import default_socket_path
-
-    stations = Stations(dict(args.station) or {"linemate": default_socket_path()}, asked)
+    """Serve until a signal ends it, or print the page once."""
+    stations = Stations(dict(args.station) or {"linemate": default_socket_path()}, ask_status)
     if args.once:
-        told = stations.statuses()
-        print(metrics_page.text(told), end="")
-        return 0 if any(status is not None for status in told.values()) else 3
+        statuses = stations.statuses()
+        print(metrics_page.text(statuses), end="")
+        return OK if any(status is not None for status in statuses.values()) else NO_ANSWER
     host, port = args.listen
     if not ipaddress.ip_address(host).is_loopback and not args.allow_remote:
-        print(f"linemate: {host} can be reached by others; say --allow-remote", file=sys.stderr)
-        return UNUSABLE
-    server = server_of((host, port), stations, args.host)
+        raise UsageError(f"{host} can be reached by others; say --allow-remote")
     try:
-        asyncio.run(serve(server, lambda opened: print(f"{opened.address}metrics", flush=True)))
+        asyncio.run(serve(make_server((host, port), stations, args.host)))
     except OSError as error:
-        print(f"linemate: {host}:{port}: {error.strerror}", file=sys.stderr)
-        return UNUSABLE
+        raise UsageError(f"{host}:{port}: {error.strerror}") from error
     except KeyboardInterrupt:
         pass
-    return 0
+    return OK
 
 
 def _address(text: str) -> tuple[str, int]:
@@ -170,10 +149,3 @@ def _address(text: str) -> tuple[str, int]:
         if 0 <= number < 65536:
             return str(ipaddress.IPv4Address(host)), number
     raise argparse.ArgumentTypeError(f"{text!r} is not ADDRESS or ADDRESS:PORT")
-
-
-def _station(text: str) -> tuple[str, Path]:
-    name, equals, path = text.partition("=")
-    if not (name and equals and path):
-        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=SOCKET")
-    return name, Path(path)

@@ -1,7 +1,8 @@
-"""What a daemon's status says, as Prometheus reads it.
+"""A daemon's status in Prometheus' exposition format 0.0.4.
 
-Law of this file: pure; statuses in, text of the exposition format 0.0.4 out. A number that a status
-does not have is left out, never made up. Names only ever come to it; units are in the names.
+Invariants:
+    * Pure: statuses in, text out. A number that a status does not have is left out.
+    * Metric names are only added, never renamed. Their units are in the names.
 """
 
 import math
@@ -14,10 +15,11 @@ STATES: Final = ("init", "idle", "armed", "track", "contact", "retreat", "hold",
 QUANTILES: Final = {"p50": "0.5", "p99": "0.99", "p999": "0.999", "max": "1"}
 TIMES: Final = {
     "turnaround_us": "From a telegram's arrival to its reply",
-    "wakeup_us": "By how much the clock woke late",
+    "wakeup_us": "Lateness of the sampling clock",
     "step_us": "Computing time of a step",
-    "lead_us": "How long before its telegram a reply was ready",
+    "lead_us": "Time from a ready reply to its telegram",
 }
+# Path in a status, metric, type, help.
 NUMBERS: Final = (
     ("uptime_s", "uptime_seconds", "gauge", "Since the daemon started"),
     ("steps", "steps_total", "counter", "Steps made"),
@@ -27,33 +29,38 @@ NUMBERS: Final = (
     ("late", "late_total", "counter", "Deadlines missed"),
     ("missing", "missing_total", "counter", "Telegrams that did not come"),
     ("incidents", "incidents_total", "counter", "Incidents kept"),
-    ("faults", "faults_total", "counter", "Faults of the daemon's own in its cycle"),
+    ("faults", "faults_total", "counter", "Internal faults in the cycle"),
     ("clock.late_wakes", "late_wakes_total", "counter", "Wakes later than a quarter cycle"),
-    ("clock.relocks", "clock_relocks_total", "counter", "Times the clock lost the telegrams"),
+    ("clock.relocks", "clock_relocks_total", "counter", "Losses of the phase lock to telegrams"),
     ("clock.period_ms", "period_milliseconds", "gauge", "Measured cycle of the controller"),
     ("recording.recording", "recording", "gauge", "A recording is being written"),
     ("recording.written", "recording_steps_total", "counter", "Steps recorded"),
     ("recording.dropped", "recording_dropped_total", "counter", "Steps not recorded"),
-    ("recording.restarts", "recording_restarts_total", "counter", "Starts of a killed recorder"),
+    (
+        "recording.restarts",
+        "recording_restarts_total",
+        "counter",
+        "Restarts of the recorder",
+    ),
     ("commands.sessions", "command_sessions", "gauge", "Sessions of operators over UDP"),
     ("commands.connections", "command_connections", "gauge", "Connections to the local socket"),
 )
-"""Where in a status, the metric's name, its type and its help."""
-
+# Maps of counts: path in a status, metric, label, help.
 COUNTED: Final = (
-    ("telegrams", "telegrams_total", "kind", "Telegrams by what became of them"),
-    ("dropped", "samples_dropped_total", "sensor", "Samples that found no room"),
-    ("commands.counters", "commands_total", "event", "What came to the command port"),
+    ("telegrams", "telegrams_total", "kind", "Telegrams by outcome"),
+    ("dropped", "samples_dropped_total", "sensor", "Samples dropped by a full queue"),
+    ("commands.counters", "commands_total", "event", "Requests to the command server by outcome"),
 )
-"""Maps of counts: where, the metric's name, its label and its help."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One number.
+    """One number of a metric.
 
     Attributes:
-        name: of its metric, without the prefix.
+        name: Metric without the prefix ``linemate_``.
+        what: Help text, without its full stop.
+        labels: All but the station.
     """
 
     name: str
@@ -64,12 +71,8 @@ class Sample:
 
 
 def text(stations: Mapping[str, Mapping[str, Any] | None]) -> str:
-    """Return the page.
-
-    Args:
-        stations: each one's status, None where nobody answered.
-    """
-    found: dict[str, list[str]] = {}
+    """Return the page of several stations; None stands for one that did not answer."""
+    page: dict[str, list[str]] = {}
     for station, status in stations.items():
         for sample in samples(status):
             head = f"# HELP linemate_{sample.name} {sample.what}.\n"
@@ -77,23 +80,19 @@ def text(stations: Mapping[str, Mapping[str, Any] | None]) -> str:
             labels = (("station", station), *sample.labels)
             listed = ",".join(f'{name}="{_escaped(value)}"' for name, value in labels)
             line = f"linemate_{sample.name}{{{listed}}} {sample.value:.12g}"
-            found.setdefault(head, []).append(line)
-    return "".join(f"{head}\n" + "\n".join(lines) + "\n" for head, lines in found.items())
+            page.setdefault(head, []).append(line)
+    return "".join(f"{head}\n" + "\n".join(lines) + "\n" for head, lines in page.items())
 
 
 def samples(status: Mapping[str, Any] | None) -> Iterator[Sample]:
-    """Return the numbers of one station.
-
-    Args:
-        status: None where nobody answered.
-    """
+    """Yield the numbers of one station; None stands for one that did not answer."""
     yield Sample("up", "gauge", "The daemon answered", (), float(status is not None))
     if status is None:
         return
-    yield from _one_of("health", "What the daemon thinks of itself", HEALTH, status.get("health"))
-    yield from _one_of("state", "Operating state", STATES, status.get("state"))
+    yield from _one_hot("health", "Overall health, one-hot", HEALTH, status.get("health"))
+    yield from _one_hot("state", "Operating state, one-hot", STATES, status.get("state"))
     complaints = float(len(status.get("complaints", ())))
-    yield Sample("complaints", "gauge", "What the daemon complains of", (), complaints)
+    yield Sample("complaints", "gauge", "Number of complaints", (), complaints)
     for path, name, kind, what in NUMBERS:
         yield from _number(name, kind, what, (), _at(status, path))
     for path, name, label, what in COUNTED:
@@ -109,31 +108,30 @@ def samples(status: Mapping[str, Any] | None) -> Iterator[Sample]:
 
 
 def _sensors(status: Mapping[str, Any]) -> Iterator[Sample]:
-    for sensor, told in _items(status.get("sensors")):
-        label = (("sensor", sensor),)
-        out = float(told.get("out") is not None)
-        yield Sample("sensor_out", "gauge", "The sensor is not believed", label, out)
-        refused, what = told.get("refused"), "Samples that were not believed"
+    for name, sensor in _items(status.get("sensors")):
+        label = (("sensor", name),)
+        excluded = float(sensor.get("out") is not None)
+        yield Sample("sensor_out", "gauge", "The sensor is excluded", label, excluded)
+        refused, what = sensor.get("refused"), "Samples rejected by the innovation gate"
         yield from _number("sensor_refused_total", "counter", what, label, refused)
 
 
 def _links(status: Mapping[str, Any]) -> Iterator[Sample]:
-    for link, told in _items(status.get("links")):
-        label = (("link", link),)
-        yield from _number("link_up", "gauge", "The link is open", label, told.get("up"))
-        rate = told.get("rate_hz")
+    for name, link in _items(status.get("links")):
+        label = (("link", name),)
+        yield from _number("link_up", "gauge", "The link is open", label, link.get("up"))
+        rate, age = link.get("rate_hz"), link.get("age_s")
         yield from _number("link_rate_hertz", "gauge", "Samples or telegrams a second", label, rate)
-        age = told.get("age_s")
         yield from _number("link_age_seconds", "gauge", "Age of the newest sample", label, age)
-        for event, count in _items(told.get("counters")):
+        for event, count in _items(link.get("counters")):
             labels = (*label, ("event", event))
-            what = "What came over the link, and what became of it"
+            what = "Samples or telegrams of the link by outcome"
             yield from _number("link_events_total", "counter", what, labels, count)
 
 
-def _one_of(name: str, what: str, all_of: Iterable[str], now: object) -> Iterator[Sample]:
-    for one in all_of:
-        yield Sample(name, "gauge", what, ((name, one),), float(one == now))
+def _one_hot(name: str, what: str, values: Iterable[str], now: object) -> Iterator[Sample]:
+    for value in values:
+        yield Sample(name, "gauge", what, ((name, value),), float(value == now))
 
 
 def _number(

@@ -1,32 +1,28 @@
-"""``linemate replay FILE``: recorded inputs through ``step``, and a table of what differs.
-
-The steps are made in ``daemon.recording.replay``, imported when asked for. Exit codes: 0 identical,
-1 different, damaged or not to be replayed, 2 usage.
-"""
+"""``linemate replay``: run recorded inputs through ``step`` and print what differs."""
 
 import argparse
 import json
 import os
-import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from linemate.daemon.command_line import NO, OK, NegativeError, UsageError
 from linemate.daemon.operator import render
 
 if TYPE_CHECKING:
     from linemate.daemon.recording.format import DamageReport
     from linemate.daemon.recording.step_replay import Overrides, ReplayedStep, Summary
 
-OK, NOT_OK, USAGE = 0, 1, 2
 VERSION = 1
-NOTES = 8
+MAX_NOTES = 8
+MAX_VALUE_WIDTH = 28  # of a value in the table
 HELP = "run a recording's inputs through this program and compare, bit for bit"
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command to the tool's."""
+def add_parser(commands: Any, _: argparse.ArgumentParser) -> None:
+    """Add the command."""
     parser = commands.add_parser("replay", help=HELP, description=HELP)
     parser.add_argument("file", type=Path, metavar="FILE")
     parser.add_argument(
@@ -45,8 +41,15 @@ def add_parser(commands: Any) -> None:
 
 
 @dataclass(slots=True)
-class Account:
-    """What a replay came to, as it goes."""
+class ReplayCount:
+    """Counts of a replay while its steps pass.
+
+    Attributes:
+        unmade: Steps that could not be computed again.
+        first_ns: Stamp of the first step [ns].
+        broken: Why the recording could not be read to its end.
+        notes: The first remarks on steps.
+    """
 
     steps: int = 0
     different: int = 0
@@ -55,39 +58,32 @@ class Account:
     broken: "DamageReport | None" = None
     notes: list[tuple["ReplayedStep", str]] = field(default_factory=list)
 
-    def take(self, verdicts: "Iterator[ReplayedStep]") -> "Iterator[ReplayedStep]":
-        """Count verdicts as they pass."""
-        for verdict in verdicts:
+    def count(self, comparisons: "Iterator[ReplayedStep]") -> "Iterator[ReplayedStep]":
+        """Count the comparisons of steps and hand them on."""
+        for comparison in comparisons:
             if self.first_ns is None:
-                self.first_ns = verdict.stamp_ns
+                self.first_ns = comparison.stamp_ns
             self.steps += 1
-            self.different += bool(verdict.changes)
-            self.unmade += verdict.unmade is not None
-            why = verdict.unmade or verdict.begun
-            if why is not None and len(self.notes) < NOTES:
-                self.notes.append((verdict, why))
-            yield verdict
+            self.different += bool(comparison.changes)
+            self.unmade += comparison.unmade is not None
+            why = comparison.unmade or comparison.begun
+            if why is not None and len(self.notes) < MAX_NOTES:
+                self.notes.append((comparison, why))
+            yield comparison
 
     @property
     def is_complete(self) -> bool:
-        """Every step of the file was read and made again."""
+        """Whether every step of the file was read and computed again."""
         return self.broken is None and not self.unmade and self.steps > 0
 
-    def at_s(self, verdict: "ReplayedStep") -> float:
-        """When a step was, since the first one [s]."""
-        return (verdict.stamp_ns - (self.first_ns or 0)) * 1e-9
+    def at_s(self, comparison: "ReplayedStep") -> float:
+        """Return the time of a step since the first one [s]."""
+        return (comparison.stamp_ns - (self.first_ns or 0)) * 1e-9
 
 
 def main(args: argparse.Namespace) -> int:
-    """Replay a file.
-
-    Args:
-        args: file, config, values, tolerance, json.
-
-    Returns:
-        0 identical, 1 different.
-    """
-    # BLAS threads would add in another order than the daemon's one.
+    """Replay a file; the exit code says whether all of it is identical."""
+    # More BLAS threads than the daemon's one would add numbers in another order.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
     from linemate.daemon.recording.format import UnreadableRecordingError
@@ -96,143 +92,158 @@ def main(args: argparse.Namespace) -> int:
     try:
         overrides = overrides_of(args.config, args.values)
     except ValueError as error:
-        print(f"linemate: {error}", file=sys.stderr)
-        return USAGE
+        raise UsageError(str(error)) from error
     try:
-        account, summaries = compare(args.file, overrides, args.tolerance)
+        count, summaries = compare(args.file, overrides, args.tolerance)
     except (UnreadableRecordingError, ReplayError) as error:
-        print(f"linemate: {error}", file=sys.stderr)
-        return NOT_OK
+        raise NegativeError(str(error)) from error
     if args.json:
-        print(render.as_json(as_plain(account, summaries)))
+        print(render.as_json(as_plain(count, summaries)))
     else:
-        print("\n".join(report(account, summaries)))
-    return OK if account.is_complete and not summaries else NOT_OK
+        print("\n".join(report(count, summaries)))
+    return OK if count.is_complete and not summaries else NO
 
 
 def compare(
     path: Path, overrides: "Overrides | None" = None, tolerance: float = 0.0
-) -> "tuple[Account, dict[str, Summary]]":
-    """Return what a recording's replay came to, and what differs by field.
+) -> "tuple[ReplayCount, dict[str, Summary]]":
+    """Return the counts of a recording's replay, and what differs by field.
 
     Raises:
-        UnreadableRecordingError: it is no recording.
-        ReplayError: it cannot be replayed.
+        UnreadableRecordingError: The file is not a recording.
+        ReplayError: The recording cannot be replayed.
     """
     from linemate.daemon.recording.format import DamageReport
     from linemate.daemon.recording.reader import pieces
     from linemate.daemon.recording.step_replay import Piece, replay, summarise, with_cycle
 
-    account = Account()
+    count = ReplayCount()
 
-    def heard() -> "Iterator[Piece]":
+    def recorded() -> "Iterator[Piece]":
         for piece in with_cycle(pieces(path)):
             if isinstance(piece, DamageReport):
-                account.broken = piece
+                count.broken = piece
             yield piece
 
-    summaries = summarise(account.take(replay(heard(), overrides)), tolerance)
-    return account, summaries
+    summaries = summarise(count.count(replay(recorded(), overrides)), tolerance)
+    return count, summaries
 
 
 def overrides_of(config: Path | None, assignments: list[str]) -> "Overrides":
     """Return the parameters that a command line names.
 
     Raises:
-        ValueError: the file or an assignment cannot be read.
+        ValueError: The file or an assignment cannot be read.
     """
     from linemate.daemon.config.settings_tree import SECTIONS
     from linemate.daemon.recording.step_replay import Overrides
 
     sections: dict[str, Any] = {}
     if config is not None:
-        value = _yaml(config)
-        sections = {name: value[name] for name in SECTIONS if isinstance(value.get(name), dict)}
+        whole = _read_yaml(config)
+        sections = {name: whole[name] for name in SECTIONS if isinstance(whole.get(name), dict)}
         if not sections:
             raise ValueError(f"{config}: no section {', '.join(SECTIONS)}")
     values: dict[str, Any] = {}
     for text in assignments:
-        name, equals, told = text.partition("=")
+        name, equals, value = text.partition("=")
         if not equals or not name:
             raise ValueError(f"--set {text}: should be NAME=VALUE")
         try:
-            values[name] = json.loads(told)
+            values[name] = json.loads(value)
         except json.JSONDecodeError:
-            values[name] = told
+            values[name] = value
     return Overrides(sections, values)
 
 
-def report(account: Account, summaries: "Mapping[str, Summary]") -> list[str]:
+def report(count: ReplayCount, summaries: "Mapping[str, Summary]") -> list[str]:
     """Return a replay as lines of text."""
-    lines = [f"{account.steps} steps, {account.different} of them different"]
-    if account.unmade:
-        lines.append(f"{account.unmade} steps could not be made again")
-    if account.broken is not None:
-        lines.append(str(account.broken))
-    for verdict, why in account.notes:
-        lines.append(f"step {verdict.k} ({account.at_s(verdict):.3f} s): {why}")
-    if not summaries:
-        if account.steps and not account.unmade:
-            same = "identical" if not account.different else "the same within the tolerance"
-            lines.append(same if account.is_complete else f"{same} as far as it was read")
-        return lines
-    rows = []
-    for name, one in summaries.items():
-        was, made = one.first.changes[name]
-        apart = "" if one.largest is None else f"{one.largest:.3g}"
-        where = "" if one.largest is None else f"{account.at_s(one.at):.3f}"
-        first = f"{account.at_s(one.first):.3f}"
-        rows.append((name, str(one.steps), str(one.first.k), first, apart, where, _both(was, made)))
-    head = ("output", "steps", "first k", "at s", "largest", "at s", "first change")
-    return [*lines, "", render.table(head, rows)]
+    lines = [f"{count.steps} steps, {count.different} of them different"]
+    if count.unmade:
+        lines.append(f"{count.unmade} steps could not be computed again")
+    if count.broken is not None:
+        lines.append(str(count.broken))
+    for comparison, why in count.notes:
+        lines.append(f"step {comparison.k} ({count.at_s(comparison):.3f} s): {why}")
+    if summaries:
+        head = ("output", "steps", "first k", "at s", "largest", "at s", "first change")
+        rows = [_row(count, name, summary) for name, summary in summaries.items()]
+        return [*lines, "", render.table(head, rows)]
+    if count.steps and not count.unmade:
+        same = "identical" if not count.different else "the same within the tolerance"
+        lines.append(same if count.is_complete else f"{same} as far as it was read")
+    return lines
 
 
-def as_plain(account: Account, summaries: "Mapping[str, Summary]") -> dict[str, Any]:
+def _row(count: ReplayCount, name: str, summary: "Summary") -> tuple[str, ...]:
+    recorded, replayed = summary.first.changes[name]
+    return (
+        name,
+        str(summary.steps),
+        str(summary.first.k),
+        f"{count.at_s(summary.first):.3f}",
+        "" if summary.largest is None else f"{summary.largest:.3g}",
+        "" if summary.largest is None else f"{count.at_s(summary.at):.3f}",
+        _change(recorded, replayed),
+    )
+
+
+def as_plain(count: ReplayCount, summaries: "Mapping[str, Summary]") -> dict[str, Any]:
     """Return a replay as plain values."""
     return {
         "version": VERSION,
-        "identical": account.is_complete and not summaries,
-        "steps": account.steps,
-        "different": account.different,
-        "unmade": account.unmade,
-        "broken": None if account.broken is None else account.broken.reason,
-        "total": account.steps if account.broken is None else account.broken.total,
+        "identical": count.is_complete and not summaries,
+        "steps": count.steps,
+        "different": count.different,
+        "unmade": count.unmade,
+        "broken": None if count.broken is None else count.broken.reason,
+        "total": count.steps if count.broken is None else count.broken.total,
         "notes": [
-            {"k": verdict.k, "at_s": account.at_s(verdict), "what": why}
-            for verdict, why in account.notes
+            {"k": comparison.k, "at_s": count.at_s(comparison), "what": why}
+            for comparison, why in count.notes
         ],
         "fields": {
             name: {
-                "steps": one.steps,
-                "first": _place(account, one.first, name),
-                "largest": one.largest,
-                "at": _place(account, one.at, name),
+                "steps": summary.steps,
+                "first": _place(count, summary.first, name),
+                "largest": summary.largest,
+                "at": _place(count, summary.at, name),
             }
-            for name, one in summaries.items()
+            for name, summary in summaries.items()
         },
     }
 
 
-def _place(account: Account, verdict: "ReplayedStep", name: str) -> dict[str, Any]:
-    was, made = verdict.changes[name]
-    return {"k": verdict.k, "at_s": account.at_s(verdict), "recorded": was, "made": made}
+def _place(count: ReplayCount, comparison: "ReplayedStep", name: str) -> dict[str, Any]:
+    recorded, replayed = comparison.changes[name]
+    return {
+        "k": comparison.k,
+        "at_s": count.at_s(comparison),
+        "recorded": recorded,
+        "made": replayed,
+    }
 
 
-def _both(was: Any, made: Any) -> str:
-    """Return a change in a few words: of a tuple, the first item that changed."""
-    if isinstance(was, (tuple, list)) and isinstance(made, (tuple, list)) and len(was) == len(made):
-        for index, (a, b) in enumerate(zip(was, made, strict=True)):
+def _change(recorded: Any, replayed: Any) -> str:
+    """Return a change as text: of a tuple, its first different item."""
+    if (
+        isinstance(recorded, (tuple, list))
+        and isinstance(replayed, (tuple, list))
+        and len(recorded) == len(replayed)
+    ):
+        for index, (a, b) in enumerate(zip(recorded, replayed, strict=True)):
+            # NaN differs from itself, and 0.0 equals -0.0: their texts decide.
             if a != b or str(a) != str(b):
-                return f"[{index}] {_both(a, b)}"
-    return f"{_short(was)} -> {_short(made)}"
+                return f"[{index}] {_change(a, b)}"
+    return f"{_short(recorded)} -> {_short(replayed)}"
 
 
 def _short(value: Any) -> str:
     text = value.hex() if isinstance(value, bytes) else render.scalar(value)
-    return text if len(text) <= 28 else text[:25] + "..."
+    return text if len(text) <= MAX_VALUE_WIDTH else text[: MAX_VALUE_WIDTH - 3] + "..."
 
 
-def _yaml(path: Path) -> dict[str, Any]:
+def _read_yaml(path: Path) -> dict[str, Any]:
     from linemate.daemon.config.settings_tree import SettingError, read_file
 
     try:

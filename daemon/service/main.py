@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from linemate.daemon.version import Version
+from linemate.daemon.command_line import CommandLine, Version
 
 # Before numpy is imported: a second thread of the algebra costs more than it brings, and wakes
 # on the other core when the loop wants to sleep.
@@ -115,7 +115,7 @@ def _tell(listening: dict[str, Any], ready_fd: int | None) -> None:
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = argparse.ArgumentParser(prog="linemated", description="The linemate daemon.")
+    made = CommandLine(prog="linemated", description="The linemate daemon.")
     made.add_argument("--version", action=Version)
     what = made.add_mutually_exclusive_group(required=True)
     what.add_argument("--config", type=Path, metavar="FILE", help="YAML, see linemated.yaml(5)")

@@ -14,7 +14,6 @@ from linemate.daemon.transport.client import Client, RefusedError
 from linemate.daemon.view.broadcast_hub import Board
 from linemate.daemon.view.cell import Scene, of
 from linemate.daemon.view.frames import Framer
-from linemate.daemon.view.cell import Scene, of
 from linemate.protocol.command.frame_codec import CommandError
 
 RATE_HZ: Final = 25.0

@@ -20,6 +20,7 @@ from linemate.daemon.recording.format import (
     TIMING,
     UnreadableRecordingError,
 )
+from linemate.daemon.view.cell import Scene, of
 from linemate.daemon.view.frames import Frame, Framer
 
 if TYPE_CHECKING:

@@ -12,10 +12,18 @@ from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
-from linemate.daemon.version import Version
+from linemate.daemon import command_line
+from linemate.daemon.command_line import (
+    BAD_FILE,
+    CommandLine,
+    UsageError,
+    Version,
+    check_output_file,
+    make_folder,
+)
+from linemate.daemon.near_names import near_names
 from linemate.simulators.harness.variants import VARIANTS, SetupError
 
-EX_CONFIG = 78
 MAX_SEEDS = 100_000
 MAX_ROUND_S = 3600.0
 BENCH_PARTS = ("turnaround", "wakeup", "step", "virtual")
@@ -39,14 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     args = _parser().parse_args(argv)
     one_thread()
-    try:
-        return _dispatch(args)
-    except KeyboardInterrupt:
-        return 130
-    except BrokenPipeError:
-        # Whoever read the output has gone; a second complaint at exit helps nobody.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
+    return command_line.run("linemate-sim", lambda: _dispatch(args))
 
 
 def one_thread() -> None:
@@ -58,6 +59,7 @@ def one_thread() -> None:
 def _dispatch(args: argparse.Namespace) -> int:
     if args.command == "schema":
         return _schema(args.kind)
+    _check_outputs(args)
     from linemate.daemon.config.documents import FileError
 
     try:
@@ -65,20 +67,23 @@ def _dispatch(args: argparse.Namespace) -> int:
         return int(room.main(args))
     except FileError as error:
         print(error, file=sys.stderr)
-        return EX_CONFIG
+        return BAD_FILE
     except SetupError as error:
-        print(f"linemate-sim: {error}", file=sys.stderr)
-        return 2
+        raise UsageError(str(error)) from error
     except ModuleNotFoundError as error:
         package = str(error.name).partition(".")[0]
         if package not in DEMO_PACKAGES:
             raise
-        print(
-            f"linemate-sim: package {package} is missing. Install the extra:"
-            " pip install 'linemate[demo]'",
-            file=sys.stderr,
-        )
-        return 2
+        raise UsageError(
+            f"package {package} is missing. Install the extra: pip install 'linemate[demo]'"
+        ) from error
+
+
+def _check_outputs(args: argparse.Namespace) -> None:
+    if getattr(args, "out", None) is not None:
+        make_folder(args.out)
+    if getattr(args, "plot", None) is not None:
+        check_output_file(args.plot, "--plot")
 
 
 def _schema(kind: str) -> int:
@@ -106,8 +111,9 @@ def variants(text: str) -> tuple[str, ...]:
     names = tuple(name.strip() for name in text.split(",") if name.strip())
     unknown = [name for name in names if name not in VARIANTS]
     if unknown or not names:
-        known = ", ".join(VARIANTS)
-        raise argparse.ArgumentTypeError(f"no variant {', '.join(unknown) or text!r}; {known}")
+        near = near_names(unknown[0], VARIANTS) if unknown else ""
+        known = near or f"; there are {', '.join(VARIANTS)}"
+        raise argparse.ArgumentTypeError(f"no variant {', '.join(unknown) or text!r}{known}")
     return names
 
 
@@ -142,7 +148,7 @@ def _hours(text: str) -> float:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = CommandLine(
         prog="linemate-sim", description="Emulators of the station, and runs against them."
     )
     parser.add_argument("--version", action=Version)

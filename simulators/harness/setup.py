@@ -6,7 +6,6 @@ Invariants:
     An override passes the same validation as a file.
 """
 
-import difflib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -22,6 +21,7 @@ from linemate.daemon.core.control import urdf_limits
 from linemate.daemon.core.control.settings import ControlSettings
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.task import TaskFile
+from linemate.daemon.near_names import near_names
 from linemate.simulators.harness import scenario_file, variants
 from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.plants.scenario import Scenario
@@ -185,8 +185,7 @@ def _resolve(plain: dict[str, Any], key: str) -> Path:
         names = ", ".join(".".join(map(str, path)) for path in matches[:5])
         raise OverrideError(key, f"could be {names}")
     every = [".".join(map(str, path)) for path in known]
-    near = difflib.get_close_matches(key, every, n=3, cutoff=0.5)
-    raise OverrideError(key, "no such key" + (f"; near are {', '.join(near)}" if near else ""))
+    raise OverrideError(key, f"no such key{near_names(key, every)}")
 
 
 def _paths(value: Any, path: Path = ()) -> list[Path]:

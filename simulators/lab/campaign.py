@@ -129,6 +129,9 @@ def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     try:
         yield pool
     except BaseException:
+        # A run takes many seconds, and its worker ignores Ctrl-C: do not wait for it.
+        for worker in multiprocessing.active_children():
+            worker.kill()
         pool.shutdown(wait=False, cancel_futures=True)
         raise
     pool.shutdown()

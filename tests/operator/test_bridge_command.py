@@ -79,9 +79,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
         stack.callback(bridge.kill)
         assert bridge.stdout is not None
         assert bridge.stdout.readline().startswith("2 stations")
-        from linemate.daemon.operator.bridge_command import opened
+        from linemate.daemon.operator.bridge_command import open_session
 
-        session = stack.enter_context(opened([], [endpoint]))
+        session = stack.enter_context(open_session([], [endpoint]))
         fleet = Fleet(daemons, bridge, session)
 
         def hear(sample: Any) -> None:
@@ -163,7 +163,7 @@ def test_it_ends_as_told_and_refuses_to_be_reached_by_others(made: Fleet, tmp_pa
         text=True,
         check=False,
     )
-    assert done.returncode == 1
+    assert done.returncode == 2
     assert "--allow-remote" in done.stderr
 
 

@@ -78,11 +78,11 @@ def test_what_was_not_there_is_an_empty_cell(whole: Path, tmp_path: Path) -> Non
     assert log["message"] == "state: idle"
 
 
-def test_a_table_that_exists_is_not_written_over(
+def test_a_table_that_exists_is_not_overwritten(
     whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "steps.csv").write_text("mine")
-    assert tool.main(["export", str(whole), "--out", str(tmp_path)]) == 1
+    assert tool.main(["export", str(whole), "--out", str(tmp_path)]) == 2
     assert "steps.csv" in capsys.readouterr().err
     assert (tmp_path / "steps.csv").read_text() == "mine"
 
@@ -127,12 +127,12 @@ def test_a_damaged_chunk_costs_itself_and_no_other(
     assert STEPS // 3 < len(kept) < STEPS
 
 
-def test_a_recovery_writes_over_nothing_and_takes_no_other_file(
+def test_a_recovery_overwrites_nothing_and_refuses_other_files(
     whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     there = tmp_path / "there.mcap"
     there.write_bytes(b"mine")
-    assert said(capsys, "recover", whole, "--out", there)[0] == 1
+    assert said(capsys, "recover", whole, "--out", there)[0] == 2
     assert there.read_bytes() == b"mine"
     other = tmp_path / "other"
     other.write_bytes(b"no recording at all")

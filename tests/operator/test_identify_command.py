@@ -1,6 +1,5 @@
-"""`linemate identify`: exit codes, reasons, and an overlay that is whole or not there."""
+"""``linemate identify``: exit codes, reasons, and an overlay that is whole or absent."""
 
-import argparse
 import io
 import subprocess
 import sys
@@ -14,6 +13,7 @@ from linemate.daemon.config.files import DAEMON_DATA
 from linemate.daemon.identification.identify import Identified
 from linemate.daemon.identification.outcome import Estimate, Finding, Refusal
 from linemate.daemon.operator import identify_command
+from linemate.daemon.operator import main as tool
 from linemate.daemon.recording import reader
 from linemate.daemon.recording.format import UnreadableRecordingError
 from linemate.daemon.recording.step_file import StepFile
@@ -26,10 +26,7 @@ TEXTS = {
 
 
 def run(*words: str | Path) -> int:
-    parser = argparse.ArgumentParser()
-    identify_command.add_parser(parser.add_subparsers())
-    args = parser.parse_args(["identify", *map(str, words)])
-    return int(args.run(args))
+    return tool.main(["identify", *map(str, words)])
 
 
 def recording(path: Path, texts: Mapping[str, str] = TEXTS, steps: int = 0) -> Path:
@@ -48,7 +45,7 @@ def test_a_missing_file_is_a_reason_and_exit_1(
 
 
 @pytest.mark.parametrize("content", [b"", b"nothing of the kind", b"\x89MCAP0\r\n"])
-def test_what_is_no_recording_is_said_to_be_none(
+def test_what_is_no_recording_is_refused(
     content: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "x.mcap"
@@ -58,7 +55,7 @@ def test_what_is_no_recording_is_said_to_be_none(
     assert not (tmp_path / "o.yaml").exists()
 
 
-def test_a_recording_without_steps_or_texts_tells_nothing(
+def test_a_recording_without_steps_or_texts_identifies_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(recording(tmp_path / "a.mcap"), "--out", tmp_path / "o.yaml") == 1

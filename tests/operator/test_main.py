@@ -300,7 +300,11 @@ def test_a_status_loads_nothing_that_it_does_not_need() -> None:
     )
     loaded = set(done.stdout.split())
     assert "linemate.protocol.command.local_client" in loaded
-    rooms = ("daemon.operator.replay_command", "daemon.operator.export_command", "daemon.operator.doctor")
+    rooms = (
+        "daemon.operator.replay_command",
+        "daemon.operator.export_command",
+        "daemon.operator.doctor",
+    )
     unwanted = {
         f"linemate.{room}" for room in (*rooms, "protocol.command.authenticated", "daemon.view")
     }

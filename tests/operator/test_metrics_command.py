@@ -198,5 +198,5 @@ def test_the_tool_prints_a_page_and_refuses_to_be_reached_by_others(daemon: Daem
     open_to_all = subprocess.run(
         [*LINEMATE, "metrics", "--listen", "0.0.0.0:0"], capture_output=True, text=True, check=False
     )
-    assert open_to_all.returncode == 1
+    assert open_to_all.returncode == 2
     assert open_to_all.stderr.count("\n") == 1

@@ -350,8 +350,8 @@ def test_a_bridge_carries_it_in_its_own_sandbox(service: Machine) -> None:
     service.run("systemctl", "start", "linemate-bridge.service")
     ask = (
         f"import sys; sys.path[:0] = ['{PROGRAM}/lib']; import site; site.addsitedir('{PACKAGES}');"
-        "from linemate.daemon.operator.bridge_command import opened;"
-        "session = opened([], ['tcp/127.0.0.1:7447']);"
+        "from linemate.daemon.operator.bridge_command import open_session;"
+        "session = open_session([], ['tcp/127.0.0.1:7447']);"
         "print([r.ok.payload.to_string() for r in session.get('linemate/*/status') if r.ok])"
     )
     end, told = time.monotonic() + 15.0, ""

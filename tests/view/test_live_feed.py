@@ -240,7 +240,7 @@ def test_the_tool_says_in_one_line_what_it_cannot_show(
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = str(taken.getsockname()[1])
-        assert tool.main(["view", "--no-browser", "--port", port]) == 1
+        assert tool.main(["view", "--no-browser", "--port", port]) == 2
     error = capsys.readouterr().err
     assert port in error
     assert error.count("\n") == 1

@@ -1,0 +1,137 @@
+"""Command lines of the three programs: exit codes, errors in one line, output places, version.
+
+Invariants:
+    * Exit code 1 has one meaning: the answer is no. What prevents an answer has another code.
+    * An error of the command line is one line on standard error, without a traceback.
+    * An output place is checked before the work whose result goes there.
+"""
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final, NoReturn
+
+from linemate.daemon.near_names import near_names
+
+OK: Final = 0
+NO: Final = 1  # not healthy, refused, different, not a recording, not assembled
+USAGE: Final = 2  # the command line, or an output place or an address that it names
+NO_ANSWER: Final = 3  # no daemon, or not in time
+INTERNAL: Final = 70  # EX_SOFTWARE: a defect of the program, with a traceback
+BAD_FILE: Final = 78  # EX_CONFIG: errors of a configuration, task or scenario
+INTERRUPTED: Final = 130  # ^C
+CLOSED_PIPE: Final = 141  # 128 + SIGPIPE: the reader of the output has ended
+
+DISTRIBUTION: Final = "linemate"
+
+
+class UsageError(Exception):
+    """An option, an output place or an address cannot be used; the text says why."""
+
+
+class NegativeError(Exception):
+    """The answer is no; the text says why."""
+
+
+def run(program: str, command: Callable[[], int]) -> int:
+    """Run a command and return its exit code, whatever ends it."""
+    try:
+        return command()
+    except (UsageError, NegativeError) as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        return USAGE if isinstance(error, UsageError) else NO
+    except BrokenPipeError:
+        # Python flushes standard output at exit: into /dev/null, so that it does not complain.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return CLOSED_PIPE
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except Exception as error:  # noqa: BLE001 - Python's own code for it is 1: "no" here
+        if isinstance(error.__cause__, KeyboardInterrupt):
+            return INTERRUPTED  # of a class body in an import
+        import traceback
+
+        traceback.print_exc()
+        return INTERNAL
+
+
+def make_folder(path: Path) -> None:
+    """Make an output directory.
+
+    Raises:
+        UsageError: It cannot be made, or not be written.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        why = "is a file" if path.is_file() else error.strerror
+        raise UsageError(f"--out {path}: {why}. Name a directory that can be written") from error
+    if not os.access(path, os.W_OK | os.X_OK):
+        raise UsageError(f"--out {path}: cannot be written. Name another directory")
+
+
+def check_output_file(path: Path, option: str = "--out") -> None:
+    """Check that a file can be written.
+
+    Raises:
+        UsageError: Its directory is missing or read-only, or the path is a directory.
+    """
+    if path.is_dir():
+        raise UsageError(f"{option} {path}: is a directory. Name a file")
+    if not path.parent.is_dir():
+        raise UsageError(f"{option} {path}: no such directory: {path.parent}")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise UsageError(f"{option} {path}: cannot be written. Name another file")
+
+
+class CommandLine(argparse.ArgumentParser):
+    """A parser whose errors are one line, with the known names near a wrong one."""
+
+    def error(self, message: str) -> NoReturn:
+        """End with USAGE."""
+        unknown = message.partition("unrecognized arguments: ")[2].partition(" ")[0]
+        if unknown.startswith("-"):
+            message += near_names(unknown.partition("=")[0], _options(self))
+        self.exit(USAGE, f"{self.prog}: {message}; see {self.prog} --help\n")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        choices = [str(choice) for choice in action.choices or ()]
+        if choices and value not in (action.choices or ()):
+            # Many choices are listed by --help; the near ones help more here.
+            near = near_names(str(value), choices)
+            listed = "" if near and len(choices) > 6 else f"; there are {', '.join(choices)}"
+            raise argparse.ArgumentError(action, f"no {value!r}{near or listed}")
+
+
+def _options(parser: argparse.ArgumentParser) -> Iterator[str]:
+    """Yield the options of a parser and of its commands."""
+    for action in parser._actions:  # noqa: SLF001 - argparse has no public list of them
+        yield from action.option_strings
+        if isinstance(action, argparse._SubParsersAction):  # noqa: SLF001
+            for command in action.choices.values():
+                yield from _options(command)
+
+
+class Version(argparse.Action):
+    """Print the program's name and the installed version, and end."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, **_: Any) -> None:
+        super().__init__(
+            option_strings, argparse.SUPPRESS, nargs=0, help="print the version and end"
+        )
+        del dest
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,  # noqa: ARG002 - argparse's signature
+        values: str | Sequence[Any] | None,  # noqa: ARG002
+        option_string: str | None = None,  # noqa: ARG002
+    ) -> None:
+        """Print and end."""
+        from importlib.metadata import version  # slow: looked up only when it is asked for
+
+        print(parser.prog, version(DISTRIBUTION))
+        parser.exit()

@@ -1,0 +1,175 @@
+"""Command lines of the three programs: version, errors, exit codes, output places, Ctrl-C."""
+
+import importlib.metadata
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from linemate.daemon import command_line
+from linemate.daemon.command_line import NegativeError, UsageError
+from linemate.daemon.operator import main as operator
+from linemate.daemon.service import main as service
+from linemate.simulators.harness import main as harness
+
+PROGRAMS = {
+    "linemate": operator.main,
+    "linemated": service.main,
+    "linemate-sim": harness.main,
+}
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_a_program_prints_its_name_and_the_installed_version(program: str, capsys: Capture) -> None:
+    with pytest.raises(SystemExit) as ended:
+        PROGRAMS[program](["--version"])
+    assert ended.value.code == 0
+    assert capsys.readouterr().out.split() == [program, importlib.metadata.version("linemate")]
+
+
+@pytest.mark.parametrize(
+    ("program", "words", "near"),
+    [
+        ("linemate", "stats", "near is status"),
+        ("linemate", "status --wach", "near is --watch"),
+        ("linemate", "param gett x", "there are list, get"),
+        ("linemated", "--config x --chek", "near is --check"),
+        ("linemate-sim", "demmo", "near is demo"),
+        ("linemate-sim", "run --variant oracel", "near is oracle"),
+        ("linemate-sim", "campaign --variants no-clases", "near is no-classes"),
+        ("linemate-sim", "run --sed 1", "near is --seed"),
+    ],
+)
+def test_a_wrong_word_is_one_line_with_the_names_near_it(
+    program: str, words: str, near: str, capsys: Capture
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        PROGRAMS[program](words.split())
+    shown = capsys.readouterr()
+    assert (ended.value.code, shown.out) == (2, "")
+    assert shown.err.count("\n") == 1
+    assert near in shown.err
+
+
+def failing(error: BaseException) -> Callable[[], int]:
+    def command() -> int:
+        raise error
+
+    return command
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (NegativeError("no"), 1),
+        (UsageError("wrong"), 2),
+        (KeyboardInterrupt(), 130),
+        (RuntimeError("a defect"), 70),
+        (OSError("a defect"), 70),
+    ],
+)
+def test_only_a_negative_answer_ends_with_1(
+    error: BaseException, code: int, capsys: Capture
+) -> None:
+    assert command_line.run("x", failing(error)) == code
+    assert ("Traceback" in capsys.readouterr().err) is (code == 70)
+
+
+def test_a_closed_pipe_ends_quietly_and_not_with_1() -> None:
+    code = (
+        "import sys; from linemate.daemon import command_line;"
+        "sys.exit(command_line.run('x', lambda: print('y' * 1_000_000) or 0))"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 141
+
+
+def wrong_places(tmp_path: Path) -> list[Path]:
+    (tmp_path / "file").write_text("")
+    return [tmp_path / "file" / "x", Path("/proc/none/x"), Path("/dev/null/x")]
+
+
+SIM = ("demo", "run", "campaign", "run --json", "campaign --detection 1")
+
+
+@pytest.mark.parametrize("words", SIM)
+def test_an_output_directory_in_a_wrong_place_is_one_line_before_any_work(
+    words: str, tmp_path: Path, capsys: Capture
+) -> None:
+    for place in [*wrong_places(tmp_path), tmp_path / "file"]:
+        began = time.monotonic()
+        assert harness.main([*words.split(), "--out", str(place)]) == 2
+        assert time.monotonic() - began < 5.0
+        shown = capsys.readouterr()
+        assert shown.err.startswith(f"linemate-sim: --out {place}: ")
+        assert (shown.out, shown.err.count("\n")) == ("", 1)
+
+
+def test_a_plot_in_a_wrong_place_is_one_line_before_any_work(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    assert harness.main(["bench", "--plot", str(tmp_path)]) == 2
+    assert harness.main(["bench", "--plot", str(tmp_path / "none" / "x.png")]) == 2
+    assert capsys.readouterr().err.count("\n") == 2
+
+
+@pytest.mark.parametrize("command", ["export", "recover", "identify", "keygen"])
+def test_an_output_of_the_tool_in_a_wrong_place_is_one_line(
+    command: str, tmp_path: Path, capsys: Capture
+) -> None:
+    from rerun import GOLDEN
+
+    words = ["keygen", "eve", "view"] if command == "keygen" else [command, str(GOLDEN)]
+    for place in wrong_places(tmp_path):
+        assert operator.main([*words, "--out", str(place)]) == 2
+        shown = capsys.readouterr()
+        assert str(place) in shown.err
+        assert (shown.out, shown.err.count("\n")) == ("", 1)
+
+
+LINEMATE = (sys.executable, "-m", "linemate.daemon.operator.main")
+HARNESS = (sys.executable, "-m", "linemate.simulators.harness.main")
+LONG = {
+    "status --watch": (*LINEMATE, "status", "--watch", "--socket", "/nowhere"),
+    "replay": (*LINEMATE, "replay", "{golden}"),
+    "identify": (*LINEMATE, "identify", "{golden}", "--out", "{out}"),
+    "view FILE": (*LINEMATE, "view", "--no-browser", "{golden}"),
+    "view": (*LINEMATE, "view", "--no-browser", "--socket", "/nowhere"),
+    "metrics": (*LINEMATE, "metrics", "--listen", "127.0.0.1:0"),
+    "run": (*HARNESS, "run", "--seed", "0..9"),
+    "campaign": (*HARNESS, "campaign", "--seeds", "9"),
+    "detection": (*HARNESS, "campaign", "--detection", "9"),
+    "bench": (*HARNESS, "bench"),
+    "demo": (*HARNESS, "demo"),
+}
+
+
+@pytest.mark.parametrize("name", LONG)
+@pytest.mark.parametrize("after_s", [0.3, 4.0])
+def test_ctrl_c_ends_a_command_within_a_second(name: str, after_s: float, tmp_path: Path) -> None:
+    from rerun import GOLDEN
+
+    words = [word.format(golden=GOLDEN, out=tmp_path / "o.yaml") for word in LONG[name]]
+    with subprocess.Popen(
+        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    ) as process:
+        time.sleep(after_s)
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+            began = time.monotonic()
+            errors = process.communicate(timeout=60.0)[1]
+            took_s = time.monotonic() - began
+            assert took_s < 1.0, (took_s, errors[-2000:])
+            assert "Traceback" not in errors, errors[-2000:]
+            assert process.returncode in {0, 130}
