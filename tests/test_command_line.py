@@ -35,14 +35,14 @@ def test_a_program_prints_its_name_and_the_installed_version(program: str, capsy
 @pytest.mark.parametrize(
     ("program", "words", "near"),
     [
-        ("linemate", "stats", "near is status"),
+        ("linemate", "stats", "near are status, start"),
         ("linemate", "status --wach", "near is --watch"),
-        ("linemate", "param gett x", "there are list, get"),
-        ("linemated", "--config x --chek", "near is --check"),
+        ("linemate", "param gett x", "near is get"),
+        ("linemated", "--config x --chek", "near are --check"),
         ("linemate-sim", "demmo", "near is demo"),
         ("linemate-sim", "run --variant oracel", "near is oracle"),
         ("linemate-sim", "campaign --variants no-clases", "near is no-classes"),
-        ("linemate-sim", "run --sed 1", "near is --seed"),
+        ("linemate-sim", "run --sed 1", "near are --seed"),
     ],
 )
 def test_a_wrong_word_is_one_line_with_the_names_near_it(

@@ -108,7 +108,11 @@ def screen(
 
 def _cut(lines: Sequence[str], width: int, height: int) -> list[str]:
     printable = ("".join(c if c.isprintable() else "?" for c in line) for line in lines[:height])
-    return [line if len(line) <= width else line[: max(0, width - 3)] + "..." for line in printable]
+    return [_shortened(line, width) for line in printable]
+
+
+def _shortened(line: str, width: int) -> str:
+    return line if len(line) <= width else f"{line[: max(0, width - 3)]}..."[:width]
 
 
 def _head(status: Status) -> Iterator[str]:

@@ -1,7 +1,9 @@
 """``linemate status``: the daemon's state once, or as a screen that is drawn again and again."""
 
 import argparse
+import contextlib
 import os
+import select
 import signal
 import sys
 import time
@@ -90,8 +92,13 @@ class Screen:
         self._last: Sequence[str] = ()
 
     def __enter__(self) -> Self:
-        # A blocked signal ends the wait: the screen is drawn again in its new size.
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGWINCH})
+        # A signal that comes just before a wait must end it: each writes a byte to this pipe.
+        self._wake, pipe = os.pipe()
+        os.set_blocking(self._wake, False)
+        os.set_blocking(pipe, False)
+        self._pipe = pipe
+        signal.set_wakeup_fd(pipe, warn_on_full_buffer=False)
+        signal.signal(signal.SIGWINCH, lambda *_: None)
         if self._on_terminal:
             # As Ctrl-C, so that a terminal is always left as it was.
             signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -107,7 +114,10 @@ class Screen:
         if self._on_terminal:
             self._stream.write(END + "".join(f"{line}\n" for line in self._last))
             self._stream.flush()
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGWINCH})
+        signal.signal(signal.SIGWINCH, signal.SIG_DFL)
+        signal.set_wakeup_fd(-1)
+        os.close(self._wake)
+        os.close(self._pipe)
 
     def size(self) -> tuple[int, int]:
         """Return columns and lines."""
@@ -121,12 +131,13 @@ class Screen:
         self._last = lines
         if self._on_terminal:
             # No line break after the last line: it would scroll a full screen.
-            self._stream.write(HOME + f"{END_OF_LINE}\r\n".join(lines) + END_OF_LINE + BELOW)
+            self._stream.write(HOME + f"{END_OF_LINE}\n".join(lines) + END_OF_LINE + BELOW)
         else:
             self._stream.write("\n".join(lines) + "\n\n")
         self._stream.flush()
 
-    @staticmethod
-    def wait(duration_s: float) -> None:
+    def wait(self, duration_s: float) -> None:
         """Wait for the time, or until the terminal changes its size."""
-        signal.sigtimedwait([signal.SIGWINCH], duration_s)
+        select.select([self._wake], [], [], duration_s)
+        with contextlib.suppress(BlockingIOError):
+            os.read(self._wake, 4096)

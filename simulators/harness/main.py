@@ -199,7 +199,7 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
 
 
-def _add_bench(commands: "Commands[argparse.ArgumentParser]") -> None:
+def _add_bench(commands: "Commands[CommandLine]") -> None:
     bench = commands.add_parser("bench", help="turn-around, lateness, computing time")
     bench.add_argument("--json", action="store_true", help="print JSON instead of a table")
     bench.add_argument("--rounds", type=_count, default=5, metavar="N", help="5")
@@ -228,7 +228,7 @@ def _add_plan(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--workers", type=_count, help="processes; all cores by default")
 
 
-def _add_demo(commands: "Commands[argparse.ArgumentParser]") -> None:
+def _add_demo(commands: "Commands[CommandLine]") -> None:
     demo = commands.add_parser("demo", help="daemon and emulators in real time, over real links")
     _add_common(demo)
     demo.add_argument("--cycle-ms", type=float, choices=(4, 12), default=12)
@@ -237,7 +237,7 @@ def _add_demo(commands: "Commands[argparse.ArgumentParser]") -> None:
     demo.add_argument("--view", action="store_true", help="show it in the browser as it goes")
 
 
-def _add_run(commands: "Commands[argparse.ArgumentParser]") -> None:
+def _add_run(commands: "Commands[CommandLine]") -> None:
     run = commands.add_parser("run", help="the same chain in virtual time")
     _add_common(run)
     _add_plan(run)
@@ -247,7 +247,7 @@ def _add_run(commands: "Commands[argparse.ArgumentParser]") -> None:
     run.add_argument("--timing", action="store_true", help="measure computing times as well")
 
 
-def _add_campaign(commands: "Commands[argparse.ArgumentParser]") -> None:
+def _add_campaign(commands: "Commands[CommandLine]") -> None:
     campaign = commands.add_parser("campaign", help="many runs, a table of variants")
     _add_common(campaign)
     _add_plan(campaign)
