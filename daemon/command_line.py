@@ -8,8 +8,10 @@ Invariants:
 
 import argparse
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
@@ -55,6 +57,19 @@ def run(program: str, command: Callable[[], int]) -> int:
 
         traceback.print_exc()
         return INTERNAL
+
+
+@contextmanager
+def killed_by_ctrl_c() -> Iterator[None]:
+    """Let Ctrl-C kill the process, as it may while packages are imported.
+
+    An extension module can swallow the KeyboardInterrupt that is raised while it is loaded.
+    """
+    handler = signal.signal(signal.SIGINT, signal.SIG_DFL)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
 
 
 def make_folder(path: Path) -> None:

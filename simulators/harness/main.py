@@ -63,7 +63,8 @@ def _dispatch(args: argparse.Namespace) -> int:
     from linemate.daemon.config.documents import FileError
 
     try:
-        room = import_module(f"linemate.simulators.{ROOMS[args.command]}")
+        with command_line.killed_by_ctrl_c():
+            room = import_module(f"linemate.simulators.{ROOMS[args.command]}")
         return int(room.main(args))
     except FileError as error:
         print(error, file=sys.stderr)

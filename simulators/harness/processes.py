@@ -166,7 +166,10 @@ class Children:
             child.check()
 
     def end(self) -> None:
-        """End all children, the last started first; returns when none is left."""
+        """End all children at the same time; returns when none is left."""
+        for child in reversed(self._children):
+            if child.ended() is None:
+                child.signal_group(signal.SIGTERM)
         for child in reversed(self._children):
             child.end()
 

@@ -109,7 +109,8 @@ def spread(
     if wanted <= 1:
         return [_noted(function(item), progress) for item in items]
     with _pool(wanted) as pool:
-        return [_noted(result, progress) for result in pool.map(function, items)]
+        futures = [pool.submit(function, item) for item in items]
+        return [_noted(future.result(), progress) for future in futures]
 
 
 def _noted(result: Result, progress: Progress) -> Result:
@@ -132,9 +133,9 @@ def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
         # A run takes many seconds, and its worker ignores Ctrl-C: do not wait for it.
         for worker in multiprocessing.active_children():
             worker.kill()
-        pool.shutdown(wait=False, cancel_futures=True)
         raise
-    pool.shutdown()
+    finally:
+        pool.shutdown()
 
 
 def _begin_worker(parent: int) -> None:
