@@ -8,7 +8,7 @@
 _shtab_linemate_param_subparsers=(list get set save describe diff)
 _shtab_linemate_subparsers=(status param arm start stop retreat ack record identify replay export recover view metrics bridge doctor keygen)
 
-_shtab_linemate_status_option_strings=(-h --help --socket --udp --key --key-name --timeout --json --watch --interval --for)
+_shtab_linemate_status_option_strings=(-h --help --socket --udp --key --key-name --timeout --json --watch --all --interval --for)
 _shtab_linemate_param_list_option_strings=(-h --help --socket --udp --key --key-name --timeout --json)
 _shtab_linemate_param_get_option_strings=(-h --help --socket --udp --key --key-name --timeout --json)
 _shtab_linemate_param_set_option_strings=(-h --help --socket --udp --key --key-name --timeout --json)
@@ -27,8 +27,8 @@ _shtab_linemate_replay_option_strings=(-h --help --config --set --tolerance --js
 _shtab_linemate_export_option_strings=(-h --help --out)
 _shtab_linemate_recover_option_strings=(-h --help --out)
 _shtab_linemate_view_option_strings=(-h --help --socket --udp --key --key-name --timeout --json --port --bind --no-browser)
-_shtab_linemate_metrics_option_strings=(-h --help --listen --allow-remote --station --host --once)
-_shtab_linemate_bridge_option_strings=(-h --help --station --listen --connect --allow-remote --rate)
+_shtab_linemate_metrics_option_strings=(-h --help --listen --station --allow-remote --host --once)
+_shtab_linemate_bridge_option_strings=(-h --help --station --allow-remote --listen --connect --rate)
 _shtab_linemate_doctor_option_strings=(-h --help --json)
 _shtab_linemate_keygen_option_strings=(-h --help --out)
 _shtab_linemate_option_strings=(-h --help --version)
@@ -81,6 +81,7 @@ _shtab_linemate_status__h_nargs=0
 _shtab_linemate_status___help_nargs=0
 _shtab_linemate_status___json_nargs=0
 _shtab_linemate_status___watch_nargs=0
+_shtab_linemate_status___all_nargs=0
 _shtab_linemate_param_list__h_nargs=0
 _shtab_linemate_param_list___help_nargs=0
 _shtab_linemate_param_list___json_nargs=0
