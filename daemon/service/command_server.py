@@ -39,7 +39,7 @@ Snapshot = Callable[[], Mapping[str, Any]]
 
 RECEIVE_BYTES: Final = 2048
 MAX_CONNECTIONS: Final = 16
-TICK_S: Final = 0.02  # telemetry's fastest period
+
 SO_PEERGROUPS: Final = 59  # missing from the socket module
 SO_MEMINFO: Final = 55
 MEMINFO: Final = struct.Struct("9I")
@@ -136,8 +136,6 @@ class CommandPort:
         self._connections: dict[int, _Connection] = {}
         self._access = LocalAccess()
         self._epoll: select.epoll | None = None
-        self._loop: asyncio.AbstractEventLoop | None = None
-        self._ticker: asyncio.TimerHandle | None = None
         self._until_ns = 0
         self._allowance = 0
         self._invited: asyncio.AbstractEventLoop | None = None
@@ -169,7 +167,6 @@ class CommandPort:
 
     def close(self) -> None:
         """Close the doors and forget everybody."""
-        self.detach()
         self._allowance = 0
         self._serve_guest()
         for connection in list(self._connections.values()):
@@ -190,25 +187,6 @@ class CommandPort:
     def replace_keys(self, keys: Iterable[Key]) -> None:
         """Take a new set of keys (SIGHUP); sessions of keys that are gone end at once."""
         self._server.replace_keys(keys)
-
-    def attach(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Let the loop call ``poll`` whenever something comes: while no robot does."""
-        if self._loop is not None or self._epoll is None:
-            return
-        self._loop = loop
-        loop.add_reader(self._epoll.fileno(), self.poll)
-        self._tick()
-
-    def detach(self) -> None:
-        """End ``attach``: the robot's cycle calls ``poll`` from now on."""
-        if self._loop is None:
-            return
-        if self._epoll is not None:
-            self._loop.remove_reader(self._epoll.fileno())
-        if self._ticker is not None:
-            self._ticker.cancel()
-            self._ticker = None
-        self._loop = None
 
     def invite(self, loop: asyncio.AbstractEventLoop, until_ns: int, budget: int) -> None:
         """Let the loop handle what comes between two cycles; nobody waits for the next one.
@@ -262,11 +240,6 @@ class CommandPort:
             "control": self._lease.holder,
             "counters": dict(self.counters) | _kernel_drops(self._datagrams),
         }
-
-    def _tick(self) -> None:
-        self._send_events()
-        if self._loop is not None:
-            self._ticker = self._loop.call_later(TICK_S, self._tick)
 
     def _watch(self, watched: socket.socket) -> socket.socket:
         watched.setblocking(False)

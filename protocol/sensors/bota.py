@@ -38,7 +38,6 @@ STATUS_RAW = 1 << 3
 
 _PAYLOAD = struct.Struct("<H6fIf")
 _FRAME = struct.Struct("<xH6fIf2x")
-_SINC_US = 19.53125
 
 
 class BotaDecoder(WrenchDecoder):
@@ -131,11 +130,6 @@ class BotaSettings:
             raise WrenchError(f"bota: sinc is {self.sinc}, not within 51..512")
         if self.baud_rate not in BOTA_BAUD_RATES:
             raise WrenchError(f"bota: baud rate {self.baud_rate} is none of {BOTA_BAUD_RATES}")
-
-    @property
-    def sample_time(self) -> float:
-        """Time between two frames [s]."""
-        return self.sinc * _SINC_US * 1e-6
 
     def commands(self) -> tuple[bytes, ...]:
         """The dialogue's commands in order: configure, communication, filter, run."""

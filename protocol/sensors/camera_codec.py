@@ -23,7 +23,6 @@ MAX_DATAGRAM_BYTES = 1199
 """A message is under 1200 bytes, so that no network fragments it."""
 
 QUATERNION_TOLERANCE = 1e-3
-COVARIANCE_FLOATS = 21
 _DIAGONAL = (0, 6, 11, 15, 18, 20)
 
 _Name = Annotated[str, Meta(min_length=1, max_length=64)]

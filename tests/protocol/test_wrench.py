@@ -299,7 +299,6 @@ def test_bota_settings_arrive_at_the_device() -> None:
     talk(host, sensor, 4)
     assert sensor.settings == settings
     assert sensor.refused == 0
-    assert sensor.settings.sample_time == pytest.approx(1.25e-3)
 
 
 def test_the_bota_dialogue_is_the_makers() -> None:

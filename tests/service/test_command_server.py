@@ -21,7 +21,7 @@ from linemate.daemon.service.command_server import (
     LocalDoor,
     UdpDoor,
 )
-from linemate.daemon.transport.client import Client, NoAnswerError, RefusedError
+from linemate.daemon.transport.client import Client, RefusedError
 from linemate.protocol.command.authenticated import CommandClient
 from linemate.protocol.command.client_core import Answer, Telemetry
 from linemate.protocol.command.frame_codec import FrameType, Role, cut_local, local_body
@@ -461,28 +461,6 @@ def test_telemetry_that_raises_is_logged_once_and_harms_nobody(
             port.poll()
         assert port.counters["telemetry_errors"] == 3
     assert caplog.text.count("telemetry failed") == 1
-
-
-def test_the_loop_serves_while_no_robot_does_and_lets_go_when_asked(tmp_path: Path) -> None:
-    async def run() -> None:
-        loop = asyncio.get_running_loop()
-        with open_port(tmp_path, (ALICE,)) as port:
-            port.attach(loop)
-            port.attach(loop)
-            for client in (
-                Client.local(tmp_path / "command.sock"),
-                Client.udp(*(port.udp_address or ("", 0)), ALICE),
-            ):
-                with client:
-                    assert await asyncio.to_thread(client.call, "status") == {"did": "status"}
-            port.detach()
-            with Client.local(tmp_path / "command.sock") as client:
-                with pytest.raises(NoAnswerError):
-                    await asyncio.to_thread(client.call, "status", None, 0.05)
-                port.poll()
-                port.poll()
-
-    asyncio.run(run())
 
 
 def test_closing_ends_every_conversation(tmp_path: Path) -> None:
