@@ -20,7 +20,7 @@ Peer = tuple[str, int | None]
 """Numeric address; port, None for any."""
 
 
-class Judgement(StrEnum):
+class SenderRole(StrEnum):
     """What becomes of a datagram."""
 
     HEARD = auto()
@@ -75,18 +75,18 @@ class CameraPeer:
         self._candidate: Address | None = None
         self._row = 0
 
-    def judge(self, source: Address, stamp_ns: int) -> Judgement:
+    def judge(self, source: Address, stamp_ns: int) -> SenderRole:
         """Return what becomes of a datagram.
 
         Args:
             stamp_ns: when it came [ns].
         """
         if not self._may_be(source):
-            return Judgement.FOREIGN
+            return SenderRole.FOREIGN
         if self.present is None or source in {self.camera, self.present}:
-            return Judgement.HEARD
+            return SenderRole.HEARD
         is_silent = stamp_ns - self._last_ns >= self._takeover_ns
-        return Judgement.CANDIDATE if is_silent else Judgement.FOREIGN
+        return SenderRole.CANDIDATE if is_silent else SenderRole.FOREIGN
 
     def good(self, source: Address, stamp_ns: int) -> bool:
         """Note a good pose of a sender that was not judged foreign.

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from linemate.drivers.backoff import Backoff
-from linemate.drivers.camera_peer import TAKEOVER_S, CameraPeer, Judgement, Peer
+from linemate.drivers.camera_peer import TAKEOVER_S, CameraPeer, Peer, SenderRole
 from linemate.drivers.datagrams import Address, Datagram, DatagramLink, DatagramSocket
 from linemate.drivers.sole_sender import SoleSender
 from linemate.protocol.errors import ProtocolError
@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 OnCamera = Callable[[CameraSample], None]
 
 
-class Decoder(Protocol):
+class PoseDecoder(Protocol):
     """What the link needs of a camera codec."""
 
     def feed(self, data: bytes, stamp_ns: int) -> CameraSample | None:
@@ -52,7 +52,7 @@ class CameraLink(DatagramLink):
 
     def __init__(
         self,
-        decoder: Decoder,
+        decoder: PoseDecoder,
         on_sample: OnCamera,
         host: str = "127.0.0.1",
         port: int = 0,
@@ -65,7 +65,7 @@ class CameraLink(DatagramLink):
         super().__init__(name, host, port, backoff)
         self._fresh = copy.deepcopy(decoder)  # what each further sender begins with
         self._decoder = decoder
-        self._decoders: dict[Address, Decoder] = {}
+        self._decoders: dict[Address, PoseDecoder] = {}
         self._peer = CameraPeer(peer, IN_A_ROW)
         self._warned_ns: int | None = None
         self._on_sample = on_sample
@@ -90,7 +90,7 @@ class CameraLink(DatagramLink):
             return
         source, stamp_ns = datagram.source, datagram.stamp_ns
         judgement = self._peer.judge(source, stamp_ns)
-        if judgement is Judgement.FOREIGN:
+        if judgement is SenderRole.FOREIGN:
             self._refuse(source, stamp_ns)
             return
         try:
@@ -104,7 +104,7 @@ class CameraLink(DatagramLink):
             return
         if self._peer.good(source, stamp_ns):
             self._changed(source)
-        if judgement is Judgement.CANDIDATE and self._peer.present != source:
+        if judgement is SenderRole.CANDIDATE and self._peer.present != source:
             self.counters["foreign"] += 1
             return
         self.counters["samples"] += 1
@@ -115,7 +115,7 @@ class CameraLink(DatagramLink):
             self._sole.good(transport, source)
         self._deliver(sample)
 
-    def _decoder_of(self, source: Address) -> Decoder:
+    def _decoder_of(self, source: Address) -> PoseDecoder:
         """Return a sender's own decoder: numbers and clock of one are nothing to another."""
         if self._peer.camera is None:
             return self._decoder

@@ -47,7 +47,7 @@ Path = Literal["auto", "descriptor", "thread"]
 Received = tuple[can.Message, int]
 
 
-class Decoder(Protocol):
+class CanDecoder(Protocol):
     """What the link needs of a distance codec."""
 
     def decode(
@@ -69,7 +69,7 @@ class CanLink(KeptLink):
     def __init__(
         self,
         can_config: Mapping[str, object],
-        decoder: Decoder,
+        decoder: CanDecoder,
         on_sample: OnDistance,
         *,
         name: str = "distance",

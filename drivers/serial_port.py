@@ -110,7 +110,7 @@ class SerialLink(KeptLink):
         self._transport: asyncio.WriteTransport | None = None
 
     async def _live_once(self) -> str:
-        line = _Line(self._received)
+        line = _SerialProtocol(self._received)
         try:
             transport = await self._connect(line)
         except Exception as error:  # noqa: BLE001 - a transport plug-in may raise anything
@@ -124,7 +124,7 @@ class SerialLink(KeptLink):
             transport.abort()
             await asyncio.wait([line.lost], timeout=OPEN_S)
 
-    async def _connect(self, line: "_Line") -> asyncio.WriteTransport:
+    async def _connect(self, line: "_SerialProtocol") -> asyncio.WriteTransport:
         loop = asyncio.get_running_loop()
         connecting = serialx.create_serial_connection(
             loop, lambda: line, self._url, baudrate=self._baudrate
@@ -143,7 +143,7 @@ class SerialLink(KeptLink):
         else:
             self._send(self._host.begin(now_ns).send)
 
-    async def _watch(self, line: "_Line") -> str:
+    async def _watch(self, line: "_SerialProtocol") -> str:
         """Wait for the end of the line; look after silence meanwhile."""
         while True:
             await asyncio.wait([line.lost], timeout=LOOK_S)
@@ -223,7 +223,7 @@ class SerialLink(KeptLink):
             log.exception("%s: a sample's receiver failed", self.status.name)
 
 
-class _Line(asyncio.Protocol):
+class _SerialProtocol(asyncio.Protocol):
     """The asyncio side of one opening of the line."""
 
     def __init__(self, on_data: Callable[[bytes], None]) -> None:

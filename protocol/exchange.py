@@ -13,21 +13,6 @@ from enum import StrEnum
 
 from msgspec import Struct
 
-from linemate.protocol.exchange_controller import ControllerCounts, ControllerExchange, Judgement
-
-__all__ = [
-    "TABLE",
-    "ControllerCounts",
-    "ControllerExchange",
-    "Event",
-    "Exchange",
-    "Judgement",
-    "Kind",
-    "State",
-    "Transition",
-    "Verdict",
-]
-
 WINDOW = 100
 """Cycles that an accepted telegram may lie ahead of the last one."""
 
@@ -41,7 +26,7 @@ SESSION_GAP_S = 2.0
 PEER_GAP_S = 0.1
 
 
-class Kind(StrEnum):
+class TelegramKind(StrEnum):
     """What a telegram is."""
 
     FIRST = "first"
@@ -54,7 +39,7 @@ class Kind(StrEnum):
     REFUSED = "refused"
 
 
-class State(StrEnum):
+class ExchangeState(StrEnum):
     """Where the exchange is."""
 
     IDLE = "no telegram yet"
@@ -62,7 +47,7 @@ class State(StrEnum):
     RUNNING = "a session with its step"
 
 
-class Event(StrEnum):
+class TelegramEvent(StrEnum):
     """What a telegram looks like from where the exchange is."""
 
     OPENING = "nothing before it, or silence, or another peer after the first one's end"
@@ -83,44 +68,50 @@ class Event(StrEnum):
 class Transition:
     """One entry of the table: the next state, the verdict, whether to answer."""
 
-    state: State
-    kind: Kind
+    state: ExchangeState
+    kind: TelegramKind
     answer: bool
 
 
-def _in_session(state: State) -> dict[Event, Transition]:
+def _in_session(state: ExchangeState) -> dict[TelegramEvent, Transition]:
     """What LEARNING and RUNNING have in common."""
     return {
-        Event.OPENING: Transition(State.LEARNING, Kind.NEW_SESSION, answer=True),
-        Event.FOREIGN: Transition(state, Kind.REFUSED, answer=False),
-        Event.NEXT: Transition(state, Kind.NORMAL, answer=True),
-        Event.AHEAD: Transition(state, Kind.GAP, answer=True),
-        Event.OVERDUE: Transition(state, Kind.LATE, answer=True),
-        Event.SAME: Transition(state, Kind.DUPLICATE, answer=False),
-        Event.MISSED: Transition(state, Kind.LATE, answer=False),
-        Event.OLDER: Transition(state, Kind.BACKWARD, answer=False),
-        Event.STRAY: Transition(state, Kind.REFUSED, answer=False),
-        Event.RESYNC: Transition(State.RUNNING, Kind.NEW_SESSION, answer=True),
+        TelegramEvent.OPENING: Transition(
+            ExchangeState.LEARNING, TelegramKind.NEW_SESSION, answer=True
+        ),
+        TelegramEvent.FOREIGN: Transition(state, TelegramKind.REFUSED, answer=False),
+        TelegramEvent.NEXT: Transition(state, TelegramKind.NORMAL, answer=True),
+        TelegramEvent.AHEAD: Transition(state, TelegramKind.GAP, answer=True),
+        TelegramEvent.OVERDUE: Transition(state, TelegramKind.LATE, answer=True),
+        TelegramEvent.SAME: Transition(state, TelegramKind.DUPLICATE, answer=False),
+        TelegramEvent.MISSED: Transition(state, TelegramKind.LATE, answer=False),
+        TelegramEvent.OLDER: Transition(state, TelegramKind.BACKWARD, answer=False),
+        TelegramEvent.STRAY: Transition(state, TelegramKind.REFUSED, answer=False),
+        TelegramEvent.RESYNC: Transition(
+            ExchangeState.RUNNING, TelegramKind.NEW_SESSION, answer=True
+        ),
     }
 
 
-TABLE: dict[State, dict[Event, Transition]] = {
-    State.IDLE: {Event.OPENING: Transition(State.LEARNING, Kind.FIRST, answer=True)},
-    State.LEARNING: {
-        **_in_session(State.LEARNING),
-        Event.SETTLED: Transition(State.RUNNING, Kind.NORMAL, answer=True),
+TABLE: dict[ExchangeState, dict[TelegramEvent, Transition]] = {
+    ExchangeState.IDLE: {
+        TelegramEvent.OPENING: Transition(ExchangeState.LEARNING, TelegramKind.FIRST, answer=True)
     },
-    State.RUNNING: {
-        **_in_session(State.RUNNING),
-        Event.RESUME: Transition(State.RUNNING, Kind.GAP, answer=True),
+    ExchangeState.LEARNING: {
+        **_in_session(ExchangeState.LEARNING),
+        TelegramEvent.SETTLED: Transition(ExchangeState.RUNNING, TelegramKind.NORMAL, answer=True),
+    },
+    ExchangeState.RUNNING: {
+        **_in_session(ExchangeState.RUNNING),
+        TelegramEvent.RESUME: Transition(ExchangeState.RUNNING, TelegramKind.GAP, answer=True),
     },
 }
 
-_KNOWN = frozenset({Event.SAME, Event.MISSED})
-_DOUBTFUL = _KNOWN | {Event.OLDER, Event.STRAY}
+_KNOWN = frozenset({TelegramEvent.SAME, TelegramEvent.MISSED})
+_DOUBTFUL = _KNOWN | {TelegramEvent.OLDER, TelegramEvent.STRAY}
 
 
-class Verdict(Struct, frozen=True):
+class TelegramDecision(Struct, frozen=True):
     """What to do with one telegram.
 
     Attributes:
@@ -133,7 +124,7 @@ class Verdict(Struct, frozen=True):
         step: the learned IPOC step, None while unknown.
     """
 
-    kind: Kind
+    kind: TelegramKind
     answer: bool
     missed: int
     steps: int
@@ -142,7 +133,7 @@ class Verdict(Struct, frozen=True):
 
 
 @dataclass(slots=True)
-class _Line:
+class _TelegramLine:
     """The last telegrams, accepted or not, as far as they are equally far apart.
 
     Attributes:
@@ -211,7 +202,7 @@ class Exchange:
         self._peer_gap_ns = round(peer_gap_s * 1e9)
         # IPOC counts milliseconds on a real controller and cycles in some simulators.
         self._reach = WINDOW * max(1, round(cycle_s * 1e3))
-        self._counts = dict.fromkeys(Kind, 0)
+        self._counts = dict.fromkeys(TelegramKind, 0)
         self._missed_total = 0
         self._overdue_total = 0
         self._session = 0
@@ -219,7 +210,7 @@ class Exchange:
 
     def reset(self) -> None:
         """Forget the session; the next telegram is a first one. Counters stay."""
-        self._state = State.IDLE
+        self._state = ExchangeState.IDLE
         self._peer: Hashable = None
         self._step: int | None = None
         self._last_ipoc = 0
@@ -231,10 +222,10 @@ class Exchange:
         self._made = 0
         self._delta: int | None = None
         self._missed: frozenset[int] = frozenset()
-        self._line = _Line()
+        self._line = _TelegramLine()
 
     @property
-    def state(self) -> State:
+    def state(self) -> ExchangeState:
         """Where the exchange is."""
         return self._state
 
@@ -246,7 +237,7 @@ class Exchange:
     @property
     def settled_step(self) -> int | None:
         """The learned IPOC step once it is sure, None before."""
-        return self._step if self._state is State.RUNNING else None
+        return self._step if self._state is ExchangeState.RUNNING else None
 
     @property
     def session(self) -> int:
@@ -265,7 +256,7 @@ class Exchange:
 
     def silence_ns(self, now_ns: int) -> int | None:
         """Time since the last accepted telegram [ns], None before the first."""
-        return None if self._state is State.IDLE else now_ns - self._last_ns
+        return None if self._state is ExchangeState.IDLE else now_ns - self._last_ns
 
     def resume(self, step: int) -> None:
         """Go on with a known step: the session that has begun is the one that was before.
@@ -273,7 +264,7 @@ class Exchange:
         Args:
             step: what the IPOC grows by each cycle.
         """
-        self._step, self._state = step, State.RUNNING
+        self._step, self._state = step, ExchangeState.RUNNING
 
     def would_open(self, stamp_ns: int, peer: Hashable) -> bool:
         """Whether a telegram would begin a session, whatever its counter.
@@ -281,7 +272,7 @@ class Exchange:
         Args:
             stamp_ns: its arrival [ns].
         """
-        if self._state is State.IDLE or peer != self._peer:
+        if self._state is ExchangeState.IDLE or peer != self._peer:
             return True
         return stamp_ns - self._last_ns >= self._session_gap_ns
 
@@ -291,17 +282,17 @@ class Exchange:
         Returns:
             What ``on_telegram`` will call normal, asking for one step; None if there is no such.
         """
-        if self._state is not State.RUNNING or self._made or self._step is None:
+        if self._state is not ExchangeState.RUNNING or self._made or self._step is None:
             return None
         return self._last_ipoc + self._step, self._peer
 
     def on_missing(self) -> None:
         """The clock made a step because no telegram came in its time."""
-        if self._state is not State.IDLE:
+        if self._state is not ExchangeState.IDLE:
             self._overdue_total += 1
             self._made = min(self._made + 1, WINDOW)
 
-    def on_telegram(self, ipoc: int, stamp_ns: int, peer: Hashable = None) -> Verdict:
+    def on_telegram(self, ipoc: int, stamp_ns: int, peer: Hashable = None) -> TelegramDecision:
         """Judge one telegram.
 
         Args:
@@ -314,57 +305,59 @@ class Exchange:
         self._state = transition.state
         self._counts[transition.kind] += 1
         self._missed_total += missed
-        return Verdict(transition.kind, transition.answer, missed, steps, self._session, self._step)
+        return TelegramDecision(
+            transition.kind, transition.answer, missed, steps, self._session, self._step
+        )
 
-    def _classify(self, ipoc: int, stamp_ns: int, peer: Hashable) -> Event:
-        if self._state is State.IDLE:
-            return Event.OPENING
+    def _classify(self, ipoc: int, stamp_ns: int, peer: Hashable) -> TelegramEvent:
+        if self._state is ExchangeState.IDLE:
+            return TelegramEvent.OPENING
         if peer != self._peer:
             alive = stamp_ns - self._heard_ns < self._peer_gap_ns
-            return Event.FOREIGN if alive else Event.OPENING
+            return TelegramEvent.FOREIGN if alive else TelegramEvent.OPENING
         self._heard_ns = stamp_ns
         if stamp_ns - self._last_ns >= self._session_gap_ns:
-            return Event.OPENING
+            return TelegramEvent.OPENING
         event = self._place(ipoc, stamp_ns)
         known = event in _KNOWN and stamp_ns - self._last_ns < self._peer_gap_ns
         in_line = self._line.extend(ipoc, stamp_ns, self._reach, self._cycle_ns, known=known)
         if event not in _DOUBTFUL or not in_line:
             return event
         if self._goes_on(ipoc, stamp_ns):
-            return Event.RESUME
+            return TelegramEvent.RESUME
         # Missed telegrams that arrive late are in one line too, up to the one accepted before
         # them. No session begins with those, unless all has been silent for longer.
-        return Event.RESYNC if self._line.is_new else event
+        return TelegramEvent.RESYNC if self._line.is_new else event
 
-    def _place(self, ipoc: int, stamp_ns: int) -> Event:
+    def _place(self, ipoc: int, stamp_ns: int) -> TelegramEvent:
         delta = ipoc - self._last_ipoc
         if delta == 0:
-            return Event.SAME
+            return TelegramEvent.SAME
         if delta < 0:
-            return Event.MISSED if ipoc in self._missed else Event.OLDER
+            return TelegramEvent.MISSED if ipoc in self._missed else TelegramEvent.OLDER
         passed = (stamp_ns - self._last_ns) // self._cycle_ns
-        if self._state is State.LEARNING or self._step is None:
+        if self._state is ExchangeState.LEARNING or self._step is None:
             return self._place_learning(delta, passed)
         cycles, rest = divmod(delta, self._step)
         if rest or cycles > min(WINDOW, passed + SLACK):
-            return Event.STRAY
+            return TelegramEvent.STRAY
         if (ipoc - self._anchor_ipoc) // self._step <= self._made:
-            return Event.OVERDUE
-        return Event.NEXT if cycles == 1 else Event.AHEAD
+            return TelegramEvent.OVERDUE
+        return TelegramEvent.NEXT if cycles == 1 else TelegramEvent.AHEAD
 
-    def _place_learning(self, delta: int, passed: int) -> Event:
+    def _place_learning(self, delta: int, passed: int) -> TelegramEvent:
         """Two equal differences in a row settle the step; before that the last one is it."""
         if delta > self._reach:
-            return Event.STRAY
+            return TelegramEvent.STRAY
         if delta in {self._delta, self._step}:
-            return Event.SETTLED
+            return TelegramEvent.SETTLED
         if self._step is None or delta % self._step or delta // self._step > passed + 1:
-            return Event.NEXT
-        return Event.AHEAD
+            return TelegramEvent.NEXT
+        return TelegramEvent.AHEAD
 
     def _goes_on(self, ipoc: int, stamp_ns: int) -> bool:
         """Does the doubtful line continue the one that was confirmed last?"""
-        if self._state is not State.RUNNING or self._line.step != self._step:
+        if self._state is not ExchangeState.RUNNING or self._line.step != self._step:
             return False
         cycles, rest = divmod(ipoc - self._anchor_ipoc, self._line.step)
         if rest or not 0 < cycles <= WINDOW:
@@ -380,22 +373,29 @@ class Exchange:
         passed = (stamp_ns - self._anchor_ns) / self._cycle_ns
         return abs(passed - (ipoc - self._anchor_ipoc) / self._line.step)
 
-    def _apply(self, event: Event, ipoc: int, stamp_ns: int, peer: Hashable) -> tuple[int, int]:
+    def _apply(
+        self, event: TelegramEvent, ipoc: int, stamp_ns: int, peer: Hashable
+    ) -> tuple[int, int]:
         """Remember the telegram; the missed cycles before it and the steps to make."""
         match event:
-            case Event.OPENING | Event.RESYNC:
+            case TelegramEvent.OPENING | TelegramEvent.RESYNC:
                 self._open(event, ipoc, stamp_ns, peer)
                 return 0, 1
-            case Event.NEXT | Event.SETTLED | Event.AHEAD | Event.OVERDUE:
+            case (
+                TelegramEvent.NEXT
+                | TelegramEvent.SETTLED
+                | TelegramEvent.AHEAD
+                | TelegramEvent.OVERDUE
+            ):
                 return self._accept(event, ipoc, stamp_ns)
-            case Event.RESUME:
+            case TelegramEvent.RESUME:
                 return self._resume(ipoc, stamp_ns)
-            case Event.MISSED:
+            case TelegramEvent.MISSED:
                 self._missed -= {ipoc}
         return 0, 0
 
-    def _open(self, event: Event, ipoc: int, stamp_ns: int, peer: Hashable) -> None:
-        line = self._line if event is Event.RESYNC else _Line(ipoc, 0, 1)
+    def _open(self, event: TelegramEvent, ipoc: int, stamp_ns: int, peer: Hashable) -> None:
+        line = self._line if event is TelegramEvent.RESYNC else _TelegramLine(ipoc, 0, 1)
         self.reset()
         self._line = line
         self._session += 1
@@ -409,10 +409,10 @@ class Exchange:
         self._last_ipoc = self._anchor_ipoc = ipoc
         self._last_ns = self._anchor_ns = stamp_ns
 
-    def _accept(self, event: Event, ipoc: int, stamp_ns: int) -> tuple[int, int]:
+    def _accept(self, event: TelegramEvent, ipoc: int, stamp_ns: int) -> tuple[int, int]:
         delta = ipoc - self._last_ipoc
-        if self._state is State.LEARNING:
-            if event is not Event.AHEAD:
+        if self._state is ExchangeState.LEARNING:
+            if event is not TelegramEvent.AHEAD:
                 self._step = delta
             self._delta = delta
         step = self._step or delta
@@ -421,7 +421,7 @@ class Exchange:
         self._made -= (self._last_ipoc - self._anchor_ipoc) // step
         steps = max(0, cycles - self._made)
         self._made += steps
-        if cycles == 1 or self._state is State.LEARNING:
+        if cycles == 1 or self._state is ExchangeState.LEARNING:
             self._made -= cycles
             self._trust(ipoc, stamp_ns)
         else:

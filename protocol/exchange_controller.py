@@ -24,7 +24,7 @@ class Judgement(StrEnum):
     MISSING = "missing"
 
 
-class State(StrEnum):
+class ControllerState(StrEnum):
     """Where the exchange is."""
 
     BETWEEN = "no cycle open"
@@ -33,7 +33,7 @@ class State(StrEnum):
     BROKEN = "broken off"
 
 
-class Event(StrEnum):
+class ReplyEvent(StrEnum):
     """What happens."""
 
     OPEN = "a cycle begins"
@@ -47,41 +47,44 @@ class Event(StrEnum):
     UNREADABLE = "malformed, or of another SENTYPE"
 
 
-_REPLIES = (Event.OLD, Event.REPEATED, Event.WRONG, Event.UNREADABLE)
+_REPLIES = (ReplyEvent.OLD, ReplyEvent.REPEATED, ReplyEvent.WRONG, ReplyEvent.UNREADABLE)
 
 
-def _same(state: State) -> dict[Event, State]:
+def _same(state: ControllerState) -> dict[ReplyEvent, ControllerState]:
     """Replies that change nothing but the counters."""
     return dict.fromkeys(_REPLIES, state)
 
 
-TABLE: dict[State, dict[Event, State]] = {
-    State.BETWEEN: {
-        Event.OPEN: State.WAITING,
-        Event.BREAK: State.BROKEN,
-        **_same(State.BETWEEN),
+TABLE: dict[ControllerState, dict[ReplyEvent, ControllerState]] = {
+    ControllerState.BETWEEN: {
+        ReplyEvent.OPEN: ControllerState.WAITING,
+        ReplyEvent.BREAK: ControllerState.BROKEN,
+        **_same(ControllerState.BETWEEN),
     },
-    State.WAITING: {
-        Event.CLOSE: State.BETWEEN,
-        Event.GOOD: State.ANSWERED,
-        Event.OVERDUE: State.WAITING,
-        **_same(State.WAITING),
+    ControllerState.WAITING: {
+        ReplyEvent.CLOSE: ControllerState.BETWEEN,
+        ReplyEvent.GOOD: ControllerState.ANSWERED,
+        ReplyEvent.OVERDUE: ControllerState.WAITING,
+        **_same(ControllerState.WAITING),
     },
-    State.ANSWERED: {Event.CLOSE: State.BETWEEN, **_same(State.ANSWERED)},
-    State.BROKEN: _same(State.BROKEN),
+    ControllerState.ANSWERED: {
+        ReplyEvent.CLOSE: ControllerState.BETWEEN,
+        **_same(ControllerState.ANSWERED),
+    },
+    ControllerState.BROKEN: _same(ControllerState.BROKEN),
 }
 
-JUDGEMENTS: dict[Event, Judgement] = {
-    Event.GOOD: Judgement.ACCEPTED,
-    Event.OVERDUE: Judgement.LATE,
-    Event.OLD: Judgement.LATE,
-    Event.REPEATED: Judgement.DUPLICATE,
-    Event.WRONG: Judgement.WRONG_IPOC,
-    Event.UNREADABLE: Judgement.REFUSED,
+JUDGEMENTS: dict[ReplyEvent, Judgement] = {
+    ReplyEvent.GOOD: Judgement.ACCEPTED,
+    ReplyEvent.OVERDUE: Judgement.LATE,
+    ReplyEvent.OLD: Judgement.LATE,
+    ReplyEvent.REPEATED: Judgement.DUPLICATE,
+    ReplyEvent.WRONG: Judgement.WRONG_IPOC,
+    ReplyEvent.UNREADABLE: Judgement.REFUSED,
 }
 
 
-_OPEN = frozenset({State.WAITING, State.ANSWERED})
+_OPEN = frozenset({ControllerState.WAITING, ControllerState.ANSWERED})
 _REPLIED = frozenset({Judgement.ACCEPTED, Judgement.LATE})
 
 
@@ -162,7 +165,7 @@ class ControllerExchange:
 
     def restart(self, first_ipoc: int) -> None:
         """Begin a new session, as an operator who starts the programme again; counts stay."""
-        self._state = State.BETWEEN
+        self._state = ControllerState.BETWEEN
         self._first = self._next = first_ipoc
         self._delay = 0
         self._row = 0
@@ -170,14 +173,14 @@ class ControllerExchange:
         self._cycles: dict[int, _Cycle] = {}
 
     @property
-    def state(self) -> State:
+    def state(self) -> ControllerState:
         """Where the exchange is."""
         return self._state
 
     @property
     def broken(self) -> bool:
         """True once the time-out was exceeded: no more telegrams until :meth:`restart`."""
-        return self._state is State.BROKEN
+        return self._state is ControllerState.BROKEN
 
     @property
     def delay(self) -> int:
@@ -202,7 +205,7 @@ class ControllerExchange:
         self.close_cycle()
         if self.broken:
             return self._next - self._step
-        self._move(Event.OPEN)
+        self._move(ReplyEvent.OPEN)
         ipoc = self._next
         self._next += self._step
         self._counts.sent += 1
@@ -227,55 +230,55 @@ class ControllerExchange:
 
     def on_unreadable(self) -> Judgement:
         """Judge a reply that is malformed or of another SENTYPE."""
-        self._move(Event.UNREADABLE)
+        self._move(ReplyEvent.UNREADABLE)
         self._counts.unreadable += 1
         self._blame()
-        return JUDGEMENTS[Event.UNREADABLE]
+        return JUDGEMENTS[ReplyEvent.UNREADABLE]
 
     def close_cycle(self) -> Judgement | None:
         """End the open cycle and charge it: what became of it, None if none was open."""
         if self._state not in _OPEN:
             return None
         cycle = self._cycles[self._next - self._step]
-        self._move(Event.CLOSE)
+        self._move(ReplyEvent.CLOSE)
         answered = cycle.outcome is Judgement.ACCEPTED
         self._tally(cycle.outcome, 1)
         self._row = 0 if answered else self._row + self._charged
         if cycle.faulty or not answered:
             self._delay += self._charged
         if (self._delay if self._rule == "total" else self._row) > self._timeout:
-            self._move(Event.BREAK)
+            self._move(ReplyEvent.BREAK)
         return cycle.outcome
 
     @property
     def _charged(self) -> int:
         return 0 if self._patient and not self._heard else 1
 
-    def _move(self, event: Event) -> None:
+    def _move(self, event: ReplyEvent) -> None:
         self._state = TABLE[self._state][event]
 
-    def _classify(self, ipoc: int, *, overdue: bool) -> Event:
+    def _classify(self, ipoc: int, *, overdue: bool) -> ReplyEvent:
         behind = self._next - self._step - ipoc
         if behind < 0 or behind % self._step or ipoc < self._first:
-            return Event.WRONG
+            return ReplyEvent.WRONG
         cycle = self._cycles.get(ipoc)
         if cycle is not None and cycle.outcome in _REPLIED:
-            return Event.REPEATED
-        if behind or self._state is not State.WAITING:
-            return Event.OLD
-        return Event.OVERDUE if overdue else Event.GOOD
+            return ReplyEvent.REPEATED
+        if behind or self._state is not ControllerState.WAITING:
+            return ReplyEvent.OLD
+        return ReplyEvent.OVERDUE if overdue else ReplyEvent.GOOD
 
-    def _count(self, event: Event, ipoc: int) -> None:
+    def _count(self, event: ReplyEvent, ipoc: int) -> None:
         """What a reply changes in the record of its cycle, or of the open one."""
         match event:
-            case Event.GOOD:
+            case ReplyEvent.GOOD:
                 self._heard = True
                 self._cycles[ipoc].outcome = Judgement.ACCEPTED
-            case Event.OVERDUE:
+            case ReplyEvent.OVERDUE:
                 self._cycles[ipoc].outcome = Judgement.LATE
-            case Event.OLD:
+            case ReplyEvent.OLD:
                 self._count_old(ipoc)
-            case Event.REPEATED:
+            case ReplyEvent.REPEATED:
                 self._counts.duplicate += 1
             case _:
                 self._counts.wrong_ipoc += 1

@@ -12,7 +12,7 @@ from linemate.daemon.service.command_server import CommandPort, LocalDoor, UdpDo
 from linemate.protocol.command.authenticated import CommandClient, CommandServer
 from linemate.protocol.command.client_core import Answer, ClientCore, More
 from linemate.protocol.command.frame_codec import Role
-from linemate.protocol.command.preshared_keys import Key, make_key
+from linemate.protocol.command.preshared_keys import PresharedKey, make_key
 
 MS = 1_000_000
 S = 1_000_000_000
@@ -25,7 +25,7 @@ def secret_of(seed: int) -> bytes:
     return bytes((seed * 37 + i * 11) % 256 for i in range(32))
 
 
-def key_of(name: str = "alice", role: Role = Role.OPERATE, seed: int = 1) -> Key:
+def key_of(name: str = "alice", role: Role = Role.OPERATE, seed: int = 1) -> PresharedKey:
     return make_key(name, role, secret_of(seed))
 
 
@@ -48,7 +48,7 @@ def nothing(op: str, params: Mapping[str, Any], role: str, who: str) -> dict[str
 class World:
     """A server, its handler and a clock in memory; counts what was carried out."""
 
-    keys: tuple[Key, ...] = (key_of(),)
+    keys: tuple[PresharedKey, ...] = (key_of(),)
     handle: Callable[[str, Mapping[str, Any], str, str], dict[str, Any]] = nothing
     now_ns: int = START_NS
     done: list[tuple[str, str]] = field(default_factory=list)
@@ -68,7 +68,7 @@ class World:
                 replies.append(answer)
         return replies
 
-    def client(self, key: Key | None = None, *, ready: bool = True) -> CommandClient:
+    def client(self, key: PresharedKey | None = None, *, ready: bool = True) -> CommandClient:
         client = CommandClient(key or self.keys[0], next(_sessions))
         if ready:
             for reply in self.deliver(client.hello(self.now_ns), client_address(client)):
@@ -100,7 +100,7 @@ def client_address(client: ClientCore) -> object:
 @contextmanager
 def open_port(
     tmp_path: Path,
-    keys: tuple[Key, ...] = (),
+    keys: tuple[PresharedKey, ...] = (),
     handle: Callable[[str, dict[str, Any], str, str], Mapping[str, Any]] = nothing,
     telemetry: Callable[[], Mapping[str, Any]] = dict,
 ) -> Iterator[CommandPort]:

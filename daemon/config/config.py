@@ -31,7 +31,7 @@ from linemate.daemon.config.settings_tree import Settings
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.core.control import urdf_limits
 from linemate.drivers.camera_peer import parse_peer
-from linemate.protocol.command.preshared_keys import Key
+from linemate.protocol.command.preshared_keys import PresharedKey
 from linemate.protocol.rsi.codec import RsiCodec
 from linemate.protocol.rsi.ethernet_config import RsiConfig, parse_config
 from linemate.protocol.rsi.xml_scan import RsiError
@@ -71,7 +71,7 @@ class Station:
     task: Task
     rsi: RsiConfig
     dbc: str | None
-    keys: tuple[Key, ...]
+    keys: tuple[PresharedKey, ...]
     texts: dict[str, str] = field(repr=False)
     written: Settings
     state: Path | None = None
@@ -181,7 +181,7 @@ class _Named:
         self.task: Task | None = None
         self.rsi: RsiConfig | None = None
         self.dbc: str | None = None
-        self.keys: tuple[Key, ...] = ()
+        self.keys: tuple[PresharedKey, ...] = ()
         self.texts: dict[str, str] = {}
         self.elsewhere: list[str] = []
         self._decoder: tuple[str, str, str] | None = None

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from linemate.daemon.config.files import UnreadableError
 from linemate.protocol.command.frame_codec import CommandError
-from linemate.protocol.command.preshared_keys import Key, parse_keys, unsafe_file
+from linemate.protocol.command.preshared_keys import PresharedKey, parse_keys, unsafe_file
 
 CREDENTIAL = "credential:"
 MAX_BYTES = 65_536
@@ -29,7 +29,7 @@ def key_path(name: str, base: Path) -> Path:
     return Path(directory) / Path(name.removeprefix(CREDENTIAL)).name
 
 
-def read_keys(path: Path) -> tuple[Key, ...]:
+def read_keys(path: Path) -> tuple[PresharedKey, ...]:
     """Read a key file, which must belong to the daemon's user or root.
 
     Raises:

@@ -28,7 +28,7 @@ from linemate.daemon.cycle.replies import Replies
 from linemate.daemon.cycle.session import Axes, Session, standing
 from linemate.daemon.cycle.states import Machine, State
 from linemate.daemon.cycle.step_log import LONGEST_LOG, LogEntry, StepLog
-from linemate.protocol.exchange import Exchange, Kind, Verdict
+from linemate.protocol.exchange import Exchange, TelegramDecision, TelegramKind
 from linemate.protocol.rsi.codec import PreparedReply, RobotTelegram, RsiCodec, RsiError
 from linemate.protocol.rsi.expected_telegram import ReadyReply
 from linemate.protocol.samples import (
@@ -46,7 +46,7 @@ LONGEST_JUMP = 0.05  # of a joint in the expected telegram [rad]
 PROGRAMMED_S = 1000.0  # a blend as long as that is none [s]
 CATCH_UP_S = 0.3  # steps made at once after a gap, at most
 
-_OPENS = frozenset({Kind.FIRST, Kind.NEW_SESSION})
+_OPENS = frozenset({TelegramKind.FIRST, TelegramKind.NEW_SESSION})
 _MOVES = frozenset({"arm", "start"})
 _SHOWN = (
     "task_time",
@@ -121,7 +121,7 @@ class Cycle:
         self.feeds = Feeds()
         self.session = Session(parameters.cycle_s, absolute=absolute)
         self.following = Following(settings.follow_s, parameters.cycle_s)
-        self.verdict: Verdict | None = None
+        self.verdict: TelegramDecision | None = None
         self.date: Callable[[int, int], int] = lambda stamp_ns, _cycles: stamp_ns
         self.last: LogEntry | None = None
         self._given: LogEntry | None = None
@@ -403,7 +403,7 @@ class Cycle:
         telegram: RobotTelegram,
         robot: RobotSample,
         peer: Hashable,
-        verdict: Verdict,
+        verdict: TelegramDecision,
     ) -> bool:
         """Find out which correction is in force, and open or resume the session if it is known."""
         session, axes = self.session, self._axes(robot)
@@ -462,7 +462,7 @@ class Cycle:
         signals = 0 if self.last is None or self._state is None else self.last.outputs.digital_out
         return self._replies.without_corrections(signals).with_ipoc(ipoc_text)
 
-    def _answer(self, telegram: RobotTelegram, stamp_ns: int, verdict: Verdict) -> bytes:
+    def _answer(self, telegram: RobotTelegram, stamp_ns: int, verdict: TelegramDecision) -> bytes:
         """Return the reply after as many steps as the controller made cycles."""
         session, last, steps = self.session, self.last, verdict.steps
         if verdict.missed:

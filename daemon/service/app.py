@@ -53,7 +53,7 @@ from linemate.drivers.datagrams import Address
 from linemate.drivers.link import NOT_OPENED
 from linemate.drivers.rsi_udp import RsiLink
 from linemate.drivers.serial_port import SerialLink
-from linemate.protocol.exchange import Kind as Telegram
+from linemate.protocol.exchange import TelegramKind as Telegram
 from linemate.protocol.rsi.codec import RsiCodec
 from linemate.protocol.sensors.camera_codec import CameraDecoder
 from linemate.protocol.sensors.distance import DistanceDecoder

@@ -25,10 +25,10 @@ from typing import Any, Final
 from linemate.drivers import port_holder
 from linemate.drivers.sole_sender import attach
 from linemate.protocol.command.authenticated import CommandServer
-from linemate.protocol.command.conversation import REFUSED, ControlLease, Order
+from linemate.protocol.command.conversation import REFUSED, CommandOrder, ControlLease
 from linemate.protocol.command.frame_codec import MAGIC, MAX_FRAME_BYTES, Role
 from linemate.protocol.command.local_server import LocalAccess, LocalServer
-from linemate.protocol.command.preshared_keys import Key
+from linemate.protocol.command.preshared_keys import PresharedKey
 from linemate.protocol.command.requests import OPERATIONS
 
 Result = Mapping[str, Any]
@@ -87,7 +87,7 @@ class UdpDoor:
 
     host: str = "127.0.0.1"
     port: int = 49160
-    keys: tuple[Key, ...] = ()
+    keys: tuple[PresharedKey, ...] = ()
     allow_remote: bool = False
 
 
@@ -184,7 +184,7 @@ class CommandPort:
             self._epoll.close()
             self._epoll = None
 
-    def replace_keys(self, keys: Iterable[Key]) -> None:
+    def replace_keys(self, keys: Iterable[PresharedKey]) -> None:
         """Take a new set of keys (SIGHUP); sessions of keys that are gone end at once."""
         self._server.replace_keys(keys)
 
@@ -327,7 +327,7 @@ class CommandPort:
             self._drop(connection, "ended")
             return True
         said = connection.server.on_message(data, self._now_ns())
-        if not isinstance(said, Order):
+        if not isinstance(said, CommandOrder):
             if said is not None:
                 self._send_local(connection, said)
             return True
@@ -392,7 +392,7 @@ class CommandPort:
                 log.exception("telemetry failed; said once")
             return {}
 
-    def _carry_out(self, order: Order, answer: Callable[[Result | None], None]) -> None:
+    def _carry_out(self, order: CommandOrder, answer: Callable[[Result | None], None]) -> None:
         """Give an order to the handler, and its result to ``answer``: None if that raised."""
         try:
             result = self._handle(order.op, order.params, str(order.role), order.who)
@@ -415,12 +415,12 @@ class CommandPort:
 
         result.add_done_callback(kept)
 
-    def _failed(self, order: Order, error: BaseException) -> None:
+    def _failed(self, order: CommandOrder, error: BaseException) -> None:
         self.counters["handler_errors"] += 1
         log.error("order %s of %s failed", order.op, order.who, exc_info=error)
 
     @staticmethod
-    def _carried_out(order: Order, result: Result) -> Result:
+    def _carried_out(order: CommandOrder, result: Result) -> Result:
         if OPERATIONS[order.op].role is Role.OPERATE:
             outcome = f"refused: {result[REFUSED]}" if REFUSED in result else dict(result)
             log.info("%s ordered %s %r: %r", order.who, order.op, order.params, outcome)

@@ -13,12 +13,12 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from linemate.protocol.command.client_core import Answer, ClientCore, Event, More, Telemetry
+from linemate.protocol.command.client_core import Answer, ClientCore, ClientEvent, More, Telemetry
 from linemate.protocol.command.frame_codec import LOCAL_LIMIT_BYTES, CommandError
 from linemate.protocol.command.local_client import LocalClient
 
 if TYPE_CHECKING:
-    from linemate.protocol.command.preshared_keys import Key
+    from linemate.protocol.command.preshared_keys import PresharedKey
 
 SOCKET_NAME: Final = "linemate/command.sock"
 DEFAULT_PORT: Final = 49160
@@ -71,7 +71,7 @@ def default_key_path() -> Path:
     return Path(base) / "linemate" / "key"
 
 
-def read_key(path: Path, name: str | None = None) -> "Key":
+def read_key(path: Path, name: str | None = None) -> "PresharedKey":
     """Read one key from a key file that nobody else can read.
 
     Args:
@@ -111,7 +111,7 @@ class Client:
     is asked anew where its deadline passed on the way, as on a host that had other work.
     """
 
-    def __init__(self, address: Path | tuple[str, int], key: "Key | None") -> None:
+    def __init__(self, address: Path | tuple[str, int], key: "PresharedKey | None") -> None:
         self._address = address
         self._key = key
         self._socket: socket.socket | None = None
@@ -128,7 +128,7 @@ class Client:
         return cls(Path(path) if path is not None else default_socket_path(), None)
 
     @classmethod
-    def udp(cls, host: str, port: int, key: "Key") -> Self:
+    def udp(cls, host: str, port: int, key: "PresharedKey") -> Self:
         """Return a client of a daemon anywhere, with a pre-shared key."""
         return cls((host, port), key)
 
@@ -277,7 +277,7 @@ class Client:
                 give_up = time.monotonic() + timeout_s
         raise NoAnswerError("no answer in time")
 
-    def _receive(self, until: float) -> Event | None:
+    def _receive(self, until: float) -> ClientEvent | None:
         """Wait for one datagram that means something, None at the time ``until``."""
         if self._socket is None or self._core is None:
             return None

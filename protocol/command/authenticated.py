@@ -11,15 +11,15 @@ from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
-from linemate.protocol.command.client_core import ClientCore, Event, Ready, Sent
-from linemate.protocol.command.conversation import ControlLease, Conversation, Order
+from linemate.protocol.command.client_core import ClientCore
+from linemate.protocol.command.conversation import CommandOrder, ControlLease, Conversation
 from linemate.protocol.command.frame_codec import (
     COOKIE_BYTES,
     HANDSHAKE_BYTES,
     NS_PER_MS,
     ROOM_BYTES,
     CommandError,
-    Frame,
+    CommandFrame,
     FrameType,
     Tagger,
     cut_frame,
@@ -27,24 +27,13 @@ from linemate.protocol.command.frame_codec import (
 )
 from linemate.protocol.command.payloads import encode_result
 from linemate.protocol.command.preshared_keys import (
-    Key,
+    PresharedKey,
     SessionKeys,
     cookie,
     cookie_tagger,
     hello_tagger,
     session_keys,
 )
-
-__all__ = [
-    "CommandClient",
-    "CommandServer",
-    "Event",
-    "Incoming",
-    "Ready",
-    "Received",
-    "ReplayWindow",
-    "Sent",
-]
 
 MAX_SESSIONS: Final = 8
 EPOCH_NS: Final = 10_000_000_000  # a cookie proves freshness for one to two of these
@@ -88,7 +77,7 @@ class Incoming(NamedTuple):
         tag: of the request's frame, to know an exact duplicate by.
     """
 
-    order: Order
+    order: CommandOrder
     key_id: int
     session: int
     tag: bytes
@@ -113,7 +102,7 @@ _Id = tuple[int, int]
 class _KeyState:
     __slots__ = ("cookies", "hellos", "key", "tombstones")
 
-    def __init__(self, key: Key) -> None:
+    def __init__(self, key: PresharedKey) -> None:
         self.key = key
         self.hellos = hello_tagger(key)
         self.cookies = cookie_tagger(key)
@@ -121,7 +110,7 @@ class _KeyState:
 
 
 @dataclass(slots=True)
-class _Session:
+class _ServerSession:
     keys: SessionKeys
     conversation: Conversation
     address: Hashable
@@ -144,7 +133,7 @@ class CommandServer:
 
     def __init__(
         self,
-        keys: Iterable[Key],
+        keys: Iterable[PresharedKey],
         secret_source: Callable[[], bytes],
         lease: ControlLease | None = None,
     ) -> None:
@@ -152,7 +141,7 @@ class CommandServer:
         self._lease = lease if lease is not None else ControlLease()
         self._keys = {key.id: _KeyState(key) for key in keys}
         self._secrets: dict[int, bytes] = {}
-        self._sessions: dict[_Id, _Session] = {}
+        self._sessions: dict[_Id, _ServerSession] = {}
         self.counters: Counter[str] = Counter()
 
     @property
@@ -225,7 +214,7 @@ class CommandServer:
                 datagrams.append((session.keys.to_client.seal(body), session.address))
         return datagrams
 
-    def replace_keys(self, keys: Iterable[Key]) -> None:
+    def replace_keys(self, keys: Iterable[PresharedKey]) -> None:
         """Take a new set of keys; sessions of keys gone or changed end at once."""
         states: dict[int, _KeyState] = {}
         for key in keys:
@@ -240,7 +229,7 @@ class CommandServer:
         # back would find its recorded sessions without their tombstones.
         self._secrets.clear()
 
-    def _on_frame(self, frame: Frame, address: Hashable, now_ns: int) -> Received:
+    def _on_frame(self, frame: CommandFrame, address: Hashable, now_ns: int) -> Received:
         state = self._keys.get(frame.key_id)
         if state is None:
             raise CommandError("unknown_key", str(frame.key_id))
@@ -266,7 +255,7 @@ class CommandServer:
             return NOTHING
         return self._on_request(frame, session, now_ns)
 
-    def _on_hello(self, frame: Frame, state: _KeyState, now_ns: int) -> Received:
+    def _on_hello(self, frame: CommandFrame, state: _KeyState, now_ns: int) -> Received:
         # As long as its answer, so that nobody is flooded through this server.
         if len(frame.body) + len(frame.tag) != HANDSHAKE_BYTES:
             raise CommandError("length", "HELLO")
@@ -278,8 +267,8 @@ class CommandServer:
         return Received((state.cookies.seal(body),))
 
     def _on_stranger(
-        self, frame: Frame, state: _KeyState, address: Hashable, now_ns: int
-    ) -> _Session:
+        self, frame: CommandFrame, state: _KeyState, address: Hashable, now_ns: int
+    ) -> _ServerSession:
         if frame.type is not FrameType.REQUEST:
             raise CommandError("no_session")
         self._bury(state, now_ns)
@@ -293,12 +282,12 @@ class CommandServer:
         conversation = Conversation(
             state.key.name, state.key.role, self._lease, ROOM_BYTES, self.counters
         )
-        session = _Session(keys, conversation, address, now_ns, ReplayWindow(), OrderedDict())
+        session = _ServerSession(keys, conversation, address, now_ns, ReplayWindow(), OrderedDict())
         self._sessions[frame.key_id, frame.session] = session
         self.counters["sessions_made"] += 1
         return session
 
-    def _proven(self, frame: Frame, state: _KeyState, now_ns: int) -> SessionKeys:
+    def _proven(self, frame: CommandFrame, state: _KeyState, now_ns: int) -> SessionKeys:
         epoch = now_ns // EPOCH_NS
         for secret in (self._secret(epoch), self._secrets.get(epoch - 1)):
             if secret is None:
@@ -309,20 +298,20 @@ class CommandServer:
                 return keys
         raise CommandError("no_session")
 
-    def _on_duplicate(self, frame: Frame, session: _Session) -> Received:
+    def _on_duplicate(self, frame: CommandFrame, session: _ServerSession) -> Received:
         tag, reply = session.replies.get(frame.sequence, (b"", b""))
         if tag == frame.tag and reply:
             self.counters["replies_repeated"] += 1
             return Received((reply,))
         raise CommandError("replayed")
 
-    def _on_request(self, frame: Frame, session: _Session, now_ns: int) -> Received:
+    def _on_request(self, frame: CommandFrame, session: _ServerSession, now_ns: int) -> Received:
         said = session.conversation.ask(frame.payload, frame.sequence, now_ns)
-        if isinstance(said, Order):
+        if isinstance(said, CommandOrder):
             return Received(request=Incoming(said, frame.key_id, frame.session, frame.tag))
         return Received((self._sealed(session, frame.key_id, frame.session, said, frame),))
 
-    def _sealed_reply(self, session: _Session, request: Incoming, payload: bytes) -> bytes:
+    def _sealed_reply(self, session: _ServerSession, request: Incoming, payload: bytes) -> bytes:
         return self._sealed(
             session,
             request.key_id,
@@ -333,7 +322,11 @@ class CommandServer:
 
     @staticmethod
     def _sealed(
-        session: _Session, key_id: int, number: int, payload: bytes, to: "Frame | _Answered"
+        session: _ServerSession,
+        key_id: int,
+        number: int,
+        payload: bytes,
+        to: "CommandFrame | _Answered",
     ) -> bytes:
         body = frame_body(FrameType.REPLY, key_id, number, to.sequence, payload)
         datagram = session.keys.to_client.seal(body)
@@ -395,7 +388,7 @@ class CommandClient(ClientCore):
         session: 64 random bits; a new client for every session.
     """
 
-    def __init__(self, key: Key, session: int) -> None:
+    def __init__(self, key: PresharedKey, session: int) -> None:
         super().__init__()
         self._key = key
         self._session = session
@@ -418,7 +411,7 @@ class CommandClient(ClientCore):
         body = frame_body(kind, self._key.id, self._session, sequence, payload)
         return self._keys.to_server.seal(body)
 
-    def _genuine(self, data: bytes) -> Frame:
+    def _genuine(self, data: bytes) -> CommandFrame:
         frame = cut_frame(data)
         if (frame.key_id, frame.session) != (self._key.id, self._session):
             raise CommandError("session")
@@ -433,7 +426,7 @@ class CommandClient(ClientCore):
             raise CommandError("tag")
         return frame
 
-    def _take_cookie(self, frame: Frame) -> None:
+    def _take_cookie(self, frame: CommandFrame) -> None:
         if len(frame.payload) != COOKIE_BYTES:
             raise CommandError("length", "COOKIE")
         self._keys = session_keys(self._key, self._session, frame.payload)

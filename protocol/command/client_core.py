@@ -14,7 +14,7 @@ from linemate.protocol.command.frame_codec import (
     MAX_RESULT_BYTES,
     NS_PER_MS,
     CommandError,
-    Frame,
+    CommandFrame,
     FrameType,
 )
 from linemate.protocol.command.payloads import (
@@ -84,10 +84,10 @@ class Telemetry(NamedTuple):
     data: dict[str, Any]
 
 
-Event = Ready | Answer | More | Telemetry
+ClientEvent = Ready | Answer | More | Telemetry
 
 
-class _Waiting:
+class _OutstandingRequest:
     """A request without its whole answer; ``root`` is the one that was asked first."""
 
     __slots__ = ("page", "parts", "root")
@@ -119,7 +119,7 @@ class ClientCore(ABC):
         self._offset_ms: int | None = None
         self._last = 0
         self._last_event = 0
-        self._waiting: OrderedDict[int, _Waiting] = OrderedDict()
+        self._waiting: OrderedDict[int, _OutstandingRequest] = OrderedDict()
 
     @property
     def ready(self) -> bool:
@@ -137,10 +137,10 @@ class ClientCore(ABC):
                 not take.
         """
         sent = self._request(op, params, deadline_ns)
-        self._wait(sent.sequence, _Waiting(sent.sequence))
+        self._wait(sent.sequence, _OutstandingRequest(sent.sequence))
         return sent
 
-    def on_datagram(self, data: bytes, now_ns: int) -> Event | None:
+    def on_datagram(self, data: bytes, now_ns: int) -> ClientEvent | None:
         """Take one datagram. Never raises; what is refused is counted.
 
         Args:
@@ -169,10 +169,10 @@ class ClientCore(ABC):
     def _frame(self, kind: FrameType, sequence: int, payload: bytes) -> bytes: ...
 
     @abstractmethod
-    def _genuine(self, data: bytes) -> Frame: ...
+    def _genuine(self, data: bytes) -> CommandFrame: ...
 
     @abstractmethod
-    def _take_cookie(self, frame: Frame) -> None: ...
+    def _take_cookie(self, frame: CommandFrame) -> None: ...
 
     def _next(self) -> int:
         self._last += 1
@@ -185,12 +185,12 @@ class ClientCore(ABC):
         sequence = self._next()
         return Sent(sequence, self._frame(FrameType.REQUEST, sequence, payload))
 
-    def _wait(self, sequence: int, waiting: _Waiting) -> None:
+    def _wait(self, sequence: int, waiting: _OutstandingRequest) -> None:
         self._waiting[sequence] = waiting
         while len(self._waiting) > MAX_OUTSTANDING:
             self._waiting.popitem(last=False)
 
-    def _on_cookie(self, frame: Frame, now_ns: int) -> Event:
+    def _on_cookie(self, frame: CommandFrame, now_ns: int) -> ClientEvent:
         # Only the first: another would change the keys under requests already made.
         if self.ready:
             raise CommandError("duplicate", "COOKIE")
@@ -198,14 +198,14 @@ class ClientCore(ABC):
         self._offset_ms = frame.sequence - now_ns // NS_PER_MS
         return Ready()
 
-    def _on_event(self, frame: Frame) -> Event:
+    def _on_event(self, frame: CommandFrame) -> ClientEvent:
         if frame.sequence <= self._last_event:
             raise CommandError("replayed", "EVENT")
         server_ms, data = decode_event(frame.payload)
         self._last_event = frame.sequence
         return Telemetry(server_ms, data)
 
-    def _on_reply(self, frame: Frame, now_ns: int) -> Event:
+    def _on_reply(self, frame: CommandFrame, now_ns: int) -> ClientEvent:
         waiting = self._waiting.get(frame.sequence)
         if waiting is None:
             raise CommandError("unasked", "REPLY")
@@ -216,7 +216,7 @@ class ClientCore(ABC):
             return Answer(waiting.root, ok=False, result={}, code=reply.e, reason=reply.why)
         return self._join(waiting, reply, now_ns)
 
-    def _join(self, waiting: _Waiting, reply: Reply, now_ns: int) -> Event:
+    def _join(self, waiting: _OutstandingRequest, reply: Reply, now_ns: int) -> ClientEvent:
         waiting.parts.append(reply.r)
         size = sum(len(part) for part in waiting.parts)
         if reply.i != waiting.page or size > MAX_RESULT_BYTES:
@@ -230,7 +230,7 @@ class ClientCore(ABC):
             return Answer(waiting.root, ok=False, result={}, code=error.kind, reason=error.detail)
         return Answer(waiting.root, ok=True, result=result)
 
-    def _fetch_next(self, waiting: _Waiting, now_ns: int) -> Event:
+    def _fetch_next(self, waiting: _OutstandingRequest, now_ns: int) -> ClientEvent:
         waiting.page += 1
         params = {"of": waiting.root, "page": waiting.page}
         sent = self._request("page", params, now_ns + PAGE_DEADLINE_NS)

@@ -54,7 +54,7 @@ class ControlLease:
             self._until_ns = now_ns + LEASE_NS
 
 
-class Order(NamedTuple):
+class CommandOrder(NamedTuple):
     """A request that was judged and is to be carried out now."""
 
     op: str
@@ -114,7 +114,7 @@ class Conversation:
         self._parts_of = 0
         self._subscription: _Subscription | None = None
 
-    def ask(self, payload: bytes, sequence: int, now_ns: int) -> Order | bytes:
+    def ask(self, payload: bytes, sequence: int, now_ns: int) -> CommandOrder | bytes:
         """Judge a request: an order to carry out, or the reply's payload at once."""
         try:
             request = decode_request(payload)
@@ -130,7 +130,7 @@ class Conversation:
         if OPERATIONS[request.op].role is Role.OPERATE:
             self._newest = max(self._newest, sequence)
         self._counters["orders"] += 1
-        return Order(request.op, request.params, sequence, self.role, self.who)
+        return CommandOrder(request.op, request.params, sequence, self.role, self.who)
 
     def answer(self, sequence: int, result: Mapping[str, Any], now_ns: int) -> bytes:
         """Return the reply's payload for what a handler made of an order.

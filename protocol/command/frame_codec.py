@@ -65,7 +65,7 @@ class Role(StrEnum):
     OPERATE = "operate"
 
 
-class Frame(NamedTuple):
+class CommandFrame(NamedTuple):
     """A frame cut at its offsets, not yet authenticated.
 
     Attributes:
@@ -110,7 +110,7 @@ class Tagger:
         """Return ``body`` with its tag behind it."""
         return body + self.tag(body)
 
-    def genuine(self, frame: Frame) -> bool:
+    def genuine(self, frame: CommandFrame) -> bool:
         """Tell in constant time whether ``frame`` was sealed with this key."""
         return self._is_same(self.tag(frame.body), frame.tag)
 
@@ -142,7 +142,7 @@ def local_body(
         raise CommandError("header", str(error)) from error
 
 
-def cut_frame(data: bytes) -> Frame:
+def cut_frame(data: bytes) -> CommandFrame:
     """Cut a datagram into a frame. Looks at the header alone.
 
     Raises:
@@ -154,7 +154,7 @@ def cut_frame(data: bytes) -> Frame:
     return _cut(body, data[-TAG_BYTES:])
 
 
-def cut_local(data: bytes, limit: int = MAX_FRAME_BYTES) -> Frame:
+def cut_local(data: bytes, limit: int = MAX_FRAME_BYTES) -> CommandFrame:
     """Cut a message of the local socket, which has no tag.
 
     Raises:
@@ -165,7 +165,7 @@ def cut_local(data: bytes, limit: int = MAX_FRAME_BYTES) -> Frame:
     return _cut(data, b"")
 
 
-def _cut(body: bytes, tag: bytes) -> Frame:
+def _cut(body: bytes, tag: bytes) -> CommandFrame:
     magic, version, kind, key_id, session, sequence = HEADER.unpack_from(body)
     if magic != MAGIC:
         raise CommandError("magic", magic.hex())
@@ -173,7 +173,7 @@ def _cut(body: bytes, tag: bytes) -> Frame:
         raise CommandError("version", str(version))
     if kind not in _TYPES:
         raise CommandError("type", str(kind))
-    return Frame(_TYPES[kind], key_id, session, sequence, body, body[HEADER.size :], tag)
+    return CommandFrame(_TYPES[kind], key_id, session, sequence, body, body[HEADER.size :], tag)
 
 
 _TYPES: Final = {int(kind): kind for kind in FrameType}

@@ -8,7 +8,7 @@ from linemate.protocol.command.client_core import ClientCore
 from linemate.protocol.command.frame_codec import (
     LOCAL_LIMIT_BYTES,
     CommandError,
-    Frame,
+    CommandFrame,
     FrameType,
     cut_local,
     local_body,
@@ -30,11 +30,11 @@ class LocalClient(ClientCore):
     def _frame(self, kind: FrameType, sequence: int, payload: bytes) -> bytes:
         return local_body(kind, 0, 0, sequence, payload)
 
-    def _genuine(self, data: bytes) -> Frame:
+    def _genuine(self, data: bytes) -> CommandFrame:
         frame = cut_local(data, LOCAL_LIMIT_BYTES)
         if frame.type not in {FrameType.COOKIE, FrameType.REPLY, FrameType.EVENT}:
             raise CommandError("direction", frame.type.name)
         return frame
 
-    def _take_cookie(self, frame: Frame) -> None:
+    def _take_cookie(self, frame: CommandFrame) -> None:
         del frame

@@ -9,12 +9,12 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-from linemate.protocol.command.conversation import ControlLease, Conversation, Order
+from linemate.protocol.command.conversation import CommandOrder, ControlLease, Conversation
 from linemate.protocol.command.frame_codec import (
     LOCAL_ROOM_BYTES,
     NS_PER_MS,
     CommandError,
-    Frame,
+    CommandFrame,
     FrameType,
     Role,
     cut_local,
@@ -61,7 +61,7 @@ class LocalServer:
         """Whether the peer wants telemetry."""
         return self._conversation.subscribed
 
-    def on_message(self, data: bytes, now_ns: int) -> Order | bytes | None:
+    def on_message(self, data: bytes, now_ns: int) -> CommandOrder | bytes | None:
         """Take one message: an order to carry out, a reply to send, or None (counted)."""
         self._counters["received"] += 1
         try:
@@ -70,12 +70,12 @@ class LocalServer:
             self._counters[f"dropped_{error.kind}"] += 1
             return None
 
-    def reply(self, order: Order, result: Mapping[str, Any], now_ns: int) -> bytes:
+    def reply(self, order: CommandOrder, result: Mapping[str, Any], now_ns: int) -> bytes:
         """Return the message that answers an order; see CommandServer.reply."""
         payload = self._conversation.answer(order.sequence, result, now_ns)
         return self._reply(order.sequence, payload)
 
-    def fail(self, order: Order, now_ns: int) -> bytes:
+    def fail(self, order: CommandOrder, now_ns: int) -> bytes:
         """Return the message that says a handler broke."""
         return self._reply(order.sequence, self._conversation.fail(now_ns))
 
@@ -94,13 +94,13 @@ class LocalServer:
         self._events += 1
         return local_body(FrameType.EVENT, 0, 0, self._events, payload)
 
-    def _on_frame(self, frame: Frame, now_ns: int) -> Order | bytes:
+    def _on_frame(self, frame: CommandFrame, now_ns: int) -> CommandOrder | bytes:
         if frame.type is FrameType.HELLO:
             return local_body(FrameType.COOKIE, 0, 0, now_ns // NS_PER_MS)
         if frame.type is not FrameType.REQUEST or frame.sequence == 0:
             raise CommandError("direction", frame.type.name)
         said = self._conversation.ask(frame.payload, frame.sequence, now_ns)
-        return said if isinstance(said, Order) else self._reply(frame.sequence, said)
+        return said if isinstance(said, CommandOrder) else self._reply(frame.sequence, said)
 
     @staticmethod
     def _reply(sequence: int, payload: bytes) -> bytes:

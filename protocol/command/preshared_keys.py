@@ -22,7 +22,7 @@ _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,31}")
 
 
 @dataclass(frozen=True, slots=True)
-class Key:
+class PresharedKey:
     """A pre-shared key.
 
     Attributes:
@@ -37,7 +37,7 @@ class Key:
     id: int
 
 
-def make_key(name: str, role: Role, secret: bytes) -> Key:
+def make_key(name: str, role: Role, secret: bytes) -> PresharedKey:
     """Return a key with its id.
 
     Raises:
@@ -50,7 +50,7 @@ def make_key(name: str, role: Role, secret: bytes) -> Key:
     # 32 random bytes with fewer than 8 different values do not occur; typed ones do.
     if len(set(secret)) < 8:
         raise CommandError("key", "not random; make one with `linemate keygen`")
-    return Key(name, role, secret, key_id(secret))
+    return PresharedKey(name, role, secret, key_id(secret))
 
 
 def key_id(secret: bytes) -> int:
@@ -59,12 +59,12 @@ def key_id(secret: bytes) -> int:
     return int.from_bytes(digest, "big") % 65535 + 1
 
 
-def key_line(key: Key) -> str:
+def key_line(key: PresharedKey) -> str:
     """Return a key as it stands in a key file, without the line's end."""
     return f"{key.name} {key.role} {base64.b64encode(key.secret).decode('ascii')}"
 
 
-def parse_keys(text: str, source: str = "keys") -> tuple[Key, ...]:
+def parse_keys(text: str, source: str = "keys") -> tuple[PresharedKey, ...]:
     """Read a key file: lines ``name role base64key``; ``#`` begins a comment line.
 
     Args:
@@ -73,7 +73,7 @@ def parse_keys(text: str, source: str = "keys") -> tuple[Key, ...]:
     Raises:
         CommandError: with every bad line as ``source:line: what``, never a key's bytes.
     """
-    keys: list[Key] = []
+    keys: list[PresharedKey] = []
     wrong: list[str] = []
     for number, line in enumerate(text.splitlines(), start=1):
         if not line.strip() or line.lstrip().startswith("#"):
@@ -92,7 +92,7 @@ def parse_keys(text: str, source: str = "keys") -> tuple[Key, ...]:
     return tuple(keys)
 
 
-def _parse_line(line: str) -> Key:
+def _parse_line(line: str) -> PresharedKey:
     words = line.split()
     if len(words) != 3:
         raise CommandError("key", f"{len(words)} words instead of `name role base64key`")
@@ -106,7 +106,7 @@ def _parse_line(line: str) -> Key:
     return make_key(name, Role(role), secret)
 
 
-def _not_again(key: Key, keys: Iterable[Key]) -> None:
+def _not_again(key: PresharedKey, keys: Iterable[PresharedKey]) -> None:
     for other in keys:
         if other.name == key.name:
             raise CommandError("key", f"name {key.name!r} stands twice")
@@ -163,7 +163,7 @@ def cookie(secret: bytes, key: int, session: int) -> bytes:
     return hashlib.blake2b(named, key=secret, digest_size=COOKIE_BYTES, person=b"proof").digest()
 
 
-def session_keys(key: Key, session: int, proof: bytes) -> SessionKeys:
+def session_keys(key: PresharedKey, session: int, proof: bytes) -> SessionKeys:
     """Derive a session's keys from the pre-shared one and a cookie.
 
     Args:
@@ -177,11 +177,11 @@ def session_keys(key: Key, session: int, proof: bytes) -> SessionKeys:
     return SessionKeys(Tagger(to_server), Tagger(to_client))
 
 
-def hello_tagger(key: Key) -> Tagger:
+def hello_tagger(key: PresharedKey) -> Tagger:
     """Return the tagger of HELLO frames, under the pre-shared key itself."""
     return Tagger(key.secret, person=b"hello")
 
 
-def cookie_tagger(key: Key) -> Tagger:
+def cookie_tagger(key: PresharedKey) -> Tagger:
     """Return the tagger of COOKIE frames, under the pre-shared key itself."""
     return Tagger(key.secret, person=b"cookie")

@@ -63,7 +63,7 @@ class PageOf(Struct, frozen=True, forbid_unknown_fields=True):
     page: Annotated[int, Meta(ge=1, lt=MAX_PAGES)]
 
 
-class Rule(NamedTuple):
+class OperationRule(NamedTuple):
     """What an operation takes and what its sender must be.
 
     Attributes:
@@ -78,22 +78,22 @@ class Rule(NamedTuple):
     ordered: bool = False
 
 
-OPERATIONS: Final[Mapping[str, Rule]] = {
-    "status": Rule(Empty, Role.VIEW),
-    "params": Rule(ParamsOf, Role.VIEW),
-    "get": Rule(GetOf, Role.VIEW),
-    "scene": Rule(Empty, Role.VIEW),
-    "subscribe": Rule(SubscribeOf, Role.VIEW),
-    "page": Rule(PageOf, Role.VIEW),
-    "set": Rule(SetOf, Role.OPERATE, ordered=True),
-    "save": Rule(Empty, Role.OPERATE, ordered=True),
-    "record": Rule(RecordOf, Role.OPERATE, ordered=True),
-    "arm": Rule(Empty, Role.OPERATE, lease=True, ordered=True),
-    "start": Rule(Empty, Role.OPERATE, lease=True, ordered=True),
-    "ack": Rule(Empty, Role.OPERATE, lease=True, ordered=True),
+OPERATIONS: Final[Mapping[str, OperationRule]] = {
+    "status": OperationRule(Empty, Role.VIEW),
+    "params": OperationRule(ParamsOf, Role.VIEW),
+    "get": OperationRule(GetOf, Role.VIEW),
+    "scene": OperationRule(Empty, Role.VIEW),
+    "subscribe": OperationRule(SubscribeOf, Role.VIEW),
+    "page": OperationRule(PageOf, Role.VIEW),
+    "set": OperationRule(SetOf, Role.OPERATE, ordered=True),
+    "save": OperationRule(Empty, Role.OPERATE, ordered=True),
+    "record": OperationRule(RecordOf, Role.OPERATE, ordered=True),
+    "arm": OperationRule(Empty, Role.OPERATE, lease=True, ordered=True),
+    "start": OperationRule(Empty, Role.OPERATE, lease=True, ordered=True),
+    "ack": OperationRule(Empty, Role.OPERATE, lease=True, ordered=True),
     # Whoever may operate may always bring the robot to rest, in any order.
-    "stop": Rule(Empty, Role.OPERATE),
-    "retreat": Rule(Empty, Role.OPERATE),
+    "stop": OperationRule(Empty, Role.OPERATE),
+    "retreat": OperationRule(Empty, Role.OPERATE),
 }
 
 

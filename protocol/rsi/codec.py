@@ -20,8 +20,8 @@ from linemate.protocol.rsi.telegram_layout import (
     sensor_constants,
     sensor_layout,
 )
-from linemate.protocol.rsi.telegram_reader import MAX_TELEGRAM_BYTES, Reader, Texts
-from linemate.protocol.rsi.telegram_writer import Writer
+from linemate.protocol.rsi.telegram_reader import MAX_TELEGRAM_BYTES, TelegramReader, Texts
+from linemate.protocol.rsi.telegram_writer import TelegramWriter
 from linemate.protocol.rsi.xml_scan import RsiError
 from linemate.protocol.samples import Vector6
 
@@ -86,11 +86,13 @@ class RsiCodec:
         whole = joints is not None and len(joints.fields) == joints.width
         self._joint_fields = joints.fields if joints is not None and whole else ()
         self._joint_scales = joints.scales if joints is not None and whole else ()
-        self._robot_writer = Writer(self._robot, decimals)
+        self._robot_writer = TelegramWriter(self._robot, decimals)
         known = sensor_constants(config, self._sensor, constants or {})
-        self._sensor_writer = Writer(self._sensor, decimals, known)
-        self.robot_reader = Reader(self._robot, self._robot_writer.example(ROBOT_TYPE))
-        self.sensor_reader = Reader(self._sensor, self._sensor_writer.example(config.sentype))
+        self._sensor_writer = TelegramWriter(self._sensor, decimals, known)
+        self.robot_reader = TelegramReader(self._robot, self._robot_writer.example(ROBOT_TYPE))
+        self.sensor_reader = TelegramReader(
+            self._sensor, self._sensor_writer.example(config.sentype)
+        )
 
     def parse_robot(self, data: bytes) -> RobotTelegram:
         """Read the controller's telegram.

@@ -10,7 +10,7 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
-from linemate.protocol.rsi.xml_scan import BLANK, Event, RsiError, attributes, events, unescape
+from linemate.protocol.rsi.xml_scan import BLANK, RsiError, XmlToken, attributes, tokens, unescape
 
 ElementType = Literal["BOOL", "LONG", "DOUBLE", "STRING"]
 
@@ -77,13 +77,13 @@ def parse_config(xml: bytes) -> RsiConfig:
     if b"<!" in bare:
         raise RsiError("document types and entities are refused", evidence=xml)
     text = bare.decode("latin-1")
-    reader = _Reader(text)
-    for event in events(text):
+    reader = _ConfigReader(text)
+    for event in tokens(text):
         reader.read(event)
     return reader.config()
 
 
-class _Reader:
+class _ConfigReader:
     """Collects the settings and elements of one configuration."""
 
     def __init__(self, text: str) -> None:
@@ -92,7 +92,7 @@ class _Reader:
         self._settings: dict[str, str] = {}
         self._elements: dict[str, list[Element]] = {"SEND": [], "RECEIVE": []}
 
-    def read(self, event: Event) -> None:
+    def read(self, event: XmlToken) -> None:
         """Take one token."""
         if event.kind == "close":
             return
@@ -107,7 +107,7 @@ class _Reader:
             case _:
                 pass
 
-    def _read_text(self, event: Event) -> None:
+    def _read_text(self, event: XmlToken) -> None:
         path = self._path[: event.depth + 1]
         value = self._text[event.start : event.end].strip(BLANK)
         if len(path) == 3 and path[:2] == ["ROOT", "CONFIG"]:
@@ -115,7 +115,7 @@ class _Reader:
                 raise RsiError("given twice", element=path[2])
             self._settings[path[2]] = unescape(value)
 
-    def _attributes(self, event: Event) -> dict[str, str]:
+    def _attributes(self, event: XmlToken) -> dict[str, str]:
         found: dict[str, str] = {}
         for name, start, end in attributes(self._text, event.start, event.end):
             if name.upper() in found:

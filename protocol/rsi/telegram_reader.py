@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from operator import itemgetter
 
 from linemate.protocol.rsi.telegram_layout import Field, Layout
-from linemate.protocol.rsi.xml_scan import BLANK, Document, RsiError, Span, scan, unescape
+from linemate.protocol.rsi.xml_scan import BLANK, FlatDocument, RsiError, Span, scan, unescape
 
 MAX_TELEGRAM_BYTES = 2048
 MAX_IPOC = 2**64 - 1
@@ -52,7 +52,7 @@ _Key = tuple[str, str | None]
 _IPOC_KEY: _Key = ("IPOC", None)
 
 
-class Reader:
+class TelegramReader:
     """Reads one direction's telegrams.
 
     Attributes:
@@ -120,7 +120,7 @@ class Reader:
             self._learn(text, document)
         return texts, _type_of(document)
 
-    def _texts(self, text: str, document: Document) -> Texts:
+    def _texts(self, text: str, document: FlatDocument) -> Texts:
         if document.root.lower() != self._layout.root.lower():
             raise RsiError(f"root is <{document.root[:32]}>, not <{self._layout.root}>")
         found = self._found(text, document)
@@ -136,7 +136,7 @@ class Reader:
             raise
         return (*texts, ipoc.encode("ascii"))
 
-    def _found(self, text: str, document: Document) -> dict[_Key, str]:
+    def _found(self, text: str, document: FlatDocument) -> dict[_Key, str]:
         """Texts as written of the values that are configured."""
         found: dict[_Key, str] = {
             (name, None): "" for name in document.hollow if (name, None) in self._positions
@@ -164,7 +164,7 @@ class Reader:
             if missing and len(missing) < len(vector.fields):
                 raise RsiError("missing", element=self._layout.fields[missing[0]].key)
 
-    def _learn(self, text: str, document: Document) -> None:
+    def _learn(self, text: str, document: FlatDocument) -> None:
         """Make the pattern of a telegram that was accepted and is complete."""
         parts: list[tuple[str, int | None]] = []
         end = 0
@@ -201,11 +201,11 @@ def _permutation(order: list[int]) -> Callable[[tuple[bytes, ...]], tuple[bytes,
     return itemgetter(*(order.index(n) for n in range(len(order))))
 
 
-def _is_plain(document: Document) -> bool:
+def _is_plain(document: FlatDocument) -> bool:
     return document.flat and not document.hollow
 
 
-def _type_of(document: Document) -> str:
+def _type_of(document: FlatDocument) -> str:
     return next((v for name, v in document.attributes.items() if name.lower() == "type"), "")
 
 

@@ -22,7 +22,7 @@ MAX_SENDERS = 8
 Telegram = RobotTelegram | SensorTelegram
 
 
-class Writer:
+class TelegramWriter:
     """Writes one direction's telegrams."""
 
     def __init__(

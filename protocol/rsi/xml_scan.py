@@ -59,7 +59,7 @@ class RsiError(ProtocolError):
         self.ipoc_text = ipoc_text
 
 
-class Event(NamedTuple):
+class XmlToken(NamedTuple):
     """One token in its place: ``depth`` is that of the element it belongs to, 0 the root."""
 
     kind: Literal["open", "close", "text"]
@@ -80,7 +80,7 @@ class Span(NamedTuple):
 
 
 @dataclass(slots=True)
-class Document:
+class FlatDocument:
     """A flat document: a root, its attributes, and the spans of its children's values.
 
     Attributes:
@@ -115,7 +115,7 @@ def attributes(text: str, start: int, end: int) -> Iterator[tuple[str, int, int]
         yield match[1], match.start(group), match.end(group)
 
 
-def events(text: str) -> Iterator[Event]:
+def tokens(text: str) -> Iterator[XmlToken]:
     """The tokens of a document, nesting checked.
 
     For ``open`` the span is that of the attributes, for ``text`` that of the text, for
@@ -141,16 +141,16 @@ def events(text: str) -> Iterator[Event]:
         raise RsiError("ends before its root does")
 
 
-def _event(match: re.Match[str], open_names: list[str], *, ended: bool) -> Event:
+def _event(match: re.Match[str], open_names: list[str], *, ended: bool) -> XmlToken:
     """One token as an event; keeps the stack of open names."""
     if match["text"] is not None:
         if not open_names and match["text"].strip(BLANK):
             raise RsiError(f"text outside the root at byte {match.start()}")
-        return Event("text", len(open_names) - 1, "", match.start(), match.end(), empty=False)
+        return XmlToken("text", len(open_names) - 1, "", match.start(), match.end(), empty=False)
     if match["close"] is not None:
         if not open_names or open_names.pop() != match["close"]:
             raise RsiError(f"</{match['close'][:32]}> closes nothing")
-        return Event(
+        return XmlToken(
             "close", len(open_names), match["close"], match.start(), match.end(), empty=False
         )
     if ended or len(open_names) == MAX_DEPTH:
@@ -160,18 +160,18 @@ def _event(match: re.Match[str], open_names: list[str], *, ended: bool) -> Event
     if not empty:
         open_names.append(match["open"])
     start, end = match.span("attributes")
-    return Event("open", depth, match["open"], start, end, empty)
+    return XmlToken("open", depth, match["open"], start, end, empty)
 
 
-def scan(text: str) -> Document:
+def scan(text: str) -> FlatDocument:
     """Read a flat document.
 
     Raises:
         RsiError: malformed, or text directly inside the root.
     """
-    document = Document("", {})
+    document = FlatDocument("", {})
     child = _Child("")
-    for event in events(text):
+    for event in tokens(text):
         if event.depth == 0:
             _read_root(text, event, document)
         elif event.depth == 1:
@@ -191,7 +191,7 @@ class _Child:
     nested: bool = False
 
 
-def _read_root(text: str, event: Event, document: Document) -> None:
+def _read_root(text: str, event: XmlToken, document: FlatDocument) -> None:
     if event.kind == "open":
         document.root = event.name
         for name, start, end in attributes(text, event.start, event.end):
@@ -200,7 +200,7 @@ def _read_root(text: str, event: Event, document: Document) -> None:
         raise RsiError(f"text between elements at byte {event.start}")
 
 
-def _read_child(text: str, event: Event, document: Document, child: _Child) -> _Child:
+def _read_child(text: str, event: XmlToken, document: FlatDocument, child: _Child) -> _Child:
     if event.kind == "open":
         spans = [
             Span(event.name, name, start, end)

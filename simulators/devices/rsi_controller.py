@@ -16,7 +16,7 @@ from typing import Literal
 
 from msgspec import Struct
 
-from linemate.protocol.exchange import ControllerCounts, ControllerExchange, Judgement
+from linemate.protocol.exchange_controller import ControllerCounts, ControllerExchange, Judgement
 from linemate.protocol.rsi.codec import (
     Channel,
     Element,

@@ -19,8 +19,8 @@ from linemate.daemon.cycle.correction_reference import (
     start_seen,
 )
 from linemate.daemon.cycle.session import Session
-from linemate.protocol.exchange import Exchange, Kind
-from linemate.protocol.exchange import State as Running
+from linemate.protocol.exchange import Exchange, TelegramKind
+from linemate.protocol.exchange import ExchangeState as Running
 from linemate.protocol.samples import RobotSample
 
 T = 0.012
@@ -160,7 +160,7 @@ class Bench:
         self.answered = verdict.answer
         if not verdict.answer:
             return None
-        opens = verdict.kind in {Kind.FIRST, Kind.NEW_SESSION}
+        opens = verdict.kind in {TelegramKind.FIRST, TelegramKind.NEW_SESSION}
         if opens or session.needs_proof(robot, verdict.missed):
             is_resumed = opens or session.is_interrupted or verdict.missed > 0
             found = session.prove(robot, axes, None, port)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from linemate import protocol
-from linemate.protocol.exchange import Judgement
+from linemate.protocol.exchange_controller import Judgement
 from linemate.protocol.rsi.codec import RsiCodec, RsiConfig, SensorTelegram, parse_config
 from linemate.simulators.devices.rsi_controller import (
     Applied,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from linemate.protocol.exchange import Judgement
+from linemate.protocol.exchange_controller import Judgement
 from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.devices.rsi_controller import Applied
 from linemate.simulators.devices.truth import TruthLog, load, pose_rows

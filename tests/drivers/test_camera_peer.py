@@ -4,11 +4,11 @@ import random
 
 import pytest
 
-from linemate.drivers.camera_peer import TAKEOVER_S, CameraPeer, Judgement, parse_peer
+from linemate.drivers.camera_peer import TAKEOVER_S, CameraPeer, SenderRole, parse_peer
 
 A, B, C = ("10.0.0.1", 5), ("10.0.0.1", 6), ("10.0.0.2", 5)
 SECOND = 1_000_000_000
-HEARD, CANDIDATE, FOREIGN = Judgement.HEARD, Judgement.CANDIDATE, Judgement.FOREIGN
+HEARD, CANDIDATE, FOREIGN = SenderRole.HEARD, SenderRole.CANDIDATE, SenderRole.FOREIGN
 
 
 def learned(needed: int = 5) -> CameraPeer:

@@ -9,7 +9,7 @@ from command_ends import MS, START_NS, S, World, key_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linemate.protocol.command.conversation import ControlLease, Conversation, Order
+from linemate.protocol.command.conversation import CommandOrder, ControlLease, Conversation
 from linemate.protocol.command.frame_codec import MAX_AHEAD_MS, MAX_RESULT_BYTES, ROOM_BYTES, Role
 from linemate.protocol.command.payloads import decode_reply
 from linemate.protocol.command.requests import OPERATIONS, encode_request
@@ -145,7 +145,7 @@ def test_a_deadline_is_neither_past_nor_far(ahead_ms: int, code: str) -> None:
         assert isinstance(said, bytes)
         assert decode_reply(said).e == code
     else:
-        assert said == Order("stop", {}, 1, Role.OPERATE, "x")
+        assert said == CommandOrder("stop", {}, 1, Role.OPERATE, "x")
 
 
 @given(st.dictionaries(st.text(max_size=30), st.text(max_size=400), max_size=150))

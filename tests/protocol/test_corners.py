@@ -11,7 +11,7 @@ from command_ends import MS, START_NS, World, client_address, key_of
 
 from linemate.protocol.command.authenticated import CommandClient
 from linemate.protocol.command.client_core import Answer
-from linemate.protocol.command.conversation import ControlLease, Conversation, Order
+from linemate.protocol.command.conversation import CommandOrder, ControlLease, Conversation
 from linemate.protocol.command.frame_codec import (
     CommandError,
     FrameType,
@@ -211,7 +211,7 @@ def test_a_local_handler_that_broke_is_told_so() -> None:
     server = _local()
     payload = encode_request("arm", {}, START_NS // MS)
     order = server.on_message(local_body(FrameType.REQUEST, 0, 0, 1, payload), START_NS)
-    assert isinstance(order, Order)
+    assert isinstance(order, CommandOrder)
     reply = cut_local(server.fail(order, START_NS))
     assert reply.sequence == 1
     told = decode_reply(reply.payload)

@@ -11,17 +11,19 @@ from linemate.protocol.exchange import (
     CONSISTENT,
     TABLE,
     WINDOW,
-    ControllerExchange,
     Exchange,
-    Judgement,
-    Kind,
-    State,
-    Verdict,
+    ExchangeState,
+    TelegramDecision,
+    TelegramKind,
 )
-from linemate.protocol.exchange_controller import HISTORY
+from linemate.protocol.exchange_controller import (
+    HISTORY,
+    ControllerExchange,
+    ControllerState,
+    Judgement,
+)
 from linemate.protocol.exchange_controller import TABLE as CONTROLLER_TABLE
-from linemate.protocol.exchange_controller import Event as ControllerEvent
-from linemate.protocol.exchange_controller import State as ControllerState
+from linemate.protocol.exchange_controller import ReplyEvent as ControllerEvent
 from linemate.protocol.rsi.codec import (
     RobotTelegram,
     RsiCodec,
@@ -46,7 +48,7 @@ class Feed:
 
     def __call__(
         self, cycle: float, ipoc_cycle: float | None = None, peer: object = None
-    ) -> Verdict:
+    ) -> TelegramDecision:
         at = cycle if ipoc_cycle is None else ipoc_cycle
         ipoc = FIRST + round(at * self.step)
         return self.exchange.on_telegram(ipoc, round(cycle * self.cycle_ns), peer)
@@ -63,7 +65,7 @@ def running(step: int = STEP) -> Feed:
     """A session whose step is settled; the last telegram is that of cycle 4."""
     feed = Feed(step)
     assert feed.kinds(0, 1, 2, 3, 4) == ["first", "normal", "normal", "normal", "normal"]
-    assert feed.exchange.state is State.RUNNING
+    assert feed.exchange.state is ExchangeState.RUNNING
     return feed
 
 
@@ -74,9 +76,13 @@ def running(step: int = STEP) -> Feed:
 def test_the_ipoc_step_is_learned(step: int) -> None:
     feed = Feed(step)
     first = feed(0)
-    assert first == Verdict(Kind.FIRST, answer=True, missed=0, steps=1, session=1, step=None)
+    assert first == TelegramDecision(
+        TelegramKind.FIRST, answer=True, missed=0, steps=1, session=1, step=None
+    )
     assert feed(1).step == step
-    assert feed(2) == Verdict(Kind.NORMAL, answer=True, missed=0, steps=1, session=1, step=step)
+    assert feed(2) == TelegramDecision(
+        TelegramKind.NORMAL, answer=True, missed=0, steps=1, session=1, step=step
+    )
     assert feed.exchange.step == step
     assert feed.exchange.session == 1
 
@@ -95,14 +101,19 @@ def test_telegrams_lost_while_learning_do_not_fix_a_wrong_step(
     feed = Feed()
     assert feed.kinds(*cycles) == kinds
     assert feed.exchange.step == STEP
-    assert feed(cycles[-1] + 1).kind is Kind.NORMAL
+    assert feed(cycles[-1] + 1).kind is TelegramKind.NORMAL
 
 
 def test_a_gap_says_how_many_cycles_passed() -> None:
     feed = running()
     verdict = feed(8)
-    assert (verdict.kind, verdict.answer, verdict.missed, verdict.steps) == (Kind.GAP, True, 3, 4)
-    assert feed(9).kind is Kind.NORMAL
+    assert (verdict.kind, verdict.answer, verdict.missed, verdict.steps) == (
+        TelegramKind.GAP,
+        True,
+        3,
+        4,
+    )
+    assert feed(9).kind is TelegramKind.NORMAL
     assert feed.exchange.counters["missed"] == 3
     assert feed.exchange.counters["gap"] == 1
 
@@ -110,31 +121,31 @@ def test_a_gap_says_how_many_cycles_passed() -> None:
 def test_the_same_telegram_twice_is_answered_once() -> None:
     feed = running()
     verdict = feed(4.1, 4)
-    assert (verdict.kind, verdict.answer, verdict.steps) == (Kind.DUPLICATE, False, 0)
-    assert feed(5).kind is Kind.NORMAL
+    assert (verdict.kind, verdict.answer, verdict.steps) == (TelegramKind.DUPLICATE, False, 0)
+    assert feed(5).kind is TelegramKind.NORMAL
 
 
 def test_a_telegram_after_its_successor_is_late_and_not_answered() -> None:
     feed = running()
-    assert feed(6).kind is Kind.GAP
+    assert feed(6).kind is TelegramKind.GAP
     late = feed(6.1, 5)
-    assert (late.kind, late.answer, late.steps) == (Kind.LATE, False, 0)
-    assert feed(6.2, 5).kind is Kind.BACKWARD
-    assert feed(7).kind is Kind.NORMAL
+    assert (late.kind, late.answer, late.steps) == (TelegramKind.LATE, False, 0)
+    assert feed(6.2, 5).kind is TelegramKind.BACKWARD
+    assert feed(7).kind is TelegramKind.NORMAL
 
 
 def test_a_telegram_seen_long_ago_is_backward() -> None:
     feed = running()
     verdict = feed(4.5, 2)
-    assert (verdict.kind, verdict.answer) == (Kind.BACKWARD, False)
-    assert feed(5).kind is Kind.NORMAL
+    assert (verdict.kind, verdict.answer) == (TelegramKind.BACKWARD, False)
+    assert feed(5).kind is TelegramKind.NORMAL
 
 
 def test_a_telegram_whose_step_the_clock_made_is_late_but_answered() -> None:
     feed = running()
     feed.exchange.on_missing()
     late = feed(5.7, 5)
-    assert (late.kind, late.answer, late.steps, late.missed) == (Kind.LATE, True, 0, 0)
+    assert (late.kind, late.answer, late.steps, late.missed) == (TelegramKind.LATE, True, 0, 0)
     assert feed(6).steps == 1
     assert feed.exchange.counters["overdue"] == 1
 
@@ -144,7 +155,7 @@ def test_steps_of_the_clock_are_taken_off_a_gap() -> None:
     feed.exchange.on_missing()
     feed.exchange.on_missing()
     verdict = feed(8)
-    assert (verdict.kind, verdict.missed, verdict.steps) == (Kind.GAP, 3, 2)
+    assert (verdict.kind, verdict.missed, verdict.steps) == (TelegramKind.GAP, 3, 2)
     assert feed(9).steps == 1
 
 
@@ -172,32 +183,36 @@ def test_a_counter_that_jumps_for_good_is_a_new_session_at_the_third_telegram(ah
     feed = running()
     verdicts = [feed(5 + n, 5 + n + ahead) for n in range(5)]
     assert [v.answer for v in verdicts] == [False, False, True, True, True]
-    assert [v.kind for v in verdicts[2:]] == [Kind.NEW_SESSION, Kind.NORMAL, Kind.NORMAL]
+    assert [v.kind for v in verdicts[2:]] == [
+        TelegramKind.NEW_SESSION,
+        TelegramKind.NORMAL,
+        TelegramKind.NORMAL,
+    ]
     assert {v.session for v in verdicts[2:]} == {2}
     assert verdicts[2].steps == 1
-    assert feed.exchange.state is State.RUNNING
+    assert feed.exchange.state is ExchangeState.RUNNING
 
 
 def test_a_new_session_may_have_another_step() -> None:
     feed = running()
     kinds = [feed.exchange.on_telegram(n, (5 + n) * CYCLE_NS).kind for n in range(5)]
-    assert kinds[2:] == [Kind.NEW_SESSION, Kind.NORMAL, Kind.NORMAL]
+    assert kinds[2:] == [TelegramKind.NEW_SESSION, TelegramKind.NORMAL, TelegramKind.NORMAL]
     assert feed.exchange.step == 1
 
 
 def test_a_gap_may_be_as_wide_as_the_window_and_no_wider() -> None:
     feed = running()
-    assert feed(4 + WINDOW).kind is Kind.GAP
-    assert feed(4 + 2 * WINDOW + 1).kind is Kind.REFUSED
+    assert feed(4 + WINDOW).kind is TelegramKind.GAP
+    assert feed(4 + 2 * WINDOW + 1).kind is TelegramKind.REFUSED
 
 
 def test_a_line_goes_on_from_the_next_cycle_to_the_end_of_the_window() -> None:
     feed = running()
-    assert feed(5, 9).kind is Kind.GAP  # a flipped bit
+    assert feed(5, 9).kind is TelegramKind.GAP  # a flipped bit
     assert feed.kinds_of((6, 3), (7, 4), (8, 5)) == ["backward", "backward", "gap"]
     assert feed.exchange.session == 1
     feed = running()
-    assert feed(4 + 96, 4 + WINDOW).kind is Kind.GAP  # another
+    assert feed(4 + 96, 4 + WINDOW).kind is TelegramKind.GAP  # another
     assert feed.kinds_of((102, 102), (103, 103), (104, 104)) == ["late", "late", "gap"]
     assert feed.exchange.session == 1
 
@@ -206,23 +221,23 @@ def test_a_line_goes_on_from_the_next_cycle_to_the_end_of_the_window() -> None:
 def test_telegrams_further_apart_than_the_window_are_no_line(apart: int, in_line: bool) -> None:
     feed = running()
     told = [feed.exchange.on_telegram(apart * n, (5 + n) * CYCLE_NS).kind for n in range(3)]
-    assert (told[-1] is Kind.NEW_SESSION) == in_line
+    assert (told[-1] is TelegramKind.NEW_SESSION) == in_line
 
 
 @pytest.mark.parametrize(("cycle_s", "reach"), [(0.012, 1200), (0.004, 400), (0.0004, 100)])
 def test_the_second_telegram_may_be_a_window_of_milliseconds_ahead(
     cycle_s: float, reach: int
 ) -> None:
-    for ahead, kind in ((reach, Kind.NORMAL), (reach + 1, Kind.REFUSED)):
+    for ahead, kind in ((reach, TelegramKind.NORMAL), (reach + 1, TelegramKind.REFUSED)):
         exchange = Exchange(cycle_s)
-        assert exchange.on_telegram(0, 0).kind is Kind.FIRST
+        assert exchange.on_telegram(0, 0).kind is TelegramKind.FIRST
         assert exchange.on_telegram(ahead, round(cycle_s * 1e9)).kind is kind
 
 
 @pytest.mark.parametrize(("at", "kind"), [(9.0, "gap"), (9.01, "late"), (5.5, "gap")])
 def test_a_line_goes_on_only_in_its_time(at: float, kind: str) -> None:
     feed = running()
-    assert feed(5, 9).kind is Kind.GAP  # a flipped bit
+    assert feed(5, 9).kind is TelegramKind.GAP  # a flipped bit
     assert feed.kinds_of((5.1, 3), (5.2, 4), (at, 5)) == ["backward", "backward", kind]
 
 
@@ -231,7 +246,11 @@ def test_a_line_that_goes_on_makes_as_many_steps_as_cycles_have_passed() -> None
     ahead = feed(5, 9)  # a flipped bit
     assert ahead.steps == 5
     line = [feed(cycle) for cycle in range(6, 9)]
-    assert [verdict.kind for verdict in line] == [Kind.LATE, Kind.LATE, Kind.GAP]
+    assert [verdict.kind for verdict in line] == [
+        TelegramKind.LATE,
+        TelegramKind.LATE,
+        TelegramKind.GAP,
+    ]
     assert line[-1].missed == 3
     after = [feed(cycle) for cycle in range(9, 12)]
     assert [verdict.steps for verdict in (*line, *after)] == [0, 0, 0, 0, 1, 1]
@@ -239,7 +258,7 @@ def test_a_line_that_goes_on_makes_as_many_steps_as_cycles_have_passed() -> None
 
 def test_a_line_that_ends_where_the_doubt_began_does_not_go_on() -> None:
     feed = running()
-    assert feed(5, 9).kind is Kind.GAP  # a flipped bit
+    assert feed(5, 9).kind is TelegramKind.GAP  # a flipped bit
     kinds = feed.kinds_of((6, 2), (7, 3), (8, 4))
     assert kinds == ["backward", "backward", "new_session"]
 
@@ -248,15 +267,15 @@ def test_a_burst_of_telegrams_in_one_line_begins_no_session() -> None:
     feed = running()
     kinds = feed.kinds_of((5.1, 10**6), (5.2, 10**6 + 1), (5.3, 10**6 + 2), (5.4, 10**6 + 3))
     assert kinds == ["refused"] * 4
-    assert feed(6).kind is Kind.GAP
+    assert feed(6).kind is TelegramKind.GAP
     assert feed.exchange.session == 1
 
 
 def test_forged_telegrams_between_those_of_the_controller_begin_no_session() -> None:
     feed = running()
     for k in range(5, 15):
-        assert feed(k).kind is Kind.NORMAL
-        assert feed(k + 0.5, 10**6 + k).kind is Kind.REFUSED
+        assert feed(k).kind is TelegramKind.NORMAL
+        assert feed(k + 0.5, 10**6 + k).kind is TelegramKind.REFUSED
     assert feed.exchange.session == 1
 
 
@@ -264,7 +283,7 @@ def test_missed_telegrams_that_come_at_last_and_in_line_are_late_and_no_new_sess
     feed = running()
     assert feed.kinds_of((9, 9), (10, 10)) == ["gap", "normal"]
     assert feed.kinds_of((10.1, 5), (10.2, 6), (10.3, 7), (10.4, 8)) == ["late"] * 4
-    assert feed(11).kind is Kind.NORMAL
+    assert feed(11).kind is TelegramKind.NORMAL
     assert feed.exchange.session == 1
 
 
@@ -274,11 +293,11 @@ def test_telegrams_that_were_held_up_do_not_outvote_the_one_that_kept_time(
 ) -> None:
     feed = running()
     # Nobody has confirmed it yet, but counter and clock agree on it.
-    assert feed(10).kind is Kind.GAP
+    assert feed(10).kind is TelegramKind.GAP
     arrivals = [(10.3 + 0.7 * n, cycle) for n, cycle in enumerate(held_up)]
     assert feed.kinds_of(*arrivals) == ["late"] * 3
     verdict = feed(12)
-    assert verdict.kind is Kind.GAP
+    assert verdict.kind is TelegramKind.GAP
     assert verdict.missed == 1
 
 
@@ -308,20 +327,21 @@ def test_a_counter_that_was_flipped_ahead_in_a_late_telegram_begins_no_session(
 
 def test_a_gap_without_the_time_for_it_is_a_flipped_bit() -> None:
     feed = running()
-    assert feed(5, 5 + 16).kind is Kind.REFUSED
-    assert feed(6).kind is Kind.GAP
+    assert feed(5, 5 + 16).kind is TelegramKind.REFUSED
+    assert feed(6).kind is TelegramKind.GAP
 
 
 @pytest.mark.parametrize(
-    ("silence_s", "kind"), [(1.0, Kind.GAP), (1.99, Kind.REFUSED), (2.0, Kind.NEW_SESSION)]
+    ("silence_s", "kind"),
+    [(1.0, TelegramKind.GAP), (1.99, TelegramKind.REFUSED), (2.0, TelegramKind.NEW_SESSION)],
 )
-def test_silence_ends_a_session(silence_s: float, kind: Kind) -> None:
+def test_silence_ends_a_session(silence_s: float, kind: TelegramKind) -> None:
     feed = running()
     cycles = round(silence_s / CYCLE_S)
     ipoc = FIRST + STEP * (4 + cycles)
     verdict = feed.exchange.on_telegram(ipoc, 4 * CYCLE_NS + round(silence_s * 1e9))
     assert verdict.kind is kind
-    assert verdict.session == (2 if kind is Kind.NEW_SESSION else 1)
+    assert verdict.session == (2 if kind is TelegramKind.NEW_SESSION else 1)
 
 
 def test_a_counter_that_stands_still_is_a_new_session_after_the_silence() -> None:
@@ -334,19 +354,19 @@ def test_another_peer_is_refused_while_the_first_one_lives() -> None:
     feed = Feed()
     for n in range(5):
         assert feed(n, peer="first").answer
-        assert feed(n + 0.5, n + 1000, peer="second").kind is Kind.REFUSED
-    assert feed(12, 1012, peer="second").kind is Kind.REFUSED
+        assert feed(n + 0.5, n + 1000, peer="second").kind is TelegramKind.REFUSED
+    assert feed(12, 1012, peer="second").kind is TelegramKind.REFUSED
     taken_over = feed(13, 1013, peer="second")
-    assert (taken_over.kind, taken_over.session) == (Kind.NEW_SESSION, 2)
-    assert feed(13.5, 13, peer="first").kind is Kind.REFUSED
-    assert feed(14, 1014, peer="second").kind is Kind.NORMAL
+    assert (taken_over.kind, taken_over.session) == (TelegramKind.NEW_SESSION, 2)
+    assert feed(13.5, 13, peer="first").kind is TelegramKind.REFUSED
+    assert feed(14, 1014, peer="second").kind is TelegramKind.NORMAL
 
 
 def test_a_reset_begins_with_a_first_telegram_again() -> None:
     feed = running()
     feed.exchange.reset()
     verdict = feed(5)
-    assert (verdict.kind, verdict.session) == (Kind.FIRST, 2)
+    assert (verdict.kind, verdict.session) == (TelegramKind.FIRST, 2)
     assert feed.exchange.counters["first"] == 2
 
 
@@ -362,8 +382,8 @@ def test_a_flipped_bit_costs_at_most_three_answers(step: int, position: int) -> 
         after = verdicts[position:]
         assert [verdict.answer for verdict in after].count(False) <= 3
         # Late where a small flip looked like a gap, and its steps were made too early.
-        assert {verdict.kind for verdict in after[4:]} <= {Kind.NORMAL, Kind.LATE}
-        assert after[-1].kind is Kind.NORMAL
+        assert {verdict.kind for verdict in after[4:]} <= {TelegramKind.NORMAL, TelegramKind.LATE}
+        assert after[-1].kind is TelegramKind.NORMAL
         assert feed.exchange.step == step
         assert position < 4 or feed.exchange.session == 1
 
@@ -434,12 +454,17 @@ def test_steps_follow_the_controllers_cycles(fates: list[str]) -> None:
 
 
 def test_every_state_knows_every_event_that_can_reach_it() -> None:
-    in_session = set(TABLE[State.RUNNING]) & set(TABLE[State.LEARNING])
+    in_session = set(TABLE[ExchangeState.RUNNING]) & set(TABLE[ExchangeState.LEARNING])
     assert len(in_session) == 10
     for row in TABLE.values():
         for transition in row.values():
-            fresh = transition.kind in {Kind.FIRST, Kind.NORMAL, Kind.GAP, Kind.NEW_SESSION}
-            assert transition.answer is fresh or transition.kind is Kind.LATE
+            fresh = transition.kind in {
+                TelegramKind.FIRST,
+                TelegramKind.NORMAL,
+                TelegramKind.GAP,
+                TelegramKind.NEW_SESSION,
+            }
+            assert transition.answer is fresh or transition.kind is TelegramKind.LATE
 
 
 # --- the controller's role -----------------------------------------------------------------
@@ -669,7 +694,7 @@ class ExchangePair:
     now_ns: int = 0
     refused: int = 0
     answers: int = 0
-    kinds: list[Kind] = field(default_factory=list)
+    kinds: list[TelegramKind] = field(default_factory=list)
     judgements: list[Judgement | None] = field(default_factory=list)
     held_up: dict[str, list[bytes]] = field(default_factory=lambda: {"down": [], "up": []})
 
@@ -740,7 +765,7 @@ def test_on_a_good_link_every_telegram_is_answered(step: int) -> None:
     for _ in range(50):
         pair.cycle()
     assert pair.judgements == [Judgement.ACCEPTED] * 50
-    assert pair.kinds == [Kind.FIRST] + [Kind.NORMAL] * 49
+    assert pair.kinds == [TelegramKind.FIRST] + [TelegramKind.NORMAL] * 49
     assert pair.daemon.step == step
     assert pair.controller.delay == 0
 
@@ -795,7 +820,7 @@ def test_a_controller_started_again_is_a_new_session() -> None:
     pair.controller.restart(0)
     for _ in range(5):
         pair.cycle()
-    assert pair.kinds[-3:] == [Kind.NEW_SESSION, Kind.NORMAL, Kind.NORMAL]
+    assert pair.kinds[-3:] == [TelegramKind.NEW_SESSION, TelegramKind.NORMAL, TelegramKind.NORMAL]
     assert pair.judgements[5:] == [Judgement.MISSING] * 2 + [Judgement.ACCEPTED] * 3
     assert pair.daemon.session == 2
 

@@ -9,7 +9,8 @@ import pytest
 from msgspec import structs
 from transcripts import Chance, Transcript
 
-from linemate.protocol.exchange import ControllerExchange, Exchange
+from linemate.protocol.exchange import Exchange
+from linemate.protocol.exchange_controller import ControllerExchange
 
 EVENTS = 60
 SCRIPTS = 500

@@ -17,7 +17,7 @@ from linemate.protocol.command import frame_codec
 from linemate.protocol.command.authenticated import CommandClient, CommandServer
 from linemate.protocol.command.frame_codec import (
     CommandError,
-    Frame,
+    CommandFrame,
     FrameType,
     Role,
     cut_frame,
@@ -156,7 +156,7 @@ def test_a_frame_is_cut_into_what_it_was_made_of(
 ) -> None:
     body = frame_body(kind, key_id, session, sequence, payload)
     frame = cut_frame(body + bytes(16))
-    assert frame == Frame(kind, key_id, session, sequence, body, payload, bytes(16))
+    assert frame == CommandFrame(kind, key_id, session, sequence, body, payload, bytes(16))
 
 
 @pytest.mark.parametrize("too_big", [2**64, -1])

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linemate.protocol.command.client_core import Answer
-from linemate.protocol.command.conversation import ControlLease, Order
+from linemate.protocol.command.conversation import CommandOrder, ControlLease
 from linemate.protocol.command.frame_codec import FrameType, Role, cut_local, local_body
 from linemate.protocol.command.local_client import LocalClient
 from linemate.protocol.command.local_server import LocalAccess, LocalServer
@@ -27,8 +27,8 @@ def test_a_conversation_runs_without_a_key() -> None:
     assert isinstance(cookie, bytes)
     client.on_datagram(cookie, 0)
     order = server.on_message(client.request("arm", {}, 500 * MS).frame, START_NS)
-    assert order == Order("arm", {}, 1, Role.OPERATE, "uid:1")
-    assert isinstance(order, Order)
+    assert order == CommandOrder("arm", {}, 1, Role.OPERATE, "uid:1")
+    assert isinstance(order, CommandOrder)
     answer = client.on_datagram(server.reply(order, {"a": bytes(60000)}, START_NS), 0)
     assert isinstance(answer, Answer)
     assert answer.result == {"a": bytes(60000)}

@@ -27,7 +27,7 @@ from linemate.protocol.command.client_core import Answer, Telemetry
 from linemate.protocol.command.frame_codec import FrameType, Role, cut_local, local_body
 from linemate.protocol.command.local_client import LocalClient
 from linemate.protocol.command.local_server import LocalAccess
-from linemate.protocol.command.preshared_keys import Key
+from linemate.protocol.command.preshared_keys import PresharedKey
 from linemate.protocol.command.requests import encode_request
 
 ALICE = key_of("alice", Role.OPERATE, 1)
@@ -51,7 +51,7 @@ def connected(port: CommandPort) -> Iterator[tuple[socket.socket, LocalClient]]:
 
 
 @contextlib.contextmanager
-def shaken(port: CommandPort, key: Key) -> Iterator[tuple[socket.socket, CommandClient]]:
+def shaken(port: CommandPort, key: PresharedKey) -> Iterator[tuple[socket.socket, CommandClient]]:
     """A UDP client likewise."""
     address = port.udp_address
     assert address is not None

@@ -26,7 +26,7 @@ from msgspec import structs
 from linemate.daemon.transport.client import Client, RefusedError
 from linemate.protocol.command.frame_codec import Role
 from linemate.protocol.command.preshared_keys import key_line, make_key
-from linemate.protocol.exchange import ControllerCounts
+from linemate.protocol.exchange_controller import ControllerCounts
 from linemate.protocol.rsi.codec import SensorTelegram
 from linemate.protocol.sensors import camera_codec
 from linemate.protocol.sensors.slcan import CanFrame, format_frame

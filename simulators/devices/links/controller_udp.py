@@ -12,7 +12,7 @@ import time
 from dataclasses import dataclass
 from typing import Protocol
 
-from linemate.protocol.exchange import Judgement
+from linemate.protocol.exchange_controller import Judgement
 from linemate.simulators.devices.links.endpoint import Address, Endpoint
 from linemate.simulators.devices.rsi_controller import Applied, RsiController
 from linemate.simulators.devices.schedule import Entry, Schedule

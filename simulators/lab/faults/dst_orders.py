@@ -11,11 +11,11 @@ from linemate.daemon.service.app import App
 from linemate.protocol.command.authenticated import CommandClient, Incoming
 from linemate.protocol.command.client_core import Answer
 from linemate.protocol.command.frame_codec import Role
-from linemate.protocol.command.preshared_keys import Key, make_key
+from linemate.protocol.command.preshared_keys import PresharedKey, make_key
 
 DEADLINE_NS = 200_000_000
 NAMES = ("operator", "colleague")
-KEYS: tuple[Key, ...] = tuple(
+KEYS: tuple[PresharedKey, ...] = tuple(
     make_key(name, Role.OPERATE, bytes((7 * n + i * i) % 256 for i in range(1, 33)))
     for n, name in enumerate(NAMES, 1)
 )
