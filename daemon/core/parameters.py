@@ -80,7 +80,6 @@ def build(
 
     Args:
         urdf_text: the arm, as text.
-        cycle_s: T0 [s].
 
     Raises:
         ValueError: settings, task and arm do not fit together; the message says which.

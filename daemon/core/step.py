@@ -56,7 +56,6 @@ class Outputs(Struct, frozen=True, eq=False):
 
     Attributes:
         k: number of the step.
-        stamp_ns: its time [ns].
         command: absolute setpoints q_c, A1..A6 [rad] and E1 [m], within the limits.
         digital_out: the tool's signals, bit 0 fix the screws, bit 1 release the wheel.
         task_time: of the task's clock [s], None before the start.

@@ -106,11 +106,7 @@ def update(
     """Return the estimates corrected by one window; some milliseconds an axis.
 
     Args:
-        settings: bounds.
         identified: models of the axes, the centres of the bounds.
-        estimates: before.
-        window: the last cycles.
-        cycle_s: T0 [s].
         elapsed: time since the last update [s].
     """
     axes = tuple(

@@ -19,7 +19,6 @@ class AxisBounds:
 
     Attributes:
         lower, upper: position.
-        period: T0 [s].
         change: largest change of the acceleration in one step.
         margin: tolerance for rounding, a millionth of the acceleration.
     """
@@ -41,7 +40,6 @@ class Limits:
     Attributes:
         lower, upper: position.
         names: of the axes, for reasons.
-        period: T0 [s].
     """
 
     lower: Array
@@ -70,9 +68,6 @@ def acceleration_range(p: float, v: float, a: float, bounds: AxisBounds) -> tupl
 
     Args:
         p: position of the last command.
-        v: its speed.
-        a: its acceleration.
-        bounds: of the axis.
     """
     period = bounds.period
     hard_low = max(a - bounds.change, -bounds.acceleration)

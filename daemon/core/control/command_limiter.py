@@ -26,7 +26,6 @@ class LimiterState(Struct, frozen=True, eq=False):
     Attributes:
         position, speed, acceleration: of the commands (m,).
         desired: last desired setpoint (m,).
-        desired_speed: its difference (m,).
         mean_speed: of the commands over some ``MEAN_S`` (m,); None: the same as ``speed``.
     """
 
@@ -139,8 +138,6 @@ def admit(state: LimiterState, desired: Array, limits: Limits) -> tuple[LimiterS
 
     Args:
         state: of the commands so far.
-        desired: setpoints (m,), SI.
-        limits: of each axis.
 
     Returns:
         The new state, whose ``position`` is the command, and None or what was limited and why.
@@ -194,7 +191,6 @@ def brake(state: LimiterState, limits: Limits, gentle: Limits | None = None) -> 
 
     Args:
         state: of the commands so far.
-        limits: always kept.
         gentle: acceleration and jerk to stop with; None: those of ``limits``, the quickest stop.
     """
     period = limits.period

@@ -30,7 +30,6 @@ class Controller:
     """What control needs, compiled.
 
     Attributes:
-        cycle_s: T0 [s].
         smoothing: taps (n_imp + 1,) of (16).
         effector: taps (n_l + 1 + n_u, 6) of (11), in the tool's frame.
         damper: (6, n_rob + 1, n_l + n_rob + 1 + n_u) the change that (11) makes of x_s, each
@@ -86,7 +85,6 @@ def compile_controller(
     """Return the controller with its filters designed.
 
     Args:
-        cycle_s: T0 [s].
         conveyor_speed: which the tcp may have beside its own [m/s].
 
     Raises:

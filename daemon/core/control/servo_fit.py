@@ -90,7 +90,6 @@ def fit(
     along: an encoder's zero is no property of the servo.
 
     Args:
-        cycle_s: T0 [s].
         start: where to begin; without one a coarse grid is searched.
 
     Returns:

@@ -58,9 +58,7 @@ def slow_down(
 
     Args:
         state: of the commands so far.
-        admitted: by ``command_limiter.admit``.
         jacobian: (3, m) of the tcp's position.
-        limits: of each axis.
         cap: of the tcp's mean speed [m/s].
 
     Returns:
@@ -94,9 +92,7 @@ def _keeps_speed(
     ``MEAN_S``.
 
     Args:
-        after: the command.
         jacobian: (3, m) of the tcp's position.
-        limits: of each axis.
         before: (3,) mean velocity of the tcp one step ago [m/s].
         change: by which the mean may rise in its own direction in this step [m/s].
         cap: limit of the mean [m/s].
@@ -139,9 +135,7 @@ def _interpolate(
     Args:
         state: of the commands so far.
         stop: accelerations (m,) of the stop.
-        admitted: by ``command_limiter.admit``.
         share: 0 for the stop, 1 for the admitted command.
-        period: T0 [s].
     """
     acceleration = stop + share * (admitted.acceleration - stop)
     speed = state.speed + period * acceleration

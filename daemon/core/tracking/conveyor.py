@@ -41,7 +41,6 @@ class PositionMeasurement(Struct, frozen=True):
 
     Attributes:
         source: only the distance sensor measures with the offset x10.
-        value: measured position [m].
         delay: tau, from the measurement to now [s]; any real number.
         variance: sigma_i of (3) [m^2].
         gate: reject an innovation beyond this many sigma.
@@ -59,11 +58,9 @@ class ConveyorEstimate(Struct, frozen=True):
 
     Attributes:
         position: of the object along the conveyor [m].
-        speed: [m/s].
         offset: of the distance sensor, x10 [m].
         deviation: one sigma of the position [m].
         speed_deviation: one sigma of the speed [m/s].
-        motion: class in force.
         tentative: a change of class is tentative.
         confidence: log odds of the change that was last evaluated.
         events: of this step, for example ``("stop", "confirmed")``.

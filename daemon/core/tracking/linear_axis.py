@@ -38,7 +38,6 @@ def advance(plan: AxisPlan, goal: float, ramp: float, dt: float) -> AxisPlan:
         plan: of the step before.
         goal: where the axis is to be ``delay`` after the end of the plan [m].
         ramp: time in which the axis takes up or loses its speed [s].
-        dt: T0 [s].
     """
     gain = _gain(ramp, dt)
     first, second, third = plan.stages

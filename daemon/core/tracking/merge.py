@@ -33,10 +33,6 @@ def merge_matrix(tau: float, cycle_s: float, steps: int) -> Array:
 
     Row i is e at nc + 1 + i for the history ``e(nc), e(nc-1), ..., e(nc-4)``, under the feedback
     that minimises ``sum e^2 + (tau/T0)^10 (fifth difference of e)^2``.
-
-    Args:
-        tau: time constant [s].
-        cycle_s: T0 [s].
     """
     binomial = np.array([math.comb(ORDER, j) * (-1.0) ** j for j in range(ORDER + 1)])
     A = np.zeros((ORDER, ORDER))
@@ -65,9 +61,6 @@ def rounding(cycle_s: float, commit: int) -> Array:
     for a fourth derivative, with a gain of (tau/T0)^4, and swings out by millimetres. A binomial
     kernel, sigma 5.7 ms, leaves a thirtieth of it and moves the goal by less than 2 um; at 12 ms
     it is 1.
-
-    Args:
-        cycle_s: T0 [s].
     """
     half = min(int(2.0 * (CORNER_S / cycle_s) ** 2 + 1e-9), commit + 1 - ORDER)
     taps = np.array([math.comb(2 * half, i) for i in range(2 * half + 1)], dtype=float)

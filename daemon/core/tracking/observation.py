@@ -68,7 +68,6 @@ class Sighting(Struct, frozen=True, eq=False):
     """One measured pose of the object in c.
 
     Attributes:
-        position: (3,) [m].
         rotation: (3, 3) of the object's axes in c.
         delay: tau, from the measurement to now [s].
         variance: (6,) of position and of a rotation about the axes of c [m^2, rad^2].

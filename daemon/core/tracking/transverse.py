@@ -67,7 +67,6 @@ class _Swing:
 
     Attributes:
         mode: as it was identified.
-        omega: its frequency [rad/s].
         i: where its angle is in x; its quadrature is next to it.
         j: where the error of its pace is in x, -1 if it has none.
     """

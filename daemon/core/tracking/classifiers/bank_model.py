@@ -57,8 +57,6 @@ class BankState(Struct, frozen=True, eq=False):
             [m], acceleration [m/s^2], swing after an impulse and its quadrature [m], periodic
             ripple at full speed and its quadrature [m], and the error of the ripple's frequency as
             a share. The last is folded into ``ripple_factor`` after each correction and then 0.
-        P: (10, 10) covariance.
-        motion: class in force.
         cruise: speed at which a start ends [m/s].
         changes: onsets of the next class.
         impulses: onsets of impulse disturbances.

@@ -135,12 +135,8 @@ def _nonlinear_part(
     """Return what ramp, ripple and swing of one hypothesis (m,) add to its steady motion.
 
     Args:
-        model: of the conveyor.
-        x: estimate (10,).
-        motion: its class.
         omega: of its swing [rad/s].
         cruise: speed at which a start ends [m/s].
-        times: from now [s].
         turn: cosine and sine (m,) of the ripple's phase from now.
     """
     _, v, _, _, a, swing, swing_quadrature, ripple, quadrature, _ = x

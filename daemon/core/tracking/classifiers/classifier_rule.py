@@ -41,10 +41,8 @@ class TentativeClass(Struct, frozen=True, eq=False):
     """A class that is compared with the one before it.
 
     Attributes:
-        old: class before.
         position, speed: prediction of the old class, uncorrected since [m, m/s].
         old_error, new_error: squared prediction errors since, fading [m^2].
-        age: [s].
     """
 
     old: Motion
@@ -63,7 +61,6 @@ class RuleState(Struct, frozen=True, eq=False):
         P: (3, 3) covariance of x.
         monitor: (2,) predicted reading of the distance sensor [m] and its speed [m/s].
         monitor_P: (2, 2) covariance of the monitor.
-        motion: class in force.
         cruise: speed at which a start ends [m/s].
         age: of the estimate [s].
         class_age: time since the class began to act [s].

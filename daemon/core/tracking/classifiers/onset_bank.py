@@ -108,10 +108,8 @@ def propagate(bank: OnsetBank, onsets: OnsetBank, F: Array, dt: float, longest: 
     """Return the bank one step later: new onsets before the step, without the oldest.
 
     Args:
-        bank: before.
         onsets: hypotheses that are added.
         F: the null filter's transition (n, n).
-        dt: [s].
         longest: age of the oldest onset [s].
     """
     keep = min(len(bank), len(onsets) * (round(longest / dt) - 1))
@@ -155,7 +153,6 @@ def merge_moments(bank: OnsetBank, unit: Array, prior: AmplitudePrior) -> tuple[
     Args:
         bank: with at least one hypothesis.
         unit: (n, m) by how much each would at amplitude 1.
-        prior: of the amplitude.
     """
     result = posterior(bank, prior)
     shift = unit * result.amplitudes

@@ -27,7 +27,6 @@ class StartCheck(Struct, frozen=True, eq=False):
     Attributes:
         before: class before the start.
         speed: estimated at the declaration [m/s].
-        age: since then [s].
         readings: time since the declaration [s] and position [m], the last ``SPAN_S``.
     """
 
@@ -62,9 +61,6 @@ def update(
     Args:
         check: of the step before.
         before: class of the step before.
-        motion: class now.
-        speed: estimated now [m/s].
-        measurements: of this step.
         dt: since the step before [s].
     """
     if motion is not Motion.STARTING:
