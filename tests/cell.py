@@ -12,9 +12,9 @@ from linemate.daemon.config import task_file
 from linemate.daemon.config.files import DAEMON_DATA
 from linemate.daemon.core import rotations
 from linemate.daemon.core.control.settings import ControlSettings
-from linemate.daemon.core.inputs import Inputs, Order
+from linemate.daemon.core.inputs import Inputs, MotionOrder
 from linemate.daemon.core.parameters import Parameters, build
-from linemate.daemon.core.step import Outputs, State, initial, step
+from linemate.daemon.core.step import Outputs, StepState, initial, step
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.protocol.samples import CameraSample, DistanceSample, RobotSample, WrenchSample
 
@@ -73,7 +73,7 @@ class World:
         self.parameters = parameters
         self.period_ns = round(parameters.cycle_s * 1e9)
         self.k = 0
-        self.state: State = initial(parameters, robot_sample(EPOCH_NS))
+        self.state: StepState = initial(parameters, robot_sample(EPOCH_NS))
         self.command: tuple[float, ...] = (*REST, AXIS)
         self.outputs: Outputs | None = None
         self.camera, self.distance = camera, distance
@@ -96,7 +96,7 @@ class World:
         """Scenario time of the next step [s]."""
         return (self.stamp_ns - EPOCH_NS) * 1e-9 - LEAD_S
 
-    def inputs(self, order: Order = Order.HOLD, **changes: Any) -> Inputs:
+    def inputs(self, order: MotionOrder = MotionOrder.HOLD, **changes: Any) -> Inputs:
         """What the next step is given."""
         stamp_ns = self.stamp_ns
         robot = robot_sample(stamp_ns - self.period_ns, self.joints)
@@ -166,7 +166,7 @@ class World:
             ),
         )
 
-    def step(self, order: Order = Order.HOLD, **changes: Any) -> Outputs:
+    def step(self, order: MotionOrder = MotionOrder.HOLD, **changes: Any) -> Outputs:
         """Make the next step."""
         return self.take(self.inputs(order, **changes))
 
@@ -180,7 +180,7 @@ class World:
     def run(
         self,
         seconds: float,
-        order: Order = Order.HOLD,
+        order: MotionOrder = MotionOrder.HOLD,
         each: Callable[[Outputs], None] | None = None,
         **changes: Any,
     ) -> Outputs:

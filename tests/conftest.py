@@ -11,7 +11,7 @@ from linemate.daemon.config.task_file import Task
 from linemate.daemon.core import parameters as compiling
 from linemate.daemon.core import step as stepping
 from linemate.daemon.core.control.settings import ControlSettings
-from linemate.daemon.core.inputs import Inputs, Order
+from linemate.daemon.core.inputs import Inputs, MotionOrder
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.cycle.cycle import LogEntry
@@ -68,7 +68,7 @@ def entries(task: Task, parameters: Parameters) -> tuple[LogEntry, ...]:
             if k % 3 == 0
             else (),
             wrench=(WrenchSample(stamp, (0.1, -0.2, 0.3), (0.0, -0.0, 1e-9), 0, 5, 21.5),) * 3,
-            order=Order.TRACK if k > 10 else Order.HOLD,
+            order=MotionOrder.TRACK if k > 10 else MotionOrder.HOLD,
             start=k == 11,
         )
         state, outputs = stepping.step(state, inputs, parameters)

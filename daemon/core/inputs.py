@@ -11,7 +11,7 @@ from msgspec import Struct
 from linemate.protocol.samples import CameraSample, DistanceSample, RobotSample, WrenchSample
 
 
-class Order(StrEnum):
+class MotionOrder(StrEnum):
     """What the operating state machine lets the step do."""
 
     HOLD = "hold"
@@ -45,7 +45,7 @@ class Inputs(Struct, frozen=True):
     distance: tuple[DistanceSample, ...] = ()
     camera: tuple[CameraSample, ...] = ()
     wrench: tuple[WrenchSample, ...] = ()
-    order: Order = Order.HOLD
+    order: MotionOrder = MotionOrder.HOLD
     start: bool = False
     sent: bool = True
     applied: tuple[float, ...] | None = None

@@ -19,7 +19,7 @@ from linemate.daemon.core import rotations
 from linemate.daemon.core.control import command_limiter
 from linemate.daemon.core.control import controller as control
 from linemate.daemon.core.horizon import Array, Horizon
-from linemate.daemon.core.inputs import Inputs, Order
+from linemate.daemon.core.inputs import Inputs, MotionOrder
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.tracking import tracker as tracking
 from linemate.daemon.core.tracking.reference import Reference
@@ -36,7 +36,7 @@ REST_ANGLE = 0.05  # [rad]
 SAME_PLACE = 0.05  # a robot that was led beside a line and stopped comes to rest within [m]
 
 
-class State(Struct, frozen=True, eq=False):
+class StepState(Struct, frozen=True, eq=False):
     """Everything a step remembers.
 
     Attributes:
@@ -133,18 +133,18 @@ def _in_base(reference: Reference, pose: Array) -> Pose:
     )
 
 
-def initial(parameters: Parameters, robot: RobotSample) -> State:
+def initial(parameters: Parameters, robot: RobotSample) -> StepState:
     """Return the state of a robot that stands where a telegram says; its command is that place."""
     joints = _joints(parameters, robot)
     pose = _tcp(parameters, joints)
-    return State(
+    return StepState(
         tracker=tracking.at_rest(parameters.tracker, pose, _axis(parameters, joints)),
         control=control.at_rest(parameters.controller, joints, pose),
         applied=joints,
     )
 
 
-def resumed(parameters: Parameters, state: State, robot: RobotSample) -> State:
+def resumed(parameters: Parameters, state: StepState, robot: RobotSample) -> StepState:
     """Return the state of a robot that stands where a telegram says, its tool on the object.
 
     The object's estimate and the tool's place in the task live on.
@@ -152,10 +152,10 @@ def resumed(parameters: Parameters, state: State, robot: RobotSample) -> State:
     joints = _joints(parameters, robot)
     pose = _tcp(parameters, joints)
     tracker = tracking.rest(parameters.tracker, state.tracker, pose, _axis(parameters, joints))
-    return State(tracker, control.at_rest(parameters.controller, joints, pose), joints)
+    return StepState(tracker, control.at_rest(parameters.controller, joints, pose), joints)
 
 
-def is_engaged(state: State, parameters: Parameters, robot: RobotSample) -> bool:
+def is_engaged(state: StepState, parameters: Parameters, robot: RobotSample) -> bool:
     """Return whether a robot stands where its tool was left on the object.
 
     One that was driven away since has been seen to by its operator.
@@ -166,7 +166,7 @@ def is_engaged(state: State, parameters: Parameters, robot: RobotSample) -> bool
     return float(np.linalg.norm(way[:3])) <= SAME_PLACE
 
 
-class Plan(Struct, frozen=True, eq=False):
+class StepPlan(Struct, frozen=True, eq=False):
     """A step but for what the robot made of the last command.
 
     Attributes:
@@ -181,7 +181,7 @@ class Plan(Struct, frozen=True, eq=False):
     aim: control.Aim | None = None
 
 
-def step(state: State, inputs: Inputs, parameters: Parameters) -> tuple[State, Outputs]:
+def step(state: StepState, inputs: Inputs, parameters: Parameters) -> tuple[StepState, Outputs]:
     """Return the state and the outputs of one sampling step.
 
     Args:
@@ -191,7 +191,7 @@ def step(state: State, inputs: Inputs, parameters: Parameters) -> tuple[State, O
     return finish(state, plan(state, inputs, parameters), inputs, parameters)
 
 
-def plan(state: State, inputs: Inputs, parameters: Parameters) -> Plan:
+def plan(state: StepState, inputs: Inputs, parameters: Parameters) -> StepPlan:
     """Return nine tenths of a step, whatever the robot made of the last command.
 
     Args:
@@ -199,19 +199,19 @@ def plan(state: State, inputs: Inputs, parameters: Parameters) -> Plan:
         inputs: of which ``sent``, ``applied`` and ``pace`` are not read.
     """
     seen = _measurements(inputs, parameters)
-    if inputs.order is Order.HOLD:
-        return Plan(*tracking.observe(parameters.tracker, state.tracker, seen))
-    retreat = inputs.order is Order.RETREAT
+    if inputs.order is MotionOrder.HOLD:
+        return StepPlan(*tracking.observe(parameters.tracker, state.tracker, seen))
+    retreat = inputs.order is MotionOrder.RETREAT
     tracker, horizon, report = tracking.track(
         parameters.tracker, state.tracker, seen, start=inputs.start, retreat=retreat
     )
     aim = control.aim(parameters.controller, state.control, horizon)
-    return Plan(tracker, report, horizon, aim)
+    return StepPlan(tracker, report, horizon, aim)
 
 
 def finish(
-    state: State, planned: Plan, inputs: Inputs, parameters: Parameters
-) -> tuple[State, Outputs]:
+    state: StepState, planned: StepPlan, inputs: Inputs, parameters: Parameters
+) -> tuple[StepState, Outputs]:
     """Return a step's state and outputs, with what the robot made of the last command.
 
     Args:
@@ -235,14 +235,14 @@ def finish(
     steered, held = control.reach(
         parameters.controller, aim, begun.control.gate, clamped=state.tracker.contact
     )
-    state = State(tracker, steered, begun.applied, moving=True)
+    state = StepState(tracker, steered, begun.applied, moving=True)
     outputs = _outputs(state, inputs, planned.report, horizon.poses, held, parameters)
     if planned.report.object_left or aim.command is None:
         outputs = replace(outputs, object_left=True)
     return state, outputs
 
 
-def _applied(state: State, inputs: Inputs) -> State:
+def _applied(state: StepState, inputs: Inputs) -> StepState:
     """Return the state with its gate at what the robot has: without a command it holds.
 
     Unless it is told to go on from there, see ``Inputs.pace``.
@@ -257,7 +257,7 @@ def _applied(state: State, inputs: Inputs) -> State:
     return replace(state, applied=applied, control=replace(state.control, gate=gate), moving=moving)
 
 
-def _halted(state: State, tracker: tracking.TrackerState, parameters: Parameters) -> State:
+def _halted(state: StepState, tracker: tracking.TrackerState, parameters: Parameters) -> StepState:
     """Return the state of a robot that is to stand: it brakes, and then its plan is rest."""
     if not state.moving:
         return replace(state, tracker=tracker)
@@ -268,7 +268,7 @@ def _halted(state: State, tracker: tracking.TrackerState, parameters: Parameters
     if still:
         steered = control.at_rest(parameters.controller, joints, pose)
     tracker = tracking.rest(parameters.tracker, tracker, pose, _axis(parameters, joints))
-    return State(tracker, steered, state.applied, moving=not still)
+    return StepState(tracker, steered, state.applied, moving=not still)
 
 
 def _measurements(inputs: Inputs, parameters: Parameters) -> tracking.Measurements:
@@ -288,7 +288,7 @@ def _measurements(inputs: Inputs, parameters: Parameters) -> tracking.Measuremen
     )
 
 
-def _ready(state: State, parameters: Parameters) -> str | None:
+def _ready(state: StepState, parameters: Parameters) -> str | None:
     """Return why the task cannot start, None if it can."""
     if state.tracker.belief is None:
         return "no distance has been measured yet"
@@ -302,7 +302,7 @@ def _ready(state: State, parameters: Parameters) -> str | None:
 
 
 def _outputs(
-    state: State,
+    state: StepState,
     inputs: Inputs,
     report: tracking.Report,
     poses: Array | None,
@@ -312,7 +312,7 @@ def _outputs(
     """Return what the step says."""
     tracker, reference = state.tracker, parameters.tracker.reference
     signals = 0
-    if tracker.fixing is not None and inputs.order is not Order.RETREAT:
+    if tracker.fixing is not None and inputs.order is not MotionOrder.RETREAT:
         signals |= FIX_SCREWS
     if tracker.releasing is not None:
         signals |= RELEASE_WHEEL

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core import step as stepping
-from linemate.daemon.core.inputs import Inputs, Order
+from linemate.daemon.core.inputs import Inputs, MotionOrder
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle import states
 from linemate.daemon.cycle.causes import Change
@@ -78,7 +78,7 @@ class _Prepared(Struct, frozen=True):
 
     reply: PreparedReply
     entry: LogEntry
-    plan: stepping.Plan
+    plan: stepping.StepPlan
 
 
 class Cycle:
@@ -132,14 +132,16 @@ class Cycle:
         self._is_under_way = self._was_preparing = self._is_judged = False
         self.ready_reply: ReadyReply | None = None
         self._sent_ahead: Axes | None = None  # command of a reply that preceded on_telegram
-        self._state: stepping.State | None = None
-        self._began_with: stepping.State | None = None
+        self._state: stepping.StepState | None = None
+        self._began_with: stepping.StepState | None = None
         self._before: stepping.Outputs | None = None  # of the step before ``last``
         self._robot: RobotSample | None = None
         self._joints: Vector6 | None = None
         self._stamp_ns = 0
         self._ready: _Prepared | None = None
-        self._plan: stepping.Plan | None = None  # of ``last``, None where the state is another's
+        self._plan: stepping.StepPlan | None = (
+            None  # of ``last``, None where the state is another's
+        )
         self._swap: _Swap | None = None
 
     # Samples.
@@ -193,7 +195,7 @@ class Cycle:
         """Whether the robot is at rest and nothing is about to move it."""
         return self.operating.rests and (self._state is None or not self._state.moving)
 
-    def trial(self) -> tuple[stepping.State, Inputs] | None:
+    def trial(self) -> tuple[stepping.StepState, Inputs] | None:
         """Return the state and the inputs of the last step, to try parameters on."""
         if self.last is None or self.last.before is None:
             return None
@@ -442,7 +444,7 @@ class Cycle:
         A session may begin while the robot still comes to rest; corrections count from there.
         """
         axes, start = self._axes(robot), self.session.start
-        if self.session.held != start or states.order(self.machine) is not Order.HOLD:
+        if self.session.held != start or states.order(self.machine) is not MotionOrder.HOLD:
             self.following.moving(axes, self.operating.settings.follow_tolerance)
         elif self.following.resting(axes, start):
             self._open_session(robot, axes, axes)
@@ -500,7 +502,7 @@ class Cycle:
         self._note(entry, plan)
         return self._give(entry, reply, telegram)
 
-    def _finish_again(self, last: LogEntry, plan: stepping.Plan, ipoc: int) -> LogEntry:
+    def _finish_again(self, last: LogEntry, plan: stepping.StepPlan, ipoc: int) -> LogEntry:
         """Return the last step once more, with what the telegram tells of the robot.
 
         The clock has made the step of this telegram, or of a later one. Another step would be one
@@ -540,7 +542,7 @@ class Cycle:
         )
         self._ready = _Prepared(self._reply(entry), entry, plan)
 
-    def _opened(self) -> stepping.State:
+    def _opened(self) -> stepping.StepState:
         assert self._state is not None  # noqa: S101 - a session is open
         return self._state
 
@@ -587,7 +589,7 @@ class Cycle:
         for back in range(min(steps, most) - 1, 0, -1):
             self._step_unsent(self._opened(), stamp_ns - back * period)
 
-    def _step_unsent(self, state: stepping.State, stamp_ns: int) -> None:
+    def _step_unsent(self, state: stepping.StepState, stamp_ns: int) -> None:
         """Make the step of a cycle that gets no corrections."""
         self._note(*self._step(state, stamp_ns, telegram=False))
         self.session.was_sent = False
@@ -598,13 +600,13 @@ class Cycle:
 
     def _step(
         self,
-        state: stepping.State,
+        state: stepping.StepState,
         stamp_ns: int,
         *,
         telegram: bool,
         answering: bool = False,
         ipoc: int | None = None,
-    ) -> tuple[LogEntry, stepping.Plan]:
+    ) -> tuple[LogEntry, stepping.StepPlan]:
         """Make one sampling step: operating state first, then the pure step."""
         settings = self.parameters.tracker.settings
         bearable, deviation = settings.tactile.overload_force, settings.distance.deviation
@@ -665,7 +667,7 @@ class Cycle:
         outputs = entry.outputs
         return self._replies.prepare(outputs.command, origin, outputs.digital_out)
 
-    def _note(self, entry: LogEntry, plan: stepping.Plan) -> None:
+    def _note(self, entry: LogEntry, plan: stepping.StepPlan) -> None:
         """Remember a step, for the next decision and for the log."""
         self._before = None if self.last is None else self.last.outputs
         self.last, self._plan = entry, plan

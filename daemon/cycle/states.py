@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
-from linemate.daemon.core.inputs import Order
+from linemate.daemon.core.inputs import MotionOrder
 
 
 class State(StrEnum):
@@ -315,7 +315,7 @@ def _enter(machine: Machine, row: Row) -> Machine:
     return Machine(row.target, latched, row.programmed, row.because)
 
 
-def order(machine: Machine) -> Order:
+def order(machine: Machine) -> MotionOrder:
     """What the step may do.
 
     Args:
@@ -325,8 +325,8 @@ def order(machine: Machine) -> Order:
         TRACK also in the task's own retreat, which the reference trajectory describes.
     """
     if machine.state is RETREAT and not machine.programmed:
-        return Order.RETREAT
-    return Order.TRACK if machine.state in MOVING else Order.HOLD
+        return MotionOrder.RETREAT
+    return MotionOrder.TRACK if machine.state in MOVING else MotionOrder.HOLD
 
 
 _EXPECTED: dict[str, frozenset[State]] = {

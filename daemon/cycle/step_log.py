@@ -30,8 +30,8 @@ class LogEntry(Struct, frozen=True):
     state: str
     inputs: Inputs
     outputs: stepping.Outputs
-    before: stepping.State | None = None
-    after: stepping.State | None = None
+    before: stepping.StepState | None = None
+    after: stepping.StepState | None = None
     parameters: Parameters | None = None
 
     def answering(self, ipoc: int) -> "LogEntry":

@@ -17,7 +17,7 @@ from linemate.daemon.core import rotations
 from linemate.daemon.core.control import kinematics
 from linemate.daemon.core.control.settings import ControlSettings
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.inputs import Inputs, Order
+from linemate.daemon.core.inputs import Inputs, MotionOrder
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.task import TaskFile
 from linemate.daemon.identification import ring_down, scene, swing
@@ -190,7 +190,7 @@ def _tapes(recordings: Sequence[Recorded], cell: _Cell) -> list[Tape]:
                 s.inputs,
                 tuple(s.outputs["command"]),
                 bool(s.outputs["contact"]),
-                s.inputs.order is not Order.HOLD and s.outputs["held"] is not None,
+                s.inputs.order is not MotionOrder.HOLD and s.outputs["held"] is not None,
             )
             for s in recorded.steps
         ]

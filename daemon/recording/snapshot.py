@@ -17,7 +17,7 @@ import msgpack
 import numpy as np
 from msgspec import Struct
 
-from linemate.daemon.core.step import State
+from linemate.daemon.core.step import StepState
 
 VERSION = 1
 
@@ -27,7 +27,7 @@ _ROOT = "linemate.daemon.core."
 _PARTS = {
     "control.controller:ControlState": "control.controller:ControlState",
     "control.limits:GateState": "control.command_limiter:LimiterState",
-    "step:State": "step:State",
+    "step:State": "step:StepState",
     "tracking.classifier_bank:BankState": "tracking.classifiers.bank_model:BankState",
     "tracking.classifier_imm:ImmState": "tracking.classifiers.classifier_imm:ImmState",
     "tracking.classifier_rule:RuleState": "tracking.classifiers.classifier_rule:RuleState",
@@ -86,7 +86,7 @@ class SnapshotError(ValueError):
     """Bytes that are no state, or one of another version of the program."""
 
 
-def encode(state: State) -> bytes:
+def encode(state: StepState) -> bytes:
     """Make bytes of a state.
 
     Raises:
@@ -99,7 +99,7 @@ def encode(state: State) -> bytes:
     return packed
 
 
-def decode(data: bytes) -> State:
+def decode(data: bytes) -> StepState:
     """Make a state of bytes.
 
     Raises:
@@ -116,7 +116,7 @@ def decode(data: bytes) -> State:
         raise SnapshotError(f"not a state: {type(error).__name__}: {error}") from error
     except msgpack.UnpackException as error:
         raise SnapshotError(f"not a state: {error}") from error
-    if not isinstance(state, State):
+    if not isinstance(state, StepState):
         raise SnapshotError(f"not a state: {type(state).__name__}")
     return state
 

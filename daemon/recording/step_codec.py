@@ -14,7 +14,7 @@ import msgpack
 import numpy as np
 from fastcrc import crc64
 
-from linemate.daemon.core.inputs import Inputs, Order
+from linemate.daemon.core.inputs import Inputs, MotionOrder
 from linemate.daemon.core.step import Outputs
 from linemate.protocol.samples import CameraSample, DistanceSample, RobotSample, WrenchSample
 
@@ -186,7 +186,7 @@ def _inputs(values: tuple[Any, ...], layout: Mapping[str, tuple[str, ...]]) -> I
             "distance": samples("distance", DistanceSample),
             "camera": samples("camera", CameraSample),
             "wrench": samples("wrench", WrenchSample),
-            "order": Order(given["order"]),
+            "order": MotionOrder(given["order"]),
         }
     )
 

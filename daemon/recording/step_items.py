@@ -14,7 +14,7 @@ from typing import Any, Final
 import msgpack
 
 from linemate.daemon.core.parameters import Parameters
-from linemate.daemon.core.step import State
+from linemate.daemon.core.step import StepState
 from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.recording import snapshot, step_codec, viewer_messages
 from linemate.daemon.recording.format import LAYOUT, Item, ItemKind
@@ -42,7 +42,7 @@ _PROGRAM: Final = _version()
 class StepItems:
     """Conversion of log entries to items."""
 
-    _after: State | None = None
+    _after: StepState | None = None
     _parameters: Parameters | None = None
     _state: str = ""
     _view_ns: int | None = None
@@ -96,7 +96,7 @@ class StepItems:
         return parameters_message(k, parameters)
 
 
-def _state_item(stamp_ns: int, k: int, state: State, *, is_new: bool) -> Item:
+def _state_item(stamp_ns: int, k: int, state: StepState, *, is_new: bool) -> Item:
     """Return the state before step ``k``, or a warning if it cannot be encoded."""
     try:
         return Item(ItemKind.STATE, stamp_ns, msgpack.packb([k, snapshot.encode(state), is_new]))

@@ -232,7 +232,7 @@ class _Again:
         self._written: Settings | None = None
         self._parameters: Parameters | None = None
         self._made_of: tuple[Settings, float] | None = None
-        self._state: stepping.State | None = None
+        self._state: stepping.StepState | None = None
         self._next: int | None = None
         self._told: StateBefore | None = None
 
@@ -356,7 +356,7 @@ class _Again:
         self._made_of = wanted
 
 
-def _fits(state: stepping.State, parameters: Parameters) -> bool:
+def _fits(state: stepping.StepState, parameters: Parameters) -> bool:
     """Whether a state is one that these parameters could have come to."""
     tracker, control = state.tracker, state.control
     joints = control.gate.position

@@ -22,7 +22,7 @@ from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.key_file import key_path, read_keys
 from linemate.daemon.config.settings import Corrections
 from linemate.daemon.core.control.adaptation import ServoEstimates
-from linemate.daemon.core.inputs import Order
+from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle import learning, states
 from linemate.daemon.cycle.answers import Answers
@@ -401,7 +401,7 @@ class App:
             self._tell_links(now_ns)
             if self._notifier.address:
                 self._notifier.send(f"STATUS={self._line()}")
-        moving = bool(entries) and entries[-1].inputs.order is not Order.HOLD
+        moving = bool(entries) and entries[-1].inputs.order is not MotionOrder.HOLD
         self._collector.slack(moving=moving)
 
     def _learn(self, learner: Learner, entries: Sequence[LogEntry]) -> None:

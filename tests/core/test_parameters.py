@@ -8,7 +8,7 @@ from cell import TASK, World, parameters
 
 from linemate.daemon.core.control.kinematics import KinematicsError
 from linemate.daemon.core.control.settings import ControlSettings, ServoModel
-from linemate.daemon.core.inputs import Order
+from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.parameters import Parameters, build
 from linemate.daemon.core.tracking.merge import ORDER
 from linemate.daemon.core.tracking.settings import ClassifierKind, TrackingSettings
@@ -62,8 +62,8 @@ def test_a_robot_without_dead_time_is_driven_all_the_same(cycle_s: float) -> Non
     assert made.tracker.matrices.shape[1] == made.tracker.steps - made.tracker.commit
     world = World(made)
     world.run(0.3)
-    world.step(Order.TRACK, start=True)
-    outputs = world.run(0.3, Order.TRACK)
+    world.step(MotionOrder.TRACK, start=True)
+    outputs = world.run(0.3, MotionOrder.TRACK)
     assert outputs.horizon is not None
     assert np.isfinite(outputs.command).all()
 
@@ -83,9 +83,9 @@ def test_a_finer_cycle_tells_the_same() -> None:
     for cycle_s in CYCLES:
         world = World(parameters(cycle_s))
         world.run(1.2)
-        world.step(Order.TRACK, start=True)
+        world.step(MotionOrder.TRACK, start=True)
         while world.time < 0.299:
-            world.step(Order.TRACK)
+            world.step(MotionOrder.TRACK)
         assert world.outputs is not None
         assert world.outputs.part is not None
         targets.append((world.outputs.target[:3], world.outputs.part[:3]))
@@ -123,9 +123,9 @@ def test_without_prediction_the_tool_is_behind_the_object() -> None:
     for predict in (True, False):
         world = World(built(tracking=replace(TrackingSettings(), predict=predict)))
         world.run(1.2)
-        world.step(Order.TRACK, start=True)
+        world.step(MotionOrder.TRACK, start=True)
         # Past the blend from the programmed to the sensed motion.
-        outputs = world.run(2.9, Order.TRACK)
+        outputs = world.run(2.9, MotionOrder.TRACK)
         assert outputs.sensed is not None
         behind[predict] = outputs.sensed[1] - outputs.target[1]
     # Five committed steps, and what the merge needs after them, at 106 mm/s.

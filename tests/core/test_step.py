@@ -15,12 +15,12 @@ from msgspec.structs import replace
 from linemate.daemon.core import rotations
 from linemate.daemon.core import step as stepping
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.inputs import Inputs, Order
+from linemate.daemon.core.inputs import Inputs, MotionOrder
 from linemate.daemon.core.step import (
     FIX_SCREWS,
     RELEASE_WHEEL,
     Outputs,
-    State,
+    StepState,
     finish,
     initial,
     plan,
@@ -40,7 +40,7 @@ C = P.tracker.reference.nominal
 class Told:
     """A run, step by step: the state before, the inputs, the outputs."""
 
-    states: list[State]
+    states: list[StepState]
     inputs: list[Inputs]
     outputs: list[Outputs]
 
@@ -49,7 +49,7 @@ class Told:
         return next(o for o in self.outputs if (o.task_time or 0.0) >= task_time - 1e-9)
 
 
-def watched(world: World, told: Told, order: Order, **changes: Any) -> Outputs:
+def watched(world: World, told: Told, order: MotionOrder, **changes: Any) -> Outputs:
     inputs = world.inputs(order, **changes)
     told.states.append(world.state)
     told.inputs.append(inputs)
@@ -62,12 +62,12 @@ def assembly() -> Told:
     """The whole task beside a conveyor that never stops: the tool does what it is asked for."""
     world, told = World(P), Told([], [], [])
     for _ in range(100):
-        watched(world, told, Order.HOLD)
-    watched(world, told, Order.TRACK, start=True)
+        watched(world, told, MotionOrder.HOLD)
+    watched(world, told, MotionOrder.TRACK, start=True)
     for _ in range(1700):
         asked = told.outputs[-1].digital_out
         robot = robot_sample(world.stamp_ns - world.period_ns, world.joints, asked)
-        outputs = watched(world, told, Order.TRACK, robot=robot)
+        outputs = watched(world, told, MotionOrder.TRACK, robot=robot)
         if outputs.finished:
             break
     return told
@@ -109,7 +109,7 @@ def test_a_recording_of_the_inputs_replays_bit_for_bit(assembly: Told) -> None:
         assert text(again) == text(outputs)
 
 
-def other_fates(state: State, inputs: Inputs) -> list[Inputs]:
+def other_fates(state: StepState, inputs: Inputs) -> list[Inputs]:
     """The same inputs, the last command's fate being another: held, held elsewhere, gone on."""
     gate = state.control.gate
     there = tuple((gate.position + 1e-4).tolist())
@@ -122,9 +122,9 @@ def other_fates(state: State, inputs: Inputs) -> list[Inputs]:
     ]
 
 
-@pytest.mark.parametrize("order", list(Order))
+@pytest.mark.parametrize("order", list(MotionOrder))
 def test_a_plan_finished_for_another_fate_of_the_last_command_is_the_whole_step(
-    assembly: Told, order: Order
+    assembly: Told, order: MotionOrder
 ) -> None:
     contacts = set()
     for state, first in zip(assembly.states[::3], assembly.inputs[::3], strict=True):
@@ -158,8 +158,8 @@ def test_a_pose_out_of_reach_is_held_whatever_became_of_the_last_command(assembl
 def test_two_robots_may_take_turns_in_one_process() -> None:
     """Nothing is kept outside the state: interleaving two runs changes neither."""
     alone, one, two = tracking(1.6), tracking(1.6), tracking(1.0)
-    alone.run(0.5, Order.TRACK)
-    one.run(0.5, Order.TRACK, each=lambda _: two.step(Order.TRACK))
+    alone.run(0.5, MotionOrder.TRACK)
+    one.run(0.5, MotionOrder.TRACK, each=lambda _: two.step(MotionOrder.TRACK))
     assert one.outputs is not None
     assert alone.outputs is not None
     assert text(one.outputs) == text(alone.outputs)
@@ -197,12 +197,12 @@ def test_no_measured_pose_of_the_robot_enters_the_command() -> None:
     honest, lying = World(P, camera=False), World(P, camera=False)
     for world in (honest, lying):
         world.run(0.3)
-        world.step(Order.TRACK, start=True)
+        world.step(MotionOrder.TRACK, start=True)
     joints = (0.1, -1.5, 1.7, 0.2, 1.2, 0.1, 0.4)
     for _ in range(150):
-        one = honest.step(Order.TRACK)
+        one = honest.step(MotionOrder.TRACK)
         robot = robot_sample(lying.stamp_ns, joints)
-        assert lying.step(Order.TRACK, robot=robot).command == one.command
+        assert lying.step(MotionOrder.TRACK, robot=robot).command == one.command
 
 
 def test_the_task_is_done_from_start_to_end(assembly: Told) -> None:
@@ -317,8 +317,8 @@ def test_hold_never_moves_a_robot_at_rest(
         assert outputs.digital_out == 0
 
 
-@pytest.mark.parametrize("order", list(Order))
-def test_a_step_without_any_sample_works(order: Order) -> None:
+@pytest.mark.parametrize("order", list(MotionOrder))
+def test_a_step_without_any_sample_works(order: MotionOrder) -> None:
     state = initial(P, robot_sample(EPOCH_NS))
     for k in range(1, 30):
         now = EPOCH_NS + k * 12_000_000
@@ -327,7 +327,7 @@ def test_a_step_without_any_sample_works(order: Order) -> None:
         assert outputs.part is None
         assert outputs.speed is None
         assert outputs.ready is not None
-    if order is not Order.RETREAT:
+    if order is not MotionOrder.RETREAT:
         assert np.allclose(outputs.command, HOME, atol=1e-9)
 
 
@@ -339,9 +339,9 @@ def tracking(seconds: float) -> World:
     if seconds not in _TRACKING:
         world = World(P)
         world.run(1.2)
-        world.step(Order.TRACK, start=True)
+        world.step(MotionOrder.TRACK, start=True)
         for _ in range(round(seconds / P.cycle_s)):
-            world.step(Order.TRACK)
+            world.step(MotionOrder.TRACK)
         _TRACKING[seconds] = world
     return _TRACKING[seconds].fork()
 
@@ -353,7 +353,7 @@ def test_hold_in_motion_comes_to_rest_within_the_limits_and_stays_there(assembly
     assert np.abs(state.control.gate.speed).max() > 0.05
     commands = []
     for inputs in assembly.inputs[k : k + 80]:
-        state, outputs = step(state, replace(inputs, order=Order.HOLD), P)
+        state, outputs = step(state, replace(inputs, order=MotionOrder.HOLD), P)
         commands.append(outputs.command)
     assert_within([*before, *commands])
     assert len(set(commands[-20:])) == 1
@@ -362,7 +362,7 @@ def test_hold_in_motion_comes_to_rest_within_the_limits_and_stays_there(assembly
 
 def test_after_a_hold_the_task_can_begin_anew_only_from_its_first_pose() -> None:
     world = tracking(2.4)
-    world.run(0.8, Order.HOLD)
+    world.run(0.8, MotionOrder.HOLD)
     assert world.outputs is not None
     assert world.outputs.task_time is None
     assert world.outputs.ready is not None
@@ -383,12 +383,12 @@ def test_a_retreat_withdraws_straight_back_and_says_when_it_is_over() -> None:
     outputs = world.outputs
     assert outputs is not None
     commands = [outputs.command]
-    world.run(0.3, Order.RETREAT, each=lambda o: commands.append(o.command))
+    world.run(0.3, MotionOrder.RETREAT, each=lambda o: commands.append(o.command))
     assert world.outputs is not None
     assert not world.outputs.finished
     assert world.outputs.phase is Phase.RETREAT
     assert world.outputs.digital_out & RELEASE_WHEEL
-    world.run(1.2, Order.RETREAT, each=lambda o: commands.append(o.command))
+    world.run(1.2, MotionOrder.RETREAT, each=lambda o: commands.append(o.command))
     assert world.outputs.finished
     assert world.outputs.sensed is not None
     tool = rotations.matrix(world.outputs.target[3:])
@@ -407,7 +407,7 @@ def test_a_retreat_before_contact_stands_still_and_withdraws(begun: float) -> No
     assert world.outputs.task_time < P.tracker.reference.contact_time
     told: list[Outputs] = []
     # A tool that may be clamped waits for its clamp's time-out of 2 s.
-    world.run(3.2, Order.RETREAT, each=told.append)
+    world.run(3.2, MotionOrder.RETREAT, each=told.append)
     assert {o.task_time for o in told} == {world.outputs.task_time}
     depths = [depth(o) for o in told]
     # Commands that were sent before go on for a while.
@@ -433,7 +433,7 @@ def test_no_screws_are_ordered_while_the_object_does_not_push_back() -> None:
             fork.state, tracker=replace(fork.state.tracker, pull=(0.0, 0.0, force))
         )
         for _ in range(round(0.5 / P.cycle_s)):
-            inputs = fork.inputs(Order.TRACK)
+            inputs = fork.inputs(MotionOrder.TRACK)
             felt = tuple(replace(w, force=(0.0, 0.0, force)) for w in inputs.wrench)
             outputs = fork.take(replace(inputs, wrench=felt))
             assert not outputs.digital_out & FIX_SCREWS
@@ -445,7 +445,7 @@ def test_no_screws_are_ordered_in_a_retreat() -> None:
     assert world.outputs is not None
     assert world.outputs.digital_out == FIX_SCREWS
     told: list[Outputs] = []
-    world.run(0.5, Order.RETREAT, each=told.append)
+    world.run(0.5, MotionOrder.RETREAT, each=told.append)
     assert {o.digital_out for o in told} == {RELEASE_WHEEL}
 
 
@@ -455,7 +455,7 @@ def on_the_object() -> World:
     world = tracking(7.0)
     assert world.outputs is not None
     assert world.outputs.contact
-    world.run(0.5, Order.HOLD)
+    world.run(0.5, MotionOrder.HOLD)
     return world
 
 
@@ -468,15 +468,15 @@ def test_a_tool_that_is_held_on_the_object_is_asked_to_release_it_and_stays_in_c
 
 def test_from_there_it_follows_the_object_and_withdraws_once_it_is_released() -> None:
     world = on_the_object().fork()
-    world.run(0.4, Order.RETREAT)
+    world.run(0.4, MotionOrder.RETREAT)
     assert world.outputs is not None
     assert world.outputs.clamped
     speed = np.array(world.outputs.target[:3])
-    world.step(Order.RETREAT)
+    world.step(MotionOrder.RETREAT)
     moved = np.array(world.outputs.target[:3]) - speed
     assert np.linalg.norm(moved) / P.cycle_s == pytest.approx(SPEED, rel=0.3)
     for _ in range(round(1.0 / P.cycle_s)):
-        inputs = world.inputs(Order.RETREAT)
+        inputs = world.inputs(MotionOrder.RETREAT)
         assert inputs.robot is not None
         world.take(replace(inputs, robot=replace(inputs.robot, digital_in=2)))
     assert world.outputs.finished
@@ -545,7 +545,7 @@ def test_no_number_reaches_the_command_that_is_none(where: str, value: float) ->
     world = tracking(1.0)
     commands = [world.command]
     for k in range(30):
-        inputs = world.inputs(Order.TRACK)
+        inputs = world.inputs(MotionOrder.TRACK)
         if k in {5, 6, 7, 8, 9, 20}:
             inputs = spoiled(inputs, where, value)
         commands.append(world.take(inputs).command)
@@ -556,7 +556,7 @@ def test_no_number_reaches_the_command_that_is_none(where: str, value: float) ->
 @given(
     st.lists(
         st.tuples(
-            st.sampled_from(list(Order)),
+            st.sampled_from(list(MotionOrder)),
             st.integers(1, 25),
             st.sampled_from(("all", "no camera", "no distance", "nothing", "unsent", "outlier")),
         ),
@@ -565,7 +565,7 @@ def test_no_number_reaches_the_command_that_is_none(where: str, value: float) ->
     )
 )
 def test_whatever_is_ordered_and_lost_the_robots_setpoints_stay_within_the_limits(
-    stretches: list[tuple[Order, int, str]],
+    stretches: list[tuple[MotionOrder, int, str]],
 ) -> None:
     world = tracking(1.6)
     applied = [world.command]
@@ -604,14 +604,14 @@ def assert_steady(commands: list[tuple[float, ...]]) -> None:
 def test_a_reply_that_was_lost_is_taken_up_from_where_the_robot_stands() -> None:
     world = tracking(2.4)
     commands = [world.command]
-    world.run(0.12, Order.TRACK, each=lambda o: commands.append(o.command))
+    world.run(0.12, MotionOrder.TRACK, each=lambda o: commands.append(o.command))
     stood = commands[-2]
-    outputs = world.step(Order.TRACK, sent=False)
+    outputs = world.step(MotionOrder.TRACK, sent=False)
     limits = P.controller.limits
     first = np.abs(np.array(outputs.command) - stood)
     assert (first <= limits.jerk * 0.012**3 * (1 + 1e-6)).all()
     assert outputs.held is not None
-    world.run(0.5, Order.TRACK)
+    world.run(0.5, MotionOrder.TRACK)
     assert world.outputs is not None
     assert world.outputs.held is None
 
@@ -619,7 +619,7 @@ def test_a_reply_that_was_lost_is_taken_up_from_where_the_robot_stands() -> None
 def test_where_the_robot_holds_may_be_told() -> None:
     world = tracking(1.0)
     stands = tuple(q + 0.001 for q in world.command)
-    outputs = world.step(Order.HOLD, sent=False, applied=stands)
+    outputs = world.step(MotionOrder.HOLD, sent=False, applied=stands)
     assert np.allclose(outputs.command, stands, atol=1e-9)
 
 
@@ -651,7 +651,9 @@ def test_a_robot_that_goes_on_brakes_within_its_limits_though_it_was_taken_to_st
     there = tuple(gate.position.tolist())
     pace = (tuple(gate.speed.tolist()), tuple(gate.acceleration.tolist()))
     commands = [tuple(s.control.gate.position.tolist()) for s in (before, state)]
-    hold = replace(assembly.inputs[k], order=Order.HOLD, start=False, sent=False, applied=there)
+    hold = replace(
+        assembly.inputs[k], order=MotionOrder.HOLD, start=False, sent=False, applied=there
+    )
     state, _ = step(state, hold, P)
     assert not state.moving
     state, told = step(state, replace(hold, pace=pace), P)

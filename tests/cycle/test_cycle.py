@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.core import step as stepping
-from linemate.daemon.core.inputs import Order
+from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.tracking.task import Phase
 from linemate.daemon.cycle.correction_reference import CONFIRMATIONS, Proof
@@ -656,7 +656,7 @@ def test_a_start_is_one_edge_for_the_step(station: Station) -> None:
     starts = [entry.inputs.start for entry in station.cycle.take_log()]
     assert starts.count(True) == 1
     orders = [entry.inputs.order for entry in station.cycle.take_log()]
-    assert set(orders) <= {Order.TRACK}
+    assert set(orders) <= {MotionOrder.TRACK}
 
 
 def test_a_stop_in_motion_comes_to_rest_within_the_limits(station: Station) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from linemate.daemon.core.inputs import Order
+from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.cycle.states import (
     CLAMP_CLOSED,
     MOVING,
@@ -111,7 +111,7 @@ def test_the_modes_lead_to_each_other_as_the_design_draws_them(edges: Edges) -> 
 
 def test_i1_the_step_is_told_to_hold_in_every_quiet_state(edges: Edges) -> None:
     for machine in {after for _, after in edges}:
-        held = order(machine) is Order.HOLD
+        held = order(machine) is MotionOrder.HOLD
         assert held == (machine.state in QUIET | {State.HOLD})
         assert held == (machine.state not in MOVING)
 
@@ -248,14 +248,14 @@ def test_the_usual_day_runs_through_the_states() -> None:
         machine = transition(machine, signals)
         told.append((machine.state, order(machine)))
     assert told == [
-        (State.IDLE, Order.HOLD),
-        (State.ARMED, Order.HOLD),
-        (State.TRACK, Order.TRACK),
-        (State.TRACK, Order.TRACK),
-        (State.CONTACT, Order.TRACK),
-        (State.CONTACT, Order.TRACK),
-        (State.RETREAT, Order.TRACK),
-        (State.IDLE, Order.HOLD),
+        (State.IDLE, MotionOrder.HOLD),
+        (State.ARMED, MotionOrder.HOLD),
+        (State.TRACK, MotionOrder.TRACK),
+        (State.TRACK, MotionOrder.TRACK),
+        (State.CONTACT, MotionOrder.TRACK),
+        (State.CONTACT, MotionOrder.TRACK),
+        (State.RETREAT, MotionOrder.TRACK),
+        (State.IDLE, MotionOrder.HOLD),
     ]
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from linemate.daemon.core.step import State, step
+from linemate.daemon.core.step import StepState, step
 from linemate.simulators.harness import host
 from linemate.simulators.lab.bench import bench
 from linemate.simulators.lab.bench.bench import Job, Tape, interleaved
@@ -42,7 +42,7 @@ def test_the_tape_is_of_an_approach_with_every_sensor_at_work(tape: Tape) -> Non
 
 def test_every_round_does_the_same_work(tape: Tape) -> None:
     def commands() -> list[tuple[float, ...]]:
-        state: State = tape.state
+        state: StepState = tape.state
         found = []
         for inputs in tape.inputs[:20]:
             state, outputs = step(state, inputs, tape.parameters)

@@ -8,7 +8,7 @@ import pytest
 from cell import TASK, World, parameters
 from msgspec.structs import astuple
 
-from linemate.daemon.core.inputs import Order
+from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.cycle.clock.timing import CycleTimes
 from linemate.daemon.cycle.cycle import LogEntry
 from linemate.daemon.operator import main as tool
@@ -30,7 +30,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
         World(parameters()),
     )
     for k in range(STEPS):
-        inputs, before = world.inputs(Order.HOLD), world.state
+        inputs, before = world.inputs(MotionOrder.HOLD), world.state
         outputs = world.take(inputs)
         entry = LogEntry(k, "idle", inputs, outputs, before, world.state, world.parameters)
         for item in feed.convert(entry):

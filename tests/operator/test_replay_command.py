@@ -10,7 +10,7 @@ import pytest
 from cell import TASK, World, parameters
 from msgspec import structs
 
-from linemate.daemon.core.inputs import Order
+from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.cycle.cycle import LogEntry
 from linemate.daemon.operator import main as tool
 from linemate.daemon.recording.format import CellTexts, ParametersInForce, StateBefore
@@ -24,7 +24,7 @@ STEPS = 120
 TEXTS = {"config": "task: wheel.yaml\n", "task": TASK.text, "urdf": TASK.urdf}
 
 
-def entries(world: World, count: int, order: Order = Order.HOLD) -> Iterator[LogEntry]:
+def entries(world: World, count: int, order: MotionOrder = MotionOrder.HOLD) -> Iterator[LogEntry]:
     for _ in range(count):
         inputs, before = world.inputs(order), world.state
         outputs = world.take(inputs)

@@ -9,21 +9,21 @@ from cell import World, parameters
 from hypothesis import given
 from hypothesis import strategies as st
 
-from linemate.daemon.core.inputs import Inputs, Order
-from linemate.daemon.core.step import Outputs, State, step
+from linemate.daemon.core.inputs import Inputs, MotionOrder
+from linemate.daemon.core.step import Outputs, StepState, step
 from linemate.daemon.recording import snapshot
 from linemate.daemon.recording.snapshot import SnapshotError
 from linemate.daemon.recording.step_codec import decode, differences, encode
 
 
 @cache
-def told() -> tuple[tuple[State, Inputs, Outputs], ...]:
+def told() -> tuple[tuple[StepState, Inputs, Outputs], ...]:
     """A few seconds of a run up to the approach."""
     world = World(parameters())
     world.run(1.5)
     made = []
     for k in range(250):
-        inputs = world.inputs(Order.TRACK, start=k == 0)
+        inputs = world.inputs(MotionOrder.TRACK, start=k == 0)
         before = world.state
         made.append((before, inputs, world.take(inputs)))
     return tuple(made)

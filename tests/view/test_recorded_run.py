@@ -9,7 +9,7 @@ import pytest
 from cell import TASK, World, parameters
 from msgspec.structs import astuple
 
-from linemate.daemon.core.inputs import Order
+from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.cycle.clock.timing import CycleTimes
 from linemate.daemon.cycle.cycle import LogEntry
 from linemate.daemon.recording.format import Item, ItemKind, UnreadableRecordingError
@@ -119,7 +119,7 @@ def recorded(path: Path, steps: int = 100) -> Path:
         World(parameters()),
     )
     for k in range(steps):
-        inputs, before = world.inputs(Order.HOLD), world.state
+        inputs, before = world.inputs(MotionOrder.HOLD), world.state
         outputs = world.take(inputs)
         state = "idle" if k < steps // 2 else "armed"
         entry = LogEntry(k, state, inputs, outputs, before, world.state, world.parameters)

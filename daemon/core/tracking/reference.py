@@ -12,7 +12,7 @@ import numpy as np
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.task import Frame, Gate, Phase, TaskFile
+from linemate.daemon.core.tracking.task import Gate, Phase, TaskFile, WaypointFrame
 from linemate.protocol.samples import Quaternion
 
 
@@ -138,13 +138,13 @@ def compile_reference(task: TaskFile) -> Reference:
     points = np.zeros((len(times), 6))
     for row, point in zip(points, task.waypoints, strict=True):
         R = rotations.matrix(point.pose.quaternion)
-        if point.frame is Frame.BASE:
+        if point.frame is WaypointFrame.BASE:
             row[:3], R = C.T @ np.array(point.pose.position), C.T @ R
         else:
             row[:3] = point.pose.position
         row[3:] = rotations.log(R)
     origin = C.T @ np.array(task.object.nominal.position)
-    travels = np.array([float(point.frame is Frame.OBJECT) for point in task.waypoints])
+    travels = np.array([float(point.frame is WaypointFrame.OBJECT) for point in task.waypoints])
     reference = Reference(
         nominal=C,
         origin=origin,
@@ -190,7 +190,7 @@ def barrier(reference: Reference, time: float, passed: frozenset[Gate]) -> float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Table:
+class ReferenceTable:
     """The reference at every step of the task's clock, so that a horizon is a slice of it.
 
     Attributes:
@@ -224,13 +224,13 @@ class Table:
         return self.reference.poses(np.minimum(times, limit))
 
 
-def tabulated(reference: Reference, cycle_s: float, steps: int) -> Table:
+def tabulated(reference: Reference, cycle_s: float, steps: int) -> ReferenceTable:
     """Return a reference's table, long enough for horizons of some steps up to the task's end."""
     count = math.ceil(float(reference.times[-1]) / cycle_s) + steps + 2
     poses, relative = reference.poses(np.arange(count) * cycle_s)
     poses.setflags(write=False)
     relative.setflags(write=False)
-    return Table(reference, cycle_s, poses, relative)
+    return ReferenceTable(reference, cycle_s, poses, relative)
 
 
 def last_step(time: float, cycle_s: float) -> float:

@@ -22,7 +22,7 @@ Angle = Annotated[float, Ge(-6.3), Le(6.3)]
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 
-class Frame(StrEnum):
+class WaypointFrame(StrEnum):
     """The frame a waypoint is given in: the station, or the nominal object as it moves."""
 
     BASE = "base"
@@ -72,7 +72,7 @@ class Waypoint:
 
     time: Time
     pose: PoseFile
-    frame: Frame = Frame.OBJECT
+    frame: WaypointFrame = WaypointFrame.OBJECT
     phase: Phase = Phase.APPROACH
     gate: Gate = Gate.NONE
 

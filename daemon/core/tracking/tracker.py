@@ -33,7 +33,7 @@ from linemate.daemon.core.tracking.observation import (
     sight,
     touch,
 )
-from linemate.daemon.core.tracking.reference import Reference, Table, barrier, last_step
+from linemate.daemon.core.tracking.reference import Reference, ReferenceTable, barrier, last_step
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.task import Gate, Phase, TaskFile
 from linemate.daemon.core.tracking.transverse import Transverse, TransverseState
@@ -86,7 +86,7 @@ class Tracker:
     reference: Reference
     classifier: Classifier
     transverse: Transverse
-    table: Table
+    table: ReferenceTable
     camera: tuple[Array, Array]
     cycle_s: float
     steps: int

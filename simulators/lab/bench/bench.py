@@ -24,7 +24,7 @@ from typing import Any, Final
 
 from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.core.parameters import Parameters
-from linemate.daemon.core.step import State, initial, step
+from linemate.daemon.core.step import StepState, initial, step
 from linemate.daemon.cycle.cycle import LogEntry
 from linemate.daemon.operator import doctor
 from linemate.daemon.service.awake import Awake
@@ -97,7 +97,7 @@ class Tape:
     """Steps to be measured: a state in mid-approach, and the inputs that followed it."""
 
     parameters: Parameters
-    state: State
+    state: StepState
     inputs: tuple[Inputs, ...]
 
 

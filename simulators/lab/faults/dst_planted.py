@@ -17,7 +17,7 @@ from msgspec import structs
 from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core.control import command_limiter
 from linemate.daemon.core.control.command_limiter import LimiterState
-from linemate.daemon.core.inputs import Order
+from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.tracking import tracker
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
 from linemate.daemon.cycle import states, watch
@@ -220,8 +220,8 @@ def _clamp_never_opens() -> list[Patch]:
 def _hold_goes_on() -> list[Patch]:
     whole = states.order
 
-    def order(machine: Machine) -> Order:
-        return Order.TRACK if machine.state is State.HOLD else whole(machine)
+    def order(machine: Machine) -> MotionOrder:
+        return MotionOrder.TRACK if machine.state is State.HOLD else whole(machine)
 
     return [(states, "order", order)]
 

@@ -19,7 +19,14 @@ from linemate.daemon.core.tracking.reference import (
     last_step,
     tabulated,
 )
-from linemate.daemon.core.tracking.task import Frame, Gate, Phase, PoseFile, TaskFile, Waypoint
+from linemate.daemon.core.tracking.task import (
+    Gate,
+    Phase,
+    PoseFile,
+    TaskFile,
+    Waypoint,
+    WaypointFrame,
+)
 from linemate.daemon.core.tracking.tracker import LATE, hanging
 
 TASK = task_file.load(DAEMON_DATA / "wheel.yaml").file
@@ -67,7 +74,7 @@ def turned_task(angle: float) -> TaskFile:
 def test_each_waypoint_is_reached_at_its_time_in_its_frame(point: Waypoint) -> None:
     poses, _ = REFERENCE.poses(np.array((point.time,)))
     known = matrix_of(point.pose)
-    if point.frame is Frame.OBJECT:
+    if point.frame is WaypointFrame.OBJECT:
         known = object_in_base(point.time) @ known
     assert np.allclose(tcp_in_base(poses[0]), known, atol=1e-12)
 
