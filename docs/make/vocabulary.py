@@ -27,7 +27,7 @@ WORDS = {
     "law of this file": "(nothing; say what the module does)",
     "room": "package, layer",
     "house": "package",
-    "wall": "import contract",
+    "walls": "import contracts",
     "storey": "layer",
     "desk": "parameter service",
     "said": "(name what it holds)",

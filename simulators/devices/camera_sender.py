@@ -20,7 +20,7 @@ class CameraSender:
         object_id: object the poses are of.
         clock_offset_ns: its clock minus the clock of the stamps given to it [ns].
         sequence: number of the next message.
-        reset: how often the tracker started anew.
+        reset: number of restarts of the tracker.
     """
 
     source: str = "camera"

@@ -32,9 +32,9 @@ MEANINGS: dict[str, str] = {
     "clock_rate": "the sensor's clock gains value seconds a second",
     "clock_frozen": "the sensor's clock stands",
     "ipoc_flip": "one bit of the telegram's counter is flipped with probability value",
-    "restart": "the programme ends and begins anew duration_s later, from where the robot stands",
+    "restart": "the program ends and starts again duration_s later, from where the robot stands",
     "second": "another controller sends telegrams of its own for duration_s",
-    "drives_off": "the axes stand braked for duration_s, then the programme begins anew",
+    "drives_off": "the axes stand braked for duration_s, then the program starts again",
     "ipoc_jump": "the counter goes on value cycles further on, or from 0 if value is 0; no restart",
     "readdress": "telegrams come from another port for good, or another address if value is 1",
     "forged": "count telegrams in the controller's name, a counter of their own, within duration_s",
@@ -46,7 +46,7 @@ MEANINGS: dict[str, str] = {
     "pause": "the daemon's machine stands for duration_s, its clocks and all its processes",
     "set": "an operator sets harmless parameters, the count-th of a list",
     "wall_step": "the host's wall clock is stepped by value seconds",
-    "crash": "the daemon is gone and begins anew duration_s later",
+    "crash": "the daemon ends and starts again duration_s later",
     "arm": "an operator's order",
     "start": "an operator's order",
     "stop": "an operator's order",
@@ -101,7 +101,7 @@ KINDS: dict[str, tuple[str, ...]] = {
 }
 """What can happen to each link in virtual time. ``robot`` is the telegrams' way to the daemon,
 ``reply`` the way back. A reply has no ``flip``: a wrong digit in a well-formed reply is a command,
-and nobody but UDP's checksum can tell."""
+and only UDP's checksum detects it."""
 
 STRIKING = frozenset(
     {

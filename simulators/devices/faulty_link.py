@@ -181,7 +181,7 @@ def flipped(data: bytes, count: int, chance: random.Random) -> bytes:
     """Flip bits of a piece.
 
     A telegram's Delay is spared: it alone tells the daemon whether its reply was taken, a flip
-    there that UDP's checksum lets pass looks exactly like a lost reply, and nobody can tell.
+    there that UDP's checksum lets pass looks exactly like a lost reply.
 
     Returns:
         The spoilt piece.

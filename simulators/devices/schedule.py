@@ -130,7 +130,7 @@ class Schedule:
             heapq.heappop(queue)
         if self._is_running or self._timer is None:
             return
-        # Setting it also clears it: nobody has to read it.
+        # Setting it also clears it, so no read is needed.
         next_ns = max(queue[0][0], 1) if queue else _NEVER
         if next_ns != self._armed_ns:
             self._armed_ns = next_ns

@@ -39,7 +39,7 @@ _STATE = {
     "collision": slice(40, 41),
 }
 """What is put down when a telegram goes out: the rigid tcp, the hub, and the rest."""
-_FATE = {
+_REPLY = {
     "cycle": slice(0, 1),
     "setpoints": slice(1, 8),
     "digital_out": slice(8, 9),
@@ -47,7 +47,7 @@ _FATE = {
     "clamped": slice(10, 11),
     "turnaround_us": slice(11, 12),
 }
-"""What is put down when its fate is known."""
+"""Columns that are known once the reply is judged."""
 _INTEGERS = ("cycle", "contact", "digital_in", "digital_out")
 _FLAGS = ("answered", "clamped", "collision")
 
@@ -56,7 +56,7 @@ class TruthLog:
     """Rows in the making.
 
     A row is begun with the world as it is when a telegram goes out, and ended when the
-    telegram's fate is known. Columns, beside the poses:
+    reply is judged. Columns next to the poses:
 
     ``t`` scenario time [s]; ``cycle``, ``ipoc`` of the telegram; ``contact`` one of
     ``CONTACT_CODES``; ``digital_in``, ``digital_out`` the tool's signals; ``unit_position`` [m],
@@ -66,22 +66,22 @@ class TruthLog:
     by a correction limit, ``collision`` so far.
 
     Attributes:
-        dropped: rows that found no room.
+        dropped: rows beyond the allocated ones.
     """
 
     def __init__(self, rows: int) -> None:
-        """Make room.
+        """Allocate the rows.
 
         Args:
             rows: how many rows at most.
         """
         self._states = np.full((rows, _width(_STATE)), np.nan)
-        self._fates = np.full((rows, _width(_FATE)), np.nan)
+        self._replies = np.full((rows, _width(_REPLY)), np.nan)
         self._ipocs = np.zeros(rows, np.int64)  # too long for a float
         # This long row is packed: numpy takes twice as long to put a tuple into one of its own.
         self._put_state = struct.Struct(f"{_width(_STATE)}d").pack_into
         self._world: World | None = None
-        self._room = rows
+        self._rows = rows
         self._count = 0
         self._begun = False
         self.dropped = 0
@@ -96,7 +96,7 @@ class TruthLog:
         Args:
             axes: what the telegram says was measured, A1..A6 [rad], E1 [m].
         """
-        self._begun = self._count < self._room
+        self._begun = self._count < self._rows
         if not self._begun:
             self.dropped += 1
             return
@@ -130,7 +130,7 @@ class TruthLog:
         self._begun = False
         answered = applied.answered
         took_us = turnaround_ns / 1e3 if turnaround_ns is not None and answered else math.nan
-        self._fates[self._count] = (
+        self._replies[self._count] = (
             applied.cycle,
             *applied.setpoints,
             applied.digital_out,
@@ -144,7 +144,7 @@ class TruthLog:
     def columns(self) -> dict[str, Column]:
         """The complete rows, by column."""
         told: dict[str, Column] = {"ipoc": self._ipocs[: self._count]}
-        for parts, rows in ((_STATE, self._states), (_FATE, self._fates)):
+        for parts, rows in ((_STATE, self._states), (_REPLY, self._replies)):
             for name, part in parts.items():
                 values = rows[: self._count, part].copy()
                 told[name] = values[:, 0] if values.shape[1] == 1 else values

@@ -1,1 +1,1 @@
-"""The only room that sees the daemon and the plants together: runs, demo, judge, reports."""
+"""Runs of daemon and plants together: in virtual time, in real time, on a cluster."""

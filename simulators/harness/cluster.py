@@ -21,7 +21,7 @@ from linemate.simulators.harness.variants import SetupError
 SCHEMES = ("tcp", "tls", "ws", "wss")
 CONNECT_S = 10.0
 WORKERS_S = 60.0
-ROOMS = ("protocol", "drivers", "daemon", "simulators")
+PACKAGES = ("protocol", "drivers", "daemon", "simulators")
 SUFFIXES = (".py", ".yaml", ".xml", ".urdf", ".dbc")
 
 Job = TypeVar("Job")
@@ -132,10 +132,10 @@ def digest() -> str:
 
 
 def _sources() -> Iterator[tuple[str, Path]]:
-    """Name each file by its room and its place in it: the roots may differ."""
-    for room in ROOMS:
-        spec = find_spec(f"linemate.{room}")
+    """Name each file by its package and its place in it: the roots may differ."""
+    for package in PACKAGES:
+        spec = find_spec(f"linemate.{package}")
         for root in (spec.submodule_search_locations or ()) if spec is not None else ():
             for path in Path(root).rglob("*"):
                 if path.is_file() and path.suffix in SUFFIXES:
-                    yield f"{room}/{path.relative_to(root).as_posix()}", path
+                    yield f"{package}/{path.relative_to(root).as_posix()}", path

@@ -88,7 +88,7 @@ class Station:
 
     @property
     def command_socket(self) -> Path:
-        """The daemon's door."""
+        """Path of the daemon's command socket."""
         return self.folder / "command.sock"
 
     def daemon_file(self) -> dict[str, Any]:
@@ -101,7 +101,7 @@ class Station:
             "force_torque": {"url": _url(self.ports[1])},
             "command": {"socket": str(self.command_socket)},
             "recording": {"directory": str(self.folder), "at_start": True},
-            # For whoever tries `param save` beside it; it goes with the folder.
+            # A user may try `param save` during the demo; the folder is deleted at the end.
             "state": str(self.folder),
             "realtime": {
                 "priority": DAEMON_PRIORITY,
@@ -145,7 +145,7 @@ class Station:
 
 
 def _free_port() -> int:
-    """Return a TCP port of the loopback that nobody has."""
+    """Return a free TCP port of the loopback."""
     with socket.socket() as probe:
         probe.bind((LOOPBACK, 0))
         return int(probe.getsockname()[1])
@@ -407,7 +407,7 @@ def _glimpse(cycle_s: float, state: Mapping[str, Any], status: Mapping[str, Any]
         speed=status.get("speed"),
         errors=tuple(errors),
         links=_links(status),
-        slack_us=None if turnaround is None else 1e6 * cycle_s - turnaround["max"],
+        idle_us=None if turnaround is None else 1e6 * cycle_s - turnaround["max"],
         cycle_us=1e6 * cycle_s,
         missed=None if waiting else unanswered(telegrams),
         tolerated=state.get("tolerated"),
@@ -448,13 +448,13 @@ def _withheld(before_s: float | None, after_s: float | None, passed_s: float) ->
 
 
 def _notes(status: Mapping[str, Any], facts: Mapping[str, Any]) -> list[str]:
-    """What whoever reads the result should know: refusals of the host, and what it cost."""
+    """Notes of a result: refusals of the host and their cost."""
     notes = [str(refusal) for refusal in status.get("host") or ()]
     pace = facts["pace"]
     if pace["slips"] or pace["late"]:
         held_ms = pace["slipped_ns"] / 1e6
         notes.append(
-            f"the emulators themselves were held up: {pace['late']} telegrams went out late, and "
+            f"the emulators were delayed: {pace['late']} telegrams went out late, and "
             f"{pace['slips']} times the whole schedule slipped, {held_ms:.0f} ms in all: the "
             "machine had other work, or its host did"
         )

@@ -115,7 +115,7 @@ def shared_out() -> tuple[tuple[int, ...], tuple[int, ...]]:
 
     A real-time process that wakes every few milliseconds is better off on a core of its own: a
     scheduler that moves it now and then is late by more than the cycle bears (measured on two
-    cores, beside another one at 4 ms: 1 to 3 wakes of 1500 later than 1 ms, 3 to 23 without).
+    cores, next to another one at 4 ms: 1 to 3 wakes of 1500 later than 1 ms, 3 to 23 without).
     """
     cores = sorted(os.sched_getaffinity(0))
     return ((), ()) if len(cores) < 2 else ((cores[-1],), tuple(cores[:-1]))

@@ -28,19 +28,19 @@ MAX_SEEDS = 100_000
 MAX_ROUND_S = 3600.0
 BENCH_PARTS = ("turnaround", "wakeup", "step", "virtual")
 MAX_HOURS = 10_000.0
-ROOMS = {
+MODULES = {
     "demo": "harness.demo",
     "run": "lab.runs",
     "campaign": "lab.campaign",
     "emulator": "harness.emulator_command",
     "bench": "lab.bench.bench",
 }
-"""The room that does a command, by its ``main(args) -> int``."""
+"""Module of each command, below ``linemate.simulators``; its ``main(args) -> int`` runs it."""
 DEMO_PACKAGES = ("matplotlib", "rich")  # of the extra `demo`
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Parse arguments and hand over to the command's room.
+    """Parse arguments and run the command.
 
     Returns:
         The exit code.
@@ -64,8 +64,8 @@ def _dispatch(args: argparse.Namespace) -> int:
 
     try:
         with command_line.killed_by_ctrl_c():
-            room = import_module(f"linemate.simulators.{ROOMS[args.command]}")
-        return int(room.main(args))
+            module = import_module(f"linemate.simulators.{MODULES[args.command]}")
+        return int(module.main(args))
     except FileError as error:
         print(error, file=sys.stderr)
         return BAD_FILE

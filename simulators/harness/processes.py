@@ -85,10 +85,10 @@ class Child:
         Returns:
             Its exit code.
         """
-        for number, patience_s in ((signal.SIGTERM, POLITE_S), (signal.SIGKILL, FIRM_S)):
+        for number, timeout_s in ((signal.SIGTERM, POLITE_S), (signal.SIGKILL, FIRM_S)):
             if self.ended() is None:
                 self.signal_group(number)
-                self.wait(patience_s)
+                self.wait(timeout_s)
         # The leader may be gone and have left others of its group.
         self.signal_group(signal.SIGKILL)
         return self.ended()
@@ -145,7 +145,7 @@ class Children:
         """
         parent = os.getpid()
         # Else an interrupt could end the call between the child's birth and its entry in the list,
-        # and nobody would know of it.
+        # and the child would never be ended.
         with log.open("ab") as output, _interrupts_later():
             process = subprocess.Popen(  # noqa: S603 -- our own programs, no shell
                 list(command),
@@ -180,7 +180,7 @@ def wait_until(
     """Wait until something holds while all children live.
 
     Raises:
-        ChildError: a child ended meanwhile.
+        ChildError: a child ended while waiting.
         TimeoutError: it did not come to hold in time; the message names `what`.
     """
     end = time.monotonic() + timeout_s

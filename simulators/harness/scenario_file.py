@@ -105,7 +105,7 @@ def schema(kind: str) -> dict[str, Any]:
 
 
 def complaints(value: Any) -> Iterator[Complaint]:
-    """What is wrong with the plain values of a scenario beside their kinds."""
+    """Yield errors of the plain values of a scenario, other than their kinds."""
     yield from _out_of_range(value)
     faults = value.get("faults") if isinstance(value, dict) else None
     for i, fault in enumerate(faults if isinstance(faults, list) else ()):
@@ -121,7 +121,7 @@ def complaints(value: Any) -> Iterator[Complaint]:
 
 
 def _out_of_range(value: Any, path: documents.Path = ()) -> Iterator[Complaint]:
-    """Plain values that are out of their field's range; of what is no number nothing is said."""
+    """Yield plain values that are out of their field's range; other kinds are ignored."""
     if isinstance(value, dict):
         for key, item in value.items():
             yield from _out_of_range(item, (*path, key))

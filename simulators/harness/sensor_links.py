@@ -90,7 +90,7 @@ class Emitters:
         force_torque: the device that has to be talked to before it streams.
         frame: identifier of the distance sensor's frames, and whether it is a long one.
         has_wrench: there is a force-torque sensor.
-        wrench_n: the force that it said last [N].
+        wrench_n: force of the last sample [N].
     """
 
     def __init__(
@@ -252,7 +252,7 @@ class SensorLinks:
             "force_torque": self._stream,
             "robot": cycle.on_telegram,
         }
-        self._under_way: list[Arrival] = []
+        self._in_transit: list[Arrival] = []
         self._count = 0
         _talk(self.emitters.force_torque)
 
@@ -264,16 +264,16 @@ class SensorLinks:
         """Bring over everything that has arrived by now."""
         left = self.emitters.collect()
         now_s = self._world.time_s + _TINY
-        if not self._under_way and all(arrival_s <= now_s for arrival_s, _, _ in left):
+        if not self._in_transit and all(arrival_s <= now_s for arrival_s, _, _ in left):
             left.sort(key=_arrival)  # those of one instant in the order of leaving
             for time_s, link, data in left:
                 self._bring(time_s, link, data)
             return
         for arrival_s, link, data in left:
             self._count += 1
-            heapq.heappush(self._under_way, (arrival_s, self._count, link, data))
-        while self._under_way and self._under_way[0][0] <= now_s:
-            time_s, _, link, data = heapq.heappop(self._under_way)
+            heapq.heappush(self._in_transit, (arrival_s, self._count, link, data))
+        while self._in_transit and self._in_transit[0][0] <= now_s:
+            time_s, _, link, data = heapq.heappop(self._in_transit)
             self._bring(time_s, link, data)
 
     def _bring(self, time_s: float, link: str, data: bytes) -> None:

@@ -49,7 +49,7 @@ class Glimpse:
         tentative: the class is not confirmed.
         speed: estimated, of the conveyor [m/s].
         errors: names and values with their units, e.g. ("control", "0.06 mm").
-        slack_us: what the last replies left of the cycle, least of them [us].
+        idle_us: least idle time of a cycle after its reply [us].
         cycle_us: length of a cycle [us].
         missed: telegrams late, lost or refused so far.
         tolerated: of them, before the controller breaks off; None if that is not known.
@@ -65,7 +65,7 @@ class Glimpse:
     speed: float | None = None
     errors: tuple[tuple[str, str], ...] = ()
     links: tuple[LinkGlimpse, ...] = ()
-    slack_us: float | None = None
+    idle_us: float | None = None
     cycle_us: float | None = None
     missed: int | None = None
     tolerated: int | None = None
@@ -145,8 +145,8 @@ def line(glimpse: Glimpse) -> str:
     """Put a glimpse on one line."""
     parts = [f"{glimpse.time_s:6.2f} s", _told(glimpse)]
     parts += [f"{name} {value}" for name, value in glimpse.errors]
-    if glimpse.slack_us is not None:
-        parts.append(f"slack {glimpse.slack_us / 1e3:.1f} ms")
+    if glimpse.idle_us is not None:
+        parts.append(f"idle {glimpse.idle_us / 1e3:.1f} ms")
     if glimpse.missed is not None:
         parts.append(f"late {_late(glimpse)}")
     parts += [f"{link.name} down" for link in glimpse.links if link.trouble]
@@ -167,7 +167,7 @@ def picture(title: str, glimpse: Glimpse, events: list[str]) -> RenderableType:
     )
     for name, value in glimpse.errors:
         facts.add_row(name, value)
-    facts.add_row("slack", _slack(glimpse))
+    facts.add_row("idle", _idle(glimpse))
     facts.add_row("late replies", _late(glimpse))
     if glimpse.held:
         facts.add_row("held", Text(glimpse.held, style="yellow"))
@@ -199,11 +199,11 @@ def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.0f}"
 
 
-def _slack(glimpse: Glimpse) -> Text:
-    if glimpse.slack_us is None or not glimpse.cycle_us:
+def _idle(glimpse: Glimpse) -> Text:
+    if glimpse.idle_us is None or not glimpse.cycle_us:
         return Text("-")
-    share = min(max(glimpse.slack_us / glimpse.cycle_us, 0.0), 1.0)
+    share = min(max(glimpse.idle_us / glimpse.cycle_us, 0.0), 1.0)
     filled = round(BAR * share)
     colour = "green" if share > 0.5 else "yellow" if share > 0.2 else "red"
     bar = "\N{BLACK RECTANGLE}" * filled + "\N{WHITE RECTANGLE}" * (BAR - filled)
-    return Text(f"{bar} {glimpse.slack_us / 1e3:.1f} of {glimpse.cycle_us / 1e3:.0f} ms", colour)
+    return Text(f"{bar} {glimpse.idle_us / 1e3:.1f} of {glimpse.cycle_us / 1e3:.0f} ms", colour)

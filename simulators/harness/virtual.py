@@ -258,7 +258,7 @@ class VirtualTimer(Port):
 
     @property
     def is_ready(self) -> bool:
-        """It has expired and nobody has read it."""
+        """Return whether it has expired and was not read."""
         return self._at_ns is not None and self._at_ns <= self.world.host_ns
 
     def arm(self, at_ns: int) -> None:
@@ -467,7 +467,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         future: asyncio.Future[T] = self.create_future()
         try:
             future.set_result(func(*args))
-        except Exception as error:  # noqa: BLE001 - whoever waits gets it
+        except Exception as error:  # noqa: BLE001 - the waiting caller gets it
             future.set_exception(error)
         return future
 

@@ -79,14 +79,14 @@ def rotation_vectors(matrices: Floats) -> Floats:
 
 
 def deviation(poses: Floats, reference: Floats) -> tuple[Floats, Floats]:
-    """Express poses (N, 7) in reference poses (N, 7): translation [m], rotation vector [rad]."""
+    """Return poses (N, 7) in reference poses (N, 7): translation [m], rotation vector [rad]."""
     back = np.swapaxes(rotations(reference), 1, 2)
     shift = np.einsum("nij,nj->ni", back, poses[:, :3] - reference[:, :3])
     return shift, rotation_vectors(back @ rotations(poses))
 
 
 def from_nominal(poses: Floats) -> tuple[Floats, Floats]:
-    """Express poses (N, 7) of the base in the nominal contact pose at s = 0 [m], [rad]."""
+    """Return poses (N, 7) relative to the nominal contact pose at s = 0 [m], [rad]."""
     shift = (poses[:, :3] - NOMINAL_POSITION) @ NOMINAL_ROTATION
     return shift, rotation_vectors(NOMINAL_ROTATION.T @ rotations(poses))
 

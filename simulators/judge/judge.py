@@ -83,7 +83,7 @@ class StateChange:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """All that a verdict rests on.
+    """Evidence of a run.
 
     Attributes:
         cycle_s: the controller's cycle [s].
@@ -440,7 +440,7 @@ def violations(
 ) -> dict[str, Any]:
     """Count applied setpoints whose finite differences are out of limits.
 
-    In a cycle without a reply the controller holds by itself: nobody is blamed for that, and
+    In a cycle without a reply the controller holds by itself. That is no violation, and
     the robot counts as at rest after it (reliability, 2.0).
 
     Args:

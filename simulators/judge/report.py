@@ -26,8 +26,8 @@ body { font: 15px/1.5 Georgia, "Times New Roman", serif; color: #222; background
   max-width: 60rem; margin: 2.5rem auto; padding: 0 1.25rem; }
 h1 { font-size: 1.5rem; font-weight: normal; margin: 0; }
 h2 { font-size: 1.05rem; margin: 2rem 0 .5rem; }
-.verdict { margin: .3rem 0 1.5rem; padding-left: .7rem; border-left: 4px solid #009e73; }
-.verdict.failed { border-color: #d55e00; }
+.outcome { margin: .3rem 0 1.5rem; padding-left: .7rem; border-left: 4px solid #009e73; }
+.outcome.failed { border-color: #d55e00; }
 figure { margin: 1.5rem 0; } img { width: 100%; height: auto; }
 figcaption, .notes { color: #555; font-size: .9rem; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .9rem; }
@@ -65,11 +65,11 @@ def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
     parts = [
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        f"<title>linemate: {html.escape(table.verdict(result))}</title>",
+        f"<title>linemate: {html.escape(table.outcome_line(result))}</title>",
         f"<style>{STYLE}</style></head><body>",
         "<h1>linemate: a wheel onto a moving hub</h1>",
-        f'<p class="verdict{"" if result.get("assembled") else " failed"}">',
-        f"{html.escape(table.verdict(result))}</p>",
+        f'<p class="outcome{"" if result.get("assembled") else " failed"}">',
+        f"{html.escape(table.outcome_line(result))}</p>",
     ]
     for name, data in pictures.items():
         source = base64.b64encode(data).decode("ascii")

@@ -100,7 +100,7 @@ def time_rows(result: Mapping[str, Any]) -> tuple[tuple[str, ...], ...]:
     )
 
 
-def verdict(result: Mapping[str, Any]) -> str:
+def outcome_line(result: Mapping[str, Any]) -> str:
     """Say in one line how the run ended."""
     ended = "assembled" if result.get("assembled") else f"NOT assembled: {result.get('outcome')}"
     if result.get("reason"):
@@ -152,7 +152,7 @@ def is_figure(cell: str) -> bool:
 
 def plain(result: Mapping[str, Any]) -> str:
     """Print a whole result as plain text."""
-    lines = [verdict(result)]
+    lines = [outcome_line(result)]
     for table in tables(result):
         lines += ["", table.title, *(f"  {line}" for line in aligned(table.head, table.rows))]
     if notes(result):

@@ -104,7 +104,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     page = args.page or (args.kept / "short.md" if args.short else PAGE)
     write(page, told(plan, runs, detection))
     report_json.write(args.kept / "accuracy.json", {"runs": runs, "detection": detection})
-    missed = [label for label, held in accuracy_tables.verdicts(runs, detection) if not held]
+    missed = [label for label, held in accuracy_tables.bars_met(runs, detection) if not held]
     print(f"{page}: {len(missed)} bars missed" + "".join(f"\n  {label}" for label in missed))
     return 1 if args.check and missed else 0
 
@@ -190,7 +190,7 @@ def _piece(where: Where, name: str, asked: object, make: Callable[[], Any]) -> A
         if kept["mark"] == mark:
             return kept["made"]
     except (OSError, ValueError, KeyError, TypeError):
-        pass  # not there, or half written: it is made anew
+        pass  # missing or half written: run it again
     # By way of JSON either way, so that a kept piece and a fresh one are the same to the byte.
     made = json.loads(report_json.text(make()))
     if digest() != where.sources:
@@ -271,7 +271,7 @@ def _is_default(variant: str) -> bool:
 
 
 def _told(each: Mapping[str, float | None]) -> dict[str, float]:
-    """What is said of some of them."""
+    """Return the seeds or hours of the named items."""
     return {name: number for name, number in each.items() if number is not None}
 
 

@@ -178,7 +178,7 @@ def _runs(runs: Runs, case: str, group: str) -> Sequence[Run]:
 
 
 def _judging(runs: Runs, case: str) -> Sequence[Run]:
-    """Return the runs that a verdict rests on."""
+    """Return the runs that a bar is judged by."""
     return _runs(runs, case, "verify")
 
 
@@ -200,7 +200,7 @@ def tables(runs: Runs, detection: Detection) -> str:
     return "\n\n".join(f"## {title}\n\n{text}" for title, text in parts if text)
 
 
-def verdicts(runs: Runs, detection: Detection) -> list[tuple[str, bool]]:
+def bars_met(runs: Runs, detection: Detection) -> list[tuple[str, bool]]:
     """Return every bar that has been measured, and whether it holds."""
     found = [
         (claim.label, claim.bar.holds(_described(_judging(runs, claim.case), claim.figure)))
@@ -215,7 +215,7 @@ def verdicts(runs: Runs, detection: Detection) -> list[tuple[str, bool]]:
 
 
 def claims(runs: Runs) -> str:
-    """The first table: median, interval and worst of both groups beside the bar."""
+    """The first table: median, interval and worst of both groups next to the bar."""
     rows = []
     for claim in CLAIMS:
         groups = [_runs(runs, claim.case, group) for group in GROUPS]
@@ -250,7 +250,7 @@ def assembled(runs: Runs) -> str:
 
 
 def asked(detection: Detection) -> str:
-    """Detection of the default classifier beside its bars."""
+    """Detection of the default classifier next to its bars."""
     rows = []
     for one in ASKED:
         found = _found(detection, one)

@@ -258,22 +258,22 @@ class _Station:
 
 def _watch(classifier: Classifier, station: _Station, duration_s: float) -> Iterator[DaemonEvent]:
     """Step the classifier through the run and yield its events."""
-    belief: Any = None
+    state: Any = None
     readings: list[float] = []
     for k in count(1):
         now_s = station.begin_s + k * station.cycle_s
         if now_s > duration_s:
             return
         rows = station.rows(now_s)
-        if belief is None:
+        if state is None:
             # As the tracker begins: some readings that agree, against an outlier first.
             heard = [row.value for row in rows if row.source is Source.DISTANCE]
             readings = [*readings, *heard][-AGREEING:]
             if len(readings) == AGREEING and max(readings) - min(readings) < AGREEMENT:
-                belief = classifier.initial(readings[-1])
+                state = classifier.initial(readings[-1])
             continue
-        belief = classifier.advance(belief, rows, station.cycle_s)
-        for kind, what in classifier.estimate(belief).events:
+        state = classifier.advance(state, rows, station.cycle_s)
+        for kind, what in classifier.estimate(state).events:
             yield DaemonEvent(now_s, kind, what)
 
 

@@ -39,10 +39,10 @@ NEVER_S = 1e6
 STRANGER = ControlSettings(
     servos=(ServoModel(5.0, 0.7, 0.03),) * 7, effector=(EffectorMode(6.0, 0.03),) * 6
 )
-"""What one believes of an arm and a tool that nobody has measured."""
+"""Settings for an arm and a tool that were not measured."""
 
 STRANGE_TRACKING = TrackingSettings(swing=(SwingMode(1, 0.7, 0.0, (-0.25, 0.0, -0.8)),))
-"""What one believes of an object whose swing nobody has measured."""
+"""Settings for an object whose swing was not measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ def identified(plan: Plan, folder: Path) -> Identified:
     found = identify_command.from_files(files)
     if not plan.wheels:
         return found
-    wheel = laid_over(_belief(plan, "wheel"), found.overlay)
+    wheel = laid_over(_initial_setup(plan, "wheel"), found.overlay)
     files += [
         record(wheel, plan.seed + 100 + i, folder / f"wheel-{i}.mcap") for i in range(plan.wheels)
     ]
@@ -108,7 +108,7 @@ def record(setup: Setup, seed: int, path: Path) -> Path:
 
 def _exercise(plan: Plan) -> Setup:
     """Return the exercise: programmed motion alone, undamped, so that the tool rings."""
-    setup = _belief(plan, EXERCISE_SCENARIO)
+    setup = _initial_setup(plan, EXERCISE_SCENARIO)
     task = task_file.load(DAEMON_DATA / EXERCISE)
     return replace(
         setup,
@@ -119,7 +119,7 @@ def _exercise(plan: Plan) -> Setup:
     )
 
 
-def _belief(plan: Plan, name: str) -> Setup:
+def _initial_setup(plan: Plan, name: str) -> Setup:
     truth: Scenario = scenario_file.load(name)
     if plan.cycle_ms is not None:
         truth = replace(truth, cycle_s=round(plan.cycle_ms * 1e-3, 9))

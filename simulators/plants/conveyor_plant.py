@@ -59,13 +59,13 @@ class ConveyorPlant:
         drift, after = self._speeds[cell], self._speeds[cell + 1]
         slope = (after - drift) / RIPPLE_STEP_S
         amplitude = self._ripple.amplitude * speed / self._nominal
-        wave = self._omega * t + self._phase
+        phase = self._omega * t + self._phase
         return (
             position
             + self._positions[cell]
             + (drift + 0.5 * slope * rest) * rest
-            + amplitude * math.sin(wave),
-            speed + drift + slope * rest + amplitude * self._omega * math.cos(wave),
+            + amplitude * math.sin(phase),
+            speed + drift + slope * rest + amplitude * self._omega * math.cos(phase),
         )
 
     def positions(self, times: Array) -> Array:
@@ -99,13 +99,13 @@ class ConveyorPlant:
         drift = drifts[index - first]
         slope = (drifts[index - first + 1] - drift) / RIPPLE_STEP_S
         amplitude = self._ripple.amplitude * speed / self._nominal
-        wave = self._omega * times + self._phase
+        phase = self._omega * times + self._phase
         return (
             position
             + bases[index - first]
             + (drift + 0.5 * slope * rest) * rest
-            + amplitude * np.sin(wave),
-            speed + drift + slope * rest + amplitude * self._omega * np.cos(wave),
+            + amplitude * np.sin(phase),
+            speed + drift + slope * rest + amplitude * self._omega * np.cos(phase),
         )
 
     def _nominals(self, times: Array) -> tuple[Array, Array]:

@@ -74,7 +74,7 @@ class ServoBank:
         self._nodes = [tuple(start)] * (self._reach + 2)
         self._rises = [(0.0,) * len(start)] * (self._reach + 1)
         self._cycle, self._is_commanded = 0, False
-        self._slack = min(axis.dead_time_s for axis in axes)
+        self._least_dead_time_s = min(axis.dead_time_s for axis in axes)
         self._ahead: list[_Motion] | None = None
         self.positions = tuple(start)
         self.velocities = (0.0,) * len(start)
@@ -101,7 +101,7 @@ class ServoBank:
         Raises:
             ValueError: when an axis has already moved on an input that this would change.
         """
-        if age > self._slack + _TINY:
+        if age > self._least_dead_time_s + _TINY:
             raise ValueError(f"command {age} s after its cycle began: the motion has passed it")
         nodes, rises = self._nodes, self._rises
         if cycle == self._cycle:

@@ -202,7 +202,7 @@ def test_whatever_is_not_within_limits_is_named_with_its_value_and_limit() -> No
     named = " / ".join(result["shortfalls"])
     assert "control error in approach 1.20 mm, limit 1 mm" in named
     assert f"{result['limits']['violations']} setpoints beyond the axis limits, limit 0" in named
-    told_so = table.verdict(result)
+    told_so = table.outcome_line(result)
     assert "NOT within limits: control error in approach 1.20 mm, limit 1 mm" in told_so
     assert "0 violations" not in told_so
 
@@ -210,7 +210,7 @@ def test_whatever_is_not_within_limits_is_named_with_its_value_and_limit() -> No
 def test_a_verdict_says_not_within_limits_only_with_what_is_not() -> None:
     for counts in (TELEGRAMS, replace(TELEGRAMS, late=3), replace(TELEGRAMS, late=300)):
         result = judge(evidence(perfect_run(), telegrams=counts))
-        told_so = table.verdict(result)
+        told_so = table.outcome_line(result)
         assert ("NOT within limits: " in told_so) is (counts.late == 300)
         assert f"replies: {counts.late} late (100 tolerated)" in told_so
 

@@ -47,11 +47,11 @@ def test_control_is_the_largest_over_all_windows_of_a_run_that_assembled() -> No
 
 def test_the_verdict_rests_on_the_seeds_that_verify() -> None:
     good, bad = [stop(1.0)] * 3, [stop(5.0)] * 3
-    verdict = dict(tables.verdicts({"wheel": {"tuned": good, "verify": bad}}, {}))
-    assert verdict["total after a stop in the approach, mm"] is False
-    verdict = dict(tables.verdicts({"wheel": {"tuned": bad, "verify": good}}, {}))
-    assert verdict["total after a stop in the approach, mm"] is True
-    assert not tables.verdicts({"wheel": {"tuned": good}}, {})
+    met = dict(tables.bars_met({"wheel": {"tuned": good, "verify": bad}}, {}))
+    assert met["total after a stop in the approach, mm"] is False
+    met = dict(tables.bars_met({"wheel": {"tuned": bad, "verify": good}}, {}))
+    assert met["total after a stop in the approach, mm"] is True
+    assert not tables.bars_met({"wheel": {"tuned": good}}, {})
 
 
 def test_both_groups_stand_beside_the_bar() -> None:
@@ -65,17 +65,17 @@ def test_both_groups_stand_beside_the_bar() -> None:
 def test_a_wrong_model_is_compared_with_nominal_on_the_same_seeds() -> None:
     nominal = [stop(1.0)] * 2 + [stop(9.0)] * 8
     runs = {"wheel": {"verify": nominal}, "swing-1.05": {"verify": [stop(1.4)] * 2}}
-    assert dict(tables.verdicts(runs, {}))["swing frequency +5 %"] is True
+    assert dict(tables.bars_met(runs, {}))["swing frequency +5 %"] is True
     assert "×1.40" in tables.wrong(runs)
     runs["swing-1.05"] = {"verify": [stop(1.6)] * 2}
-    assert dict(tables.verdicts(runs, {}))["swing frequency +5 %"] is False
+    assert dict(tables.bars_met(runs, {}))["swing frequency +5 %"] is False
     runs["swing-1.05"] = {"verify": [run(assembled=False), stop(1.0)]}
-    assert dict(tables.verdicts(runs, {}))["swing frequency +5 %"] is False
+    assert dict(tables.bars_met(runs, {}))["swing frequency +5 %"] is False
 
 
 def test_without_nominal_on_as_many_seeds_there_is_no_verdict() -> None:
     runs = {"wheel": {"verify": [stop(1.0)]}, "swing-1.05": {"verify": [stop(1.0)] * 2}}
-    assert "swing frequency +5 %" not in dict(tables.verdicts(runs, {}))
+    assert "swing frequency +5 %" not in dict(tables.bars_met(runs, {}))
 
 
 def test_detection_is_held_to_its_bars() -> None:
@@ -86,8 +86,8 @@ def test_detection_is_held_to_its_bars() -> None:
         },
         "jerk": {"made": 200, "not_taken": {"share": 0.995, "ci95": [0.97, 1.0]}},
     }
-    verdict = dict(tables.verdicts({}, {"12 default": found}))
-    assert verdict == {
+    met = dict(tables.bars_met({}, {"12 default": found}))
+    assert met == {
         "stop perceived, s": True,
         "stop confirmed, s": False,
         "false stops, /h": False,

@@ -9,7 +9,7 @@ import pytest
 from linemate.daemon.core.step import StepState, step
 from linemate.simulators.harness import host
 from linemate.simulators.lab.bench import bench
-from linemate.simulators.lab.bench.bench import Job, Tape, interleaved
+from linemate.simulators.lab.bench.bench import Job, StepTrace, interleaved
 
 
 def test_jobs_take_turns_and_the_warm_round_does_not_count() -> None:
@@ -28,24 +28,24 @@ def test_jobs_take_turns_and_the_warm_round_does_not_count() -> None:
 
 
 @pytest.fixture(scope="module")
-def tape() -> Tape:
+def trace() -> StepTrace:
     return bench.record(42, 0.012)
 
 
-def test_the_tape_is_of_an_approach_with_every_sensor_at_work(tape: Tape) -> None:
-    assert len(tape.inputs) == bench.LEAST_STEPS
-    assert sum(len(inputs.camera) for inputs in tape.inputs) > 0.5 * 40 * len(tape.inputs) * 0.012
-    assert all(inputs.robot is not None for inputs in tape.inputs)
-    assert any(inputs.distance for inputs in tape.inputs)
-    assert any(inputs.wrench for inputs in tape.inputs)
+def test_the_trace_is_of_an_approach_with_every_sensor_at_work(trace: StepTrace) -> None:
+    assert len(trace.inputs) == bench.LEAST_STEPS
+    assert sum(len(inputs.camera) for inputs in trace.inputs) > 0.5 * 40 * len(trace.inputs) * 0.012
+    assert all(inputs.robot is not None for inputs in trace.inputs)
+    assert any(inputs.distance for inputs in trace.inputs)
+    assert any(inputs.wrench for inputs in trace.inputs)
 
 
-def test_every_round_does_the_same_work(tape: Tape) -> None:
+def test_every_round_does_the_same_work(trace: StepTrace) -> None:
     def commands() -> list[tuple[float, ...]]:
-        state: StepState = tape.state
+        state: StepState = trace.state
         found = []
-        for inputs in tape.inputs[:20]:
-            state, outputs = step(state, inputs, tape.parameters)
+        for inputs in trace.inputs[:20]:
+            state, outputs = step(state, inputs, trace.parameters)
             found.append(outputs.command)
         return found
 

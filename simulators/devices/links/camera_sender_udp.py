@@ -27,7 +27,7 @@ class CameraUdp:
         Raises:
             OSError: if none can be had.
         """
-        self._endpoint = Endpoint.bound(_beside(self.target[0]))
+        self._endpoint = Endpoint.bound(_source_for(self.target[0]))
 
     def close(self) -> None:
         """Close the socket."""
@@ -68,6 +68,6 @@ class CameraUdp:
         return {"sent": self.sent, "unsent": unsent}
 
 
-def _beside(host: str) -> str:
+def _source_for(host: str) -> str:
     """The local address to send from: loopback stays on loopback."""
     return "127.0.0.1" if host.startswith("127.") else "0.0.0.0"  # noqa: S104 - any interface

@@ -40,7 +40,7 @@ class Plant(Protocol):
         """
 
     def end_cycle(self, applied: Applied, turnaround_ns: int | None) -> None:
-        """A cycle's fate is known, at its end at the latest.
+        """Called when a reply is judged, at the end of its cycle at the latest.
 
         Args:
             applied: what the controller applies during it.
@@ -187,7 +187,7 @@ class ControllerUdp:
             self._plant.begin_cycle(self._begun_ns)
 
     def _slip(self) -> bool:
-        """Shift the schedule if this process was held up; whether it was."""
+        """Shift the schedule if this process was delayed, and return whether it was."""
         late_ns = time.monotonic_ns() - self._due_ns
         slips = late_ns > SLIP_AFTER * self._cycle_ns
         if slips:

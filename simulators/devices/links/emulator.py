@@ -201,7 +201,7 @@ class Emulator:
         self._tell_sometimes(self._begun_s)
 
     def end_cycle(self, applied: Applied, turnaround_ns: int | None) -> None:
-        """A cycle's fate is known: the world goes to the next one.
+        """Advance the world to the next cycle, after the reply is judged.
 
         Args:
             applied: what the controller applies during it.
@@ -369,7 +369,7 @@ class Emulator:
                 partial(self.can.emit, distance.position, distance.strength),
             )
         for wrench in world.take_wrench():
-            # A device's clock goes on while this process is held up and its world stands still:
+            # A device's clock goes on while this process and its world are stalled:
             # dates that stood with it would be early for as long as an offset is remembered.
             device_us = (self._instant(wrench.exposure_s) - self._origin_ns) // 1000
             self._emit(

@@ -31,7 +31,7 @@ class PtyPort:
         link: a symbolic link that shall point at the port, or None.
         path: what to open, empty while unplugged.
         attended: somebody has the port open.
-        dropped_bytes: bytes that found no room or no reader.
+        dropped_bytes: bytes that did not fit or had no reader.
     """
 
     on_data: OnData
@@ -62,7 +62,7 @@ class PtyPort:
         self._await_opening()
 
     def unplug(self) -> None:
-        """Make the port disappear under whoever has it open."""
+        """Make the port disappear for the client that has it open."""
         if self._master < 0:
             return
         if self._look is not None:
@@ -84,7 +84,7 @@ class PtyPort:
             data: what the device says.
 
         Returns:
-            Whether all of it found room.
+            Whether all of it was written.
         """
         if not self.attended or not data:
             self.dropped_bytes += len(data)

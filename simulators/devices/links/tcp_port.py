@@ -27,7 +27,7 @@ class TcpPort:
         path: what to open, empty while unplugged.
         link: None; there is nothing to link to.
         attended: somebody has the port open.
-        dropped_bytes: bytes that found no room or no reader.
+        dropped_bytes: bytes that did not fit or had no reader.
     """
 
     def __init__(self, on_data: Callable[[bytes], None], bind: Address) -> None:
@@ -65,7 +65,7 @@ class TcpPort:
         asyncio.get_running_loop().add_reader(self._listener, self._accept)
 
     def unplug(self) -> None:
-        """Make the port disappear under whoever has it open."""
+        """Make the port disappear for the client that has it open."""
         self._hang_up()
         if self._listener is not None:
             asyncio.get_running_loop().remove_reader(self._listener)
@@ -80,7 +80,7 @@ class TcpPort:
             data: what the device says.
 
         Returns:
-            Whether all of it found room.
+            Whether all of it was written.
         """
         if self._line is None or not data:
             self.dropped_bytes += len(data)

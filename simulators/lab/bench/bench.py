@@ -34,8 +34,7 @@ from linemate.simulators.harness.lockstep import Lockstep
 from linemate.simulators.harness.processes import ChildError, interruptible
 from linemate.simulators.judge import report_json
 from linemate.simulators.judge.table import DASH, aligned, number
-from linemate.simulators.lab.bench import bench_floor, bench_turnaround
-from linemate.simulators.lab.bench import bench_trace as bench_reel
+from linemate.simulators.lab.bench import bench_floor, bench_trace, bench_turnaround
 from linemate.simulators.lab.bench.bench_trace import StationTrace
 from linemate.simulators.lab.bench.bench_turnaround import MOVING, Bench, Measured
 
@@ -48,7 +47,7 @@ CPU_CYCLE_MS: Final = 4
 PARTS: Final = ("turnaround", "wakeup", "step", "virtual")
 LEAD_IN_S: Final = 2.5
 SETTLE_S: Final = 4.0
-"""What is played beside the rounds: between them, and until the daemon works [s]."""
+"""Play time in addition to the rounds: between them and at the start [s]."""
 
 VIRTUAL: Final = "virtual_times_realtime"
 TURNAROUND_HEAD: Final = (
@@ -93,7 +92,7 @@ def interleaved(jobs: Sequence[Job], rounds: int = ROUNDS, warm: int = 1) -> dic
 
 
 @dataclass(frozen=True, slots=True)
-class Tape:
+class StepTrace:
     """Steps to be measured: a state in mid-approach, and the inputs that followed it."""
 
     parameters: Parameters
@@ -101,7 +100,7 @@ class Tape:
     inputs: tuple[Inputs, ...]
 
 
-def record(horizon: int, cycle_s: float) -> Tape:
+def record(horizon: int, cycle_s: float) -> StepTrace:
     """Run into the approach in virtual time, and keep what the daemon was given.
 
     The step is pure: the state before the window is found again by replaying the inputs, and
@@ -133,18 +132,18 @@ def record(horizon: int, cycle_s: float) -> Tape:
     state = initial(parameters, robot)
     for entry in entries[:first]:
         state, _ = step(state, entry.inputs, parameters)
-    return Tape(parameters, state, tuple(entry.inputs for entry in entries[first:]))
+    return StepTrace(parameters, state, tuple(entry.inputs for entry in entries[first:]))
 
 
 def step_job(horizon: int, cycle_s: float) -> Job:
     """Make a job that gives the median computing time of a step [us]."""
-    tape = record(horizon, cycle_s)
+    trace = record(horizon, cycle_s)
 
     def measure() -> float:
-        state, spent = tape.state, []
-        for inputs in tape.inputs:
+        state, spent = trace.state, []
+        for inputs in trace.inputs:
             before = time.perf_counter_ns()
-            state, _ = step(state, inputs, tape.parameters)
+            state, _ = step(state, inputs, trace.parameters)
             spent.append(time.perf_counter_ns() - before)
         return statistics.median(spent) * 1e-3
 
@@ -269,7 +268,7 @@ def record_trace(measured_s: float) -> StationTrace:
     run = Lockstep(replace(made, scenario=scenario), seed=0, on_step=entries.append)
     while run.turn():
         pass
-    return bench_reel.from_entries(entries)
+    return bench_trace.from_entries(entries)
 
 
 def plain(result: Mapping[str, Any]) -> str:
@@ -283,7 +282,7 @@ def plain(result: Mapping[str, Any]) -> str:
         *(f"note: {note}" for note in result["notes"]),
     ]
     if "turnaround" in result:
-        lines += ["", f"Turn-around at the controller, beside {ECHOES[result['echo']]}"]
+        lines += ["", f"Turn-around at the controller, next to {ECHOES[result['echo']]}"]
         lines += aligned(TURNAROUND_HEAD, list(_turnaround_rows(result["turnaround"])))
     rows = list(_rows(result))
     if rows:

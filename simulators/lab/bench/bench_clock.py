@@ -61,6 +61,6 @@ async def run(period_ns: int) -> None:
 
 
 if __name__ == "__main__":
-    # As the bench's daemon, and as the C timer beside it.
+    # As the bench's daemon, and as the C timer next to it.
     realtime.ask(RealtimeSettings(lock_memory=True))
     asyncio.run(run(int(sys.argv[1])))

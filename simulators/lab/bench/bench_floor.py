@@ -22,7 +22,7 @@ from typing import Final
 from linemate.simulators.harness.processes import Child, Children, wait_until
 
 COMPILERS: Final = ("cc", "gcc", "clang")
-PATIENCE_S: Final = 10.0
+TIMEOUT_S: Final = 10.0
 
 PYTHON_ECHO: Final = """
 import socket
@@ -134,7 +134,7 @@ class Words:
             found.extend(words for words in self.new() if words[:1] == [head])
             return bool(found)
 
-        wait_until(there, children, PATIENCE_S, f"{self.child.name}: {head}", poll_s=0.005)
+        wait_until(there, children, TIMEOUT_S, f"{self.child.name}: {head}", poll_s=0.005)
         return found[-1]
 
 
@@ -175,7 +175,7 @@ class TimerProgram:
                     found.append(words)
             return bool(found)
 
-        wait_until(told, self._children, PATIENCE_S, self._child.name, poll_s=0.005)
+        wait_until(told, self._children, TIMEOUT_S, self._child.name, poll_s=0.005)
         count, *times = map(int, found[-1][1:])
         return Lateness(count, *(times or (0, 0, 0)))
 
@@ -219,6 +219,6 @@ def cpu_ns(pid: int) -> int:
     """How long all threads of a process have run [ns]."""
     total = 0
     for task in Path(f"/proc/{pid}/task").iterdir():
-        with suppress(OSError):  # a thread that ended meanwhile
+        with suppress(OSError):  # the thread has ended
             total += int((task / "schedstat").read_text(encoding="ascii").split()[0])
     return total

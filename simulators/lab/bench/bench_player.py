@@ -42,7 +42,7 @@ TIMESPEC: Final = struct.Struct("@ll")
 ANCILLARY: Final = socket.CMSG_SPACE(TIMESPEC.size)
 FIRST_IPOC: Final = 100_000_000
 SETTLE: Final = 150
-"""Cycles after a new session that do not count: the daemon learns the step anew."""
+"""Cycles after a new session that do not count: the daemon learns the counter step again."""
 
 SLIP_AFTER: Final = 0.25
 FORGOTTEN: Final = 64
@@ -113,7 +113,7 @@ class Asked:
         return data
 
     def clear(self) -> None:
-        """Begin to count anew."""
+        """Reset the counts."""
         self._waiting.clear()
         self.sent_ns, self.took_ns = array("q"), array("q")
 
@@ -134,7 +134,7 @@ class Port:
             self.write(self._answer(os.read(self._master, 4096)))
 
     def write(self, data: bytes) -> None:
-        """Send; what finds no room is lost, as on a line that nobody reads."""
+        """Send; what does not fit is lost, as on a line without a reader."""
         if data:
             with suppress(BlockingIOError):
                 os.write(self._master, data)
@@ -146,7 +146,7 @@ class Arm:
     def __init__(self, trace: StationTrace) -> None:
         xml = files("linemate.protocol").joinpath("data", "rsi_joints.xml").read_bytes()
         self._codec = RsiCodec(parse_config(xml))
-        self._reel = trace
+        self._trace = trace
         self._start, _ = trace.axes(0)
         self._axes = self._start
 
@@ -172,7 +172,7 @@ class Arm:
         Args:
             at_ns: after the trace's begin [ns].
         """
-        _, signals = self._reel.axes(at_ns)
+        _, signals = self._trace.axes(at_ns)
         return self._codec.format_robot(
             RobotTelegram(
                 ipoc=ipoc,
@@ -304,7 +304,7 @@ class Player:
         self._control.send(json.dumps(message).encode())
 
     def _sleep(self, due_ns: int) -> int:
-        """Sleep until an instant; when this process was held up, that instant moves."""
+        """Sleep until an instant; if this process is delayed, that instant moves."""
         now_ns = time.monotonic_ns()
         if now_ns < due_ns:
             time.sleep((due_ns - now_ns) * 1e-9)

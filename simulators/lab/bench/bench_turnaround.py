@@ -37,7 +37,7 @@ from linemate.simulators.lab.bench.bench_floor import (
 )
 
 PRIORITIES: Final = {"probe": 90, "player": 85, "echo": 81, "daemon": 80}
-"""The echo is not held up by a daemon that has too much to do: it tells what the machine can."""
+"""The echo has a higher priority than the daemon: it shows what the machine can do."""
 
 PROBE_PERIOD_NS: Final = 1_000_000
 SPIKE_NS: Final = 150_000
@@ -198,7 +198,7 @@ def measure(
 
 
 def wakeup(bench: Bench) -> dict[str, float] | None:
-    """Hold the daemon's clock beside the C timer: same core, same seconds, same priority.
+    """Compare the daemon's clock with the C timer: same core, same seconds, same priority.
 
     Returns:
         Medians over rounds [us] and of the rounds' ratio; None without a compiler.
@@ -384,7 +384,7 @@ def started(children: Children, config: Path, log: Path) -> tuple[Child, dict[st
 
     Raises:
         ChildError: it ended without a word.
-        TimeoutError: it said nothing in time.
+        TimeoutError: no message in time.
     """
     reading, writing = os.pipe()
     with os.fdopen(reading, encoding="utf-8") as pipe:

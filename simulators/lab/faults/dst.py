@@ -50,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"dst: {error}", file=sys.stderr)
         return 2
     keep = None if args.forget else args.keep
-    return _swarm(seeds, args.cycle_ms, max(1, args.workers), keep, args.seconds)
+    return _run_seeds(seeds, args.cycle_ms, max(1, args.workers), keep, args.seconds)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -81,7 +81,9 @@ def _seeds(text: str) -> range:
     return seeds
 
 
-def _swarm(seeds: range, cycle_ms: CycleMs, workers: int, keep: Path | None, seconds: float) -> int:
+def _run_seeds(
+    seeds: range, cycle_ms: CycleMs, workers: int, keep: Path | None, seconds: float
+) -> int:
     """Live through all seeds that there is time for, then through some of them again."""
     begun = time.monotonic()
     failed: list[tuple[int, tuple[str, ...]]] = []

@@ -32,11 +32,11 @@ HELD = "control is held"
 SHORTEST_PAUSE_S = 0.12
 """Between two programs: RSI_OFF, the interpreter, RSI_ON [s]. None is known to be quicker."""
 DITHERING_S = 0.2
-"""How long the operator waits for what is held to go on before beginning anew [s]."""
+"""Time that the operator waits in a hold before starting again [s]."""
 
 
 class Programme:
-    """The controller's programme: pauses, brakes, drives home, begins anew.
+    """The controller's program: pauses, brakes, drives home, starts again.
 
     Attributes:
         quiet_s: when the exchange broke off last [s].
@@ -66,7 +66,7 @@ class Programme:
         """End the program; it starts again after some time, which it needs at least."""
         duration_s = max(duration_s, SHORTEST_PAUSE_S)
         if self._paused_until_s is None:
-            # Drives that are off stay where they are, whatever the controller was sent meanwhile.
+            # Drives that are off stay where they are, whatever the controller was sent in between.
             is_braked = self._braked_until_s is not None
             self._from = self._pose = self._pose if is_braked else self._controller.setpoints
         self._paused_until_s = max(now_s + duration_s, self._paused_until_s or now_s)
@@ -78,7 +78,7 @@ class Programme:
             self._pose = self._controller.setpoints
 
     def home(self, now_s: float) -> None:
-        """Drive to the rest pose without RSI; the programme begins anew there."""
+        """Drive to the rest pose without RSI; the program starts again there."""
         self._from, self._pose = self._controller.setpoints, self._plant.start
         way = max(abs(a - b) for a, b in zip(self._from, self._pose, strict=True))
         self._took_s = max(HOMING_S, way / HOMING_SPEED)
@@ -155,7 +155,7 @@ class Operator:
         self.refusal = ""
 
     def order(self, op: str, *, is_colleague: bool = False) -> bool:
-        """Give an order, a colleague's if said so; whether it was taken."""
+        """Give an order, a colleague's if asked for, and return whether it was accepted."""
         simulation = self._simulation
         app = simulation.app
         if simulation.is_stalled or app is None:

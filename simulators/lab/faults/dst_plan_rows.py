@@ -15,7 +15,7 @@ Changes = dict[str, Any]
 TOUCH_S = 1.1
 """About when the tool touches in a run without trouble, scenario time [s]."""
 FROM_S, UNTIL_S = 0.3, 2.1
-"""When a motion is under way that can be troubled [s]."""
+"""Interval in which the robot is led [s]."""
 BEGIN_S = -0.4
 FIVE_S = 5.0
 JITTERS_S = (0.001, 0.003, 0.006, 0.012)

@@ -23,9 +23,9 @@ MOST_FORCE_N = 200.0
 AT_HUB_M = 0.02
 """A tool this near to the hub plane is at the hub [m]."""
 MOST_LATERAL_M = 0.006
-"""What the tool's capture bears beside the hub's axis [m]."""
+"""Lateral offset that the tool's capture tolerates [m]."""
 LATERAL_S = 0.05
-"""A tool at the hub may be farther beside it for so long in TRACK or CONTACT [s]."""
+"""Longest time of a larger lateral offset in TRACK or CONTACT [s]."""
 MOST_RAIL_M = 0.05
 """The rail's change relative to the object since the tool came near [m]: row X11."""
 NEAR_M = 0.055
@@ -53,7 +53,7 @@ OVERLOAD_S = 0.06
 UNANSWERED_S = 0.12
 """A new session, or one that has to be proven, may cost so much [s]."""
 MOST_CYCLE_OFF = 0.055
-"""Nobody is tracked by a controller whose cycle is farther off: row X16."""
+"""A controller whose cycle is farther off must not lead: row X16."""
 UNFELT_S = 0.4
 """A clamped tool is felt within this time [s]."""
 PHANTOM_M = 0.01
@@ -239,7 +239,7 @@ class PlantOracle:
         if self._lasting("lateral", off, seen.now_s) > LATERAL_S:
             self._harm(
                 "place",
-                f"tool {1e3 * lateral:.1f} mm beside the hub, limit {1e3 * MOST_LATERAL_M:g}, in"
+                f"tool {1e3 * lateral:.1f} mm off the hub's axis, limit {1e3 * MOST_LATERAL_M:g}, in"
                 f" {_name(seen.state)}",
                 seen.now_s,
             )
@@ -278,8 +278,8 @@ class PlantOracle:
             self._silence("wrench", silent_s, WRENCH_S + REACTION_S)
             frozen_s = now_s - max(emitters.moved_s("force_torque"), begun_s)
             self._silence("wrench frozen", frozen_s, WRENCH_S + REACTION_S + FROZEN_S)
-            said = emitters.wrench_n > OVERLOAD_N and silent_s < self._cycle_s
-            if self._lasting("overload", said, now_s) > OVERLOAD_S:
+            overloaded = emitters.wrench_n > OVERLOAD_N and silent_s < self._cycle_s
+            if self._lasting("overload", overloaded, now_s) > OVERLOAD_S:
                 self._once("reaction", f"overload of {emitters.wrench_n:.0f} N goes on")
         unheard_s = now_s - max(self._answered_s, seen.busy_s)
         most_s = COMMANDS_IN_CONTACT_S if in_contact else COMMANDS_S

@@ -44,7 +44,7 @@ Patch = tuple[Any, str, Any]
 
 
 def _facts(**wrong: Callable[[Facts], Any]) -> list[Patch]:
-    """Patch what a cycle is said to have shown."""
+    """Patch the facts of a cycle."""
     whole: Observe = watch.observe
 
     def observe(

@@ -55,14 +55,14 @@ THINKING_NS = 400_000
 TALKING_NS = 1_000_000
 """From a host's bytes to the answer of a device on a serial line."""
 AHEAD_S = 1e-6
-"""The world is lived through up to so long before a cycle's end while its reply is open; no axis
+"""The world advances up to so long before a cycle's end while its reply is open; no axis
 moves on it before its dead time is over [s]."""
 
-PATIENCE_S = 5.0
+TIMEOUT_S = 5.0
 """After the last fault the operator must be able to track again within this time [s]."""
-LAST_PATIENCE_S = 12.0
+LAST_TIMEOUT_S = 12.0
 MOST_BREAKS = 3
-"""However long the programme drives, and however often the exchange has to be begun anew."""
+"""Upper bounds: time that the program drives, and restarts of the exchange."""
 LONGEST_S = 60.0
 """Beyond its plan no run goes on for longer, daemon or none [s]."""
 UNHEARD_S = 0.6
@@ -106,10 +106,9 @@ def run(plan: Plan) -> Outcome:
 
 
 class Simulation:
-    """One plan under way.
+    """One plan that runs.
 
     Attributes:
-        plan: what is lived through.
         app: the daemon, None while there is none.
         tracked_s: when the daemon tracked last [s].
     """
@@ -214,7 +213,7 @@ class Simulation:
 
     def _boot(self) -> None:
         """Start the daemon's process."""
-        assert self._loop is not None  # noqa: S101 - a run is under way
+        assert self._loop is not None  # noqa: S101 - a run has started
         plan = self.plan
         app = App(
             station_of(plan.lead_ms, plan.cycle_ms, plan.cell),
@@ -246,7 +245,7 @@ class Simulation:
             await process
 
     def _crash(self, duration_s: float) -> None:
-        assert self._loop is not None  # noqa: S101 - a run is under way
+        assert self._loop is not None  # noqa: S101 - a run has started
         if self.app is None:
             return
         self._dying = self._loop.create_task(self._kill())
@@ -272,7 +271,7 @@ class Simulation:
             self.oracle.blame(f"exception: {context.get('message')}")
 
     def _look_at(self, app: App) -> None:
-        """What the shell has counted and nobody should have."""
+        """Counters of the service that must stay zero."""
         counters: Counter[str] = Counter(app.counters)
         for link in app._links:  # noqa: SLF001 - what an operator sees through status
             for name in ("callback_errors", "hasty"):
@@ -393,11 +392,11 @@ class Simulation:
         quiet_s = max(self.plan.quiet_s, self.robot.quiet_s)
         if self.tracked_s >= quiet_s:
             return False
-        patience_s = min(PATIENCE_S + self.robot.homing_s, LAST_PATIENCE_S)
-        if self.now_s - max(quiet_s, 0.0) > patience_s or self.robot.breaks > MOST_BREAKS:
+        timeout_s = min(TIMEOUT_S + self.robot.homing_s, LAST_TIMEOUT_S)
+        if self.now_s - max(quiet_s, 0.0) > timeout_s or self.robot.breaks > MOST_BREAKS:
             machine = app.cycle.machine
             self.oracle.blame(
-                f"liveness: {machine.state} ({machine.because}) {PATIENCE_S:g} s after the last"
+                f"liveness: {machine.state} ({machine.because}) {TIMEOUT_S:g} s after the last"
                 f" fault; {self.operator.refusal}"
             )
             return False

@@ -1,4 +1,4 @@
-"""What comes to the robot's port in a fault run beside the controller's own telegrams.
+"""Foreign datagrams at the robot's port in a fault run.
 
 A second controller, telegrams forged in the first one's name, and the first one's own telegrams
 from another address.

@@ -37,7 +37,7 @@ class Loss:
     Attributes:
         what: ``commands``: no reply moved the robot. ``position``: no true sample of distance or
             camera arrived. ``programme``: the drives were off, the controller's programme ended,
-            or the daemon was gone, so that nobody may move the robot without an operator.
+            or the daemon was gone, so that the robot may not move without an operator.
         begin_s: scenario time [s].
         end_s: scenario time, infinite while it goes on [s].
         at_hub: the tool was clamped, or within 20 mm of the hub plane, when it began.
