@@ -150,7 +150,6 @@ class Faults:
 
         Args:
             kind: one of its kinds.
-            time_s: scenario time [s].
 
         Returns:
             The fault, None if there is none.

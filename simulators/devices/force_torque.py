@@ -76,8 +76,6 @@ class ForceTorqueSensor:
         """The frame of one reading.
 
         Args:
-            force: [N].
-            torque: [Nm].
             device_us: the device's clock [us].
 
         Returns:

@@ -74,9 +74,7 @@ class Violation:
     Attributes:
         cycle: number of the cycle.
         axis: 0..5 for A1..A6, 6 for E1.
-        kind: one of ``KINDS``.
         value: what was asked for [rad, m and seconds].
-        limit: what is allowed.
     """
 
     cycle: int
@@ -94,7 +92,6 @@ class LimitJudge:
 
     Attributes:
         cycle_s: the controller's cycle [s].
-        limits: for each axis.
         keep: how many violations are kept as evidence.
     """
 
@@ -105,7 +102,6 @@ class LimitJudge:
 
         Args:
             cycle_s: the controller's cycle [s].
-            limits: for each axis.
             keep: how many violations are kept as evidence.
         """
         self.cycle_s, self.limits, self.keep = cycle_s, limits, keep
@@ -162,11 +158,7 @@ class LimitJudge:
         self._unsure = 0
 
     def hold(self, setpoints: Sequence[float]) -> None:
-        """A cycle in which the controller acted by itself.
-
-        Args:
-            setpoints: what it applied.
-        """
+        """A cycle in which the controller acted by itself."""
         self._unsure = 0
         self._put(setpoints, 0)
 
@@ -175,11 +167,7 @@ class LimitJudge:
         self._unsure = 2
 
     def judge(self, setpoints: Sequence[float]) -> None:
-        """A cycle in which a fresh reply was applied.
-
-        Args:
-            setpoints: what was applied.
-        """
+        """A cycle in which a fresh reply was applied."""
         if self._past is None:
             self.start(setpoints)
         self._put(setpoints, 3 - self._unsure)

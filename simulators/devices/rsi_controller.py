@@ -302,7 +302,6 @@ class RsiController:
         """Judge a reply.
 
         Args:
-            stamp_ns: its arrival [ns].
             deadline_ns: end of the open cycle [ns], None if the caller closes it in time.
 
         Returns:

@@ -104,7 +104,6 @@ class Schedule:
         """Do something at an instant; at once if it has passed.
 
         Args:
-            at_ns: monotonic instant [ns].
             action: what to do; it must not block.
 
         Returns:

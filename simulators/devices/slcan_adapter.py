@@ -23,7 +23,7 @@ from linemate.protocol.sensors.slcan import (
 )
 
 KEEP = 16
-_TOLD = {
+_ANSWERS = {
     CommandKind.VERSION: b"V1013",
     CommandKind.SERIAL: b"NLM01",
     CommandKind.FLAGS: b"F00",
@@ -75,7 +75,7 @@ class SlcanAdapter:
         """A frame was on the bus: what the host gets to see of it.
 
         Args:
-            time_ms: the adapter's clock [ms], told if the host asked for it.
+            time_ms: the adapter's clock [ms], sent if the host asked for it.
 
         Returns:
             Bytes for the host; none while the channel is closed.
@@ -102,8 +102,8 @@ class SlcanAdapter:
     def _execute(self, command: Command) -> bytes | None:
         """What a command is answered, None if it is refused."""
         kind = command.kind
-        if kind in _TOLD:
-            return _TOLD[kind] + OK
+        if kind in _ANSWERS:
+            return _ANSWERS[kind] + OK
         if kind in _ONLY_CLOSED:
             return self._set(command)
         if kind is CommandKind.TRANSMIT:

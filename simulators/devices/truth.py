@@ -143,22 +143,22 @@ class TruthLog:
 
     def columns(self) -> dict[str, Column]:
         """The complete rows, by column."""
-        told: dict[str, Column] = {"ipoc": self._ipocs[: self._count]}
+        columns: dict[str, Column] = {"ipoc": self._ipocs[: self._count]}
         for parts, rows in ((_STATE, self._states), (_REPLY, self._replies)):
             for name, part in parts.items():
                 values = rows[: self._count, part].copy()
-                told[name] = values[:, 0] if values.shape[1] == 1 else values
-        told.update({name: told[name].astype(np.int64) for name in _INTEGERS})
-        told.update({name: told[name].astype(np.bool_) for name in _FLAGS})
-        place, deflection = told.pop("place"), told["deflection"]
-        turn, hub_turn = (told.pop(name).reshape(-1, 3, 3) for name in ("turn", "hub_turn"))
+                columns[name] = values[:, 0] if values.shape[1] == 1 else values
+        columns.update({name: columns[name].astype(np.int64) for name in _INTEGERS})
+        columns.update({name: columns[name].astype(np.bool_) for name in _FLAGS})
+        place, deflection = columns.pop("place"), columns["deflection"]
+        turn, hub_turn = (columns.pop(name).reshape(-1, 3, 3) for name in ("turn", "hub_turn"))
         bent = place + np.einsum("nij,nj->ni", turn, deflection[:, :3])
-        told["tcp"] = pose_rows(bent, turn @ _turns(deflection[:, 3:]))
-        told["tcp_rigid"] = pose_rows(place, turn)
-        told["hub"] = pose_rows(told.pop("hub_place"), hub_turn)
-        told["unit_position"], told["unit_speed"] = self._unit(told["t"])
-        told["force"] = deflection[:, :3] * self._stiffness()
-        return told
+        columns["tcp"] = pose_rows(bent, turn @ _turns(deflection[:, 3:]))
+        columns["tcp_rigid"] = pose_rows(place, turn)
+        columns["hub"] = pose_rows(columns.pop("hub_place"), hub_turn)
+        columns["unit_position"], columns["unit_speed"] = self._unit(columns["t"])
+        columns["force"] = deflection[:, :3] * self._stiffness()
+        return columns
 
     def _unit(self, times: Column) -> tuple[Column, Column]:
         if self._world is None or not len(times):

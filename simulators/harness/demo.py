@@ -92,7 +92,7 @@ class Station:
         return self.folder / "command.sock"
 
     def daemon_file(self) -> dict[str, Any]:
-        """What the daemon is told; it learns of the emulator's plant nothing at all."""
+        """Return the daemon's configuration, which has nothing of the emulator's plant."""
         return {
             "task": "wheel.yaml",
             "rsi": {"port": 0, "cycle_ms": round(1e3 * self.scenario.cycle_s)},
@@ -114,7 +114,7 @@ class Station:
         }
 
     def emulator_file(self, listening: Mapping[str, Any]) -> dict[str, Any]:
-        """What the emulator is told; it learns of the daemon where it listens, no more.
+        """Return the emulator's configuration, which has the daemon's addresses only.
 
         Args:
             listening: the daemon's own word, ports that the system chose among it.
@@ -171,16 +171,16 @@ class Emulated:
         *lines, self._rest = (self._rest + self._stream.read()).split("\n")
         for text in lines:
             with suppress(ValueError):
-                self._take(json.loads(text))
+                self._on_message(json.loads(text))
 
-    def _take(self, told: Any) -> None:
-        match told:
+    def _on_message(self, message: Any) -> None:
+        match message:
             case {"event": "ready"}:
-                self.ready = told
+                self.ready = message
             case {"event": "state"}:
-                self.state = told
+                self.state = message
             case {"event": "end"}:
-                self.end = told
+                self.end = message
             case _:  # a complaint on standard error that happens to be JSON
                 pass
 
@@ -214,7 +214,7 @@ def main(args: Namespace) -> int:
     except (DemoError, ChildError, TimeoutError, NoAnswerError, RefusedError) as error:
         print(f"linemate-sim demo: {error}", file=sys.stderr)
         return EX_UNAVAILABLE
-    print(report_json.text(result) if args.json else _told(result, out))
+    print(report_json.text(result) if args.json else _summary(result, out))
     return 0 if result["within_limits"] else 1
 
 
@@ -265,10 +265,10 @@ def _run(station: Station, *, is_viewed: bool = False) -> dict[str, Any]:
     with closing(Awake(others)), Children() as children, live.view(title) as view:
         daemon, listening = _start_daemon(station, children)
         station.write("scenario", scenario_file.to_plain(scenario))
-        told = station.write("emulator", station.emulator_file(listening))
+        file = station.write("emulator", station.emulator_file(listening))
         child = children.start(
             "emulator",
-            _command("simulators.harness.main", "emulator", "--config", str(told)),
+            _command("simulators.harness.main", "emulator", "--config", str(file)),
             folder / "emulator.log",
         )
         with closing(Emulated(child)) as emulated:
@@ -299,17 +299,17 @@ def _open_view(station: Station, children: Children) -> None:
 
 def _start_daemon(station: Station, children: Children) -> tuple[Child, dict[str, Any]]:
     """Start the daemon, and wait for its word of where it listens."""
-    told = station.write("daemon", station.daemon_file())
+    file = station.write("daemon", station.daemon_file())
     reading, writing = os.pipe()
     with os.fdopen(reading, encoding="utf-8") as pipe:
         try:
-            command = _command("daemon.service.main", "--config", str(told))
+            command = _command("daemon.service.main", "--config", str(file))
             command += ["--ready-fd", str(writing)]
             log = station.folder / "daemon.log"
             daemon = children.start("daemon", command, log, keep=[writing])
         finally:
             os.close(writing)
-        # Readable when it has told, and as well when it has ended without a word.
+        # Readable after a message, and at its end.
         wait_until(lambda: bool(select([pipe], [], [], 0)[0]), children, START_S, "the daemon")
         line = pipe.readline()
     if not line:
@@ -420,18 +420,18 @@ def _links(status: Mapping[str, Any]) -> tuple[LinkGlimpse, ...]:
     return tuple(
         LinkGlimpse(
             name,
-            told["counters"].get("samples", told["counters"].get("answered")),
-            None if told["age_s"] is None else 1e3 * told["age_s"],
-            "" if told["up"] else str(told["reason"]),
+            counts["counters"].get("samples", counts["counters"].get("answered")),
+            None if counts["age_s"] is None else 1e3 * counts["age_s"],
+            "" if counts["up"] else str(counts["reason"]),
         )
-        for name, told in links.items()
+        for name, counts in links.items()
     )
 
 
 def _step_us(status: Mapping[str, Any]) -> dict[str, Any] | None:
     """The daemon's own measurement of its steps, which no one else can make."""
-    told = status.get("step_us")
-    return told if isinstance(told, dict) else None
+    step_us = status.get("step_us")
+    return step_us if isinstance(step_us, dict) else None
 
 
 def _withheld(before_s: float | None, after_s: float | None, passed_s: float) -> list[str]:
@@ -481,7 +481,7 @@ def _only_recording(folder: Path) -> Path:
     return found[0]
 
 
-def _told(result: dict[str, Any], out: Path) -> str:
+def _summary(result: dict[str, Any], out: Path) -> str:
     return f"{table.plain(result)}\n\n{out}/: " + ", ".join(
         sorted(path.name for path in out.iterdir() if path.is_file())
     )

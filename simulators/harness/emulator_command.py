@@ -68,26 +68,26 @@ def load(path: Path) -> tuple[EmulatorConfig, Wishes]:
     except OSError as error:
         raise FileError([f"{path}:1:1: (file): {error.strerror}"]) from error
     document = documents.read(data, str(path))
-    told: Any = documents.fill(document, EmulatorFile)
+    wanted: Any = documents.fill(document, EmulatorFile)
     try:
-        scenario = scenario_file.load(_scenario_name(told.scenario, path.parent))
-        if told.seed is not None:
-            scenario = replace(scenario, seed=told.seed)
-        if told.cycle_ms is not None:
-            scenario = replace(scenario, cycle_s=round(told.cycle_ms * 1e-3, 9))
+        scenario = scenario_file.load(_scenario_name(wanted.scenario, path.parent))
+        if wanted.seed is not None:
+            scenario = replace(scenario, seed=wanted.seed)
+        if wanted.cycle_ms is not None:
+            scenario = replace(scenario, cycle_s=round(wanted.cycle_ms * 1e-3, 9))
         Faults(scenario.faults, REAL)
-        values = {f.name: getattr(told, f.name) for f in fields(told) if f.name not in OWN}
+        values = {f.name: getattr(wanted, f.name) for f in fields(wanted) if f.name not in OWN}
         placed: dict[str, Any] = {
             name: path.parent / value if isinstance(value, Path) else value
             for name, value in values.items()
         }
-        return EmulatorConfig(scenario=scenario, **placed), Wishes(told.priority, told.cpus)
+        return EmulatorConfig(scenario=scenario, **placed), Wishes(wanted.priority, wanted.cpus)
     except ValueError as error:
         raise FileError([document.line(Complaint((), str(error)))]) from error
 
 
 def main(args: Namespace) -> int:
-    """Run a station to its end, or until it is told to end.
+    """Run a station to its end, or until it is ended.
 
     Returns:
         0; 69 when a port or device cannot be had.

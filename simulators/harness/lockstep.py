@@ -203,8 +203,8 @@ class Lockstep:
             if self._on_step is not None:
                 self._on_step(entry)
         for change in self.cycle.take_changes():
-            told = StateChange(change.before.value, change.after.value, change.cause)
-            self._changes.append(told)
+            change_entry = StateChange(change.before.value, change.after.value, change.cause)
+            self._changes.append(change_entry)
         self._daemon.end_row()
 
     def _is_over(self) -> bool:
@@ -275,14 +275,14 @@ class _DaemonLog:
     def columns(self, n: int) -> dict[str, Any]:
         """The first n rows, by column."""
         values, codes = self._values[:n], self._codes[:n]
-        told: dict[str, Any] = {
+        daemon_columns: dict[str, Any] = {
             name: values[:, columns.AXES * i : columns.AXES * (i + 1)]
             for i, name in enumerate(_POSES)
         }
-        told |= dict(zip(_NUMBERS, values[:, -len(_NUMBERS) :].T, strict=True))
+        daemon_columns |= dict(zip(_NUMBERS, values[:, -len(_NUMBERS) :].T, strict=True))
         for name, code in zip(_CODES, codes.T, strict=True):
-            told[name] = code.astype(np.bool_) if name in _FLAGS else code
-        return told
+            daemon_columns[name] = code.astype(np.bool_) if name in _FLAGS else code
+        return daemon_columns
 
 
 _POSES = ("command", "target", "sensed", "part")
@@ -300,8 +300,8 @@ def _joined(truth: TruthLog, daemon: _DaemonLog) -> Rows:
     """Truth and the daemon's word side by side."""
     found = truth.columns()
     shared: dict[str, Any] = {name: found[name] for name in columns.TRUTH}
-    told = daemon.columns(len(truth))
-    return Rows(events=tuple(daemon.events), **shared, **told)
+    daemon_columns = daemon.columns(len(truth))
+    return Rows(events=tuple(daemon.events), **shared, **daemon_columns)
 
 
 def _count(length_s: float, cycle_s: float) -> int:

@@ -111,7 +111,7 @@ def make(
 
 @cache
 def identified() -> Setup:
-    """What the daemon is told of the shipped cell: what ``linemate identify`` found of it.
+    """Settings of the shipped cell, as ``linemate identify`` found them.
 
     The plant's own numbers never reach a run; see ``overlay.SHIPPED``.
     """

@@ -101,14 +101,14 @@ class Lines:
 
     console: Console
     _last: tuple[object, ...] = ()
-    _told_s: float = field(default=-1e9)
+    _last_line_s: float = field(default=-1e9)
 
     def show(self, glimpse: Glimpse) -> None:
         """Print a line if something changed or the last one is old."""
         key = (glimpse.state, glimpse.phase, glimpse.scenario, glimpse.tentative, glimpse.missed)
-        if key == self._last and abs(glimpse.time_s - self._told_s) < QUIET_LINE_S:
+        if key == self._last and abs(glimpse.time_s - self._last_line_s) < QUIET_LINE_S:
             return
-        self._last, self._told_s = key, glimpse.time_s
+        self._last, self._last_line_s = key, glimpse.time_s
         self.console.print(line(glimpse), markup=False, soft_wrap=True)
 
     def say(self, text: str) -> None:
@@ -130,7 +130,7 @@ class Drawn:
         """Draw the present moment, and note what changed."""
         now = (glimpse.state, glimpse.phase, glimpse.scenario, glimpse.tentative)
         if now != self._last:
-            self._events.append(f"{glimpse.time_s:6.2f} s  {_told(glimpse)}")
+            self._events.append(f"{glimpse.time_s:6.2f} s  {_state_text(glimpse)}")
             del self._events[:-EVENTS_SHOWN]
             self._last = now
         if self.live is not None:
@@ -143,7 +143,7 @@ class Drawn:
 
 def line(glimpse: Glimpse) -> str:
     """Put a glimpse on one line."""
-    parts = [f"{glimpse.time_s:6.2f} s", _told(glimpse)]
+    parts = [f"{glimpse.time_s:6.2f} s", _state_text(glimpse)]
     parts += [f"{name} {value}" for name, value in glimpse.errors]
     if glimpse.idle_us is not None:
         parts.append(f"idle {glimpse.idle_us / 1e3:.1f} ms")
@@ -179,7 +179,7 @@ def picture(title: str, glimpse: Glimpse, events: list[str]) -> RenderableType:
     return Group(head, "", facts, "", links, "", *(Text(event, style="dim") for event in events))
 
 
-def _told(glimpse: Glimpse) -> str:
+def _state_text(glimpse: Glimpse) -> str:
     motion = glimpse.scenario + ("?" if glimpse.tentative else "")
     return f"{glimpse.state:8} {glimpse.phase:8} {motion:9}".rstrip()
 

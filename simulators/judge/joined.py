@@ -118,8 +118,8 @@ def join(found: Mapping[str, Any], steps: Iterator[StepRecord]) -> Rows:
         if last is not None:
             t = last[0] + (stamp_ns - last[1]) * 1e-9
             events += [DaemonEvent(t, kind, what) for kind, what in record.outputs["events"]]
-    told = replace(rows, events=tuple(events))
-    return replace(told, **{name: found[name] for name in columns.TRUTH})
+    joined = replace(rows, events=tuple(events))
+    return replace(joined, **{name: found[name] for name in columns.TRUTH})
 
 
 def _fill(rows: Rows, row: int, record: StepRecord) -> None:

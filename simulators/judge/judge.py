@@ -372,41 +372,41 @@ def _last_trouble(changes: Sequence[StateChange]) -> StateChange | None:
 
 
 def detections(
-    told: Sequence[DaemonEvent], events: Sequence[AppliedEvent]
+    reported: Sequence[DaemonEvent], events: Sequence[AppliedEvent]
 ) -> tuple[list[dict[str, Any]], dict[str, int]]:
-    """Latencies of what was told in time, and the count of what was told without reason.
+    """Return latencies of the events in time, and the count of events without cause.
 
     Args:
-        told: the daemon's events, in order of time.
+        reported: the daemon's events, in order of time.
         events: stops and starts that took place.
 
     Returns:
         One entry an event (latencies after onset [s], None if missed), and false alarms.
     """
-    entries, idle = attribute(told, events)
+    entries, idle = attribute(reported, events)
     words = [event.what for event in idle]
     return entries, {what: words.count(what) for what in ("tentative", "confirmed")}
 
 
 def attribute(
-    told: Sequence[DaemonEvent], events: Sequence[AppliedEvent]
+    reported: Sequence[DaemonEvent], events: Sequence[AppliedEvent]
 ) -> tuple[list[dict[str, Any]], list[DaemonEvent]]:
-    """Give each event what was told of it; see ``detections``.
+    """Attribute the reported events to the true ones; see ``detections``.
 
     Returns:
-        One entry an event, and what was told without reason.
+        One entry an event, and the reported events without cause.
     """
     entries: list[dict[str, Any]] = []
     justified: set[int] = set()
-    times = [event.t for event in told]
+    times = [event.t for event in reported]
     for i, event in enumerate(events):
         end = max(event.settled_s, event.onset_s + LATEST_S)
         if i + 1 < len(events):
             end = min(end, events[i + 1].onset_s)
         span = range(bisect_left(times, event.onset_s), bisect_left(times, end))
-        own = [j for j in span if told[j].kind == event.kind]
+        own = [j for j in span if reported[j].kind == event.kind]
         justified.update(own)
-        perceived, confirmed = _latencies([told[j] for j in own], event.onset_s)
+        perceived, confirmed = _latencies([reported[j] for j in own], event.onset_s)
         entries.append(
             {
                 "event": event.kind,
@@ -415,7 +415,7 @@ def attribute(
                 "confirmed_s": confirmed,
             }
         )
-    return entries, [event for j, event in enumerate(told) if j not in justified]
+    return entries, [event for j, event in enumerate(reported) if j not in justified]
 
 
 def _latencies(own: Sequence[DaemonEvent], onset: float) -> tuple[float | None, float | None]:
@@ -446,7 +446,6 @@ def violations(
     Args:
         setpoints: (n, axes) [rad], [m].
         answered: rows in which a fresh reply was applied, (n,).
-        cycle_s: [s].
 
     Returns:
         The number of violations, and of each limit the largest share that was used.

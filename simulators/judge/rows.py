@@ -41,7 +41,7 @@ STATES = ("", "init", "idle", "armed", "track", "contact", "retreat", "hold", "f
 
 @dataclass(frozen=True, slots=True)
 class DaemonEvent:
-    """A change of class as the daemon told it: ("stop", "tentative"), ("start", "confirmed")."""
+    """A class change that the daemon reported: ("stop", "tentative"), ("start", "confirmed")."""
 
     t: float
     kind: str

@@ -102,7 +102,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return 130
     page = args.page or (args.kept / "short.md" if args.short else PAGE)
-    write(page, told(plan, runs, detection))
+    write(page, page_text(plan, runs, detection))
     report_json.write(args.kept / "accuracy.json", {"runs": runs, "detection": detection})
     missed = [label for label, held in accuracy_tables.bars_met(runs, detection) if not held]
     print(f"{page}: {len(missed)} bars missed" + "".join(f"\n  {label}" for label in missed))
@@ -202,7 +202,7 @@ def _piece(where: Where, name: str, asked: object, make: Callable[[], Any]) -> A
 # The page
 
 
-def told(plan: Plan, runs: accuracy_tables.Runs, detection: accuracy_tables.Detection) -> str:
+def page_text(plan: Plan, runs: accuracy_tables.Runs, detection: accuracy_tables.Detection) -> str:
     """What stands between the marks."""
     most = {
         group: max((len(case.get(group, ())) for case in runs.values()), default=0)
@@ -253,10 +253,10 @@ def _plan(args: argparse.Namespace) -> Plan:
         plan = replace(plan, cases=SHORT, seeds=1, sources=SHORT_DETECTION, hours=SHORT_HOURS)
     if args.cases is not None:
         cases = _known("case", args.cases, CASES)
-        plan = replace(plan, cases=tuple(cases), own={**plan.own, **_told(cases)})
+        plan = replace(plan, cases=tuple(cases), own={**plan.own, **_amounts(cases)})
     if args.detection is not None:
         asked = _known("detection run", args.detection, DETECTION)
-        plan = replace(plan, sources=tuple(asked), own={**plan.own, **_told(asked)})
+        plan = replace(plan, sources=tuple(asked), own={**plan.own, **_amounts(asked)})
     seeds = plan.seeds if args.seeds is None else args.seeds
     hours = plan.hours if args.hours is None else args.hours
     if seeds < 1 or not 0.0 < hours < math.inf:
@@ -270,7 +270,7 @@ def _is_default(variant: str) -> bool:
     return variant != "default" and variants.apply(variant, *plain) == plain
 
 
-def _told(each: Mapping[str, float | None]) -> dict[str, float]:
+def _amounts(each: Mapping[str, float | None]) -> dict[str, float]:
     """Return the seeds or hours of the named items."""
     return {name: number for name, number in each.items() if number is not None}
 

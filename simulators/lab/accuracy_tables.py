@@ -258,7 +258,7 @@ def asked(detection: Detection) -> str:
             continue
         sign = "≤" if one.sense == "most" else "≥"
         met = _word(_holds(one, found))
-        rows.append((one.label, _told(found), f"{sign} {one.bar:g}", one.aim, met))
+        rows.append((one.label, _figure(found), f"{sign} {one.bar:g}", one.aim, met))
     return markdown(("figure", "found", "bar", "aim", "met"), rows)
 
 
@@ -281,7 +281,7 @@ def _holds(one: Asked, found: Mapping[str, Any]) -> bool:
     return bool(number <= one.bar if one.sense == "most" else number >= one.bar)
 
 
-def _told(found: Mapping[str, Any]) -> str:
+def _figure(found: Mapping[str, Any]) -> str:
     from linemate.simulators.lab.detection import latency_cell, rate_cell
 
     if "share" in found:
@@ -295,9 +295,9 @@ def classifiers(detection: Detection) -> str:
 
     rows: list[tuple[str, ...]] = []
     for kind, label in LABELS.items():
-        told = [dict(cells(found.get(kind, {}))) for found in detection.values()]
-        names = dict.fromkeys(name for column in told for name in column)
-        rows += [(f"{label}: {name}", *(each.get(name, "–") for each in told)) for name in names]
+        columns = [dict(cells(found.get(kind, {}))) for found in detection.values()]
+        names = dict.fromkeys(name for column in columns for name in column)
+        rows += [(f"{label}: {name}", *(each.get(name, "–") for each in columns)) for name in names]
     if not rows:
         return ""
     head = ("figure", *(source.replace(" ", " ms, ", 1) for source in detection))

@@ -202,11 +202,11 @@ def table(whole: Mapping[str, Any]) -> str:
     lines: list[str] = []
     for kind, label in LABELS.items():
         measured = {name: kinds[kind] for name, kinds in variants.items() if kind in kinds}
-        told = {name: dict(cells(found)) for name, found in measured.items()}
-        names = list(dict.fromkeys(name for found in told.values() for name in found))
-        rows = [(name, *(found.get(name, "-") for found in told.values())) for name in names]
+        columns = {name: dict(cells(found)) for name, found in measured.items()}
+        names = list(dict.fromkeys(name for found in columns.values() for name in found))
+        rows = [(name, *(found.get(name, "-") for found in columns.values())) for name in names]
         if rows:
-            lines += [*aligned((label, *told), rows), ""]
+            lines += [*aligned((label, *columns), rows), ""]
     return "\n".join([*lines, LEGEND])
 
 

@@ -83,7 +83,7 @@ class Tally:
     Attributes:
         perceived, confirmed: latencies [s] by "stop" and "start"; infinity where missed.
         seconds: watched, by what the conveyor was last ordered: "running" or "standing" [s].
-        false: alarms by (kind, what): stops told while running, starts while standing.
+        false: alarms by (kind, what): stops while running, starts while standing.
         corrections: what a false alarm or a missed event made necessary later.
         pushed: pushes that were made, suspected and taken for a stop.
     """
@@ -127,8 +127,8 @@ def run(spec: DetectionRun) -> Tally:
     scenario = replace(scenario, conveyor=conveyor)
     compiled = parameters(setup.task, setup.urdf, setup.tracking, setup.control, scenario.cycle_s)
     station = _Station(scenario, setup.tracking, pushes, touched=spec.kind in TOUCHED)
-    told = list(_watch(compiled.tracker.classifier, station, spec.duration_s))
-    return _tally(told, applied_events(conveyor), pushes, spec.duration_s)
+    events_seen = list(_watch(compiled.tracker.classifier, station, spec.duration_s))
+    return _tally(events_seen, applied_events(conveyor), pushes, spec.duration_s)
 
 
 # What happens
@@ -139,7 +139,6 @@ class Push:
     """Somebody moves the body along the conveyor.
 
     Attributes:
-        onset_s: scenario time [s].
         way: how far the body is along the conveyor [m], at a time [s].
     """
 
@@ -281,14 +280,14 @@ def _watch(classifier: Classifier, station: _Station, duration_s: float) -> Iter
 
 
 def _tally(
-    told: list[DaemonEvent],
+    events_seen: list[DaemonEvent],
     events: tuple[AppliedEvent, ...],
     pushes: list[Push],
     duration_s: float,
 ) -> Tally:
     tally = Tally()
-    told = [event for event in told if event.t >= 0.0]
-    entries, idle = attribute(told, events)
+    events_seen = [event for event in events_seen if event.t >= 0.0]
+    entries, idle = attribute(events_seen, events)
     for entry in entries:
         for name, found in (("perceived_s", tally.perceived), ("confirmed_s", tally.confirmed)):
             value = entry[name]
@@ -308,7 +307,7 @@ def _tally(
     for push in pushes:
         words = {
             event.what
-            for event in told
+            for event in events_seen
             if event.kind == "stop" and push.onset_s <= event.t < push.onset_s + TAKEN_S
         }
         tally.pushed["made"] += 1

@@ -51,7 +51,7 @@ class Plan:
 
     Attributes:
         exercises: recordings of the exercise.
-        wheels: recordings of ordinary runs with what the exercise told.
+        wheels: recordings of ordinary runs with the settings identified from the exercise.
         seed: of the first recording.
         cycle_ms: instead of the scenarios' cycle.
         overrides: ``KEY=VALUE`` of the plant, as for a run; for a cell that is not the default one.

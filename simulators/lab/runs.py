@@ -33,7 +33,7 @@ def main(args: Namespace) -> int:
     if args.json:
         print(report_json.text(results[0] if single else collect(results)))
     else:
-        print(_told(results))
+        print(_table_of_runs(results))
     return 0 if all(result["within_limits"] for result in results) else 1
 
 
@@ -43,7 +43,7 @@ def _folder(out: Path | None, seed: int, single: bool) -> Path | None:
     return out if single else out / f"seed-{seed}"
 
 
-def _told(results: list[dict[str, Any]]) -> str:
+def _table_of_runs(results: list[dict[str, Any]]) -> str:
     """One run whole, several as a line each."""
     from linemate.simulators.judge.table import aligned, plain
 

@@ -46,7 +46,6 @@ class BodyPlant:
 
         Args:
             position: of the conveyor unit [m].
-            t: scenario time [s].
 
         Returns:
             Hub in base, without the step of the screws.

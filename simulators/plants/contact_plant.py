@@ -31,7 +31,6 @@ class Impact:
     """The instant at which the tcp reached the hub plane.
 
     Attributes:
-        time_s: scenario time [s].
         position: elastic tcp in the hub frame [m]; z is 0 there.
         rotation: elastic tcp in the hub frame, rotation vector [rad].
         speed: closing speed along the hub's z [m/s].
@@ -102,7 +101,6 @@ class ContactPlant:
 
         Args:
             t: scenario time at its end [s].
-            dt: its length [s].
             effector: integrated here, freely or held.
             before: rigid tcp at its beginning.
             rigid: rigid tcp at its end.
@@ -212,7 +210,6 @@ class ContactPlant:
         """Judge a tool behind the hub plane.
 
         Args:
-            t: scenario time [s].
             dt: length of the substep [s].
             earlier: the tool off the hub a substep ago, in base, and the hub's orientation then.
             tcp: the tool in the hub's frame, and the hub's orientation.

@@ -18,7 +18,6 @@ def transition(omega: float, zeta: float, dt: float) -> Transition:
     Args:
         omega: natural frequency [rad/s], positive.
         zeta: damping ratio, not negative.
-        dt: duration [s].
 
     Returns:
         phi11, phi12, phi21, phi22.

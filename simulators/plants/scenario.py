@@ -71,7 +71,7 @@ class Swing:
     Attributes:
         axis: direction in the conveyor frame c (normalised when used).
         amplitude: angle at t = 0 [rad]; None draws it from 0.5..1 times `amplitude_max`.
-        amplitude_max: [rad].
+        amplitude_max: largest amplitude of the swing [rad].
         frequency_hz: frequency of the oscillation.
         damping: damping ratio, share of critical.
         phase: [rad]; None draws it.
@@ -90,7 +90,7 @@ class Jerk:
     """A push of the body: a damped sine that starts at `onset_s`.
 
     Attributes:
-        onset_s: scenario time [s].
+        onset_s: scenario time of the onset [s].
         displacement: direction and amplitude in c [m].
         frequency_hz: frequency of the sine.
         damping: damping ratio, share of critical.
@@ -109,7 +109,7 @@ class Body:
     Attributes:
         nominal: hub at conveyor reading 0 [m], in base; its orientation is that of c.
         offset: hub off nominal, in c [m]; None draws it within +-`offset_range`.
-        offset_range: [m].
+        offset_range: half range of the offset a run [m].
         rotation: hub off nominal as rotation vector in c [rad]; None draws an axis for `tilt`.
         tilt: angle of the drawn rotation [rad].
         suspension_to_hub: vector in c [m].
@@ -160,7 +160,7 @@ class Camera:
     """The camera in the tool: poses of the hub in the camera's frame, late and noisy.
 
     Attributes:
-        period_s: [s].
+        period_s: time between two samples [s].
         phase: instant of exposure within the period, 0..1.
         delay_s: exposure to emission [s].
         jitter_s: half width of the delay's uniform spread [s]; order is kept.
@@ -171,7 +171,7 @@ class Camera:
         sigma_per_metre: its growth with the distance tool - hub [m/m].
         depth_factor: how much noisier the depth (z) is.
         sigma_rotation: orientation noise at distance 0, each axis [rad].
-        sigma_rotation_per_metre: its growth [rad/m].
+        sigma_rotation_per_metre: growth of the rotation noise with distance [rad/m].
         blind_below: no pose when the hub is nearer to the tcp than this [m].
         blind_beyond: no pose when it is farther than this [m].
         covariance: whether a covariance is sent.
@@ -205,7 +205,7 @@ class ForceTorque:
     """The force-torque sensor in the elastic mount; its noise is stated as deflection.
 
     Attributes:
-        period_s: [s].
+        period_s: time between two samples [s].
         phase: instant of measuring within the period, 0..1.
         delay_s: measuring to emission [s].
         jitter_s: half width of the delay's uniform spread [s].
@@ -232,7 +232,7 @@ class Axis:
     Attributes:
         frequency_hz: natural frequency of the servo [Hz].
         damping: damping ratio, share of critical.
-        dead_time_s: [s].
+        dead_time_s: dead time of the servo [s].
         acceleration_limit: of the actual motion [rad/s^2] or [m/s^2].
         encoder_sigma: noise of the reading [rad] or [m].
     """
@@ -308,7 +308,7 @@ class Effector:
     Attributes:
         frequency_hz: x y z, rotations about x y z.
         damping: damping ratio of each axis, share of critical.
-        stiffness: [N/m], [Nm/rad].
+        stiffness: stiffness along and about each axis [N/m], [Nm/rad].
     """
 
     frequency_hz: Vector6 = (5.0, 4.5, 7.0, 5.5, 6.0, 6.5)
@@ -354,10 +354,10 @@ class Fault:
     """A timed fault of a link; plants carry it, devices apply it.
 
     Attributes:
-        at_s: scenario time [s].
+        at_s: scenario time of the begin [s].
         link: "robot", "distance", "camera", "force_torque".
         kind: what happens, in the device's words.
-        duration_s: how long [s].
+        duration_s: duration of the fault [s].
         value: size, in the kind's unit.
         count: number of times that the fault occurs.
     """
@@ -376,9 +376,9 @@ class AppliedEvent:
 
     Attributes:
         kind: what the conveyor does, "stop" or "start".
-        onset_s: scenario time [s].
+        onset_s: scenario time of the onset [s].
         speed: speed at the onset, without ripple [m/s].
-        acceleration: signed [m/s^2].
+        acceleration: signed acceleration of the conveyor [m/s^2].
         settled_s: when the new speed was (or would have been) reached [s].
     """
 

@@ -25,7 +25,6 @@ class DistanceEmission(NamedTuple):
     Attributes:
         time_s: when it leaves the sensor [s].
         exposure_s: when it was measured [s].
-        position: [m].
     """
 
     time_s: float
@@ -60,8 +59,6 @@ class WrenchEmission(NamedTuple):
     Attributes:
         time_s: when it leaves the sensor [s].
         exposure_s: when it was measured [s].
-        force: [N].
-        torque: [Nm].
     """
 
     time_s: float

@@ -286,7 +286,6 @@ def _pieces(axis: Axis, omega: float, step: float, substeps: int, part: int) -> 
 
     Args:
         axis: with its dead time.
-        omega: natural frequency [rad/s].
         step: length of a substep [s].
         part: which substep of the cycle.
 

@@ -50,7 +50,6 @@ class RobotTruth:
     """The robot at one instant.
 
     Attributes:
-        time_s: scenario time [s].
         joints: encoders of A1..A6 [rad].
         external: encoder of E1 [m].
         joints_true: A1..A6 without encoder noise [rad].

@@ -30,7 +30,7 @@ SLIP_AFTER = 0.75
 
 
 class Plant(Protocol):
-    """What the controller moves, told of each cycle twice."""
+    """What the controller moves; called twice a cycle."""
 
     def begin_cycle(self, at_ns: int) -> None:
         """A telegram has gone out, and its reply is there or takes its time.

@@ -47,7 +47,7 @@ SPARE_ROWS = 100
 MAX_ROWS = 200_000
 _BEFORE_S = 1e-6
 _QUIET = 0.6
-"""How long before the next telegram the state is told, in cycles."""
+"""Time before the next telegram at which the state is reported [cycles]."""
 
 SWITCH_S = 0.0005
 """So long may the thread that writes states keep the loop from the interpreter [s]."""
@@ -92,7 +92,7 @@ class Emulator:
         """Set everything up; no port is opened yet.
 
         Args:
-            on_state: told when it is ready, how it goes, and how it ended.
+            on_state: called when it is ready, with its progress, and at its end.
 
         Raises:
             OSError: a file that cannot be read.
@@ -144,7 +144,7 @@ class Emulator:
         self._begun_ns = 0
         self._origin_ns = 0
         self._begun_s = self.world.time_s
-        self._told_s = -1e9
+        self._reported_s = -1e9
         self._waits = 0
         self._silenced: Counter[str] = Counter()
         self._ended: asyncio.Future[str] | None = None
@@ -213,7 +213,7 @@ class Emulator:
             self._row = self._row + 1 if applied.answered else max(0, taken_back)
             if self._row >= self.config.wait_answered:
                 self._waiting = False
-                self._told_s = -1e9  # the wait was told in its own time
+                self._reported_s = -1e9  # the wait was reported in its own time
                 self._suffer(self.world.time_s)
                 self.link.begin_counting()
             return
@@ -419,8 +419,8 @@ class Emulator:
         return asdict(self.link.controller.counts)
 
     def _tell_sometimes(self, now_s: float) -> None:
-        if self._on_state is not None and now_s - self._told_s >= self.config.state_period_s:
-            self._told_s = now_s
+        if self._on_state is not None and now_s - self._reported_s >= self.config.state_period_s:
+            self._reported_s = now_s
             # In the cycle's quiet hours: its reply is in, and most of its readings are out.
             quiet_ns = self.link.due_ns - round(_QUIET * self._cycle_s * 1e9)
             self._schedule.at(quiet_ns, lambda: self._tell(self.state()))
@@ -438,7 +438,7 @@ async def run_emulator(
     """Run a station of emulated devices to its end.
 
     Args:
-        on_state: told when it is ready, how it goes, and how it ended; it must not block.
+        on_state: called when it is ready, with its progress, and at its end; it must not block.
         stop: ends the run early when set.
 
     Returns:

@@ -45,7 +45,7 @@ class EmulatorConfig:
             taking back an eighth of them; until then nothing is charged.
         end_after_release_s: end so long after the tool let go of the part [s]; None: do not.
         end_after_collision_s: end so long after a collision [s]; None: do not.
-        state_period_s: how often the state is told [s].
+        state_period_s: period of the state reports [s].
         truth: file that takes the truth at the end, None for none.
     """
 

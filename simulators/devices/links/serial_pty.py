@@ -52,8 +52,6 @@ class SerialPty:
         """The sensor measures.
 
         Args:
-            force: [N].
-            torque: [Nm].
             device_us: the device's clock [us].
         """
         self.port.write(self.sensor.frame(force, torque, device_us))

@@ -108,7 +108,6 @@ def record(horizon: int, cycle_s: float) -> StepTrace:
 
     Args:
         horizon: steps that control looks ahead.
-        cycle_s: T0 [s].
     """
     made = setup.make("wheel", cycle_ms=1e3 * cycle_s)
     control = replace(made.control, horizon_s=horizon * cycle_s)
@@ -273,11 +272,11 @@ def record_trace(measured_s: float) -> StationTrace:
 
 def plain(result: Mapping[str, Any]) -> str:
     """Print a result as text."""
-    told = result["machine"]
-    real_time = "granted" if told["real_time"] else "not granted"
+    machine = result["machine"]
+    real_time = "granted" if machine["real_time"] else "not granted"
     lines = [
-        f"{told['processor']}, {told['cores']} cores, Linux {told['kernel']}, "
-        f"Python {told['python']}, load {told['load_1min']}, real-time rights {real_time}",
+        f"{machine['processor']}, {machine['cores']} cores, Linux {machine['kernel']}, "
+        f"Python {machine['python']}, load {machine['load_1min']}, real-time rights {real_time}",
         f"medians over {result['rounds']} interleaved rounds",
         *(f"note: {note}" for note in result["notes"]),
     ]
@@ -293,16 +292,16 @@ def plain(result: Mapping[str, Any]) -> str:
 def _turnaround_rows(turnaround: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
     for cycle, modes in turnaround.items():
         for mode in (*bench_turnaround.MODES, "inline"):
-            told = modes[mode]
+            figures = modes[mode]
             names = ("p50_us", "echo_p50_us", "p99_us", "echo_p99_us")
             yield (
                 cycle,
                 mode,
-                *(number(told[name], 0) for name in names),
-                number(told["p50_ratio"]),
-                number(told["p99_ratio"]),
-                *(number(told[name]) for name in COUNTS),
-                number(100.0 * told["prepared"], 1) if told["prepared"] is not None else DASH,
+                *(number(figures[name], 0) for name in names),
+                number(figures["p50_ratio"]),
+                number(figures["p99_ratio"]),
+                *(number(figures[name]) for name in COUNTS),
+                number(100.0 * figures["prepared"], 1) if figures["prepared"] is not None else DASH,
             )
 
 

@@ -22,10 +22,6 @@ def between(period_ns: int, now_ns: int) -> PhaseLock:
 
     The C timer wakes at those, on the same core with the same priority: where both wake at once one
     waits for the other, and is held to be late (ratios of 0.7 and of 3 within a minute).
-
-    Args:
-        period_ns: of both [ns].
-        now_ns: monotonic time [ns].
     """
     whole_ns = now_ns // period_ns * period_ns
     phase_ns = PhaseLock(period_ns, whole_ns).wake_ns % period_ns
@@ -39,19 +35,19 @@ async def run(period_ns: int) -> None:
     def woken(_: Due) -> None:
         late_ns.append(timer.lateness.last_ns)
 
-    def tell() -> None:
+    def print_lateness() -> None:
         found, count = sorted(late_ns), len(late_ns)
         late_ns.clear()
-        told = (
+        times = (
             (found[count // 2], found[count - 1 - count // 100], found[-1]) if found else (0,) * 3
         )
-        print("late", count, *told, flush=True)
+        print("late", count, *times, flush=True)
 
     def fail(error: Exception) -> None:
         raise error
 
     timer = CycleTimer(woken, fail, lambda: None, between(period_ns, time.monotonic_ns()))
-    asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, tell)
+    asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, print_lateness)
     gc.collect()
     gc.freeze()
     gc.disable()

@@ -167,7 +167,7 @@ class TimerProgram:
         found: list[list[str]] = []
         self._child.process.send_signal(signal.SIGUSR1)
 
-        def told() -> bool:
+        def has_answered() -> bool:
             for words in self._words.new():
                 if words[0] == "spike":
                     self.spikes.append(Spike(int(words[1]), int(words[2])))
@@ -175,7 +175,7 @@ class TimerProgram:
                     found.append(words)
             return bool(found)
 
-        wait_until(told, self._children, TIMEOUT_S, self._child.name, poll_s=0.005)
+        wait_until(has_answered, self._children, TIMEOUT_S, self._child.name, poll_s=0.005)
         count, *times = map(int, found[-1][1:])
         return Lateness(count, *(times or (0, 0, 0)))
 
@@ -185,7 +185,7 @@ def c_timer(program: Path, period_ns: int, spike_ns: int) -> list[str]:
 
     Args:
         period_ns: of its wakes [ns].
-        spike_ns: a wake later than this is told [ns].
+        spike_ns: a wake later than this is printed [ns].
     """
     return [str(program), "timer", str(period_ns), str(spike_ns)]
 

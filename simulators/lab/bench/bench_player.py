@@ -51,7 +51,7 @@ FORGOTTEN: Final = 64
 Address = tuple[str, int]
 
 Action = tuple[int, Callable[[int], object]]
-"""After the begin of a pass [ns], and what to do, told when that pass began [ns]."""
+"""After the begin of a pass [ns], and the action, which gets the begin of that pass [ns]."""
 
 
 class Ear:
@@ -162,8 +162,8 @@ class Arm:
         """
         if reply is None:
             return
-        told = self._codec.parse_sensor(reply)
-        offsets = (*(told.joints or (0.0,) * 6), *(told.external or (0.0,))[:1])
+        reply_values = self._codec.parse_sensor(reply)
+        offsets = (*(reply_values.joints or (0.0,) * 6), *(reply_values.external or (0.0,))[:1])
         self._axes = tuple(a + b for a, b in zip(self._start, offsets, strict=True))
 
     def telegram(self, ipoc: int, at_ns: int) -> bytes:

@@ -30,7 +30,6 @@ class StationTrace:
 
     Attributes:
         robot: joints A1..A6 [rad], E1 [m], the tool's signals.
-        distance: reading [m].
         camera: exposure [ns], position [m], quaternion, covariance or None.
         wrench: force [N], torque [Nm].
     """
@@ -63,11 +62,7 @@ class StationTrace:
         return joints, int(old[8])
 
     def thinned(self, cycle_ns: int) -> list[Row]:
-        """The distance sensor's readings: one a cycle, but no faster than the sensor is.
-
-        Args:
-            cycle_ns: T0 [ns].
-        """
+        """The distance sensor's readings: one a cycle, but no faster than the sensor is."""
         period, rows = max(cycle_ns, DISTANCE_NS), self.distance
         found: list[Row] = []
         for old, new in itertools.pairwise(rows):

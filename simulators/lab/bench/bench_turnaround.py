@@ -140,18 +140,14 @@ def is_explained(sent_ns: int, took_ns: int, cycle_ns: int, spikes: Sequence[Spi
 
 
 def figures(rounds: Sequence[Round], cycle_ns: int, spikes: Sequence[Spike]) -> dict[str, Any]:
-    """What the rounds of one mode come to, keys as in the bench's JSON.
-
-    Args:
-        cycle_ns: T0 [ns].
-    """
-    told: dict[str, Any] = {}
+    """What the rounds of one mode come to, keys as in the bench's JSON."""
+    figures: dict[str, Any] = {}
     for name, share in (("p50", 0.5), ("p99", 0.99)):
         daemon = [percentile(one.daemon_ns, share) for one in rounds]
         echo = [percentile(one.echo_ns, share) for one in rounds]
-        told[f"{name}_us"] = _finite(median(daemon) * 1e-3, 1)
-        told[f"echo_{name}_us"] = _finite(median(echo) * 1e-3, 1)
-        told[f"{name}_ratio"] = _finite(
+        figures[f"{name}_us"] = _finite(median(daemon) * 1e-3, 1)
+        figures[f"echo_{name}_us"] = _finite(median(echo) * 1e-3, 1)
+        figures[f"{name}_ratio"] = _finite(
             median(a / b if b < float("inf") else 1.0 for a, b in zip(daemon, echo, strict=True)), 3
         )
     late = [
@@ -161,15 +157,17 @@ def figures(rounds: Sequence[Round], cycle_ns: int, spikes: Sequence[Spike]) -> 
         if took < 0 or took > cycle_ns
     ]
     shares = [one.prepared for one in rounds if one.prepared is not None]
-    told["late"] = len(late)
+    figures["late"] = len(late)
     # What a program without any work of its own, one priority above, does no better.
-    told["echo_late"] = sum(took < 0 or took > cycle_ns for one in rounds for took in one.echo_ns)
-    told["late_unexplained"] = sum(
+    figures["echo_late"] = sum(
+        took < 0 or took > cycle_ns for one in rounds for took in one.echo_ns
+    )
+    figures["late_unexplained"] = sum(
         not is_explained(sent, took, cycle_ns, spikes) for sent, took in late
     )
-    told["cycles"] = sum(len(one.sent_ns) for one in rounds)
-    told["prepared"] = round(median(shares), 4) if shares else None
-    return told
+    figures["cycles"] = sum(len(one.sent_ns) for one in rounds)
+    figures["prepared"] = round(median(shares), 4) if shares else None
+    return figures
 
 
 def _finite(value: float, digits: int) -> float | None:
@@ -182,7 +180,6 @@ def measure(
     """Measure one cycle, with replies made beforehand or in line.
 
     Args:
-        cycle_us: T0 [us].
         prepared: replies are made beforehand.
         modes: idle, loaded or both; they take turns.
 
@@ -273,13 +270,13 @@ class _Run:
         for probe in self._probes:
             probe.lateness()
         spikes = [spike for probe in self._probes for spike in probe.spikes]
-        told = {
+        record = {
             mode: figures(found, 1000 * self._cycle_us, spikes) for mode, found in rounds.items()
         }
         first = rounds[modes[0]]
         spent = median(one.cpu_ns / max(1, len(one.sent_ns)) for one in first)
         cpu_us = round(spent * 1e-3, 1)
-        return Measured(told, cpu_us, self.start_s, state, self._status())
+        return Measured(record, cpu_us, self.start_s, state, self._status())
 
     def _round(self) -> Round:
         cycles = max(LEAST_CYCLES, round(1e6 * self._bench.round_s / self._cycle_us))
@@ -346,7 +343,7 @@ class _Run:
         self, player: Mapping[str, str], *, prepared: bool
     ) -> tuple[Child, dict[str, Any]]:
         place = self._bench.place("daemon")
-        told = {
+        configuration = {
             "task": "wheel.yaml",
             "rsi": {"port": 0, "cycle_ms": self._cycle_us // 1000},
             "distance": {"can": {"interface": "slcan", "channel": player["can"]}},
@@ -361,7 +358,7 @@ class _Run:
             },
         }
         path = self._folder / "daemon.yaml"
-        path.write_text(yaml.safe_dump(told, sort_keys=False), encoding="utf-8")
+        path.write_text(yaml.safe_dump(configuration, sort_keys=False), encoding="utf-8")
         return started(self._children, path, self._folder / "daemon.log")
 
     def _start_probes(self) -> list[TimerProgram]:
@@ -396,7 +393,7 @@ def started(children: Children, config: Path, log: Path) -> tuple[Child, dict[st
             daemon = children.start("daemon", command, log, keep=[writing])
         finally:
             os.close(writing)
-        # Readable when it has told, and as well when it has ended without a word.
+        # Readable after a message, and at its end.
         wait_until(lambda: bool(select([pipe], [], [], 0)[0]), children, START_S, "the daemon")
         line = pipe.readline()
     if not line:

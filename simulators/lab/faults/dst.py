@@ -164,10 +164,10 @@ def _different(traces: dict[int, str], cycle_ms: CycleMs) -> Iterator[int]:
     command += ["--cycle-ms", str(cycle_ms)]
     command += ["--trace", ",".join(map(str, traces))]
     environment = {**os.environ, "PYTHONHASHSEED": str(1 + min(traces) % 4_000_000_000)}
-    told = subprocess.run(  # noqa: S603 - ourselves
+    done = subprocess.run(  # noqa: S603 - ourselves
         command, env=environment, capture_output=True, text=True, check=True
     )
-    again = dict(line.split() for line in told.stdout.splitlines())
+    again = dict(line.split() for line in done.stdout.splitlines())
     yield from (seed for seed, digest in traces.items() if again.get(str(seed)) != digest)
 
 

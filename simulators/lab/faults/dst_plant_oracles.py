@@ -134,7 +134,7 @@ class PlantOracle:
         self._world, self._emitters, self._cycle_s = world, emitters, cycle_s
         self._blame = blame
         self._cycle_off, self._has_rail = cycle_off, has_rail
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self._open: dict[str, _OpenLoss] = {}
         self._losses: deque[Loss] = deque(maxlen=MOST_LOSSES)
         self._since: dict[str, float] = {}
@@ -211,9 +211,9 @@ class PlantOracle:
 
     def _harm(self, what: str, figures: str, at_s: float, harm: Harm = "collision") -> None:
         """Blame what hurts, once a kind, unless the plan made it unavoidable."""
-        if what in self._told:
+        if what in self._reported:
             return
-        self._told.add(what)
+        self._reported.add(what)
         loss = excuse(harm, at_s, (*self._losses, *(one.loss for one in self._open.values())))
         if loss is None:
             self._blame(f"{what}: {figures}")
@@ -222,10 +222,10 @@ class PlantOracle:
 
     def _judge_contact(self, seen: Seen, force: float) -> None:
         collision = self._world.collision
-        if collision is not None and "collision" not in self._told:
+        if collision is not None and "collision" not in self._reported:
             self._harm("collision", f"{collision.reason}, in {_name(seen.state)}", seen.now_s)
-            # One accident: the force that led to it is not told again.
-            self._told.add("force")
+            # One accident: the force that led to it is not reported again.
+            self._reported.add("force")
         if force > MOST_FORCE_N:
             self._harm("force", f"{force:.0f} N, limit {MOST_FORCE_N:g}", seen.now_s, "force")
 
@@ -239,7 +239,7 @@ class PlantOracle:
         if self._lasting("lateral", off, seen.now_s) > LATERAL_S:
             self._harm(
                 "place",
-                f"tool {1e3 * lateral:.1f} mm off the hub's axis, limit {1e3 * MOST_LATERAL_M:g}, in"
+                f"tool {1e3 * lateral:.1f} mm off the hub axis, limit {1e3 * MOST_LATERAL_M:g}, in"
                 f" {_name(seen.state)}",
                 seen.now_s,
             )
@@ -346,8 +346,8 @@ class PlantOracle:
         return now_s - self._since.setdefault(what, now_s)
 
     def _once(self, kind: str, figures: str) -> None:
-        if kind not in self._told:
-            self._told.add(kind)
+        if kind not in self._reported:
+            self._reported.add(kind)
             self._blame(f"{kind}: {figures}")
 
 

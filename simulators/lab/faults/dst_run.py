@@ -207,7 +207,7 @@ class Simulation:
         app.end()
         await asyncio.wait([process], timeout=ENDING_S)
         if not process.done():
-            self.oracle.blame("end: the daemon is still there after it was told to end")
+            self.oracle.blame("end: the daemon is still there after SIGTERM")
         elif moved and app.cycle.machine.state in {State.TRACK, State.CONTACT}:
             self.oracle.blame(f"end: it ended in {app.cycle.machine.state.upper()}")
 

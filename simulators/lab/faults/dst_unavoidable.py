@@ -38,7 +38,6 @@ class Loss:
         what: ``commands``: no reply moved the robot. ``position``: no true sample of distance or
             camera arrived. ``programme``: the drives were off, the controller's programme ended,
             or the daemon was gone, so that the robot may not move without an operator.
-        begin_s: scenario time [s].
         end_s: scenario time, infinite while it goes on [s].
         at_hub: the tool was clamped, or within 20 mm of the hub plane, when it began.
         travel_m: how far the hub has moved since it began [m].
@@ -60,7 +59,6 @@ def excuse(harm: Harm, now_s: float, losses: Iterable[Loss]) -> Loss | None:
 
     Args:
         harm: a force beyond the limit, or a collision of any kind.
-        now_s: scenario time [s].
         losses: what was missing, over by now or not.
     """
     return next((loss for loss in losses if _excuses(loss, harm, now_s)), None)
