@@ -67,7 +67,7 @@ class _Timer:
 
 
 @dataclass(slots=True)
-class Schedule:
+class DeviceSchedule:
     """Runs actions in the order of their instants.
 
     Attributes:

@@ -38,7 +38,7 @@ from linemate.simulators.harness.processes import (
     wait_until,
 )
 from linemate.simulators.harness.setup import shipped_task
-from linemate.simulators.harness.terminal_view import Glimpse, LinkGlimpse, View
+from linemate.simulators.harness.terminal_view import Glimpse, LinkGlimpse, TerminalView
 from linemate.simulators.judge import joined, report_json, table
 from linemate.simulators.judge.judge import judge, unanswered
 from linemate.simulators.plants.scenario import Scenario
@@ -67,7 +67,7 @@ class DemoError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Station:
+class DemoStation:
     """Where everything of one run is.
 
     Attributes:
@@ -239,7 +239,7 @@ def perform(
     with tempfile.TemporaryDirectory(prefix="linemate-") as name:
         # A core of one's own is a gift to a real-time process, and a cage to any other.
         cores = host.shared_out() if host.missing_rights() is None else ((), ())
-        station = Station(Path(name), scenario, cores)
+        station = DemoStation(Path(name), scenario, cores)
         began_s, stolen_s = time.monotonic(), host.stolen_s()
         status = _run(station, is_viewed=is_viewed)
         withheld = _withheld(stolen_s, host.stolen_s(), time.monotonic() - began_s)
@@ -256,7 +256,7 @@ def perform(
     return result
 
 
-def _run(station: Station, *, is_viewed: bool = False) -> dict[str, Any]:
+def _run(station: DemoStation, *, is_viewed: bool = False) -> dict[str, Any]:
     """Start both processes, see the run through, end both; return the daemon's last status."""
     scenario, folder = station.scenario, station.folder
     title = f"{scenario.name}, seed {scenario.seed}, {1e3 * scenario.cycle_s:g} ms"
@@ -287,7 +287,7 @@ def _run(station: Station, *, is_viewed: bool = False) -> dict[str, Any]:
     return status
 
 
-def _open_view(station: Station, children: Children) -> None:
+def _open_view(station: DemoStation, children: Children) -> None:
     """Show the daemon on a page, by a process of its own, and tell its address."""
     command = _command("daemon.operator.main", "view", "--socket", str(station.command_socket))
     child = children.start("view", command, station.folder / "view.log")
@@ -297,7 +297,7 @@ def _open_view(station: Station, children: Children) -> None:
     print(f"linemate-sim demo: the view is at {child.tail()[0]}", file=sys.stderr, flush=True)
 
 
-def _start_daemon(station: Station, children: Children) -> tuple[Child, dict[str, Any]]:
+def _start_daemon(station: DemoStation, children: Children) -> tuple[Child, dict[str, Any]]:
     """Start the daemon, and wait for its word of where it listens."""
     file = station.write("daemon", station.daemon_file())
     reading, writing = os.pipe()
@@ -332,7 +332,7 @@ def _stalled(emulated: Emulated, status: Mapping[str, Any], operator: "_Operator
 
 
 def _watch(
-    station: Station, emulated: Emulated, daemon: Child, client: Client, view: View
+    station: DemoStation, emulated: Emulated, daemon: Child, client: Client, view: TerminalView
 ) -> dict[str, Any]:
     """Arm, start, and look on until the emulator has ended; return the daemon's last status."""
     operator = _Operator(client)

@@ -32,7 +32,7 @@ from linemate.simulators.harness.sensor_links import SensorLinks
 from linemate.simulators.harness.setup import Setup
 from linemate.simulators.harness.variants import ORACLE, SetupError
 from linemate.simulators.judge import rows as columns
-from linemate.simulators.judge.judge import Evidence, StateChange, Telegrams
+from linemate.simulators.judge.judge import RunEvidence, StateChange, Telegrams
 from linemate.simulators.judge.oracle import Oracle
 from linemate.simulators.judge.rows import DaemonEvent, Rows
 from linemate.simulators.plants.scenario import sample
@@ -75,7 +75,7 @@ def parameters(
 
 def run(
     setup: Setup, seed: int, *, timing: bool = False, on_step: OnStep | None = None
-) -> Evidence:
+) -> RunEvidence:
     """Run one seed to its end.
 
     Args:
@@ -158,10 +158,10 @@ class Lockstep:
         self._left -= 1
         return self._left > 0 and data is not None and not self._is_over()
 
-    def evidence(self) -> Evidence:
+    def evidence(self) -> RunEvidence:
         """What the judge wants to know of the run so far."""
         counts, collision = self.controller.counts, self.world.collision
-        return Evidence(
+        return RunEvidence(
             rows=_joined(self._truth, self._daemon),
             scenario=self._scenario.name,
             seed=self._scenario.seed,

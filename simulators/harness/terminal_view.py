@@ -72,7 +72,7 @@ class Glimpse:
     held: str | None = None
 
 
-class View(Protocol):
+class TerminalView(Protocol):
     """Something that shows a run."""
 
     def show(self, glimpse: Glimpse) -> None:
@@ -83,7 +83,7 @@ class View(Protocol):
 
 
 @contextmanager
-def view(title: str, stream: TextIO | None = None) -> Iterator[View]:
+def view(title: str, stream: TextIO | None = None) -> Iterator[TerminalView]:
     """Open the view that fits the stream: drawn in place on a terminal, lines elsewhere."""
     console = Console(file=stream or sys.stderr, highlight=False)
     if not console.is_terminal:

@@ -20,7 +20,7 @@ from linemate.daemon.recording.format import LAYOUT, LOG, METADATA, STATE_LOG, S
 from linemate.daemon.recording.step_codec import RecordingError, StepRecord
 from linemate.simulators.devices import truth
 from linemate.simulators.judge import rows as columns
-from linemate.simulators.judge.judge import Evidence, StateChange, Telegrams
+from linemate.simulators.judge.judge import RunEvidence, StateChange, Telegrams
 from linemate.simulators.judge.rows import DaemonEvent, Rows
 from linemate.simulators.plants.scenario import Scenario, sample
 
@@ -69,7 +69,7 @@ def read_changes(path: Path) -> Iterator[StateChange]:
                     yield StateChange(*found.groups())
 
 
-def evidence(truth_file: Path, recording_file: Path, scenario: Scenario) -> Evidence:
+def evidence(truth_file: Path, recording_file: Path, scenario: Scenario) -> RunEvidence:
     """Join what the emulator and the daemon left behind.
 
     Args:
@@ -81,7 +81,7 @@ def evidence(truth_file: Path, recording_file: Path, scenario: Scenario) -> Evid
     """
     found, facts = truth.load(truth_file)
     collision = facts["collision"]
-    return Evidence(
+    return RunEvidence(
         rows=join(found, read_steps(recording_file)),
         scenario=scenario.name,
         seed=scenario.seed,

@@ -82,7 +82,7 @@ class StateChange:
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
+class RunEvidence:
     """Evidence of a run.
 
     Attributes:
@@ -115,7 +115,7 @@ class Evidence:
     refusal: str | None = None
 
 
-def judge(evidence: Evidence, *, strict: bool = False) -> dict[str, Any]:
+def judge(evidence: RunEvidence, *, strict: bool = False) -> dict[str, Any]:
     """Judge one run.
 
     Args:
@@ -309,7 +309,7 @@ def _impact_time(rows: Rows) -> float | None:
 # Outcome
 
 
-def _outcome(evidence: Evidence) -> str:
+def _outcome(evidence: RunEvidence) -> str:
     """In one word how it ended; the first that applies."""
     rows = evidence.rows
     rules: tuple[tuple[str, Callable[[], bool]], ...] = (
@@ -337,7 +337,7 @@ def _has_retreated(rows: Rows) -> bool:
     return bool(withdrawn or retreat.any())
 
 
-def _reason(evidence: Evidence, outcome: str) -> str | None:
+def _reason(evidence: RunEvidence, outcome: str) -> str | None:
     """Return why a run did not assemble, in the words of the daemon's state table."""
     if outcome == "assembled":
         return None
@@ -351,7 +351,7 @@ def _reason(evidence: Evidence, outcome: str) -> str | None:
     return "; ".join(filter(None, reasons)) or _why_nothing_happened(evidence)
 
 
-def _why_nothing_happened(evidence: Evidence) -> str:
+def _why_nothing_happened(evidence: RunEvidence) -> str:
     """Return why a run without trouble did not assemble."""
     changes = evidence.changes
     if evidence.refusal is not None and not any(change.after == "track" for change in changes):

@@ -114,7 +114,7 @@ def write(out_dir: Path, result: Mapping[str, Any], rows: Rows) -> tuple[Path, .
     return tuple(written)
 
 
-def _table(one: table.Table) -> str:
+def _table(one: table.ResultTable) -> str:
     numeric = [all(table.is_figure(row[i]) for row in one.rows) for i in range(len(one.head))]
 
     def line(tag: str, cells: tuple[str, ...]) -> str:

@@ -23,7 +23,7 @@ WINDOWS = ("approach", "stop", "impact", "contact", "restart", "quiet")
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class ResultTable:
     """One titled table of text; `head` and every row have the same length."""
 
     title: str
@@ -51,7 +51,7 @@ def error_rows(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
     return rows
 
 
-def tables(result: Mapping[str, Any]) -> tuple[Table, ...]:
+def tables(result: Mapping[str, Any]) -> tuple[ResultTable, ...]:
     """Cut a result into its tables: errors, detection, telegrams, times."""
     detection = tuple(
         (
@@ -65,27 +65,27 @@ def tables(result: Mapping[str, Any]) -> tuple[Table, ...]:
     telegrams = result.get("telegrams") or {}
     alarms = result.get("false_alarms") or {}
     found = [
-        Table(
+        ResultTable(
             "Errors",
             ("error", "window", "max mm", "rms mm", "max mrad", "rms mrad"),
             tuple(error_rows(result)),
         ),
-        Table(
+        ResultTable(
             "Detection, latency after onset",
             ("event", "onset s", "perceived s", "confirmed s"),
             detection,
         ),
-        Table(
+        ResultTable(
             "False alarms",
             ("tentative", "confirmed"),
             ((number(alarms.get("tentative")), number(alarms.get("confirmed"))),),
         ),
-        Table(
+        ResultTable(
             "Telegrams, as the controller counted them",
             tuple(telegrams),
             (tuple(number(count) for count in telegrams.values()),) if telegrams else (),
         ),
-        Table("Times", ("what", "p50 us", "p99 us", "p99.9 us", "max us"), time_rows(result)),
+        ResultTable("Times", ("what", "p50 us", "p99 us", "p99.9 us", "max us"), time_rows(result)),
     ]
     return tuple(table for table in found if table.rows)
 

@@ -52,7 +52,7 @@ SHORT_HOURS = 0.02
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class AccuracyPlan:
     """What is run.
 
     Attributes:
@@ -71,7 +71,7 @@ class Plan:
 
 
 @dataclass(frozen=True, slots=True)
-class Where:
+class WorkPlace:
     """Where work is done and kept, and the digest of the sources that it is done with."""
 
     kept: Path
@@ -94,7 +94,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     one_thread()
     try:
         plan = _plan(args)
-        where = Where(args.kept, digest(), args.workers, args.scheduler)
+        where = WorkPlace(args.kept, digest(), args.workers, args.scheduler)
         runs, detection = gather(plan, where)
     except (SetupError, FileError) as error:
         print(f"accuracy: {error}", file=sys.stderr)
@@ -112,7 +112,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 # Work
 
 
-def gather(plan: Plan, where: Where) -> tuple[accuracy_tables.Runs, accuracy_tables.Detection]:
+def gather(
+    plan: AccuracyPlan, where: WorkPlace
+) -> tuple[accuracy_tables.Runs, accuracy_tables.Detection]:
     """Do all that has not been done yet.
 
     Returns:
@@ -140,11 +142,11 @@ def groups(case: Case, most: int) -> dict[str, Sequence[int]]:
     return {name: seeds[: min(count, most)] for name, (seeds, count) in counts.items() if count}
 
 
-def _made(setup: Setup, seeds: Sequence[int], where: Where) -> list[dict[str, Any]]:
+def _made(setup: Setup, seeds: Sequence[int], where: WorkPlace) -> list[dict[str, Any]]:
     from linemate.simulators.judge.statistics import figures
-    from linemate.simulators.lab.campaign import Job, execute, progress_bar
+    from linemate.simulators.lab.campaign import CampaignJob, execute, progress_bar
 
-    jobs = [Job(setup, seed) for seed in seeds]
+    jobs = [CampaignJob(setup, seed) for seed in seeds]
     with progress_bar(len(jobs), f"{setup.variant} {setup.scenario.name}") as progress:
         results = execute(jobs, where.workers, progress, where.scheduler)
     return [
@@ -158,7 +160,7 @@ def _made(setup: Setup, seeds: Sequence[int], where: Where) -> list[dict[str, An
     ]
 
 
-def _detected(plan: Plan, source: str, where: Where) -> dict[str, Any]:
+def _detected(plan: AccuracyPlan, source: str, where: WorkPlace) -> dict[str, Any]:
     from linemate.simulators.lab import detection
     from linemate.simulators.lab.campaign import progress_bar
 
@@ -167,7 +169,7 @@ def _detected(plan: Plan, source: str, where: Where) -> dict[str, Any]:
     hours = plan.own.get(source, plan.hours)
 
     def make(kind: Kind) -> dict[str, Any]:
-        detection_plan = detection.Plan([setup], hours, VERIFY.start, (kind,))
+        detection_plan = detection.DetectionPlan([setup], hours, VERIFY.start, (kind,))
         label = f"detection {source} {kind}"
         with progress_bar(len(list(detection_plan.runs())), label) as progress:
             whole = detection.execute(detection_plan, where.workers, progress, where.scheduler)
@@ -181,7 +183,7 @@ def _detected(plan: Plan, source: str, where: Where) -> dict[str, Any]:
     }
 
 
-def _piece(where: Where, name: str, asked: object, make: Callable[[], Any]) -> Any:
+def _piece(where: WorkPlace, name: str, asked: object, make: Callable[[], Any]) -> Any:
     """Take a piece of work that is kept for the same sources and question, or do and keep it."""
     mark = f"{where.sources} {hashlib.blake2b(repr(asked).encode(), digest_size=16).hexdigest()}"
     path = where.kept / f"{name}.json"
@@ -202,7 +204,9 @@ def _piece(where: Where, name: str, asked: object, make: Callable[[], Any]) -> A
 # The page
 
 
-def page_text(plan: Plan, runs: accuracy_tables.Runs, detection: accuracy_tables.Detection) -> str:
+def page_text(
+    plan: AccuracyPlan, runs: accuracy_tables.Runs, detection: accuracy_tables.Detection
+) -> str:
     """What stands between the marks."""
     most = {
         group: max((len(case.get(group, ())) for case in runs.values()), default=0)
@@ -241,12 +245,12 @@ def write(page: Path, text: str) -> None:
 # Arguments
 
 
-def _plan(args: argparse.Namespace) -> Plan:
+def _plan(args: argparse.Namespace) -> AccuracyPlan:
     named = (
         name for name in CASES if name not in ABLATIONS or not _is_default(CASES[name].variant)
     )
     sources = (source for source in DETECTION if not _is_default(source.split()[1]))
-    plan = Plan(tuple(named), tuple(sources))
+    plan = AccuracyPlan(tuple(named), tuple(sources))
     if args.overlay is not None:
         plan = replace(plan, overlay=_overlay(args.overlay))
     if args.short:

@@ -43,7 +43,7 @@ KEY_FIGURES = (
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class CampaignJob:
     """One run.
 
     Attributes:
@@ -59,7 +59,7 @@ class Job:
     timing: bool = False
 
 
-def perform(job: Job) -> dict[str, Any]:
+def perform(job: CampaignJob) -> dict[str, Any]:
     """Run one job in this process and judge it."""
     from linemate.simulators.harness import lockstep
     from linemate.simulators.judge.judge import judge
@@ -72,7 +72,7 @@ def perform(job: Job) -> dict[str, Any]:
 
 
 def execute(
-    jobs: Sequence[Job],
+    jobs: Sequence[CampaignJob],
     workers: int | None = None,
     progress: Progress = lambda: None,
     scheduler: str = LOCAL,
@@ -184,7 +184,7 @@ def main(args: Namespace) -> int:
         return detection.main(args)
     seeds = range(args.first_seed, args.first_seed + args.seeds)
     jobs = [
-        Job(made, seed)
+        CampaignJob(made, seed)
         for made in (
             setup.make(args.scenario, args.overrides, variant=variant, cycle_ms=args.cycle_ms)
             for variant in args.variants

@@ -32,7 +32,7 @@ TAIL = 0.95
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class DetectionPlan:
     """Kinds, hours and seeds of the runs.
 
     Attributes:
@@ -71,7 +71,7 @@ def main(args: Namespace) -> int:
         setup.make(args.scenario, args.overrides, variant=variant, cycle_ms=args.cycle_ms)
         for variant in args.variants
     ]
-    plan = Plan(setups, args.detection, args.first_seed)
+    plan = DetectionPlan(setups, args.detection, args.first_seed)
     with progress_bar(len(list(plan.runs())), "detection") as progress:
         whole = execute(plan, args.workers, progress, args.scheduler)
     if args.out is not None:
@@ -81,7 +81,10 @@ def main(args: Namespace) -> int:
 
 
 def execute(
-    plan: Plan, workers: int | None = None, progress: Any = lambda: None, scheduler: str = "local"
+    plan: DetectionPlan,
+    workers: int | None = None,
+    progress: Any = lambda: None,
+    scheduler: str = "local",
 ) -> dict[str, Any]:
     """Run a plan.
 

@@ -46,7 +46,7 @@ STRANGE_TRACKING = TrackingSettings(swing=(SwingMode(1, 0.7, 0.0, (-0.25, 0.0, -
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class IdentificationPlan:
     """How much is recorded.
 
     Attributes:
@@ -64,7 +64,7 @@ class Plan:
     overrides: tuple[str, ...] = ()
 
 
-def identified(plan: Plan, folder: Path) -> Identified:
+def identified(plan: IdentificationPlan, folder: Path) -> Identified:
     """Return what a cell tells of itself; the recordings stay in ``folder``."""
     files = [
         record(_exercise(plan), plan.seed + i, folder / f"exercise-{i}.mcap")
@@ -106,7 +106,7 @@ def record(setup: Setup, seed: int, path: Path) -> Path:
     return path
 
 
-def _exercise(plan: Plan) -> Setup:
+def _exercise(plan: IdentificationPlan) -> Setup:
     """Return the exercise: programmed motion alone, undamped, so that the tool rings."""
     setup = _initial_setup(plan, EXERCISE_SCENARIO)
     task = task_file.load(DAEMON_DATA / EXERCISE)
@@ -119,7 +119,7 @@ def _exercise(plan: Plan) -> Setup:
     )
 
 
-def _initial_setup(plan: Plan, name: str) -> Setup:
+def _initial_setup(plan: IdentificationPlan, name: str) -> Setup:
     truth: Scenario = scenario_file.load(name)
     if plan.cycle_ms is not None:
         truth = replace(truth, cycle_s=round(plan.cycle_ms * 1e-3, 9))
@@ -140,7 +140,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         0 if there is one.
     """
-    plain = Plan()
+    plain = IdentificationPlan()
     parser = argparse.ArgumentParser(prog="python -m linemate.simulators.lab.identify_run")
     parser.add_argument("--out", type=Path, default=Path("out/identify"), metavar="DIR")
     parser.add_argument("--overlay", type=Path, metavar="FILE", help="DIR/identified.yaml")
@@ -150,7 +150,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--cycle-ms", type=float, metavar="MS")
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
     args = parser.parse_args(argv)
-    plan = Plan(args.exercises, args.wheels, args.first_seed, args.cycle_ms, tuple(args.overrides))
+    plan = IdentificationPlan(
+        args.exercises, args.wheels, args.first_seed, args.cycle_ms, tuple(args.overrides)
+    )
     found = identified(plan, args.out)
     print(identify_command.table(found.findings))
     if not found.overlay:

@@ -11,7 +11,7 @@ from typing import Any
 
 from linemate.simulators.harness.setup import make
 from linemate.simulators.judge import report_json
-from linemate.simulators.lab.campaign import Job, collect, execute, progress_bar
+from linemate.simulators.lab.campaign import CampaignJob, collect, execute, progress_bar
 
 
 def main(args: Namespace) -> int:
@@ -26,7 +26,8 @@ def main(args: Namespace) -> int:
     setup = make(args.scenario, args.overrides, variant=args.variant, cycle_ms=args.cycle_ms)
     single = len(args.seeds) == 1
     jobs = [
-        Job(setup, seed, _folder(args.out, seed, single), timing=args.timing) for seed in args.seeds
+        CampaignJob(setup, seed, _folder(args.out, seed, single), timing=args.timing)
+        for seed in args.seeds
     ]
     with progress_bar(len(jobs), "run") as progress:
         results = execute(jobs, args.workers, progress)

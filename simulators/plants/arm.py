@@ -13,7 +13,7 @@ from functools import lru_cache
 
 from linemate.simulators.plants import rotation
 from linemate.simulators.plants.rotation import Pose
-from linemate.simulators.plants.scenario import Link, Robot
+from linemate.simulators.plants.scenario import DenavitHartenbergLink, Robot
 
 _BARE: Pose = ((0.0, 0.0, 0.0), rotation.IDENTITY)
 
@@ -45,7 +45,9 @@ class ArmPlant:
 
 
 @lru_cache(maxsize=16)
-def _compiled(links: tuple[Link, ...], tool: Pose) -> Callable[[tuple[float, ...]], Pose]:
+def _compiled(
+    links: tuple[DenavitHartenbergLink, ...], tool: Pose
+) -> Callable[[tuple[float, ...]], Pose]:
     """Make the function of the written out chain; many runs have one arm."""
     body = "\n    ".join(_chain(links, tool))
     space: dict[str, Callable[..., object]] = {"cos": math.cos, "sin": math.sin}
@@ -53,7 +55,7 @@ def _compiled(links: tuple[Link, ...], tool: Pose) -> Callable[[tuple[float, ...
     return space["tcp"]  # type: ignore[return-value]
 
 
-def _chain(links: tuple[Link, ...], tool: Pose) -> list[str]:
+def _chain(links: tuple[DenavitHartenbergLink, ...], tool: Pose) -> list[str]:
     """Write the chain out.
 
     Returns:

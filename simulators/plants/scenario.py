@@ -245,7 +245,7 @@ class Axis:
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class DenavitHartenbergLink:
     """A row of Denavit-Hartenberg's table in Craig's form: Rx(alpha) Tx(a) Rz(theta) Tz(d).
 
     Attributes:
@@ -263,13 +263,13 @@ class Link:
 
 _QUARTER = math.pi / 2
 
-ARM: tuple[Link, ...] = (
-    Link(math.pi, 0.0, -0.675),
-    Link(_QUARTER, 0.350, 0.0),
-    Link(0.0, 1.150, 0.0, _QUARTER),
-    Link(-_QUARTER, 0.041, -1.200),
-    Link(_QUARTER, 0.0, 0.0),
-    Link(-_QUARTER, 0.0, -0.215),
+ARM: tuple[DenavitHartenbergLink, ...] = (
+    DenavitHartenbergLink(math.pi, 0.0, -0.675),
+    DenavitHartenbergLink(_QUARTER, 0.350, 0.0),
+    DenavitHartenbergLink(0.0, 1.150, 0.0, _QUARTER),
+    DenavitHartenbergLink(-_QUARTER, 0.041, -1.200),
+    DenavitHartenbergLink(_QUARTER, 0.0, 0.0),
+    DenavitHartenbergLink(-_QUARTER, 0.0, -0.215),
 )
 """The arm of the team's geometry: axes A1..A6 turn in KUKA's sense."""
 
@@ -296,7 +296,7 @@ class Robot:
         Axis(4.0, 0.80, 0.036, 2.0),
     )
     start: Vector7 = (0.0, -_QUARTER, _QUARTER, 0.0, _QUARTER, 0.0, 0.0)
-    links: tuple[Link, ...] = ARM
+    links: tuple[DenavitHartenbergLink, ...] = ARM
     tcp_position: Vector3 = (-0.35, 0.0, 0.20)
     tcp_rotation: Vector3 = (0.0, -_QUARTER, 0.0)
 

@@ -22,7 +22,7 @@ from linemate.simulators.devices.rsi_controller import (
     RsiController,
     Seven,
 )
-from linemate.simulators.devices.schedule import Schedule
+from linemate.simulators.devices.schedule import DeviceSchedule
 
 RSI = parse_config((Path(next(iter(protocol.__path__))) / "data" / "rsi_joints.xml").read_bytes())
 CODEC = RsiCodec(RSI)
@@ -61,7 +61,7 @@ def _run(
     plant: Plant, controller: RsiController, cycles: int, reply: Callable[[bytes], bytes | None]
 ) -> ControllerUdp:
     async def main() -> ControllerUdp:
-        schedule = Schedule()
+        schedule = DeviceSchedule()
         schedule.open()
         daemon = RsiLink(lambda data, stamp_ns, address: reply(data), port=0)
         daemon.open()
@@ -106,7 +106,7 @@ def test_being_held_up_slips_the_schedule_and_never_floods() -> None:
     stop = threading.Event()
 
     async def main(target: tuple[str, int]) -> ControllerUdp:
-        schedule = Schedule()
+        schedule = DeviceSchedule()
         schedule.open()
         link = ControllerUdp(_controller(0.02), plant, schedule, target)
         link.open()
@@ -159,7 +159,7 @@ def test_mute_and_deaf_are_counted_as_the_controller_would() -> None:
     plant = Plant()
 
     async def main() -> None:
-        schedule = Schedule()
+        schedule = DeviceSchedule()
         schedule.open()
         daemon = RsiLink(lambda data, stamp_ns, address: answer(data), port=0)
         daemon.open()
@@ -185,7 +185,7 @@ def test_a_burst_of_junk_does_not_stop_the_cycle() -> None:
     plant = Plant()
 
     async def main() -> None:
-        schedule = Schedule()
+        schedule = DeviceSchedule()
         schedule.open()
         daemon = RsiLink(lambda data, stamp_ns, address: answer(data), port=0)
         daemon.open()

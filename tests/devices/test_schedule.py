@@ -6,14 +6,14 @@ from functools import partial
 import pytest
 from loops import run, until
 
-from linemate.simulators.devices.schedule import Schedule
+from linemate.simulators.devices.schedule import DeviceSchedule
 
 MS = 1_000_000
 
 
 def test_actions_run_in_the_order_of_their_instants_and_never_early() -> None:
     async def main() -> None:
-        schedule = Schedule()
+        schedule = DeviceSchedule()
         ran: list[tuple[int, int]] = []
         schedule.open()
         start_ns = time.monotonic_ns()
@@ -35,7 +35,7 @@ def test_actions_run_in_the_order_of_their_instants_and_never_early() -> None:
 
 def test_what_is_past_is_done_at_once() -> None:
     async def main() -> None:
-        schedule, ran = Schedule(), []
+        schedule, ran = DeviceSchedule(), []
         schedule.open()
         schedule.at(0, lambda: ran.append(1))
         await until(lambda: bool(ran))
@@ -46,7 +46,7 @@ def test_what_is_past_is_done_at_once() -> None:
 
 def test_an_action_may_add_another() -> None:
     async def main() -> None:
-        schedule, ran = Schedule(), []
+        schedule, ran = DeviceSchedule(), []
         schedule.open()
 
         def again() -> None:
@@ -65,7 +65,7 @@ def test_a_fault_in_an_action_is_told_and_the_rest_goes_on() -> None:
     async def main() -> None:
         told: list[Exception] = []
         ran: list[int] = []
-        schedule = Schedule(on_error=told.append)
+        schedule = DeviceSchedule(on_error=told.append)
         schedule.open()
         schedule.at(1, partial(divmod, 1, 0))
         schedule.at(2, lambda: ran.append(1))
@@ -78,7 +78,7 @@ def test_a_fault_in_an_action_is_told_and_the_rest_goes_on() -> None:
 
 def test_nothing_runs_after_the_closing() -> None:
     async def main() -> None:
-        schedule, ran = Schedule(), []
+        schedule, ran = DeviceSchedule(), []
         schedule.open()
         schedule.at(time.monotonic_ns() + 5 * MS, lambda: ran.append(1))
         schedule.close()
@@ -90,7 +90,7 @@ def test_nothing_runs_after_the_closing() -> None:
 
 def test_what_is_cancelled_is_not_done() -> None:
     async def main() -> None:
-        schedule, ran = Schedule(), []
+        schedule, ran = DeviceSchedule(), []
         schedule.open()
         now_ns = time.monotonic_ns()
         entry = schedule.at(now_ns + MS, lambda: ran.append("cancelled"))
@@ -107,7 +107,7 @@ def test_what_is_cancelled_is_not_done() -> None:
 
 def test_what_is_put_on_the_schedule_together_is_done_at_its_instants() -> None:
     async def main() -> None:
-        schedule, ran = Schedule(), []
+        schedule, ran = DeviceSchedule(), []
         schedule.open()
         now_ns = time.monotonic_ns()
 

@@ -17,7 +17,7 @@ from linemate.daemon.cycle.session import Session
 from linemate.daemon.cycle.states import Link, Machine, Signals, State
 from linemate.simulators.harness.virtual import VirtualTime
 from linemate.simulators.lab.faults import dst, dst_oracles, dst_plan, dst_run
-from linemate.simulators.lab.faults.dst_plan import Plan, draw
+from linemate.simulators.lab.faults.dst_plan import FaultPlan, draw
 from linemate.simulators.plants.scenario import ConveyorEvent, Fault
 
 REGRESSIONS = Path(__file__).parent / "regressions.txt"
@@ -29,7 +29,7 @@ OPEN_REGRESSIONS = {
     420155: "jitter and a retreat in contact: 250 N",
 }
 """What the plant's oracles found and nobody has mended yet, by the seed of its plan."""
-LOSSY = Plan(1, faults=(Fault(0.3, "reply", "loss", 0.9, 0.3),))
+LOSSY = FaultPlan(1, faults=(Fault(0.3, "reply", "loss", 0.9, 0.3),))
 
 
 def regressions() -> list[str]:
@@ -89,7 +89,7 @@ def test_ports_that_tell_when_they_are_filled_are_as_good_as_asked_every_time(
 
 
 def test_without_trouble_the_wheel_is_on_the_hub_and_every_telegram_answered() -> None:
-    simulation = dst_run.Simulation(Plan(0, duration_s=3.0))
+    simulation = dst_run.Simulation(FaultPlan(0, duration_s=3.0))
     simulation.live()
     assert simulation.outcome().violations == ()
     counts = simulation.controller.counts
@@ -138,7 +138,7 @@ def test_half_of_the_seeds_are_calm_and_the_others_reach_every_kind_of_fault() -
 def test_motion_that_outlasts_its_braking_is_a_violation(
     sent: float, heard: bool, quiet_s: float, is_blamed: bool
 ) -> None:
-    oracle, cycle_s = dst_oracles.Oracle(0.012, (1.0,) * 7), 0.012
+    oracle, cycle_s = dst_oracles.FaultOracle(0.012, (1.0,) * 7), 0.012
     held, command = (0.0,) * 7, (0.0,) * 7
     oracle.holds = lambda: held
 
@@ -178,26 +178,26 @@ def test_an_exception_in_the_daemon_is_a_violation(monkeypatch: pytest.MonkeyPat
         raise ZeroDivisionError(f"{stamp_ns} {telegram}")
 
     monkeypatch.setattr(Operating, "decide", decide)
-    violations = dst_run.run(Plan(1)).violations
+    violations = dst_run.run(FaultPlan(1)).violations
     assert any("faults: fault 1 in the cycle ZeroDivisionError" in what for what in violations)
 
 
 def test_a_run_that_does_not_end_is_a_violation(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dst_run.Simulation, "_boot", lambda _: None)
     monkeypatch.setattr(dst_run, "LONGEST_S", 0.5)
-    (what,) = dst_run.run(Plan(1)).violations
+    (what,) = dst_run.run(FaultPlan(1)).violations
     assert what.startswith("liveness: the run does not end")
 
 
 def test_an_operators_order_that_gets_lost_is_a_violation(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Cycle, "order", lambda _cycle, _op, _who="": None)
-    violations = dst_run.run(Plan(1)).violations
+    violations = dst_run.run(FaultPlan(1)).violations
     assert any(what.startswith("order: arm was accepted and lost") for what in violations)
 
 
 def test_a_daemon_that_cannot_begin_again_is_a_violation(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Cycle, "order", lambda _cycle, _op, _who="": "not today")
-    plan = Plan(1, faults=(Fault(0.1, "camera", "loss", 0.1, 0.5),))
+    plan = FaultPlan(1, faults=(Fault(0.1, "camera", "loss", 0.1, 0.5),))
     assert dst_run.run(plan).violations[0].startswith("liveness: idle")
 
 
@@ -209,12 +209,12 @@ def test_a_daemon_that_talks_too_much_is_a_violation(monkeypatch: pytest.MonkeyP
         decide(operating, *facts, telegram=telegram)
 
     monkeypatch.setattr(Operating, "decide", chatty)
-    assert any(what.startswith("log: ") for what in dst_run.run(Plan(1)).violations)
+    assert any(what.startswith("log: ") for what in dst_run.run(FaultPlan(1)).violations)
 
 
 @pytest.mark.parametrize(("ahead", "is_blamed"), [(29, False), (31, True)])
 def test_a_clock_that_races_is_a_violation(ahead: int, is_blamed: bool) -> None:
-    oracle = dst_oracles.Oracle(0.012, (1.0,) * 7)
+    oracle = dst_oracles.FaultOracle(0.012, (1.0,) * 7)
     for number in range(1, 100):
         steps = number + (ahead if number > 50 else 0)
         cycle: Any = SimpleNamespace(machine=Machine(), log_dropped=0, steps=steps)
@@ -232,7 +232,7 @@ def test_a_clock_that_races_is_a_violation(ahead: int, is_blamed: bool) -> None:
 def test_an_end_in_motion_holds_far_from_the_object_and_retreats_near_it(
     end_s: float, state: str
 ) -> None:
-    simulation = dst_run.Simulation(Plan(8, duration_s=end_s))
+    simulation = dst_run.Simulation(FaultPlan(8, duration_s=end_s))
     simulation.live()
     assert simulation.outcome().violations == ()
     assert any(line.endswith(state) for line in simulation.oracle.story)
@@ -268,7 +268,7 @@ def test_an_oracle_tells_a_wrong_transition(
 def test_shrinking_leaves_the_one_fault_that_matters(monkeypatch: pytest.MonkeyPatch) -> None:
     guilty = Fault(1.0, "camera", "flip", 0.1, 0.5)
     others = tuple(Fault(0.1 * i, "distance", "loss", 0.1, 0.5) for i in range(5))
-    plan = Plan(
+    plan = FaultPlan(
         9,
         duration_s=3.0,
         lead_ms=3.0,
@@ -277,11 +277,13 @@ def test_shrinking_leaves_the_one_fault_that_matters(monkeypatch: pytest.MonkeyP
         faults=(*others[:3], guilty, *others[3:]),
     )
 
-    def live(plan: Plan) -> tuple[tuple[str, ...], str]:
+    def live(plan: FaultPlan) -> tuple[tuple[str, ...], str]:
         return (("limits: of axis 3",) if guilty in plan.faults else ("order: lost",)), ""
 
     monkeypatch.setattr(dst, "_live", live)
-    assert dst.shrink(plan, "limits") == Plan(9, duration_s=dst_plan.SHORTEST_S, faults=(guilty,))
+    assert dst.shrink(plan, "limits") == FaultPlan(
+        9, duration_s=dst_plan.SHORTEST_S, faults=(guilty,)
+    )
 
 
 def test_a_plan_that_failed_is_kept_once_for_each_kind(

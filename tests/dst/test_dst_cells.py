@@ -13,7 +13,7 @@ from linemate.simulators.lab.faults.dst_cells import (
     station,
     station_of,
 )
-from linemate.simulators.lab.faults.dst_plan import Plan
+from linemate.simulators.lab.faults.dst_plan import FaultPlan
 from linemate.simulators.plants.scenario import Contact
 
 
@@ -39,7 +39,7 @@ def test_the_second_layout_tells_set_positions() -> None:
 
 @pytest.mark.parametrize("cell", CELLS)
 def test_every_run_has_the_shipped_clamp_and_the_cycle_that_the_controller_has(cell: str) -> None:
-    scenario = scenario_of(Plan(1, cell=cell, cycle_off=0.05))
+    scenario = scenario_of(FaultPlan(1, cell=cell, cycle_off=0.05))
     assert scenario.contact.release_s == Contact().release_s == 0.3
     assert scenario.contact.deflection_limit == Contact().deflection_limit
     assert scenario.cycle_s == pytest.approx(0.0126)

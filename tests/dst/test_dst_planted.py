@@ -6,32 +6,32 @@
 import pytest
 
 from linemate.simulators.lab.faults import dst_planted, dst_run
-from linemate.simulators.lab.faults.dst_plan import Plan
+from linemate.simulators.lab.faults.dst_plan import FaultPlan
 from linemate.simulators.plants.scenario import Fault
 
 HELD_S = 1.45
-PLANS: dict[str, Plan] = {
-    "camera-30-mm-off": Plan(4),
-    "coasting-3-s": Plan(4, faults=(Fault(HELD_S, "force_torque", "silence", 0.5),)),
-    "wrench-never-stale": Plan(4, faults=(Fault(HELD_S, "force_torque", "silence", 0.5),)),
-    "position-never-stale": Plan(
+PLANS: dict[str, FaultPlan] = {
+    "camera-30-mm-off": FaultPlan(4),
+    "coasting-3-s": FaultPlan(4, faults=(Fault(HELD_S, "force_torque", "silence", 0.5),)),
+    "wrench-never-stale": FaultPlan(4, faults=(Fault(HELD_S, "force_torque", "silence", 0.5),)),
+    "position-never-stale": FaultPlan(
         4,
         faults=(
             Fault(0.5, "camera", "silence", 0.6),
             Fault(0.5, "distance", "silence", 0.6),
         ),
     ),
-    "overload-never": Plan(4, faults=(Fault(0.5, "force_torque", "offset", 0.5, 600.0, 1),)),
-    "clamp-never-opens": Plan(
+    "overload-never": FaultPlan(4, faults=(Fault(0.5, "force_torque", "offset", 0.5, 600.0, 1),)),
+    "clamp-never-opens": FaultPlan(
         4, duration_s=3.0, faults=(Fault(HELD_S, "force_torque", "silence", 0.4),)
     ),
-    "wrench-crc-unchecked": Plan(4, faults=(Fault(0.6, "force_torque", "flip", 0.6, 1.0, 2),)),
-    "following-error-never": Plan(4, faults=(Fault(0.5, "robot", "drives_off", 0.9),)),
-    "screws-anywhere": Plan(4, duration_s=1.8),
+    "wrench-crc-unchecked": FaultPlan(4, faults=(Fault(0.6, "force_torque", "flip", 0.6, 1.0, 2),)),
+    "following-error-never": FaultPlan(4, faults=(Fault(0.5, "robot", "drives_off", 0.9),)),
+    "screws-anywhere": FaultPlan(4, duration_s=1.8),
 }
 
 
-def kinds(plan: Plan) -> set[str]:
+def kinds(plan: FaultPlan) -> set[str]:
     return {what.partition(":")[0] for what in dst_run.run(plan).violations}
 
 

@@ -13,7 +13,7 @@ from linemate.daemon.config import config
 from linemate.daemon.config.documents import FileError
 from linemate.simulators.lab.faults import dst_plan, dst_plan_rows, dst_run
 from linemate.simulators.lab.faults.dst_cells import CELLS, TASKS
-from linemate.simulators.lab.faults.dst_plan import Plan
+from linemate.simulators.lab.faults.dst_plan import FaultPlan
 from linemate.simulators.lab.faults.dst_run import Simulation
 from linemate.simulators.plants.contact_plant import WHEEL_RELEASED, ContactPlant
 from linemate.simulators.plants.scenario import ConveyorEvent, Fault
@@ -33,7 +33,7 @@ STOP, START = 0.104, 0.013
 
 def lived(*faults: Fault, **fields: Any) -> Simulation:
     """Run a plan, and have nothing to blame."""
-    plan = Plan(fields.pop("seed", 1), duration_s=fields.pop("duration_s", 1.9), faults=faults)
+    plan = FaultPlan(fields.pop("seed", 1), duration_s=fields.pop("duration_s", 1.9), faults=faults)
     simulation = Simulation(replace(plan, **fields))
     simulation.live()
     assert simulation.outcome().violations == ()
@@ -254,7 +254,7 @@ def test_a_tool_without_a_force_sensor_is_not_in_contact_while_its_clamp_is_repo
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(ContactPlant, "signals", WHEEL_RELEASED)
-    simulation = Simulation(Plan(1, duration_s=1.5, cell=NO_FORCE))
+    simulation = Simulation(FaultPlan(1, duration_s=1.5, cell=NO_FORCE))
     simulation.live()
     assert "track" in simulation.oracle.states
     assert "contact" not in simulation.oracle.states
@@ -286,7 +286,7 @@ def test_every_row_that_is_a_fault_of_a_run_can_be_drawn_and_comes_back_from_its
     for name, row in dst_plan_rows.ROWS.items():
         for seed in range(20):
             changes = row(random.Random(seed), 0.012)
-            plan = Plan(seed, row=name, **changes)
+            plan = FaultPlan(seed, row=name, **changes)
             assert dst_plan.from_line(plan.to_line()) == plan
             dst_run.Faults(plan.faults)
 

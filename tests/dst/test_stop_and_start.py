@@ -3,7 +3,7 @@
 import pytest
 
 from linemate.simulators.lab.faults import dst_run
-from linemate.simulators.lab.faults.dst_plan import Plan
+from linemate.simulators.lab.faults.dst_plan import FaultPlan
 from linemate.simulators.plants.scenario import ConveyorEvent
 
 STOP, START = 0.104, 0.013  # as the task sets them [m/s^2]
@@ -18,7 +18,7 @@ def test_a_stop_and_a_start_around_contact_leave_less_than_200_n_at_the_mount(
         ConveyorEvent("stop", stop_s, STOP),
         ConveyorEvent("start", round(stop_s + after_s, 3), START),
     )
-    assert dst_run.run(Plan(seed, duration_s=2.2, events=events)).violations == ()
+    assert dst_run.run(FaultPlan(seed, duration_s=2.2, events=events)).violations == ()
 
 
 @pytest.mark.parametrize(
@@ -32,4 +32,4 @@ def test_the_pull_of_a_clamp_that_closes_is_not_taken_for_a_motion_of_the_convey
         ConveyorEvent("stop", stop_s, STOP),
         ConveyorEvent("start", round(stop_s + after_s, 3), START),
     )
-    assert dst_run.run(Plan(seed, duration_s=2.2, events=events)).violations == ()
+    assert dst_run.run(FaultPlan(seed, duration_s=2.2, events=events)).violations == ()

@@ -11,7 +11,7 @@ from linemate.simulators.harness.cluster import ClusterError
 from linemate.simulators.harness.main import main
 from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.lab import campaign
-from linemate.simulators.lab.campaign import Job
+from linemate.simulators.lab.campaign import CampaignJob
 
 SHORT = ("scenario.lead_in_s=1.3", "scenario.duration_s=0.1")
 
@@ -25,9 +25,9 @@ def address() -> Iterator[str]:
         yield made.scheduler_address
 
 
-def jobs() -> list[Job]:
+def jobs() -> list[CampaignJob]:
     made = [setup.make("wheel", SHORT, variant=name) for name in ("default", "oracle")]
-    return [Job(one, seed) for one in made for seed in (0, 1)]
+    return [CampaignJob(one, seed) for one in made for seed in (0, 1)]
 
 
 def test_a_cluster_gives_the_results_of_this_process_in_the_same_order(address: str) -> None:
@@ -54,7 +54,7 @@ def test_a_campaign_takes_the_schedulers_address(
 def test_what_a_job_refuses_is_refused_here(address: str) -> None:
     bad = setup.make("wheel", ("task.arm.flange=no_such_frame",))
     with pytest.raises(SetupError, match="no_such_frame"):
-        campaign.execute([Job(bad, 0)], scheduler=address)
+        campaign.execute([CampaignJob(bad, 0)], scheduler=address)
 
 
 def test_workers_with_other_sources_are_refused(

@@ -202,10 +202,12 @@ def test_a_daemon_that_does_not_start_is_told_with_its_own_words(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    sound = demo.Station.daemon_file
-    monkeypatch.setattr(demo.Station, "daemon_file", lambda station: {**sound(station), "bogus": 1})
+    sound = demo.DemoStation.daemon_file
+    monkeypatch.setattr(
+        demo.DemoStation, "daemon_file", lambda station: {**sound(station), "bogus": 1}
+    )
     with pytest.raises(ChildError, match=r"(?s)daemon did not start.*bogus: unknown key"):
-        demo._run(demo.Station(tmp_path, Scenario()))
+        demo._run(demo.DemoStation(tmp_path, Scenario()))
     assert children_of(tmp_path) == {}
 
 

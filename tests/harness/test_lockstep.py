@@ -7,29 +7,29 @@ import pytest
 
 from linemate.daemon.cycle.cycle import LogEntry
 from linemate.simulators.harness import lockstep, setup
-from linemate.simulators.judge.judge import Evidence, judge
+from linemate.simulators.judge.judge import RunEvidence, judge
 from linemate.simulators.judge.rows import CLAMPED, STATES
 
 SHORT = ("scenario.lead_in_s=1.5", "scenario.duration_s=0.6")
 
 
-def told(seed: int, *overrides: str) -> tuple[Evidence, list[LogEntry]]:
+def told(seed: int, *overrides: str) -> tuple[RunEvidence, list[LogEntry]]:
     entries: list[LogEntry] = []
     evidence = lockstep.run(setup.make("wheel", overrides), seed, on_step=entries.append)
     return evidence, entries
 
 
-def bytes_of(evidence: Evidence) -> list[bytes]:
+def bytes_of(evidence: RunEvidence) -> list[bytes]:
     rows = evidence.rows
     return [np.asarray(getattr(rows, f.name)).tobytes() for f in fields(rows) if f.name != "events"]
 
 
 @pytest.fixture(scope="module")
-def wheel() -> Evidence:
+def wheel() -> RunEvidence:
     return lockstep.run(setup.make("wheel"), 0)
 
 
-def test_the_wheel_goes_on_although_the_conveyor_stops_and_restarts(wheel: Evidence) -> None:
+def test_the_wheel_goes_on_although_the_conveyor_stops_and_restarts(wheel: RunEvidence) -> None:
     result = judge(wheel)
     assert result["outcome"] == "assembled"
     for window in ("approach", "stop", "contact", "restart"):
@@ -37,32 +37,34 @@ def test_the_wheel_goes_on_although_the_conveyor_stops_and_restarts(wheel: Evide
         assert result["control_error"][window]["max_mrad"] < 2.0, window
 
 
-def test_every_telegram_is_answered(wheel: Evidence) -> None:
+def test_every_telegram_is_answered(wheel: RunEvidence) -> None:
     counts = wheel.telegrams
     assert counts.sent == counts.answered == len(wheel.rows)
     assert counts.late == counts.lost == counts.refused == 0
 
 
-def test_both_changes_of_class_are_told_after_they_happened(wheel: Evidence) -> None:
+def test_both_changes_of_class_are_told_after_they_happened(wheel: RunEvidence) -> None:
     for entry in judge(wheel)["detection"]:
         assert 0.0 < entry["perceived_s"] <= entry["confirmed_s"]
 
 
-def test_the_daemon_is_armed_and_started_before_the_object_comes(wheel: Evidence) -> None:
+def test_the_daemon_is_armed_and_started_before_the_object_comes(wheel: RunEvidence) -> None:
     rows = wheel.rows
     first = int(np.argmax(rows.state == STATES.index("track")))
     assert first > 0
     assert rows.t[first] < 1.0
 
 
-def test_the_setpoints_that_move_the_robot_are_those_the_daemon_committed(wheel: Evidence) -> None:
+def test_the_setpoints_that_move_the_robot_are_those_the_daemon_committed(
+    wheel: RunEvidence,
+) -> None:
     rows = wheel.rows
     # Eight decimals of a degree and of a millimetre are all that the wire may lose.
     assert np.abs(rows.setpoints - rows.command)[:, :6].max() < np.radians(1e-8)
     assert np.abs(rows.setpoints - rows.command)[:, 6].max() < 1e-11
 
 
-def test_contact_seen_by_the_daemon_is_contact_in_truth(wheel: Evidence) -> None:
+def test_contact_seen_by_the_daemon_is_contact_in_truth(wheel: RunEvidence) -> None:
     rows = wheel.rows
     clamped = rows.contact == CLAMPED
     assert np.mean(rows.contact_seen == clamped) > 0.98

@@ -11,7 +11,7 @@ import pytest
 from linemate.simulators.devices.limit_judge import AxisLimit
 from linemate.simulators.judge import judge as judging
 from linemate.simulators.judge import table
-from linemate.simulators.judge.judge import Evidence, StateChange, Telegrams, judge
+from linemate.simulators.judge.judge import RunEvidence, StateChange, Telegrams, judge
 from linemate.simulators.judge.rows import (
     CLAMPED,
     FREE,
@@ -57,8 +57,8 @@ def perfect_run() -> Rows:
     return rows
 
 
-def evidence(rows: Rows, **changes: Any) -> Evidence:
-    whole = Evidence(rows, "wheel", 0, CYCLE, EVENTS, TELEGRAMS, LIMITS)
+def evidence(rows: Rows, **changes: Any) -> RunEvidence:
+    whole = RunEvidence(rows, "wheel", 0, CYCLE, EVENTS, TELEGRAMS, LIMITS)
     return replace(whole, **changes)
 
 

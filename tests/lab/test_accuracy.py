@@ -8,7 +8,7 @@ import pytest
 
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.simulators.lab import accuracy
-from linemate.simulators.lab.accuracy import BEGIN, END, Where, groups, write
+from linemate.simulators.lab.accuracy import BEGIN, END, WorkPlace, groups, write
 from linemate.simulators.lab.cases import CASES, Case
 
 SHORT = ("scenario.lead_in_s=1.3", "scenario.duration_s=0.1")
@@ -50,7 +50,7 @@ def test_work_is_kept_for_the_same_sources_and_question_only(
         return [count]
 
     def piece(asked: object, sources: str = "a") -> object:
-        return accuracy._piece(Where(tmp_path, sources), "piece", asked, make)
+        return accuracy._piece(WorkPlace(tmp_path, sources), "piece", asked, make)
 
     assert piece(1) == piece(1) == [1]
     assert piece(2) == [2]

@@ -9,18 +9,18 @@ import pytest
 from linemate.daemon.core.step import StepState, step
 from linemate.simulators.harness import host
 from linemate.simulators.lab.bench import bench
-from linemate.simulators.lab.bench.bench import Job, StepTrace, interleaved
+from linemate.simulators.lab.bench.bench import BenchJob, StepTrace, interleaved
 
 
 def test_jobs_take_turns_and_the_warm_round_does_not_count() -> None:
     order: list[str] = []
 
-    def job(name: str, figures: list[float]) -> Job:
+    def job(name: str, figures: list[float]) -> BenchJob:
         def measure() -> float:
             order.append(name)
             return figures.pop(0)
 
-        return Job(name, measure)
+        return BenchJob(name, measure)
 
     jobs = [job("a", [900.0, 1.0, 3.0, 2.0]), job("b", [900.0, 30.0, 10.0, 20.0])]
     assert interleaved(jobs, rounds=3, warm=1) == {"a": 2.0, "b": 20.0}
@@ -95,7 +95,7 @@ def test_figures_are_printed_as_json_and_as_a_table(
     told = capsys.readouterr().out
     assert "horizon 42 at 12 ms" in told
     assert "21.3 times real time" in told
-    assert "beside a bare C echo" in told
+    assert "next to a bare C echo" in told
     assert "note: a remark" in told
     (line,) = [line for line in told.splitlines() if "inline" in line]
     assert line.split() == ["4ms", "inline", "90", "60", "\N{EN DASH}", "110", "1.50", "1.45", "2",

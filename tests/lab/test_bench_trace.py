@@ -56,7 +56,7 @@ def test_a_trace_comes_back_from_its_file(tmp_path: Path) -> None:
 
 def test_the_players_robot_goes_where_it_is_sent_and_the_daemons_codec_reads_it() -> None:
     codec = RsiCodec(parse_config(XML))
-    arm = bench_player.Arm(trace())
+    arm = bench_player.PlayedRobot(trace())
     reply = SensorTelegram(ipoc=1, joints=(0.1, 0.0, 0.0, 0.0, 0.0, -0.2), external=(0.3,))
     arm.follow(codec.format_sensor(reply))
     arm.follow(None)

@@ -11,14 +11,14 @@ import pytest
 from linemate.simulators.harness import setup
 from linemate.simulators.harness.main import main
 from linemate.simulators.lab import campaign
-from linemate.simulators.lab.campaign import Job
+from linemate.simulators.lab.campaign import CampaignJob
 
 SHORT = ("scenario.lead_in_s=1.3", "scenario.duration_s=0.1")
 
 
-def jobs(out: Path | None = None) -> list[Job]:
+def jobs(out: Path | None = None) -> list[CampaignJob]:
     made = [setup.make("wheel", SHORT, variant=name) for name in ("default", "no-damping")]
-    return [Job(one, seed, out) for one in made for seed in (0, 1)]
+    return [CampaignJob(one, seed, out) for one in made for seed in (0, 1)]
 
 
 def test_the_number_of_workers_does_not_show() -> None:

@@ -8,7 +8,7 @@ import pytest
 from linemate.simulators.harness import setup
 from linemate.simulators.harness.main import main
 from linemate.simulators.lab import detection
-from linemate.simulators.lab.detection import Plan
+from linemate.simulators.lab.detection import DetectionPlan
 from linemate.simulators.lab.detection_runs import Tally
 
 
@@ -43,7 +43,7 @@ def test_confusion_is_told_as_the_share_that_was_not_taken_for_a_stop() -> None:
 
 def test_a_plan_is_as_long_as_it_was_asked_to_be() -> None:
     made = setup.make("wheel")
-    whole = list(Plan([made, made], 20.0, 1000).runs())
+    whole = list(DetectionPlan([made, made], 20.0, 1000).runs())
     free = [one for one in whole if one.kind == "free"]
     assert sum(one.duration_s for one in free) == pytest.approx(2 * 20.0 * 3600.0)
     assert {one.seed for one in free} == set(range(1000, 1080))
@@ -55,7 +55,7 @@ def test_detection_prints_the_same_whatever_the_number_of_workers(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     made = setup.make("wheel", variant="rule")
-    plan = Plan([made], 0.012, kinds=("jerk", "push"))
+    plan = DetectionPlan([made], 0.012, kinds=("jerk", "push"))
     one, other = (json.dumps(detection.execute(plan, workers)) for workers in (1, 2))
     assert one == other
     found = json.loads(one)["detection"]["rule"]

@@ -14,10 +14,10 @@ from linemate.daemon.operator import identify_command
 from linemate.simulators.harness import identified_overlay as overlay
 from linemate.simulators.harness import setup
 from linemate.simulators.lab import identify_run
-from linemate.simulators.lab.identify_run import Plan
+from linemate.simulators.lab.identify_run import IdentificationPlan
 from linemate.simulators.plants.scenario import Effector, Robot
 
-PLAN = Plan(exercises=1, wheels=0, overrides=("scenario.duration_s=12.5",))
+PLAN = IdentificationPlan(exercises=1, wheels=0, overrides=("scenario.duration_s=12.5",))
 """A third of the exercise."""
 
 

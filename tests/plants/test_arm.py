@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from linemate.simulators.plants import rotation
 from linemate.simulators.plants.arm import ArmPlant
-from linemate.simulators.plants.scenario import Link, Robot
+from linemate.simulators.plants.scenario import DenavitHartenbergLink, Robot
 
 ARM = ArmPlant(Robot())
 
@@ -65,7 +65,7 @@ def test_with_the_flange_down_the_tcp_looks_into_the_car() -> None:
 
 
 def test_a_skew_axis_of_another_arm_is_taken_from_its_table() -> None:
-    links = tuple(Link(0.3, 0.1, 0.2, 0.1) for _ in range(6))
+    links = tuple(DenavitHartenbergLink(0.3, 0.1, 0.2, 0.1) for _ in range(6))
     arm = ArmPlant(Robot(links=links, tcp_position=(0, 0, 0), tcp_rotation=(math.pi, 0, 0)))
     q = (0.1, -0.2, 0.3, -0.4, 0.5, -0.6, 0.7)
     total = np.eye(4)

@@ -12,13 +12,13 @@ import pytest
 
 from linemate.daemon.cycle.states import State
 from linemate.simulators.lab.faults.dst_actors import SHORTEST_PAUSE_S
-from linemate.simulators.lab.faults.dst_plan import CycleMs, Plan
+from linemate.simulators.lab.faults.dst_plan import CycleMs, FaultPlan
 from linemate.simulators.lab.faults.dst_run import Simulation
 from linemate.simulators.plants.scenario import ConveyorEvent, Fault
 
 SENSORS = ("distance", "camera", "force_torque")
 ALWAYS = -0.4, 4.0
-CYCLE_S = Plan(0).cycle_s
+CYCLE_S = FaultPlan(0).cycle_s
 IN_CONTACT_S = 1.25
 SETTLED_S = 1.13
 """The impact itself is not compared: a cycle sooner or later it is another one."""
@@ -43,7 +43,7 @@ class Row:
 class Lived(Simulation):
     """A run that keeps what the plant knows of each cycle."""
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: FaultPlan) -> None:
         super().__init__(plan)
         self.rows: dict[float, Row] = {}
         self.homed_s = float("inf")
@@ -90,7 +90,7 @@ def live(
     *faults: Fault, stop_s: float | None = None, seed: int = 0, may_touch: bool = False
 ) -> Lived:
     events = () if stop_s is None else (ConveyorEvent("stop", stop_s, 0.104),)
-    lived = Lived(Plan(seed, duration_s=2.6, events=events, faults=faults))
+    lived = Lived(FaultPlan(seed, duration_s=2.6, events=events, faults=faults))
     lived.live()
     assert lived.outcome().violations == ()
     # Whoever drives the robot home without the daemon looks out for himself.
@@ -314,7 +314,7 @@ def test_r2_the_same_silence_is_borne_at_any_cycle(
     cycle_ms: CycleMs, silent_s: float, is_borne: bool
 ) -> None:
     silence = Fault(FREE_S, "robot", "silence", silent_s)
-    lived = Lived(Plan(0, duration_s=2.6, faults=(silence,), cycle_ms=cycle_ms))
+    lived = Lived(FaultPlan(0, duration_s=2.6, faults=(silence,), cycle_ms=cycle_ms))
     lived.live()
     assert lived.outcome().violations == ()
     assert lived.world.collision is None

@@ -9,7 +9,7 @@ import pytest
 from linemate.daemon.cycle.states import State
 from linemate.simulators.harness import setup
 from linemate.simulators.harness.lockstep import Lockstep
-from linemate.simulators.lab.faults.dst_plan import CycleMs, Plan
+from linemate.simulators.lab.faults.dst_plan import CycleMs, FaultPlan
 from linemate.simulators.lab.faults.dst_run import Simulation
 from linemate.simulators.plants.scenario import ConveyorEvent, Fault
 from linemate.simulators.plants.world import World
@@ -32,7 +32,7 @@ def force(world: World) -> float:
 class Late(Simulation):
     """A run that compares steps with cycles, and the tool with the hub."""
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: FaultPlan) -> None:
         super().__init__(plan)
         self.ahead: list[int] = []
         self.lateral_m = 0.0
@@ -69,7 +69,7 @@ def test_x7_late_telegrams_make_no_step_too_many_and_the_tool_meets_the_hub_or_h
     cycle_ms: CycleMs, mean_s: float, lasting_s: float, seed: int
 ) -> None:
     jitter = Fault(0.3 if lasting_s < 2.0 else -0.4, "robot", "jitter", lasting_s, mean_s)
-    late = Late(Plan(seed, duration_s=2.6, faults=(jitter,), cycle_ms=cycle_ms))
+    late = Late(FaultPlan(seed, duration_s=2.6, faults=(jitter,), cycle_ms=cycle_ms))
     late.live()
     assert not [found for found in late.outcome().violations if found.startswith("limits")]
     touched = late.world.collision
@@ -121,7 +121,7 @@ IN_CONTACT_S = 1.35
 class Unattended(Simulation):
     """A run in which nobody gives an order once the task has begun."""
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: FaultPlan) -> None:
         super().__init__(plan)
         self.force_n = 0.0
         self.seen: list[tuple[str, str]] = []
@@ -151,7 +151,9 @@ def test_a_fault_in_contact_lets_go_and_withdraws_as_soon_as_the_link_is_back(
 ) -> None:
     """The line stands as the link is lost, and goes on long after it is back."""
     lost = Fault(IN_CONTACT_S, "robot", trouble, 0.35)
-    run = Unattended(Plan(seed, 4.0, events=(STANDS, GOES_ON), faults=(lost,), cycle_ms=cycle_ms))
+    run = Unattended(
+        FaultPlan(seed, 4.0, events=(STANDS, GOES_ON), faults=(lost,), cycle_ms=cycle_ms)
+    )
     run.live()
     assert run.outcome().violations == ()
     states = [state for state, _ in run.seen]

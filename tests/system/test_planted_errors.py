@@ -19,7 +19,7 @@ from linemate.daemon.cycle.session import Session
 from linemate.daemon.cycle.step_log import StepLog
 from linemate.protocol.exchange import Exchange
 from linemate.protocol.rsi.codec import RsiCodec
-from linemate.simulators.lab.faults.dst_plan import Plan
+from linemate.simulators.lab.faults.dst_plan import FaultPlan
 from linemate.simulators.lab.faults.dst_run import Simulation
 
 CALLED: tuple[tuple[Any, str], ...] = (
@@ -72,7 +72,7 @@ def plant(
 def test_an_exception_anywhere_in_a_cycle_ends_the_motion_and_not_the_daemon(
     what: tuple[Any, str], at_s: float, lead_ms: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    simulation = Simulation(Plan(0, duration_s=at_s + 0.25, lead_ms=lead_ms))
+    simulation = Simulation(FaultPlan(0, duration_s=at_s + 0.25, lead_ms=lead_ms))
     raised = plant(simulation, what, at_s, monkeypatch)
     seen: list[tuple[float, str]] = []
     look = simulation._look

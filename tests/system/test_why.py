@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from linemate.daemon.service.app import App
-from linemate.simulators.lab.faults.dst_plan import Plan
+from linemate.simulators.lab.faults.dst_plan import FaultPlan
 from linemate.simulators.lab.faults.dst_run import MOST_LINES, Simulation
 from linemate.simulators.plants.scenario import Fault
 
@@ -45,7 +45,7 @@ def lived(*faults: Fault, monkeypatch: pytest.MonkeyPatch) -> tuple[list[Line], 
     logger = logging.getLogger("linemate")
     logger.addHandler(journal)
     try:
-        journal.simulation = Simulation(Plan(seed=3, duration_s=3.0, faults=faults))
+        journal.simulation = Simulation(FaultPlan(seed=3, duration_s=3.0, faults=faults))
         journal.simulation.live()
     finally:
         logger.removeHandler(journal)

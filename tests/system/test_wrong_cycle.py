@@ -13,7 +13,7 @@ from linemate.daemon.service.notify import Notifier
 from linemate.daemon.service.realtime import Host
 from linemate.simulators.harness.virtual import EPOCH_NS
 from linemate.simulators.lab.faults import dst_run
-from linemate.simulators.lab.faults.dst_plan import Plan
+from linemate.simulators.lab.faults.dst_plan import FaultPlan
 from linemate.simulators.plants.scenario import Fault
 
 CONFIGURED_MS = 12
@@ -42,10 +42,10 @@ def lived(share: float, jitter_s: float = 0.0) -> Mismatched:
     return run
 
 
-def planned(share: float, jitter_s: float = 0.0) -> Plan:
+def planned(share: float, jitter_s: float = 0.0) -> FaultPlan:
     cycle_ms: Any = round(CONFIGURED_MS * share, 4)
     faults = (Fault(-0.5, "robot", "jitter", 5.0, jitter_s),) if jitter_s else ()
-    return Plan(1, duration_s=2.0, eager=True, faults=faults, cycle_ms=cycle_ms)
+    return FaultPlan(1, duration_s=2.0, eager=True, faults=faults, cycle_ms=cycle_ms)
 
 
 @pytest.mark.parametrize("jitter_s", [0.0, 0.002])

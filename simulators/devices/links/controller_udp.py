@@ -15,7 +15,7 @@ from typing import Protocol
 from linemate.protocol.exchange_controller import Judgement
 from linemate.simulators.devices.links.endpoint import Address, Endpoint
 from linemate.simulators.devices.rsi_controller import Applied, RsiController
-from linemate.simulators.devices.schedule import Entry, Schedule
+from linemate.simulators.devices.schedule import DeviceSchedule, Entry
 from linemate.simulators.devices.turnaround import TurnAround
 
 BUDGET = 32
@@ -49,7 +49,7 @@ class Plant(Protocol):
 
 
 @dataclass(slots=True)
-class Pace:
+class SendPace:
     """How well the schedule was kept.
 
     Attributes:
@@ -81,13 +81,13 @@ class ControllerUdp:
         self,
         controller: RsiController,
         plant: Plant,
-        schedule: Schedule,
+        schedule: DeviceSchedule,
         target: Address,
         bind: Address = ("127.0.0.1", 0),
     ) -> None:
         self.controller = controller
         self.turnaround = TurnAround()
-        self.pace = Pace()
+        self.pace = SendPace()
         self.is_mute = False
         self.is_deaf = False
         self._plant = plant
@@ -135,7 +135,7 @@ class ControllerUdp:
         """Forget what was counted so far; the schedule goes on."""
         self.controller.begin()
         self.turnaround.clear()
-        self.pace = Pace()
+        self.pace = SendPace()
 
     def put(self, data: bytes) -> bool:
         """Send any datagram to the daemon.

@@ -37,7 +37,7 @@ from linemate.simulators.devices.links.slcan_pty import SlcanPty
 from linemate.simulators.devices.links.tcp_port import TcpPort
 from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.devices.rsi_controller import Applied, RsiController
-from linemate.simulators.devices.schedule import Schedule
+from linemate.simulators.devices.schedule import DeviceSchedule
 from linemate.simulators.devices.truth import TruthLog
 from linemate.simulators.plants.scenario import Scenario
 from linemate.simulators.plants.world import World
@@ -114,7 +114,7 @@ class Emulator:
                 patient=config.controller.patient or config.wait_answered > 0,
             ),
         )
-        self._schedule = Schedule()
+        self._schedule = DeviceSchedule()
         self._faults = Faults(config.scenario.faults, REAL)
         self._junk = random.Random(config.scenario.seed)  # noqa: S311 - noise, not a secret
         target = config.robot_target or (rsi.ip, rsi.port)

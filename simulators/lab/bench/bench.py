@@ -1,6 +1,6 @@
 """``linemate-sim bench``: turn-around, lateness and computing time next to a bare echo.
 
-A ``Job`` computes in this process; ``bench_turnaround`` measures with processes.
+A ``BenchJob`` computes in this process; ``bench_turnaround`` measures with processes.
 
 Invariants:
     Compared measurements take turns, round by round, after a warm-up.
@@ -63,7 +63,7 @@ LEAD_IN_CYCLES: Final = 300
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class BenchJob:
     """One measurement: `measure()` gives one round's figure, and is called in turns.
 
     Attributes:
@@ -74,7 +74,7 @@ class Job:
     measure: Callable[[], float]
 
 
-def interleaved(jobs: Sequence[Job], rounds: int = ROUNDS, warm: int = 1) -> dict[str, float]:
+def interleaved(jobs: Sequence[BenchJob], rounds: int = ROUNDS, warm: int = 1) -> dict[str, float]:
     """Measure all jobs in turns, and take the median of each over the rounds.
 
     Args:
@@ -134,7 +134,7 @@ def record(horizon: int, cycle_s: float) -> StepTrace:
     return StepTrace(parameters, state, tuple(entry.inputs for entry in entries[first:]))
 
 
-def step_job(horizon: int, cycle_s: float) -> Job:
+def step_job(horizon: int, cycle_s: float) -> BenchJob:
     """Make a job that gives the median computing time of a step [us]."""
     trace = record(horizon, cycle_s)
 
@@ -146,10 +146,10 @@ def step_job(horizon: int, cycle_s: float) -> Job:
             spent.append(time.perf_counter_ns() - before)
         return statistics.median(spent) * 1e-3
 
-    return Job(str(horizon), measure)
+    return BenchJob(str(horizon), measure)
 
 
-def virtual_job(name: str) -> Job:
+def virtual_job(name: str) -> BenchJob:
     """Make a job that gives virtual time as a multiple of real time: one whole run, 12 ms."""
     made = setup.make("wheel", cycle_ms=12.0)
 
@@ -160,7 +160,7 @@ def virtual_job(name: str) -> Job:
             pass
         return (run.world.time_s - before_s) / (1e-9 * (time.perf_counter_ns() - before_ns))
 
-    return Job(name, measure)
+    return BenchJob(name, measure)
 
 
 @dataclass(frozen=True, slots=True)

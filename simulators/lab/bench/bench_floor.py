@@ -58,7 +58,7 @@ class Spike:
 
 
 @dataclass(frozen=True, slots=True)
-class Lateness:
+class WakeLateness:
     """Of a timer's wakes [ns]."""
 
     count: int
@@ -162,7 +162,7 @@ class TimerProgram:
         place.give(self._child.pid)
         self.spikes: list[Spike] = []
 
-    def lateness(self) -> Lateness:
+    def lateness(self) -> WakeLateness:
         """Of the wakes since the last call."""
         found: list[list[str]] = []
         self._child.process.send_signal(signal.SIGUSR1)
@@ -177,7 +177,7 @@ class TimerProgram:
 
         wait_until(has_answered, self._children, TIMEOUT_S, self._child.name, poll_s=0.005)
         count, *times = map(int, found[-1][1:])
-        return Lateness(count, *(times or (0, 0, 0)))
+        return WakeLateness(count, *(times or (0, 0, 0)))
 
 
 def c_timer(program: Path, period_ns: int, spike_ns: int) -> list[str]:

@@ -77,7 +77,7 @@ class Ear:
                     yield data, seconds * 1_000_000_000 + nanoseconds
 
 
-class Asked:
+class EchoRequest:
     """Who is asked once a cycle, and how long it took."""
 
     def __init__(self, target: Address) -> None:
@@ -118,7 +118,7 @@ class Asked:
         self.sent_ns, self.took_ns = array("q"), array("q")
 
 
-class Port:
+class PlayerPort:
     """The device's end of a pty that is open on both sides from the begin."""
 
     def __init__(self, answer: Callable[[bytes], bytes]) -> None:
@@ -140,7 +140,7 @@ class Port:
                 os.write(self._master, data)
 
 
-class Arm:
+class PlayedRobot:
     """An ideal robot: it is where the last reply sent it; its tool's signals are the trace's."""
 
     def __init__(self, trace: StationTrace) -> None:
@@ -193,9 +193,9 @@ class Player:
         self._control = control
         self._adapter = SlcanAdapter()
         self._sensor = ForceTorqueSensor("bota")
-        self._can = Port(self._adapter.feed)
-        self._serial = Port(self._sensor.feed)
-        self._arm = Arm(trace)
+        self._can = PlayerPort(self._adapter.feed)
+        self._serial = PlayerPort(self._sensor.feed)
+        self._arm = PlayedRobot(trace)
         self._cycles = trace.length_ns // cycle_ns
         self._actions = self._sorted(trace)
         self._camera_target: Address = ("127.0.0.1", 0)
@@ -213,8 +213,8 @@ class Player:
         if order is None:
             return
         self._camera_target = (order["camera"][0], order["camera"][1])
-        self._robot = Asked((order["robot"][0], order["robot"][1]))
-        self._echo = Asked(("127.0.0.1", order["echo"]))
+        self._robot = EchoRequest((order["robot"][0], order["robot"][1]))
+        self._echo = EchoRequest(("127.0.0.1", order["echo"]))
         gc.collect()
         gc.disable()
         begin_ns, played_ns = time.monotonic_ns() + 50_000_000, 0

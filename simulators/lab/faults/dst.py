@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import get_args
 
 from linemate.simulators.lab.faults import dst_plan
-from linemate.simulators.lab.faults.dst_plan import SHORTEST_S, CycleMs, Plan
+from linemate.simulators.lab.faults.dst_plan import SHORTEST_S, CycleMs, FaultPlan
 
 AGAIN_EVERY = 50
 CHUNK = 10
@@ -136,7 +136,7 @@ def _settle(cycle_ms: CycleMs) -> None:
     """Load and compile what all runs share, and let the collector leave it alone."""
     from linemate.simulators.lab.faults import dst_cells
 
-    dst_cells.compiled(Plan(0, cycle_ms=cycle_ms).cycle_s)
+    dst_cells.compiled(FaultPlan(0, cycle_ms=cycle_ms).cycle_s)
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -149,7 +149,7 @@ def _live_seed(cycle_ms: CycleMs, seed: int) -> tuple[int, tuple[str, ...], str]
     return seed, violations, digest
 
 
-def _live(plan: Plan) -> tuple[tuple[str, ...], str]:
+def _live(plan: FaultPlan) -> tuple[tuple[str, ...], str]:
     from linemate.simulators.lab.faults import dst_run
 
     outcome = dst_run.run(plan)
@@ -190,7 +190,7 @@ def _kind(violations: tuple[str, ...]) -> str:
     return violations[0].partition(":")[0] if violations else ""
 
 
-def shrink(plan: Plan, kind: str) -> Plan:
+def shrink(plan: FaultPlan, kind: str) -> FaultPlan:
     """The least plan found that is violated in the same way.
 
     Args:
@@ -210,7 +210,7 @@ def shrink(plan: Plan, kind: str) -> Plan:
     return plan
 
 
-def _smaller(plan: Plan) -> Iterator[Plan]:
+def _smaller(plan: FaultPlan) -> Iterator[FaultPlan]:
     """Plans with one thing less, the greatest cuts first."""
     faults = plan.faults
     half = len(faults) // 2

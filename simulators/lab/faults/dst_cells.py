@@ -15,7 +15,7 @@ from linemate.simulators import harness
 from linemate.simulators.devices.limit_judge import LIMITS, AxisLimit
 from linemate.simulators.devices.robot_plant import seven
 from linemate.simulators.harness.lockstep import parameters
-from linemate.simulators.lab.faults.dst_plan import CycleMs, Plan
+from linemate.simulators.lab.faults.dst_plan import CycleMs, FaultPlan
 from linemate.simulators.plants.scenario import (
     Body,
     Contact,
@@ -110,7 +110,7 @@ def rest_pose(cell: str = SHIPPED) -> Vector7:
     return seven((*station(cell).task.file.arm.rest_joints, 0.0))
 
 
-def scenario_of(plan: Plan) -> Scenario:
+def scenario_of(plan: FaultPlan) -> Scenario:
     """Return the plant's truth: a body nearly where it should be, and the shipped clamp."""
     cell = CELLS[plan.cell]
     return Scenario(

@@ -37,7 +37,7 @@ MOST_AHEAD = 30
 1100 runs, and 17 in those that once failed; a clock that raced made 60 in one cycle."""
 
 
-class Oracle:
+class FaultOracle:
     """Sees everything the daemon does in one run.
 
     Attributes:

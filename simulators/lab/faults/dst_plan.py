@@ -94,7 +94,7 @@ WEIGHTS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class FaultPlan:
     """One run.
 
     Attributes:
@@ -143,8 +143,8 @@ class Plan:
         return json.dumps(plain, separators=(",", ":"))
 
 
-def from_line(line: str) -> Plan:
-    """Read what ``Plan.to_line`` wrote.
+def from_line(line: str) -> FaultPlan:
+    """Read what ``FaultPlan.to_line`` wrote.
 
     Raises:
         ValueError, TypeError, KeyError: it is no plan.
@@ -152,14 +152,14 @@ def from_line(line: str) -> Plan:
     plain = json.loads(line)
     plain["events"] = tuple(ConveyorEvent(**event) for event in plain["events"])
     plain["faults"] = tuple(Fault(**fault) for fault in plain["faults"])
-    return Plan(**plain)
+    return FaultPlan(**plain)
 
 
-def draw(seed: int, cycle_ms: CycleMs = 12) -> Plan:
+def draw(seed: int, cycle_ms: CycleMs = 12) -> FaultPlan:
     """The plan of a seed; the same trouble for any cycle."""
     chance = random.Random(f"{seed}/plan")  # noqa: S311 - noise, not a secret
     duration_s = round(chance.uniform(SHORTEST_S, LONGEST_S), 3)
-    plan = Plan(
+    plan = FaultPlan(
         seed=seed,
         duration_s=duration_s,
         lead_ms=chance.choice((0.0, cycle_ms / 4, min(0.75 * cycle_ms, MOST_LEAD_MS))),

@@ -40,8 +40,8 @@ from linemate.simulators.lab.faults.dst_cells import (
     station,
     station_of,
 )
-from linemate.simulators.lab.faults.dst_oracles import Oracle
-from linemate.simulators.lab.faults.dst_plan import Plan
+from linemate.simulators.lab.faults.dst_oracles import FaultOracle
+from linemate.simulators.lab.faults.dst_plan import FaultPlan
 from linemate.simulators.lab.faults.dst_plant_oracles import PlantOracle, Seen
 from linemate.simulators.lab.faults.dst_strangers import Strangers
 from linemate.simulators.plants.contact_plant import FIX_SCREWS
@@ -78,7 +78,7 @@ _SEVEN = struct.Struct("<7d")
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class RunOutcome:
     """What became of a plan.
 
     Attributes:
@@ -87,14 +87,14 @@ class Outcome:
         states: the operating states that were seen.
     """
 
-    plan: Plan
+    plan: FaultPlan
     violations: tuple[str, ...]
     digest: str
     cycles: int
     states: frozenset[str]
 
 
-def run(plan: Plan) -> Outcome:
+def run(plan: FaultPlan) -> RunOutcome:
     """Live a plan through.
 
     Returns:
@@ -113,7 +113,7 @@ class Simulation:
         tracked_s: when the daemon tracked last [s].
     """
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: FaultPlan) -> None:
         """Begin at the lead-in, daemon and controller just started."""
         self.plan = plan
         scenario, files = scenario_of(plan), station(plan.cell)
@@ -134,7 +134,7 @@ class Simulation:
         brake = files.config.control.brake
         braking = (*(brake.acceleration,) * 6, brake.axis_acceleration)
         axes = 7 if files.task.file.arm.linear_axis else 6
-        self.oracle = Oracle(plan.real_cycle_s, braking[:axes])
+        self.oracle = FaultOracle(plan.real_cycle_s, braking[:axes])
         self.oracle.holds = lambda: self.controller.setpoints
         self.app: App | None = None
         self.robot = Programme(self)
@@ -280,11 +280,11 @@ class Simulation:
             if counters[name]:
                 self.oracle.blame(f"exception: {counters[name]} {name}: {self._log.example}")
 
-    def outcome(self) -> Outcome:
+    def outcome(self) -> RunOutcome:
         """What has become of the plan."""
         self.oracle.judge(self.controller.judge)
         self._hash.update(repr(self.oracle.story).encode())
-        return Outcome(
+        return RunOutcome(
             self.plan,
             tuple(self.oracle.violations),
             self._hash.hexdigest(),
