@@ -14,7 +14,7 @@ from linemate.daemon.core.control.settings import ControlSettings
 from linemate.daemon.core.inputs import Inputs, MotionOrder
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.tracking.settings import TrackingSettings
-from linemate.daemon.cycle.cycle import LogEntry
+from linemate.daemon.cycle.step_log import LogEntry
 from linemate.protocol.samples import CameraSample, DistanceSample, RobotSample, WrenchSample
 
 # A shell ignores SIGINT for what it starts in the background, and children inherit that: the tests

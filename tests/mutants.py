@@ -40,7 +40,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/cycle/test_states_transcript.py",
     ),
     "daemon/cycle/sensor_health.py": (
-        "tests/cycle/test_sensor_belief.py",
+        "tests/cycle/test_sensor_transcript.py",
         "tests/cycle/test_sensor_health.py",
     ),
     "daemon/core/control/command_limiter.py": (

@@ -15,7 +15,7 @@ from msgspec import Struct
 
 from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.cycle import watch
-from linemate.daemon.cycle.feeds import SensorFact
+from linemate.daemon.cycle.samples import SensorFact
 from linemate.daemon.cycle.states import Link, Machine, Row, Signals, State, deciding_row
 
 Explanation = tuple[str, str]
@@ -245,10 +245,10 @@ def _expired(_: Signals, evidence: Evidence) -> Explanation:
 
 def _fault(_: Signals, evidence: Evidence) -> Explanation:
     counts, limit = evidence.counts, evidence.settings.cycles_astray
-    if counts.astray >= limit:
+    if counts.following_error >= limit:
         error = evidence.following_error or "an axis is not where it was sent"
         return (
-            f"following error: {error} for {counts.astray} cycles, limit {limit}",
+            f"following error: {error} for {counts.following_error} cycles, limit {limit}",
             "Check that the drives are on and the programme runs.",
         )
     if evidence.facts.fault:

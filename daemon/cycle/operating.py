@@ -13,9 +13,9 @@ from msgspec import Struct, structs
 from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core.step import Outputs
 from linemate.daemon.core.tracking.task import Phase
-from linemate.daemon.cycle import causes, following, states, watch
+from linemate.daemon.cycle import causes, following_error, states, watch
 from linemate.daemon.cycle.causes import Change, Evidence
-from linemate.daemon.cycle.feeds import Feeds
+from linemate.daemon.cycle.samples import SensorQueues
 from linemate.daemon.cycle.states import Machine, Signals, State
 
 OnTransition = Callable[[Machine, Signals, Machine], None]
@@ -36,7 +36,7 @@ class Situation(Struct, frozen=True, eq=False):
 
     Attributes:
         last, before: what the last two steps said; None before there were any.
-        astray: which axis is not where it was sent, None if all are.
+        following_error: axis beyond the tolerance, in words; None if there is none.
         settling: the robot may still move although it was not sent anywhere yet.
         sensed: poses lead the motion, and not its programme alone.
         last_approach: the tool has left its last waypoint before contact; the camera, which soon
@@ -45,7 +45,7 @@ class Situation(Struct, frozen=True, eq=False):
 
     last: Outputs | None
     before: Outputs | None
-    astray: str | None
+    following_error: str | None
     settling: bool
     sensed: bool
     last_approach: bool = False
@@ -60,7 +60,7 @@ class Operating:
         on_transition: told every decision, if set.
         has_new_session: noticed: the robot's program has started again.
         has_resynchronised: noticed: the counter or the address has changed, the program goes on.
-        is_loss_untold: noticed: a reply has not reached the robot.
+        is_reply_lost: noticed: a reply has not reached the robot.
         has_failed: noticed: what was begun raised.
         wrong_cycle: why the controller's period cannot be followed, None if it can.
         cause: why the present state was entered.
@@ -79,7 +79,7 @@ class Operating:
         self.settings = settings
         self.on_transition: OnTransition | None = None
         self.has_new_session = self.has_resynchronised = False
-        self.is_loss_untold = self.has_failed = False
+        self.is_reply_lost = self.has_failed = False
         self.wrong_cycle: str | None = None
         self._cycle_s = cycle_s
         self._wrench_expected = wrench_expected
@@ -113,22 +113,24 @@ class Operating:
         """Whether nothing is about to move the robot."""
         return self.machine.state in _AT_REST and not self._orders
 
-    def decide(self, stamp_ns: int, feeds: Feeds, found: Situation, *, telegram: bool) -> None:
+    def decide(
+        self, stamp_ns: int, samples: SensorQueues, found: Situation, *, telegram: bool
+    ) -> None:
         """Move the operating state on what was seen up to now.
 
         Args:
             stamp_ns: of the step [ns].
-            feeds: what the sensors brought.
+            samples: what the sensors brought.
             found: the robot and the task.
             telegram: the step is made for one.
         """
         before = self.machine
-        facts = self._facts(stamp_ns, feeds, found, telegram=telegram)
+        facts = self._facts(stamp_ns, samples, found, telegram=telegram)
         orders = self._orders
         self._orders = {}
         self.decisions += 1
         self.has_new_session = self.has_resynchronised = False
-        self.is_loss_untold = self.has_failed = False
+        self.is_reply_lost = self.has_failed = False
         seen = self.signals
         self._watch, self.signals = watch.observe(self._watch, facts, before, self.settings)
         # Where the same signals led nowhere a cycle ago, they lead nowhere now.
@@ -136,7 +138,7 @@ class Operating:
             self.machine = states.transition(before, self.signals)
             self._settled = self.machine if self.machine is before else None
             if self.machine is not before:
-                self._note_change(before, self._evidence(facts, feeds, found, orders))
+                self._note_change(before, self._evidence(facts, samples, found, orders))
         if self.on_transition is not None:
             self.on_transition(before, self.signals, self.machine)
 
@@ -166,27 +168,27 @@ class Operating:
         self._changes.append(Change(evidence.facts.stamp_ns, before.state, after.state, why))
 
     def _evidence(
-        self, facts: watch.Facts, feeds: Feeds, found: Situation, orders: dict[str, str]
+        self, facts: watch.Facts, samples: SensorQueues, found: Situation, orders: dict[str, str]
     ) -> Evidence:
         last = found.last
         return Evidence(
             facts,
             self._watch,
             self.settings,
-            feeds.sensors(),
+            samples.facts(),
             unready=SETTLING if found.settling else None if last is None else last.ready,
-            following_error=found.astray,
-            overload_n=feeds.overload_n,
+            following_error=found.following_error,
+            overload_n=samples.overload_n,
             ordered_by=orders,
             fault=self.fault,
         )
 
     def _facts(
-        self, stamp_ns: int, feeds: Feeds, found: Situation, *, telegram: bool
+        self, stamp_ns: int, samples: SensorQueues, found: Situation, *, telegram: bool
     ) -> watch.Facts:
         """Return what was seen up to now, for the watch."""
         # A link that carries telegrams but no replies is no link.
-        telegram = telegram and not self.is_loss_untold
+        telegram = telegram and not self.is_reply_lost
         last = found.last
         if last is None:
             return watch.Facts(
@@ -195,19 +197,19 @@ class Operating:
                 self.has_new_session,
                 self.has_resynchronised,
                 self.wrong_cycle,
-                position_ns=feeds.newest_ns,
-                wrench_ns=feeds.wrench_ns,
+                position_ns=samples.newest_ns,
+                wrench_ns=samples.wrench.newest_ns,
                 wrench_expected=self._wrench_expected,
-                overload=feeds.overloaded,
+                overload=samples.overloaded,
                 fault=self.has_failed,
                 orders=frozenset(self._orders),
             )
         before, period, state = found.before or last, self._cycle_s, self.machine.state
         # A motion that is led by poses has none that fit. An exercise is led by its programme
         # alone: it is there to find out what does not fit.
-        contradicted = state is State.TRACK and feeds.camera_health.contradicts and found.sensed
+        contradicted = state is State.TRACK and samples.camera_health.contradicts and found.sensed
         # In the last approach the camera goes blind: the distance sensor alone shows the object.
-        lost = found.last_approach and feeds.distance_health.reason is not None
+        lost = found.last_approach and samples.distance_health.reason is not None
         contradicted = contradicted or (state is State.TRACK and lost)
         return watch.Facts(
             stamp_ns=stamp_ns,
@@ -215,29 +217,29 @@ class Operating:
             new_session=self.has_new_session,
             wrong_cycle=self.wrong_cycle,
             resynchronised=self.has_resynchronised,
-            position_ns=feeds.newest_ns,
-            slower_ns=_slower_ns(feeds, last, last_approach=found.last_approach),
-            wrench_ns=feeds.wrench_ns,
+            position_ns=samples.newest_ns,
+            slower_ns=_slower_ns(samples, last, last_approach=found.last_approach),
+            wrench_ns=samples.wrench.newest_ns,
             wrench_expected=self._wrench_expected,
             contradicted=contradicted,
-            gap_m=following.gap(last, period) if state in NEAR else None,
-            astray=found.astray is not None,
+            gap_m=following_error.gap_after_stop(last, period) if state in NEAR else None,
+            following_error=found.following_error is not None,
             ready=last.ready is None and not found.settling,
             object_left=last.object_left,
             contact=last.contact,
             clamped=last.clamped,
             settling=found.settling,
             overdue=last.overdue,
-            overload=feeds.overloaded,
+            overload=samples.overloaded,
             done=last.phase is Phase.RETREAT,
             fault=self.has_failed,
-            clear=last.finished and following.pace(before, last, period) < SETTLED,
+            clear=last.finished and following_error.max_axis_speed(before, last, period) < SETTLED,
             orders=frozenset(self._orders),
         )
 
 
-def _slower_ns(feeds: Feeds, last: Outputs, *, last_approach: bool) -> int | None:
+def _slower_ns(samples: SensorQueues, last: Outputs, *, last_approach: bool) -> int | None:
     """Return the stamp of the position sensor that must not be silent for long [ns], or None."""
     if (last.task_time or 0.0) <= 0.0:
         return None
-    return feeds.distance_ns if last_approach else feeds.slower_ns
+    return samples.distance.newest_ns if last_approach else samples.slower_ns

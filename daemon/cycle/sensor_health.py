@@ -1,70 +1,74 @@
-"""Whether a sensor can be believed: each is out and back in by rule, with its reason.
+"""Health of the sensors: exclude a faulty sensor and readmit it, with the reason.
 
-Law of this file: pure; samples in, verdicts out, stamps come with the samples, a bounded memory.
-It knows what no sensor can do (jump, stand still at full speed, repeat itself to the last bit),
-not where the object is: what fits no estimate is refused by the tracker's gates. A sample that is
-refused here reaches no step and makes nothing fresh. Source: reference/reliability.md, S6 to S8.
+A check knows what no sensor can do: jump, freeze at full speed, repeat itself to the last bit. It
+does not know where the object is. Samples that fit no estimate are refused by the tracker's gates.
+
+Invariants:
+- Pure and of bounded memory. Stamps come with the samples.
+- A refused sample reaches no step and does not count as fresh.
 """
 
 from collections import deque
-from typing import Any
+from typing import Any, Generic, TypeVar
+
+from msgspec import Struct
 
 from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
 
-BAD, OF = 3, 5
-"""A sensor is out when so many of its last so many samples were bad, or all of them for"""
-BAD_S = 0.1
-GOOD = 10
-"""samples in a row let it back in."""
+BAD, OF = 3, 5  # exclude a sensor after 3 bad of its last 5 samples
+BAD_S = 0.1  # or after bad samples only for this long
+GOOD = 10  # good samples in a row that readmit it
 
-JUMP = 0.03
-"""A distance is never further from where it was heading [m], but for"""
-DEVIATIONS = 6.0
-"""so many of its standard deviations,"""
-ACCELERATION = 1.0
-"""what no conveyor exceeds [m/s^2],"""
-UNKNOWN_SPEED = 1.0
-"""and while its speed is not known, so much [m/s]."""
+# How far a distance may be from where it was heading: the greater of the first two ...
+JUMP = 0.03  # [m]
+DEVIATIONS = 6.0  # standard deviations of the sensor
+ACCELERATION = 1.0  # ... and what this acceleration adds, that no conveyor exceeds [m/s^2] ...
+UNKNOWN_SPEED = 1.0  # ... and what this speed adds, while the conveyor's is unknown [m/s]
+FORGOTTEN_NS = 2_000_000_000  # forget a heading that nothing has agreed with for so long [ns]
+OUTVOTING = 3  # samples whose median is taken: one outlier has no effect
 
-FORGOTTEN_NS = 2_000_000_000
-"""A heading that nothing has agreed with for so long [ns] may have been wrong itself."""
+MOVING = 0.05  # a distance that changed at this speed cannot freeze at once [m/s]
+FROZEN_S = 0.15  # without a change it is frozen after this time
+QUANTA = 1.5  # ... or the time of so many of its resolution steps, if that is longer
+HEADING_NS = 300_000_000  # the speed is the mean over so long [ns]
 
-OUTVOTING = 3
-"""So many samples are one, their median; an outlier that is no jump yet misleads nobody."""
-
-MOVING = 0.05
-"""A conveyor that was so quick [m/s] does not stand all at once: a distance that is the same for"""
-STUCK_S = 0.15
-HEADING_NS = 300_000_000
-"""is stuck; its speed is that of so long before [s, ns]."""
-QUANTA = 1.5
-"""A coarse sensor is given the time of so many of its own units."""
-
+# Poses in a row that the tracker refused although its gate had widened. Noise alone is not it.
 CONTRADICTIONS = 8
-"""Poses in a row that the tracker refused although its gate had widened: noise alone is not it."""
 
-SAME_POSES = 4
-SAME_WRENCHES = 25
-"""So many alike to the last bit, while something moves, are one that is stuck."""
+SAME_POSES = 4  # identical poses while something moves: frozen
+SAME_WRENCHES = 25  # identical wrenches while the tool moves: frozen
 
-MOST_FORCE = 1e5
-MOST_TORQUE = 1e5
-"""Beyond these nothing is a measurement [N, Nm]."""
+MAX_FORCE = 1e5  # beyond this nothing is a measurement [N]
+MAX_TORQUE = 1e5  # [Nm]
+
+Sample = TypeVar("Sample", DistanceSample, CameraSample, WrenchSample)
 
 
-class Health:
-    """What is common to all: out and back in.
+class Conditions(Struct, frozen=True):
+    """What a check knows of the step.
 
     Attributes:
-        reason: why the sensor is out, None if it is in.
+        moving: the tool moves, so that two images or wrenches are not alike.
+        deviation: standard deviation of the distance sensor [m].
+    """
+
+    moving: bool
+    deviation: float
+
+
+class Health(Generic[Sample]):
+    """Exclusion and readmission of a sensor.
+
+    Attributes:
+        reason: why the sensor is excluded, None if it is not.
         since_ns: when that began [ns], None before the first change.
-        outs: how often it went out.
+        refused: samples.
+        outs: exclusions.
     """
 
     __slots__ = ("_bad_since_ns", "_good", "_lately", "outs", "reason", "refused", "since_ns")
 
     def __init__(self) -> None:
-        """Believe the sensor."""
         self.reason: str | None = None
         self.since_ns: int | None = None
         self.refused = self.outs = 0
@@ -72,15 +76,16 @@ class Health:
         self._bad_since_ns: int | None = None
         self._good = 0
 
+    def accepts(self, sample: Sample, conditions: Conditions) -> bool:
+        """Return whether the newest sample may be used."""
+        raise NotImplementedError
+
     def judge(self, stamp_ns: int, fault: str | None) -> bool:
-        """Take one sample's verdict.
+        """Count a good or bad sample, and return whether it may be used.
 
         Args:
             stamp_ns: of the sample [ns].
             fault: what is wrong with it, None if nothing is.
-
-        Returns:
-            Whether it may be used.
         """
         if fault is None:
             self._lately.append(False)
@@ -102,7 +107,7 @@ class Health:
         return is_used
 
     def exclude(self, stamp_ns: int, reason: str) -> None:
-        """The sensor is out, whatever its last samples were; it must prove itself."""
+        """Exclude the sensor, whatever its last samples were."""
         self._good = 0
         if self.reason is None:
             self.reason, self.since_ns = reason, stamp_ns
@@ -120,16 +125,15 @@ class Health:
 
 
 Trusted = tuple[int, float]
-"""Stamp [ns] and distance [m] of a sample that was believed."""
+"""Stamp [ns] and distance [m] of an accepted sample."""
 
 
-class DistanceHealth(Health):
-    """A distance goes on where it was heading, and stands only after it has slowed down."""
+class DistanceHealth(Health[DistanceSample]):
+    """Check of the distance sensor: no jump, and no stop without slowing down."""
 
     __slots__ = ("_changed_ns", "_quick", "_trusted", "_unit", "_value")
 
     def __init__(self) -> None:
-        """Know nothing of where it is heading."""
         super().__init__()
         self._trusted: deque[Trusted] = deque(maxlen=256)
         self._value: float | None = None
@@ -137,12 +141,8 @@ class DistanceHealth(Health):
         self._quick: float | None = None  # how quick it was at its last change
         self._unit = 0.0
 
-    def believes(self, sample: DistanceSample, deviation: float) -> bool:
-        """Return whether a sample may be used.
-
-        Args:
-            deviation: standard deviation of the sensor [m].
-        """
+    def accepts(self, sample: DistanceSample, conditions: Conditions) -> bool:
+        """Return whether the newest sample may be used."""
         trusted, stamp_ns, position = self._trusted, sample.stamp_ns, sample.position
         if trusted and stamp_ns - trusted[-1][0] > FORGOTTEN_NS:
             trusted.clear()
@@ -155,16 +155,16 @@ class DistanceHealth(Health):
                 step = abs(position - self._value)
                 self._unit = min(step, self._unit) if self._unit else step
             self._value, self._changed_ns, self._quick = position, stamp_ns, speed
-        fault = _jumped(sample, lately, speed, deviation) or self._stuck(stamp_ns)
+        fault = _jumped(sample, lately, speed, conditions.deviation) or self._frozen(stamp_ns)
         if fault is None:
             trusted.append((stamp_ns, position))
             while stamp_ns - trusted[0][0] > HEADING_NS:
                 trusted.popleft()
         return self.judge(stamp_ns, fault)
 
-    def _stuck(self, stamp_ns: int) -> str | None:
+    def _frozen(self, stamp_ns: int) -> str | None:
         stood = (stamp_ns - self._changed_ns) * 1e-9
-        if stood < STUCK_S or self._quick is None or abs(self._quick) < MOVING:
+        if stood < FROZEN_S or self._quick is None or abs(self._quick) < MOVING:
             return None
         if stood * abs(self._quick) < QUANTA * self._unit:
             return None
@@ -182,7 +182,7 @@ class DistanceHealth(Health):
 
 
 def _middle(one: Trusted, two: Trusted, three: Trusted) -> Trusted:
-    """Return stamp [ns] and median [m] of three in a row: an outlier has no say."""
+    """Return stamp [ns] and median [m] of three in a row."""
     return two[0], sorted((one[1], two[1], three[1]))[1]
 
 
@@ -206,70 +206,56 @@ def _jumped(
     return None if abs(off) <= borne else f"it jumped by {off:.3f} m"
 
 
-class CameraHealth(Health):
-    """No two images give the same pose to the last bit, and poses agree with what is known."""
+class CameraHealth(Health[CameraSample]):
+    """Check of the camera: no identical poses in motion, none that contradict the estimate."""
 
     __slots__ = ("_contradictions", "_pose", "_same")
 
     def __init__(self) -> None:
-        """Have seen nothing."""
         super().__init__()
         self._contradictions = 0
         self._pose: tuple[float, ...] = ()
         self._same = 0
 
-    def believes(self, sample: CameraSample, *, moving: bool) -> bool:
-        """Return whether a sample may be used.
-
-        Args:
-            moving: something moves, so that no two poses are alike.
-        """
+    def accepts(self, sample: CameraSample, conditions: Conditions) -> bool:
+        """Return whether the newest sample may be used."""
         pose = (*sample.position, *sample.quaternion)
-        self._same = self._same + 1 if moving and pose == self._pose else 1
+        self._same = self._same + 1 if conditions.moving and pose == self._pose else 1
         self._pose = pose
-        is_stuck = self._same >= SAME_POSES
-        fault = f"{self._same} poses alike" if is_stuck else None
+        is_frozen = self._same >= SAME_POSES
+        fault = f"{self._same} poses alike" if is_frozen else None
         if fault is not None:
             self.exclude(sample.stamp_ns, fault)
         return self.judge(sample.stamp_ns, fault)
 
     @property
     def contradicts(self) -> bool:
-        """Poses that were believed here fit nothing that was known of the object."""
+        """Accepted poses do not fit the estimate of the object."""
         return self._contradictions >= CONTRADICTIONS
 
-    def answered(self, given: int, refused: int) -> None:
-        """Note what became of poses that were believed here.
-
-        Args:
-            given: to the tracker, in one step.
-        """
+    def add_result(self, given: int, refused: int) -> None:
+        """Count how many poses the tracker was given in a step, and refused."""
         if given:
             self._contradictions = self._contradictions + given if refused >= given else 0
 
 
-class WrenchHealth(Health):
-    """No two wrenches are alike for long on a tool that moves, and none is beyond all measure."""
+class WrenchHealth(Health[WrenchSample]):
+    """Check of the force-torque sensor: no identical wrenches in motion, none beyond measure."""
 
     __slots__ = ("_same", "_wrench")
 
     def __init__(self) -> None:
-        """Have felt nothing."""
         super().__init__()
         self._wrench: tuple[float, ...] = ()
         self._same = 0
 
-    def believes(self, sample: WrenchSample, *, moving: bool) -> bool:
-        """Return whether a sample may be used.
-
-        Args:
-            moving: the tool moves, so that no two are alike for long.
-        """
+    def accepts(self, sample: WrenchSample, conditions: Conditions) -> bool:
+        """Return whether the newest sample may be used."""
         wrench = (*sample.force, *sample.torque)
-        self._same = self._same + 1 if moving and wrench == self._wrench else 1
+        self._same = self._same + 1 if conditions.moving and wrench == self._wrench else 1
         self._wrench = wrench
         fault = None
-        if max(map(abs, sample.force)) > MOST_FORCE or max(map(abs, sample.torque)) > MOST_TORQUE:
+        if max(map(abs, sample.force)) > MAX_FORCE or max(map(abs, sample.torque)) > MAX_TORQUE:
             fault = "it is beyond all measure"
         elif self._same >= SAME_WRENCHES:
             fault = f"{self._same} wrenches alike"

@@ -60,13 +60,13 @@ class StepLog:
         self._entries: deque[LogEntry] = deque(maxlen=LONGEST_LOG)
         self.dropped = 0
 
-    def put(self, entry: LogEntry) -> None:
+    def push(self, entry: LogEntry) -> None:
         """Add the newest step."""
         if len(self._entries) == LONGEST_LOG:
             self.dropped += 1
         self._entries.append(entry)
 
-    def take(self) -> list[LogEntry]:
+    def drain(self) -> list[LogEntry]:
         """Return the steps since the last call, oldest first."""
         entries = list(self._entries)
         self._entries.clear()

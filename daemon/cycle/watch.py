@@ -34,7 +34,7 @@ class Facts(Struct, frozen=True):
         wrench_expected: there is a force-torque sensor.
         contradicted: the sensors of the position contradict each other.
         gap_m: that a stop would leave between tool and object [m]; None while it is not seen.
-        astray: the robot is not where its commands led it.
+        following_error: an axis is beyond the tolerance of its commands.
         clamped: a retreat waits for the clamp to open.
         settling: the robot may still move although it was not sent anywhere yet.
         ready, object_left, contact, overload, overdue, done, clear, fault: as in ``Signals``, raw.
@@ -52,7 +52,7 @@ class Facts(Struct, frozen=True):
     wrench_expected: bool = True
     contradicted: bool = False
     gap_m: float | None = None
-    astray: bool = False
+    following_error: bool = False
     ready: bool = False
     object_left: bool = False
     contact: bool = False
@@ -75,7 +75,7 @@ class Watch(Struct, frozen=True):
         good: cycles with a telegram, in a row since the link came.
         stamp_ns: stamp of the last cycle [ns], or None.
         leak_ns: level of the leaky bucket [ns].
-        contact, overload, astray: cycles in a row that showed it.
+        contact, overload, following_error: cycles in a row that showed it.
         state: the operating state as last seen.
         since_ns: when it was entered [ns].
     """
@@ -87,7 +87,7 @@ class Watch(Struct, frozen=True):
     leak_ns: int = 0
     contact: int = 0
     overload: int = 0
-    astray: int = 0
+    following_error: int = 0
     state: State = State.INIT
     since_ns: int = 0
 
@@ -139,7 +139,7 @@ def _count(watch: Watch, facts: Facts, state: State, settings: WatchSettings) ->
         leak_ns,
         contact=watch.contact + 1 if facts.contact else 0,
         overload=watch.overload + 1 if facts.overload else 0,
-        astray=watch.astray + 1 if facts.astray else 0,
+        following_error=watch.following_error + 1 if facts.following_error else 0,
         state=state,
         since_ns=watch.since_ns if state is watch.state else facts.stamp_ns,
     )
@@ -162,7 +162,7 @@ def _signals(watch: Watch, facts: Facts, settings: WatchSettings) -> Signals:
     position_fresh = position_fresh and not facts.contradicted
     wrench_fresh = _age_s(facts.wrench_ns, stamp_ns) <= settings.wrench_s
     wrench_fresh = wrench_fresh or not facts.wrench_expected
-    fault = facts.fault or watch.astray >= settings.cycles_astray
+    fault = facts.fault or watch.following_error >= settings.cycles_astray
     trouble = fault or "stop" in facts.orders or watch.link is not Link.HEALTHY
     trouble = trouble or facts.object_left or not (position_fresh and wrench_fresh)
     near = facts.gap_m is not None and facts.gap_m < settings.near_m

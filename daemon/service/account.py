@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 from linemate.daemon.cycle.clock.phase_lock import PhaseLock
 from linemate.daemon.cycle.clock.timing import CycleTimes, Incident, Timing
-from linemate.daemon.cycle.cycle import LogEntry
 from linemate.daemon.cycle.states import State
+from linemate.daemon.cycle.step_log import LogEntry
 
 
 @dataclass(slots=True)

@@ -25,7 +25,6 @@ from linemate.daemon.core.control.adaptation import ServoEstimates
 from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle import learning, states
-from linemate.daemon.cycle.answers import Answers
 from linemate.daemon.cycle.clock.phase_lock import Due, DueKind, PhaseLock
 from linemate.daemon.cycle.clock.timer import CycleTimer
 from linemate.daemon.cycle.clock.timing import Timing
@@ -42,6 +41,7 @@ from linemate.daemon.service.command_server import CommandPort, CommandPortError
 from linemate.daemon.service.incidents import IncidentFiles
 from linemate.daemon.service.journal import Journal, Sensors
 from linemate.daemon.service.notify import Notifier
+from linemate.daemon.service.order_answers import Answers
 from linemate.daemon.service.outlook import Outlook
 from linemate.daemon.service.parameter_desk import Answer, Desk
 from linemate.daemon.service.status import LinkView, Rates, Snapshot, covered, status, telemetry
@@ -327,13 +327,13 @@ class App:
     def _follow(self) -> None:
         """Let the clock follow the telegram that was answered; after the reply, it takes time."""
         stamp_ns, self._arrival = self._arrival, None
-        verdict = self.cycle.verdict
-        if stamp_ns is None or verdict is None:
+        decision = self.cycle.decision
+        if stamp_ns is None or decision is None:
             return
         self._account.expected(self._timer.lock)
         lock = self._timer.lock
-        restarts = verdict.kind in {Telegram.FIRST, Telegram.NEW_SESSION}
-        lock.follow(stamp_ns, verdict.missed + 1, restarts=restarts)
+        restarts = decision.kind in {Telegram.FIRST, Telegram.NEW_SESSION}
+        lock.follow(stamp_ns, decision.missed + 1, restarts=restarts)
         self._timer.arm()
         self.cycle.operating.wrong_cycle = lock.estimate.lasting_refusal
 
@@ -445,7 +445,7 @@ class App:
         if now_ns - self._sensors_told_ns < SENSORS_EVERY_NS:
             return
         self._sensors_told_ns = now_ns
-        sensors, hidden = self.cycle.feeds.sensors(), covered(self.cycle)
+        sensors, hidden = self.cycle.samples.facts(), covered(self.cycle)
         came = self._sensors_seen.changes(now_ns, sensors, self._limits_s(), hidden)
         if came:
             self._tell_devices(now_ns, came)
@@ -585,18 +585,18 @@ def _sensors(station: Station, cycle: Cycle) -> Iterator[CanLink | CameraLink | 
             can_id=distance.can_id,
             step=distance.step_m,
         )
-        yield CanLink(distance.can, decoder, cycle.feed_distance)
+        yield CanLink(distance.can, decoder, cycle.samples.distance.push)
     if config.camera is not None:
         camera = config.camera
         poses = CameraDecoder(camera.frame, camera.object, camera.source)
         peer = None if camera.peer is None else parse_peer(camera.peer)
-        yield CameraLink(poses, cycle.feed_camera, camera.bind, camera.port, peer=peer)
+        yield CameraLink(poses, cycle.samples.camera.push, camera.bind, camera.port, peer=peer)
     if config.force_torque is not None:
         wrench = config.force_torque
         yield SerialLink(
             wrench.url,
             make_decoder(wrench.device),
-            cycle.feed_wrench,
+            cycle.samples.wrench.push,
             baudrate=wrench.baudrate or BAUD_RATES[wrench.device],
             host=partial(make_host, wrench.device) if wrench.dialogue else None,
         )

@@ -14,7 +14,7 @@ import numpy as np
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.cycle.clock.timing import CycleTimes
-from linemate.daemon.cycle.cycle import LogEntry
+from linemate.daemon.cycle.step_log import LogEntry
 
 FORESEEN: Final = 8
 """Poses of the horizon that are shown, the first and the last among them."""

@@ -205,7 +205,7 @@ class Desk:
                 return {"refused": reason}
             self._take(made, who, changed)
         if wanted.watch != self.settings.watch:
-            self.cycle.watch_by(wanted.watch)
+            self.cycle.set_watch(wanted.watch)
         return self._made(wanted, changed, who)
 
     def _compile(
@@ -221,7 +221,7 @@ class Desk:
             if reason is not None:
                 return {"refused": f"{reason}; it moved meanwhile"}
             self._take(made, who, changed, anew=True)
-            self.cycle.watch_by(wanted.watch)
+            self.cycle.set_watch(wanted.watch)
             return self._made(wanted, changed, who)
 
         def failed(error: BaseException) -> Answer:
@@ -253,7 +253,7 @@ class Desk:
         self, made: Parameters, who: str, changed: Mapping[str, Any], *, anew: bool = False
     ) -> None:
         self.told(made, who, changed)
-        self.cycle.swap(made, anew=anew)
+        self.cycle.swap(made, restarts=anew)
         self._newest = made
 
     def _made(self, wanted: Settings, changed: Mapping[str, Any], who: str) -> Answer:

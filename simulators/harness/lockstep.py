@@ -20,8 +20,9 @@ from linemate.daemon.core.control.settings import ControlSettings
 from linemate.daemon.core.parameters import Parameters, build, with_foresight
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.task import TaskFile
-from linemate.daemon.cycle.cycle import Cycle, LogEntry
+from linemate.daemon.cycle.cycle import Cycle
 from linemate.daemon.cycle.states import State
+from linemate.daemon.cycle.step_log import LogEntry
 from linemate.protocol.rsi.codec import RsiCodec, parse_config
 from linemate.simulators.devices.faults import KINDS, Faults
 from linemate.simulators.devices.faulty_link import FaultyLink

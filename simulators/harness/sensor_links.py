@@ -287,14 +287,14 @@ class SensorLinks:
         can_id, extended = self.emitters.frame
         found = self._can_decoder.decode(can_id, data, stamp_ns, extended)
         if found is not None:
-            self._cycle.feed_distance(found)
+            self._cycle.samples.distance.push(found)
 
     def _pose(self, data: bytes, stamp_ns: int) -> None:
-        self._cycle.feed_camera(self._camera_decoder.feed(data, stamp_ns))
+        self._cycle.samples.camera.push(self._camera_decoder.feed(data, stamp_ns))
 
     def _stream(self, data: bytes, stamp_ns: int) -> None:
         for found in self._wrench_decoder.feed(data, stamp_ns):
-            self._cycle.feed_wrench(found)
+            self._cycle.samples.wrench.push(found)
 
 
 def _talk(sensor: ForceTorqueSensor) -> None:

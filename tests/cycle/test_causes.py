@@ -14,8 +14,8 @@ from linemate.daemon.config import config
 from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle import causes, watch
-from linemate.daemon.cycle.feeds import Feeds
 from linemate.daemon.cycle.operating import Situation
+from linemate.daemon.cycle.samples import SensorQueues
 from linemate.daemon.cycle.states import TABLE, Link, Machine, Row, Signals, State, deciding_row
 from linemate.daemon.cycle.watch import Watch
 from linemate.daemon.service import realtime
@@ -88,10 +88,10 @@ def app(tmp_path: Path, parameters: Parameters) -> App:
     return App(config.load(path), parameters, realtime.Host(), Notifier())
 
 
-def feeds() -> Feeds:
-    made = Feeds()
-    made.distance_ns, made.camera_ns = NOW_NS - 20 * MS, NOW_NS - 310 * MS
-    made.wrench_ns = NOW_NS - 200 * MS
+def queues() -> SensorQueues:
+    made = SensorQueues()
+    made.distance.newest_ns, made.camera.newest_ns = NOW_NS - 20 * MS, NOW_NS - 310 * MS
+    made.wrench.newest_ns = NOW_NS - 200 * MS
     made.overload_n = (400.0, 350.0)
     return made
 
@@ -110,7 +110,7 @@ def test_the_journal_alone_names_the_cause_of_every_row(
         good=90,
         contact=2,
         overload=1,
-        astray=5,
+        following_error=5,
         state=row.source,
     )
     monkeypatch.setattr(watch, "observe", lambda *_: (counts, signals))
@@ -119,7 +119,7 @@ def test_the_journal_alone_names_the_cause_of_every_row(
         operating.fault = "following error: A1 is at 0.5"
     operating._orders = dict.fromkeys(watch.OPERATIONS, "alice")
     situation = Situation(None, None, "A1 is at 0.5, it was sent to 0.1", False, True)
-    operating.decide(NOW_NS, feeds(), situation, telegram=True)
+    operating.decide(NOW_NS, queues(), situation, telegram=True)
     with caplog.at_level(logging.INFO, "linemate"):
         app._tell_changes(NOW_NS)
     records = [record for record in caplog.records if record.name == "linemate.state"]
@@ -142,7 +142,7 @@ def test_two_rows_of_one_state_never_give_the_same_line(parameters: Parameters) 
 def evidence(**changes: object) -> causes.Evidence:
     facts = watch.Facts(NOW_NS, telegram=True)
     whole = causes.Evidence(
-        facts, Watch(), WatchSettings(), feeds().sensors(), None, None, None, {}, None
+        facts, Watch(), WatchSettings(), queues().facts(), None, None, None, {}, None
     )
     return structs.replace(whole, **changes)  # type: ignore[arg-type]
 
@@ -195,9 +195,9 @@ def test_an_excluded_sensor_is_named_with_what_it_was_excluded_for() -> None:
     stale = replace(QUIET, position_fresh=False)
     row = deciding_row(Machine(State.TRACK), stale)
     assert row is not None
-    broken = feeds()
+    broken = queues()
     broken.camera_health.exclude(NOW_NS, "4 poses alike")
-    text = causes.cause(row, Machine(State.TRACK), stale, evidence(sensors=broken.sensors()))
+    text = causes.cause(row, Machine(State.TRACK), stale, evidence(sensors=broken.facts()))
     assert "camera excluded (4 poses alike) for 0.31 s" in text
     assert "Check the link of" in text
 
@@ -207,8 +207,8 @@ def test_a_latched_fault_is_said_at_once_and_again_where_it_leads(app: App) -> N
     operating.machine = Machine(State.RETREAT)
     operating._watch = Watch(Link.HEALTHY, NOW_NS, state=State.RETREAT, since_ns=NOW_NS)
     operating.has_failed = True
-    operating.decide(NOW_NS, Feeds(), situation, telegram=True)
-    operating.decide(NOW_NS + 3000 * MS, Feeds(), situation, telegram=False)
+    operating.decide(NOW_NS, SensorQueues(), situation, telegram=True)
+    operating.decide(NOW_NS + 3000 * MS, SensorQueues(), situation, telegram=False)
     first, second = map(str, operating.take_changes())
     failed = "the daemon failed in a cycle. Read the error in the journal."
     assert first == f"retreat -> retreat: latched: {failed}"
@@ -219,5 +219,5 @@ def test_a_latched_fault_is_said_at_once_and_again_where_it_leads(app: App) -> N
 def test_a_state_that_does_not_change_says_nothing(app: App) -> None:
     situation = Situation(None, None, None, False, True)
     for n in range(20):
-        app.cycle.operating.decide(NOW_NS + n * 12 * MS, Feeds(), situation, telegram=False)
+        app.cycle.operating.decide(NOW_NS + n * 12 * MS, SensorQueues(), situation, telegram=False)
     assert app.cycle.take_changes() == []

@@ -18,9 +18,11 @@ from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.tracking.task import Phase
 from linemate.daemon.cycle.correction_reference import CONFIRMATIONS, Proof
-from linemate.daemon.cycle.cycle import CATCH_UP_S, LONGEST_LOG, Cycle, Inbox
+from linemate.daemon.cycle.cycle import Cycle
 from linemate.daemon.cycle.operating import SETTLING
 from linemate.daemon.cycle.states import State
+from linemate.daemon.cycle.step_log import LONGEST_LOG
+from linemate.daemon.cycle.steps import CATCH_UP_S
 from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, SensorTelegram, parse_config
 from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
 
@@ -70,8 +72,10 @@ class Station:
 
     def feed(self) -> None:
         stamp_ns = self.stamp_ns - 3_000_000
-        self.cycle.feed_distance(DistanceSample(stamp_ns, self.where(stamp_ns), 1.0))
-        self.cycle.feed_wrench(WrenchSample(stamp_ns, (0.0, 0.0, 0.1), (0.0, 0.0, self.k * 1e-6)))
+        self.cycle.samples.distance.push(DistanceSample(stamp_ns, self.where(stamp_ns), 1.0))
+        self.cycle.samples.wrench.push(
+            WrenchSample(stamp_ns, (0.0, 0.0, 0.1), (0.0, 0.0, self.k * 1e-6))
+        )
 
     def where(self, stamp_ns: int) -> float:
         """What the distance sensor reads [m]."""
@@ -602,7 +606,7 @@ def test_one_sample_of_overload_is_ignored_and_the_second_is_not(
     station.track(30)
     for i, force in enumerate((0.0, *forces, 0.0)):
         stamp_ns = station.stamp_ns - 8_000_000 + 2_000_000 * i
-        station.cycle.feed_wrench(WrenchSample(stamp_ns, (0.0, force, 0.0), (0.0,) * 3))
+        station.cycle.samples.wrench.push(WrenchSample(stamp_ns, (0.0, force, 0.0), (0.0,) * 3))
     station.exchange()
     assert (station.cycle.machine.state is State.RETREAT) == retreats
 
@@ -611,11 +615,15 @@ def test_two_samples_of_overload_in_two_cycles_are_two_in_a_row(station: Station
     station.track(30)
     for _ in range(2):
         station.exchange()
-        station.cycle.feed_wrench(WrenchSample(station.stamp_ns, (0.0, 0.0, 500.0), (0.0,) * 3))
+        station.cycle.samples.wrench.push(
+            WrenchSample(station.stamp_ns, (0.0, 0.0, 500.0), (0.0,) * 3)
+        )
         station.exchange(feed=False)
     assert station.cycle.machine.state is State.TRACK
     for _ in range(2):
-        station.cycle.feed_wrench(WrenchSample(station.stamp_ns, (0.0, 0.0, 500.0), (0.0,) * 3))
+        station.cycle.samples.wrench.push(
+            WrenchSample(station.stamp_ns, (0.0, 0.0, 500.0), (0.0,) * 3)
+        )
         station.exchange(feed=False)
     assert station.cycle.machine.state is State.RETREAT
 
@@ -677,7 +685,7 @@ def test_a_stop_in_motion_comes_to_rest_within_the_limits(station: Station) -> N
 def test_a_sensor_that_falls_silent_holds_the_robot(station: Station) -> None:
     station.track(30)
     for _ in range(40):
-        station.cycle.feed_wrench(WrenchSample(station.stamp_ns, (0, 0, 0), (0, 0, 0)))
+        station.cycle.samples.wrench.push(WrenchSample(station.stamp_ns, (0, 0, 0), (0, 0, 0)))
         station.exchange(feed=False)
     assert station.cycle.machine.state is State.HOLD
     assert "position" in station.cycle.machine.because
@@ -712,7 +720,7 @@ def test_prepared_and_in_line_replies_are_the_same_bytes_in_motion(
                 assert station.cycle.order(orders[k]) is None
             station.feed()
             for sample in camera_samples(station.stamp_ns, k):
-                station.cycle.feed_camera(sample)
+                station.cycle.samples.camera.push(sample)
             if ahead and k > 0:
                 assert station.cycle.prepare(station.stamp_ns)
             replies.append(station.cycle.on_telegram(station.telegram(), station.stamp_ns))
@@ -857,10 +865,10 @@ def test_inboxes_are_bounded_and_what_is_dropped_is_counted_and_oldest(station: 
     station.run(2)
     for i in range(1000):
         stamp_ns = station.stamp_ns - 1_000_000 + i
-        station.cycle.feed_distance(DistanceSample(stamp_ns, station.where(stamp_ns), 1.0))
-        station.cycle.feed_wrench(WrenchSample(stamp_ns, (0, 0, 0), (0, 0, 0)))
+        station.cycle.samples.distance.push(DistanceSample(stamp_ns, station.where(stamp_ns), 1.0))
+        station.cycle.samples.wrench.push(WrenchSample(stamp_ns, (0, 0, 0), (0, 0, 0)))
         for sample in camera_samples(stamp_ns, 0):
-            station.cycle.feed_camera(sample)
+            station.cycle.samples.camera.push(sample)
     newest = station.stamp_ns - 1_000_000 + 999
     station.exchange(feed=False)
     entry = station.cycle.take_log()[-1]
@@ -875,27 +883,7 @@ def test_inboxes_are_bounded_and_what_is_dropped_is_counted_and_oldest(station: 
     assert entry.inputs.distance[-1].stamp_ns == newest
 
 
-@settings(max_examples=50)
-@given(st.integers(1, 20), st.lists(st.one_of(st.none(), st.integers()), max_size=80))
-def test_an_inbox_loses_nothing_without_counting_it(size: int, story: list[int | None]) -> None:
-    """``None`` takes, anything else is put: all that was put is taken, waits or is counted."""
-    inbox: Inbox[int] = Inbox(size)
-    put: list[int] = []
-    taken: list[int] = []
-    for what in story:
-        if what is None:
-            taken += inbox.take()
-        else:
-            inbox.put(what)
-            put.append(what)
-    waiting = inbox.take()
-    assert len(waiting) <= size
-    assert len(taken) + len(waiting) + inbox.dropped == len(put)
-    assert inbox.taken == len(taken) + len(waiting)
-    assert list(waiting) == put[len(put) - len(waiting) :]
-
-
-def test_a_log_that_nobody_takes_is_bounded_and_counted(station: Station) -> None:
+def test_a_log_that_is_not_read_is_bounded_and_counted(station: Station) -> None:
     station.run(LONGEST_LOG + 30)
     assert station.cycle.log_dropped == 30
     log = station.cycle.take_log()

@@ -57,7 +57,7 @@ class Robot:
 def distance(robot: Robot, cycle: Cycle, before_ns: int = 3_000_000) -> None:
     """The unit goes by at the nominal speed."""
     stamp_ns = robot.stamp_ns - before_ns
-    cycle.feed_distance(DistanceSample(stamp_ns, 1.0 + 0.106e-9 * (stamp_ns - START)))
+    cycle.samples.distance.push(DistanceSample(stamp_ns, 1.0 + 0.106e-9 * (stamp_ns - START)))
 
 
 def ready_cycle(parameters: Parameters, robot: Robot, cycles: int = 5) -> Cycle:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from linemate.daemon.cycle.feeds import Feeds
+from linemate.daemon.cycle.samples import SensorQueues
 from linemate.daemon.cycle.sensor_health import (
     BAD,
     CONTRADICTIONS,
@@ -14,6 +14,7 @@ from linemate.daemon.cycle.sensor_health import (
     SAME_POSES,
     SAME_WRENCHES,
     CameraHealth,
+    Conditions,
     DistanceHealth,
     Health,
     WrenchHealth,
@@ -23,6 +24,8 @@ from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
 PERIOD_NS = 10_000_000
 SPEED = 0.106
 SIGMA = 0.25e-3
+MOVING = Conditions(moving=True, deviation=SIGMA)
+RESTING = Conditions(moving=False, deviation=SIGMA)
 ONE = (1.0, 0.0, 0.0, 0.0)
 
 
@@ -46,7 +49,7 @@ class Conveyor:
         self.k += 1
         self.place += speed * PERIOD_NS * 1e-9
         shown = self.reads() if reading is None else reading
-        return self.health.believes(DistanceSample(self.k * PERIOD_NS, shown), SIGMA)
+        return self.health.accepts(DistanceSample(self.k * PERIOD_NS, shown), RESTING)
 
 
 @pytest.mark.parametrize("unit", [1e-4, 1e-3, 1e-2])
@@ -132,12 +135,12 @@ def camera(k: int, x: float) -> CameraSample:
 
 def test_a_camera_that_repeats_itself_is_out_while_something_moves_and_only_then() -> None:
     health = CameraHealth()
-    assert all(health.believes(camera(k, 0.5), moving=False) for k in range(50))
+    assert all(health.accepts(camera(k, 0.5), RESTING) for k in range(50))
     health = CameraHealth()
-    alike = [health.believes(camera(k, 0.5), moving=True) for k in range(SAME_POSES)]
+    alike = [health.accepts(camera(k, 0.5), MOVING) for k in range(SAME_POSES)]
     assert alike == [True] * (SAME_POSES - 1) + [False]
     assert "alike" in str(health.reason)
-    believed = [health.believes(camera(k, 0.6 + 1e-9 * k), moving=True) for k in range(GOOD)]
+    believed = [health.accepts(camera(k, 0.6 + 1e-9 * k), MOVING) for k in range(GOOD)]
     assert believed == [False] * (GOOD - 1) + [True]
 
 
@@ -145,10 +148,10 @@ def test_poses_that_the_tracker_refuses_in_a_row_contradict_until_one_is_taken()
     health = CameraHealth()
     for _ in range(CONTRADICTIONS):
         assert not health.contradicts
-        health.answered(1, 1)
-        health.answered(0, 0)
+        health.add_result(1, 1)
+        health.add_result(0, 0)
     assert health.contradicts
-    health.answered(1, 0)
+    health.add_result(1, 0)
     assert not health.contradicts
 
 
@@ -158,25 +161,25 @@ def wrench(k: int, force: float, torque: float = 0.0) -> WrenchSample:
 
 def test_a_wrench_that_is_stuck_is_out_within_100_ms_of_motion() -> None:
     health = WrenchHealth()
-    alike = [health.believes(wrench(k, 7.0), moving=True) for k in range(SAME_WRENCHES)]
+    alike = [health.accepts(wrench(k, 7.0), MOVING) for k in range(SAME_WRENCHES)]
     assert alike == [True] * (SAME_WRENCHES - 1) + [False]
     assert "alike" in str(health.reason)
     assert SAME_WRENCHES * 0.004 <= 0.1
-    assert all(WrenchHealth().believes(wrench(k, 7.0), moving=False) for k in range(100))
+    assert all(WrenchHealth().accepts(wrench(k, 7.0), RESTING) for k in range(100))
 
 
 @pytest.mark.parametrize(("force", "torque"), [(1e30, 0.0), (-3e5, 0.0), (0.0, 1e300)])
 def test_what_is_beyond_all_measure_is_no_overload_but_no_measurement(
     force: float, torque: float
 ) -> None:
-    feeds = Feeds()
+    queues = SensorQueues()
     for k in range(5):
-        feeds.put_wrench(wrench(k, force, torque))
-    taken = feeds.take(500.0, SIGMA, moving=True)
-    assert taken.wrench == ()
-    assert not feeds.overloaded
-    assert feeds.wrench_ns is None
-    assert feeds.status(0)["sensors"]["wrench"]["out"] == "it is beyond all measure"
+        queues.wrench.push(wrench(k, force, torque))
+    samples = queues.drain(MOVING, 500.0)
+    assert samples.wrench == ()
+    assert not queues.overloaded
+    assert queues.wrench.newest_ns is None
+    assert queues.status(0)["sensors"]["wrench"]["out"] == "it is beyond all measure"
 
 
 def test_bad_for_100_ms_is_out_even_where_samples_are_rare() -> None:

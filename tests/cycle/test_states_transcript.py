@@ -96,7 +96,7 @@ def _day(settings: WatchSettings, chance: Chance, told: Transcript) -> None:
             wrench_expected=not seldom(),
             contradicted=seldom(),
             gap_m=chance.pick((None, 0.0, 0.0299, 0.03, 0.0301, 1.0)),
-            astray=chance.happens(0.6),
+            following_error=chance.happens(0.6),
             ready=not seldom(),
             object_left=seldom(),
             contact=seldom(0.5),

@@ -173,11 +173,11 @@ def test_missing_telegrams_near_the_object_count_as_contact() -> None:
 
 def test_a_robot_that_is_elsewhere_for_five_cycles_in_a_row_is_a_fault() -> None:
     run = Run(State.TRACK)
-    assert not any(run.cycle(astray=True).fault for _ in range(4))
-    assert not run.cycle(astray=False).fault
-    seen = [run.cycle(astray=True).fault for _ in range(6)]
+    assert not any(run.cycle(following_error=True).fault for _ in range(4))
+    assert not run.cycle(following_error=False).fault
+    seen = [run.cycle(following_error=True).fault for _ in range(6)]
     assert seen == [False] * 4 + [True] * 2
-    assert not run.cycle(astray=False).fault
+    assert not run.cycle(following_error=False).fault
 
 
 def test_a_hold_expires_and_the_count_begins_with_the_state() -> None:

@@ -5,7 +5,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from linemate.daemon.cycle.cycle import LogEntry
+from linemate.daemon.cycle.step_log import LogEntry
 from linemate.simulators.harness import lockstep, setup
 from linemate.simulators.judge.judge import RunEvidence, judge
 from linemate.simulators.judge.rows import CLAMPED, STATES

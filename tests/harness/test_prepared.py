@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from linemate.daemon.cycle.cycle import LogEntry
+from linemate.daemon.cycle.step_log import LogEntry
 from linemate.simulators.harness import setup
 from linemate.simulators.harness.lockstep import Lockstep
 

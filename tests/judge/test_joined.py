@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from linemate.daemon.cycle.cycle import LogEntry
+from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.recording import step_codec
 from linemate.daemon.recording.format import STATE_LOG, Item, ItemKind
 from linemate.daemon.recording.step_codec import RecordingError

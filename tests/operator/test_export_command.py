@@ -10,7 +10,7 @@ from msgspec.structs import astuple
 
 from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.cycle.clock.timing import CycleTimes
-from linemate.daemon.cycle.cycle import LogEntry
+from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.operator import main as tool
 from linemate.daemon.recording.format import Item, ItemKind
 from linemate.daemon.recording.reader import read

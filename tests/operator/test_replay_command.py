@@ -11,7 +11,7 @@ from cell import TASK, World, parameters
 from msgspec import structs
 
 from linemate.daemon.core.inputs import MotionOrder
-from linemate.daemon.cycle.cycle import LogEntry
+from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.operator import main as tool
 from linemate.daemon.recording.format import CellTexts, ParametersInForce, StateBefore
 from linemate.daemon.recording.reader import pieces, read

@@ -20,7 +20,7 @@ from linemate.daemon.config.task_file import Task
 from linemate.daemon.core import step as stepping
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle.clock.timing import CycleTimes
-from linemate.daemon.cycle.cycle import LogEntry
+from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.recording.format import LAYOUT, METADATA, STEP, TIMING, Item, ItemKind
 from linemate.daemon.recording.reader import pieces
 from linemate.daemon.recording.reader import read as read_recording

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from linemate.daemon.core.inputs import Inputs
-from linemate.daemon.cycle.cycle import LogEntry
+from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.recording import step_codec
 from linemate.daemon.recording.step_codec import RecordingError, decode, differences, digest, encode
 from linemate.protocol.samples import DistanceSample

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.core import rotations
 from linemate.daemon.core.parameters import Parameters
-from linemate.daemon.cycle.cycle import LogEntry
+from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.recording import viewer_messages
 from linemate.daemon.recording.step_file import StepFile
 from linemate.daemon.recording.step_items import StepItems, metadata_of

@@ -12,8 +12,8 @@ from msgspec import structs
 
 from linemate.daemon.cycle.clock.phase_lock import PhaseLock
 from linemate.daemon.cycle.clock.timing import CycleTimes, Incident, Timing
-from linemate.daemon.cycle.cycle import LogEntry
 from linemate.daemon.cycle.states import State
+from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.service.account import Account
 from linemate.daemon.service.incidents import LINES_A_CYCLE, MOST_FILES, IncidentFiles
 

@@ -1,6 +1,6 @@
 """The journal is bounded, and says how much it left out; sensors come and go by their names."""
 
-from linemate.daemon.cycle.feeds import SensorFact
+from linemate.daemon.cycle.samples import SensorFact
 from linemate.daemon.service.journal import Journal, Sensors
 
 MS = 1_000_000

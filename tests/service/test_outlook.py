@@ -8,7 +8,7 @@ import pytest
 
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle.clock.timing import CycleTimes
-from linemate.daemon.cycle.cycle import LogEntry
+from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.service.outlook import FORESEEN, LONGEST, TOLD, Outlook, points_in_base
 from linemate.protocol.command.frame_codec import ROOM_BYTES
 from linemate.protocol.command.payloads import encode_event, encode_result

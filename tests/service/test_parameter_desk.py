@@ -49,7 +49,7 @@ class Standing:
         for _ in range(count):
             self._k += 1
             stamp = 10**12 + self._k * CYCLE_NS
-            self.cycle.feed_distance(DistanceSample(stamp - 10**6, 0.00127 * self._k))
+            self.cycle.samples.distance.push(DistanceSample(stamp - 10**6, 0.00127 * self._k))
             telegram = RobotTelegram(
                 4_000_000 + 12 * self._k,
                 joints=self._rest,

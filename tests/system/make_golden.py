@@ -9,7 +9,7 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from linemate.daemon.cycle.cycle import LogEntry
+from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.recording.format import ItemKind
 from linemate.daemon.recording.step_file import StepFile
 from linemate.daemon.recording.step_items import StepItems, metadata_of

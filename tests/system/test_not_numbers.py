@@ -11,7 +11,8 @@ import msgpack
 import pytest
 from fastcrc import crc16
 
-from linemate.daemon.cycle.feeds import Feeds
+from linemate.daemon.cycle.samples import SensorQueues
+from linemate.daemon.cycle.sensor_health import Conditions
 from linemate.protocol.rsi.codec import (
     RobotTelegram,
     RsiCodec,
@@ -112,10 +113,10 @@ def test_no_number_of_a_wrench_reaches_a_step_if_it_is_none(wild: float) -> None
         fields[n] = as_float
         payload = struct.pack("<H6fIf", 0, *fields[:6], 1000, fields[6])
         frame = b"\xaa" + payload + struct.pack("<H", crc16.ibm_sdlc(payload))
-        decoder, feeds = make_decoder("bota"), Feeds()
+        decoder, queues = make_decoder("bota"), SensorQueues()
         for sample in decoder.feed(frame * 4, 10**9):
-            feeds.put_wrench(sample)
-        for sample in feeds.take(500.0, 1e-3, moving=True).wrench:
+            queues.wrench.push(sample)
+        for sample in queues.drain(Conditions(moving=True, deviation=1e-3), 500.0).wrench:
             assert all(map(math.isfinite, (*sample.force, *sample.torque)))
             assert max(map(abs, (*sample.force, *sample.torque))) <= 1e5
 

@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 
 from linemate.daemon.core import step as stepping
-from linemate.daemon.cycle import following, states, watch
-from linemate.daemon.cycle.feeds import Feeds
-from linemate.daemon.cycle.following import Following
+from linemate.daemon.cycle import following_error, states, watch
+from linemate.daemon.cycle.following_error import FollowingCheck
 from linemate.daemon.cycle.operating import Operating
 from linemate.daemon.cycle.replies import Replies
+from linemate.daemon.cycle.samples import SensorQueues
 from linemate.daemon.cycle.session import Session
 from linemate.daemon.cycle.step_log import StepLog
 from linemate.protocol.exchange import Exchange
@@ -28,16 +28,16 @@ CALLED: tuple[tuple[Any, str], ...] = (
     (Session, "settle"),
     (Session, "give"),
     (Session, "remember"),
-    (Feeds, "take"),
-    (Following, "moving"),
-    (Following, "sent"),
+    (SensorQueues, "drain"),
+    (FollowingCheck, "check_moving"),
+    (FollowingCheck, "add_command"),
     (Replies, "prepare"),
-    (StepLog, "put"),
+    (StepLog, "push"),
     (Operating, "_facts"),
     (watch, "observe"),
     (states, "transition"),
     (states, "order"),
-    (following, "gap"),
+    (following_error, "gap_after_stop"),
     (stepping, "plan"),
     (stepping, "finish"),
 )
@@ -86,7 +86,7 @@ def test_an_exception_anywhere_in_a_cycle_ends_the_motion_and_not_the_daemon(
     simulation.live()
     if not raised:
         # A gap is of no interest in contact.
-        assert (what[1], at_s) == ("gap", CONTACT_S)
+        assert (what[1], at_s) == ("gap_after_stop", CONTACT_S)
         return
     # It is counted, and that is all that any oracle has to say. A reply that went out in haste,
     # before its telegram was judged, is one that its telegram then did not get.

@@ -4,7 +4,7 @@ import statistics
 import time
 from pathlib import Path
 
-from linemate.daemon.cycle.cycle import LogEntry
+from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.recording.recorder import Recorder
 from linemate.simulators.harness import lockstep, setup
 

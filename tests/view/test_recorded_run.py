@@ -11,7 +11,7 @@ from msgspec.structs import astuple
 
 from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.cycle.clock.timing import CycleTimes
-from linemate.daemon.cycle.cycle import LogEntry
+from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.recording.format import Item, ItemKind, UnreadableRecordingError
 from linemate.daemon.recording.reader import read as read_steps
 from linemate.daemon.recording.step_file import StepFile

@@ -25,7 +25,7 @@ from typing import Any, Final
 from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.step import StepState, initial, step
-from linemate.daemon.cycle.cycle import LogEntry
+from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.operator import doctor
 from linemate.daemon.service.awake import Awake
 from linemate.daemon.transport.client import NoAnswerError, RefusedError

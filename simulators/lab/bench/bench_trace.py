@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from linemate.daemon.cycle.cycle import LogEntry
+    from linemate.daemon.cycle.step_log import LogEntry
 
 DISTANCE_NS = 4_000_000
 """A distance sensor speaks no faster than this, however short the cycle is [ns]."""

@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from linemate.daemon.cycle.cycle import Cycle, LogEntry
+from linemate.daemon.cycle.cycle import Cycle
 from linemate.daemon.cycle.states import Link, Machine, Signals, State
+from linemate.daemon.cycle.step_log import LogEntry
 from linemate.simulators.devices.limit_judge import LimitJudge
 
 MOST_EVIDENCE = 5

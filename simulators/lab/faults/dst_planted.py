@@ -21,8 +21,8 @@ from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.tracking import tracker
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
 from linemate.daemon.cycle import states, watch
-from linemate.daemon.cycle.feeds import Feeds, Taken
 from linemate.daemon.cycle.replies import Replies
+from linemate.daemon.cycle.samples import SensorQueues, StepSamples
 from linemate.daemon.cycle.sensor_health import CameraHealth, DistanceHealth, WrenchHealth
 from linemate.daemon.cycle.session import Session
 from linemate.daemon.cycle.states import Link, Machine, State
@@ -108,27 +108,27 @@ def _distance_off() -> list[Patch]:
 
     return [
         (DistanceDecoder, "decode", decode),
-        (DistanceHealth, "believes", lambda _self, _sample, _deviation: True),
+        (DistanceHealth, "accepts", lambda *_: True),
     ]
 
 
 def _overload_never() -> list[Patch]:
-    whole = Feeds.take
+    whole = SensorQueues.drain
 
-    def take(self: Feeds, *args: Any, **options: Any) -> Taken:
-        taken = whole(self, *args, **options)
+    def drain(self: SensorQueues, *args: Any) -> StepSamples:
+        samples = whole(self, *args)
         self.overloaded = False
-        return taken
+        return samples
 
-    return [(Feeds, "take", take)]
+    return [(SensorQueues, "drain", drain)]
 
 
 def _every_sample_believed() -> list[Patch]:
     return [
-        (DistanceHealth, "believes", lambda _self, _sample, _deviation: True),
-        (CameraHealth, "believes", lambda _self, _sample, **_: True),
+        (DistanceHealth, "accepts", lambda *_: True),
+        (CameraHealth, "accepts", lambda *_: True),
         (CameraHealth, "contradicts", property(lambda _: False)),
-        (WrenchHealth, "believes", lambda _self, _sample, **_: True),
+        (WrenchHealth, "accepts", lambda *_: True),
     ]
 
 
@@ -244,7 +244,7 @@ ERRORS: dict[str, Callable[[], list[Patch]]] = {
     "link-never-lost": _healthy,
     "wrench-crc-unchecked": _crc_unchecked,
     "coasting-3-s": lambda: _settings(position_in_contact_s=COASTING_S, wrench_s=COASTING_S),
-    "following-error-never": lambda: _facts(astray=lambda _: False),
+    "following-error-never": lambda: _facts(following_error=lambda _: False),
     "gate-open": _gate_open,
     "stops-dead": _stops_dead,
     "delay-ignored": _delay_ignored,

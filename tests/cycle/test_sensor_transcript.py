@@ -7,12 +7,18 @@ sides; ``cycle/test_sensor_health.py`` has them on sensors that measure. See ``t
 import pytest
 from transcripts import Chance, Transcript
 
-from linemate.daemon.cycle.sensor_health import CameraHealth, DistanceHealth, Health, WrenchHealth
+from linemate.daemon.cycle.sensor_health import (
+    CameraHealth,
+    Conditions,
+    DistanceHealth,
+    Health,
+    WrenchHealth,
+)
 from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
 
 MS = 1_000_000
-QUIET = 0.25e-3
-"""The standard deviation of a good distance sensor [m]."""
+QUIET = Conditions(moving=False, deviation=0.25e-3)
+MOVING = Conditions(moving=True, deviation=0.25e-3)
 
 
 def test_three_bad_of_the_last_five_put_a_sensor_out_and_two_do_not() -> None:
@@ -72,7 +78,7 @@ def at_rest(samples: int, apart_ms: int = 10) -> tuple[DistanceHealth, int]:
     """A conveyor that stands at 1 m, and the stamp of its last reading."""
     health = DistanceHealth()
     for n in range(samples):
-        assert health.believes(DistanceSample(n * apart_ms * MS, 1.0), QUIET)
+        assert health.accepts(DistanceSample(n * apart_ms * MS, 1.0), QUIET)
     return health, (samples - 1) * apart_ms * MS
 
 
@@ -80,13 +86,13 @@ def at_rest(samples: int, apart_ms: int = 10) -> tuple[DistanceHealth, int]:
     ("samples", "pause_ms", "deviation", "borne"),
     [
         # Counted from the middle one of the last three: 10 ms more than the pause.
-        (40, 10, QUIET, 0.03 + 0.5 * 0.02**2),
-        (40, 990, QUIET, 0.03 + 0.5 * 1.0**2),
-        (40, 1990, QUIET, 0.03 + 0.5 * 2.0**2),
+        (40, 10, 0.25e-3, 0.03 + 0.5 * 0.02**2),
+        (40, 990, 0.25e-3, 0.03 + 0.5 * 1.0**2),
+        (40, 1990, 0.25e-3, 0.03 + 0.5 * 2.0**2),
         (40, 10, 0.01, 0.06 + 0.5 * 0.02**2),
         (40, 10, 0.004, 0.03 + 0.5 * 0.02**2),
-        (3, 10, QUIET, 0.03 + 0.5 * 0.02**2 + 1.0 * 0.02),
-        (5, 490, QUIET, 0.03 + 0.5 * 0.5**2 + 1.0 * 0.5),
+        (3, 10, 0.25e-3, 0.03 + 0.5 * 0.02**2 + 1.0 * 0.02),
+        (5, 490, 0.25e-3, 0.03 + 0.5 * 0.5**2 + 1.0 * 0.5),
     ],
 )
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -96,26 +102,26 @@ def test_a_distance_may_be_off_by_so_much_and_no_more(
     for share, is_believed in ((0.999, True), (1.001, False)):
         health, last_ns = at_rest(samples)
         sample = DistanceSample(last_ns + pause_ms * MS, 1.0 + sign * share * borne)
-        assert health.believes(sample, deviation) is is_believed
+        assert health.accepts(sample, Conditions(moving=False, deviation=deviation)) is is_believed
 
 
 def test_two_readings_are_too_few_to_call_a_third_one_a_jump() -> None:
     health, last_ns = at_rest(2)
-    assert health.believes(DistanceSample(last_ns + 10 * MS, 50.0), QUIET)
-    assert not health.believes(DistanceSample(last_ns + 20 * MS, 50.0), QUIET)
+    assert health.accepts(DistanceSample(last_ns + 10 * MS, 50.0), QUIET)
+    assert not health.accepts(DistanceSample(last_ns + 20 * MS, 50.0), QUIET)
 
 
 @pytest.mark.parametrize(("samples", "is_known"), [(5, False), (6, True)])
 def test_the_speed_is_known_from_six_readings_over_150_ms(samples: int, is_known: bool) -> None:
     health, last_ns = at_rest(samples, apart_ms=50)
     far = DistanceSample(last_ns + 50 * MS, 1.0 + 0.03 + 0.5 * 0.1**2 + 0.09)
-    assert health.believes(far, QUIET) is not is_known
+    assert health.accepts(far, QUIET) is not is_known
     close, last_ns = at_rest(16)
     near = DistanceSample(last_ns + 10 * MS, 1.0 + 0.045)
-    assert close.believes(near, QUIET)  # 130 ms from middle to middle
+    assert close.accepts(near, QUIET)  # 130 ms from middle to middle
     close, last_ns = at_rest(18)
     near = DistanceSample(last_ns + 10 * MS, 1.0 + 0.045)
-    assert not close.believes(near, QUIET)  # 150 ms
+    assert not close.accepts(near, QUIET)  # 150 ms
 
 
 def moving(speed: float, unit: float = 0.0) -> tuple[DistanceHealth, int, float]:
@@ -124,7 +130,7 @@ def moving(speed: float, unit: float = 0.0) -> tuple[DistanceHealth, int, float]
     for n in range(60):
         place = speed * n * 0.01
         place = round(place / unit) * unit if unit else place
-        assert health.believes(DistanceSample(n * 10 * MS, place), QUIET)
+        assert health.accepts(DistanceSample(n * 10 * MS, place), QUIET)
     return health, 59 * 10 * MS, place
 
 
@@ -134,10 +140,10 @@ def test_what_was_quicker_than_50_mm_a_second_and_stands_for_150_ms_is_stuck(
 ) -> None:
     health, last_ns, place = moving(speed)
     assert all(
-        health.believes(DistanceSample(last_ns + n * 10 * MS, place), QUIET) for n in range(15)
+        health.accepts(DistanceSample(last_ns + n * 10 * MS, place), QUIET) for n in range(15)
     )
-    assert health.believes(DistanceSample(last_ns + 149_999_999, place), QUIET)
-    assert health.believes(DistanceSample(last_ns + 150_000_000, place), QUIET) is not is_stuck
+    assert health.accepts(DistanceSample(last_ns + 149_999_999, place), QUIET)
+    assert health.accepts(DistanceSample(last_ns + 150_000_000, place), QUIET) is not is_stuck
 
 
 @pytest.mark.parametrize(("unit", "longest_ms"), [(0.01, 150), (0.03, 450)])
@@ -149,7 +155,7 @@ def test_a_coarse_sensor_stands_for_the_time_of_one_and_a_half_units(
         n * 10 * MS for n in range(60) if round(0.1 * n * 0.01 / unit) * unit == place
     )
     said = [
-        health.believes(DistanceSample(changed_ns + ms * MS, place), QUIET)
+        health.accepts(DistanceSample(changed_ns + ms * MS, place), QUIET)
         for ms in range((last_ns - changed_ns) // MS + 1, longest_ms + 40)
     ]
     first = said.index(False) + (last_ns - changed_ns) // MS + 1
@@ -164,33 +170,33 @@ def image(n: int, x: float, w: float = 1.0) -> CameraSample:
 
 def test_the_fourth_pose_alike_puts_a_camera_out_at_once() -> None:
     health = CameraHealth()
-    assert [health.believes(image(n, 0.5), moving=True) for n in range(4)] == [True] * 3 + [False]
+    assert [health.accepts(image(n, 0.5), MOVING) for n in range(4)] == [True] * 3 + [False]
     assert health.reason == "4 poses alike"
     assert health.outs == 1
     turned = CameraHealth()
-    assert all(turned.believes(image(n, 0.5, 1.0 - 1e-9 * n), moving=True) for n in range(20))
+    assert all(turned.accepts(image(n, 0.5, 1.0 - 1e-9 * n), MOVING) for n in range(20))
     # Each standstill begins anew.
     for n in range(12):
-        assert turned.believes(image(n, 0.5), moving=n % 3 != 0)
+        assert turned.accepts(image(n, 0.5), Conditions(n % 3 != 0, 0.0))
     assert turned.refused == 0
 
 
 def test_eight_refused_poses_in_a_row_contradict_and_seven_do_not() -> None:
     health = CameraHealth()
     for _ in range(7):
-        health.answered(1, 1)
-    health.answered(0, 0)
+        health.add_result(1, 1)
+    health.add_result(0, 0)
     assert not health.contradicts
-    health.answered(1, 2)
+    health.add_result(1, 2)
     assert health.contradicts
     many = CameraHealth()
-    many.answered(3, 3)
-    many.answered(4, 4)
+    many.add_result(3, 3)
+    many.add_result(4, 4)
     assert not many.contradicts
-    many.answered(2, 1)
-    many.answered(7, 7)
+    many.add_result(2, 1)
+    many.add_result(7, 7)
     assert not many.contradicts
-    many.answered(1, 1)
+    many.add_result(1, 1)
     assert many.contradicts
 
 
@@ -200,14 +206,14 @@ def felt(n: int, force: float, torque: float = 0.0) -> WrenchSample:
 
 def test_the_25th_wrench_alike_puts_a_sensor_out_at_once() -> None:
     health = WrenchHealth()
-    said = [health.believes(felt(n, 7.0), moving=True) for n in range(25)]
+    said = [health.accepts(felt(n, 7.0), MOVING) for n in range(25)]
     assert said == [True] * 24 + [False]
     assert (health.reason, health.outs) == ("25 wrenches alike", 1)
-    assert not health.believes(felt(30, 8.0), moving=True)
+    assert not health.accepts(felt(30, 8.0), MOVING)
     twisted = WrenchHealth()
-    assert all(twisted.believes(felt(n, 7.0, 1e-9 * n), moving=True) for n in range(60))
+    assert all(twisted.accepts(felt(n, 7.0, 1e-9 * n), MOVING) for n in range(60))
     for n in range(100):
-        assert twisted.believes(felt(n, 7.0), moving=n % 24 != 0)
+        assert twisted.accepts(felt(n, 7.0), Conditions(n % 24 != 0, 0.0))
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -218,10 +224,7 @@ def test_a_hundred_thousand_newtons_are_measured_and_more_is_not(sign: float) ->
         (0.0, 1e5, True),
         (0.0, 1.00001e5, False),
     ):
-        assert (
-            WrenchHealth().believes(felt(0, sign * force, sign * torque), moving=True)
-            is is_believed
-        )
+        assert WrenchHealth().accepts(felt(0, sign * force, sign * torque), MOVING) is is_believed
 
 
 def _distances(told: Transcript, chance: Chance) -> None:
@@ -241,7 +244,8 @@ def _distances(told: Transcript, chance: Chance) -> None:
         if not stuck:
             reading = shown
         sample = DistanceSample(stamp_ns, reading if stuck else shown)
-        told.say(health.believes(sample, chance.pick((QUIET, QUIET, 0.004, 0.006))))
+        deviation = chance.pick((0.25e-3, 0.25e-3, 0.004, 0.006))
+        told.say(health.accepts(sample, Conditions(moving=False, deviation=deviation)))
         told.say(health.status(stamp_ns + 5 * MS))
 
 

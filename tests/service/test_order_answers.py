@@ -8,10 +8,10 @@ from loops import run
 
 from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.cycle import watch
-from linemate.daemon.cycle.answers import CYCLES, Answers
-from linemate.daemon.cycle.feeds import Feeds
 from linemate.daemon.cycle.operating import Operating, Situation
+from linemate.daemon.cycle.samples import SensorQueues
 from linemate.daemon.cycle.states import Link, Machine, Signals, State
+from linemate.daemon.service.order_answers import CYCLES, Answers
 
 CYCLE_S = 0.012
 FIT = Signals(Link.HEALTHY, True, True, True)
@@ -29,7 +29,7 @@ def decide(made: Operating, monkeypatch: pytest.MonkeyPatch, **changes: bool) ->
     orders = dict.fromkeys(made._orders, True)
     seen = replace(FIT, **orders, **changes)
     monkeypatch.setattr(watch, "observe", lambda before, *_: (before, seen))
-    made.decide(1, Feeds(), SITUATION, telegram=True)
+    made.decide(1, SensorQueues(), SITUATION, telegram=True)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,221 @@
+"""Sensor samples that wait for the next step: one queue a sensor, with its clock and its health.
+
+Invariants:
+- Bounded. The oldest sample is dropped and counted.
+- A drained sample has its date, and its sensor is healthy.
+- A step takes the samples that came before it, and waits for none.
+"""
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from math import sqrt
+from typing import Any, Generic
+
+from msgspec import Struct
+
+from linemate.daemon.cycle.sensor_health import (
+    CameraHealth,
+    Conditions,
+    DistanceHealth,
+    Health,
+    Sample,
+    WrenchHealth,
+)
+from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
+from linemate.protocol.sensors.even_clock import EvenClock
+from linemate.protocol.sensors.wrench_clock import WrenchClock
+
+DISTANCES, POSES, WRENCHES = 32, 16, 64  # samples that may wait
+
+
+class SensorFact(Struct, frozen=True):
+    """One sensor at one moment.
+
+    Attributes:
+        stamp_ns: of its newest accepted sample [ns], None before the first one.
+        excluded: why its samples are refused, None if they are accepted.
+    """
+
+    stamp_ns: int | None = None
+    excluded: str | None = None
+
+
+class SampleQueue(Generic[Sample]):
+    """Samples of one sensor: dated, bounded, accepted by the sensor's health.
+
+    Attributes:
+        newest_ns: stamp of the newest accepted sample [ns].
+        dropped: samples for which there was no space.
+    """
+
+    __slots__ = ("_date", "_date_batch", "_health", "_samples", "dropped", "newest_ns")
+
+    def __init__(
+        self,
+        size: int,
+        health: Health[Sample],
+        *,
+        date: Callable[[Sample], Sample] | None = None,
+        date_batch: Callable[[Sequence[Sample]], Sequence[Sample]] | None = None,
+    ) -> None:
+        """Begin empty.
+
+        Args:
+            size: samples that may wait.
+            health: accepts or refuses samples.
+            date: dates each sample by the sensor's own clock.
+            date_batch: dates what is drained, for sensors without a clock.
+        """
+        self._samples: deque[Sample] = deque(maxlen=size)
+        self._health: Health[Sample] = health
+        self._date: Callable[[Sample], Sample] | None = date
+        self._date_batch: Callable[[Sequence[Sample]], Sequence[Sample]] | None = date_batch
+        self.newest_ns: int | None = None
+        self.dropped = 0
+
+    def push(self, sample: Sample) -> None:
+        """Add the newest sample."""
+        if len(self._samples) == self._samples.maxlen:
+            self.dropped += 1
+        self._samples.append(sample if self._date is None else self._date(sample))
+
+    def drain(self, conditions: Conditions) -> tuple[Sample, ...]:
+        """Return the accepted samples since the last call, oldest first."""
+        if not self._samples:
+            return ()
+        samples: Sequence[Sample] = tuple(self._samples)
+        self._samples.clear()
+        if self._date_batch is not None:
+            samples = self._date_batch(samples)
+        accepted = tuple([s for s in samples if self._health.accepts(s, conditions)])
+        if accepted:
+            self.newest_ns = accepted[-1].stamp_ns
+        return accepted
+
+    @property
+    def fact(self) -> SensorFact:
+        """When the sensor's newest sample came, and whether it is excluded."""
+        return SensorFact(self.newest_ns, self._health.reason)
+
+
+class StepSamples(Struct, frozen=True):
+    """The samples of one step, oldest first."""
+
+    distance: tuple[DistanceSample, ...]
+    camera: tuple[CameraSample, ...]
+    wrench: tuple[WrenchSample, ...]
+
+
+class SensorQueues:
+    """The queues of the three sensors.
+
+    The camera's decoder maps the camera's clock, so that its poses come dated.
+
+    Attributes:
+        overloaded: of the forces drained last, two in a row were beyond the limit.
+        overload_n: the last force beyond the limit, and the limit [N]; None before one.
+    """
+
+    __slots__ = (
+        "_distance_clock",
+        "_was_beyond",
+        "camera",
+        "camera_health",
+        "distance",
+        "distance_health",
+        "overload_n",
+        "overloaded",
+        "wrench",
+        "wrench_health",
+    )
+
+    def __init__(self) -> None:
+        self.distance_health = DistanceHealth()
+        self.camera_health = CameraHealth()
+        self.wrench_health = WrenchHealth()
+        self._distance_clock = EvenClock()
+        self.distance = SampleQueue(
+            DISTANCES, self.distance_health, date_batch=self._distance_clock.date
+        )
+        self.camera = SampleQueue(POSES, self.camera_health)
+        self.wrench = SampleQueue(WRENCHES, self.wrench_health, date=WrenchClock().date)
+        self.overloaded = False
+        self.overload_n: tuple[float, float] | None = None
+        self._was_beyond = False
+
+    def drain(self, conditions: Conditions, force_limit: float) -> StepSamples:
+        """Return the samples of a step.
+
+        Args:
+            conditions: of the step.
+            force_limit: that the tool bears [N].
+        """
+        distance = self.distance.drain(conditions)
+        camera = self.camera.drain(conditions)
+        wrench = self.wrench.drain(conditions)
+        self.overloaded = False
+        for sample in wrench:
+            self._check_overload(sample, force_limit)
+        return StepSamples(distance, camera, wrench)
+
+    def _check_overload(self, sample: WrenchSample, limit: float) -> None:
+        x, y, z = sample.force
+        square = x * x + y * y + z * z
+        is_beyond = square > limit * limit
+        if is_beyond:
+            self.overload_n = sqrt(square), limit
+        self.overloaded |= is_beyond and self._was_beyond
+        self._was_beyond = is_beyond
+
+    def facts(self) -> dict[str, SensorFact]:
+        """Return when each sensor's newest sample came, and whether it is excluded."""
+        return {
+            "distance": self.distance.fact,
+            "camera": self.camera.fact,
+            "force_torque": self.wrench.fact,
+        }
+
+    @property
+    def newest_ns(self) -> int | None:
+        """Stamp of the newest position, distance or camera [ns]."""
+        stamps = self._position_stamps()
+        return max(stamps) if stamps else None
+
+    @property
+    def slower_ns(self) -> int | None:
+        """Stamp of the newest sample of that of the two whose newest is older [ns]."""
+        stamps = self._position_stamps()
+        return min(stamps) if stamps else None
+
+    def _position_stamps(self) -> list[int]:
+        stamps = (self.distance.newest_ns, self.camera.newest_ns)
+        return [stamp_ns for stamp_ns in stamps if stamp_ns is not None]
+
+    def status(self, now_ns: int) -> dict[str, Any]:
+        """Return each sensor's health, drops, and the age of its newest sample [s]."""
+        newest = {
+            "position": self.newest_ns,
+            "distance": self.distance.newest_ns,
+            "camera": self.camera.newest_ns,
+            "wrench": self.wrench.newest_ns,
+        }
+        return {
+            "sensors": {
+                "distance": self.distance_health.status(now_ns),
+                "camera": {
+                    **self.camera_health.status(now_ns),
+                    "contradicts": self.camera_health.contradicts,
+                },
+                "wrench": self.wrench_health.status(now_ns),
+            },
+            "redated": {"distance": self._distance_clock.redated},
+            "dropped": {
+                "distance": self.distance.dropped,
+                "camera": self.camera.dropped,
+                "wrench": self.wrench.dropped,
+            },
+            "ages_s": {
+                name: None if stamp_ns is None else (now_ns - stamp_ns) * 1e-9
+                for name, stamp_ns in newest.items()
+            },
+        }

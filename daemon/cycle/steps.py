@@ -1,0 +1,325 @@
+"""Sampling steps of the daemon: make one, finish one again, remember the last.
+
+Invariants:
+- The operating state is decided before the pure step is made.
+- A step is planned once. It is finished again if the robot did not get the command as assumed.
+- A step that the recorder has not read yet is kept, up to ``LONGEST_LOG``.
+"""
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from linemate.daemon.config.watch_settings import WatchSettings
+from linemate.daemon.core import step as stepping
+from linemate.daemon.core.inputs import Inputs
+from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.cycle import states
+from linemate.daemon.cycle.causes import Change
+from linemate.daemon.cycle.following_error import FollowingCheck
+from linemate.daemon.cycle.operating import Operating, Situation
+from linemate.daemon.cycle.replies import Replies
+from linemate.daemon.cycle.samples import SensorQueues
+from linemate.daemon.cycle.sensor_health import Conditions
+from linemate.daemon.cycle.session import Axes, Session, standing
+from linemate.daemon.cycle.states import Machine, State
+from linemate.daemon.cycle.step_log import LogEntry, StepLog
+from linemate.protocol.rsi.codec import PreparedReply, RsiCodec
+from linemate.protocol.samples import RobotSample
+
+PROGRAMMED_S = 1000.0  # a blend this long lets the program alone lead the motion [s]
+CATCH_UP_S = 0.3  # steps made at once after a gap, at most [s]
+
+_MOVES = frozenset({"arm", "start"})
+
+
+class PreparedStep(Struct, frozen=True):
+    """A step made before its telegram, what it planned, and its reply without the IPOC."""
+
+    reply: PreparedReply
+    entry: LogEntry
+    plan: stepping.StepPlan
+
+
+class Stepper:
+    """Makes the sampling steps.
+
+    Attributes:
+        parameters: of the step.
+        operating: decides what the daemon may do.
+        samples: of the sensors, for the next step.
+        session: the controller's program.
+        following: compares the robot's position with its commands.
+        last: the last step.
+        steps: made in all.
+        remade: steps finished again, because the robot did not get a command as assumed.
+        repeated: telegrams answered with a step that the timer had made, finished again.
+    """
+
+    def __init__(
+        self,
+        parameters: Parameters,
+        codec: RsiCodec,
+        settings: WatchSettings,
+        *,
+        absolute: bool,
+        wrench_expected: bool,
+    ) -> None:
+        self.parameters = parameters
+        self.operating = Operating(settings, parameters.cycle_s, wrench_expected=wrench_expected)
+        self.samples = SensorQueues()
+        self.session = Session(parameters.cycle_s, absolute=absolute)
+        self.following = FollowingCheck(settings.follow_s, parameters.cycle_s)
+        self.last: LogEntry | None = None
+        self.steps = self.remade = self.repeated = 0
+        self._replies = Replies(codec, absolute=absolute)
+        self._log = StepLog()
+        self._state: stepping.StepState | None = None
+        self._before: stepping.Outputs | None = None  # of the step before ``last``
+        self._plan: stepping.StepPlan | None = None  # of ``last``, None if the session is new
+        self._given: LogEntry | None = None  # the last step that a reply carried
+        self._ready: PreparedStep | None = None
+        self._robot: RobotSample | None = None  # for the next step
+        self._stamp_ns = 0
+        self._new_parameters: Parameters | None = None
+        self._restarts_state = False
+
+    @property
+    def machine(self) -> Machine:
+        """The operating state."""
+        return self.operating.machine
+
+    def order(self, op: str, who: str = "") -> str | None:
+        """Take an operator's order for the next step.
+
+        Args:
+            op: arm, start, stop, retreat or ack.
+
+        Returns:
+            None, or why it is refused.
+        """
+        if op in _MOVES and self.session.unproven is not None:
+            return self.session.unproven
+        return self.operating.order(op, self._situation(), who)
+
+    def take_changes(self) -> list[Change]:
+        """Return the changes of the operating state since the last call, oldest first."""
+        return self.operating.take_changes()
+
+    def take_log(self) -> list[LogEntry]:
+        """Return the steps since the last call, oldest first; to be called after the reply."""
+        return self._log.drain()
+
+    @property
+    def log_dropped(self) -> int:
+        """Steps that were not read from the log in time."""
+        return self._log.dropped
+
+    def swap(self, parameters: Parameters, *, restarts: bool = False) -> None:
+        """Use other parameters from the next step on.
+
+        Args:
+            parameters: of the same cycle time.
+            restarts: the step's state does not fit them and begins again where the robot stands.
+                Only for a robot that does (``stands``).
+        """
+        self._new_parameters = parameters
+        self._restarts_state |= restarts
+
+    def set_watch(self, settings: WatchSettings) -> None:
+        """Use other time-outs and debounce from the next step on."""
+        self.operating.settings = settings
+
+    @property
+    def stands(self) -> bool:
+        """Whether the robot is at rest and nothing is about to move it."""
+        return self.operating.rests and (self._state is None or not self._state.moving)
+
+    def trial(self) -> tuple[stepping.StepState, Inputs] | None:
+        """Return the state and the inputs of the last step, to try parameters on."""
+        if self.last is None or self.last.before is None:
+            return None
+        return self.last.before, self.last.inputs
+
+    def _apply_swap(self, parameters: Parameters) -> None:
+        self.parameters, self._new_parameters = parameters, None
+        if self._restarts_state and self._state is not None:
+            held = tuple(self._state.control.gate.position.tolist())
+            robot = RobotSample(self._stamp_ns, 0, held[:6], held[6:])
+            self._state = stepping.initial(self.parameters, robot)
+            self._plan = None
+        self._restarts_state = False
+
+    def _restart(self, robot: RobotSample, held: Axes) -> None:
+        """Begin a session with a robot that holds."""
+        self.following.reset(held)
+        self.operating.has_new_session = self._state is not None
+        position, before = standing(robot, held), self._state
+        if before is not None and stepping.is_engaged(before, self.parameters, position):
+            self._state = stepping.resumed(self.parameters, before, position)
+        else:
+            self._state = stepping.initial(self.parameters, position)
+        self._robot = robot
+        self._ready = self._plan = None
+
+    def _finish_again(self, last: LogEntry, plan: stepping.StepPlan, ipoc: int) -> LogEntry:
+        """Return the last step once more, with what the telegram tells of the robot.
+
+        The clock has made the step of this telegram, or of a later one. Another step would be one
+        more than the controller has cycles, and the object would be predicted farther and farther
+        ahead.
+        """
+        sent, applied, pace = self._delivery(answering=True)
+        before, made_with = last.before, last.parameters
+        assert before is not None and made_with is not None and last.after is not None  # noqa: PT018, S101
+        if sent:
+            # The robot has the command of this very step, and goes on towards what it desired.
+            gate = last.after.control.gate
+            before = replace(before, control=replace(before.control, gate=gate))
+        inputs = replace(last.inputs, sent=sent, applied=applied, pace=pace)
+        self._state, outputs = stepping.finish(before, plan, inputs, made_with)
+        entry = replace(
+            last, ipoc=ipoc, inputs=inputs, outputs=outputs, before=before, after=self._state
+        )
+        self.repeated += 1
+        self._replan_ready()
+        self._add(entry, plan)
+        return entry
+
+    def _replan_ready(self) -> None:
+        """Make the step that is ready once more: the state before it is another one."""
+        ready = self._ready
+        if ready is None:
+            return
+        inputs, made_with = ready.entry.inputs, ready.entry.parameters
+        assert made_with is not None  # noqa: S101 - as _step made it
+        before = self._opened()
+        inputs = replace(inputs, sent=True, applied=None, pace=None)
+        plan = stepping.plan(before, inputs, made_with)
+        self._state, outputs = stepping.finish(before, plan, inputs, made_with)
+        entry = replace(
+            ready.entry, inputs=inputs, outputs=outputs, before=before, after=self._state
+        )
+        self._ready = PreparedStep(self._reply(entry), entry, plan)
+
+    def _opened(self) -> stepping.StepState:
+        assert self._state is not None  # noqa: S101 - a session is open
+        return self._state
+
+    def _confirmed(self, ready: PreparedStep, *, answering: bool = False) -> PreparedStep:
+        """Return a prepared step, finished once more if what it assumed of the robot is not so."""
+        sent, applied, pace = self._delivery(answering=answering)
+        inputs = ready.entry.inputs
+        if (inputs.sent, inputs.applied, inputs.pace) == (sent, applied, pace):
+            return ready
+        self.remade += 1
+        inputs = replace(inputs, sent=sent, applied=applied, pace=pace)
+        before, made_with = ready.entry.before, ready.entry.parameters
+        assert before is not None and made_with is not None  # noqa: PT018, S101 - as _step made it
+        self._state, outputs = stepping.finish(before, ready.plan, inputs, made_with)
+        entry = replace(ready.entry, inputs=inputs, outputs=outputs, after=self._state)
+        return PreparedStep(self._reply(entry), entry, ready.plan)
+
+    def _delivery(self, *, answering: bool) -> tuple[bool, Axes | None, tuple[Axes, Axes] | None]:
+        """Return whether the last step's command is the robot's, where it is if not, and its pace.
+
+        Args:
+            answering: a telegram tells that no cycle has passed. Until then a robot that got no
+                command is one that holds.
+        """
+        session, given = self.session, self._given
+        if session.arrived:
+            return True, None, None
+        if not (answering and session.moves) or given is None or given.after is None:
+            return False, session.held, None
+        gate = given.after.control.gate
+        return False, session.held, (tuple(gate.speed.tolist()), tuple(gate.acceleration.tolist()))
+
+    def _catch_up(self, stamp_ns: int, steps: int) -> None:
+        """Make the steps of cycles whose telegrams did not come and were not missed yet."""
+        period = round(self.parameters.cycle_s * 1e9)
+        most = max(1, round(CATCH_UP_S / self.parameters.cycle_s))
+        for back in range(min(steps, most) - 1, 0, -1):
+            self._step_unsent(self._opened(), stamp_ns - back * period)
+
+    def _step_unsent(self, state: stepping.StepState, stamp_ns: int) -> None:
+        """Make the step of a cycle that gets no corrections."""
+        self._add(*self._step(state, stamp_ns, telegram=False))
+        self.session.was_sent = False
+
+    def _add_unsent(self, ready: PreparedStep) -> None:
+        self._add(ready.entry, ready.plan)
+        self.session.was_sent = False
+
+    def _step(
+        self,
+        state: stepping.StepState,
+        stamp_ns: int,
+        *,
+        telegram: bool,
+        answering: bool = False,
+        ipoc: int | None = None,
+    ) -> tuple[LogEntry, stepping.StepPlan]:
+        """Make one sampling step: operating state first, then the pure step."""
+        settings = self.parameters.tracker.settings
+        moving = self.machine.state in states.MOVING
+        conditions = Conditions(moving, settings.distance.deviation)
+        samples = self.samples.drain(conditions, settings.tactile.overload_force)
+        if self._new_parameters is not None:
+            self._apply_swap(self._new_parameters)
+            state = self._opened()
+        before = self.machine
+        self.operating.decide(stamp_ns, self.samples, self._situation(), telegram=telegram)
+        started = self.machine is not before and self.machine.state is State.TRACK
+        sent, applied, pace = self._delivery(answering=answering)
+        inputs = Inputs(
+            self.steps,
+            stamp_ns,
+            self._robot,
+            samples.distance,
+            samples.camera,
+            samples.wrench,
+            states.order(self.machine),
+            started,
+            sent,
+            applied,
+            pace,
+        )
+        self._robot = None
+        made_with = self.parameters
+        plan = stepping.plan(state, inputs, made_with)
+        self._state, outputs = stepping.finish(state, plan, inputs, made_with)
+        if not outputs.contact:
+            self.samples.camera_health.add_result(len(samples.camera), outputs.refused)
+        self.steps += 1
+        self._stamp_ns = stamp_ns
+        shown = self.machine.state.value
+        entry = LogEntry(ipoc, shown, inputs, outputs, state, self._state, made_with)
+        return entry, plan
+
+    def _situation(self) -> Situation:
+        """Return the robot and the task for a decision."""
+        last = None if self.last is None else self.last.outputs
+        task_time = 0.0 if last is None else last.task_time or 0.0
+        settings = self.parameters.tracker.settings
+        return Situation(
+            last,
+            self._before,
+            following_error=self.following.error,
+            # Where corrections count from is not known before the robot rests.
+            settling=self.session.held == self.session.start and not self.following.is_resting,
+            sensed=settings.merge.blend < PROGRAMMED_S,
+            last_approach=task_time > self.parameters.tracker.sight_time,
+        )
+
+    def _reply(self, entry: LogEntry) -> PreparedReply:
+        """Return the reply to a step but for the IPOC: corrections, or increments."""
+        origin = self.session.start if self._replies.absolute else self.session.held
+        outputs = entry.outputs
+        return self._replies.prepare(outputs.command, origin, outputs.digital_out)
+
+    def _add(self, entry: LogEntry, plan: stepping.StepPlan) -> None:
+        """Remember a step, for the next decision and for the log."""
+        self._before = None if self.last is None else self.last.outputs
+        self.last, self._plan = entry, plan
+        self.following.add_command(entry.outputs.command)
+        self._log.push(entry)
