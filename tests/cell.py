@@ -120,11 +120,11 @@ class World:
         return time is not None and 5.95 < time < 15.0
 
     def _wrench(self) -> WrenchSample:
-        """Nothing but a breath while free; clamped, what the mount's stiffness makes of the way."""
+        """The tool's own mass while free; clamped, what the mount's stiffness makes of the way."""
         stamp_ns = self.stamp_ns - self.period_ns
         if not self.clamped:
-            return WrenchSample(stamp_ns, (0.1, 0.2, 0.1), (0.0, 0.01, 0.0))
-        tcp, R = self._tcp()
+            return WrenchSample(stamp_ns, (0.1, 0.2, 0.1 + self._inertia()), (0.0, 0.01, 0.0))
+        tcp, R = self._tcp(self.joints)
         place, turned = object_at((stamp_ns - EPOCH_NS) * 1e-9 - LEAD_S)
         tactile = TrackingSettings().tactile
         fx, fy, fz = (R.T @ (place - tcp) * np.array(tactile.stiffness)).tolist()
@@ -132,15 +132,21 @@ class World:
         mx, my, mz = (turn * np.array(tactile.rotational_stiffness)).tolist()
         return WrenchSample(stamp_ns, (fx, fy, fz), (mx, my, mz))
 
-    def _tcp(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where the robot has its tcp now, in c."""
+    def _inertia(self) -> float:
+        """Force along the tool's axis that accelerates the tool [N]."""
+        (first, _), (middle, R), (last, _) = map(self._tcp, self.state.control.desired[:3])
+        acceleration = (first - 2.0 * middle + last) / self.parameters.cycle_s**2
+        return -self.parameters.tracker.ringing.mass * float(R[:, 2] @ acceleration)
+
+    def _tcp(self, joints: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Where the robot has its tcp with some joints, in c."""
         C = self.parameters.tracker.reference.nominal
-        position, rotation = self.parameters.controller.arm.tcp_in_base(np.array(self.joints))
+        position, rotation = self.parameters.controller.arm.tcp_in_base(np.array(joints))
         return C.T @ position, C.T @ rotation
 
     def _camera(self) -> tuple[CameraSample, ...]:
         """An image every 25 ms, a tenth of a second late, from where the robot then was."""
-        self._poses.append((self.stamp_ns - self.period_ns, *self._tcp()))
+        self._poses.append((self.stamp_ns - self.period_ns, *self._tcp(self.joints)))
         elapsed = (self.stamp_ns - EPOCH_NS) * 1e-9
         if not self.camera or self.clamped or elapsed - 0.1 < self._camera_due:
             return ()

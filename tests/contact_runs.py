@@ -28,8 +28,9 @@ def live(
     until_s: float = 9.0,
     is_reported: bool = True,
     overrides: Sequence[str] = (),
+    scenario: str = "wheel",
 ) -> Lived:
-    """Run the shipped wheel scenario, seed 0: contact at 5.9 s, standing from 6 to 9 s.
+    """Run a shipped scenario, seed 0; "wheel": contact at 5.8 s, standing from 6 to 9 s.
 
     Args:
         faults: of the sensors and links.
@@ -38,11 +39,12 @@ def live(
         until_s: end of the run [s].
         is_reported: the tool reports that the clamp is open.
         overrides: ``KEY=VALUE`` of the scenario and the task.
+        scenario: name of the shipped scenario.
     """
-    made = setup.make("wheel", overrides)
+    made = setup.make(scenario, overrides)
     contact = replace(made.scenario.contact, release_s=release_s)
-    scenario = replace(made.scenario, faults=faults, contact=contact)
-    lockstep = Lockstep(replace(made, scenario=scenario), 0)
+    truth = replace(made.scenario, faults=faults, contact=contact)
+    lockstep = Lockstep(replace(made, scenario=truth), 0)
     world, due, force = lockstep.world, list(orders), 0.0
     if not is_reported:
         tool_signals = world.digital_in
@@ -51,7 +53,7 @@ def live(
         if due and world.time_s >= due[0][0]:
             assert lockstep.cycle.order(due.pop(0)[1]) is None
         if world.contact == "clamped":
-            stiffness = scenario.effector.stiffness[:3]
+            stiffness = truth.effector.stiffness[:3]
             bent = world.deflection()[:3]
             force = max(force, math.hypot(*(k * x for k, x in zip(stiffness, bent, strict=True))))
     machine, collision = lockstep.cycle.machine, world.collision

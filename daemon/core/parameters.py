@@ -18,7 +18,8 @@ from linemate.daemon.core.tracking.conveyor import Classifier
 from linemate.daemon.core.tracking.reference import compile_reference, tabulated
 from linemate.daemon.core.tracking.settings import ClassifierKind, TrackingSettings
 from linemate.daemon.core.tracking.task import Phase, TaskFile
-from linemate.daemon.core.tracking.tracker import Foresight, Tracker, hanging
+from linemate.daemon.core.tracking.touch_profile import lengthened
+from linemate.daemon.core.tracking.tracker import Foresight, Tracker, damped_until, hanging
 from linemate.daemon.core.tracking.transverse import Transverse
 
 TOOL_AXIS = 2  # of the tcp
@@ -104,6 +105,7 @@ def build(
     along = merge.merge_matrix(tracking.merge.along, cycle_s, controller.steps - commit)
     across = merge.merge_matrix(tracking.merge.across, cycle_s, controller.steps - commit)
     camera = task.arm.camera_in_tcp
+    task = lengthened(task)
     reference = compile_reference(task)
     table = tabulated(reference, cycle_s, controller.steps)
     clock = np.arange(len(table.poses)) * cycle_s
@@ -132,10 +134,16 @@ def build(
         ahead=ahead,
         free=hanging(reference, leave, control_settings.filters.contact_blend, clock),
         ringing=contact.ringing(
-            along_tool.frequency_hz, along_tool.damping, tracking.tactile.contact_force, cycle_s
+            along_tool.frequency_hz,
+            along_tool.damping,
+            tracking.tactile.stiffness[TOOL_AXIS],
+            tracking.tactile.contact_force,
+            cycle_s,
         ),
         sight_time=reference.sight_time,
         search_time=reference.time_of(Phase.CONTACT, Phase.SCREWS),
+        press=reference.press,
+        damped_until=damped_until(reference, control_settings.filters.contact_blend),
     )
     return Parameters(tracker, controller, cycle_s, control_settings)
 

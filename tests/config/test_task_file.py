@@ -62,7 +62,7 @@ def test_a_missing_task_file_is_told(tmp_path: Path) -> None:
 
 
 def test_times_that_do_not_rise_are_told_each() -> None:
-    text = edited("time: 4.6", "time: 2.8").replace("time: 8.5, phase", "time: 1, phase")
+    text = edited("time: 4.0", "time: 2.8").replace("time: 8.5, phase", "time: 1, phase")
     assert [line.split(": ", 1)[1] for line in errors(text)] == [
         "waypoints[2].time: should be later than the waypoint before (2.8), not 2.8",
         "waypoints[4].time: should be later than the waypoint before (6), not 1",
@@ -108,7 +108,7 @@ def test_rounded_quaternions_come_out_exactly_unit() -> None:
 
 
 def test_errors_of_kind_and_of_relation_come_together() -> None:
-    text = edited("time: 4.6", "time: soon").replace("phase: screws", "phase: rest")
+    text = edited("time: 4.0", "time: soon").replace("phase: screws", "phase: rest")
     text = text.replace("time: 14.0", "time: 3")
     keys = [line.split(": ")[1] for line in errors(text)]
     assert keys == [

@@ -237,7 +237,7 @@ def test_contact_is_felt_where_the_task_plans_it_and_lost_when_the_wheel_is(
     assert len(touched) > 500
 
 
-@pytest.mark.parametrize(("touching", "counts"), [(0.0, False), (0.07, False), (0.09, True)])
+@pytest.mark.parametrize(("touching", "counts"), [(0.0, False), (0.01, False), (0.02, True)])
 def test_a_force_measures_the_object_only_after_the_clamp_has_drawn_the_tool_in(
     assembly: Told, touching: float, *, counts: bool
 ) -> None:

@@ -17,7 +17,12 @@ from dataclasses import dataclass
 from msgspec import Struct
 
 TOUCHES = 2  # steps in a row that make a contact
-NEAR = 0.008  # programmed distance to the object from which a force may be a contact [m]
+NEAR = 0.008  # least distance before the object from which a force may be a contact [m]
+MARGIN = 0.003  # or this much before the approach is slow: an object that is nearer still [m]
+
+# An object pushes a tool back. So many times the force the other way is a contact too: the sensor's
+# axis may be wrong, and the tool must not press on.
+PULL = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +33,13 @@ class Ringing:
         half: half a period, in steps and parts of one.
         kept: share of a deflection that is left after half a period, with its sign turned.
         force: what counts as contact [N].
+        mass: of the tool, on its mount's stiffness [kg].
     """
 
     half: float
     kept: float
     force: float
+    mass: float = 0.0
 
     @property
     def memory(self) -> int:
@@ -45,24 +52,28 @@ class Ringing:
         return math.ceil(2.0 * self.half)
 
 
-def ringing(frequency_hz: float, damping: float, force: float, cycle_s: float) -> Ringing:
+def ringing(
+    frequency_hz: float, damping: float, stiffness: float, force: float, cycle_s: float
+) -> Ringing:
     """Return the mode as the steps see it.
 
     Args:
         frequency_hz: of the mode along the tool's axis.
         damping: of it, as a share of critical.
+        stiffness: of the mount along that axis [N/m].
         force: what counts as contact [N].
         cycle_s: T0 [s].
     """
     half = 0.5 / (frequency_hz * cycle_s)
-    return Ringing(half, math.exp(-math.pi * damping / math.sqrt(1.0 - damping**2)), force)
+    kept = math.exp(-math.pi * damping / math.sqrt(1.0 - damping**2))
+    return Ringing(half, kept, force, stiffness / (2.0 * math.pi * frequency_hz) ** 2)
 
 
 class Feeling(Struct, frozen=True):
     """What the tool has felt.
 
     Attributes:
-        forces: along its axis, the newest last, one a step [N].
+        forces: along its axis, the newest last, one a step, without those that accelerate it [N].
         calm: steps since the robot last held against its command, as far as memory goes.
         touches: steps in a row with a contact's force.
         free: mean force of the last full period before the tool came near the object [N]; None
@@ -78,15 +89,21 @@ class Feeling(Struct, frozen=True):
 NOTHING = Feeling()
 
 
-def feel(feeling: Feeling, ringing: Ringing, force: float | None, *, held: bool) -> Feeling:
+def feel(
+    feeling: Feeling, ringing: Ringing, force: float | None, acceleration: float, *, held: bool
+) -> Feeling:
     """Return the feeling one step later.
 
     Args:
         force: along its axis [N], None if none was measured: then it is what it was.
+        acceleration: planned, along its axis [m/s^2]. The force that accelerates the tool is
+            no contact.
         held: the robot did not get the last command and held.
     """
     forces = feeling.forces
-    newest = force if force is not None else forces[-1] if forces else None
+    newest = forces[-1] if forces else None
+    if force is not None:
+        newest = force + ringing.mass * acceleration
     if newest is not None:
         forces = (*forces, newest)[-ringing.memory :]
     calm = 0 if held else min(feeling.calm + 1, ringing.memory)
@@ -110,7 +127,8 @@ def presses(feeling: Feeling, ringing: Ringing) -> bool:
     ago = -1 - int(whole)
     opposite = forces[ago] + part * (forces[ago - 1] - forces[ago])
     mean = sum(forces[: ringing.period]) / ringing.period
-    return abs(forces[-1] - mean + ringing.kept * (opposite - mean)) > ringing.force
+    push = forces[-1] - mean + ringing.kept * (opposite - mean)
+    return push < -ringing.force or push > PULL * ringing.force
 
 
 def presses_for_long(feeling: Feeling, ringing: Ringing) -> bool:
@@ -121,15 +139,16 @@ def presses_for_long(feeling: Feeling, ringing: Ringing) -> bool:
     return min(newest) > free + ringing.force or max(newest) < free - ringing.force
 
 
-def touched(feeling: Feeling, ringing: Ringing, distance: float) -> Feeling:
+def touched(feeling: Feeling, ringing: Ringing, distance: float, near: float) -> Feeling:
     """Return the feeling with its touches counted.
 
     Args:
         distance: programmed, to the object [m].
+        near: distance before the object from which a force may be a contact [m].
     """
     forces, free = feeling.forces, feeling.free
     # Beyond the estimated object too: the tool may search for it there.
-    if not -NEAR < distance < math.inf:
+    if not -near < distance < math.inf:
         if len(forces) >= ringing.period:
             free = sum(forces[-ringing.period :]) / ringing.period
         return Feeling(forces, feeling.calm, 0, free)

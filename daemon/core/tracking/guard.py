@@ -3,6 +3,7 @@
 Invariants:
     * The tool advances only while it can feel a contact and feels none.
     * It advances by at most the overrun of the task.
+    * Once contact is felt the programme presses from there, wherever the object was estimated.
 """
 
 import math
@@ -10,10 +11,12 @@ import math
 import numpy as np
 from msgspec import Struct
 
+from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.contact import Feeling, Ringing, can_feel
 from linemate.daemon.core.tracking.task import GuardedApproach
 
+PRESSING_S = 0.5  # time from the contact to the full press [s]
 PATIENCE = 2.0  # a search that cannot advance ends after so many times its duration
 
 
@@ -21,7 +24,8 @@ class Search(Struct, frozen=True):
     """How far the tool has searched for the object.
 
     Attributes:
-        reach: beyond the programme, along the tool's axis [m].
+        reach: beyond the programme, along the tool's axis [m]. Less than 0 if the object was
+            touched before it.
         lasted: time since the search began [s].
     """
 
@@ -73,3 +77,37 @@ def reached(
     changed = relative.copy()
     changed[:, 2] += np.minimum(way, guard.overrun)
     return changed
+
+
+def pressing(relative: Array, press: float, steps: int, share: Array) -> Array:
+    """Return the programmed tcp in the object (m, 6) of a tool that has touched it.
+
+    A tool that touches early would move on or back with the programme: it presses instead. The
+    press grows from 0, for a tool that has just touched still moves into the object.
+
+    Args:
+        relative: (m, 6) programmed; not written to.
+        press: programmed at the waypoint of contact, along the tool's axis [m].
+        steps: of them that are before the waypoint of contact.
+        share: (m,) of the press, from 0 to 1.
+    """
+    if steps <= 0 and share[0] >= 1.0:
+        return relative
+    changed = relative.copy()
+    changed[: max(steps, 0), 2] = press
+    changed[:, 2] = np.where(changed[:, 2] > 0.0, share * changed[:, 2], changed[:, 2])
+    return changed
+
+
+def touched_reach(tcp: Array, part: Array, force: float, stiffness: float, limit: float) -> float:
+    """Return how far beyond its estimate the object was touched [m], less than 0 if before it.
+
+    Args:
+        tcp: (6,) undeflected tcp in c.
+        part: (6,) estimated object in c.
+        force: along the tool's axis, less than 0 if it pushes the tool back [N].
+        stiffness: of the mount along that axis [N/m].
+        limit: largest distance that is believed [m].
+    """
+    depth = float(rotations.exp(part[3:])[:, 2] @ (tcp[:3] - part[:3]))
+    return min(max(depth + force / stiffness, -limit), limit)

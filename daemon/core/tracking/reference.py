@@ -1,7 +1,8 @@
 """The reference: x_r along the task's clock, and the clock with its gates.
 
 Law of this file: what is programmed, before any sensor. Poses are (6,) or (m, 6) in c; a stretch
-between two waypoints is run through by a quintic of time, each end moving as its frame does.
+between two waypoints is run through by a quintic of time, each end moving as its frame does. The
+stretch to contact has a profile of its own, whose speed near the object is bounded.
 """
 
 import math
@@ -13,6 +14,12 @@ import numpy as np
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.task import Gate, Phase, TaskFile, WaypointFrame
+from linemate.daemon.core.tracking.touch_profile import (
+    TouchProfile,
+    contact_stretch,
+    lengthened,
+    touch_profile,
+)
 from linemate.protocol.samples import Quaternion
 
 
@@ -35,6 +42,8 @@ class Reference:
         gated: times of the waypoints with a gate, and the gates, in order.
         axes: C as plain floats.
         quaternion: C as a quaternion.
+        profile: of the stretch to contact; None for a quintic there too.
+        guarded: number of that stretch, -1 without a profile.
     """
 
     nominal: Array
@@ -52,6 +61,8 @@ class Reference:
     gated: tuple[tuple[float, Gate], ...]
     axes: tuple[tuple[float, ...], ...]
     quaternion: Quaternion
+    profile: TouchProfile | None = None
+    guarded: int = -1
 
     def time_of(self, *phases: Phase) -> float:
         """Return when the first of some phases begins [s]; infinity if the task has none."""
@@ -67,6 +78,14 @@ class Reference:
         if planned == math.inf:
             return -math.inf
         return self.starts[max(bisect_left(self.starts, planned) - 1, 0)]
+
+    @property
+    def press(self) -> float:
+        """Programmed tcp in the object along its axis at the waypoint of contact [m]."""
+        planned = self.time_of(Phase.CONTACT, Phase.SCREWS)
+        if planned == math.inf:
+            return 0.0
+        return float(self.poses(np.array([planned]))[1][0, 2])
 
     def phase(self, time: float) -> Phase:
         """Return the phase at a task time."""
@@ -105,9 +124,12 @@ class Reference:
 
     def _within(self, i: int, times: Array) -> tuple[Array, Array]:
         """Return x_r and (x_o^nom)^-1 x_r (m, 6) at times of one stretch."""
-        begin, end = self.times[i], self.times[i + 1]
-        s = (np.minimum(np.maximum(times, begin), end) - begin) / (end - begin)
-        s = s * s * s * (10.0 + s * (6.0 * s - 15.0))
+        if self.profile is not None and i == self.guarded:
+            s = self.profile.share(times)
+        else:
+            begin, end = self.times[i], self.times[i + 1]
+            s = (np.minimum(np.maximum(times, begin), end) - begin) / (end - begin)
+            s = s * s * s * (10.0 + s * (6.0 * s - 15.0))
         here, there = self.points[i], self.points[i + 1]
         poses = here + s[:, None] * (there - here)
         relative = poses.copy()
@@ -122,7 +144,7 @@ class Reference:
 
 
 def compile_reference(task: TaskFile) -> Reference:
-    """Return a task's reference.
+    """Return a task's reference, of the task ``lengthened``.
 
     Raises:
         ValueError: waypoint times that do not rise, or a nominal pose whose y axis is not the
@@ -135,6 +157,9 @@ def compile_reference(task: TaskFile) -> Reference:
     times = np.array([point.time for point in task.waypoints])
     if bool((np.diff(times) <= 0.0).any()):
         raise ValueError("waypoints: their times must rise")
+    task = lengthened(task)
+    times = np.array([point.time for point in task.waypoints])
+    profile = touch_profile(task)
     points = np.zeros((len(times), 6))
     for row, point in zip(points, task.waypoints, strict=True):
         R = rotations.matrix(point.pose.quaternion)
@@ -161,6 +186,8 @@ def compile_reference(task: TaskFile) -> Reference:
         quaternion=rotations.quaternion(C),
         rest=points[0] + travels[0] * np.concatenate((origin, np.zeros(3))),
         contact_time=math.inf,
+        profile=profile,
+        guarded=-1 if profile is None else contact_stretch(task) or 0,
     )
     return replace(reference, contact_time=_touching(reference))
 

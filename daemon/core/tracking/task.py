@@ -130,9 +130,14 @@ class ToolTimes:
 class GuardedApproach:
     """The last approach: when it may begin, and the search for contact at its end.
 
+    Within ``clearance`` of the estimated object the tool approaches at ``touch_speed`` at most. The
+    stretch that ends at the waypoint of contact is lengthened if it leaves too little time for it.
     The search begins at the waypoint of contact if no contact was felt up to there.
 
     Attributes:
+        touch_speed: largest speed along the tool's axis relative to the object [m/s].
+        clearance: distance before the estimated object from which that speed holds and a contact
+            counts [m]. It must cover the error of the estimate. 0 bounds no speed.
         speed: along the tool's axis [m/s]. The motion goes on for about 0.15 s after the touch.
         overrun: largest distance beyond the waypoint [m]; without contact up to there the tool
             retreats. 0 does not search.
@@ -140,6 +145,8 @@ class GuardedApproach:
             last waypoint before contact [s]. An older one makes the tool wait there.
     """
 
+    touch_speed: Annotated[float, Ge(0.002), Le(0.1)] = 0.009
+    clearance: Annotated[float, Ge(0.0), Le(0.05)] = 0.011
     speed: Annotated[float, Gt(0.0), Le(0.02)] = 0.005
     overrun: Annotated[float, Ge(0.0), Le(0.05)] = 0.012
     sight: Annotated[float, Gt(0.0), Le(5.0)] = 0.3

@@ -13,6 +13,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array, Horizon
 from linemate.daemon.core.tracking import approach, contact, guard, linear_axis, merge, release
 from linemate.daemon.core.tracking.conveyor import (
@@ -45,7 +46,7 @@ CLEAR = 0.05  # way from the object at which a released tool has cleared it [m]
 BENT = 0.008  # a tool farther from its place is not on the object any more: the mount gives way [m]
 CLAMP_OPEN = 2  # bit of the tool's signals: the wheel is released
 LATE = 0.25  # share of the damping that is still there at contact
-SEATING = 0.08  # a contact is felt up to 0.04 s early, and a clamp closes in 0.04 s [s]
+SEATING = 0.012  # a clamp closes in 0.04 s; a contact is felt 0.03 s after the touch or later [s]
 AGREEING = 4  # readings of the distance sensor that start the filter, against an outlier first
 AGREEMENT = 0.015  # when they lie within this [m]
 
@@ -76,6 +77,8 @@ class Tracker:
         ringing: of the tool along its axis.
         sight_time: when the tool leaves its last waypoint before contact [s].
         search_time: when the tool should have touched the object at the latest [s].
+        press: programmed tcp in the object along its axis at that time [m].
+        damped_until: last task time before contact at which the tool is damped in full [s].
         foresight: the true object at a stamp [ns] and times from it (m,) [s], as positions (m, 3)
             and rotation vectors (m, 3) in c, taken instead of the estimate; an oracle, for
             campaigns only.
@@ -102,6 +105,8 @@ class Tracker:
     ringing: contact.Ringing
     sight_time: float
     search_time: float
+    press: float
+    damped_until: float
     foresight: Foresight | None = None
 
 
@@ -421,8 +426,7 @@ def track(
     span = tracker.span
     limit = _stand(tracker, state, seen.stamp_ns, retreat) if state.started else state.time
     goal, relative = tracker.table.ahead(state.time, limit, tracker.steps)
-    if retreat:
-        relative = _waiting(state, relative)
+    relative = _programmed(tracker, state, relative, retreat)
     is_searching = not retreat and _searches(tracker, state)
     if is_searching:
         state = replace(state, search=_searched(tracker, state))
@@ -451,9 +455,23 @@ def track(
     poses = merge.merge(state.poses, goal, tracker.matrices, tracker.commit)
     state = _following(tracker, state, view, along)
     state = replace(state, poses=poses, distance=float(relative[0, 2]))
-    free = _free(tracker, state.time, limit)
+    free = _free(tracker, _damping_time(tracker, state), limit)
     horizon = Horizon(poses, state.axis.positions, free, tracker.reference.nominal, tracker.commit)
     return state, horizon, report(tracker, state, view, wrench, refused, target, part)
+
+
+def _programmed(tracker: Tracker, state: TrackerState, relative: Array, retreat: bool) -> Array:
+    """Return the programmed tcp in the object (m, 6) for a tool in contact or in retreat."""
+    if state.contact:
+        relative = _pressing(tracker, state, relative)
+    return _waiting(state, relative) if retreat else relative
+
+
+def _pressing(tracker: Tracker, state: TrackerState, relative: Array) -> Array:
+    """Return the programmed tcp in the object (m, 6) of a tool in contact."""
+    before = math.ceil((tracker.search_time - state.time) / tracker.cycle_s - 1e-6)
+    share = approach.smoothstep((state.touching + tracker.span) / guard.PRESSING_S)
+    return guard.pressing(relative, tracker.press, before, share)
 
 
 def _waiting(state: TrackerState, relative: Array) -> Array:
@@ -778,16 +796,38 @@ def touched(
         # A retreat waits for the clamp already, and its own motion feels like a touch.
         return after
     force = None if report.force is None else float(report.force[2])
-    feeling = contact.feel(before.feeling, tracker.ringing, force, held=held)
+    acceleration = _planned_acceleration(tracker, before.poses)
+    feeling = contact.feel(before.feeling, tracker.ringing, force, acceleration, held=held)
     if feeling.forces:
-        feeling = contact.touched(feeling, tracker.ringing, before.distance)
+        near = max(contact.NEAR, tracker.task.guard.clearance + contact.MARGIN)
+        feeling = contact.touched(feeling, tracker.ringing, before.distance, near)
     else:
         # With a force sensor the watch ends TRACK long before: there is none in this cell.
         is_due = before.time >= tracker.search_time and not is_open
         feeling = contact.assumed(feeling, before.distance, is_due=is_due)
     made = feeling.touches >= contact.TOUCHES
     assumed = made and not feeling.forces
-    return replace(after, feeling=feeling, contact=made, assumed=assumed, touching=0.0)
+    search = after.search
+    if made and force is not None and report.part is not None and after.history is not None:
+        reach = _touched_reach(tracker, after.history, report.part, force)
+        search = guard.Search(reach, search.lasted)
+    return replace(
+        after, feeling=feeling, contact=made, assumed=assumed, touching=0.0, search=search
+    )
+
+
+def _planned_acceleration(tracker: Tracker, poses: Array) -> float:
+    """Return the acceleration along the tool's axis at the second of some poses [m/s^2]."""
+    axis = rotations.exp(poses[1, 3:])[:, 2]
+    bend = poses[0, :3] - 2.0 * poses[1, :3] + poses[2, :3]
+    return float(axis @ bend) / tracker.cycle_s**2
+
+
+def _touched_reach(tracker: Tracker, history: History, part: Array, force: float) -> float:
+    """Return how far beyond its estimate the object was touched [m]."""
+    guarded, stiffness = tracker.task.guard, tracker.settings.tactile.stiffness[2]
+    limit = max(guarded.clearance, guarded.overrun, contact.NEAR)
+    return guard.touched_reach(history.poses[-1], part, force, stiffness, limit)
 
 
 def _following(
@@ -817,6 +857,16 @@ def _following(
     return replace(state, axis=axis, departure=departure, object_left=left)
 
 
+def _damping_time(tracker: Tracker, state: TrackerState) -> float:
+    """Return the task time by which the tool is damped [s]: a clamped one is not.
+
+    A tool that touched early is in contact before its programme is.
+    """
+    if state.contact and state.time < tracker.search_time:
+        return max(state.time, tracker.damped_until + state.touching)
+    return state.time
+
+
 def _free(tracker: Tracker, time: float, limit: float) -> Array:
     """Return where over the horizon the tool hangs free (n+1,)."""
     first = round(time / tracker.cycle_s)
@@ -827,6 +877,11 @@ def _free(tracker: Tracker, time: float, limit: float) -> Array:
     if limit < math.inf:
         end = min(end, round(limit / tracker.cycle_s))
     return tracker.free[np.minimum(np.arange(first, last + 1), end)]
+
+
+def damped_until(reference: Reference, blend: float) -> float:
+    """Return the last task time before contact at which ``hanging`` is 1 [s]."""
+    return reference.contact_time - (1.0 - LATE) * blend
 
 
 def hanging(reference: Reference, leave: float, blend: float, times: Array) -> Array:

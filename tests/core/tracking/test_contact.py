@@ -6,7 +6,9 @@ import random
 import pytest
 
 from linemate.daemon.core.tracking.contact import (
+    NEAR,
     NOTHING,
+    PULL,
     TOUCHES,
     Feeling,
     Ringing,
@@ -16,7 +18,7 @@ from linemate.daemon.core.tracking.contact import (
     touched,
 )
 
-FREQUENCY, DAMPING, FORCE = 7.0, 0.02, 15.0
+FREQUENCY, DAMPING, STIFFNESS, FORCE = 7.0, 0.02, 50e3, 15.0
 
 
 def rung(t: float, amplitude: float, frequency: float = FREQUENCY) -> float:
@@ -32,11 +34,14 @@ def first_touch(
     held: int | None = None,
     distance: float = 0.0,
     mode: Ringing | None = None,
+    accelerations: list[float] | None = None,
 ) -> int | None:
-    mode = mode or ringing(FREQUENCY, DAMPING, FORCE, cycle_s)
+    mode = mode or ringing(FREQUENCY, DAMPING, STIFFNESS, FORCE, cycle_s)
     feeling: Feeling = NOTHING
     for k, force in enumerate(forces):
-        feeling = touched(feel(feeling, mode, force, held=k == held), mode, distance)
+        acceleration = accelerations[k] if accelerations else 0.0
+        feeling = feel(feeling, mode, force, acceleration, held=k == held)
+        feeling = touched(feeling, mode, distance, NEAR)
         if feeling.touches >= 2:
             return k
     return None
@@ -62,17 +67,16 @@ def test_nor_does_one_whose_mode_is_a_twentieth_off(cycle_s: float) -> None:
 
 
 @pytest.mark.parametrize("cycle_s", [0.012, 0.004])
-@pytest.mark.parametrize("sign", [-1.0, 1.0])
 @pytest.mark.parametrize("amplitude", [0.0, 60.0])
 def test_a_contact_is_felt_within_two_steps_of_its_force_also_while_ringing(
-    cycle_s: float, sign: float, amplitude: float
+    cycle_s: float, amplitude: float
 ) -> None:
     kick, made = round(1.0 / cycle_s), round(1.6 / cycle_s)
     rate = 800.0  # a millimetre of 50 N in 60 ms [N/s]
     forces = [
         6.0
         + rung((k - kick) * cycle_s, amplitude)
-        + sign * min(50.0, max(0.0, (k - made) * cycle_s * rate))
+        - min(50.0, max(0.0, (k - made) * cycle_s * rate))
         for k in range(made + round(0.2 / cycle_s))
     ]
     found = first_touch(cycle_s, list(forces), held=kick)
@@ -85,21 +89,39 @@ def test_weight_and_bias_are_no_contact() -> None:
     assert first_touch(0.004, [40.0] * 500) is None
 
 
+@pytest.mark.parametrize("cycle_s", [0.012, 0.004])
+def test_the_force_that_brakes_the_tool_as_planned_is_no_contact(cycle_s: float) -> None:
+    mass = STIFFNESS / (math.tau * FREQUENCY) ** 2
+    steps = round(1.0 / cycle_s)
+    accelerations = [1.2 * math.sin(math.tau * k / steps) for k in range(steps)]
+    forces: list[float | None] = [-mass * a for a in accelerations]
+    assert first_touch(cycle_s, forces) is not None
+    assert first_touch(cycle_s, forces, accelerations=accelerations) is None
+
+
+@pytest.mark.parametrize(("times", "is_felt"), [(0.9 * PULL, False), (1.3 * PULL, True)])
+def test_a_pull_towards_the_object_is_a_contact_only_if_it_is_strong(
+    times: float, is_felt: bool
+) -> None:
+    forces: list[float | None] = [0.0] * 100 + [times * FORCE] * 10
+    assert (first_touch(0.004, forces) is not None) == is_felt
+
+
 def test_far_from_the_object_nothing_is_a_contact() -> None:
-    forces: list[float | None] = [0.0] * 100 + [60.0] * 10
+    forces: list[float | None] = [0.0] * 100 + [-60.0] * 10
     assert first_touch(0.004, forces, distance=-0.05) is None
 
 
 def test_a_contact_is_felt_beyond_the_estimated_object_too() -> None:
-    forces: list[float | None] = [0.0] * 100 + [60.0] * 10
+    forces: list[float | None] = [0.0] * 100 + [-60.0] * 10
     assert first_touch(0.004, forces, distance=0.012) is not None
     assert first_touch(0.004, forces, distance=-0.005) == 101
 
 
 def test_while_it_remembers_the_time_before_the_robot_held_nothing_is_said() -> None:
-    memory = ringing(FREQUENCY, DAMPING, FORCE, 0.004).memory
+    memory = ringing(FREQUENCY, DAMPING, STIFFNESS, FORCE, 0.004).memory
     assert memory * 0.004 == pytest.approx(1.5 / FREQUENCY, abs=0.012)
-    forces: list[float | None] = [6.0] * 100 + [0.5 * k for k in range(200)]
+    forces: list[float | None] = [6.0] * 100 + [-0.5 * k for k in range(200)]
     assert first_touch(0.004, forces, held=100) == 100 + memory + 1
 
 
@@ -108,7 +130,7 @@ def often_held(cycle_s: float, seconds: float, lost: float, press: float) -> int
 
     Each lost reply kicks the tool. It comes near the object after 1 s and is pressed 0.1 s later.
     """
-    mode = ringing(FREQUENCY, DAMPING, FORCE, cycle_s)
+    mode = ringing(FREQUENCY, DAMPING, STIFFNESS, FORCE, cycle_s)
     chance = random.Random(3)
     feeling, kicks = NOTHING, list[int]()
     for k in range(round(seconds / cycle_s)):
@@ -118,7 +140,7 @@ def often_held(cycle_s: float, seconds: float, lost: float, press: float) -> int
         force = 6.0 + sum(rung((k - kick) * cycle_s, 30.0) for kick in kicks)
         force += press if k * cycle_s >= 1.1 else 0.0
         distance = -0.05 if k * cycle_s < 1.0 else 0.0
-        feeling = touched(feel(feeling, mode, force, held=held), mode, distance)
+        feeling = touched(feel(feeling, mode, force, 0.0, held=held), mode, distance, NEAR)
         if feeling.touches >= TOUCHES:
             return k
     return None
@@ -142,11 +164,11 @@ def test_a_tool_that_lost_replies_kick_again_and_again_does_not_touch(
 
 
 def test_a_step_without_a_force_repeats_the_last_one_and_memory_is_bounded() -> None:
-    mode = ringing(FREQUENCY, DAMPING, FORCE, 0.004)
-    feeling = feel(NOTHING, mode, None, held=False)
+    mode = ringing(FREQUENCY, DAMPING, STIFFNESS, FORCE, 0.004)
+    feeling = feel(NOTHING, mode, None, 0.0, held=False)
     assert feeling.forces == ()
     for force in [1.0, None, 2.0] * 100:
-        feeling = feel(feeling, mode, force, held=False)
+        feeling = feel(feeling, mode, force, 0.0, held=False)
     assert feeling.forces[-3:] == (1.0, 1.0, 2.0)
     assert len(feeling.forces) == mode.memory
 

@@ -8,7 +8,7 @@ from linemate.daemon.core.tracking.task import GuardedApproach
 
 DT = 0.012
 GUARD = GuardedApproach(speed=0.005, overrun=0.012)
-RINGING = contact.ringing(7.0, 0.02, 15.0, DT)
+RINGING = contact.ringing(7.0, 0.02, 50e3, 15.0, DT)
 
 
 def feeling(force: float, calm: int | None = None) -> contact.Feeling:
@@ -56,3 +56,31 @@ def test_the_horizon_goes_on_at_the_speed_of_the_search_and_ends_at_its_bound() 
     assert kept[:, 2].tolist() == pytest.approx([0.011] * 4)
     assert guard.reached(relative, guard.NO_SEARCH, GUARD, span, is_on=False) is relative
     assert not relative.any()
+
+
+def test_a_tool_that_has_touched_presses_wherever_the_programme_is() -> None:
+    relative = np.zeros((4, 6))
+    relative[:, 2] = (-0.009, -0.008, 0.0005, 0.001)
+    pressed = guard.pressing(relative, 0.001, 3, np.ones(4))
+    assert pressed[:, 2].tolist() == [0.001] * 4
+    assert relative[0, 2] == -0.009
+
+
+def test_the_press_grows_with_its_share_and_a_way_back_does_not() -> None:
+    relative = np.zeros((3, 6))
+    relative[:, 2] = (0.001, 0.001, -0.1)
+    pressed = guard.pressing(relative, 0.001, 0, np.array([0.0, 0.5, 0.9]))
+    assert pressed[:, 2].tolist() == [0.0, 0.0005, -0.1]
+    assert guard.pressing(relative, 0.001, 0, np.ones(3)) is relative
+
+
+@pytest.mark.parametrize(
+    ("depth", "force", "reach"),
+    [(-0.009, -20.0, -0.0094), (0.003, -10.0, 0.0028), (-0.1, 0.0, -0.02)],
+)
+def test_the_object_is_where_the_tool_touched_less_what_the_mount_gave_way(
+    depth: float, force: float, reach: float
+) -> None:
+    tcp, part = np.zeros(6), np.zeros(6)
+    tcp[2] = depth
+    assert guard.touched_reach(tcp, part, force, 50e3, 0.02) == pytest.approx(reach)

@@ -1,0 +1,92 @@
+"""Profile of the last approach: its speed near the object, its ends, its time."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from linemate.daemon.core.tracking import touch_profile
+from linemate.daemon.core.tracking.reference import compile_reference
+from linemate.daemon.core.tracking.task import Phase, TaskFile, WaypointFrame
+from linemate.simulators.harness.setup import shipped_task
+
+TASK = shipped_task().file
+STEP_S = 1e-3
+ROUNDING = 1e-6
+
+
+def stretched(*, far: float = -0.06, near: float = 0.001, lasting: float = 2.0) -> TaskFile:
+    """Return the shipped task with another stretch to contact."""
+    points = list(TASK.waypoints)
+    points[2] = replace(points[2], pose=replace(points[2].pose, position=(0.0, 0.0, far)))
+    for i in (3, 4, 5):
+        points[i] = replace(points[i], pose=replace(points[i].pose, position=(0.0, 0.0, near)))
+    lag = points[2].time + lasting - points[3].time
+    points[3:] = [replace(point, time=point.time + lag) for point in points[3:]]
+    return replace(TASK, waypoints=tuple(points))
+
+
+def distances(task: TaskFile) -> tuple[np.ndarray, np.ndarray]:
+    """Return distance [m] and speed [m/s] along the tool's axis over the stretch to contact."""
+    reference = compile_reference(task)
+    begin, end = reference.times[2], reference.times[3]
+    times = np.linspace(begin, end, round((end - begin) / STEP_S) + 1)
+    z = reference.poses(times)[1][:, 2]
+    return z, np.gradient(z, times)
+
+
+@pytest.mark.parametrize("lasting", [0.3, 1.4, 2.0, 4.0, 20.0])
+@pytest.mark.parametrize("far", [-0.25, -0.06, -0.015, -0.011, -0.005])
+def test_the_speed_within_the_clearance_is_at_most_the_touch_speed(
+    far: float, lasting: float
+) -> None:
+    z, speed = distances(stretched(far=far, lasting=lasting))
+    slow = z >= -TASK.guard.clearance
+    assert slow.any()
+    assert float(speed[slow].max()) <= TASK.guard.touch_speed * 1.01 + ROUNDING
+    assert float(speed.min()) >= -ROUNDING
+
+
+@pytest.mark.parametrize("lasting", [0.3, 2.0, 20.0])
+def test_the_stretch_begins_and_ends_at_its_waypoints_at_rest(lasting: float) -> None:
+    z, speed = distances(stretched(lasting=lasting))
+    assert (z[0], z[-1]) == pytest.approx((-0.06, 0.001), abs=ROUNDING)
+    assert np.abs(speed[[0, -1]]).max() < 1e-4
+
+
+def test_the_shipped_task_has_the_time_that_its_approach_needs() -> None:
+    assert touch_profile.lengthened(TASK) == TASK
+
+
+def test_a_task_with_too_little_time_is_lengthened_and_its_later_times_move_as_much() -> None:
+    task = stretched(lasting=1.4)
+    longer = touch_profile.lengthened(task)
+    by = longer.waypoints[3].time - task.waypoints[3].time
+    assert 0.3 < by < 0.7
+    assert longer.waypoints[:3] == task.waypoints[:3]
+    for i in range(3, len(task.waypoints)):
+        assert longer.waypoints[i].time - task.waypoints[i].time == pytest.approx(by)
+    assert longer.tool.fix_screws - task.tool.fix_screws == pytest.approx(by)
+    assert longer.tool.release_wheel - task.tool.release_wheel == pytest.approx(by)
+    assert touch_profile.touch_profile(longer) == touch_profile.touch_profile(
+        touch_profile.lengthened(longer)
+    )
+
+
+def test_a_clearance_of_zero_bounds_no_speed() -> None:
+    task = replace(TASK, guard=replace(TASK.guard, clearance=0.0))
+    assert touch_profile.touch_profile(task) is None
+    assert touch_profile.lengthened(stretched(lasting=0.3)) != stretched(lasting=0.3)
+    _, speed = distances(task)
+    assert speed.max() == pytest.approx(1.875 * 0.061 / 2.0, rel=1e-3)
+
+
+def test_a_task_without_contact_has_no_profile() -> None:
+    points = tuple(replace(point, phase=Phase.APPROACH) for point in TASK.waypoints)
+    assert touch_profile.touch_profile(replace(TASK, waypoints=points)) is None
+
+
+def test_a_stretch_that_begins_in_the_station_is_left_as_it_is() -> None:
+    points = list(TASK.waypoints)
+    points[2] = replace(points[2], frame=WaypointFrame.BASE)
+    assert touch_profile.contact_stretch(replace(TASK, waypoints=tuple(points))) is None
