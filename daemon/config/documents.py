@@ -1,8 +1,10 @@
-"""YAML files, read strictly: frozen dataclasses, or every error at once with its place.
+"""Strict YAML reader: frozen dataclasses, or every error at once with its line and column.
 
-Law of this file: bytes in; values or complaints out, for any bytes. A plain value that YAML 1.1
-and 1.2 read differently (``no``, ``010``, ``12:30``, ``1_000``, a date) is refused and never
-guessed at; ``1e-3`` is a number. Keys given twice or unknown are errors, as is what is not finite.
+Invariants:
+- Any bytes give values or complaints.
+- A plain value that YAML 1.1 and 1.2 read differently is refused: ``no``, ``010``, ``12:30``,
+  ``1_000``, a date. ``1e-3`` is a number.
+- Duplicate keys, unknown keys and numbers that are not finite are errors.
 """
 
 import json
@@ -14,14 +16,13 @@ from typing import Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core.core_schema import DataclassSchema
 
 T = TypeVar("T")
 
-Path = tuple[str | int, ...]
-"""Keys and indices from the file's root."""
-
-Place = tuple[int, int]
-"""Line and column, from 1."""
+Path = tuple[str | int, ...]  # keys and indices from the file's root
+Place = tuple[int, int]  # line and column, from 1
 
 MAX_BYTES = 262_144
 MAX_NODES = 20_000
@@ -39,6 +40,10 @@ _AMBIGUOUS = (
     (re.compile(r"[-+]?[0-9][0-9.]*_[0-9_.]*"), "a number without separators or a quoted text"),
     (re.compile(r"[0-9]{4}-[0-9]{1,2}-[0-9]{1,2}([Tt ].*)?"), "a quoted text"),
 )
+
+
+# One entry of ``Attributes:``, with its continuation lines.
+_ENTRY = re.compile(r"^ {8}([a-z_][a-z_0-9, ]*): (.+(?:\n {12}.+)*)", re.MULTILINE)
 
 
 class FileError(Exception):
@@ -60,8 +65,8 @@ class Complaint:
 
     Attributes:
         path: where in the values.
-        what: for whoever wrote the file.
-        at_key: it is the key that is wrong, not its value.
+        what: message for the author of the file.
+        at_key: the key is wrong, not its value.
         place: where, if the path does not say it.
     """
 
@@ -72,7 +77,7 @@ class Complaint:
 
 
 @dataclass(slots=True)
-class Document:
+class YamlDocument:
     """What a file says.
 
     Attributes:
@@ -89,7 +94,7 @@ class Document:
     complaints: list[Complaint] = field(default_factory=list)
 
     def place(self, complaint: Complaint) -> Place:
-        """The nearest known place of a complaint."""
+        """Return the nearest known place of a complaint."""
         path = complaint.path
         if complaint.place is not None:
             return complaint.place
@@ -100,26 +105,26 @@ class Document:
         return self.values.get(path, (1, 1))
 
     def line(self, complaint: Complaint) -> str:
-        """A complaint as ``file:line:col: key: what``."""
+        """Return a complaint as ``file:line:col: key: what``."""
         line, column = self.place(complaint)
         return f"{self.name}:{line}:{column}: {spelled(complaint.path)}: {complaint.what}"
 
     def lines(self, complaints: Iterable[Complaint]) -> list[str]:
-        """Complaints in the order of their places, each said once."""
+        """Return complaints in the order of their places, without duplicates."""
         ordered = sorted(complaints, key=lambda c: (self.place(c), spelled(c.path)))
         return list(dict.fromkeys(map(self.line, ordered)))
 
 
 def spelled(path: Path) -> str:
-    """A path as an operator writes it: ``waypoints[2].time``."""
+    """Return a path as an operator writes it: ``waypoints[2].time``."""
     text = ""
     for part in path:
         text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
     return text or "(file)"
 
 
-def read(data: bytes, name: str) -> Document:
-    """Read YAML and keep places.
+def read(data: bytes, name: str) -> YamlDocument:
+    """Read YAML and the places of its values.
 
     Args:
         name: of the file, for messages.
@@ -140,51 +145,46 @@ def read(data: bytes, name: str) -> Document:
         raise FileError([_not_yaml(error, text, name)]) from error
     except RecursionError as error:
         raise FileError([f"{name}:1:1: (file): nested too deep"]) from error
-    document = Document(name, {})
+    document = YamlDocument(name, {})
     if node is not None:
         _Walk(document).whole(node)
     return document
 
 
 def fill(
-    document: Document,
+    document: YamlDocument,
     target: type[T],
     check: Callable[[Any], Iterable[Complaint]] = lambda _: (),
 ) -> T:
-    """Make a dataclass of a document: no unknown key, no text for a number.
+    """Return a dataclass with a document's values: no unknown key, no text for a number.
 
     Args:
-        document: what a file says.
         target: a dataclass of dataclasses with annotated ranges.
-        check: what else is wrong with the plain values; they may be of any kind.
+        check: yields further complaints about the plain values, which may be of any kind.
 
     Raises:
         FileError: every error at once.
     """
-    found = list(document.complaints)
+    complaints = list(document.complaints)
     filled: T | None = None
     try:
         wrapped = _model(target).model_validate_json(json.dumps({"root": document.value}))
-        filled = getattr(wrapped, "root")  # noqa: B009 -- the model is made at run time
+        filled = getattr(wrapped, "root")  # noqa: B009 -- create_model adds the field
     except ValidationError as error:
-        unread = {complaint.path for complaint in found if complaint.place is None}
-        wrong = [one for one in map(_complaint, error.errors(include_url=False)) if one]
-        found.extend(complaint for complaint in wrong if complaint.path not in unread)
-    # A key given twice says nothing of its value.
-    said = {complaint.path for complaint in found if complaint.place is None}
-    found.extend(c for c in check(document.value) if c.path not in said)
-    if found or filled is None:
-        raise FileError(document.lines(found))
+        unread = {complaint.path for complaint in complaints if complaint.place is None}
+        invalid = filter(None, map(_complaint, error.errors(include_url=False)))
+        complaints.extend(complaint for complaint in invalid if complaint.path not in unread)
+    # A duplicate key, which has a place, does not hide errors of its value.
+    wrong = {complaint.path for complaint in complaints if complaint.place is None}
+    complaints.extend(c for c in check(document.value) if c.path not in wrong)
+    if complaints or filled is None:
+        raise FileError(document.lines(complaints))
     return filled
 
 
 def schema(target: type[Any], title: str) -> dict[str, Any]:
-    """The JSON schema of a file.
-
-    Args:
-        target: the dataclass that the file fills.
-    """
-    whole = _model(target).model_json_schema()
+    """Return the JSON schema of a dataclass, with the meaning of each key."""
+    whole = _model(target).model_json_schema(schema_generator=_DocumentedSchema)
     definitions: dict[str, Any] = whole.pop("$defs")
     root = definitions.pop(target.__name__)
     return {
@@ -195,8 +195,23 @@ def schema(target: type[Any], title: str) -> dict[str, Any]:
     }
 
 
+class _DocumentedSchema(GenerateJsonSchema):
+    """Schema whose descriptions come from the docstrings of the dataclasses."""
+
+    def dataclass_schema(self, schema: DataclassSchema) -> JsonSchemaValue:
+        """Return the schema of one dataclass."""
+        documented = super().dataclass_schema(schema)
+        docstring = schema["cls"].__doc__ or ""
+        documented["description"] = docstring.partition("\n")[0]
+        for names, text in _ENTRY.findall(docstring):
+            for name in names.split(","):
+                if name.strip() in documented["properties"]:
+                    documented["properties"][name.strip()]["description"] = " ".join(text.split())
+        return documented
+
+
 def _model(target: type[Any]) -> type[BaseModel]:
-    """One document under one key, so that stdlib dataclasses inherit the strict settings."""
+    """Return a model with the dataclass as its only field, which inherits the strict settings."""
     if target not in _MODELS:
         strict = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
         fields: dict[str, Any] = {"root": (target, ...)}
@@ -220,7 +235,7 @@ def _complaint(error: Mapping[str, Any]) -> Complaint | None:
 
 
 def _wrong_length(path: Path, limits: Mapping[str, Any], given: int) -> Complaint | None:
-    """Pydantic leaves bad items out of the count; only the file's own count matters here."""
+    """Return a complaint about the file's own count: pydantic does not count bad items."""
     least, most = limits.get("min_length", 0), limits.get("max_length") or given
     if least <= given <= most:
         return None
@@ -259,13 +274,13 @@ def _not_yaml(error: Exception, text: str, name: str) -> str:
 
 @dataclass(slots=True)
 class _Walk:
-    """Goes through a node tree, builds values and notes places."""
+    """Walk through a node tree: builds values and keeps their places."""
 
-    document: Document
+    document: YamlDocument
     nodes: int = 0
 
     def whole(self, node: yaml.Node) -> None:
-        """The file's root, which is a mapping or nothing."""
+        """Read the file's root, which is a mapping or nothing."""
         value = self.value(node, ())
         if value is None:
             return
@@ -275,7 +290,7 @@ class _Walk:
             self._complain((), "should be a mapping of keys to values")
 
     def value(self, node: yaml.Node, path: Path) -> Any:
-        """The node's plain value."""
+        """Return the node's plain value."""
         self.nodes += 1
         # An alias of aliases grows a small file into a large one, or into an endless one.
         if self.nodes > MAX_NODES or len(path) > MAX_DEPTH:
@@ -323,7 +338,7 @@ _TAGS = frozenset({"str", "map", "seq"})
 
 
 def _plain(text: str) -> Any:
-    """The value of an unquoted scalar.
+    """Return the value of an unquoted scalar.
 
     Raises:
         ValueError: not finite, or read differently by other readers.

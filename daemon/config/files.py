@@ -1,7 +1,8 @@
-"""Files that other files name: found, and read within a limit.
+"""Files that other files name: their path, and their content within a limit.
 
-Law of this file: a relative name is looked for beside the file that names it, and a bare name
-among the shipped files after that. Only regular files are read, and never more than a limit.
+Invariants:
+- A relative name is searched next to the file that names it, then a bare name in the shipped files.
+- Only regular files are read, and never more than a limit.
 """
 
 import stat
@@ -15,11 +16,11 @@ PROTOCOL_DATA = Path(linemate.protocol.__path__[0]) / "data"
 
 
 class UnreadableError(Exception):
-    """A file that cannot be had; the message says which and why."""
+    """A file that cannot be read; the message gives the path and the reason."""
 
 
 def find(name: str, base: Path, shipped: Path) -> Path:
-    """Where a named file is.
+    """Return the path of a named file.
 
     Args:
         base: directory of the file that names it.
@@ -28,21 +29,21 @@ def find(name: str, base: Path, shipped: Path) -> Path:
     Raises:
         UnreadableError: there is none.
     """
-    beside = base / name
-    if beside.exists():
-        return beside
+    path = base / name
+    if path.exists():
+        return path
     bare = Path(name).name == name
     if bare and (shipped / name).is_file():
         return shipped / name
     if not bare:
-        raise UnreadableError(f"no such file: {beside}")
+        raise UnreadableError(f"no such file: {path}")
     suffix = Path(name).suffix
-    known = sorted(path.name for path in shipped.iterdir() if path.suffix == suffix)
-    raise UnreadableError(f"no such file: {beside}; shipped are {', '.join(known) or 'none'}")
+    known = sorted(file.name for file in shipped.iterdir() if file.suffix == suffix)
+    raise UnreadableError(f"no such file: {path}; shipped are {', '.join(known) or 'none'}")
 
 
 def read(path: Path, limit: int) -> bytes:
-    """A file's bytes.
+    """Return a file's bytes.
 
     Args:
         limit: longest file accepted [bytes].
@@ -65,7 +66,7 @@ def read(path: Path, limit: int) -> bytes:
 
 
 def read_text(path: Path, limit: int) -> str:
-    """A file's text.
+    """Return a file's text.
 
     Raises:
         UnreadableError: as ``read``, or not UTF-8.

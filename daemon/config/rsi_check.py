@@ -1,7 +1,6 @@
-"""What an RSI_EthernetConfig.xml must hold for corrections to be safe.
+"""Checks of an RSI_EthernetConfig.xml: what makes corrections unsafe. Format: interfaces.md, 1.
 
-Pure: a configuration in, sentences out; each names the element and what to change.
-Source: interfaces.md, section 1.
+Each error names the element and what to change.
 """
 
 from collections.abc import Iterator, Mapping

@@ -1,8 +1,8 @@
-"""What a configuration file can say: the links, the doors, the host, and the method's settings.
+"""Settings of a configuration file: links, command server, host, and the method.
 
-Law of this file: frozen values with their ranges and nothing computed; SI units unless a name
-says otherwise. Paths are as written; ``config`` resolves them. A section that is left out is a
-link or a door that is not opened.
+Invariants:
+- Frozen values with ranges; nothing is computed. SI units unless a name has another.
+- Paths are as written. A section that is left out is a link or an endpoint that is not opened.
 """
 
 from dataclasses import dataclass, field
@@ -38,13 +38,14 @@ class RsiSettings:
     Attributes:
         config: the controller's own RSI_EthernetConfig.xml; a bare name may be a shipped one.
         bind: numeric address to listen on.
-        port: None takes the file's, 0 any.
-        cycle_ms: of the controller; KUKA has 12 and 4, the others are for measurements.
+        port: None takes the port of the controller's file, 0 any free port.
+        cycle_ms: period of the controller [ms]. KUKA has 12 and 4, the others are for
+            measurements.
         corrections: ``absolute`` (AK(k) = q_c(k) - q_start) or ``relative``.
-        linear_axes: external axes that are linear, the others turn.
-        peer: the only address that is answered, None: whoever comes first.
-        constants: value by TAG of each RECEIVE element that linemate does not know; it is written
-            in every reply.
+        linear_axes: external axes that are linear; the others rotate.
+        peer: the only address that is answered. None: any address.
+        constants: value by TAG of each RECEIVE element that linemate does not know, for every
+            reply.
     """
 
     config: Text = "rsi_joints.xml"
@@ -62,12 +63,12 @@ class DistanceSettings:
     """The distance sensor's link.
 
     Attributes:
-        can: handed to ``can.Bus`` unchanged: interface, channel and whatever it wants.
+        can: arguments of ``can.Bus``: interface, channel and others.
         dbc: a bare name may be a shipped one.
         message, signal: in the DBC.
-        strength: signal of the signal strength, None: found by itself.
+        strength: signal of the signal strength. None searches the DBC for it.
         can_id: instead of the DBC's.
-        step_m: worth of one count instead of the DBC's [m].
+        step_m: size of one count instead of the DBC's [m].
     """
 
     can: dict[str, Any]
@@ -86,8 +87,8 @@ class CameraSettings:
     Attributes:
         bind: numeric address to listen on.
         port: UDP port; 0 takes any free one.
-        peer: the only sender that is heard, ``ADDRESS`` or ``ADDRESS:PORT``. None: the first one
-            that sends good poses; another may take over while that one is silent for 5 s.
+        peer: the only sender that is accepted, ``ADDRESS`` or ``ADDRESS:PORT``. None: the first
+            one that sends good poses. Another may replace it after 5 s of silence.
         frame, object, source: the only ones accepted, None for any.
     """
 
@@ -107,7 +108,7 @@ class ForceTorqueSettings:
         url: a tty, a pty or ``socket://host:port``.
         device: whose stream it is.
         baudrate: None takes the device's.
-        dialogue: hold the device's start-up dialogue; off for one that streams by itself.
+        dialogue: start the device's stream by its commands. Off for a device that streams at once.
     """
 
     url: Text
@@ -121,8 +122,8 @@ class UdpSettings:
     """The command protocol's UDP port.
 
     Attributes:
-        keys: file of the pre-shared keys, which others must not read. With systemd's
-            LoadCredential give its name with ``credential:`` before it.
+        keys: file of the pre-shared keys, which others must not read. ``credential:NAME`` is a
+            file of systemd's LoadCredential.
         bind: numeric address of the interface.
         port: UDP port; 0 takes any free one.
         allow_remote: explicit consent to an address that others can reach.
@@ -136,16 +137,16 @@ class UdpSettings:
 
 @dataclass(frozen=True, slots=True)
 class CommandSettings:
-    """The doors for operators.
+    """The endpoints for operators.
 
     Attributes:
-        socket: path of the local socket, None for none. Root and the daemon's own user may
-            operate by it.
-        operate_groups: groups of this host, by name or number, whose members may operate by the
-            local socket too. None: the group that the socket's file has.
-        view_groups: groups whose members may view by the local socket. Others are refused.
+        socket: path of the Unix socket, None for none. Root and the daemon's own user may
+            operate.
+        operate_groups: groups of this host, by name or number, whose members may operate too.
+            None: the group of the socket's file.
+        view_groups: groups whose members may view. All other users are refused.
         udp: the UDP port, None for none.
-        budget: messages handled after each reply to the robot, at most.
+        budget: most messages handled after each reply to the robot.
     """
 
     socket: Text | None = None
@@ -160,15 +161,16 @@ class RecordingSettings:
     """Recordings.
 
     Attributes:
-        directory: where they are written; it must exist.
-        at_start: record from the start of the daemon; else when ordered.
-        queue: messages that may wait for the disk before any step is dropped.
+        directory: directory of the files. It must exist.
+        at_start: record from the start of the daemon, else on ``linemate record start``.
+        queue: most messages that wait for the disk before steps are dropped.
         chunk_kib: size of a chunk of the file.
-        flush_s: what a sudden end of the process may lose at most [s].
+        flush_s: most that a sudden end of the process loses [s].
         rotate_mib: size at which the next file begins.
         rotate_min: age at which the next file begins [min].
-        total_mib: of all recordings in the directory, the oldest go; None keeps them all.
-        reserve_mib: left free on the disk: with less a recording ends.
+        total_mib: limit for all recordings in the directory. The oldest are removed. None keeps
+            them all.
+        reserve_mib: free space on the disk below which a recording ends.
     """
 
     directory: Text
@@ -184,21 +186,21 @@ class RecordingSettings:
 
 @dataclass(frozen=True, slots=True)
 class RealtimeSettings:
-    """What is asked of the host; each refusal is told and never fatal.
+    """Requests to the host. Each refusal is a warning in the log and the status.
 
     Attributes:
-        priority: of SCHED_FIFO, None leaves the scheduler alone.
+        priority: SCHED_FIFO priority. None keeps the scheduler as it is.
         lock_memory: lock the pages in memory (mlockall).
-        cpus: the only cores used, empty leaves them alone.
+        cpus: the only cores used. Empty: all.
         timer_slack_ns: None leaves it alone.
-        cpu_dma_latency_us: deepest sleep allowed to the cores, None leaves it alone.
-        keep_awake: a process of the idle class on each core used, which never lets it sleep; for
-            virtual machines, whose host takes its time to wake a core. It costs those cores' power.
-        lead_ms: how long before its telegram a reply is prepared; 0: when the telegram comes;
-            None: as long before as steps have lately needed.
-        incidents: directory for the times of the last two seconds, written when a deadline is
-            missed or a fault is entered; it must exist. None keeps them nowhere.
-        freeze_collector: freeze and disable the garbage collector once ready.
+        cpu_dma_latency_us: longest wake-up time of a sleeping core [us]. None keeps the host's.
+        keep_awake: a process of the idle class spins on each core, so that it never sleeps. For
+            virtual machines, whose host wakes a core late. It costs the power of those cores.
+        lead_ms: time from preparing a reply to its telegram [ms]. 0: prepared when the telegram
+            comes. None: as long as recent steps have needed.
+        incidents: directory for the cycle times of the last two seconds, written after a missed
+            deadline or a fault. It must exist. None writes none.
+        freeze_collector: freeze and disable the garbage collector after the start.
     """
 
     priority: Annotated[int, Ge(1), Le(98)] | None = None
@@ -217,12 +219,12 @@ class Config:
     """A configuration file, whole.
 
     Attributes:
-        task: what is assembled; a bare name may be a shipped one.
-        overlays: files of parameters laid over tracking, control and watch, in this order, such
-            as ``linemate identify`` writes; what operators saved comes last.
-        state: directory for what operators save; None takes the service manager's.
-        learning: how far, how fast and on what evidence the servos are learned anew from each
-            motion, to be taken while the robot stands; None leaves them as they are.
+        task: task file; a bare name may be a shipped one.
+        overlays: files of parameters for tracking, control and watch, in this order, such as
+            ``linemate identify`` writes. What operators saved comes last.
+        state: directory for what operators save. None takes StateDirectory= of the unit.
+        learning: limits for the servo models that each motion estimates again, for use once the
+            robot stands. None keeps the models.
         version: of the file's layout.
     """
 

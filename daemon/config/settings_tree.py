@@ -1,7 +1,8 @@
-"""Settings by dotted names: ``control.servos.3.damping`` as one value of a tree of dataclasses.
+"""Settings by dotted names: ``control.servos.3.damping`` is one value of a tree of dataclasses.
 
-Law of this file: pure; a change goes through the same strict reading as a file and gives a new
-frozen set, whole or not at all. What does not fit is told as ``name: what``.
+Invariants:
+- A change is read as strictly as a file. It gives a new frozen set, or is refused as a whole.
+- An error is reported as ``name: what``.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,13 +11,11 @@ from enum import Enum
 from typing import Any
 
 from linemate.daemon.config import documents
-from linemate.daemon.config.documents import Document, FileError
+from linemate.daemon.config.documents import FileError, YamlDocument
 from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core.control.settings import ControlSettings
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.near_names import near_names
-
-NAME = ""
 
 
 class SettingError(ValueError):
@@ -25,12 +24,7 @@ class SettingError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What may be changed without opening a link anew: the method and its watch.
-
-    Attributes:
-        tracking, control: of the step.
-        watch: of the operating states.
-    """
+    """Settings that can change without opening a link again."""
 
     tracking: TrackingSettings
     control: ControlSettings
@@ -45,7 +39,7 @@ SECTIONS: dict[str, type[Any]] = {
 
 
 def plain(value: Any) -> Any:
-    """Return settings as a file has them: dicts, lists, numbers, texts."""
+    """Return settings as plain values: dict, list, number, text, bool, None."""
     if is_dataclass(value) and not isinstance(value, type):
         return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, Enum):
@@ -55,12 +49,8 @@ def plain(value: Any) -> Any:
     return value
 
 
-def leaves(value: Any, name: str = NAME) -> Iterator[tuple[str, Any]]:
-    """Return every value by its name; a list of plain values is one value.
-
-    Args:
-        value: settings, or a part of them.
-    """
+def leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield every value with its dotted name; a list of plain values is one value."""
     if is_dataclass(value) and not isinstance(value, type):
         for field in fields(value):
             yield from leaves(getattr(value, field.name), _joined(name, field.name))
@@ -71,69 +61,69 @@ def leaves(value: Any, name: str = NAME) -> Iterator[tuple[str, Any]]:
         yield name, plain(value)
 
 
-def changed(settings: Settings, values: Mapping[str, Any]) -> Settings:
-    """Return settings with some values changed: all of them, or none.
+def change(settings: Settings, values: Mapping[str, Any]) -> Settings:
+    """Return settings with some values changed, by dotted name.
 
     Raises:
-        SettingError: a name that there is not, or a value that does not fit; every one of them.
+        SettingError: every unknown name, or every value that does not fit.
     """
     trees = {
         section: plain(getattr(settings, section))
         for section in {name.partition(".")[0] for name in values}
         if section in SECTIONS
     }
-    wrong = [name for name, value in values.items() if not _put(trees, name.split("."), value)]
+    wrong = [name for name, value in values.items() if not _replace(trees, name.split("."), value)]
     if wrong:
         known = [name for name, _ in leaves(settings)]
         raise SettingError("; ".join(_unknown(name, known) for name in wrong))
-    made, errors = {}, []
+    sections, errors = {}, []
     for section, tree in trees.items():
         try:
-            made[section] = read(section, tree)
+            sections[section] = read_section(section, tree)
         except SettingError as error:
             errors.append(str(error))
     if errors:
         raise SettingError("; ".join(errors))
     return Settings(
-        tracking=made.get("tracking", settings.tracking),
-        control=made.get("control", settings.control),
-        watch=made.get("watch", settings.watch),
+        tracking=sections.get("tracking", settings.tracking),
+        control=sections.get("control", settings.control),
+        watch=sections.get("watch", settings.watch),
     )
 
 
-def read(section: str, tree: Any) -> Any:
+def read_section(section: str, tree: Any) -> Any:
     """Return a section's settings from plain values.
 
     Raises:
         SettingError: everything that does not fit.
     """
     try:
-        return documents.fill(Document(section, tree), SECTIONS[section])
+        return documents.fill(YamlDocument(section, tree), SECTIONS[section])
     except FileError as error:
-        told = (line.removeprefix(f"{section}:1:1: ") for line in error.lines)
-        raise SettingError("; ".join(f"{section}.{_dotted(line)}" for line in told)) from error
+        messages = (line.removeprefix(f"{section}:1:1: ") for line in error.lines)
+        raise SettingError("; ".join(f"{section}.{_dotted(line)}" for line in messages)) from error
 
 
-def laid_over(tree: Any, overlay: Any) -> Any:
-    """Return plain values with others laid over them: mappings merge, all else is replaced."""
+def merge(tree: Any, overlay: Any) -> Any:
+    """Return plain values with an overlay: mappings are merged, all else is replaced."""
     if isinstance(tree, dict) and isinstance(overlay, dict):
         both = {**tree, **{key: value for key, value in overlay.items() if key not in tree}}
         for key in tree.keys() & overlay.keys():
-            both[key] = laid_over(tree[key], overlay[key])
+            both[key] = merge(tree[key], overlay[key])
         return both
     return overlay
 
 
 def difference(tree: Any, base: Any) -> Any:
-    """Return what must be laid over ``base`` to give ``tree``, an empty dict if nothing must."""
+    """Return the overlay that turns ``base`` into ``tree``, an empty dict if they are equal."""
     if isinstance(tree, dict) and isinstance(base, dict):
         parts = {key: difference(tree[key], base.get(key)) for key in tree}
         return {key: part for key, part in parts.items() if part != {}}
     return {} if tree == base and type(tree) is type(base) else tree
 
 
-def _put(tree: Any, path: list[str], value: Any) -> bool:
-    """Put a value where another is; False if there is none, or a branch."""
+def _replace(tree: Any, path: list[str], value: Any) -> bool:
+    """Replace a value; return False if the path has none, or a branch."""
     branch = tree
     for part in path[:-1]:
         branch = _below(branch, part)
@@ -160,7 +150,7 @@ def _below(branch: Any, part: str) -> Any:
 
 
 def _is_branch(value: Any) -> bool:
-    """Whether a value has parts with names of their own; a list of plain values has not."""
+    """Return whether a value has parts with names; a list of plain values has none."""
     if isinstance(value, list):
         return bool(value) and isinstance(value[0], dict)
     return isinstance(value, dict)
@@ -171,7 +161,7 @@ def _unknown(name: str, known: Sequence[str]) -> str:
 
 
 def _dotted(line: str) -> str:
-    """A complaint's ``servos[3].damping: what`` as ``servos.3.damping: what``."""
+    """Return ``servos[3].damping: what`` as ``servos.3.damping: what``."""
     path, colon, what = line.partition(": ")
     return path.replace("[", ".").replace("]", "") + colon + what
 
@@ -181,7 +171,7 @@ def _joined(name: str, part: str) -> str:
 
 
 def read_file(data: bytes, name: str) -> dict[str, Any]:
-    """Return a YAML file's plain values, strictly read; what they mean is not looked at.
+    """Return a YAML file's plain values, without checking keys and ranges.
 
     Raises:
         SettingError: everything that is wrong with it.

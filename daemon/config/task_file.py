@@ -1,8 +1,8 @@
-"""Task files: YAML to a ``TaskFile``, with the URDF they name.
+"""Task files: YAML to a ``TaskFile``, with the URDF that they name. Format: interfaces.md, 9.
 
-Law of this file: strict as every file of the daemon's; what holds between several values (times
-that rise, unit quaternions, axes along each other) is checked with the rest, so that one reading
-tells everything. Quaternions and axes come out exactly unit. Source: interfaces.md, section 9.
+Invariants:
+- Conditions between values are checked with the ranges: increasing times, unit quaternions, axes.
+- Quaternions and axes come out with length 1 exactly.
 """
 
 import math
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from linemate.daemon.config import documents, files
-from linemate.daemon.config.documents import Complaint, Document, FileError
+from linemate.daemon.config.documents import Complaint, FileError, YamlDocument
 from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.core.tracking.task import ConveyorClasses, Gate, PoseFile, TaskFile, ToolTimes
 
@@ -26,7 +26,7 @@ MAX_URDF_BYTES = 8_388_608
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """A task with what it names.
+    """A task file and its URDF.
 
     Attributes:
         file: what the task file says.
@@ -37,7 +37,9 @@ class Task:
     file: TaskFile
     urdf: str
     text: str
-    document: Document = field(default_factory=lambda: Document("task"), repr=False, compare=False)
+    document: YamlDocument = field(
+        default_factory=lambda: YamlDocument("task"), repr=False, compare=False
+    )
 
     def lines(self, complaints: Iterable[Complaint]) -> list[str]:
         """Return complaints as ``file:line:col: key: what``."""
@@ -69,7 +71,7 @@ def load(path: Path) -> Task:
 
 
 def parse(data: bytes, name: str) -> TaskFile:
-    """Read a task from bytes alone; the URDF is not looked for.
+    """Read a task from bytes, without its URDF.
 
     Raises:
         FileError: every error at once.
@@ -78,12 +80,12 @@ def parse(data: bytes, name: str) -> TaskFile:
 
 
 def schema() -> dict[str, Any]:
-    """The JSON schema of task files."""
+    """Return the JSON schema of task files."""
     return documents.schema(TaskFile, "linemate task")
 
 
 def complaints(value: Any) -> Iterator[Complaint]:
-    """What is wrong between the values of a task.
+    """Yield conditions between the values of a task that do not hold.
 
     Args:
         value: plain values of any kind; what is of a wrong kind is passed over here.
@@ -104,7 +106,7 @@ def complaints(value: Any) -> Iterator[Complaint]:
 
 
 def _never_ordered(value: Any, points: list[Any]) -> Iterator[Complaint]:
-    """A gate that waits for a signal must stand behind the order for it, or waits for ever."""
+    """Yield a gate that waits for a signal before the order for it."""
     tool = ToolTimes()
     for gate, order in (
         (Gate.SCREWS_FIXED, "fix_screws"),
@@ -143,7 +145,7 @@ def _not_unit(value: Any, path: tuple[str | int, ...]) -> Iterator[Complaint]:
 
 
 def _across(value: Any) -> Iterator[Complaint]:
-    """The nominal object's y must lie along the conveyor: deviations are told in its axes."""
+    """Yield a y axis of the nominal object that is not the conveyor's direction."""
     quaternion = _vector(_at(value, "object", "nominal", "quaternion"), 4)
     axis = _vector(_at(value, "conveyor", "axis"), 3) or ConveyorClasses().axis
     if quaternion is None or not (_is_unit(quaternion) and _is_unit(axis)):
@@ -162,7 +164,7 @@ def _urdf(value: Any, base: Path) -> str:
 
 
 def exact(task: TaskFile) -> TaskFile:
-    """The task with unit quaternions and axes, for a file has only so many digits.
+    """Return the task with exact unit quaternions and axes.
 
     Args:
         task: as read; lengths are 1 within ``UNIT_TOLERANCE``.
@@ -191,7 +193,7 @@ def _unit(vector: Vector) -> Vector:
 
 
 def _at(value: Any, *path: str | int) -> Any:
-    """What stands at a path, None if nothing does."""
+    """Return the value at a path, None if there is none."""
     for part in path:
         if isinstance(part, str) and isinstance(value, dict):
             value = value.get(part)

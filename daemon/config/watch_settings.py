@@ -41,7 +41,7 @@ class WatchSettings:
         near_m: gap between tool and object below which a stop becomes a retreat [m], for the
             object goes on moving.
         follow_s: longest delay of the robot behind its commands [s].
-        follow_tolerance: largest following error beside the commands of that time [rad, m].
+        follow_tolerance: largest distance to the commands of that time [rad, m].
         cycles_astray: cycles in a row with a following error before it is a fault (drives off).
         longest_hold_s: longest HOLD before a fault [s].
         longest_retreat_s: longest RETREAT before a fault [s].
@@ -71,7 +71,6 @@ def timeout_error(settings: WatchSettings, cycle_s: float) -> tuple[str, str] | 
     """Return the key of a time-out that can never act and the reason, None if all can.
 
     Args:
-        settings: the time-outs.
         cycle_s: period of the controller [s].
     """
     if settings.missed_s < cycle_s:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from linemate.daemon.config import documents, task_file
-from linemate.daemon.config.documents import Document, FileError
+from linemate.daemon.config.documents import FileError, YamlDocument
 from linemate.daemon.core import rotations
 from linemate.daemon.core.control import kinematics
 from linemate.daemon.core.control.settings import ControlSettings
@@ -164,8 +164,8 @@ def _settings(recorded: Recorded) -> tuple[TrackingSettings, ControlSettings]:
     document = documents.read(recorded.texts.get("config", "").encode(), name)
     value = document.value if isinstance(document.value, dict) else {}
     return (
-        documents.fill(Document(name, value.get("tracking") or {}), TrackingSettings),
-        documents.fill(Document(name, value.get("control") or {}), ControlSettings),
+        documents.fill(YamlDocument(name, value.get("tracking") or {}), TrackingSettings),
+        documents.fill(YamlDocument(name, value.get("control") or {}), ControlSettings),
     )
 
 

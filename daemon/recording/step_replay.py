@@ -91,15 +91,15 @@ class Overrides:
             if section not in tree.SECTIONS:
                 raise SettingError(f"no section {section}")
         made = {
-            name: tree.read(
-                name, tree.laid_over(tree.plain(getattr(settings, name)), self.sections[name])
+            name: tree.read_section(
+                name, tree.merge(tree.plain(getattr(settings, name)), self.sections[name])
             )
             if name in self.sections
             else getattr(settings, name)
             for name in tree.SECTIONS
         }
         whole = Settings(**made)
-        return tree.changed(whole, self.values) if self.values else whole
+        return tree.change(whole, self.values) if self.values else whole
 
 
 @dataclass(slots=True)
@@ -319,8 +319,8 @@ class _Again:
             document = documents.read(texts.get("config", "").encode(), "config")
             value = document.value if isinstance(document.value, dict) else {}
             self._written = Settings(
-                tracking=tree.read("tracking", value.get("tracking") or {}),
-                control=tree.read("control", value.get("control") or {}),
+                tracking=tree.read_section("tracking", value.get("tracking") or {}),
+                control=tree.read_section("control", value.get("control") or {}),
                 watch=WatchSettings(),
             )
         except (FileError, SettingError) as error:
@@ -337,10 +337,10 @@ class _Again:
             raise ReplayError("the recording tells parameters before its cell")
         try:
             settings = Settings(
-                tracking=tree.read("tracking", told["tracking"])
+                tracking=tree.read_section("tracking", told["tracking"])
                 if "tracking" in told
                 else self._written.tracking,
-                control=tree.read("control", told["control"])
+                control=tree.read_section("control", told["control"])
                 if "control" in told
                 else self._written.control,
                 watch=self._written.watch,

@@ -17,9 +17,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from linemate.daemon.config.config import Station, group_ids
+from linemate.daemon.config.config import LoadedConfig
 from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.key_file import key_path, read_keys
+from linemate.daemon.config.section_checks import group_ids
 from linemate.daemon.config.settings import Corrections
 from linemate.daemon.core.control.adaptation import ServoEstimates
 from linemate.daemon.core.inputs import MotionOrder
@@ -104,7 +105,7 @@ class App:
 
     def __init__(
         self,
-        station: Station,
+        station: LoadedConfig,
         parameters: Parameters,
         host: realtime.Host,
         notifier: Notifier,
@@ -573,7 +574,7 @@ class App:
         }
 
 
-def _sensors(station: Station, cycle: Cycle) -> Iterator[CanLink | CameraLink | SerialLink]:
+def _sensors(station: LoadedConfig, cycle: Cycle) -> Iterator[CanLink | CameraLink | SerialLink]:
     config = station.config
     if config.distance is not None and station.dbc is not None:
         distance = config.distance
@@ -603,7 +604,7 @@ def _sensors(station: Station, cycle: Cycle) -> Iterator[CanLink | CameraLink | 
 
 
 def _command_port(
-    station: Station,
+    station: LoadedConfig,
     handle: Callable[[str, dict[str, Any], str, str], Answer | asyncio.Future[Answer]],
     snapshot: Callable[[], Mapping[str, Any]],
 ) -> CommandPort:
@@ -622,11 +623,11 @@ def _command_port(
     return CommandPort(handle, snapshot, local, udp)
 
 
-def _folder(station: Station, name: str | None) -> Path | None:
+def _folder(station: LoadedConfig, name: str | None) -> Path | None:
     return None if name is None else Path(station.path.parent / name)
 
 
-def _learner(station: Station, cycle_s: float) -> Learner | None:
+def _learner(station: LoadedConfig, cycle_s: float) -> Learner | None:
     """Return what learns the servos anew, None where that is not wanted."""
     settings = station.config.learning
     if settings is None:
@@ -635,7 +636,7 @@ def _learner(station: Station, cycle_s: float) -> Learner | None:
     return Learner(settings, station.written.control.servos[:axes], cycle_s)
 
 
-def _recorder(station: Station) -> Recorder | None:
+def _recorder(station: LoadedConfig) -> Recorder | None:
     settings = station.config.recording
     if settings is None:
         return None

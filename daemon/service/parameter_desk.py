@@ -18,10 +18,10 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from msgspec.structs import replace
 
-from linemate.daemon.config import overlay, parameter_list
+from linemate.daemon.config import overlays, parameter_list
 from linemate.daemon.config import settings_tree as tree
-from linemate.daemon.config.config import Station
-from linemate.daemon.config.parameter_list import Change, Described
+from linemate.daemon.config.config import LoadedConfig
+from linemate.daemon.config.parameter_list import ChangeTime, Parameter
 from linemate.daemon.config.settings_tree import SettingError, Settings
 from linemate.daemon.config.watch_settings import timeout_error
 from linemate.daemon.core import parameters as compiling
@@ -71,38 +71,40 @@ class Desk:
         history: of changes, the newest last.
     """
 
-    station: Station
+    station: LoadedConfig
     cycle: Cycle
     told: Told = lambda _parameters, _who, _changed: None
     said: Callable[[str], None] = lambda _text: None
     settings: Settings = field(init=False)
     history: deque[Changed] = field(default_factory=lambda: deque(maxlen=HISTORY))
-    _listed: dict[str, Described] = field(init=False)
+    _listed: dict[str, Parameter] = field(init=False)
     _saved: dict[str, Any] = field(init=False)
     _newest: Parameters = field(init=False)
     _compiling: asyncio.Future[Answer] | None = None
 
     def __post_init__(self) -> None:
         """Describe every parameter once, and warm up what reads them."""
-        self.settings = overlay.settings_of(self.station.config)
+        self.settings = overlays.settings_of(self.station.config)
         self._newest = self.cycle.parameters
-        self._listed = {one["name"]: one for one in parameter_list.every(self.station.config)}
+        self._listed = {
+            one["name"]: one for one in parameter_list.list_parameters(self.station.config)
+        }
         for name, value in tree.leaves(self.station.written):
             if name in self._listed:
                 self._listed[name]["file"] = value
         self._saved = dict(tree.leaves(self.settings))
         for section in tree.SECTIONS:
-            tree.read(section, tree.plain(getattr(self.settings, section)))
+            tree.read_section(section, tree.plain(getattr(self.settings, section)))
 
     # What operators ask.
 
     def describe(self, params: Mapping[str, Any]) -> Answer:
         """Answer the operation ``params``."""
-        return parameter_list.described(tuple(self._listed.values()), params)
+        return parameter_list.select(tuple(self._listed.values()), params)
 
     def get(self, params: Mapping[str, Any]) -> Answer:
         """Answer the operation ``get``."""
-        return parameter_list.values(tuple(self._listed.values()), params)
+        return parameter_list.read_values(tuple(self._listed.values()), params)
 
     def set(self, values: Mapping[str, Any], who: str) -> Answer | asyncio.Future[Answer]:
         """Answer the operation ``set``: all of it or nothing.
@@ -115,7 +117,7 @@ class Desk:
         if reason is not None:
             return {"refused": reason}
         try:
-            wanted = tree.changed(self.settings, values)
+            wanted = tree.change(self.settings, values)
         except SettingError as error:
             return {"refused": str(error)}
         changed = self._changes(values, wanted)
@@ -125,7 +127,7 @@ class Desk:
         reason = reason or self._untimely(changed)
         if reason is not None:
             return {"refused": reason}
-        if any(parameter_list.rule(name).change is Change.IDLE for name in changed):
+        if any(parameter_list.change_rule(name).change is ChangeTime.IDLE for name in changed):
             return self._compile(wanted, changed, who)
         return self._retune(wanted, changed, who)
 
@@ -145,14 +147,17 @@ class Desk:
             self._note(folder, {"who": who, "saved": str(path)})
             return {"saved": str(path)}
 
-        work = _in_thread(overlay.save, folder, settings, self.station.written)
+        work = _in_thread(overlays.save, folder, settings, self.station.written)
         return _then(work, done, lambda error: {"refused": f"not saved: {error}"})
 
     # How a change is made.
 
     def _unsettable(self, values: Mapping[str, Any]) -> str | None:
         for name in values:
-            if name in self._listed and parameter_list.rule(name).change is Change.RESTART:
+            if (
+                name in self._listed
+                and parameter_list.change_rule(name).change is ChangeTime.RESTART
+            ):
                 return f"{name} is set in the configuration file and taken at the daemon's start"
         return None
 
@@ -186,10 +191,10 @@ class Desk:
         """Return why these may not change now, None if they may."""
         state = self.cycle.machine.state
         for name in names:
-            found = parameter_list.rule(name)
+            found = parameter_list.change_rule(name)
             if state in IN_CONTACT and not found.in_contact:
                 return f"{name} does not change in contact"
-            if found.change is Change.IDLE and not self.cycle.stands:
+            if found.change is ChangeTime.IDLE and not self.cycle.stands:
                 return f"{name} changes only while the robot stands idle, not in {state.upper()}"
         if self._compiling is not None:
             return BUSY
@@ -275,7 +280,7 @@ class Desk:
     def _note(folder: Path, told: Mapping[str, Any]) -> None:
         """Add a line to the log of changes, behind the loop's back."""
         line = {"at": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()), **told}
-        work = _in_thread(overlay.journal, folder, line)
+        work = _in_thread(overlays.append_change, folder, line)
         work.add_done_callback(_complain)
 
 

@@ -77,7 +77,7 @@ def _class(hint: Any) -> tuple[type[Any] | None, bool, bool]:
 
 def keys(section: Section) -> Iterator[Key]:
     """The keys of a section that are values, not sections."""
-    about = parameter_list.about(section.kind)
+    about = parameter_list.describe_fields(section.kind)
     hints = get_type_hints(section.kind)
     for field in fields(section.kind):
         if _class(hints[field.name])[0] is None:
@@ -187,7 +187,9 @@ def parameters_page() -> str:
     """The tables of docs/parameters.md: every parameter with its default and when it may change."""
     lines: list[str] = []
     above = None
-    for told in parameter_list.every(Config(task="wheel.yaml", control=shipped_control())):
+    for told in parameter_list.list_parameters(
+        Config(task="wheel.yaml", control=shipped_control())
+    ):
         name = told["name"]
         if name.partition(".")[0] not in SECTIONS:
             continue

@@ -26,7 +26,6 @@ from typing import Any, TypeVar
 import can
 import serialx
 
-from linemate.daemon.config import parameter_list
 from linemate.daemon.cycle.clock import timer as daemon_timer
 from linemate.drivers import sole_sender
 from linemate.drivers.datagrams import Address, DatagramSocket
@@ -539,7 +538,6 @@ def inhabited(world: VirtualTime) -> Iterator[None]:
         # A DBC is parsed once a process: it takes longer than the second that is simulated.
         (distance_codec, "_load", _load_once),
         # So are the docstrings of settings.
-        (parameter_list, "about", _about_once),
     ]
     kept = [(owner, name, vars(owner)[name]) for owner, name, _ in replaced]
     try:
@@ -552,4 +550,3 @@ def inhabited(world: VirtualTime) -> Iterator[None]:
 
 
 _load_once = cache(distance_codec._load)  # noqa: SLF001 - pure, only slow
-_about_once = cache(parameter_list.about)

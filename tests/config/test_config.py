@@ -9,6 +9,7 @@ import pytest
 from linemate.daemon.config import config
 from linemate.daemon.config.documents import FileError
 from linemate.daemon.config.files import PROTOCOL_DATA
+from linemate.daemon.config.section_checks import group_ids
 from linemate.daemon.config.settings import CameraSettings, Corrections
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.simulators.harness.setup import shipped_control
@@ -197,7 +198,7 @@ def test_groups_that_are_not_there_are_told(write: Write) -> None:
     assert "command.view_groups: no such group: nobody-has-this" in viewers
     command = config.load(write(text.format('root, "77"', '"5"'))).config.command
     assert (command.view_groups, command.operate_groups) == (("root", "77"), ("5",))
-    assert config.group_ids(command.view_groups) == {0, 77}
+    assert group_ids(command.view_groups) == {0, 77}
 
 
 def test_a_camera_peer_that_is_no_address_is_told(write: Write) -> None:

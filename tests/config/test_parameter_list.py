@@ -6,13 +6,13 @@ import pytest
 
 from linemate.daemon.config.parameter_list import (
     RULES,
-    Change,
-    Described,
-    Rule,
-    described,
-    every,
-    rule,
-    values,
+    ChangeRule,
+    ChangeTime,
+    Parameter,
+    change_rule,
+    list_parameters,
+    read_values,
+    select,
 )
 from linemate.daemon.config.settings import CameraSettings, Config, RecordingSettings
 from linemate.daemon.config.watch_settings import WatchSettings
@@ -24,12 +24,12 @@ CONFIG = replace(Config("t"), control=shipped_control(), watch=WatchSettings(hea
 
 
 @pytest.fixture(scope="module")
-def listed() -> tuple[Described, ...]:
-    return tuple(every(CONFIG))
+def listed() -> tuple[Parameter, ...]:
+    return tuple(list_parameters(CONFIG))
 
 
 def test_a_parameter_has_value_default_range_unit_and_meaning(
-    listed: tuple[Described, ...],
+    listed: tuple[Parameter, ...],
 ) -> None:
     by_name = {one["name"]: one for one in listed}
     assert by_name["watch.healthy_cycles"] == {
@@ -49,15 +49,15 @@ def test_a_parameter_has_value_default_range_unit_and_meaning(
     assert "sigma" in deviation["describe"]
 
 
-def test_items_of_lists_have_names_of_their_own(listed: tuple[Described, ...]) -> None:
+def test_items_of_lists_have_names_of_their_own(listed: tuple[Parameter, ...]) -> None:
     names = [one["name"] for one in listed]
     assert "control.servos.6.frequency_hz" in names
     assert "tracking.swing.0.levers" in names
     assert len(names) == len(set(names)) > 80
 
 
-def test_a_prefix_picks_and_a_wrong_name_is_refused(listed: tuple[Described, ...]) -> None:
-    picked = described(listed, {"prefix": "control.limits.0."})["params"]
+def test_a_prefix_picks_and_a_wrong_name_is_refused(listed: tuple[Parameter, ...]) -> None:
+    picked = select(listed, {"prefix": "control.limits.0."})["params"]
     assert {one["name"].rpartition(".")[2] for one in picked} == {
         "lower",
         "upper",
@@ -65,12 +65,14 @@ def test_a_prefix_picks_and_a_wrong_name_is_refused(listed: tuple[Described, ...
         "acceleration",
         "jerk",
     }
-    assert values(listed, {"names": ["watch.missed_s"]}) == {"values": {"watch.missed_s": 0.03}}
-    assert "nonsense" in values(listed, {"names": ["watch.missed_s", "nonsense"]})["refused"]
+    assert read_values(listed, {"names": ["watch.missed_s"]}) == {
+        "values": {"watch.missed_s": 0.03}
+    }
+    assert "nonsense" in read_values(listed, {"names": ["watch.missed_s", "nonsense"]})["refused"]
 
 
 def test_every_parameter_says_what_it_means_and_what_it_may_be(
-    listed: tuple[Described, ...],
+    listed: tuple[Parameter, ...],
 ) -> None:
     assert [one["name"] for one in listed if not one.get("describe")] == []
     assert {one["type"] for one in listed} <= {"bool", "int", "float", "text", "list", "map"}
@@ -79,30 +81,32 @@ def test_every_parameter_says_what_it_means_and_what_it_may_be(
     assert by_name["rsi.cycle_ms"]["choices"] == [1, 2, 4, 12]
 
 
-def test_a_parameter_changes_live_idle_or_with_a_restart(listed: tuple[Described, ...]) -> None:
+def test_a_parameter_changes_live_idle_or_with_a_restart(listed: tuple[Parameter, ...]) -> None:
     change = {one["name"]: one["change"] for one in listed}
     assert change["tracking.distance.deviation"] == "live"
     assert change["tracking.distance.delay"] == "idle"
     assert change["control.servos.3.damping"] == "idle"
     assert change["rsi.port"] if "rsi.port" in change else change["rsi.bind"] == "restart"
-    assert rule("tracking.tactile.contact_force") == Rule(Change.LIVE, in_contact=False)
-    assert rule("command.socket").change is Change.RESTART
+    assert change_rule("tracking.tactile.contact_force") == ChangeRule(
+        ChangeTime.LIVE, in_contact=False
+    )
+    assert change_rule("command.socket").change is ChangeTime.RESTART
 
 
-def test_every_rule_is_of_a_parameter_that_there_is(listed: tuple[Described, ...]) -> None:
+def test_every_rule_is_of_a_parameter_that_there_is(listed: tuple[Parameter, ...]) -> None:
     names = [one["name"] for one in listed]
     for prefix in RULES:
         assert any(name == prefix or name.startswith(f"{prefix}.") for name in names), prefix
 
 
-def test_the_whole_list_fits_into_one_answer(listed: tuple[Described, ...]) -> None:
-    assert len(encode_result(described(listed, {}))) < MAX_RESULT_BYTES
+def test_the_whole_list_fits_into_one_answer(listed: tuple[Parameter, ...]) -> None:
+    assert len(encode_result(select(listed, {}))) < MAX_RESULT_BYTES
 
 
 def test_a_section_that_is_off_by_default_differs_by_nothing_when_it_is_there() -> None:
     camera, recording = CameraSettings(port=1), RecordingSettings(".")
     config = Config(task="wheel.yaml", camera=camera, recording=recording)
-    listed = {one["name"]: one for one in every(config)}
+    listed = {one["name"]: one for one in list_parameters(config)}
     different = {
         name
         for name, one in listed.items()

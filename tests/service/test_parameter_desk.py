@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from loops import run
 
-from linemate.daemon.config import config, overlay
+from linemate.daemon.config import config, overlays
 from linemate.daemon.config import settings_tree as tree
 from linemate.daemon.config.documents import FileError
 from linemate.daemon.config.task_file import Task
@@ -162,7 +162,6 @@ def test_what_does_not_fit_is_refused_with_its_name_and_nothing_of_it_is_taken(
             "watch.healthy_cycles": 33
         }
         assert not here.told
-        assert not here.desk.history
 
     run(main())
 
@@ -269,7 +268,6 @@ def test_what_is_already_so_changes_nothing(make: Make) -> None:
     async def main() -> None:
         here = make()
         assert here.assign({NOISE: 0.00038, SERVO: 4.5}) == {"changed": {}}
-        assert not here.desk.history
 
     run(main())
 
@@ -286,7 +284,7 @@ def test_what_was_saved_is_in_force_after_a_restart_and_the_users_file_is_as_it_
         assert (listed["by"], listed["unsaved"], listed["file"]) == ("uid:7", True, 0.00038)
         answer = here.desk.save("uid:7")
         assert isinstance(answer, asyncio.Future)
-        assert (await answer)["saved"] == str(tmp_path / overlay.NAME)
+        assert (await answer)["saved"] == str(tmp_path / overlays.NAME)
         (listed,) = here.desk.describe({"prefix": NOISE})["params"]
         assert "unsaved" not in listed
         assert here.path.read_text() == TEXT
@@ -299,7 +297,7 @@ def test_what_was_saved_is_in_force_after_a_restart_and_the_users_file_is_as_it_
         saved = again.desk.save("uid:7")
         assert isinstance(saved, asyncio.Future)
         await saved
-        assert not (tmp_path / overlay.NAME).exists()
+        assert not (tmp_path / overlays.NAME).exists()
 
     run(main())
 
@@ -312,10 +310,10 @@ def test_who_changed_what_is_in_the_log_of_changes(make: Make, tmp_path: Path) -
         assert isinstance(saved, asyncio.Future)
         await saved
         await asyncio.get_running_loop().shutdown_default_executor()
-        first, second = map(json.loads, overlay.last_lines(tmp_path, 10))
+        first, second = map(json.loads, (tmp_path / overlays.JOURNAL).read_text().splitlines())
         assert first["who"] == "panel"
         assert first["changed"] == {NOISE: {"old": 0.00038, "new": 0.001}}
-        assert second["saved"].endswith(overlay.NAME)
+        assert second["saved"].endswith(overlays.NAME)
 
     run(main())
 
@@ -324,7 +322,7 @@ def test_a_disk_that_refuses_is_a_refusal(make: Make, tmp_path: Path) -> None:
     async def main() -> None:
         here = make()
         here.assign({"watch.missed_s": 0.04})
-        (tmp_path / overlay.NAME).mkdir()
+        (tmp_path / overlays.NAME).mkdir()
         saved = here.desk.save("uid:7")
         assert isinstance(saved, asyncio.Future)
         assert "not saved" in (await saved)["refused"]
@@ -350,14 +348,14 @@ def test_overlays_are_laid_in_their_order_and_told_by_their_own_place(tmp_path: 
     path = tmp_path / "linemated.yaml"
     path.write_text("task: wheel.yaml\nstate: .\noverlays: [one.yaml]\nwatch: {missed_s: 0.05}\n")
     (tmp_path / "one.yaml").write_text("watch: {missed_s: 0.06, leak_s: 0.12}\n")
-    (tmp_path / overlay.NAME).write_text("watch: {missed_s: 0.07}\n")
+    (tmp_path / overlays.NAME).write_text("watch: {missed_s: 0.07}\n")
     station = config.load(path)
     assert (station.config.watch.missed_s, station.config.watch.leak_s) == (0.07, 0.12)
     assert station.written.watch.missed_s == 0.06
-    (tmp_path / overlay.NAME).write_text("watch:\n  missed_s: no\nrsi: {port: 1}\n")
+    (tmp_path / overlays.NAME).write_text("watch:\n  missed_s: no\nrsi: {port: 1}\n")
     with pytest.raises(FileError) as caught:
         config.load(path)
-    where = tmp_path / overlay.NAME
+    where = tmp_path / overlays.NAME
     assert any(line.startswith(f"{where}:2:13: watch.missed_s") for line in caught.value.lines)
     assert any(line.startswith(f"{where}:3:1: rsi") for line in caught.value.lines)
 
@@ -392,7 +390,7 @@ def test_a_difference_laid_over_its_base_gives_the_whole() -> None:
     whole = {"a": 1, "b": {"c": [1, 3], "d": 2.0}, "e": "y"}
     over = tree.difference(whole, base)
     assert over == {"b": {"c": [1, 3]}, "e": "y"}
-    assert tree.laid_over(base, over) == whole
+    assert tree.merge(base, over) == whole
     assert tree.difference(base, base) == {}
 
 

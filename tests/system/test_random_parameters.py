@@ -16,7 +16,7 @@ import pytest
 
 from linemate.daemon.config import config
 from linemate.daemon.config import settings_tree as tree
-from linemate.daemon.config.parameter_list import Change, rule
+from linemate.daemon.config.parameter_list import ChangeTime, change_rule
 from linemate.daemon.config.settings_tree import SettingError
 from linemate.daemon.cycle.states import MOVING
 from linemate.daemon.service.parameter_desk import Desk
@@ -44,7 +44,7 @@ WRONG: tuple[Any, ...] = (
 def draw(rng: random.Random, known: dict[str, Any]) -> dict[str, Any]:
     """One to four changes: mostly sensible, some wild, some nonsense; most of them live."""
     live = rng.random() < 0.75
-    names = sorted(n for n in known if not live or rule(n).change is Change.LIVE)
+    names = sorted(n for n in known if not live or change_rule(n).change is ChangeTime.LIVE)
     names = rng.sample(names, rng.choice((1, 1, 1, 2, 4)))
     if rng.random() < 0.03:
         names.append(rng.choice(("tracking", "nonsense", "tracking.distance", "control.servos.8")))
@@ -74,13 +74,13 @@ def robots_limits() -> str:
 
 
 def needs_compiler(values: dict[str, Any]) -> bool:
-    return any(rule(name).change is Change.IDLE for name in values)
+    return any(change_rule(name).change is ChangeTime.IDLE for name in values)
 
 
 class Operator:
     """Sets parameters while a run goes on, and holds each answer to the rules."""
 
-    def __init__(self, station: config.Station, run: lockstep.Lockstep, seed: int) -> None:
+    def __init__(self, station: config.LoadedConfig, run: lockstep.Lockstep, seed: int) -> None:
         self.outcomes: Counter[str] = Counter()
         self._run = run
         self._desk = Desk(station, run.cycle)
@@ -112,7 +112,7 @@ class Operator:
             assert desk.settings is before
             return
         try:
-            whole = tree.changed(before, values)
+            whole = tree.change(before, values)
         except SettingError as error:
             pytest.fail(f"taken although it does not fit: {error}")
         assert desk.settings == whole

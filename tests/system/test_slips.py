@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import yaml
 
-from linemate.daemon.config.config import Station, load
+from linemate.daemon.config.config import LoadedConfig, load
 from linemate.daemon.config.documents import FileError
 from linemate.daemon.config.files import DAEMON_DATA
 from linemate.daemon.service import main as service
@@ -197,7 +197,7 @@ PASSED = {"start backwards", "camera on the other side", "swing's lever signed o
 """Slips that no file shows by itself."""
 
 
-def checked(path: Path) -> Station:
+def checked(path: Path) -> LoadedConfig:
     """Do what ``linemated --check`` does.
 
     Raises:
@@ -208,7 +208,7 @@ def checked(path: Path) -> Station:
     return station
 
 
-def true_speed(station: Station) -> float:
+def true_speed(station: LoadedConfig) -> float:
     """Run the site's daemon beside the shipped plant; the fastest true tcp [m/s]."""
     known = setup.make("wheel")
     identified = known.control

@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 
 from linemate.daemon.config import config
-from linemate.daemon.config.config import Station
+from linemate.daemon.config.config import LoadedConfig
 from linemate.daemon.core.control.settings import AxisLimits
 from linemate.daemon.core.parameters import Parameters
 from linemate.simulators import harness
@@ -71,13 +71,13 @@ CELLS: dict[str, Cell] = {
 
 
 @cache
-def station(cell: str = SHIPPED) -> Station:
+def station(cell: str = SHIPPED) -> LoadedConfig:
     """Return a cell's configuration of the daemon."""
     return config.load(TASKS / CELLS[cell].file)
 
 
 @cache
-def station_of(lead_ms: float, cycle_ms: CycleMs, cell: str = SHIPPED) -> Station:
+def station_of(lead_ms: float, cycle_ms: CycleMs, cell: str = SHIPPED) -> LoadedConfig:
     """Return the same with how early replies are prepared and the controller's cycle [ms]."""
     plain = station(cell)
     changed = replace(

@@ -1,13 +1,15 @@
-"""What operators saved: an overlay in the daemon's own directory, laid over the user's file.
+"""Overlays: files of parameters over the configuration, among them what operators saved.
 
-Law of this file: the user's file is never written. An overlay holds sections as the file has
-them, only what differs; a list is replaced whole. There is never half of one on the disk.
+Invariants:
+- The user's file is never written.
+- An overlay holds only what differs. A list is replaced whole.
+- A power cut leaves the old overlay or the new one, never half of one.
 """
 
 import json
 import os
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -16,7 +18,7 @@ import yaml
 
 from linemate.daemon.config import documents, files, timeouts
 from linemate.daemon.config import settings_tree as tree
-from linemate.daemon.config.documents import Complaint, Document, FileError
+from linemate.daemon.config.documents import Complaint, FileError, YamlDocument
 from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.settings import Config
 from linemate.daemon.config.settings_tree import Settings
@@ -33,10 +35,10 @@ def settings_of(config: Config) -> Settings:
 
 
 def directory(config: Config, base: Path) -> Path | None:
-    """Return where operators' parameters are kept, None if nowhere.
+    """Return the directory of what operators save, None if there is none.
 
     Args:
-        base: directory of its file.
+        base: directory of the configuration file.
     """
     if config.state is not None:
         return base / config.state
@@ -44,11 +46,11 @@ def directory(config: Config, base: Path) -> Path | None:
     return Path(given) if given else None
 
 
-def laid(document: Document, config: Config, base: Path, *, saved: bool = True) -> Config:
-    """Return a configuration with its overlays laid over it.
+def apply(document: YamlDocument, config: Config, base: Path, *, saved: bool = True) -> Config:
+    """Return a configuration with its overlays.
 
     Args:
-        saved: what operators saved among them.
+        saved: include what operators saved.
 
     Raises:
         FileError: everything that is wrong with the overlays.
@@ -62,29 +64,29 @@ def laid(document: Document, config: Config, base: Path, *, saved: bool = True) 
     for path in paths:
         try:
             over = _read(path)
-            laid_over = tree.laid_over(value, over.value)
-            merged = Document(over.name, laid_over, over.values, over.keys, over.complaints)
-            config = documents.fill(merged, Config, partial(_foreign, over))
-        except FileError as error:  # its neighbours are looked at without it
+            merged_value = tree.merge(value, over.value)
+            merged = YamlDocument(over.name, merged_value, over.values, over.keys, over.complaints)
+            config = documents.fill(merged, Config, partial(_complaints, over))
+        except FileError as error:  # the next overlays are read without it
             wrong.extend(error.lines)
         else:
-            value = laid_over
+            value = merged_value
     if wrong:
         raise FileError(wrong)
     return config
 
 
 def save(folder: Path, settings: Settings, written: Settings) -> Path:
-    """Keep what differs from the user's file; without a difference there is no overlay.
+    """Write what differs from the user's file; without a difference remove the overlay.
 
     Args:
-        written: by the user, with the overlays that he named.
+        written: the user's parameters, with the overlays that the file names.
 
     Returns:
         Path of the overlay.
 
     Raises:
-        OSError: it cannot be written; the earlier one is as it was.
+        OSError: it cannot be written; the earlier one is unchanged.
     """
     path = folder / NAME
     overlay = tree.difference(tree.plain(settings), tree.plain(written))
@@ -96,8 +98,8 @@ def save(folder: Path, settings: Settings, written: Settings) -> Path:
     return path
 
 
-def journal(folder: Path, told: Mapping[str, Any]) -> None:
-    """Add a line of JSON to the log of changes; an older half of it is kept.
+def append_change(folder: Path, change: Mapping[str, Any]) -> None:
+    """Append a line of JSON to the log of changes; one older file is kept.
 
     Raises:
         OSError: it cannot be written.
@@ -106,18 +108,10 @@ def journal(folder: Path, told: Mapping[str, Any]) -> None:
     if path.exists() and path.stat().st_size > JOURNAL_BYTES:
         path.replace(path.with_suffix(".log.1"))
     with path.open("a", encoding="utf-8") as file:
-        file.write(json.dumps(told) + "\n")
+        file.write(json.dumps(change) + "\n")
 
 
-def last_lines(folder: Path, count: int) -> Sequence[str]:
-    """Return the last lines of the log of changes, oldest first; none if there is none."""
-    try:
-        return (folder / JOURNAL).read_text(encoding="utf-8").splitlines()[-count:]
-    except OSError:
-        return ()
-
-
-def _read(path: Path) -> Document:
+def _read(path: Path) -> YamlDocument:
     try:
         data = files.read(path, documents.MAX_BYTES)
     except UnreadableError as error:
@@ -125,8 +119,8 @@ def _read(path: Path) -> Document:
     return documents.read(data, str(path))
 
 
-def _foreign(over: Document, merged: Any) -> list[Complaint]:
-    """Sections that are no parameters: an overlay opens no other port; and time-outs' order."""
+def _complaints(over: YamlDocument, merged: Any) -> list[Complaint]:
+    """Return sections that are not parameters, and time-outs out of order."""
     value = over.value if isinstance(over.value, dict) else {}
     return [
         Complaint((key,), f"an overlay may hold {', '.join(tree.SECTIONS)}", at_key=True)
@@ -136,7 +130,7 @@ def _foreign(over: Document, merged: Any) -> list[Complaint]:
 
 
 def _replace(path: Path, text: str) -> None:
-    """Write a file so that there is never half of it, also after a power cut."""
+    """Write a file atomically, also against a power cut."""
     handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as file:

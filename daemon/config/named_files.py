@@ -1,0 +1,165 @@
+"""Files that a configuration names: task, URDF, controller file, DBC and keys.
+
+Invariants:
+- Plain values are read, so that the errors of all files come together with the file's own.
+"""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from linemate.daemon.config import files, rsi_check, section_checks, task_file, timeouts
+from linemate.daemon.config.documents import Complaint, FileError
+from linemate.daemon.config.files import UnreadableError
+from linemate.daemon.config.key_file import key_path, read_keys
+from linemate.daemon.config.section_checks import PlainValues
+from linemate.daemon.config.settings import Corrections
+from linemate.daemon.config.task_file import Task
+from linemate.protocol.command.preshared_keys import PresharedKey
+from linemate.protocol.rsi.codec import RsiCodec
+from linemate.protocol.rsi.ethernet_config import RsiConfig, parse_config
+from linemate.protocol.rsi.xml_scan import RsiError
+from linemate.protocol.sensors.distance import DistanceDecoder, DistanceError, message_names
+
+MAX_LINK_BYTES = 1_048_576
+DEFAULT_RSI = "rsi_joints.xml"
+
+_CORRECTION = {"A": "AK", "E": "EK"}
+
+
+class NamedFiles:
+    """The files that a configuration names, and what is wrong with them.
+
+    Attributes:
+        task, rsi, dbc, keys: contents, None or empty where a file is absent or wrong.
+        texts: files for recordings, by name: task, urdf, rsi, dbc.
+        lines: errors of the task file, as ``file:line:col: key: what``.
+    """
+
+    def __init__(self, base: Path, value: Any) -> None:
+        self.task: Task | None = None
+        self.rsi: RsiConfig | None = None
+        self.dbc: str | None = None
+        self.keys: tuple[PresharedKey, ...] = ()
+        self.texts: dict[str, str] = {}
+        self.lines: list[str] = []
+        self._decoder: tuple[str, str, str] | None = None
+        self._base = base
+        self._values = PlainValues(value)
+
+    def complaints(self, _: Any) -> Iterator[Complaint]:
+        """Read all files and check them against the configuration."""
+        for path, read in (
+            (("task",), self._read_task),
+            (("rsi", "config"), self._read_rsi),
+            (("rsi", "config"), self._check_axes),
+            (("rsi", "linear_axes"), self._check_linear_axes),
+            (("distance", "dbc"), self._read_dbc),
+            (("distance", "message"), self._check_message),
+            (("distance", "strength"), self._check_strength),
+            (("command", "udp", "keys"), self._read_keys),
+        ):
+            yield from self._attempt(path, read)
+        yield from self._rsi_complaints()
+        rsi_port = None if self.rsi is None else self.rsi.port
+        yield from section_checks.complaints(self._values, self._base, rsi_port)
+        yield from timeouts.complaints(self._values.value)
+
+    def _attempt(self, path: tuple[str, ...], read: Callable[[], None]) -> Iterator[Complaint]:
+        try:
+            read()
+        except FileError as error:
+            self.lines.extend(error.lines)
+        except (UnreadableError, RsiError, DistanceError, ValueError) as error:
+            for what in str(error).splitlines():  # a key file has one for each bad line
+                yield Complaint(path, what)
+
+    def _read_task(self) -> None:
+        name = self._values.get("task", kind=str)
+        if name:
+            self.task = task_file.load(files.find(name, self._base, files.DAEMON_DATA))
+            self.texts |= {"task": self.task.text, "urdf": self.task.urdf}
+
+    def _read_rsi(self) -> None:
+        name = self._values.get("rsi", "config", kind=str, default=DEFAULT_RSI)
+        if not self._values.has("rsi"):
+            name = DEFAULT_RSI
+        if name:
+            data = files.read(files.find(name, self._base, files.PROTOCOL_DATA), MAX_LINK_BYTES)
+            self.rsi = parse_config(data)
+            RsiCodec(self.rsi)
+            self.texts["rsi"] = data.decode("utf-8", errors="replace")
+
+    def _check_axes(self) -> None:
+        """Refuse a controller file without the position and correction of an axis."""
+        if self.rsi is None or self.task is None:
+            return
+        sends, axes = ["DEF_AIPos"], [f"A{i}" for i in range(1, 7)]
+        if self.task.file.arm.linear_axis:
+            sends, axes = [*sends, "DEF_EIPos"], [*axes, "E1"]
+        sent = {element.tag for element in self.rsi.send}
+        parts = [element.tag.partition(".") for element in self.rsi.receive]
+        corrected = {axis for word, _, axis in parts if word in {"AK", "AKorr", "EK", "EKorr"}}
+        missing = [f"SEND {tag}" for tag in sends if tag not in sent]
+        missing += [
+            f"RECEIVE {_CORRECTION[axis[0]]}.{axis}" for axis in axes if axis not in corrected
+        ]
+        if missing:
+            raise ValueError(f"the task's arm needs {', '.join(missing)}")
+
+    def _rsi_complaints(self) -> Iterator[Complaint]:
+        """Yield what the controller's file must not hold, or lacks."""
+        if self.rsi is None:
+            return
+        values = self._values
+        corrections = values.get("rsi", "corrections", kind=str, default=Corrections.ABSOLUTE.value)
+        constants: dict[str, Any] = values.get("rsi", "constants", kind=dict, default={}) or {}
+        errors = [*rsi_check.unfilled(self.rsi, constants)]
+        if corrections in list(Corrections):
+            errors = [*rsi_check.exchange_errors(self.rsi, Corrections(corrections)), *errors]
+        if self.task is not None:
+            errors += rsi_check.gate_errors(self.rsi, self.task.file)
+        for what in errors:
+            yield Complaint(("rsi", "config"), what)
+        for tag, what in rsi_check.constant_errors(self.rsi, constants):
+            yield Complaint(("rsi", "constants", tag), what)
+
+    def _check_linear_axes(self) -> None:
+        """Refuse a rotating E1: millimetres would be read as degrees."""
+        linear = self._values.get("rsi", "linear_axes", kind=list)
+        if linear is None or self.task is None or not self.task.file.arm.linear_axis:
+            return
+        if "E1" not in linear:
+            raise ValueError("the task's arm stands on E1, which is linear")
+
+    def _read_dbc(self) -> None:
+        if not self._values.has("distance"):
+            return
+        get = self._values.get
+        name = get("distance", "dbc", kind=str, default="distance.dbc")
+        message = get("distance", "message", kind=str, default="CIA406_TPDO1")
+        signal = get("distance", "signal", kind=str, default="Position")
+        if name and message and signal:
+            path = files.find(name, self._base, files.PROTOCOL_DATA)
+            text = files.read_text(path, MAX_LINK_BYTES)
+            message_names(text)
+            self.dbc = self.texts["dbc"] = text
+            self._decoder = (text, message, signal)
+
+    def _check_message(self) -> None:
+        if self._decoder is not None:
+            decoder, self._decoder = self._decoder, None
+            DistanceDecoder(*decoder)
+            self._decoder = decoder
+
+    def _check_strength(self) -> None:
+        strength = self._values.get("distance", "strength", kind=str)
+        if self._decoder is not None and strength:
+            DistanceDecoder(*self._decoder, strength=strength)
+
+    def _read_keys(self) -> None:
+        name = self._values.get("command", "udp", "keys", kind=str)
+        if name:
+            self.keys = read_keys(key_path(name, self._base))
+            if not self.keys:
+                raise ValueError("holds no key; make one with `linemate keygen`")

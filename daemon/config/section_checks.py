@@ -1,0 +1,167 @@
+"""Checks of a configuration's addresses, ports, directories and groups.
+
+Invariants:
+- Values of the wrong kind are passed over. ``documents.fill`` refuses them.
+- No port is opened and no file is written.
+"""
+
+import grp
+import ipaddress
+import os
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from linemate.daemon.config.documents import Complaint
+from linemate.drivers.camera_peer import parse_peer
+
+T = TypeVar("T")
+
+LONGEST_SOCKET_PATH = 107  # bytes, of sockaddr_un
+
+_ADDRESSES: tuple[tuple[str, ...], ...] = (
+    ("rsi", "bind"),
+    ("rsi", "peer"),
+    ("camera", "bind"),
+    ("command", "udp", "bind"),
+)
+_DIRECTORIES: tuple[tuple[str, ...], ...] = (
+    ("recording", "directory"),
+    ("realtime", "incidents"),
+    ("state",),
+)
+_LOOPBACK = "127.0.0.1"
+
+
+@dataclass(frozen=True, slots=True)
+class PlainValues:
+    """Plain values of a configuration, of any kind."""
+
+    value: Any
+
+    def get(self, *path: str, kind: type[T], default: T | None = None) -> T | None:
+        """Return a value of one kind, the default if its key is absent, else None."""
+        value = self.value
+        for part in path:
+            if not isinstance(value, dict):
+                return None
+            if part not in value:
+                return default
+            value = value[part]
+        return value if isinstance(value, kind) else None
+
+    def has(self, *section: str) -> bool:
+        """Return whether a section is given."""
+        return self.get(*section, kind=dict) is not None
+
+
+def complaints(values: PlainValues, base: Path, rsi_port: int | None) -> Iterator[Complaint]:
+    """Yield what is wrong with addresses, ports, directories and groups.
+
+    Args:
+        base: directory of the configuration file.
+        rsi_port: port of the controller's own file, None if that cannot be read.
+    """
+    for path in _DIRECTORIES:
+        yield from _complaint(path, _check_directory, base, values.get(*path, kind=str))
+    socket = values.get("command", "socket", kind=str)
+    yield from _complaint(("command", "socket"), _check_socket, base, socket)
+    for key in ("operate_groups", "view_groups"):
+        names = values.get("command", key, kind=list) or []
+        known = [name for name in names if isinstance(name, str)]
+        yield from _complaint(("command", key), group_ids, known)
+    if values.has("distance"):
+        can: dict[str, Any] = values.get("distance", "can", kind=dict) or {}
+        yield from _complaint(("distance", "can"), _check_can, can)
+    for path in _ADDRESSES:
+        address = values.get(*path, kind=str)
+        if address is not None:
+            yield from _complaint(path, ipaddress.ip_address, address)
+    peer = values.get("camera", "peer", kind=str)
+    if peer is not None:
+        yield from _complaint(("camera", "peer"), parse_peer, peer)
+    bind = values.get("command", "udp", "bind", kind=str, default=_LOOPBACK)
+    remote = values.get("command", "udp", "allow_remote", kind=bool, default=False)
+    if bind and not remote:
+        yield from _complaint(("command", "udp", "bind"), _check_consent, bind)
+    yield from _shared_ports(values, rsi_port)
+
+
+def _complaint(
+    path: tuple[str, ...], check: Callable[..., object], *arguments: Any
+) -> Iterator[Complaint]:
+    try:
+        check(*arguments)
+    except ValueError as error:
+        yield Complaint(path, str(error))
+
+
+def _check_directory(base: Path, name: str | None) -> None:
+    if name and not os.access(base / name, os.W_OK | os.X_OK):
+        raise ValueError(f"not a directory that can be written: {base / name}")
+
+
+def _check_socket(base: Path, name: str | None) -> None:
+    if name is None:
+        return
+    path = base / name
+    if len(os.fsencode(path)) > LONGEST_SOCKET_PATH:
+        raise ValueError(f"longer than the {LONGEST_SOCKET_PATH} bytes a socket's path may have")
+    if not path.parent.is_dir():
+        raise ValueError(f"no such directory: {path.parent}")
+
+
+def _check_can(can: dict[str, Any]) -> None:
+    nested = [key for key, value in can.items() if isinstance(value, (dict, list))]
+    if nested:
+        raise ValueError(f"should hold plain values: {', '.join(nested)}")
+    interface = can.get("interface")
+    if interface is None or isinstance(interface, (bool, int, float)):
+        raise ValueError("needs an interface: slcan, socketcan, ...")
+    if interface == "udp_multicast" and can.get("hop_limit") != 0:
+        raise ValueError("udp_multicast needs hop_limit: 0, else frames leave this host")
+
+
+def _check_consent(bind: str) -> None:
+    if not ipaddress.ip_address(bind).is_loopback:
+        raise ValueError(f"{bind} can be reached by others; say allow_remote: true")
+
+
+def _shared_ports(values: PlainValues, rsi_port: int | None) -> Iterator[Complaint]:
+    """Yield a port that two sockets would share: the second could not be opened."""
+    used: dict[int, list[tuple[str, str]]] = {}
+    for path, default in ((("rsi",), rsi_port), (("camera",), 49153), (("command", "udp"), 49160)):
+        if path != ("rsi",) and not values.has(*path):
+            continue
+        port = values.get(*path, "port", kind=int, default=default)
+        port = default if port is None and path == ("rsi",) else port
+        bind = values.get(*path, "bind", kind=str, default=_LOOPBACK) or _LOOPBACK
+        if not port:
+            continue
+        for other, address in used.get(port, []):
+            if _overlap(bind, address):
+                yield Complaint((*path, "port"), f"{port} is {other}'s already")
+        used.setdefault(port, []).append((f"{'.'.join(path)}.port", bind))
+
+
+def _overlap(first: str, second: str) -> bool:
+    return first == second or not {first, second}.isdisjoint({"0.0.0.0", "::"})  # noqa: S104
+
+
+def group_ids(names: Iterable[str]) -> frozenset[int]:
+    """Return the ids of groups of this host, by name or number.
+
+    Raises:
+        ValueError: a group is not known.
+    """
+    ids: set[int] = set()
+    unknown: list[str] = []
+    for name in names:
+        try:
+            ids.add(int(name) if name.isdecimal() else grp.getgrnam(name).gr_gid)
+        except KeyError:
+            unknown.append(name)
+    if unknown:
+        raise ValueError(f"no such group: {', '.join(unknown)}. Make it, or give its number")
+    return frozenset(ids)
