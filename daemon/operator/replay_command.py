@@ -65,8 +65,8 @@ class ReplayCount:
                 self.first_ns = comparison.stamp_ns
             self.steps += 1
             self.different += bool(comparison.changes)
-            self.unmade += comparison.unmade is not None
-            why = comparison.unmade or comparison.begun
+            self.unmade += comparison.failure is not None
+            why = comparison.failure or comparison.restart
             if why is not None and len(self.notes) < MAX_NOTES:
                 self.notes.append((comparison, why))
             yield comparison

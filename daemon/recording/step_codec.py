@@ -1,8 +1,9 @@
-"""One sampling step as bytes, exactly: what entered it and what it said.
+"""Codec of recorded steps: inputs and outputs as bytes, bit for bit.
 
-Law of this file: pure, both directions; a float comes back as the same 64 bits. Values stand in
-the order of their fields, and ``LAYOUT`` goes along with the file, so that a later version knows
-what an earlier one wrote. The horizon is kept as a digest: the inputs give it again.
+Invariants:
+- A float keeps its 64 bits.
+- Values stand in the order of ``LAYOUT``, which each recording holds for later versions.
+- The horizon is recorded as a digest. A replay computes it again.
 """
 
 from collections.abc import Callable, Mapping

@@ -1,15 +1,14 @@
-"""Recorded inputs through ``step`` once more, and what came out differently.
+"""Replay of a recording: its inputs through ``step`` replay_outputs, and what differs.
 
-Law of this file: pure; pieces of a recording in their order in, one verdict a step out. The same
-program with the same parameters gives the same bits; after a change of either, the differences
-say which outputs moved, when and by how much. Nothing is guessed silently: where a step cannot be
-made again, its verdict says why.
+Invariants:
+- The same program with the same parameters gives the same bits.
+- A step that cannot be replayed has its reason.
 """
 
 import math
 import statistics
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain, islice, pairwise
 from typing import Any
 
@@ -35,8 +34,7 @@ from linemate.daemon.recording.format import (
 from linemate.daemon.recording.step_codec import StepRecord
 from linemate.protocol.samples import RobotSample
 
-FIRST_STEPS = 50
-"""Steps whose stamps tell the cycle time where a recording does not."""
+FIRST_STEPS = 50  # steps whose stamps give the period of a recording without parameters
 
 
 class ReplayError(ValueError):
@@ -48,41 +46,39 @@ Piece = CellTexts | StateBefore | ParametersInForce | StepRecord | DamageReport
 
 @dataclass(frozen=True, slots=True)
 class ReplayedStep:
-    """What became of one step.
+    """Result of one step.
 
     Attributes:
-        k: number of the step.
-        stamp_ns: of the step [ns].
-        changes: the fields that are not bit for bit the recorded ones: as recorded, as made.
-        unmade: why it could not be made again, None if it was.
-        begun: why the state before it was made anew, None if it was the recorded one.
+        changes: outputs that differ in any bit, by name: the recorded and the replayed value.
+        failure: why the step cannot be replayed, None if it was.
+        restart: why the state before it is not the recorded one, None if it is.
     """
 
     k: int
     stamp_ns: int
     changes: Mapping[str, tuple[Any, Any]]
-    unmade: str | None = None
-    begun: str | None = None
+    failure: str | None = None
+    restart: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Overrides:
-    """Parameters to replay with, instead of the recorded ones.
+    """Parameters of a replay that replace the recorded ones.
 
     Attributes:
-        sections: plain values by section, laid over the recorded ones.
-        values: by dotted name, after that.
+        sections: plain values by section, merged into the recorded ones.
+        values: by dotted name, after the sections.
     """
 
     sections: Mapping[str, Any] = field(default_factory=dict)
     values: Mapping[str, Any] = field(default_factory=dict)
 
     def __bool__(self) -> bool:
-        """Whether there are any."""
+        """Return whether there are any."""
         return bool(self.sections or self.values)
 
     def over(self, settings: Settings) -> Settings:
-        """Return settings with the overrides laid over them.
+        """Return settings with the overrides.
 
         Raises:
             SettingError: they do not fit.
@@ -90,27 +86,22 @@ class Overrides:
         for section in self.sections:
             if section not in tree.SECTIONS:
                 raise SettingError(f"no section {section}")
-        made = {
-            name: tree.read_section(
-                name, tree.merge(tree.plain(getattr(settings, name)), self.sections[name])
-            )
-            if name in self.sections
-            else getattr(settings, name)
-            for name in tree.SECTIONS
-        }
-        whole = Settings(**made)
-        return tree.change(whole, self.values) if self.values else whole
+        merged = {name: getattr(settings, name) for name in tree.SECTIONS}
+        for name, section in self.sections.items():
+            merged[name] = tree.read_section(name, tree.merge(tree.plain(merged[name]), section))
+        changed = Settings(**merged)
+        return tree.change(changed, self.values) if self.values else changed
 
 
 @dataclass(slots=True)
 class Summary:
-    """What changed of one field over a replay.
+    """Differences of one output over a replay.
 
     Attributes:
-        steps: in which it did.
-        first: the verdict in which it first did.
-        largest: greatest change of a number in it, None if it holds none.
-        at: the verdict with the largest one.
+        steps: number of steps with a difference.
+        first: the first of them.
+        largest: largest difference of a number, None without numbers.
+        at: the step with the largest difference.
     """
 
     steps: int
@@ -120,48 +111,44 @@ class Summary:
 
 
 def replay(pieces: Iterable[Piece], overrides: Overrides | None = None) -> Iterator[ReplayedStep]:
-    """Make every recorded step again.
+    """Replay every recorded step.
 
     Args:
-        pieces: of a recording, in its order.
+        pieces: pieces of a recording, in its order.
 
     Raises:
         ReplayError: the texts of the cell are missing, or the parameters do not fit.
     """
-    again = _Again(overrides or Overrides())
+    replayer = _Replayer(overrides or Overrides())
     for piece in pieces:
         if isinstance(piece, StepRecord):
-            yield again.step(piece)
+            yield replayer.step(piece)
         else:
-            again.hear(piece)
+            replayer.read(piece)
 
 
-def again(
+def replay_outputs(
     pieces: Iterable[Piece],
 ) -> Iterator[tuple[StepRecord, stepping.Outputs, Parameters]]:
-    """Make every recorded step again, for what a recording does not hold: its horizon.
+    """Yield each step that can be replayed, its outputs and parameters.
 
-    Args:
-        pieces: of a recording, in its order.
-
-    Returns:
-        The steps that could be made, what came out, and the parameters they were made with.
+    The outputs have what a recording has not: the horizon.
 
     Raises:
         ReplayError: as ``replay``.
     """
-    made = _Again(Overrides())
+    replayer = _Replayer(Overrides())
     for piece in pieces:
         if not isinstance(piece, StepRecord):
-            made.hear(piece)
+            replayer.read(piece)
             continue
-        made.step(piece)
-        if made.outputs is not None and made.parameters is not None:
-            yield piece, made.outputs, made.parameters
+        replayer.step(piece)
+        if replayer.outputs is not None and replayer.parameters is not None:
+            yield piece, replayer.outputs, replayer.parameters
 
 
 def with_cycle(pieces: Iterable[Piece]) -> Iterator[Piece]:
-    """Return the pieces, after telling the cycle time where an older recording does not."""
+    """Yield the pieces, with the period measured from stamps if the recording lacks it."""
     rest = iter(pieces)
     first = list(islice(rest, FIRST_STEPS))
     if not any(isinstance(piece, ParametersInForce) for piece in first):
@@ -174,39 +161,40 @@ def with_cycle(pieces: Iterable[Piece]) -> Iterator[Piece]:
     return chain(first, rest)
 
 
-def summarise(verdicts: Iterable[ReplayedStep], tolerance: float = 0.0) -> dict[str, Summary]:
-    """Return what changed, by field, in the order in which it first did.
+def summarise(steps: Iterable[ReplayedStep], tolerance: float = 0.0) -> dict[str, Summary]:
+    """Return the differences by output, in the order in which they begin.
 
     Args:
-        tolerance: numbers that are no further apart count as the same, and a field that has no
-            numbers to compare (the horizon's digest) does not count.
+        tolerance: largest difference of numbers that counts as none. An output without numbers,
+            the digest of the horizon, is left out then.
     """
-    found: dict[str, Summary] = {}
-    for verdict in verdicts:
-        for name, (was, made) in verdict.changes.items():
-            apart = distance(was, made)
-            if tolerance > 0.0 and ((apart is not None and apart <= tolerance) or _opaque(was)):
+    summaries: dict[str, Summary] = {}
+    for step in steps:
+        for name, (recorded, replayed) in step.changes.items():
+            apart = distance(recorded, replayed)
+            is_small = apart is not None and apart <= tolerance
+            if tolerance > 0.0 and (is_small or isinstance(recorded, bytes)):
                 continue
-            one = found.setdefault(name, Summary(0, verdict, None, verdict))
-            one.steps += 1
-            if apart is not None and (one.largest is None or apart > one.largest):
-                one.largest, one.at = apart, verdict
-    return found
+            summary = summaries.setdefault(name, Summary(0, step, None, step))
+            summary.steps += 1
+            if apart is not None and (summary.largest is None or apart > summary.largest):
+                summary.largest, summary.at = apart, step
+    return summaries
 
 
-def distance(was: Any, made: Any) -> float | None:
-    """Return the greatest difference of two values' numbers, None if they differ in kind."""
-    if isinstance(was, (tuple, list)) and isinstance(made, (tuple, list)):
-        if len(was) != len(made):
+def distance(recorded: Any, replayed: Any) -> float | None:
+    """Return the largest difference of two values' numbers, None if they differ in kind."""
+    if isinstance(recorded, (tuple, list)) and isinstance(replayed, (tuple, list)):
+        if len(recorded) != len(replayed):
             return None
-        parts = [distance(a, b) for a, b in zip(was, made, strict=True)]
+        parts = [distance(a, b) for a, b in zip(recorded, replayed, strict=True)]
         known = [part for part in parts if part is not None]
         return max(known, default=0.0) if len(known) == len(parts) else None
-    if was == made and type(was) is type(made):
+    if recorded == replayed and type(recorded) is type(replayed):
         return 0.0
-    if not (_is_number(was) and _is_number(made)):
+    if not (_is_number(recorded) and _is_number(replayed)):
         return None
-    apart = abs(float(was) - float(made))
+    apart = abs(float(recorded) - float(replayed))
     return apart if math.isfinite(apart) else math.inf
 
 
@@ -214,98 +202,89 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
-def _opaque(value: Any) -> bool:
-    return isinstance(value, bytes)
-
-
-class _Again:
-    """Goes through a recording.
+class _Replayer:
+    """State of a replay.
 
     Attributes:
-        outputs: of the last step, None if it could not be made.
+        outputs: outputs of the last step, None if it failed.
+        parameters: the parameters in force, None before they are known.
     """
 
     def __init__(self, overrides: Overrides) -> None:
         self.outputs: stepping.Outputs | None = None
+        self.parameters: Parameters | None = None
         self._overrides = overrides
         self._cell: tuple[TaskFile, str] | None = None
         self._written: Settings | None = None
-        self._parameters: Parameters | None = None
-        self._made_of: tuple[Settings, float] | None = None
+        self._built_from: tuple[Settings, float] | None = None
         self._state: stepping.StepState | None = None
         self._next: int | None = None
-        self._told: StateBefore | None = None
+        self._recorded: StateBefore | None = None
 
-    @property
-    def parameters(self) -> Parameters | None:
-        """In force."""
-        return self._parameters
-
-    def hear(self, piece: CellTexts | StateBefore | ParametersInForce | DamageReport) -> None:
-        """Take what is not a step."""
+    def read(self, piece: CellTexts | StateBefore | ParametersInForce | DamageReport) -> None:
+        """Read a piece that is not a step."""
         if isinstance(piece, CellTexts):
             self._read_cell(piece.texts)
         elif isinstance(piece, ParametersInForce):
             self._build(piece.settings)
         elif isinstance(piece, StateBefore):
-            self._told = piece
+            self._recorded = piece
 
     def step(self, record: StepRecord) -> ReplayedStep:
-        """Make a step again."""
+        """Replay a step."""
         inputs = record.inputs
         self.outputs = None
-        if self._parameters is None:
+        if self.parameters is None:
             raise ReplayError("the recording does not tell the parameters of its first step")
-        begun = self._enter(record)
+        restart = self._enter(record, self.parameters)
         if self._state is None:
-            why = begun or "the state before it is not known"
-            return ReplayedStep(inputs.k, inputs.stamp_ns, {}, unmade=why)
+            why = restart or "the state before it is not known"
+            return ReplayedStep(inputs.k, inputs.stamp_ns, {}, failure=why)
         try:
-            self._state, outputs = stepping.step(self._state, inputs, self._parameters)
+            self._state, outputs = stepping.step(self._state, inputs, self.parameters)
         except (ValueError, IndexError, TypeError, ArithmeticError) as error:
             self._state = self._next = None
             why = f"{type(error).__name__}: {error}"
-            return ReplayedStep(inputs.k, inputs.stamp_ns, {}, unmade=why, begun=begun)
+            return ReplayedStep(inputs.k, inputs.stamp_ns, {}, failure=why, restart=restart)
         self._next = inputs.k + 1
         self.outputs = outputs
         changes = {}
         names = step_codec.differences(record, outputs)
         if names:
-            made = step_codec.plain(outputs)
-            changes = {name: (record.outputs.get(name), made.get(name)) for name in names}
-        return ReplayedStep(inputs.k, inputs.stamp_ns, changes, begun=begun)
+            replayed = step_codec.plain(outputs)
+            changes = {name: (record.outputs.get(name), replayed.get(name)) for name in names}
+        return ReplayedStep(inputs.k, inputs.stamp_ns, changes, restart=restart)
 
-    def _enter(self, record: StepRecord) -> str | None:
-        """Have the state before a step; why it had to be made anew, None if it did not."""
-        told, self._told = self._told, None
+    def _enter(self, record: StepRecord, parameters: Parameters) -> str | None:
+        """Set the state before a step; return why it is not the recorded one, None if it is."""
+        recorded, self._recorded = self._recorded, None
         k = record.inputs.k
-        goes_on = self._state is not None and self._next == k
-        if told is None or told.k != k:
-            if goes_on:
+        continues = self._state is not None and self._next == k
+        if recorded is None or recorded.k != k:
+            if continues:
                 return None
             self._state = None
             return self._begin_at(record.inputs.robot, "the recording has no state before it")
-        if goes_on and not told.anew:
+        if continues and not recorded.is_new:
             return None
         try:
-            state = snapshot.decode(told.data)
+            state = snapshot.decode(recorded.data)
         except snapshot.SnapshotError as error:
             self._state = None
             return self._begin_at(record.inputs.robot, str(error))
-        assert self._parameters is not None  # noqa: S101 - a step comes after its parameters
-        if not self._overrides or _fits(state, self._parameters):
+        if not self._overrides or _fits(state, parameters):
             self._state = state
             return None
         held = tuple(state.control.gate.position.tolist())
-        there = RobotSample(record.inputs.stamp_ns, 0, held[:6], held[6:])
-        return self._begin_at(there, "the recorded state is not one of these parameters")
+        robot = RobotSample(record.inputs.stamp_ns, 0, held[:6], held[6:])
+        return self._begin_at(robot, "the recorded state is not one of these parameters")
 
     def _begin_at(self, robot: RobotSample | None, why: str) -> str:
-        if robot is None or self._parameters is None:
+        if robot is None or self.parameters is None:
             return why
         axes = (*robot.joints, *robot.external)
         try:
-            self._state = stepping.initial(self._parameters, robot)
+            self._state = stepping.initial(self.parameters, robot)
         except (ValueError, IndexError) as error:
             return f"{why}; and {error}"
         return f"{why}; begun at rest at {', '.join(f'{axis:.4f}' for axis in axes[:7])}"
@@ -331,39 +310,37 @@ class _Again:
         if isinstance(rsi, dict) or "task" in value:
             self._build({"cycle_s": 1e-3 * (written or RsiSettings().cycle_ms)})
 
-    def _build(self, told: Mapping[str, Any]) -> None:
+    def _build(self, recorded: Mapping[str, Any]) -> None:
         """Compile parameters, unless they are those in force."""
         if self._cell is None or self._written is None:
             raise ReplayError("the recording tells parameters before its cell")
         try:
-            settings = Settings(
-                tracking=tree.read_section("tracking", told["tracking"])
-                if "tracking" in told
-                else self._written.tracking,
-                control=tree.read_section("control", told["control"])
-                if "control" in told
-                else self._written.control,
-                watch=self._written.watch,
-            )
-            wanted = (self._overrides.over(settings), float(told["cycle_s"]))
-            if wanted == self._made_of:
+            sections = {
+                name: tree.read_section(name, recorded[name])
+                for name in ("tracking", "control")
+                if name in recorded
+            }
+            settings = self._overrides.over(replace(self._written, **sections))
+            source = (settings, float(recorded["cycle_s"]))
+            if source == self._built_from:
                 return
             task, urdf = self._cell
-            whole = wanted[0]
-            self._parameters = compiling.build(task, urdf, whole.tracking, whole.control, wanted[1])
+            self.parameters = compiling.build(
+                task, urdf, settings.tracking, settings.control, source[1]
+            )
         except (ValueError, KeyError, TypeError) as error:
             raise ReplayError(f"parameters: {error}") from error
-        self._made_of = wanted
+        self._built_from = source
 
 
 def _fits(state: stepping.StepState, parameters: Parameters) -> bool:
-    """Whether a state is one that these parameters could have come to."""
+    """Return whether a state has the shapes that these parameters give."""
     tracker, control = state.tracker, state.control
     joints = control.gate.position
     if len(joints) != parameters.controller.arm.axes:
         return False
-    there = RobotSample(0, 0, tuple(joints[:6].tolist()), tuple(joints[6:].tolist()))
-    fresh = stepping.initial(parameters, there)
+    robot = RobotSample(0, 0, tuple(joints[:6].tolist()), tuple(joints[6:].tolist()))
+    fresh = stepping.initial(parameters, robot)
     pairs = (
         (tracker.poses, fresh.tracker.poses),
         (control.smooth, fresh.control.smooth),
@@ -372,17 +349,17 @@ def _fits(state: stepping.StepState, parameters: Parameters) -> bool:
     )
     if any(np.shape(a) != np.shape(b) for a, b in pairs):
         return False
-    if tracker.belief is not None:
-        born = parameters.tracker.classifier.initial(0.0)
-        if type(born) is not type(tracker.belief) or not _alike(born, tracker.belief):
+    estimate = tracker.belief
+    if estimate is not None:
+        initial = parameters.tracker.classifier.initial(0.0)
+        if type(initial) is not type(estimate) or not _same_shapes(initial, estimate):
             return False
     return tracker.across is None or len(tracker.across.x) == parameters.tracker.transverse.size
 
 
-def _alike(born: Any, belief: Any) -> bool:
-    """Whether two beliefs have arrays of the same shapes."""
-    for name in born.__struct_fields__:
-        a, b = getattr(born, name), getattr(belief, name)
+def _same_shapes(first: Any, second: Any) -> bool:
+    for name in first.__struct_fields__:
+        a, b = getattr(first, name), getattr(second, name)
         if isinstance(a, np.ndarray) and np.shape(a) != np.shape(b):
             return False
     return True

@@ -54,7 +54,7 @@ def foreseen(path: Path) -> Iterator[Foreseen]:
     """
     last_ns = None
     pieces = step_replay.with_cycle(reader.pieces(path))
-    for record, outputs, parameters in step_replay.again(pieces):
+    for record, outputs, parameters in step_replay.replay_outputs(pieces):
         stamp_ns, horizon = record.inputs.stamp_ns, outputs.horizon
         if last_ns is not None and 0 <= stamp_ns - last_ns < SPACING_NS:
             continue

@@ -126,7 +126,7 @@ def test_a_recording_that_begins_in_the_middle_replays_from_its_own_state(tmp_pa
     path = record(tmp_path / "late.mcap", entries(world, 40))
     verdicts = list(replay(pieces(path)))
     assert len(verdicts) == 40
-    assert all(not v.changes and v.unmade is None and v.begun is None for v in verdicts)
+    assert all(not v.changes and v.failure is None and v.restart is None for v in verdicts)
 
 
 def test_steps_that_were_dropped_are_bridged_by_a_state(tmp_path: Path) -> None:
@@ -142,7 +142,7 @@ def test_steps_that_were_dropped_are_bridged_by_a_state(tmp_path: Path) -> None:
     path = record(tmp_path / "gap.mcap", with_a_gap(), feed)
     verdicts = list(replay(pieces(path)))
     assert [v.k for v in verdicts] == [*range(20), *range(30, 60)]
-    assert all(not v.changes and v.unmade is None for v in verdicts)
+    assert all(not v.changes and v.failure is None for v in verdicts)
 
 
 def test_other_parameters_in_the_middle_are_replayed_from_their_own_step_on(
@@ -161,7 +161,7 @@ def test_other_parameters_in_the_middle_are_replayed_from_their_own_step_on(
     found = list(pieces(path))
     assert [piece.k for piece in found if isinstance(piece, ParametersInForce)] == [0, 40]
     assert sum(isinstance(piece, StateBefore) for piece in found) == 1
-    assert all(not v.changes and v.unmade is None for v in replay(found))
+    assert all(not v.changes and v.failure is None for v in replay(found))
 
 
 def test_one_flipped_bit_of_a_command_is_found(whole: Path) -> None:
@@ -185,7 +185,7 @@ def test_an_older_recording_without_states_begins_where_the_robot_was(tmp_path: 
             file.write_item(item)
     file.close()
     verdicts = list(replay(pieces(path)))
-    assert "begun at rest" in str(verdicts[0].begun)
+    assert "begun at rest" in str(verdicts[0].restart)
     assert not any(v.changes for v in verdicts)
 
 

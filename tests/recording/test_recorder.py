@@ -291,7 +291,7 @@ def test_a_file_that_is_full_is_followed_by_one_that_stands_for_itself(
     assert [v.k for v in replayed(second)] == list(range(8, 20))
     for verdict in (*replayed(first), *replayed(second)):
         assert not verdict.changes
-        assert verdict.unmade is verdict.begun is None
+        assert verdict.failure is verdict.restart is None
 
 
 def test_a_file_that_is_old_is_followed_by_the_next(tmp_path: Path, entries: Entries) -> None:
@@ -348,7 +348,7 @@ def test_dropped_steps_are_bridged_so_that_the_rest_replays(
     assert recorder.status.dropped == 4
     verdicts = replayed(Path(recorder.status.file))
     assert [v.k for v in verdicts] == [*range(5), *range(9, 20)]
-    assert all(not v.changes and v.unmade is v.begun is None for v in verdicts)
+    assert all(not v.changes and v.failure is v.restart is None for v in verdicts)
 
 
 def test_the_lines_for_people_and_the_times_of_cycles_stand_beside_the_steps(
@@ -410,7 +410,7 @@ def test_a_killed_writer_is_started_again_and_the_recording_goes_on(
     assert recorder.writer_pid is None
     verdicts = replayed(Path(status.file))
     assert len(verdicts) == len(steps) - half - 2
-    assert not any(verdict.changes or verdict.unmade for verdict in verdicts)
+    assert not any(verdict.changes or verdict.failure for verdict in verdicts)
     assert "recording goes on in" in caplog.text
 
 
