@@ -1,4 +1,4 @@
-"""Both ends of the command protocol, for tests: in memory, and a real daemon's doors."""
+"""Both ends of the command protocol, for tests: in memory, and a real daemon's endpoints."""
 
 import itertools
 import threading
@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from linemate.daemon.service.command_server import CommandPort, LocalDoor, UdpDoor
+from linemate.daemon.service.command_server import CommandPort
+from linemate.daemon.service.endpoints import LocalEndpoint, UdpEndpoint
 from linemate.protocol.command.authenticated import CommandClient, CommandServer
 from linemate.protocol.command.client_core import Answer, ClientCore, More
 from linemate.protocol.command.frame_codec import Role
@@ -104,12 +105,12 @@ def open_port(
     handle: Callable[[str, dict[str, Any], str, str], Mapping[str, Any]] = nothing,
     telemetry: Callable[[], Mapping[str, Any]] = dict,
 ) -> Iterator[CommandPort]:
-    """A daemon's doors with nobody polling them: a test calls ``poll``."""
+    """A daemon's endpoints that a test polls itself."""
     port = CommandPort(
         handle,
         telemetry,
-        LocalDoor(tmp_path / "command.sock"),
-        UdpDoor(port=0, keys=keys) if keys else None,
+        LocalEndpoint(tmp_path / "command.sock"),
+        UdpEndpoint(port=0, keys=keys) if keys else None,
     )
     port.open()
     try:

@@ -12,13 +12,12 @@ from typing import Any
 from command_ends import open_port, served
 
 from linemate.daemon.recording import viewer_messages
+from linemate.daemon.recording.format import SHOWN_OUTPUTS
 from linemate.daemon.recording.reader import Recording, read
 from linemate.daemon.service.command_server import CommandPort
 
 GOLDEN = Path(__file__).parent / "system" / "golden" / "wheel.mcap"
 LINEMATE = (sys.executable, "-m", "linemate.daemon.operator.main")
-SHOWN = ("phase", "task_time", "scenario", "scenario_state", "confidence", "speed", "contact",
-         "held", "target", "sensed", "part", "command")  # fmt: skip
 LINK = {"up": True, "rate_hz": 83.3, "age_s": 0.004, "reason": "", "counters": {}}
 
 
@@ -62,7 +61,7 @@ class Rerun:
         n = min(len(self._steps) - 1, int(at_s / 0.012))
         step = self._steps[n]
         robot = step.inputs.robot
-        told = {name: step.outputs[name] for name in SHOWN}
+        told = {name: step.outputs[name] for name in SHOWN_OUTPUTS}
         told |= {"state": step.state, "k": step.inputs.k, "stamp_ns": step.inputs.stamp_ns}
         told |= {"cycle_ms": 12.0, "turnaround_us": 400, "ages_ms": {"camera": 20.0}}
         if robot is not None:

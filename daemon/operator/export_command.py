@@ -25,7 +25,7 @@ from linemate.daemon.command_line import (
     make_folder,
 )
 from linemate.daemon.operator import console
-from linemate.daemon.recording.format import LAYOUT, METADATA, STEP, UnreadableRecordingError
+from linemate.daemon.recording.format import AXES, LAYOUT, METADATA, STEP, UnreadableRecordingError
 from linemate.daemon.recording.reader import damage_report, layout_of, records
 
 if TYPE_CHECKING:
@@ -51,7 +51,6 @@ COLUMNS = {
 }  # fmt: skip
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 SAMPLES = ("robot", "distance", "camera", "wrench")
-AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
 _PARTS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("target", "sensed", "part"), POSE),
     **dict.fromkeys(("command", "joints"), AXES),

@@ -21,6 +21,14 @@ METADATA: Final = "linemate"  # name of the metadata record with the cell's text
 LAYOUT: Final = "layout"  # its key of the field names of each step
 
 
+# Outputs of a step that telemetry and views show.
+SHOWN_OUTPUTS: Final = (
+    "phase", "task_time", "scenario", "scenario_state", "confidence", "speed", "contact", "held",
+    "target", "sensed", "part", "command",
+)  # fmt: skip
+AXES: Final = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
+
+
 class UnreadableRecordingError(Exception):
     """A file that is not a recording; the message gives the path and the reason."""
 
@@ -57,14 +65,12 @@ class CellTexts:
 class StateBefore:
     """State before step ``k``.
 
-    Attributes:
-        data: bytes of ``snapshot.encode``.
-        anew: the recorded step before ``k`` led to another state.
+    ``data`` is of ``snapshot.encode``. ``is_new``: step ``k - 1`` led to another state.
     """
 
     k: int
     data: bytes
-    anew: bool = True
+    is_new: bool = True
 
 
 @dataclass(frozen=True, slots=True)

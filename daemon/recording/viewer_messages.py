@@ -16,12 +16,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
+from linemate.daemon.recording.format import AXES
+
 if TYPE_CHECKING:  # the writer process must not import daemon.core
     from linemate.daemon.core.inputs import Inputs
     from linemate.daemon.core.step import Outputs
 
 BASE: Final = "base"
-AXES: Final = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
 POSES: Final = {"target": "tcp", "sensed": "tcp_sensed", "part": "hub"}  # output: frame
 
 INFO: Final = 2

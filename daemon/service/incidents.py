@@ -44,7 +44,7 @@ class IncidentFiles:
     _lines: Iterator[str] | None = None
     _text: list[str] = field(default_factory=list)
 
-    def take(self, incident: Incident) -> None:
+    def begin(self, incident: Incident) -> None:
         """Begin to write one.
 
         Args:
@@ -59,8 +59,8 @@ class IncidentFiles:
             "%s: the last %d cycles go to %s", incident.why, len(incident.cycles), self._name
         )
 
-    def slack(self) -> None:
-        """Make a little more text; hand it to the thread when it is whole."""
+    def write_some(self) -> None:
+        """Format LINES_A_CYCLE more lines; a thread writes the complete text."""
         if self._lines is None or self.directory is None:
             return
         some = list(itertools.islice(self._lines, LINES_A_CYCLE))
@@ -93,10 +93,10 @@ class IncidentFiles:
 def _write(path: Path, data: bytes) -> list[str]:
     """Write a file and remove the oldest ones beyond MOST_FILES; return their names."""
     path.write_bytes(data)
-    # By the time of writing: the stamps in the names begin anew with each start of the host.
+    # Sorted by time of writing: the stamps in the names restart with the host.
     aged: list[tuple[int, str]] = []
     for file in path.parent.glob(PATTERN):
-        with contextlib.suppress(FileNotFoundError):  # somebody else has removed it
+        with contextlib.suppress(FileNotFoundError):  # another program has removed it
             aged.append((file.stat().st_mtime_ns, file.name))
     aged.sort()
     removed = [name for _, name in aged[:-MOST_FILES]]

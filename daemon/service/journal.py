@@ -1,7 +1,7 @@
-"""Lines for the journal: bounded in any second; sensors and links in and out.
+"""Journal lines: a rate limit, and the text of sensors that come and go.
 
 Invariants:
-- Pure but for the function that writes a line; time comes in as a stamp.
+- Time comes in as a stamp.
 - At most ``most`` lines in any second. A line that found no room is joined to the next one.
 """
 
@@ -12,20 +12,18 @@ from typing import Final
 from linemate.daemon.cycle.samples import SensorFact
 
 SECOND_NS: Final = 1_000_000_000
-
-WAITING: Final = 8
-"""Texts that may wait for room; further ones are counted only."""
+WAITING: Final = 8  # texts that wait for room; further ones are counted only
 
 
 class Journal:
-    """Writes lines until there are too many in a second; what is too much waits and is joined.
+    """Rate limiter for lines. Lines beyond the limit wait and are joined.
 
     Attributes:
-        suppressed: texts that found no room to wait and were not counted in a line yet.
+        suppressed: dropped texts that no line has counted yet.
     """
 
     def __init__(self, write: Callable[[str], object], most: int) -> None:
-        """Have written nothing.
+        """Begin without lines.
 
         Args:
             most: lines in any second.
@@ -36,7 +34,7 @@ class Journal:
         self._stamps: deque[int] = deque([-SECOND_NS] * most, maxlen=most)
 
     def say(self, now_ns: int, text: str) -> None:
-        """Write a line at once if there is room, else soon.
+        """Write a line, at once if there is room.
 
         Args:
             now_ns: monotonic time [ns].
@@ -48,7 +46,7 @@ class Journal:
         self.catch_up(now_ns)
 
     def catch_up(self, now_ns: int) -> None:
-        """Write what waits, in one line, as soon as there is room for it [ns]."""
+        """Write the waiting texts as one line if there is room at a monotonic time [ns]."""
         if not self._waiting or now_ns - self._stamps[0] < SECOND_NS:
             return
         left_out = [f"{self.suppressed} more, see the recording's /log"] if self.suppressed else []
@@ -59,11 +57,11 @@ class Journal:
         self._write(line)
 
 
-class Sensors:
-    """Notes which sensors come and go."""
+class SensorChanges:
+    """Sensors that come and go."""
 
     def __init__(self) -> None:
-        """Have seen none."""
+        """Begin without sensors."""
         self._out_since_ns: dict[str, int | None] = {}
 
     def changes(
@@ -77,8 +75,8 @@ class Sensors:
 
         Args:
             now_ns: monotonic time [ns].
-            limits_s: age of the newest sample beyond which a sensor is out [s].
-            covered: sensors that the tool covers now, so that their silence is normal.
+            limits_s: age of the newest sample beyond which a sensor counts as out [s].
+            covered: sensors that the tool covers now; their silence is normal.
         """
         lines = []
         for name, sensor in sensors.items():

@@ -1,7 +1,7 @@
-"""``linemated``, the service.
+"""``linemated``: command line and start-up of the daemon.
 
-Law of this file: the command line, the order of start-up and the exit codes: 0 ended as told,
-1 cannot run, 2 usage, 78 bad configuration with every error as ``file:line:col: key: what``.
+Exit codes: 0 ended on request, 1 cannot run, 2 usage, 78 bad configuration, with every error as
+``file:line:col: key: what``.
 """
 
 import argparse
@@ -16,8 +16,7 @@ from typing import Any
 
 from linemate.daemon.command_line import CommandLine, Version
 
-# Before numpy is imported: a second thread of the algebra costs more than it brings, and wakes
-# on the other core when the loop wants to sleep.
+# Before numpy is imported: a second BLAS thread is slower for small matrices, and wakes a core.
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
@@ -89,24 +88,24 @@ def _rehearsed(station: Any, parameters: Any) -> tuple[Any, ...]:
 
 
 def _serve(station: Any, parameters: Any, ready_fd: int | None) -> int:
-    from linemate.daemon.service import realtime
     from linemate.daemon.service.app import App, StartError
-    from linemate.daemon.service.notify import Notifier
+    from linemate.daemon.service.host import realtime
+    from linemate.daemon.service.host.notify import Notifier
 
-    host = realtime.ask(station.config.realtime)
+    host = realtime.request_all(station.config.realtime)
     for refusal in host.refusals():
         log.warning("%s", refusal)
     app = App(station, parameters, host, Notifier.from_environment())
     try:
-        asyncio.run(app.run(lambda listening: _tell(listening, ready_fd)))
+        asyncio.run(app.run(lambda listening: _report_ready(listening, ready_fd)))
     except StartError as error:
         log.error("%s", error)  # noqa: TRY400 - a line for an operator, not a trace
         return CANNOT_RUN
     return OK
 
 
-def _tell(listening: dict[str, Any], ready_fd: int | None) -> None:
-    """Write one line of JSON for whoever started us, and close."""
+def _report_ready(listening: dict[str, Any], ready_fd: int | None) -> None:
+    """Write one line of JSON for the process that started the daemon, and close."""
     if ready_fd is None:
         return
     with os.fdopen(ready_fd, "w", encoding="utf-8") as pipe:

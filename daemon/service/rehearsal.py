@@ -1,10 +1,10 @@
-"""The nominal task run once through the kinematics, before any robot moves.
+"""Rehearsal: the nominal task through the kinematics, before any robot moves.
 
-Pure, in virtual time: the object moves at its nominal speed and no gate waits. What comes out is
-what the task asks of the tcp and of each axis, and why it cannot be asked.
+The object moves at its nominal speed and no gate waits. The result is what the task asks of the tcp
+and of each axis, and why the robot cannot do it.
 
 Invariants:
-- At most ``MOST_STEPS`` poses are solved: it takes well below a second.
+- At most ``MOST_STEPS`` poses are solved, well below a second.
 """
 
 import math

@@ -1,7 +1,6 @@
-"""What operators are shown: a status in full, and telemetry that fits into a datagram.
+"""Status in full, and telemetry that fits into a datagram: plain values with stable keys.
 
-Law of this file: facts in, plain values out; it asks nobody and changes nothing. ``health`` is a
-judgement over all of them, with every complaint beside it. Keys are stable: scripts read them.
+``health`` is the overall judgement; ``complaints`` gives its reasons.
 """
 
 import math
@@ -14,35 +13,18 @@ from linemate.daemon.cycle.clock.timer import CycleTimer
 from linemate.daemon.cycle.clock.timing import Timing
 from linemate.daemon.cycle.cycle import Cycle
 from linemate.daemon.cycle.states import State
+from linemate.daemon.cycle.watch import IN_CONTACT
+from linemate.daemon.recording.format import SHOWN_OUTPUTS
 from linemate.daemon.recording.recorder import RecorderStatus
 from linemate.drivers.datagrams import Address
 from linemate.drivers.link import LinkStatus
 
 VERSION = 1
 STALE_S = 1.0
-RATED = {"robot": "answered"}
-"""What a link's rate counts, if not samples."""
+RATED = {"robot": "answered"}  # counter of a link's rate, if not ``samples``
+COVERED_M = 0.05  # distance of tool and part below which the tool covers the camera [m]
 
-COVERED_M = 0.05
-"""Distance of the tool to the part below which the camera may see nothing [m]."""
-
-_AT_THE_PART = frozenset({State.CONTACT, State.RETREAT})
 _CAMERA = frozenset({"camera"})
-
-SHOWN = (
-    "phase",
-    "task_time",
-    "scenario",
-    "scenario_state",
-    "confidence",
-    "speed",
-    "contact",
-    "held",
-    "target",
-    "sensed",
-    "part",
-    "command",
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,35 +38,35 @@ class LinkView:
 
 @dataclass(slots=True)
 class Rates:
-    """How much comes in, taken about once a second."""
+    """Samples or telegrams a second of each link."""
 
     _counts: dict[str, int] = field(default_factory=dict)
     _rates: dict[str, float] = field(default_factory=dict)
-    _taken_ns: int | None = None
+    _updated_ns: int | None = None
 
-    def take(self, links: Iterable[LinkStatus], now_ns: int) -> None:
-        """Count anew.
+    def update(self, links: Iterable[LinkStatus], now_ns: int) -> None:
+        """Compute the rates since the last call.
 
         Args:
             now_ns: monotonic time [ns].
         """
         counts = {link.name: link.counters[RATED.get(link.name, "samples")] for link in links}
-        if self._taken_ns is not None and now_ns > self._taken_ns:
-            span_s = (now_ns - self._taken_ns) / 1e9
+        if self._updated_ns is not None and now_ns > self._updated_ns:
+            span_s = (now_ns - self._updated_ns) / 1e9
             self._rates = {
                 name: round((count - self._counts.get(name, 0)) / span_s, 2)
                 for name, count in counts.items()
             }
-        self._counts, self._taken_ns = counts, now_ns
+        self._counts, self._updated_ns = counts, now_ns
 
     def of(self, name: str) -> float | None:
-        """The last rate of a link [Hz], None in the first second."""
+        """Return the rate of a link [Hz], None in the first second."""
         return self._rates.get(name)
 
 
 @dataclass(frozen=True, slots=True)
-class Snapshot:
-    """Everything that a status is made of."""
+class DaemonSnapshot:
+    """Inputs of a status."""
 
     task: str
     now_ns: int
@@ -99,8 +81,8 @@ class Snapshot:
     counters: Mapping[str, int]
 
 
-def status(snapshot: Snapshot) -> dict[str, Any]:
-    """The whole status."""
+def status(snapshot: DaemonSnapshot) -> dict[str, Any]:
+    """Return the whole status."""
     cycle = snapshot.cycle.status()
     links = {view.status.name: _link(view, snapshot.now_ns) for view in snapshot.links}
     complaints = tuple(_complaints(snapshot, cycle, links))
@@ -135,8 +117,8 @@ def status(snapshot: Snapshot) -> dict[str, Any]:
 
 
 def covered(cycle: Cycle) -> frozenset[str]:
-    """Return the sensors that the tool covers: a camera sees nothing of a part that it touches."""
-    if cycle.machine.state in _AT_THE_PART:
+    """Return the sensors that the tool covers: the camera, near the part."""
+    if cycle.machine.state in IN_CONTACT:
         return _CAMERA
     part = None if cycle.last is None else cycle.last.outputs.part
     if cycle.last is None or part is None:
@@ -146,12 +128,12 @@ def covered(cycle: Cycle) -> frozenset[str]:
 
 
 def telemetry(cycle: Cycle) -> dict[str, Any]:
-    """What subscribers are sent, up to 50 times a second."""
+    """Return what subscribers get, at most 50 times a second."""
     shown: dict[str, Any] = {"state": cycle.machine.state.value, "k": cycle.steps}
     if cycle.last is not None:
         outputs = cycle.last.outputs
         shown["stamp_ns"] = outputs.stamp_ns
-        shown |= {name: getattr(outputs, name) for name in SHOWN}
+        shown |= {name: getattr(outputs, name) for name in SHOWN_OUTPUTS}
     return shown
 
 
@@ -170,7 +152,7 @@ def _link(view: LinkView, now_ns: int) -> dict[str, Any]:
 
 
 def _complaints(
-    snapshot: Snapshot, cycle: Mapping[str, Any], links: Mapping[str, Mapping[str, Any]]
+    snapshot: DaemonSnapshot, cycle: Mapping[str, Any], links: Mapping[str, Mapping[str, Any]]
 ) -> Iterator[str]:
     machine = snapshot.cycle.machine
     if machine.state is State.FAULT:

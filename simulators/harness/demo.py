@@ -24,7 +24,7 @@ from typing import Any
 import yaml
 
 from linemate.daemon.operator import doctor
-from linemate.daemon.service.awake import Awake
+from linemate.daemon.service.host.idle_spinner import IdleSpinner
 from linemate.daemon.transport.client import Client, NoAnswerError, RefusedError
 from linemate.simulators.devices import truth
 from linemate.simulators.harness import host, scenario_file
@@ -262,7 +262,7 @@ def _run(station: DemoStation, *, is_viewed: bool = False) -> dict[str, Any]:
     title = f"{scenario.name}, seed {scenario.seed}, {1e3 * scenario.cycle_s:g} ms"
     # The daemon sees to its own cores.
     others = station.cores[1] if doctor.is_virtual(doctor.Host()) else ()
-    with closing(Awake(others)), Children() as children, live.view(title) as view:
+    with closing(IdleSpinner(others)), Children() as children, live.view(title) as view:
         daemon, listening = _start_daemon(station, children)
         station.write("scenario", scenario_file.to_plain(scenario))
         file = station.write("emulator", station.emulator_file(listening))

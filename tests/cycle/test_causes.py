@@ -18,9 +18,9 @@ from linemate.daemon.cycle.operating import Situation
 from linemate.daemon.cycle.samples import SensorQueues
 from linemate.daemon.cycle.states import TABLE, Link, Machine, Row, Signals, State, deciding_row
 from linemate.daemon.cycle.watch import Watch
-from linemate.daemon.service import realtime
 from linemate.daemon.service.app import App
-from linemate.daemon.service.notify import Notifier
+from linemate.daemon.service.host import realtime
+from linemate.daemon.service.host.notify import Notifier
 
 NOW_NS = 90_000_000_000
 MS = 1_000_000
@@ -85,7 +85,7 @@ def scene_of(row: Row) -> tuple[Machine, Signals, frozenset[str]]:
 def app(tmp_path: Path, parameters: Parameters) -> App:
     path = tmp_path / "linemated.yaml"
     path.write_text("task: wheel.yaml\nrsi: {port: 0}\ncommand: {socket: c.sock}\n")
-    return App(config.load(path), parameters, realtime.Host(), Notifier())
+    return App(config.load(path), parameters, realtime.RealtimeHost(), Notifier())
 
 
 def queues() -> SensorQueues:
@@ -121,7 +121,7 @@ def test_the_journal_alone_names_the_cause_of_every_row(
     situation = Situation(None, None, "A1 is at 0.5, it was sent to 0.1", False, True)
     operating.decide(NOW_NS, queues(), situation, telegram=True)
     with caplog.at_level(logging.INFO, "linemate"):
-        app._tell_changes(NOW_NS)
+        app._events.log_changes(NOW_NS)
     records = [record for record in caplog.records if record.name == "linemate.state"]
     (line,) = [record.getMessage() for record in records]
     assert {record.levelname for record in records} == {"INFO"}

@@ -22,9 +22,9 @@ from linemate.daemon.config.task_file import Task
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.recording.format import STEP
 from linemate.daemon.recording.step_codec import decode
-from linemate.daemon.service import realtime
 from linemate.daemon.service.app import App, StartError
-from linemate.daemon.service.notify import Notifier
+from linemate.daemon.service.host import realtime
+from linemate.daemon.service.host.notify import Notifier
 from linemate.daemon.transport.client import Client, RefusedError
 from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, SensorTelegram
 from linemate.protocol.rsi.ethernet_config import parse_config
@@ -180,7 +180,10 @@ def serve(tmp_path: Path, parameters: Parameters) -> Serve:
         path.write_text(text)
         station = config.load(path)
         app = App(
-            station, parameters, realtime.ask(station.config.realtime), notifier or Notifier()
+            station,
+            parameters,
+            realtime.request_all(station.config.realtime),
+            notifier or Notifier(),
         )
         ready: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
         serving = asyncio.create_task(app.run(ready.set_result))

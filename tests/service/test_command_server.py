@@ -14,12 +14,12 @@ from typing import Any
 import pytest
 from command_ends import key_of, open_port, served
 
-from linemate.daemon.service.command_server import (
+from linemate.daemon.service.command_server import CommandPort
+from linemate.daemon.service.endpoints import (
     MAX_CONNECTIONS,
-    CommandPort,
     CommandPortError,
-    LocalDoor,
-    UdpDoor,
+    LocalEndpoint,
+    UdpEndpoint,
 )
 from linemate.daemon.transport.client import Client, RefusedError
 from linemate.protocol.command.authenticated import CommandClient
@@ -111,7 +111,7 @@ def test_a_local_user_who_may_only_view_cannot_operate(tmp_path: Path) -> None:
         done.append(op)
         return {}
 
-    door = LocalDoor(tmp_path / "s", LocalAccess(view_gids=frozenset({os.getgid()})))
+    door = LocalEndpoint(tmp_path / "s", LocalAccess(view_gids=frozenset({os.getgid()})))
     port = CommandPort(handle, dict, door)
     port.open()
     try:
@@ -126,7 +126,7 @@ def test_a_local_user_who_may_only_view_cannot_operate(tmp_path: Path) -> None:
 def test_a_local_user_without_a_role_is_turned_away(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    port = CommandPort(lambda *_: {}, dict, LocalDoor(tmp_path / "s", LocalAccess()))
+    port = CommandPort(lambda *_: {}, dict, LocalEndpoint(tmp_path / "s", LocalAccess()))
     port.open()
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as end:
@@ -165,7 +165,7 @@ def test_a_member_of_the_sockets_group_operates(tmp_path: Path) -> None:
     for folder in (tmp_path, *list(tmp_path.parents)[:3]):
         folder.chmod(0o755)
     access = LocalAccess(operate_gids=frozenset({4242}))
-    port = CommandPort(lambda *_: {}, dict, LocalDoor(tmp_path / "s", access))
+    port = CommandPort(lambda *_: {}, dict, LocalEndpoint(tmp_path / "s", access))
     port.open()
     os.chown(tmp_path / "s", -1, 4242)
     try:
@@ -248,7 +248,7 @@ def test_a_stale_socket_is_replaced_and_a_living_one_is_not(tmp_path: Path) -> N
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as dead:
         dead.bind(str(path))
     with open_port(tmp_path) as first:
-        second = CommandPort(lambda *_: {}, dict, LocalDoor(path))
+        second = CommandPort(lambda *_: {}, dict, LocalEndpoint(path))
         with pytest.raises(CommandPortError, match="another daemon"):
             second.open()
         with connected(first) as (end, core):
@@ -259,14 +259,14 @@ def test_a_file_in_the_sockets_place_is_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "command.sock"
     path.write_text("precious")
     with pytest.raises(CommandPortError, match="not a socket"):
-        CommandPort(lambda *_: {}, dict, LocalDoor(path)).open()
+        CommandPort(lambda *_: {}, dict, LocalEndpoint(path)).open()
     assert path.read_text() == "precious"
 
 
 def test_a_path_that_is_too_long_or_missing_is_an_error_that_says_so(tmp_path: Path) -> None:
     for path in (tmp_path / ("x" * 120), tmp_path / "missing" / "s"):
         with pytest.raises(CommandPortError, match=str(path)):
-            CommandPort(lambda *_: {}, dict, LocalDoor(path)).open()
+            CommandPort(lambda *_: {}, dict, LocalEndpoint(path)).open()
 
 
 # --- UDP ----------------------------------------------------------------------------------
@@ -283,10 +283,10 @@ def test_a_keyed_client_is_served_over_udp(tmp_path: Path) -> None:
 
 def test_udp_opens_on_loopback_only_and_never_without_a_key() -> None:
     for door, why in (
-        (UdpDoor("0.0.0.0", 0, (ALICE,)), "not loopback"),
-        (UdpDoor("127.0.0.1", 0), "no keys"),
-        (UdpDoor("127.0.0.1", 0, (), allow_remote=True), "no keys"),
-        (UdpDoor("localhost.invalid", 0, (ALICE,)), "address"),
+        (UdpEndpoint("0.0.0.0", 0, (ALICE,)), "not loopback"),
+        (UdpEndpoint("127.0.0.1", 0), "no keys"),
+        (UdpEndpoint("127.0.0.1", 0, (), allow_remote=True), "no keys"),
+        (UdpEndpoint("localhost.invalid", 0, (ALICE,)), "address"),
     ):
         with pytest.raises(CommandPortError, match=why):
             CommandPort(lambda *_: {}, dict, None, door).open()
@@ -296,7 +296,7 @@ def test_a_port_that_is_taken_is_an_error(tmp_path: Path) -> None:
     with open_port(tmp_path, (ALICE,)) as first:
         address = first.udp_address
         assert address is not None
-        other = CommandPort(lambda *_: {}, dict, None, UdpDoor(*address, (ALICE,)))
+        other = CommandPort(lambda *_: {}, dict, None, UdpEndpoint(*address, (ALICE,)))
         with pytest.raises(CommandPortError, match="in use"):
             other.open()
         with shaken(first, ALICE) as (end, core):
@@ -515,13 +515,13 @@ def test_what_comes_between_two_cycles_is_answered_there_within_its_budget(tmp_p
                 link.send(core.request("status", {}, time.monotonic_ns() + 10**9).frame)
             await asyncio.sleep(0.05)
             assert done == []
-            port.invite(loop, far_ns, 2)
+            port.open_window(loop, far_ns, 2)
             await asyncio.sleep(0.05)
             assert len(done) == 2
-            port.invite(loop, time.monotonic_ns() - 1, 8)
+            port.open_window(loop, time.monotonic_ns() - 1, 8)
             await asyncio.sleep(0.05)
             assert len(done) == 2
-            port.invite(loop, far_ns, 8)
+            port.open_window(loop, far_ns, 8)
             await asyncio.sleep(0.05)
             return done, port.poll()
 

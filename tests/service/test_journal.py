@@ -1,7 +1,7 @@
 """The journal is bounded, and says how much it left out; sensors come and go by their names."""
 
 from linemate.daemon.cycle.samples import SensorFact
-from linemate.daemon.service.journal import Journal, Sensors
+from linemate.daemon.service.journal import Journal, SensorChanges
 
 MS = 1_000_000
 LIMITS = {"camera": 0.3, "distance": 0.3}
@@ -47,7 +47,7 @@ def test_few_lines_are_all_written() -> None:
 
 
 def test_a_sensor_is_told_when_it_comes_goes_and_comes_back() -> None:
-    sensors = Sensors()
+    sensors = SensorChanges()
 
     def at(now_ms: int, stamp_ms: int | None, excluded: str | None = None) -> list[str]:
         stamp_ns = None if stamp_ms is None else stamp_ms * MS
@@ -65,13 +65,13 @@ def test_a_sensor_is_told_when_it_comes_goes_and_comes_back() -> None:
 
 
 def test_a_camera_that_the_tool_covers_needs_no_check() -> None:
-    sensors, seen = Sensors(), {"camera": SensorFact(5 * MS)}
+    sensors, seen = SensorChanges(), {"camera": SensorFact(5 * MS)}
     sensors.changes(10 * MS, seen, LIMITS)
     (line,) = sensors.changes(500 * MS, seen, LIMITS, frozenset({"camera"}))
     assert line.endswith("limit 0.30 s. The tool covers it.")
 
 
 def test_a_sensor_that_was_never_there_is_not_called_out() -> None:
-    sensors = Sensors()
+    sensors = SensorChanges()
     for n in range(100):
         assert sensors.changes(n * 100 * MS, {"distance": SensorFact()}, LIMITS) == []

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from linemate.daemon.service.notify import Notifier
+from linemate.daemon.service.host.notify import Notifier
 
 
 @pytest.fixture(params=["path", "abstract"])

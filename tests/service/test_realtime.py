@@ -10,16 +10,16 @@ from typing import Any
 import pytest
 
 from linemate.daemon.config.settings import RealtimeSettings
-from linemate.daemon.service.realtime import Collector, Companions, ask
+from linemate.daemon.service.host.realtime import Collector, HelperThreads, request_all
 
 ASK = """
 import ctypes, json, os, sys, threading
-from linemate.daemon.service.realtime import ask
+from linemate.daemon.service.host.realtime import request_all
 from linemate.daemon.config.settings import RealtimeSettings
 if sys.argv[2] == "drop":
     os.setgid(65534)
     os.setuid(65534)
-host = ask(RealtimeSettings(**json.loads(sys.argv[1])))
+host = request_all(RealtimeSettings(**json.loads(sys.argv[1])))
 inherited = []
 thread = threading.Thread(target=lambda: inherited.append(os.sched_getscheduler(0)))
 thread.start(); thread.join()
@@ -45,7 +45,7 @@ def asked(drop: bool = False, **settings: Any) -> dict[str, Any]:
 
 
 def test_nothing_is_asked_by_default() -> None:
-    assert ask(RealtimeSettings()).outcomes == []
+    assert request_all(RealtimeSettings()).outcomes == []
 
 
 def test_every_request_is_granted_or_refused_with_its_cost() -> None:
@@ -94,11 +94,11 @@ def test_the_collector_runs_in_the_slack_and_fully_only_at_rest() -> None:
     gc.callbacks.append(note)
     try:
         for _ in range(1000):
-            collector.slack(moving=True)
+            collector.collect_if_due(is_moving=True)
         assert set(collections) == {1}
         assert len(collections) == 100
         for _ in range(1000):
-            collector.slack(moving=False)
+            collector.collect_if_due(is_moving=False)
         assert collections.count(2) == 3
         assert (collector.quick, collector.full) == (197, 3)
         assert not gc.isenabled()
@@ -111,21 +111,21 @@ def test_the_collector_runs_in_the_slack_and_fully_only_at_rest() -> None:
 COMPANIONS = """
 import json, os, threading
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # as the daemon does: the algebra brings no thread
-from linemate.daemon.service.realtime import Companions, ask
+from linemate.daemon.service.host.realtime import HelperThreads, request_all
 from linemate.daemon.config.settings import RealtimeSettings
-host = ask(RealtimeSettings(priority=10))
-companions = Companions(host.granted("priority"))
+host = request_all(RealtimeSettings(priority=10))
+helpers = HelperThreads(host.granted("priority"))
 end = threading.Event()
 threads = [threading.Thread(target=end.wait) for _ in range(2)]
 for thread in threads:
     thread.start()
-companions.look()
-companions.look()
+helpers.raise_priority()
+helpers.raise_priority()
 seen = [(os.sched_getscheduler(t.native_id), os.sched_getparam(t.native_id).sched_priority)
         for t in threads]
 own = os.sched_getparam(0).sched_priority
 end.set()
-print(json.dumps([companions.wanted, companions.granted, own, seen]))
+print(json.dumps([helpers.wanted, helpers.granted, own, seen]))
 """
 
 
@@ -142,6 +142,6 @@ def test_other_threads_get_the_least_priority_once_the_loop_has_one() -> None:
 
 
 def test_without_a_priority_the_other_threads_are_left_alone() -> None:
-    companions = Companions(wanted=False)
-    companions.look()
-    assert (companions.granted, companions.refused) == (0, 0)
+    helpers = HelperThreads(wanted=False)
+    helpers.raise_priority()
+    assert (helpers.granted, helpers.refused) == (0, 0)

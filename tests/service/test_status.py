@@ -9,9 +9,9 @@ import pytest
 from linemate.daemon.config import config
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle.states import Link, Machine, Signals, State
-from linemate.daemon.service import realtime
 from linemate.daemon.service.app import App
-from linemate.daemon.service.notify import Notifier
+from linemate.daemon.service.host import realtime
+from linemate.daemon.service.host.notify import Notifier
 
 CONFIG = """
 task: wheel.yaml
@@ -27,7 +27,7 @@ command: {socket: c.sock}
 def app(tmp_path: Path, parameters: Parameters) -> App:
     path = tmp_path / "linemated.yaml"
     path.write_text(CONFIG)
-    made = App(config.load(path), parameters, realtime.Host(), Notifier())
+    made = App(config.load(path), parameters, realtime.RealtimeHost(), Notifier())
     now_ns = time.monotonic_ns()
     for link in made._links:
         link.status.up = True

@@ -19,7 +19,7 @@ from linemate.daemon.config import settings_tree as tree
 from linemate.daemon.config.parameter_list import ChangeTime, change_rule
 from linemate.daemon.config.settings_tree import SettingError
 from linemate.daemon.cycle.states import MOVING
-from linemate.daemon.service.parameter_desk import Desk
+from linemate.daemon.service.parameter_service import ParameterService
 from linemate.simulators.devices.limit_judge import LIMITS
 from linemate.simulators.harness import lockstep, setup
 from linemate.simulators.judge.judge import judge
@@ -83,25 +83,25 @@ class Operator:
     def __init__(self, station: config.LoadedConfig, run: lockstep.Lockstep, seed: int) -> None:
         self.outcomes: Counter[str] = Counter()
         self._run = run
-        self._desk = Desk(station, run.cycle)
+        self._service = ParameterService(station, run.cycle)
         self._rng = random.Random(seed)
         # The limits are what the run is judged by: they stay. A watch that is set to nonsense
         # holds the robot, rightly, and then nothing moves: it comes seldom.
         self._known = {
             name: usual
-            for name, usual in tree.leaves(self._desk.settings)
+            for name, usual in tree.leaves(self._service.settings)
             if not name.startswith(("control.limits.", "watch."))
         } | {"rsi.cycle_ms": 12, "watch.leak_s": 0.11}
         self._compiled = 0
 
     async def set(self) -> None:
         """Make one random change."""
-        desk, values = self._desk, draw(self._rng, self._known)
+        service, values = self._service, draw(self._rng, self._known)
         while self._run.cycle.stands and self._compiled >= COMPILED and needs_compiler(values):
             values = draw(self._rng, self._known)
-        before = desk.settings
+        before = service.settings
         self.outcomes["moving"] += self._run.cycle.machine.state in MOVING
-        answer = desk.set(values, "random")
+        answer = service.set(values, "random")
         if isinstance(answer, asyncio.Future):
             self._compiled += 1
             answer = await answer
@@ -109,20 +109,20 @@ class Operator:
         self.outcomes["refused" if refused else "changed"] += 1
         if refused is not None:
             assert len(refused) > 10, values
-            assert desk.settings is before
+            assert service.settings is before
             return
         try:
             whole = tree.change(before, values)
         except SettingError as error:
             pytest.fail(f"taken although it does not fit: {error}")
-        assert desk.settings == whole
+        assert service.settings == whole
         assert set(answer["changed"]) <= set(values)
 
     def check(self) -> None:
         """After a cycle: what is in force is what was answered, in one piece."""
         made = self._run.cycle.parameters
-        assert made.tracker.settings == self._desk.settings.tracking
-        assert made.settings == self._desk.settings.control
+        assert made.tracker.settings == self._service.settings.tracking
+        assert made.settings == self._service.settings.control
         last = self._run.cycle.last
         if last is not None:
             assert all(map(math.isfinite, last.outputs.command))

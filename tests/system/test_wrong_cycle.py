@@ -9,8 +9,8 @@ import pytest
 
 from linemate.daemon.cycle.clock import phase_lock
 from linemate.daemon.service.app import App
-from linemate.daemon.service.notify import Notifier
-from linemate.daemon.service.realtime import Host
+from linemate.daemon.service.host.notify import Notifier
+from linemate.daemon.service.host.realtime import RealtimeHost
 from linemate.simulators.harness.virtual import EPOCH_NS
 from linemate.simulators.lab.faults import dst_run
 from linemate.simulators.lab.faults.dst_plan import FaultPlan
@@ -26,7 +26,7 @@ class Mismatched(dst_run.Simulation):
         assert self._loop is not None
         station = dst_run.station_of(self.plan.lead_ms, CONFIGURED_MS)
         compiled = dst_run.compiled(CONFIGURED_MS * 1e-3)
-        self.app = app = App(station, compiled, Host(), Notifier())
+        self.app = app = App(station, compiled, RealtimeHost(), Notifier())
         self.oracle.attend(app.cycle)
         self._process = self._loop.create_task(app.run())
         self._process.add_done_callback(self._ended)

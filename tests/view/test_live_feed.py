@@ -17,7 +17,8 @@ from command_ends import key_of, open_port, served
 from rerun import LINEMATE, Rerun, recording, rerun
 
 from linemate.daemon.operator import main as tool
-from linemate.daemon.service.command_server import CommandPort, LocalDoor
+from linemate.daemon.service.command_server import CommandPort
+from linemate.daemon.service.endpoints import LocalEndpoint
 from linemate.daemon.transport.client import Client, KeyFileError
 from linemate.daemon.view.broadcast_hub import Board
 from linemate.daemon.view.live_feed import Live
@@ -127,7 +128,10 @@ class Doors:
     def __init__(self, folder: Path) -> None:
         self.now_ns = 10**12
         self.port = CommandPort(
-            lambda *_: {}, self._telemetry, LocalDoor(folder / "c.sock"), now_ns=lambda: self.now_ns
+            lambda *_: {},
+            self._telemetry,
+            LocalEndpoint(folder / "c.sock"),
+            now_ns=lambda: self.now_ns,
         )
         self.path = folder / "c.sock"
         self._step = recording().steps[500]

@@ -27,7 +27,7 @@ from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.step import StepState, initial, step
 from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.operator import doctor
-from linemate.daemon.service.awake import Awake
+from linemate.daemon.service.host.idle_spinner import IdleSpinner
 from linemate.daemon.transport.client import NoAnswerError, RefusedError
 from linemate.simulators.harness import host, setup
 from linemate.simulators.harness.lockstep import Lockstep
@@ -189,7 +189,7 @@ def measure_all(options: Options) -> dict[str, Any]:
         "notes": [],
     }
     if {"turnaround", "wakeup"} & set(options.parts):
-        awake = Awake(os.sched_getaffinity(0) if options.awake else ())
+        awake = IdleSpinner(os.sched_getaffinity(0) if options.awake else ())
         with closing(awake), tempfile.TemporaryDirectory(prefix="linemate-bench-") as name:
             _measure_processes(options, Path(name), result)
     jobs = []

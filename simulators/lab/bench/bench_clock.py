@@ -14,7 +14,7 @@ import time
 from linemate.daemon.config.settings import RealtimeSettings
 from linemate.daemon.cycle.clock.phase_lock import Due, PhaseLock
 from linemate.daemon.cycle.clock.timer import CycleTimer
-from linemate.daemon.service import realtime
+from linemate.daemon.service.host import realtime
 
 
 def between(period_ns: int, now_ns: int) -> PhaseLock:
@@ -58,5 +58,5 @@ async def run(period_ns: int) -> None:
 
 if __name__ == "__main__":
     # As the bench's daemon, and as the C timer next to it.
-    realtime.ask(RealtimeSettings(lock_memory=True))
+    realtime.request_all(RealtimeSettings(lock_memory=True))
     asyncio.run(run(int(sys.argv[1])))

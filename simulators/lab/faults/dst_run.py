@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any
 
 from linemate.daemon.cycle.states import State
-from linemate.daemon.service import realtime
 from linemate.daemon.service.app import App
-from linemate.daemon.service.notify import Notifier
+from linemate.daemon.service.host import realtime
+from linemate.daemon.service.host.notify import Notifier
 from linemate.drivers.datagrams import Address
 from linemate.protocol.sensors.distance import DistanceEncoder
 from linemate.simulators.devices.faults import Faults
@@ -218,7 +218,7 @@ class Simulation:
         app = App(
             station_of(plan.lead_ms, plan.cycle_ms, plan.cell),
             compiled(plan.cycle_s, plan.cell),
-            realtime.Host(),
+            realtime.RealtimeHost(),
             Notifier(),
         )
         self.app = app

@@ -17,7 +17,7 @@ from linemate.daemon.core import parameters as compiling
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle.cycle import Cycle
 from linemate.daemon.cycle.states import Machine, State
-from linemate.daemon.service.parameter_desk import Desk
+from linemate.daemon.service.parameter_service import ParameterService
 from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec
 from linemate.protocol.samples import DistanceSample
 
@@ -28,7 +28,7 @@ SERVO = "control.servos.2.frequency_hz"
 
 
 class Standing:
-    """A daemon's desk with a cycle that a robot at rest keeps going."""
+    """A daemon's service with a cycle that a robot at rest keeps going."""
 
     def __init__(self, folder: Path, parameters: Parameters, task: Task) -> None:
         self.path = folder / "linemated.yaml"
@@ -39,7 +39,7 @@ class Standing:
         self.cycle.listen(0)
         self.told: list[tuple[Parameters, str, Any]] = []
         self.lines: list[str] = []
-        self.desk = Desk(
+        self.service = ParameterService(
             self.station, self.cycle, lambda *what: self.told.append(what), self.lines.append
         )
         self._rest = task.file.arm.rest_joints
@@ -66,7 +66,7 @@ class Standing:
         return self.assign(named)
 
     def assign(self, values: dict[str, Any], who: str = "uid:7") -> dict[str, Any]:
-        answer = self.desk.set(values, who)
+        answer = self.service.set(values, who)
         return answer if isinstance(answer, dict) else {"promise": answer}
 
 
@@ -103,7 +103,7 @@ def test_a_live_change_is_in_force_with_the_next_step_and_in_none_before(make: M
         assert last.parameters.tracker.settings.distance.deviation == 0.001
         assert last.before is before.after
         assert here.told[0][1:] == ("uid:7", {NOISE: {"old": 0.00038, "new": 0.001}})
-        assert here.desk.get({"names": [NOISE]}) == {"values": {NOISE: 0.001}}
+        assert here.service.get({"names": [NOISE]}) == {"values": {NOISE: 0.001}}
         assert "uid:7 set" in here.lines[0]
 
     run(main())
@@ -114,7 +114,7 @@ def test_a_live_change_compiles_to_what_a_start_would(make: Make, task: Task) ->
         here = make()
         here.assign({NOISE: 0.001, "tracking.bank.perceived": 5.0, "tracking.camera.gate": 4.0})
         here.cycles(1)
-        settings = here.desk.settings
+        settings = here.service.settings
         fresh = compiling.build(
             task.file, task.urdf, settings.tracking, here.cycle.parameters.settings, 0.012
         )
@@ -152,13 +152,13 @@ def test_what_does_not_fit_is_refused_with_its_name_and_nothing_of_it_is_taken(
     async def main() -> None:
         here = make()
         here.cycles(5)
-        settings, made_with = here.desk.settings, here.cycle.parameters
+        settings, made_with = here.service.settings, here.cycle.parameters
         answer = here.assign({"watch.healthy_cycles": 33, **values})
         assert reason in answer["refused"]
         here.cycles(2)
-        assert here.desk.settings is settings
+        assert here.service.settings is settings
         assert here.cycle.parameters is made_with
-        assert here.desk.get({"names": ["watch.healthy_cycles"]})["values"] != {
+        assert here.service.get({"names": ["watch.healthy_cycles"]})["values"] != {
             "watch.healthy_cycles": 33
         }
         assert not here.told
@@ -256,7 +256,7 @@ def test_a_compiled_change_is_not_taken_by_a_robot_that_moved_meanwhile(make: Ma
         here.cycles(5)
         answer = here.assign({SERVO: 5.0})
         in_state(here.cycle, State.ARMED)
-        assert "meanwhile" in (await kept(answer))["refused"]
+        assert "has moved since" in (await kept(answer))["refused"]
         here.cycles(1)
         assert here.cycle.parameters.settings.servos[2].frequency_hz == 4.5
         assert not here.told
@@ -280,21 +280,21 @@ def test_what_was_saved_is_in_force_after_a_restart_and_the_users_file_is_as_it_
         here.cycles(5)
         here.assign({NOISE: 0.001, "watch.missed_s": 0.04})
         await kept(here.assign({SERVO: 5.0}))
-        (listed,) = here.desk.describe({"prefix": NOISE})["params"]
+        (listed,) = here.service.describe({"prefix": NOISE})["params"]
         assert (listed["by"], listed["unsaved"], listed["file"]) == ("uid:7", True, 0.00038)
-        answer = here.desk.save("uid:7")
+        answer = here.service.save("uid:7")
         assert isinstance(answer, asyncio.Future)
         assert (await answer)["saved"] == str(tmp_path / overlays.NAME)
-        (listed,) = here.desk.describe({"prefix": NOISE})["params"]
+        (listed,) = here.service.describe({"prefix": NOISE})["params"]
         assert "unsaved" not in listed
         assert here.path.read_text() == TEXT
         again = make()
-        assert again.desk.settings == here.desk.settings
+        assert again.service.settings == here.service.settings
         assert again.station.written.tracking.distance.deviation == 0.00038
-        assert again.desk.settings.control.brake.jerk == 20.0
+        assert again.service.settings.control.brake.jerk == 20.0
         again.assign({NOISE: 0.00038, "watch.missed_s": 0.03})
         await kept(again.assign({SERVO: 4.5}))
-        saved = again.desk.save("uid:7")
+        saved = again.service.save("uid:7")
         assert isinstance(saved, asyncio.Future)
         await saved
         assert not (tmp_path / overlays.NAME).exists()
@@ -306,7 +306,7 @@ def test_who_changed_what_is_in_the_log_of_changes(make: Make, tmp_path: Path) -
     async def main() -> None:
         here = make()
         here.assign({NOISE: 0.001}, "panel")
-        saved = here.desk.save("panel")
+        saved = here.service.save("panel")
         assert isinstance(saved, asyncio.Future)
         await saved
         await asyncio.get_running_loop().shutdown_default_executor()
@@ -323,7 +323,7 @@ def test_a_disk_that_refuses_is_a_refusal(make: Make, tmp_path: Path) -> None:
         here = make()
         here.assign({"watch.missed_s": 0.04})
         (tmp_path / overlays.NAME).mkdir()
-        saved = here.desk.save("uid:7")
+        saved = here.service.save("uid:7")
         assert isinstance(saved, asyncio.Future)
         assert "not saved" in (await saved)["refused"]
 
@@ -337,7 +337,7 @@ def test_without_a_directory_nothing_is_saved_and_the_reason_says_what_to_do(
     (tmp_path / "linemated.yaml").write_text("task: wheel.yaml\n")
 
     async def main() -> None:
-        answer = Standing(tmp_path, parameters, task).desk.save("uid:7")
+        answer = Standing(tmp_path, parameters, task).service.save("uid:7")
         assert isinstance(answer, dict)
         assert "StateDirectory" in answer["refused"]
 

@@ -1,7 +1,7 @@
-"""What systemd is told: ready, stopping, reloading, a line of status, and that we live.
+"""Messages to systemd: ready, stopping, reloading, status line, watchdog. See sd_notify(3).
 
-Law of this file: datagrams to $NOTIFY_SOCKET and nothing else; without systemd it does nothing,
-and it never blocks and never raises. Source: sd_notify(3).
+Invariants:
+- Without $NOTIFY_SOCKET nothing is sent. A message never blocks and never raises.
 """
 
 import os
@@ -16,7 +16,7 @@ class Notifier:
 
     Attributes:
         address: of its socket, empty if there is none.
-        watchdog_s: how often it wants to hear that we live [s], None if it does not.
+        watchdog_s: period of the watchdog [s], None without one.
     """
 
     address: str = ""
@@ -25,7 +25,7 @@ class Notifier:
 
     @classmethod
     def from_environment(cls) -> "Notifier":
-        """Find the service manager in the environment."""
+        """Return the service manager that the environment names."""
         address = os.environ.get("NOTIFY_SOCKET", "")
         usec = os.environ.get("WATCHDOG_USEC", "")
         pid = os.environ.get("WATCHDOG_PID", str(os.getpid()))
@@ -36,7 +36,7 @@ class Notifier:
         """Send assignments such as ``READY=1``.
 
         Returns:
-            Whether somebody took them.
+            Whether they were sent.
         """
         if not self.address:
             return False
@@ -51,19 +51,19 @@ class Notifier:
         return True
 
     def ready(self, status: str) -> None:
-        """The ports are open."""
+        """Send that the ports are open."""
         self.send("READY=1", f"STATUS={status}")
 
     def reloading(self) -> None:
-        """A reload begins; ``ready`` ends it."""
+        """Send that a reload begins; ``ready`` ends it."""
         self.send("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
 
     def stopping(self) -> None:
-        """The end begins."""
+        """Send that the daemon ends."""
         self.send("STOPPING=1")
 
     def alive(self, now_ns: int) -> None:
-        """A cycle was completed; the manager hears of it a few times in its period.
+        """Feed the watchdog after a cycle, three times in its period.
 
         Args:
             now_ns: monotonic time [ns].

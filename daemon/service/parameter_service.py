@@ -1,22 +1,23 @@
-"""Where operators' parameters are judged, taken between two steps, and kept.
+"""Parameter service: checks, changes and saves the parameters of a running daemon.
 
-Law of this file: all of a change or none of it, as one new frozen set. What changes live is made
-within a reply's slack; what needs a compiler is made in a thread and taken only if the robot still
-stands; files are written in a thread. A refusal says which parameter and why.
+Invariants:
+- A change is made as a whole, as one new frozen set, or refused as a whole.
+- A live change is computed after a reply. A change that needs the compiler runs in a thread, and
+  is used only if the robot still stands. Files are written in a thread.
+- A refusal names the parameter and the reason.
 """
 
 import asyncio
 import logging
 import math
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import numpy as np
-from msgspec.structs import replace
+from msgspec import structs
 
 from linemate.daemon.config import overlays, parameter_list
 from linemate.daemon.config import settings_tree as tree
@@ -29,15 +30,13 @@ from linemate.daemon.core import step as stepping
 from linemate.daemon.core.control import urdf_limits
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle.cycle import Cycle
-from linemate.daemon.cycle.states import State
+from linemate.daemon.cycle.watch import IN_CONTACT
 
 T = TypeVar("T")
 Answer = dict[str, Any]
-Told = Callable[[Parameters, str, Mapping[str, Any]], None]
-"""``told(parameters, who, changed)``: before the first step that is made with them."""
+# on_change(parameters, who, changed), before the first step that uses the parameters.
+OnChange = Callable[[Parameters, str, Mapping[str, Any]], None]
 
-HISTORY: Final = 64
-IN_CONTACT: Final = frozenset({State.CONTACT, State.RETREAT})
 BUSY: Final = "another change is still being compiled"
 NO_STATE: Final = (
     "there is no directory to save in: set `state` in the configuration, "
@@ -47,56 +46,39 @@ NO_STATE: Final = (
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class Changed:
-    """One change that was made.
-
-    Attributes:
-        wall_s: when, since the epoch [s].
-        values: by name, the old and the new value.
-    """
-
-    wall_s: float
-    who: str
-    values: Mapping[str, Mapping[str, Any]]
-
-
 @dataclass(slots=True)
-class Desk:
+class ParameterService:
     """Parameters of a running daemon.
 
     Attributes:
-        told: hears of a change before it is in force.
-        said: hears of it in words, after.
-        history: of changes, the newest last.
+        station: everything from files.
+        on_change: called before a change is in force.
+        on_event: called with a line about a change, after it.
+        settings: the settings in force.
     """
 
     station: LoadedConfig
     cycle: Cycle
-    told: Told = lambda _parameters, _who, _changed: None
-    said: Callable[[str], None] = lambda _text: None
+    on_change: OnChange = lambda _parameters, _who, _changed: None
+    on_event: Callable[[str], None] = lambda _text: None
     settings: Settings = field(init=False)
-    history: deque[Changed] = field(default_factory=lambda: deque(maxlen=HISTORY))
     _listed: dict[str, Parameter] = field(init=False)
     _saved: dict[str, Any] = field(init=False)
     _newest: Parameters = field(init=False)
     _compiling: asyncio.Future[Answer] | None = None
 
     def __post_init__(self) -> None:
-        """Describe every parameter once, and warm up what reads them."""
+        """Describe every parameter once, and warm up the reader of changes."""
         self.settings = overlays.settings_of(self.station.config)
         self._newest = self.cycle.parameters
-        self._listed = {
-            one["name"]: one for one in parameter_list.list_parameters(self.station.config)
-        }
+        listed = parameter_list.list_parameters(self.station.config)
+        self._listed = {parameter["name"]: parameter for parameter in listed}
         for name, value in tree.leaves(self.station.written):
             if name in self._listed:
                 self._listed[name]["file"] = value
         self._saved = dict(tree.leaves(self.settings))
         for section in tree.SECTIONS:
             tree.read_section(section, tree.plain(getattr(self.settings, section)))
-
-    # What operators ask.
 
     def describe(self, params: Mapping[str, Any]) -> Answer:
         """Answer the operation ``params``."""
@@ -107,11 +89,14 @@ class Desk:
         return parameter_list.read_values(tuple(self._listed.values()), params)
 
     def set(self, values: Mapping[str, Any], who: str) -> Answer | asyncio.Future[Answer]:
-        """Answer the operation ``set``: all of it or nothing.
+        """Answer the operation ``set``.
+
+        Args:
+            values: new values by dotted name.
 
         Returns:
-            ``changed`` with old and new values, or ``refused``; a promise of that where a
-            compiler is needed.
+            ``changed`` with old and new values, or ``refused``; a future of that if the change
+            needs the compiler.
         """
         reason = self._unsettable(values)
         if reason is not None:
@@ -127,37 +112,35 @@ class Desk:
         reason = reason or self._untimely(changed)
         if reason is not None:
             return {"refused": reason}
-        if any(parameter_list.change_rule(name).change is ChangeTime.IDLE for name in changed):
+        rules = map(parameter_list.change_rule, changed)
+        if any(rule.change is ChangeTime.IDLE for rule in rules):
             return self._compile(wanted, changed, who)
-        return self._retune(wanted, changed, who)
+        return self._change_live(wanted, changed, who)
 
     def save(self, who: str) -> Answer | asyncio.Future[Answer]:
-        """Answer the operation ``save``: what is in force outlives the process."""
+        """Answer the operation ``save``: keep the settings in force for the next start."""
         folder = self.station.state
         if folder is None:
             return {"refused": NO_STATE}
-        settings, kept = self.settings, dict(tree.leaves(self.settings))
+        settings, saved = self.settings, dict(tree.leaves(self.settings))
 
         def done(path: Path) -> Answer:
-            self._saved = kept
-            for name, item in self._listed.items():
-                item.pop("unsaved", None)
-                if name in kept and kept[name] != item["value"]:
-                    item["unsaved"] = True
-            self._note(folder, {"who": who, "saved": str(path)})
+            self._saved = saved
+            for name, parameter in self._listed.items():
+                parameter.pop("unsaved", None)
+                if name in saved and saved[name] != parameter["value"]:
+                    parameter["unsaved"] = True
+            self._log_change(folder, {"who": who, "saved": str(path)})
             return {"saved": str(path)}
 
         work = _in_thread(overlays.save, folder, settings, self.station.written)
         return _then(work, done, lambda error: {"refused": f"not saved: {error}"})
 
-    # How a change is made.
-
     def _unsettable(self, values: Mapping[str, Any]) -> str | None:
+        """Return which parameter needs a restart, None if none does."""
         for name in values:
-            if (
-                name in self._listed
-                and parameter_list.change_rule(name).change is ChangeTime.RESTART
-            ):
+            rule = parameter_list.change_rule(name)
+            if name in self._listed and rule.change is ChangeTime.RESTART:
                 return f"{name} is set in the configuration file and taken at the daemon's start"
         return None
 
@@ -167,137 +150,133 @@ class Desk:
             return None
         task = self.station.task
         arm = task.file.arm
-        found = urdf_limits.wider(
+        wider = urdf_limits.wider(
             wanted.control, task.urdf, arm.flange, linear_axis=arm.linear_axis
         )
-        told = [f"control.limits.{axis}.{name}: {what}" for axis, name, what in found]
-        return "; ".join(told) or None
+        lines = [f"control.limits.{axis}.{name}: {what}" for axis, name, what in wider]
+        return "; ".join(lines) or None
 
     def _changes(self, values: Mapping[str, Any], wanted: Settings) -> dict[str, dict[str, Any]]:
-        now = {name: self._listed[name]["value"] for name in values}
-        then = {name: _at(wanted, name) for name in values}
+        """Return old and new value of each parameter that changes."""
+        new = dict(tree.leaves(wanted))
         return {
-            name: {"old": now[name], "new": then[name]}
+            name: {"old": self._listed[name]["value"], "new": new[name]}
             for name in values
-            if then[name] != tree.plain(now[name])
+            if new[name] != self._listed[name]["value"]
         }
 
     def _disordered(self, wanted: Settings) -> str | None:
         """Return which time-out would never act, None if all can."""
-        found = timeout_error(wanted.watch, self.cycle.parameters.cycle_s)
-        return None if found is None else f"watch.{found[0]}: {found[1]}"
+        error = timeout_error(wanted.watch, self.cycle.parameters.cycle_s)
+        return None if error is None else f"watch.{error[0]}: {error[1]}"
 
     def _untimely(self, names: Mapping[str, Any]) -> str | None:
         """Return why these may not change now, None if they may."""
         state = self.cycle.machine.state
         for name in names:
-            found = parameter_list.change_rule(name)
-            if state in IN_CONTACT and not found.in_contact:
+            rule = parameter_list.change_rule(name)
+            if state in IN_CONTACT and not rule.in_contact:
                 return f"{name} does not change in contact"
-            if found.change is ChangeTime.IDLE and not self.cycle.stands:
+            if rule.change is ChangeTime.IDLE and not self.cycle.stands:
                 return f"{name} changes only while the robot stands idle, not in {state.upper()}"
         if self._compiling is not None:
             return BUSY
         return None
 
-    def _retune(self, wanted: Settings, changed: Mapping[str, Any], who: str) -> Answer:
-        """Make a change that fits between two steps."""
+    def _change_live(self, wanted: Settings, changed: Mapping[str, Any], who: str) -> Answer:
+        """Make a change between two steps."""
         if wanted.tracking != self.settings.tracking:
-            # What was taken last may still wait for its step.
-            made = compiling.retuned(self._newest, wanted.tracking)
-            reason = self._unfit(made)
+            # The newest parameters may not be in force yet.
+            parameters = compiling.retuned(self._newest, wanted.tracking)
+            reason = self._unfit(parameters)
             if reason is not None:
                 return {"refused": reason}
-            self._take(made, who, changed)
+            self._use(parameters, who, changed)
         if wanted.watch != self.settings.watch:
             self.cycle.set_watch(wanted.watch)
-        return self._made(wanted, changed, who)
+        return self._finish(wanted, changed, who)
 
     def _compile(
         self, wanted: Settings, changed: Mapping[str, Any], who: str
     ) -> asyncio.Future[Answer]:
         """Make a change that needs the compiler, in a thread."""
-        station = self.station
-        cycle_s = self._newest.cycle_s
+        task, cycle_s = self.station.task, self._newest.cycle_s
 
-        def done(made: Parameters) -> Answer:
+        def done(parameters: Parameters) -> Answer:
             self._compiling = None
             reason = self._untimely(changed)
             if reason is not None:
-                return {"refused": f"{reason}; it moved meanwhile"}
-            self._take(made, who, changed, anew=True)
+                return {"refused": f"{reason}; it has moved since"}
+            self._use(parameters, who, changed, restarts=True)
             self.cycle.set_watch(wanted.watch)
-            return self._made(wanted, changed, who)
+            return self._finish(wanted, changed, who)
 
         def failed(error: BaseException) -> Answer:
             self._compiling = None
             return {"refused": f"{', '.join(changed)}: {error}"}
 
-        task = station.task
         work = _in_thread(_build, task.file, task.urdf, wanted.tracking, wanted.control, cycle_s)
         self._compiling = _then(work, done, failed)
         return self._compiling
 
-    def _unfit(self, made: Parameters) -> str | None:
-        """Return why the next step could not be made with these, None if it could."""
-        tried = self.cycle.trial()
-        if tried is None:
+    def _unfit(self, parameters: Parameters) -> str | None:
+        """Return why the next step would fail with these parameters, None if it would not."""
+        trial = self.cycle.trial()
+        if trial is None:
             return None
-        state, inputs = tried
+        state, inputs = trial
         try:
             with np.errstate(over="raise", invalid="raise", divide="raise"):
-                _, outputs = stepping.step(state, replace(inputs, start=False), made)
+                inputs = structs.replace(inputs, start=False)
+                _, outputs = stepping.step(state, inputs, parameters)
         except (ValueError, ArithmeticError, IndexError) as error:
             return f"the next step could not be made: {type(error).__name__}: {error}"
-        told = (*outputs.command, *outputs.target, outputs.confidence)
-        if not all(map(math.isfinite, told)):
+        numbers = (*outputs.command, *outputs.target, outputs.confidence)
+        if not all(map(math.isfinite, numbers)):
             return "the next step would come to no finite command"
         return None
 
-    def _take(
-        self, made: Parameters, who: str, changed: Mapping[str, Any], *, anew: bool = False
+    def _use(
+        self,
+        parameters: Parameters,
+        who: str,
+        changed: Mapping[str, Any],
+        *,
+        restarts: bool = False,
     ) -> None:
-        self.told(made, who, changed)
-        self.cycle.swap(made, restarts=anew)
-        self._newest = made
+        self.on_change(parameters, who, changed)
+        self.cycle.swap(parameters, restarts=restarts)
+        self._newest = parameters
 
-    def _made(self, wanted: Settings, changed: Mapping[str, Any], who: str) -> Answer:
+    def _finish(self, wanted: Settings, changed: Mapping[str, Any], who: str) -> Answer:
+        """List, report and log a change that is in force."""
         self.settings = wanted
         for name, values in changed.items():
-            item = self._listed[name]
-            item["value"], item["by"] = values["new"], who
-            item.pop("unsaved", None)
+            parameter = self._listed[name]
+            parameter["value"], parameter["by"] = values["new"], who
+            parameter.pop("unsaved", None)
             if self._saved[name] != values["new"]:
-                item["unsaved"] = True
-        self.history.append(Changed(time.time(), who, changed))
-        told = ", ".join(f"{name} {one['old']} -> {one['new']}" for name, one in changed.items())
-        self.said(f"{who} set {told}")
+                parameter["unsaved"] = True
+        lines = [f"{name} {values['old']} -> {values['new']}" for name, values in changed.items()]
+        self.on_event(f"{who} set {', '.join(lines)}")
         if self.station.state is not None:
-            self._note(self.station.state, {"who": who, "changed": changed})
+            self._log_change(self.station.state, {"who": who, "changed": changed})
         return {"changed": dict(changed)}
 
     @staticmethod
-    def _note(folder: Path, told: Mapping[str, Any]) -> None:
-        """Add a line to the log of changes, behind the loop's back."""
-        line = {"at": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()), **told}
+    def _log_change(folder: Path, change: Mapping[str, Any]) -> None:
+        """Append a line to the log of changes, in a thread."""
+        line = {"at": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()), **change}
         work = _in_thread(overlays.append_change, folder, line)
-        work.add_done_callback(_complain)
+        work.add_done_callback(_warn_of_failure)
 
 
-def _build(*told: Any) -> Parameters:
-    return compiling.build(*told)
+def _build(*arguments: Any) -> Parameters:
+    return compiling.build(*arguments)
 
 
-def _at(settings: Settings, name: str) -> Any:
-    """Return a value by its name, plain."""
-    value: Any = settings
-    for part in name.split("."):
-        value = value[int(part)] if isinstance(value, tuple) else getattr(value, part)
-    return tree.plain(value)
-
-
-def _in_thread(work: Callable[..., T], *told: Any) -> asyncio.Future[T]:
-    return asyncio.get_running_loop().run_in_executor(None, work, *told)
+def _in_thread(work: Callable[..., T], *arguments: Any) -> asyncio.Future[T]:
+    return asyncio.get_running_loop().run_in_executor(None, work, *arguments)
 
 
 def _then(
@@ -305,7 +284,7 @@ def _then(
     done: Callable[[T], Answer],
     failed: Callable[[BaseException], Answer],
 ) -> asyncio.Future[Answer]:
-    """Return a promise of the answer that follows from some work."""
+    """Return a future of the answer that follows from some work."""
     promise: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
 
     def answer(finished: asyncio.Future[T]) -> None:
@@ -321,7 +300,7 @@ def _then(
     return promise
 
 
-def _complain(done: "asyncio.Future[None]") -> None:
+def _warn_of_failure(done: "asyncio.Future[None]") -> None:
     error = None if done.cancelled() else done.exception()
     if error is not None:
         log.warning("the log of changes is not written: %s", error)

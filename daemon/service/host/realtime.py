@@ -1,8 +1,7 @@
-"""What is asked of the host for real time.
+"""Real-time requests to the host: scheduler, cores, memory, sleep states, garbage collector.
 
-Law of this file: every request is one function with one outcome; a refusal is a sentence with
-what it costs and how to allow it, and never fatal: the daemon runs as well as the host lets it.
-Source: reference/real-time.md, sections 1, 4 and 5.
+Invariants:
+- A refusal is a text with its cost and how to allow the request. It never ends the daemon.
 """
 
 import ctypes
@@ -17,23 +16,22 @@ from pathlib import Path
 from typing import Final
 
 from linemate.daemon.config.settings import RealtimeSettings
-from linemate.daemon.service.awake import Awake
+from linemate.daemon.service.host.idle_spinner import IdleSpinner
 
 MCL_CURRENT: Final = 1
 MCL_FUTURE: Final = 2
 PR_SET_TIMERSLACK: Final = 29
 CAP_IPC_LOCK: Final = 14
 DMA_LATENCY: Final = Path("/dev/cpu_dma_latency")
-SWITCH_S: Final = 0.0005
-"""A thread that computes may keep the loop waiting this long for the interpreter [s]."""
+SWITCH_S: Final = 0.0005  # longest wait of the loop for a thread that computes [s]
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """What became of one request.
+class RequestOutcome:
+    """Outcome of one request.
 
     Attributes:
-        message: for an operator; empty if granted.
+        message: refusal for an operator, empty if granted.
     """
 
     what: str
@@ -42,59 +40,63 @@ class Outcome:
 
 
 @dataclass(slots=True)
-class Host:
-    """What the host granted; holds what must stay open.
+class RealtimeHost:
+    """What the host granted, and what must stay open for it.
 
     Attributes:
         outcomes: in the order of the requests.
-        latency_fd: while it is open the cores sleep lightly; None if that was not asked for.
-        awake: what keeps the cores from sleeping at all; None if that was not asked for.
+        latency_fd: while it is open, the cores stay in light sleep states. None if not requested.
+        spinner: keeps the cores from sleeping, None if not requested.
     """
 
-    outcomes: list[Outcome] = field(default_factory=list)
+    outcomes: list[RequestOutcome] = field(default_factory=list)
     latency_fd: int | None = None
-    awake: Awake | None = None
+    spinner: IdleSpinner | None = None
 
     def granted(self, what: str) -> bool:
-        """Whether something was asked for and granted."""
+        """Return whether a request was made and granted."""
         return any(outcome.granted for outcome in self.outcomes if outcome.what == what)
 
     def refusals(self) -> tuple[str, ...]:
-        """Sentences for the log and the status."""
+        """Return the refusals, for the log and the status."""
         return tuple(o.message for o in self.outcomes if not o.granted)
 
     def close(self) -> None:
-        """Let the cores sleep deeply again."""
+        """Let the cores sleep again."""
         if self.latency_fd is not None:
             os.close(self.latency_fd)
             self.latency_fd = None
-        if self.awake is not None:
-            self.awake.close()
-            self.awake = None
+        if self.spinner is not None:
+            self.spinner.close()
+            self.spinner = None
 
 
-def ask(settings: RealtimeSettings) -> Host:
-    """Ask the host for everything that is configured.
+def request_all(settings: RealtimeSettings) -> RealtimeHost:
+    """Make all configured requests.
 
-    Call it before threads are started, so that they share the cores but not the priority.
+    Call it before threads are started, so that they inherit the cores but not the priority.
 
     Args:
-        settings: what to ask for.
+        settings: what to request_all for.
     """
     sys.setswitchinterval(SWITCH_S)
-    host = Host()
+    host = RealtimeHost()
     for what, request in _requests(settings, host):
         try:
             request()
         except OSError as error:
             reason = error.strerror or str(error)
-            host.outcomes.append(Outcome(what, granted=False, message=_sentence(what, reason)))
+            host.outcomes.append(
+                RequestOutcome(what, granted=False, message=_sentence(what, reason))
+            )
         else:
-            host.outcomes.append(Outcome(what, granted=True))
+            host.outcomes.append(RequestOutcome(what, granted=True))
     return host
 
 
-def _requests(settings: RealtimeSettings, host: Host) -> Iterator[tuple[str, Callable[[], None]]]:
+def _requests(
+    settings: RealtimeSettings, host: RealtimeHost
+) -> Iterator[tuple[str, Callable[[], None]]]:
     if settings.cpus:
         yield "cpus", lambda: os.sched_setaffinity(0, settings.cpus)
     if settings.priority is not None:
@@ -109,7 +111,7 @@ def _requests(settings: RealtimeSettings, host: Host) -> Iterator[tuple[str, Cal
         latency_us = settings.cpu_dma_latency_us
         yield "cpu_dma_latency", lambda: _hold_latency(host, latency_us)
     if settings.keep_awake:
-        yield "keep_awake", lambda: _keep_awake(host)
+        yield "keep_awake", lambda: _start_spinner(host)
 
 
 _COSTS = {
@@ -137,7 +139,7 @@ def _fifo(priority: int) -> None:
 
 
 def is_fifo() -> bool:
-    """Whether this thread is in the real-time class, by its own request or its manager's."""
+    """Return whether this thread is in the real-time class."""
     return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
 
 
@@ -151,14 +153,14 @@ def _lock_memory() -> None:
 
 
 def _may_lock_all() -> bool:
-    """Whether the limit does not hold for this process."""
+    """Return whether RLIMIT_MEMLOCK does not bind this process."""
     for line in Path("/proc/self/status").read_bytes().splitlines():
         if line.startswith(b"CapEff:"):
             return bool(int(line.split()[1], 16) >> CAP_IPC_LOCK & 1)
     return False
 
 
-def _hold_latency(host: Host, latency_us: int) -> None:
+def _hold_latency(host: RealtimeHost, latency_us: int) -> None:
     fd = os.open(DMA_LATENCY, os.O_WRONLY | os.O_CLOEXEC)
     try:
         os.write(fd, struct.pack("@i", latency_us))
@@ -168,8 +170,8 @@ def _hold_latency(host: Host, latency_us: int) -> None:
     host.latency_fd = fd
 
 
-def _keep_awake(host: Host) -> None:
-    host.awake = Awake(os.sched_getaffinity(0))
+def _start_spinner(host: RealtimeHost) -> None:
+    host.spinner = IdleSpinner(os.sched_getaffinity(0))
 
 
 def _libc(name: str, *arguments: int) -> None:
@@ -179,22 +181,20 @@ def _libc(name: str, *arguments: int) -> None:
         raise OSError(error, os.strerror(error))
 
 
-COMPANION_PRIORITY: Final = 1
-"""Of the other threads: above every ordinary program, below everything in real time."""
-
+HELPER_PRIORITY: Final = 1  # SCHED_FIFO, above every ordinary program
 TASKS: Final = Path("/proc/self/task")
 
 
 @dataclass(slots=True)
-class Companions:
-    """The other threads, which hold the interpreter now and then.
+class HelperThreads:
+    """Priority of the other threads, which hold the interpreter now and then.
 
-    While one does, the loop waits for it; if it belonged to the ordinary class, a busy machine
-    would make both wait (measured: p99 of a wake 3 ms instead of 0.6 ms).
+    The loop waits for such a thread. In the ordinary class a busy machine would delay both: the
+    p99 of a wake was 3 ms instead of 0.6 ms.
 
     Attributes:
-        wanted: the loop has a real-time priority, so they get the least one.
-        granted, refused: threads.
+        wanted: the loop has a real-time priority.
+        granted, refused: number of threads.
     """
 
     wanted: bool
@@ -202,29 +202,29 @@ class Companions:
     refused: int = 0
     _known: frozenset[int] = frozenset()
 
-    def look(self) -> None:
-        """Give new threads their priority; now and then, in the slack."""
+    def raise_priority(self) -> None:
+        """Give new threads the lowest real-time priority."""
         if not self.wanted:
             return
-        found = frozenset(int(task.name) for task in TASKS.iterdir()) - {os.getpid()}
-        for thread in found - self._known:
+        threads = frozenset(int(task.name) for task in TASKS.iterdir()) - {os.getpid()}
+        for thread in threads - self._known:
             try:
-                least = os.sched_param(COMPANION_PRIORITY)
+                least = os.sched_param(HELPER_PRIORITY)
                 os.sched_setscheduler(thread, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, least)
-            except OSError:  # it has ended meanwhile, or the host has changed its mind
+            except OSError:  # the thread has ended, or the limit has changed
                 self.refused += 1
             else:
                 self.granted += 1
-        self._known = found
+        self._known = threads
 
 
 @dataclass(slots=True)
 class Collector:
-    """The garbage collector, in hand: it runs in the slack after a reply and nowhere else.
+    """Garbage collector that runs only when the loop calls it, after a reply.
 
     Attributes:
         every: cycles between two quick collections.
-        quick, full: collections made.
+        quick, full: number of collections.
     """
 
     every: int = 250
@@ -234,21 +234,21 @@ class Collector:
     _has_frozen: bool = False
 
     def freeze(self) -> None:
-        """Everything made so far is there to stay."""
+        """Keep all present objects out of later collections, and disable the collector."""
         gc.collect()
         gc.freeze()
         gc.disable()
         self._has_frozen = True
 
     def thaw(self) -> None:
-        """Give the collector back, if it was taken here."""
+        """Enable the collector again."""
         if self._has_frozen:
             self._has_frozen = False
             gc.enable()
             gc.unfreeze()
 
-    def slack(self, *, moving: bool) -> None:
-        """Collect the youngest now and then; everything only while nothing moves.
+    def collect_if_due(self, *, is_moving: bool) -> None:
+        """Collect the young generations every ``every`` cycles; all only while the robot stands.
 
         Args:
             moving: the robot is being led.
@@ -256,7 +256,7 @@ class Collector:
         self._cycles += 1
         if self._cycles % self.every:
             return
-        if moving or self._cycles % (40 * self.every):
+        if is_moving or self._cycles % (40 * self.every):
             gc.collect(1)
             self.quick += 1
         else:

@@ -1,4 +1,4 @@
-"""The parts of a cycle make its account, and a bad moment leaves a file."""
+"""The parts of a cycle make its timing, and a bad moment leaves a file."""
 
 import asyncio
 import csv
@@ -14,39 +14,39 @@ from linemate.daemon.cycle.clock.phase_lock import PhaseLock
 from linemate.daemon.cycle.clock.timing import CycleTimes, Incident, Timing
 from linemate.daemon.cycle.states import State
 from linemate.daemon.cycle.step_log import LogEntry
-from linemate.daemon.service.account import Account
+from linemate.daemon.service.cycle_timing import CycleTiming
 from linemate.daemon.service.incidents import LINES_A_CYCLE, MOST_FILES, IncidentFiles
 
 T = 12_000_000
 
 
 def test_a_prepared_cycle_is_accounted_for_with_its_parts(entries: tuple[LogEntry, ...]) -> None:
-    account = Account(Timing(T))
+    timing = CycleTiming(Timing(T))
     entry = structs.replace(entries[3], ipoc=36)
-    account.prepared(woken_late_ns=20_000, step_ns=300_000)
+    timing.note_prepared(woken_late_ns=20_000, step_ns=300_000)
     lock = PhaseLock(T, 0, 500_000)
     lock.follow(entry.inputs.stamp_ns - 5_000 - T)
-    account.expected(lock)
-    account.close([entry], turnaround_ns=70_000)
-    (told,) = account.timing.last()
+    timing.note_schedule(lock)
+    timing.close_cycle([entry], turnaround_ns=70_000)
+    (told,) = timing.timing.last()
     assert told == CycleTimes(
         ipoc=36, arrival_ns=entry.inputs.stamp_ns, expected_ns=entry.inputs.stamp_ns - 5_000,
         woken_late_ns=20_000, lead_ns=500_000, step_ns=300_000, turnaround_ns=70_000,
         prepared=True, state=entry.state,
     )  # fmt: skip
-    ages = account.timing.ages
+    ages = timing.timing.ages
     assert ages["distance"].greatest_ns == 1_000_000
     assert ages["camera"].greatest_ns == 2_000_000
 
 
 def test_what_was_of_one_cycle_is_not_of_the_next(entries: tuple[LogEntry, ...]) -> None:
-    account = Account(Timing(T))
-    account.prepared(woken_late_ns=20_000, step_ns=300_000)
-    account.close([structs.replace(entries[0], ipoc=12)], turnaround_ns=70_000)
-    account.stepped(900_000)
-    account.close([structs.replace(entries[1], ipoc=24)], turnaround_ns=950_000)
-    account.close([structs.replace(entries[2], ipoc=None)], turnaround_ns=950_000)
-    first, second, third = account.timing.last()
+    timing = CycleTiming(Timing(T))
+    timing.note_prepared(woken_late_ns=20_000, step_ns=300_000)
+    timing.close_cycle([structs.replace(entries[0], ipoc=12)], turnaround_ns=70_000)
+    timing.note_step(900_000)
+    timing.close_cycle([structs.replace(entries[1], ipoc=24)], turnaround_ns=950_000)
+    timing.close_cycle([structs.replace(entries[2], ipoc=None)], turnaround_ns=950_000)
+    first, second, third = timing.timing.last()
     assert (first.prepared, second.prepared, third.prepared) == (True, False, False)
     assert (second.woken_late_ns, second.step_ns) == (None, 900_000)
     assert (third.step_ns, third.turnaround_ns) == (None, None)
@@ -55,27 +55,27 @@ def test_what_was_of_one_cycle_is_not_of_the_next(entries: tuple[LogEntry, ...])
 def test_after_a_stall_only_the_last_step_has_the_measured_times(
     entries: tuple[LogEntry, ...],
 ) -> None:
-    account = Account(Timing(T))
-    account.stepped(900_000)
-    account.close(
+    timing = CycleTiming(Timing(T))
+    timing.note_step(900_000)
+    timing.close_cycle(
         [structs.replace(e, ipoc=None) for e in entries[:3]]
         + [structs.replace(entries[3], ipoc=48)],
         5,
     )
-    assert [told.step_ns for told in account.timing.last()] == [None, None, None, 900_000]
+    assert [told.step_ns for told in timing.timing.last()] == [None, None, None, 900_000]
 
 
 def test_entering_a_fault_takes_the_ring_once(entries: tuple[LogEntry, ...]) -> None:
-    account = Account(Timing(T))
-    account.close([structs.replace(entries[0], state=State.TRACK.value)], None)
-    assert account.take_incident() is None
+    timing = CycleTiming(Timing(T))
+    timing.close_cycle([structs.replace(entries[0], state=State.TRACK.value)], None)
+    assert timing.take_incident() is None
     for n in (1, 2):
-        account.close([structs.replace(entries[n], state=State.FAULT.value)], None)
-    incident = account.take_incident()
+        timing.close_cycle([structs.replace(entries[n], state=State.FAULT.value)], None)
+    incident = timing.take_incident()
     assert incident is not None
     assert incident.why == "a fault was entered"
     assert [cycle.state for cycle in incident.cycles] == ["track", "fault"]
-    assert account.timing.incidents == 1
+    assert timing.timing.incidents == 1
 
 
 def ring(cycles: int) -> Incident:
@@ -86,10 +86,10 @@ def ring(cycles: int) -> Incident:
 def test_an_incident_is_written_a_few_lines_a_cycle(tmp_path: Path) -> None:
     async def main() -> None:
         files = IncidentFiles(tmp_path)
-        files.take(ring(50))
+        files.begin(ring(50))
         cycles = 0
         while not files.written:
-            files.slack()
+            files.write_some()
             cycles += 1
             await asyncio.sleep(0)
             assert cycles < 100_000
@@ -104,8 +104,8 @@ def test_an_incident_is_written_a_few_lines_a_cycle(tmp_path: Path) -> None:
 
 def test_one_file_is_written_at_a_time(tmp_path: Path) -> None:
     files = IncidentFiles(tmp_path)
-    files.take(ring(3))
-    files.take(ring(3))
+    files.begin(ring(3))
+    files.begin(ring(3))
     assert files.refused == 1
 
 
@@ -123,8 +123,8 @@ def test_the_newest_incidents_are_kept_and_the_removed_ones_are_named(
     async def main() -> None:
         files = IncidentFiles(tmp_path)
         for k in range(count):
-            files.take(replace(ring(3), at_ns=k))
-            files.slack()
+            files.begin(replace(ring(3), at_ns=k))
+            files.write_some()
             await until(lambda k=k: files.written == k + 1)
         assert files.removed == count
         assert (files.refused, files.failed) == (0, 0)

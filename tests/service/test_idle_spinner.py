@@ -1,4 +1,4 @@
-"""Cores that are kept awake: by processes that give way to all others and outlive nobody."""
+"""Cores that are kept spinner: by processes that give way to all others and outlive nobody."""
 
 import contextlib
 import os
@@ -12,16 +12,16 @@ from pathlib import Path
 import pytest
 
 from linemate.daemon.config.settings import RealtimeSettings
-from linemate.daemon.service.awake import MODULE, Awake
-from linemate.daemon.service.realtime import ask
+from linemate.daemon.service.host.idle_spinner import MODULE, IdleSpinner
+from linemate.daemon.service.host.realtime import request_all
 
 PATIENCE_S = 20.0
 
 STARTER = """
 import os, sys, time
-from linemate.daemon.service.awake import Awake
-awake = Awake(os.sched_getaffinity(0))
-print(*awake.pids, flush=True)
+from linemate.daemon.service.host.idle_spinner import IdleSpinner
+spinner = IdleSpinner(os.sched_getaffinity(0))
+print(*spinner.pids, flush=True)
 time.sleep(60)
 """
 
@@ -47,27 +47,27 @@ def state(pid: int) -> str:
 
 
 @pytest.fixture
-def awake() -> Iterator[Awake]:
-    made = Awake(os.sched_getaffinity(0))
+def spinner() -> Iterator[IdleSpinner]:
+    made = IdleSpinner(os.sched_getaffinity(0))
     yield made
     made.close()
 
 
-def test_each_core_has_a_process_of_the_idle_class_that_runs_there(awake: Awake) -> None:
+def test_each_core_has_a_process_of_the_idle_class_that_runs_there(spinner: IdleSpinner) -> None:
     cores = sorted(os.sched_getaffinity(0))
-    assert len(awake.pids) == len(cores)
-    for pid, core in zip(awake.pids, cores, strict=True):
+    assert len(spinner.pids) == len(cores)
+    for pid, core in zip(spinner.pids, cores, strict=True):
         assert eventually(lambda pid=pid: is_idle_class(pid))  # type: ignore[misc]
         assert eventually(lambda pid=pid, core=core: os.sched_getaffinity(pid) == {core})  # type: ignore[misc]
         assert eventually(lambda pid=pid: state(pid) == "R")  # type: ignore[misc]
 
 
-def test_closing_ends_them_and_may_be_done_twice(awake: Awake) -> None:
-    pids = awake.pids
-    awake.close()
-    assert awake.pids == ()
+def test_closing_ends_them_and_may_be_done_twice(spinner: IdleSpinner) -> None:
+    pids = spinner.pids
+    spinner.close()
+    assert spinner.pids == ()
     assert all(state(pid) == "" for pid in pids)
-    awake.close()
+    spinner.close()
 
 
 def test_they_end_with_a_starter_that_is_killed_and_ctrl_c_is_not_theirs() -> None:
@@ -95,12 +95,12 @@ def test_one_whose_starter_is_gone_before_it_began_ends_at_once() -> None:
 
 
 def test_the_daemon_asks_for_it_only_when_told_and_gives_it_back() -> None:
-    assert ask(RealtimeSettings()).awake is None
-    host = ask(RealtimeSettings(keep_awake=True))
+    assert request_all(RealtimeSettings()).spinner is None
+    host = request_all(RealtimeSettings(keep_awake=True))
     assert host.granted("keep_awake")
-    assert host.awake is not None
-    pids = host.awake.pids
+    assert host.spinner is not None
+    pids = host.spinner.pids
     assert len(pids) == len(os.sched_getaffinity(0))
     host.close()
-    assert host.awake is None
+    assert host.spinner is None
     assert all(state(pid) == "" for pid in pids)

@@ -9,7 +9,13 @@ import pytest
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle.clock.timing import CycleTimes
 from linemate.daemon.cycle.step_log import LogEntry
-from linemate.daemon.service.outlook import FORESEEN, LONGEST, TOLD, Outlook, points_in_base
+from linemate.daemon.service.live_telemetry import (
+    EVENTS,
+    HORIZON_POINTS,
+    LONGEST_EVENT,
+    LiveTelemetry,
+    points_in_base,
+)
 from linemate.protocol.command.frame_codec import ROOM_BYTES
 from linemate.protocol.command.payloads import encode_event, encode_result
 
@@ -30,21 +36,21 @@ WORST = {
     "part": (0.1,) * 7,
     "command": (0.1,) * 7,
 }
-"""What the telemetry says without an outlook, at its longest."""
+"""What the telemetry says without an live, at its longest."""
 
 
-def seen(entries: tuple[LogEntry, ...]) -> Outlook:
-    outlook = Outlook(12.0)
+def seen(entries: tuple[LogEntry, ...]) -> LiveTelemetry:
+    live = LiveTelemetry(12.0)
     for entry in entries:
         times = CycleTimes(1, 0, None, None, 0, None, 350_000 + entry.inputs.k, True, "track")
-        outlook.take([entry], [times])
-    return outlook
+        live.record([entry], [times])
+    return live
 
 
 def test_the_newest_of_everything_is_shown_as_plain_values(
     entries: tuple[LogEntry, ...], parameters: Parameters
 ) -> None:
-    shown = seen(entries).shown(parameters.tracker.reference.nominal)
+    shown = seen(entries).snapshot(parameters.tracker.reference.nominal)
     last = entries[-1]
     assert last.inputs.robot is not None
     assert shown["measured"] == (*last.inputs.robot.joints, last.inputs.robot.external[0])
@@ -57,11 +63,11 @@ def test_the_newest_of_everything_is_shown_as_plain_values(
 def test_foresight_begins_at_the_committed_pose_and_has_its_length(
     entries: tuple[LogEntry, ...], parameters: Parameters
 ) -> None:
-    shown = seen(entries).shown(parameters.tracker.reference.nominal)
+    shown = seen(entries).snapshot(parameters.tracker.reference.nominal)
     outputs = entries[-1].outputs
     assert outputs.horizon is not None
     assert shown["foreseen"][0] == pytest.approx(outputs.target[:3], abs=1e-5)
-    assert len(shown["foreseen"]) == FORESEEN
+    assert len(shown["foreseen"]) == HORIZON_POINTS
     assert shown["foreseen_ms"] == 12 * (len(outputs.horizon) - 1)
 
 
@@ -71,22 +77,22 @@ def test_a_horizon_shorter_than_what_is_shown_is_shown_whole() -> None:
 
 
 def test_happenings_are_numbered_and_bounded(entries: tuple[LogEntry, ...]) -> None:
-    outlook = seen(entries)
+    live = seen(entries)
     for n in range(10):
-        outlook.say(n, f"{n}: " + "x" * 100)
-    told = outlook.shown(np.eye(3))["happened"]
-    first = outlook.happened - TOLD + 1
-    assert [number for number, _, _ in told] == list(range(first, outlook.happened + 1))
-    assert all(len(text) == LONGEST for _, _, text in told)
+        live.add_event(n, f"{n}: " + "x" * 100)
+    told = live.snapshot(np.eye(3))["happened"]
+    first = live.event_count - EVENTS + 1
+    assert [number for number, _, _ in told] == list(range(first, live.event_count + 1))
+    assert all(len(text) == LONGEST_EVENT for _, _, text in told)
 
 
 def test_all_of_it_fits_into_one_datagram(
     entries: tuple[LogEntry, ...], parameters: Parameters
 ) -> None:
-    outlook = seen(entries)
-    for _ in range(TOLD):
-        outlook.say(2**62, "x" * 200)
-    shown = outlook.shown(parameters.tracker.reference.nominal)
+    live = seen(entries)
+    for _ in range(EVENTS):
+        live.add_event(2**62, "x" * 200)
+    shown = live.snapshot(parameters.tracker.reference.nominal)
     assert set(shown) == {
         "happened", "cycle_ms", "turnaround_us", "measured", "measured_ns", "ages_ms",
         "foreseen", "foreseen_ms",
@@ -96,13 +102,13 @@ def test_all_of_it_fits_into_one_datagram(
 
 
 def test_taking_a_step_in_costs_microseconds(entries: tuple[LogEntry, ...]) -> None:
-    outlook = Outlook(12.0)
-    best = min(_taken_ns(outlook, entries) for _ in range(50))
+    live = LiveTelemetry(12.0)
+    best = min(_taken_ns(live, entries) for _ in range(50))
     assert best / len(entries) < 50_000  # a hundredth of what a step takes here
 
 
-def _taken_ns(outlook: Outlook, entries: tuple[LogEntry, ...]) -> int:
+def _taken_ns(live: LiveTelemetry, entries: tuple[LogEntry, ...]) -> int:
     began = time.perf_counter_ns()
     for entry in entries:
-        outlook.take([entry])
+        live.record([entry])
     return time.perf_counter_ns() - began

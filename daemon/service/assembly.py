@@ -1,0 +1,104 @@
+"""Parts of a daemon, built from its configuration: links, command port, recorder, learner."""
+
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+from linemate.daemon.config.config import LoadedConfig
+from linemate.daemon.config.section_checks import group_ids
+from linemate.daemon.cycle.cycle import Cycle
+from linemate.daemon.cycle.learning import Learner
+from linemate.daemon.recording.recorder import MIB, Recorder, Rotation
+from linemate.daemon.service.command_server import CommandPort, Handler, Snapshot
+from linemate.daemon.service.endpoints import LocalEndpoint, UdpEndpoint
+from linemate.drivers.camera_peer import parse_peer
+from linemate.drivers.camera_udp import CameraLink
+from linemate.drivers.can_bus import CanLink
+from linemate.drivers.serial_port import SerialLink
+from linemate.protocol.sensors.camera_codec import CameraDecoder
+from linemate.protocol.sensors.distance import DistanceDecoder
+from linemate.protocol.sensors.wrench import BAUD_RATES, make_decoder, make_host
+
+
+def build_sensors(
+    station: LoadedConfig, cycle: Cycle
+) -> Iterator[CanLink | CameraLink | SerialLink]:
+    """Yield the link of each configured sensor; its samples go to the cycle."""
+    config = station.config
+    if config.distance is not None and station.dbc is not None:
+        distance = config.distance
+        decoder = DistanceDecoder(
+            station.dbc,
+            distance.message,
+            distance.signal,
+            strength=distance.strength,
+            can_id=distance.can_id,
+            step=distance.step_m,
+        )
+        yield CanLink(distance.can, decoder, cycle.samples.distance.push)
+    if config.camera is not None:
+        camera = config.camera
+        poses = CameraDecoder(camera.frame, camera.object, camera.source)
+        peer = None if camera.peer is None else parse_peer(camera.peer)
+        yield CameraLink(poses, cycle.samples.camera.push, camera.bind, camera.port, peer=peer)
+    if config.force_torque is not None:
+        wrench = config.force_torque
+        yield SerialLink(
+            wrench.url,
+            make_decoder(wrench.device),
+            cycle.samples.wrench.push,
+            baudrate=wrench.baudrate or BAUD_RATES[wrench.device],
+            host=partial(make_host, wrench.device) if wrench.dialogue else None,
+        )
+
+
+def build_command_port(station: LoadedConfig, handle: Handler, telemetry: Snapshot) -> CommandPort:
+    """Return the command port with the configured endpoints."""
+    command = station.config.command
+    local = udp = None
+    if command.socket is not None:
+        operators = command.operate_groups
+        local = LocalEndpoint(
+            station.path.parent / command.socket,
+            operate_gids=None if operators is None else group_ids(operators),
+            view_gids=group_ids(command.view_groups),
+        )
+    if command.udp is not None:
+        settings = command.udp
+        udp = UdpEndpoint(settings.bind, settings.port, station.keys, settings.allow_remote)
+    return CommandPort(handle, telemetry, local, udp)
+
+
+def incident_directory(station: LoadedConfig) -> Path | None:
+    """Return the directory of incident files, None without one."""
+    name = station.config.realtime.incidents
+    return None if name is None else station.path.parent / name
+
+
+def build_learner(station: LoadedConfig, cycle_s: float) -> Learner | None:
+    """Return the estimator of servo models, None if it is not configured."""
+    settings = station.config.learning
+    if settings is None:
+        return None
+    axes = 7 if station.task.file.arm.linear_axis else 6
+    return Learner(settings, station.written.control.servos[:axes], cycle_s)
+
+
+def build_recorder(station: LoadedConfig) -> Recorder | None:
+    """Return the recorder, None if it is not configured."""
+    settings = station.config.recording
+    if settings is None:
+        return None
+    return Recorder(
+        station.path.parent / settings.directory,
+        dict(station.texts),
+        settings.queue,
+        settings.chunk_kib * 1024,
+        settings.flush_s,
+        Rotation(
+            settings.rotate_mib * MIB,
+            settings.rotate_min * 60.0,
+            None if settings.total_mib is None else settings.total_mib * MIB,
+            settings.reserve_mib * MIB,
+        ),
+    )

@@ -1,0 +1,1 @@
+"""The host of the daemon: real-time requests, idle spinner, service manager."""

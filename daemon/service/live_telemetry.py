@@ -1,0 +1,106 @@
+"""Live telemetry for views: joints, predicted path, sample ages and events.
+
+Invariants:
+- No clock and no I/O. Its size is fixed; with the other telemetry it fits into one datagram.
+- ``record`` costs a few microseconds. ``snapshot`` runs on request, at most 50 times a second.
+"""
+
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.cycle.clock.timing import CycleTimes
+from linemate.daemon.cycle.step_log import LogEntry
+
+HORIZON_POINTS: Final = 8  # positions of the horizon, the first and the last among them
+EVENTS: Final = 2  # in one telemetry; their numbers show which were missed
+LONGEST_EVENT: Final = 64  # characters
+RECENT_CYCLES: Final = 20  # cycles whose slowest reply is shown
+_DIGITS: Final = 5
+
+
+@dataclass(slots=True)
+class LiveTelemetry:
+    """Newest steps and events.
+
+    Attributes:
+        cycle_ms: period T0 [ms].
+        event_count: number of events so far.
+    """
+
+    cycle_ms: float
+    event_count: int = 0
+    _events: deque[tuple[int, int, str]] = field(default_factory=lambda: deque(maxlen=EVENTS))
+    _turnarounds: deque[int] = field(default_factory=lambda: deque(maxlen=RECENT_CYCLES))
+    _entry: LogEntry | None = None
+    _joints: tuple[float, ...] | None = None
+    _joints_ns: int = 0
+    _newest_ns: dict[str, int] = field(default_factory=dict)
+
+    def record(self, entries: Iterable[LogEntry], times: Iterable[CycleTimes] = ()) -> None:
+        """Record steps and the times of their cycles, oldest first."""
+        for entry in entries:
+            self._entry = entry
+            inputs = entry.inputs
+            if inputs.robot is not None:
+                self._joints = (*inputs.robot.joints, *inputs.robot.external)
+                self._joints_ns = inputs.robot.stamp_ns
+            for name in ("distance", "camera", "wrench"):
+                samples = getattr(inputs, name)
+                if samples:
+                    self._newest_ns[name] = samples[-1].stamp_ns
+            for what, how in entry.outputs.events:
+                self.add_event(inputs.stamp_ns, f"conveyor: {what} {how}")
+        for cycle in times:
+            if cycle.turnaround_ns is not None:
+                self._turnarounds.append(cycle.turnaround_ns)
+
+    def add_event(self, stamp_ns: int, text: str) -> None:
+        """Add an event at a monotonic time [ns]."""
+        self.event_count += 1
+        self._events.append((self.event_count, stamp_ns, text[:LONGEST_EVENT]))
+
+    def snapshot(self, nominal: Array) -> dict[str, Any]:
+        """Return plain values for a view.
+
+        Args:
+            nominal: (3, 3) axes of c in base, the frame of the horizon.
+        """
+        shown: dict[str, Any] = {"happened": [list(event) for event in self._events]}
+        shown["cycle_ms"] = self.cycle_ms
+        if self._turnarounds:
+            shown["turnaround_us"] = max(self._turnarounds) // 1000
+        entry = self._entry
+        if entry is None:
+            return shown
+        now_ns = entry.inputs.stamp_ns
+        if self._joints is not None:
+            shown["measured"] = self._joints[: len(entry.outputs.command)]
+            shown["measured_ns"] = self._joints_ns
+        shown["ages_ms"] = {
+            name: round(max(0, now_ns - stamp_ns) / 1e6, 1)
+            for name, stamp_ns in self._newest_ns.items()
+        }
+        horizon = entry.outputs.horizon
+        if horizon is not None:
+            last = len(horizon) - 1
+            shown["foreseen"] = points_in_base(horizon, nominal)
+            shown["foreseen_ms"] = round(last * self.cycle_ms)
+        return shown
+
+
+def points_in_base(horizon: Array, nominal: Array) -> list[list[float]]:
+    """Return evenly spread positions of a horizon in base [m], with the first and the last.
+
+    Args:
+        horizon: (n+1, 6) poses in c.
+        nominal: (3, 3) axes of c in base.
+    """
+    count = min(HORIZON_POINTS, len(horizon))
+    chosen = np.linspace(0, len(horizon) - 1, count).round().astype(int)
+    points: list[list[float]] = (horizon[chosen, :3] @ nominal.T).round(_DIGITS).tolist()
+    return points
