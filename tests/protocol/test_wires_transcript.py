@@ -47,7 +47,7 @@ def answered(call: Callable[..., object], *args: object) -> object:
         ("distance", "fab9c4e2b742ba24"),
         ("bota", "1317e755f72b8679"),
         ("ft300", "ae3adee0f89de4a3"),
-        ("frame", "dfe694f23e6e66d7"),
+        ("frame", "88aa6db73ac87b24"),
         ("request", "d6084da771d050ba"),
         ("answer", "38caa913b3751425"),
         ("slcan", "fc37151a33fb917e"),
