@@ -1,19 +1,15 @@
-"""How long to wait before a lost link is opened again.
-
-Law of this file: pure arithmetic, no clock and no randomness. Delays double from the first
-to the longest, and start afresh once a link has lived.
-"""
+"""Delay before a lost link is opened again."""
 
 from dataclasses import dataclass, field
 
 
 @dataclass(slots=True)
 class Backoff:
-    """A doubling delay.
+    """A delay that doubles from the first to the longest.
 
     Attributes:
         first_s: delay before the first reopening [s].
-        longest_s: delay that is never exceeded [s].
+        longest_s: the upper limit [s].
     """
 
     first_s: float = 0.1
@@ -21,7 +17,7 @@ class Backoff:
     _next_s: float = field(init=False, default=0.0)
 
     def __post_init__(self) -> None:
-        """Refuse delays that would spin or run backwards.
+        """Refuse delays that are not positive.
 
         Raises:
             ValueError: if not 0 < first_s <= longest_s.
@@ -31,15 +27,11 @@ class Backoff:
         self.reset()
 
     def next_delay(self) -> float:
-        """The delay to wait now; the one after it is twice as long.
-
-        Returns:
-            A delay [s].
-        """
+        """Return the delay to wait now [s], and double the next one."""
         delay_s = self._next_s
         self._next_s = min(2.0 * delay_s, self.longest_s)
         return delay_s
 
     def reset(self) -> None:
-        """Start afresh: the link has lived."""
+        """Begin with the first delay again: the link has worked."""
         self._next_s = self.first_s

@@ -1,11 +1,11 @@
-"""Which sender is the camera: a rule over sources and arrival times.
+"""Decide which sender is the camera, from sources and arrival times.
 
 Invariants:
-    * With a peer given, nobody else is ever the camera.
-    * Without one, the first sender of ``needed`` good poses in a row is the camera, until the end
-      of the process. Whenever it sends, it is heard.
-    * While the camera has sent within ``takeover_s``, nobody else is heard.
-    * A sender that takes over from a silent camera is heard until the camera is back.
+    With a peer configured, no other sender is ever the camera.
+    Without one, the first sender of ``needed`` good poses in a row is the camera until the process
+    ends. Its poses are always used.
+    While the camera has sent within ``takeover_s``, no other sender's poses are used.
+    A sender that takes over from a silent camera is used until the camera sends again.
 """
 
 import ipaddress
@@ -14,18 +14,17 @@ from typing import Final
 
 from linemate.drivers.datagrams import Address
 
-TAKEOVER_S: Final = 5.0  # longer than an occlusion, shorter than a tracker's restart is missed
+TAKEOVER_S: Final = 5.0  # longer than an occlusion, shorter than a restart of the tracker
 
-Peer = tuple[str, int | None]
-"""Numeric address; port, None for any."""
+Peer = tuple[str, int | None]  # numeric address; port, None for any
 
 
 class SenderRole(StrEnum):
-    """What becomes of a datagram."""
+    """Role of a datagram's sender."""
 
-    HEARD = auto()
-    CANDIDATE = auto()  # of a sender that may take over: decoded, not handed on
-    FOREIGN = auto()  # not even decoded
+    ACTIVE = auto()  # decoded and delivered
+    CANDIDATE = auto()  # may take over: decoded, not delivered
+    FOREIGN = auto()  # not decoded
 
 
 def parse_peer(text: str) -> Peer:
@@ -51,16 +50,16 @@ def parse_peer(text: str) -> Peer:
 
 
 class CameraPeer:
-    """Decides whose poses are heard.
+    """Decides whose poses are used.
 
     Args:
-        peer: the only one that may be the camera, None for whoever comes first.
+        peer: the only sender that may be the camera, None for the first one.
         needed: good poses in a row that make a sender the camera.
         takeover_s: silence of the camera after which another sender may take over [s].
 
     Attributes:
-        camera: the sender that has the right to be heard, None until there is one.
-        present: the sender that is heard now.
+        camera: the sender that is the camera, None until there is one.
+        present: the sender whose poses are used now.
     """
 
     def __init__(
@@ -75,44 +74,37 @@ class CameraPeer:
         self._candidate: Address | None = None
         self._row = 0
 
-    def judge(self, source: Address, stamp_ns: int) -> SenderRole:
-        """Return what becomes of a datagram.
-
-        Args:
-            stamp_ns: when it came [ns].
-        """
+    def role(self, source: Address, stamp_ns: int) -> SenderRole:
+        """Return the role of a datagram's sender at its arrival [ns]."""
         if not self._may_be(source):
             return SenderRole.FOREIGN
         if self.present is None or source in {self.camera, self.present}:
-            return SenderRole.HEARD
+            return SenderRole.ACTIVE
         is_silent = stamp_ns - self._last_ns >= self._takeover_ns
         return SenderRole.CANDIDATE if is_silent else SenderRole.FOREIGN
 
-    def good(self, source: Address, stamp_ns: int) -> bool:
-        """Note a good pose of a sender that was not judged foreign.
-
-        Args:
-            stamp_ns: when it came [ns].
+    def note_pose(self, source: Address, stamp_ns: int) -> bool:
+        """Note a good pose of a sender that is not foreign, and its arrival [ns].
 
         Returns:
-            Whether another sender than before is heard from now on.
+            Whether the active sender has changed.
         """
         if source == self.present:
             self._last_ns = stamp_ns
             self._candidate = None
             return False
         if source == self.camera:
-            self._hear(source, stamp_ns)
+            self._activate(source, stamp_ns)
             return True
         self._row = self._row + 1 if source == self._candidate else 1
         self._candidate = source
         if self._row < self._needed:
             return False
         self.camera = self.camera or source
-        self._hear(source, stamp_ns)
+        self._activate(source, stamp_ns)
         return True
 
-    def _hear(self, source: Address, stamp_ns: int) -> None:
+    def _activate(self, source: Address, stamp_ns: int) -> None:
         self.present, self._last_ns = source, stamp_ns
         self._candidate, self._row = None, 0
 

@@ -1,11 +1,10 @@
 """Camera link: pose datagrams on a UDP port.
 
 Invariants:
-    * A wake reads at most ``budget`` datagrams, so that a flood on this port delays no robot.
-    * ``CameraPeer`` decides who is heard. What a stranger sends reaches no decoder but its own.
-    * While the camera's poses come, the kernel drops what others send.
-
-Source: reference/reliability.md, 0 (findings 2 to 4).
+    A wake reads at most ``budget`` datagrams, so that a flood on this port delays no reply to the
+    robot.
+    ``CameraPeer`` decides whose poses are used. Each sender has a decoder of its own.
+    While the camera sends poses, the kernel drops what others send.
 """
 
 import copy
@@ -20,13 +19,10 @@ from linemate.drivers.sole_sender import SoleSender
 from linemate.protocol.errors import ProtocolError
 from linemate.protocol.samples import CameraSample
 
-BUDGET = 8
-
-SILENCE_S = 0.25  # ten images; after that the kernel lets others through, to be judged here
-
+BUDGET = 8  # datagrams read at one wake
+SILENCE_S = 0.25  # ten images; after that the kernel lets other senders through
 IN_A_ROW = 5  # good poses that make a sender the camera
-
-WARN_NS = 60_000_000_000  # between two lines about foreign poses in the log [ns]
+WARN_NS = 60_000_000_000  # between two log lines about foreign poses [ns]
 
 log = logging.getLogger(__name__)
 
@@ -37,17 +33,17 @@ class PoseDecoder(Protocol):
     """What the link needs of a camera codec."""
 
     def feed(self, data: bytes, stamp_ns: int) -> CameraSample | None:
-        """Decode one datagram; None for one that is well-formed but not wanted."""
+        """Decode one datagram; None for a well-formed one that is not used."""
 
 
 class CameraLink(DatagramLink):
-    """Hands camera samples to a callback.
+    """Delivers camera samples to a callback.
 
     Attributes:
         status: the link's visible state. Counters: ``received``, ``samples``, ``ignored``,
             ``refused``, ``oversize``, ``foreign`` (not the camera), ``takeovers``,
-            ``callback_errors``, ``kernel_drops`` (found no room, or came from others while a
-            camera sent), ``stamps_refused``.
+            ``callback_errors``, ``kernel_drops`` (queue full, or sent by others while the camera
+            sent), ``stamps_refused``.
     """
 
     def __init__(
@@ -63,34 +59,36 @@ class CameraLink(DatagramLink):
         backoff: Backoff | None = None,
     ) -> None:
         super().__init__(name, host, port, backoff)
-        self._fresh = copy.deepcopy(decoder)  # what each further sender begins with
+        self._fresh = copy.deepcopy(decoder)  # initial state of each further sender's decoder
         self._decoder = decoder
         self._decoders: dict[Address, PoseDecoder] = {}
         self._peer = CameraPeer(peer, IN_A_ROW)
         self._warned_ns: int | None = None
         self._on_sample = on_sample
         self._budget = budget
-        self._sole = SoleSender(SILENCE_S, IN_A_ROW, lambda: self.status.last_sample_stamp_ns)
+        self._sole_sender = SoleSender(
+            SILENCE_S, IN_A_ROW, lambda: self.status.last_sample_stamp_ns
+        )
 
     def _read(self, transport: DatagramSocket) -> None:
         for _ in range(self._budget):
             datagram = transport.read()
             if datagram is None:
                 break
-            self._take(transport, datagram)
+            self._handle(transport, datagram)
 
     def _release(self) -> None:
-        self._sole.forget()
+        self._sole_sender.forget()
         super()._release()
 
-    def _take(self, transport: DatagramSocket, datagram: Datagram) -> None:
+    def _handle(self, transport: DatagramSocket, datagram: Datagram) -> None:
         self.counters["received"] += 1
         if datagram.oversize:
             self.counters["oversize"] += 1
             return
         source, stamp_ns = datagram.source, datagram.stamp_ns
-        judgement = self._peer.judge(source, stamp_ns)
-        if judgement is SenderRole.FOREIGN:
+        role = self._peer.role(source, stamp_ns)
+        if role is SenderRole.FOREIGN:
             self._refuse(source, stamp_ns)
             return
         try:
@@ -102,21 +100,21 @@ class CameraLink(DatagramLink):
         if sample is None:
             self.counters["ignored"] += 1
             return
-        if self._peer.good(source, stamp_ns):
-            self._changed(source)
-        if judgement is SenderRole.CANDIDATE and self._peer.present != source:
+        if self._peer.note_pose(source, stamp_ns):
+            self._log_change(source)
+        if role is SenderRole.CANDIDATE and self._peer.present != source:
             self.counters["foreign"] += 1
             return
         self.counters["samples"] += 1
         self.status.last_sample_stamp_ns = sample.stamp_ns
         if self._peer.camera in {None, source}:
-            # The kernel keeps others off for the camera alone: whoever has taken over from it
-            # must not keep it off.
-            self._sole.good(transport, source)
+            # The kernel drops other senders for the camera only: a sender that has taken over
+            # must not lock the camera out.
+            self._sole_sender.note_good(transport, source)
         self._deliver(sample)
 
     def _decoder_of(self, source: Address) -> PoseDecoder:
-        """Return a sender's own decoder: numbers and clock of one are nothing to another."""
+        """Return the sender's own decoder: its sequence numbers and clock are its own."""
         if self._peer.camera is None:
             return self._decoder
         kept = {self._peer.camera, self._peer.present, source}
@@ -125,18 +123,18 @@ class CameraLink(DatagramLink):
             self._decoders[source] = copy.deepcopy(self._fresh)
         return self._decoders[source]
 
-    def _changed(self, source: Address) -> None:
-        """Note that another sender is heard."""
+    def _log_change(self, source: Address) -> None:
+        """Log that the active sender has changed."""
         camera, name = self._peer.camera, self.status.name
         if not self._decoders:
             self._decoders[source] = self._decoder
             log.info("%s: %s:%d is the camera from now on", name, *source[:2])
         elif source == camera:
-            log.warning("%s: the camera %s:%d is back and heard again", name, *source[:2])
+            log.warning("%s: the camera %s:%d is back: its poses are used again", name, *source[:2])
         else:
             self.counters["takeovers"] += 1
             log.warning(
-                "%s: %s is silent for %.1f s or more: %s is heard until it is back. "
+                "%s: %s is silent for %.1f s or more: poses of %s are used until it is back. "
                 "Set camera.peer to keep others off.",
                 name, _text(camera), TAKEOVER_S, _text(source),
             )  # fmt: skip

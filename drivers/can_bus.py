@@ -1,10 +1,11 @@
-"""The distance sensor's wire: any python-can bus, by configuration.
+"""Distance sensor link: any python-can bus, by configuration.
 
-Law of this file: python-can's Notifier is not used, for it spins on a broken bus and loses
-exceptions. A bus is built and shut down in a thread, because both may block; it is read by the
-loop where it has a descriptor, else by one thread that feeds a bounded queue. Whatever a plug-in
-raises ends the bus, not the loop, and the bus is opened again with back-off.
-Source: reference/sensors-and-tools.md, 2.
+python-can's Notifier is not used: it spins on a broken bus and loses exceptions.
+
+Invariants:
+    A bus is opened and shut down in a thread, because both may block.
+    The loop reads a bus that has a descriptor. A thread with a bounded queue reads any other.
+    An exception of a plug-in ends the bus, not the loop. The bus is opened again with back-off.
 """
 
 import asyncio
@@ -20,7 +21,7 @@ import can
 
 from linemate.drivers.backoff import Backoff
 from linemate.drivers.kept_link import KeptLink
-from linemate.drivers.link import why
+from linemate.drivers.link import describe_error
 from linemate.drivers.read_ahead import ReadAhead
 from linemate.drivers.stamps import ArrivalClock, paired_clocks
 from linemate.protocol.errors import ProtocolError
@@ -28,17 +29,15 @@ from linemate.protocol.samples import DistanceSample
 
 T = TypeVar("T")
 
-BUDGET = 32
-QUEUE = 256
-BARREN_WAKES = 500
-BARREN = "bytes come, but no frames"
+BUDGET = 32  # frames read at one wake
+QUEUE = 256  # frames that wait for the loop
+WAKES_WITHOUT_FRAME = 500  # in a row; then the bus is opened again
+NO_FRAMES = "bytes come, but no frames"
 THREAD_RECV_S = 0.2
 
+# Otherwise python-can sleeps 2 s when it opens and blocks 1 ms at each read.
 SLCAN_DEFAULTS = {"sleep_after_open": 0, "timeout": 0}
-"""python-can sleeps two seconds at open and blocks a millisecond a read if not told."""
-
-SERIAL_PORT = "serialPortOrig"
-"""Where python-can's slcan keeps its port."""
+SERIAL_PORT = "serialPortOrig"  # attribute of python-can's slcan bus that holds its port
 
 log = logging.getLogger(__name__)
 
@@ -53,11 +52,11 @@ class CanDecoder(Protocol):
     def decode(
         self, can_id: int, data: bytes, stamp_ns: int, extended: bool = False
     ) -> DistanceSample | None:
-        """Decode one frame; None for a frame of somebody else."""
+        """Decode one frame; None for a frame of another device."""
 
 
 class CanLink(KeptLink):
-    """Hands distance samples to a callback.
+    """Delivers distance samples to a callback.
 
     Attributes:
         status: the link's visible state. Counters: ``frames``, ``samples``, ``other`` (not this
@@ -82,17 +81,17 @@ class CanLink(KeptLink):
         self._on_sample = on_sample
         self._path = path
         self._clock = ArrivalClock()
-        self._barren = 0
+        self._empty_wakes = 0
 
-    async def _live_once(self) -> str:
+    async def _run_once(self) -> str:
         try:
             bus = await _in_thread(lambda: _opened(self._config), leftover=_shut_down)
         except Exception as error:  # noqa: BLE001 - a plug-in may raise anything
-            return why(error)
+            return describe_error(error)
         try:
             self.status.mark_up()
             self._clock = ArrivalClock()
-            self._barren = 0
+            self._empty_wakes = 0
             descriptor = _descriptor(bus) if self._path != "thread" else None
             if descriptor is not None:
                 return await self._watch(bus, descriptor)
@@ -117,27 +116,27 @@ class CanLink(KeptLink):
             broken.set_result(reason)
 
     def _drain(self, bus: can.BusABC) -> str | None:
-        """Take what waits; a reason ends the bus."""
-        self._barren += 1
+        """Read what waits, within the budget; return why the bus has ended, None if it has not."""
+        self._empty_wakes += 1
         for _ in range(BUDGET):
             try:
                 message = bus.recv(0)
             except Exception as error:  # noqa: BLE001 - a plug-in may raise anything
                 if not _is_garbage(bus, error):
-                    return why(error)
+                    return describe_error(error)
                 self.counters["garbage"] += 1
                 continue
             if message is None:
                 self._clock.drained(time.monotonic_ns())
                 break
-            self._barren = 0
-            self._take(message, _arrival(self._clock, message))
+            self._empty_wakes = 0
+            self._handle(message, _arrival(self._clock, message))
         self.counters["stamps_refused"] = self._clock.refused
-        return None if self._barren < BARREN_WAKES else BARREN
+        return None if self._empty_wakes < WAKES_WITHOUT_FRAME else NO_FRAMES
 
     async def _read_in_thread(self, bus: can.BusABC) -> str:
         loop = asyncio.get_running_loop()
-        pump = _Pump(bus, loop, self._take_queued)
+        pump = _Pump(bus, loop, self._handle_queued)
         thread = threading.Thread(target=pump.run, name=f"can-{self.status.name}", daemon=True)
         thread.start()
         try:
@@ -146,13 +145,13 @@ class CanLink(KeptLink):
             pump.stop.set()
             await asyncio.shield(_in_thread(thread.join))
 
-    def _take_queued(self, pump: "_Pump") -> None:
-        for message, stamp_ns in pump.take():
-            self._take(message, stamp_ns)
-        self.counters["dropped"] += pump.take_dropped()
-        self.counters["garbage"] += pump.take_garbage()
+    def _handle_queued(self, pump: "_Pump") -> None:
+        for message, stamp_ns in pump.drain():
+            self._handle(message, stamp_ns)
+        self.counters["dropped"] += pump.drain_dropped()
+        self.counters["garbage"] += pump.drain_garbage()
 
-    def _take(self, message: can.Message, stamp_ns: int) -> None:
+    def _handle(self, message: can.Message, stamp_ns: int) -> None:
         self.counters["frames"] += 1
         self._backoff.reset()
         if message.is_error_frame:
@@ -188,7 +187,7 @@ class CanLink(KeptLink):
 
 
 class _Pump:
-    """Reads a bus without a descriptor in a thread; the loop takes from a bounded queue."""
+    """Reads a bus without a descriptor in a thread into a bounded queue for the loop."""
 
     def __init__(
         self,
@@ -208,43 +207,43 @@ class _Pump:
         self._clock = ArrivalClock()
 
     def run(self) -> None:
-        """Read until told to stop or the bus breaks."""
-        barren = 0
-        while not self.stop.is_set() and barren < BARREN_WAKES:
+        """Read until ``stop`` is set or the bus breaks."""
+        empty_reads = 0
+        while not self.stop.is_set() and empty_reads < WAKES_WITHOUT_FRAME:
             try:
                 message = self._bus.recv(THREAD_RECV_S)
             except Exception as error:  # noqa: BLE001 - a plug-in may raise anything
                 if not _is_garbage(self._bus, error):
-                    self._tell(self._break, why(error))
+                    self._call_soon(self._break, describe_error(error))
                     return
-                barren += 1
+                empty_reads += 1
                 with self._lock:
                     self._garbage += 1
                 continue
-            barren = 0
-            self._put(message)
-        self._tell(self._break, BARREN)
+            empty_reads = 0
+            self._push(message)
+        self._call_soon(self._break, NO_FRAMES)
 
-    def take(self) -> list[Received]:
-        """What arrived since the last call."""
+    def drain(self) -> list[Received]:
+        """Return the frames since the last call."""
         with self._lock:
-            taken = list(self._queue)
+            frames = list(self._queue)
             self._queue.clear()
-        return taken
+        return frames
 
-    def take_dropped(self) -> int:
-        """How many frames the full queue pushed out since the last call."""
+    def drain_dropped(self) -> int:
+        """Return how many frames the full queue has dropped since the last call."""
         with self._lock:
             dropped, self._dropped = self._dropped, 0
         return dropped
 
-    def take_garbage(self) -> int:
-        """How many times the bus gave something that is no frame since the last call."""
+    def drain_garbage(self) -> int:
+        """Return how often the bus gave something other than a frame since the last call."""
         with self._lock:
             garbage, self._garbage = self._garbage, 0
         return garbage
 
-    def _put(self, message: can.Message | None) -> None:
+    def _push(self, message: can.Message | None) -> None:
         if message is None:
             self._clock.drained(time.monotonic_ns())
             return
@@ -256,16 +255,16 @@ class _Pump:
                 self._dropped += 1
             self._queue.append((message, stamp_ns))
         if was_empty:
-            self._tell(self._on_ready, self)
+            self._call_soon(self._on_ready, self)
 
     def _break(self, reason: str) -> None:
         if not self.broken.done():
             self.broken.set_result(reason)
 
-    def _tell(self, callback: Callable[[T], None], argument: T) -> None:
+    def _call_soon(self, callback: Callable[[T], None], argument: T) -> None:
         try:
             self._loop.call_soon_threadsafe(callback, argument)
-        except RuntimeError:  # the loop is gone, and nobody is left to tell
+        except RuntimeError:  # the loop is closed
             self.stop.set()
 
 
@@ -276,7 +275,7 @@ def _with_defaults(can_config: Mapping[str, object]) -> dict[str, Any]:
 
 
 def _opened(can_config: Mapping[str, Any]) -> can.BusABC:
-    """A bus, one on a serial line reading in portions."""
+    """Open a bus; one on a serial line reads in portions."""
     bus = can.Bus(**can_config)
     if hasattr(bus, SERIAL_PORT):
         setattr(bus, SERIAL_PORT, ReadAhead(getattr(bus, SERIAL_PORT)))
@@ -284,7 +283,7 @@ def _opened(can_config: Mapping[str, Any]) -> can.BusABC:
 
 
 def _descriptor(bus: can.BusABC) -> int | None:
-    """The descriptor to watch, None if the interface has none."""
+    """Return the descriptor to watch, None if the interface has none."""
     try:
         descriptor = bus.fileno()
     except (NotImplementedError, can.CanError, OSError):
@@ -293,18 +292,18 @@ def _descriptor(bus: can.BusABC) -> int | None:
 
 
 def _is_garbage(bus: can.BusABC, error: Exception) -> bool:
-    """Was it only a frame that cannot be read? Then the bus lives."""
+    """Whether only a frame cannot be read: the bus still works."""
     kept = getattr(bus, "_buffer", None)
     if isinstance(error.__cause__, UnicodeDecodeError) and isinstance(kept, bytearray):
-        kept.clear()  # slcan keeps a line that is no text, and would stumble over it for ever
+        kept.clear()  # slcan keeps a line that is no text, and would fail at each read
         return True
     return isinstance(error, (ValueError, LookupError))
 
 
 def _arrival(clock: ArrivalClock, message: can.Message) -> int:
-    now_ns, wall_ns = paired_clocks()
-    stamp_wall_ns = int(message.timestamp * 1e9) if message.timestamp > 0.0 else None
-    return clock.arrival(stamp_wall_ns, now_ns, wall_ns)
+    now_ns, realtime_ns = paired_clocks()
+    stamp_realtime_ns = int(message.timestamp * 1e9) if message.timestamp > 0.0 else None
+    return clock.arrival(stamp_realtime_ns, now_ns, realtime_ns)
 
 
 def _shut_down(bus: can.BusABC) -> None:
@@ -314,13 +313,13 @@ def _shut_down(bus: can.BusABC) -> None:
         log.debug("shutting a bus down: %s", error)
     port = getattr(bus, SERIAL_PORT, None)
     if isinstance(port, ReadAhead):
-        # A dead line ends slcan's shutdown before its port is closed.
+        # On a broken line slcan's shutdown fails before it closes the port.
         with contextlib.suppress(Exception):
             port.close()
 
 
 async def _in_thread(work: Callable[[], T], leftover: Callable[[T], None] | None = None) -> T:
-    """Run what may block in a thread; if the caller gives up meanwhile, clean up after it."""
+    """Run what may block in a thread; after a cancellation, release its result."""
     loop = asyncio.get_running_loop()
     future = loop.run_in_executor(None, work)
 

@@ -1,8 +1,11 @@
-"""Reading a datagram socket: non-blocking, stamped by the kernel, bounded; and its link.
+"""Non-blocking datagram socket with kernel stamps, and the link that keeps it open.
 
-Law of this file: a read allocates nothing that grows with what a stranger sends; a datagram
-longer than the buffer is known by the kernel's flag and never handed on. asyncio's own
-datagram transport is not used: it takes a 256 KiB buffer for each datagram and has no budget.
+asyncio's datagram transport is not used: it allocates 256 KiB for each datagram and reads without
+a limit.
+
+Invariants:
+    A read allocates at most 2 KiB.
+    A longer datagram is marked as oversize by the kernel's flag.
 """
 
 import asyncio
@@ -15,7 +18,7 @@ from dataclasses import dataclass, field
 from msgspec import Struct
 
 from linemate.drivers.backoff import Backoff
-from linemate.drivers.link import LinkStatus, why
+from linemate.drivers.link import LinkStatus, describe_error
 from linemate.drivers.stamps import (
     ANCILLARY_BYTES,
     ArrivalClock,
@@ -26,17 +29,15 @@ from linemate.drivers.stamps import (
 BUFFER_BYTES = 2048
 
 Address = tuple[str, int]
+# Bytes, control messages, flags and source, as the kernel returns them.
 RawDatagram = tuple[bytes, list[tuple[int, int, bytes]], int, Address]
-"""Bytes, control messages, flags and source, as the kernel hands them over."""
 
 
 class Datagram(Struct, frozen=True):
-    """One datagram as it came.
+    """One datagram with its monotonic arrival [ns].
 
     Attributes:
-        data: its bytes, cut at 2 KiB.
-        stamp_ns: monotonic arrival [ns].
-        oversize: it was longer than 2 KiB and is incomplete.
+        oversize: the datagram was longer than 2 KiB and ``data`` is incomplete.
     """
 
     data: bytes
@@ -50,32 +51,28 @@ class DatagramSocket:
     """A bound, non-blocking UDP socket.
 
     Attributes:
-        clock: maps the kernel's stamps.
-        kernel_drops: datagrams the kernel dropped because nobody read them in time.
+        kernel_drops: datagrams that the kernel dropped because the queue was full.
     """
 
     endpoint: socket.socket
     clock: ArrivalClock = field(default_factory=ArrivalClock)
     kernel_drops: int = 0
     _buffer: bytearray = field(default_factory=lambda: bytearray(BUFFER_BYTES))
-    _alone: tuple[int, ...] = ()
+    _descriptors: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        """Note what to wait for."""
-        self._alone = (self.endpoint.fileno(),)
+        """Keep the descriptor for ``wait``."""
+        self._descriptors = (self.endpoint.fileno(),)
 
     @classmethod
     def bound(cls, host: str, port: int) -> "DatagramSocket":
-        """Open and bind; no address is ever shared with another process.
+        """Open and bind a socket; no address is shared with another process.
 
         Args:
             port: local port, 0 for any.
 
-        Returns:
-            The open socket.
-
         Raises:
-            OSError: if the address cannot be bound.
+            OSError: the address cannot be bound.
         """
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         endpoint = socket.socket(family, socket.SOCK_DGRAM)
@@ -90,22 +87,19 @@ class DatagramSocket:
 
     @property
     def address(self) -> Address:
-        """Where the socket is bound."""
+        """Local address and port."""
         host, port = self.endpoint.getsockname()[:2]
         return str(host), int(port)
 
     def fileno(self) -> int:
-        """The descriptor to watch."""
+        """Return the descriptor to watch."""
         return self.endpoint.fileno()
 
     def read(self) -> Datagram | None:
-        """Take one datagram.
-
-        Returns:
-            The oldest waiting datagram, or None if there is none.
+        """Return the oldest waiting datagram, None if there is none.
 
         Raises:
-            OSError: if the socket is broken.
+            OSError: the socket is broken.
         """
         try:
             size, ancillary, flags, source = self.endpoint.recvmsg_into(
@@ -117,20 +111,20 @@ class DatagramSocket:
         return self.stamped((bytes(memoryview(self._buffer)[:size]), ancillary, flags, source))
 
     def wait(self, timeout_ns: int) -> RawDatagram | None:
-        """Sleep until a datagram comes, and return it without its time.
+        """Sleep until a datagram comes, and return it without its arrival.
 
         Args:
-            timeout_ns: how long at most [ns].
+            timeout_ns: the longest time to wait [ns].
 
         Returns:
-            To be given to ``stamped`` once its reply is out; None if nothing came.
+            The argument of ``stamped``, to be called after the reply; None after the time-out.
 
         Raises:
             OSError: the socket is broken.
-            ValueError: select cannot wait for a descriptor this great.
+            ValueError: the descriptor is too great for select.
         """
-        # A socket's own time-out counts in ticks of the kernel, poll in milliseconds.
-        if not select.select(self._alone, (), (), max(0, timeout_ns) * 1e-9)[0]:
+        # select waits in microseconds, poll in milliseconds, a socket's time-out in kernel ticks.
+        if not select.select(self._descriptors, (), (), max(0, timeout_ns) * 1e-9)[0]:
             return None
         try:
             return self.endpoint.recvmsg(BUFFER_BYTES, ANCILLARY_BYTES)
@@ -138,7 +132,7 @@ class DatagramSocket:
             return None
 
     def stamped(self, raw: RawDatagram) -> Datagram:
-        """Return a datagram with its arrival; its age is counted from now, so call it soon."""
+        """Return a datagram with its arrival; call it soon, for its age is counted from now."""
         data, ancillary, flags, source = raw
         stamp_ns, drops = self.clock.date(ancillary)
         if drops is not None:
@@ -151,13 +145,11 @@ class DatagramSocket:
 
 
 class DatagramLink(ABC):
-    """A bound socket that is watched by the loop and bound again when it breaks.
+    """A bound socket that the loop watches, and that is bound again when it breaks.
 
     Attributes:
-        status: the link's visible state.
-        counters: the status's.
-        refusal: why it could not be bound the last time that it was tried, None if it could.
-        opened_ns: since when datagrams can arrive [ns], 0 before the link was open.
+        refusal: error of the last try to bind, None if it succeeded.
+        opened_ns: time of opening [ns], 0 before.
     """
 
     def __init__(self, name: str, host: str, port: int, backoff: Backoff | None = None) -> None:
@@ -173,7 +165,7 @@ class DatagramLink(ABC):
 
     @property
     def address(self) -> Address | None:
-        """Where the link listens, None while it is down."""
+        """Local address and port, None while the link is down."""
         return self._socket.address if self._socket is not None else None
 
     def open(self) -> None:
@@ -186,7 +178,7 @@ class DatagramLink(ABC):
             self._socket = DatagramSocket.bound(*self._bind)
         except (OSError, OverflowError) as error:
             self.refusal = error
-            self._down(why(error))
+            self._down(describe_error(error))
             return
         self.refusal = None
         self.opened_ns = time.monotonic_ns()
@@ -195,31 +187,31 @@ class DatagramLink(ABC):
         self.status.mark_up()
 
     def close(self) -> None:
-        """Stop listening, for good."""
+        """Stop listening and do not open again."""
         self._forget_retry()
         self._release()
         self.status.mark_closed()
 
     async def wait_closed(self) -> None:
-        """Let the loop see the closing; nothing of a datagram link outlives ``close``."""
+        """Let the loop run once; ``close`` has released everything."""
         await asyncio.sleep(0)
 
     def poll(self) -> None:
-        """Take what waits, within the budget; what is left waits for the next wake."""
+        """Read what waits, within the budget; the rest waits for the next wake."""
         transport = self._socket
         if transport is None:
             return
         try:
             self._read(transport)
         except OSError as error:
-            self._down(why(error))
+            self._down(describe_error(error))
             return
         self.counters["kernel_drops"] = transport.kernel_drops
         self.counters["stamps_refused"] = transport.clock.refused
 
     @abstractmethod
     def _read(self, transport: DatagramSocket) -> None:
-        """Read and hand on; an OSError means that the socket is broken."""
+        """Read and deliver datagrams; an OSError means that the socket is broken."""
 
     def _forget_retry(self) -> None:
         if self._retry is not None:

@@ -1,7 +1,8 @@
-"""A link whose life is one coroutine, and which is lived again when it ends.
+"""A link whose transport is opened again whenever it ends.
 
-Law of this file: whatever ends a life is a reason for the operator, never an exception for the
-loop; the next one begins after the back-off. Closing is the only way to end for good.
+Invariants:
+    An end of the transport is a reason for the operator, never an exception for the loop.
+    Only ``close`` ends the link for good.
 """
 
 import asyncio
@@ -13,7 +14,7 @@ from linemate.drivers.link import LinkStatus
 
 
 class KeptLink(ABC):
-    """A transport that is opened, lived with and opened again.
+    """Opens a transport, runs it until it ends, and opens it again after the back-off.
 
     Attributes:
         status: the link's visible state.
@@ -35,27 +36,27 @@ class KeptLink(ABC):
             self._task = asyncio.get_running_loop().create_task(self._keep_open())
 
     def close(self) -> None:
-        """Stop; ``wait_closed`` returns when the transport is closed."""
+        """Begin to close; ``wait_closed`` returns when the transport is closed."""
         if self._task is not None:
             self._task.cancel()
 
     async def wait_closed(self) -> None:
-        """Wait until nothing of the link is left."""
+        """Wait until the transport is closed."""
         if self._task is not None:
             await asyncio.wait([self._task])
 
     async def _keep_open(self) -> None:
         try:
             while True:
-                self.status.mark_down(await self._live_once())
+                self.status.mark_down(await self._run_once())
                 await asyncio.sleep(self._backoff.next_delay())
         finally:
             self.status.mark_closed()
 
     @abstractmethod
-    async def _live_once(self) -> str:
-        """Open the transport and live with it until it ends; returns why it did.
+    async def _run_once(self) -> str:
+        """Open the transport, run it until it ends, and return why it ended.
 
-        It calls ``status.mark_up`` once the link is there, and resets the back-off once the link
-        has lived.
+        It calls ``status.mark_up`` when the transport is open, and resets the back-off when good
+        data have arrived.
         """

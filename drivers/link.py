@@ -1,15 +1,15 @@
-"""What every link tells of itself.
+"""Status of a link: facts that its driver counts.
 
-Law of this file: a status holds facts that a driver counted, never a judgement. Stamps are
-monotonic nanoseconds. A driver writes it from the event loop alone; anyone may read it there.
+Invariants:
+    Stamps are monotonic nanoseconds.
+    A driver writes its status from the event loop alone.
 """
 
 import time
 from collections import Counter
 from dataclasses import dataclass, field
 
-NOT_OPENED = "not opened"
-"""Reason of a link that nobody has tried to open yet."""
+NOT_OPENED = "not opened"  # reason of a link before the first try
 
 
 @dataclass(slots=True)
@@ -18,7 +18,7 @@ class LinkStatus:
 
     Attributes:
         name: the link's name in status and logs.
-        up: the transport is open (it says nothing of samples arriving).
+        up: the transport is open; samples need not arrive.
         since_ns: monotonic time of the last change of ``up`` [ns].
         last_sample_stamp_ns: arrival of the newest good sample [ns], None before the first.
         reason: why the link is down, empty while it is up.
@@ -38,17 +38,13 @@ class LinkStatus:
         self._change(up=True, reason="")
 
     def mark_down(self, reason: str) -> None:
-        """Note that the transport is gone.
-
-        Args:
-            reason: what an operator should read.
-        """
+        """Note that the transport is closed, with a reason for the operator."""
         if self.up:
             self.counters["lost"] += 1
         self._change(up=False, reason=reason)
 
     def mark_closed(self) -> None:
-        """Note that the link was closed on purpose: nothing was lost."""
+        """Note that the link was closed on purpose."""
         self._change(up=False, reason="closed")
 
     def _change(self, *, up: bool, reason: str) -> None:
@@ -58,14 +54,7 @@ class LinkStatus:
         self.reason = reason
 
 
-def why(error: BaseException) -> str:
-    """One line for an operator from an exception.
-
-    Args:
-        error: what a transport raised.
-
-    Returns:
-        The exception's class and text.
-    """
+def describe_error(error: BaseException) -> str:
+    """Return an exception's class and text in one line."""
     text = str(error).strip()
     return f"{type(error).__name__}: {text}" if text else type(error).__name__

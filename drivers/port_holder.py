@@ -1,7 +1,7 @@
-"""Who has a UDP port that is taken.
+"""Find the process that has a UDP port, from the kernel's tables in /proc.
 
-Law of this file: the kernel's tables are read and nobody is asked; what may not be seen, or is
-gone meanwhile, is no answer and no error.
+Invariants:
+    What cannot be read, or has ended, gives no answer and no error.
 """
 
 import errno
@@ -9,18 +9,17 @@ from pathlib import Path
 
 PROC = Path("/proc")
 TABLES = ("net/udp", "net/udp6")
-_LOCAL, _INODE = 1, 9
-"""Columns of the kernel's tables."""
+_LOCAL, _INODE = 1, 9  # columns of those tables
 
 
-def told(error: BaseException | None, port: int, proc: Path = PROC) -> str:
-    """What to add to a complaint that a port cannot be had: who has it, empty if nobody is seen.
+def describe_holder(error: BaseException | None, port: int, proc: Path = PROC) -> str:
+    """Return `` (process 12, name)`` of a port that is in use, empty for any other error.
 
-    It looks at every process: for the start, never in motion.
+    It reads the tables of every process: call it at the start only.
 
     Args:
-        error: why it cannot; only of one that is in use there is somebody to name.
-        proc: where the kernel's tables are.
+        error: why the port cannot be bound.
+        proc: folder of the kernel's tables.
     """
     is_taken = getattr(error, "errno", None) == errno.EADDRINUSE
     pid = holder(port, proc) if is_taken else None
@@ -34,7 +33,7 @@ def told(error: BaseException | None, port: int, proc: Path = PROC) -> str:
 
 
 def holder(port: int, proc: Path = PROC) -> int | None:
-    """The process that has a UDP port; None if there is none, or none that may be seen."""
+    """Return the process that has a UDP port, None if none can be seen."""
     sockets = {f"socket:[{inode}]" for inode in _inodes(port, proc)}
     if not sockets:
         return None
@@ -45,8 +44,8 @@ def holder(port: int, proc: Path = PROC) -> int | None:
 
 
 def _inodes(port: int, proc: Path) -> set[str]:
-    """Sockets that are bound to a port."""
-    found = set()
+    """Return the sockets that are bound to a port."""
+    inodes = set()
     for table in TABLES:
         try:
             rows = (proc / table).read_text(encoding="ascii").splitlines()[1:]
@@ -54,8 +53,8 @@ def _inodes(port: int, proc: Path) -> set[str]:
             continue
         for row in map(str.split, rows):
             if int(row[_LOCAL].rpartition(":")[2], 16) == port:
-                found.add(row[_INODE])
-    return found
+                inodes.add(row[_INODE])
+    return inodes
 
 
 def _holds(folder: Path, sockets: set[str]) -> bool:

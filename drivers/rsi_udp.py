@@ -18,12 +18,12 @@ from typing import Protocol
 
 from linemate.drivers.backoff import Backoff
 from linemate.drivers.datagrams import Address, Datagram, DatagramLink, DatagramSocket
-from linemate.drivers.link import why
+from linemate.drivers.link import describe_error
 from linemate.drivers.sole_sender import SoleSender
 from linemate.protocol.rsi.expected_telegram import ReadyReply
 
 BUDGET = 64  # datagrams read at once
-SENDERS = 4  # told apart in one read
+SENDERS = 4  # distinguished in one read
 LOOK_BACK = 4  # datagrams of one sender that may be tried
 MAX_SELECTABLE = 1024  # select waits for descriptors below, with a resolution of microseconds
 WARM_UP_NS = 150_000  # a comparison before the telegram comes takes less than this
@@ -41,10 +41,10 @@ class OnTelegram(Protocol):
         """Return the reply, None if there is none.
 
         Args:
-            data: of the telegram.
-            stamp_ns: its arrival [ns].
-            source: who sent it.
-            is_answered: the ready reply is out. The same reply is to be returned.
+            data: bytes of the telegram.
+            stamp_ns: arrival on the monotonic clock [ns].
+            source: address of the sender.
+            is_answered: the ready reply has been sent. The same reply is to be returned.
         """
 
 
@@ -56,7 +56,7 @@ class RsiLink(DatagramLink):
             (no reply), ``stale`` (a newer one waited), ``oversize``, ``crowded`` (too many
             senders at once), ``send_errors``, ``callback_errors``, ``express`` (answered with
             the ready reply), ``hasty`` (of these, those with another reply in the ordinary way),
-            ``kernel_drops`` (no room, or others while a controller was answered),
+            ``kernel_drops`` (queue full, or other senders while a controller was answered),
             ``stamps_refused``.
         turnaround_ns: from the arrival of the last answered telegram to its reply [ns].
     """
@@ -77,12 +77,12 @@ class RsiLink(DatagramLink):
         self._ready_reply = ready_reply
         self._last = b""
         self._sent_ns = 0
-        self._sole = SoleSender(SILENCE_S, 1, lambda: self.status.last_sample_stamp_ns)
+        self._sole_sender = SoleSender(SILENCE_S, 1, lambda: self.status.last_sample_stamp_ns)
 
     @property
     def kept(self) -> Address | None:
-        """The controller that has the port for itself, None while anybody may come."""
-        return self._sole.kept
+        """The only sender that the kernel lets through, None while all may send."""
+        return self._sole_sender.kept
 
     def attend(self, until_ns: int) -> bool:
         """Sleep until a telegram comes, answer it, and return whether one came.
@@ -108,7 +108,7 @@ class RsiLink(DatagramLink):
             if not self._answer(transport, transport.stamped(raw), sent):
                 self._read(transport)
         except OSError as error:
-            self._down(why(error))
+            self._down(describe_error(error))
         return True
 
     def _read(self, transport: DatagramSocket) -> None:
@@ -118,7 +118,7 @@ class RsiLink(DatagramLink):
             if datagram is None:
                 break
             self.counters["received"] += 1
-            self._keep(waiting, datagram)
+            self._queue(waiting, datagram)
         for datagrams in waiting.values():
             while datagrams:
                 newest = datagrams.pop()
@@ -127,7 +127,7 @@ class RsiLink(DatagramLink):
                     break
             self.counters["stale"] += len(datagrams)
 
-    def _keep(self, waiting: dict[Address, deque[Datagram]], datagram: Datagram) -> None:
+    def _queue(self, waiting: dict[Address, deque[Datagram]], datagram: Datagram) -> None:
         if datagram.oversize:
             self.counters["oversize"] += 1
             return
@@ -158,7 +158,7 @@ class RsiLink(DatagramLink):
             self.counters["oversize"] += 1
             return False
         source = datagram.source
-        reply = self._ask(datagram, is_answered=sent is not None)
+        reply = self._call_cycle(datagram, is_answered=sent is not None)
         if sent is not None:
             self.counters["express"] += 1
             if reply != sent:
@@ -171,7 +171,7 @@ class RsiLink(DatagramLink):
         self._last = datagram.data
         self.status.last_sample_stamp_ns = datagram.stamp_ns
         self.turnaround_ns = self._sent_ns - datagram.stamp_ns
-        self._sole.good(transport, source)
+        self._sole_sender.note_good(transport, source)
         return True
 
     def _send(self, transport: DatagramSocket, reply: bytes, source: Address) -> None:
@@ -185,10 +185,10 @@ class RsiLink(DatagramLink):
         self._sent_ns = time.monotonic_ns()
 
     def _release(self) -> None:
-        self._sole.forget()
+        self._sole_sender.forget()
         super()._release()
 
-    def _ask(self, datagram: Datagram, *, is_answered: bool) -> bytes | None:
+    def _call_cycle(self, datagram: Datagram, *, is_answered: bool) -> bytes | None:
         try:
             return self._on_telegram(
                 datagram.data, datagram.stamp_ns, datagram.source, is_answered=is_answered

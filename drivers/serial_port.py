@@ -1,83 +1,38 @@
-"""The force-torque sensor's wire: a serial line by URL.
+"""Force-torque sensor link: a serial line by URL (tty, pty or socket).
 
-Law of this file: a tty, a pty and a socket are the same to it. Bytes go to a decoder that finds
-frames in them by itself; a device that must be talked to first brings its dialogue along, and
-the line counts as up when the dialogue is over. A line that ends, fails or falls silent is
-opened again with back-off. Source: reference/sensors-and-tools.md, 1b.
+Invariants:
+    The decoder finds the frames in the stream of bytes.
+    A device with a start-up dialogue counts as up when the dialogue is over.
+    A line that ends, fails or is silent is opened again with back-off.
 """
 
 import asyncio
 import logging
 import time
 from collections.abc import Callable
-from typing import Protocol
 
 import serialx
 
 from linemate.drivers.backoff import Backoff
 from linemate.drivers.kept_link import KeptLink
-from linemate.drivers.link import why
+from linemate.drivers.link import describe_error
 from linemate.protocol.errors import ProtocolError
 from linemate.protocol.samples import WrenchSample
+from linemate.protocol.sensors.wrench import WrenchHost
+from linemate.protocol.sensors.wrench_stream import WrenchDecoder
 
 READ_BYTES = 4096
-OPEN_S = 5.0
-SILENCE_S = 2.0
-LOOK_S = 0.1
+OPEN_S = 5.0  # longest time to open or close
+SILENCE_S = 2.0  # without a sample, the line is opened again
+CHECK_S = 0.1  # between two checks for silence and overdue answers
 
 log = logging.getLogger(__name__)
 
 OnWrench = Callable[[WrenchSample], None]
 
 
-class Decoder(Protocol):
-    """What the link needs of a wrench codec."""
-
-    def feed(self, data: bytes, stamp_ns: int) -> list[WrenchSample]:
-        """Decode what a read gave; an incomplete frame waits for the next one."""
-
-    def reset(self) -> None:
-        """Forget an incomplete frame."""
-
-    def counters(self) -> dict[str, int]:
-        """What was refused, by name."""
-
-
-class HostOutput(Protocol):
-    """What a dialogue gives after some bytes or some time."""
-
-    @property
-    def send(self) -> bytes:
-        """For the device."""
-
-    @property
-    def stream(self) -> bytes:
-        """For the decoder."""
-
-
-class Host(Protocol):
-    """What a device wants to be told before it streams, from the host's side."""
-
-    @property
-    def running(self) -> bool:
-        """The device streams."""
-
-    @property
-    def failure(self) -> str | None:
-        """Why the dialogue was given up."""
-
-    def begin(self, now_ns: int) -> HostOutput:
-        """Begin, whatever the device is doing."""
-
-    def feed(self, data: bytes, now_ns: int) -> HostOutput:
-        """Take what the port gave."""
-
-    def on_time(self, now_ns: int) -> HostOutput:
-        """Notice overdue answers."""
-
-
 class SerialLink(KeptLink):
-    """Hands wrench samples to a callback.
+    """Delivers wrench samples to a callback.
 
     Attributes:
         status: the link's visible state. Counters: ``bytes``, ``samples``, ``refused``,
@@ -88,11 +43,11 @@ class SerialLink(KeptLink):
     def __init__(
         self,
         url: str,
-        decoder: Decoder,
+        decoder: WrenchDecoder,
         on_sample: OnWrench,
         *,
         baudrate: int = 460_800,
-        host: Callable[[], Host] | None = None,
+        host: Callable[[], WrenchHost] | None = None,
         name: str = "force_torque",
         silence_s: float = SILENCE_S,
         backoff: Backoff | None = None,
@@ -103,18 +58,18 @@ class SerialLink(KeptLink):
         self._decoder = decoder
         self._on_sample = on_sample
         self._new_host = host
-        self._host: Host | None = None
-        self._heard_ns = 0
-        self._seen: dict[str, int] = {}
+        self._host: WrenchHost | None = None
+        self._last_ns = 0
+        self._counted: dict[str, int] = {}
         self._silence_s = silence_s
         self._transport: asyncio.WriteTransport | None = None
 
-    async def _live_once(self) -> str:
+    async def _run_once(self) -> str:
         line = _SerialProtocol(self._received)
         try:
             transport = await self._connect(line)
         except Exception as error:  # noqa: BLE001 - a transport plug-in may raise anything
-            return why(error)
+            return describe_error(error)
         self._transport = transport
         try:
             self._begin()
@@ -131,11 +86,11 @@ class SerialLink(KeptLink):
         )
         transport, _ = await asyncio.wait_for(connecting, OPEN_S)
         if hasattr(transport, "max_size"):
-            transport.max_size = READ_BYTES  # 256 KiB allocated a read otherwise
+            transport.max_size = READ_BYTES  # otherwise a read allocates 256 KiB
         return transport
 
     def _begin(self) -> None:
-        self._heard_ns = now_ns = time.monotonic_ns()
+        self._last_ns = now_ns = time.monotonic_ns()
         self._decoder.reset()
         self._host = self._new_host() if self._new_host is not None else None
         if self._host is None:
@@ -144,23 +99,23 @@ class SerialLink(KeptLink):
             self._send(self._host.begin(now_ns).send)
 
     async def _watch(self, line: "_SerialProtocol") -> str:
-        """Wait for the end of the line; look after silence meanwhile."""
+        """Wait for the end of the line; return its reason, or why it is to be opened again."""
         while True:
-            await asyncio.wait([line.lost], timeout=LOOK_S)
+            await asyncio.wait([line.lost], timeout=CHECK_S)
             if line.lost.done():
                 return line.lost.result()
-            reason = self._complaint(time.monotonic_ns())
+            reason = self._failure(time.monotonic_ns())
             if reason is not None:
                 return reason
 
-    def _complaint(self, now_ns: int) -> str | None:
+    def _failure(self, now_ns: int) -> str | None:
         host = self._host
         if host is not None and not host.running:
             self._send(host.on_time(now_ns).send)
             if host.failure is not None:
                 self.counters["dialogue_failures"] += 1
             return host.failure
-        if now_ns - self._heard_ns > self._silence_s * 1e9:
+        if now_ns - self._last_ns > self._silence_s * 1e9:
             self.counters["silences"] += 1
             return f"no sample for {self._silence_s:g} s"
         return None
@@ -178,18 +133,18 @@ class SerialLink(KeptLink):
         stamp_ns = time.monotonic_ns()
         self.counters["bytes"] += len(data)
         try:
-            stream = data if self._host is None else self._converse(self._host, data, stamp_ns)
+            stream = data if self._host is None else self._run_dialogue(self._host, data, stamp_ns)
             self._decode(stream, stamp_ns)
         except ProtocolError as error:
             self.counters["refused"] += 1
             log.debug("%s: %s", self.status.name, error)
 
-    def _converse(self, host: Host, data: bytes, now_ns: int) -> bytes:
+    def _run_dialogue(self, host: WrenchHost, data: bytes, now_ns: int) -> bytes:
         was_running = host.running
         output = host.feed(data, now_ns)
         self._send(output.send)
         if host.running and not was_running:
-            self._heard_ns = now_ns
+            self._last_ns = now_ns
             self.status.mark_up()
         return output.stream
 
@@ -203,17 +158,17 @@ class SerialLink(KeptLink):
             self.status.last_sample_stamp_ns = sample.stamp_ns
             self._deliver(sample)
         if samples:
-            self._heard_ns = stamp_ns
+            self._last_ns = stamp_ns
             self._backoff.reset()
 
     def _count_decoded(self) -> None:
-        """Add what the decoder has counted since the last read, so that it stands beside ours."""
+        """Add what the decoder has counted since the last read to the link's counters."""
         counts = self._decoder.counters()
         for name, count in counts.items():
-            seen = self._seen.get(name)
-            if count != seen:
-                self.counters[name] += count - (seen or 0)
-        self._seen = counts
+            counted = self._counted.get(name)
+            if count != counted:
+                self.counters[name] += count - (counted or 0)
+        self._counted = counts
 
     def _deliver(self, sample: WrenchSample) -> None:
         try:
@@ -231,15 +186,15 @@ class _SerialProtocol(asyncio.Protocol):
         self._on_data = on_data
 
     def data_received(self, data: bytes) -> None:
-        """Pass what was read."""
+        """Deliver what was read."""
         if not self.lost.done():
             self._on_data(data)
 
     def eof_received(self) -> bool:
-        """A line has no half-open state: close it."""
+        """Close the line: it has no half-open state."""
         return False
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Tell the keeper that this opening is over."""
+        """Report that the line has ended."""
         if not self.lost.done():
-            self.lost.set_result("the line ended" if exc is None else why(exc))
+            self.lost.set_result("the line ended" if exc is None else describe_error(exc))

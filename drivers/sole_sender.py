@@ -1,11 +1,14 @@
-"""One sender at a time: the kernel drops what others send to a port while that one lives.
+"""Kernel filter that lets one sender's datagrams through to a port.
 
-Law of this file: a filter only ever narrows to a sender that was worth it, and widens as soon as
-that one is silent; it saves work and decides nothing, so a kernel that refuses it is no error.
-Unlike a connected socket it lets another sender come without a new socket. What it drops the
-kernel counts among its drops, unseen: neither who it was nor what it said is known.
-Classic BPF sees a datagram from its UDP header on; the IP header is reached by an offset.
-Source: reference/reliability.md, 0 (finding 4); Linux, include/uapi/linux/filter.h.
+The filter saves work and decides nothing: a kernel that refuses it is no error. Unlike a
+connected socket it lets another sender come without a new socket.
+
+Invariants:
+    The filter is set for a sender of good datagrams, and removed when that sender is silent.
+    The kernel counts what it drops, without sender or content.
+
+Reference: Linux, include/uapi/linux/filter.h (classic BPF). A datagram is loaded from its UDP
+header on; the IP header is reached by ``NETWORK``.
 """
 
 import asyncio
@@ -23,24 +26,21 @@ from linemate.drivers.datagrams import Address, DatagramSocket
 SO_ATTACH_FILTER: Final = 26
 SO_DETACH_FILTER: Final = 27
 
-Instruction = tuple[int, int, int, int]
-"""Code, jump if true, jump if false, constant."""
+Instruction = tuple[int, int, int, int]  # code, jump if true, jump if false, constant
 
 LOAD_WORD, LOAD_HALF, JUMP_EQUAL, RETURN = 0x20, 0x28, 0x15, 0x06
 NETWORK = 0xFFF00000  # SKF_NET_OFF
-SOURCE_4, SOURCE_6 = 12, 8
-"""Where an IP header has its source address [bytes]."""
-SOONEST_S = 2e-3
-"""A loop's clock is coarser than the kernel's: no look again sooner than that [s]."""
+SOURCE_4, SOURCE_6 = 12, 8  # offset of the source address in an IPv4 and IPv6 header [bytes]
+SHORTEST_DELAY_S = 2e-3  # the loop's clock is coarser than the kernel's
 
 WHOLE, NOTHING = 0xFFFFFFFF, 0
 
 
 def only_from(source: Address) -> list[Instruction]:
-    """Return the programme that keeps one sender's datagrams.
+    """Return the program that keeps one sender's datagrams.
 
     Args:
-        source: numeric address and port, as a socket tells it.
+        source: numeric address and port, as a socket returns them.
 
     Raises:
         ValueError: the address is not numeric.
@@ -51,14 +51,14 @@ def only_from(source: Address) -> list[Instruction]:
     wanted = [(LOAD_WORD, at + 4 * i, word) for i, word in enumerate(words)]
     wanted.append((LOAD_HALF, 0, source[1]))
     program: list[Instruction] = []
-    for load, where, what in wanted:
-        left = 2 * len(wanted) - len(program) - 1  # instructions from the jump to the refusal
-        program += [(load, 0, 0, where), (JUMP_EQUAL, 0, left, what)]
+    for load, offset, value in wanted:
+        to_refusal = 2 * len(wanted) - len(program) - 1  # instructions from the jump
+        program += [(load, 0, 0, offset), (JUMP_EQUAL, 0, to_refusal, value)]
     return [*program, (RETURN, 0, 0, WHOLE), (RETURN, 0, 0, NOTHING)]
 
 
 def attach(endpoint: socket.socket, program: Sequence[Instruction]) -> None:
-    """Let the kernel judge what comes from now on; what waits already stays.
+    """Filter what comes from now on; datagrams that wait already stay.
 
     Raises:
         OSError: the kernel refuses.
@@ -73,7 +73,7 @@ def keep_only(endpoint: socket.socket, source: Address | None) -> None:
     """Narrow a socket to one sender, or widen it to all.
 
     Raises:
-        OSError, ValueError: it cannot be done.
+        OSError, ValueError: the kernel refuses, or the address is not numeric.
     """
     if source is None:
         endpoint.setsockopt(socket.SOL_SOCKET, SO_DETACH_FILTER, 0)
@@ -82,12 +82,12 @@ def keep_only(endpoint: socket.socket, source: Address | None) -> None:
 
 
 class SoleSender:
-    """Keeps strangers off a socket while one sender is worth it.
+    """Sets the filter for a sender of good datagrams, and removes it after silence.
 
     Args:
-        silence_s: without a good datagram for so long, anybody may come again [s].
-        needed: good datagrams in a row from one sender before strangers are kept off.
-        last_ns: tells when the last good datagram came [ns].
+        silence_s: time without a good datagram after which all senders come through [s].
+        needed: good datagrams in a row from one sender before the filter is set.
+        last_ns: returns the arrival of the last good datagram [ns].
     """
 
     def __init__(self, silence_s: float, needed: int, last_ns: Callable[[], int | None]) -> None:
@@ -97,15 +97,15 @@ class SoleSender:
         self._source: Address | None = None
         self._row = 0
         self._endpoint: socket.socket | None = None
-        self._look: asyncio.TimerHandle | None = None
+        self._timer: asyncio.TimerHandle | None = None
 
     @property
     def kept(self) -> Address | None:
-        """The one whose datagrams come through, None while everybody's do."""
+        """The only sender that comes through, None while all do."""
         return self._source if self._endpoint is not None else None
 
-    def good(self, transport: DatagramSocket, source: Address) -> None:
-        """A datagram was worth it."""
+    def note_good(self, transport: DatagramSocket, source: Address) -> None:
+        """Note a good datagram; set the filter if there were enough in a row."""
         if source == self._source:
             if self._endpoint is not None:
                 return
@@ -117,19 +117,19 @@ class SoleSender:
             self._narrow(transport.endpoint, source)
 
     def forget(self) -> None:
-        """The socket is closed."""
-        if self._look is not None:
-            self._look.cancel()
-            self._look = None
+        """Note that the socket is closed."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
         self._endpoint = self._source = None
         self._row = 0
 
     def _narrow(self, endpoint: socket.socket, source: Address) -> None:
-        self._row = 0  # a kernel that refuses is asked again, not at each datagram
+        self._row = 0  # after a refusal, try again later and not at each datagram
         with contextlib.suppress(OSError, ValueError):
             keep_only(endpoint, source)
             self._endpoint = endpoint
-            self._look_in(self._silence_s)
+            self._check_in(self._silence_s)
 
     def _widen(self) -> None:
         endpoint = self._endpoint
@@ -138,13 +138,13 @@ class SoleSender:
             with contextlib.suppress(OSError):
                 keep_only(endpoint, None)
 
-    def _look_in(self, delay_s: float) -> None:
-        self._look = asyncio.get_running_loop().call_later(delay_s, self._look_again)
+    def _check_in(self, delay_s: float) -> None:
+        self._timer = asyncio.get_running_loop().call_later(delay_s, self._check)
 
-    def _look_again(self) -> None:
+    def _check(self) -> None:
         last_ns = self._last_ns()
         silent_s = 0.0 if last_ns is None else (time.monotonic_ns() - last_ns) * 1e-9
         if silent_s >= self._silence_s:
             self._widen()
         else:
-            self._look_in(max(self._silence_s - silent_s, SOONEST_S))
+            self._check_in(max(self._silence_s - silent_s, SHORTEST_DELAY_S))

@@ -1,10 +1,11 @@
-"""When a datum arrived, on the monotonic clock.
+"""Arrival time of a datagram on the monotonic clock, from the kernel's stamp.
 
-Law of this file: the kernel stamps with the wall clock, which may be stepped at any moment;
-so a kernel stamp is only ever used as an *age*, and an age is believed only if the datum
-could have waited that long: since the socket was last seen empty, plus a margin. Everything
-else falls back to the time of reading, and is counted.
-Source: reference/reliability.md, 2.0; socket(7), SO_TIMESTAMPNS.
+Invariants:
+    The kernel stamps with CLOCK_REALTIME, which can be stepped. Only the age of a stamp is used.
+    An age is accepted up to the time since the socket was last empty, plus a margin.
+    Any other datagram is dated by its reading, and counted.
+
+Reference: socket(7), SO_TIMESTAMPNS.
 """
 
 import socket
@@ -15,8 +16,8 @@ from dataclasses import dataclass, field
 
 SO_TIMESTAMPNS = 35  # not named by Python's socket module; asm-generic/socket.h
 SO_RXQ_OVFL = 40
-MARGIN_NS = 10_000_000
-PAIR_TOLERANCE_NS = 50_000
+MARGIN_NS = 10_000_000  # an accepted age may exceed the time since the socket was empty [ns]
+PAIR_TOLERANCE_NS = 50_000  # between two readings of the monotonic clock around the other [ns]
 
 _TIMESPEC = struct.Struct("@ll")
 _DROPS = struct.Struct("@I")
@@ -27,7 +28,7 @@ Ancillary = Iterable[tuple[int, int, bytes]]
 
 
 def request_kernel_stamps(endpoint: socket.socket) -> None:
-    """Ask the kernel to stamp arrivals and to tell of drops, where it can."""
+    """Ask the kernel to stamp arrivals and to count drops, where it can."""
     for option in (SO_TIMESTAMPNS, SO_RXQ_OVFL):
         try:
             endpoint.setsockopt(socket.SOL_SOCKET, option, 1)
@@ -36,40 +37,35 @@ def request_kernel_stamps(endpoint: socket.socket) -> None:
 
 
 def read_ancillary(ancillary: Ancillary) -> tuple[int | None, int | None]:
-    """Find the arrival stamp and the drop count among control messages.
+    """Return the stamp on CLOCK_REALTIME [ns] and the number of datagrams dropped so far.
 
-    Args:
-        ancillary: what ``recvmsg`` returned beside the data.
-
-    Returns:
-        Wall clock stamp [ns] and number of datagrams the kernel dropped so far; each may be None.
+    Each is None if the control messages of ``recvmsg`` do not have it.
     """
-    wall_ns: int | None = None
+    realtime_ns: int | None = None
     drops: int | None = None
     for level, kind, data in ancillary:
         if level != socket.SOL_SOCKET:
             continue
         if kind == SO_TIMESTAMPNS and len(data) == _TIMESPEC.size:
             seconds, nanoseconds = _TIMESPEC.unpack(data)
-            wall_ns = seconds * 1_000_000_000 + nanoseconds
+            realtime_ns = seconds * 1_000_000_000 + nanoseconds
         elif kind == SO_RXQ_OVFL and len(data) == _DROPS.size:
             (drops,) = _DROPS.unpack(data)
-    return wall_ns, drops
+    return realtime_ns, drops
 
 
 def paired_clocks() -> tuple[int, int]:
-    """Read both clocks at one instant, as nearly as a preemptible program can.
+    """Return the monotonic clock and CLOCK_REALTIME at one instant [ns].
 
-    Returns:
-        Monotonic and wall clock [ns].
+    Three tries: the scheduler may run another program between the two readings.
     """
     for _ in range(3):
         before_ns = time.monotonic_ns()
-        wall_ns = time.time_ns()
+        realtime_ns = time.time_ns()
         after_ns = time.monotonic_ns()
         if after_ns - before_ns < PAIR_TOLERANCE_NS:
             break
-    return after_ns, wall_ns
+    return after_ns, realtime_ns
 
 
 @dataclass(slots=True)
@@ -77,9 +73,9 @@ class ArrivalClock:
     """Turns kernel stamps into monotonic arrivals.
 
     Attributes:
-        margin_ns: how much older than the last empty read a datum may be [ns].
-        refused: kernel stamps that could not be believed.
-        missing: data that carried no kernel stamp.
+        margin_ns: how much older than the last empty read a datagram may be [ns].
+        refused: kernel stamps with an age that is not accepted.
+        missing: datagrams without a kernel stamp.
     """
 
     margin_ns: int = MARGIN_NS
@@ -88,38 +84,27 @@ class ArrivalClock:
     _empty_ns: int = field(default_factory=time.monotonic_ns)
 
     def drained(self, now_ns: int) -> None:
-        """Note that nothing was left to read.
-
-        Args:
-            now_ns: monotonic time of the read that found nothing [ns].
-        """
+        """Note that a read found nothing at a monotonic time [ns]."""
         self._empty_ns = now_ns
 
     def date(self, ancillary: Ancillary) -> tuple[int, int | None]:
-        """Return when a datum arrived that is read now [ns], and the kernel's drops if it says.
+        """Return the arrival of a datagram that is read now [ns], and the kernel's drop count."""
+        now_ns, realtime_ns = paired_clocks()
+        stamp_realtime_ns, drops = read_ancillary(ancillary)
+        return self.arrival(stamp_realtime_ns, now_ns, realtime_ns), drops
+
+    def arrival(self, stamp_realtime_ns: int | None, now_ns: int, realtime_ns: int) -> int:
+        """Return the monotonic arrival of a datagram [ns], never after ``now_ns``.
 
         Args:
-            ancillary: control messages of the datum.
-        """
-        now_ns, wall_ns = paired_clocks()
-        stamp_wall_ns, drops = read_ancillary(ancillary)
-        return self.arrival(stamp_wall_ns, now_ns, wall_ns), drops
-
-    def arrival(self, stamp_wall_ns: int | None, now_ns: int, wall_ns: int) -> int:
-        """When a datum arrived.
-
-        Args:
-            stamp_wall_ns: the kernel's stamp on the wall clock [ns], or None.
+            stamp_realtime_ns: the kernel's stamp on CLOCK_REALTIME [ns], or None.
             now_ns: monotonic time of reading [ns].
-            wall_ns: wall clock at the same instant [ns].
-
-        Returns:
-            Monotonic arrival, never after ``now_ns`` [ns].
+            realtime_ns: CLOCK_REALTIME at the same instant [ns].
         """
-        if stamp_wall_ns is None:
+        if stamp_realtime_ns is None:
             self.missing += 1
             return now_ns
-        age_ns = wall_ns - stamp_wall_ns
+        age_ns = realtime_ns - stamp_realtime_ns
         if 0 <= age_ns <= now_ns - self._empty_ns + self.margin_ns:
             return now_ns - age_ns
         if -PAIR_TOLERANCE_NS < age_ns < 0:

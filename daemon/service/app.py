@@ -194,7 +194,7 @@ class App:
     def _open(self) -> None:
         self._robot.open()
         if self._robot.address is None:
-            why = self._robot.status.reason + port_holder.told(
+            why = self._robot.status.reason + port_holder.describe_holder(
                 self._robot.refusal, self._station.rsi_port
             )
             raise StartError(f"the robot's port cannot be opened: {why}")

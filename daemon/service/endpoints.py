@@ -160,7 +160,7 @@ def bind(endpoint: UdpEndpoint) -> socket.socket:
         bound.bind((str(address), endpoint.port))
     except OSError as error:
         bound.close()
-        holder = port_holder.told(error, endpoint.port)
+        holder = port_holder.describe_holder(error, endpoint.port)
         raise CommandPortError(
             f"command port {address}:{endpoint.port}: {error}{holder}"
         ) from error

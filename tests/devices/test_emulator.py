@@ -25,7 +25,7 @@ from linemate.simulators.plants.scenario import Camera, DistanceSensor, Fault, S
 CODEC = RsiCodec(parse_config(SHIPPED_RSI.read_bytes()))
 
 
-def _hold(data: bytes, stamp_ns: int, address: tuple[str, int]) -> bytes | None:
+def _hold(data: bytes, stamp_ns: int, address: tuple[str, int], **_: object) -> bytes | None:
     try:
         telegram = CODEC.parse_robot(data)
     except RsiError:

@@ -18,7 +18,7 @@ class Scripted(KeptLink):
         self.reasons: list[str] = []
         self.settled = asyncio.Event()
 
-    async def _live_once(self) -> str:
+    async def _run_once(self) -> str:
         self.reasons.append(self.status.reason)
         if not self.lives:
             self.status.mark_up()

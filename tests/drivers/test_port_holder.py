@@ -25,9 +25,9 @@ def test_the_process_that_has_a_port_is_named(family: socket.AddressFamily, host
             pytest.skip(f"no {host} here")
         port = bound.getsockname()[1]
         assert port_holder.holder(port) == os.getpid()
-        assert port_holder.told(TAKEN, port).startswith(f" (process {os.getpid()}, ")
+        assert port_holder.describe_holder(TAKEN, port).startswith(f" (process {os.getpid()}, ")
     assert port_holder.holder(port) is None
-    assert port_holder.told(TAKEN, port) == ""
+    assert port_holder.describe_holder(TAKEN, port) == ""
 
 
 def test_what_may_not_be_seen_is_no_answer(tmp_path: Path) -> None:
@@ -44,7 +44,7 @@ def test_what_may_not_be_seen_is_no_answer(tmp_path: Path) -> None:
     (fds / "4").symlink_to("socket:[4711]")
     assert port_holder.holder(50_000, tmp_path) == 12
     assert port_holder.holder(50_001, tmp_path) is None
-    assert port_holder.told(TAKEN, 50_000, tmp_path) == " (process 12)"
+    assert port_holder.describe_holder(TAKEN, 50_000, tmp_path) == " (process 12)"
 
 
 @pytest.mark.parametrize("error", [OSError(errno.EADDRNOTAVAIL, "not here"), OverflowError(), None])
@@ -53,4 +53,4 @@ def test_nobody_is_named_for_a_port_that_cannot_be_had_for_another_reason(
 ) -> None:
     with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as bound:
         bound.bind(("127.0.0.1", 0))
-        assert port_holder.told(error, bound.getsockname()[1]) == ""
+        assert port_holder.describe_holder(error, bound.getsockname()[1]) == ""

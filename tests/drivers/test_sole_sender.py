@@ -94,7 +94,7 @@ def test_a_controller_that_is_answered_has_the_port_for_itself(
     two: tuple[Sender, Sender],
 ) -> None:
     async def main() -> None:
-        link = RsiLink(lambda data, *_: data, port=0)
+        link = RsiLink(lambda data, *_, **__: data, port=0)
         link.open()
         assert link.address is not None
         assert link.kept is None
@@ -117,7 +117,7 @@ def test_another_controller_may_come_after_the_first_ones_silence(
     two: tuple[Sender, Sender],
 ) -> None:
     async def main() -> None:
-        link = RsiLink(lambda data, *_: data, port=0)
+        link = RsiLink(lambda data, *_, **__: data, port=0)
         link.open()
         assert link.address is not None
         first, second = two
@@ -137,7 +137,7 @@ def test_another_controller_may_come_after_the_first_ones_silence(
 
 def test_telegrams_that_are_not_answered_keep_nobody_out(two: tuple[Sender, Sender]) -> None:
     async def main() -> None:
-        link = RsiLink(lambda data, *_: data if data == b"robot" else None, port=0)
+        link = RsiLink(lambda data, *_, **__: data if data == b"robot" else None, port=0)
         link.open()
         assert link.address is not None
         first, second = two
@@ -202,7 +202,7 @@ def test_a_kernel_that_refuses_is_no_error_and_is_asked_again(
         sole = SoleSender(0.1, 3, lambda: None)
         with closing(DatagramSocket.bound("127.0.0.1", 0)) as transport:
             for _ in range(7):
-                sole.good(transport, ("127.0.0.1", 5))
+                sole.note_good(transport, ("127.0.0.1", 5))
         assert sole.kept is None
         assert asked == [("127.0.0.1", 5)] * 2
 

@@ -25,32 +25,32 @@ def _clock(empty_ns: int) -> ArrivalClock:
 
 def test_an_age_is_taken_off_the_monotonic_clock() -> None:
     clock = _clock(empty_ns=1_000 * MS)
-    assert clock.arrival(500 * MS, now_ns=1_030 * MS, wall_ns=520 * MS) == 1_010 * MS
+    assert clock.arrival(500 * MS, now_ns=1_030 * MS, realtime_ns=520 * MS) == 1_010 * MS
     assert clock.refused == 0
 
 
 def test_an_age_greater_than_the_last_empty_read_is_refused_and_counted() -> None:
     clock = _clock(empty_ns=1_000 * MS)
-    stamp_ns = clock.arrival(0, now_ns=1_030 * MS, wall_ns=3_600_000 * MS)
+    stamp_ns = clock.arrival(0, now_ns=1_030 * MS, realtime_ns=3_600_000 * MS)
     assert stamp_ns == 1_030 * MS
     assert clock.refused == 1
 
 
 def test_a_wall_clock_that_stepped_back_cannot_make_a_datum_younger_than_now() -> None:
     clock = _clock(empty_ns=1_000 * MS)
-    assert clock.arrival(3_600_000 * MS, now_ns=1_030 * MS, wall_ns=0) == 1_030 * MS
+    assert clock.arrival(3_600_000 * MS, now_ns=1_030 * MS, realtime_ns=0) == 1_030 * MS
     assert clock.refused == 1
 
 
 def test_the_two_clocks_being_read_apart_is_no_reason_to_refuse() -> None:
     clock = _clock(empty_ns=1_000 * MS)
-    assert clock.arrival(501_000, now_ns=1_030 * MS, wall_ns=500_000) == 1_030 * MS
+    assert clock.arrival(501_000, now_ns=1_030 * MS, realtime_ns=500_000) == 1_030 * MS
     assert clock.refused == 0
 
 
 def test_data_without_a_kernel_stamp_are_stamped_at_reading() -> None:
     clock = _clock(empty_ns=0)
-    assert clock.arrival(None, now_ns=7, wall_ns=9) == 7
+    assert clock.arrival(None, now_ns=7, realtime_ns=9) == 7
     assert clock.missing == 1
 
 
@@ -66,9 +66,9 @@ def test_control_messages_of_others_are_passed_over() -> None:
 
 
 def test_the_paired_clocks_run_together() -> None:
-    first_ns, first_wall_ns = paired_clocks()
-    second_ns, second_wall_ns = paired_clocks()
-    elapsed_ns = (second_ns - first_ns) - (second_wall_ns - first_wall_ns)
+    first_ns, first_realtime_ns = paired_clocks()
+    second_ns, second_realtime_ns = paired_clocks()
+    elapsed_ns = (second_ns - first_ns) - (second_realtime_ns - first_realtime_ns)
     assert abs(elapsed_ns) < 50 * MS
 
 
@@ -96,7 +96,7 @@ def _send_and_wait(wait_s: float) -> tuple[int, int, int, int]:
         sender.sendto(b"x", receiver.getsockname())
         time.sleep(wait_s)
         _, ancillary, _, _ = receiver.recvmsg(16, ANCILLARY_BYTES)
-        now_ns, wall_ns = paired_clocks()
-    stamp_wall_ns, _ = read_ancillary(ancillary)
-    assert stamp_wall_ns is not None
-    return sent_ns, now_ns, clock.arrival(stamp_wall_ns, now_ns, wall_ns), clock.refused
+        now_ns, realtime_ns = paired_clocks()
+    stamp_realtime_ns, _ = read_ancillary(ancillary)
+    assert stamp_realtime_ns is not None
+    return sent_ns, now_ns, clock.arrival(stamp_realtime_ns, now_ns, realtime_ns), clock.refused
