@@ -1,9 +1,5 @@
-"""The one error every codec raises.
-
-Any bytes at all give a value or a child of ProtocolError, nothing else. Each
-wire defines its own child in its own module and keeps the evidence on it.
-"""
+"""Base error of all codecs: each wire has a subclass that keeps the evidence."""
 
 
 class ProtocolError(Exception):
-    """Bytes that a wire refuses, or a value that a wire cannot carry."""
+    """Bytes that a codec refuses, or a value that it cannot encode."""

@@ -1,10 +1,11 @@
-"""The cyclic exchange seen by the daemon: what each telegram's IPOC and arrival mean.
+"""Cyclic exchange, daemon's side: classify each telegram by IPOC and arrival.
 
-Law of this file: everything that decides whether a telegram is answered, is a step, or begins
-a new session lives here; what fits into the table is in the table. Pure: stamps are arguments,
-verdicts are return values. A bad counter costs a telegram or two, never the exchange: what
-is refused three times in a row, and is consistent with itself, is the new truth.
-The other role, the controller's, is in exchange_controller and is re-exported here.
+Invariants:
+    ``TABLE`` has the next state, the kind and whether to answer, for each state and event.
+    Stamps are arguments, decisions are return values. The controller's side is
+    ``exchange_controller``.
+    A wrong counter costs at most two telegrams. Three refused telegrams in one line begin a new
+    session.
 """
 
 from collections.abc import Hashable
@@ -13,21 +14,16 @@ from enum import StrEnum
 
 from msgspec import Struct
 
-WINDOW = 100
-"""Cycles that an accepted telegram may lie ahead of the last one."""
+WINDOW = 100  # an accepted telegram is at most so many cycles ahead of the last one
+CONSISTENT = 3  # telegrams in one line that overrule the counter before
+TOLERANCE = 4  # cycles by which IPOC and arrival may differ: a flipped bit is not a gap
 
-CONSISTENT = 3
-"""Telegrams in one line that outvote what was believed before."""
-
-SLACK = 4
-"""Cycles by which IPOC and arrival may disagree: a flipped bit is not a gap."""
-
-SESSION_GAP_S = 2.0
-PEER_GAP_S = 0.1
+SESSION_GAP_S = 2.0  # silence that ends a session
+PEER_GAP_S = 0.1  # silence after which another peer may begin a session
 
 
 class TelegramKind(StrEnum):
-    """What a telegram is."""
+    """Kind of a telegram."""
 
     FIRST = "first"
     NORMAL = "normal"
@@ -40,7 +36,7 @@ class TelegramKind(StrEnum):
 
 
 class ExchangeState(StrEnum):
-    """Where the exchange is."""
+    """State of the exchange."""
 
     IDLE = "no telegram yet"
     LEARNING = "a session, its step not yet sure"
@@ -48,7 +44,7 @@ class ExchangeState(StrEnum):
 
 
 class TelegramEvent(StrEnum):
-    """What a telegram looks like from where the exchange is."""
+    """What a telegram is in the present state."""
 
     OPENING = "nothing before it, or silence, or another peer after the first one's end"
     FOREIGN = "another peer while the first one is alive"
@@ -60,13 +56,13 @@ class TelegramEvent(StrEnum):
     MISSED = "one that was missed comes after its successor"
     OLDER = "behind"
     STRAY = "outside the window, between the steps, or too far ahead of the time that passed"
-    RESUME = "third of a line that goes on from before the doubt"
-    RESYNC = "third, at the cycle's pace, of a line that has nothing to do with what was before"
+    RESUME = "third of a line that continues the confirmed one"
+    RESYNC = "third, at the cycle's rate, of a line that continues nothing"
 
 
 @dataclass(frozen=True, slots=True)
 class Transition:
-    """One entry of the table: the next state, the verdict, whether to answer."""
+    """One entry of the table."""
 
     state: ExchangeState
     kind: TelegramKind
@@ -74,7 +70,7 @@ class Transition:
 
 
 def _in_session(state: ExchangeState) -> dict[TelegramEvent, Transition]:
-    """What LEARNING and RUNNING have in common."""
+    """Return the entries that LEARNING and RUNNING have in common."""
     return {
         TelegramEvent.OPENING: Transition(
             ExchangeState.LEARNING, TelegramKind.NEW_SESSION, answer=True
@@ -108,18 +104,17 @@ TABLE: dict[ExchangeState, dict[TelegramEvent, Transition]] = {
 }
 
 _KNOWN = frozenset({TelegramEvent.SAME, TelegramEvent.MISSED})
-_DOUBTFUL = _KNOWN | {TelegramEvent.OLDER, TelegramEvent.STRAY}
+_UNCONFIRMED = _KNOWN | {TelegramEvent.OLDER, TelegramEvent.STRAY}
 
 
 class TelegramDecision(Struct, frozen=True):
-    """What to do with one telegram.
+    """Decision on one telegram.
 
     Attributes:
-        answer: True if it is to be answered. Of several telegrams waiting at once only the
-            newest that is so should be.
+        answer: answer it. Of several waiting telegrams only the newest with True is answered.
         missed: cycles between it and the telegram accepted before it.
-        steps: sampling steps to make now so that their count follows the controller's cycles:
-            missed cycles included, those already made by the clock taken off.
+        steps: sampling steps to make now, so that their count follows the controller's cycles.
+            Missed cycles are included, steps already made by the clock are not.
         session: number of the session, 1 for the first; a change re-zeroes and disarms.
         step: the learned IPOC step, None while unknown.
     """
@@ -134,10 +129,10 @@ class TelegramDecision(Struct, frozen=True):
 
 @dataclass(slots=True)
 class _TelegramLine:
-    """The last telegrams, accepted or not, as far as they are equally far apart.
+    """The last telegrams, accepted or not, with counters at equal distances.
 
     Attributes:
-        paced: of these, in a row, those that came a cycle apart. A controller keeps its pace; a
+        paced: of these, in a row, those that came a cycle apart. A controller keeps its rate, a
             burst of forged or delayed datagrams does not.
         known: of these, in a row, those that are the last one, or were missed before it.
     """
@@ -151,20 +146,20 @@ class _TelegramLine:
 
     @property
     def is_new(self) -> bool:
-        """Enough telegrams at the cycle's pace, of which one at least was not expected."""
+        """Enough telegrams at the cycle's rate, of which one at least was not known."""
         return self.paced >= CONSISTENT > self.known
 
     def extend(
         self, ipoc: int, stamp_ns: int, reach: int, cycle_ns: int, *, known: bool = False
     ) -> bool:
-        """Add a telegram: True if it is one of enough in one line."""
+        """Add a telegram; return whether the line is long enough."""
         passed_ns = stamp_ns - self.stamp_ns
         if self.length and ipoc == self.ipoc:
-            if passed_ns >= cycle_ns // 2:  # else the network has doubled it
+            if passed_ns >= cycle_ns // 2:  # else the network has duplicated it
                 self.paced, self.stamp_ns = 1, stamp_ns
             return False
         in_line = self._extend(ipoc, reach)
-        is_paced = self.length > 1 and cycle_ns // 2 <= passed_ns <= SLACK * cycle_ns
+        is_paced = self.length > 1 and cycle_ns // 2 <= passed_ns <= TOLERANCE * cycle_ns
         self.paced = self.paced + 1 if is_paced else 1
         self.known = self.known + 1 if known else 0
         self.stamp_ns = stamp_ns
@@ -182,7 +177,7 @@ class _TelegramLine:
 
 
 class Exchange:
-    """The daemon's half: one call a telegram, one call a cycle that passed without one."""
+    """Daemon's side: one call for each telegram, one for each cycle without."""
 
     def __init__(
         self,
@@ -190,10 +185,10 @@ class Exchange:
         session_gap_s: float = SESSION_GAP_S,
         peer_gap_s: float = PEER_GAP_S,
     ) -> None:
-        """Wait for a first telegram.
+        """Begin before the first telegram.
 
         Args:
-            cycle_s: the configured cycle [s]; the IPOC's step is learned, not derived from it.
+            cycle_s: the configured cycle [s]. The IPOC's step is learned, not derived from it.
             session_gap_s: silence after which the next telegram is a new session [s].
             peer_gap_s: silence after which another peer may begin a session [s].
         """
@@ -215,8 +210,8 @@ class Exchange:
         self._step: int | None = None
         self._last_ipoc = 0
         self._last_ns = 0
-        self._heard_ns = 0
-        # The last telegram that others confirmed, and the steps made since.
+        self._peer_ns = 0
+        # The last telegram that a later one confirmed, and the steps made since.
         self._anchor_ipoc = 0
         self._anchor_ns = 0
         self._made = 0
@@ -226,7 +221,7 @@ class Exchange:
 
     @property
     def state(self) -> ExchangeState:
-        """Where the exchange is."""
+        """State of the exchange."""
         return self._state
 
     @property
@@ -259,45 +254,35 @@ class Exchange:
         return None if self._state is ExchangeState.IDLE else now_ns - self._last_ns
 
     def resume(self, step: int) -> None:
-        """Go on with a known step: the session that has begun is the one that was before.
-
-        Args:
-            step: what the IPOC grows by each cycle.
-        """
+        """Continue with a known IPOC step: the new session continues the one before."""
         self._step, self._state = step, ExchangeState.RUNNING
 
     def would_open(self, stamp_ns: int, peer: Hashable) -> bool:
-        """Whether a telegram would begin a session, whatever its counter.
-
-        Args:
-            stamp_ns: its arrival [ns].
-        """
+        """Whether a telegram with this arrival [ns] begins a session, whatever its counter."""
         if self._state is ExchangeState.IDLE or peer != self._peer:
             return True
         return stamp_ns - self._last_ns >= self._session_gap_ns
 
     def foreseen(self) -> tuple[int, Hashable] | None:
-        """The one telegram that would go on as everything did: its counter and who sends it.
+        """Return counter and peer of the telegram that is normal next and asks for one step.
 
-        Returns:
-            What ``on_telegram`` will call normal, asking for one step; None if there is no such.
+        None if there is no such telegram.
         """
         if self._state is not ExchangeState.RUNNING or self._made or self._step is None:
             return None
         return self._last_ipoc + self._step, self._peer
 
     def on_missing(self) -> None:
-        """The clock made a step because no telegram came in its time."""
+        """Note that the clock made a step because no telegram came in time."""
         if self._state is not ExchangeState.IDLE:
             self._overdue_total += 1
             self._made = min(self._made + 1, WINDOW)
 
     def on_telegram(self, ipoc: int, stamp_ns: int, peer: Hashable = None) -> TelegramDecision:
-        """Judge one telegram.
+        """Return the decision on one telegram that arrived at ``stamp_ns``.
 
         Args:
-            stamp_ns: its arrival [ns].
-            peer: who sent it; another value is another controller.
+            peer: its sender; another value is another controller.
         """
         event = self._classify(ipoc, stamp_ns, peer)
         transition = TABLE[self._state][event]
@@ -313,15 +298,15 @@ class Exchange:
         if self._state is ExchangeState.IDLE:
             return TelegramEvent.OPENING
         if peer != self._peer:
-            alive = stamp_ns - self._heard_ns < self._peer_gap_ns
+            alive = stamp_ns - self._peer_ns < self._peer_gap_ns
             return TelegramEvent.FOREIGN if alive else TelegramEvent.OPENING
-        self._heard_ns = stamp_ns
+        self._peer_ns = stamp_ns
         if stamp_ns - self._last_ns >= self._session_gap_ns:
             return TelegramEvent.OPENING
         event = self._place(ipoc, stamp_ns)
         known = event in _KNOWN and stamp_ns - self._last_ns < self._peer_gap_ns
         in_line = self._line.extend(ipoc, stamp_ns, self._reach, self._cycle_ns, known=known)
-        if event not in _DOUBTFUL or not in_line:
+        if event not in _UNCONFIRMED or not in_line:
             return event
         if self._goes_on(ipoc, stamp_ns):
             return TelegramEvent.RESUME
@@ -339,14 +324,14 @@ class Exchange:
         if self._state is ExchangeState.LEARNING or self._step is None:
             return self._place_learning(delta, passed)
         cycles, rest = divmod(delta, self._step)
-        if rest or cycles > min(WINDOW, passed + SLACK):
+        if rest or cycles > min(WINDOW, passed + TOLERANCE):
             return TelegramEvent.STRAY
         if (ipoc - self._anchor_ipoc) // self._step <= self._made:
             return TelegramEvent.OVERDUE
         return TelegramEvent.NEXT if cycles == 1 else TelegramEvent.AHEAD
 
     def _place_learning(self, delta: int, passed: int) -> TelegramEvent:
-        """Two equal differences in a row settle the step; before that the last one is it."""
+        """Two equal differences in a row settle the step; until then the last one is used."""
         if delta > self._reach:
             return TelegramEvent.STRAY
         if delta in {self._delta, self._step}:
@@ -356,27 +341,27 @@ class Exchange:
         return TelegramEvent.AHEAD
 
     def _goes_on(self, ipoc: int, stamp_ns: int) -> bool:
-        """Does the doubtful line continue the one that was confirmed last?"""
+        """Whether the line continues the telegram that was confirmed last."""
         if self._state is not ExchangeState.RUNNING or self._line.step != self._step:
             return False
         cycles, rest = divmod(ipoc - self._anchor_ipoc, self._line.step)
         if rest or not 0 < cycles <= WINDOW:
             return False
         off, last = self._off(ipoc, stamp_ns), self._off(self._last_ipoc, self._last_ns)
-        # Telegrams that were held up on their way are a line too, but the one that came before
-        # them keeps the clock's time better than they do, and a flipped counter does not. One
-        # that is ahead by less is caught up with as soon as it would be outvoted.
-        return off <= min(SLACK, last) and last >= CONSISTENT
+        # Delayed telegrams are a line too, but the telegram before them agrees better with the
+        # clock than they do. A flipped counter agrees less. A counter that is ahead by less is
+        # reached by the line before it could be overruled.
+        return off <= min(TOLERANCE, last) and last >= CONSISTENT
 
     def _off(self, ipoc: int, stamp_ns: int) -> float:
-        """By how many cycles counter and clock disagree since the anchor."""
+        """Return by how many cycles counter and clock differ since the anchor."""
         passed = (stamp_ns - self._anchor_ns) / self._cycle_ns
         return abs(passed - (ipoc - self._anchor_ipoc) / self._line.step)
 
     def _apply(
         self, event: TelegramEvent, ipoc: int, stamp_ns: int, peer: Hashable
     ) -> tuple[int, int]:
-        """Remember the telegram; the missed cycles before it and the steps to make."""
+        """Remember the telegram; return the missed cycles before it and the steps to make."""
         match event:
             case TelegramEvent.OPENING | TelegramEvent.RESYNC:
                 self._open(event, ipoc, stamp_ns, peer)
@@ -401,11 +386,11 @@ class Exchange:
         self._session += 1
         self._peer = peer
         self._step = self._delta = line.step or None
-        self._heard_ns = stamp_ns
+        self._peer_ns = stamp_ns
         self._trust(ipoc, stamp_ns)
 
     def _trust(self, ipoc: int, stamp_ns: int) -> None:
-        """A telegram beyond doubt: it is the last one and the anchor."""
+        """Make a confirmed telegram the last one and the anchor."""
         self._last_ipoc = self._anchor_ipoc = ipoc
         self._last_ns = self._anchor_ns = stamp_ns
 

@@ -1,20 +1,19 @@
-"""The cyclic exchange seen by the controller: it owns the IPOC and judges the replies.
+"""Cyclic exchange, controller's side: number the telegrams and judge the replies.
 
-Law of this file: which reply counts, what a cycle without one costs, and when the exchange
-breaks off. Pure: stamps and deadlines are arguments. Strict, as reference/rsi.md reads KUKA:
-a late reply, a wrong IPOC and an unreadable reply are all the same as no reply.
+Invariants:
+    A late reply, a wrong IPOC and an unreadable reply are the same as no reply.
+    Stamps and deadlines are arguments.
 """
 
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
 
-HISTORY = 100
-"""Cycles remembered, to tell a late reply from one that was already given."""
+HISTORY = 100  # cycles remembered, to distinguish late replies from duplicates
 
 
 class Judgement(StrEnum):
-    """What a reply is, or, at a cycle's end, what became of the cycle."""
+    """Judgement of a reply, or of a cycle at its end."""
 
     ACCEPTED = "accepted"
     LATE = "late"
@@ -25,7 +24,7 @@ class Judgement(StrEnum):
 
 
 class ControllerState(StrEnum):
-    """Where the exchange is."""
+    """State of the exchange."""
 
     BETWEEN = "no cycle open"
     WAITING = "telegram sent, no good reply yet"
@@ -34,7 +33,7 @@ class ControllerState(StrEnum):
 
 
 class ReplyEvent(StrEnum):
-    """What happens."""
+    """What happens to the exchange."""
 
     OPEN = "a cycle begins"
     CLOSE = "a cycle ends"
@@ -51,7 +50,7 @@ _REPLIES = (ReplyEvent.OLD, ReplyEvent.REPEATED, ReplyEvent.WRONG, ReplyEvent.UN
 
 
 def _same(state: ControllerState) -> dict[ReplyEvent, ControllerState]:
-    """Replies that change nothing but the counters."""
+    """Return the entries of replies that change only the counters."""
     return dict.fromkeys(_REPLIES, state)
 
 
@@ -90,7 +89,7 @@ _REPLIED = frozenset({Judgement.ACCEPTED, Judgement.LATE})
 
 @dataclass(slots=True)
 class ControllerCounts:
-    """Every cycle that was closed is exactly one of answered, late, refused and lost.
+    """Counts. Each closed cycle is one of answered, late, refused and lost.
 
     Attributes:
         sent: telegrams, the open cycle's included.
@@ -115,14 +114,14 @@ class ControllerCounts:
 
 @dataclass(slots=True)
 class _Cycle:
-    """One cycle's fate; ``faulty`` if a reply on top of it was refused."""
+    """Outcome of a cycle; ``faulty`` if a further reply was refused."""
 
     outcome: Judgement = Judgement.MISSING
     faulty: bool = False
 
 
 class ControllerExchange:
-    """The controller's half.
+    """Controller's side of the exchange.
 
     Example::
 
@@ -141,12 +140,12 @@ class ControllerExchange:
         first_ipoc: int = 0,
         patient: bool = False,
     ) -> None:
-        """Stand ready before the first cycle.
+        """Begin before the first cycle.
 
         Args:
             step: what the IPOC grows by each cycle (milliseconds on a real controller).
             timeout: faulty cycles that are tolerated.
-            rule: whether they count as a running total or in a row; KUKA does not say.
+            rule: whether they count in total or in a row. The manual does not say.
             first_ipoc: the first cycle's IPOC.
             patient: do not charge cycles before the first good reply. A real controller does.
 
@@ -164,17 +163,17 @@ class ControllerExchange:
         self.restart(first_ipoc)
 
     def restart(self, first_ipoc: int) -> None:
-        """Begin a new session, as an operator who starts the programme again; counts stay."""
+        """Begin a new session, as after a restart of the program; the counts stay."""
         self._state = ControllerState.BETWEEN
         self._first = self._next = first_ipoc
         self._delay = 0
         self._row = 0
-        self._heard = False
+        self._was_answered = False
         self._cycles: dict[int, _Cycle] = {}
 
     @property
     def state(self) -> ControllerState:
-        """Where the exchange is."""
+        """State of the exchange."""
         return self._state
 
     @property
@@ -184,7 +183,7 @@ class ControllerExchange:
 
     @property
     def delay(self) -> int:
-        """What Delay/@D says: faulty cycles of this session."""
+        """Value of Delay/@D: faulty cycles of this session."""
         return self._delay
 
     @property
@@ -198,9 +197,9 @@ class ControllerExchange:
         return self._counts
 
     def next_ipoc(self) -> int:
-        """Close the open cycle, if there is one, and open the next: its IPOC.
+        """Close the open cycle, open the next one and return its IPOC.
 
-        Once broken it stays at the last IPOC; look at :attr:`broken` before sending.
+        After :attr:`broken` it returns the last IPOC: check before sending.
         """
         self.close_cycle()
         if self.broken:
@@ -214,11 +213,9 @@ class ControllerExchange:
         return ipoc
 
     def on_reply(self, ipoc: int, stamp_ns: int = 0, deadline_ns: int | None = None) -> Judgement:
-        """Judge a readable reply.
+        """Judge a readable reply that arrived at ``stamp_ns``.
 
         Args:
-            ipoc: the IPOC in it.
-            stamp_ns: its arrival [ns].
             deadline_ns: end of the open cycle [ns]; a reply at or after it is late. None if
                 the caller closes the cycle in time.
         """
@@ -236,7 +233,7 @@ class ControllerExchange:
         return JUDGEMENTS[ReplyEvent.UNREADABLE]
 
     def close_cycle(self) -> Judgement | None:
-        """End the open cycle and charge it: what became of it, None if none was open."""
+        """End the open cycle and count it; return its outcome, None if none was open."""
         if self._state not in _OPEN:
             return None
         cycle = self._cycles[self._next - self._step]
@@ -252,7 +249,7 @@ class ControllerExchange:
 
     @property
     def _charged(self) -> int:
-        return 0 if self._patient and not self._heard else 1
+        return 0 if self._patient and not self._was_answered else 1
 
     def _move(self, event: ReplyEvent) -> None:
         self._state = TABLE[self._state][event]
@@ -269,10 +266,10 @@ class ControllerExchange:
         return ReplyEvent.OVERDUE if overdue else ReplyEvent.GOOD
 
     def _count(self, event: ReplyEvent, ipoc: int) -> None:
-        """What a reply changes in the record of its cycle, or of the open one."""
+        """Note a reply in its cycle, or in the open one."""
         match event:
             case ReplyEvent.GOOD:
-                self._heard = True
+                self._was_answered = True
                 self._cycles[ipoc].outcome = Judgement.ACCEPTED
             case ReplyEvent.OVERDUE:
                 self._cycles[ipoc].outcome = Judgement.LATE
@@ -285,7 +282,7 @@ class ControllerExchange:
                 self._blame()
 
     def _count_old(self, ipoc: int) -> None:
-        """A closed cycle's reply came after all: it was not lost, it is late."""
+        """Count a closed cycle as late: its reply has come."""
         cycle = self._cycles.get(ipoc)
         if cycle is not None:
             self._tally(cycle.outcome, -1)

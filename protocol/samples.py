@@ -1,29 +1,26 @@
-"""What a sampling step may know of the world: stamped samples in SI units.
+"""Stamped samples of the sensors and the robot, in SI units.
 
-Law of this file: only frozen values, no behaviour. A sample is made once, where a wire is
-decoded, and travels unchanged through the step and into a recording. Stamps are integer
-nanoseconds of the local monotonic clock at *arrival*; a sensor's own delay is beside it.
+Invariants:
+    A sample is made where a wire is decoded, and does not change up to the recording.
+    Stamps are arrivals on the local monotonic clock [ns]; a sensor's own delay is not in them.
 """
 
 from typing import NewType
 
 from msgspec import Struct
 
-Stamp = NewType("Stamp", int)
-"""Monotonic time of arrival [ns]."""
+Stamp = NewType("Stamp", int)  # monotonic time of arrival [ns]
 
 Vector3 = tuple[float, float, float]
 Vector6 = tuple[float, float, float, float, float, float]
-Quaternion = tuple[float, float, float, float]
-"""Unit quaternion, w first."""
+Quaternion = tuple[float, float, float, float]  # unit quaternion, w first
 
 
 class DistanceSample(Struct, frozen=True):
     """One reading of the distance sensor at the conveyor.
 
     Attributes:
-        stamp_ns: arrival [ns].
-        position: reading [m].
+        position: distance [m], before offset and direction of the mounting.
         strength: signal strength where the device gives one, else None.
     """
 
@@ -33,17 +30,14 @@ class DistanceSample(Struct, frozen=True):
 
 
 class CameraSample(Struct, frozen=True):
-    """One pose of an object as a camera saw it.
+    """One pose of an object from a camera.
 
     Attributes:
-        stamp_ns: arrival [ns].
         exposure_ns: middle of the exposure on the local monotonic clock [ns].
-        frame: frame the pose is given in.
-        object_id: object the pose is of.
-        position: object in ``frame`` [m].
+        position: of the object in ``frame`` [m].
         quaternion: orientation of the object in ``frame``, w x y z.
         covariance: upper triangle row by row, order x y z rx ry rz [m, rad], or None.
-        reset: the tracker's restart counter.
+        reset: counter of the tracker's restarts.
     """
 
     stamp_ns: int
@@ -60,15 +54,12 @@ class CameraSample(Struct, frozen=True):
 
 
 class WrenchSample(Struct, frozen=True):
-    """One reading of the force-torque sensor, in the sensor's frame.
+    """One reading of the force-torque sensor: force [N], torque [Nm] in the sensor's frame.
 
     Attributes:
-        stamp_ns: arrival [ns].
-        force: [N].
-        torque: [Nm].
         status: the device's status word, 0 if it has none.
         device_us: the device's own clock [us], or None.
-        temperature: [deg C], or None.
+        temperature: of the sensor [deg C], or None.
     """
 
     stamp_ns: int
@@ -80,10 +71,9 @@ class WrenchSample(Struct, frozen=True):
 
 
 class RobotSample(Struct, frozen=True):
-    """What the robot controller said of itself in one telegram.
+    """State of the robot in one telegram.
 
     Attributes:
-        stamp_ns: arrival [ns].
         joints: measured joint angles A1..A6 [rad].
         external: measured external axes [m] (linear) or [rad] (rotary), E1 first.
         delay: the controller's count of late replies, None if not configured.

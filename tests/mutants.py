@@ -248,7 +248,7 @@ EQUIVALENT: dict[str, dict[tuple[str, str], str]] = {
         ("step: int = 0", "0 -> 1"): "a line that is looked at was begun by its first telegram",
         ("self._last_ipoc = 0", "0 -> 1"): IDLE_MEMORY,
         ("self._last_ns = 0", "0 -> 1"): IDLE_MEMORY,
-        ("self._heard_ns = 0", "0 -> 1"): IDLE_MEMORY,
+        ("self._peer_ns = 0", "0 -> 1"): IDLE_MEMORY,
         ("self._anchor_ipoc = 0", "0 -> 1"): IDLE_MEMORY,
         ("self._anchor_ns = 0", "0 -> 1"): IDLE_MEMORY,
     },

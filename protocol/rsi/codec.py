@@ -1,9 +1,8 @@
-"""KUKA RSI over Ethernet: the robot's telegram and the sensor's reply, both directions.
+"""KUKA RSI over Ethernet: codec of the robot's telegram and the sensor's reply.
 
-Law of this file: the one door to the wire's parts. A codec is made from a real
-RSI_EthernetConfig.xml and serves either end; any bytes give a telegram or RsiError, any
-telegram gives bytes or RsiError. No socket, no clock: what comes when is exchange's business.
-Source: reference/rsi.md, section 1.
+Invariants:
+    A codec is made from an RSI_EthernetConfig.xml and serves either end.
+    Any bytes give a telegram or RsiError, any telegram gives bytes or RsiError.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -62,7 +61,7 @@ class RsiCodec:
         external_tags: Iterable[str] = ("EK", "EKorr"),
         constants: Mapping[str, Channel] | None = None,
     ) -> None:
-        """Make the templates and patterns.
+        """Make the writers' templates and the readers' patterns.
 
         Args:
             linear_external: external axes that are linear (mm on the wire), others in degrees.
@@ -82,10 +81,8 @@ class RsiCodec:
         self._sensor = sensor_layout(config, linear, joint_tags, external_tags)
         self._robot_vectors = _Vectors(self._robot.vectors)
         self._sensor_vectors = _Vectors(self._sensor.vectors)
-        joints = next((v for v in self._robot.vectors if v.name == "joints"), None)
-        whole = joints is not None and len(joints.fields) == joints.width
-        self._joint_fields = joints.fields if joints is not None and whole else ()
-        self._joint_scales = joints.scales if joints is not None and whole else ()
+        whole = (v for v in self._robot.vectors if v.name == "joints" and len(v.fields) == v.width)
+        self._joints = next(whole, None)
         self._robot_writer = TelegramWriter(self._robot, decimals)
         known = sensor_constants(config, self._sensor, constants or {})
         self._sensor_writer = TelegramWriter(self._sensor, decimals, known)
@@ -120,18 +117,18 @@ class RsiCodec:
     def expect_robot(
         self, ipoc: int, delay: int | None, joints: Vector6, reach: float
     ) -> ExpectedTelegram | None:
-        """Return the telegram to expect next, None if telegrams carry no such values.
+        """Return the telegram to expect next, None without AIPos or with another Delay.
 
         Args:
-            delay: its Delay, None if none is configured.
-            joints: where the robot was [rad].
+            delay: the next Delay, None if none is configured.
+            joints: the last measured joints [rad].
             reach: how far from there a joint may be [rad].
         """
-        scales, position = self._joint_scales, self._robot.delay
-        if not scales or (delay is None) != (position is None):
+        vector, position = self._joints, self._robot.delay
+        if vector is None or (delay is None) != (position is None):
             return None
-        reader = self.robot_reader
-        fields, texts = self._joint_fields, [b"%d" % ipoc]
+        reader, scales = self.robot_reader, vector.scales
+        fields, texts = vector.fields, [b"%d" % ipoc]
         if delay is not None and position is not None:
             fields, texts = (*fields, position), [b"%d" % delay, *texts]
         low = [(q - reach) / scale for q, scale in zip(joints, scales, strict=True)]
@@ -139,7 +136,7 @@ class RsiCodec:
         return ExpectedTelegram(reader.match, reader.groups(fields), texts, low, high)
 
     def parse_sensor(self, data: bytes) -> SensorTelegram:
-        """Read the daemon's reply; what is not in it is None, or not among the channels.
+        """Read the daemon's reply; a value that it lacks is None, a channel is left out.
 
         Raises:
             RsiError: not a reply of this configuration, or part of a vector missing.
@@ -177,7 +174,7 @@ class RsiCodec:
         return self._sensor_writer.write(telegram, telegram.sentype or self.config.sentype)
 
     def prepare_sensor(self, telegram: SensorTelegram) -> PreparedReply:
-        """Write the daemon's reply but for its IPOC, which is not looked at.
+        """Write the daemon's reply without its IPOC, which is ignored.
 
         Raises:
             RsiError: as :meth:`format_sensor`.
@@ -185,7 +182,7 @@ class RsiCodec:
         return self._sensor_writer.prepare(telegram, telegram.sentype or self.config.sentype)
 
     def bare_sensor(self) -> PreparedReply:
-        """Write a reply of the constants alone: no corrections and no signals."""
+        """Write a reply of the constants only: no corrections and no signals."""
         return self._sensor_writer.bare(self.config.sentype)
 
 
@@ -195,7 +192,7 @@ def _ipoc(texts: Texts) -> tuple[int, bytes]:
 
 
 class _Vectors:
-    """Converts the vectors of one layout: all in one sweep where they lie in one block."""
+    """Converts the vectors of one layout, all at once where their fields are one block."""
 
     def __init__(self, vectors: tuple[Vector, ...]) -> None:
         self._vectors = sorted(vectors, key=lambda vector: vector.fields[0])
@@ -211,7 +208,7 @@ class _Vectors:
         ]
 
     def read(self, texts: Texts) -> dict[str, Vector6 | None]:
-        """The vectors by name in SI; typed as six numbers, external ones may be fewer."""
+        """Return the vectors by name in SI; typed as six numbers, external ones may be fewer."""
         if not self._is_block or None in texts:
             return {v.name: cast(Vector6 | None, _vector(v, texts)) for v in self._vectors}
         raw = cast(Sequence[bytes], texts[self._block])
@@ -220,7 +217,7 @@ class _Vectors:
 
 
 def _vector(vector: Vector, texts: Texts) -> tuple[float, ...] | None:
-    """One vector's values in SI; axes that are not configured are zero."""
+    """Return one vector's values in SI; axes that are not configured are zero."""
     if texts[vector.fields[0]] is None:
         return None
     out = [0.0] * vector.width

@@ -1,8 +1,8 @@
-"""RSI_EthernetConfig.xml: the one file that both controller and daemon are set up with.
+"""Read RSI_EthernetConfig.xml, the file that sets up controller and daemon.
 
-Law of this file: it says what stands in the file, not what the telegrams look like (that is
-telegram_layout). Comments, byte order marks and the usual looseness of hand-edited files are read
-through; what would make the two sides disagree is refused by name.
+Invariants:
+    Comments, byte order marks and other case are accepted.
+    What the two sides could read differently is refused by name.
 """
 
 import ipaddress
@@ -78,13 +78,13 @@ def parse_config(xml: bytes) -> RsiConfig:
         raise RsiError("document types and entities are refused", evidence=xml)
     text = bare.decode("latin-1")
     reader = _ConfigReader(text)
-    for event in tokens(text):
-        reader.read(event)
+    for token in tokens(text):
+        reader.read(token)
     return reader.config()
 
 
 class _ConfigReader:
-    """Collects the settings and elements of one configuration."""
+    """Collects settings and elements of one configuration."""
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -92,39 +92,39 @@ class _ConfigReader:
         self._settings: dict[str, str] = {}
         self._elements: dict[str, list[Element]] = {"SEND": [], "RECEIVE": []}
 
-    def read(self, event: XmlToken) -> None:
-        """Take one token."""
-        if event.kind == "close":
+    def read(self, token: XmlToken) -> None:
+        """Read one token."""
+        if token.kind == "close":
             return
-        if event.kind == "text":
-            self._read_text(event)
+        if token.kind == "text":
+            self._read_text(token)
             return
-        del self._path[event.depth :]
-        self._path.append(event.name.upper())
+        del self._path[token.depth :]
+        self._path.append(token.name.upper())
         match self._path:
             case ["ROOT", ("SEND" | "RECEIVE") as side, "ELEMENTS", "ELEMENT"]:
-                self._elements[side].append(_element(self._attributes(event), side))
+                self._elements[side].append(_element(self._attributes(token), side))
             case _:
                 pass
 
-    def _read_text(self, event: XmlToken) -> None:
-        path = self._path[: event.depth + 1]
-        value = self._text[event.start : event.end].strip(BLANK)
+    def _read_text(self, token: XmlToken) -> None:
+        path = self._path[: token.depth + 1]
+        value = self._text[token.start : token.end].strip(BLANK)
         if len(path) == 3 and path[:2] == ["ROOT", "CONFIG"]:
             if path[2] in self._settings:
                 raise RsiError("given twice", element=path[2])
             self._settings[path[2]] = unescape(value)
 
-    def _attributes(self, event: XmlToken) -> dict[str, str]:
-        found: dict[str, str] = {}
-        for name, start, end in attributes(self._text, event.start, event.end):
-            if name.upper() in found:
+    def _attributes(self, token: XmlToken) -> dict[str, str]:
+        values: dict[str, str] = {}
+        for name, start, end in attributes(self._text, token.start, token.end):
+            if name.upper() in values:
                 raise RsiError("given twice", element=f"ELEMENT/@{name.upper()}")
-            found[name.upper()] = unescape(self._text[start:end]).strip(BLANK)
-        return found
+            values[name.upper()] = unescape(self._text[start:end]).strip(BLANK)
+        return values
 
     def config(self) -> RsiConfig:
-        """What was collected, if it is complete."""
+        """Return what was collected, if it is complete."""
         for side, elements in self._elements.items():
             _refuse_doubles(side, elements)
         sentype = self._setting("SENTYPE")
@@ -153,19 +153,19 @@ def _address(text: str) -> str:
         raise RsiError(f"{text[:32]!r} is no IPv4 address", element="IP_NUMBER") from None
 
 
-def _element(found: dict[str, str], side: str) -> Element:
-    tag = found.get("TAG", "")
+def _element(values: dict[str, str], side: str) -> Element:
+    tag = values.get("TAG", "")
     if not _TAG.fullmatch(tag):
         raise RsiError(f"TAG {tag[:64]!r} is no name", element=f"{side}/ELEMENT")
-    kind = _TYPES.get(found.get("TYPE", "").upper())
+    kind = _TYPES.get(values.get("TYPE", "").upper())
     if kind is None:
         raise RsiError(f"TYPE must be one of {', '.join(_TYPES)}", element=tag)
-    index = found.get("INDX", "").upper()
+    index = values.get("INDX", "").upper()
     return Element(
         tag=tag,
         type=kind,
         index=None if index == "INTERNAL" else _integer(index, f"{tag}/@INDX", 1, MAX_CHANNEL),
-        holdon=_truth(found.get("HOLDON", "1"), f"{tag}/@HOLDON"),
+        holdon=_truth(values.get("HOLDON", "1"), f"{tag}/@HOLDON"),
     )
 
 

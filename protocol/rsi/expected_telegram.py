@@ -11,8 +11,8 @@ class ExpectedTelegram:
     """Accepts one counter, one Delay and a range for each joint.
 
     Invariants:
-    - Made before the telegram comes. One match and eight comparisons are left.
-    - What it accepts, ``RsiCodec.parse_robot`` accepts too.
+        It is made before the telegram comes. One match and eight comparisons are left.
+        What it accepts, ``RsiCodec.parse_robot`` accepts too.
     """
 
     __slots__ = ("_groups", "_high", "_low", "_match", "_texts")
@@ -25,10 +25,10 @@ class ExpectedTelegram:
         low: Sequence[float],
         high: Sequence[float],
     ) -> None:
-        """Keep what to compare with.
+        """Keep the expected values.
 
         Args:
-            match: of a whole telegram in the shape last seen.
+            match: matches a whole telegram in the shape last seen.
             groups: numbers of the joints' groups, then those of ``texts``.
             texts: Delay if there is one, and IPOC, as they must stand in the telegram.
             low: open lower bound of each joint, in the unit of the wire [deg].
@@ -61,8 +61,8 @@ class ReadyReply(NamedTuple):
 
     Attributes:
         telegram: the only one that it answers.
-        peer: who must send it.
-        until_ns: latest arrival [ns]. The ordinary way asks a later telegram for a proof.
+        peer: the controller that must send it.
+        until_ns: latest arrival [ns]. A later telegram needs a proof in the ordinary way.
         data: bytes of the reply.
     """
 

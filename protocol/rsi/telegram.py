@@ -1,7 +1,7 @@
-"""The two telegrams as values: SI inside, KUKA's words only in the comments.
+"""Values of the robot's telegram and the sensor's reply, in SI units.
 
-Law of this file: frozen values, no behaviour, no bytes. A telegram's IPOC is kept twice, as a
-number to reckon with and as the digits on the wire, because it is echoed digit for digit.
+Invariants:
+    The IPOC is kept as a number and as its digits on the wire, which are echoed.
 """
 
 from collections.abc import Mapping
@@ -10,15 +10,14 @@ from msgspec import Struct
 
 from linemate.protocol.samples import Vector6
 
-Channel = float | int | bool | str
-"""A value of a DOUBLE, LONG, BOOL or STRING channel, in the wire's own unit."""
+Channel = float | int | bool | str  # of type DOUBLE, LONG, BOOL or STRING, in the wire's unit
 
 
 class RobotTelegram(Struct, frozen=True):
-    """What the controller says in one cycle.
+    """Telegram of the controller in one cycle.
 
     Attributes:
-        ipoc_text: its digits verbatim; empty when made here: those of ``ipoc``.
+        ipoc_text: its digits as received; empty: the digits of ``ipoc``.
         joints: measured A1..A6 [rad] (AIPos), None if not configured.
         joint_setpoints: programmed A1..A6 [rad] (ASPos), None if not configured.
         external: measured E1..E6 [m] linear, [rad] rotary (EIPos), None if not configured.
@@ -42,14 +41,14 @@ class RobotTelegram(Struct, frozen=True):
 
 
 class SensorTelegram(Struct, frozen=True):
-    """What the daemon answers in one cycle: corrections.
+    """Reply of the daemon in one cycle: corrections.
 
     Attributes:
-        ipoc_text: its digits verbatim; empty when made here: those of ``ipoc``.
-        sentype: Sen/@Type; empty when made here: the configured one.
-        joints: corrections of A1..A6 [rad] (AK, AKorr), None if not there.
+        ipoc_text: its digits as received; empty: the digits of ``ipoc``.
+        sentype: Sen/@Type; empty: the configured one.
+        joints: corrections of A1..A6 [rad] (AK, AKorr), None without.
         external: corrections of E1.. [m] linear, [rad] rotary (EK, EKorr), as many as are
-            configured, None if not there.
+            configured, None without.
         channels: every other value by its name, ``"DiO"``, ``"Stop"``, ``"GPIO.01"``.
         message: text for the pendant (EStr), or None.
     """
@@ -64,11 +63,11 @@ class SensorTelegram(Struct, frozen=True):
 
 
 class PreparedReply(Struct, frozen=True):
-    """A reply that lacks only its IPOC, made before its telegram arrives."""
+    """Reply without its IPOC, made before its telegram arrives."""
 
     head: bytes
     tail: bytes
 
     def with_ipoc(self, ipoc_text: bytes) -> bytes:
-        """The reply's bytes, ``ipoc_text`` being the digits of the telegram it answers."""
+        """Return the reply's bytes with the IPOC digits of the telegram that it answers."""
         return self.head + ipoc_text + self.tail

@@ -1,9 +1,9 @@
-"""What a configuration makes of the two telegrams: which value stands where.
+"""Fields of the two telegrams of one configuration, in wire order.
 
-Law of this file: tags in, positions out, once at start-up; no telegram is read or written
-here. KUKA's keywords (DEF_RIst, DEF_EIPos, ...) and the names that mean corrections (AK,
-AKorr, EK, EKorr) are known here and nowhere else; every other tag is a channel, passed on
-under its own name in the wire's unit.
+Invariants:
+    KUKA's keywords (DEF_RIst, DEF_EIPos, ...) and the names of corrections (AK, AKorr, EK, EKorr)
+    are known here only.
+    Every other tag is a channel with its own name, in the wire's unit.
 """
 
 from collections.abc import Iterable, Mapping
@@ -44,21 +44,20 @@ class Field:
 
     @property
     def key(self) -> str:
-        """The name of it as a channel: ``"DiL"``, ``"Digout.o1"``."""
+        """Name as a channel: ``"DiL"``, ``"Digout.o1"``."""
         return self.element if self.attribute is None else f"{self.element}.{self.attribute}"
 
 
 @dataclass(frozen=True, slots=True)
 class Vector:
-    """Fields that together are one vector of a telegram.
+    """Fields that are one vector of a telegram.
 
     Attributes:
-        element: the element on the wire.
-        fields: positions in ``Layout.fields``, one a configured axis.
-        axes: for each of them its place in the vector, ascending.
-        scales: for each of them the SI value of one unit on the wire.
+        fields: positions in ``Layout.fields``, one for each configured axis.
+        axes: index of each field in the vector, ascending.
+        scales: SI value of one unit on the wire, for each field.
         width: length of the vector when read.
-        contiguous: True if the fields follow one another on the wire and every axis is there.
+        contiguous: the fields are adjacent on the wire and every axis is configured.
     """
 
     name: VectorName
@@ -72,15 +71,14 @@ class Vector:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """One direction's telegram.
+    """Telegram of one direction.
 
     Attributes:
-        required: True if a telegram without one of the fields is refused.
-        fields: every configured value in wire order, IPOC not among them.
-        vectors: those that are vectors.
+        required: a telegram that lacks a field is refused.
+        fields: every configured value in wire order, without the IPOC.
         delay: position of Delay/@D, or None.
         message: position of EStr, or None.
-        channels: positions of all others, by key.
+        channels: positions of the fields that are in no vector, by key.
     """
 
     root: str
@@ -93,7 +91,7 @@ class Layout:
 
 
 def robot_layout(config: RsiConfig, linear_external: Iterable[str]) -> Layout:
-    """The telegram from the robot: SEND.
+    """Return the layout of the robot's telegram: SEND.
 
     Args:
         linear_external: external axes in mm on the wire, by name; the others are in degrees.
@@ -116,12 +114,12 @@ def sensor_layout(
     joint_tags: Iterable[str],
     external_tags: Iterable[str],
 ) -> Layout:
-    """The reply to the robot: RECEIVE.
+    """Return the layout of the reply to the robot: RECEIVE.
 
     Args:
         linear_external: external axes in mm on the wire, by name; the others are in degrees.
-        joint_tags: element names that mean corrections of A1..A6.
-        external_tags: element names that mean corrections of E1..E6.
+        joint_tags: names of elements with corrections of A1..A6.
+        external_tags: names of elements with corrections of E1..E6.
     """
     fields = _grouped(field for e in config.receive for field in _sensor_fields(e))
     linear = frozenset(linear_external)
@@ -145,10 +143,10 @@ def sensor_constants(
     """Return constants by the key of their channel.
 
     Args:
-        constants: by TAG; one of a function generator is the value of each of its parameters.
+        constants: by TAG; that of a function generator is the value of each of its parameters.
 
     Raises:
-        RsiError: no such element in RECEIVE, or one that replies give a value to.
+        RsiError: no such element in RECEIVE, or one whose value is in every reply.
     """
     elements = {element.tag: element for element in config.receive}
     known: dict[str, Channel] = {}
@@ -199,9 +197,9 @@ def _sensor_fields(element: Element) -> list[Field]:
 
 
 def _technology_fields(name: str) -> list[Field]:
-    """Function generators, ``Tech.C2`` -> C21..C210; any other keyword is unknown: no fields.
+    """Return the fields of a function generator, ``Tech.C2`` -> C21..C210.
 
-    An unknown keyword cannot be written, and on reading it is an unknown element like others.
+    Another keyword has no fields: it cannot be written, and is skipped when read.
     """
     head, _, generator = name.partition(".")
     if head != "Tech" or len(generator) != 2 or generator[0] not in "CT":
@@ -217,7 +215,7 @@ def _plain_fields(element: Element) -> list[Field]:
 
 
 def _grouped(fields: Iterable[Field]) -> tuple[Field, ...]:
-    """Fields of one element brought together, elements in the order of first appearance."""
+    """Group the fields by element, elements in the order of their first field."""
     by_element: dict[str, list[Field]] = {}
     keys: set[str] = set()
     for field in fields:
@@ -237,10 +235,10 @@ def _position(fields: tuple[Field, ...], element: str, attribute: str | None) ->
 
 def _one_of(tags: Iterable[str], fields: tuple[Field, ...]) -> list[str]:
     wanted = set(tags)
-    found = list(dict.fromkeys(f.element for f in fields if f.element in wanted))
-    if len(found) > 1:
-        raise RsiError("two elements for the same axes", element=" and ".join(found))
-    return found
+    present = list(dict.fromkeys(f.element for f in fields if f.element in wanted))
+    if len(present) > 1:
+        raise RsiError("two elements for the same axes", element=" and ".join(present))
+    return present
 
 
 def _vector(
@@ -250,22 +248,22 @@ def _vector(
     fields: tuple[Field, ...],
     linear: frozenset[str],
 ) -> Vector:
-    places = []
+    axis_positions = []
     for n, field in enumerate(fields):
         if field.element != element:
             continue
         if field.attribute not in axes or field.type != "DOUBLE":
             raise RsiError(f"must be DOUBLE and one of {', '.join(axes)}", element=field.key)
-        places.append((axes.index(field.attribute), n))
-    places.sort()
-    width = places[-1][0] + 1 if axes is EXTERNAL_AXES else 6
-    members = tuple(n for _, n in places)
+        axis_positions.append((axes.index(field.attribute), n))
+    axis_positions.sort()
+    width = axis_positions[-1][0] + 1 if axes is EXTERNAL_AXES else 6
+    members = tuple(n for _, n in axis_positions)
     return Vector(
         name=name,
         element=element,
         fields=members,
-        axes=tuple(axis for axis, _ in places),
-        scales=tuple(_scale(axes[axis], linear) for axis, _ in places),
+        axes=tuple(axis for axis, _ in axis_positions),
+        scales=tuple(_scale(axes[axis], linear) for axis, _ in axis_positions),
         width=width,
         contiguous=members == tuple(range(members[0], members[0] + width)),
     )

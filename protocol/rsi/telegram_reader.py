@@ -18,10 +18,10 @@ MAX_TELEGRAM_BYTES = 2048
 MAX_IPOC = 2**64 - 1
 LONG_MIN, LONG_MAX = -(2**31), 2**32 - 1
 
-# Telegrams of a foreign shape before a pattern is made for it, doubled each time: compiling
-# one costs a millisecond or two, so whoever alternates shapes must not be able to keep us at it.
-_FIRST_PATIENCE = 3
-_LAST_PATIENCE = 4096
+# Telegrams of another shape before a pattern is made for it, doubled each time. Compiling a pattern
+# takes 1 to 2 ms: a sender that alternates shapes must not cause that each time.
+_FIRST_RELEARN = 3
+_LAST_RELEARN = 4096
 
 _NUMBER = re.compile(
     r"[+-]?(?:[0-9]{1,16}(?:\.[0-9]{0,32})?|\.[0-9]{1,32})(?:[eE][+-]?[0-9]{1,3})?", re.ASCII
@@ -33,8 +33,8 @@ _COUNTER = re.compile(rb"<IPOC>\s*([0-9]{1,20})\s*</IPOC>")
 _TRUTHS = {"TRUE": "1", "FALSE": "0"}
 _TRAILING = "\0" + BLANK
 
-# Short enough to be in range whatever the digits; what is longer goes the tolerant way. Nothing
-# is ever given back, for no value is followed by what it is made of: a fifth of the time.
+# Short enough to be in range whatever the digits; the tolerant reader reads what is longer.
+# Possessive, because no value is followed by its own characters: it takes a fifth of the time.
 # Groups themselves are not possessive, see ``xml_scan``.
 _FAST_GROUPS = {
     "DOUBLE": r"(-?+[0-9]{1,16}+(?:\.[0-9]{0,32}+)?(?:[eE]-[0-9]{1,3}+)?)",
@@ -45,39 +45,39 @@ _FAST_GROUPS = {
 _FAST_IPOC = r"([0-9]{1,19}+)"
 _FAST_UNKNOWN = r"[^\"'<>&]*+"
 
+# Texts of the values in the order of ``Layout.fields``, then the IPOC's; None for an absent one.
 Texts = Sequence[bytes | None]
-"""The values' texts in the order of ``Layout.fields``, then the IPOC's; None for an absent one."""
 
 _Key = tuple[str, str | None]
 _IPOC_KEY: _Key = ("IPOC", None)
 
 
 class TelegramReader:
-    """Reads one direction's telegrams.
+    """Reads the telegrams of one direction.
 
     Attributes:
-        fast: telegrams read by the pattern.
-        tolerant: telegrams, good or bad, that went the tolerant way.
+        fast: telegrams that the pattern has read.
+        tolerant: telegrams, good or bad, that the tolerant reader has read.
     """
 
     def __init__(self, layout: Layout, example: str) -> None:
-        """Learn the shape of ``example``, a telegram in the codec's own writing."""
+        """Learn the shape of ``example``, a telegram as the codec writes it."""
         self._layout = layout
         self._positions: dict[_Key, int] = {
             (field.element, field.attribute): n for n, field in enumerate(layout.fields)
         }
         self._positions[_IPOC_KEY] = len(layout.fields)
-        self._patience = _FIRST_PATIENCE
-        self._strangers = 0
+        self._relearn_after = _FIRST_RELEARN
+        self._mismatches = 0
         self.fast = 0
         self.tolerant = 0
         self._learn(example, scan(example))
 
     def read(self, data: bytes) -> tuple[Texts, str]:
-        """The values' texts, the last of them the IPOC's, and the root's Type.
+        """Return the texts of the values, the last of them the IPOC's, and the root's Type.
 
         Raises:
-            RsiError: refused.
+            RsiError: not a telegram of this layout.
         """
         if len(data) > MAX_TELEGRAM_BYTES:
             raise RsiError(f"{len(data)} bytes, at most {MAX_TELEGRAM_BYTES}", evidence=data)
@@ -87,21 +87,17 @@ class TelegramReader:
         if match is None:
             return self._read_tolerantly(data)
         self.fast += 1
-        self._strangers = 0
+        self._mismatches = 0
         groups = match.groups()
         return (groups if self._order is None else self._order(groups)), self._type
 
     @property
     def match(self) -> Callable[[bytes], re.Match[bytes] | None]:
-        """The fast reader: match of a whole telegram in the shape last seen."""
+        """The fast reader: matches a whole telegram in the shape last seen."""
         return self._pattern.fullmatch
 
     def groups(self, fields: Sequence[int]) -> tuple[int, ...]:
-        """Return the numbers of fields' groups in :attr:`match`, the IPOC's last.
-
-        Args:
-            fields: positions in ``Layout.fields``.
-        """
+        """Return the groups in :attr:`match` of positions in ``Layout.fields``, then the IPOC's."""
         return tuple(1 + self._seen.index(n) for n in (*fields, len(self._layout.fields)))
 
     def _read_tolerantly(self, data: bytes) -> tuple[Texts, str]:
@@ -114,43 +110,43 @@ class TelegramReader:
             error.evidence = error.evidence or data[:256]
             error.ipoc_text = error.ipoc_text or _counter(data)
             raise
-        self._strangers += 1
-        if self._strangers >= self._patience and _is_plain(document) and None not in texts:
-            self._patience = min(2 * self._patience, _LAST_PATIENCE)
+        self._mismatches += 1
+        if self._mismatches >= self._relearn_after and _is_plain(document) and None not in texts:
+            self._relearn_after = min(2 * self._relearn_after, _LAST_RELEARN)
             self._learn(text, document)
         return texts, _type_of(document)
 
     def _texts(self, text: str, document: FlatDocument) -> Texts:
         if document.root.lower() != self._layout.root.lower():
             raise RsiError(f"root is <{document.root[:32]}>, not <{self._layout.root}>")
-        found = self._found(text, document)
-        ipoc = found.get(_IPOC_KEY, "").strip(BLANK)
+        values = self._values(text, document)
+        ipoc = values.get(_IPOC_KEY, "").strip(BLANK)
         if not _IPOC.fullmatch(ipoc) or int(ipoc) > MAX_IPOC:
             raise RsiError("missing, not digits or out of range", element="IPOC")
         texts: list[bytes | None] = []
         try:
-            texts.extend(self._text(field, found) for field in self._layout.fields)
+            texts.extend(self._text(field, values) for field in self._layout.fields)
             self._refuse_parts(texts)
         except RsiError as error:
             error.ipoc_text = ipoc.encode("ascii")
             raise
         return (*texts, ipoc.encode("ascii"))
 
-    def _found(self, text: str, document: FlatDocument) -> dict[_Key, str]:
-        """Texts as written of the values that are configured."""
-        found: dict[_Key, str] = {
+    def _values(self, text: str, document: FlatDocument) -> dict[_Key, str]:
+        """Return the texts of the configured values as written."""
+        values: dict[_Key, str] = {
             (name, None): "" for name in document.hollow if (name, None) in self._positions
         }
         for span in document.spans:
             key = (span.element, span.attribute)
             if key in self._positions:
-                if key in found:
+                if key in values:
                     raise RsiError("stands twice in the telegram", element=_name(span))
-                found[key] = text[span.start : span.end]
-        return found
+                values[key] = text[span.start : span.end]
+        return values
 
-    def _text(self, field: Field, found: dict[_Key, str]) -> bytes | None:
-        raw = found.get((field.element, field.attribute))
+    def _text(self, field: Field, values: dict[_Key, str]) -> bytes | None:
+        raw = values.get((field.element, field.attribute))
         if raw is not None:
             return _checked(field, raw).encode("latin-1")
         if self._layout.required:
@@ -158,14 +154,14 @@ class TelegramReader:
         return None
 
     def _refuse_parts(self, texts: Texts) -> None:
-        """A vector is there or not; half a correction is no correction."""
+        """Refuse a vector that is not complete."""
         for vector in self._layout.vectors:
             missing = [n for n in vector.fields if texts[n] is None]
             if missing and len(missing) < len(vector.fields):
                 raise RsiError("missing", element=self._layout.fields[missing[0]].key)
 
     def _learn(self, text: str, document: FlatDocument) -> None:
-        """Make the pattern of a telegram that was accepted and is complete."""
+        """Make the pattern of an accepted, complete telegram."""
         parts: list[tuple[str, int | None]] = []
         end = 0
         for span in document.spans:
@@ -178,7 +174,7 @@ class TelegramReader:
         self._pattern = re.compile(whole.encode("latin-1"), re.ASCII)
         self._order = _permutation(self._seen)
         self._type = _type_of(document)
-        self._strangers = 0
+        self._mismatches = 0
 
     def _group(self, position: int | None) -> str:
         if position is None:
@@ -189,13 +185,13 @@ class TelegramReader:
 
 
 def _counter(data: bytes) -> bytes | None:
-    """Return the IPOC's digits in a telegram that cannot be read otherwise; None if not once."""
-    found = _COUNTER.findall(data)
-    return found[0] if len(found) == 1 and int(found[0]) <= MAX_IPOC else None
+    """Return the IPOC's digits in an unreadable telegram, None unless there is exactly one."""
+    counters = _COUNTER.findall(data)
+    return counters[0] if len(counters) == 1 and int(counters[0]) <= MAX_IPOC else None
 
 
 def _permutation(order: list[int]) -> Callable[[tuple[bytes, ...]], tuple[bytes, ...]] | None:
-    """What brings groups in wire order into the layout's order; None if they are in it."""
+    """Return what reorders groups from wire order to layout order, None if they are equal."""
     if order == sorted(order):
         return None
     return itemgetter(*(order.index(n) for n in range(len(order))))
@@ -214,7 +210,7 @@ def _name(span: Span) -> str:
 
 
 def _checked(field: Field, raw: str) -> str:
-    """The text of one value, such as float() or int() can take it.
+    """Return the text of one value for float() or int().
 
     Raises:
         RsiError: a comma, NaN, infinity, out of range, or no number at all.

@@ -1,8 +1,9 @@
-"""Values to the bytes of a telegram: one template a direction, filled in by one operation.
+"""Write telegrams: one template for each direction, filled by one operation.
 
-Law of this file: everything configured is written, in the configured order, IPOC last; no
-exponent, NaN or infinity ever leaves; a value that the wire cannot carry is an error and not
-a nearby value.
+Invariants:
+    Every configured value is written in the configured order, the IPOC last.
+    No exponent, NaN or infinity is written.
+    A value that the wire cannot carry is an error, never another value.
 """
 
 import math
@@ -15,15 +16,14 @@ from linemate.protocol.rsi.telegram_reader import LONG_MAX, LONG_MIN, MAX_IPOC, 
 from linemate.protocol.rsi.xml_scan import RsiError, escape
 
 MAX_IPOC_DIGITS = 20
-# Far beyond any axis or length on a robot, and short enough to be read back by any parser.
-MAX_MAGNITUDE = 1e12
-MAX_SENDERS = 8
+MAX_MAGNITUDE = 1e12  # in the unit of the wire
+MAX_SENDERS = 8  # root types whose template is kept
 
 Telegram = RobotTelegram | SensorTelegram
 
 
 class TelegramWriter:
-    """Writes one direction's telegrams."""
+    """Writes the telegrams of one direction."""
 
     def __init__(
         self, layout: Layout, decimals: int, constants: Mapping[str, Channel] | None = None
@@ -31,8 +31,8 @@ class TelegramWriter:
         """Make the template.
 
         Args:
-            decimals: digits after the point.
-            constants: values of channels that no telegram gives, by key; the others are zero.
+            decimals: digits after the decimal point.
+            constants: values of channels that no telegram has, by key; the others are zero.
 
         Raises:
             RsiError: a constant that its channel cannot carry.
@@ -53,7 +53,7 @@ class TelegramWriter:
         self._around: dict[str, tuple[str, str]] = {}
 
     def write(self, telegram: Telegram, sender: str) -> bytes:
-        """The telegram's bytes; ``sender`` is the root's Type.
+        """Return the telegram's bytes; ``sender`` is the root's Type.
 
         Raises:
             RsiError: a value missing, unknown, not finite or out of range; too long.
@@ -61,7 +61,7 @@ class TelegramWriter:
         return self.prepare(telegram, sender).with_ipoc(_digits(telegram))
 
     def prepare(self, telegram: Telegram, sender: str) -> PreparedReply:
-        """The telegram but for its IPOC.
+        """Return the telegram without its IPOC.
 
         Raises:
             RsiError: as :meth:`write`.
@@ -72,7 +72,7 @@ class TelegramWriter:
         return PreparedReply(head.encode("ascii"), tail.encode("ascii"))
 
     def bare(self, sender: str) -> PreparedReply:
-        """Write a telegram of the constants alone, without its IPOC."""
+        """Return a telegram of the constants only, without its IPOC."""
         positions = sorted(self._constants)
         fields = tuple(self._layout.fields[n] for n in positions)
         template = _template(
@@ -83,7 +83,7 @@ class TelegramWriter:
         return PreparedReply(f"{before}{body}<IPOC>".encode("ascii"), after.encode("ascii"))
 
     def example(self, sender: str) -> str:
-        """A telegram of zeros, in the shape in which this writer writes."""
+        """Return a telegram of zeros in the shape that this writer writes."""
         message = self._layout.message
         values = list(self._neutral)
         if message is not None:
@@ -99,7 +99,7 @@ class TelegramWriter:
         return head % tuple(values), tail
 
     def _enclose(self, sender: str) -> tuple[str, str]:
-        """The template with the root around it, and what follows the IPOC."""
+        """Return the template within the root, and what follows the IPOC."""
         before, after = _root(self._layout.root, sender)
         around = f"{before.replace('%', '%%')}{self._template}<IPOC>", after
         if len(self._around) < MAX_SENDERS:
@@ -108,11 +108,11 @@ class TelegramWriter:
 
     def _values(self, telegram: Telegram) -> list[Channel]:
         values = self._neutral.copy()
-        for given, vector, block in self._fills:
-            numbers = given(telegram)
+        for get, vector, block in self._fills:
+            numbers = get(telegram)
             if block is not None and numbers is not None and len(numbers) == len(vector.axes):
                 scaled = list(map(truediv, numbers, vector.scales))
-                # One comparison for all: NaN fails it too.
+                # One comparison for all values; NaN fails it too.
                 if not sum(map(abs, scaled)) < MAX_MAGNITUDE:
                     raise RsiError(f"not finite or out of range: {numbers}", element=vector.element)
                 values[block] = scaled
@@ -150,7 +150,7 @@ class TelegramWriter:
             raise RsiError("not in the configuration", element="EStr")
 
     def _refuse_lost(self, telegram: SensorTelegram) -> None:
-        """A correction that the configuration cannot carry must not vanish in silence."""
+        """Refuse a correction that has no element in the configuration."""
         if "joints" not in self._vector_names and any(telegram.joints or ()):
             raise RsiError("no element for corrections of A1..A6 in the configuration")
         if "external" not in self._vector_names and any(telegram.external or ()):
@@ -185,7 +185,7 @@ def _template(layout: Layout, decimals: int) -> str:
 
 
 def _block(vector: Vector) -> slice | None:
-    """Where a vector's values lie if all of them are written, one after another."""
+    """Return the place of a vector that is contiguous and starts with the first axis."""
     first, width = vector.fields[0], len(vector.fields)
     whole = vector.axes == tuple(range(width))
     return slice(first, first + width) if whole and vector.contiguous else None
@@ -201,7 +201,7 @@ def _fill(vector: Vector, given: Sequence[float] | None, values: list[Channel]) 
         value = given[axis] / scale
         values[position] = value
         total += abs(value)
-    # One comparison for all: NaN fails it too.
+    # One comparison for all values; NaN fails it too.
     if not total < MAX_MAGNITUDE:
         raise RsiError(f"not finite or out of range: {given}", element=vector.element)
     if len(given) > len(vector.axes):
@@ -211,7 +211,7 @@ def _fill(vector: Vector, given: Sequence[float] | None, values: list[Channel]) 
 
 
 def _channel(field: Field, value: Channel) -> Channel:
-    """One channel's value as the template takes it."""
+    """Return a channel's value for the template."""
     if field.type == "STRING":
         if isinstance(value, str) and value.isascii() and value.isprintable():
             return escape(value)

@@ -1,9 +1,12 @@
-"""A tolerant, linear-time reader of the small XML that RSI speaks.
+"""Tolerant, linear-time scanner of the XML that RSI uses.
 
-Law of this file: text in, spans out, no meaning. Not an XML parser: KUKA's own telegrams may
-hold names that XML forbids (``<GPIO 01="0"/>``), and a real parser can be made to work for
-milliseconds by a datagram of 500 bytes. No entities beyond the five predefined, no document
-types, bounded size and depth, possessive patterns so that no input makes it backtrack.
+It is no XML parser: KUKA's telegrams may hold names that XML forbids (``<GPIO 01="0"/>``), and 500
+bytes can occupy a real parser for milliseconds.
+
+Invariants:
+    Text in, spans out.
+    Only the five predefined entities, no document types, bounded size and depth.
+    Possessive patterns: no input makes them backtrack.
 """
 
 import re
@@ -17,8 +20,8 @@ MAX_DEPTH = 8
 BLANK = " \t\r\n"
 
 _NAME = r"[^\s<>/=\"'&?!]++"
-# A group must not be possessive: in Debian's Python 3.11.2 one that fails half way leaves what it
-# has read as read (gh-106052), and an attribute without a value was a good one.
+# A group must not be possessive: after a failure within it Python 3.11.2 keeps what was read
+# (gh-106052), and an attribute without a value was accepted.
 _TOKEN = re.compile(
     rf"<(?P<open>{_NAME})"
     rf"(?P<attributes>(?:\s++{_NAME}\s*+=\s*+(?:\"[^\"<]*+\"|'[^'<]*+'))*)"
@@ -37,10 +40,10 @@ class RsiError(ProtocolError):
     """A configuration, a telegram or a value that the RSI wire refuses.
 
     Attributes:
-        element: the element or attribute it is about (``"AIPos"``, ``"AIPos.A3"``), or None.
-        evidence: the first bytes of what was read, empty when formatting.
-        ipoc_text: the telegram's IPOC where it could still be read, so that a telegram
-            that lacks something can be answered all the same; else None.
+        element: name of the element or attribute (``"AIPos"``, ``"AIPos.A3"``), or None.
+        evidence: first bytes of what was read, empty when formatting.
+        ipoc_text: the telegram's IPOC if it could be read: an incomplete telegram can still be
+            answered.
     """
 
     def __init__(
@@ -60,7 +63,7 @@ class RsiError(ProtocolError):
 
 
 class XmlToken(NamedTuple):
-    """One token in its place: ``depth`` is that of the element it belongs to, 0 the root."""
+    """One token; ``depth`` is that of its element, 0 for the root."""
 
     kind: Literal["open", "close", "text"]
     depth: int
@@ -71,7 +74,7 @@ class XmlToken(NamedTuple):
 
 
 class Span(NamedTuple):
-    """Where a value lies: of an attribute, or of an element's text (attribute None)."""
+    """Place of a value: of an attribute, or of an element's text (attribute None)."""
 
     element: str
     attribute: str | None
@@ -98,28 +101,28 @@ class FlatDocument:
 
 
 def escape(text: str) -> str:
-    """Text as it may stand in an attribute or an element."""
+    """Return text with the characters replaced that attributes and elements cannot hold."""
     out = text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
     return out.replace('"', "&quot;")
 
 
 def unescape(text: str) -> str:
-    """The inverse of :func:`escape`; an unknown entity stays as it is."""
+    """Undo :func:`escape`; an unknown entity stays unchanged."""
     return _ENTITY.sub(lambda match: _ENTITIES[match[1]], text)
 
 
 def attributes(text: str, start: int, end: int) -> Iterator[tuple[str, int, int]]:
-    """Name and span of the value of each attribute within a tag."""
+    """Yield name and span of the value of each attribute within a tag."""
     for match in _ATTRIBUTE.finditer(text, start, end):
         group = 2 if match.start(2) >= 0 else 3
         yield match[1], match.start(group), match.end(group)
 
 
 def tokens(text: str) -> Iterator[XmlToken]:
-    """The tokens of a document, nesting checked.
+    """Yield the tokens of a document and check their nesting.
 
-    For ``open`` the span is that of the attributes, for ``text`` that of the text, for
-    ``close`` the place of the closing tag.
+    The span is that of the attributes for ``open``, of the text for ``text``, of the tag for
+    ``close``.
 
     Raises:
         RsiError: not one properly nested document with nothing before or after it.
@@ -132,17 +135,17 @@ def tokens(text: str) -> Iterator[XmlToken]:
         match = _TOKEN.match(text, position)
         if match is None:
             raise RsiError(f"malformed at byte {position}")
-        event = _event(match, open_names, ended=ended)
+        token = _token(match, open_names, ended=ended)
         position = match.end()
-        ended = ended or (not open_names and event.kind != "text")
-        if event.depth >= 0:
-            yield event
+        ended = ended or (not open_names and token.kind != "text")
+        if token.depth >= 0:
+            yield token
     if not ended:
         raise RsiError("ends before its root does")
 
 
-def _event(match: re.Match[str], open_names: list[str], *, ended: bool) -> XmlToken:
-    """One token as an event; keeps the stack of open names."""
+def _token(match: re.Match[str], open_names: list[str], *, ended: bool) -> XmlToken:
+    """Return one token and keep the stack of open names."""
     if match["text"] is not None:
         if not open_names and match["text"].strip(BLANK):
             raise RsiError(f"text outside the root at byte {match.start()}")
@@ -171,11 +174,11 @@ def scan(text: str) -> FlatDocument:
     """
     document = FlatDocument("", {})
     child = _Child("")
-    for event in tokens(text):
-        if event.depth == 0:
-            _read_root(text, event, document)
-        elif event.depth == 1:
-            child = _read_child(text, event, document, child)
+    for token in tokens(text):
+        if token.depth == 0:
+            _read_root(text, token, document)
+        elif token.depth == 1:
+            child = _read_child(text, token, document, child)
         else:
             child.nested = True
             document.flat = False
@@ -191,29 +194,29 @@ class _Child:
     nested: bool = False
 
 
-def _read_root(text: str, event: XmlToken, document: FlatDocument) -> None:
-    if event.kind == "open":
-        document.root = event.name
-        for name, start, end in attributes(text, event.start, event.end):
+def _read_root(text: str, token: XmlToken, document: FlatDocument) -> None:
+    if token.kind == "open":
+        document.root = token.name
+        for name, start, end in attributes(text, token.start, token.end):
             document.attributes[name] = unescape(text[start:end])
-    elif event.kind == "text" and text[event.start : event.end].strip(BLANK):
-        raise RsiError(f"text between elements at byte {event.start}")
+    elif token.kind == "text" and text[token.start : token.end].strip(BLANK):
+        raise RsiError(f"text between elements at byte {token.start}")
 
 
-def _read_child(text: str, event: XmlToken, document: FlatDocument, child: _Child) -> _Child:
-    if event.kind == "open":
+def _read_child(text: str, token: XmlToken, document: FlatDocument, child: _Child) -> _Child:
+    if token.kind == "open":
         spans = [
-            Span(event.name, name, start, end)
-            for name, start, end in attributes(text, event.start, event.end)
+            Span(token.name, name, start, end)
+            for name, start, end in attributes(text, token.start, token.end)
         ]
-        if event.empty and not spans:
-            document.hollow.add(event.name)
+        if token.empty and not spans:
+            document.hollow.add(token.name)
         document.spans.extend(spans)
-        return _Child(event.name)
-    if event.kind == "text":
-        child.text = (event.start, event.end)
+        return _Child(token.name)
+    if token.kind == "text":
+        child.text = (token.start, token.end)
         return child
     if not child.nested:
-        start, end = child.text or (event.start, event.start)
+        start, end = child.text or (token.start, token.start)
         document.spans.append(Span(child.name, None, start, end))
     return child
