@@ -126,9 +126,13 @@ def presses(feeling: Feeling, ringing: Ringing) -> bool:
     whole, part = divmod(ringing.half, 1.0)
     ago = -1 - int(whole)
     opposite = forces[ago] + part * (forces[ago - 1] - forces[ago])
-    mean = sum(forces[: ringing.period]) / ringing.period
-    push = forces[-1] - mean + ringing.kept * (opposite - mean)
-    return push < -ringing.force or push > PULL * ringing.force
+    pair = forces[-1] + ringing.kept * opposite
+    before = sum(forces[: ringing.period]) / ringing.period
+    # The mean of the period before is off for a tool that began to ring in it, and the mean of the
+    # free tool for one that was kicked then. A contact shows against both.
+    means = (before,) if feeling.free is None else (before, feeling.free)
+    pushes = [pair - (1.0 + ringing.kept) * mean for mean in means]
+    return max(pushes) < -ringing.force or min(pushes) > PULL * ringing.force
 
 
 def presses_for_long(feeling: Feeling, ringing: Ringing) -> bool:

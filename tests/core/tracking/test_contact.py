@@ -99,6 +99,24 @@ def test_the_force_that_brakes_the_tool_as_planned_is_no_contact(cycle_s: float)
     assert first_touch(cycle_s, forces, accelerations=accelerations) is None
 
 
+@pytest.mark.parametrize("cycle_s", [0.012, 0.004])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_tool_that_begins_to_ring_near_the_object_does_not_touch(
+    cycle_s: float, sign: float
+) -> None:
+    # The first half of a swing is in the mean of the period before, and the second is not.
+    mode = ringing(FREQUENCY, DAMPING, STIFFNESS, FORCE, cycle_s)
+    feeling, kick = NOTHING, round(1.1 / cycle_s)
+    for k in range(round(2.0 / cycle_s)):
+        force = -4.0 + sign * rung((k - kick) * cycle_s, 42.0)
+        distance = -0.05 if k * cycle_s < 1.0 else 0.0
+        feeling = touched(feel(feeling, mode, force, 0.0, held=False), mode, distance, NEAR)
+        # The first quarter of a swing may be a contact, for there is no telling yet.
+        if sign < 0.0 and 0.0 <= (k - kick) * cycle_s < 0.5 / FREQUENCY + 0.02:
+            feeling = Feeling(feeling.forces, feeling.calm, 0, feeling.free)
+        assert feeling.touches < TOUCHES
+
+
 @pytest.mark.parametrize(("times", "is_felt"), [(0.9 * PULL, False), (1.3 * PULL, True)])
 def test_a_pull_towards_the_object_is_a_contact_only_if_it_is_strong(
     times: float, is_felt: bool
