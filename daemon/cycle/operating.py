@@ -91,19 +91,30 @@ class Operating:
         self._changes: deque[Change] = deque(maxlen=CHANGES)
         self._settled: Machine | None = None  # the last signals led nowhere from there
 
+    def refusal(self, op: str, found: Situation) -> str | None:
+        """Return why an operator's order is refused now, None if it is not.
+
+        Args:
+            op: arm, start, stop, retreat or ack.
+            found: what keeps a robot from being armed is named before what follows from it.
+        """
+        reason = states.refusal(self.machine, self.signals, op)
+        if reason is not None and op == "arm" and found.last is not None:
+            reason = found.last.ready or (SETTLING if found.settling else reason)
+        return reason
+
     def order(self, op: str, found: Situation, who: str = "") -> str | None:
         """Take an operator's order for the next decision.
 
         Args:
             op: arm, start, stop, retreat or ack.
-            found: what keeps a robot from being armed is told before what follows from it.
+            found: the robot and the task.
+            who: gave it.
 
         Returns:
             None, or why it is refused.
         """
-        reason = states.refusal(self.machine, self.signals, op)
-        if reason is not None and op == "arm" and found.last is not None:
-            reason = found.last.ready or (SETTLING if found.settling else reason)
+        reason = self.refusal(op, found)
         if reason is None:
             self._orders[op] = who
         return reason

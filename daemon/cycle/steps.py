@@ -88,6 +88,16 @@ class Stepper:
         """The operating state."""
         return self.operating.machine
 
+    def refusal(self, op: str) -> str | None:
+        """Return why an operator's order is refused now, None if it is not.
+
+        Args:
+            op: arm, start, stop, retreat or ack.
+        """
+        if op in _MOVES and self.session.unproven is not None:
+            return self.session.unproven
+        return self.operating.refusal(op, self._situation())
+
     def order(self, op: str, who: str = "") -> str | None:
         """Take an operator's order for the next step.
 

@@ -435,7 +435,7 @@ class App:
     ) -> Answer | asyncio.Future[Answer]:
         del role  # the protocol has checked it
         if op in ORDERS:
-            reason = self._wrong_period() if op == "arm" else None
+            reason = self._period_refusal() if op == "arm" else None
             reason = reason or self.cycle.order(op, who)
             outcome = f", refused: {reason}" if reason else ""
             self._events.add(f"{who} ordered {op}{outcome}")
@@ -443,14 +443,16 @@ class App:
         handler = self._operations.get(op)
         return {"refused": f"no such operation: {op}"} if handler is None else handler(params, who)
 
-    def _wrong_period(self) -> str | None:
+    def _period_refusal(self) -> str | None:
         """Return why the controller's period forbids to arm, None if it does not.
 
-        Outside of IDLE another reason forbids it, so a period not yet measured is no reason.
+        A wrong period is named before anything else. A period that is not measured yet is named
+        last, for it is measured within a second.
         """
         estimate = self._timer.lock.estimate
-        is_idle = self.cycle.machine.state is State.IDLE
-        return estimate.arm_refusal if is_idle else estimate.refusal
+        if estimate.refusal is not None or self.cycle.refusal("arm") is not None:
+            return estimate.refusal
+        return estimate.arm_refusal
 
     def _record(self, action: str) -> dict[str, Any]:
         if self._recorder is None:
