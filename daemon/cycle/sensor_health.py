@@ -8,6 +8,7 @@ Invariants:
 - A refused sample reaches no step and does not count as fresh.
 """
 
+import math
 from collections import deque
 from typing import Any, Generic, TypeVar
 
@@ -24,6 +25,14 @@ JUMP = 0.03  # [m]
 DEVIATIONS = 6.0  # standard deviations of the sensor
 ACCELERATION = 1.0  # ... and what this acceleration adds, that no conveyor exceeds [m/s^2] ...
 UNKNOWN_SPEED = 1.0  # ... and what this speed adds, while the conveyor's is unknown [m/s]
+# In the last approach the camera goes blind, and small jumps count too. There the jump is the
+# greatest of these three.
+SMALL_JUMP = 0.006  # [m]
+SCATTER = 6.0  # measured deviations, known after so many samples:
+LEARNED = 20
+SCATTER_GAIN = 0.05  # of their mean square
+UNITS = 2.0  # resolution steps
+EXCLUDED_S = 0.05  # what acceleration adds grows no longer for an excluded sensor [s]
 FORGOTTEN_NS = 2_000_000_000  # forget a heading that nothing has agreed with for so long [ns]
 OUTVOTING = 3  # samples whose median is taken: one outlier has no effect
 
@@ -50,10 +59,12 @@ class Conditions(Struct, frozen=True):
     Attributes:
         moving: the tool moves, so that two images or wrenches are not alike.
         deviation: standard deviation of the distance sensor [m].
+        last_approach: the camera goes blind, and cannot correct a distance that jumped.
     """
 
     moving: bool
     deviation: float
+    last_approach: bool = False
 
 
 class Health(Generic[Sample]):
@@ -131,7 +142,7 @@ Trusted = tuple[int, float]
 class DistanceHealth(Health[DistanceSample]):
     """Check of the distance sensor: no jump, and no stop without slowing down."""
 
-    __slots__ = ("_changed_ns", "_quick", "_trusted", "_unit", "_value")
+    __slots__ = ("_changed_ns", "_learned", "_quick", "_square", "_trusted", "_unit", "_value")
 
     def __init__(self) -> None:
         super().__init__()
@@ -140,6 +151,8 @@ class DistanceHealth(Health[DistanceSample]):
         self._changed_ns = 0
         self._quick: float | None = None  # how quick it was at its last change
         self._unit = 0.0
+        self._learned = 0  # samples that the scatter was measured with
+        self._square = 0.0  # mean square of their way from the heading [m^2]
 
     def accepts(self, sample: DistanceSample, conditions: Conditions) -> bool:
         """Return whether the newest sample may be used."""
@@ -155,12 +168,43 @@ class DistanceHealth(Health[DistanceSample]):
                 step = abs(position - self._value)
                 self._unit = min(step, self._unit) if self._unit else step
             self._value, self._changed_ns, self._quick = position, stamp_ns, speed
-        fault = _jumped(sample, lately, speed, conditions.deviation) or self._frozen(stamp_ns)
+        fault = None
+        if lately is not None:
+            passed = (stamp_ns - lately[0]) * 1e-9
+            off = position - lately[1] - (speed or 0.0) * passed
+            if abs(off) > self._largest_jump(passed, speed, conditions):
+                fault = f"it jumped by {off:.3f} m"
+            elif speed is not None:
+                self._learn(off)
+        fault = fault or self._frozen(stamp_ns)
         if fault is None:
             trusted.append((stamp_ns, position))
             while stamp_ns - trusted[0][0] > HEADING_NS:
                 trusted.popleft()
         return self.judge(stamp_ns, fault)
+
+    def _learn(self, off: float) -> None:
+        """Update the scatter of accepted samples about their heading by one way [m]."""
+        self._learned = min(self._learned + 1, LEARNED)
+        self._square += max(SCATTER_GAIN, 1.0 / self._learned) * (off * off - self._square)
+
+    def _largest_jump(self, passed: float, speed: float | None, conditions: Conditions) -> float:
+        """Return how far a sample may be from where the distance was heading [m].
+
+        Args:
+            passed: since the samples that it was heading from [s].
+            speed: at which it was heading on [m/s], None if that is not known.
+            conditions: of the step.
+        """
+        jump = JUMP
+        if conditions.last_approach and self._learned >= LEARNED:
+            jump = max(SMALL_JUMP, SCATTER * math.sqrt(self._square), UNITS * self._unit)
+            if self.reason is not None:
+                # A distance that jumped by 30 mm would be accepted again after 0.22 s.
+                passed = min(passed, EXCLUDED_S)
+        jump = max(jump, DEVIATIONS * conditions.deviation)
+        jump += 0.5 * ACCELERATION * passed * passed
+        return jump if speed is not None else jump + UNKNOWN_SPEED * passed
 
     def _frozen(self, stamp_ns: int) -> str | None:
         stood = (stamp_ns - self._changed_ns) * 1e-9
@@ -184,26 +228,6 @@ class DistanceHealth(Health[DistanceSample]):
 def _middle(one: Trusted, two: Trusted, three: Trusted) -> Trusted:
     """Return stamp [ns] and median [m] of three in a row."""
     return two[0], sorted((one[1], two[1], three[1]))[1]
-
-
-def _jumped(
-    sample: DistanceSample, lately: Trusted | None, speed: float | None, deviation: float
-) -> str | None:
-    """Return why a sample is not where a distance was heading, None if it may be there.
-
-    Args:
-        lately: stamp and median of the last ones, None while there are too few.
-        speed: at which it was heading on [m/s], None if that is not known.
-        deviation: standard deviation of the sensor [m].
-    """
-    if lately is None:
-        return None
-    last_ns, last = lately
-    passed = (sample.stamp_ns - last_ns) * 1e-9
-    borne = max(JUMP, DEVIATIONS * deviation) + 0.5 * ACCELERATION * passed * passed
-    borne += UNKNOWN_SPEED * passed if speed is None else 0.0
-    off = sample.position - last - (speed or 0.0) * passed
-    return None if abs(off) <= borne else f"it jumped by {off:.3f} m"
 
 
 class CameraHealth(Health[CameraSample]):

@@ -272,7 +272,7 @@ class Stepper:
         """Make one sampling step: operating state first, then the pure step."""
         settings = self.parameters.tracker.settings
         moving = self.machine.state in states.MOVING
-        conditions = Conditions(moving, settings.distance.deviation)
+        conditions = Conditions(moving, settings.distance.deviation, self._in_last_approach)
         samples = self.samples.drain(conditions, settings.tactile.overload_force)
         if self._new_parameters is not None:
             self._apply_swap(self._new_parameters)
@@ -309,7 +309,6 @@ class Stepper:
     def _situation(self) -> Situation:
         """Return the robot and the task for a decision."""
         last = None if self.last is None else self.last.outputs
-        task_time = 0.0 if last is None else last.task_time or 0.0
         settings = self.parameters.tracker.settings
         return Situation(
             last,
@@ -318,8 +317,14 @@ class Stepper:
             # Where corrections count from is not known before the robot rests.
             settling=self.session.held == self.session.start and not self.following.is_resting,
             sensed=settings.merge.blend < PROGRAMMED_S,
-            last_approach=task_time > self.parameters.tracker.sight_time,
+            last_approach=self._in_last_approach,
         )
+
+    @property
+    def _in_last_approach(self) -> bool:
+        """Whether the tool has left the last waypoint from which the camera sees the object."""
+        task_time = 0.0 if self.last is None else self.last.outputs.task_time or 0.0
+        return task_time > self.parameters.tracker.sight_time
 
     def _reply(self, entry: LogEntry) -> PreparedReply:
         """Return the reply to a step but for the IPOC: corrections, or increments."""

@@ -11,8 +11,11 @@ from linemate.daemon.cycle.sensor_health import (
     BAD,
     CONTRADICTIONS,
     GOOD,
+    OUTVOTING,
     SAME_POSES,
     SAME_WRENCHES,
+    SMALL_JUMP,
+    UNITS,
     CameraHealth,
     Conditions,
     DistanceHealth,
@@ -26,14 +29,16 @@ SPEED = 0.106
 SIGMA = 0.25e-3
 MOVING = Conditions(moving=True, deviation=SIGMA)
 RESTING = Conditions(moving=False, deviation=SIGMA)
+APPROACHING = Conditions(moving=True, deviation=SIGMA, last_approach=True)
 ONE = (1.0, 0.0, 0.0, 0.0)
 
 
 class Conveyor:
     """A distance sensor at a conveyor, and its health."""
 
-    def __init__(self, unit: float = 1e-3, seed: int = 1) -> None:
+    def __init__(self, unit: float = 1e-3, seed: int = 1, conditions: Conditions = RESTING) -> None:
         self.health = DistanceHealth()
+        self._conditions = conditions
         self.k = 0
         self.place = 0.5
         self._unit = unit
@@ -49,7 +54,7 @@ class Conveyor:
         self.k += 1
         self.place += speed * PERIOD_NS * 1e-9
         shown = self.reads() if reading is None else reading
-        return self.health.accepts(DistanceSample(self.k * PERIOD_NS, shown), RESTING)
+        return self.health.accepts(DistanceSample(self.k * PERIOD_NS, shown), self._conditions)
 
 
 @pytest.mark.parametrize("unit", [1e-4, 1e-3, 1e-2])
@@ -69,6 +74,53 @@ def test_one_outlier_is_refused_and_nothing_else() -> None:
     assert not conveyor.shows(conveyor.place + 0.08)
     assert all(conveyor.run(100))
     assert conveyor.health.reason is None
+
+
+@pytest.mark.parametrize("unit", [1e-4, 1e-3, 1e-2])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_jump_near_the_object_is_judged_by_the_sensors_own_scatter_and_unit(
+    unit: float, sign: float
+) -> None:
+    conveyor = Conveyor(unit, conditions=APPROACHING)
+    conveyor.run(100)
+    least = max(SMALL_JUMP, UNITS * unit)
+    conveyor.place += 2.2 * sign * least
+    assert not any(conveyor.run(20))
+    reason = conveyor.health.reason
+    assert reason is not None
+    assert "jumped" in reason
+
+
+def test_a_jump_near_the_object_is_not_believed_because_time_has_passed() -> None:
+    conveyor = Conveyor(conditions=APPROACHING)
+    conveyor.run(100)
+    conveyor.place += 0.03
+    assert not any(conveyor.run(150))
+    # Where it was heading before is forgotten after 2 s: it may have been wrong itself.
+    assert conveyor.run(100)[-1]
+
+
+def test_a_sensor_whose_scatter_is_not_known_yet_may_jump_by_30_mm() -> None:
+    conveyor = Conveyor(conditions=APPROACHING)
+    conveyor.run(OUTVOTING)
+    assert conveyor.shows(conveyor.place + 0.02)
+
+
+def test_a_jump_of_20_mm_is_left_to_the_camera_before_the_last_approach() -> None:
+    conveyor = Conveyor()
+    conveyor.run(100)
+    conveyor.place += 0.02
+    assert all(conveyor.run(20))
+
+
+@pytest.mark.parametrize("unit", [1e-4, 1e-3, 1e-2])
+def test_a_conveyor_that_runs_brakes_and_starts_is_believed_near_the_object(unit: float) -> None:
+    conveyor = Conveyor(unit, conditions=APPROACHING)
+    assert all(conveyor.run(300))
+    for speed in (SPEED - 0.104 * 0.01 * n for n in range(102)):
+        assert conveyor.shows(None, max(0.0, speed))
+    assert all(conveyor.run(300, 0.0))
+    assert all(conveyor.run(300))
 
 
 @pytest.mark.parametrize("wrong", [1000.0, 1e-3, -1.0])
