@@ -15,6 +15,8 @@ Vector3 = tuple[float, float, float]
 Vector6 = tuple[float, float, float, float, float, float]
 Quaternion = tuple[float, float, float, float]  # unit quaternion, w first
 
+AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")  # of the arm, then the linear axis
+
 
 class DistanceSample(Struct, frozen=True):
     """One reading of the distance sensor at the conveyor.

@@ -111,7 +111,7 @@ class World:
     @property
     def joints(self) -> tuple[float, ...]:
         """Where the robot is."""
-        return tuple(self.state.control.desired[0].tolist())
+        return tuple(self.state.control.joints[0].tolist())
 
     @property
     def clamped(self) -> bool:
@@ -134,7 +134,7 @@ class World:
 
     def _inertia(self) -> float:
         """Force along the tool's axis that accelerates the tool [N]."""
-        (first, _), (middle, R), (last, _) = map(self._tcp, self.state.control.desired[:3])
+        (first, _), (middle, R), (last, _) = map(self._tcp, self.state.control.joints[:3])
         acceleration = (first - 2.0 * middle + last) / self.parameters.cycle_s**2
         return -self.parameters.tracker.ringing.mass * float(R[:, 2] @ acceleration)
 

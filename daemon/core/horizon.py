@@ -1,8 +1,7 @@
-"""The only door between tracking and control: the paper's predictive interface x_t(k, i).
+"""Interface between tracking and control: the paper's predictive interface x_t(k, i).
 
-Law of this file: a list of poses over the horizon, and nothing that knows how it was made or
-how it will be followed. Poses stand in the *nominal frame* c: its axes are those of the nominal
-object (y along the conveyor), its origin is that of base.
+Poses are in the *nominal frame* c: its axes are those of the nominal object (y along the conveyor),
+its origin is that of base.
 """
 
 from typing import Any
@@ -20,10 +19,10 @@ class Horizon(Struct, frozen=True, eq=False):
     Attributes:
         poses: (n+1, 6) position [m] and rotation vector [rad] of the tcp in c, so that
             ``tcp_in_base = (C p, C Exp(r))``.
-        axis: (m,) planned position of the linear axis [m], as far as control reads it; each
-            sample but the last was in the last step's plan.
-        free: (n+1,) 1 where the tool hangs free, 0 where it is clamped to the object; in
-            between while one gives way to the other.
+        axis: (m,) planned positions of the linear axis [m], as far as control reads them; each but
+            the last was in the last step's plan.
+        free: (n+1,) 1 where the tool hangs free, 0 where it is clamped to the object, between them
+            during a blend.
         nominal: (3, 3) C, the axes of c in base.
         committed: nc; ``poses[:nc + 1]`` are the last list's ``poses[1:nc + 2]``, bit for bit.
     """

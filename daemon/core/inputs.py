@@ -1,7 +1,8 @@
 """Everything that enters a sampling step.
 
-Law of this file: a step sees its ``Inputs`` and nothing else, so a recording of them replays
-exactly. Empty means "no new sample"; ``robot`` is None in a step without a telegram.
+Invariants:
+- A step reads its ``Inputs`` and nothing else, so that a recording replays exactly.
+- An empty tuple means "no new sample"; ``robot`` is None in a step without a telegram.
 """
 
 from enum import StrEnum
@@ -12,7 +13,7 @@ from linemate.protocol.samples import CameraSample, DistanceSample, RobotSample,
 
 
 class MotionOrder(StrEnum):
-    """What the operating state machine lets the step do."""
+    """What the operating state machine orders the step to do."""
 
     HOLD = "hold"
     TRACK = "track"
@@ -20,23 +21,20 @@ class MotionOrder(StrEnum):
 
 
 class Inputs(Struct, frozen=True):
-    """What one sampling step is given.
+    """Inputs of one sampling step.
 
     Attributes:
-        k: number of the step; steps that were missed count too.
-        stamp_ns: the time of telegram k on the monotonic clock [ns], measured or foreseen.
+        k: number of the step; missed steps count too.
+        stamp_ns: time of telegram k on the monotonic clock [ns], measured or predicted.
         robot: the newest state of the robot that arrived *before* telegram k, or None.
-        distance: new samples, oldest first, bounded.
-        camera: new samples, oldest first, bounded.
-        wrench: new samples, oldest first, bounded.
+        distance, camera, wrench: new samples, oldest first, bounded.
         order: what the step may do.
         start: the edge on which the task begins.
-        sent: the command of the step before reached the robot; one that got none holds.
-        applied: where it holds then, A1..A6 [rad] and E1 [m], as far as the controller has told
-            since; None: at the last command that was sent.
-        pace: speed and acceleration of its setpoints there, if it does not hold but goes on from
-            there: the steps since were made while a controller that was held up counted no
-            cycles. None: it holds.
+        sent: the command of the step before reached the robot; without one the robot holds.
+        applied: where it holds then, A1..A6 [rad] and E1 [m], as last reported by the controller;
+            None: at the last command that was sent.
+        pace: speed and acceleration of its setpoints if it goes on from ``applied``: the steps
+            since were made while a delayed controller counted no cycles. None: it holds.
     """
 
     k: int

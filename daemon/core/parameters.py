@@ -1,6 +1,6 @@
-"""All that a step is told beside its inputs, compiled once at start-up.
+"""Parameters of a step, compiled once at start-up from settings and a task.
 
-Law of this file: settings and a task in, filters and matrices out; slow, and never in the loop.
+Slow (0.3 s): never called in a cycle, except ``retuned``.
 """
 
 import math
@@ -23,18 +23,21 @@ from linemate.daemon.core.tracking.tracker import Foresight, Tracker, damped_unt
 from linemate.daemon.core.tracking.transverse import Transverse
 
 TOOL_AXIS = 2  # of the tcp
-HISTORY = 0.45  # of the robot's pose, to look up exposures in [s]
+HISTORY_S = 0.45  # length of the robot's pose history, to date exposures [s]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Parameters:
-    """What a step needs: both halves, compiled."""
+    """Compiled parameters of tracking and control.
+
+    Attributes:
+        settings: of the controller; the tracker keeps its own.
+    """
 
     tracker: Tracker
     controller: control.Controller
     cycle_s: float
     settings: ControlSettings
-    """What the controller was compiled of; the tracker keeps its own."""
 
 
 def _classifier(task: TaskFile, settings: TrackingSettings) -> Classifier:
@@ -83,7 +86,7 @@ def build(
         urdf_text: the arm, as text.
 
     Raises:
-        ValueError: settings, task and arm do not fit together; the message says which.
+        ValueError: settings, task and arm contradict each other; the message names them.
     """
     tool = task.arm.tcp_in_flange
     arm = kinematics.load(
@@ -100,7 +103,7 @@ def build(
         control_settings, arm, cycle_s, task.conveyor.nominal_speed
     )
     dead_time = max(model.dead_time for model in control_settings.servos[: arm.axes])
-    # The merge reads five committed steps; a robot without dead time commits them all the same.
+    # The merge reads five committed steps, also without dead time.
     commit = max(merge.commit_steps(dead_time, cycle_s), merge.ORDER)
     along = merge.merge_matrix(tracking.merge.along, cycle_s, controller.steps - commit)
     across = merge.merge_matrix(tracking.merge.across, cycle_s, controller.steps - commit)
@@ -127,7 +130,7 @@ def build(
         commit=commit,
         matrices=np.stack([along if axis == merge.ALONG else across for axis in range(6)]),
         corner=merge.rounding(cycle_s, commit),
-        history_length=math.ceil(HISTORY / cycle_s),
+        history_length=math.ceil(HISTORY_S / cycle_s),
         span=span,
         axis_steps=controller.preview,
         axis_range=_axis_range(controller),
@@ -149,13 +152,13 @@ def build(
 
 
 def retuned(parameters: Parameters, tracking: TrackingSettings) -> Parameters:
-    """Return parameters with other numbers in the estimator; quick, between two steps.
+    """Return parameters with another estimator tuning; fast enough between two steps.
 
-    Only for what changes no shape of a step's state and nothing of the plan: noise, gates, the
-    classifiers' thresholds. The same as ``build`` would make.
+    For settings that change neither the shape of a state nor the plan: noise, gates, thresholds of
+    the classifiers. The result equals that of ``build``.
 
     Args:
-        tracking: settings, which differ from theirs in nothing else.
+        tracking: settings that differ in nothing else.
     """
     tracker = replace(
         parameters.tracker,
@@ -167,5 +170,5 @@ def retuned(parameters: Parameters, tracking: TrackingSettings) -> Parameters:
 
 
 def with_foresight(parameters: Parameters, foresight: Foresight) -> Parameters:
-    """Return the parameters with an oracle instead of an estimate (the variant of a campaign)."""
+    """Return the parameters with an oracle instead of an estimate (variant of a campaign)."""
     return replace(parameters, tracker=replace(parameters.tracker, foresight=foresight))

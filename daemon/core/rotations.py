@@ -1,7 +1,7 @@
-"""Rotations, single and over whole horizons; below both tracking and control.
+"""Rotations, single and over whole horizons.
 
-Law of this file: pure functions of arrays; rotation vectors [rad], matrices (3, 3), quaternions
-w first. Everything is differentiable at zero (series below ``SMALL``).
+Rotation vectors [rad], matrices (3, 3), quaternions w first. All functions are differentiable at
+zero (series below ``SMALL``).
 """
 
 import math
@@ -22,10 +22,9 @@ def skew(v: Array) -> Array:
 
 
 def _combined(x: float, y: float, z: float, one: float, cross: float, outer: float) -> Array:
-    """Return ``one I + cross skew(r) + outer r r'`` (3, 3): all functions of a turn are that.
+    """Return ``one I + cross skew(r) + outer r r'`` (3, 3), the form of all functions here.
 
-    In plain floats: a third of what the same sums of small arrays take; and shaped afterwards, for
-    a nest of tuples takes twice as long to become an array as one that is flat.
+    Plain floats cost a third of small arrays; a flat tuple becomes an array twice as fast.
     """
     ox, oy, oz = outer * x, outer * y, outer * z
     xy, xz, yz = ox * y, ox * z, oy * z
@@ -51,7 +50,7 @@ def exp(r: Array) -> Array:
 def log(R: Array) -> Array:
     """Return the rotation vector (3,) [rad] of a rotation matrix; unique below pi.
 
-    By way of the quaternion, which stays accurate for small and for large angles.
+    By the quaternion, which is accurate for small and for large angles.
     """
     return log_quaternion(quaternion(R))
 

@@ -1,14 +1,14 @@
 """One sampling step: ``step(state, inputs, parameters) -> (state, outputs)``.
 
-Law of this file: a straight line through tracking and control, without I/O, clock or chance. What
-arrived before telegram k is in the inputs, the robot's state of k - 1 included, so that the reply
-can be ready before its telegram comes; nothing is lost by it, the commands are feed-forward.
-
     predict -> correct -> classify -> predict the part over the horizon -> approach -> x_t
     smooth -> damp -> inverse kinematics -> feed-forward -> limits -> q_c
 
-What the robot made of the last command is asked last of all, by the gate. All before it is the
-step's ``plan``, which stays as it is where a telegram tells another fate than was assumed.
+Invariants:
+- Pure: no I/O, clock or random number.
+- The inputs hold what arrived before telegram k, the robot's state of k - 1 included, so that the
+  reply is ready before its telegram. The commands are feed-forward: nothing is lost by it.
+- Only ``finish`` reads the delivery status of the last command. ``plan`` stays valid if the
+  telegram reports another one than was assumed.
 """
 
 import numpy as np
@@ -26,22 +26,21 @@ from linemate.daemon.core.tracking.reference import Reference
 from linemate.daemon.core.tracking.task import Phase
 from linemate.protocol.samples import RobotSample
 
+# Position [m] and unit quaternion, w first, in base.
 Pose = tuple[float, float, float, float, float, float, float]
-"""Position [m] and unit quaternion, w first, in base."""
 
 FIX_SCREWS = 1
 RELEASE_WHEEL = 2
-REST_DISTANCE = 0.02  # from the programme's first pose, at most, to start [m]
-REST_ANGLE = 0.05  # [rad]
-SAME_PLACE = 0.05  # a robot that was led beside a line and stopped comes to rest within [m]
+REST_DISTANCE = 0.02  # largest distance from the task's first pose to start [m]
+REST_ANGLE = 0.05  # largest rotation from it [rad]
+REST_TOLERANCE = 0.05  # a robot that tracked comes to rest within this distance [m]
 
 
 class StepState(Struct, frozen=True, eq=False):
-    """Everything a step remembers.
+    """State of the step.
 
     Attributes:
-        tracker, control: of the two halves.
-        applied: (axes,) the last command that reached the wire.
+        applied: (axes,) the last command that was sent.
         moving: the robot has not come to rest since it last tracked.
     """
 
@@ -52,15 +51,15 @@ class StepState(Struct, frozen=True, eq=False):
 
 
 class Outputs(Struct, frozen=True, eq=False):
-    """What one step says.
+    """Result of one step.
 
     Attributes:
         k: number of the step.
         command: absolute setpoints q_c, A1..A6 [rad] and E1 [m], within the limits.
         digital_out: the tool's signals, bit 0 fix the screws, bit 1 release the wheel.
-        task_time: of the task's clock [s], None before the start.
+        task_time: time of the task's clock [s], None before the start.
         scenario: the class in force.
-        confidence: log odds of the change that is weighed.
+        confidence: log odds of the change that was last evaluated.
         events: of the classifier in this step.
         target: x_c(k) = x_t(k, 0), the committed tcp in base.
         sensed: x_f(k, 0) in base, None before the object was seen.
@@ -69,13 +68,12 @@ class Outputs(Struct, frozen=True, eq=False):
         horizon: (n+1, 6) x_t in the nominal frame, None while the robot does not track.
         contact: the tool is clamped to the object.
         clamped: a retreat waits for the clamp, which is closed on the object or may be.
-        overdue: the tool has not done in its time what the programme needs: the clamp was not
-            reported open, or no contact was found.
-        overload: the force is beyond what the tool may bear.
+        overdue: the clamp was not reported open in time, or no contact was found.
+        overload: the force exceeds the tool's limit.
         finished: the task is over, or the retraction is.
-        held: why the command is not the one desired, None if it is.
+        held: why the command is not the desired one, None if it is.
         ready: why the task cannot start, None if it can.
-        refused: sightings that the gate refused.
+        refused: number of pose measurements that the gate rejected.
         object_left: the object is tracked and out of reach, or about to be.
     """
 
@@ -106,7 +104,7 @@ class Outputs(Struct, frozen=True, eq=False):
 
 
 def _joints(parameters: Parameters, robot: RobotSample) -> Array:
-    """Return a telegram's joints as the controller orders them (axes,)."""
+    """Return a telegram's joints in the controller's order (axes,)."""
     if parameters.controller.arm.linear_axis:
         return np.array(robot.joints + robot.external[:1])
     return np.array(robot.joints)
@@ -123,7 +121,7 @@ def _axis(parameters: Parameters, joints: Array) -> float:
 
 
 def _in_base(reference: Reference, pose: Array) -> Pose:
-    """Return a pose (6,) of c as position and quaternion in base; plain floats, it is hot."""
+    """Return a pose (6,) in c as position and quaternion in base; plain floats for speed."""
     x, y, z, rx, ry, rz = pose.tolist()
     (a, b, c), (d, e, f), (g, h, i) = reference.axes
     position = (a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z)
@@ -134,7 +132,7 @@ def _in_base(reference: Reference, pose: Array) -> Pose:
 
 
 def initial(parameters: Parameters, robot: RobotSample) -> StepState:
-    """Return the state of a robot that stands where a telegram says; its command is that place."""
+    """Return the state of a robot at rest where a telegram reports it."""
     joints = _joints(parameters, robot)
     pose = _tcp(parameters, joints)
     return StepState(
@@ -145,9 +143,9 @@ def initial(parameters: Parameters, robot: RobotSample) -> StepState:
 
 
 def resumed(parameters: Parameters, state: StepState, robot: RobotSample) -> StepState:
-    """Return the state of a robot that stands where a telegram says, its tool on the object.
+    """Return the state of a robot at rest where a telegram reports it, its tool on the object.
 
-    The object's estimate and the tool's place in the task live on.
+    The object's estimate and the progress of the task are kept.
     """
     joints = _joints(parameters, robot)
     pose = _tcp(parameters, joints)
@@ -158,27 +156,27 @@ def resumed(parameters: Parameters, state: StepState, robot: RobotSample) -> Ste
 def is_engaged(state: StepState, parameters: Parameters, robot: RobotSample) -> bool:
     """Return whether a robot stands where its tool was left on the object.
 
-    One that was driven away since has been seen to by its operator.
+    An operator may have jogged it away since.
     """
     if not state.tracker.contact:
         return False
-    way = state.tracker.poses[0] - _tcp(parameters, _joints(parameters, robot))
-    return float(np.linalg.norm(way[:3])) <= SAME_PLACE
+    off = state.tracker.poses[0] - _tcp(parameters, _joints(parameters, robot))
+    return float(np.linalg.norm(off[:3])) <= REST_TOLERANCE
 
 
 class StepPlan(Struct, frozen=True, eq=False):
-    """A step but for what the robot made of the last command.
+    """Part of a step that does not depend on the delivery of the last command.
 
     Attributes:
-        tracker: one step later; whether the tool touches is still as it was.
+        tracker: one step later; contact is still that of the step before.
         horizon: x_t, None where the robot is to stand.
-        aim: of control, None likewise.
+        desired: command, None where the robot is to stand.
     """
 
     tracker: tracking.TrackerState
     report: tracking.Report
     horizon: Horizon | None = None
-    aim: control.Aim | None = None
+    desired: control.DesiredCommand | None = None
 
 
 def step(state: StepState, inputs: Inputs, parameters: Parameters) -> tuple[StepState, Outputs]:
@@ -192,37 +190,37 @@ def step(state: StepState, inputs: Inputs, parameters: Parameters) -> tuple[Step
 
 
 def plan(state: StepState, inputs: Inputs, parameters: Parameters) -> StepPlan:
-    """Return nine tenths of a step, whatever the robot made of the last command.
+    """Return the part of a step (90 % of its time) that the last delivery does not change.
 
     Args:
         state: of the step before.
         inputs: of which ``sent``, ``applied`` and ``pace`` are not read.
     """
-    seen = _measurements(inputs, parameters)
+    samples = _samples(inputs, parameters)
     if inputs.order is MotionOrder.HOLD:
-        return StepPlan(*tracking.observe(parameters.tracker, state.tracker, seen))
+        return StepPlan(*tracking.observe(parameters.tracker, state.tracker, samples))
     retreat = inputs.order is MotionOrder.RETREAT
     tracker, horizon, report = tracking.track(
-        parameters.tracker, state.tracker, seen, start=inputs.start, retreat=retreat
+        parameters.tracker, state.tracker, samples, start=inputs.start, retreat=retreat
     )
-    aim = control.aim(parameters.controller, state.control, horizon)
-    return StepPlan(tracker, report, horizon, aim)
+    desired = control.desire_command(parameters.controller, state.control, horizon)
+    return StepPlan(tracker, report, horizon, desired)
 
 
 def finish(
     state: StepState, planned: StepPlan, inputs: Inputs, parameters: Parameters
 ) -> tuple[StepState, Outputs]:
-    """Return a step's state and outputs, with what the robot made of the last command.
+    """Return a step's state and outputs, with the delivery of the last command.
 
     Args:
         state: of the step before.
         planned: by ``plan`` from the same state, inputs and parameters.
-        inputs: of which ``sent``, ``applied`` and ``pace`` may be others than it was planned with.
+        inputs: ``sent``, ``applied`` and ``pace`` may differ from those of ``plan``.
     """
-    begun = _applied(state, inputs)
-    horizon, aim = planned.horizon, planned.aim
-    if horizon is None or aim is None:
-        state = _halted(begun, planned.tracker, parameters)
+    delivered = _apply_delivery(state, inputs)
+    horizon, desired = planned.horizon, planned.desired
+    if horizon is None or desired is None:
+        state = _brake(delivered, planned.tracker, parameters)
         return state, _outputs(state, inputs, planned.report, None, "hold", parameters)
     tracker = tracking.touched(
         parameters.tracker,
@@ -232,47 +230,49 @@ def finish(
         held=not inputs.sent and inputs.pace is None,
         is_open=inputs.robot is None or bool(inputs.robot.digital_in & tracking.CLAMP_OPEN),
     )
-    steered, held = control.reach(
-        parameters.controller, aim, begun.control.gate, clamped=state.tracker.contact
+    after, held = control.limit_command(
+        parameters.controller, desired, delivered.control.limiter, clamped=state.tracker.contact
     )
-    state = StepState(tracker, steered, begun.applied, moving=True)
+    state = StepState(tracker, after, delivered.applied, moving=True)
     outputs = _outputs(state, inputs, planned.report, horizon.poses, held, parameters)
-    if planned.report.object_left or aim.command is None:
+    if planned.report.object_left or desired.command is None:
         outputs = replace(outputs, object_left=True)
     return state, outputs
 
 
-def _applied(state: StepState, inputs: Inputs) -> StepState:
-    """Return the state with its gate at what the robot has: without a command it holds.
+def _apply_delivery(state: StepState, inputs: Inputs) -> StepState:
+    """Return the state with its limiter at the command that the robot executes.
 
-    Unless it is told to go on from there, see ``Inputs.pace``.
+    Without a command it holds, unless ``Inputs.pace`` says that it goes on.
     """
     if inputs.sent:
-        return replace(state, applied=state.control.gate.position)
+        return replace(state, applied=state.control.limiter.position)
     applied = state.applied if inputs.applied is None else np.array(inputs.applied)
-    gate, moving = command_limiter.held(state.control.gate, applied), state.moving
+    gate, moving = command_limiter.held(state.control.limiter, applied), state.moving
     if inputs.pace is not None:
-        # Also one that was taken to stand, and meanwhile ordered to: it has to brake first.
+        # It moves even if the state was at rest: it has to brake first.
         gate, moving = command_limiter.moving(applied, *map(np.array, inputs.pace)), True
-    return replace(state, applied=applied, control=replace(state.control, gate=gate), moving=moving)
+    return replace(
+        state, applied=applied, control=replace(state.control, limiter=gate), moving=moving
+    )
 
 
-def _halted(state: StepState, tracker: tracking.TrackerState, parameters: Parameters) -> StepState:
-    """Return the state of a robot that is to stand: it brakes, and then its plan is rest."""
+def _brake(state: StepState, tracker: tracking.TrackerState, parameters: Parameters) -> StepState:
+    """Return the state of a robot on hold: it brakes; at rest its plan is reset."""
     if not state.moving:
         return replace(state, tracker=tracker)
-    steered = control.stop(parameters.controller, state.control)
-    still = command_limiter.is_standing(steered.gate)
-    joints = steered.gate.position
+    braked = control.stop(parameters.controller, state.control)
+    is_standing = command_limiter.is_standing(braked.limiter)
+    joints = braked.limiter.position
     pose = _tcp(parameters, joints)
-    if still:
-        steered = control.at_rest(parameters.controller, joints, pose)
+    if is_standing:
+        braked = control.at_rest(parameters.controller, joints, pose)
     tracker = tracking.rest(parameters.tracker, tracker, pose, _axis(parameters, joints))
-    return StepState(tracker, steered, state.applied, moving=not still)
+    return StepState(tracker, braked, state.applied, moving=not is_standing)
 
 
-def _measurements(inputs: Inputs, parameters: Parameters) -> tracking.Measurements:
-    """Return the inputs as tracking sees them."""
+def _samples(inputs: Inputs, parameters: Parameters) -> tracking.Measurements:
+    """Return the inputs of tracking."""
     tcp = stamp = None
     if inputs.robot is not None:
         tcp = _tcp(parameters, _joints(parameters, inputs.robot))
@@ -309,7 +309,7 @@ def _outputs(
     held: str | None,
     parameters: Parameters,
 ) -> Outputs:
-    """Return what the step says."""
+    """Return the outputs of the step."""
     tracker, reference = state.tracker, parameters.tracker.reference
     signals = 0
     if tracker.fixing is not None and inputs.order is not MotionOrder.RETREAT:
@@ -320,7 +320,7 @@ def _outputs(
     return Outputs(
         k=inputs.k,
         stamp_ns=inputs.stamp_ns,
-        command=tuple(state.control.gate.position.tolist()),
+        command=tuple(state.control.limiter.position.tolist()),
         digital_out=signals,
         phase=report.phase if tracker.withdrawn is None else Phase.RETREAT,
         task_time=tracker.time if tracker.started else None,

@@ -11,8 +11,8 @@ from collections import deque
 
 from linemate.daemon.core.step import Outputs, Pose
 from linemate.daemon.cycle.session import Axes
+from linemate.protocol.samples import AXES
 
-AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
 REST_S = 0.12  # the robot rests if its telegrams of this time ...
 STILL = 2e-4  # ... are this near to each other [rad, m]
 OFF_START = 5e-4  # rest farther from the session's start is another place [rad, m]

@@ -153,7 +153,7 @@ class Stepper:
     def _apply_swap(self, parameters: Parameters) -> None:
         self.parameters, self._new_parameters = parameters, None
         if self._restarts_state and self._state is not None:
-            held = tuple(self._state.control.gate.position.tolist())
+            held = tuple(self._state.control.limiter.position.tolist())
             robot = RobotSample(self._stamp_ns, 0, held[:6], held[6:])
             self._state = stepping.initial(self.parameters, robot)
             self._plan = None
@@ -183,8 +183,8 @@ class Stepper:
         assert before is not None and made_with is not None and last.after is not None  # noqa: PT018, S101
         if sent:
             # The robot has the command of this very step, and goes on towards what it desired.
-            gate = last.after.control.gate
-            before = replace(before, control=replace(before.control, gate=gate))
+            gate = last.after.control.limiter
+            before = replace(before, control=replace(before.control, limiter=gate))
         inputs = replace(last.inputs, sent=sent, applied=applied, pace=pace)
         self._state, outputs = stepping.finish(before, plan, inputs, made_with)
         entry = replace(
@@ -241,7 +241,7 @@ class Stepper:
             return True, None, None
         if not (answering and session.moves) or given is None or given.after is None:
             return False, session.held, None
-        gate = given.after.control.gate
+        gate = given.after.control.limiter
         return False, session.held, (tuple(gate.speed.tolist()), tuple(gate.acceleration.tolist()))
 
     def _catch_up(self, stamp_ns: int, steps: int) -> None:

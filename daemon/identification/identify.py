@@ -30,8 +30,8 @@ from linemate.daemon.identification.servo import ServoResult, identify_servos
 from linemate.daemon.identification.swing import SwingResult, identify_swings
 from linemate.daemon.identification.tape import Tape, make_tape
 from linemate.daemon.recording.step_codec import StepRecord
+from linemate.protocol.samples import AXES
 
-AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
 SIGNIFICANT = 4.0  # deviations by which a hand-eye pose must be off to be corrected
 CLOSE = 0.01  # of cycle times that count as the same
 

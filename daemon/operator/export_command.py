@@ -25,8 +25,9 @@ from linemate.daemon.command_line import (
     make_folder,
 )
 from linemate.daemon.operator import console
-from linemate.daemon.recording.format import AXES, LAYOUT, METADATA, STEP, UnreadableRecordingError
+from linemate.daemon.recording.format import LAYOUT, METADATA, STEP, UnreadableRecordingError
 from linemate.daemon.recording.reader import damage_report, layout_of, records
+from linemate.protocol.samples import AXES
 
 if TYPE_CHECKING:
     from mcap.records import Message

@@ -26,7 +26,6 @@ SHOWN_OUTPUTS: Final = (
     "phase", "task_time", "scenario", "scenario_state", "confidence", "speed", "contact", "held",
     "target", "sensed", "part", "command",
 )  # fmt: skip
-AXES: Final = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
 
 
 class UnreadableRecordingError(Exception):

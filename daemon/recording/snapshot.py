@@ -49,6 +49,13 @@ _PARTS = {
 
 # By name in a recording: fields whose name in a recording is not the present one.
 _FIELDS = {
+    "control.controller:ControlState": {
+        "smooth": "past_poses",
+        "passed": "past_joints",
+        "desired": "joints",
+        "wanted": "poses",
+        "gate": "limiter",
+    },
     "tracking.classifier_bank:BankState": {
         "bank": "changes",
         "pushes": "impulses",

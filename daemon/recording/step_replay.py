@@ -275,7 +275,7 @@ class _Replayer:
         if not self._overrides or _fits(state, parameters):
             self._state = state
             return None
-        held = tuple(state.control.gate.position.tolist())
+        held = tuple(state.control.limiter.position.tolist())
         robot = RobotSample(record.inputs.stamp_ns, 0, held[:6], held[6:])
         return self._begin_at(robot, "the recorded state is not one of these parameters")
 
@@ -336,16 +336,16 @@ class _Replayer:
 def _fits(state: stepping.StepState, parameters: Parameters) -> bool:
     """Return whether a state has the shapes that these parameters give."""
     tracker, control = state.tracker, state.control
-    joints = control.gate.position
+    joints = control.limiter.position
     if len(joints) != parameters.controller.arm.axes:
         return False
     robot = RobotSample(0, 0, tuple(joints[:6].tolist()), tuple(joints[6:].tolist()))
     fresh = stepping.initial(parameters, robot)
     pairs = (
         (tracker.poses, fresh.tracker.poses),
-        (control.smooth, fresh.control.smooth),
-        (control.passed, fresh.control.passed),
-        (control.desired, fresh.control.desired),
+        (control.past_poses, fresh.control.past_poses),
+        (control.past_joints, fresh.control.past_joints),
+        (control.joints, fresh.control.joints),
     )
     if any(np.shape(a) != np.shape(b) for a, b in pairs):
         return False

@@ -15,13 +15,13 @@ import numpy as np
 
 from linemate.daemon.config.documents import Complaint
 from linemate.daemon.core import rotations
-from linemate.daemon.core.control.controller import AXES
 from linemate.daemon.core.control.kinematics import UnreachableError
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.step import REST_ANGLE, REST_DISTANCE
 from linemate.daemon.core.tracking import linear_axis
 from linemate.daemon.core.tracking.task import Phase
+from linemate.protocol.samples import AXES
 
 STEP_S = 0.02
 MOST_STEPS = 3000

@@ -111,7 +111,7 @@ def test_a_recording_of_the_inputs_replays_bit_for_bit(assembly: Told) -> None:
 
 def other_fates(state: StepState, inputs: Inputs) -> list[Inputs]:
     """The same inputs, the last command's fate being another: held, held elsewhere, gone on."""
-    gate = state.control.gate
+    gate = state.control.limiter
     there = tuple((gate.position + 1e-4).tolist())
     pace = (tuple(gate.speed.tolist()), tuple(gate.acceleration.tolist()))
     return [
@@ -350,7 +350,7 @@ def test_hold_in_motion_comes_to_rest_within_the_limits_and_stays_there(assembly
     k = next(i for i, outputs in enumerate(assembly.outputs) if (outputs.task_time or 0.0) > 2.0)
     before = [outputs.command for outputs in assembly.outputs[:k]]
     state = assembly.states[k]
-    assert np.abs(state.control.gate.speed).max() > 0.05
+    assert np.abs(state.control.limiter.speed).max() > 0.05
     commands = []
     for inputs in assembly.inputs[k : k + 80]:
         state, outputs = step(state, replace(inputs, order=MotionOrder.HOLD), P)
@@ -626,7 +626,7 @@ def test_where_the_robot_holds_may_be_told() -> None:
 def test_a_robot_that_goes_on_is_led_as_if_the_step_before_were_its_own(assembly: Told) -> None:
     k = next(k for k, o in enumerate(assembly.outputs) if (o.task_time or 0.0) > 2.0)
     state, inputs = assembly.states[k], assembly.inputs[k]
-    gate = state.control.gate
+    gate = state.control.limiter
     there = tuple(gate.position.tolist())
     pace = (tuple(gate.speed.tolist()), tuple(gate.acceleration.tolist()))
     sent, told = step(state, inputs, P)
@@ -634,9 +634,9 @@ def test_a_robot_that_goes_on_is_led_as_if_the_step_before_were_its_own(assembly
     held, _ = step(state, replace(inputs, sent=False, applied=there), P)
     assert np.abs(gate.speed).max() > 0.05
     assert goes_on.command == pytest.approx(told.command, abs=1e-9)
-    asked = sent.control.gate.acceleration
-    assert on.control.gate.acceleration == pytest.approx(asked, abs=1e-6)
-    assert np.abs(held.control.gate.acceleration - asked).max() > 1.0
+    asked = sent.control.limiter.acceleration
+    assert on.control.limiter.acceleration == pytest.approx(asked, abs=1e-6)
+    assert np.abs(held.control.limiter.acceleration - asked).max() > 1.0
     # One that held has set its tool ringing, and its force tells nothing for a while.
     assert on.tracker.feeling == sent.tracker.feeling
     assert held.tracker.feeling.calm == 0 < sent.tracker.feeling.calm
@@ -647,10 +647,10 @@ def test_a_robot_that_goes_on_brakes_within_its_limits_though_it_was_taken_to_st
 ) -> None:
     k = next(k for k, o in enumerate(assembly.outputs) if (o.task_time or 0.0) > 2.0)
     before, state = assembly.states[k - 2 : k]
-    gate = state.control.gate
+    gate = state.control.limiter
     there = tuple(gate.position.tolist())
     pace = (tuple(gate.speed.tolist()), tuple(gate.acceleration.tolist()))
-    commands = [tuple(s.control.gate.position.tolist()) for s in (before, state)]
+    commands = [tuple(s.control.limiter.position.tolist()) for s in (before, state)]
     hold = replace(
         assembly.inputs[k], order=MotionOrder.HOLD, start=False, sent=False, applied=there
     )

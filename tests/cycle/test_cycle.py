@@ -554,7 +554,7 @@ def test_a_step_that_is_finished_once_more_replays_from_the_state_that_it_tells(
         after, outputs = stepping.step(entry.before, entry.inputs, parameters)
         assert outputs.command == entry.outputs.command
         assert entry.after is not None
-        assert np.array_equal(after.control.gate.position, entry.after.control.gate.position)
+        assert np.array_equal(after.control.limiter.position, entry.after.control.limiter.position)
 
 
 @pytest.mark.parametrize("ahead", [1, 2])

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from linemate.daemon.core.control.controller import AXES
 from linemate.daemon.service import main as service
+from linemate.protocol.samples import AXES
 
 LINEMATED = [sys.executable, "-m", "linemate.daemon.service.main"]
 

@@ -85,22 +85,22 @@ def _largest_acceleration(speed: float, cap: float, jerk: float, period: float) 
     From an acceleration a the speed rises by a^2/2j + aT/2 before jerk can end it, and by aT in
     this step.
     """
-    room = cap - speed
-    if room < 0.0:
-        return room / period
+    margin = cap - speed
+    if margin < 0.0:
+        return margin / period
     b = 1.5 * period
-    return jerk * (math.sqrt(b * b + 2.0 * room / jerk) - b)
+    return jerk * (math.sqrt(b * b + 2.0 * margin / jerk) - b)
 
 
-def _stoppable_speed(room: float, bounds: AxisBounds) -> float:
-    """Return the speed from which a stop within ``room`` is possible with limited jerk.
+def _stoppable_speed(way: float, bounds: AxisBounds) -> float:
+    """Return the speed from which a stop within ``way`` is possible with limited jerk.
 
-    ``room = c u + u^2 / 2A`` with c the time that jerk needs to build the deceleration up and to
+    ``way = c u + u^2 / 2A`` with c the time that jerk needs to build the deceleration up and to
     end it, and three steps of margin.
     """
     A = bounds.acceleration
     c = 2.0 * A / bounds.jerk + 3.0 * bounds.period
-    return A * (math.sqrt(c * c + 2.0 * max(room, 0.0) / A) - c)
+    return A * (math.sqrt(c * c + 2.0 * max(way, 0.0) / A) - c)
 
 
 def clip(value: float, low: float, high: float) -> float:

@@ -1,7 +1,8 @@
-"""From a horizon of desired poses to the joints' setpoints: (16), (11), kinematics, (12), gate.
+"""From a horizon of desired poses to the joints' setpoints: (16), (11), kinematics, (12), limits.
 
-Law of this file: a straight line through the paper's Sect. IV; the filters were made at start-up
-and are only applied here. No measured pose of the robot enters: the chain is feed-forward.
+Invariants:
+- Filters are designed at start-up and only applied in a step.
+- Feed-forward: no measured pose of the robot enters.
 """
 
 import math
@@ -19,24 +20,24 @@ from linemate.daemon.core.control.settings import BrakeSettings, ControlSettings
 from linemate.daemon.core.control.smoothing import smoothing_taps
 from linemate.daemon.core.control.tcp_limit import TcpLimit
 from linemate.daemon.core.horizon import Array, Horizon
+from linemate.protocol.samples import AXES
 
-AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
-LONGEST_STAND_IN = 0.03  # of the linear axis' way that the arm makes up for [m]
-LARGEST_STAND_IN = 0.1  # change of a joint for it, which near a singular pose would be larger [rad]
+LONGEST_STAND_IN = 0.03  # lag of the linear axis that the arm compensates [m]
+LARGEST_STAND_IN = 0.1  # change of a joint for it; larger near a singular pose [rad]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Controller:
-    """What control needs, compiled.
+    """Compiled parameters of control.
 
     Attributes:
         smoothing: taps (n_imp + 1,) of (16).
         effector: taps (n_l + 1 + n_u, 6) of (11), in the tool's frame.
-        damper: (6, n_rob + 1, n_l + n_rob + 1 + n_u) the change that (11) makes of x_s, each
-            component's taps as rows of a matrix.
+        damper: (6, n_rob + 1, n_l + n_rob + 1 + n_u) change that (11) adds to x_s, each component's
+            taps as rows of a matrix.
         servo: taps (past + 1 + n_rob, axes) of (12).
         servo_past: steps of (12) in the past.
-        limits: of the last gate.
+        limits: of the command limiter.
         gentle: with which a hold comes to rest.
         steps: n, the horizon that control reads.
         contact_steps: over how many steps (11) is blended out before contact.
@@ -63,20 +64,21 @@ class Controller:
 
 
 class ControlState(Struct, frozen=True, eq=False):
-    """What control remembers.
+    """State of control.
 
     Attributes:
-        smooth: (n_l, 6) the last x_s(0), oldest first.
-        passed: (servo_past, axes) the last q_d(0), oldest first.
-        desired: (n_rob + 1, axes) q_d of the last step, the next guess.
-        wanted: (n_rob + 1, 6) the x_d that they are for.
+        past_poses: (n_l, 6) the last x_s(0), oldest first.
+        past_joints: (servo_past, axes) the last q_d(0), oldest first.
+        joints: (n_rob + 1, axes) q_d of the last step, the next guess of the inverse kinematics.
+        poses: (n_rob + 1, 6) the x_d of ``joints``.
+        limiter: of the commands.
     """
 
-    smooth: Array
-    passed: Array
-    desired: Array
-    wanted: Array
-    gate: LimiterState
+    past_poses: Array
+    past_joints: Array
+    joints: Array
+    poses: Array
+    limiter: LimiterState
 
 
 def compile_controller(
@@ -85,7 +87,7 @@ def compile_controller(
     """Return the controller with its filters designed.
 
     Args:
-        conveyor_speed: which the tcp may have beside its own [m/s].
+        conveyor_speed: added to the limit of the tcp's speed [m/s].
 
     Raises:
         ValueError: fewer servo models or limits than axes, or a model that cannot be inverted.
@@ -143,7 +145,7 @@ def compile_controller(
 
 
 def _damper(taps: Array, past: int, count: int) -> Array:
-    """Return the change that a filter makes, for ``count`` steps: its rows less what goes in."""
+    """Return the change that a filter adds, for ``count`` steps: its rows minus the identity."""
     length, components = taps.shape
     rows = np.zeros((components, count, count + length - 1))
     for i in range(count):
@@ -153,7 +155,7 @@ def _damper(taps: Array, past: int, count: int) -> Array:
 
 
 def _gentle(brake: BrakeSettings, bounds: Limits) -> Limits:
-    """Return the limits of a stop: never more than those of the gate."""
+    """Return the limits of a stop: at most those of the command limiter."""
     axes = len(bounds.names)
     acceleration = np.array((*(brake.acceleration,) * 6, brake.axis_acceleration)[:axes])
     jerk = np.array((*(brake.jerk,) * 6, brake.axis_jerk)[:axes])
@@ -167,11 +169,11 @@ def _gentle(brake: BrakeSettings, bounds: Limits) -> Limits:
 def at_rest(controller: Controller, joints: Array, pose: Array) -> ControlState:
     """Return the state of a robot that stands at ``joints`` (axes,), its tcp at ``pose`` (6,)."""
     return ControlState(
-        smooth=np.tile(pose, (controller.effector_past, 1)),
-        passed=np.tile(joints, (controller.servo_past, 1)),
-        desired=np.tile(joints, (controller.preview + 1, 1)),
-        wanted=np.tile(pose, (controller.preview + 1, 1)),
-        gate=command_limiter.at_rest(joints),
+        past_poses=np.tile(pose, (controller.effector_past, 1)),
+        past_joints=np.tile(joints, (controller.servo_past, 1)),
+        joints=np.tile(joints, (controller.preview + 1, 1)),
+        poses=np.tile(pose, (controller.preview + 1, 1)),
+        limiter=command_limiter.at_rest(joints),
     )
 
 
@@ -210,12 +212,12 @@ def damp(controller: Controller, smoothed: Array, free: Array, first: int = 0) -
     return desired
 
 
-class Aim(Struct, frozen=True, eq=False):
-    """Where one step along the horizon leads, whatever the robot made of the last command.
+class DesiredCommand(Struct, frozen=True, eq=False):
+    """Desired command of one step; it does not depend on the delivery of the last one.
 
     Attributes:
-        state: one step later but for the gate, which is the last step's.
-        command: (axes,) that is desired, None if the arm does not reach its pose.
+        state: one step later; its ``limiter`` is still the last step's.
+        command: (axes,), None if the arm does not reach its pose.
         reason: why it does not.
     """
 
@@ -224,76 +226,78 @@ class Aim(Struct, frozen=True, eq=False):
     reason: str | None = None
 
 
-def aim(controller: Controller, state: ControlState, horizon: Horizon) -> Aim:
-    """Return the command that is desired in this step, by (16), (11), kinematics and (12).
+def desire_command(controller: Controller, state: ControlState, horizon: Horizon) -> DesiredCommand:
+    """Return the desired command of this step, by (16), (11), kinematics and (12).
 
-    Joints whose poses, and all that (16) and (11) read of them, were committed before are the
+    Joints whose poses were committed before, with all that (16) and (11) read of them, are the
     last step's and are not solved again.
     """
     count, past = controller.preview + 1, controller.effector_past
     ahead = len(controller.effector) - 1 - past
     reach = ahead + len(controller.smoothing) - 1
     kept = min(max(horizon.committed - reach + 1, 0), count - 1)
-    smoothed = np.concatenate((state.smooth, smooth(controller, horizon.poses, count + ahead)))
+    smoothed = np.concatenate((state.past_poses, smooth(controller, horizon.poses, count + ahead)))
     fresh = damp(controller, smoothed, horizon.free, kept)
-    before = np.concatenate((state.wanted[kept + 1 :], state.wanted[-1:]))
-    last = state.desired
+    before = np.concatenate((state.poses[kept + 1 :], state.poses[-1:]))
+    last = state.joints
     guesses = np.concatenate((last[kept + 1 :], (2.0 * last[-1] - last[-2])[None]))
     if controller.arm.linear_axis:
         guesses[:, 6] = horizon.axis[kept:count]
     try:
         solved = controller.arm.follow(guesses, fresh, horizon.nominal, before)
     except UnreachableError as error:
-        return Aim(state, None, str(error))
-    window = np.concatenate((state.passed, last[1 : kept + 1], solved))
+        return DesiredCommand(state, None, str(error))
+    window = np.concatenate((state.past_joints, last[1 : kept + 1], solved))
     later = ControlState(
-        smooth=smoothed[1 : past + 1],
-        passed=window[1 : controller.servo_past + 1],
-        desired=window[controller.servo_past :],
-        wanted=np.concatenate((state.wanted[1 : kept + 1], fresh)),
-        gate=state.gate,
+        past_poses=smoothed[1 : past + 1],
+        past_joints=window[1 : controller.servo_past + 1],
+        joints=window[controller.servo_past :],
+        poses=np.concatenate((state.poses[1 : kept + 1], fresh)),
+        limiter=state.limiter,
     )
-    return Aim(later, np.add.reduce(controller.servo * window))
+    return DesiredCommand(later, np.add.reduce(controller.servo * window))
 
 
-def reach(
-    controller: Controller, aimed: Aim, gate: LimiterState, *, clamped: bool = False
+def limit_command(
+    controller: Controller, desired: DesiredCommand, limiter: LimiterState, *, clamped: bool = False
 ) -> tuple[ControlState, str | None]:
-    """Return the state after the last gate; its gate's position is the command.
+    """Return the state after the command limiter; its limiter's position is the command.
 
     Args:
-        aimed: at what is desired.
-        gate: of the commands that the robot has; without a pose to aim at it brakes.
-        clamped: the tool is clamped to the object: what the linear axis is behind, the arm makes
-            up for.
+        controller: with the limits.
+        desired: command of this step.
+        limiter: of the commands that the robot has; without a desired command it brakes.
+        clamped: the tool is clamped to the object: the arm compensates the linear axis' lag.
 
     Returns:
         The new state, and None or the reason why the command is not the one desired.
     """
-    if aimed.command is None:
-        return stop(controller, structs.replace(aimed.state, gate=gate)), aimed.reason
+    if desired.command is None:
+        return stop(controller, structs.replace(desired.state, limiter=limiter)), desired.reason
     bounds = controller.limits
-    after, held = command_limiter.admit(gate, aimed.command, bounds)
+    after, held = command_limiter.admit(limiter, desired.command, bounds)
     if clamped and held is not None and controller.arm.linear_axis:
-        command = _made_up(controller, aimed.command, float(after.position[6]))
-        after, held = command_limiter.admit(gate, command, bounds)
+        command = _add_stand_in(controller, desired.command, float(after.position[6]))
+        after, held = command_limiter.admit(limiter, command, bounds)
     if not tcp_limit.is_slow(after, controller.tcp_limit):
-        jacobian = controller.arm.tcp_jacobian(gate.position)
+        jacobian = controller.arm.tcp_jacobian(limiter.position)
         cap = controller.tcp_limit.commanded
-        slower = tcp_limit.slow_down(gate, after, jacobian, bounds, cap)
+        slower = tcp_limit.slow_down(limiter, after, jacobian, bounds, cap)
         if slower is not after:
             after, held = slower, "limited: tcp" if held is None else f"{held}, tcp"
-    return structs.replace(aimed.state, gate=after), held
+    return structs.replace(desired.state, limiter=after), held
 
 
-def _made_up(controller: Controller, command: Array, rail: float) -> Array:
-    """Return a command (axes,) whose arm makes up for a linear axis that is behind.
+def _add_stand_in(controller: Controller, command: Array, rail: float) -> Array:
+    """Return a command (axes,) whose arm compensates the lag of the linear axis.
 
-    The linear axis catches up at 12 m/s^2, the arm in a cycle or two. A clamped tool whose robot
-    held for 84 ms beside a car at 106 mm/s was so pulled with 326 N instead of 200 N.
+    The linear axis catches up at 12 m/s^2, the arm within two cycles. Without this a clamped tool
+    was pulled with 326 N instead of 200 N after a hold of 84 ms at 106 mm/s.
 
     Args:
-        rail: where the linear axis is sent instead [m].
+        controller: with the arm.
+        command: that is desired.
+        rail: limited position of the linear axis [m].
     """
     short = float(command[6]) - rail
     if not 0.0 < abs(short) <= LONGEST_STAND_IN:
@@ -304,12 +308,12 @@ def _made_up(controller: Controller, command: Array, rail: float) -> Array:
         return command
     if float(np.abs(change).max()) > LARGEST_STAND_IN:
         return command
-    made_up = command.copy()
-    made_up[:6] += change
-    return made_up
+    extended = command.copy()
+    extended[:6] += change
+    return extended
 
 
 def stop(controller: Controller, state: ControlState) -> ControlState:
     """Return the state after one step of a gentle stop within the limits."""
-    gate = command_limiter.brake(state.gate, controller.limits, controller.gentle)
-    return structs.replace(state, gate=gate)
+    limiter = command_limiter.brake(state.limiter, controller.limits, controller.gentle)
+    return structs.replace(state, limiter=limiter)

@@ -1,11 +1,11 @@
-"""Inverse filters, computed off line: taps that undo what a servo or an elastic mode does.
+"""Inverse filters of servos (12) and elastic modes (11), designed off line.
 
-Law of this file: models in (SI), taps out, at start-up. A model is its frequency response at the
-sampling instants; the inverse is the least squares fit ``R(w) H(w) = 1`` over the band in which
-the desired motion lives, with taps that sum to 1 (no error at rest).
+A model is its frequency response at the sampling instants. The inverse is the least squares fit
+``R(w) H(w) = 1`` over the band of the desired motion.
 
-The reach is local on purpose (reading notes, "The merge", 2): a tap that looks behind the commit
-point reads a plan that may still change.
+Invariants:
+- Taps sum to 1: no error at rest.
+- The reach is short: a tap that reads behind the commit point reads a plan that may still change.
 """
 
 import math
@@ -17,7 +17,7 @@ from linemate.daemon.core.horizon import Array
 
 
 def ramp_response(t: Array, omega: float, damping: float) -> Array:
-    """Return the answer of ``w^2 / (s^2 + 2 z w s + w^2)`` to a unit ramp from t = 0; 0 before."""
+    """Return the response of ``w^2 / (s^2 + 2 z w s + w^2)`` to a unit ramp from t = 0."""
     z, w = damping, omega
     late = np.maximum(t, 0.0)
     if abs(z - 1.0) < 1e-6:
@@ -39,8 +39,8 @@ def servo_pulse(model: ServoModel, cycle_s: float) -> Array:
     """Return the pulse response h (m,) of one axis at the sampling instants.
 
     ``q(k) = sum_j h_j q_c(k - j)``: the controller interpolates from one setpoint to the next
-    over the cycle *after* its telegram, then the dead time, then the servo. A setpoint is thus a
-    triangle of ramps, whose answers are known in closed form.
+    over the cycle *after* its telegram; dead time and servo follow. A setpoint is a triangle of
+    ramps, whose responses are known in closed form.
     """
     omega, z = 2.0 * math.pi * model.frequency_hz, model.damping
     slowest = omega * (z - math.sqrt(max(z * z - 1.0, 0.0)))  # of the poles' decays
@@ -73,8 +73,8 @@ def _fit(
 ) -> Array:
     """Return the taps (m,) that minimise ``weight |R H - 1|^2 + ridge |R|^2``.
 
-    They sum to 1, so that rest is exact, and lead by the model's delay [steps], so that a ramp
-    is: without it a 4 Hz servo keeps 36 um on a 106 mm/s ramp.
+    Two constraints: the taps sum to 1 (exact at rest) and lead by the model's delay [steps] (exact
+    on a ramp; without it a 4 Hz servo keeps 36 um at 106 mm/s).
     """
     shift = np.exp(1j * np.outer(omega * cycle_s, taps)) * response[:, None]
     A = np.vstack((shift.real, shift.imag)) * np.tile(weight, 2)[:, None]
@@ -93,8 +93,8 @@ def _fit(
 def _band(settings: FilterSettings) -> tuple[Array, Array]:
     """Return the training band: ``omega`` (m,) [rad/s] and the signal's amplitude in it.
 
-    The motions are slow at heart (a conveyor at constant speed, a swing below 1 Hz): the weight
-    of the lowest frequencies makes ramps exact, the tenth part above keeps the merge inside.
+    The motions are slow (a conveyor at constant speed, a swing below 1 Hz). The weight of the
+    lowest frequencies makes ramps exact, the tenth part above covers the merge.
     """
     f = np.linspace(0.02, settings.wide_hz, 400)
     weight = np.where(f <= settings.band_hz, 1.0, 0.1) + 2.0 * np.exp(-((f / 0.5) ** 2))
@@ -120,8 +120,8 @@ def servo_inverse(model: ServoModel, settings: FilterSettings, cycle_s: float) -
 def effector_inverse(mode: EffectorMode, settings: FilterSettings, cycle_s: float) -> Array:
     """Return the taps of (11) for one elastic mode.
 
-    The tcp follows its undeflected place through ``(2 z w s + w^2) / (s^2 + 2 z w s + w^2)``:
-    the suspension is moved, not pushed.
+    The tcp follows its undeflected position through ``(2 z w s + w^2) / (s^2 + 2 z w s + w^2)``:
+    the suspension is moved at its base.
     """
     omega, weight = _band(settings)
     w = 2.0 * math.pi * mode.frequency_hz

@@ -1,7 +1,9 @@
-"""The arm from its URDF: where the tcp is, and which joints put it somewhere.
+"""Forward and inverse kinematics of the arm, from its URDF.
 
-Law of this file: the only one that knows pinocchio, whose values are untyped and stop here.
-Joint vectors are A1..A6 [rad] and then E1 [m] where there is a linear axis; poses stand in base.
+Joint vectors are A1..A6 [rad], then E1 [m] where there is a linear axis. Poses are in base.
+
+Invariants:
+- The only module that imports pinocchio, whose values are untyped.
 """
 
 import math
@@ -19,21 +21,21 @@ _LOCAL = pin.ReferenceFrame.LOCAL
 _RAIL_FIRST = np.array((6, 0, 1, 2, 3, 4, 5))
 _RAIL_LAST = np.array((1, 2, 3, 4, 5, 6, 0))
 _ORIGIN = np.zeros(3)
-CHANGED = 1e-3  # of a pose, beyond which a list is looked at whole [m, rad]
-FAR = 0.01  # of a guess, beyond which one step is not enough [m, rad]
-MOST = 50  # iterations for a pose by itself
-MOST_IN_CYCLE = 12  # and in a list, at 30 us each; what a radian away is reached takes eight
+LARGEST_CHANGE = 1e-3  # of a pose, beyond which errors of a whole list are computed [m, rad]
+LARGEST_ERROR = 0.01  # of a guess, beyond which one Newton step is not enough [m, rad]
+MOST_ITERATIONS = 50  # for a single pose
+MOST_IN_CYCLE = 12  # for a pose of a list, 30 us each; a pose 1 rad away takes eight
 
 
 class KinematicsError(ValueError):
-    """A URDF that this arm cannot be: the message says what is missing."""
+    """The URDF does not describe the task's arm; the message names what is missing."""
 
 
 class UnreachableError(ValueError):
     """A pose that the arm does not reach.
 
     Attributes:
-        residual: what was left after the last iteration [m, rad].
+        residual: error after the last iteration [m, rad].
     """
 
     def __init__(self, residual: float) -> None:
@@ -49,8 +51,8 @@ class Arm:
         tcp: the undeflected tcp's frame in the model.
         linear_axis: the first joint of the URDF is E1.
         lower, upper: (m,) position limits of the URDF, A1..A6 then E1.
-        levers: (m,) upper bound of the tcp's speed for a unit of each axis' speed, whatever the
-            pose: the length of the chain behind a turning axis [m], 1 for E1.
+        levers: (m,) upper bound of the tcp's speed for a unit of each axis' speed in any pose: the
+            length of the chain behind a turning axis [m], 1 for E1.
     """
 
     model: Any
@@ -101,7 +103,7 @@ class Arm:
         return found
 
     def _placed(self, q: Array) -> Any:
-        """Return the tcp's placement; of data that the next call writes over."""
+        """Return the tcp's placement; the next call overwrites it."""
         pin.forwardKinematics(self.model, self.data, q)
         return pin.updateFramePlacement(self.model, self.data, self.tcp)
 
@@ -112,11 +114,11 @@ class Arm:
         rotation: Array,
         *,
         tolerance: float = 1e-9,
-        most: int = MOST,
+        most: int = MOST_ITERATIONS,
     ) -> Array:
-        """Return the joints near ``guess`` that put the tcp at a pose; Newton on SE(3).
+        """Return the joints near ``guess`` that bring the tcp to a pose; Newton on SE(3).
 
-        The linear axis stays where ``guess`` has it.
+        The linear axis keeps its position in ``guess``.
 
         Raises:
             UnreachableError: no convergence in ``most`` iterations.
@@ -131,27 +133,27 @@ class Arm:
             if residual < tolerance:
                 return np.concatenate((q[1:7], q[:1])) if self.linear_axis else q
             if not np.isfinite(residual):
-                break  # a pose that is no number; least squares would raise something else
+                break  # the pose is not finite; least squares would raise another error
             J = pin.computeFrameJacobian(self.model, self.data, q, self.tcp, _LOCAL)[:, arm]
             step = np.linalg.lstsq(J, error, rcond=1e-6)[0]
             q[arm] += step * min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-12))
         raise UnreachableError(residual)
 
-    def stand_in(self, joints: Array, short: float) -> Array:
+    def stand_in(self, joints: Array, missing: float) -> Array:
         """Return the change of A1..A6 (6,) [rad] that moves the tcp as the linear axis would.
 
-        To first order: off by some 0.05 mm and 0.1 mrad at 10 mm.
+        To first order; the error is 0.05 mm and 0.1 mrad at 10 mm.
 
         Args:
             joints: (axes,), of an arm with a linear axis.
-            short: way of the linear axis that is missing [m].
+            missing: way of the linear axis [m].
 
         Raises:
             UnreachableError: the arm is singular there.
         """
         q = self._order(joints)
         J = pin.computeFrameJacobian(self.model, self.data, q, self.tcp, _LOCAL)
-        _, _, change, singular = _solve(J[:, self._inner], J[:, 0] * short, True, False)
+        _, _, change, singular = _solve(J[:, self._inner], J[:, 0] * missing, True, False)
         if singular:
             raise UnreachableError(math.inf)
         return np.asarray(change)
@@ -164,22 +166,19 @@ class Arm:
         before: Array | None = None,
         tolerance: float = 2e-5,
     ) -> Array:
-        """Return the joints (m, axes) for m neighbouring poses, each from its own warm guess.
+        """Return the joints (m, axes) for m neighbouring poses: one Newton step from warm guesses.
 
-        One Jacobian serves all poses: the guesses are last step's answers, off by micrometres,
-        so that its change over the list is of second order. Where it is known for which poses
-        they were the answers, the first and the last alone are looked at exactly; what is left
-        off in between is put right when a pose has come to the front, before it is committed.
+        One Jacobian J serves all poses. Of an error e it leaves (1 - J_i J^-1) e: the guesses are
+        the last step's results, off by micrometres, so that this is of second order. With
+        ``before``, only the errors of the first and the last pose are computed exactly. The others
+        are corrected once their pose is the first of the list, before it is committed.
 
         Args:
-            guesses: (m, axes), m >= 2; the linear axis stays where they have it.
+            guesses: (m, axes), m >= 2; the linear axis keeps their positions.
             poses: (m, 6) of the tcp in a frame c, position [m] and rotation vector [rad].
             nominal: (3, 3) C, the axes of c in base.
-            before: (m, 6) for which the guesses were found, or None.
-            tolerance: of a pose that is solved alone [m, rad].
-
-        Returns:
-            The joints.
+            before: (m, 6) poses of which the guesses are the solutions, or None.
+            tolerance: of a pose that is solved by itself [m, rad].
 
         Raises:
             UnreachableError: a pose that no iteration reaches.
@@ -187,14 +186,13 @@ class Arm:
         base = pin.SE3(nominal, _ORIGIN)
         q, last = self._order(guesses), len(guesses) - 1
         errors = np.empty((last + 1, 6)) if before is None else _moved(poses, before)
-        looked_at = range(last + 1)
-        if before is not None and _is_within(errors[:-1], CHANGED):
-            looked_at = range(0, last + 1, max(1, last))
-        for i in looked_at:
+        computed = range(last + 1)
+        if before is not None and _is_within(errors[:-1], LARGEST_CHANGE):
+            computed = range(0, last + 1, max(1, last))
+        for i in computed:
             target = base.act(pin.SE3(pin.exp3(poses[i, 3:]), poses[i, :3]))
             errors[i] = pin.log6(self._placed(q[i]).actInv(target)).vector
-        # The one Jacobian leaves a share of the correction that grows with its square.
-        if _is_within(errors, FAR):
+        if _is_within(errors, LARGEST_ERROR):
             return self._corrected(guesses, q[len(q) // 2], errors)
         if not np.isfinite(errors).all():
             raise UnreachableError(float(np.abs(errors).max()))
@@ -205,10 +203,10 @@ class Arm:
 
         Args:
             q: (axes,) where the Jacobian is taken, in the URDF's order.
-            errors: (m, 6) twists of the tcp that are left [m, rad]; written over.
+            errors: (m, 6) remaining twists of the tcp [m, rad]; overwritten.
         """
         J = pin.computeFrameJacobian(self.model, self.data, q, self.tcp, _LOCAL)
-        # LAPACK itself: numpy's wrapper costs six times what these six rows do.
+        # LAPACK directly: numpy's wrapper costs six times as much for six rows.
         _, _, steps, singular = _solve(J[:, self._inner], errors.T, True, True)
         if singular:
             raise UnreachableError(math.inf)
@@ -218,11 +216,11 @@ class Arm:
         return joints
 
     def _one_by_one(self, guesses: Array, poses: Array, nominal: Array, tolerance: float) -> Array:
-        """Return the joints (m, axes) for poses that are far from where the guesses are.
+        """Return the joints (m, axes) for poses that are far from the guesses, pose by pose.
 
-        A robot that cannot follow asks for this in every cycle, so that it must not take one: the
-        far end is the first to be out of reach and is tried first, and by how much a guess was
-        off tells it of its neighbour's.
+        A robot that cannot follow needs this in every cycle, so that it must be short. The far end
+        is the first to be out of reach and is solved first. The correction of a guess is the first
+        guess of its neighbour's.
         """
         joints, off = np.empty_like(guesses), np.zeros(self.axes)
         last = len(poses) - 1
@@ -242,9 +240,9 @@ def _moved(poses: Array, before: Array) -> Array:
 
 
 def _is_within(errors: Array, bound: float) -> bool:
-    """Tell whether all are smaller than a bound; what is no number is not.
+    """Return whether all are smaller than a bound; NaN is not.
 
-    So are all whose squares sum up to less than its own, which is told in a fifth of the time.
+    The sum of squares below the bound's is sufficient and costs a fifth of the maximum.
     """
     return bool(np.vdot(errors, errors) < bound * bound or np.abs(errors).max() < bound)
 

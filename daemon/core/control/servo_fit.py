@@ -1,8 +1,7 @@
-"""The servo's forward model fitted to what was commanded and what was answered.
+"""Fit of the servo's forward model to setpoints and measured answers.
 
-Law of this file: pure; the model that is fitted is the one that ``inverse_filter`` inverts. Always
-forward, from commands that carry no noise to answers that may: a regression the other way round is
-biased by the answers' noise (reading notes, point 8).
+The model is the one that ``inverse_filter`` inverts. The fit is always forward, from commands
+without noise to answers with noise: the inverse regression is biased by the answers' noise.
 """
 
 import math
@@ -17,14 +16,13 @@ from linemate.daemon.core.control.settings import ServoModel
 from linemate.daemon.core.horizon import Array
 
 Mask = NDArray[np.bool_]
-Residuals = Callable[[Array], Array]
-"""From free parameters (3,) to what is left (m,)."""
+Residuals = Callable[[Array], Array]  # from free parameters (3,) to residuals (m,)
 
 FREQUENCY_HZ = (0.5, 25.0)
 DAMPING = (0.2, 2.0)
 DEAD_TIME = (0.0, 0.15)
 ITERATIONS = 40
-OUTLIER = 6.0  # deviations of the residual beyond which a row is left out
+OUTLIER = 6.0  # standard deviations of the residual beyond which an answer is excluded
 STARTS = tuple(
     ServoModel(frequency_hz, 0.8, dead_time)
     for frequency_hz in (2.5, 4.0, 6.5, 10.0)
@@ -52,11 +50,11 @@ class ServoFit:
 
     Attributes:
         covariance: (3, 3) of frequency [Hz], damping and dead time [s].
-        residual: root mean square of what is left [rad, m].
-        motion: the same of what the model explains beside the setpoint itself.
-        rows: answers that took part.
-        left_out: answers that did not, as outliers.
-        converged: the iteration came to rest within the bounds.
+        residual: root mean square of the residuals [rad, m].
+        motion: root mean square of the modelled servo lag [rad, m].
+        rows: number of answers that were used.
+        left_out: number of answers excluded as outliers.
+        converged: the iteration converged within the bounds.
     """
 
     model: ServoModel
@@ -69,7 +67,7 @@ class ServoFit:
 
 
 def simulate(model: ServoModel, commands: Array, cycle_s: float) -> Array:
-    """Return what an axis answers (n,) to commands (n,), having stood at the first for ever."""
+    """Return the answers (n,) of an axis to commands (n,) after a long stand at the first."""
     pulse = servo_pulse(model, cycle_s)
     first = commands[0]
     answer: Array = np.convolve(commands - first, pulse)[: len(commands)] + first
@@ -77,20 +75,20 @@ def simulate(model: ServoModel, commands: Array, cycle_s: float) -> Array:
 
 
 def settling_steps(model: ServoModel, cycle_s: float) -> int:
-    """Return after how many cycles what was commanded before no longer counts."""
+    """Return after how many cycles an earlier setpoint has no effect."""
     return len(servo_pulse(model, cycle_s))
 
 
 def fit(
     passages: Sequence[Passage], cycle_s: float, start: ServoModel | None = None
 ) -> ServoFit | None:
-    """Return the model that explains the answers best; least squares with outliers left out.
+    """Return the model with the least squared error; outliers are excluded.
 
-    A constant difference of answers and commands, of each passage, is a nuisance that is fitted
-    along: an encoder's zero is no property of the servo.
+    A constant difference of answers and commands is fitted for each segment: the zero of an
+    encoder is no property of the servo.
 
     Args:
-        start: where to begin; without one a coarse grid is searched.
+        start: first guess; without one a coarse grid is searched.
 
     Returns:
         The fit, or None where there are too few answers.
@@ -165,7 +163,7 @@ def _summary(
 
 
 def _begins_moving(passage: Passage) -> bool:
-    """Return whether what was commanded before the passage may still be felt in it."""
+    """Return whether setpoints before the segment may still act in it."""
     known = passage.answers[:3][np.isfinite(passage.answers[:3])]
     if not len(known):
         return True
@@ -193,7 +191,7 @@ def _model(theta: Array) -> ServoModel:
 
 
 def _jacobian(residuals: Residuals, theta: Array) -> Array:
-    """Return the derivatives (m, 3) of the residuals, central where the bounds let them be."""
+    """Return the derivatives (m, 3) of the residuals, central within the bounds."""
     columns = []
     for i, step in enumerate(_STEPS):
         shift = np.zeros(3)
@@ -206,7 +204,7 @@ def _jacobian(residuals: Residuals, theta: Array) -> Array:
 
 
 def _descend(residuals: Residuals, theta: Array) -> tuple[Array, bool]:
-    """Return the nearest minimum by Levenberg and Marquardt, and whether it came to rest."""
+    """Return the nearest minimum by Levenberg-Marquardt, and whether it converged."""
     e = residuals(theta)
     cost, damping = float(e @ e), 1e-3
     for _ in range(ITERATIONS):
@@ -234,9 +232,9 @@ def _descend(residuals: Residuals, theta: Array) -> tuple[Array, bool]:
 
 
 def _drop(e: Array, masks: list[Mask]) -> int:
-    """Take gross outliers out of the masks; return how many."""
+    """Exclude gross outliers from the masks; return how many."""
     deviation = 1.4826 * float(np.median(np.abs(e - np.median(e))))
-    # Residuals of clean encoders are tiny and heavy-tailed: only what stands out twice is gross.
+    # Residuals of clean encoders are tiny and heavy-tailed: both limits must be exceeded.
     limit = max(OUTLIER * deviation, 3.0 * float(np.sqrt(np.mean(e * e))))
     dropped, begin = 0, 0
     for mask in masks:
@@ -249,7 +247,7 @@ def _drop(e: Array, masks: list[Mask]) -> int:
 
 
 def _coloured(e: Array) -> float:
-    """Return by how much correlation of the residuals widens a variance."""
+    """Return the factor by which correlation of the residuals enlarges a variance."""
     n = len(e)
     power = float(e @ e)
     if power <= 0.0:

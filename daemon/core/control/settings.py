@@ -1,6 +1,7 @@
-"""What can be set of control: servo and effector models, filters, limits.
+"""Settings of control: servo and effector models, filters, limits.
 
-Law of this file: frozen values in SI units with their ranges; nothing computed.
+Invariants:
+- Frozen values in SI units with their ranges; nothing is computed.
 """
 
 from dataclasses import dataclass
@@ -8,7 +9,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Gt, Le, Len, Lt
 
-# Wide of any arm, and too narrow for degrees, millimetres or milliseconds.
+# Wider than any arm needs; values in degrees, millimetres or milliseconds are out of range.
 Place = Annotated[float, Ge(-30.0), Le(30.0)]
 Acceleration = Annotated[float, Ge(0.01), Le(100.0)]
 Jerk = Annotated[float, Ge(0.1), Le(10_000.0)]
@@ -17,10 +18,10 @@ Span = Annotated[float, Ge(0.0), Le(1.0)]
 
 @dataclass(frozen=True, slots=True)
 class ServoModel:
-    """One axis with its position controller, as identified.
+    """Identified model of one axis with its position controller.
 
     Attributes:
-        frequency_hz: of the second-order answer.
+        frequency_hz: natural frequency of the second-order response.
         damping: damping ratio, share of critical.
         dead_time: from a setpoint's cycle to its first effect [s].
     """
@@ -45,13 +46,14 @@ class EffectorMode:
 
 @dataclass(frozen=True, slots=True)
 class AxisLimits:
-    """What an axis may be commanded, of the setpoints' finite differences.
+    """Limits of an axis for the finite differences of its setpoints.
 
     Attributes:
-        lower, upper: position [rad] or [m].
-        speed: [rad/s] or [m/s].
-        acceleration: [rad/s^2] or [m/s^2].
-        jerk: [rad/s^3] or [m/s^3].
+        lower: least position [rad] or [m].
+        upper: largest position [rad] or [m].
+        speed: largest speed [rad/s] or [m/s].
+        acceleration: largest acceleration [rad/s^2] or [m/s^2].
+        jerk: largest jerk [rad/s^3] or [m/s^3].
     """
 
     lower: Place
@@ -63,13 +65,13 @@ class AxisLimits:
 
 @dataclass(frozen=True, slots=True)
 class BrakeSettings:
-    """How a robot that is told to hold comes to rest; the tool's mount rings less if gently.
+    """Deceleration of a robot on hold; a gentle stop excites the tool's mount less.
 
     Attributes:
-        acceleration: of A1..A6 [rad/s^2].
-        jerk: [rad/s^3].
-        axis_acceleration: of E1 [m/s^2].
-        axis_jerk: [m/s^3].
+        acceleration: largest deceleration of A1..A6 [rad/s^2].
+        jerk: largest jerk of A1..A6 [rad/s^3].
+        axis_acceleration: largest deceleration of E1 [m/s^2].
+        axis_jerk: largest jerk of E1 [m/s^3].
     """
 
     acceleration: Acceleration = 1.0
@@ -83,9 +85,9 @@ class SmoothingSettings:
     """The impedance law of (13)-(15). ``mass`` 0 switches it off.
 
     Attributes:
-        mass: M_d [s^2].
-        damper: D_d [s].
-        steps_s: how far the smoothing looks ahead, n_imp * T0 [s].
+        mass: desired mass M_d of the law [s^2].
+        damper: desired damper D_d of the law [s].
+        steps_s: preview of the smoothing, n_imp * T0 [s].
     """
 
     mass: Span = 0.0
@@ -95,15 +97,17 @@ class SmoothingSettings:
 
 @dataclass(frozen=True, slots=True)
 class FilterSettings:
-    """Reach and training of the inverse filters (reading notes, "The merge", 2).
+    """Reach and training of the inverse filters.
 
     Attributes:
-        servo_past_s, servo_future_s: reach of (12) [s].
-        effector_past_s, effector_future_s: reach of (11) [s].
-        band_hz: the band of the training signal.
-        wide_hz: and the band of its tenth part.
-        ridge: weight on the taps.
-        contact_blend: time in which the tool goes from hanging free to clamped [s].
+        servo_past_s: reach of (12) into the past [s].
+        servo_future_s: reach of (12) into the future [s].
+        effector_past_s: reach of (11) into the past [s].
+        effector_future_s: reach of (11) into the future [s].
+        band_hz: band of the training signal.
+        wide_hz: band in which the training signal has a tenth of its amplitude.
+        ridge: weight of the squared taps in the fit.
+        contact_blend: time in which (11) is blended out at contact [s].
     """
 
     servo_past_s: Span = 0.036
@@ -133,12 +137,12 @@ class ControlSettings:
     """All that can be set of control. Axes are A1..A6, then E1.
 
     Attributes:
-        limits: of each axis, at most the URDF's; left out: those of the URDF.
+        limits: of each axis, within those of the URDF; left out: those of the URDF.
         tcp_speed: limit of the tcp's speed relative to the object; the conveyor's nominal speed
             comes on top of it [m/s].
-        horizon_s: how far tracking looks ahead for control [s].
-        feed_forward: invert the servos' answers; False commands what is desired.
-        damping: invert the tool's elastic modes; False leaves them to ring.
+        horizon_s: length of the horizon that control reads [s].
+        feed_forward: invert the servos' responses; False commands the desired joints.
+        damping: invert the tool's elastic modes; False does not damp them.
     """
 
     servos: Annotated[tuple[ServoModel, ...], Len(6, 7)] = _SERVOS

@@ -1,7 +1,4 @@
-"""Smoothing of the desired trajectory, (13)-(16): an impedance law as a filter, off line.
-
-Law of this file: settings in, taps (n_imp + 1,) out; one row of a least squares stack.
-"""
+"""Smoothing of the desired trajectory, (13)-(16): an impedance law as an off-line filter."""
 
 import numpy as np
 
@@ -13,8 +10,8 @@ def smoothing_taps(settings: SmoothingSettings, cycle_s: float) -> Array:
     """Return the taps r_j, j = 0..n_imp, of (16): ``x_s(k) = sum_j r_j x_t(k + j)``.
 
     Equations (13), (14) and (15) are stacked for i = 0..n_imp with E_d = 0 and solved at once;
-    the first row of ``(A'A)^-1 A'`` is the filter. What (14) and (15) do not say of the ends is
-    left free, so that the taps sum to 1 and, without damper, a ramp passes unbiased.
+    the first row of ``(A'A)^-1 A'`` is the filter. Rows that (14) and (15) do not
+    give at the ends are left out: the taps sum to 1 and, without damper, a ramp has no bias.
     """
     n = max(round(settings.steps_s / cycle_s), 2)
     if settings.mass == 0.0 and settings.damper == 0.0:

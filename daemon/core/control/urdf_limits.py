@@ -1,10 +1,10 @@
 """Limits of an arm's axes from its URDF.
 
-``<limit lower upper velocity acceleration jerk>``: the last two are URDF 1.2's, and most files do
-not have them yet.
+Read from ``<limit lower upper velocity acceleration jerk>``. The last two are of URDF 1.2; most
+files do not have them.
 
 Invariants:
-- Pure. What the file does not say is refused by the joint's name, never guessed.
+- A missing limit is refused with the joint's name, never guessed.
 """
 
 import math
@@ -13,20 +13,17 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from linemate.daemon.core.control.settings import AxisLimits, ControlSettings
+from linemate.protocol.samples import AXES
 
-AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
-ROOM = 1e-9
-"""A limit that is wider by less is a rounding."""
+ROUNDING = 1e-9  # a limit that is wider by less is not wider
 
-_MOST = {"revolute": (4.0 * math.pi, "rad"), "prismatic": (30.0, "m")}
-"""Farthest position limit of a joint by its type: beyond it the file is in degrees or mm."""
-
-_QUICKEST = {"revolute": 20.0, "prismatic": 5.0}
-"""Highest speed, likewise [rad/s], [m/s]."""
+# Plausible ranges by type of joint: beyond them the file is in degrees or mm.
+_LARGEST_POSITION = {"revolute": (4.0 * math.pi, "rad"), "prismatic": (30.0, "m")}
+_LARGEST_SPEED = {"revolute": 20.0, "prismatic": 5.0}  # [rad/s], [m/s]
 
 
 class UrdfLimitsError(ValueError):
-    """The URDF does not say what an axis may do; the message says which and what is missing."""
+    """The URDF lacks a limit of an axis, or it is implausible; the message names it."""
 
 
 def read(
@@ -37,10 +34,10 @@ def read(
     Args:
         flange: name of the flange's link.
         linear_axis: the first joint of the chain is E1.
-        is_whole: acceleration and jerk are needed; else infinity stands for one that is missing.
+        is_whole: acceleration and jerk are required; else a missing one is infinite.
 
     Raises:
-        UrdfLimitsError: a limit is missing or out of all proportion.
+        UrdfLimitsError: a limit is missing or implausible.
     """
     joints = _chain(urdf, flange)
     if linear_axis:
@@ -64,29 +61,29 @@ def completed(
 def wider(
     settings: ControlSettings, urdf: str, flange: str, *, linear_axis: bool
 ) -> list[tuple[int, str, str]]:
-    """Return where limits allow more than the URDF's, or nothing at all.
+    """Return which limits are wider than the URDF's, or empty.
 
     Returns:
         Number of the axis, name of the limit, what is wrong.
 
     Raises:
-        UrdfLimitsError: the URDF's own cannot be.
+        UrdfLimitsError: a limit of the URDF is missing or implausible.
     """
     robot = read(urdf, flange, linear_axis=linear_axis, is_whole=not settings.limits)
-    found = []
-    for axis, (own, most) in enumerate(zip(settings.limits, robot, strict=False)):
+    faults = []
+    for axis, (own, largest) in enumerate(zip(settings.limits, robot, strict=False)):
         if own.lower >= own.upper:
-            found.append((axis, "lower", f"{own.lower:g} is not below upper: {own.upper:g}"))
+            faults.append((axis, "lower", f"{own.lower:g} is not below upper: {own.upper:g}"))
         for name, is_beyond in (
-            ("lower", own.lower < most.lower - ROOM),
-            ("upper", own.upper > most.upper + ROOM),
-            ("speed", own.speed > most.speed + ROOM),
+            ("lower", own.lower < largest.lower - ROUNDING),
+            ("upper", own.upper > largest.upper + ROUNDING),
+            ("speed", own.speed > largest.speed + ROUNDING),
         ):
             if is_beyond:
-                value, limit = getattr(own, name), getattr(most, name)
+                value, limit = getattr(own, name), getattr(largest, name)
                 what = f"{value:g} is wider than the URDF's for {AXES[axis]}: {limit:g}"
-                found.append((axis, name, what))
-    return found
+                faults.append((axis, name, what))
+    return faults
 
 
 def _chain(urdf: str, flange: str) -> list[ET.Element]:
@@ -107,7 +104,7 @@ def _chain(urdf: str, flange: str) -> list[ET.Element]:
         joints.append(joint)
         parent = joint.find("parent")
         link = "" if parent is None else parent.get("link", "")
-    return [joint for joint in reversed(joints) if joint.get("type") in _MOST]
+    return [joint for joint in reversed(joints) if joint.get("type") in _LARGEST_POSITION]
 
 
 def _limits(joint: ET.Element, *, is_whole: bool) -> AxisLimits:
@@ -120,17 +117,19 @@ def _limits(joint: ET.Element, *, is_whole: bool) -> AxisLimits:
         _number(limit, name, key) if is_whole or key in limit.attrib else math.inf
         for key in ("acceleration", "jerk")
     )
-    most, unit = _MOST[kind]
+    largest, unit = _LARGEST_POSITION[kind]
     for key, value in (("lower", lower), ("upper", upper)):
-        if abs(value) > most:
+        if abs(value) > largest:
             raise UrdfLimitsError(
-                f"joint {name}: {key} is {value:g}, at most {most:.3g} {unit}. Give it in {unit}."
+                f"joint {name}: {key} is {value:g}, at most {largest:.3g} {unit}. "
+                f"Give it in {unit}."
             )
     if lower >= upper:
         raise UrdfLimitsError(f"joint {name}: lower is {lower:g}, not below upper: {upper:g}")
-    if not 0.0 < speed <= _QUICKEST[kind]:
+    if not 0.0 < speed <= _LARGEST_SPEED[kind]:
         raise UrdfLimitsError(
-            f"joint {name}: velocity is {speed:g}, allowed are 0 to {_QUICKEST[kind]:g} {unit}/s"
+            f"joint {name}: velocity is {speed:g}, allowed are "
+            f"0 to {_LARGEST_SPEED[kind]:g} {unit}/s"
         )
     if acceleration <= 0.0 or jerk <= 0.0:
         raise UrdfLimitsError(f"joint {name}: acceleration and jerk must be above 0")

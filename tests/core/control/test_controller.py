@@ -27,7 +27,9 @@ def follow(
     controller: control.Controller, state: control.ControlState, horizon: Horizon
 ) -> tuple[control.ControlState, str | None]:
     """One step whose last command has reached the robot."""
-    return control.reach(controller, control.aim(controller, state, horizon), state.gate)
+    return control.limit_command(
+        controller, control.desire_command(controller, state, horizon), state.limiter
+    )
 
 
 def arm() -> kinematics.Arm:
@@ -83,7 +85,7 @@ def drive(
             motion(now + span), np.full(len(span), REST[6]), np.full(len(span), free), NOMINAL
         )
         state, why = follow(controller, state, horizon)
-        commands.append(state.gate.position)
+        commands.append(state.limiter.position)
         held.append(why)
     return np.array(commands), times, held
 
@@ -133,7 +135,7 @@ def test_a_robot_at_rest_stays_there_to_the_last_bit_or_two(cycle_s: float) -> N
     for _ in range(20):
         state, held = follow(controller, state, horizon)
         assert held is None
-        assert np.abs(state.gate.position - REST).max() < 1e-9
+        assert np.abs(state.limiter.position - REST).max() < 1e-9
 
 
 def simulated(commands: Array, cycle_s: float) -> Array:
@@ -211,17 +213,17 @@ def test_a_pose_that_cannot_be_reached_brakes_and_says_so(bad: float) -> None:
         controller, state, Horizon(poses, np.full(count, REST[6]), np.ones(count), NOMINAL)
     )
     assert held is not None
-    assert np.array_equal(after.gate.position, REST)
+    assert np.array_equal(after.limiter.position, REST)
 
 
-def test_a_stop_is_the_gates_gentle_brake_and_leaves_the_plan_alone() -> None:
+def test_a_stop_is_the_limiters_gentle_brake_and_leaves_the_plan_alone() -> None:
     controller = made(PLAIN)
     state = control.at_rest(controller, REST, pose_of(REST))
-    moving = structs.replace(state, gate=structs.replace(state.gate, speed=np.full(7, 0.1)))
+    moving = structs.replace(state, limiter=structs.replace(state.limiter, speed=np.full(7, 0.1)))
     stopped = control.stop(controller, moving)
-    known = command_limiter.brake(moving.gate, controller.limits, controller.gentle)
-    assert np.array_equal(stopped.gate.position, known.position)
-    assert stopped.passed is moving.passed
+    known = command_limiter.brake(moving.limiter, controller.limits, controller.gentle)
+    assert np.array_equal(stopped.limiter.position, known.position)
+    assert stopped.past_joints is moving.past_joints
     assert isinstance(stopped, ControlState)
 
 
@@ -251,9 +253,9 @@ def test_while_clamped_the_arm_makes_up_for_what_the_linear_axis_is_behind(cycle
             control.at_rest(controller, REST, pose_of(REST)),
         )
         for _ in range(round(0.036 / cycle_s)):
-            aimed = control.Aim(structs.replace(state, gate=gate), desired)
-            after, _ = control.reach(controller, aimed, gate, clamped=clamped)
-            gate = after.gate
+            aimed = control.DesiredCommand(structs.replace(state, limiter=gate), desired)
+            after, _ = control.limit_command(controller, aimed, gate, clamped=clamped)
+            gate = after.limiter
         off[clamped] = float(np.abs(pose_of(gate.position) - pose_of(desired))[:3].max())
     assert off[False] > 0.002
     assert off[True] < 0.0012
@@ -263,6 +265,6 @@ def test_while_clamped_the_arm_makes_up_for_what_the_linear_axis_is_behind(cycle
 def test_the_arm_makes_up_for_a_short_way_only(short: float) -> None:
     controller = made(PLAIN)
     desired = REST + np.array((0.0,) * 6 + (short + 0.002,))
-    aimed = control.Aim(control.at_rest(controller, REST, pose_of(REST)), desired)
-    after, _ = control.reach(controller, aimed, command_limiter.at_rest(REST), clamped=True)
-    assert np.array_equal(after.gate.position[:6], REST[:6])
+    aimed = control.DesiredCommand(control.at_rest(controller, REST, pose_of(REST)), desired)
+    after, _ = control.limit_command(controller, aimed, command_limiter.at_rest(REST), clamped=True)
+    assert np.array_equal(after.limiter.position[:6], REST[:6])

@@ -88,8 +88,10 @@ def journey(controller: Controller, desired: Array) -> tuple[Array, int]:
     state = control.at_rest(controller, REST, np.zeros(6))
     commands, slowed = [REST], 0
     for wish in desired:
-        state, held = control.reach(controller, control.Aim(state, wish), state.gate)
-        commands.append(state.gate.position)
+        state, held = control.limit_command(
+            controller, control.DesiredCommand(state, wish), state.limiter
+        )
+        commands.append(state.limiter.position)
         slowed += held is not None and held.endswith("tcp")
     return np.array(commands), slowed
 
