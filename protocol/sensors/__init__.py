@@ -1,1 +1,1 @@
-"""The sensors' bytes: distance over CAN, camera poses over UDP, force-torque over serial."""
+"""Sensors' codecs: distance over CAN, camera poses over UDP, force-torque over serial."""

@@ -1,10 +1,10 @@
 """Bota Systems serial force-torque sensors (Rokubi, SensONE): frames and start-up dialogue.
 
-Law of this file: bytes and states, no port and no clock; time comes as an argument.
 A frame is 37 bytes: 0xAA, ``<H6fIf`` (status, Fx Fy Fz [N], Mx My Mz [Nm], stamp [us],
-temperature [deg C]), CRC-16/X-25 little endian over the 34 bytes between.
-Commands are ASCII without terminator, each answered ``r,0,<command>,0``.
-Source: the maker's Python example and its ROS 2 driver.
+temperature [deg C]), CRC-16/X-25 little endian over the 34 bytes between. Commands are ASCII
+without terminator, each answered ``r,0,<command>,0``.
+
+Reference: the maker's Python example and its ROS 2 driver.
 """
 
 import math
@@ -17,8 +17,8 @@ import fastcrc
 
 from linemate.protocol.samples import WrenchSample
 from linemate.protocol.sensors.wrench_stream import (
-    DEAF_ATTEMPTS,
-    DEAF_FRAMES,
+    SILENT_ATTEMPTS,
+    SILENT_FRAMES,
     HostOutput,
     WrenchDecoder,
     WrenchError,
@@ -27,11 +27,9 @@ from linemate.protocol.sensors.wrench_stream import (
 BOTA_HEADER = b"\xaa"
 _HEADER_BYTE = BOTA_HEADER[0]
 BOTA_FRAME_BYTES = 37
-BOTA_BAUD_RATES = (9600, 57600, 115200, 230400, 460800)
-"""By the baud code of the ``c`` command."""
+BOTA_BAUD_RATES = (9600, 57600, 115200, 230400, 460800)  # by baud code of the ``c`` command
 
-STATUS_SKIPPED = 1 << 0
-"""The application took too long; measurements were skipped."""
+STATUS_SKIPPED = 1 << 0  # the application took too long: measurements were skipped
 STATUS_OVERRANGE = 1 << 1
 STATUS_INVALID = 1 << 2
 STATUS_RAW = 1 << 3
@@ -41,31 +39,31 @@ _FRAME = struct.Struct("<xH6fIf2x")
 
 
 class BotaDecoder(WrenchDecoder):
-    """Bota frames out of a byte stream."""
+    """Finds Bota frames in a byte stream."""
 
     __slots__ = ()
 
     def __init__(self) -> None:
-        """Start in step, with an empty buffer."""
+        """Begin with an empty buffer."""
         super().__init__(BOTA_HEADER, BOTA_FRAME_BYTES, fastcrc.crc16.ibm_sdlc)
 
     def feed(self, data: bytes, stamp_ns: int) -> list[WrenchSample]:
-        """As for every stream; a good frame that comes whole and in step is taken at once."""
+        """Return the samples; a good frame that comes alone needs no search."""
         if len(data) == BOTA_FRAME_BYTES and not self._buffer and not self._lost:
             crc = fastcrc.crc16.ibm_sdlc(data[1:35])
             if data[0] == _HEADER_BYTE and crc == data[35] | data[36] << 8:
-                found = self.sample(data, stamp_ns)
-                if found is not None:
+                sample = self.sample(data, stamp_ns)
+                if sample is not None:
                     self.frames += 1
-                    return [found]
+                    return [sample]
         return super().feed(data, stamp_ns)
 
     def checked(self, frame: bytes) -> bytes:
-        """The 34 payload bytes."""
+        """Return the 34 payload bytes."""
         return frame[1:35]
 
     def sample(self, frame: bytes, stamp_ns: int) -> WrenchSample | None:
-        """Status, force, torque, device stamp and temperature; None if any is not finite."""
+        """Return the sample of a frame, None if a value is not finite."""
         status, fx, fy, fz, mx, my, mz, device_us, temperature = _FRAME.unpack(frame)
         if not math.isfinite(fx + fy + fz + mx + my + mz + temperature):
             return None
@@ -80,16 +78,16 @@ def bota_frame(
     device_us: int = 0,
     temperature: float = 25.0,
 ) -> bytes:
-    """One frame as the device sends it.
+    """Return one frame as the device sends it.
 
     Args:
         force: Fx Fy Fz [N].
         torque: Mx My Mz [Nm].
-        device_us: the device's clock [us]; wraps at 32 bits as the device's does.
-        temperature: [deg C].
+        device_us: the device's clock [us]; it wraps at 32 bits.
+        temperature: of the sensor [deg C].
 
     Raises:
-        WrenchError: a value does not fit. NaN and Inf fit: a broken device sends them.
+        WrenchError: a value does not fit. NaN and Inf fit, as from a broken device.
     """
     try:
         fx, fy, fz = force
@@ -103,13 +101,13 @@ def bota_frame(
 
 @dataclass(frozen=True, slots=True)
 class BotaSettings:
-    """What the start-up dialogue sets.
+    """Settings of the start-up dialogue.
 
     Attributes:
         sinc: length of the sinc filter, 51..512; the sample time is sinc x 19.53125 us.
-        calibration: apply the calibration matrix (else raw values).
-        chop: sinc filter with chopping.
-        skip_fir: leave the FIR filter out.
+        calibration: apply the calibration matrix, else raw values.
+        chop: use the sinc filter with chopping.
+        skip_fir: do not use the FIR filter.
     """
 
     sinc: int = 205
@@ -121,7 +119,7 @@ class BotaSettings:
     skip_fir: bool = True
 
     def __post_init__(self) -> None:
-        """Refuse what the device would.
+        """Refuse what the device refuses.
 
         Raises:
             WrenchError: sinc or baud rate out of range.
@@ -132,7 +130,7 @@ class BotaSettings:
             raise WrenchError(f"bota: baud rate {self.baud_rate} is none of {BOTA_BAUD_RATES}")
 
     def commands(self) -> tuple[bytes, ...]:
-        """The dialogue's commands in order: configure, communication, filter, run."""
+        """Return the commands in order: configure, communication, filter, run."""
         baud_code = BOTA_BAUD_RATES.index(self.baud_rate)
         communication = (self.temperature_compensation, self.calibration, 0, baud_code)
         filters = (self.sinc, self.chop, self.fast, self.skip_fir)
@@ -145,22 +143,20 @@ def _command(letter: str, values: Sequence[int]) -> bytes:
 
 _ANSWER = re.compile(rb"r,0,([A-Za-z]),(\d{1,3})")
 _LONGEST_ANSWER = 16
-ANSWER_TIMEOUT_NS = 500_000_000
-"""How long the host waits for an answer before it starts the dialogue again."""
-MAX_ATTEMPTS = 10
-"""A sensor that is still booting ignores the first few."""
+ANSWER_TIMEOUT_NS = 500_000_000  # without an answer the dialogue starts again
+MAX_ATTEMPTS = 10  # a booting sensor ignores the first ones
 
 
 class BotaHost:
-    """The host's end of the start-up dialogue; afterwards it passes the stream through.
+    """Host's side of the start-up dialogue; afterwards it passes the stream through.
 
-    Call :meth:`begin` once, then :meth:`feed` with everything received and :meth:`on_time` now
-    and then. The sensor may be booting, streaming, or in the middle of another dialogue.
+    Call :meth:`begin` once, then :meth:`feed` with everything received and :meth:`on_time`
+    regularly. The sensor may be booting, streaming, or within another dialogue.
 
     Attributes:
-        running: the device has confirmed every setting and streams, or streams whatever it is
-            asked, as it was set before.
-        failure: why the dialogue was given up, None while it was not.
+        running: the device has confirmed every setting and streams, or streams with its former
+            settings without answering.
+        failure: why the dialogue has failed, or None.
     """
 
     __slots__ = (
@@ -168,19 +164,19 @@ class BotaHost:
         "_commands",
         "_deadline_ns",
         "_index",
+        "_own_stream",
         "_tail",
         "_trimming",
-        "_unasked",
         "failure",
         "running",
     )
 
     def __init__(self, settings: BotaSettings | None = None) -> None:
-        """Prepare the commands."""
+        """Make the commands."""
         self._commands = (settings or BotaSettings()).commands()
         self._index = 0
         self._tail = b""
-        self._unasked = BotaDecoder()
+        self._own_stream = BotaDecoder()
         self._attempts = 0
         self._deadline_ns = 0
         self._trimming = True
@@ -188,19 +184,19 @@ class BotaHost:
         self.failure: str | None = None
 
     def begin(self, now_ns: int) -> HostOutput:
-        """Ask for configuration mode, whatever the device is doing."""
+        """Request configuration mode, whatever the device does."""
         self.running, self.failure = False, None
         self._attempts = 0
         return self._restart(now_ns)
 
     def feed(self, data: bytes, now_ns: int) -> HostOutput:
-        """Take what the port gave: answers, banners and old frames, later the stream."""
+        """Process what the port received: answers, banners and old frames, later the stream."""
         if self.running:
             return HostOutput(stream=self._trimmed(data))
         if self.failure is not None:
             return HostOutput()
-        self._unasked.feed(data, now_ns)
-        if self._attempts >= DEAF_ATTEMPTS and self._unasked.frames >= DEAF_FRAMES:
+        self._own_stream.feed(data, now_ns)
+        if self._attempts >= SILENT_ATTEMPTS and self._own_stream.frames >= SILENT_FRAMES:
             self.running, self._trimming = True, False
             return HostOutput(stream=data)
         sent = b""
@@ -217,26 +213,26 @@ class BotaHost:
         return HostOutput(send=sent, stream=stream)
 
     def on_time(self, now_ns: int) -> HostOutput:
-        """Begin again when an answer is overdue; give up after ``MAX_ATTEMPTS``."""
+        """Begin again when an answer is overdue; fail after ``MAX_ATTEMPTS``."""
         if self.running or self.failure is not None or now_ns < self._deadline_ns:
             return HostOutput()
         if self._attempts >= MAX_ATTEMPTS:
-            waited_for = self._commands[self._index].decode()
-            self.failure = f"bota: no answer to {waited_for!r} after {self._attempts} attempts"
+            expected = self._commands[self._index].decode()
+            self.failure = f"bota: no answer to {expected!r} after {self._attempts} attempts"
             return HostOutput()
         return self._restart(now_ns)
 
     def _restart(self, now_ns: int) -> HostOutput:
         self._index = 0
         self._tail = b""
-        self._unasked = BotaDecoder()
+        self._own_stream = BotaDecoder()
         self._trimming = True
         self._attempts += 1
         self._deadline_ns = now_ns + ANSWER_TIMEOUT_NS
         return HostOutput(send=self._commands[0])
 
     def _on_answer(self, answer: re.Match[bytes], now_ns: int) -> bytes:
-        """Go on if the answer is the one awaited; a late one to an older command is passed over."""
+        """Continue after the expected answer; ignore one to an older command."""
         letter, code = answer.groups()
         command = self._commands[self._index]
         if letter != command[:1]:
@@ -252,7 +248,7 @@ class BotaHost:
         return self._commands[self._index]
 
     def _trimmed(self, data: bytes) -> bytes:
-        """Leave out the line end of the last answer, which is no garbage."""
+        """Remove the line end of the last answer, which is no garbage."""
         if not self._trimming:
             return data
         data = data.lstrip(b"\r\n")
@@ -268,17 +264,15 @@ _DEVICE_COMMAND = re.compile(
     re.VERBOSE,
 )
 _UNFINISHED = re.compile(rb"c(,\d?){0,4}|f(,\d{0,4}(,\d?){0,3})?|[bm][^\r\n]{0,119}")
-REFUSED = 1
-"""Code in an answer that refuses. The maker names only 0; any other is a refusal."""
+REFUSED = 1  # code of a refusal; the maker documents 0 only, any other code is a refusal
 
 
 class BotaDevice:
-    """The device's end of the dialogue: what an emulated sensor answers.
+    """Device's side of the dialogue, for an emulated sensor.
 
     Attributes:
-        streaming: whether frames are being sent (run mode).
-        settings: what the host has set.
-        refused: bytes and commands not understood or out of range.
+        streaming: frames are being sent (run mode).
+        refused: bytes and commands that are unknown or out of range.
     """
 
     __slots__ = ("_buffer", "_name", "_pending", "refused", "settings", "streaming")
@@ -286,7 +280,7 @@ class BotaDevice:
     def __init__(
         self, name: str = "linemate SensONE", settings: BotaSettings | None = None
     ) -> None:
-        """Power off; :meth:`boot` powers on."""
+        """Begin without power; :meth:`boot` powers on."""
         self._name = name
         self._buffer = b""
         self._pending = self.settings = settings or BotaSettings()
@@ -294,13 +288,13 @@ class BotaDevice:
         self.refused = 0
 
     def boot(self) -> bytes:
-        """What the sensor prints at power-on; then it runs with its saved settings."""
+        """Power on and stream with the saved settings; return the banner."""
         self._buffer = b""
         self.streaming = True
         return f"{self._name}\r\nserial 0001\r\nfirmware 1.0\r\nApp Init\r\n".encode()
 
     def feed(self, data: bytes) -> bytes:
-        """Take the host's bytes, cut anywhere; return the answers."""
+        """Return the answers to the host's bytes, which may be cut anywhere."""
         buffer = self._buffer + data
         answers = b""
         while buffer:
@@ -330,7 +324,7 @@ class BotaDevice:
         return _answer(letter, 0)
 
     def _apply(self, letter: bytes, command: re.Match[bytes]) -> bool:
-        """One command of the configuration mode; False refuses it."""
+        """Execute one command of the configuration mode; return False to refuse it."""
         try:
             if letter == b"c":
                 self._pending = _with_communication(self._pending, command["c"])

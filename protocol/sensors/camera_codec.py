@@ -1,10 +1,10 @@
-"""Camera poses: one msgpack map a datagram, both directions.
+"""Camera poses: one msgpack map in each datagram, both directions.
 
-Law of this file: one datagram gives one message or a ``CameraError``, nothing else. Unknown keys
-are ignored, so that senders can grow; everything known is typed, bounded and finite. NaN passes
-every schema library, so finiteness is looked at here.
-What one message alone cannot tell (gaps, old messages, the sender's clock) is in
-:class:`CameraDecoder`. Source: interfaces.md, section 4.
+Invariants:
+    A datagram gives one message or a ``CameraError``.
+    Unknown keys are ignored, so that senders can add some. Known ones are typed, bounded, finite.
+    ``CameraDecoder`` judges what one message alone does not show: gaps, old messages, the
+    sender's clock.
 """
 
 import math
@@ -19,8 +19,7 @@ from linemate.protocol.errors import ProtocolError
 from linemate.protocol.samples import CameraSample, Quaternion
 from linemate.protocol.sensors.clock_offset import ClockOffset
 
-MAX_DATAGRAM_BYTES = 1199
-"""A message is under 1200 bytes, so that no network fragments it."""
+MAX_DATAGRAM_BYTES = 1199  # no network fragments it
 
 QUATERNION_TOLERANCE = 1e-3
 _DIAGONAL = (0, 6, 11, 15, 18, 20)
@@ -34,16 +33,17 @@ class CameraError(ProtocolError):
     """A datagram that is refused.
 
     Attributes:
-        reason: one word to count it by, one of ``REFUSALS``.
+        reason: name of its counter, one of ``REFUSALS``.
     """
 
     def __init__(self, reason: str, what: str, data: bytes = b"") -> None:
-        """Keep the evidence and print it."""
+        """Make the message from the first bytes of the datagram."""
         super().__init__(f"camera: {what} ({len(data)} bytes: {data[:16].hex(' ') or '-'})")
         self.reason = reason
         self.data = data
 
 
+# Reasons of refusal, and the names of their counters.
 REFUSALS = (
     "malformed",
     "unexpected",
@@ -53,22 +53,17 @@ REFUSALS = (
     "clock_jumps",
     "stale",
 )
-"""Reasons of refusal, and the names of their counters."""
 
 
 class CameraMessage(msgspec.Struct, frozen=True, kw_only=True, gc=False):
-    """The fields of the wire, by their names there.
+    """Message with the wire's names: position ``p`` [m], unit quaternion ``q`` (w first).
 
     Attributes:
         seq: +1 for each message.
         t_exp: middle of the exposure on the sender's clock [ns].
-        t_tx: moment of sending on the sender's clock [ns].
-        frame: frame the pose is given in.
-        obj: object the pose is of.
-        p: position [m].
-        q: unit quaternion, w x y z.
+        t_tx: time of sending on the sender's clock [ns].
         cov: upper triangle row by row, order x y z rx ry rz [m, rad], or None.
-        reset: +1 when the tracker starts anew.
+        reset: +1 when the tracker restarts.
     """
 
     v: Literal[1]
@@ -90,16 +85,16 @@ _OPTIONAL = {"cov": None, "quality": -1, "reset": 0}
 
 
 def encode(message: CameraMessage) -> bytes:
-    """One datagram. Optional fields that say nothing are left out.
+    """Return the datagram of a message; optional fields with their default are left out.
 
-    Values are not judged, only that they fit: a broken camera sends what it sends.
+    Values are not checked, so that tests can send wrong ones.
 
     Raises:
         CameraError: a value msgpack cannot carry, or 1200 bytes and more.
     """
     fields = msgspec.structs.asdict(message)
-    for name, silent in _OPTIONAL.items():
-        if fields[name] == silent:
+    for name, default in _OPTIONAL.items():
+        if fields[name] == default:
             del fields[name]
     try:
         data: bytes = msgpack.packb(fields)
@@ -111,7 +106,7 @@ def encode(message: CameraMessage) -> bytes:
 
 
 def decode(data: bytes) -> CameraMessage:
-    """One message out of one datagram.
+    """Return the message of a datagram.
 
     Raises:
         CameraError: not a message of version 1, or a value that is not finite or out of bounds.
@@ -145,7 +140,7 @@ def _check_covariance(cov: tuple[float, ...], data: bytes) -> None:
 
 
 class _Source:
-    """What is remembered of one camera."""
+    """State of one camera."""
 
     __slots__ = (
         "arrival_ns",
@@ -169,37 +164,34 @@ class _Source:
         self.jumps = 0
 
 
-MAX_GAP = 1_000
-"""A gap counts at most this many lost messages; a wilder jump tells nothing more."""
-RESTART_MESSAGES = 3
-"""Consecutive messages that must agree before a sender is believed to have started anew."""
-RESTART_SILENCE_NS = 1_000_000_000
-"""Silence after which older sequence numbers cannot be stragglers of the old stream."""
+MAX_GAP = 1_000  # lost messages that one gap counts at most
+RESTART_MESSAGES = 3  # consecutive messages that prove a restart of the sender
+RESTART_SILENCE_NS = 1_000_000_000  # after it, older numbers are no delayed messages
 
 
 class CameraDecoder:
-    """Turns datagrams into samples stamped on the local clock; one memory for each camera.
+    """Turns datagrams into samples with local stamps; keeps a state for each camera.
 
-    The exposure on the local clock is ``t_exp + offset``, the offset being the smallest
-    ``arrival - t_tx`` of the last ``window_s``; it is never after the arrival.
+    The exposure on the local clock is ``t_exp + offset``, at most the arrival. The offset is the
+    smallest ``arrival - t_tx`` of the last ``window_s``.
 
-    An older or equal sequence number is refused unless ``reset`` has risen. A sender that
-    started anew without telling (older numbers that count up by themselves, sent later than
-    what was accepted, or after a silence) is believed after ``RESTART_MESSAGES``.
+    An older or equal sequence number is refused unless ``reset`` has risen. After
+    ``RESTART_MESSAGES`` consecutive older numbers, sent later than the accepted ones or after a
+    silence, the sender has restarted.
 
     Args:
         frame: the only frame accepted, None for any.
         obj: the only object accepted, None for any.
         src: the only camera accepted, None for any.
-        window_s: how far back the smallest transit is looked for [s].
+        window_s: time over which the smallest transit is kept [s].
         max_age_s: oldest exposure accepted [s].
-        max_sources: cameras remembered at once; silent ones make room after ``window_s``.
+        max_sources: cameras kept at once; one that is silent for ``window_s`` is dropped.
 
     Attributes:
         gaps: places where sequence numbers are missing.
-        lost: how many are missing, at most ``MAX_GAP`` a gap.
-        restarts: senders believed to have started anew without telling.
-        clamped: exposures later than their arrival, set to it.
+        lost: missing numbers, at most ``MAX_GAP`` for each gap.
+        restarts: restarts of a sender without a rise of ``reset``.
+        clamped: exposures after their arrival, set to it.
         refused: refusals by reason, one of ``REFUSALS``.
     """
 
@@ -213,7 +205,7 @@ class CameraDecoder:
         max_age_s: float = 1.0,
         max_sources: int = 8,
     ) -> None:
-        """Know no camera yet."""
+        """Begin without a camera."""
         self._expected = (frame, obj, src)
         self._window_s = window_s
         self._max_age_ns = round(max_age_s * 1e9)
@@ -228,13 +220,10 @@ class CameraDecoder:
         self.refused = dict.fromkeys(REFUSALS, 0)
 
     def feed(self, data: bytes, stamp_ns: int) -> CameraSample:
-        """One datagram's sample.
-
-        Args:
-            stamp_ns: its arrival [ns].
+        """Return the sample of a datagram that arrived at ``stamp_ns``.
 
         Raises:
-            CameraError: the datagram is refused; already counted by its reason.
+            CameraError: the datagram is refused; it is counted by its reason.
         """
         try:
             message = decode(data)
@@ -261,7 +250,7 @@ class CameraDecoder:
         )
 
     def counters(self) -> dict[str, int]:
-        """All counters by name, for a status."""
+        """Return all counters by name, for a status."""
         return {
             "accepted": self.accepted,
             "gaps": self.gaps,
@@ -273,7 +262,7 @@ class CameraDecoder:
         }
 
     def offset_ns(self, src: str) -> int | None:
-        """The learned offset of a camera's clock, local minus sender's [ns]; None if unknown."""
+        """Return the offset of a camera's clock, local minus sender's [ns]; None if unknown."""
         source = self._sources.get(src)
         return None if source is None else source.clock.offset_ns
 
@@ -301,12 +290,12 @@ class CameraDecoder:
         del self._sources[oldest]
 
     def _follow(self, source: _Source, message: CameraMessage, stamp_ns: int, data: bytes) -> int:
-        """Take a message into a camera's memory; the offset of its clock [ns]."""
+        """Update a camera's state with a message; return the offset of its clock [ns]."""
         if message.seq <= source.seq:
             self._go_back(source, message, stamp_ns, data)
         elif source.seq >= 0 and message.reset > source.reset:
             self.resets += 1
-            _start_anew(source, message)
+            _restart(source, message)
         offset_ns = self._offset(source, message, stamp_ns, data)
         if source.seq >= 0 and message.seq > source.seq + 1:
             self.gaps += 1
@@ -317,10 +306,10 @@ class CameraDecoder:
         return offset_ns
 
     def _go_back(self, source: _Source, message: CameraMessage, stamp_ns: int, data: bytes) -> None:
-        """An older or equal number: a tracker started anew, a sender started anew, or refused."""
+        """Judge an older or equal number: a restart of tracker or sender, else refused."""
         if message.reset > source.reset:
             self.resets += 1
-            _start_anew(source, message)
+            _restart(source, message)
             return
         if message.seq == source.seq and message.t_tx == source.t_tx:
             raise CameraError("duplicates", f"sequence {message.seq} again", data)
@@ -330,15 +319,15 @@ class CameraDecoder:
         silent = stamp_ns - source.arrival_ns >= RESTART_SILENCE_NS
         if source.candidates >= RESTART_MESSAGES and (message.t_tx > source.t_tx or silent):
             self.restarts += 1
-            _start_anew(source, message)
+            _restart(source, message)
             return
         reason = "duplicates" if message.seq == source.seq else "reordered"
         raise CameraError(reason, f"sequence {message.seq} after {source.seq}", data)
 
     def _offset(self, source: _Source, message: CameraMessage, stamp_ns: int, data: bytes) -> int:
-        """Learn from a message; a transit far below all others must be confirmed by further ones.
+        """Update the offset; a transit far below all others must be confirmed by further ones.
 
-        Without that, one datagram with a wild ``t_tx`` would spoil the minimum for the window.
+        Otherwise one datagram with a wrong ``t_tx`` falsifies the minimum for a whole window.
         """
         transit_ns = stamp_ns - message.t_tx
         known = source.clock.offset_ns
@@ -361,8 +350,8 @@ class CameraDecoder:
         return exposure_ns
 
 
-def _start_anew(source: _Source, message: CameraMessage) -> None:
-    """Forget the sequence; forget the clock as well if it went back."""
+def _restart(source: _Source, message: CameraMessage) -> None:
+    """Drop the sequence, and the clock's offset if the sender's clock went back."""
     if message.t_tx < source.t_tx:
         source.clock.clear()
     source.seq = -1
@@ -370,7 +359,7 @@ def _start_anew(source: _Source, message: CameraMessage) -> None:
 
 
 def _unit(q: Quaternion) -> Quaternion:
-    """The quaternion to the last digit of unit length."""
+    """Return the quaternion, normalised."""
     w, x, y, z = q
     scale = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
     return (w * scale, x * scale, y * scale, z * scale)

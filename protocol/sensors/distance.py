@@ -1,9 +1,9 @@
-"""The distance sensor: CAN frames through a DBC, both directions.
+"""Distance sensor: CAN frames by a DBC, both directions.
 
-Law of this file: one frame gives one sample, ``None`` (somebody else's frame) or a
-``DistanceError``; nothing else. The DBC says where the bits are, what a count is worth, which
-range is sane and how often a frame is due; no device is written into the code.
-A frame that is too short, out of the DBC's range or not finite is refused with its bytes.
+Invariants:
+    A frame gives a sample, ``None`` (another device's frame) or a ``DistanceError``.
+    The DBC has the bits, the factor, the range and the cycle time; no device is in the code.
+    A frame that is too short, out of the DBC's range or not finite is refused with its bytes.
 """
 
 import math
@@ -21,25 +21,23 @@ from linemate.protocol.samples import DistanceSample
 from linemate.protocol.sensors import distance_bits
 from linemate.protocol.sensors.distance_bits import Bits
 
+# TF03, TF02 and CIA406_TPDO1 (node 3).
 SHIPPED_DBC = Path(__file__).parents[1] / "data" / "distance.dbc"
-"""TF03, TF02 and CIA406_TPDO1 (node 3)."""
 
-MAX_FRAME_BYTES = 64
-"""The longest payload any CAN carries (CAN FD)."""
+MAX_FRAME_BYTES = 64  # of CAN FD
 
 _METRES_PER_UNIT = {"m": 1.0, "": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "um": 1e-6}
 
 
 class DistanceError(ProtocolError):
-    """A frame, or the description of a frame, that cannot be used.
+    """A frame or a DBC that is refused.
 
     Attributes:
-        can_id: identifier of the frame, None where the DBC itself is at fault.
-        data: payload of the frame.
+        can_id: identifier of the frame, None for an error of the DBC.
     """
 
     def __init__(self, what: str, can_id: int | None = None, data: bytes = b"") -> None:
-        """Keep the evidence and print it."""
+        """Make the message from the identifier and the first bytes of the frame."""
         where = "" if can_id is None else f" (id 0x{can_id:X}, data {data[:16].hex(' ') or '-'})"
         super().__init__(f"distance: {what}{where}")
         self.can_id = can_id
@@ -48,10 +46,9 @@ class DistanceError(ProtocolError):
 
 @dataclass(frozen=True, slots=True)
 class _Scale:
-    """How counts of one signal become a physical value: ``(count * factor + offset) * unit``.
+    """Conversion of one signal from counts: ``(count * factor + offset) * unit``.
 
-    ``low`` and ``high`` bound the value in the DBC's own unit; ``hair`` keeps rounding from
-    refusing the range's own ends.
+    ``low`` and ``high`` bound the value in the DBC's unit, ``rounding`` is added at both ends.
     """
 
     name: str
@@ -60,24 +57,28 @@ class _Scale:
     unit: float
     low: float
     high: float
-    hair: float
+    rounding: float
 
     def value(self, count: float) -> float:
-        """Physical value in the DBC's unit."""
+        """Return the physical value in the DBC's unit."""
         return count * self.factor + self.offset
 
     def count(self, value: float) -> float:
-        """Counts of a physical value in the DBC's unit, not rounded."""
+        """Return the counts of a value in the DBC's unit, not rounded."""
         return (value - self.offset) / self.factor
 
-    def is_sane(self, value: float) -> bool:
-        """Whether a value in the DBC's unit is a finite number inside the DBC's range."""
-        return self.low - self.hair < value < self.high + self.hair
+    def is_in_range(self, value: float) -> bool:
+        """Whether a value in the DBC's unit is finite and in the DBC's range."""
+        return self.low - self.rounding < value < self.high + self.rounding
 
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """One message of a DBC and the two signals of it that matter here."""
+    """One message of a DBC with its distance and strength signals.
+
+    Attributes:
+        plain: places of both signals if they are whole numbers without multiplexer, else None.
+    """
 
     message: Message
     can_id: int
@@ -86,7 +87,6 @@ class _Layout:
     position: _Scale
     strength: _Scale | None
     plain: dict[str, Bits] | None
-    """Where the two lie, if that is simple."""
 
 
 def _load(dbc: str | Path) -> Database:
@@ -103,15 +103,15 @@ def _load(dbc: str | Path) -> Database:
 
 @lru_cache(maxsize=8)
 def _parsed(text: str) -> Database:
-    """Both ends of a wire read one DBC, and a campaign reads it anew for every run."""
+    """Parse a DBC once; both ends and each run of a campaign read the same one."""
     return cast("Database", cantools.database.load_string(text, database_format="dbc"))
 
 
 def message_names(dbc: str | Path) -> tuple[str, ...]:
-    """What a DBC describes.
+    """Return the names of a DBC's messages.
 
     Args:
-        dbc: the DBC's text, or the path of its file.
+        dbc: text of the DBC, or path of its file.
 
     Raises:
         DistanceError: it cannot be read.
@@ -120,7 +120,7 @@ def message_names(dbc: str | Path) -> tuple[str, ...]:
 
 
 def _scale(signal: Signal, step: float | None, unit: float) -> _Scale:
-    """What a signal's counts are worth; ``step`` [m] replaces the DBC's factor."""
+    """Return the conversion of a signal; ``step`` [m] replaces the DBC's factor."""
     factor = float(signal.scale) if step is None else step / unit
     if not math.isfinite(factor) or factor == 0.0:
         raise DistanceError(f"signal {signal.name}: a count is worth {factor!r}")
@@ -131,7 +131,7 @@ def _scale(signal: Signal, step: float | None, unit: float) -> _Scale:
         unit=unit,
         low=-math.inf if signal.minimum is None else float(signal.minimum),
         high=math.inf if signal.maximum is None else float(signal.maximum),
-        hair=abs(factor) * 1e-6,
+        rounding=abs(factor) * 1e-6,
     )
 
 
@@ -159,23 +159,23 @@ def _layout(
     can_id: int | None,
     step: float | None,
 ) -> _Layout:
-    """Resolve names once, so that a frame costs no look-up."""
-    found = _find_message(_load(dbc), message)
-    position = _find_signal(found, signal)
+    """Resolve the names once, so that a frame needs no look-up."""
+    described = _find_message(_load(dbc), message)
+    position = _find_signal(described, signal)
     unit = _METRES_PER_UNIT.get(position.unit or "")
     if unit is None:
         raise DistanceError(f"signal {signal} is in {position.unit!r}, not in a unit of length")
-    if strength is None and any(s.name == "Strength" for s in found.signals):
+    if strength is None and any(s.name == "Strength" for s in described.signals):
         strength = "Strength"
     names = [signal] if strength is None else [signal, strength]
     return _Layout(
-        message=found,
-        can_id=found.frame_id if can_id is None else can_id,
-        extended=found.is_extended_frame,
-        length=found.length,
+        message=described,
+        can_id=described.frame_id if can_id is None else can_id,
+        extended=described.is_extended_frame,
+        length=described.length,
         position=_scale(position, step, unit),
-        strength=None if strength is None else _scale(_find_signal(found, strength), None, 1.0),
-        plain=distance_bits.find(found, names),
+        strength=None if strength is None else _scale(_find_signal(described, strength), None, 1.0),
+        plain=distance_bits.find(described, names),
     )
 
 
@@ -183,19 +183,19 @@ class DistanceDecoder:
     """Turns CAN frames into distance samples.
 
     Args:
-        dbc: the DBC's text, or the path of its file.
+        dbc: text of the DBC, or path of its file.
         message: name of the message in the DBC.
         signal: name of the signal that is the distance.
-        strength: name of the signal strength's signal; ``Strength`` is found by itself.
+        strength: name of the signal strength's signal, by default ``Strength`` if there is one.
         can_id: identifier instead of the DBC's, e.g. 0x180 + node.
-        step: worth of one count [m] instead of the DBC's, e.g. as set by object 6501h.
+        step: one count [m] instead of the DBC's factor, e.g. as set by object 6501h.
 
     Attributes:
-        extended: whether it is a 29-bit identifier.
-        period_s: cycle time by the DBC's GenMsgCycleTime [s], None if it says nothing.
+        extended: the identifier has 29 bits.
+        period_s: cycle time by the DBC's GenMsgCycleTime [s], None without.
 
     Raises:
-        DistanceError: the DBC cannot be read or lacks what is named.
+        DistanceError: the DBC cannot be read or lacks a name.
     """
 
     def __init__(
@@ -220,14 +220,12 @@ class DistanceDecoder:
     def decode(
         self, can_id: int, data: bytes, stamp_ns: int, extended: bool = False
     ) -> DistanceSample | None:
-        """One frame's sample, or None if the frame is not this sensor's.
+        """Return the sample of a frame that arrived at ``stamp_ns``.
 
-        A multiplexed message that carries other signals this time is not this sensor's either.
+        None for another identifier, and for a multiplexed message without the signal.
 
         Args:
-            can_id: identifier of the frame.
-            stamp_ns: arrival [ns].
-            extended: whether the identifier has 29 bits.
+            extended: the identifier has 29 bits.
 
         Raises:
             DistanceError: short or overlong frame, value out of the DBC's range, not finite.
@@ -240,14 +238,14 @@ class DistanceDecoder:
         if count is None:
             return None
         value = scale.value(count)
-        if not scale.is_sane(value):
+        if not scale.is_in_range(value):
             raise DistanceError(
                 f"{scale.name} = {value:g}, outside {scale.low:g}..{scale.high:g}", can_id, data
             )
         return DistanceSample(stamp_ns, value * scale.unit, self._strength(counts, data))
 
     def _counts(self, data: bytes) -> dict[str, float]:
-        """Raw counts of the signals in the frame, the two that matter among them."""
+        """Return the counts of the signals in a frame."""
         if not self._layout.length <= len(data) <= MAX_FRAME_BYTES:
             what = f"{len(data)} bytes instead of {self._layout.length}"
             raise DistanceError(what, self.can_id, data)
@@ -270,7 +268,7 @@ class DistanceDecoder:
 
 
 def _selectors(message: Message, name: str) -> dict[str, float]:
-    """Values of the multiplexers above a signal, so that the frame carries that signal."""
+    """Return the multiplexers' values with which a frame carries a signal."""
     selectors: dict[str, float] = {}
     signal = _find_signal(message, name)
     while signal.multiplexer_signal and signal.multiplexer_ids:
@@ -280,22 +278,19 @@ def _selectors(message: Message, name: str) -> dict[str, float]:
 
 
 def _packed(plain: dict[str, Bits], counts: dict[str, float]) -> bytes | None:
-    """A frame with these counts and zeros; None if one of them is too great for its place."""
+    """Return a frame with these counts and zeros, None if a count does not fit."""
     frame = b""
     for name, bits in plain.items():
         count = int(counts[name])
         if not bits.fits(count):
             return None
-        one = bits.put(count)
-        frame = bytes(map(or_, frame, one)) if frame else one
+        part = bits.packed(count)
+        frame = bytes(map(or_, frame, part)) if frame else part
     return frame
 
 
 class DistanceEncoder:
-    """The other end: turns a distance into the frame a sensor would send.
-
-    The arguments are the decoder's.
-    """
+    """Turns a distance into the sensor's frame; arguments as of the decoder."""
 
     def __init__(
         self,
@@ -316,27 +311,23 @@ class DistanceEncoder:
         self.extended = self._layout.extended
 
     def encode(self, position: float, strength: float | None = None) -> tuple[int, bytes]:
-        """One frame, rounded to the nearest count.
+        """Return identifier and payload for a distance [m], rounded to the nearest count.
 
         Args:
-            position: distance [m].
-            strength: signal strength; 0 if not given, ignored if the message has none.
-
-        Returns:
-            identifier and payload.
+            strength: signal strength, ignored if the message has none.
 
         Raises:
             DistanceError: the value does not fit the signal or is out of the DBC's range.
         """
         layout = self._layout
-        told = {layout.position.name: self._count(layout.position, position)}
+        given = {layout.position.name: self._count(layout.position, position)}
         if layout.strength is not None:
-            told[layout.strength.name] = self._count(layout.strength, strength or 0.0)
+            given[layout.strength.name] = self._count(layout.strength, strength or 0.0)
         if layout.plain is not None:
-            data = _packed(layout.plain, told)
+            data = _packed(layout.plain, given)
             if data is not None:
                 return layout.can_id, data
-        counts = {**self._blank, **told}
+        counts = {**self._blank, **given}
         try:
             return layout.can_id, bytes(layout.message.encode(counts, scaling=False, strict=False))
         except Exception as error:
@@ -344,7 +335,7 @@ class DistanceEncoder:
 
     def _count(self, scale: _Scale, value: float) -> float:
         physical = value / scale.unit
-        if not scale.is_sane(physical):
+        if not scale.is_in_range(physical):
             raise DistanceError(
                 f"{scale.name} = {physical:g}, outside {scale.low:g}..{scale.high:g}"
             )

@@ -1,8 +1,8 @@
-"""Where the bits of a whole number lie in a CAN frame, found once, read and written at once.
+"""Read and write whole numbers in a CAN frame at places that are resolved once.
 
-Law of this file: only what is plain is done here, whole numbers of up to 64 bits in a message
-without multiplexers; of everything else it says None, and cantools is asked. What it gives is
-what cantools gives.
+Invariants:
+    Only whole numbers of up to 64 bits in messages without multiplexers; cantools does the rest.
+    The results are those of cantools.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ MAX_BITS = 64
 
 @dataclass(frozen=True, slots=True)
 class Bits:
-    """One number's place.
+    """Place of one number.
 
     Attributes:
-        order: which end of the frame comes first.
-        length: bytes of the message.
-        mask: its bits, shifted down.
-        sign: its highest bit if that means a negative number, else 0.
+        order: byte order of the frame.
+        length: of the message [bytes].
+        mask: the number's bits, shifted to bit 0.
+        sign: the sign bit of a signed number, else 0.
     """
 
     order: Literal["little", "big"]
@@ -34,29 +34,25 @@ class Bits:
     sign: int
 
     def read(self, data: bytes) -> int:
-        """Return the number; the frame is long enough."""
+        """Return the number of a frame that is long enough."""
         raw = int.from_bytes(data[: self.length], self.order) >> self.shift & self.mask
         return (raw ^ self.sign) - self.sign
 
     def fits(self, count: int) -> bool:
-        """Tell whether the place is wide enough for a number."""
+        """Whether a number fits the place."""
         return -self.sign <= count <= (self.sign - 1 if self.sign else self.mask)
 
-    def put(self, count: int) -> bytes:
-        """Return a frame with nothing but this number in it; it fits."""
+    def packed(self, count: int) -> bytes:
+        """Return a frame with this number, which fits, and zeros."""
         return ((count & self.mask) << self.shift).to_bytes(self.length, self.order)
 
 
 def find(message: Message, names: Sequence[str]) -> dict[str, Bits] | None:
-    """Find the places of some signals.
-
-    Returns:
-        Their places by name; None if one of them is not plain.
-    """
+    """Return the places of signals by name, None if cantools must decode one of them."""
     if message.is_multiplexed():
         return None
-    found = {s.name: _bits(s, message.length) for s in message.signals if s.name in names}
-    plain = {name: bits for name, bits in found.items() if bits is not None}
+    places = {s.name: _bits(s, message.length) for s in message.signals if s.name in names}
+    plain = {name: bits for name, bits in places.items() if bits is not None}
     return plain if len(plain) == len(set(names)) else None
 
 
@@ -68,7 +64,7 @@ def _bits(signal: Signal, length: int) -> Bits | None:
         order: Literal["little", "big"] = "little"
         shift = signal.start
     else:
-        # The DBC counts a big-endian number from its highest bit, bytes upwards, bits downwards.
+        # A DBC gives the highest bit of a big-endian number; bytes count up, bits count down.
         order = "big"
         highest = 8 * (signal.start // 8) + 7 - signal.start % 8
         shift = 8 * length - highest - size

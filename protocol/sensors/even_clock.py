@@ -1,11 +1,11 @@
-"""When a distance was measured, where only the reading of it has a date.
+"""Date the readings of a distance sensor that measures evenly.
 
-Law of this file: integers in, samples out, a bounded memory. An adapter on a serial line gives no
-stamps: what a busy host reads 12 ms late in one portion seems to have come at once, and three
-readings behind one another at one instant look like a conveyor that stops. A sensor that measures
-evenly is dated by its own evenness: a reading comes a period after the one before, and one that
-is followed by another in the same portion came a period before that. A reading can be late, never
-early. Where the gaps are not even, nothing is touched.
+An adapter on a serial line gives no stamps. Readings that a busy host reads 12 ms late in one
+portion seem to have come at once, which looks like a stop of the conveyor.
+
+Invariants:
+    A reading comes one period after the one before. A reading can be late, never early.
+    Where the gaps are not even, the stamps are not changed.
 """
 
 from collections import deque
@@ -14,35 +14,26 @@ from itertools import pairwise
 
 from linemate.protocol.samples import DistanceSample
 
-KEPT = 64
-LEARN_EVERY = 16
-EVEN = 0.25
-"""A gap is even if it is within so much of the median."""
-
-MOST, ENOUGH = 2 / 3, 0.4
-"""So many gaps must be even before anything is dated by them, and so many for that to go on."""
-
-LATE = 0.125
-"""Lateness below so much of a period is left alone: it is the line's own."""
-
-LEAK = 1 / 64
-"""Of a lateness that stays, so much is believed with each reading: the sensor's phase may move."""
-
-SHORTER = 0.98
-"""Of a period: no reading followed another sooner."""
+KEPT = 64  # gaps from which the period is learned
+LEARN_EVERY = 16  # readings
+EVEN = 0.25  # a gap is even within this share of the median
+MOST, ENOUGH = 2 / 3, 0.4  # share of even gaps to begin dating, and to continue
+LATE = 0.125  # lateness up to this share of a period is the line's own and not corrected
+LEAK = 1 / 64  # share of a lasting lateness accepted with each reading: the phase may move
+SHORTER = 0.98  # least time between two readings, share of a period
 
 
 class EvenClock:
     """Dates readings.
 
     Attributes:
-        redated: readings that were read late.
+        redated: readings whose stamp was changed.
     """
 
     __slots__ = ("_arrivals", "_fresh", "_last_ns", "_period_ns", "redated")
 
     def __init__(self) -> None:
-        """Know nothing."""
+        """Begin without a period."""
         self._arrivals: deque[int] = deque(maxlen=KEPT + 1)
         self._fresh = 0
         self._last_ns: int | None = None
@@ -50,11 +41,7 @@ class EvenClock:
         self.redated = 0
 
     def date(self, samples: Sequence[DistanceSample]) -> Sequence[DistanceSample]:
-        """Return readings with their stamps at the moments at which they came.
-
-        Args:
-            samples: all that came since the last call, oldest first.
-        """
+        """Return all readings since the last call, oldest first, with their corrected stamps."""
         for sample in samples:
             self._learn(sample.stamp_ns)
         if not self._period_ns:
@@ -66,7 +53,7 @@ class EvenClock:
         for sample in samples:
             behind -= 1
             latest_ns = samples[-1].stamp_ns - round(behind * SHORTER * self._period_ns)
-            stamp_ns = self._came(min(sample.stamp_ns, latest_ns))
+            stamp_ns = self._arrival(min(sample.stamp_ns, latest_ns))
             self._last_ns = stamp_ns
             if stamp_ns != sample.stamp_ns:
                 self.redated += 1
@@ -74,8 +61,8 @@ class EvenClock:
             dated.append(sample)
         return dated
 
-    def _came(self, read_ns: int) -> int:
-        """Return when a reading came that was read then [ns]."""
+    def _arrival(self, read_ns: int) -> int:
+        """Return the arrival of a reading that was read at ``read_ns`` [ns]."""
         last_ns, period_ns = self._last_ns, self._period_ns
         if last_ns is None:
             return read_ns
@@ -99,7 +86,7 @@ class EvenClock:
         median = sorted(gaps)[len(gaps) // 2]
         even = [gap for gap in gaps if abs(gap - median) <= EVEN * median]
         if len(even) >= MOST * len(gaps):
-            # Their mean is finer than their median, whose quantum is that of the host's noise.
+            # The mean is finer than the median, which has the resolution of the host's noise.
             self._period_ns = sum(even) / len(even)
         elif len(even) < ENOUGH * len(gaps):
             self._period_ns = 0.0

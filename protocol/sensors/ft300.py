@@ -1,10 +1,10 @@
 """Robotiq FT300 force-torque sensor: stream frames and the request that starts them.
 
-Law of this file: bytes and states, no port and no clock; time comes as an argument.
 A frame is 16 bytes: 20 4E, six int16 little endian (Fx Fy Fz in 1/100 N, Mx My Mz in 1/1000 Nm),
-CRC-16/MODBUS little endian over the first 14. It has no stamp and no counter.
-The stream is stopped by 50 bytes of FF and started by writing 0x0200 to Modbus register 410.
-Source: the maker's manual.
+CRC-16/MODBUS little endian over the first 14. It has no stamp and no counter. 50 bytes of FF stop
+the stream; writing 0x0200 to Modbus register 410 starts it.
+
+Reference: the maker's manual.
 """
 
 import math
@@ -15,8 +15,8 @@ import fastcrc
 
 from linemate.protocol.samples import WrenchSample
 from linemate.protocol.sensors.wrench_stream import (
-    DEAF_ATTEMPTS,
-    DEAF_FRAMES,
+    SILENT_ATTEMPTS,
+    SILENT_FRAMES,
     HostOutput,
     WrenchDecoder,
     WrenchError,
@@ -33,20 +33,20 @@ _MIN_COUNT, _MAX_COUNT = -32768, 32767
 
 
 class Robotiq300Decoder(WrenchDecoder):
-    """FT300 frames out of a byte stream."""
+    """Finds FT300 frames in a byte stream."""
 
     __slots__ = ()
 
     def __init__(self) -> None:
-        """Start in step, with an empty buffer."""
+        """Begin with an empty buffer."""
         super().__init__(FT300_HEADER, FT300_FRAME_BYTES, fastcrc.crc16.modbus)
 
     def checked(self, frame: bytes) -> bytes:
-        """The first 14 bytes."""
+        """Return the first 14 bytes."""
         return frame[:14]
 
     def sample(self, frame: bytes, stamp_ns: int) -> WrenchSample:
-        """Force and torque; integers are always finite."""
+        """Return force and torque; integers are always finite."""
         fx, fy, fz, mx, my, mz = _FRAME.unpack(frame)
         return WrenchSample(
             stamp_ns, (fx / 100.0, fy / 100.0, fz / 100.0), (mx / 1e3, my / 1e3, mz / 1e3)
@@ -54,7 +54,7 @@ class Robotiq300Decoder(WrenchDecoder):
 
 
 def ft300_frame(force: Sequence[float], torque: Sequence[float]) -> bytes:
-    """One frame as the device sends it, saturated at the ends of its range.
+    """Return one frame as the device sends it, saturated at the ends of its range.
 
     Args:
         force: Fx Fy Fz [N], rounded to 0.01 N.
@@ -67,60 +67,53 @@ def ft300_frame(force: Sequence[float], torque: Sequence[float]) -> bytes:
         raise WrenchError(f"ft300: {force!r}, {torque!r} are not three and three finite values")
     counts = [_count(value * FORCE_COUNTS_PER_N) for value in force]
     counts += [_count(value * TORQUE_COUNTS_PER_NM) for value in torque]
-    body = FT300_HEADER + _COUNTS.pack(*counts)
-    return body + _check(body)
+    return _checked(FT300_HEADER + _COUNTS.pack(*counts))
 
 
 def _count(value: float) -> int:
     return round(min(max(value, _MIN_COUNT), _MAX_COUNT))
 
 
-def _check(body: bytes) -> bytes:
-    return fastcrc.crc16.modbus(body).to_bytes(2, "little")
-
-
 def _checked(body: bytes) -> bytes:
-    return body + _check(body)
+    return body + fastcrc.crc16.modbus(body).to_bytes(2, "little")
 
 
 FT300_STOP = b"\xff" * 50
+# Modbus RTU: slave 9, write multiple registers, one register, 410 = 0x0200; and its answer.
 FT300_START = _checked(bytes.fromhex("0910019a0001020200"))
-"""Modbus RTU: slave 9, write multiple registers, one register, 410 = 0x0200."""
 FT300_STARTED = _checked(bytes.fromhex("0910019a0001"))
-"""The slave's answer to it."""
 
-ANSWER_TIMEOUT_NS = 700_000_000
-"""How long the host waits for the answer; the 50 bytes and the device take some of it."""
+ANSWER_TIMEOUT_NS = 700_000_000  # includes the time of the 50 bytes on the line
 MAX_ATTEMPTS = 10
 
 
 class Ft300Host:
-    """The host's end of the start: stop whatever runs, start the stream, pass it through.
+    """Host's side of the start: stop a stream, start a new one, pass it through.
 
     Attributes:
-        running: the device has confirmed and streams, or streams whatever it is asked.
-        failure: why it was given up, None while it was not.
+        running: the device has confirmed and streams, or streams without answering.
+        failure: why the start has failed, or None.
     """
 
-    __slots__ = ("_attempts", "_deadline_ns", "_tail", "_unasked", "failure", "running")
+    __slots__ = ("_attempts", "_deadline_ns", "_own_stream", "_tail", "failure", "running")
 
     def __init__(self) -> None:
-        """Nothing sent yet."""
+        """Begin before the first request."""
         self._tail = b""
-        self._unasked = Robotiq300Decoder()
+        self._own_stream = Robotiq300Decoder()
         self._attempts = 0
         self._deadline_ns = 0
         self.running = False
         self.failure: str | None = None
 
     def begin(self, now_ns: int) -> HostOutput:
-        """Stop an old stream and ask for a new one."""
+        """Stop an old stream and request a new one."""
         self.running, self.failure = False, None
         self._attempts = 0
         return self._restart(now_ns)
 
     def feed(self, data: bytes, now_ns: int) -> HostOutput:
-        """Take what the port gave: remains of an old stream, the answer, the stream."""
+        """Process what the port received: rest of an old stream, the answer, the stream."""
         if self.running:
             return HostOutput(stream=data)
         if self.failure is not None:
@@ -128,8 +121,8 @@ class Ft300Host:
         received = self._tail + data
         _, answer, stream = received.partition(FT300_STARTED)
         if not answer:
-            self._unasked.feed(data, now_ns)
-            if self._attempts >= DEAF_ATTEMPTS and self._unasked.frames >= DEAF_FRAMES:
+            self._own_stream.feed(data, now_ns)
+            if self._attempts >= SILENT_ATTEMPTS and self._own_stream.frames >= SILENT_FRAMES:
                 self.running = True
                 return HostOutput(stream=data)
             self._tail = received[-(len(FT300_STARTED) - 1) :]
@@ -139,7 +132,7 @@ class Ft300Host:
         return HostOutput(stream=stream)
 
     def on_time(self, now_ns: int) -> HostOutput:
-        """Ask again when the answer is overdue; give up after ``MAX_ATTEMPTS``."""
+        """Request again when the answer is overdue; fail after ``MAX_ATTEMPTS``."""
         if self.running or self.failure is not None or now_ns < self._deadline_ns:
             return HostOutput()
         if self._attempts >= MAX_ATTEMPTS:
@@ -149,38 +142,38 @@ class Ft300Host:
 
     def _restart(self, now_ns: int) -> HostOutput:
         self._tail = b""
-        self._unasked = Robotiq300Decoder()
+        self._own_stream = Robotiq300Decoder()
         self._attempts += 1
         self._deadline_ns = now_ns + ANSWER_TIMEOUT_NS
         return HostOutput(send=FT300_STOP + FT300_START)
 
 
 class Ft300Device:
-    """The device's end: what an emulated sensor answers.
+    """Device's side, for an emulated sensor.
 
     Attributes:
-        streaming: whether frames are being sent.
-        refused: bytes that belong to no request understood.
+        streaming: frames are being sent.
+        refused: bytes that belong to no known request.
     """
 
     __slots__ = ("_buffer", "_stops", "refused", "streaming")
 
     def __init__(self) -> None:
-        """Powered on, not streaming."""
+        """Begin powered on and not streaming."""
         self._buffer = b""
         self._stops = 0
         self.streaming = False
         self.refused = 0
 
     def boot(self) -> bytes:
-        """Power on: silent until asked."""
+        """Power on; it is silent until a request."""
         self._buffer = b""
         self._stops = 0
         self.streaming = False
         return b""
 
     def feed(self, data: bytes) -> bytes:
-        """Take the host's bytes, cut anywhere; return the answers."""
+        """Return the answers to the host's bytes, which may be cut anywhere."""
         answers = b""
         for index in range(len(data)):
             answers += self._on_byte(data[index : index + 1])

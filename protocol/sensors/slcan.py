@@ -1,9 +1,11 @@
 r"""slcan: CAN frames and adapter commands as ASCII lines, both directions.
 
-Law of this file: bytes and values, no port, no clock, no state of an adapter. A line ends with
-CR; what the host writes gives :class:`Command` values, what cannot be read gives one of kind
-``INVALID``, to be answered with BEL. A decoder never raises and keeps at most one line.
-Source: the Lawicel CAN232 manual, as python-can and the Linux kernel speak it.
+Invariants:
+    A line ends with CR.
+    A decoder never raises and keeps at most one line. A line that is no command is of kind
+    ``INVALID``, to be answered with BEL.
+
+Reference: Lawicel CAN232 manual, as python-can and the Linux kernel implement it.
 """
 
 from dataclasses import dataclass
@@ -14,20 +16,15 @@ from msgspec.structs import force_setattr
 
 from linemate.protocol.errors import ProtocolError
 
-OK = b"\r"
-"""Answer to a command that was done."""
-REFUSED = b"\a"
-"""Answer to one that was not."""
-SENT = b"z\r"
-"""Answer to ``t`` and ``r``."""
-SENT_EXTENDED = b"Z\r"
-"""Answer to ``T`` and ``R``."""
+OK = b"\r"  # answer to an executed command
+REFUSED = b"\a"  # answer to a refused command
+SENT = b"z\r"  # answer to ``t`` and ``r``
+SENT_EXTENDED = b"Z\r"  # answer to ``T`` and ``R``
 
+# Bit rates of S0..S8 [bit/s].
 BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
-"""Bit rates of S0..S8 [bit/s]."""
 
-MAX_LINE_BYTES = 30
-"""The longest line there is: T, 8 digits, length, 16 digits, 4 digits of stamp."""
+MAX_LINE_BYTES = 30  # T, 8 digits, length, 16 digits, 4 digits of stamp
 
 _HEX = frozenset(b"0123456789abcdefABCDEF")
 _STANDARD_LIMIT = 1 << 11
@@ -35,10 +32,10 @@ _EXTENDED_LIMIT = 1 << 29
 
 
 class SlcanError(ProtocolError):
-    """A line that is no frame, or a frame that is none."""
+    """A line that is no frame, or a frame that is out of range."""
 
     def __init__(self, what: str, line: bytes = b"") -> None:
-        """Keep the evidence and print it."""
+        """Make the message from the first bytes of the line."""
         super().__init__(f"slcan: {what}: {line[:32]!r}")
         self.line = line
 
@@ -48,9 +45,9 @@ class CanFrame(Struct, frozen=True):
 
     Attributes:
         data: payload, at most 8 bytes; empty in a remote frame.
-        extended: whether the identifier has 29 bits.
-        remote: a request for data.
-        length: data length code; of a remote frame, that of the data asked for.
+        extended: the identifier has 29 bits.
+        remote: remote frame, a request for data.
+        length: data length code; in a remote frame, of the requested data.
     """
 
     can_id: int
@@ -60,7 +57,7 @@ class CanFrame(Struct, frozen=True):
     length: int = -1
 
     def __post_init__(self) -> None:
-        """Complete the length, refuse what no bus can carry.
+        """Set the length and check the ranges.
 
         Raises:
             SlcanError: identifier, length or payload out of range.
@@ -75,10 +72,10 @@ class CanFrame(Struct, frozen=True):
 
 
 def format_frame(frame: CanFrame, stamp_ms: int | None = None) -> bytes:
-    """A frame as a line, CR included; the same in both directions.
+    """Return a frame as a line with its CR; the same in both directions.
 
     Args:
-        stamp_ms: the adapter's clock [ms], modulo a minute, where ``Z1`` asked for it.
+        stamp_ms: the adapter's clock [ms], written modulo one minute, after ``Z1`` only.
     """
     letter = "tTrR"[frame.extended + 2 * frame.remote]
     identifier = f"{frame.can_id:08X}" if frame.extended else f"{frame.can_id:03X}"
@@ -87,7 +84,7 @@ def format_frame(frame: CanFrame, stamp_ms: int | None = None) -> bytes:
 
 
 def parse_frame(line: bytes) -> CanFrame:
-    """The frame in a line without its CR; a stamp behind the data is passed over.
+    """Return the frame of a line without its CR; a stamp after the data is ignored.
 
     Raises:
         SlcanError: no frame.
@@ -109,7 +106,7 @@ def parse_frame(line: bytes) -> CanFrame:
 
 
 class CommandKind(Enum):
-    """What a host can ask of an adapter, by the letter it writes."""
+    """Commands of a host, by their letter."""
 
     OPEN = "O"
     LISTEN = "L"
@@ -132,10 +129,8 @@ class Command:
     """One line from the host.
 
     Attributes:
-        kind: what is asked for.
         line: the line without its CR, cut to ``MAX_LINE_BYTES``.
-        value: the number behind the letter (bit rate code 0..8, stamps 0 or 1, registers),
-            None where there is none.
+        value: the number after the letter (bit rate code 0..8, stamps 0 or 1, registers), or None.
         frame: the frame to send, for ``TRANSMIT``.
     """
 
@@ -155,6 +150,7 @@ _BARE = {
     b"N": CommandKind.SERIAL,
     b"F": CommandKind.FLAGS,
 }
+# Kind, hexadecimal digits, and the first value that is too large.
 _VALUED = {
     b"S": (CommandKind.BITRATE, 1, len(BITRATES)),
     b"s": (CommandKind.BIT_TIMING, 4, 1 << 16),
@@ -162,11 +158,10 @@ _VALUED = {
     b"M": (CommandKind.ACCEPTANCE_CODE, 8, 1 << 32),
     b"m": (CommandKind.ACCEPTANCE_MASK, 8, 1 << 32),
 }
-"""Kind, hexadecimal digits, and the first value that is too large."""
 
 
 def parse_command(line: bytes) -> Command:
-    """One line from the host without its CR. Never raises: what cannot be read is ``INVALID``."""
+    """Return the command of a line without its CR; an unreadable one is ``INVALID``."""
     letter, rest = line[:1], line[1:]
     if not rest and letter in _BARE:
         return Command(_BARE[letter], line)
@@ -190,14 +185,14 @@ class LineDecoder:
     __slots__ = ("_buffer", "overlong")
 
     def __init__(self) -> None:
-        """Start with an empty line."""
+        """Begin with an empty line."""
         self._buffer = b""
         self.overlong = 0
 
     def feed(self, data: bytes) -> list[bytes]:
-        """The lines now complete, without their CR; line feeds between lines are passed over.
+        """Return the complete lines without their CR; line feeds between lines are ignored.
 
-        An overlong line comes out cut one byte past ``MAX_LINE_BYTES``, so that nothing reads it.
+        An overlong line is cut one byte after ``MAX_LINE_BYTES``, so that it cannot be read.
         """
         *lines, rest = (self._buffer + data).split(b"\r")
         self._buffer = rest.lstrip(b"\n")[: MAX_LINE_BYTES + 1]
@@ -211,21 +206,21 @@ class LineDecoder:
 
 
 class CommandDecoder:
-    """Commands out of what a host writes, cut anywhere.
+    """Decodes the commands in a host's byte stream.
 
     Attributes:
-        invalid: lines that were no command.
+        invalid: lines that are no command.
     """
 
     __slots__ = ("_lines", "invalid")
 
     def __init__(self) -> None:
-        """Start with an empty line."""
+        """Begin with an empty line."""
         self._lines = LineDecoder()
         self.invalid = 0
 
     def feed(self, data: bytes) -> list[Command]:
-        """The commands now complete, in order; unreadable ones of kind ``INVALID`` among them."""
+        """Return the complete commands in order, ``INVALID`` ones included."""
         commands = [parse_command(line) for line in self._lines.feed(data)]
         self.invalid += sum(command.kind is CommandKind.INVALID for command in commands)
         return commands

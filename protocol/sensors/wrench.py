@@ -1,8 +1,6 @@
-"""The force-torque sensor: the door to its devices.
+"""Force-torque devices by name: decoder, host's and device's side of the start-up dialogue.
 
-Law of this file: names and a table, no logic. A configuration names a device; here that name
-becomes a decoder, the host's end of its start-up dialogue and, for an emulator, the device's.
-A further device is one file beside ``bota`` and one line in each table.
+A further device is one file next to ``bota`` and one line in each table.
 """
 
 from typing import Protocol
@@ -46,40 +44,40 @@ __all__ = [
 
 
 class WrenchHost(Protocol):
-    """The host's end of a start-up dialogue, sans I/O.
+    """Host's side of a start-up dialogue, without I/O.
 
     Attributes:
-        running: the device streams; everything received belongs to the decoder.
-        failure: why the dialogue was given up, None while it was not.
+        running: the device streams; all bytes are for the decoder.
+        failure: why the dialogue has failed, or None.
     """
 
     running: bool
     failure: str | None
 
     def begin(self, now_ns: int) -> HostOutput:
-        """Start the dialogue, whatever the device is doing."""
+        """Start the dialogue, whatever the device does."""
 
     def feed(self, data: bytes, now_ns: int) -> HostOutput:
-        """Take what the port gave; afterwards pass the stream through."""
+        """Process what the port received; afterwards pass the stream through."""
 
     def on_time(self, now_ns: int) -> HostOutput:
-        """Repeat what is overdue, give up in the end."""
+        """Repeat overdue requests; fail after the last attempt."""
 
 
 class WrenchDevice(Protocol):
-    """The device's end of a start-up dialogue, for an emulator.
+    """Device's side of a start-up dialogue, for an emulator.
 
     Attributes:
-        streaming: whether frames are being sent.
+        streaming: frames are being sent.
     """
 
     streaming: bool
 
     def boot(self) -> bytes:
-        """Power on; what the device prints then."""
+        """Power on; return the banner."""
 
     def feed(self, data: bytes) -> bytes:
-        """Take the host's bytes, return the answers."""
+        """Return the answers to the host's bytes."""
 
 
 _DECODERS: dict[str, type[BotaDecoder | Robotiq300Decoder]] = {
@@ -92,11 +90,9 @@ _DEVICES: dict[str, type[BotaDevice | Ft300Device]] = {
     "robotiq-ft300": Ft300Device,
 }
 
-DEVICES = tuple(_DECODERS)
-"""Device names a configuration may use."""
-
+DEVICES = tuple(_DECODERS)  # names in a configuration
+# Line speed as delivered [baud]; 8 data bits, no parity, 1 stop bit.
 BAUD_RATES = {"bota": 460800, "robotiq-ft300": 19200}
-"""Line speed as delivered [baud]; 8 data bits, no parity, 1 stop bit."""
 
 
 def _known(device: str) -> str:
@@ -106,7 +102,7 @@ def _known(device: str) -> str:
 
 
 def make_decoder(device: str) -> WrenchDecoder:
-    """A decoder for a device's stream.
+    """Return a decoder of a device's stream.
 
     Raises:
         WrenchError: no such device.
@@ -115,7 +111,7 @@ def make_decoder(device: str) -> WrenchDecoder:
 
 
 def make_host(device: str) -> WrenchHost:
-    """The host's end of a device's start-up dialogue, with its default settings.
+    """Return the host's side of a device's start-up dialogue with default settings.
 
     Raises:
         WrenchError: no such device.
@@ -124,7 +120,7 @@ def make_host(device: str) -> WrenchHost:
 
 
 def make_device(device: str) -> WrenchDevice:
-    """The device's end of its start-up dialogue, for an emulator.
+    """Return the device's side of its start-up dialogue, for an emulator.
 
     Raises:
         WrenchError: no such device.

@@ -208,7 +208,7 @@ BO_ 101 Encoder: {length} S
     expected = message.decode(data[:length], scaling=False, decode_choices=False)
     assert {"Travel": found.read(data[:length])} == expected
     if found.fits(count):
-        assert found.put(count) == message.encode({"Travel": count}, scaling=False, strict=False)
+        assert found.packed(count) == message.encode({"Travel": count}, scaling=False, strict=False)
     else:
         with pytest.raises(Exception):  # noqa: B017, PT011 -- whatever cantools says of it
             message.encode({"Travel": count}, scaling=False, strict=False)

@@ -32,7 +32,7 @@ from linemate.protocol.sensors.wrench import (
     make_device,
     make_host,
 )
-from linemate.protocol.sensors.wrench_stream import DEAF_ATTEMPTS, DEAF_FRAMES
+from linemate.protocol.sensors.wrench_stream import SILENT_ATTEMPTS, SILENT_FRAMES
 
 BOTA_HEX = "aa 0200 0000803f 00000040 00004040 00008040 0000a040 0000c040 4d000000 0000c841 6359"
 FT300_HEX = "204e 7b00 c800 2c01 a00f 8813 7017 a35a"
@@ -345,11 +345,11 @@ def test_the_bota_host_begins_again_when_an_answer_is_overdue_and_gives_up_in_th
 def test_a_device_that_streams_whatever_it_is_asked_is_taken_as_it_is(device: str) -> None:
     host, now_ns = make_host(device), 0
     host.begin(now_ns)
-    for _ in range(DEAF_ATTEMPTS - 1):
-        assert host.feed(stream(device, DEAF_FRAMES), now_ns).stream == b""
+    for _ in range(SILENT_ATTEMPTS - 1):
+        assert host.feed(stream(device, SILENT_FRAMES), now_ns).stream == b""
         now_ns += 10**9
         assert host.on_time(now_ns).send
-    for _ in range(DEAF_FRAMES - 1):
+    for _ in range(SILENT_FRAMES - 1):
         assert host.feed(stream(device, 1), now_ns).stream == b""
     assert not host.running
     assert host.feed(stream(device, 1), now_ns).stream == stream(device, 1)
