@@ -1,9 +1,10 @@
-"""Server and client of the command protocol as state machines without I/O.
+"""Server and client of the authenticated command protocol, as state machines without I/O.
 
-Law of this file: nothing is kept for a stranger; a session exists from the first request
-that proves a cookie of the last two epochs, so nothing recorded earlier can make one.
-What is not genuine, fresh and new gets no answer, only a count. Time and randomness are
-arguments. The local socket uses the same conversation without tags, in local_server.
+Invariants:
+    The server keeps nothing for an unknown sender. A session begins with the first request that
+    proves a cookie of the last two epochs, so that no recorded request can begin one.
+    A frame that is not genuine, fresh and new gets no answer; it is counted.
+    Time and randomness are arguments.
 """
 
 from collections import Counter, OrderedDict
@@ -17,7 +18,7 @@ from linemate.protocol.command.frame_codec import (
     COOKIE_BYTES,
     HANDSHAKE_BYTES,
     NS_PER_MS,
-    ROOM_BYTES,
+    PAYLOAD_BYTES,
     CommandError,
     CommandFrame,
     FrameType,
@@ -45,7 +46,7 @@ WINDOW: Final = 64
 
 
 class ReplayWindow:
-    """Which of the last 64 sequence numbers have come."""
+    """The last 64 sequence numbers that have come."""
 
     __slots__ = ("_highest", "_seen")
 
@@ -53,15 +54,15 @@ class ReplayWindow:
         self._highest = 0
         self._seen = 0
 
-    def fresh(self, sequence: int) -> bool:
-        """Tell whether ``sequence`` is new; changes nothing."""
+    def is_fresh(self, sequence: int) -> bool:
+        """Whether ``sequence`` is new."""
         if sequence > self._highest:
             return True
         age = self._highest - sequence
         return sequence > 0 and age < WINDOW and not self._seen >> age & 1
 
-    def take(self, sequence: int) -> None:
-        """Remember a sequence that was found fresh and whose frame was genuine."""
+    def note(self, sequence: int) -> None:
+        """Note a fresh sequence of a genuine frame."""
         if sequence > self._highest:
             shift = min(sequence - self._highest, WINDOW)
             self._seen = (self._seen << shift | 1) & (1 << WINDOW) - 1
@@ -71,10 +72,10 @@ class ReplayWindow:
 
 
 class Incoming(NamedTuple):
-    """An order to carry out, and whose it is.
+    """An order to execute, and its session.
 
     Attributes:
-        tag: of the request's frame, to know an exact duplicate by.
+        tag: of the request's frame; an exact duplicate has the same.
     """
 
     order: CommandOrder
@@ -84,11 +85,11 @@ class Incoming(NamedTuple):
 
 
 class Received(NamedTuple):
-    """What a datagram came to.
+    """Outcome of a datagram.
 
     Attributes:
-        replies: datagrams for its sender.
-        request: an order whose result is to be given to ``CommandServer.reply``.
+        replies: datagrams to its sender.
+        request: an order; its result goes to ``CommandServer.reply``.
     """
 
     replies: tuple[bytes, ...] = ()
@@ -121,14 +122,14 @@ class _ServerSession:
 
 
 class CommandServer:
-    """The daemon's end of the authenticated protocol, for any number of clients.
+    """Server of the authenticated protocol, for up to ``MAX_SESSIONS`` clients.
 
     Args:
-        secret_source: returns 32 fresh random bytes, called once an epoch.
+        secret_source: returns 32 random bytes; called once in each epoch.
         lease: the control lease, shared with the local socket.
 
     Attributes:
-        counters: what came and what became of it, by reason.
+        counters: datagrams and their outcomes, by name.
     """
 
     def __init__(
@@ -146,19 +147,18 @@ class CommandServer:
 
     @property
     def sessions(self) -> int:
-        """How many sessions there are."""
+        """Number of sessions."""
         return len(self._sessions)
 
     @property
     def subscribed(self) -> bool:
-        """Whether any session wants telemetry."""
+        """Whether a session has subscribed to telemetry."""
         return any(session.conversation.subscribed for session in self._sessions.values())
 
     def on_datagram(self, data: bytes, address: Hashable, now_ns: int) -> Received:
-        """Take one datagram. Never raises; what is refused is counted.
+        """Process one datagram at a time on the server's monotonic clock [ns].
 
-        Args:
-            now_ns: the server's monotonic clock.
+        A refused one is counted.
         """
         self.counters["received"] += 1
         try:
@@ -171,9 +171,9 @@ class CommandServer:
         """Return the datagram that answers a request, None if its session has ended.
 
         Args:
-            request: as on_datagram gave it.
-            result: the handler's; with the key ``refused`` a refusal.
-            now_ns: the server's monotonic clock.
+            request: from on_datagram.
+            result: of the handler; with the key ``refused`` a refusal.
+            now_ns: time on the server's monotonic clock.
         """
         session = self._sessions.get((request.key_id, request.session))
         if session is None:
@@ -182,7 +182,7 @@ class CommandServer:
         return self._sealed_reply(session, request, payload)
 
     def fail(self, request: Incoming, now_ns: int) -> bytes | None:
-        """Return the datagram that says a handler broke, None if its session has ended."""
+        """Return the reply to a request whose handler has failed, None if its session has ended."""
         session = self._sessions.get((request.key_id, request.session))
         if session is None:
             return None
@@ -194,8 +194,8 @@ class CommandServer:
         """Return the telemetry that is due, as datagrams with their addresses.
 
         Args:
-            now_ns: the server's monotonic clock.
-            snapshot: gives the telemetry; called at most once, and only if any is due.
+            now_ns: time on the server's monotonic clock.
+            snapshot: returns the telemetry; called once at most, and only if some is due.
         """
         due = [item for item in self._sessions.items() if item[1].conversation.event_due(now_ns)]
         if not due:
@@ -215,7 +215,7 @@ class CommandServer:
         return datagrams
 
     def replace_keys(self, keys: Iterable[PresharedKey]) -> None:
-        """Take a new set of keys; sessions of keys gone or changed end at once."""
+        """Use a new set of keys; sessions of removed or changed keys end."""
         states: dict[int, _KeyState] = {}
         for key in keys:
             old = self._keys.get(key.id)
@@ -225,8 +225,8 @@ class CommandServer:
                 del self._sessions[key_id, number]
                 self.counters["sessions_revoked"] += 1
         self._keys = states
-        # Cookies given out under the old set die with it, or a key taken away and given
-        # back would find its recorded sessions without their tombstones.
+        # Cookies of the old set become invalid. Otherwise recorded sessions of a key that is
+        # removed and added again could begin again, because their tombstones are gone.
         self._secrets.clear()
 
     def _on_frame(self, frame: CommandFrame, address: Hashable, now_ns: int) -> Received:
@@ -239,15 +239,15 @@ class CommandServer:
             raise CommandError("direction", frame.type.name)
         session = self._sessions.get((frame.key_id, frame.session))
         if session is None:
-            session = self._on_stranger(frame, state, address, now_ns)
-        elif not session.keys.to_server.genuine(frame):
+            session = self._begin_session(frame, state, address, now_ns)
+        elif not session.keys.to_server.is_genuine(frame):
             raise CommandError("tag")
-        # Else a copied request could point replies and telemetry at somebody else.
+        # Otherwise a copied request could send replies and telemetry to another address.
         if address != session.address:
             raise CommandError("moved")
-        if not session.window.fresh(frame.sequence):
+        if not session.window.is_fresh(frame.sequence):
             return self._on_duplicate(frame, session)
-        session.window.take(frame.sequence)
+        session.window.note(frame.sequence)
         session.last_ns = now_ns
         if frame.type is FrameType.CLOSE:
             self._end((frame.key_id, frame.session), now_ns)
@@ -256,45 +256,45 @@ class CommandServer:
         return self._on_request(frame, session, now_ns)
 
     def _on_hello(self, frame: CommandFrame, state: _KeyState, now_ns: int) -> Received:
-        # As long as its answer, so that nobody is flooded through this server.
+        # As long as its answer: the server must not amplify floods.
         if len(frame.body) + len(frame.tag) != HANDSHAKE_BYTES:
             raise CommandError("length", "HELLO")
-        if not state.hellos.genuine(frame):
+        if not state.hellos.is_genuine(frame):
             raise CommandError("tag", "HELLO")
         self.counters["hellos"] += 1
         proof = cookie(self._secret(now_ns // EPOCH_NS), frame.key_id, frame.session)
         body = frame_body(FrameType.COOKIE, frame.key_id, frame.session, now_ns // NS_PER_MS, proof)
         return Received((state.cookies.seal(body),))
 
-    def _on_stranger(
+    def _begin_session(
         self, frame: CommandFrame, state: _KeyState, address: Hashable, now_ns: int
     ) -> _ServerSession:
         if frame.type is not FrameType.REQUEST:
             raise CommandError("no_session")
-        self._bury(state, now_ns)
+        self._drop_old_tombstones(state, now_ns)
         if frame.session in state.tombstones:
             raise CommandError("tombstoned")
-        # A tombstone forgotten early would let a recorded session begin anew.
+        # If a tombstone were dropped early, a recorded session could begin again.
         if len(state.tombstones) >= MAX_TOMBSTONES_PER_KEY:
             raise CommandError("tombstones_full", state.key.name)
-        keys = self._proven(frame, state, now_ns)
-        self._make_room(frame.key_id, now_ns)
+        keys = self._prove(frame, state, now_ns)
+        self._free_session(frame.key_id, now_ns)
         conversation = Conversation(
-            state.key.name, state.key.role, self._lease, ROOM_BYTES, self.counters
+            state.key.name, state.key.role, self._lease, PAYLOAD_BYTES, self.counters
         )
         session = _ServerSession(keys, conversation, address, now_ns, ReplayWindow(), OrderedDict())
         self._sessions[frame.key_id, frame.session] = session
         self.counters["sessions_made"] += 1
         return session
 
-    def _proven(self, frame: CommandFrame, state: _KeyState, now_ns: int) -> SessionKeys:
+    def _prove(self, frame: CommandFrame, state: _KeyState, now_ns: int) -> SessionKeys:
         epoch = now_ns // EPOCH_NS
         for secret in (self._secret(epoch), self._secrets.get(epoch - 1)):
             if secret is None:
                 continue
             proof = cookie(secret, frame.key_id, frame.session)
             keys = session_keys(state.key, frame.session, proof)
-            if keys.to_server.genuine(frame):
+            if keys.to_server.is_genuine(frame):
                 return keys
         raise CommandError("no_session")
 
@@ -306,10 +306,10 @@ class CommandServer:
         raise CommandError("replayed")
 
     def _on_request(self, frame: CommandFrame, session: _ServerSession, now_ns: int) -> Received:
-        said = session.conversation.ask(frame.payload, frame.sequence, now_ns)
-        if isinstance(said, CommandOrder):
-            return Received(request=Incoming(said, frame.key_id, frame.session, frame.tag))
-        return Received((self._sealed(session, frame.key_id, frame.session, said, frame),))
+        outcome = session.conversation.judge(frame.payload, frame.sequence, now_ns)
+        if isinstance(outcome, CommandOrder):
+            return Received(request=Incoming(outcome, frame.key_id, frame.session, frame.tag))
+        return Received((self._sealed(session, frame.key_id, frame.session, outcome, frame),))
 
     def _sealed_reply(self, session: _ServerSession, request: Incoming, payload: bytes) -> bytes:
         return self._sealed(
@@ -348,15 +348,16 @@ class CommandServer:
         self._keys[which[0]].tombstones[which[1]] = now_ns + TOMBSTONE_NS
 
     @staticmethod
-    def _bury(state: _KeyState, now_ns: int) -> None:
+    def _drop_old_tombstones(state: _KeyState, now_ns: int) -> None:
         stones = state.tombstones
         while stones and next(iter(stones.values())) <= now_ns:
             stones.popitem(last=False)
 
-    def _make_room(self, key_id: int, now_ns: int) -> None:
-        """End a session so that one more of ``key_id`` fits, never at another's cost.
+    def _free_session(self, key_id: int, now_ns: int) -> None:
+        """End idle sessions, and if needed the oldest one, for a new session of ``key_id``.
 
-        A key that has none may take one from the key that has the most, but not its last.
+        It is one of the same key. If the key has none, it is one of the key with most sessions, but
+        not its last.
         """
         for which, session in list(self._sessions.items()):
             if now_ns - session.last_ns > IDLE_NS:
@@ -364,12 +365,12 @@ class CommandServer:
                 self.counters["sessions_idle"] += 1
         if len(self._sessions) < MAX_SESSIONS:
             return
-        held = Counter(which[0] for which in self._sessions)
-        giver = key_id if held[key_id] else held.most_common(1)[0][0]
-        if giver != key_id and held[giver] < 2:
+        sessions = Counter(which[0] for which in self._sessions)
+        owner = key_id if sessions[key_id] else sessions.most_common(1)[0][0]
+        if owner != key_id and sessions[owner] < 2:
             raise CommandError("table_full")
         oldest = min(
-            (which for which in self._sessions if which[0] == giver),
+            (which for which in self._sessions if which[0] == owner),
             key=lambda which: self._sessions[which].last_ns,
         )
         self._end(oldest, now_ns)
@@ -382,10 +383,10 @@ class _Answered(NamedTuple):
 
 
 class CommandClient(ClientCore):
-    """A client of the authenticated protocol: one key, one session.
+    """Client of the authenticated protocol: one key, one session.
 
     Args:
-        session: 64 random bits; a new client for every session.
+        session: 64 random bits, new for each session.
     """
 
     def __init__(self, key: PresharedKey, session: int) -> None:
@@ -396,13 +397,13 @@ class CommandClient(ClientCore):
         self._keys: SessionKeys | None = None
 
     def hello(self, now_ns: int) -> bytes:
-        """Return the datagram that opens the handshake; the same when sent again."""
+        """Return the datagram that begins the handshake; it may be sent again."""
         del now_ns
         body = frame_body(FrameType.HELLO, self._key.id, self._session, 0, bytes(COOKIE_BYTES))
         return hello_tagger(self._key).seal(body)
 
     def close(self) -> bytes | None:
-        """Return the datagram that ends the session, None if there is none yet."""
+        """Return the datagram that ends the session, None before it has begun."""
         return self._frame(FrameType.CLOSE, self._next(), b"") if self.ready else None
 
     def _frame(self, kind: FrameType, sequence: int, payload: bytes) -> bytes:
@@ -411,7 +412,7 @@ class CommandClient(ClientCore):
         body = frame_body(kind, self._key.id, self._session, sequence, payload)
         return self._keys.to_server.seal(body)
 
-    def _genuine(self, data: bytes) -> CommandFrame:
+    def _cut_genuine(self, data: bytes) -> CommandFrame:
         frame = cut_frame(data)
         if (frame.key_id, frame.session) != (self._key.id, self._session):
             raise CommandError("session")
@@ -422,11 +423,11 @@ class CommandClient(ClientCore):
             tagger = self._keys.to_client
         if tagger is None:
             raise CommandError("direction", frame.type.name)
-        if not tagger.genuine(frame):
+        if not tagger.is_genuine(frame):
             raise CommandError("tag")
         return frame
 
-    def _take_cookie(self, frame: CommandFrame) -> None:
+    def _on_cookie_payload(self, frame: CommandFrame) -> None:
         if len(frame.payload) != COOKIE_BYTES:
             raise CommandError("length", "COOKIE")
         self._keys = session_keys(self._key, self._session, frame.payload)

@@ -1,8 +1,10 @@
-"""What a client of the command protocol does whatever carries it: number, match, join.
+"""Client of the command protocol, common part: number requests, match and join answers.
 
-Law of this file: no I/O, no randomness, time as an argument. The server's clock is learnt
-from its frames as they arrive, so an estimate lags by the way back and never leads: a
-deadline can only come out too early. Frames that match nothing are counted, not raised.
+Invariants:
+    No I/O and no randomness; time is an argument.
+    The server's clock is estimated from its frames at their arrival. The estimate is late by the
+    transit, never early: a deadline can only be too early.
+    A frame that matches no request is counted, not raised.
 """
 
 from abc import ABC, abstractmethod
@@ -31,21 +33,21 @@ PAGE_DEADLINE_NS: Final = 500_000_000
 
 
 class Sent(NamedTuple):
-    """A request to send, as often as need be, until its answer comes.
+    """A request, to be sent repeatedly until its answer comes.
 
     Attributes:
-        sequence: its number; the answer has the same.
+        sequence: number of the request and of its answer.
     """
 
     sequence: int
     frame: bytes
 
 
-# Named tuples, not dataclasses: to make the classes alone took a tenth of what a status takes.
+# Named tuples: to create dataclasses took a tenth of the time of a status.
 
 
 class Ready:
-    """The handshake is done; requests can be made."""
+    """The handshake is complete."""
 
     __slots__ = ()
 
@@ -54,9 +56,9 @@ class Answer(NamedTuple):
     """The answer to a request.
 
     Attributes:
-        result: what the operation gave.
-        code: if refused, why, in one word.
-        reason: the same for a person.
+        result: of the operation; empty after a refusal.
+        code: reason of a refusal, one word.
+        reason: the same as a sentence.
     """
 
     sequence: int
@@ -67,10 +69,10 @@ class Answer(NamedTuple):
 
 
 class More(NamedTuple):
-    """An answer has come in part; this request fetches the next.
+    """A part of an answer has come; ``request`` fetches the next one.
 
     Attributes:
-        sequence: of the request that is answered in parts.
+        sequence: number of the request that is answered in parts.
     """
 
     sequence: int
@@ -88,7 +90,7 @@ ClientEvent = Ready | Answer | More | Telemetry
 
 
 class _OutstandingRequest:
-    """A request without its whole answer; ``root`` is the one that was asked first."""
+    """A request without its whole answer; ``root`` is the number of the first one."""
 
     __slots__ = ("page", "parts", "root")
 
@@ -101,17 +103,17 @@ class _OutstandingRequest:
 def _encode(op: str, params: Mapping[str, Any], deadline_ms: int) -> bytes:
     if op in BARE and not params:
         return encode_bare(op, deadline_ms)
-    # Loaded with the first parameters: a status shall not pay for the types that check them.
+    # Loaded with the first parameters: a status does not need the types that check them.
     from linemate.protocol.command.requests import encode_request
 
     return encode_request(op, params, deadline_ms)
 
 
 class ClientCore(ABC):
-    """The common part of CommandClient and LocalClient.
+    """Common part of CommandClient and LocalClient.
 
     Attributes:
-        counters: frames that came and matched nothing, by reason.
+        counters: frames that matched nothing, by reason.
     """
 
     def __init__(self) -> None:
@@ -123,31 +125,30 @@ class ClientCore(ABC):
 
     @property
     def ready(self) -> bool:
-        """Whether the handshake is done."""
+        """Whether the handshake is complete."""
         return self._offset_ms is not None
 
     def request(self, op: str, params: Mapping[str, Any], deadline_ns: int) -> Sent:
         """Return a request to send.
 
         Args:
-            deadline_ns: on the client's own monotonic clock; not carried out after it.
+            deadline_ns: on the client's monotonic clock; the server refuses the request after it.
 
         Raises:
-            CommandError: no handshake yet, no such operation, or parameters that it does
-                not take.
+            CommandError: no handshake, unknown operation or parameters.
         """
         sent = self._request(op, params, deadline_ns)
         self._wait(sent.sequence, _OutstandingRequest(sent.sequence))
         return sent
 
     def on_datagram(self, data: bytes, now_ns: int) -> ClientEvent | None:
-        """Take one datagram. Never raises; what is refused is counted.
+        """Process one datagram; a refused one is counted.
 
         Args:
-            now_ns: the client's monotonic clock.
+            now_ns: time on the client's monotonic clock.
         """
         try:
-            frame = self._genuine(data)
+            frame = self._cut_genuine(data)
             if frame.type is FrameType.COOKIE:
                 return self._on_cookie(frame, now_ns)
             if frame.type is FrameType.EVENT:
@@ -169,10 +170,10 @@ class ClientCore(ABC):
     def _frame(self, kind: FrameType, sequence: int, payload: bytes) -> bytes: ...
 
     @abstractmethod
-    def _genuine(self, data: bytes) -> CommandFrame: ...
+    def _cut_genuine(self, data: bytes) -> CommandFrame: ...
 
     @abstractmethod
-    def _take_cookie(self, frame: CommandFrame) -> None: ...
+    def _on_cookie_payload(self, frame: CommandFrame) -> None: ...
 
     def _next(self) -> int:
         self._last += 1
@@ -191,10 +192,10 @@ class ClientCore(ABC):
             self._waiting.popitem(last=False)
 
     def _on_cookie(self, frame: CommandFrame, now_ns: int) -> ClientEvent:
-        # Only the first: another would change the keys under requests already made.
+        # Only the first one: another would change the keys of requests that are waiting.
         if self.ready:
             raise CommandError("duplicate", "COOKIE")
-        self._take_cookie(frame)
+        self._on_cookie_payload(frame)
         self._offset_ms = frame.sequence - now_ns // NS_PER_MS
         return Ready()
 

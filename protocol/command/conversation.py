@@ -1,9 +1,9 @@
-"""What an authenticated peer may do, and the conversation with it, whatever carries it.
+"""Conversation with an authenticated peer: judge requests, encode replies and telemetry.
 
-Law of this file: nothing here knows of keys or sockets; a conversation gets the payload of
-a frame that is known to be genuine and to have come once. Deadline, role, order and lease
-are judged here and nowhere else, in that order, so that no path to the robot goes past
-one of them. Time is an argument.
+Invariants:
+    Keys and sockets are elsewhere. A payload is genuine and comes once.
+    Deadline, role, order and lease are checked here only, in this order.
+    Time is an argument.
 """
 
 from collections import Counter
@@ -22,15 +22,14 @@ from linemate.protocol.command.requests import OPERATIONS, Request, decode_reque
 
 LEASE_NS: Final = 5_000_000_000
 DEFAULT_SUBSCRIPTION_NS: Final = 5_000_000_000
-REFUSED: Final = "refused"
-"""The one key by which a handler's result says no, with the reason as its value."""
+REFUSED: Final = "refused"  # key of a handler's result that refuses; its value is the reason
 
 
 class ControlLease:
-    """One operator at a time arms, starts and acknowledges; 5 s, renewed by operating.
+    """Control lease of 5 s for arm, start and ack, renewed by operating.
 
     Attributes:
-        holder: who has it or had it last, "" at first.
+        holder: name of the present or last holder, empty at first.
     """
 
     __slots__ = ("_until_ns", "holder")
@@ -40,7 +39,7 @@ class ControlLease:
         self._until_ns = 0
 
     def claim(self, who: str, now_ns: int) -> str | None:
-        """Take or renew the lease; return None, or why not."""
+        """Acquire or renew the lease; return None, or the reason of the refusal."""
         left_ns = self._until_ns - now_ns
         if self.holder != who and left_ns > 0:
             return f"control is held by {self.holder} for another {left_ns / 1e9:.1f} s"
@@ -55,7 +54,7 @@ class ControlLease:
 
 
 class CommandOrder(NamedTuple):
-    """A request that was judged and is to be carried out now."""
+    """An accepted request, to be executed now."""
 
     op: str
     params: dict[str, Any]
@@ -81,44 +80,44 @@ class _Subscription:
 
 
 class Conversation:
-    """One authenticated peer: what it asks, and what it is told.
+    """Requests and replies of one authenticated peer.
 
     Args:
         lease: shared by all conversations of a server.
-        room: bytes that a reply's payload may have.
+        limit: size of a reply's payload at most [bytes].
         counters: shared by all conversations of a server.
     """
 
     __slots__ = (
         "_counters",
         "_lease",
+        "_limit",
         "_newest",
         "_parts",
         "_parts_of",
-        "_room",
         "_subscription",
         "role",
         "who",
     )
 
     def __init__(
-        self, who: str, role: Role, lease: ControlLease, room: int, counters: Counter[str]
+        self, who: str, role: Role, lease: ControlLease, limit: int, counters: Counter[str]
     ) -> None:
         self.who = who
         self.role = role
         self._lease = lease
-        self._room = room
+        self._limit = limit
         self._counters = counters
         self._newest = 0
         self._parts: list[bytes] = []
         self._parts_of = 0
         self._subscription: _Subscription | None = None
 
-    def ask(self, payload: bytes, sequence: int, now_ns: int) -> CommandOrder | bytes:
-        """Judge a request: an order to carry out, or the reply's payload at once."""
+    def judge(self, payload: bytes, sequence: int, now_ns: int) -> CommandOrder | bytes:
+        """Return an order to execute, or the payload of the reply."""
         try:
             request = decode_request(payload)
-            self._judge(request, sequence, now_ns)
+            self._refuse_unless_allowed(request, sequence, now_ns)
             if request.op == "page":
                 return self._further_part(request, now_ns)
             if request.op == "subscribe":
@@ -133,10 +132,10 @@ class Conversation:
         return CommandOrder(request.op, request.params, sequence, self.role, self.who)
 
     def answer(self, sequence: int, result: Mapping[str, Any], now_ns: int) -> bytes:
-        """Return the reply's payload for what a handler made of an order.
+        """Return the payload of the reply to an executed order.
 
         Args:
-            result: any map; with the key ``refused`` it is a refusal with that reason.
+            result: of the handler; with the key ``refused`` it is a refusal with that reason.
         """
         if REFUSED in result:
             return self._refuse(REFUSED, str(result[REFUSED]), now_ns)
@@ -145,43 +144,43 @@ class Conversation:
         except CommandError as error:
             return self._refuse(error.kind, error.detail, now_ns)
         whole = encode_reply(Reply(ok=True, t=now_ns // NS_PER_MS, r=packed))
-        if len(whole) <= self._room:
+        if len(whole) <= self._limit:
             return whole
         self._parts = [packed[at : at + PAGE_BYTES] for at in range(0, len(packed), PAGE_BYTES)]
         self._parts_of = sequence
         return self._part(0, now_ns)
 
     def fail(self, now_ns: int) -> bytes:
-        """Return the reply's payload for an order that broke its handler."""
+        """Return the payload of the reply to an order whose handler has failed."""
         return self._refuse("internal", "the daemon failed to do this; see its log", now_ns)
 
     def event_due(self, now_ns: int) -> bool:
-        """Tell whether telemetry is due, and count it as sent."""
+        """Whether telemetry is due; it then counts as sent."""
         subscription = self._subscription
         if subscription is None or now_ns < subscription.next_ns:
             return False
         if now_ns >= subscription.until_ns:
             self._subscription = None
             return False
-        # From the schedule, so that the rate holds; but a stall is not made up for.
+        # From the schedule, so that the rate is kept. Events of a stall are not sent later.
         period_ns = subscription.period_ns
         subscription.next_ns = max(subscription.next_ns + period_ns, now_ns + period_ns // 2)
         return True
 
     @property
     def subscribed(self) -> bool:
-        """Whether telemetry is wanted."""
+        """Whether the peer has subscribed to telemetry."""
         return self._subscription is not None
 
     def event(self, packed: bytes, now_ns: int) -> bytes | None:
-        """Return an event's payload, None (counted) if it does not fit."""
+        """Return the payload of an event, None (counted) if it is too long."""
         payload = encode_event(now_ns // NS_PER_MS, packed)
-        if len(payload) > self._room:
+        if len(payload) > self._limit:
             self._counters["events_too_long"] += 1
             return None
         return payload
 
-    def _judge(self, request: Request, sequence: int, now_ns: int) -> None:
+    def _refuse_unless_allowed(self, request: Request, sequence: int, now_ns: int) -> None:
         rule = OPERATIONS[request.op]
         late_ms = now_ns // NS_PER_MS - request.deadline_ms
         if late_ms > 0:
@@ -193,9 +192,9 @@ class Conversation:
         if rule.ordered and sequence < self._newest:
             raise _Refusal("order", f"{request.op} came after a later request was carried out")
         if rule.lease:
-            held = self._lease.claim(self.who, now_ns)
-            if held is not None:
-                raise _Refusal("lease", held)
+            refusal = self._lease.claim(self.who, now_ns)
+            if refusal is not None:
+                raise _Refusal("lease", refusal)
         elif rule.role is Role.OPERATE:
             self._lease.renew(self.who, now_ns)
 
@@ -229,5 +228,5 @@ class Conversation:
 
     def _refuse(self, code: str, why: str, now_ns: int) -> bytes:
         self._counters[f"refused_{code}"] += 1
-        spelt = why[:256].encode("utf-8", "replace").decode("utf-8")
-        return encode_reply(Reply(ok=False, t=now_ns // NS_PER_MS, e=code, why=spelt))
+        text = why[:256].encode("utf-8", "replace").decode("utf-8")
+        return encode_reply(Reply(ok=False, t=now_ns // NS_PER_MS, e=code, why=text))

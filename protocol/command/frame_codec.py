@@ -1,11 +1,11 @@
-"""Frames of the command protocol, and what both ends say of all messages.
+"""Frames of the command protocol: header, payload, tag.
 
-Law of this file: a frame is cut by fixed offsets and its tag compared before one byte of
-its payload is looked at; any bytes give a frame or CommandError. Payloads are
-requests' and payloads'. No key material, no session, no time is kept here;
-those live in preshared_keys, conversation and authenticated. Light imports only: a
-status from the shell pays for them. `docs/command-protocol.md` is the specification, with
-vectors made by another implementation of BLAKE2b.
+docs/command-protocol.md is the specification. Few imports: each ``linemate status`` loads them.
+
+Invariants:
+    A frame is cut at fixed offsets, and its tag is compared before its payload is read.
+    Any bytes give a frame or CommandError.
+    Keys, sessions and time are elsewhere.
 """
 
 import struct
@@ -21,24 +21,23 @@ TAG_BYTES: Final = 16
 MAX_FRAME_BYTES: Final = 1200  # one datagram, never fragmented on an Ethernet
 COOKIE_BYTES: Final = 16
 HANDSHAKE_BYTES: Final = HEADER.size + COOKIE_BYTES + TAG_BYTES
-ROOM_BYTES: Final = MAX_FRAME_BYTES - HEADER.size - TAG_BYTES
-"""What is left for a payload in one authenticated frame."""
+PAYLOAD_BYTES: Final = MAX_FRAME_BYTES - HEADER.size - TAG_BYTES  # of an authenticated frame
 
-MAX_RESULT_BYTES: Final = 65536  # what one answer may hold in all its pages
+MAX_RESULT_BYTES: Final = 65536  # limit of an answer in all its pages
 PAGE_BYTES: Final = 1024
 MAX_PAGES: Final = MAX_RESULT_BYTES // PAGE_BYTES
-LOCAL_ROOM_BYTES: Final = MAX_RESULT_BYTES + 256  # a local message holds a whole answer
-LOCAL_LIMIT_BYTES: Final = HEADER.size + LOCAL_ROOM_BYTES
+LOCAL_PAYLOAD_BYTES: Final = MAX_RESULT_BYTES + 256  # a local message has a whole answer
+LOCAL_LIMIT_BYTES: Final = HEADER.size + LOCAL_PAYLOAD_BYTES
 NS_PER_MS: Final = 1_000_000
-MAX_AHEAD_MS: Final = 5000  # a command that may wait longer is a command nobody watches
+MAX_AHEAD_MS: Final = 5000  # longest time from a request to its deadline
 
 
 class CommandError(ProtocolError):
     """Bytes that the command protocol refuses, or a message that it cannot carry.
 
     Attributes:
-        kind: short name of the reason, the name of its counter.
-        detail: evidence for a person.
+        kind: name of the reason and of its counter.
+        detail: evidence for the operator.
     """
 
     def __init__(self, kind: str, detail: str = "") -> None:
@@ -48,14 +47,14 @@ class CommandError(ProtocolError):
 
 
 class FrameType(IntEnum):
-    """What a frame is for; the direction belongs to the type."""
+    """Type of a frame, with its direction."""
 
-    HELLO = 1  # client: I hold this key, give me a fresh cookie
-    COOKIE = 2  # server: here it is, and my clock
+    HELLO = 1  # client: request a cookie for this key
+    COOKIE = 2  # server: the cookie, and the server's clock
     REQUEST = 3  # client
     REPLY = 4  # server, the sequence of its request
-    EVENT = 5  # server, unasked after a subscription, a sequence of its own
-    CLOSE = 6  # client: forget this session
+    EVENT = 5  # server, during a subscription, with a sequence of its own
+    CLOSE = 6  # client: end this session
 
 
 class Role(StrEnum):
@@ -69,13 +68,11 @@ class CommandFrame(NamedTuple):
     """A frame cut at its offsets, not yet authenticated.
 
     Attributes:
-        type: what it is for.
-        key_id: id of the key it claims.
+        key_id: id of the key that the sender claims.
         session: the client's random number, 64 bit.
-        sequence: 64 bit; a COOKIE carries the server's clock here [ms].
-        body: header and payload, what the tag is over.
-        payload: as on the wire.
-        tag: 16 bytes; empty on a local socket.
+        sequence: 64 bit; in a COOKIE the server's clock [ms].
+        body: header and payload, which the tag covers.
+        tag: 16 bytes; empty on the local socket.
     """
 
     type: FrameType
@@ -88,12 +85,12 @@ class CommandFrame(NamedTuple):
 
 
 class Tagger:
-    """Keyed BLAKE2b-128 over a frame's body, with its key schedule done once."""
+    """Keyed BLAKE2b-128 over a frame's body; the key schedule is computed once."""
 
     __slots__ = ("_is_same", "_prepared")
 
     def __init__(self, key: bytes, person: bytes = b"") -> None:
-        # Loaded with the first key: the local socket has none, and a status shall cost little.
+        # Loaded with the first key: a status on the local socket needs none.
         import hashlib
         import hmac
 
@@ -107,31 +104,31 @@ class Tagger:
         return digest.digest()
 
     def seal(self, body: bytes) -> bytes:
-        """Return ``body`` with its tag behind it."""
+        """Return ``body`` with its tag appended."""
         return body + self.tag(body)
 
-    def genuine(self, frame: CommandFrame) -> bool:
-        """Tell in constant time whether ``frame`` was sealed with this key."""
+    def is_genuine(self, frame: CommandFrame) -> bool:
+        """Whether ``frame`` was sealed with this key, compared in constant time."""
         return self._is_same(self.tag(frame.body), frame.tag)
 
 
 def frame_body(
     kind: FrameType, key_id: int, session: int, sequence: int, payload: bytes = b""
 ) -> bytes:
-    """Return header and payload, what a tag is computed over.
+    """Return header and payload, which the tag covers.
 
     Raises:
         CommandError: the payload does not fit a frame, or a number its field.
     """
-    if len(payload) > ROOM_BYTES:
-        raise CommandError("too_long", f"payload of {len(payload)} bytes, room for {ROOM_BYTES}")
+    if len(payload) > PAYLOAD_BYTES:
+        raise CommandError("too_long", f"payload of {len(payload)} bytes, at most {PAYLOAD_BYTES}")
     return local_body(kind, key_id, session, sequence, payload)
 
 
 def local_body(
     kind: FrameType, key_id: int, session: int, sequence: int, payload: bytes = b""
 ) -> bytes:
-    """Return a message of the local socket: the same header, no tag, no limit but its own.
+    """Return a message of the local socket: the same header, no tag.
 
     Raises:
         CommandError: a number does not fit its field.
@@ -143,7 +140,7 @@ def local_body(
 
 
 def cut_frame(data: bytes) -> CommandFrame:
-    """Cut a datagram into a frame. Looks at the header alone.
+    """Cut a datagram into a frame; only the header is checked.
 
     Raises:
         CommandError: length, magic, version or type.

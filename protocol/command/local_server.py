@@ -1,8 +1,8 @@
-"""The command protocol on the local socket: the same conversation, vouched for by the kernel.
+"""Server of the local socket: the same conversation, without key and tag.
 
-Law of this file: frames are those of the network without the tag; who sent them is what
-the kernel says of the socket's other end (SO_PEERCRED), so there is nothing to
-authenticate and nothing to replay. Deadlines, roles and the lease hold all the same.
+Invariants:
+    The kernel identifies the peer (SO_PEERCRED), so that nothing can be forged or replayed.
+    Deadlines, roles and the lease are checked as on UDP.
 """
 
 from collections import Counter
@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from linemate.protocol.command.conversation import CommandOrder, ControlLease, Conversation
 from linemate.protocol.command.frame_codec import (
-    LOCAL_ROOM_BYTES,
+    LOCAL_PAYLOAD_BYTES,
     NS_PER_MS,
     CommandError,
     CommandFrame,
@@ -24,7 +24,7 @@ from linemate.protocol.command.payloads import encode_result
 
 
 class LocalAccess(NamedTuple):
-    """Which local users may do what; the socket's file mode decides first.
+    """Access of local users, beyond the socket's file mode.
 
     Attributes:
         operate_uids: user ids that may operate.
@@ -44,25 +44,25 @@ class LocalAccess(NamedTuple):
 
 
 class LocalServer:
-    """The daemon's end of one accepted local connection.
+    """Server of one accepted local connection.
 
     Args:
-        who: the peer's name for logs and the lease.
-        lease: shared with all other conversations.
+        who: name of the peer for logs and the lease.
+        lease: shared by all conversations of a server.
     """
 
     def __init__(self, who: str, role: Role, lease: ControlLease, counters: Counter[str]) -> None:
-        self._conversation = Conversation(who, role, lease, LOCAL_ROOM_BYTES, counters)
+        self._conversation = Conversation(who, role, lease, LOCAL_PAYLOAD_BYTES, counters)
         self._counters = counters
         self._events = 0
 
     @property
     def subscribed(self) -> bool:
-        """Whether the peer wants telemetry."""
+        """Whether the peer has subscribed to telemetry."""
         return self._conversation.subscribed
 
     def on_message(self, data: bytes, now_ns: int) -> CommandOrder | bytes | None:
-        """Take one message: an order to carry out, a reply to send, or None (counted)."""
+        """Process one message; return an order, a reply to send, or None (counted)."""
         self._counters["received"] += 1
         try:
             return self._on_frame(cut_local(data), now_ns)
@@ -76,7 +76,7 @@ class LocalServer:
         return self._reply(order.sequence, payload)
 
     def fail(self, order: CommandOrder, now_ns: int) -> bytes:
-        """Return the message that says a handler broke."""
+        """Return the reply to an order whose handler has failed."""
         return self._reply(order.sequence, self._conversation.fail(now_ns))
 
     def event(self, now_ns: int, snapshot: Callable[[], Mapping[str, Any]]) -> bytes | None:
@@ -99,8 +99,10 @@ class LocalServer:
             return local_body(FrameType.COOKIE, 0, 0, now_ns // NS_PER_MS)
         if frame.type is not FrameType.REQUEST or frame.sequence == 0:
             raise CommandError("direction", frame.type.name)
-        said = self._conversation.ask(frame.payload, frame.sequence, now_ns)
-        return said if isinstance(said, CommandOrder) else self._reply(frame.sequence, said)
+        outcome = self._conversation.judge(frame.payload, frame.sequence, now_ns)
+        if isinstance(outcome, CommandOrder):
+            return outcome
+        return self._reply(frame.sequence, outcome)
 
     @staticmethod
     def _reply(sequence: int, payload: bytes) -> bytes:

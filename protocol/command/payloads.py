@@ -1,8 +1,10 @@
-"""Messages of the command protocol that need no schema: answers, results, telemetry.
+"""Payloads of the command protocol that need no schema: replies, results, telemetry.
 
-Law of this file: any payload gives a value or CommandError. Written on msgpack alone: the
-typed messages of requests take a quarter of what a status from the shell may last to
-be loaded, and neither a request without parameters nor its answer has need of them.
+They use msgpack only. Loading the typed messages of ``requests`` takes a quarter of the time that
+a status may take.
+
+Invariants:
+    Any payload gives a value or CommandError.
 """
 
 from collections.abc import Mapping
@@ -12,22 +14,22 @@ import msgpack
 
 from linemate.protocol.command.frame_codec import MAX_PAGES, MAX_RESULT_BYTES, CommandError
 
+# Operations without parameters.
 BARE: Final = frozenset({"status", "scene", "save", "arm", "start", "ack", "stop", "retreat"})
-"""The operations that take no parameters."""
 
 MAX_TIME_MS: Final = 2**63 - 1
 
 
 class Reply(NamedTuple):
-    """An answer as it stands on the wire; what has its default is left out there.
+    """Reply with the names of the wire; fields with their default are left out there.
 
     Attributes:
-        t: the server's clock at the answer [ms].
-        r: the result, msgpack; with ``n`` above 1 the part numbered ``i`` of its bytes.
-        e: if refused, why, in one word for programs.
-        why: the same for a person.
+        t: the server's clock at the reply [ms].
+        r: the result in msgpack; with ``n`` above 1 part ``i`` of its bytes.
+        e: reason of a refusal, one word for programs.
+        why: the same as a sentence for the operator.
         i: number of this part, from 0.
-        n: how many parts the result has.
+        n: number of parts of the result.
     """
 
     ok: bool
@@ -41,15 +43,14 @@ class Reply(NamedTuple):
 
 _DEFAULTS: Final = Reply(ok=False, t=0)
 _OPTIONAL: Final = Reply._fields[2:]
-_MOST: Final = {"r": MAX_RESULT_BYTES, "e": 32, "why": 900}
-"""Bytes or characters that a field of a reply may have."""
+_MAX_LENGTH: Final = {"r": MAX_RESULT_BYTES, "e": 32, "why": 900}  # bytes or characters
 
 
 def pack(value: object) -> bytes:
     """Return ``value`` as msgpack.
 
     Raises:
-        CommandError: a type or a number that msgpack does not know, or too deep.
+        CommandError: a type or number that msgpack does not have, or nested too deeply.
     """
     try:
         packed: bytes = msgpack.packb(value)
@@ -69,7 +70,7 @@ def _map(packed: bytes) -> dict[str, Any]:
 
 
 def encode_bare(op: str, deadline_ms: int) -> bytes:
-    """Return the payload of a request without parameters; see requests.
+    """Return the payload of a request without parameters.
 
     Raises:
         CommandError: an operation that is unknown or takes parameters.
@@ -81,12 +82,12 @@ def encode_bare(op: str, deadline_ms: int) -> bytes:
 
 def encode_reply(reply: Reply) -> bytes:
     """Return the payload of a reply."""
-    said: dict[str, Any] = {"ok": reply.ok, "t": reply.t}
+    fields: dict[str, Any] = {"ok": reply.ok, "t": reply.t}
     for name in _OPTIONAL:
         value = getattr(reply, name)
         if value != getattr(_DEFAULTS, name):
-            said[name] = value
-    return pack(said)
+            fields[name] = value
+    return pack(fields)
 
 
 def decode_reply(payload: bytes) -> Reply:
@@ -95,14 +96,14 @@ def decode_reply(payload: bytes) -> Reply:
     Raises:
         CommandError: not a reply.
     """
-    said = _map(payload)
-    if not {"ok", "t"} <= said.keys() <= set(Reply._fields):
-        raise CommandError("malformed", f"the fields of a reply are not {sorted(said)}")
-    reply = Reply(**said)
-    for name, value in said.items():
+    fields = _map(payload)
+    if not {"ok", "t"} <= fields.keys() <= set(Reply._fields):
+        raise CommandError("malformed", f"the fields of a reply are not {sorted(fields)}")
+    reply = Reply(**fields)
+    for name, value in fields.items():
         if type(value) is not type(getattr(_DEFAULTS, name)):
             raise CommandError("malformed", f"{name} of a reply: {type(value).__name__}")
-        if name in _MOST and len(value) > _MOST[name]:
+        if name in _MAX_LENGTH and len(value) > _MAX_LENGTH[name]:
             raise CommandError("malformed", f"{name} of a reply: {len(value)} long")
     _time(reply.t)
     if not 0 <= reply.i < reply.n <= MAX_PAGES:
@@ -117,10 +118,10 @@ def _time(value: object) -> int:
 
 
 def encode_result(result: Mapping[str, Any]) -> bytes:
-    """Return a result as bytes, to travel whole or in parts.
+    """Return a result as bytes, to be sent whole or in parts.
 
     Raises:
-        CommandError: a type that msgpack does not know, or above MAX_RESULT_BYTES.
+        CommandError: a type that msgpack does not have, or above MAX_RESULT_BYTES.
     """
     packed = pack(dict(result))
     if len(packed) > MAX_RESULT_BYTES:
@@ -129,7 +130,7 @@ def encode_result(result: Mapping[str, Any]) -> bytes:
 
 
 def decode_result(packed: bytes) -> dict[str, Any]:
-    """Read a result that has come whole.
+    """Return a complete result.
 
     Raises:
         CommandError: not a map with string keys.
@@ -141,22 +142,22 @@ def encode_event(now_ms: int, data: bytes) -> bytes:
     """Return the payload of one telemetry event.
 
     Args:
-        now_ms: the server's clock [ms].
-        data: a result, as encode_result made it, so that one serves all subscribers.
+        now_ms: time on the server's clock [ms].
+        data: a result from encode_result, the same one for all subscribers.
     """
     return b"\x82\xa1t" + pack(now_ms) + b"\xa1d" + data
 
 
 def decode_event(payload: bytes) -> tuple[int, dict[str, Any]]:
-    """Read a telemetry event: the server's clock [ms] and the data.
+    """Return the server's clock [ms] and the data of a telemetry event.
 
     Raises:
         CommandError: not an event.
     """
-    said = _map(payload)
-    data = said.get("d")
-    if said.keys() != {"t", "d"} or type(data) is not dict:
+    fields = _map(payload)
+    data = fields.get("d")
+    if fields.keys() != {"t", "d"} or type(data) is not dict:
         raise CommandError("malformed", "not an event")
     if any(type(name) is not str for name in data):
         raise CommandError("malformed", "an event's data have names")
-    return _time(said["t"]), data
+    return _time(fields["t"]), data

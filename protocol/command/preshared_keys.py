@@ -1,8 +1,9 @@
-"""Pre-shared keys: the text of a key file, and what is derived from a key.
+"""Pre-shared keys: text of a key file, and the keys derived from one.
 
-Law of this file: text in, keys or every error at once out; no file is opened here. A
-key's bytes never stand in a repr, an error or a message. A key's id is derived from the
-key, so that two ends that share the key agree on the id without another setting.
+Invariants:
+    No file is opened here. Parsing returns all keys or all errors.
+    A key's bytes are in no repr, error or message.
+    The id of a key is derived from the key: both ends agree without a setting.
 """
 
 import base64
@@ -26,8 +27,7 @@ class PresharedKey:
     """A pre-shared key.
 
     Attributes:
-        name: who holds it, for logs and the control lease.
-        role: what its holder may do.
+        name: name of its holder, for logs and the control lease.
         id: 1..65535, derived from the secret; 0 is the local socket.
     """
 
@@ -47,7 +47,7 @@ def make_key(name: str, role: Role, secret: bytes) -> PresharedKey:
         raise CommandError("key", f"name {name[:40]!r}: letters, digits, . _ - and at most 32")
     if len(secret) != KEY_BYTES:
         raise CommandError("key", f"{len(secret)} bytes instead of {KEY_BYTES}")
-    # 32 random bytes with fewer than 8 different values do not occur; typed ones do.
+    # 32 random bytes have at least 8 different values; typed ones may not.
     if len(set(secret)) < 8:
         raise CommandError("key", "not random; make one with `linemate keygen`")
     return PresharedKey(name, role, secret, key_id(secret))
@@ -60,7 +60,7 @@ def key_id(secret: bytes) -> int:
 
 
 def key_line(key: PresharedKey) -> str:
-    """Return a key as it stands in a key file, without the line's end."""
+    """Return the line of a key in a key file, without its end."""
     return f"{key.name} {key.role} {base64.b64encode(key.secret).decode('ascii')}"
 
 
@@ -68,7 +68,7 @@ def parse_keys(text: str, source: str = "keys") -> tuple[PresharedKey, ...]:
     """Read a key file: lines ``name role base64key``; ``#`` begins a comment line.
 
     Args:
-        source: what to call it in errors.
+        source: name of the file for errors.
 
     Raises:
         CommandError: with every bad line as ``source:line: what``, never a key's bytes.
@@ -80,7 +80,7 @@ def parse_keys(text: str, source: str = "keys") -> tuple[PresharedKey, ...]:
             continue
         try:
             key = _parse_line(line)
-            _not_again(key, keys)
+            _refuse_duplicate(key, keys)
         except CommandError as error:
             wrong.append(f"{source}:{number}: {error.detail}")
         else:
@@ -106,15 +106,15 @@ def _parse_line(line: str) -> PresharedKey:
     return make_key(name, Role(role), secret)
 
 
-def _not_again(key: PresharedKey, keys: Iterable[PresharedKey]) -> None:
+def _refuse_duplicate(key: PresharedKey, keys: Iterable[PresharedKey]) -> None:
     for other in keys:
         if other.name == key.name:
-            raise CommandError("key", f"name {key.name!r} stands twice")
+            raise CommandError("key", f"name {key.name!r} is given twice")
         if other.secret == key.secret:
             raise CommandError("key", f"{key.name!r} has the key of {other.name!r}")
         if other.id == key.id:
             raise CommandError(
-                "key", f"{key.name!r} and {other.name!r} have one id; make either anew"
+                "key", f"{key.name!r} and {other.name!r} have one id; make one of them again"
             )
 
 
@@ -129,47 +129,34 @@ def unsafe_file(mode: int, owner: int, user: int) -> str | None:
     if not stat.S_ISREG(mode):
         return "not a regular file"
     if owner not in {0, user}:
-        # Its owner could put keys of their own into it.
+        # Its owner could add keys.
         return f"owned by uid {owner}, should be uid {user} or root. chown it"
     if mode & 0o077:
         return f"mode {stat.S_IMODE(mode):04o} lets others in; chmod 0400 or 0600"
     return None
 
 
-# --- what is derived from a key -----------------------------------------------------------
-
-
 @dataclass(frozen=True, slots=True)
 class SessionKeys:
-    """The two taggers of a session; what one end sends, only the other accepts.
-
-    Attributes:
-        to_server: over what the client sends.
-        to_client: over what the server sends.
-    """
+    """Taggers of a session, one for each direction."""
 
     to_server: Tagger
     to_client: Tagger
 
 
 def cookie(secret: bytes, key: int, session: int) -> bytes:
-    """Return the proof of freshness that a server can make again without having kept it.
+    """Return the cookie that proves freshness; the server computes it again instead of keeping it.
 
     Args:
-        secret: the server's own, of the present or the last epoch.
-        key: id of the key.
+        secret: of the server, for the present or the last epoch.
+        key: id of the pre-shared key.
     """
     named = key.to_bytes(2, "big") + session.to_bytes(8, "big")
     return hashlib.blake2b(named, key=secret, digest_size=COOKIE_BYTES, person=b"proof").digest()
 
 
 def session_keys(key: PresharedKey, session: int, proof: bytes) -> SessionKeys:
-    """Derive a session's keys from the pre-shared one and a cookie.
-
-    Args:
-        session: the client's random number.
-        proof: the server's cookie, 16 bytes.
-    """
+    """Derive the keys of a session from the pre-shared key and a cookie (16 bytes)."""
     named = key.id.to_bytes(2, "big") + session.to_bytes(8, "big") + proof
     shared = hashlib.blake2b(named, key=key.secret, digest_size=32, person=b"session").digest()
     to_server = hashlib.blake2b(key=shared, digest_size=32, person=b"c2s").digest()
@@ -178,10 +165,10 @@ def session_keys(key: PresharedKey, session: int, proof: bytes) -> SessionKeys:
 
 
 def hello_tagger(key: PresharedKey) -> Tagger:
-    """Return the tagger of HELLO frames, under the pre-shared key itself."""
+    """Return the tagger of HELLO frames, with the pre-shared key."""
     return Tagger(key.secret, person=b"hello")
 
 
 def cookie_tagger(key: PresharedKey) -> Tagger:
-    """Return the tagger of COOKIE frames, under the pre-shared key itself."""
+    """Return the tagger of COOKIE frames, with the pre-shared key."""
     return Tagger(key.secret, person=b"cookie")

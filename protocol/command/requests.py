@@ -1,8 +1,9 @@
-"""Requests of the command protocol: what may be asked, with what, and by whom.
+"""Requests of the command protocol: operations, their parameters and who may send them.
 
-Law of this file: a payload is decoded into a typed message or refused with CommandError,
-on both ends by the same types, so that what cannot be carried out does not leave the client.
-Whether it may be carried out now is judged in conversation.
+Invariants:
+    A payload is decoded into a typed message or refused with CommandError.
+    Both ends use the same types: the client sends nothing that the server cannot decode.
+    ``conversation`` decides whether an operation may be executed now.
 """
 
 import math
@@ -12,21 +13,21 @@ from typing import Annotated, Any, Final, Literal, NamedTuple, TypeAlias
 import msgspec
 from msgspec import UNSET, Meta, Raw, Struct, UnsetType
 
-from linemate.protocol.command.frame_codec import MAX_PAGES, ROOM_BYTES, CommandError, Role
+from linemate.protocol.command.frame_codec import MAX_PAGES, PAYLOAD_BYTES, CommandError, Role
 from linemate.protocol.command.payloads import pack
 
 Name: TypeAlias = Annotated[str, Meta(min_length=1, max_length=96)]
 Scalar: TypeAlias = bool | int | float | Annotated[str, Meta(max_length=512)] | None
+# Values of a parameter.
 Value: TypeAlias = Scalar | Annotated[list[bool | int | float | str], Meta(max_length=64)]
-"""What a parameter can be set to."""
 
 
 class Empty(Struct, frozen=True, forbid_unknown_fields=True):
-    """Parameters of an operation that takes none."""
+    """No parameters."""
 
 
 class ParamsOf(Struct, frozen=True, forbid_unknown_fields=True):
-    """Parameters of ``params``: descriptions, all or those whose names begin so."""
+    """Parameters of ``params``: descriptions of all, or of names with a prefix."""
 
     prefix: Annotated[str, Meta(max_length=96)] | UnsetType = UNSET
 
@@ -50,26 +51,25 @@ class RecordOf(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SubscribeOf(Struct, frozen=True, forbid_unknown_fields=True):
-    """Parameters of ``subscribe``: 0 Hz ends it; it ends by itself unless renewed."""
+    """Parameters of ``subscribe``: 0 Hz ends it; it must be renewed before its end."""
 
     rate_hz: Annotated[float, Meta(ge=0.0, le=50.0)]
     duration_s: Annotated[float, Meta(gt=0.0, le=30.0)] | UnsetType = UNSET
 
 
 class PageOf(Struct, frozen=True, forbid_unknown_fields=True):
-    """Parameters of ``page``: a further part of an answer that did not fit."""
+    """Parameters of ``page``: a further part of a long answer."""
 
     of: Annotated[int, Meta(ge=1, le=2**63 - 1)]
     page: Annotated[int, Meta(ge=1, lt=MAX_PAGES)]
 
 
 class OperationRule(NamedTuple):
-    """What an operation takes and what its sender must be.
+    """Parameters of an operation and conditions of its execution.
 
     Attributes:
-        params: type of its parameters.
         lease: needs the control lease.
-        ordered: refused once a later operate request of the same session was carried out.
+        ordered: refused after a later operate request of the same session was executed.
     """
 
     params: type[Struct]
@@ -91,17 +91,17 @@ OPERATIONS: Final[Mapping[str, OperationRule]] = {
     "arm": OperationRule(Empty, Role.OPERATE, lease=True, ordered=True),
     "start": OperationRule(Empty, Role.OPERATE, lease=True, ordered=True),
     "ack": OperationRule(Empty, Role.OPERATE, lease=True, ordered=True),
-    # Whoever may operate may always bring the robot to rest, in any order.
+    # An operator can always stop the robot, in any order.
     "stop": OperationRule(Empty, Role.OPERATE),
     "retreat": OperationRule(Empty, Role.OPERATE),
 }
 
 
 class Request(NamedTuple):
-    """A request that was understood, not yet judged.
+    """A decoded request.
 
     Attributes:
-        deadline_ms: on the server's clock; never carried out after it.
+        deadline_ms: on the server's clock; not executed after it.
     """
 
     op: str
@@ -122,7 +122,7 @@ _EMPTY_MAP: Final = b"\x80"
 
 
 def _decode(decoder: msgspec.msgpack.Decoder[Any], data: bytes | Raw) -> Any:
-    # RecursionError and UnicodeDecodeError are msgspec's for deep and for ill-spelt input.
+    # msgspec raises RecursionError for deep input and UnicodeDecodeError for wrong text.
     try:
         return decoder.decode(data)
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
@@ -130,7 +130,7 @@ def _decode(decoder: msgspec.msgpack.Decoder[Any], data: bytes | Raw) -> Any:
 
 
 def _entries(data: bytes) -> int:
-    """Return how many entries the msgpack map at the head of ``data`` says it has."""
+    """Return the number of entries in the header of a msgpack map."""
     head = data[0]
     if head & 0xF0 == 0x80:
         return head & 0x0F
@@ -138,14 +138,14 @@ def _entries(data: bytes) -> int:
     return int.from_bytes(data[1 : 1 + width], "big")
 
 
-def _once_each(data: bytes, message: Struct) -> None:
-    """Refuse a map in which a key stands twice; decoders keep the last silently."""
+def _refuse_duplicates(data: bytes, message: Struct) -> None:
+    """Refuse a map with a key twice; decoders keep the last one."""
     present = sum(getattr(message, name) is not UNSET for name in message.__struct_fields__)
     if _entries(data) != present:
         raise CommandError("malformed", "a key stands twice")
 
 
-def _finite(value: object) -> None:
+def _refuse_non_finite(value: object) -> None:
     items = value if isinstance(value, list) else [value]
     for item in items:
         if isinstance(item, float) and not math.isfinite(item):
@@ -156,10 +156,10 @@ def encode_request(op: str, params: Mapping[str, Any], deadline_ms: int) -> byte
     """Return the payload of a request.
 
     Args:
-        deadline_ms: on the server's clock [ms].
+        deadline_ms: deadline on the server's clock [ms].
 
     Raises:
-        CommandError: unknown operation, parameters it does not take, or too long.
+        CommandError: unknown operation or parameters, or too long.
     """
     if op not in OPERATIONS:
         raise CommandError("unknown", f"no operation {op!r}")
@@ -168,8 +168,8 @@ def encode_request(op: str, params: Mapping[str, Any], deadline_ms: int) -> byte
     if params:
         wire["p"] = dict(params)
     payload = pack(wire)
-    if len(payload) > ROOM_BYTES:
-        raise CommandError("too_long", f"request of {len(payload)} bytes, room for {ROOM_BYTES}")
+    if len(payload) > PAYLOAD_BYTES:
+        raise CommandError("too_long", f"request of {len(payload)} bytes, at most {PAYLOAD_BYTES}")
     return payload
 
 
@@ -177,11 +177,11 @@ def decode_request(payload: bytes) -> Request:
     """Read the payload of an authenticated request.
 
     Raises:
-        CommandError: not one map of the request's fields, a number that is not finite, a
-            key that stands twice, an operation unknown, or parameters it does not take.
+        CommandError: not one map of the request's fields, a number that is not finite, a key
+            twice, unknown operation or parameters.
     """
     wire: _RequestWire = _decode(_REQUEST, payload)
-    _once_each(payload, wire)
+    _refuse_duplicates(payload, wire)
     if wire.op not in OPERATIONS:
         raise CommandError("unknown", f"no operation {wire.op!r}")
     packed = _EMPTY_MAP if isinstance(wire.p, UnsetType) else bytes(wire.p)
@@ -190,7 +190,7 @@ def decode_request(payload: bytes) -> Request:
 
 def _read_params(op: str, packed: bytes) -> dict[str, Any]:
     message: Struct = _decode(_PARAMS[op], packed)
-    _once_each(packed, message)
+    _refuse_duplicates(packed, message)
     params = {
         name: value
         for name in message.__struct_fields__
@@ -199,7 +199,7 @@ def _read_params(op: str, packed: bytes) -> dict[str, Any]:
     if isinstance(message, SetOf):
         params["values"] = _read_values(bytes(message.values))
     for value in params.values():
-        _finite(value)
+        _refuse_non_finite(value)
     return params
 
 
@@ -208,5 +208,5 @@ def _read_values(packed: bytes) -> dict[str, Any]:
     if not values or _entries(packed) != len(values):
         raise CommandError("malformed", "values: empty, or a name stands twice")
     for value in values.values():
-        _finite(value)
+        _refuse_non_finite(value)
     return values

@@ -154,9 +154,9 @@ def test_the_window_takes_each_sequence_once_and_none_too_old(sequences: list[in
     taken: set[int] = set()
     for sequence in sequences:
         expected = sequence > 0 and sequence not in taken and sequence > max(taken, default=0) - 64
-        assert window.fresh(sequence) is expected
+        assert window.is_fresh(sequence) is expected
         if expected:
-            window.take(sequence)
+            window.note(sequence)
             taken.add(sequence)
         assert window._seen < 1 << 64
 

@@ -10,7 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from linemate.protocol.command.conversation import CommandOrder, ControlLease, Conversation
-from linemate.protocol.command.frame_codec import MAX_AHEAD_MS, MAX_RESULT_BYTES, ROOM_BYTES, Role
+from linemate.protocol.command.frame_codec import (
+    MAX_AHEAD_MS,
+    MAX_RESULT_BYTES,
+    PAYLOAD_BYTES,
+    Role,
+)
 from linemate.protocol.command.payloads import decode_reply
 from linemate.protocol.command.requests import OPERATIONS, encode_request
 
@@ -27,7 +32,7 @@ SAMPLES: dict[str, dict[str, Any]] = {
 
 
 def conversation(role: Role = Role.OPERATE) -> Conversation:
-    return Conversation("x", role, ControlLease(), ROOM_BYTES, Counter())
+    return Conversation("x", role, ControlLease(), PAYLOAD_BYTES, Counter())
 
 
 @pytest.mark.parametrize("op", OPERATIONS)
@@ -140,7 +145,7 @@ def test_a_look_does_not_overtake_an_order() -> None:
 )
 def test_a_deadline_is_neither_past_nor_far(ahead_ms: int, code: str) -> None:
     payload = encode_request("stop", {}, START_NS // MS + ahead_ms)
-    said = conversation().ask(payload, 1, START_NS)
+    said = conversation().judge(payload, 1, START_NS)
     if code:
         assert isinstance(said, bytes)
         assert decode_reply(said).e == code
@@ -221,7 +226,7 @@ def test_telemetry_keeps_its_rate_over_any_polling_and_ends_by_itself() -> None:
     for poll_ms in (1, 4, 12, 13):
         talk = conversation(Role.VIEW)
         params = {"rate_hz": 50.0, "duration_s": 2.0}
-        talk.ask(encode_request("subscribe", params, START_NS // MS + 1), 1, START_NS)
+        talk.judge(encode_request("subscribe", params, START_NS // MS + 1), 1, START_NS)
         polls = range(START_NS, START_NS + 3 * S, poll_ms * MS)
         sent = sum(talk.event_due(now_ns) for now_ns in polls)
         assert 98 <= sent <= 100
@@ -230,7 +235,7 @@ def test_telemetry_keeps_its_rate_over_any_polling_and_ends_by_itself() -> None:
 
 def test_telemetry_is_never_faster_than_50_hz_even_after_a_stall() -> None:
     talk = conversation()
-    talk.ask(encode_request("subscribe", {"rate_hz": 50.0}, START_NS // MS + 1), 1, START_NS)
+    talk.judge(encode_request("subscribe", {"rate_hz": 50.0}, START_NS // MS + 1), 1, START_NS)
     assert talk.event_due(START_NS)
     stalled = START_NS + S
     times = [t for t in range(stalled, stalled + S, MS) if talk.event_due(t)]
@@ -241,7 +246,7 @@ def test_telemetry_is_never_faster_than_50_hz_even_after_a_stall() -> None:
 def test_a_subscription_ends_when_asked() -> None:
     talk = conversation()
     at = START_NS // MS + 1
-    talk.ask(encode_request("subscribe", {"rate_hz": 50.0}, at), 1, START_NS)
-    talk.ask(encode_request("subscribe", {"rate_hz": 0.0}, at), 2, START_NS)
+    talk.judge(encode_request("subscribe", {"rate_hz": 50.0}, at), 1, START_NS)
+    talk.judge(encode_request("subscribe", {"rate_hz": 0.0}, at), 2, START_NS)
     assert not talk.subscribed
     assert not talk.event_due(START_NS + S)

@@ -379,13 +379,13 @@ def test_what_all_messages_share_is_as_specified() -> None:
         16,
         54,
     )
-    assert (frame_codec.MAX_FRAME_BYTES, frame_codec.ROOM_BYTES) == (1200, 1162)
+    assert (frame_codec.MAX_FRAME_BYTES, frame_codec.PAYLOAD_BYTES) == (1200, 1162)
     assert (frame_codec.MAX_RESULT_BYTES, frame_codec.PAGE_BYTES, frame_codec.MAX_PAGES) == (
         65536,
         1024,
         64,
     )
-    assert (frame_codec.LOCAL_ROOM_BYTES, frame_codec.LOCAL_LIMIT_BYTES) == (65792, 65814)
+    assert (frame_codec.LOCAL_PAYLOAD_BYTES, frame_codec.LOCAL_LIMIT_BYTES) == (65792, 65814)
     assert (frame_codec.NS_PER_MS, frame_codec.MAX_AHEAD_MS) == (1_000_000, 5000)
 
 

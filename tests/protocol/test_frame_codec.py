@@ -79,11 +79,11 @@ def test_the_documented_keys_are_derived_alike(vectors: dict[str, bytes]) -> Non
     assert key.id == int.from_bytes(vectors["id"], "big")
     assert cookie(vectors["secret"], key.id, session) == vectors["proof"]
     keys = session_keys(key, session, vectors["proof"])
-    assert keys.to_server.genuine(cut_frame(vectors["arm"]))
-    assert keys.to_server.genuine(cut_frame(vectors["close"]))
-    assert keys.to_client.genuine(cut_frame(vectors["armed"]))
-    assert not keys.to_client.genuine(cut_frame(vectors["arm"]))
-    assert hello_tagger(key).genuine(cut_frame(vectors["hello"]))
+    assert keys.to_server.is_genuine(cut_frame(vectors["arm"]))
+    assert keys.to_server.is_genuine(cut_frame(vectors["close"]))
+    assert keys.to_client.is_genuine(cut_frame(vectors["armed"]))
+    assert not keys.to_client.is_genuine(cut_frame(vectors["arm"]))
+    assert hello_tagger(key).is_genuine(cut_frame(vectors["hello"]))
 
 
 def test_the_documented_session_runs_on_the_server(vectors: dict[str, bytes]) -> None:
@@ -149,7 +149,7 @@ def test_any_bytes_are_cut_or_refused(data: bytes) -> None:
     st.integers(0, 2**16 - 1),
     st.integers(0, 2**64 - 1),
     st.integers(0, 2**64 - 1),
-    st.binary(max_size=frame_codec.ROOM_BYTES),
+    st.binary(max_size=frame_codec.PAYLOAD_BYTES),
 )
 def test_a_frame_is_cut_into_what_it_was_made_of(
     kind: FrameType, key_id: int, session: int, sequence: int, payload: bytes
@@ -167,7 +167,7 @@ def test_a_number_that_does_not_fit_its_field_is_refused(too_big: int) -> None:
 
 def test_a_payload_that_does_not_fit_is_refused() -> None:
     with pytest.raises(CommandError, match="too_long"):
-        frame_body(FrameType.REQUEST, 1, 1, 1, bytes(frame_codec.ROOM_BYTES + 1))
+        frame_body(FrameType.REQUEST, 1, 1, 1, bytes(frame_codec.PAYLOAD_BYTES + 1))
 
 
 @pytest.mark.parametrize("op", ["stop", "set"])
@@ -270,7 +270,7 @@ def test_a_payload_that_is_no_request_is_refused(name: str) -> None:
     assert caught.value.kind in {"malformed", "unknown"}
 
 
-@given(st.binary(max_size=frame_codec.ROOM_BYTES))
+@given(st.binary(max_size=frame_codec.PAYLOAD_BYTES))
 def test_any_payload_is_a_message_or_refused(payload: bytes) -> None:
     for decode in (decode_request, decode_reply, decode_event, decode_result):
         assert refusal(decode, payload) in {None, "malformed", "unknown"}

@@ -16,7 +16,7 @@ from linemate.daemon.service.live_telemetry import (
     LiveTelemetry,
     points_in_base,
 )
-from linemate.protocol.command.frame_codec import ROOM_BYTES
+from linemate.protocol.command.frame_codec import PAYLOAD_BYTES
 from linemate.protocol.command.payloads import encode_event, encode_result
 
 WORST = {
@@ -98,7 +98,7 @@ def test_all_of_it_fits_into_one_datagram(
         "foreseen", "foreseen_ms",
     }  # fmt: skip
     size = len(encode_event(2**40, encode_result(WORST | shown)))
-    assert size <= ROOM_BYTES, size
+    assert size <= PAYLOAD_BYTES, size
 
 
 def test_taking_a_step_in_costs_microseconds(entries: tuple[LogEntry, ...]) -> None:
