@@ -169,10 +169,7 @@ def test_x12_a_camera_that_is_covered_or_wrong_before_contact_leads_into_no_coll
         ("delay", 0.02, FREE_S),
         ("delay", 0.02, TOUCH_S),
         ("stuck", 0.0, FREE_S),
-        pytest.param(
-            *("stuck", 0.0, TOUCH_S),
-            marks=pytest.mark.xfail(strict=False, reason="200 N: the retreat of a fast touch"),
-        ),
+        ("stuck", 0.0, TOUCH_S),
     ],
 )
 def test_x13_a_distance_that_is_off_late_or_frozen_leads_into_no_collision(

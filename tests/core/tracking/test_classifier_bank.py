@@ -438,3 +438,20 @@ def test_a_conveyor_that_has_stood_begins_its_wave_anew_at_the_frequency_that_wa
     )
     assert paces[-1] == pytest.approx(paces[-60], abs=1e-4)
     assert state.P[FREQUENCY, FREQUENCY] < RippleSettings().spread ** 2
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_frozen_distance_sensor_is_not_predicted_as_a_stop(seed: int) -> None:
+    bank = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), DEVIATION)
+    rng = np.random.default_rng(seed)
+    state, frozen_s, ahead = bank.initial(0.0), 2.0, np.array([0.24])
+    speeds = []
+    for k in range(1, round((frozen_s + 0.15) / T0)):
+        value = NOMINAL * min(k * T0, frozen_s) + rng.normal(0.0, DEVIATION)
+        row = PositionMeasurement(Source.DISTANCE, value, 0.0, DEVIATION**2, 4.0)
+        state = bank.advance(state, [row], T0)
+        if state.rejected.get(Source.DISTANCE, 0) >= bank_prediction.CONTRADICTED:
+            now, later = bank.predict_positions(state, np.append(0.0, ahead)).tolist()
+            speeds.append((later - now) / float(ahead[0]))
+    assert speeds
+    assert min(speeds) > 0.95 * NOMINAL

@@ -20,10 +20,11 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     V,
     Y,
 )
-from linemate.daemon.core.tracking.conveyor import ConveyorEstimate, Motion, added_way
+from linemate.daemon.core.tracking.conveyor import ConveyorEstimate, Motion, Source, added_way
 
 LEAST_WEIGHT = 1e-4  # of a hypothesis in the prediction
 LEAST_RIPPLE = 1e-7  # amplitude of a ripple in the prediction [m]
+CONTRADICTED = 2  # readings of the distance sensor rejected in a row; one may be an outlier
 LEAST_SWING = 1e-6  # amplitude of a swing in the prediction [m]
 
 
@@ -105,9 +106,12 @@ def hypothesis_weights(model: BankModel, state: BankState) -> tuple[float, float
     """Return the weights of a change of class and of an impulse in the prediction.
 
     Only a running or standing conveyor is mixed: on a ramp a mixture does harm. A penalty keeps
-    quiet tracking quiet.
+    quiet tracking quiet. Neither counts while the distance sensor is rejected: no class explains
+    its readings, so the ones before are no evidence of a stop. The sensor may be frozen.
     """
     if not model.mixture or not len(state.changes):
+        return 0.0, 0.0
+    if state.rejected.get(Source.DISTANCE, 0) >= CONTRADICTED:
         return 0.0, 0.0
     caution, penalty = 1.0, model.bank.penalty
     if state.motion is Motion.RUNNING:
