@@ -6,16 +6,22 @@ import resource
 import select
 import signal
 import socket
+import subprocess
+import sys
 import time
 from pathlib import Path
 
 from daemon_process import DaemonProcess
+from plain_robot import PlainRobot
 
 from linemate.daemon.config import task_file
 from linemate.daemon.config.files import DAEMON_DATA, PROTOCOL_DATA
+from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.operator import main as tool
 from linemate.daemon.recording.reader import read
+from linemate.daemon.recording.recorder import Recorder
 from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, parse_config
+from linemate.simulators.harness import lockstep, setup
 
 CYCLE_S = 0.012
 TEXT = """
@@ -151,3 +157,83 @@ def test_a_killed_recorder_comes_back_twice_and_costs_no_cycle(tmp_path: Path) -
         assert f"{path} was cut short" in said
         assert not read(path).whole
     assert tool.main(["replay", str(last)]) == 0
+
+
+SWITCHES = 6
+OPERATOR = f"""
+import sys, time
+from linemate.daemon.transport.client import Client
+with Client.local(sys.argv[1]) as client:
+    print("ready", flush=True)
+    for _ in sys.stdin:
+        for _ in range({SWITCHES}):
+            print(client.call("record", {{"action": "stop"}}, 4.0)["file"], flush=True)
+            time.sleep(0.05)
+            client.call("record", {{"action": "start"}}, 4.0)
+            time.sleep(0.15)
+"""
+ATTEMPTS = 4
+
+
+def test_recordings_that_are_switched_cost_no_telegram(tmp_path: Path) -> None:
+    with DaemonProcess(tmp_path, TEXT) as daemon:
+        # An operator in a process of its own does not delay the robot's thread.
+        operator = subprocess.Popen(
+            [sys.executable, "-c", OPERATOR, daemon.listening["command"]["socket"]],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert operator.stdin is not None
+        assert operator.stdout is not None
+        assert operator.stdout.readline() == "ready\n"
+        robot = PlainRobot(daemon.robot())
+        robot.cycles(100)
+        files: list[str] = []
+        for _ in range(ATTEMPTS):
+            baseline = robot.cycles(150).count(None)
+            print("switch", file=operator.stdin, flush=True)
+            missed = robot.cycles(150).count(None)
+            files += [operator.stdout.readline().strip() for _ in range(SWITCHES)]
+            # What this machine misses anyway is granted.
+            if missed <= baseline:
+                break
+        operator.communicate(timeout=10.0)
+        robot.close()
+        assert missed <= baseline
+        assert daemon.status()["faults"] == 0
+        assert daemon.end()[0] == 0
+    assert len(set(files)) == len(files)
+    for path in files:
+        recording = read(Path(path))
+        assert recording.whole
+        assert len(recording.steps) > 0
+
+
+def test_recordings_that_are_switched_in_motion_change_no_setpoint(tmp_path: Path) -> None:
+    made = setup.make("wheel", ("scenario.lead_in_s=1.5", "scenario.duration_s=7.0"))
+    task = setup.shipped_task()
+    recorder = Recorder(tmp_path, {"config": "task: wheel.yaml\n", "task": task.text})
+    commands: dict[bool, list[tuple[float, ...]]] = {True: [], False: []}
+    states: set[str] = set()
+    files: list[str] = []
+
+    def keep(entry: LogEntry) -> None:
+        commands[True].append(entry.outputs.command)
+        states.add(entry.state)
+        if len(commands[True]) % 60 == 0:
+            assert recorder.stop() is None
+            files.append(recorder.status.file)
+            assert recorder.start() is None
+        recorder.record((entry,))
+
+    assert recorder.start() is None
+    lockstep.run(made, 0, on_step=keep)
+    recorder.close()
+    lockstep.run(made, 0, on_step=lambda entry: commands[False].append(entry.outputs.command))
+    assert commands[True] == commands[False]
+    assert states >= {"track", "contact"}
+    assert len(set(files)) == len(commands[True]) // 60 > 10
+    numbers = [step.inputs.k for path in files for step in read(Path(path)).steps]
+    assert numbers == list(range(len(numbers)))
+    assert all(read(Path(path)).whole for path in files)

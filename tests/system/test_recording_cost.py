@@ -41,7 +41,7 @@ def test_recording_costs_the_cycle_little_and_its_files_stay_small(tmp_path: Pat
         if ended is not None:
             turns[is_recorded].append(began - ended)
         if is_recorded:
-            recorder.take((entry,))
+            recorder.record((entry,))
         ended = time.thread_time()
         if is_recorded:
             took.append(ended - began)
