@@ -218,6 +218,16 @@ def test_a_silence_that_ends_no_motion_is_blamed(
     assert run.go(too_long_s - bearable_s) == ["reaction"]
 
 
+def test_a_contact_that_is_felt_late_in_a_silence_is_granted_its_reaction() -> None:
+    run = Run()
+    run.go(1.0)
+    run.sensors.silent = dict.fromkeys(("distance", "camera"), run.seen.now_s)
+    assert run.go(0.28) == []
+    # CONTACT bears a shorter silence than TRACK.
+    assert run.go(0.05, state=State.CONTACT) == []
+    assert run.go(0.03) == ["reaction"]
+
+
 def test_a_silence_is_not_blamed_in_a_state_that_ended_the_motion() -> None:
     run = Run(State.HOLD)
     run.sensors.silent = {"distance": 0.0, "camera": 0.0, "force_torque": 0.0}

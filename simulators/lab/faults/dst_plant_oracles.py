@@ -259,6 +259,9 @@ class PlantOracle:
 
     def _judge_silence(self, seen: Seen, *, clamped: bool) -> None:
         emitters, now_s = self._emitters, seen.now_s
+        in_contact = seen.state is State.CONTACT
+        # A contact that was felt a moment ago is granted its own reaction.
+        is_settled = self._lasting("contact", in_contact, now_s) > REACTION_S
         unfelt = clamped and seen.state is State.TRACK
         if self._lasting("unfelt", unfelt, now_s) > UNFELT_S:
             self._once("reaction", f"TRACK after {UNFELT_S:g} s with the tool clamped")
@@ -267,11 +270,10 @@ class PlantOracle:
             self._since.pop("braked", None)
             self._since.pop("bound", None)
             return
-        in_contact = seen.state is State.CONTACT
         # A state that was entered a moment ago is granted its own reaction.
         begun_s = max(seen.busy_s, self._since.setdefault("bound", now_s))
         position_s = max(emitters.heard_s("distance"), emitters.heard_s("camera"))
-        most_s = POSITION_IN_CONTACT_S if in_contact else POSITION_S
+        most_s = POSITION_IN_CONTACT_S if is_settled else POSITION_S
         self._silence("position", now_s - max(position_s, seen.busy_s), most_s + REACTION_S)
         if emitters.has_wrench:
             silent_s = now_s - max(emitters.heard_s("force_torque"), seen.busy_s)
