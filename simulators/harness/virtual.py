@@ -20,7 +20,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor
-from functools import cache
+from functools import cache, partial
 from typing import Any, TypeVar
 
 import can
@@ -105,6 +105,8 @@ class VirtualTime:
         self.now_ns = begin_ns
         self._behind_ns = 0  # what the pauses of the machine came to
         self._paused: tuple[int, int] | None = None  # begin and end of a pause [ns]
+        self._rate = 0.0  # share by which the machine's clock is fast
+        self._rated_ns = self._shown_ns = begin_ns  # since when, and what it showed then [ns]
         self.wall_step_ns = 0
         self.stalled_until_ns = 0
         self.filled: set[int] = set()
@@ -125,10 +127,22 @@ class VirtualTime:
         if self._paused is not None:
             begin_ns, end_ns = self._paused
             if self.now_ns < end_ns:
-                return begin_ns - self._behind_ns
+                return self._shown(begin_ns - self._behind_ns)
             self._behind_ns += end_ns - begin_ns
             self._paused = None
-        return self.now_ns - self._behind_ns
+        return self._shown(self.now_ns - self._behind_ns)
+
+    def _shown(self, running_ns: int) -> int:
+        """Return what the machine's clock shows after it ran until then [ns]."""
+        passed_ns = running_ns - self._rated_ns
+        return self._shown_ns + passed_ns + round(passed_ns * self._rate)
+
+    def set_rate(self, rate: float) -> None:
+        """Let the machine's clock be fast by a share from now on, slow if it is negative."""
+        shown_ns = self.host_ns
+        running_ns = self.now_ns if self._paused is None else self._paused[0]
+        self._rated_ns, self._shown_ns = running_ns - self._behind_ns, shown_ns
+        self._rate = rate
 
     @property
     def wall_ns(self) -> int:
@@ -151,7 +165,10 @@ class VirtualTime:
         """When the machine's clock will show a time, unless it is paused before [ns]."""
         shown_ns = self.host_ns
         from_ns = self.now_ns if self._paused is None else self._paused[1]
-        return from_ns + host_ns - shown_ns
+        ahead_ns = host_ns - shown_ns
+        if not self._rate:
+            return from_ns + ahead_ns
+        return from_ns + math.ceil(ahead_ns / (1.0 + self._rate)) + 1
 
     def register(self, port: Port) -> int:
         """Give a port a descriptor, the lowest that is free, as the kernel does."""
@@ -264,16 +281,22 @@ class VirtualTimer(Port):
         """Expire once [ns]."""
         self._at_ns = at_ns
         self.emptied()
-        # Time only stops where something happens.
-        self.world.at(self.world.world_ns(at_ns), self._expire)
-        self._expire()
-
-    def _expire(self) -> None:
         if self.is_ready:
             self.filled()
-        elif self._at_ns is not None and self._at_ns <= self.world.now_ns:
-            # The machine was paused after the timer was armed.
-            self.world.at(self.world.world_ns(self._at_ns), self._expire)
+        # Time only stops where something happens.
+        self._wait(at_ns)
+
+    def _wait(self, at_ns: int) -> None:
+        self.world.at(self.world.world_ns(at_ns), partial(self._expire, at_ns))
+
+    def _expire(self, at_ns: int) -> None:
+        if self._at_ns != at_ns:
+            return
+        if self.is_ready:
+            self.filled()
+        else:
+            # The machine was paused, or its clock slowed down, after the timer was armed.
+            self._wait(at_ns)
 
     def read(self) -> int:
         """How often it has expired since the last read."""

@@ -213,6 +213,18 @@ def test_x16_a_controller_of_another_cycle_is_not_tracked_for(off: float) -> Non
     assert ("track" in simulation.oracle.states) == (abs(off) < 0.05)
 
 
+@pytest.mark.parametrize("lead_ms", [0.0, 5.0])
+@pytest.mark.parametrize("drift", [-0.01, -0.002, 0.002, 0.01])
+def test_x16_a_controller_whose_cycle_drifts_by_up_to_3_percent_is_followed(
+    drift: float, lead_ms: float
+) -> None:
+    simulation = lived(cycle_drift=drift, lead_ms=lead_ms, duration_s=2.4)
+    counts = simulation.controller.counts
+    assert counts.answered == counts.sent - 1 > 200
+    assert counts.late == counts.lost == counts.refused == 0
+    assert simulation.world.released_s is not None
+
+
 def test_x17_a_telegram_with_exponents_is_read() -> None:
     simulation = lived(Fault(ALWAYS[0], "robot", "exponent", ALWAYS[1] + 1.0, 1.0))
     assert "contact" in simulation.oracle.states

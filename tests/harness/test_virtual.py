@@ -72,3 +72,31 @@ def test_the_loop_of_a_paused_machine_sleeps_that_much_longer(world: VirtualTime
             loop.close()
     assert host_ns - EPOCH_NS == pytest.approx(20 * MS, abs=MS)
     assert now_ns - EPOCH_NS == pytest.approx(70 * MS, abs=MS)
+
+
+@pytest.mark.parametrize("rate", [-0.03, 0.03])
+def test_a_timer_expires_by_a_machines_clock_that_is_fast_or_slow(
+    world: VirtualTime, rate: float
+) -> None:
+    timer = VirtualTimer(world)
+    timer.arm(EPOCH_NS + 100 * MS)
+    world.set_rate(rate)
+    world.pass_until(EPOCH_NS + 50 * MS)
+    assert world.host_ns - EPOCH_NS == pytest.approx((1.0 + rate) * 50 * MS, abs=1)
+    timer.arm(EPOCH_NS + 200 * MS)
+    due_ns = EPOCH_NS + 200 * MS / (1.0 + rate)
+    world.pass_until(round(due_ns) - MS)
+    assert not timer.is_ready
+    world.pass_until(round(due_ns) + MS)
+    assert timer.is_ready
+    assert timer.fileno() in world.filled
+
+
+def test_a_clock_whose_rate_changes_does_not_step(world: VirtualTime) -> None:
+    before_ns = world.host_ns
+    for n, rate in enumerate((0.01, -0.02, 0.0, 0.03), 1):
+        world.set_rate(rate)
+        assert world.host_ns == before_ns
+        world.pass_until(EPOCH_NS + 10 * n * MS)
+        assert world.host_ns - before_ns == pytest.approx((1.0 + rate) * 10 * MS, abs=1)
+        before_ns = world.host_ns

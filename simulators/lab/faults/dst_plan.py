@@ -41,6 +41,9 @@ EARLIEST_STOP_S = 0.6
 START_UP_S = 0.05
 """A daemon that has crashed is not there again sooner [s]."""
 
+MOST_DRIFT = 0.03
+"""Largest share by which a drifting cycle comes to differ from the configured one."""
+
 MOST_LEAD_MS = 5.0
 """That may be configured."""
 
@@ -106,6 +109,7 @@ class FaultPlan:
         cycle_ms: of the controller, as configured [ms].
         row: of the second catalogue that the trouble is, empty if it is none.
         cycle_off: by what share of the configured cycle the controller's own is longer.
+        cycle_drift: by what share it grows longer each second, up to ``MOST_DRIFT`` [1/s].
         operators: who give orders over the command protocol; 0: orders reach the daemon directly.
     """
 
@@ -120,6 +124,7 @@ class FaultPlan:
     row: str = ""
     cell: str = ""
     cycle_off: float = 0.0
+    cycle_drift: float = 0.0
     operators: int = 0
 
     @property

@@ -20,6 +20,8 @@ BEGIN_S = -0.4
 FIVE_S = 5.0
 JITTERS_S = (0.001, 0.003, 0.006, 0.012)
 OFFSETS_M = (0.002, 0.005, 0.010)
+DRIFTING = 0.3
+"""Share of the controllers of another cycle whose cycle drifts while the robot moves."""
 
 
 def _when(chance: random.Random, first_s: float = FROM_S, last_s: float = UNTIL_S) -> float:
@@ -166,6 +168,8 @@ def _x15(chance: random.Random, _: float) -> Changes:
 
 
 def _x16(chance: random.Random, _: float) -> Changes:
+    if chance.random() < DRIFTING:
+        return {"faults": (), "cycle_drift": chance.choice((0.002, 0.01, -0.002, -0.01))}
     off = chance.choice((0.02, 0.04, 0.06, 0.07, 0.08, 0.1)) * chance.choice((1.0, -1.0))
     return {"faults": (), "cycle_off": off}
 

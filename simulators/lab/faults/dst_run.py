@@ -41,7 +41,7 @@ from linemate.simulators.lab.faults.dst_cells import (
     station_of,
 )
 from linemate.simulators.lab.faults.dst_oracles import FaultOracle
-from linemate.simulators.lab.faults.dst_plan import FaultPlan
+from linemate.simulators.lab.faults.dst_plan import MOST_DRIFT, FaultPlan
 from linemate.simulators.lab.faults.dst_plant_oracles import PlantOracle, Seen
 from linemate.simulators.lab.faults.dst_strangers import Strangers
 from linemate.simulators.plants.contact_plant import FIX_SCREWS
@@ -309,6 +309,7 @@ class Simulation:
             self._time.at(EPOCH_NS + (self._cycle + 1) * self._cycle_ns, self._begin_cycle)
             self._exchange()
             return
+        self._drift()
         for fault in self._faults.strike(self.now_s):
             self._strike(fault)
         self._stall()
@@ -424,6 +425,15 @@ class Simulation:
                 self.operator.set(fault.count)
             case "operator", order:
                 self.operator.order(order, is_colleague=self.plan.operators > 1)
+
+    def _drift(self) -> None:
+        """Let the controller's cycle drift: by the daemon's clock it grows longer.
+
+        The clock that drifts is the daemon's. Sensors drift with the controller.
+        """
+        if self.plan.cycle_drift:
+            rate = self.plan.cycle_drift * (self.now_s + LEAD_IN_S)
+            self._time.set_rate(min(max(rate, -MOST_DRIFT), MOST_DRIFT))
 
     def _stall(self) -> None:
         fault = self._faults.in_force("daemon", "stall", self.now_s)
