@@ -1,8 +1,9 @@
-"""Where what comes in meets those who look on: the newest for everybody, and nobody waits.
+"""Server-sent-event hub: the newest of a daemon for every subscriber.
 
-Law of this file: no I/O; one event loop's. Every onlooker has a bounded queue; one that does not
-take what it is sent loses the oldest of it, counted, and slows down neither the others nor,
-least of all, the daemon. Messages are made into bytes once, whoever is to have them.
+Invariants:
+    * A slow client drops its oldest messages, which are counted. The producer never blocks.
+    * A message is encoded once, whatever the number of subscribers.
+    * All calls come from one event loop.
 """
 
 import asyncio
@@ -15,149 +16,146 @@ from typing import Any, Final
 
 from linemate.daemon.view.frames import Frame
 
-WAITING: Final = 64
-"""Messages that may wait for one onlooker: two seconds."""
-
-REMEMBERED: Final = 1000  # frames for one who comes later: 40 s
-HAPPENINGS: Final = 100
-ONLOOKERS: Final = 8
+QUEUE_LENGTH: Final = 64  # messages for one subscriber: two seconds
+HISTORY: Final = 1000  # frames for a new subscriber: 40 s
+MAX_EVENTS: Final = 100  # lines of the log for a new subscriber
+MAX_SUBSCRIBERS: Final = 8
 
 
 class FullError(Exception):
-    """As many look on as may."""
+    """There are MAX_SUBSCRIBERS already."""
 
 
-class Onlooker:
-    """One page: what waits for it.
+class Subscriber:
+    """The queue of one page.
 
     Attributes:
-        dropped: messages that it did not take in time.
+        dropped: Messages that the page did not take in time.
     """
 
     def __init__(self) -> None:
         self.dropped = 0
-        self._waiting: deque[bytes] = deque()
-        self._some = asyncio.Event()
+        self._queue: deque[bytes] = deque()
+        self._filled = asyncio.Event()
 
-    def give(self, message: bytes) -> None:
-        """Let a message wait for it; the oldest goes if there is no room."""
-        if len(self._waiting) >= WAITING:
-            self._waiting.popleft()
+    def push(self, message: bytes) -> None:
+        """Append a message; the oldest one is dropped from a full queue."""
+        if len(self._queue) >= QUEUE_LENGTH:
+            self._queue.popleft()
             self.dropped += 1
-        self._waiting.append(message)
-        self._some.set()
+        self._queue.append(message)
+        self._filled.set()
 
-    async def take(self) -> bytes:
-        """Return everything that waits, once something does."""
-        await self._some.wait()
-        self._some.clear()
-        taken = b"".join(self._waiting)
-        self._waiting.clear()
-        return taken
+    async def drain(self) -> bytes:
+        """Return all messages, as soon as there is one."""
+        await self._filled.wait()
+        self._filled.clear()
+        messages = b"".join(self._queue)
+        self._queue.clear()
+        return messages
 
 
-class Board:
-    """What is known of a daemon, and who looks on.
+class BroadcastHub:
+    """The newest of a daemon, and its subscribers.
 
     Attributes:
-        frames: that came, in all.
+        frames: Number of all frames so far.
     """
 
     def __init__(self) -> None:
         self.frames = 0
         self._dropped = 0
-        self._onlookers: set[Onlooker] = set()
-        self._history: deque[bytes] = deque(maxlen=REMEMBERED)
-        self._happened: deque[bytes] = deque(maxlen=HAPPENINGS)
+        self._subscribers: set[Subscriber] = set()
+        self._history: deque[bytes] = deque(maxlen=HISTORY)
+        self._events: deque[bytes] = deque(maxlen=MAX_EVENTS)
         self._newest: dict[str, bytes] = {}
-        self._number = 0
+        self._event_number = 0
 
     @contextmanager
-    def looking(self) -> Iterator[Onlooker]:
-        """Look on; all that is known waits already.
+    def subscribe(self) -> Iterator[Subscriber]:
+        """Yield a new subscriber; everything that is known is in its queue already.
 
         Raises:
-            FullError: too many do.
+            FullError: There are too many.
         """
-        if len(self._onlookers) >= ONLOOKERS:
+        if len(self._subscribers) >= MAX_SUBSCRIBERS:
             raise FullError
-        onlooker = Onlooker()
-        onlooker.give(self._known())
-        self._onlookers.add(onlooker)
+        subscriber = Subscriber()
+        subscriber.push(self._known())
+        self._subscribers.add(subscriber)
         try:
-            yield onlooker
+            yield subscriber
         finally:
-            self._onlookers.discard(onlooker)
-            self._dropped += onlooker.dropped
+            self._subscribers.discard(subscriber)
+            self._dropped += subscriber.dropped
 
-    def frame(self, frame: Frame) -> None:
-        """Show a frame."""
-        data = _bytes(frame)
+    def push_frame(self, frame: Frame) -> None:
+        """Send a frame and keep it for new subscribers."""
+        data = _encode(frame)
         self.frames += 1
         self._history.append(data)
-        self._give(event("frame", data))
+        self._send(encode_event("frame", data))
 
-    def happened(self, told: object) -> None:
-        """Show what happened since, of a telemetry's last happenings; each one once."""
-        for one in told if isinstance(told, (list, tuple)) else ():
-            number, stamp_ns, text = one
-            if number > self._number:
-                missed = number - self._number - 1 if self._number else 0
-                self._number = number
-                data = _bytes({"t": round(stamp_ns * 1e-9, 3), "text": text, "missed": missed})
-                self._happened.append(data)
-                self._give(event("happened", data))
+    def push_events(self, newest: object) -> None:
+        """Send those of a telemetry's last events that were not sent yet."""
+        for number, stamp_ns, text in newest if isinstance(newest, (list, tuple)) else ():
+            if number > self._event_number:
+                missed = number - self._event_number - 1 if self._event_number else 0
+                self._event_number = number
+                data = _encode({"t": round(stamp_ns * 1e-9, 3), "text": text, "missed": missed})
+                self._events.append(data)
+                self._send(encode_event("happened", data))
 
-    def anew(self) -> None:
-        """Forget a daemon that another has followed."""
+    def restart(self) -> None:
+        """Forget the frames of a daemon that another one has replaced."""
         self._history.clear()
-        self._number = 0
+        self._event_number = 0
 
-    def tell(self, name: str, told: Mapping[str, Any]) -> None:
-        """Show something of which only the newest counts: ``scene``, ``status`` or ``link``."""
-        message = event(name, _bytes(told))
+    def publish(self, name: str, data: Mapping[str, Any]) -> None:
+        """Send something of which only the newest counts: ``scene``, ``status`` or ``link``."""
+        message = encode_event(name, _encode(data))
         self._newest[name] = message
-        self._give(message)
+        self._send(message)
 
     @property
-    def onlookers(self) -> int:
-        """How many look on."""
-        return len(self._onlookers)
+    def subscribers(self) -> int:
+        """Number of subscribers."""
+        return len(self._subscribers)
 
     @property
     def dropped(self) -> int:
-        """Messages that onlookers did not take, those of onlookers who have gone among them."""
-        return self._dropped + sum(onlooker.dropped for onlooker in self._onlookers)
+        """Messages that subscribers did not take, those of former ones included."""
+        return self._dropped + sum(subscriber.dropped for subscriber in self._subscribers)
 
-    def _give(self, message: bytes) -> None:
-        for onlooker in self._onlookers:
-            onlooker.give(message)
+    def _send(self, message: bytes) -> None:
+        for subscriber in self._subscribers:
+            subscriber.push(message)
 
     def _known(self) -> bytes:
         parts = [self._newest[name] for name in ("scene", "link", "status") if name in self._newest]
-        parts.append(event("history", b"[" + b",".join(self._history) + b"]"))
-        parts += [event("happened", data) for data in self._happened]
+        parts.append(encode_event("history", b"[" + b",".join(self._history) + b"]"))
+        parts += [encode_event("happened", data) for data in self._events]
         return b"".join(parts)
 
 
-def event(name: str, data: bytes) -> bytes:
+def encode_event(name: str, data: bytes) -> bytes:
     """Return a server-sent event; ``data`` has no line breaks."""
     return b"event: %b\ndata: %b\n\n" % (name.encode(), data)
 
 
-def _bytes(told: Mapping[str, Any]) -> bytes:
+def _encode(data: Mapping[str, Any]) -> bytes:
     try:
-        return json.dumps(told, separators=(",", ":"), allow_nan=False).encode()
+        return json.dumps(data, separators=(",", ":"), allow_nan=False).encode()
     except (TypeError, ValueError):
-        return json.dumps(_numbers(told), separators=(",", ":")).encode()
+        return json.dumps(_json_value(data), separators=(",", ":")).encode()
 
 
-def _numbers(told: Any) -> Any:
-    """Leave out what JSON has no word for: numbers that are none, and bytes."""
-    if isinstance(told, Mapping):
-        return {str(name): _numbers(value) for name, value in told.items()}
-    if isinstance(told, (list, tuple)):
-        return [_numbers(value) for value in told]
-    if isinstance(told, float):
-        return told if math.isfinite(told) else None
-    return told if isinstance(told, (str, int, type(None))) else None
+def _json_value(value: Any) -> Any:
+    """Return a value with null for what JSON does not have: NaN, infinity, bytes."""
+    if isinstance(value, Mapping):
+        return {str(name): _json_value(item) for name, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_json_value(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if isinstance(value, (str, int, type(None))) else None

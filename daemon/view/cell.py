@@ -1,7 +1,8 @@
-"""What the cell looks like: read once, from the daemon's word or from a recording's texts.
+"""What the page draws of a cell: the arm's chain, its rail, the nominal object, the camera.
 
-Law of this file: pure; texts in, a scene out. What cannot be read is left out of the picture and
-said, for a view of half a cell is better than none at three in the morning.
+Invariants:
+    * Pure: texts of the daemon or of a recording in, a cell out.
+    * What cannot be read is left out of the picture, with the reason in ``trouble``.
 """
 
 import math
@@ -11,21 +12,21 @@ from typing import Any, Final
 
 import yaml
 
-from linemate.daemon.view.chain import Chain, ChainError, Pose, read
+from linemate.daemon.view.chain import Chain, ChainError, Pose, read_chain
 
 AT_ORIGIN: Final[Pose] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class Cell:
     """A cell.
 
     Attributes:
         cycle_s: T0 [s], 0 if it is not known.
-        chain: of the arm, None if it cannot be drawn.
-        trouble: why not, empty if it can.
-        nominal: the nominal object in base as the task begins; its y axis lies along the conveyor.
-        camera: in the tcp, None if there is none.
+        chain: The arm, None if it cannot be drawn.
+        trouble: Why it cannot be drawn, empty if it can.
+        nominal: Nominal object in base as the task begins; its y axis lies along the conveyor.
+        camera: Camera in the tcp, None if there is none.
         rest: A1..A6 at rest [rad], empty if not known.
     """
 
@@ -37,65 +38,67 @@ class Scene:
     camera: Pose | None = None
     rest: tuple[float, ...] = ()
 
-    def told(self) -> dict[str, Any]:
-        """What the page is told, plain values."""
+    def as_page(self) -> dict[str, Any]:
+        """Return plain values for the page."""
         return {
             "task": self.task,
             "cycle_ms": round(1e3 * self.cycle_s, 6),
             "trouble": self.trouble,
             "nominal": self.nominal,
             "camera": self.camera,
+            "rail": None if self.chain is None else self.chain.rail(),
+            "reach": None if self.chain is None else round(self.chain.reach(), 3),
         }
 
 
-def of(told: Mapping[str, Any]) -> Scene:
-    """Return the scene of a daemon's word, or of a recording's texts.
+def read_cell(texts: Mapping[str, Any]) -> Cell:
+    """Return the cell of a daemon's answer to ``scene``, or of a recording's metadata.
 
     Args:
-        told: ``task`` (YAML), ``urdf``, and ``cycle_s``.
+        texts: ``task`` (YAML), ``urdf``, and ``cycle_s``.
     """
-    cycle_s = told.get("cycle_s")
-    period = float(cycle_s) if isinstance(cycle_s, (int, float)) else 0.0
+    cycle_s = texts.get("cycle_s")
+    period_s = float(cycle_s) if isinstance(cycle_s, (int, float)) else 0.0
     try:
-        # A task is small and of our own daemon; YAML's limits are those of its reader.
-        task = _a_map(yaml.safe_load(str(told.get("task", ""))))
+        # The task is small and comes from our own daemon.
+        task = _mapping(yaml.safe_load(str(texts.get("task", ""))))
         arm = task["arm"]
         name = str(task.get("name", ""))
         nominal = _pose(task["object"]["nominal"])
         camera = _pose(arm["camera_in_tcp"]) if "camera_in_tcp" in arm else None
         rest = tuple(float(value) for value in arm.get("rest_joints", ()))
     except (yaml.YAMLError, ValueError, TypeError, KeyError, AttributeError) as error:
-        return Scene(cycle_s=period, trouble=f"the task cannot be read: {_short(error)}")
+        return Cell(cycle_s=period_s, trouble=f"the task cannot be read: {_short(error)}")
     try:
-        chain = read(
-            str(told.get("urdf", "")),
+        chain = read_chain(
+            str(texts.get("urdf", "")),
             str(arm.get("flange", "flange")),
             _pose(arm.get("tcp_in_flange", {})),
             linear_axis=bool(arm.get("linear_axis", False)),
         )
     except (ChainError, ValueError, TypeError, KeyError) as error:
-        why = f"the arm cannot be drawn: {_short(error)}"
-        return Scene(name, period, None, why, nominal, camera, rest)
-    return Scene(name, period, chain, "", nominal, camera, rest)
+        trouble = f"the arm cannot be drawn: {_short(error)}"
+        return Cell(name, period_s, None, trouble, nominal, camera, rest)
+    return Cell(name, period_s, chain, "", nominal, camera, rest)
 
 
-def _a_map(value: Any) -> dict[str, Any]:
+def _mapping(value: Any) -> dict[str, Any]:
     if not isinstance(value, dict):
-        raise TypeError("no map")
+        raise TypeError("not a mapping")
     return value
 
 
-def _pose(told: Mapping[str, Any]) -> Pose:
-    """Read a pose of a task file.
+def _pose(entry: Mapping[str, Any]) -> Pose:
+    """Return a pose of a task file.
 
     Raises:
-        ValueError, TypeError: it is none.
+        ValueError, TypeError: It is not a pose.
     """
-    x, y, z = (float(part) for part in told.get("position", (0.0, 0.0, 0.0)))
-    w, i, j, k = (float(part) for part in told.get("quaternion", (1.0, 0.0, 0.0, 0.0)))
+    x, y, z = (float(part) for part in entry.get("position", (0.0, 0.0, 0.0)))
+    w, i, j, k = (float(part) for part in entry.get("quaternion", (1.0, 0.0, 0.0, 0.0)))
     length = math.hypot(w, i, j, k)
     if not (math.isfinite(x + y + z) and 0.0 < length < math.inf):
-        raise ValueError("a pose that is no numbers")
+        raise ValueError("a pose that is not finite")
     return x, y, z, w / length, i / length, j / length, k / length
 
 

@@ -1,28 +1,31 @@
 """The arm's chain from its URDF: where its joints are, for a picture.
 
-Law of this file: pure, plain floats, no numeric library, so that a view starts at once and costs
-little. It is for the eye: the daemon's own kinematics is pinocchio's, and the tests compare.
-Axes are A1..A6 [rad] and then E1 [m]; points and poses stand in base, quaternions are w first.
+Invariants:
+    * Pure, plain floats, no numeric library: a view starts at once.
+    * It is only for the eye; the daemon computes its kinematics with pinocchio.
+    * Axes are A1..A6 [rad] and then E1 [m]. Points and poses are in base, quaternions w first.
 """
 
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
-Pose = tuple[float, float, float, float, float, float, float]
-"""Position [m] and unit quaternion, w first."""
+Pose = tuple[float, float, float, float, float, float, float]  # position [m], quaternion
 
+UNIT_ORIGIN: Final[Vector] = (0.0, 0.0, 0.0)
 UNIT: Final[Matrix] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-LONGEST: Final = 64  # joints of a chain
-E1: Final = 6  # its place among the axes
+MAX_JOINTS: Final = 64
+E1: Final = 6  # index among the axes
+RAIL_M: Final = 1.5  # drawn to both sides if the URDF has no limits
 
 
 class ChainError(ValueError):
-    """A URDF that no chain to the flange can be read from; the message says why."""
+    """The URDF has no chain to the flange; the text says why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,10 +33,12 @@ class Joint:
     """One joint of the chain.
 
     Attributes:
-        origin, turn: of its frame in the one before, at zero.
-        axis: in its own frame, of length one.
-        slides: along the axis, instead of turning about it.
-        number: which of the axes moves it, None if none does.
+        origin: Position of its frame in the one before, at zero [m].
+        turn: Rotation of its frame in the one before, at zero.
+        axis: Unit vector in its own frame.
+        slides: Whether it moves along the axis instead of about it.
+        number: Index of the axis that moves it, None for a fixed joint.
+        travel: Limits of a joint that slides [m].
     """
 
     origin: Vector
@@ -41,6 +46,7 @@ class Joint:
     axis: Vector
     slides: bool
     number: int | None
+    travel: tuple[float, float] = (-RAIL_M, RAIL_M)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,14 +56,33 @@ class Chain:
     joints: tuple[Joint, ...]
     tool: Pose
 
+    def rail(self) -> tuple[Vector, Vector] | None:
+        """Return both ends of the linear axis that carries the arm, None without one."""
+        here, turned = UNIT_ORIGIN, UNIT
+        for joint in self.joints:
+            here = _moved(here, turned, joint.origin)
+            turned = product(turned, joint.turn)
+            if joint.number is None:
+                continue
+            if not joint.slides:
+                return None
+            x, y, z = joint.axis
+            low, high = (_moved(here, turned, (x * s, y * s, z * s)) for s in joint.travel)
+            return low, high
+        return None
+
+    def reach(self) -> float:
+        """Return the length of the stretched arm, without the way along its rail [m]."""
+        points, _ = self.place(())
+        return sum(math.dist(a, b) for a, b in pairwise(points[1:]))
+
     def place(self, axes: Sequence[float]) -> tuple[list[Vector], Pose]:
-        """Return where the joints are, the flange and the tcp after them, and the tcp's pose.
+        """Return the positions of base, joints and tcp, and the tcp's pose.
 
         Args:
             axes: A1..A6 [rad] and E1 [m]; missing ones are 0.
         """
-        here: Vector = (0.0, 0.0, 0.0)
-        turned = UNIT
+        here, turned = UNIT_ORIGIN, UNIT
         points = [here]
         for joint in self.joints:
             here = _moved(here, turned, joint.origin)
@@ -75,33 +100,33 @@ class Chain:
         return points, (*tcp, *quaternion(product(turned, matrix(self.tool[3:]))))
 
 
-def read(urdf: str, flange: str, tool: Pose, *, linear_axis: bool) -> Chain:
+def read_chain(urdf: str, flange: str, tool: Pose, *, linear_axis: bool) -> Chain:
     """Return the chain of a URDF that ends at the flange.
 
     Args:
-        flange: name of its last link.
-        tool: the tcp in the flange.
-        linear_axis: the first joint that moves is E1.
+        flange: Name of its last link.
+        tool: Pose of the tcp in the flange.
+        linear_axis: Whether the first joint that moves is E1.
 
     Raises:
-        ChainError: no URDF, no such link, or no chain.
+        ChainError: The text is not a URDF, or has no such link or chain.
     """
     try:
-        robot = ET.fromstring(urdf)  # noqa: S314 - of our own daemon or recording
+        robot = ET.fromstring(urdf)  # noqa: S314 - from our own daemon or recording
     except ET.ParseError as error:
         raise ChainError(f"not a URDF: {error}") from error
     leading = {_name(joint, "child"): joint for joint in robot.iterfind("joint")}
     if flange not in leading:
         raise ChainError(f"the URDF has no joint that leads to {flange!r}")
-    found: list[ET.Element] = []
+    elements: list[ET.Element] = []
     link = flange
-    while link in leading and len(found) <= LONGEST:
-        found.append(leading[link])
-        link = _name(found[-1], "parent")
-    if len(found) > LONGEST:
-        raise ChainError("the URDF's joints lead in a circle, or are too many")
+    while link in leading and len(elements) <= MAX_JOINTS:
+        elements.append(leading[link])
+        link = _name(elements[-1], "parent")
+    if len(elements) > MAX_JOINTS:
+        raise ChainError(f"the URDF has a loop, or more than {MAX_JOINTS} joints")
     numbers = iter((E1, *range(E1)) if linear_axis else range(E1))
-    return Chain(tuple(_joint(element, numbers) for element in reversed(found)), tool)
+    return Chain(tuple(_joint(element, numbers) for element in reversed(elements)), tool)
 
 
 def _joint(element: ET.Element, numbers: Iterator[int]) -> Joint:
@@ -116,21 +141,31 @@ def _joint(element: ET.Element, numbers: Iterator[int]) -> Joint:
         axis=_of_length_one(_vector("1 0 0" if axis is None else axis.get("xyz", "1 0 0"))),
         slides=kind == "prismatic",
         number=number,
+        travel=_travel(element),
     )
 
 
+def _travel(joint: ET.Element) -> tuple[float, float]:
+    limit = joint.find("limit")
+    try:
+        low, high = (float(limit.get(name, "")) for name in ("lower", "upper"))  # type: ignore[union-attr]
+    except (AttributeError, ValueError):
+        return -RAIL_M, RAIL_M
+    return (low, high) if math.isfinite(low) and math.isfinite(high) else (-RAIL_M, RAIL_M)
+
+
 def _name(joint: ET.Element, end: str) -> str:
-    found = joint.find(end)
-    return "" if found is None else found.get("link", "")
+    element = joint.find(end)
+    return "" if element is None else element.get("link", "")
 
 
 def _vector(text: str) -> Vector:
     try:
         x, y, z = (float(word) for word in text.split())
     except ValueError as error:
-        raise ChainError(f"{text!r} is no vector") from error
+        raise ChainError(f"{text!r} is not a vector") from error
     if not all(math.isfinite(part) for part in (x, y, z)):
-        raise ChainError(f"{text!r} is no vector")
+        raise ChainError(f"{text!r} is not a vector")
     return x, y, z
 
 
@@ -154,8 +189,8 @@ def _moved(here: Vector, turned: Matrix, by: Sequence[float]) -> Vector:
 def product(a: Matrix, b: Matrix) -> Matrix:
     """Return the product of two rotations."""
     columns = tuple(zip(*b, strict=True))
-    made = [[r[0] * c[0] + r[1] * c[1] + r[2] * c[2] for c in columns] for r in a]
-    (p, q, r), (s, t, u), (v, w, x) = made
+    rows = [[r[0] * c[0] + r[1] * c[1] + r[2] * c[2] for c in columns] for r in a]
+    (p, q, r), (s, t, u), (v, w, x) = rows
     return (p, q, r), (s, t, u), (v, w, x)
 
 
@@ -190,7 +225,7 @@ def matrix(q: Sequence[float]) -> Matrix:
 def quaternion(m: Matrix) -> tuple[float, float, float, float]:
     """Return the unit quaternion of a rotation, w first and not negative."""
     (a, b, c), (d, e, f), (g, h, i) = m
-    # Of the four squares the largest is divided by: no cancellation.
+    # Divide by the largest of the four: no cancellation.
     squares = (1.0 + a + e + i, 1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i)
     largest = max(range(4), key=squares.__getitem__)
     s = 2.0 * math.sqrt(squares[largest])

@@ -1,32 +1,31 @@
-"""One moment as the page draws it: from telemetry, or from a recorded step.
+"""Frames for the page, from telemetry or from recorded steps.
 
-Law of this file: pure; plain values in, plain values out, rounded to what an eye can see. What was
-measured an instant before is compared with what was desired *then*, never with what is desired now:
-at the conveyor's pace a cycle is a millimetre.
+Invariants:
+    * Pure: plain values in, plain values out, rounded to what a screen shows.
+    * A measured pose is compared with what was desired at its own time: a cycle is 1 mm of travel.
 """
 
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from itertools import pairwise
+from typing import Any, Final, NamedTuple
 
-from linemate.daemon.view.cell import Scene
+from linemate.daemon.view.cell import Cell
 from linemate.daemon.view.chain import Vector
 
 Frame = dict[str, Any]
+Moment = Mapping[str, Any]  # a daemon's telemetry, or the same of a recorded step
 
-REMEMBERED: Final = 16  # moments, to find the one before
-LONGEST_GAP_NS: Final = 200_000_000
-"""Between two moments, beyond which nothing is said of what lay between them [ns]."""
-
-KEPT: Final = ("k", "state", "phase", "task_time", "scenario", "speed", "contact", "held",
-               "overload", "ages_ms", "foreseen_ms", "cycle_ms", "samples")  # fmt: skip
+MAX_MOMENTS: Final = 16  # to find the one at which a pose was measured
+MAX_GAP_NS: Final = 200_000_000  # between two moments that are interpolated
+COPIED: Final = ("k", "state", "phase", "task_time", "scenario", "speed", "contact", "held",
+                 "overload", "ages_ms", "foreseen_ms", "cycle_ms", "samples")  # fmt: skip
 AXES: Final = 7
 
 
-@dataclass(frozen=True, slots=True)
-class _Moment:
+class _Positions(NamedTuple):
     stamp_ns: int
     target: Vector | None
     part: Vector | None
@@ -34,114 +33,112 @@ class _Moment:
 
 @dataclass(slots=True)
 class Framer:
-    """Makes frames, and remembers the last moments.
+    """Makes frames, with the last moments for comparison.
 
     Attributes:
-        unfit: telemetry that no frame could be made of.
+        cell: The cell whose arm is drawn.
+        unfit: Moments that no frame could be made of.
     """
 
-    scene: Scene
+    cell: Cell
     unfit: int = 0
-    _moments: deque[_Moment] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
+    _moments: deque[_Positions] = field(default_factory=lambda: deque(maxlen=MAX_MOMENTS))
 
-    def note(self, told: Mapping[str, Any]) -> None:
-        """Remember a moment that is not drawn.
+    def remember(self, moment: Moment) -> None:
+        """Keep the positions of a moment.
 
         Raises:
-            TypeError, ValueError: it is none.
+            TypeError, ValueError: Its positions are not vectors.
         """
-        stamp_ns = told.get("stamp_ns")
-        if isinstance(stamp_ns, int):
-            moment = _Moment(stamp_ns, _place(told.get("target")), _place(told.get("part")))
-            last_ns = self._moments[-1].stamp_ns if self._moments else stamp_ns - 1
-            if stamp_ns == last_ns:
-                return  # told twice between two steps
-            if stamp_ns < last_ns:
-                self._moments.clear()  # another daemon, or another boot
-            self._moments.append(moment)
+        stamp_ns = moment.get("stamp_ns")
+        if not isinstance(stamp_ns, int):
+            return
+        positions = _Positions(
+            stamp_ns, _position(moment.get("target")), _position(moment.get("part"))
+        )
+        last_ns = self._moments[-1].stamp_ns if self._moments else stamp_ns - 1
+        if stamp_ns == last_ns:
+            return  # the same step was sent twice
+        if stamp_ns < last_ns:
+            self._moments.clear()  # another daemon, or the host was restarted
+        self._moments.append(positions)
 
-    def frame(self, told: Mapping[str, Any]) -> Frame | None:
-        """Return the frame of a moment, None (counted) if it cannot be one.
-
-        Args:
-            told: a daemon's telemetry, or the same made of a recorded step.
-        """
+    def frame(self, moment: Moment) -> Frame | None:
+        """Return the frame of a moment; None, which is counted, if it is unfit."""
         try:
-            return self._frame(told)
+            return self._frame(moment)
         except (TypeError, ValueError, KeyError, IndexError, OverflowError):
             self.unfit += 1
             return None
 
-    def _frame(self, told: Mapping[str, Any]) -> Frame:
-        self.note(told)
-        frame: Frame = {name: told[name] for name in KEPT if told.get(name) is not None}
-        if told.get("stamp_ns") is not None:
-            frame["t"] = round(told["stamp_ns"] * 1e-9, 4)
-        frame["tentative"] = told.get("scenario_state") == "tentative"
-        confidence = told.get("confidence")
+    def _frame(self, moment: Moment) -> Frame:
+        self.remember(moment)
+        frame: Frame = {name: moment[name] for name in COPIED if moment.get(name) is not None}
+        if moment.get("stamp_ns") is not None:
+            frame["t"] = round(moment["stamp_ns"] * 1e-9, 4)
+        frame["tentative"] = moment.get("scenario_state") == "tentative"
+        confidence = moment.get("confidence")
         if confidence is not None:
             frame["confidence"] = round(float(confidence), 3)
         for name in ("target", "sensed", "part"):
-            if told.get(name) is not None:
-                frame[name] = [round(float(part), 5) for part in told[name]]
-        if told.get("foreseen"):
-            frame["foreseen"] = [[round(float(x), 5) for x in point] for point in told["foreseen"]]
-        if told.get("turnaround_us") is not None and told.get("cycle_ms"):
-            frame["slack_ms"] = round(told["cycle_ms"] - told["turnaround_us"] / 1e3, 3)
-        frame["errors"] = self._errors(told, self._place(told, frame))
+            if moment.get(name) is not None:
+                frame[name] = [round(float(part), 5) for part in moment[name]]
+        if moment.get("foreseen"):
+            frame["foreseen"] = [[round(float(x), 5) for x in p] for p in moment["foreseen"]]
+        if moment.get("turnaround_us") is not None and moment.get("cycle_ms"):
+            frame["margin_ms"] = round(moment["cycle_ms"] - moment["turnaround_us"] / 1e3, 3)
+        frame["errors"] = self._errors(moment, self._add_arm(moment, frame))
         return frame
 
-    def _place(self, told: Mapping[str, Any], frame: Frame) -> Vector | None:
-        """Put the arm into the frame; its tcp, None if that is not known."""
-        axes = told.get("measured")
+    def _add_arm(self, moment: Moment, frame: Frame) -> Vector | None:
+        """Add the arm to the frame and return its tcp, None if it is not known."""
+        axes = moment.get("measured")
         if axes is None:
-            axes = told.get("command")
-        if axes is None or self.scene.chain is None:
+            axes = moment.get("command")
+        if axes is None or self.cell.chain is None:
             return None
-        frame["guessed"] = told.get("measured") is None
+        frame["guessed"] = moment.get("measured") is None
         values = [float(axis) for axis in axes]
         if not all(math.isfinite(value) for value in values):
-            raise ValueError("axes that are no numbers")
-        points, tcp = self.scene.chain.place(values)
+            raise ValueError("axes that are not finite")
+        points, tcp = self.cell.chain.place(values)
         frame["arm"] = [[round(x, 4) for x in point] for point in points]
         frame["tcp"] = [round(x, 5) for x in tcp]
         frame["axes"] = [round(value, 5) for value in values[:AXES]]
         return tcp[:3]
 
-    def _errors(self, told: Mapping[str, Any], tcp: Vector | None) -> dict[str, float]:
+    def _errors(self, moment: Moment, tcp: Vector | None) -> dict[str, float]:
         errors = {}
-        target, sensed = told.get("target"), told.get("sensed")
+        target, sensed = moment.get("target"), moment.get("sensed")
         if target is not None and sensed is not None:
-            errors["plan_mm"] = _apart_mm(target, sensed)
-        measured_ns = told.get("measured_ns")
+            errors["plan_mm"] = _distance_mm(target, sensed)
+        measured_ns = moment.get("measured_ns")
         if tcp is not None and measured_ns is not None:
-            then = self._then(measured_ns)
-            if then.target is not None:
-                errors["control_mm"] = _apart_mm(tcp, then.target)
-            if then.part is not None:
-                errors["gap_mm"] = _apart_mm(tcp, then.part)
+            desired = self._positions_at(measured_ns)
+            if desired.target is not None:
+                errors["control_mm"] = _distance_mm(tcp, desired.target)
+            if desired.part is not None:
+                errors["gap_mm"] = _distance_mm(tcp, desired.part)
         return errors
 
-    def _then(self, stamp_ns: int) -> _Moment:
-        """What was desired and where the object was at a time among the last moments."""
-        nothing = _Moment(stamp_ns, None, None)
-        for before, after in zip(
-            reversed([*self._moments][:-1]), reversed([*self._moments][1:]), strict=True
-        ):
+    def _positions_at(self, stamp_ns: int) -> _Positions:
+        """Interpolate the positions of the last moments."""
+        newest_first = [*self._moments][::-1]
+        for after, before in pairwise(newest_first):
             if before.stamp_ns <= stamp_ns <= after.stamp_ns:
                 span_ns = after.stamp_ns - before.stamp_ns
-                if span_ns > LONGEST_GAP_NS:
-                    return nothing
+                if span_ns > MAX_GAP_NS:
+                    break
                 share = (stamp_ns - before.stamp_ns) / span_ns
-                return _Moment(
+                return _Positions(
                     stamp_ns,
                     _between(before.target, after.target, share),
                     _between(before.part, after.part, share),
                 )
-        return nothing
+        return _Positions(stamp_ns, None, None)
 
 
-def _place(pose: Sequence[float] | None) -> Vector | None:
+def _position(pose: Sequence[float] | None) -> Vector | None:
     if pose is None:
         return None
     x, y, z = (float(part) for part in pose[:3])
@@ -155,5 +152,5 @@ def _between(a: Vector | None, b: Vector | None, share: float) -> Vector | None:
     return x, y, z
 
 
-def _apart_mm(a: Sequence[float], b: Sequence[float]) -> float:
+def _distance_mm(a: Sequence[float], b: Sequence[float]) -> float:
     return round(1e3 * math.dist(a[:3], b[:3]), 4)

@@ -1,43 +1,41 @@
-"""What a recorded step foresaw: its horizon, made again from its inputs, in a process of its own.
+"""Predicted horizons of a recording's steps, computed again from their inputs.
 
-Law of this file: a recording holds only a digest of each horizon, but everything that led to it;
-so the steps are made again, as ``linemate replay`` does. Each says whether its digest is the
-recorded one; where another version of the program foresaw from another place, nothing is shown.
-``python -m linemate.daemon.view.horizon_replay FILE`` prints one JSON line a step.
+A recording holds only a digest of each horizon. ``python -m linemate.daemon.view.horizon_replay
+FILE`` prints a line of JSON for each shown step, in a process of its own.
+
+Invariants:
+    * A horizon is exact if its digest is the recorded one.
+    * A step whose pose differs from the recorded one by more than TOLERANCE_M is left out.
 """
 
 import json
 import math
 import os
 import sys
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.recording import reader, step_replay
 from linemate.daemon.recording.step_codec import digest
+from linemate.daemon.view.recorded_run import SPACING_NS
 
-SHOWN: Final = 8
-SPACING_NS: Final = 30_000_000
-"""Between two steps that are shown [ns]; as ``tape.SPACING_NS``."""
-
-CLOSE: Final = 1e-3
-"""Between the recorded pose and the one made again, for the horizon to be shown [m]."""
+MAX_POINTS: Final = 8
+TOLERANCE_M: Final = 1e-3
+NICE: Final = 10
 
 
-@dataclass(frozen=True, slots=True)
-class Foreseen:
-    """What one step foresaw.
+class PredictedHorizon(NamedTuple):
+    """The horizon of one step.
 
     Attributes:
-        k: number of the step.
-        exact: all bits are the recorded ones.
-        ahead_ms: how far the last point lies ahead [ms].
-        points: evenly spread positions of the tcp in base [m].
+        k: Number of the step.
+        exact: Whether all bits are the recorded ones.
+        ahead_ms: Time from the step to the last point [ms].
+        points: Evenly spaced positions of the tcp in base [m].
     """
 
     k: int
@@ -46,11 +44,11 @@ class Foreseen:
     points: list[list[float]]
 
 
-def foreseen(path: Path) -> Iterator[Foreseen]:
-    """Return what the steps of a recording foresaw, as far as it can be made again.
+def predicted_horizons(path: Path) -> Iterator[PredictedHorizon]:
+    """Yield the horizons of a recording's steps, as far as they can be computed again.
 
     Raises:
-        UnreadableRecordingError, ReplayError: it cannot be replayed.
+        UnreadableRecordingError, ReplayError: It cannot be replayed.
     """
     last_ns = None
     pieces = step_replay.with_cycle(reader.pieces(path))
@@ -58,27 +56,30 @@ def foreseen(path: Path) -> Iterator[Foreseen]:
         stamp_ns, horizon = record.inputs.stamp_ns, outputs.horizon
         if last_ns is not None and 0 <= stamp_ns - last_ns < SPACING_NS:
             continue
-        if horizon is None or math.dist(outputs.target[:3], record.outputs["target"][:3]) > CLOSE:
+        if horizon is None or not _is_near(outputs.target, record.outputs["target"]):
             continue
         last_ns = stamp_ns
-        exact = digest(horizon) == record.outputs.get("horizon")
+        is_exact = digest(horizon) == record.outputs.get("horizon")
         ahead_ms = round(1e3 * parameters.cycle_s * (len(horizon) - 1))
         points = _points(horizon, parameters.tracker.reference.nominal)
-        yield Foreseen(record.inputs.k, exact, ahead_ms, points)
+        yield PredictedHorizon(record.inputs.k, is_exact, ahead_ms, points)
+
+
+def _is_near(a: Sequence[float], b: Sequence[float]) -> bool:
+    return math.dist(a[:3], b[:3]) <= TOLERANCE_M
 
 
 def _points(horizon: Array, nominal: Array) -> list[list[float]]:
-    chosen = np.linspace(0, len(horizon) - 1, min(SHOWN, len(horizon))).round().astype(int)
+    chosen = np.linspace(0, len(horizon) - 1, min(MAX_POINTS, len(horizon))).round().astype(int)
     points: list[list[float]] = (horizon[chosen, :3] @ nominal.T).round(5).tolist()
     return points
 
 
 def main() -> int:
-    """Print what a recording's steps foresaw, as JSON lines."""
-    os.nice(10)
-    for one in foreseen(Path(sys.argv[1])):
-        told = [one.k, one.exact, one.ahead_ms, one.points]
-        print(json.dumps(told, separators=(",", ":")), flush=True)
+    """Print the horizons as JSON lines."""
+    os.nice(NICE)
+    for predicted in predicted_horizons(Path(sys.argv[1])):
+        print(json.dumps(predicted, separators=(",", ":")), flush=True)
     return 0
 
 

@@ -1,100 +1,105 @@
-"""A daemon, asked by two threads: one takes the telemetry as it comes, one asks for the status.
+"""Feed the hub from a daemon by two threads: its telemetry as it comes, its status once a second.
 
-Law of this file: it subscribes and asks, at a rate of its own choosing, and orders nothing. Nothing
-waits for it: the daemon drops a subscriber who does not read, and a subscription that is not
-renewed ends by itself within seconds. Whoever does not answer is asked again later.
+Invariants:
+    * It subscribes and asks at its own rate, and orders nothing.
+    * The daemon never waits for it: a subscription that is not renewed ends within seconds.
+    * A daemon that does not answer is asked again later.
 """
 
 import threading
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 from linemate.daemon.transport.client import Client, RefusedError
-from linemate.daemon.view.broadcast_hub import Board
-from linemate.daemon.view.cell import Scene, of
+from linemate.daemon.view.broadcast_hub import BroadcastHub
+from linemate.daemon.view.cell import Cell, read_cell
 from linemate.daemon.view.frames import Framer
 from linemate.protocol.command.frame_codec import CommandError
 
 RATE_HZ: Final = 25.0
 STATUS_S: Final = 1.0
-AGAIN_S: Final = 0.5
-PATIENCE_S: Final = 1.0
+RETRY_S: Final = 0.5
+TIMEOUT_S: Final = 1.0
+END_S: Final = 0.5  # the threads end with the process: waiting for them is a courtesy
 
-Call = Callable[..., Any]
-"""``call(function, *arguments)``: lets the event loop call it soon; from any thread."""
+Call = Callable[..., Any]  # call(function, *arguments): call it soon in the event loop
 
 
 @dataclass(slots=True)
-class Live:
-    """Shows a daemon on a board.
+class LiveFeed:
+    """Feeds a hub from one daemon.
 
     Attributes:
-        make: a client that has not been used.
-        board: where it is shown.
+        connect: Makes a client of the daemon, for each attempt.
+        hub: The hub that is fed.
+        call: The event loop's ``call_soon_threadsafe``.
+        rate_hz: Rate of the telemetry.
     """
 
-    make: Callable[[], Client]
-    board: Board
+    connect: Callable[[], Client]
+    hub: BroadcastHub
     call: Call
     rate_hz: float = RATE_HZ
-    _framer: Framer = field(default_factory=lambda: Framer(Scene()))
-    _ended: threading.Event = field(default_factory=threading.Event)
+    _framer: Framer = field(default_factory=lambda: Framer(Cell()))
+    _end: threading.Event = field(default_factory=threading.Event)
     _threads: list[threading.Thread] = field(default_factory=list)
 
     def start(self) -> None:
-        """Begin to ask."""
-        for ask in (self._subscribe, self._ask_status):
-            thread = threading.Thread(target=self._go_on, args=(ask,), daemon=True)
+        """Start the threads."""
+        for loop in (self._subscribe, self._ask_status):
+            thread = threading.Thread(target=self._repeat, args=(loop,), daemon=True)
             self._threads.append(thread)
             thread.start()
 
     def end(self) -> None:
-        """Ask no more; returns when the threads have ended, or nearly."""
-        self._ended.set()
+        """Ask the threads to end, and wait END_S for them."""
+        self._end.set()
+        until = time.monotonic() + END_S
         for thread in self._threads:
-            thread.join(2.0 * PATIENCE_S)
+            thread.join(max(0.0, until - time.monotonic()))
 
-    def _go_on(self, ask: Callable[[Client], None]) -> None:
-        while not self._ended.is_set():
+    def _repeat(self, loop: Callable[[Client], None]) -> None:
+        while not self._end.is_set():
             try:
-                with self.make() as client:
-                    ask(client)
-            except Exception as error:  # noqa: BLE001 - whatever it is: it is said, and tried again
-                if self._ended.is_set():
-                    return  # the loop may be gone
-                told = {"up": False, "reason": str(error) or type(error).__name__}
-                self.call(self.board.tell, "link", told)
-            self._ended.wait(AGAIN_S)
+                with self.connect() as client:
+                    loop(client)
+            except Exception as error:  # noqa: BLE001 - any failure is shown, and tried again
+                if self._end.is_set():
+                    return  # the event loop may be closed
+                link = {"up": False, "reason": str(error) or type(error).__name__}
+                self.call(self.hub.publish, "link", link)
+            self._end.wait(RETRY_S)
 
     def _subscribe(self, client: Client) -> None:
-        scene = _scene(client)
-        self.call(self._begin, scene)
-        for told in client.telemetry(self.rate_hz):
-            self.call(self._show, told)
-            if self._ended.is_set():
+        cell = _ask_cell(client)
+        self.call(self._begin, cell)
+        for telemetry in client.telemetry(self.rate_hz):
+            self.call(self._show, telemetry)
+            if self._end.is_set():
                 return
 
     def _ask_status(self, client: Client) -> None:
-        while not self._ended.is_set():
-            self.call(self.board.tell, "status", client.call("status", timeout_s=PATIENCE_S))
-            self._ended.wait(STATUS_S)
+        while not self._end.is_set():
+            self.call(self.hub.publish, "status", client.call("status", timeout_s=TIMEOUT_S))
+            self._end.wait(STATUS_S)
 
-    def _begin(self, scene: Scene) -> None:
-        self._framer = Framer(scene)
-        self.board.anew()
-        self.board.tell("scene", scene.told())
-        self.board.tell("link", {"up": True, "reason": ""})
+    def _begin(self, cell: Cell) -> None:
+        self._framer = Framer(cell)
+        self.hub.restart()
+        self.hub.publish("scene", cell.as_page())
+        self.hub.publish("link", {"up": True, "reason": ""})
 
-    def _show(self, told: Mapping[str, Any]) -> None:
-        frame = self._framer.frame(told)
+    def _show(self, telemetry: Mapping[str, Any]) -> None:
+        frame = self._framer.frame(telemetry)
         if frame is not None:
-            self.board.frame(frame)
-        self.board.happened(told.get("happened"))
+            self.hub.push_frame(frame)
+        self.hub.push_events(telemetry.get("happened"))
 
 
-def _scene(client: Client) -> Scene:
+def _ask_cell(client: Client) -> Cell:
     try:
-        return of(client.call("scene", timeout_s=PATIENCE_S))
+        return read_cell(client.call("scene", timeout_s=TIMEOUT_S))
     except (RefusedError, CommandError) as error:  # a daemon older than this view
-        return Scene(trouble=f"the daemon does not tell its cell: {error}")
+        return Cell(trouble=f"the daemon does not describe its cell: {error}")

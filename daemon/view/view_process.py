@@ -1,7 +1,4 @@
-"""The view's process: a page served until somebody ends it, with what it shows beside it.
-
-Law of this file: it wires; the event loop is its own and the daemon's is another process's.
-"""
+"""The view's process: serve a page until a signal ends it."""
 
 import asyncio
 import contextlib
@@ -13,15 +10,15 @@ import webbrowser
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from linemate.daemon.transport.client import Client
 from linemate.daemon.transport.http_server import Server
-from linemate.daemon.view.broadcast_hub import Board
-from linemate.daemon.view.live_feed import Live
-from linemate.daemon.view.page_routes import LiveSite, TapeSite
+from linemate.daemon.view.broadcast_hub import BroadcastHub
+from linemate.daemon.view.live_feed import LiveFeed
+from linemate.daemon.view.page_routes import LiveRoutes, RecordingRoutes
 
-LEAST_URGENT = 19
-"""The greatest niceness."""
+MAX_NICE: Final = 19
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +26,9 @@ class Where:
     """Where the page is.
 
     Attributes:
-        is_opened: in a browser, at once.
+        host: Numeric address to listen on.
+        port: 0 takes any free one.
+        is_opened: Whether a browser is opened on it.
     """
 
     host: str = "127.0.0.1"
@@ -37,68 +36,72 @@ class Where:
     is_opened: bool = False
 
 
-async def watch(make: Callable[[], Client], source: str, where: Where) -> None:
-    """Show a daemon until told to end.
+async def watch(connect: Callable[[], Client], source: str, where: Where) -> None:
+    """Show a daemon until a signal ends it.
 
     Args:
-        make: a client that has not been used.
-        source: what the daemon is called.
+        connect: Makes a client of the daemon, for each attempt.
+        source: Name of the daemon on the page.
+        where: Where the page is.
 
     Raises:
-        OSError: the port is taken.
+        OSError: The port is taken.
     """
-    make().close()  # a key that cannot be read is said at once
-    board = Board()
-    live = Live(make, board, asyncio.get_running_loop().call_soon_threadsafe)
-    live.start()
+    connect().close()  # reports an unreadable key at once
+    hub = BroadcastHub()
+    feed = LiveFeed(connect, hub, asyncio.get_running_loop().call_soon_threadsafe)
+    feed.start()
     try:
-        await serve(LiveSite(board, source), where)
+        await serve(LiveRoutes(hub, source), where)
     finally:
-        await asyncio.to_thread(live.end)
+        await asyncio.to_thread(feed.end)
 
 
 async def play(paths: Sequence[Path], where: Where) -> None:
-    """Show recordings until told to end.
+    """Show recordings until a signal ends it.
 
     Raises:
-        OSError: the port is taken.
-        UnreadableRecordingError: a file is no recording.
+        OSError: The port is taken.
+        UnreadableRecordingError: A file is not a recording.
     """
-    site = TapeSite(paths)
+    routes = RecordingRoutes(paths)
 
     async def work() -> None:
-        await site.read()
-        await site.foresee()
+        await routes.read()
+        await routes.compute_horizons()
 
-    await serve(site, where, work)
+    await serve(routes, where, work)
 
 
 async def serve(
-    site: LiveSite | TapeSite, where: Where, work: Callable[[], Awaitable[None]] | None = None
+    routes: LiveRoutes | RecordingRoutes,
+    where: Where,
+    work: Callable[[], Awaitable[None]] | None = None,
 ) -> None:
-    """Listen, tell the address on standard output, and wait for a signal.
+    """Listen, print the address, and wait for a signal.
 
     Args:
-        site: what is at which path.
-        work: beside it; what it raises ends the serving.
+        routes: What is at which path.
+        where: Where the page is.
+        work: Runs at the same time; an error of it ends the server.
 
     Raises:
-        OSError: the port is taken.
-        UnreadableRecordingError: of the work.
+        OSError: The port is taken.
+        UnreadableRecordingError: Raised by the work.
     """
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ended.set)
-    server = Server(site.ask, where.host, where.port)
+    server = Server(routes.ask, where.host, where.port)
     await server.open()
     working = None if work is None else asyncio.ensure_future(work())
     if working is not None:
-        working.add_done_callback(lambda done: _end_if_failed(done, ended))
+        working.add_done_callback(lambda task: _end_if_failed(task, ended))
     try:
         print(server.address, flush=True)
         if not ipaddress.ip_address(where.host).is_loopback:
-            print("linemate view: whoever reaches this address can look on", file=sys.stderr)
+            print("linemate view: all who reach this address can watch", file=sys.stderr)
         if where.is_opened:
             await asyncio.to_thread(_open, server.address)
         await ended.wait()
@@ -112,12 +115,12 @@ async def serve(
 
 
 def _open(address: str) -> None:
-    """Open a browser; one that starts here runs after everything else of the machine."""
+    """Open a browser with the least priority."""
     with contextlib.suppress(OSError):
-        os.nice(LEAST_URGENT)  # of this thread, which its children inherit
+        os.nice(MAX_NICE)  # of this thread; a browser that it starts inherits it
     webbrowser.open(address)
 
 
-def _end_if_failed(done: "asyncio.Future[None]", ended: asyncio.Event) -> None:
-    if not done.cancelled() and done.exception() is not None:
+def _end_if_failed(task: "asyncio.Future[None]", ended: asyncio.Event) -> None:
+    if not task.cancelled() and task.exception() is not None:
         ended.set()

@@ -10,8 +10,8 @@ import pytest
 
 from linemate.daemon.transport import http_server as serving
 from linemate.daemon.transport.http_server import Answer, NoPageError, Page, Server
-from linemate.daemon.view.broadcast_hub import ONLOOKERS, WAITING, Board
-from linemate.daemon.view.page_routes import LiveSite, assets
+from linemate.daemon.view.broadcast_hub import MAX_SUBSCRIBERS, QUEUE_LENGTH, BroadcastHub
+from linemate.daemon.view.page_routes import LiveRoutes, read_assets
 
 
 def ask(path: str, query: Mapping[str, str]) -> Answer:
@@ -140,9 +140,9 @@ def test_a_browser_that_does_not_read_is_hung_up_on_and_others_are_served(
 
 
 def test_the_stream_ends_with_its_browser_and_its_place_is_given_back() -> None:
-    board = Board()
-    site = LiveSite(board, "here")
-    server = Server(site.ask)
+    hub = BroadcastHub()
+    routes = LiveRoutes(hub, "here")
+    server = Server(routes.ask)
 
     async def main() -> None:
         await server.open()
@@ -151,12 +151,12 @@ def test_the_stream_ends_with_its_browser_and_its_place_is_given_back() -> None:
         async with asyncio.timeout(10):
             assert b"text/event-stream" in await reader.readuntil(b"\r\n\r\n")
             await reader.readuntil(b"\n\n")
-            board.frame({"k": 1})
+            hub.push_frame({"k": 1})
             assert b'"k":1' in await reader.readuntil(b"\n\n")
-            assert board.onlookers == 1
+            assert hub.subscribers == 1
             writer.close()
-            while board.onlookers:
-                board.frame({"k": 2})
+            while hub.subscribers:
+                hub.push_frame({"k": 2})
                 await asyncio.sleep(0.01)
         await server.close()
 
@@ -164,7 +164,7 @@ def test_the_stream_ends_with_its_browser_and_its_place_is_given_back() -> None:
 
 
 def test_every_file_of_the_page_is_there_and_asks_for_nothing_from_elsewhere() -> None:
-    found = assets()
+    found = read_assets()
     assert {"/", "/index.html", "/main.js", "/view.css", "/picture.js"} <= set(found)
     for path, page in found.items():
         told = page.body.replace(b"http://www.w3.org/2000/svg", b"")
@@ -173,30 +173,30 @@ def test_every_file_of_the_page_is_there_and_asks_for_nothing_from_elsewhere() -
         assert b"//cdn" not in told, path
 
 
-def test_a_page_too_many_is_told_so_and_asked_to_come_again() -> None:
+def test_a_page_too_many_is_refused_with_a_time_to_come_again() -> None:
     async def main() -> None:
-        board = Board()
-        site = LiveSite(board, "here")
+        hub = BroadcastHub()
+        routes = LiveRoutes(hub, "here")
         with contextlib.ExitStack() as stack:
-            for _ in range(ONLOOKERS):
-                stack.enter_context(board.looking())
-            stream = site.ask("/stream", {})
+            for _ in range(MAX_SUBSCRIBERS):
+                stack.enter_context(hub.subscribe())
+            stream = routes.ask("/stream", {})
             assert not isinstance(stream, Page)
             told = [part async for part in stream]
         assert len(told) == 1
         assert told[0].startswith(b"retry: 5000\nevent: link\n")
-        assert b"others look on" in told[0]
+        assert b"pages are open" in told[0]
 
     asyncio.run(main())
 
 
 def test_what_was_dropped_can_be_asked_for() -> None:
-    board = Board()
-    with board.looking():
-        for k in range(WAITING + 1):
-            board.frame({"k": k})
-    told = LiveSite(board, "here").ask("/mode", {})
+    hub = BroadcastHub()
+    with hub.subscribe():
+        for k in range(QUEUE_LENGTH + 1):
+            hub.push_frame({"k": k})
+    told = LiveRoutes(hub, "here").ask("/mode", {})
     assert isinstance(told, Page)
     assert json.loads(told.body) == {
-        "mode": "live", "source": "here", "frames": WAITING + 1, "dropped": 2,
+        "mode": "live", "source": "here", "frames": QUEUE_LENGTH + 1, "dropped": 2,
     }  # fmt: skip

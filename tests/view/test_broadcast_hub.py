@@ -1,4 +1,4 @@
-"""The board: the newest for everybody, and one who does not read loses only his own."""
+"""The hub: the newest for everybody, and one who does not read loses only his own."""
 
 import asyncio
 import json
@@ -7,12 +7,12 @@ from typing import Any
 import pytest
 
 from linemate.daemon.view.broadcast_hub import (
-    ONLOOKERS,
-    REMEMBERED,
-    WAITING,
-    Board,
+    HISTORY,
+    MAX_SUBSCRIBERS,
+    QUEUE_LENGTH,
+    BroadcastHub,
     FullError,
-    event,
+    encode_event,
 )
 
 
@@ -26,15 +26,15 @@ def events_of(data: bytes) -> list[tuple[str, Any]]:
 
 def test_who_comes_later_is_told_what_is_known() -> None:
     async def main() -> None:
-        board = Board()
-        board.tell("scene", {"task": "wheel"})
-        board.tell("status", {"health": "old"})
-        board.tell("status", {"health": "healthy"})
+        hub = BroadcastHub()
+        hub.publish("scene", {"task": "wheel"})
+        hub.publish("status", {"health": "old"})
+        hub.publish("status", {"health": "healthy"})
         for k in range(3):
-            board.frame({"k": k})
-        board.happened([[1, 5_000_000_000, "state: idle"]])
-        with board.looking() as onlooker:
-            told = events_of(await onlooker.take())
+            hub.push_frame({"k": k})
+        hub.push_events([[1, 5_000_000_000, "state: idle"]])
+        with hub.subscribe() as subscriber:
+            told = events_of(await subscriber.drain())
         assert told == [
             ("scene", {"task": "wheel"}),
             ("status", {"health": "healthy"}),
@@ -47,68 +47,68 @@ def test_who_comes_later_is_told_what_is_known() -> None:
 
 def test_one_who_does_not_read_loses_the_oldest_and_it_is_counted() -> None:
     async def main() -> None:
-        board = Board()
-        with board.looking() as slow, board.looking() as quick:
-            await slow.take()
-            for k in range(WAITING + 10):
-                await quick.take()
-                board.frame({"k": k})
+        hub = BroadcastHub()
+        with hub.subscribe() as slow, hub.subscribe() as quick:
+            await slow.drain()
+            for k in range(QUEUE_LENGTH + 10):
+                await quick.drain()
+                hub.push_frame({"k": k})
             assert slow.dropped == 10
             assert quick.dropped == 0
-            taken = [told["k"] for _, told in events_of(await slow.take())]
-            assert taken == list(range(10, WAITING + 10))
-        assert board.dropped == 10
-        assert board.onlookers == 0
+            taken = [told["k"] for _, told in events_of(await slow.drain())]
+            assert taken == list(range(10, QUEUE_LENGTH + 10))
+        assert hub.dropped == 10
+        assert hub.subscribers == 0
 
     asyncio.run(main())
 
 
 def test_memory_has_an_end() -> None:
     async def main() -> None:
-        board = Board()
-        for k in range(REMEMBERED + 50):
-            board.frame({"k": k})
-        with board.looking() as onlooker:
-            (history,) = [told for name, told in events_of(await onlooker.take())]
-        assert len(history) == REMEMBERED
+        hub = BroadcastHub()
+        for k in range(HISTORY + 50):
+            hub.push_frame({"k": k})
+        with hub.subscribe() as subscriber:
+            (history,) = [told for name, told in events_of(await subscriber.drain())]
+        assert len(history) == HISTORY
         assert history[0] == {"k": 50}
-        assert board.frames == REMEMBERED + 50
+        assert hub.frames == HISTORY + 50
 
     asyncio.run(main())
 
 
 def test_happenings_are_shown_once_and_a_gap_is_told() -> None:
     async def main() -> None:
-        board = Board()
-        with board.looking() as onlooker:
-            await onlooker.take()
-            board.happened([[4, 0, "a"], [5, 0, "b"]])
-            board.happened([[5, 0, "b"], [6, 0, "c"]])
-            board.happened([[9, 0, "d"], [10, 0, "e"]])
-            told = [one for _, one in events_of(await onlooker.take())]
+        hub = BroadcastHub()
+        with hub.subscribe() as subscriber:
+            await subscriber.drain()
+            hub.push_events([[4, 0, "a"], [5, 0, "b"]])
+            hub.push_events([[5, 0, "b"], [6, 0, "c"]])
+            hub.push_events([[9, 0, "d"], [10, 0, "e"]])
+            told = [one for _, one in events_of(await subscriber.drain())]
         assert [one["text"] for one in told] == ["a", "b", "c", "d", "e"]
         assert [one["missed"] for one in told] == [0, 0, 0, 2, 0]
 
     asyncio.run(main())
 
 
-def test_too_many_onlookers_are_refused_and_a_place_is_given_back() -> None:
-    board = Board()
-    places = [board.looking() for _ in range(ONLOOKERS)]
+def test_too_many_subscribers_are_refused_and_a_place_is_given_back() -> None:
+    hub = BroadcastHub()
+    places = [hub.subscribe() for _ in range(MAX_SUBSCRIBERS)]
     for place in places:
         place.__enter__()
-    with pytest.raises(FullError), board.looking():
+    with pytest.raises(FullError), hub.subscribe():
         pass
     places[0].__exit__(None, None, None)
-    with board.looking():
-        assert board.onlookers == ONLOOKERS
+    with hub.subscribe():
+        assert hub.subscribers == MAX_SUBSCRIBERS
 
 
 def test_what_is_no_number_is_left_out_and_stays_json() -> None:
-    board = Board()
-    board.frame({"speed": float("nan"), "arm": [[float("inf"), 1.0]]})
-    assert events_of(board._known())[0] == ("history", [{"speed": None, "arm": [[None, 1.0]]}])
+    hub = BroadcastHub()
+    hub.push_frame({"speed": float("nan"), "arm": [[float("inf"), 1.0]]})
+    assert events_of(hub._known())[0] == ("history", [{"speed": None, "arm": [[None, 1.0]]}])
 
 
 def test_an_event_is_one_of_the_servers_sent() -> None:
-    assert event("frame", b"{}") == b"event: frame\ndata: {}\n\n"
+    assert encode_event("frame", b"{}") == b"event: frame\ndata: {}\n\n"

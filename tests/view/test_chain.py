@@ -1,6 +1,7 @@
 """The picture's arm against the daemon's: two kinematics, one URDF."""
 
-import itertools
+import math
+from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from linemate.daemon.view import chain
 
 ARM = TASK.file.arm
 TOOL: chain.Pose = (*ARM.tcp_in_flange.position, *ARM.tcp_in_flange.quaternion)
-DRAWN = chain.read(TASK.urdf, ARM.flange, TOOL, linear_axis=True)
+DRAWN = chain.read_chain(TASK.urdf, ARM.flange, TOOL, linear_axis=True)
 EXACT = kinematics.load(
     TASK.urdf,
     ARM.flange,
@@ -65,15 +66,15 @@ def test_half_turns_survive_as_well() -> None:
     [
         ("<robot", "not a URDF"),
         ("<robot/>", "no joint that leads to 'flange'"),
-        (TASK.urdf.replace('xyz="0 0 0.675"', 'xyz="0 zero 0.675"'), "no vector"),
-        (TASK.urdf.replace('xyz="0 0 0.675"', 'xyz="0 nan 0.675"'), "no vector"),
+        (TASK.urdf.replace('xyz="0 0 0.675"', 'xyz="0 zero 0.675"'), "not a vector"),
+        (TASK.urdf.replace('xyz="0 0 0.675"', 'xyz="0 nan 0.675"'), "not a vector"),
         (TASK.urdf.replace('axis xyz="0 0 -1"', 'axis xyz="0 0 0"'), "length 0"),
-        (TASK.urdf.replace('parent link="rail"', 'parent link="link_a1"'), "circle"),
+        (TASK.urdf.replace('parent link="rail"', 'parent link="link_a1"'), "loop"),
     ],
 )
 def test_what_is_no_chain_is_refused_with_its_reason(urdf: str, why: str) -> None:
     with pytest.raises(chain.ChainError, match=why):
-        chain.read(urdf, "flange", TOOL, linear_axis=True)
+        chain.read_chain(urdf, "flange", TOOL, linear_axis=True)
 
 
 def test_every_axis_moves_something_of_its_own() -> None:
@@ -84,4 +85,26 @@ def test_every_axis_moves_something_of_its_own() -> None:
         axes[number] += 0.1
         seen.add(tuple(round(x, 6) for x in DRAWN.place(axes)[1]))
     assert len(seen) == 7
-    assert all(a != b for a, b in itertools.combinations(seen, 2))
+    assert all(a != b for a, b in combinations(seen, 2))
+
+
+def test_a_rail_is_drawn_for_an_arm_on_a_linear_axis_alone() -> None:
+    assert DRAWN.rail() == ((0.0, -1.5, 0.0), (0.0, 6.0, 0.0))
+    on_the_floor = chain.read_chain(
+        TASK.urdf.replace('type="prismatic"', 'type="fixed"'), ARM.flange, TOOL, linear_axis=False
+    )
+    assert on_the_floor.rail() is None
+    without_limits = chain.read_chain(
+        TASK.urdf.replace('lower="-1.5"', ""), ARM.flange, TOOL, linear_axis=True
+    )
+    assert without_limits.rail() == ((0.0, -1.5, 0.0), (0.0, 1.5, 0.0))
+
+
+def test_the_reach_of_an_arm_is_its_stretched_length() -> None:
+    points, _ = DRAWN.place([0.0] * 7)
+    lengths = [math.dist(a, b) for a, b in pairwise(points)]
+    assert DRAWN.reach() == pytest.approx(sum(lengths))
+    grown = chain.read_chain(
+        TASK.urdf.replace("1.150", "2.150"), ARM.flange, TOOL, linear_axis=True
+    )
+    assert grown.reach() == pytest.approx(DRAWN.reach() + 1.0)

@@ -42,7 +42,7 @@ def stalled(path: Path) -> Iterator[socket.socket]:
 
 def quick_ms(took: list[float | None]) -> float:
     """What a tenth of the replies took at most: what the daemon needs, without the machine's own
-    troubles, which are the same with and without onlookers."""
+    troubles, which are the same with and without subscribers."""
     came = sorted(seconds for seconds in took if seconds is not None)
     assert len(came) > len(took) // 2
     return 1e3 * came[len(came) // 10]

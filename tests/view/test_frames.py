@@ -9,11 +9,11 @@ from cell import REST, TASK
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linemate.daemon.view import cell
-from linemate.daemon.view.broadcast_hub import Board
+from linemate.daemon.view.broadcast_hub import BroadcastHub
+from linemate.daemon.view.cell import read_cell
 from linemate.daemon.view.frames import Framer
 
-SCENE = cell.of({"task": TASK.text, "urdf": TASK.urdf, "cycle_s": 0.012})
+CELL = read_cell({"task": TASK.text, "urdf": TASK.urdf, "cycle_s": 0.012})
 CYCLE_NS = 12_000_000
 SPEED = 0.106
 
@@ -22,8 +22,8 @@ def moving(k: int, *, lag_cycles: int = 1) -> dict[str, Any]:
     """Telemetry of a tool that is exactly where it should be, read ``lag_cycles`` ago."""
     at = SPEED * 0.012
     axes = (*REST, at * (k - lag_cycles))
-    assert SCENE.chain is not None
-    _, now = SCENE.chain.place((*REST, at * k))
+    assert CELL.chain is not None
+    _, now = CELL.chain.place((*REST, at * k))
     return {
         "k": k, "stamp_ns": 10**12 + k * CYCLE_NS, "state": "track", "scenario": "running",
         "scenario_state": "confirmed", "confidence": 1.5, "target": now, "sensed": now, "part": now,
@@ -33,10 +33,10 @@ def moving(k: int, *, lag_cycles: int = 1) -> dict[str, Any]:
 
 
 def test_the_scene_of_the_shipped_task_can_be_drawn() -> None:
-    assert SCENE.trouble == ""
-    assert SCENE.task == "wheel"
-    assert SCENE.told()["cycle_ms"] == 12.0
-    assert SCENE.rest == REST
+    assert CELL.trouble == ""
+    assert CELL.task == "wheel"
+    assert CELL.as_page()["cycle_ms"] == 12.0
+    assert CELL.rest == REST
 
 
 @pytest.mark.parametrize(
@@ -53,7 +53,7 @@ def test_the_scene_of_the_shipped_task_can_be_drawn() -> None:
 def test_a_cell_that_cannot_be_read_is_said_and_nothing_breaks(
     told: dict[str, Any], why: str
 ) -> None:
-    scene = cell.of(told)
+    scene = read_cell(told)
     assert why in scene.trouble
     frame = Framer(scene).frame(moving(1))
     assert frame is not None
@@ -62,7 +62,7 @@ def test_a_cell_that_cannot_be_read_is_said_and_nothing_breaks(
 
 
 def test_a_tool_that_is_where_it_should_be_has_no_error_at_the_conveyors_pace() -> None:
-    framer = Framer(SCENE)
+    framer = Framer(CELL)
     frames = [framer.frame(moving(k)) for k in range(5)]
     last = frames[-1]
     assert last is not None
@@ -73,16 +73,16 @@ def test_a_tool_that_is_where_it_should_be_has_no_error_at_the_conveyors_pace() 
 
 
 def test_steps_that_are_not_drawn_are_remembered() -> None:
-    framer = Framer(SCENE)
+    framer = Framer(CELL)
     for k in range(5):
-        framer.note(moving(k))
+        framer.remember(moving(k))
     frame = framer.frame(moving(5))
     assert frame is not None
     assert frame["errors"]["control_mm"] == pytest.approx(0.0, abs=1e-3)
 
 
 def test_nothing_is_said_of_an_error_across_a_gap_or_another_boot() -> None:
-    framer = Framer(SCENE)
+    framer = Framer(CELL)
     framer.frame(moving(0))
     frame = framer.frame(moving(40))
     assert frame is not None
@@ -93,7 +93,7 @@ def test_nothing_is_said_of_an_error_across_a_gap_or_another_boot() -> None:
 
 
 def test_the_same_step_told_twice_has_the_same_error() -> None:
-    framer = Framer(SCENE)
+    framer = Framer(CELL)
     for k in range(4):
         framer.frame(moving(k))
     once, again = framer.frame(moving(4)), framer.frame(moving(4))
@@ -105,24 +105,24 @@ def test_the_same_step_told_twice_has_the_same_error() -> None:
 def test_a_plan_away_from_the_object_is_its_error() -> None:
     told = moving(3)
     told["sensed"] = (told["target"][0] + 0.002, *told["target"][1:])
-    frame = Framer(SCENE).frame(told)
+    frame = Framer(CELL).frame(told)
     assert frame is not None
     assert frame["errors"]["plan_mm"] == pytest.approx(2.0, abs=1e-6)
 
 
 def test_what_is_left_of_the_cycle_is_its_slack() -> None:
-    frame = Framer(SCENE).frame(moving(1))
+    frame = Framer(CELL).frame(moving(1))
     assert frame is not None
-    assert frame["slack_ms"] == 11.6
+    assert frame["margin_ms"] == 11.6
 
 
 def test_a_robot_that_was_not_heard_is_drawn_where_it_was_sent() -> None:
     told = moving(2)
     del told["measured"]
-    frame = Framer(SCENE).frame(told)
+    frame = Framer(CELL).frame(told)
     assert frame is not None
     assert frame["guessed"] is True
-    assert len(frame["arm"]) == len(SCENE.chain.joints) + 2  # type: ignore[union-attr]
+    assert len(frame["arm"]) == len(CELL.chain.joints) + 2  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize(
@@ -131,14 +131,14 @@ def test_a_robot_that_was_not_heard_is_drawn_where_it_was_sent() -> None:
      {"foreseen": [1.0]}, {"target": ["a"] * 7}, {"cycle_ms": "x", "turnaround_us": 1}],
 )  # fmt: skip
 def test_telemetry_that_is_none_makes_no_frame_and_is_counted(wrong: dict[str, Any]) -> None:
-    framer = Framer(SCENE)
+    framer = Framer(CELL)
     assert framer.frame(moving(1) | wrong) is None
     assert framer.unfit == 1
     assert framer.frame(moving(2)) is not None
 
 
 def test_a_daemon_that_has_not_begun_makes_a_frame_of_what_there_is() -> None:
-    frame = Framer(SCENE).frame({"state": "init", "k": 0})
+    frame = Framer(CELL).frame({"state": "init", "k": 0})
     assert frame == {"state": "init", "k": 0, "tentative": False, "errors": {}}
 
 
@@ -152,13 +152,13 @@ ANYTHING = st.recursive(
 @settings(max_examples=100, deadline=None)
 @given(st.dictionaries(st.sampled_from([*moving(1), "foreseen", "foreseen_ms", "held"]), ANYTHING))
 def test_whatever_is_told_gives_a_frame_or_none_and_breaks_nothing(wrong: dict[str, Any]) -> None:
-    framer, board = Framer(SCENE), Board()
+    framer, hub = Framer(CELL), BroadcastHub()
     framer.frame(moving(1))
     odd = framer.frame(moving(2) | wrong)
     if odd is not None:
-        board.frame(odd)
+        hub.push_frame(odd)
     after = framer.frame(moving(3))
     assert after is not None
-    board.frame(after)
-    history = board._known().partition(b"data: ")[2].partition(b"\n")[0]
+    hub.push_frame(after)
+    history = hub._known().partition(b"data: ")[2].partition(b"\n")[0]
     assert json.loads(history)[-1]["state"] == "track"

@@ -20,8 +20,8 @@ from linemate.daemon.operator import main as tool
 from linemate.daemon.service.command_server import CommandPort
 from linemate.daemon.service.endpoints import LocalEndpoint
 from linemate.daemon.transport.client import Client, KeyFileError
-from linemate.daemon.view.broadcast_hub import Board
-from linemate.daemon.view.live_feed import Live
+from linemate.daemon.view.broadcast_hub import BroadcastHub
+from linemate.daemon.view.live_feed import LiveFeed
 from linemate.protocol.command.frame_codec import Role
 from linemate.protocol.command.local_client import LocalClient
 
@@ -31,41 +31,41 @@ SUBSCRIBERS = 3
 
 def shown(
     folder: Path, until: int = 12, make: Callable[[], Client] | None = None
-) -> tuple[Board, list[str]]:
-    """A board that has seen some frames of whatever is served in a folder."""
+) -> tuple[BroadcastHub, list[str]]:
+    """Return a hub with some frames of the daemon of a folder."""
     client = make or (lambda: Client.local(folder / "command.sock"))
-    board, links = Board(), []
+    links: list[str] = []
 
-    class Watched(Board):
-        def tell(self, name: str, told: object) -> None:  # type: ignore[override]
+    class Watched(BroadcastHub):
+        def publish(self, name: str, data: object) -> None:  # type: ignore[override]
             if name == "link":
-                links.append(str(told))
-            super().tell(name, told)  # type: ignore[arg-type]
+                links.append(str(data))
+            super().publish(name, data)  # type: ignore[arg-type]
 
-    board = Watched()
+    hub = Watched()
 
     async def main() -> None:
         call = asyncio.get_running_loop().call_soon_threadsafe
-        live = Live(client, board, call)
-        live.start()
+        feed = LiveFeed(client, hub, call)
+        feed.start()
         async with asyncio.timeout(20):
-            while board.frames < until and len(links) < 5:  # noqa: ASYNC110 - of threads
+            while hub.frames < until and len(links) < 5:  # noqa: ASYNC110 - of threads
                 await asyncio.sleep(0.02)
-        await asyncio.to_thread(live.end)
+        await asyncio.to_thread(feed.end)
 
     asyncio.run(main())
-    return board, links
+    return hub, links
 
 
 def test_a_daemon_is_asked_for_its_cell_its_status_and_its_telemetry(tmp_path: Path) -> None:
     rerunning = Rerun(1.0, 5.0)
     with rerun(tmp_path, rerunning):
-        board, links = shown(tmp_path)
-    assert board.frames >= 12
+        hub, links = shown(tmp_path)
+    assert hub.frames >= 12
     assert links == ["{'up': True, 'reason': ''}"]
     assert set(rerunning.asked) == {"scene", "status"}
-    with board.looking() as onlooker:
-        told = asyncio.run(onlooker.take())
+    with hub.subscribe() as subscriber:
+        told = asyncio.run(subscriber.drain())
     assert b"event: scene" in told
     assert b'"arm":' in told
     assert b'"health":"healthy"' in told
@@ -79,34 +79,34 @@ def test_a_daemon_elsewhere_is_shown_by_datagrams_and_a_key_that_may_only_view(
     with opening as port, served(port):
         assert port.udp_address is not None
         host, number = port.udp_address
-        board, links = shown(tmp_path, make=lambda: Client.udp(host, number, key))
-    assert board.frames >= 12
+        hub, links = shown(tmp_path, make=lambda: Client.udp(host, number, key))
+    assert hub.frames >= 12
     assert links == ["{'up': True, 'reason': ''}"]
-    with board.looking() as onlooker:
-        assert b'"arm":' in asyncio.run(onlooker.take())
+    with hub.subscribe() as subscriber:
+        assert b'"arm":' in asyncio.run(subscriber.drain())
 
 
-def test_a_daemon_that_does_not_know_of_scenes_is_shown_without_its_arm(tmp_path: Path) -> None:
+def test_a_daemon_without_the_operation_scene_is_shown_without_its_arm(tmp_path: Path) -> None:
     class Older(Rerun):
         def handle(self, op: str, *rest: object) -> dict[str, object]:  # type: ignore[override]
             return {"refused": "no such operation"} if op == "scene" else self.status
 
     with rerun(tmp_path, Older()):
-        board, _ = shown(tmp_path)
-    with board.looking() as onlooker:
-        told = asyncio.run(onlooker.take())
-    assert b"does not tell its cell" in told
+        hub, _ = shown(tmp_path)
+    with hub.subscribe() as subscriber:
+        told = asyncio.run(subscriber.drain())
+    assert b"does not describe its cell" in told
     assert b'"arm":' not in told
 
 
-def test_no_daemon_is_said_again_and_again_and_nothing_else_happens(tmp_path: Path) -> None:
-    board, links = shown(tmp_path)
-    assert board.frames == 0
+def test_a_missing_daemon_is_reported_at_each_attempt(tmp_path: Path) -> None:
+    hub, links = shown(tmp_path)
+    assert hub.frames == 0
     assert len(links) >= 5
     assert "command.sock" in links[0]
 
 
-def test_whatever_goes_wrong_is_said_and_tried_again(tmp_path: Path) -> None:
+def test_any_failure_is_reported_and_tried_again(tmp_path: Path) -> None:
     rerunning, tries = Rerun(1.0, 5.0), []
 
     def make() -> Client:
@@ -116,8 +116,8 @@ def test_whatever_goes_wrong_is_said_and_tried_again(tmp_path: Path) -> None:
         return Client.local(tmp_path / "command.sock")
 
     with rerun(tmp_path, rerunning):
-        board, links = shown(tmp_path, make=make)
-    assert board.frames >= 12
+        hub, links = shown(tmp_path, make=make)
+    assert hub.frames >= 12
     assert "gone for a moment" in links[0]
     assert "True" in links[-1]
 

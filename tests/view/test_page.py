@@ -1,4 +1,4 @@
-"""The page in a real browser: it loads, shows a moving arm, and a class change appears."""
+"""The page in a real browser: what it shows of a daemon and of recordings, at which sizes."""
 
 import time
 import urllib.request
@@ -20,6 +20,8 @@ SOCKET = "command.sock"
 ROOT = "document.documentElement.dataset"
 TEXT = "document.getElementById('{}').textContent"
 CLASS = TEXT.format("class-name")
+BANNER = "document.getElementById('banner')"
+KINDS = "['state', 'banner'].map((id) => document.getElementById(id).dataset.kind)"
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +45,7 @@ def shown(chromium: Browser, *words: str | Path) -> Iterator[str]:
 
 
 def colours(png: bytes) -> int:
-    """How much there is to see in a picture: bytes of its rows, packed again."""
+    """Return how much a picture shows: bytes of its rows, compressed."""
     data, at = b"", 8
     while at < len(png):
         size = int.from_bytes(png[at : at + 4], "big")
@@ -73,21 +75,42 @@ def test_a_daemon_is_shown_as_it_goes(chromium: Browser, tmp_path: Path) -> None
         assert colours(chromium.picture(tmp_path / "page.png")) > 30_000
 
 
-def test_a_daemon_that_ends_is_said_and_one_that_comes_back_is_shown(
+def test_a_page_waits_for_its_first_message_and_shows_a_daemon_that_ends_or_comes_back(
     chromium: Browser, tmp_path: Path
 ) -> None:
-    banner = "document.getElementById('banner')"
     with shown(chromium, "--socket", tmp_path / SOCKET) as address:
         chromium.open(address)
-        chromium.until(f"!{banner}.hidden && {banner}.textContent.startsWith('No daemon')")
+        chromium.until(f"{BANNER}.textContent.startsWith('Waiting for the daemon')")
+        assert chromium.value(KINDS) == ["unknown", ""]
         for _ in range(2):
             with rerun(tmp_path, Rerun(1.0, 4.0)):
-                chromium.until(f"{banner}.hidden && {TEXT.format('state-name')} === 'track'")
-            chromium.until(f"!{banner}.hidden")
-            assert chromium.value("document.getElementById('state').dataset.kind") == "bad"
+                chromium.until(f"{BANNER}.hidden && {TEXT.format('state-name')} === 'track'")
+            chromium.until(f"{BANNER}.textContent.startsWith('No daemon')")
+            assert chromium.value(KINDS) == ["bad", "bad"]
 
 
-def test_a_fault_is_told_by_more_than_its_colour(chromium: Browser, tmp_path: Path) -> None:
+@pytest.mark.parametrize("last", [{"phase": "done"}, {"state": "idle", "phase": "wait"}])
+def test_a_daemon_that_ends_after_its_task_is_no_alarm(
+    chromium: Browser, tmp_path: Path, last: dict[str, str]
+) -> None:
+    class Finishing(Rerun):
+        frames = 0
+
+        def telemetry(self) -> dict[str, Any]:
+            self.frames += 1
+            return super().telemetry() | {"state": "retreat"} | (last if self.frames > 25 else {})
+
+    with shown(chromium, "--socket", tmp_path / SOCKET) as address:
+        chromium.open(address)
+        with rerun(tmp_path, Finishing(0.1, 4.0)):
+            name, value = next(iter(last.items()))
+            chromium.until(f"{TEXT.format({'state': 'state-name'}.get(name, name))} === '{value}'")
+        chromium.until(f"{TEXT.format('state-name')} === 'ended'")
+        assert chromium.value(KINDS) == ["unknown", ""]
+        assert "Its task was done" in chromium.value(f"{BANNER}.textContent")
+
+
+def test_a_fault_is_shown_by_more_than_its_colour(chromium: Browser, tmp_path: Path) -> None:
     rerunning = Rerun(0.0, 4.0)
     rerunning.status |= {"health": "degraded", "complaints": ["link camera is down: gone"]}
     rerunning.status["links"] = {"camera": {**rerunning.status["links"]["camera"], "up": False}}
@@ -118,7 +141,7 @@ def test_a_recording_is_played_paused_and_sought(chromium: Browser, tmp_path: Pa
         assert chromium.value(TEXT.format("time")) == stands
         chromium.value(f"{seek}.value = '0'; {seek}.oninput()")
         chromium.until(f"{TEXT.format('time')}.startsWith('0.00')")
-        # What was foreseen is made again while one looks on.
+        # Horizons are computed again while the page is open.
         chromium.value(f"{seek}.value = '0.5'; {seek}.oninput()")
         chromium.until(f"Number({ROOT}.foreseen) > 2", 120.0)
         assert colours(chromium.picture(tmp_path / "page.png")) > 30_000
@@ -127,10 +150,10 @@ def test_a_recording_is_played_paused_and_sought(chromium: Browser, tmp_path: Pa
 def test_what_happens_again_and_again_is_one_line(chromium: Browser, tmp_path: Path) -> None:
     class Refusing(Rerun):
         def telemetry(self) -> dict[str, Any]:
-            told = super().telemetry()
+            whole = super().telemetry()
             texts = ("state: idle", "refused", "refused", "refused", "link robot is up")
             n = min(len(texts), 1 + int(4.0 * (time.monotonic() - self._began)))
-            return told | {"happened": [[i + 1, told["stamp_ns"], texts[i]] for i in range(n)]}
+            return whole | {"happened": [[i + 1, whole["stamp_ns"], texts[i]] for i in range(n)]}
 
     with rerun(tmp_path, Refusing()), shown(chromium, "--socket", tmp_path / SOCKET) as address:
         chromium.open(address)
@@ -175,10 +198,39 @@ def test_everything_has_its_place_on_a_small_screen(chromium: Browser) -> None:
         fits = "document.documentElement.scrollWidth <= 1280 && document.body.scrollHeight <= 800"
         assert chromium.value(fits)
         overflowing = (
-            "[...document.querySelectorAll('header .big, header h1, #slack-note')]"
+            "[...document.querySelectorAll('header .big, header h1, #margin-note')]"
             ".filter((at) => at.scrollWidth > at.clientWidth + 1).map((at) => at.id)"
         )
         assert chromium.value(overflowing) == []
+
+
+CUT = """[...document.querySelectorAll('table, aside section, header > *, .tools select')]
+    .concat(document.querySelector('aside'))
+    .filter((at) => at.scrollWidth > at.clientWidth + 1 || at.scrollHeight > at.clientHeight + 1)
+    .map((at) => at.id || at.className || at.tagName)"""
+
+
+def test_no_table_is_cut_off_on_a_small_screen(chromium: Browser, tmp_path: Path) -> None:
+    other = tmp_path / "another-car-with-a-long-name-seed7-12ms.mcap"
+    other.write_bytes(GOLDEN.read_bytes())
+    with shown(chromium, GOLDEN, other) as address:
+        chromium.open(address + "?paused&t=9")
+        chromium.until(f"{ROOT}.tcp && !document.getElementById('summary').hidden")
+        assert chromium.value(CUT) == []
+
+
+def test_a_narrow_window_shows_everything_in_one_column(tmp_path: Path) -> None:
+    with Browser(tmp_path, 700, 900) as narrow, viewing(GOLDEN) as address:
+        narrow.open(address + "?paused&t=9")
+        narrow.until(f"{ROOT}.tcp")
+        assert narrow.value("document.documentElement.scrollWidth") <= 700
+        assert narrow.value(CUT) == []
+        sizes = (
+            "[...document.querySelectorAll('canvas')].map((at) => at.clientWidth * at.clientHeight)"
+        )
+        assert min(narrow.value(sizes)) > 50_000
+        narrow.open("about:blank")
+        assert narrow.said == []
 
 
 def test_the_page_asks_only_the_view_itself(chromium: Browser) -> None:

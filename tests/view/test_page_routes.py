@@ -9,33 +9,33 @@ import pytest
 
 from linemate.daemon.recording.format import UnreadableRecordingError
 from linemate.daemon.transport.http_server import NoPageError, Page
-from linemate.daemon.view.page_routes import TapeSite
+from linemate.daemon.view.page_routes import RecordingRoutes
 
 GOLDEN = Path(__file__).parents[1] / "system" / "golden" / "wheel.mcap"
 
 
-def told(site: TapeSite, path: str, **query: str) -> Any:
-    page = site.ask(path, query)
+def told(routes: RecordingRoutes, path: str, **query: str) -> Any:
+    page = routes.ask(path, query)
     assert isinstance(page, Page)
     assert page.kind == "application/json"
     return json.loads(page.body)
 
 
 @pytest.fixture(scope="module")
-def read() -> TapeSite:
-    site = TapeSite([GOLDEN])
-    asyncio.run(site.read())
-    return site
+def read() -> RecordingRoutes:
+    routes = RecordingRoutes([GOLDEN])
+    asyncio.run(routes.read())
+    return routes
 
 
 def test_while_a_recording_is_being_read_its_share_is_told() -> None:
-    site = TapeSite([GOLDEN, GOLDEN])
+    routes = RecordingRoutes([GOLDEN, GOLDEN])
     shares = []
 
     async def main() -> None:
-        reading = asyncio.ensure_future(site.read())
+        reading = asyncio.ensure_future(routes.read())
         while not reading.done():
-            mode = told(site, "/mode")
+            mode = told(routes, "/mode")
             if mode["mode"] == "reading":
                 shares.append(mode["share"])
             await asyncio.sleep(0.005)
@@ -44,17 +44,17 @@ def test_while_a_recording_is_being_read_its_share_is_told() -> None:
     asyncio.run(main())
     assert shares == sorted(shares)
     assert 0.0 <= shares[0] < shares[-1] <= 1.0
-    assert [tape["name"] for tape in told(site, "/mode")["tapes"]] == ["wheel.mcap"] * 2
+    assert [tape["name"] for tape in told(routes, "/mode")["runs"]] == ["wheel.mcap"] * 2
 
 
 def test_what_is_no_recording_ends_the_reading(tmp_path: Path) -> None:
     (tmp_path / "x.mcap").write_bytes(b"x")
     with pytest.raises(UnreadableRecordingError):
-        asyncio.run(TapeSite([GOLDEN, tmp_path / "x.mcap"]).read())
+        asyncio.run(RecordingRoutes([GOLDEN, tmp_path / "x.mcap"]).read())
 
 
-def test_a_recording_is_told_whole_and_given_in_portions(read: TapeSite) -> None:
-    whole = told(read, "/tape", i="0")
+def test_a_recording_is_told_whole_and_given_in_portions(read: RecordingRoutes) -> None:
+    whole = told(read, "/run", i="0")
     assert whole["name"] == "wheel.mcap"
     frames = told(read, "/frames", i="0", **{"from": "10", "to": "13"})
     assert [frame["t"] for frame in frames] == whole["times"][10:13]
@@ -65,34 +65,34 @@ def test_a_recording_is_told_whole_and_given_in_portions(read: TapeSite) -> None
 @pytest.mark.parametrize(
     ("path", "query"),
     [
-        ("/tape", {"i": "1"}),
-        ("/tape", {"i": "-1"}),
-        ("/tape", {"i": "0x0"}),
+        ("/run", {"i": "1"}),
+        ("/run", {"i": "-1"}),
+        ("/run", {"i": "0x0"}),
         ("/frames", {"from": "1" * 20}),
         ("/frames", {"to": "٣"}),
         ("/none", {}),
-        ("/../site.py", {}),
+        ("/../page_routes.py", {}),
         ("/__init__.py", {}),
     ],
 )
-def test_there_is_nothing_else(read: TapeSite, path: str, query: dict[str, str]) -> None:
+def test_there_is_nothing_else(read: RecordingRoutes, path: str, query: dict[str, str]) -> None:
     with pytest.raises(NoPageError):
         read.ask(path, query)
 
 
 def test_horizons_are_made_again_by_a_process_beside_and_it_ends_with_its_task() -> None:
-    site = TapeSite([GOLDEN])
+    routes = RecordingRoutes([GOLDEN])
 
     async def main() -> None:
-        await site.read()
-        work = asyncio.ensure_future(site.foresee())
+        await routes.read()
+        work = asyncio.ensure_future(routes.compute_horizons())
         async with asyncio.timeout(60):
-            while told(site, "/progress")["count"] < 3:
+            while told(routes, "/progress")["count"] < 3:
                 assert not work.done()
                 await asyncio.sleep(0.05)
         work.cancel()
         await asyncio.gather(work, return_exceptions=True)
 
     asyncio.run(main())
-    frames = told(site, "/frames", i="0", **{"from": "0", "to": "400"})
+    frames = told(routes, "/frames", i="0", **{"from": "0", "to": "400"})
     assert sum("foreseen" in frame for frame in frames) >= 1

@@ -1,4 +1,4 @@
-// What happened over time, one axis for all: states, classes, confidence, errors, slack and ages.
+// Charts over one time axis: states, classes, confidence, errors, margin and ages.
 import { LANES, STATES, CLASSES, number } from "./format.js";
 
 const COLOURS = ["panel", "line", "text", "muted", "grid", "good", "warn", "bad", "calm", "running", "stopping", "standing",
@@ -11,7 +11,7 @@ const ROWS = [
   { name: "class", weight: 1.25 },
   { name: "odds", weight: 0.9 },
   { name: "errors", weight: 1.35 },
-  { name: "slack", weight: 0.8 },
+  { name: "margin", weight: 0.8 },
   { name: "ages", weight: 0.8 },
 ];
 const ERRORS = [["control_mm", "control", []], ["plan_mm", "plan", [6, 3]], ["gap_mm", "gap", [1.5, 3]]];
@@ -24,15 +24,15 @@ export class Charts {
     this.context = canvas.getContext("2d");
     this.kept = null;
     this.restyle();
-    let held = false;
-    const at = (event) => {
+    let isDragging = false;
+    const seekTo = (event) => {
       if (!this.span) return;
       const x = event.offsetX - LEFT;
       seek(this.span[0] + (x / (this.canvas.clientWidth - LEFT - RIGHT)) * (this.span[1] - this.span[0]));
     };
-    canvas.addEventListener("pointerdown", (event) => { held = true; at(event); });
-    canvas.addEventListener("pointermove", (event) => { if (held) at(event); });
-    addEventListener("pointerup", () => { held = false; });
+    canvas.addEventListener("pointerdown", (event) => { isDragging = true; seekTo(event); });
+    canvas.addEventListener("pointermove", (event) => { if (isDragging) seekTo(event); });
+    addEventListener("pointerup", () => { isDragging = false; });
   }
 
   restyle() {
@@ -76,12 +76,12 @@ export class Charts {
   all(history, isWhole, events, now) {
     const c = this.context;
     c.font = FONT;
-    const room = this.size[1] - TOP - BOTTOM - BETWEEN * (ROWS.length - 1);
+    const free = this.size[1] - TOP - BOTTOM - BETWEEN * (ROWS.length - 1);
     const weights = ROWS.reduce((sum, row) => sum + row.weight, 0);
     let y = TOP;
     this.rows = {};
     for (const row of ROWS) {
-      const height = (room * row.weight) / weights;
+      const height = (free * row.weight) / weights;
       this.rows[row.name] = [y, y + height];
       y += height + BETWEEN;
     }
@@ -101,8 +101,8 @@ export class Charts {
       this.series("errors", shown, (frame) => (frame.errors && frame.errors[name] !== undefined ? Math.log10(Math.max(1e-3, frame.errors[name])) : undefined), colour, dash, -2.3, 2.9);
     }
     const cycle = this.cycle(history);
-    this.frameOf("slack", "slack", [[0, "0"], [cycle, `${number(cycle, 0)} ms`]], -0.1 * cycle, 1.1 * cycle);
-    this.series("slack", shown, (frame) => frame.slack_ms, "good", [], -0.1 * cycle, 1.1 * cycle);
+    this.frameOf("margin", "margin", [[0, "0"], [cycle, `${number(cycle, 0)} ms`]], -0.1 * cycle, 1.1 * cycle);
+    this.series("margin", shown, (frame) => frame.margin_ms, "good", [], -0.1 * cycle, 1.1 * cycle);
     const live = shown.some((frame) => frame.ages_ms);
     this.frameOf("ages", live || !isWhole ? "sensor ages" : "speed", live || !isWhole ? [[0, "1 ms"], [1, "10"], [2, "100"], [3, "1 s"]] : [[0, "0"], [0.1, "100 mm/s"]], ...(live || !isWhole ? [-0.2, 3.4] : [-0.02, 0.13]));
     if (live || !isWhole) {
@@ -116,38 +116,38 @@ export class Charts {
   cycle(history) {
     const last = history[history.length - 1];
     if (last && last.cycle_ms) return last.cycle_ms;
-    const most = Math.max(0, ...history.map((frame) => frame.slack_ms || 0));
+    const most = Math.max(0, ...history.map((frame) => frame.margin_ms || 0));
     return most > 4 || !most ? 12 : 4;
   }
 
   axis(isWhole, now) {
     const c = this.context;
     const length = this.span[1] - this.span[0];
-    const step = [1, 2, 5, 10, 30, 60, 300, 600, 1800].find((one) => length / one <= 14) || 3600;
+    const step = [1, 2, 5, 10, 30, 60, 300, 600, 1800].find((step_s) => length / step_s <= 14) || 3600;
     const origin = isWhole ? 0 : now;
     c.strokeStyle = this.colour.grid; c.fillStyle = this.colour.muted; c.lineWidth = 1; c.textAlign = "center";
     for (let i = Math.ceil((this.span[0] - origin) / step); i * step + origin <= this.span[1] + 1e-9; i += 1) {
       const x = this.x(i * step + origin);
       c.beginPath(); c.moveTo(x, TOP); c.lineTo(x, this.size[1] - BOTTOM); c.stroke();
-      const told = isWhole ? `${i * step} s` : i === 0 ? "now" : `${i * step} s`;
-      c.fillText(told, x, this.size[1] - 6);
+      const label = !isWhole && i === 0 ? "now" : `${i * step} s`;
+      c.fillText(label, x, this.size[1] - 6);
     }
     c.textAlign = "start";
   }
 
-  // Stretches of frames for which something stays the same.
+  // Stretches of frames with an equal key.
   stretches(frames, key) {
-    const found = [];
+    const stretches = [];
     for (const frame of frames) {
       const value = key(frame);
-      const last = found[found.length - 1];
+      const last = stretches[stretches.length - 1];
       if (last && last.value === value) last.end = frame.t;
       else {
         if (last) last.end = frame.t;
-        found.push({ value, begin: frame.t, end: frame.t });
+        stretches.push({ value, begin: frame.t, end: frame.t });
       }
     }
-    return found;
+    return stretches;
   }
 
   name(row, text) {
@@ -202,10 +202,10 @@ export class Charts {
     const [top, bottom] = this.rows[row];
     this.name(row, name);
     c.textAlign = "right";
-    for (const [value, told] of ticks) {
+    for (const [value, label] of ticks) {
       const y = bottom - ((value - low) / (high - low)) * (bottom - top);
       c.strokeStyle = this.colour.grid; c.beginPath(); c.moveTo(LEFT, y); c.lineTo(this.size[0] - RIGHT, y); c.stroke();
-      c.fillStyle = this.colour.muted; c.fillText(told, LEFT - 8, y + 4);
+      c.fillStyle = this.colour.muted; c.fillText(label, LEFT - 8, y + 4);
     }
     c.textAlign = "start";
     c.strokeStyle = this.colour.line; c.strokeRect(LEFT, top, this.size[0] - LEFT - RIGHT, bottom - top);
@@ -232,10 +232,10 @@ export class Charts {
 
   marks(events) {
     const c = this.context;
-    for (const one of events || []) {
-      if (one.t < this.span[0] || one.t > this.span[1] || !/^conveyor: (stop|start) /.test(one.text)) continue;
-      const x = this.x(one.t);
-      c.strokeStyle = this.colour.muted; c.setLineDash(/confirmed/.test(one.text) ? [] : [2, 3]);
+    for (const event of events || []) {
+      if (event.t < this.span[0] || event.t > this.span[1] || !/^conveyor: (stop|start) /.test(event.text)) continue;
+      const x = this.x(event.t);
+      c.strokeStyle = this.colour.muted; c.setLineDash(/confirmed/.test(event.text) ? [] : [2, 3]);
       c.beginPath(); c.moveTo(x, this.rows.class[0]); c.lineTo(x, this.rows.errors[1]); c.stroke(); c.setLineDash([]);
     }
   }
@@ -250,33 +250,33 @@ export class Charts {
     this.newest(history[Math.max(0, low - 1)]);
   }
 
-  // The values at the cursor, or the newest, beside their lines.
+  // The values at the cursor, or the newest, to the right of their lines.
   newest(frame) {
     if (!frame || !this.rows) return;
     const c = this.context;
     c.font = FONT;
     const x = this.size[0] - RIGHT + 8;
-    const put = (row, lines) => {
+    const label = (row, lines) => {
       const [top, bottom] = this.rows[row];
       const step = Math.min(14, (bottom - top) / lines.length);
-      lines.forEach(([told, colour, dash], i) => {
+      lines.forEach(([text, colour, dash], i) => {
         const y = (top + bottom) / 2 + (i - (lines.length - 1) / 2) * step;
         c.strokeStyle = c.fillStyle = this.colour[colour];
         if (dash) {
-          // Lines are told apart by their dashes as well.
+          // Lines differ by their dashes too.
           c.setLineDash(dash); c.lineWidth = 1.6;
           c.beginPath(); c.moveTo(x, y); c.lineTo(x + 14, y); c.stroke();
           c.setLineDash([]); c.lineWidth = 1;
         }
-        c.fillText(told, x + (dash ? 18 : 0), y + 4);
+        c.fillText(text, x + (dash ? 18 : 0), y + 4);
       });
     };
-    if (frame.confidence !== undefined) put("odds", [[`${frame.confidence > 0 ? "+" : ""}${number(frame.confidence, 1)}`, "odds"]]);
+    if (frame.confidence !== undefined) label("odds", [[`${frame.confidence > 0 ? "+" : ""}${number(frame.confidence, 1)}`, "odds"]]);
     const errors = frame.errors || {};
-    put("errors", ERRORS.map(([name, colour, dash]) => [`${name.slice(0, -3)} ${number(errors[name])}`, colour, dash]));
-    if (frame.slack_ms !== undefined) put("slack", [[`${number(frame.slack_ms, 2)} ms`, "good"]]);
-    if (frame.ages_ms) put("ages", AGES.map(([name, colour, dash]) => [`${name} ${number(frame.ages_ms[name], 0)}`, colour, dash]));
-    else if (frame.speed !== undefined) put("ages", [[`${number(1000 * frame.speed, 0)} mm/s`, "control"]]);
-    if (frame.speed !== undefined && frame.scenario) put("class", [[`${number(1000 * frame.speed, 0)} mm/s`, frame.scenario in this.colour ? frame.scenario : "text"]]);
+    label("errors", ERRORS.map(([name, colour, dash]) => [`${name.slice(0, -3)} ${number(errors[name])}`, colour, dash]));
+    if (frame.margin_ms !== undefined) label("margin", [[`${number(frame.margin_ms, 2)} ms`, "good"]]);
+    if (frame.ages_ms) label("ages", AGES.map(([name, colour, dash]) => [`${name} ${number(frame.ages_ms[name], 0)}`, colour, dash]));
+    else if (frame.speed !== undefined) label("ages", [[`${number(1000 * frame.speed, 0)} mm/s`, "control"]]);
+    if (frame.speed !== undefined && frame.scenario) label("class", [[`${number(1000 * frame.speed, 0)} mm/s`, frame.scenario in this.colour ? frame.scenario : "text"]]);
   }
 }

@@ -1,4 +1,4 @@
-// Words and numbers for people; nothing here knows where they come from.
+// Text of states, classes, numbers and times.
 export const STATES = {
   init: ["…", "unknown"], idle: ["■", "unknown"], armed: ["◇", "unknown"], track: ["▶", "good"],
   contact: ["◉", "good"], retreat: ["◀", "good"], hold: ["‖", "warn"], fault: ["✕", "bad"],
@@ -24,7 +24,7 @@ export function age(milliseconds) {
   return milliseconds < 60000 ? `${(milliseconds / 1000).toFixed(1)} s` : `${Math.round(milliseconds / 60000)} min`;
 }
 
-// A file's name, its middle left out if it is long: what tells files apart stands at the end.
+// A file's name without its middle if it is long: names of files differ at their ends.
 export function short(name) {
   const bare = name.replace(/\.mcap$/, "");
   return bare.length > 13 ? `${bare.slice(0, 4)}…${bare.slice(-8)}` : bare;

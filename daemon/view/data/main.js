@@ -1,8 +1,8 @@
-// The page: takes what a source shows and puts it where it belongs, once a picture at most.
+// The page: shows the newest frame and status of a source, at most once a picture.
 import { Charts } from "./charts.js";
 import { CLASSES, STATES, age, number, seconds, short } from "./format.js";
 import { Picture } from "./picture.js";
-import { Live, Tape } from "./source.js";
+import { LiveSource, RecordingSource } from "./source.js";
 
 const $ = (id) => document.getElementById(id);
 const root = document.documentElement;
@@ -18,44 +18,61 @@ const station = new Picture($("station"), { turn: true });
 const close = new Picture($("close"), { close: true });
 const charts = new Charts($("charts"), (t) => { if (source && source.seek) source.seek(t); });
 
-function text(id, value) { const at = $(id); if (at.textContent !== value) at.textContent = value; }
-function mark(id, name, value) { const at = $(id); if (at.dataset[name] !== value) at.dataset[name] = value; }
+function text(id, value) { const element = $(id); if (element.textContent !== value) element.textContent = value; }
+function mark(id, name, value) { const element = $(id); if (element.dataset[name] !== value) element.dataset[name] = value; }
 
-function rows(body, made) {
-  const key = JSON.stringify(made);
-  if (body.dataset.made === key) return;
-  body.dataset.made = key;
-  body.replaceChildren(...made.map((cells) => {
+function rows(body, cells) {
+  const key = JSON.stringify(cells);
+  if (body.dataset.key === key) return;
+  body.dataset.key = key;
+  body.replaceChildren(...cells.map((line) => {
     const row = document.createElement("tr");
-    cells.forEach((cell, i) => {
-      const at = document.createElement(i ? "td" : "th");
-      if (!i) at.scope = "row";
-      at.textContent = cell.text ?? cell;
-      if (cell.kind) { at.className = "is"; at.dataset.kind = cell.kind; }
-      row.append(at);
+    line.forEach((cell, i) => {
+      const element = document.createElement(i ? "td" : "th");
+      if (!i) element.scope = "row";
+      element.textContent = cell.text ?? cell;
+      if (cell.kind) { element.className = "is"; element.dataset.kind = cell.kind; }
+      row.append(element);
     });
     return row;
   }));
 }
 
+// The condition of the source: ok, waiting (no message yet), ended (its task was done), lost.
+function condition(frame, status) {
+  const isSilent = source.kind === "live" && frame && source.silent > SILENT_S;
+  if (source.link.up && !isSilent) return "ok";
+  if (!frame && !status) return "waiting";
+  return source.kind === "live" && source.isDone ? "ended" : "lost";
+}
+
+function bannerText(frame, status) {
+  if (source.kind === "recording") return source.trouble;
+  const stale = frame ? " What is shown is the last that was known." : "";
+  return {
+    ok: "",
+    waiting: `Waiting for the daemon: ${source.link.reason}.`,
+    ended: `The daemon has ended. Its task was done.${stale}`,
+    lost: source.link.up ? `No news for ${source.silent.toFixed(0)} s.${stale}` : `No daemon: ${source.link.reason}.${stale || " Is it running?"}`,
+  }[condition(frame, status)];
+}
+
 function showState(frame, status) {
-  const lost = !source.link.up || (source.kind === "live" && source.silent > SILENT_S);
+  const now = condition(frame, status);
   const state = frame ? frame.state : "";
-  const [glyph, kind] = STATES[state] || ["?", "unknown"];
-  text("state-glyph", lost ? "?" : glyph);
-  text("state-name", lost && !frame ? "no daemon" : state || "waiting");
-  mark("state", "kind", lost ? "bad" : kind);
-  // "hold" says nothing beside a state; what brought it about does.
+  const [glyph, kind] = STATES[state] || ["…", "unknown"];
+  const isShown = now === "ok" || (now === "lost" && frame);
+  text("state-glyph", now === "lost" ? "?" : now === "ended" ? "✓" : glyph);
+  text("state-name", isShown ? state || "waiting" : now === "lost" ? "no daemon" : now);
+  mark("state", "kind", now === "ok" ? kind : now === "lost" ? "bad" : "unknown");
+  // "hold" adds nothing to a state; its cause does.
   const held = frame && frame.held && !(frame.held in STATES) ? frame.held : "";
-  const why = held || (status && !(status.because in STATES) ? status.cause || status.because : "") || "";
-  text("state-why", !lost ? why : frame ? "as last known" : source.link.reason);
+  const cause = held || (status && !(status.because in STATES) ? status.cause || status.because : "") || "";
+  text("state-why", { ok: cause, waiting: source.link.reason, ended: "the task was done", lost: frame ? "as last known" : source.link.reason }[now]);
   $("state-why").title = $("state-why").textContent;
-  const banner = $("banner");
-  const news = source.kind === "recording" ? source.trouble
-    : !source.link.up ? `No daemon: ${source.link.reason}. ${frame ? "What is shown is the last that was known." : "Is it running?"}`
-    : frame && source.silent > SILENT_S ? `No news for ${source.silent.toFixed(0)} s. What is shown is the last that was known.` : "";
-  banner.hidden = !news;
-  if (banner.textContent !== news) banner.textContent = news;
+  text("banner", bannerText(frame, status));
+  mark("banner", "kind", now === "lost" || (source.kind === "recording" && source.trouble) ? "bad" : "");
+  $("banner").hidden = !$("banner").textContent;
   document.title = `${state || "?"} · linemate`;
 }
 
@@ -76,19 +93,19 @@ function showHealth(frame, status) {
   if (source.kind === "recording") {
     text("health-name", "Recording");
     const { done, count, inexact } = source.foresight;
-    const note = !done ? `making ${count} horizons again …` : !count ? "its horizons cannot be made again by this program"
-      : inexact ? "horizons made again by another version of the program: near, not bit for bit" : "horizons made again, bit for bit";
+    const note = !done ? `computing ${count} horizons again …` : !count ? "this program cannot compute its horizons again"
+      : inexact ? "horizons of another version of the program: near, not bit for bit" : "horizons computed again, bit for bit";
     text("health-note", `${source.length.toFixed(1)} s, ${source.times.length} frames; ${note}`);
     mark("health", "kind", "unknown");
     return;
   }
   const health = status ? status.health : "";
-  const lost = !source.link.up;
-  text("health-name", lost ? "unknown" : { healthy: "✓ healthy", degraded: "▲ degraded", fault: "✕ fault" }[health] || "–");
-  mark("health", "kind", lost ? "unknown" : { healthy: "good", degraded: "warn", fault: "bad" }[health] || "unknown");
+  const isLost = !source.link.up;
+  text("health-name", isLost ? "unknown" : { healthy: "✓ healthy", degraded: "▲ degraded", fault: "✕ fault" }[health] || "–");
+  mark("health", "kind", isLost ? "unknown" : { healthy: "good", degraded: "warn", fault: "bad" }[health] || "unknown");
   const complaints = (status && status.complaints) || [];
   const count = complaints.length > 1 ? `${complaints.length}: ` : "";
-  text("health-note", status ? count + complaints.join("; ") || (status.host || []).join("; ") || "nothing to complain of" : "");
+  text("health-note", status ? count + complaints.join("; ") || (status.host || []).join("; ") || "no complaints" : "");
   $("health-note").title = complaints.join("\n");
 }
 
@@ -99,27 +116,27 @@ function showNumbers(frame, status) {
   text("err-gap", number(errors.gap_mm, 1));
   const cycle = frame && frame.cycle_ms;
   text("cycle", cycle ? `of ${cycle} ms` : "");
-  const slack = frame && frame.slack_ms;
-  const share = cycle && slack !== undefined ? slack / cycle : null;
-  const bar = $("slack-bar");
+  const margin = frame && frame.margin_ms;
+  const share = cycle && margin !== undefined ? margin / cycle : null;
+  const bar = $("margin-bar");
   bar.firstElementChild.style.width = `${share === null ? 0 : Math.max(0, Math.min(100, 100 * share))}%`;
   bar.dataset.kind = share === null ? "" : share <= 0 ? "bad" : share < 0.25 ? "warn" : "good";
-  const told = [];
-  if (share !== null) told.push(`${slack <= 0 ? "LATE" : "slack"} ${number(slack, 2)} ms`);
+  const notes = [];
+  if (share !== null) notes.push(`${margin <= 0 ? "LATE" : "margin"} ${number(margin, 2)} ms`);
   if (status) {
-    told.push(`${status.late} late`, `${status.missing} missing`);
+    notes.push(`${status.late} late`, `${status.missing} missing`);
     const p99 = status.turnaround_us && status.turnaround_us.p99;
-    if (p99) told.push(`p99 ${number(p99 / 1000, 2)} ms`);
+    if (p99) notes.push(`p99 ${number(p99 / 1000, 2)} ms`);
   }
-  text("slack-note", told.join(" · ") || "–");
+  text("margin-note", notes.join(" · ") || "–");
 }
 
 function linkRows(frame, status) {
   const ages = (frame && frame.ages_ms) || {};
   if (status && status.links) {
     return Object.entries(status.links).map(([name, link]) => {
-      const own = link.up && Object.keys(ages).find((key) => (NAMES[key] || key) === name);
-      const old = own ? ages[own] : link.age_s === null ? null : 1000 * link.age_s;
+      const sensor = link.up && Object.keys(ages).find((key) => (NAMES[key] || key) === name);
+      const old = sensor ? ages[sensor] : link.age_s === null ? null : 1000 * link.age_s;
       const silent = old === null || old === undefined || old > STALE_MS;
       const is = !link.up ? { text: "✕ down", kind: "bad" } : silent ? { text: "▲ silent", kind: "warn" } : { text: "● up", kind: "good" };
       return [name, is, link.rate_hz ? `${Math.round(link.rate_hz)} Hz` : "–", age(old)];
@@ -136,40 +153,40 @@ function linkRows(frame, status) {
   });
 }
 
-// The same thing again and again is one line, of its last time.
-function alike(events) {
-  const made = [];
-  for (const one of events) {
-    const last = made[made.length - 1];
-    if (last && last.text === one.text && !one.missed) { last.t = one.t; last.count += 1; } else made.push({ ...one, count: 1 });
+// Equal events in a row are one line with the time of the last one.
+function withoutRepeats(events) {
+  const lines = [];
+  for (const event of events) {
+    const last = lines[lines.length - 1];
+    if (last && last.text === event.text && !event.missed) { last.t = event.t; last.count += 1; } else lines.push({ ...event, count: 1 });
   }
-  return made;
+  return lines;
 }
 
 function showEvents() {
   const list = $("events");
   const now = source.now;
-  const shown = alike(source.kind === "live" ? source.events.slice(-90) : source.events).reverse();
-  const past = shown.filter((one) => one.t <= now + 1e-3).length;
+  const shown = withoutRepeats(source.kind === "live" ? source.events.slice(-90) : source.events).reverse();
+  const past = shown.filter((event) => event.t <= now + 1e-3).length;
   const newest = shown[0] || { t: 0, count: 0 };
   const key = `${shown.length}:${newest.t}:${newest.count}:${source.kind === "live" ? Math.floor(now) : past}:${source.number ?? ""}`;
-  if (list.dataset.made === key) return;
-  list.dataset.made = key;
-  list.replaceChildren(...shown.map((one) => {
+  if (list.dataset.key === key) return;
+  list.dataset.key = key;
+  list.replaceChildren(...shown.map((event) => {
     const item = document.createElement("li");
     const when = document.createElement("time");
-    when.textContent = source.kind === "live" ? `−${seconds(Math.max(0, now - one.t), 0)}` : seconds(one.t);
+    when.textContent = source.kind === "live" ? `−${seconds(Math.max(0, now - event.t), 0)}` : seconds(event.t);
     const what = document.createElement("span");
-    what.textContent = one.text + (one.count > 1 ? ` ×${one.count}` : "") + (one.missed ? ` (${one.missed} before it were missed)` : "");
-    if (/^state|confirmed|down|refused/.test(one.text)) item.className = "strong";
-    if (one.t > now + 1e-3) item.classList.add("future");
+    what.textContent = event.text + (event.count > 1 ? ` ×${event.count}` : "") + (event.missed ? ` (${event.missed} before it were missed)` : "");
+    if (/^state|confirmed|down|refused/.test(event.text)) item.className = "strong";
+    if (event.t > now + 1e-3) item.classList.add("future");
     item.append(when, what);
-    if (source.seek) item.onclick = () => source.seek(one.t);
+    if (source.seek) item.onclick = () => source.seek(event.t);
     return item;
   }));
   if (source.kind === "recording" && list.children.length > past) {
-    const at = list.children[list.children.length - past];
-    if (at) list.scrollTop = Math.max(0, at.offsetTop - list.offsetTop - 40);
+    const newestPast = list.children[list.children.length - past];
+    if (newestPast) list.scrollTop = Math.max(0, newestPast.offsetTop - list.offsetTop - 40);
   }
 }
 
@@ -181,8 +198,8 @@ function showTransport() {
   if (document.activeElement !== seek || !source.paused) seek.value = String(source.length ? source.now / source.length : 0);
 }
 
-function tell(frame) {
-  // For whoever cannot see the pictures, and for tests.
+// Describe the pictures for screen readers and tests.
+function describe(frame) {
   root.dataset.frames = String(Number(root.dataset.frames || 0) + 1);
   root.dataset.tcp = frame && frame.tcp ? frame.tcp.slice(0, 3).join(" ") : "";
   root.dataset.foreseen = String(frame && frame.foreseen ? frame.foreseen.length : 0);
@@ -206,7 +223,7 @@ function draw() {
   text("close-note", frame && frame.foreseen && frame.foreseen_ms ? `foresight ${frame.foreseen_ms} ms`
     : frame && frame.foreseen ? "with its foresight" : "");
   charts.draw(source.history, source.span, source.now, source.kind === "recording", source.events);
-  tell(frame);
+  describe(frame);
 }
 
 let last = performance.now();
@@ -220,18 +237,18 @@ function turn(now) {
   requestAnimationFrame(turn);
 }
 
-const both = (told) => (told ? `${number(told.rms)} / ${number(told.max)}` : "–");
+const rmsAndWorst = (errors) => (errors ? `${number(errors.rms)} / ${number(errors.max)}` : "–");
 
-async function openTape(i) {
+async function openRun(i) {
   source = null;
   [...$("compare-rows").children].forEach((row, n) => (n === i ? row.setAttribute("aria-current", "true") : row.removeAttribute("aria-current")));
-  source = await Tape.open(i, changed);
-  const made = (source.summary || []).map((row) => [`${row.state}, ${row.scenario}`, String(row.seconds),
-    both(row.control_mm), both(row.plan_mm)]);
-  rows($("summary-rows"), made);
-  $("summary").hidden = !made.length;
-  const asked = new URLSearchParams(location.search);
-  if (asked.has("t")) { source.seek(Number(asked.get("t"))); source.paused = asked.has("paused"); }
+  source = await RecordingSource.open(i, changed);
+  const summary = (source.summary || []).map((row) => [`${row.state}, ${row.scenario}`, String(row.seconds),
+    rmsAndWorst(row.control_mm), rmsAndWorst(row.plan_mm)]);
+  rows($("summary-rows"), summary);
+  $("summary").hidden = !summary.length;
+  const query = new URLSearchParams(location.search);
+  if (query.has("t")) { source.seek(Number(query.get("t"))); source.paused = query.has("paused"); }
   text("source", `recording ${source.name}`);
   changed();
 }
@@ -245,20 +262,20 @@ async function begin() {
     mode = await (await fetch("mode")).json();
   }
   if (mode.mode === "live") {
-    source = new Live(changed);
+    source = new LiveSource(changed);
     text("source", `live: ${mode.source}`);
     return;
   }
   $("transport").hidden = false;
-  const tapes = $("tapes");
-  tapes.hidden = mode.tapes.length < 2;
-  mode.tapes.forEach((tape, i) => tapes.add(new Option(tape.name, String(i))));
-  tapes.onchange = () => openTape(Number(tapes.value));
-  $("compare").hidden = mode.tapes.length < 2;
-  rows($("compare-rows"), mode.tapes.map((tape) => [short(tape.name), both(tape.control_mm), both(tape.plan_mm), number(tape.slack_ms, 1)]));
+  const runs = $("runs");
+  runs.hidden = mode.runs.length < 2;
+  mode.runs.forEach((run, i) => runs.add(new Option(run.name, String(i))));
+  runs.onchange = () => openRun(Number(runs.value));
+  $("compare").hidden = mode.runs.length < 2;
+  rows($("compare-rows"), mode.runs.map((run) => [short(run.name), rmsAndWorst(run.control_mm), rmsAndWorst(run.plan_mm), number(run.margin_ms, 1)]));
   [...$("compare-rows").children].forEach((row, i) => {
-    row.firstChild.title = mode.tapes[i].name;
-    row.firstChild.onclick = () => { tapes.value = String(i); openTape(i); };
+    row.firstChild.title = mode.runs[i].name;
+    row.firstChild.onclick = () => { runs.value = String(i); openRun(i); };
   });
   $("play").onclick = () => {
     if (source.paused && source.now >= source.length) source.seek(0);
@@ -267,7 +284,7 @@ async function begin() {
   };
   $("speed").onchange = () => { source.speed = Number($("speed").value); };
   $("seek").oninput = () => source.seek(Number($("seek").value) * source.length);
-  await openTape(0);
+  await openRun(0);
 }
 
 function theme(name) {
@@ -275,16 +292,15 @@ function theme(name) {
   station.restyle(); close.restyle(); charts.restyle();
   changed();
 }
-const other = () => theme(root.dataset.theme === "light" ? "dark" : "light");
-$("theme").onclick = () => { other(); try { localStorage.setItem("theme", root.dataset.theme); } catch { /* private */ } };
+$("theme").onclick = () => { theme(root.dataset.theme === "light" ? "dark" : "light"); try { localStorage.setItem("theme", root.dataset.theme); } catch { /* private */ } };
 let kept = null;
 try { kept = localStorage.getItem("theme"); } catch { /* private */ }
 theme(new URLSearchParams(location.search).get("theme") || kept || (matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark"));
 
 for (const button of document.querySelectorAll("[data-view]")) {
   button.onclick = () => {
-    station.look(button.dataset.view);
-    for (const one of document.querySelectorAll("[data-view]")) one.setAttribute("aria-pressed", String(one === button));
+    station.setView(button.dataset.view);
+    for (const other of document.querySelectorAll("[data-view]")) other.setAttribute("aria-pressed", String(other === button));
     changed();
   };
 }
@@ -300,4 +316,4 @@ addEventListener("keydown", (event) => {
   if (event.key === "Home") source.seek(0);
 });
 requestAnimationFrame(turn);
-begin().catch((error) => { const banner = $("banner"); banner.hidden = false; banner.textContent = `The view does not answer: ${error}`; });
+begin().catch((error) => { const banner = $("banner"); banner.hidden = false; banner.dataset.kind = "bad"; banner.textContent = `The view does not answer: ${error}`; });

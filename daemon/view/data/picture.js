@@ -1,10 +1,14 @@
-// The station in perspective on a plain canvas: farther things first. Poses are those of the frame,
-// position and quaternion (w first) in base: X towards the conveyor, Y its travel, Z up.
-const VIEWS = {
-  corner: { azimuth: -2.1, elevation: 0.3, distance: 5.0, at: [1.45, 0, 1.12] },
-  side: { azimuth: -1.5708, elevation: 0.1, distance: 5.0, at: [1.4, 0, 1.2] },
-  top: { azimuth: -1.5707, elevation: 1.52, distance: 5.4, at: [1.4, 0, 1.0] },
+// The station in perspective on a plain canvas, the farthest things first. Poses are those of the
+// frame: position and quaternion (w first) in base, Z up.
+const VIEWS = { // of an arm with the reach REACH_M; others are scaled to it
+  corner: { azimuth: -2.1, elevation: 0.3, distance: 5.0, height: 1.12 },
+  side: { azimuth: -1.5708, elevation: 0.1, distance: 5.0, height: 1.2 },
+  top: { azimuth: -1.5707, elevation: 1.52, distance: 5.4, height: 1.0 },
 };
+const REACH_M = 3.591;
+const CENTRE = 0.66; // of the way from the arm's base to the part
+const NOMINAL = [2.2, 0, 1.1, 1, 0, 0, 0];
+const RAIL_GAUGE_M = 0.44;
 const COLOURS = ["panel", "line", "text", "muted", "grid", "arm", "arm-edge", "body", "hub", "tyre",
   "control", "plan", "gap", "ahead", "good", "bad", "warn"];
 const PROFILE = [ // of a car's side, (along, up) from the hub [m]
@@ -50,7 +54,7 @@ export class Picture {
     this.colour = Object.fromEntries(COLOURS.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
   }
 
-  look(name) { this.camera = { ...VIEWS[name] }; }
+  setView(name) { this.camera = { ...VIEWS[name] }; }
 
   listen() {
     let from = null;
@@ -80,7 +84,7 @@ export class Picture {
   nearer(factor) { this.camera.distance = Math.max(1.2, Math.min(16, this.camera.distance * factor)); this.onTurn(); }
 
   // Fit the canvas to its place, and the projection to the canvas.
-  begin(frame) {
+  begin(scene, frame) {
     const ratio = window.devicePixelRatio || 1;
     const { clientWidth: width, clientHeight: height } = this.canvas;
     if (this.canvas.width !== Math.round(width * ratio) || this.canvas.height !== Math.round(height * ratio)) {
@@ -90,11 +94,8 @@ export class Picture {
     this.context.setTransform(ratio, 0, 0, ratio, 0, 0);
     this.context.clearRect(0, 0, width, height);
     this.size = [width, height];
-    const camera = this.close ? this.closely(frame) : this.camera;
-    const { azimuth: a, elevation: e, distance: d } = camera;
-    const tcp = frame.tcp || frame.target;
-    // It goes along with the tool: the floor shows that it does.
-    const at = this.close || !tcp ? camera.at : [camera.at[0], tcp[1] - 0.05, camera.at[2]];
+    this.scale = ((scene && scene.reach) || REACH_M) / REACH_M;
+    const { azimuth: a, elevation: e, distance: d, at } = this.close ? this.closeCamera(frame) : this.stationCamera(scene, frame);
     const out = [Math.cos(e) * Math.cos(a), Math.cos(e) * Math.sin(a), Math.sin(e)];
     this.eye = at.map((x, i) => x + d * out[i]);
     this.ahead = out.map((x) => -x);
@@ -104,7 +105,22 @@ export class Picture {
     this.items = [];
   }
 
-  closely(frame) {
+  // Look at the arm and the part, and go along with the tool on its way along the conveyor.
+  stationCamera(scene, frame) {
+    const { azimuth, elevation, distance, height } = this.camera;
+    const nominal = (scene && scene.nominal) || NOMINAL;
+    const travel = turned(nominal.slice(3), [0, 1, 0]);
+    const tcp = frame.tcp || frame.target || nominal;
+    const along = tcp.slice(0, 3).reduce((sum, x, i) => sum + (x - nominal[i]) * travel[i], 0) - 0.05;
+    return {
+      azimuth: azimuth + Math.atan2(travel[1], travel[0]) - Math.PI / 2,
+      elevation,
+      distance: distance * this.scale,
+      at: [CENTRE * nominal[0] + along * travel[0], CENTRE * nominal[1] + along * travel[1], height * this.scale],
+    };
+  }
+
+  closeCamera(frame) {
     const tcp = frame.tcp || frame.target || [1.8, 0, 1.1];
     const near = frame.part && apart(tcp, frame.part) < 0.75;
     const at = near ? middle(tcp.slice(0, 3), frame.part.slice(0, 3)) : tcp.slice(0, 3);
@@ -156,9 +172,9 @@ export class Picture {
 
   draw(scene, frame, trail) {
     if (!this.canvas.clientWidth) return;
-    this.begin(frame || {});
-    if (!frame) { this.say("nothing has been heard yet"); return; }
-    this.floor();
+    this.begin(scene, frame || {});
+    if (!frame) { this.say("no message yet"); return; }
+    this.floor(scene);
     if (frame.part) this.car(frame.part, frame);
     if (frame.arm) this.arm(frame.arm);
     this.tool(frame);
@@ -179,11 +195,18 @@ export class Picture {
     c.textAlign = "start";
   }
 
-  floor() {
+  floor(scene) {
     const { grid, line } = this.colour;
     for (let x = -1; x <= 5; x += 1) this.line([[x, -4, 0], [x, 4, 0]], { colour: grid, bias: 50 });
     for (let y = -4; y <= 4; y += 1) this.line([[-1, y, 0], [5, y, 0]], { colour: grid, bias: 50 });
-    for (const x of [-0.22, 0.22]) this.line([[x, -1.6, 0.02], [x, 3.4, 0.02]], { colour: line, width: 3, bias: 40 });
+    if (!scene || !scene.rail) return;
+    const [from, to] = scene.rail;
+    const length = apart(from, to) || 1;
+    const aside = (RAIL_GAUGE_M / 2) * this.scale / length;
+    for (const side of [-aside, aside]) {
+      const [x, y] = [-side * (to[1] - from[1]), side * (to[0] - from[0])];
+      this.line([from, to].map((p) => [p[0] + x, p[1] + y, p[2] + 0.02]), { colour: line, width: 3, bias: 40 });
+    }
   }
 
   car(part, frame) {
@@ -232,7 +255,7 @@ export class Picture {
   arm(points) {
     const { arm, "arm-edge": edge } = this.colour;
     const joints = points.slice(1);
-    const widths = joints.map((_, i) => Math.max(0.07, 0.27 - 0.026 * i));
+    const widths = joints.map((_, i) => this.scale * Math.max(0.07, 0.27 - 0.026 * i));
     joints.forEach((p, i) => {
       if (!i) return;
       const before = joints[i - 1];
@@ -242,7 +265,8 @@ export class Picture {
     });
     const base = joints[0];
     if (base && !this.close) {
-      const foot = [[-0.3, -0.3], [0.3, -0.3], [0.3, 0.3], [-0.3, 0.3]].map(([x, y]) => [base[0] + x, base[1] + y, 0.1]);
+      const half = 0.3 * this.scale;
+      const foot = [[-half, -half], [half, -half], [half, half], [-half, half]].map(([x, y]) => [base[0] + x, base[1] + y, base[2] + 0.1 * this.scale]);
       this.line(foot, { colour: edge, width: 2, closed: true, fill: arm, alpha: 0.55, bias: 0.3 });
     }
   }
@@ -298,8 +322,8 @@ export class Picture {
     this.line(points, { colour: ahead, width: this.close ? 3 : 2.5, bias: -2 });
     points.forEach((p, i) => this.dot(p, (this.close ? 3 : 1.8) + (i === points.length - 1 ? 2 : 0), ahead));
     const last = points[points.length - 1];
-    const told = frame.foreseen_ms ? `+${(frame.foreseen_ms / 1000).toFixed(1)} s` : "foreseen";
-    if (this.close || apart(points[0], last) > 0.02) this.label(last, told, ahead, 8, 4);
+    const label = frame.foreseen_ms ? `+${(frame.foreseen_ms / 1000).toFixed(1)} s` : "foreseen";
+    if (this.close || apart(points[0], last) > 0.02) this.label(last, label, ahead, 8, 4);
   }
 
   gap(frame) {

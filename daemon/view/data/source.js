@@ -1,55 +1,71 @@
-// Where frames come from: a daemon as it goes, or a recording with a clock of its own.
-const KEPT = 1000; // frames of a daemon, 40 s
+// Sources of frames: a live daemon, or a recording with its own clock.
+const KEPT = 1000; // frames of a daemon: 40 s
 const CHUNK = 250; // frames of a recording that are fetched at once
-const CHUNKS = 24; // and how many of those are kept
+const CHUNKS = 24; // that are kept
+const MAX_EVENTS = 200;
+const ENDED = "the view has ended";
+const AT_WORK = ["armed", "track", "contact", "retreat", "hold", "fault"];
 
-export class Live {
+export class LiveSource {
   constructor(changed) {
     this.kind = "live";
     this.history = [];
     this.events = [];
     this.scene = null;
     this.status = null;
-    this.link = { up: false, reason: "asking" };
+    this.link = { up: false, reason: "connecting" };
     this.frame = null;
-    this.heard = performance.now();
+    this.isDone = false; // the task was done, and nothing has begun since
+    this.newestAt = performance.now();
     const stream = new EventSource("stream");
-    const on = (name, take) => stream.addEventListener(name, (event) => {
-      take(JSON.parse(event.data));
+    const on = (name, handle) => stream.addEventListener(name, (event) => {
+      handle(JSON.parse(event.data));
       changed();
     });
-    on("scene", (told) => { this.scene = told; this.history = []; this.events = []; });
-    on("link", (told) => { this.link = told; });
-    on("status", (told) => { this.status = told; });
-    on("history", (told) => { this.history = told; if (told.length) this.frame = told[told.length - 1]; });
-    on("happened", (told) => { this.events.push(told); if (this.events.length > 200) this.events.shift(); });
-    on("frame", (told) => {
-      this.heard = performance.now();
-      this.frame = told;
-      const last = this.history[this.history.length - 1];
-      if (last && told.t < last.t) this.history = [];
-      else if (last && told.t === last.t) this.history.pop();
-      this.history.push(told);
-      if (this.history.length > KEPT) this.history.shift();
+    on("scene", (scene) => { this.scene = scene; this.history = []; this.events = []; });
+    on("link", (link) => { this.link = link; });
+    on("status", (status) => { this.status = status; });
+    on("history", (frames) => {
+      frames.forEach((frame) => this.follow(frame));
+      this.history = frames;
     });
-    stream.onerror = () => { if (this.link.up) this.link = { up: false, reason: "the view has ended" }; changed(); };
+    on("happened", (event) => { this.events.push(event); if (this.events.length > MAX_EVENTS) this.events.shift(); });
+    on("frame", (frame) => {
+      this.newestAt = performance.now();
+      const last = this.history[this.history.length - 1];
+      if (last && frame.t < last.t) this.history = [];
+      else if (last && frame.t === last.t) this.history.pop();
+      this.history.push(frame);
+      if (this.history.length > KEPT) this.history.shift();
+      this.follow(frame);
+    });
+    stream.onerror = () => { if (this.link.up) this.link = { up: false, reason: ENDED }; changed(); };
   }
 
-  get silent() { return (performance.now() - this.heard) / 1000; }
+  // A task ends in the phase "done", or in the state "idle" after a retreat.
+  follow(frame) {
+    const before = this.frame;
+    if (frame.phase === "done") this.isDone = true;
+    else if (before && before.state === "retreat" && frame.state === "idle") this.isDone = true;
+    else if (AT_WORK.includes(frame.state)) this.isDone = false;
+    this.frame = frame;
+  }
+
+  get silent() { return (performance.now() - this.newestAt) / 1000; }
   get now() { return this.frame ? this.frame.t : 0; }
   get span() { return [this.now - 30, this.now]; }
   before(step) { return this.history[Math.max(0, this.history.length - 1 - step)]; }
   advance() {}
 }
 
-export class Tape {
-  constructor(number, told, changed) {
-    Object.assign(this, { kind: "recording", number, changed, scene: told.scene, name: told.name, trouble: told.trouble });
-    this.times = told.times;
-    this.history = told.overview;
-    this.events = told.happened;
-    this.summary = told.summary;
-    this.length = told.length_s;
+export class RecordingSource {
+  constructor(number, run, changed) {
+    Object.assign(this, { kind: "recording", number, changed, scene: run.scene, name: run.name, trouble: run.trouble });
+    this.times = run.times;
+    this.history = run.overview;
+    this.events = run.happened;
+    this.summary = run.summary;
+    this.length = run.length_s;
     this.status = null;
     this.link = { up: true, reason: "" };
     this.frame = null;
@@ -58,13 +74,12 @@ export class Tape {
     this.now = 0;
     this.foresight = { k: -1, done: false, inexact: 0, count: 0 };
     this.chunks = new Map();
-    this.tick = null;
     this.poll();
   }
 
   static async open(number, changed) {
-    const answer = await fetch(`tape?i=${number}`);
-    return new Tape(number, await answer.json(), changed);
+    const answer = await fetch(`run?i=${number}`);
+    return new RecordingSource(number, await answer.json(), changed);
   }
 
   get silent() { return 0; }
@@ -92,7 +107,7 @@ export class Tape {
   show() {
     const i = this.index(this.now);
     const frame = this.at(i);
-    this.at(Math.min(this.times.length - 1, i + CHUNK / 2)); // what comes next
+    this.at(Math.min(this.times.length - 1, i + CHUNK / 2)); // fetch the next chunk early
     if (frame && frame !== this.frame) { this.frame = frame; this.shown = i; this.changed(); }
   }
 
@@ -101,13 +116,13 @@ export class Tape {
   at(i) {
     const number = Math.floor(i / CHUNK);
     const chunk = this.chunks.get(number);
-    if (chunk === undefined || (chunk.frames && chunk.stale && !chunk.asked)) this.fetch(number, chunk);
+    if (chunk === undefined || (chunk.frames && chunk.stale && !chunk.requested)) this.fetch(number, chunk);
     return chunk && chunk.frames ? chunk.frames[i - number * CHUNK] : null;
   }
 
   async fetch(number, known) {
     const chunk = known || { frames: null };
-    chunk.asked = true;
+    chunk.requested = true;
     chunk.stale = false;
     this.chunks.set(number, chunk);
     while (this.chunks.size > CHUNKS) this.chunks.delete(this.chunks.keys().next().value);
@@ -116,7 +131,7 @@ export class Tape {
       const answer = await fetch(`frames?i=${this.number}&from=${from}&to=${from + CHUNK}`);
       chunk.frames = await answer.json();
     } catch { this.chunks.delete(number); }
-    chunk.asked = false;
+    chunk.requested = false;
     this.show();
   }
 
@@ -125,12 +140,12 @@ export class Tape {
       const before = this.foresight;
       this.foresight = await (await fetch(`progress?i=${this.number}`)).json();
       if (this.foresight.count !== before.count) {
-        // What was fetched before its horizons were made again is fetched anew.
+        // Chunks that were fetched without the new horizons are fetched again.
         for (const chunk of this.chunks.values()) {
           if (chunk.frames && chunk.frames.some((frame) => frame.k > before.k && frame.k <= this.foresight.k)) chunk.stale = true;
         }
       }
-    } catch { this.link = { up: false, reason: "the view has ended" }; }
+    } catch { this.link = { up: false, reason: ENDED }; }
     this.changed();
     if (!this.foresight.done) setTimeout(() => this.poll(), 700);
   }
