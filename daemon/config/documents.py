@@ -11,13 +11,15 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core.core_schema import DataclassSchema
+
+from linemate.daemon.near_names import near_names
 
 T = TypeVar("T")
 
@@ -173,7 +175,8 @@ def fill(
     except ValidationError as error:
         unread = {complaint.path for complaint in complaints if complaint.place is None}
         invalid = filter(None, map(_complaint, error.errors(include_url=False)))
-        complaints.extend(complaint for complaint in invalid if complaint.path not in unread)
+        hinted = (_with_near_keys(complaint, target) for complaint in invalid)
+        complaints.extend(complaint for complaint in hinted if complaint.path not in unread)
     # A duplicate key, which has a place, does not hide errors of its value.
     wrong = {complaint.path for complaint in complaints if complaint.place is None}
     complaints.extend(c for c in check(document.value) if c.path not in wrong)
@@ -219,6 +222,7 @@ def _model(target: type[Any]) -> type[BaseModel]:
     return _MODELS[target]
 
 
+UNKNOWN_KEY = "unknown key"
 _MODELS: dict[type[Any], type[BaseModel]] = {}
 
 
@@ -227,11 +231,50 @@ def _complaint(error: Mapping[str, Any]) -> Complaint | None:
     if kind in {"too_short", "too_long"} and isinstance(error["input"], list):
         return _wrong_length(path, error["ctx"], len(error["input"]))
     if kind in {"unexpected_keyword_argument", "extra_forbidden"}:
-        return Complaint(path, "unknown key", at_key=True)
+        return Complaint(path, UNKNOWN_KEY, at_key=True)
     if kind in {"missing", "missing_argument"}:
         return Complaint(path, "missing")
     what = message.removeprefix("Input ").replace("an object", "a mapping")
     return Complaint(path, what + _shown(error.get("input")))
+
+
+def _with_near_keys(complaint: Complaint, target: type[Any]) -> Complaint:
+    """Return a complaint of an unknown key with the known keys near it."""
+    if complaint.what != UNKNOWN_KEY:
+        return complaint
+    *path, key = complaint.path
+    near = near_names(str(key), _known_keys(target, path))
+    return replace(complaint, what=UNKNOWN_KEY + near)
+
+
+def _known_keys(target: type[Any], path: Iterable[str | int]) -> list[str]:
+    """Return the keys that a mapping at a path of the file may have."""
+    whole = _model(target).model_json_schema()
+    nodes = _options([whole["properties"]["root"]], whole["$defs"])
+    for part in path:
+        children = [child for node in nodes for child in _children(node, part)]
+        nodes = _options(children, whole["$defs"])
+    return [name for node in nodes for name in node.get("properties", {})]
+
+
+def _options(nodes: Iterable[Any], definitions: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Resolve references and alternatives of a JSON schema."""
+    options = []
+    for node in nodes:
+        if "$ref" in node:
+            options += _options([definitions[node["$ref"].rpartition("/")[2]]], definitions)
+        elif "anyOf" in node:
+            options += _options(node["anyOf"], definitions)
+        else:
+            options.append(node)
+    return options
+
+
+def _children(node: Mapping[str, Any], part: str | int) -> list[Any]:
+    if isinstance(part, int):
+        return [node["items"]] if "items" in node else []
+    child = node.get("properties", {}).get(part)
+    return [child] if child is not None else []
 
 
 def _wrong_length(path: Path, limits: Mapping[str, Any], given: int) -> Complaint | None:

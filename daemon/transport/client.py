@@ -1,8 +1,8 @@
-"""A blocking client of a daemon: the local socket without a key, or UDP with one.
+"""Blocking client of the command protocol: the local socket without a key, or UDP with one.
 
-Law of this file: the sockets, the clock and the random numbers that protocol.command_*
-are not allowed, and nothing else. Imports nothing heavy: a status costs a few
-milliseconds. A request is sent again until its answer or its deadline, never after it.
+Invariants:
+    * It imports nothing heavy: a status costs a few milliseconds.
+    * A request is sent again until its answer or its deadline, never after it.
 """
 
 import contextlib
@@ -24,20 +24,20 @@ SOCKET_NAME: Final = "linemate/command.sock"
 DEFAULT_PORT: Final = 49160
 DEFAULT_TIMEOUT_S: Final = 0.5
 READS: Final = frozenset({"status", "params", "get"})
-ASKED_AGAIN: Final = 3
+MAX_REPEATS: Final = 3  # of a request that only reads
 RESEND_S: Final = 0.1
-RENEW_S: Final = 20.0  # a server forgets sessions that are idle for a minute
+RENEW_S: Final = 20.0  # a server closes sessions that are idle for a minute
 
 
 class NoAnswerError(Exception):
-    """Nobody answered in time, or nobody is there."""
+    """No daemon is there, or none answered in time."""
 
 
 class RefusedError(Exception):
     """The daemon refused a request.
 
     Attributes:
-        code: one word for programs.
+        code: Kind of refusal, one word.
     """
 
     def __init__(self, code: str, reason: str) -> None:
@@ -47,17 +47,17 @@ class RefusedError(Exception):
 
 
 class KeyFileError(Exception):
-    """A key file cannot be used; the message says why."""
+    """A key file cannot be used; the text says why."""
 
 
 def default_socket_path() -> Path:
-    """Return where the daemon's socket is on this host unless told otherwise.
+    """Return the default path of the daemon's socket.
 
     ``LINEMATE_SOCKET``; else the system's daemon if its socket is there; else the user's.
     """
-    told = os.environ.get("LINEMATE_SOCKET")
-    if told:
-        return Path(told)
+    configured = os.environ.get("LINEMATE_SOCKET")
+    if configured:
+        return Path(configured)
     system = Path("/run") / SOCKET_NAME
     own = os.environ.get("XDG_RUNTIME_DIR")
     if own and not system.exists():
@@ -66,28 +66,28 @@ def default_socket_path() -> Path:
 
 
 def default_key_path() -> Path:
-    """Return where an operator's key is unless told otherwise."""
+    """Return the default path of an operator's key."""
     base = os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config"
     return Path(base) / "linemate" / "key"
 
 
 def read_key(path: Path, name: str | None = None) -> "PresharedKey":
-    """Read one key from a key file that nobody else can read.
+    """Read one key from a key file that no other user can read.
 
     Args:
-        name: which, if it holds several; else the first.
+        name: Which one, if it holds several; else the first.
 
     Raises:
-        KeyFileError: missing, another's, readable by others, malformed, or no such name.
+        KeyFileError: It is missing, another user's, readable by others, or malformed.
     """
     from linemate.protocol.command.preshared_keys import parse_keys, unsafe_file
 
     try:
         with path.open(encoding="utf-8") as file:
-            found = os.fstat(file.fileno())
-            wrong = unsafe_file(found.st_mode, found.st_uid, os.geteuid())
-            if wrong is not None:
-                raise KeyFileError(f"{path}: {wrong}")
+            state = os.fstat(file.fileno())
+            unsafe = unsafe_file(state.st_mode, state.st_uid, os.geteuid())
+            if unsafe is not None:
+                raise KeyFileError(f"{path}: {unsafe}")
             keys = parse_keys(file.read(65536), str(path))
     except (OSError, UnicodeDecodeError) as error:
         raise KeyFileError(f"{path}: {error}") from error
@@ -100,15 +100,14 @@ def read_key(path: Path, name: str | None = None) -> "PresharedKey":
 
 
 class Client:
-    """A conversation with a daemon.
+    """A client of one daemon.
 
     >>> with Client.local() as client:          # doctest: +SKIP
     ...     client.call("status")["state"]
 
-    Made by ``local`` or ``udp``. Opens and shakes hands with the first call, and anew
-    after a silence; an answer that did not come may still stand for an order that was
-    carried out, so no order is ever given again on its own beyond its deadline. What only reads
-    is asked anew where its deadline passed on the way, as on a host that had other work.
+    Made by ``local`` or ``udp``. The first call opens a session, and the first one after a
+    silence opens another. An order without an answer may have been carried out: it is not
+    repeated beyond its deadline. A request that only reads is repeated if it expired on its way.
     """
 
     def __init__(self, address: Path | tuple[str, int], key: "PresharedKey | None") -> None:
@@ -147,16 +146,15 @@ class Client:
         """Ask for one operation and return its result.
 
         Args:
-            timeout_s: its deadline from now; each further part of a long answer has as
-                much again.
+            timeout_s: Time for the answer [s]; each further part of a long one has as much.
 
         Raises:
-            NoAnswerError: no daemon, or no answer in time.
-            RefusedError: the daemon said no.
-            CommandError: no such operation, or parameters it does not take.
+            NoAnswerError: There is no daemon, or no answer in time.
+            RefusedError: The daemon refused it.
+            CommandError: There is no such operation, or it has no such parameters.
         """
         answer = self._call_once(op, params or {}, timeout_s)
-        for _ in range(ASKED_AGAIN if op in READS else 0):
+        for _ in range(MAX_REPEATS if op in READS else 0):
             if answer.code != "expired":
                 break
             answer = self._call_once(op, params or {}, timeout_s)
@@ -185,7 +183,7 @@ class Client:
 
         Raises:
             NoAnswerError: nothing has come for a second and one period.
-            RefusedError: the daemon said no.
+            RefusedError: The daemon refused it.
         """
         end = None if for_s is None else time.monotonic() + for_s
         silence_s = 1.0 + 1.0 / rate_hz
@@ -255,7 +253,7 @@ class Client:
     def _new_core(self) -> ClientCore:
         if self._key is None:
             return LocalClient()
-        # The local socket needs no keys: what UDP needs is loaded with the first of its sessions.
+        # Imported late: the local socket needs no keys.
         from linemate.protocol.command.authenticated import CommandClient
 
         return CommandClient(self._key, int.from_bytes(os.urandom(8)))
@@ -278,7 +276,7 @@ class Client:
         raise NoAnswerError("no answer in time")
 
     def _receive(self, until: float) -> ClientEvent | None:
-        """Wait for one datagram that means something, None at the time ``until``."""
+        """Return the next event, None at the time ``until``."""
         if self._socket is None or self._core is None:
             return None
         while (left := until - time.monotonic()) > 0:

@@ -1,9 +1,8 @@
-"""The page's server: HTTP/1.1 by the standard library, GET alone, for a handful of browsers.
+"""Small HTTP/1.1 server for GET requests: whole pages and streams of server-sent events.
 
-Law of this file: sockets and nothing else; what is told comes from elsewhere as bytes. Everything
-is bounded: connections, the length of a request, the time it may take to come, and the time a
-browser may take to read. It answers only to the names it was told to listen on, so that no page
-of the world's can ask it through a name of its own.
+Invariants:
+    * Connections, the length of a request, and the time to send and to read it are bounded.
+    * It answers requests to its own host names alone (DNS rebinding).
 """
 
 import asyncio
@@ -14,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Final
 from urllib.parse import parse_qsl, urlsplit
 
-LONGEST_HEAD: Final = 8192
+MAX_HEAD: Final = 8192
 HEAD_S: Final = 5.0
 WRITE_S: Final = 10.0
 MAX_CONNECTIONS: Final = 32
@@ -32,32 +31,30 @@ HEADERS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """An answer that is whole."""
+    """A whole answer: media type and bytes."""
 
     kind: str
     body: bytes
 
 
 class NoPageError(Exception):
-    """There is no such page; the message is for a person."""
+    """There is no such page; the text says why."""
 
 
-Answer = Page | AsyncIterator[bytes]
-"""A page, or a stream of server-sent events."""
+Answer = Page | AsyncIterator[bytes]  # a page, or a stream of server-sent events
+# ask(path, query), called in the event loop: it must not block. It may raise NoPageError.
 Ask = Callable[[str, Mapping[str, str]], Answer | Awaitable[Page]]
-"""``ask(path, query)``; NoPageError if there is nothing. Called in the loop: it is quick, or
-returns what is waited for."""
 
 
 @dataclass(slots=True)
 class Server:
-    """Listens for browsers.
+    """The server.
 
     Attributes:
-        ask: gives what is at a path.
-        head_s: in which a request must have come [s].
-        names: further names by which it may be asked, lower case.
-        refused: requests that were not understood, or one too many.
+        ask: Returns what is at a path.
+        head_s: Time for a whole request to arrive [s].
+        names: Further host names of the server, in lower case.
+        refused: Requests that were malformed or too many.
     """
 
     ask: Ask
@@ -73,15 +70,13 @@ class Server:
         """Listen.
 
         Raises:
-            OSError: the port is taken.
+            OSError: The port is taken.
         """
-        self._server = await asyncio.start_server(
-            self._serve, self.host, self.port, limit=LONGEST_HEAD
-        )
+        self._server = await asyncio.start_server(self._serve, self.host, self.port, limit=MAX_HEAD)
         self.port = self._server.sockets[0].getsockname()[1]
 
     async def close(self) -> None:
-        """Hang up."""
+        """Close the port and all connections."""
         if self._server is not None:
             self._server.close()
         for task in list(self._tasks):
@@ -90,7 +85,7 @@ class Server:
 
     @property
     def address(self) -> str:
-        """For a browser."""
+        """URL for a browser."""
         name = self.host
         if ipaddress.ip_address(name).is_unspecified:
             name = "127.0.0.1"
@@ -106,9 +101,9 @@ class Server:
             else:
                 self.refused += 1
         except (OSError, TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
-            pass  # it has gone, or does not read
+            pass  # the client has gone, or does not read
         except asyncio.CancelledError:
-            pass  # of ``close``, which waits for this; the caller of this would log it
+            pass  # by ``close``, which waits for this task; asyncio would log it
         finally:
             if task is not None:
                 self._tasks.discard(task)
@@ -118,7 +113,7 @@ class Server:
         async with asyncio.timeout(self.head_s):
             head = await reader.readuntil(b"\r\n\r\n")
         try:
-            path, query, host = _understood(head)
+            path, query, host = _parse(head)
         except ValueError as error:
             self.refused += 1
             await _end(writer, _failure("400 Bad Request", str(error)))
@@ -148,8 +143,8 @@ class Server:
         await _write(writer, _head("200 OK", "text/event-stream", None))
         gone = asyncio.ensure_future(reader.read(1))
         try:
-            async with contextlib.aclosing(events) as told:  # type: ignore[type-var]
-                async for data in told:
+            async with contextlib.aclosing(events) as messages:  # type: ignore[type-var]
+                async for data in messages:
                     if gone.done():
                         return
                     await _write(writer, data)
@@ -161,18 +156,18 @@ class Server:
         name = host.rsplit(":", 1)[0] if not host.endswith("]") else host
         if name in HOSTS or name.lower() in self.names or name.strip("[]") == self.host:
             return True
-        # Listening for others, it cannot know its names; a number is nobody's trick of naming.
+        # It cannot know its names for other hosts, but a numeric address cannot be rebound.
         if not ipaddress.ip_address(self.host).is_loopback:
             with contextlib.suppress(ValueError):
                 return ipaddress.ip_address(name.strip("[]")) is not None
         return False
 
 
-def _understood(head: bytes) -> tuple[str, dict[str, str], str]:
-    """Read a request's head: path, query and host.
+def _parse(head: bytes) -> tuple[str, dict[str, str], str]:
+    """Return path, query and host of a request's head.
 
     Raises:
-        ValueError: it is none that is answered.
+        ValueError: It is not a GET request of HTTP/1.
     """
     first, *lines = head.decode("latin-1").split("\r\n")
     words = first.split(" ")

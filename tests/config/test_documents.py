@@ -60,7 +60,7 @@ def test_every_error_is_told_at_once_and_in_the_order_of_the_file() -> None:
     assert errors(text) == [
         "f.yaml:2:12: parts[0].length: should be greater than or equal to 0, not -1",
         "f.yaml:3:3: parts[1].length: missing",
-        "f.yaml:3:4: parts[1].lenght: unknown key",
+        "f.yaml:3:4: parts[1].lenght: unknown key; near is length",
         "f.yaml:4:8: count: should be a valid integer, not 1.5",
         "f.yaml:5:5: on: should be a valid boolean, not 1",
         "f.yaml:6:9: colour: should be 'red' or 'blue', not \"green\"",

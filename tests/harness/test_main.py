@@ -50,7 +50,7 @@ def test_a_bad_file_ends_with_78_and_its_place(
     with open(path, "w", encoding="utf-8") as file:  # noqa: PTH123
         file.write("conveyr: 1\n")
     assert main(["run", "--scenario", path]) == 78
-    assert capsys.readouterr().err.strip() == f"{path}:1:1: conveyr: unknown key"
+    assert capsys.readouterr().err.strip() == f"{path}:1:1: conveyr: unknown key; near is conveyor"
 
 
 def test_a_bad_override_ends_with_2(capsys: pytest.CaptureFixture[str]) -> None:
