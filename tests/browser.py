@@ -43,7 +43,7 @@ class Browser:
         self._number = 0
         self._session: str | None = None
         self._rest = b""
-        self.said: list[str] = []
+        self.errors: list[str] = []
         """Errors and warnings of the page."""
 
     def __enter__(self) -> Self:
@@ -116,7 +116,7 @@ class Browser:
         # Between two pages there is nothing to evaluate on.
         guarded = f"(() => {{ try {{ return {expression} }} catch {{ return null }} }})()"
         while not (value := self.value(guarded)):
-            assert time.monotonic() < end, f"never: {expression}; the page said {self.said}"
+            assert time.monotonic() < end, f"never: {expression}; the page said {self.errors}"
             time.sleep(0.05)
         return value
 
@@ -144,9 +144,9 @@ class Browser:
     def _note(self, told: dict[str, Any]) -> None:
         params = told.get("params", {})
         if told.get("method") == "Runtime.exceptionThrown":
-            self.said.append(json.dumps(params["exceptionDetails"])[:500])
+            self.errors.append(json.dumps(params["exceptionDetails"])[:500])
         if told.get("method") == "Log.entryAdded" and params["entry"]["level"] == "error":
-            self.said.append(f"{params['entry']['text']} {params['entry'].get('url', '')}")
+            self.errors.append(f"{params['entry']['text']} {params['entry'].get('url', '')}")
 
     def _next(self, end: float) -> dict[str, Any]:
         while b"\0" not in self._rest:

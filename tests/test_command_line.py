@@ -162,8 +162,7 @@ def test_ctrl_c_ends_a_command_within_a_second(name: str, tmp_path: Path) -> Non
     words = [word.format(golden=GOLDEN, out=tmp_path / "o.yaml") for word in LONG[name]]
     for after_s in (1.0, 4.0):
         # The best of three: a loaded host delays any process.
-        took_s = min(interrupted(words, after_s) for _ in range(3))
-        assert took_s < 1.0, after_s
+        assert any(interrupted(words, after_s) < 1.0 for _ in range(3)), after_s
 
 
 def interrupted(words: list[str], after_s: float) -> float:

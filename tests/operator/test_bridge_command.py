@@ -19,7 +19,7 @@ from linemate.daemon.operator import bridge_messages as messages
 zenoh = pytest.importorskip("zenoh", reason="zenoh is in the extra fleet")
 
 TEXT = "task: wheel.yaml\nrsi: {port: 0}\ncommand: {socket: c.sock}\n"
-PATIENCE_S = 15.0
+TIMEOUT_S = 15.0
 
 
 def free_port() -> int:
@@ -38,7 +38,7 @@ class Fleet:
     heard: list[tuple[str, dict[str, Any]]] = field(default_factory=list)
 
     def until(self, found: Callable[[], bool]) -> None:
-        end = time.monotonic() + PATIENCE_S
+        end = time.monotonic() + TIMEOUT_S
         while not found():
             assert time.monotonic() < end, self.heard[-5:]
             time.sleep(0.02)
@@ -54,11 +54,13 @@ class Fleet:
         ]
 
     def events(self, station: str) -> list[dict[str, Any]]:
-        return [told["data"] for key, told in self.heard if key == f"linemate/{station}/events"]
+        return [
+            message["data"] for key, message in self.heard if key == f"linemate/{station}/events"
+        ]
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
     with ExitStack() as stack:
         daemons = {
             name: stack.enter_context(DaemonProcess(tmp_path_factory.mktemp(name), TEXT))
@@ -85,35 +87,35 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
         fleet = Fleet(daemons, bridge, session)
 
         def hear(sample: Any) -> None:
-            told = json.loads(sample.payload.to_string())
-            fleet.heard.append((str(sample.key_expr), told))
+            message = json.loads(sample.payload.to_string())
+            fleet.heard.append((str(sample.key_expr), message))
 
         session.declare_subscriber("linemate/**", hear)
         yield fleet
 
 
-def test_status_and_telemetry_of_every_station_come_by_themselves(made: Fleet) -> None:
+def test_status_and_telemetry_of_every_station_come_by_themselves(fleet: Fleet) -> None:
     wanted = {
-        f"linemate/{name}/{what}" for name in made.daemons for what in ("status", "telemetry")
+        f"linemate/{name}/{what}" for name in fleet.daemons for what in ("status", "telemetry")
     }
-    made.until(lambda: wanted <= {key for key, _ in made.heard})
-    for key, told in list(made.heard):
-        assert told["version"] == 1
-        assert key.split("/")[1] == told["station"]
-    pids = {told["data"]["pid"] for key, told in made.heard if key.endswith("/status")}
-    assert pids == {daemon.process.pid for daemon in made.daemons.values()}
+    fleet.until(lambda: wanted <= {key for key, _ in fleet.heard})
+    for key, message in list(fleet.heard):
+        assert message["version"] == 1
+        assert key.split("/")[1] == message["station"]
+    pids = {message["data"]["pid"] for key, message in fleet.heard if key.endswith("/status")}
+    assert pids == {daemon.process.pid for daemon in fleet.daemons.values()}
 
 
-def test_a_query_is_answered_by_each_station_with_its_own_word(made: Fleet) -> None:
+def test_a_query_is_answered_by_each_station_itself(fleet: Fleet) -> None:
     answers: list[dict[str, Any]] = []
-    made.until(
-        lambda: len(answers[:] or answers.extend(made.asked("linemate/*/status")) or answers) == 2
+    fleet.until(
+        lambda: len(answers[:] or answers.extend(fleet.asked("linemate/*/status")) or answers) == 2
     )
-    assert {told["station"] for told in answers} == set(made.daemons)
-    (told,) = made.asked("linemate/east/get?names=tracking.camera.gate,control.horizon_s")
-    assert set(told["data"]["values"]) == {"tracking.camera.gate", "control.horizon_s"}
-    (told,) = made.asked("linemate/west/params?prefix=tracking.camera")
-    assert all(one["name"].startswith("tracking.camera") for one in told["data"]["params"])
+    assert {message["station"] for message in answers} == set(fleet.daemons)
+    (message,) = fleet.asked("linemate/east/get?names=tracking.camera.gate,control.horizon_s")
+    assert set(message["data"]["values"]) == {"tracking.camera.gate", "control.horizon_s"}
+    (message,) = fleet.asked("linemate/west/params?prefix=tracking.camera")
+    assert all(one["name"].startswith("tracking.camera") for one in message["data"]["params"])
 
 
 @pytest.mark.parametrize(
@@ -123,40 +125,42 @@ def test_a_query_is_answered_by_each_station_with_its_own_word(made: Fleet) -> N
         ("linemate/east/get?names=x.y", "no parameter x.y"),
     ],
 )
-def test_a_query_that_cannot_be_answered_says_why(made: Fleet, selector: str, why: str) -> None:
-    (told,) = made.asked(selector)
-    assert why in told["error"]
+def test_a_query_that_cannot_be_answered_says_why(fleet: Fleet, selector: str, why: str) -> None:
+    (message,) = fleet.asked(selector)
+    assert why in message["error"]
 
 
-def test_nothing_can_be_ordered_through_it(made: Fleet) -> None:
-    before = made.daemons["east"].status()["commands"]["counters"]
+def test_nothing_can_be_ordered_through_it(fleet: Fleet) -> None:
+    before = fleet.daemons["east"].status()["commands"]["counters"]
     for op in ("arm", "set", "stop", "save", "record"):
-        assert made.asked(f"linemate/east/{op}") == []
-        made.session.put(f"linemate/east/{op}", b"{}")
-    after = made.daemons["east"].status()["commands"]["counters"]
+        assert fleet.asked(f"linemate/east/{op}") == []
+        fleet.session.put(f"linemate/east/{op}", b"{}")
+    after = fleet.daemons["east"].status()["commands"]["counters"]
     refusals = {name for name in after if after[name] != before.get(name, 0)}
     assert not refusals & {"role", "lease", "unknown", "refused"}
 
 
-def test_a_station_that_dies_is_an_event_and_the_other_goes_on(made: Fleet) -> None:
-    alive = {str(reply.ok.key_expr) for reply in made.session.liveliness().get("linemate/*")}
+def test_a_station_that_dies_is_an_event_and_the_other_goes_on(fleet: Fleet) -> None:
+    alive = {str(reply.ok.key_expr) for reply in fleet.session.liveliness().get("linemate/*")}
     assert alive == {"linemate/east", "linemate/west"}
-    west = made.daemons["west"].process
+    west = fleet.daemons["west"].process
     west.send_signal(signal.SIGKILL)
     west.wait()
     gone = messages.event("answers", True, False)
-    made.until(lambda: gone in made.events("west"))
-    alive = {str(reply.ok.key_expr) for reply in made.session.liveliness().get("linemate/*")}
+    fleet.until(lambda: gone in fleet.events("west"))
+    alive = {str(reply.ok.key_expr) for reply in fleet.session.liveliness().get("linemate/*")}
     assert alive == {"linemate/east"}
-    heard = len(made.heard)
-    made.until(lambda: any(key == "linemate/east/telemetry" for key, _ in made.heard[heard:]))
-    (told,) = made.asked("linemate/west/status")
-    assert "error" in told
+    heard = len(fleet.heard)
+    fleet.until(lambda: any(key == "linemate/east/telemetry" for key, _ in fleet.heard[heard:]))
+    (message,) = fleet.asked("linemate/west/status")
+    assert "error" in message
 
 
-def test_it_ends_as_told_and_refuses_to_be_reached_by_others(made: Fleet, tmp_path: Path) -> None:
-    made.bridge.terminate()
-    assert made.bridge.wait(10.0) == 0
+def test_it_ends_by_a_signal_and_refuses_to_be_reached_by_others(
+    fleet: Fleet, tmp_path: Path
+) -> None:
+    fleet.bridge.terminate()
+    assert fleet.bridge.wait(10.0) == 0
     done = subprocess.run(
         [*LINEMATE, "bridge", "--listen", "tcp/0.0.0.0:7447"],
         capture_output=True,
@@ -167,7 +171,7 @@ def test_it_ends_as_told_and_refuses_to_be_reached_by_others(made: Fleet, tmp_pa
     assert "--allow-remote" in done.stderr
 
 
-def test_what_changes_is_told_once_and_ages_are_no_events() -> None:
+def test_a_change_is_one_event_and_ages_are_no_events() -> None:
     before = {
         "state": "idle",
         "health": "healthy",

@@ -98,7 +98,7 @@ def test_deep_sleep_costs_only_where_it_cannot_be_forbidden(tmp_path: Path) -> N
     assert doctor.deep_sleep(host(tmp_path, dev__cpu_dma_latency="")).grade is Grade.GOOD
 
 
-def test_a_virtual_machine_is_told_how_to_keep_its_cores_awake(tmp_path: Path) -> None:
+def test_a_virtual_machine_is_advised_to_prevent_idle_cores(tmp_path: Path) -> None:
     assert doctor.virtual(host(tmp_path)).grade is Grade.GOOD
     bare = host(tmp_path, proc__cpuinfo="processor : 0\nflags : fpu hypervisors sse2\n")
     assert doctor.virtual(bare).grade is Grade.GOOD
@@ -158,9 +158,9 @@ def test_the_command_prints_every_check_and_its_exit_code_follows_the_lacks(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     code = main(["doctor", "--json"])
-    told = json.loads(capsys.readouterr().out)["findings"]
-    assert code == int(any(finding["grade"] == "lacking" for finding in told))
+    findings = json.loads(capsys.readouterr().out)["findings"]
+    assert code == int(any(finding["grade"] == "lacking" for finding in findings))
     assert main(["doctor"]) == code
     text = capsys.readouterr().out
-    assert all(finding["name"] in text for finding in told)
-    assert all(finding["cost"] in text for finding in told)
+    assert all(finding["name"] in text for finding in findings)
+    assert all(finding["cost"] in text for finding in findings)

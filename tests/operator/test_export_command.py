@@ -87,7 +87,7 @@ def test_a_table_that_exists_is_not_overwritten(
     assert (tmp_path / "steps.csv").read_text() == "mine"
 
 
-def said(capsys: pytest.CaptureFixture[str], *words: Any) -> tuple[int, str]:
+def run_tool(capsys: pytest.CaptureFixture[str], *words: Any) -> tuple[int, str]:
     code = tool.main([str(word) for word in words])
     return code, capsys.readouterr().out
 
@@ -101,13 +101,13 @@ def test_a_file_cut_anywhere_becomes_whole_again(
     cut.write_bytes(data[: int(len(data) * share)])
     before = read(cut)
     assert not before.whole
-    assert said(capsys, "recover", cut)[0] == 0
+    assert run_tool(capsys, "recover", cut)[0] == 0
     after = read(tmp_path / "cut-recovered.mcap")
     assert after.whole
     assert after.steps == before.steps
     assert 0 < len(after.steps) <= STEPS
     assert after.texts == before.texts
-    assert said(capsys, "replay", tmp_path / "cut-recovered.mcap")[0] == 0
+    assert run_tool(capsys, "replay", tmp_path / "cut-recovered.mcap")[0] == 0
     assert cut.read_bytes() == data[: int(len(data) * share)]
 
 
@@ -119,7 +119,7 @@ def test_a_damaged_chunk_costs_itself_and_no_other(
         data[at] ^= 0x55
     bad = tmp_path / "bad.mcap"
     bad.write_bytes(data)
-    code, out = said(capsys, "recover", bad)
+    code, out = run_tool(capsys, "recover", bad)
     assert code == 0
     assert "1 damaged chunks left out" in out
     kept = {step.inputs.k for step in read(tmp_path / "bad-recovered.mcap").steps}
@@ -132,10 +132,10 @@ def test_a_recovery_overwrites_nothing_and_refuses_other_files(
 ) -> None:
     there = tmp_path / "there.mcap"
     there.write_bytes(b"mine")
-    assert said(capsys, "recover", whole, "--out", there)[0] == 2
+    assert run_tool(capsys, "recover", whole, "--out", there)[0] == 2
     assert there.read_bytes() == b"mine"
     other = tmp_path / "other"
     other.write_bytes(b"no recording at all")
-    assert said(capsys, "recover", other)[0] == 1
-    assert said(capsys, "export", other)[0] == 1
+    assert run_tool(capsys, "recover", other)[0] == 1
+    assert run_tool(capsys, "export", other)[0] == 1
     assert sorted(p.name for p in tmp_path.iterdir()) == ["other", "there.mcap"]

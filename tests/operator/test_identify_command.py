@@ -99,7 +99,7 @@ FOUND = Identified(
 )
 
 
-def test_the_table_shows_doubts_marks_and_reasons() -> None:
+def test_the_table_shows_deviations_marks_and_reasons() -> None:
     lines = identify_command.table(FOUND.findings).splitlines()
     assert lines[1].split()[:6] == ["servo", "A1", "frequency", "4.0123", "0.0040", "Hz"]
     assert "*" in lines[1]
@@ -118,7 +118,7 @@ def test_the_overlay_is_yaml_with_its_origin() -> None:
     assert "# kept as configured: control.servos.1" in text
 
 
-def test_an_overlay_replaces_the_old_one_whole_and_leaves_nothing_beside(tmp_path: Path) -> None:
+def test_an_overlay_replaces_the_old_one_whole_and_leaves_no_other_file(tmp_path: Path) -> None:
     path = tmp_path / "o.yaml"
     path.write_text("old")
     identify_command.write(path, "new")

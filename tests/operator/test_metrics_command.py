@@ -66,7 +66,7 @@ def got(port: int, path: str = "/metrics") -> tuple[int, str, str]:
     return answer.status, answer.headers["Content-Type"], answer.read().decode()
 
 
-def test_a_scrape_tells_what_the_status_tells(daemon: DaemonProcess, port: int) -> None:
+def test_a_scrape_has_the_numbers_of_the_status(daemon: DaemonProcess, port: int) -> None:
     code, kind, page = got(port)
     assert (code, kind) == (200, "text/plain; version=0.0.4; charset=utf-8")
     found = parsed(page)
@@ -76,8 +76,8 @@ def test_a_scrape_tells_what_the_status_tells(daemon: DaemonProcess, port: int) 
     assert found["linemate_state", frozenset({west, ("state", "init")})] == 1.0
     assert sum(v for (name, _), v in found.items() if name == "linemate_state") == 1.0
     assert found["linemate_health", frozenset({west, ("health", status["health"])})] == 1.0
-    for link, told in status["links"].items():
-        assert found["linemate_link_up", frozenset({west, ("link", link)})] == told["up"]
+    for name, link in status["links"].items():
+        assert found["linemate_link_up", frozenset({west, ("link", name)})] == link["up"]
     for kind in status["telegrams"]:
         assert ("linemate_telegrams_total", frozenset({west, ("kind", kind)})) in found
     assert all(math.isfinite(value) for value in found.values())
@@ -193,8 +193,8 @@ def test_the_tool_prints_a_page_and_refuses_to_be_reached_by_others(daemon: Daem
         check=True,
     )
     assert ("linemate_up", frozenset({("station", "west")})) in parsed(once.stdout)
-    nobody = [*LINEMATE, "metrics", "--once", "--station", "x=/nobody"]
-    assert subprocess.run(nobody, capture_output=True, check=False).returncode == 3
+    missing = [*LINEMATE, "metrics", "--once", "--station", "x=/missing"]
+    assert subprocess.run(missing, capture_output=True, check=False).returncode == 3
     open_to_all = subprocess.run(
         [*LINEMATE, "metrics", "--listen", "0.0.0.0:0"], capture_output=True, text=True, check=False
     )

@@ -48,7 +48,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record(path, entries(World(parameters()), STEPS))
 
 
-def told(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, Any]:
+def run_tool(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, Any]:
     code = tool.main(["replay", *words, "--json"])
     return code, json.loads(capsys.readouterr().out)
 
@@ -56,7 +56,7 @@ def told(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, Any]:
 def test_the_same_program_gives_the_same_bits(
     whole: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, result = told(capsys, str(whole))
+    code, result = run_tool(capsys, str(whole))
     assert code == 0
     assert result["identical"] is True
     assert result["steps"] == STEPS
@@ -69,7 +69,7 @@ def test_another_parameter_shows_what_moves_when_and_by_how_much(
     whole: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     name = "tracking.distance.deviation"
-    code, result = told(capsys, str(whole), "--set", f"{name}=0.002")
+    code, result = run_tool(capsys, str(whole), "--set", f"{name}=0.002")
     assert code == 1
     assert not result["identical"]
     speed = result["fields"]["speed"]
@@ -86,15 +86,15 @@ def test_a_configuration_is_laid_over_the_recorded_parameters(
 ) -> None:
     overlay = tmp_path / "overlay.yaml"
     overlay.write_text("tracking: {distance: {deviation: 2.0e-3}}\n")
-    by_file = told(capsys, str(whole), "--config", str(overlay))
-    by_name = told(capsys, str(whole), "--set", "tracking.distance.deviation=0.002")
+    by_file = run_tool(capsys, str(whole), "--config", str(overlay))
+    by_name = run_tool(capsys, str(whole), "--set", "tracking.distance.deviation=0.002")
     assert by_file == by_name
 
 
-def test_parameters_of_another_shape_begin_anew_and_say_so(
+def test_parameters_of_another_shape_restart_with_the_reason(
     whole: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, result = told(capsys, str(whole), "--set", "control.horizon_s=0.6")
+    code, result = run_tool(capsys, str(whole), "--set", "control.horizon_s=0.6")
     assert code == 1 or result["identical"]
     assert "not one of these parameters" in result["notes"][0]["what"]
     assert result["unmade"] == 0
@@ -114,8 +114,8 @@ def test_a_tolerance_forgives_what_is_smaller(
     whole: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = (str(whole), "--set", "tracking.distance.deviation=0.00038000001")
-    assert told(capsys, *words)[0] == 1
-    code, result = told(capsys, *words, "--tolerance", "1e-3")
+    assert run_tool(capsys, *words)[0] == 1
+    code, result = run_tool(capsys, *words, "--tolerance", "1e-3")
     assert (code, result["identical"]) == (0, True)
     assert result["different"] > 0
 
@@ -124,9 +124,9 @@ def test_a_recording_that_begins_in_the_middle_replays_from_its_own_state(tmp_pa
     world = World(parameters())
     list(entries(world, 60))
     path = record(tmp_path / "late.mcap", entries(world, 40))
-    verdicts = list(replay(pieces(path)))
-    assert len(verdicts) == 40
-    assert all(not v.changes and v.failure is None and v.restart is None for v in verdicts)
+    replayed = list(replay(pieces(path)))
+    assert len(replayed) == 40
+    assert all(not v.changes and v.failure is None and v.restart is None for v in replayed)
 
 
 def test_steps_that_were_dropped_are_bridged_by_a_state(tmp_path: Path) -> None:
@@ -140,9 +140,9 @@ def test_steps_that_were_dropped_are_bridged_by_a_state(tmp_path: Path) -> None:
             yield entry
 
     path = record(tmp_path / "gap.mcap", with_a_gap(), feed)
-    verdicts = list(replay(pieces(path)))
-    assert [v.k for v in verdicts] == [*range(20), *range(30, 60)]
-    assert all(not v.changes and v.failure is None for v in verdicts)
+    replayed = list(replay(pieces(path)))
+    assert [v.k for v in replayed] == [*range(20), *range(30, 60)]
+    assert all(not v.changes and v.failure is None for v in replayed)
 
 
 def test_other_parameters_in_the_middle_are_replayed_from_their_own_step_on(
@@ -184,9 +184,9 @@ def test_an_older_recording_without_states_begins_where_the_robot_was(tmp_path: 
         ):
             file.write_item(item)
     file.close()
-    verdicts = list(replay(pieces(path)))
-    assert "begun at rest" in str(verdicts[0].restart)
-    assert not any(v.changes for v in verdicts)
+    replayed = list(replay(pieces(path)))
+    assert "begun at rest" in str(replayed[0].restart)
+    assert not any(v.changes for v in replayed)
 
 
 def test_a_file_cut_short_is_replayed_as_far_as_it_goes(
@@ -195,7 +195,7 @@ def test_a_file_cut_short_is_replayed_as_far_as_it_goes(
     data = whole.read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(data[: len(data) * 3 // 4])
-    code, result = told(capsys, str(cut))
+    code, result = run_tool(capsys, str(cut))
     assert code == 1
     assert result["identical"] is False
     assert 0 < result["steps"] < STEPS
@@ -218,16 +218,16 @@ def test_a_damaged_recording_says_how_many_of_its_steps_were_read(
     for place in range(middle, middle + 8192):
         data[place] ^= 0x55
     path.write_bytes(data)
-    code, result = told(capsys, str(path))
+    code, result = run_tool(capsys, str(path))
     assert code == 1
     assert result["identical"] is False
     assert result["different"] == 0
     assert 0 < result["steps"] < result["total"] == STEPS
     assert tool.main(["replay", str(path)]) == 1
-    said = capsys.readouterr().out.splitlines()
-    assert said[1].startswith("damaged: ")
-    assert f"{result['steps']} of {STEPS} steps were read" in said[1]
-    assert said[-1] == "identical as far as it was read"
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[1].startswith("damaged: ")
+    assert f"{result['steps']} of {STEPS} steps were read" in printed[1]
+    assert printed[-1] == "identical as far as it was read"
     folder = tmp_path / "tables"
     assert tool.main(["export", str(path), "--out", str(folder)]) == 1
     assert f"{result['steps']} of {STEPS} steps were read" in capsys.readouterr().err

@@ -68,7 +68,7 @@ def test_a_screen_never_exceeds_24_lines_of_80_columns_or_the_terminal(
             assert max(map(len, lines)) <= min(80, size[0])
 
 
-def test_complaints_leave_room_for_the_rest() -> None:
+def test_complaints_leave_space_for_the_rest() -> None:
     lines = render.screen(STATUS)
     assert len(lines) == 24
     assert lines[-1].startswith("--all")

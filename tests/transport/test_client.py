@@ -119,8 +119,11 @@ def test_a_wrong_request_is_not_even_sent(client: Client) -> None:
         client.call("format")
 
 
-def test_nobody_there_is_no_answer(tmp_path: Path) -> None:
-    with Client.local(tmp_path / "nobody") as client, pytest.raises(NoAnswerError, match="nobody"):
+def test_a_missing_daemon_gives_no_answer(tmp_path: Path) -> None:
+    with (
+        Client.local(tmp_path / "missing") as client,
+        pytest.raises(NoAnswerError, match="missing"),
+    ):
         client.call("status")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
@@ -149,7 +152,7 @@ def test_a_daemon_that_ends_is_no_answer_at_once(tmp_path: Path) -> None:
 
 
 class Lossy:
-    """A relay between a client and a server that loses what it is told to."""
+    """A relay between a client and a server that loses what it receives."""
 
     def __init__(self, server: tuple[str, int], lose: Callable[[int], bool]) -> None:
         self._front = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

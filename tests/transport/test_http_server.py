@@ -42,7 +42,7 @@ def opened(test: Callable[[Server], Awaitable[None]], host: str = "127.0.0.1") -
     return server
 
 
-async def said(server: Server, request: bytes) -> bytes:
+async def exchange(server: Server, request: bytes) -> bytes:
     reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
     writer.write(request)
     try:
@@ -58,8 +58,8 @@ def get(path: str, host: str = "127.0.0.1:80") -> bytes:
 
 def test_a_page_is_given_with_its_kind_and_length_and_closed() -> None:
     async def test(server: Server) -> None:
-        told = await said(server, get("/?who=me"))
-        head, _, body = told.partition(b"\r\n\r\n")
+        page = await exchange(server, get("/?who=me"))
+        head, _, body = page.partition(b"\r\n\r\n")
         assert head.startswith(b"HTTP/1.1 200 OK")
         assert b"Content-Length: 8" in head
         assert b"default-src 'self'" in head
@@ -86,8 +86,8 @@ def test_a_page_is_given_with_its_kind_and_length_and_closed() -> None:
 )
 def test_only_what_is_meant_for_it_is_answered(request_: bytes, status: bytes) -> None:
     async def test(server: Server) -> None:
-        told = await said(server, request_)
-        assert told.split(b" ")[1] == status, told
+        page = await exchange(server, request_)
+        assert page.split(b" ")[1] == status, page
 
     opened(test)
 
@@ -96,9 +96,9 @@ def test_a_request_without_an_end_is_hung_up_on(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(serving, "HEAD_S", 0.2)
 
     async def test(server: Server) -> None:
-        assert await said(server, b"GET / HTTP/1.1\r\n") == b""
+        assert await exchange(server, b"GET / HTTP/1.1\r\n") == b""
         with contextlib.suppress(ConnectionResetError):
-            assert await said(server, b"GET /" + b"a" * 20_000) == b""
+            assert await exchange(server, b"GET /" + b"a" * 20_000) == b""
 
     opened(test)
 
@@ -112,11 +112,11 @@ def test_more_connections_than_may_be_are_hung_up_on_and_counted(
         idle = [await asyncio.open_connection("127.0.0.1", server.port) for _ in range(3)]
         await asyncio.sleep(0.05)
         with contextlib.suppress(ConnectionResetError):
-            assert await said(server, get("/")) == b""
+            assert await exchange(server, get("/")) == b""
         for _, writer in idle:
             writer.close()
         await asyncio.sleep(0.05)
-        assert b"200 OK" in await said(server, get("/"))
+        assert b"200 OK" in await exchange(server, get("/"))
 
     assert opened(test).refused == 1
 
@@ -131,7 +131,7 @@ def test_a_browser_that_does_not_read_is_hung_up_on_and_others_are_served(
         writer.write(get("/stream"))
         began = time.monotonic()
         while server._tasks or time.monotonic() - began < 0.1:
-            assert b"200 OK" in await said(server, get("/"))
+            assert b"200 OK" in await exchange(server, get("/"))
             assert time.monotonic() - began < 20.0
         writer.close()
         del stuck
@@ -166,11 +166,11 @@ def test_the_stream_ends_with_its_browser_and_its_place_is_given_back() -> None:
 def test_every_file_of_the_page_is_there_and_asks_for_nothing_from_elsewhere() -> None:
     found = read_assets()
     assert {"/", "/index.html", "/main.js", "/view.css", "/picture.js"} <= set(found)
-    for path, page in found.items():
-        told = page.body.replace(b"http://www.w3.org/2000/svg", b"")
-        assert b"http://" not in told, path
-        assert b"https://" not in told, path
-        assert b"//cdn" not in told, path
+    for path, asset in found.items():
+        page = asset.body.replace(b"http://www.w3.org/2000/svg", b"")
+        assert b"http://" not in page, path
+        assert b"https://" not in page, path
+        assert b"//cdn" not in page, path
 
 
 def test_a_page_too_many_is_refused_with_a_time_to_come_again() -> None:
@@ -182,10 +182,10 @@ def test_a_page_too_many_is_refused_with_a_time_to_come_again() -> None:
                 stack.enter_context(hub.subscribe())
             stream = routes.ask("/stream", {})
             assert not isinstance(stream, Page)
-            told = [part async for part in stream]
-        assert len(told) == 1
-        assert told[0].startswith(b"retry: 5000\nevent: link\n")
-        assert b"pages are open" in told[0]
+            page = [part async for part in stream]
+        assert len(page) == 1
+        assert page[0].startswith(b"retry: 5000\nevent: link\n")
+        assert b"pages are open" in page[0]
 
     asyncio.run(main())
 
@@ -195,8 +195,8 @@ def test_what_was_dropped_can_be_asked_for() -> None:
     with hub.subscribe():
         for k in range(QUEUE_LENGTH + 1):
             hub.push_frame({"k": k})
-    told = LiveRoutes(hub, "here").ask("/mode", {})
-    assert isinstance(told, Page)
-    assert json.loads(told.body) == {
+    page = LiveRoutes(hub, "here").ask("/mode", {})
+    assert isinstance(page, Page)
+    assert json.loads(page.body) == {
         "mode": "live", "source": "here", "frames": QUEUE_LENGTH + 1, "dropped": 2,
     }  # fmt: skip

@@ -1,4 +1,4 @@
-"""The hub: the newest for everybody, and one who does not read loses only his own."""
+"""The broadcast hub: its history, its slow subscribers, and its limits."""
 
 import asyncio
 import json
@@ -19,12 +19,12 @@ from linemate.daemon.view.broadcast_hub import (
 def events_of(data: bytes) -> list[tuple[str, Any]]:
     found = []
     for block in data.decode().split("\n\n")[:-1]:
-        name, told = block.split("\n")
-        found.append((name.removeprefix("event: "), json.loads(told.removeprefix("data: "))))
+        name, data = block.split("\n")
+        found.append((name.removeprefix("event: "), json.loads(data.removeprefix("data: "))))
     return found
 
 
-def test_who_comes_later_is_told_what_is_known() -> None:
+def test_a_new_subscriber_receives_what_is_known() -> None:
     async def main() -> None:
         hub = BroadcastHub()
         hub.publish("scene", {"task": "wheel"})
@@ -34,8 +34,8 @@ def test_who_comes_later_is_told_what_is_known() -> None:
             hub.push_frame({"k": k})
         hub.push_events([[1, 5_000_000_000, "state: idle"]])
         with hub.subscribe() as subscriber:
-            told = events_of(await subscriber.drain())
-        assert told == [
+            data = events_of(await subscriber.drain())
+        assert data == [
             ("scene", {"task": "wheel"}),
             ("status", {"health": "healthy"}),
             ("history", [{"k": 0}, {"k": 1}, {"k": 2}]),
@@ -45,7 +45,7 @@ def test_who_comes_later_is_told_what_is_known() -> None:
     asyncio.run(main())
 
 
-def test_one_who_does_not_read_loses_the_oldest_and_it_is_counted() -> None:
+def test_a_slow_subscriber_drops_its_oldest_messages_which_are_counted() -> None:
     async def main() -> None:
         hub = BroadcastHub()
         with hub.subscribe() as slow, hub.subscribe() as quick:
@@ -55,7 +55,7 @@ def test_one_who_does_not_read_loses_the_oldest_and_it_is_counted() -> None:
                 hub.push_frame({"k": k})
             assert slow.dropped == 10
             assert quick.dropped == 0
-            taken = [told["k"] for _, told in events_of(await slow.drain())]
+            taken = [data["k"] for _, data in events_of(await slow.drain())]
             assert taken == list(range(10, QUEUE_LENGTH + 10))
         assert hub.dropped == 10
         assert hub.subscribers == 0
@@ -63,13 +63,13 @@ def test_one_who_does_not_read_loses_the_oldest_and_it_is_counted() -> None:
     asyncio.run(main())
 
 
-def test_memory_has_an_end() -> None:
+def test_the_history_is_bounded() -> None:
     async def main() -> None:
         hub = BroadcastHub()
         for k in range(HISTORY + 50):
             hub.push_frame({"k": k})
         with hub.subscribe() as subscriber:
-            (history,) = [told for name, told in events_of(await subscriber.drain())]
+            (history,) = [data for name, data in events_of(await subscriber.drain())]
         assert len(history) == HISTORY
         assert history[0] == {"k": 50}
         assert hub.frames == HISTORY + 50
@@ -77,7 +77,7 @@ def test_memory_has_an_end() -> None:
     asyncio.run(main())
 
 
-def test_happenings_are_shown_once_and_a_gap_is_told() -> None:
+def test_events_are_sent_once_and_with_the_number_of_missed_ones() -> None:
     async def main() -> None:
         hub = BroadcastHub()
         with hub.subscribe() as subscriber:
@@ -85,14 +85,14 @@ def test_happenings_are_shown_once_and_a_gap_is_told() -> None:
             hub.push_events([[4, 0, "a"], [5, 0, "b"]])
             hub.push_events([[5, 0, "b"], [6, 0, "c"]])
             hub.push_events([[9, 0, "d"], [10, 0, "e"]])
-            told = [one for _, one in events_of(await subscriber.drain())]
-        assert [one["text"] for one in told] == ["a", "b", "c", "d", "e"]
-        assert [one["missed"] for one in told] == [0, 0, 0, 2, 0]
+            data = [one for _, one in events_of(await subscriber.drain())]
+        assert [one["text"] for one in data] == ["a", "b", "c", "d", "e"]
+        assert [one["missed"] for one in data] == [0, 0, 0, 2, 0]
 
     asyncio.run(main())
 
 
-def test_too_many_subscribers_are_refused_and_a_place_is_given_back() -> None:
+def test_too_many_subscribers_are_refused_until_one_leaves() -> None:
     hub = BroadcastHub()
     places = [hub.subscribe() for _ in range(MAX_SUBSCRIBERS)]
     for place in places:
@@ -104,7 +104,7 @@ def test_too_many_subscribers_are_refused_and_a_place_is_given_back() -> None:
         assert hub.subscribers == MAX_SUBSCRIBERS
 
 
-def test_what_is_no_number_is_left_out_and_stays_json() -> None:
+def test_a_value_that_is_not_finite_becomes_null() -> None:
     hub = BroadcastHub()
     hub.push_frame({"speed": float("nan"), "arm": [[float("inf"), 1.0]]})
     assert events_of(hub._known())[0] == ("history", [{"speed": None, "arm": [[None, 1.0]]}])

@@ -1,4 +1,4 @@
-"""The daemon's process beside a robot: what its replies take, with stalled views and without."""
+"""The daemon's process next to a robot: what its replies take, with stalled views and without."""
 
 import contextlib
 import socket
@@ -49,9 +49,9 @@ def quick_ms(took: list[float | None]) -> float:
 
 
 @pytest.mark.timeout(120)
-def test_replies_take_no_longer_beside_views_that_do_not_read(tmp_path: Path) -> None:
+def test_replies_take_no_longer_with_views_that_do_not_read(tmp_path: Path) -> None:
     alone: list[float | None] = []
-    beside: list[float | None] = []
+    watched: list[float | None] = []
     with DaemonProcess(tmp_path, TEXT) as daemon:
         path = Path(daemon.listening["command"]["socket"])
         robot = PlainRobot(daemon.robot())
@@ -62,14 +62,14 @@ def test_replies_take_no_longer_beside_views_that_do_not_read(tmp_path: Path) ->
                 with contextlib.ExitStack() as stack:
                     for _ in range(STALLED):
                         stack.enter_context(stalled(path))
-                    beside += robot.cycles(CYCLES)
+                    watched += robot.cycles(CYCLES)
             # Six seconds of a shared machine are held against those on either side of them.
             alone += robot.cycles(LONG_ENOUGH // 2)
             with contextlib.ExitStack() as stack:
                 ends = [stack.enter_context(stalled(path)) for _ in range(STALLED)]
-                beside += robot.cycles(LONG_ENOUGH)
+                watched += robot.cycles(LONG_ENOUGH)
                 counters = daemon.status()["commands"]["counters"]
                 assert len(ends) == STALLED
             alone += robot.cycles(LONG_ENOUGH // 2)
         assert counters["connections_dropped"] == STALLED
-        assert quick_ms(beside) < quick_ms(alone) + 0.2, (quick_ms(alone), quick_ms(beside))
+        assert quick_ms(watched) < quick_ms(alone) + 0.2, (quick_ms(alone), quick_ms(watched))

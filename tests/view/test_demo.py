@@ -32,11 +32,11 @@ def heard(address: str) -> dict[str, list[Any]]:
     name = ""
     with urllib.request.urlopen(f"{address}stream", timeout=60.0) as stream:
         for line in stream:
-            word, _, told = line.decode().rstrip("\n").partition(": ")
+            word, _, data = line.decode().rstrip("\n").partition(": ")
             if word == "event":
-                name = told
+                name = data
             elif word == "data":
-                found.setdefault(name, []).append(json.loads(told))
+                found.setdefault(name, []).append(json.loads(data))
                 frames = found.get("frame", [])
                 if len(frames) >= MOST or (len(frames) >= FEWEST and has_foresight(frames[-1])):
                     return found
@@ -57,13 +57,13 @@ def test_the_real_daemon_is_shown_and_the_view_ends_with_the_run(tmp_path: Path)
         env=environment,
     ) as demo:
         assert demo.stderr is not None
-        said = []
+        lines = []
         for line in demo.stderr:
-            said.append(line)
+            lines.append(line)
             if "http://" in line:
                 break
-        address = said[-1].split()[-1]
-        assert address.startswith("http://127.0.0.1:"), said
+        address = lines[-1].split()[-1]
+        assert address.startswith("http://127.0.0.1:"), lines
         found = heard(address)
         demo.terminate()
         demo.stderr.read()

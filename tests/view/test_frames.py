@@ -1,4 +1,4 @@
-"""Frames: what was measured a moment ago is held against what was desired then."""
+"""Frames: a measured pose is compared with what was desired at its time."""
 
 import json
 import math
@@ -40,7 +40,7 @@ def test_the_scene_of_the_shipped_task_can_be_drawn() -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "why"),
+    ("data", "why"),
     [
         ({}, "task cannot be read"),
         ({"task": "[1, 2"}, "task cannot be read"),
@@ -50,10 +50,8 @@ def test_the_scene_of_the_shipped_task_can_be_drawn() -> None:
         ({"task": TASK.text.replace("flange: flange", "flange: hand"), "urdf": TASK.urdf}, "hand"),
     ],
 )
-def test_a_cell_that_cannot_be_read_is_said_and_nothing_breaks(
-    told: dict[str, Any], why: str
-) -> None:
-    scene = read_cell(told)
+def test_an_unreadable_cell_is_reported_and_frames_go_on(data: dict[str, Any], why: str) -> None:
+    scene = read_cell(data)
     assert why in scene.trouble
     frame = Framer(scene).frame(moving(1))
     assert frame is not None
@@ -81,7 +79,7 @@ def test_steps_that_are_not_drawn_are_remembered() -> None:
     assert frame["errors"]["control_mm"] == pytest.approx(0.0, abs=1e-3)
 
 
-def test_nothing_is_said_of_an_error_across_a_gap_or_another_boot() -> None:
+def test_there_is_no_error_across_a_gap_or_another_boot() -> None:
     framer = Framer(CELL)
     framer.frame(moving(0))
     frame = framer.frame(moving(40))
@@ -92,7 +90,7 @@ def test_nothing_is_said_of_an_error_across_a_gap_or_another_boot() -> None:
     assert "control_mm" not in again["errors"]
 
 
-def test_the_same_step_told_twice_has_the_same_error() -> None:
+def test_the_same_step_sent_twice_has_the_same_error() -> None:
     framer = Framer(CELL)
     for k in range(4):
         framer.frame(moving(k))
@@ -103,23 +101,23 @@ def test_the_same_step_told_twice_has_the_same_error() -> None:
 
 
 def test_a_plan_away_from_the_object_is_its_error() -> None:
-    told = moving(3)
-    told["sensed"] = (told["target"][0] + 0.002, *told["target"][1:])
-    frame = Framer(CELL).frame(told)
+    data = moving(3)
+    data["sensed"] = (data["target"][0] + 0.002, *data["target"][1:])
+    frame = Framer(CELL).frame(data)
     assert frame is not None
     assert frame["errors"]["plan_mm"] == pytest.approx(2.0, abs=1e-6)
 
 
-def test_what_is_left_of_the_cycle_is_its_slack() -> None:
+def test_the_margin_is_what_is_left_of_the_cycle() -> None:
     frame = Framer(CELL).frame(moving(1))
     assert frame is not None
     assert frame["margin_ms"] == 11.6
 
 
 def test_a_robot_that_was_not_heard_is_drawn_where_it_was_sent() -> None:
-    told = moving(2)
-    del told["measured"]
-    frame = Framer(CELL).frame(told)
+    data = moving(2)
+    del data["measured"]
+    frame = Framer(CELL).frame(data)
     assert frame is not None
     assert frame["guessed"] is True
     assert len(frame["arm"]) == len(CELL.chain.joints) + 2  # type: ignore[union-attr]
@@ -130,7 +128,7 @@ def test_a_robot_that_was_not_heard_is_drawn_where_it_was_sent() -> None:
     [{"measured": [math.nan] * 7}, {"measured": "joints"}, {"target": 5}, {"confidence": "much"},
      {"foreseen": [1.0]}, {"target": ["a"] * 7}, {"cycle_ms": "x", "turnaround_us": 1}],
 )  # fmt: skip
-def test_telemetry_that_is_none_makes_no_frame_and_is_counted(wrong: dict[str, Any]) -> None:
+def test_unfit_telemetry_makes_no_frame_and_is_counted(wrong: dict[str, Any]) -> None:
     framer = Framer(CELL)
     assert framer.frame(moving(1) | wrong) is None
     assert framer.unfit == 1
@@ -151,7 +149,7 @@ ANYTHING = st.recursive(
 
 @settings(max_examples=100, deadline=None)
 @given(st.dictionaries(st.sampled_from([*moving(1), "foreseen", "foreseen_ms", "held"]), ANYTHING))
-def test_whatever_is_told_gives_a_frame_or_none_and_breaks_nothing(wrong: dict[str, Any]) -> None:
+def test_any_telemetry_gives_a_frame_or_none(wrong: dict[str, Any]) -> None:
     framer, hub = Framer(CELL), BroadcastHub()
     framer.frame(moving(1))
     odd = framer.frame(moving(2) | wrong)

@@ -65,10 +65,10 @@ def test_a_daemon_is_asked_for_its_cell_its_status_and_its_telemetry(tmp_path: P
     assert links == ["{'up': True, 'reason': ''}"]
     assert set(rerunning.asked) == {"scene", "status"}
     with hub.subscribe() as subscriber:
-        told = asyncio.run(subscriber.drain())
-    assert b"event: scene" in told
-    assert b'"arm":' in told
-    assert b'"health":"healthy"' in told
+        data = asyncio.run(subscriber.drain())
+    assert b"event: scene" in data
+    assert b'"arm":' in data
+    assert b'"health":"healthy"' in data
 
 
 def test_a_daemon_elsewhere_is_shown_by_datagrams_and_a_key_that_may_only_view(
@@ -94,9 +94,9 @@ def test_a_daemon_without_the_operation_scene_is_shown_without_its_arm(tmp_path:
     with rerun(tmp_path, Older()):
         hub, _ = shown(tmp_path)
     with hub.subscribe() as subscriber:
-        told = asyncio.run(subscriber.drain())
-    assert b"does not describe its cell" in told
-    assert b'"arm":' not in told
+        data = asyncio.run(subscriber.drain())
+    assert b"does not describe its cell" in data
+    assert b'"arm":' not in data
 
 
 def test_a_missing_daemon_is_reported_at_each_attempt(tmp_path: Path) -> None:
@@ -122,8 +122,8 @@ def test_any_failure_is_reported_and_tried_again(tmp_path: Path) -> None:
     assert "True" in links[-1]
 
 
-class Doors:
-    """A daemon's local door under a clock of the test's own, polled as by a cycle."""
+class LocalServer:
+    """A daemon's local socket with a clock of the test, polled as by a cycle."""
 
     def __init__(self, folder: Path) -> None:
         self.now_ns = 10**12
@@ -137,8 +137,8 @@ class Doors:
         self._step = recording().steps[500]
 
     def _telemetry(self) -> dict[str, object]:
-        told = {name: self._step.outputs[name] for name in ("target", "sensed", "part", "command")}
-        return told | {"state": "track", "foreseen": [[0.1, 0.2, 0.3]] * 8, "stamp_ns": 10**18}
+        data = {name: self._step.outputs[name] for name in ("target", "sensed", "part", "command")}
+        return data | {"state": "track", "foreseen": [[0.1, 0.2, 0.3]] * 8, "stamp_ns": 10**18}
 
     @contextlib.contextmanager
     def subscriber(self) -> Iterator[socket.socket]:
@@ -172,34 +172,34 @@ class Doors:
 
 
 def test_a_view_that_does_not_read_costs_a_cycle_nothing_and_is_dropped(tmp_path: Path) -> None:
-    doors = Doors(tmp_path)
-    doors.port.open()
+    server = LocalServer(tmp_path)
+    server.port.open()
     try:
-        alone = statistics.median(doors.cycles(300))
+        alone = statistics.median(server.cycles(300))
         with contextlib.ExitStack() as stack:
-            reading = stack.enter_context(doors.subscriber())
-            heard = statistics.median(doors.cycles(300, reading))
-            stalled = [stack.enter_context(doors.subscriber()) for _ in range(SUBSCRIBERS)]
-            paid = doors.cycles(1800, reading)
+            reading = stack.enter_context(server.subscriber())
+            heard = statistics.median(server.cycles(300, reading))
+            stalled = [stack.enter_context(server.subscriber()) for _ in range(SUBSCRIBERS)]
+            paid = server.cycles(1800, reading)
             # Not one cycle waited: a full buffer is found out in microseconds.
             assert statistics.median(paid) < heard + 300_000
-            assert doors.port.counters["connections_dropped"] == SUBSCRIBERS
-            assert doors.port.status()["connections"] == 1
+            assert server.port.counters["connections_dropped"] == SUBSCRIBERS
+            assert server.port.status()["connections"] == 1
             assert len(stalled) == SUBSCRIBERS
-        doors.cycles(10)
-        after = statistics.median(doors.cycles(300))
+        server.cycles(10)
+        after = statistics.median(server.cycles(300))
         assert after < alone + 100_000
-        assert doors.port.status()["connections"] == 0
+        assert server.port.status()["connections"] == 0
     finally:
-        doors.port.close()
+        server.port.close()
 
 
-def test_a_view_that_stands_still_is_no_longer_told_anything(tmp_path: Path) -> None:
-    told = [0]
+def test_a_view_that_stands_still_receives_no_more_messages(tmp_path: Path) -> None:
+    data = [0]
 
     class Counted(Rerun):
         def telemetry(self) -> dict[str, object]:
-            told[0] += 1
+            data[0] += 1
             return super().telemetry()
 
     view = [*LINEMATE, "view", "--no-browser", "--socket", str(tmp_path / "command.sock")]
@@ -208,13 +208,13 @@ def test_a_view_that_stands_still_is_no_longer_told_anything(tmp_path: Path) -> 
         subprocess.Popen(view, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process,
     ):
         try:
-            _until(lambda: told[0] > 10)
+            _until(lambda: data[0] > 10)
             os.kill(process.pid, signal.SIGSTOP)
             # A subscription lasts five seconds beyond its last renewal.
-            _until(lambda: _rests(told))
+            _until(lambda: _rests(data))
             os.kill(process.pid, signal.SIGCONT)
-            at = told[0]
-            _until(lambda: told[0] > at + 10)
+            at = data[0]
+            _until(lambda: data[0] > at + 10)
         finally:
             os.kill(process.pid, signal.SIGCONT)
             process.terminate()

@@ -33,7 +33,7 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
 @pytest.fixture
 def chromium(opened: Browser) -> Iterator[Browser]:
     yield opened
-    assert opened.said == []
+    assert opened.errors == []
 
 
 @contextmanager
@@ -230,7 +230,7 @@ def test_a_narrow_window_shows_everything_in_one_column(tmp_path: Path) -> None:
         )
         assert min(narrow.value(sizes)) > 50_000
         narrow.open("about:blank")
-        assert narrow.said == []
+        assert narrow.errors == []
 
 
 def test_the_page_asks_only_the_view_itself(chromium: Browser) -> None:

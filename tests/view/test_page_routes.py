@@ -14,7 +14,7 @@ from linemate.daemon.view.page_routes import RecordingRoutes
 GOLDEN = Path(__file__).parents[1] / "system" / "golden" / "wheel.mcap"
 
 
-def told(routes: RecordingRoutes, path: str, **query: str) -> Any:
+def ask_json(routes: RecordingRoutes, path: str, **query: str) -> Any:
     page = routes.ask(path, query)
     assert isinstance(page, Page)
     assert page.kind == "application/json"
@@ -28,14 +28,14 @@ def read() -> RecordingRoutes:
     return routes
 
 
-def test_while_a_recording_is_being_read_its_share_is_told() -> None:
+def test_the_share_that_has_been_read_is_shown() -> None:
     routes = RecordingRoutes([GOLDEN, GOLDEN])
     shares = []
 
     async def main() -> None:
         reading = asyncio.ensure_future(routes.read())
         while not reading.done():
-            mode = told(routes, "/mode")
+            mode = ask_json(routes, "/mode")
             if mode["mode"] == "reading":
                 shares.append(mode["share"])
             await asyncio.sleep(0.005)
@@ -44,7 +44,7 @@ def test_while_a_recording_is_being_read_its_share_is_told() -> None:
     asyncio.run(main())
     assert shares == sorted(shares)
     assert 0.0 <= shares[0] < shares[-1] <= 1.0
-    assert [tape["name"] for tape in told(routes, "/mode")["runs"]] == ["wheel.mcap"] * 2
+    assert [run["name"] for run in ask_json(routes, "/mode")["runs"]] == ["wheel.mcap"] * 2
 
 
 def test_what_is_no_recording_ends_the_reading(tmp_path: Path) -> None:
@@ -53,13 +53,13 @@ def test_what_is_no_recording_ends_the_reading(tmp_path: Path) -> None:
         asyncio.run(RecordingRoutes([GOLDEN, tmp_path / "x.mcap"]).read())
 
 
-def test_a_recording_is_told_whole_and_given_in_portions(read: RecordingRoutes) -> None:
-    whole = told(read, "/run", i="0")
+def test_a_recording_is_served_whole_and_in_portions(read: RecordingRoutes) -> None:
+    whole = ask_json(read, "/run", i="0")
     assert whole["name"] == "wheel.mcap"
-    frames = told(read, "/frames", i="0", **{"from": "10", "to": "13"})
+    frames = ask_json(read, "/frames", i="0", **{"from": "10", "to": "13"})
     assert [frame["t"] for frame in frames] == whole["times"][10:13]
-    assert told(read, "/frames", i="0", **{"from": "13", "to": "10"}) == []
-    assert told(read, "/progress", i="0") == {"k": -1, "done": False, "inexact": 0, "count": 0}
+    assert ask_json(read, "/frames", i="0", **{"from": "13", "to": "10"}) == []
+    assert ask_json(read, "/progress", i="0") == {"k": -1, "done": False, "inexact": 0, "count": 0}
 
 
 @pytest.mark.parametrize(
@@ -80,19 +80,19 @@ def test_there_is_nothing_else(read: RecordingRoutes, path: str, query: dict[str
         read.ask(path, query)
 
 
-def test_horizons_are_made_again_by_a_process_beside_and_it_ends_with_its_task() -> None:
+def test_horizons_are_computed_by_a_process_that_ends_with_its_task() -> None:
     routes = RecordingRoutes([GOLDEN])
 
     async def main() -> None:
         await routes.read()
         work = asyncio.ensure_future(routes.compute_horizons())
         async with asyncio.timeout(60):
-            while told(routes, "/progress")["count"] < 3:
+            while ask_json(routes, "/progress")["count"] < 3:
                 assert not work.done()
                 await asyncio.sleep(0.05)
         work.cancel()
         await asyncio.gather(work, return_exceptions=True)
 
     asyncio.run(main())
-    frames = told(routes, "/frames", i="0", **{"from": "0", "to": "400"})
+    frames = ask_json(routes, "/frames", i="0", **{"from": "0", "to": "400"})
     assert sum("foreseen" in frame for frame in frames) >= 1

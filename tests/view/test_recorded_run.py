@@ -59,7 +59,7 @@ def test_the_arm_moves_and_its_tool_comes_to_the_hub(golden: RecordedRun) -> Non
     assert max(frame["errors"]["control_mm"] for frame in contact) < 3.0
 
 
-def test_what_was_logged_is_told_in_its_order_and_by_its_time(golden: RecordedRun) -> None:
+def test_the_log_is_shown_in_its_order_with_its_times(golden: RecordedRun) -> None:
     texts = [text for _, text in golden.events]
     assert "state: track" in texts
     assert "conveyor: stop confirmed" in texts
@@ -78,10 +78,10 @@ def test_frames_are_given_in_bounded_portions(golden: RecordedRun) -> None:
     assert golden.between(10**6, 10**9) == []
 
 
-def test_all_that_is_told_is_json(golden: RecordedRun) -> None:
-    told = json.loads(json.dumps(golden.as_page(), allow_nan=False))
-    assert len(told["times"]) == len(golden.frames)
-    assert {row["state"] for row in told["summary"]} >= {"track", "contact"}
+def test_the_page_data_is_json(golden: RecordedRun) -> None:
+    data = json.loads(json.dumps(golden.as_page(), allow_nan=False))
+    assert len(data["times"]) == len(golden.frames)
+    assert {row["state"] for row in data["summary"]} >= {"track", "contact"}
 
 
 def test_the_overview_keeps_the_worst_of_each_stretch() -> None:
@@ -90,12 +90,12 @@ def test_the_overview_keeps_the_worst_of_each_stretch() -> None:
          {"plan_mm": 9.0 if i == 4321 else 0.1}, "confidence": float(i == 77)}
         for i in range(10_000)
     ]  # fmt: skip
-    told = recorded_run.overview(frames)
-    assert len(told) <= OVERVIEW_LENGTH
-    assert max(one["errors"]["plan_mm"] for one in told) == 9.0
-    assert min(one["margin_ms"] for one in told) == 10.0
-    assert max(one["confidence"] for one in told) == 1.0
-    assert sum(one["tentative"] for one in told) == 1
+    data = recorded_run.overview(frames)
+    assert len(data) <= OVERVIEW_LENGTH
+    assert max(one["errors"]["plan_mm"] for one in data) == 9.0
+    assert min(one["margin_ms"] for one in data) == 10.0
+    assert max(one["confidence"] for one in data) == 1.0
+    assert sum(one["tentative"] for one in data) == 1
 
 
 def test_what_a_step_foresaw_is_made_again_and_shown_with_it(tmp_path: Path) -> None:
@@ -172,14 +172,14 @@ def test_what_is_no_recording_is_refused_by_its_name(tmp_path: Path, content: by
         recorded_run.read_run(file)
 
 
-def test_a_file_that_is_not_there_is_said(tmp_path: Path) -> None:
+def test_a_missing_file_is_reported(tmp_path: Path) -> None:
     with pytest.raises(UnreadableRecordingError, match="No such file"):
         recorded_run.read_run(tmp_path / "none.mcap")
     shutil.rmtree(tmp_path)
 
 
 def test_a_line_of_many_recordings_has_what_was_worst_on_the_way(golden: RecordedRun) -> None:
-    told = recorded_run.total(golden)
+    data = recorded_run.total(golden)
     on_the_way = [
         frame["errors"]["control_mm"]
         for frame in golden.frames
@@ -187,6 +187,6 @@ def test_a_line_of_many_recordings_has_what_was_worst_on_the_way(golden: Recorde
         and frame["phase"] != "wait"
         and "control_mm" in frame["errors"]
     ]
-    assert told["control_mm"]["max"] == pytest.approx(max(on_the_way), abs=1e-3)
-    assert 0.0 < told["control_mm"]["rms"] < told["control_mm"]["max"]
-    assert told["length_s"] == golden.length_s
+    assert data["control_mm"]["max"] == pytest.approx(max(on_the_way), abs=1e-3)
+    assert 0.0 < data["control_mm"]["rms"] < data["control_mm"]["max"]
+    assert data["length_s"] == golden.length_s
