@@ -30,7 +30,7 @@ ANSWER_S = 60.0
 
 
 def path() -> str | None:
-    """Where a Chromium is, None if there is none."""
+    """Return the path of a Chromium, None if there is none."""
     return next(filter(None, map(shutil.which, NAMES)), None)
 
 
@@ -103,20 +103,20 @@ class Browser:
         self._ask("Page.navigate", url=address)
 
     def value(self, expression: str) -> Any:
-        """What an expression is worth on the page."""
-        told = self._ask(
+        """Return the value of an expression on the page."""
+        message = self._ask(
             "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
         )
-        assert "exceptionDetails" not in told, told
-        return told["result"].get("value")
+        assert "exceptionDetails" not in message, message
+        return message["result"].get("value")
 
     def until(self, expression: str, timeout_s: float = 60.0) -> Any:
-        """Wait until an expression holds; its value."""
+        """Wait until an expression is true; return its value."""
         end = time.monotonic() + timeout_s
         # Between two pages there is nothing to evaluate on.
         guarded = f"(() => {{ try {{ return {expression} }} catch {{ return null }} }})()"
         while not (value := self.value(guarded)):
-            assert time.monotonic() < end, f"never: {expression}; the page said {self.errors}"
+            assert time.monotonic() < end, f"never: {expression}; errors of the page: {self.errors}"
             time.sleep(0.05)
         return value
 
@@ -134,18 +134,18 @@ class Browser:
         os.write(self._to, json.dumps(asked).encode() + b"\0")
         end = time.monotonic() + ANSWER_S
         while True:
-            told = self._next(end)
-            if told.get("id") == self._number:
-                assert "error" not in told, told
-                result: dict[str, Any] = told["result"]
+            message = self._next(end)
+            if message.get("id") == self._number:
+                assert "error" not in message, message
+                result: dict[str, Any] = message["result"]
                 return result
-            self._note(told)
+            self._note(message)
 
-    def _note(self, told: dict[str, Any]) -> None:
-        params = told.get("params", {})
-        if told.get("method") == "Runtime.exceptionThrown":
+    def _note(self, message: dict[str, Any]) -> None:
+        params = message.get("params", {})
+        if message.get("method") == "Runtime.exceptionThrown":
             self.errors.append(json.dumps(params["exceptionDetails"])[:500])
-        if told.get("method") == "Log.entryAdded" and params["entry"]["level"] == "error":
+        if message.get("method") == "Log.entryAdded" and params["entry"]["level"] == "error":
             self.errors.append(f"{params['entry']['text']} {params['entry'].get('url', '')}")
 
     def _next(self, end: float) -> dict[str, Any]:
@@ -154,9 +154,9 @@ class Browser:
             data = os.read(self._from, 1 << 20) if ready else b""
             assert data, "Chromium does not answer"
             self._rest += data
-        message, _, self._rest = self._rest.partition(b"\0")
-        told: dict[str, Any] = json.loads(message)
-        return told
+        data, _, self._rest = self._rest.partition(b"\0")
+        message: dict[str, Any] = json.loads(data)
+        return message
 
     def _end(self) -> None:
         os.close(self._to)

@@ -1,4 +1,4 @@
-"""A daemon's doors with a recorded run behind them: what a view hears of a run, without a robot."""
+"""A command server that plays a recorded run: a view's daemon without a robot."""
 
 import subprocess
 import sys
@@ -27,9 +27,9 @@ def recording() -> Recording:
 
 
 class Rerun:
-    """The golden run as telemetry, as if it went on now; again from its start after its end.
+    """The golden run as telemetry, as if it ran now. It begins again after its end.
 
-    Whoever looks on a busy machine may have missed what it is looking for.
+    A test on a loaded host may miss a moment of the first round.
 
     Attributes:
         pace: seconds of it in one second; 0 stands still.
@@ -61,13 +61,13 @@ class Rerun:
         n = min(len(self._steps) - 1, int(at_s / 0.012))
         step = self._steps[n]
         robot = step.inputs.robot
-        told = {name: step.outputs[name] for name in SHOWN_OUTPUTS}
-        told |= {"state": step.state, "k": step.inputs.k, "stamp_ns": step.inputs.stamp_ns}
-        told |= {"cycle_ms": 12.0, "turnaround_us": 400, "ages_ms": {"camera": 20.0}}
+        telemetry = {name: step.outputs[name] for name in SHOWN_OUTPUTS}
+        telemetry |= {"state": step.state, "k": step.inputs.k, "stamp_ns": step.inputs.stamp_ns}
+        telemetry |= {"cycle_ms": 12.0, "turnaround_us": 400, "ages_ms": {"camera": 20.0}}
         if robot is not None:
-            told["measured"] = (*robot.joints, robot.external[0])
-            told["measured_ns"] = robot.stamp_ns
-        return told
+            telemetry["measured"] = (*robot.joints, robot.external[0])
+            telemetry["measured_ns"] = robot.stamp_ns
+        return telemetry
 
 
 @contextmanager
