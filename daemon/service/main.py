@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from linemate.daemon import command_line
 from linemate.daemon.command_line import CommandLine, Version
 
 # Before numpy is imported: a second BLAS thread is slower for small matrices, and wakes a core.
@@ -28,11 +29,15 @@ log = logging.getLogger("linemated")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the daemon; the exit code."""
+    """Run the daemon and return its exit code."""
     arguments = parser().parse_args(argv)
     logging.basicConfig(
         level=arguments.log.upper(), stream=sys.stderr, format="%(levelname)s %(name)s: %(message)s"
     )
+    return command_line.run("linemated", lambda: _main(arguments))
+
+
+def _main(arguments: argparse.Namespace) -> int:
     # Imported late, so that a wrong command line is answered at once.
     from linemate.daemon.config import config
     from linemate.daemon.config.documents import FileError
