@@ -27,7 +27,6 @@ class Cell:
         trouble: Why it cannot be drawn, empty if it can.
         nominal: Nominal object in base as the task begins; its y axis lies along the conveyor.
         camera: Camera in the tcp, None if there is none.
-        rest: A1..A6 at rest [rad], empty if not known.
     """
 
     task: str = ""
@@ -36,7 +35,6 @@ class Cell:
     trouble: str = "the cell is not known yet"
     nominal: Pose = AT_ORIGIN
     camera: Pose | None = None
-    rest: tuple[float, ...] = ()
 
     def as_page(self) -> dict[str, Any]:
         """Return plain values for the page."""
@@ -66,7 +64,6 @@ def read_cell(texts: Mapping[str, Any]) -> Cell:
         name = str(task.get("name", ""))
         nominal = _pose(task["object"]["nominal"])
         camera = _pose(arm["camera_in_tcp"]) if "camera_in_tcp" in arm else None
-        rest = tuple(float(value) for value in arm.get("rest_joints", ()))
     except (yaml.YAMLError, ValueError, TypeError, KeyError, AttributeError) as error:
         return Cell(cycle_s=period_s, trouble=f"the task cannot be read: {_short(error)}")
     try:
@@ -78,8 +75,8 @@ def read_cell(texts: Mapping[str, Any]) -> Cell:
         )
     except (ChainError, ValueError, TypeError, KeyError) as error:
         trouble = f"the arm cannot be drawn: {_short(error)}"
-        return Cell(name, period_s, None, trouble, nominal, camera, rest)
-    return Cell(name, period_s, chain, "", nominal, camera, rest)
+        return Cell(name, period_s, None, trouble, nominal, camera)
+    return Cell(name, period_s, chain, "", nominal, camera)
 
 
 def _mapping(value: Any) -> dict[str, Any]:

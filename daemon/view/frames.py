@@ -22,7 +22,6 @@ MAX_MOMENTS: Final = 16  # to find the one at which a pose was measured
 MAX_GAP_NS: Final = 200_000_000  # between two moments that are interpolated
 COPIED: Final = ("k", "state", "phase", "task_time", "scenario", "speed", "contact", "held",
                  "overload", "ages_ms", "foreseen_ms", "cycle_ms", "samples")  # fmt: skip
-AXES: Final = 7
 
 
 class _Positions(NamedTuple):
@@ -104,7 +103,6 @@ class Framer:
         points, tcp = self.cell.chain.place(values)
         frame["arm"] = [[round(x, 4) for x in point] for point in points]
         frame["tcp"] = [round(x, 5) for x in tcp]
-        frame["axes"] = [round(value, 5) for value in values[:AXES]]
         return tcp[:3]
 
     def _errors(self, moment: Moment, tcp: Vector | None) -> dict[str, float]:

@@ -36,7 +36,6 @@ def test_the_scene_of_the_shipped_task_can_be_drawn() -> None:
     assert CELL.trouble == ""
     assert CELL.task == "wheel"
     assert CELL.as_page()["cycle_ms"] == 12.0
-    assert CELL.rest == REST
 
 
 @pytest.mark.parametrize(
