@@ -1,1 +1,1 @@
-"""What recordings tell of servos, tool, swing, camera and sensors: numbers with their doubt."""
+"""Identification: servo, tool, swing, camera and noise parameters from recordings."""

@@ -1,7 +1,8 @@
-"""How noisy the sensors are, and how fine: distance, camera, force and torque.
+"""Sensor noise: distance, camera, force and torque.
 
-Law of this file: pure; noise is what a smooth motion leaves over a short window, so that no model
-of the station enters. Outliers are counted apart, never averaged in.
+Invariants:
+- Noise is the residual of a smooth motion over a short window; no model of the station is used.
+- Outliers are counted apart and excluded from averages.
 """
 
 import math
@@ -12,24 +13,24 @@ import numpy as np
 from scipy.optimize import minimize
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.identification import scene as scenes
+from linemate.daemon.identification import scene_fit as scenes
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
-from linemate.daemon.identification.scene import Camera, Scene, Views
-from linemate.daemon.identification.tape import Tape
+from linemate.daemon.identification.scene_fit import Camera, SceneFit, Views
+from linemate.daemon.identification.trace import Trace
 
-DISTANCE_WINDOW = 0.3  # in which the conveyor moves along a parabola [s]
-WRENCH_WINDOW = 0.06  # in which the tool's ringing is a cubic [s]
+DISTANCE_WINDOW = 0.3  # the conveyor's motion within it is a parabola [s]
+WRENCH_WINDOW = 0.06  # the tool's oscillation within it is a cubic [s]
 LEAST = 100
 MOVING = 5.0  # steps of the resolution within a window
 GATE = 5.0
-DECIMALS = 7  # of a reading that are looked at [m]
-SLOPE_SHARE = 0.25  # deviation of a slope that is told, of its value
+DECIMALS = 7  # used digits of a reading [m]
+SLOPE_SHARE = 0.25  # largest deviation of an accepted slope, as a share of it
 SLOPE_LEAST = 3e-4  # and in any case [m/m]
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseResult:
-    """What is known of the sensors' noise.
+    """Outcomes about the sensors' noise.
 
     Attributes:
         distance: deviation of a reading, quantisation included [m].
@@ -57,14 +58,14 @@ class NoiseResult:
 
 
 def identify_noise(
-    tapes: Sequence[Tape], scene: Scene | None, seen: Sequence[Views], camera: Camera
+    traces: Sequence[Trace], scene: SceneFit | None, seen: Sequence[Views], camera: Camera
 ) -> NoiseResult:
     """Return the noise of every sensor."""
-    distance, resolution, wild = distance_noise([tape.distances for tape in tapes])
+    distance, resolution, wild = distance_noise([trace.distances for trace in traces])
     lateral, slope, depth, angle, angle_slope, honesty, wild_images = camera_noise(
         scene, seen, camera
     )
-    force, torque = wrench_noise(tapes)
+    force, torque = wrench_noise(traces)
     return NoiseResult(
         distance=distance,
         resolution=resolution,
@@ -94,23 +95,23 @@ def distance_noise(recordings: Sequence[Array]) -> tuple[Outcome, Outcome, Outco
     wild = [scenes.outliers(readings[:, 1]) for readings in long]
     total = sum(len(readings) for readings in long)
     step = _resolution(np.concatenate([readings[:, 1] for readings in long]))
-    told = _distance_deviation([r[~out] for r, out in zip(long, wild, strict=True)], step)
+    deviation = _distance_deviation([r[~out] for r, out in zip(long, wild, strict=True)], step)
     count = sum(int(out.sum()) for out in wild)
     outliers = Estimate(
         count / total, math.sqrt(max(count, 1)) / total, f"{count} of {total} readings"
     )
     if step is None:
         none = Refusal("no step shows in the readings: it lies below their noise")
-        return told, none, outliers
+        return deviation, none, outliers
     basis = f"all of {total} readings are multiples of it"
-    return told, Estimate(step, 1e-6, basis), outliers
+    return deviation, Estimate(step, 1e-6, basis), outliers
 
 
 def _distance_deviation(clean: Sequence[Array], step: float | None) -> Outcome:
     """Return the deviation of a reading, its resolution included.
 
-    Where the conveyor stands, a coarse reading repeats itself and hides its noise: what counts is
-    how it reads while the conveyor moves over several of its steps.
+    While the conveyor stands, a coarse reading repeats and hides its noise. So only windows count
+    in which the conveyor moves over several steps.
     """
     windows = [w for r in clean for w in _windows(r[:, 0], r[:, 1:], DISTANCE_WINDOW, 2)]
     moving = [e for e, way in windows if step is None or way > MOVING * step]
@@ -128,7 +129,7 @@ def _distance_deviation(clean: Sequence[Array], step: float | None) -> Outcome:
 
 
 def _resolution(values: Array) -> float | None:
-    """Return the step of which all differences of readings are multiples, None if none shows."""
+    """Return the step of which all differences of readings are multiples, None without one."""
     distinct = np.unique(np.round(values, DECIMALS))
     if len(distinct) < 5:
         return None
@@ -140,9 +141,9 @@ def _resolution(values: Array) -> float | None:
 
 
 def _windows(times: Array, values: Array, window: float, order: int) -> list[tuple[Array, float]]:
-    """Return what polynomials over short windows leave (m, d), and the way in each window.
+    """Return residuals (m, d) of polynomials over short windows, and the motion in each window.
 
-    The rest is scaled to a single reading's deviation, for the polynomial takes its share.
+    Residuals are scaled for the degrees of freedom of the polynomial.
     """
     found = []
     begin = 0
@@ -160,11 +161,15 @@ def _windows(times: Array, values: Array, window: float, order: int) -> list[tup
     return found
 
 
-def camera_noise(scene: Scene | None, seen: Sequence[Views], camera: Camera) -> tuple[Outcome, ...]:
+def camera_noise(
+    scene: SceneFit | None, seen: Sequence[Views], camera: Camera
+) -> tuple[Outcome, ...]:
     """Return lateral, slope, depth factor, angle, slope, honesty and outliers of the camera."""
     if scene is None:
         return (Refusal("too few images of the object in free space"),) * 7
-    errors = np.concatenate([scenes.left(scene, i, view, camera) for i, view in enumerate(seen)])
+    errors = np.concatenate(
+        [scenes.residuals(scene, i, view, camera) for i, view in enumerate(seen)]
+    )
     stated = np.concatenate([view.deviations for view in seen])
     ranges = np.concatenate([view.ranges for view in seen])
     weighed = np.abs(errors / stated)
@@ -184,7 +189,7 @@ def camera_noise(scene: Scene | None, seen: Sequence[Views], camera: Camera) -> 
 def _growing(e: Array, d: Array, basis: str, *, depth: bool) -> tuple[Outcome, ...]:
     """Return deviation at distance 0, its slope and, for positions, the factor along z.
 
-    The likelihood of errors that grow with the distance; its curvature tells the doubt.
+    The likelihood of errors that grow with the distance; its curvature gives the deviations.
     """
     centre = float(d.mean())
 
@@ -207,22 +212,25 @@ def _growing(e: Array, d: Array, basis: str, *, depth: bool) -> tuple[Outcome, .
     middle, slope = math.exp(theta[0]), float(theta[1])
     zero = middle - slope * centre
     row = np.array((middle, -centre, 0.0))[: len(theta)]
-    doubts = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
-    doubt_zero = float(np.sqrt(max(row @ covariance @ row, 0.0)))
-    told: tuple[Outcome, ...]
+    deviations = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
+    deviation_at_zero = float(np.sqrt(max(row @ covariance @ row, 0.0)))
+    outcomes: tuple[Outcome, ...]
     limit = max(SLOPE_SHARE * abs(slope), SLOPE_LEAST)
-    if doubts[1] > limit or zero <= 0.0:
+    if deviations[1] > limit or zero <= 0.0:
         refusal = Refusal(
             f"the images lie too close together ({basis}): {1e3 * middle:.2f} at {centre:.2f} m, "
-            f"growing by {1e3 * slope:.1f} +-{1e3 * doubts[1]:.1f} a metre [mm or mrad]"
+            f"growing by {1e3 * slope:.1f} +-{1e3 * deviations[1]:.1f} a metre [mm or mrad]"
         )
-        told = (refusal, refusal)
+        outcomes = (refusal, refusal)
     else:
-        told = (Estimate(zero, doubt_zero, basis), Estimate(slope, float(doubts[1]), basis))
+        outcomes = (
+            Estimate(zero, deviation_at_zero, basis),
+            Estimate(slope, float(deviations[1]), basis),
+        )
     if depth:
         factor = math.exp(theta[2])
-        told = (*told, Estimate(factor, factor * float(doubts[2]), basis))
-    return told
+        outcomes = (*outcomes, Estimate(factor, factor * float(deviations[2]), basis))
+    return outcomes
 
 
 def _curvature(cost: Callable[[Array], float], theta: Array) -> Array:
@@ -244,13 +252,13 @@ def _curvature(cost: Callable[[Array], float], theta: Array) -> Array:
     return H
 
 
-def wrench_noise(tapes: Sequence[Tape]) -> tuple[Outcome, Outcome]:
+def wrench_noise(traces: Sequence[Trace]) -> tuple[Outcome, Outcome]:
     """Return the deviation of a force and of a torque, in free space."""
     left: list[Array] = []
-    for tape in tapes:
-        times = tape.wrenches[:, 0]
-        free = ~tape.in_contact(times, 0.5)
-        windows = _windows(times[free], tape.wrenches[free, 1:], WRENCH_WINDOW, 3)
+    for trace in traces:
+        times = trace.wrenches[:, 0]
+        free = ~trace.in_contact(times, 0.5)
+        windows = _windows(times[free], trace.wrenches[free, 1:], WRENCH_WINDOW, 3)
         left += [e for e, _ in windows]
     e = np.concatenate(left) if left else np.zeros((0, 6))
     if len(e) < LEAST:

@@ -1,8 +1,7 @@
-"""The distance sensor's offset x10 of each recording: what it reads against where the camera sees.
+"""Offset x10 of the distance sensor in each recording, equation (10) of the paper.
 
-Law of this file: pure; it is the difference of the distance sensor's word and the object's place
-along the conveyor, as the paper's (10). One recording cannot tell the sensor's own error from a
-body that sits off its hanger; only over several bodies does a mean belong to the sensor.
+It is the difference between the distance reading and the object's position by the camera. One
+recording cannot separate the sensor's error from a body off its hanger; the mean of several can.
 """
 
 from collections.abc import Sequence
@@ -11,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
-from linemate.daemon.identification.scene import Scene, Views
+from linemate.daemon.identification.scene_fit import SceneFit, Views
 
 LEAST_BODIES = 5
 
@@ -30,7 +29,7 @@ class OffsetResult:
 
 
 def identify_offset(
-    scene: Scene | None,
+    scene: SceneFit | None,
     seen: Sequence[Views],
     bodies: Sequence[int],
     start_position: float,
@@ -40,17 +39,18 @@ def identify_offset(
 
     Args:
         seen: the images it rests on.
-        bodies: which recording, hence which body, each of them is of.
+        bodies: index of the recording, so of the body, of each.
         start_position: the reading at which the object is at its nominal place [m].
         origin: that place along the conveyor [m].
     """
     if scene is None:
-        refusal = Refusal("not observable: no camera sees the object beside the distance sensor")
+        refusal = Refusal("not observable: no camera sees the object")
         return OffsetResult((refusal,), refusal)
     values = [origin - start_position - float(rest.position[1]) for rest in scene.rests]
+    along = scene.rest_deviations[:, 1]
     recordings = tuple(
         Estimate(value, deviation, f"{len(view.times)} images")
-        for value, deviation, view in zip(values, scene.doubts[:, 1].tolist(), seen, strict=True)
+        for value, deviation, view in zip(values, along.tolist(), seen, strict=True)
     )
     means = [
         float(np.mean([v for v, b in zip(values, bodies, strict=True) if b == body]))

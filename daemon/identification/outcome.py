@@ -1,20 +1,16 @@
-"""What an identification says: a value with its deviation, or a refusal with its reason.
-
-Law of this file: frozen values only. A number without a deviation is not an estimate, and what a
-recording cannot tell is refused, never guessed.
-"""
+"""Outcomes of an identification: an estimate with its deviation, or a refusal with its reason."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A value as it was identified.
+    """An identified value.
 
     Attributes:
-        value: in SI units, or as the name of what it is says.
-        deviation: one sigma, in the same unit.
-        basis: what it rests on.
+        value: in SI units, unless its name has a unit.
+        deviation: standard deviation, in the same unit.
+        basis: number and kind of the data.
     """
 
     value: float
@@ -24,10 +20,10 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """What a recording does not tell.
+    """A value that a recording cannot give.
 
     Attributes:
-        reason: why, and what would.
+        reason: why not, and which recording can.
     """
 
     reason: str
@@ -37,18 +33,18 @@ Outcome = Estimate | Refusal
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
-    """One line of a report.
+class ReportLine:
+    """One line of the report.
 
     Attributes:
-        name: what it is, as a parameter's path where it is one.
-        unit: in which it is shown.
+        name: name of the value, or path of the parameter.
+        unit: unit of the shown value.
         scale: from SI to that unit.
-        told: it goes into the overlay.
+        in_overlay: the overlay has this value.
     """
 
     name: str
     unit: str
     scale: float
     outcome: Outcome
-    told: bool = False
+    in_overlay: bool = False

@@ -1,8 +1,9 @@
-"""The tool's elastic modes: what rings on after the robot has come to rest.
+"""Elastic modes of the tool, from its oscillation after the robot has come to rest.
 
-Law of this file: pure; only stretches in which the robot stands and nothing is touched, one mode
-along or about each axis of the tool. The frequency is the natural one, as the damping filter's
-model has it. Amplitudes and zeros of each stretch are linear and are projected out.
+Invariants:
+- Only stretches are used in which the robot stands and the tool has no contact.
+- There is one mode along or about each tool axis. Its frequency is the undamped one.
+- Amplitudes and offsets of each stretch are linear and are projected out.
 """
 
 import math
@@ -16,17 +17,17 @@ from scipy.optimize import least_squares
 from linemate.daemon.core.control.settings import EffectorMode
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
-from linemate.daemon.identification.tape import Tape, way
+from linemate.daemon.identification.trace import Trace, tcp_path
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 STILL = (0.002, 0.002)  # speed of the tcp below which the robot stands [m/s, rad/s]
 SHORTEST = 0.5  # of a stretch [s]
-LONGEST = 4.0  # behind it only noise is left [s]
+LONGEST = 4.0  # of a stretch; the rest of it is noise [s]
 AFTER_CONTACT = 0.5  # [s]
 SEARCH_HZ = (1.5, 20.0)
 DAMPING = (1e-4, 0.5)
-PERIODS = 3.0  # that a stretch must hold
-CLEAR = 12.0  # amplitude over its own deviation
+PERIODS = 3.0  # least periods in a stretch
+CLEAR = 12.0  # least amplitude, in its deviations
 FREQUENCY_SHARE = 0.02
 DAMPING_DEVIATION = 0.02
 
@@ -61,28 +62,28 @@ class ModeResult:
     noise: float | None
 
 
-def stretches(tape: Tape) -> list[Stretch]:
-    """Return where the robot stands in free space while the force-torque sensor reads."""
-    if len(tape.wrenches) < 10:
+def stretches(trace: Trace) -> list[Stretch]:
+    """Return the stretches in which the robot stands in free space."""
+    if len(trace.wrenches) < 10:
         return []
-    times = tape.wrenches[:, 0]
-    path = way(tape)
+    times = trace.wrenches[:, 0]
+    path = tcp_path(trace)
     rates = np.abs(path.rates(times))
     still = (rates[:, :3].max(axis=1) < STILL[0]) & (rates[:, 3:].max(axis=1) < STILL[1])
-    still &= path.known(times) & ~tape.in_contact(times, AFTER_CONTACT)
+    still &= path.known(times) & ~trace.in_contact(times, AFTER_CONTACT)
     edges = np.flatnonzero(np.diff(np.concatenate(((False,), still, (False,)))))
     found = []
     for begin, end in pairwise(edges):
         if not still[begin] or times[end - 1] - times[begin] < SHORTEST:
             continue
         rows = slice(begin, begin + int(np.searchsorted(times[begin:end] - times[begin], LONGEST)))
-        found.append(Stretch(times[rows] - times[begin], tape.wrenches[rows, 1:]))
+        found.append(Stretch(times[rows] - times[begin], trace.wrenches[rows, 1:]))
     return found
 
 
-def identify_modes(tapes: Sequence[Tape]) -> tuple[ModeResult, ...]:
+def identify_modes(traces: Sequence[Trace]) -> tuple[ModeResult, ...]:
     """Return the elastic mode of each of the tool's six axes."""
-    found = [stretch for tape in tapes for stretch in stretches(tape)]
+    found = [stretch for trace in traces for stretch in stretches(trace)]
     return tuple(_mode(axis, found) for axis in range(6))
 
 
@@ -127,7 +128,7 @@ class _Fitted:
 
 
 def _basis(t: Array, frequency_hz: float, damping: float) -> Array:
-    """Return what one stretch may be made of (n, 4): a mode's ringing, a zero, a drift."""
+    """Return the basis of a stretch (n, 4): oscillation of a mode, offset, drift."""
     w = 2.0 * math.pi * frequency_hz
     decay = np.exp(-damping * w * t)
     damped = w * math.sqrt(max(1.0 - damping * damping, 1e-6)) * t
@@ -136,7 +137,7 @@ def _basis(t: Array, frequency_hz: float, damping: float) -> Array:
 
 
 def _left(axis: int, found: list[Stretch], frequency_hz: float, damping: float) -> Array:
-    """Return what a mode leaves of all stretches (n,)."""
+    """Return the residuals of all stretches (n,)."""
     rest = []
     for stretch in found:
         A = _basis(stretch.times, frequency_hz, damping)
@@ -146,7 +147,7 @@ def _left(axis: int, found: list[Stretch], frequency_hz: float, damping: float) 
 
 
 def _search(axis: int, found: list[Stretch]) -> tuple[float, float]:
-    """Return a frequency and a damping near the best: the highest peak of all spectra together."""
+    """Return frequency and damping at the highest peak of the summed spectra."""
     longest = max(float(stretch.times[-1]) for stretch in found)
     grid = np.arange(SEARCH_HZ[0], SEARCH_HZ[1], 0.2 / longest)
     power = np.zeros(len(grid))
@@ -193,7 +194,7 @@ def _fit(axis: int, found: list[Stretch], start: tuple[float, float]) -> _Fitted
 def _clear(
     axis: int, found: list[Stretch], frequency_hz: float, damping: float, variance: float
 ) -> float:
-    """Return how often the ringing of all stretches together exceeds its own deviation."""
+    """Return the amplitude of the oscillation over all stretches, in its deviations."""
     with_mode = float(np.sum(_left(axis, found, frequency_hz, damping) ** 2))
     without = 0.0
     for stretch in found:

@@ -1,8 +1,9 @@
-"""The object's swings: frequency, damping, axis and levers, from images and the robot's poses.
+"""Swings of the object: frequency, damping, axis and levers, from images and robot poses.
 
-Law of this file: pure; swings are looked for in the spectrum of all components together, the
-strongest first, and each must be beyond chance. Then everything is fitted at once (``scene``). A
-setting knows a swing about one axis of the nominal frame: one that is oblique is refused.
+Invariants:
+- Peaks of the spectrum are tried strongest first. Each must be significant against chance.
+- ``scene_fit`` then fits everything at once.
+- A setting describes a swing about one axis of c. An oblique swing is refused.
 """
 
 import math
@@ -14,20 +15,20 @@ from scipy.stats import chi2 as chi2_law
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.settings import SwingMode
-from linemate.daemon.identification import scene as scenes
+from linemate.daemon.identification import scene_fit as scenes
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
-from linemate.daemon.identification.scene import Camera, Mode, Scene, Views
-from linemate.daemon.identification.tape import Mask
+from linemate.daemon.identification.scene_fit import Camera, Mode, SceneFit, Views
+from linemate.daemon.identification.trace import Mask
 
 SEARCH_HZ = (0.15, 3.0)
-MOST = 3
-CHANCE = 1e-4  # of a peak that is none
+MOST = 3  # modes
+CHANCE = 1e-4  # probability of a peak by chance
 LEAST_ANGLE = 2e-4  # [rad]
 PERIODS = 3.0
 OBLIQUE = math.radians(10.0)
 FREQUENCY_SHARE = 0.02
 DAMPING_DEVIATION = 0.01
-LEVER_DEVIATION = 0.05  # [m/rad], and the same share of the longest lever
+LEVER_DEVIATION = 0.05  # largest [m/rad], and as a share of the longest lever
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +39,7 @@ class SwingResult:
         mode: what goes into an overlay, None if refused.
         frequency_hz, damping, oblique: outcomes; the last one is the angle between the swing's
             axis and the nominal frame's [rad].
-        levers: three outcomes [m/rad].
+        levers: displacement for each radian, three outcomes [m/rad].
     """
 
     mode: SwingMode | None
@@ -48,17 +49,17 @@ class SwingResult:
     levers: tuple[Outcome, Outcome, Outcome]
 
 
-def look(seen: Sequence[Views], camera: Camera) -> Scene | None:
-    """Return the scene with every swing that the images tell, None without images."""
+def find_swings(seen: Sequence[Views], camera: Camera) -> SceneFit | None:
+    """Return the fitted scene with every significant swing, None without images."""
     if not seen:
         return None
-    scene = Scene(
+    scene = SceneFit(
         modes=(),
         rests=tuple(scenes.at_rest(view, camera) for view in seen),
         hand_eye=np.zeros(6),
         stamp_error=0.0,
         covariance=np.zeros((0, 0)),
-        doubts=np.zeros((0, 6)),
+        rest_deviations=np.zeros((0, 6)),
         chi2=1.0,
     )
     scene, kept = scenes.fit(scene, seen, camera)
@@ -71,8 +72,8 @@ def look(seen: Sequence[Views], camera: Camera) -> Scene | None:
 
 
 def _with_strongest(
-    scene: Scene, seen: Sequence[Views], camera: Camera, kept: tuple[Mask, ...]
-) -> Scene | None:
+    scene: SceneFit, seen: Sequence[Views], camera: Camera, kept: tuple[Mask, ...]
+) -> SceneFit | None:
     """Return the scene with one swing more, None if what is left is chance."""
     rows = [_components(scene, i, view, camera, kept[i]) for i, view in enumerate(seen)]
     longest = max(float(np.ptp(t)) for t, _, _ in rows)
@@ -107,10 +108,10 @@ Components = tuple[Array, Array, Array]
 """Times since the middle (m,), what is left (m, 6) in c, and its deviations (m, 6)."""
 
 
-def _components(scene: Scene, index: int, view: Views, camera: Camera, kept: Mask) -> Components:
+def _components(scene: SceneFit, index: int, view: Views, camera: Camera, kept: Mask) -> Components:
     """Return what the scene leaves of one recording, along and about the axes of c."""
-    e = scenes.left(scene, index, view, camera)[kept]
-    _, R = view.way.at(view.times[kept])
+    e = scenes.residuals(scene, index, view, camera)[kept]
+    _, R = view.tcp_path.at(view.times[kept])
     R = R @ camera[1]
     variances = view.deviations[kept] ** 2
     in_c = np.empty_like(e)
@@ -149,11 +150,11 @@ def _first_guess(frequency_hz: float, rows: Sequence[Components]) -> tuple[Mode,
     return mode, [part[3 + axis] for part in parts]
 
 
-def identify_swings(scene: Scene | None, seen: Sequence[Views]) -> tuple[SwingResult, ...]:
+def identify_swings(scene: SceneFit | None, seen: Sequence[Views]) -> tuple[SwingResult, ...]:
     """Return every swing of a fitted scene, or one refusal.
 
     Args:
-        scene: as ``look`` returns it.
+        scene: as ``find_swings`` returns it.
         seen: the images it rests on.
     """
     if scene is None:
@@ -169,7 +170,7 @@ def _refused(reason: str) -> SwingResult:
     return SwingResult(None, refusal, refusal, refusal, (refusal, refusal, refusal))
 
 
-def _judged(scene: Scene, m: int, seen: Sequence[Views]) -> SwingResult:
+def _judged(scene: SceneFit, m: int, seen: Sequence[Views]) -> SwingResult:
     mode = scene.modes[m]
     part = slice(7 * m, 7 * m + 7)
     deviations = np.sqrt(np.maximum(scene.covariance[part, part].diagonal(), 0.0))
@@ -197,14 +198,14 @@ def _judged(scene: Scene, m: int, seen: Sequence[Views]) -> SwingResult:
         reason = f"its levers are known only to +-{float(deviations[4:].max()):.2g} m/rad"
     elif deviations[1] > DAMPING_DEVIATION:
         reason = f"its damping is known only to +-{deviations[1]:.2g}"
-    told = None
+    model = None
     if reason is None:
-        told = SwingMode(mode.axis, mode.frequency_hz, damping, mode.levers)
+        model = SwingMode(mode.axis, mode.frequency_hz, damping, mode.levers)
     levers: tuple[Outcome, Outcome, Outcome] = (outcomes[0], outcomes[1], outcomes[2])
     if reason is not None:
         levers = (Refusal(reason), Refusal(reason), Refusal(reason))
     return SwingResult(
-        told,
+        model,
         Estimate(mode.frequency_hz, float(deviations[0]), basis),
         Estimate(damping, float(deviations[1]), basis),
         oblique,

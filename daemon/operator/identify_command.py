@@ -11,8 +11,8 @@ from linemate.daemon.command_line import NO, OK, NegativeError, UsageError, chec
 from linemate.daemon.operator import console, render
 
 if TYPE_CHECKING:
-    from linemate.daemon.identification.identify import Identified
-    from linemate.daemon.identification.outcome import Finding
+    from linemate.daemon.identification.outcome import ReportLine
+    from linemate.daemon.identification.pipeline import Identified
 
 DEFAULT_OUT = Path("identified.yaml")
 
@@ -36,7 +36,7 @@ def main(args: argparse.Namespace) -> int:
     # BLAS threads make a sum depend on the machine, and small problems slower.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    from linemate.daemon.identification.identify import IdentifyError
+    from linemate.daemon.identification.pipeline import IdentifyError
     from linemate.daemon.recording.format import UnreadableRecordingError
 
     try:
@@ -75,12 +75,12 @@ def from_files(files: Iterable[Path]) -> "Identified":
             console.complain(f"{path}: {recording.damage}")
         recordings.append((path.name, recording.texts, recording.steps))
     # Imported late: scipy takes longer than to refuse a file.
-    from linemate.daemon.identification.identify import Recorded, identify
+    from linemate.daemon.identification.pipeline import Recorded, identify
 
     return identify([Recorded(*recording) for recording in recordings])
 
 
-def table(findings: "Sequence[Finding]") -> str:
+def table(findings: "Sequence[ReportLine]") -> str:
     """Return findings as text, one a line; * marks those of the overlay."""
     from linemate.daemon.identification.outcome import Estimate
 
@@ -91,7 +91,7 @@ def table(findings: "Sequence[Finding]") -> str:
             value, deviation = shown(
                 outcome.value * finding.scale, outcome.deviation * finding.scale
             )
-            mark = "*" if finding.told else ""
+            mark = "*" if finding.in_overlay else ""
             rows.append((finding.name, value, deviation, finding.unit, mark, outcome.basis))
         else:
             rows.append((finding.name, "-", "", finding.unit, "", f"refused: {outcome.reason}"))
@@ -114,7 +114,7 @@ def as_plain(identified: "Identified") -> dict[str, Any]:
     return {
         "version": 1,
         "findings": [
-            {"name": f.name, "told": f.told, "value": f.outcome.value,
+            {"name": f.name, "told": f.in_overlay, "value": f.outcome.value,
              "deviation": f.outcome.deviation, "basis": f.outcome.basis}
             if isinstance(f.outcome, Estimate)
             else {"name": f.name, "told": False, "refused": f.outcome.reason}

@@ -21,7 +21,7 @@ from linemate.daemon.config.files import DAEMON_DATA
 from linemate.daemon.core.control.settings import ControlSettings, EffectorMode, ServoModel
 from linemate.daemon.core.tracking.settings import SwingMode, TrackingSettings
 from linemate.daemon.cycle.step_log import LogEntry
-from linemate.daemon.identification.identify import Identified
+from linemate.daemon.identification.pipeline import Identified
 from linemate.daemon.operator import identify_command
 from linemate.daemon.recording.step_codec import encode
 from linemate.daemon.recording.step_file import StepFile

@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from tapes import CAMERA, Array, Sight, ringing, seen, tape, without
+from traces import CAMERA, Array, Sight, ringing, seen, trace, without
 
 from linemate.daemon.core.tracking.settings import CameraNoise
-from linemate.daemon.identification import scene
+from linemate.daemon.identification import scene_fit
 from linemate.daemon.identification.noise import distance_noise, identify_noise, wrench_noise
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
-from linemate.daemon.identification.swing import look
+from linemate.daemon.identification.swing import find_swings
 from linemate.simulators.plants.scenario import Effector
 
 
@@ -59,8 +59,8 @@ def test_a_handful_of_readings_is_refused() -> None:
 
 def test_the_cameras_noise_grows_with_the_distance_as_it_was_made() -> None:
     one = seen(Sight(seconds=30.0, range_swing=0.25))
-    views = scene.views(one, CAMERA, CameraNoise())
-    found = identify_noise([one], look(views, CAMERA), views, CAMERA)
+    views = scene_fit.views(one, CAMERA, CameraNoise())
+    found = identify_noise([one], find_swings(views, CAMERA), views, CAMERA)
     for outcome, true in (
         (found.lateral, 0.25e-3),
         (found.lateral_slope, 1.2e-3),
@@ -76,16 +76,16 @@ def test_the_cameras_noise_grows_with_the_distance_as_it_was_made() -> None:
 def test_a_camera_that_states_no_covariance_is_measured_all_the_same() -> None:
     one = seen(Sight(seconds=30.0, range_swing=0.25, covariance=False))
     wrong = CameraNoise(lateral=0.001, lateral_slope=0.0, angle=0.002, angle_slope=0.0)
-    views = scene.views(one, CAMERA, wrong)
-    found = identify_noise([one], look(views, CAMERA), views, CAMERA)
+    views = scene_fit.views(one, CAMERA, wrong)
+    found = identify_noise([one], find_swings(views, CAMERA), views, CAMERA)
     assert told(found.lateral_slope).value == pytest.approx(1.2e-3, rel=0.4)
     assert told(found.angle_slope).value == pytest.approx(4e-3, rel=0.4)
 
 
 def test_images_from_one_distance_tell_no_slope() -> None:
     one = seen(Sight(seconds=8.0, range_swing=0.0, moving=0.0, turning=0.02))
-    views = scene.views(one, CAMERA, CameraNoise())
-    found = identify_noise([one], look(views, CAMERA), views, CAMERA)
+    views = scene_fit.views(one, CAMERA, CameraNoise())
+    found = identify_noise([one], find_swings(views, CAMERA), views, CAMERA)
     assert isinstance(found.lateral_slope, Refusal)
     assert "too close together" in found.lateral_slope.reason
 
@@ -102,6 +102,6 @@ def test_wrenches_in_contact_do_not_count() -> None:
 
 
 def test_nothing_recorded_is_refused_everywhere() -> None:
-    found = identify_noise([tape()], None, [], CAMERA)
+    found = identify_noise([trace()], None, [], CAMERA)
     for outcome in (found.distance, found.lateral, found.force):
         assert isinstance(outcome, Refusal)

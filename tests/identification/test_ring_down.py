@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tapes import ringing, tape, without
+from traces import ringing, trace, without
 
 from linemate.daemon.identification.outcome import Estimate, Refusal
 from linemate.daemon.identification.ring_down import identify_modes, stretches
@@ -55,4 +55,4 @@ def test_what_is_clamped_does_not_ring() -> None:
 
 
 def test_a_recording_without_a_sensor_is_refused() -> None:
-    assert isinstance(identify_modes([tape()])[0].frequency_hz, Refusal)
+    assert isinstance(identify_modes([trace()])[0].frequency_hz, Refusal)

@@ -8,8 +8,8 @@ import yaml
 
 from linemate.daemon.config import task_file
 from linemate.daemon.config.files import DAEMON_DATA
-from linemate.daemon.identification.identify import Identified
 from linemate.daemon.identification.outcome import Estimate, Refusal
+from linemate.daemon.identification.pipeline import Identified
 from linemate.daemon.operator import identify_command
 from linemate.simulators.harness import identified_overlay as overlay
 from linemate.simulators.harness import setup

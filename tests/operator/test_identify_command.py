@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 from linemate.daemon.config.files import DAEMON_DATA
-from linemate.daemon.identification.identify import Identified
-from linemate.daemon.identification.outcome import Estimate, Finding, Refusal
+from linemate.daemon.identification.outcome import Estimate, Refusal, ReportLine
+from linemate.daemon.identification.pipeline import Identified
 from linemate.daemon.operator import identify_command
 from linemate.daemon.operator import main as tool
 from linemate.daemon.recording import reader
@@ -90,9 +90,11 @@ def test_a_file_that_breaks_off_is_read_as_far_as_it_goes(tmp_path: Path) -> Non
 
 FOUND = Identified(
     findings=(
-        Finding("servo A1 frequency", "Hz", 1.0, Estimate(4.0123, 0.004, "700 answers"), told=True),
-        Finding("servo A2 frequency", "Hz", 1.0, Refusal("the axis hardly moved")),
-        Finding("dead time", "ms", 1e3, Estimate(0.036, 0.0001, "them"), told=True),
+        ReportLine(
+            "servo A1 frequency", "Hz", 1.0, Estimate(4.0123, 0.004, "700 answers"), in_overlay=True
+        ),
+        ReportLine("servo A2 frequency", "Hz", 1.0, Refusal("the axis hardly moved")),
+        ReportLine("dead time", "ms", 1e3, Estimate(0.036, 0.0001, "them"), in_overlay=True),
     ),
     overlay={"control": {"servos": [{"frequency_hz": 4.0123, "damping": 0.75}]}},
     kept=("control.servos.1",),

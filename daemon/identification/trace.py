@@ -1,13 +1,12 @@
-"""A recording as arrays: what was commanded, answered, seen and felt, each at its own time.
+"""Trace of a recorded run: commands, answers and sensor readings as arrays with their times.
 
-Law of this file: pure; steps in, arrays out, nothing judged. Times are seconds since the first
-step; poses stand in the nominal frame c of the task, whose y axis lies along the conveyor. A
-setpoint that did not reach the wire is replaced by the one the controller held.
+Invariants:
+- Times are seconds since the first step. Poses are in c, whose y axis lies along the conveyor.
+- A setpoint that did not reach the controller is replaced by the one that it held.
 """
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,45 +18,37 @@ from linemate.daemon.core.inputs import Inputs
 
 Mask = NDArray[np.bool_]
 
+# From joints (axes,) to position (3,) and rotation (3, 3) of the undeflected tcp in base.
 Kinematics = Callable[[Array], tuple[Array, Array]]
-"""From joints (axes,) to position (3,) and rotation (3, 3) of the undeflected tcp in base."""
 
-STRAINED = 1.0  # after limited setpoints, in which answers are left out [s]
-AROUND = 0.05  # over which a speed is told, to either side [s]
-LONGEST_GAP = 2.5  # cycles between two of the robot's poses, to interpolate between them
+LIMITED_S = 1.0  # answers after a limited setpoint that are left out [s]
+RATE_S = 0.05  # from a time to either end of the span of its rate [s]
+LONGEST_GAP = 2.5  # cycles between two robot poses that are interpolated
 
 
-class Step(Protocol):
-    """One recorded step."""
+@dataclass(frozen=True, slots=True)
+class TraceStep:
+    """What a trace needs of a recorded step.
 
-    @property
-    def ipoc(self) -> int | None:
-        """Of the telegram it answered."""
+    Attributes:
+        ipoc: counter of the answered telegram, None without one.
+        command: setpoints (axes,) [rad, m].
+        contact: the tool is clamped to the object.
+        limited: the command limiter or the brake changed the setpoints.
+    """
 
-    @property
-    def inputs(self) -> Inputs:
-        """What entered it."""
-
-    @property
-    def command(self) -> tuple[float, ...]:
-        """Setpoints it gave."""
-
-    @property
-    def contact(self) -> bool:
-        """The tool was clamped."""
-
-    @property
-    def limited(self) -> bool:
-        """Its setpoints were at the limits of the last gate, or the brake's."""
+    ipoc: int | None
+    inputs: Inputs
+    command: tuple[float, ...]
+    contact: bool
+    limited: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Images:
-    """What the camera saw.
+    """Poses from the camera; ``exposures`` and ``arrivals`` are times (m,) [s].
 
     Attributes:
-        exposures: (m,) [s].
-        arrivals: (m,) [s].
         positions: (m, 3) object in the camera [m].
         rotations: (m, 3, 3) object in the camera.
         deviations: (m, 6) as the camera states them, NaN where it does not.
@@ -71,11 +62,10 @@ class Images:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tape:
+class Trace:
     """One recording.
 
     Attributes:
-        cycle_s: T0 [s].
         commands: (n, axes) setpoint in force from each step on [rad, m].
         answers: (n, axes) measured at each step's telegram, NaN without one, and NaN for a while
             after setpoints at their limits: no servo follows those linearly [rad, m].
@@ -104,15 +94,15 @@ class Tape:
         return inside
 
 
-def make_tape(steps: Iterable[Step], kinematics: Kinematics, nominal: Array) -> Tape:
-    """Return a recording's arrays.
+def build_trace(steps: Iterable[TraceStep], kinematics: Kinematics, nominal: Array) -> Trace:
+    """Return the trace of recorded steps.
 
     Args:
         kinematics: of the arm with its tool.
         nominal: (3, 3) C, the nominal object's axes in base.
 
     Raises:
-        ValueError: the steps are too few, or tell of no robot.
+        ValueError: the steps are too few, or without telegrams of a robot.
     """
     rows = list(steps)
     if len(rows) < 20:
@@ -124,16 +114,16 @@ def make_tape(steps: Iterable[Step], kinematics: Kinematics, nominal: Array) -> 
     axes = len(rows[0].command)
     joints = np.array([(*robot.joints, *robot.external)[:axes] for robot in robots])
     if joints.shape[1] != axes:
-        raise ValueError(f"the robot told {joints.shape[1]} axes, {axes} were commanded")
+        raise ValueError(f"the robot sent {joints.shape[1]} axes, {axes} were commanded")
     row_of = {step.ipoc: i for i, step in enumerate(rows) if step.ipoc is not None}
     answers = np.full((len(rows), axes), np.nan)
     for robot, measured in zip(robots, joints, strict=True):
         if robot.ipoc in row_of:
             answers[row_of[robot.ipoc]] = measured
     cycle_s = _cycle(rows)
-    answers[_strained(rows, round(STRAINED / cycle_s))] = np.nan
+    answers[_after_limited(rows, round(LIMITED_S / cycle_s))] = np.nan
     times = _seconds([robot.stamp_ns for robot in robots], epoch)
-    return Tape(
+    return Trace(
         cycle_s=cycle_s,
         commands=_in_force(rows, joints[0]),
         answers=answers,
@@ -146,27 +136,27 @@ def make_tape(steps: Iterable[Step], kinematics: Kinematics, nominal: Array) -> 
     )
 
 
-def _cycle(rows: list[Step]) -> float:
+def _cycle(rows: list[TraceStep]) -> float:
     """Return T0 [s]: missed steps count too."""
     first, last = rows[0].inputs, rows[-1].inputs
     return (last.stamp_ns - first.stamp_ns) * 1e-9 / (last.k - first.k)
 
 
-def _strained(rows: list[Step], steps: int) -> Mask:
-    """Return which steps (n,) come within ``steps`` after one whose setpoints were limited."""
-    strained, left = np.zeros(len(rows), dtype=bool), 0
+def _after_limited(rows: list[TraceStep], steps: int) -> Mask:
+    """Return which steps (n,) come within ``steps`` of a step with limited setpoints."""
+    excluded, left = np.zeros(len(rows), dtype=bool), 0
     for i, step in enumerate(rows):
         left = steps if step.limited else max(left - 1, 0)
-        strained[i] = left > 0
-    return strained
+        excluded[i] = left > 0
+    return excluded
 
 
 def _seconds(stamps_ns: list[int], epoch_ns: int) -> Array:
     return np.array([stamp - epoch_ns for stamp in stamps_ns], dtype=float) * 1e-9
 
 
-def _in_force(rows: list[Step], at_first: Array) -> Array:
-    """Return the setpoints (n, axes) that the controller had; it holds where none came."""
+def _in_force(rows: list[TraceStep], at_first: Array) -> Array:
+    """Return the setpoints (n, axes) that the controller had; it holds them if none comes."""
     held = tuple(at_first.tolist())
     commands = []
     for step in rows:
@@ -177,7 +167,7 @@ def _in_force(rows: list[Step], at_first: Array) -> Array:
 
 
 def _poses(joints: Array, kinematics: Kinematics, nominal: Array) -> Array:
-    """Return the tcp (m, 6) in c; its rotation vector never jumps by a turn."""
+    """Return the tcp (m, 6) in c; its rotation vector is continuous."""
     poses = np.empty((len(joints), 6))
     for row, q in zip(poses, joints, strict=True):
         position, rotation = kinematics(q)
@@ -186,14 +176,14 @@ def _poses(joints: Array, kinematics: Kinematics, nominal: Array) -> Array:
     return poses
 
 
-def _distances(rows: list[Step], epoch: int) -> Array:
+def _distances(rows: list[TraceStep], epoch: int) -> Array:
     samples = [sample for step in rows for sample in step.inputs.distance]
     stamps = _seconds([sample.stamp_ns for sample in samples], epoch)
     readings = np.array([sample.position for sample in samples], dtype=float)
     return np.column_stack((stamps, readings)).reshape(-1, 2)
 
 
-def _images(rows: list[Step], epoch: int) -> Images:
+def _images(rows: list[TraceStep], epoch: int) -> Images:
     samples = [sample for step in rows for sample in step.inputs.camera]
     deviations = np.full((len(samples), 6), np.nan)
     for row, sample in zip(deviations, samples, strict=True):
@@ -211,14 +201,14 @@ def _images(rows: list[Step], epoch: int) -> Images:
     )
 
 
-def _wrenches(rows: list[Step], epoch: int) -> Array:
+def _wrenches(rows: list[TraceStep], epoch: int) -> Array:
     samples = [sample for step in rows for sample in step.inputs.wrench]
     stamps = _seconds([sample.stamp_ns for sample in samples], epoch)
     wrenches = np.array([(*sample.force, *sample.torque) for sample in samples], dtype=float)
     return np.column_stack((stamps, wrenches.reshape(-1, 6))).reshape(-1, 7)
 
 
-def _contacts(rows: list[Step], epoch: int) -> Array:
+def _contacts(rows: list[TraceStep], epoch: int) -> Array:
     found: list[tuple[float, float]] = []
     begin: float | None = None
     for step in rows:
@@ -234,13 +224,13 @@ def _contacts(rows: list[Step], epoch: int) -> Array:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Way:
-    """Where the undeflected tcp was, at any time.
+class TcpPath:
+    """Path of the undeflected tcp, at any time.
 
     Attributes:
         spline: of position and rotation vector.
-        times: (m,) of the telegrams it was made of [s].
-        gap: longest stretch without one that is bridged [s].
+        times: (m,) times of its telegrams [s].
+        gap: longest interpolated gap between two telegrams [s].
     """
 
     spline: CubicSpline
@@ -248,7 +238,7 @@ class Way:
     gap: float
 
     def known(self, times: Array) -> Mask:
-        """Return for each time (m,) whether telegrams lie close enough around it."""
+        """Return for each time (m,) whether it lies in no gap between telegrams."""
         after = np.clip(np.searchsorted(self.times, times), 1, len(self.times) - 1)
         inside = (times >= self.times[0]) & (times <= self.times[-1])
         close = self.times[after] - self.times[after - 1] <= self.gap
@@ -263,17 +253,17 @@ class Way:
     def rates(self, times: Array) -> Array:
         """Return the speeds (m, 6) of position and rotation vector at times (m,).
 
-        Over a stretch, for the derivative of a noisy encoder is mostly noise.
+        Differences over a span: the derivative of a noisy encoder is mostly noise.
         """
-        before = np.maximum(times - AROUND, self.times[0])
-        after = np.minimum(times + AROUND, self.times[-1])
+        before = np.maximum(times - RATE_S, self.times[0])
+        after = np.minimum(times + RATE_S, self.times[-1])
         span = np.maximum(after - before, 1e-9)[:, None]
         rates: Array = (self.spline(after) - self.spline(before)) / span
         return rates
 
 
-def way(tape: Tape) -> Way:
-    """Return the robot's way through a recording."""
-    keep = np.concatenate(((True,), np.diff(tape.robot_times) > 0.0))
-    times = tape.robot_times[keep]
-    return Way(CubicSpline(times, tape.tcp[keep]), times, LONGEST_GAP * tape.cycle_s)
+def tcp_path(trace: Trace) -> TcpPath:
+    """Return the path of the tcp through a trace."""
+    keep = np.concatenate(((True,), np.diff(trace.robot_times) > 0.0))
+    times = trace.robot_times[keep]
+    return TcpPath(CubicSpline(times, trace.tcp[keep]), times, LONGEST_GAP * trace.cycle_s)

@@ -1,9 +1,11 @@
-"""The object as the camera saw it: rest, swing, hand-eye offset and stamp error in one fit.
+"""Scene fit: rest pose, swings, hand-eye offset and stamp error from all images at once.
 
-Law of this file: pure; one weighted least squares over all images of all recordings. What belongs
-to a recording (pose at rest, amplitude and phase of each swing) is fitted beside what belongs to
-the cell (frequency, damping, axis and levers of each swing, hand-eye offset, stamp error). Weak
-priors on the latter two keep the fit regular; what they alone hold is not observable. Poses in c.
+One weighted least-squares fit over all recordings. Poses are in c.
+
+Invariants:
+- Pose at rest, amplitude and phase belong to a recording. Frequency, damping, axis and levers of a
+  swing, the hand-eye offset and the stamp error belong to the cell.
+- Weak priors keep the fit regular. What they alone determine is not observable.
 """
 
 import math
@@ -16,30 +18,30 @@ from numpy.typing import NDArray
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.settings import CameraNoise
-from linemate.daemon.identification.tape import Images, Mask, Tape, Way, way
+from linemate.daemon.identification.trace import Images, Mask, TcpPath, Trace, tcp_path
 
+# Prior deviations of hand-eye position [m], hand-eye rotation [rad] and stamp error [s].
 PRIORS = np.array((0.05, 0.05, 0.05, 0.1, 0.1, 0.1, 0.05))
-"""Deviations of hand-eye position [m], hand-eye rotation [rad] and stamp error [s]."""
 
-WINDOW = 0.15  # of the distance sensor's readings around an exposure, either side [s]
-JUMP = 0.015  # reading that departs so far from its neighbours' median is an outlier [m]
+WINDOW = 0.15  # of distance readings to either side of an exposure [s]
+JUMP = 0.015  # distance of an outlier from the median of its neighbours [m]
 LEAST_READINGS = 6
 GATE = 5.0
-CONTACT_MARGIN = 0.1  # around a contact, in which images are not placed [s]
+CONTACT_MARGIN = 0.1  # around a contact, without images [s]
 ITERATIONS = 15
-SETTLED = 1e-7  # share of the cost that a further step must gain
+SETTLED = 1e-7  # least gain of a further step, as a share of the cost
 LEAST_IMAGES = 40
-ALONG = 0.0003  # deviation of the conveyor's position as the distance sensor tells it [m]
+ALONG = 0.0003  # deviation of the conveyor's position by the distance sensor [m]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Views:
-    """The images of one stretch of a recording that can be placed.
+    """Images of one stretch of a recording, with the poses of the tcp.
 
     Attributes:
         times: (m,) exposures since the recording's begin [s].
         positions, rotations: (m, 3), (m, 3, 3) object in the camera.
-        along, speed: (m,) the conveyor's position and speed, as the distance sensor tells [m, m/s].
+        along, speed: (m,) position and speed of the conveyor by the distance sensor [m, m/s].
         deviations: (m, 6) of position and rotation in the camera [m, rad].
         middle: time to which phases refer [s].
         ranges: (m,) distance from tcp to object [m].
@@ -50,7 +52,7 @@ class Views:
     rotations: Array
     along: Array
     speed: Array
-    way: Way
+    tcp_path: TcpPath
     deviations: Array
     middle: float
     ranges: Array
@@ -90,7 +92,7 @@ class Rest:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
+class SceneFit:
     """Everything that is fitted.
 
     Attributes:
@@ -99,7 +101,7 @@ class Scene:
         stamp_error: what must be added to the exposures' stamps [s].
         covariance: of the shared parameters: for each mode frequency, damping, two directions,
             three levers; then hand-eye and stamp error. Empty before a fit.
-        doubts: (recordings, 6) deviations of position and rotation at rest [m, rad].
+        rest_deviations: (recordings, 6) deviations of position and rotation at rest [m, rad].
         chi2: of an average residual, 1 where the stated deviations are honest.
     """
 
@@ -108,35 +110,35 @@ class Scene:
     hand_eye: Array
     stamp_error: float
     covariance: Array
-    doubts: Array
+    rest_deviations: Array
     chi2: float
 
 
+# Configured position (3,) and rotation (3, 3) of the camera in the tcp.
 Camera = tuple[Array, Array]
-"""Position (3,) and rotation (3, 3) of the camera in the tcp, as configured."""
 
 
 def views(
-    tape: Tape, camera: Camera, noise: CameraNoise, distance_delay: float = 0.0
+    trace: Trace, camera: Camera, noise: CameraNoise, distance_delay: float = 0.0
 ) -> list[Views]:
-    """Return the images of a recording that can be placed, a stretch of free space at a time.
+    """Return the images of a trace with known poses, one view for each stretch of free space.
 
-    What is done in contact may leave the object turned (fixed screws do): before and after are
-    two scenes. A stretch of too few images is left out.
+    Contact may rotate the object (fixed screws do), so before and after are two scenes. A stretch
+    of too few images is left out.
 
     Args:
-        noise: of the camera, where it states none.
-        distance_delay: of the distance sensor, from measuring to arrival [s].
+        noise: noise of a camera that states none.
+        distance_delay: from measuring to arrival of a distance [s].
     """
-    images = tape.images
-    path = way(tape)
-    along, speed, told = conveyor(
-        tape.distances - np.array((distance_delay, 0.0)), images.exposures
+    images = trace.images
+    path = tcp_path(trace)
+    along, speed, is_known = conveyor(
+        trace.distances - np.array((distance_delay, 0.0)), images.exposures
     )
-    known = path.known(images.exposures) & told
-    known &= ~tape.in_contact(images.exposures, CONTACT_MARGIN)
-    contacts = np.searchsorted(tape.contact[:, 0], images.exposures)
-    stretches = [np.flatnonzero(known & (contacts == i)) for i in range(len(tape.contact) + 1)]
+    known = path.known(images.exposures) & is_known
+    known &= ~trace.in_contact(images.exposures, CONTACT_MARGIN)
+    contacts = np.searchsorted(trace.contact[:, 0], images.exposures)
+    stretches = [np.flatnonzero(known & (contacts == i)) for i in range(len(trace.contact) + 1)]
     return [
         _view(images, rows, path, (along[rows], speed[rows]), camera, noise)
         for rows in stretches
@@ -147,7 +149,7 @@ def views(
 def _view(
     images: Images,
     rows: NDArray[np.intp],
-    path: Way,
+    path: TcpPath,
     conveyed: tuple[Array, Array],
     camera: Camera,
     noise: CameraNoise,
@@ -167,7 +169,7 @@ def _view(
         rotations=images.rotations[rows],
         along=conveyed[0],
         speed=conveyed[1],
-        way=path,
+        tcp_path=path,
         deviations=np.where(np.isfinite(stated) & (stated > 0.0), stated, modelled),
         middle=float(times.mean()),
         ranges=ranges,
@@ -175,9 +177,9 @@ def _view(
 
 
 def conveyor(distances: Array, times: Array) -> tuple[Array, Array, Mask]:
-    """Return the conveyor's position, speed and whether they are known, at times (m,).
+    """Return the conveyor's position and speed, and whether they are known, at times (m,).
 
-    A straight line is too stiff where the conveyor brakes: a local parabola.
+    A local parabola: a straight line has a bias while the conveyor brakes.
     """
     position, speed = np.zeros(len(times)), np.zeros(len(times))
     known = np.zeros(len(times), dtype=bool)
@@ -206,7 +208,7 @@ def outliers(readings: Array, reach: int = 3, jump: float = JUMP) -> Mask:
 
 def placed(view: Views, camera: Camera) -> tuple[Array, Array]:
     """Return the object's positions (m, 3), the conveyor taken out, and rotations (m, 3, 3)."""
-    p, R = view.way.at(view.times)
+    p, R = view.tcp_path.at(view.times)
     positions = p + np.einsum("nij,nj->ni", R, camera[0] + view.positions @ camera[1].T)
     positions[:, 1] -= view.along
     return positions, R @ camera[1] @ view.rotations
@@ -228,11 +230,11 @@ def swing(mode: Mode, amplitude: Array, t: Array) -> Array:
     return angle
 
 
-def left(scene: Scene, index: int, view: Views, camera: Camera) -> Array:
-    """Return what the scene leaves of one recording's images (m, 6), in the camera [m, rad]."""
+def residuals(scene: SceneFit, index: int, view: Views, camera: Camera) -> Array:
+    """Return the residuals of one recording's images (m, 6), in the camera [m, rad]."""
     rest = scene.rests[index]
     t = view.times + scene.stamp_error
-    p, R = view.way.at(t)
+    p, R = view.tcp_path.at(t)
     camera_R = R @ (camera[1] @ rotations.exp(scene.hand_eye[3:]))
     camera_p = p + R @ (camera[0] + scene.hand_eye[:3])
     place = np.tile(rest.position, (len(t), 1))
@@ -253,9 +255,9 @@ def left(scene: Scene, index: int, view: Views, camera: Camera) -> Array:
 
 
 def fit(
-    scene: Scene, seen: Sequence[Views], camera: Camera, *, shared: bool = True
-) -> tuple[Scene, tuple[Mask, ...]]:
-    """Return the best scene near a guess, and which images (m,) of each recording took part.
+    scene: SceneFit, seen: Sequence[Views], camera: Camera, *, shared: bool = True
+) -> tuple[SceneFit, tuple[Mask, ...]]:
+    """Return the best scene near a guess, and which images (m,) of each recording were used.
 
     Args:
         shared: fit hand-eye offset and stamp error too.
@@ -267,16 +269,18 @@ def fit(
             break
         scale = math.sqrt(_chi2(scene, seen, camera, kept))
         for i, view in enumerate(seen):
-            weighed = left(scene, i, view, camera) / _spread(view)
+            weighed = residuals(scene, i, view, camera) / _spread(view)
             kept[i] = np.abs(weighed).max(axis=1) < GATE * max(scale, 0.2)
     A, _ = _normal(scene, seen, camera, kept, shared)
     chi2 = _chi2(scene, seen, camera, kept)
     covariance = np.linalg.pinv(A, hermitian=True) * max(chi2, 1e-12)
     first = _size(scene) - _shared_size(scene)
     deviations = np.sqrt(np.maximum(covariance.diagonal()[:first], 0.0))
-    doubts = deviations.reshape(len(scene.rests), -1)[:, :6]
+    rest_deviations = deviations.reshape(len(scene.rests), -1)[:, :6]
     shared_part = covariance[first:, first:]
-    return replace(scene, covariance=shared_part, doubts=doubts, chi2=chi2), tuple(kept)
+    return replace(
+        scene, covariance=shared_part, rest_deviations=rest_deviations, chi2=chi2
+    ), tuple(kept)
 
 
 def _spread(view: Views) -> Array:
@@ -290,16 +294,16 @@ def _robust_chi2(values: Array) -> float:
     return float((1.4826 * np.median(np.abs(values))) ** 2)
 
 
-def _chi2(scene: Scene, seen: Sequence[Views], camera: Camera, kept: list[Mask]) -> float:
+def _chi2(scene: SceneFit, seen: Sequence[Views], camera: Camera, kept: list[Mask]) -> float:
     weighed = [
-        (left(scene, i, view, camera) / _spread(view))[kept[i]] for i, view in enumerate(seen)
+        (residuals(scene, i, view, camera) / _spread(view))[kept[i]] for i, view in enumerate(seen)
     ]
     return max(_robust_chi2(np.concatenate(weighed)), 1e-12)
 
 
 def _descend(
-    scene: Scene, seen: Sequence[Views], camera: Camera, kept: list[Mask], shared: bool
-) -> Scene:
+    scene: SceneFit, seen: Sequence[Views], camera: Camera, kept: list[Mask], shared: bool
+) -> SceneFit:
     """Return the scene after Gauss-Newton steps, halved where they overshoot."""
     cost = _cost(scene, seen, camera, kept)
     for _ in range(ITERATIONS):
@@ -320,24 +324,24 @@ def _descend(
     return scene
 
 
-def _cost(scene: Scene, seen: Sequence[Views], camera: Camera, kept: list[Mask]) -> float:
+def _cost(scene: SceneFit, seen: Sequence[Views], camera: Camera, kept: list[Mask]) -> float:
     prior = np.append(scene.hand_eye, scene.stamp_error) / PRIORS
     total = float(prior @ prior)
     for i, view in enumerate(seen):
-        weighed = (left(scene, i, view, camera) / _spread(view))[kept[i]]
+        weighed = (residuals(scene, i, view, camera) / _spread(view))[kept[i]]
         total += float(np.sum(weighed * weighed))
     return total
 
 
-def _shared_size(scene: Scene) -> int:
+def _shared_size(scene: SceneFit) -> int:
     return 7 * len(scene.modes) + 7
 
 
-def _size(scene: Scene) -> int:
+def _size(scene: SceneFit) -> int:
     return len(scene.rests) * (6 + 2 * len(scene.modes)) + _shared_size(scene)
 
 
-def _steps(scene: Scene) -> Array:
+def _steps(scene: SceneFit) -> Array:
     """Return the steps of the numeric derivatives."""
     own = np.tile((1e-5,) * 6 + (1e-6,) * 2 * len(scene.modes), len(scene.rests))
     mode = (1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4)
@@ -345,7 +349,7 @@ def _steps(scene: Scene) -> Array:
 
 
 def _normal(
-    scene: Scene,
+    scene: SceneFit,
     seen: Sequence[Views],
     camera: Camera,
     kept: list[Mask],
@@ -358,12 +362,12 @@ def _normal(
     for i, view in enumerate(seen):
         spread = _spread(view)
         columns = [*range(i * own, (i + 1) * own), *range(common, size)]
-        e = (left(scene, i, view, camera) / spread)[kept[i]].ravel()
+        e = (residuals(scene, i, view, camera) / spread)[kept[i]].ravel()
         jacobian = np.empty((len(e), len(columns)))
         for j, column in enumerate(columns):
             shift = np.zeros(size)
             shift[column] = steps[column]
-            moved = (left(_moved(scene, shift), i, view, camera) / spread)[kept[i]].ravel()
+            moved = (residuals(_moved(scene, shift), i, view, camera) / spread)[kept[i]].ravel()
             jacobian[:, j] = (moved - e) / steps[column]
         A[np.ix_(columns, columns)] += jacobian.T @ jacobian
         g[columns] += jacobian.T @ e
@@ -377,7 +381,7 @@ def _normal(
     return A, g
 
 
-def _moved(scene: Scene, step: Array) -> Scene:
+def _moved(scene: SceneFit, step: Array) -> SceneFit:
     """Return the scene a step away; a rotation moves by a turn about the axes of c."""
     own = 6 + 2 * len(scene.modes)
     rests = []

@@ -8,7 +8,7 @@ import pytest
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.inputs import Inputs
-from linemate.daemon.identification.tape import make_tape, way
+from linemate.daemon.identification.trace import build_trace, tcp_path
 from linemate.protocol.samples import CameraSample, DistanceSample, RobotSample, WrenchSample
 
 T0_NS = 12_000_000
@@ -62,34 +62,34 @@ def steps(n: int = 60, silent: tuple[int, ...] = (), touching: range = range(0))
 
 
 def test_answers_stand_beside_the_commands_of_their_own_telegram() -> None:
-    tape = make_tape(steps(), kinematics, NOMINAL)
-    assert tape.cycle_s == pytest.approx(0.012)
-    assert tape.commands[:, 0] == pytest.approx(0.02 * np.arange(60))
-    assert tape.answers[:59, 0] == pytest.approx(0.01 * np.arange(59))
-    assert tape.answers[:59, 6] == pytest.approx(0.005 * np.arange(59))
-    assert np.isnan(tape.answers[59]).all()
+    trace = build_trace(steps(), kinematics, NOMINAL)
+    assert trace.cycle_s == pytest.approx(0.012)
+    assert trace.commands[:, 0] == pytest.approx(0.02 * np.arange(60))
+    assert trace.answers[:59, 0] == pytest.approx(0.01 * np.arange(59))
+    assert trace.answers[:59, 6] == pytest.approx(0.005 * np.arange(59))
+    assert np.isnan(trace.answers[59]).all()
 
 
 def test_where_no_command_was_sent_the_controller_held() -> None:
-    tape = make_tape(steps(silent=(20, 21)), kinematics, NOMINAL)
-    assert tape.commands[19:23, 0] == pytest.approx([0.38, 0.38, 0.38, 0.44])
-    assert np.isnan(tape.answers[20:22]).all()
-    assert np.isfinite(tape.answers[22]).all()
+    trace = build_trace(steps(silent=(20, 21)), kinematics, NOMINAL)
+    assert trace.commands[19:23, 0] == pytest.approx([0.38, 0.38, 0.38, 0.44])
+    assert np.isnan(trace.answers[20:22]).all()
+    assert np.isfinite(trace.answers[22]).all()
 
 
 def test_samples_keep_their_own_times() -> None:
-    tape = make_tape(steps(), kinematics, NOMINAL)
-    assert tape.distances[1] == pytest.approx([0.012 - 1e-9, 0.1])
-    assert tape.images.exposures[10] == pytest.approx(0.12 - 0.1)
-    assert tape.images.arrivals[10] == pytest.approx(0.12)
-    assert np.isnan(tape.images.deviations[10]).all()
-    assert tape.images.deviations[11] == pytest.approx([1e-3] * 3 + [2e-3] * 3)
-    assert tape.wrenches[5, 1:] == pytest.approx([5.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    trace = build_trace(steps(), kinematics, NOMINAL)
+    assert trace.distances[1] == pytest.approx([0.012 - 1e-9, 0.1])
+    assert trace.images.exposures[10] == pytest.approx(0.12 - 0.1)
+    assert trace.images.arrivals[10] == pytest.approx(0.12)
+    assert np.isnan(trace.images.deviations[10]).all()
+    assert trace.images.deviations[11] == pytest.approx([1e-3] * 3 + [2e-3] * 3)
+    assert trace.wrenches[5, 1:] == pytest.approx([5.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
 def test_the_way_of_the_tcp_is_known_between_telegrams_and_not_across_gaps() -> None:
-    tape = make_tape(steps(silent=tuple(range(30, 36))), kinematics, NOMINAL)
-    path = way(tape)
+    trace = build_trace(steps(silent=tuple(range(30, 36))), kinematics, NOMINAL)
+    path = tcp_path(trace)
     asked = np.array([0.1, 0.1234, 0.39, 0.6, 5.0])
     assert path.known(asked).tolist() == [True, True, False, True, False]
     position, _ = path.at(asked[:2])
@@ -99,25 +99,25 @@ def test_the_way_of_the_tcp_is_known_between_telegrams_and_not_across_gaps() -> 
 
 
 def test_contacts_are_remembered_with_begin_and_end() -> None:
-    tape = make_tape(steps(touching=range(20, 30)), kinematics, NOMINAL)
-    assert tape.contact == pytest.approx(np.array([[0.24, 0.36]]))
+    trace = build_trace(steps(touching=range(20, 30)), kinematics, NOMINAL)
+    assert trace.contact == pytest.approx(np.array([[0.24, 0.36]]))
     asked = np.array([0.2, 0.3, 0.4])
-    assert tape.in_contact(asked).tolist() == [False, True, False]
-    assert tape.in_contact(asked, 0.05).tolist() == [True, True, True]
-    endless = make_tape(steps(touching=range(50, 60)), kinematics, NOMINAL)
+    assert trace.in_contact(asked).tolist() == [False, True, False]
+    assert trace.in_contact(asked, 0.05).tolist() == [True, True, True]
+    endless = build_trace(steps(touching=range(50, 60)), kinematics, NOMINAL)
     assert endless.contact[0, 1] == pytest.approx(59 * 0.012)
 
 
 def test_answers_to_setpoints_at_their_limits_are_left_out_for_a_while() -> None:
     made = steps(200)
     made[50] = replace(made[50], limited=True)
-    answers = make_tape(made, kinematics, NOMINAL).answers[:, 0]
+    answers = build_trace(made, kinematics, NOMINAL).answers[:, 0]
     assert np.isfinite(answers[[49, 140]]).all()
     assert np.isnan(answers[50:130]).all()
 
 
 def test_too_little_to_work_with_is_refused() -> None:
     with pytest.raises(ValueError, match="too short"):
-        make_tape(steps(5), kinematics, NOMINAL)
+        build_trace(steps(5), kinematics, NOMINAL)
     with pytest.raises(ValueError, match="no telegrams"):
-        make_tape(steps(silent=tuple(range(60))), kinematics, NOMINAL)
+        build_trace(steps(silent=tuple(range(60))), kinematics, NOMINAL)

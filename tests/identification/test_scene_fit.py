@@ -4,27 +4,27 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tapes import CAMERA, Sight, seen, tape
+from traces import CAMERA, Sight, seen, trace
 
 from linemate.daemon.core.tracking.settings import CameraNoise
-from linemate.daemon.identification import scene
-from linemate.daemon.identification.camera import CameraResult, identify_camera
+from linemate.daemon.identification import scene_fit
+from linemate.daemon.identification.hand_eye import CameraResult, identify_camera
 from linemate.daemon.identification.offset import identify_offset
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
-from linemate.daemon.identification.scene import Scene, Views
-from linemate.daemon.identification.swing import SwingResult, identify_swings, look
-from linemate.daemon.identification.tape import Tape
+from linemate.daemon.identification.scene_fit import SceneFit, Views
+from linemate.daemon.identification.swing import SwingResult, find_swings, identify_swings
+from linemate.daemon.identification.trace import Trace
 
-Found = tuple[Scene | None, list[Views]]
-
-
-def looked(*tapes: Tape) -> Found:
-    views = [view for one in tapes for view in scene.views(one, CAMERA, CameraNoise())]
-    return look(views, CAMERA), views
+Found = tuple[SceneFit | None, list[Views]]
 
 
-def swings(*tapes: Tape) -> tuple[SwingResult, ...]:
-    return identify_swings(*looked(*tapes))
+def looked(*traces: Trace) -> Found:
+    views = [view for one in traces for view in scene_fit.views(one, CAMERA, CameraNoise())]
+    return find_swings(views, CAMERA), views
+
+
+def swings(*traces: Trace) -> tuple[SwingResult, ...]:
+    return identify_swings(*looked(*traces))
 
 
 def within(outcome: Outcome, true: float, times: float = 4.0) -> bool:
@@ -88,17 +88,17 @@ def test_too_short_a_recording_is_refused() -> None:
 
 
 def test_no_images_tell_nothing() -> None:
-    found, views = looked(tape())
+    found, views = looked(trace())
     assert found is None
     assert isinstance(identify_swings(found, views)[0].frequency_hz, Refusal)
-    result = identify_camera(found, views, [tape().images])
+    result = identify_camera(found, views, [trace().images])
     assert isinstance(result.stamp_error, Refusal)
     assert isinstance(result.latency, Refusal)
     assert isinstance(identify_offset(found, views, [], 0.0, 0.0).sensor, Refusal)
 
 
-def camera(*tapes: Tape) -> CameraResult:
-    return identify_camera(*looked(*tapes), [one.images for one in tapes])
+def camera(*traces: Trace) -> CameraResult:
+    return identify_camera(*looked(*traces), [one.images for one in traces])
 
 
 def test_a_camera_that_hangs_crooked_and_stamps_late_is_found_out() -> None:
@@ -150,7 +150,7 @@ def test_the_offset_of_a_recording_is_told_and_the_sensors_only_over_bodies() ->
     (rest,) = found.rests
     off = (-0.04, -0.03, -0.01, 0.02, 0.025, 0.035)
     bodies = tuple(replace(rest, position=rest.position + np.array((0.0, x, 0.0))) for x in off)
-    many = replace(found, rests=bodies, doubts=np.tile(found.doubts, (6, 1)))
+    many = replace(found, rests=bodies, rest_deviations=np.tile(found.rest_deviations, (6, 1)))
     shared = identify_offset(many, views * 6, list(range(6)), 0.0, 0.02).sensor
     assert within(shared, 0.012)
     same_body = identify_offset(many, views * 6, [0, 0, 0, 1, 1, 1], 0.0, 0.02).sensor
@@ -159,7 +159,7 @@ def test_the_offset_of_a_recording_is_told_and_the_sensors_only_over_bodies() ->
 
 def test_before_and_after_a_contact_are_two_scenes() -> None:
     one = replace(seen(Sight()), contact=np.array([[8.0, 10.0]]))
-    before, after = scene.views(one, CAMERA, CameraNoise())
+    before, after = scene_fit.views(one, CAMERA, CameraNoise())
     assert before.times.max() < 7.95
     assert after.times.min() > 10.05
 
@@ -169,7 +169,7 @@ def test_the_conveyor_is_read_through_outliers_and_steps() -> None:
     readings = np.round(0.106 * t + 2.5e-4 * np.random.default_rng(0).normal(size=len(t)), 3)
     readings[50] += 0.08
     asked = np.array([0.01, 0.6, 1.5, 2.9, 5.0])
-    position, speed, known = scene.conveyor(np.column_stack((t, readings)), asked)
+    position, speed, known = scene_fit.conveyor(np.column_stack((t, readings)), asked)
     assert known.tolist() == [True, True, True, True, False]
     assert position[1:4] == pytest.approx(0.106 * asked[1:4], abs=6e-4)
     assert speed[1:3] == pytest.approx(0.106, abs=0.01)

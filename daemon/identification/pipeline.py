@@ -1,7 +1,8 @@
-"""From recordings to parameters: the straight line through the rooms of ``identification``.
+"""Identification pipeline: recorded steps and texts in, report lines and an overlay out.
 
-Law of this file: recorded steps and texts in, findings and an overlay out; no file is opened here.
-All recordings must be of one cell. What is refused keeps its configured value and is said to.
+Invariants:
+- No file is opened. All recordings must be of one cell.
+- A refused parameter keeps its configured value and has a line in the report.
 """
 
 import math
@@ -17,23 +18,23 @@ from linemate.daemon.core import rotations
 from linemate.daemon.core.control import kinematics
 from linemate.daemon.core.control.settings import ControlSettings
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.inputs import Inputs, MotionOrder
+from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.task import TaskFile
-from linemate.daemon.identification import ring_down, scene, swing
-from linemate.daemon.identification.camera import CameraResult, identify_camera
+from linemate.daemon.identification import ring_down, scene_fit, swing
+from linemate.daemon.identification.hand_eye import CameraResult, identify_camera
 from linemate.daemon.identification.noise import NoiseResult, identify_noise
 from linemate.daemon.identification.offset import OffsetResult, identify_offset
-from linemate.daemon.identification.outcome import Estimate, Finding, Outcome
+from linemate.daemon.identification.outcome import Estimate, Outcome, ReportLine
 from linemate.daemon.identification.ring_down import ModeResult, identify_modes
-from linemate.daemon.identification.servo import ServoResult, identify_servos
+from linemate.daemon.identification.servo_models import ServoResult, identify_servos
 from linemate.daemon.identification.swing import SwingResult, identify_swings
-from linemate.daemon.identification.tape import Tape, make_tape
+from linemate.daemon.identification.trace import Trace, TraceStep, build_trace
 from linemate.daemon.recording.step_codec import StepRecord
 from linemate.protocol.samples import AXES
 
-SIGNIFICANT = 4.0  # deviations by which a hand-eye pose must be off to be corrected
-CLOSE = 0.01  # of cycle times that count as the same
+SIGNIFICANT = 4.0  # least offset of a corrected hand-eye pose, in deviations
+SAME_CYCLE = 0.01  # largest difference of cycle times that count as the same
 
 
 class IdentifyError(ValueError):
@@ -42,7 +43,7 @@ class IdentifyError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """One recording, read.
+    """One recording.
 
     Attributes:
         texts: of the cell: at least task and urdf.
@@ -55,15 +56,15 @@ class Recorded:
 
 @dataclass(frozen=True, slots=True)
 class Identified:
-    """What recordings tell.
+    """Result of an identification.
 
     Attributes:
-        findings: every line of the report, refusals among them.
-        overlay: parameters as a configuration's sections, those that were identified.
-        kept: paths in the overlay whose values had to be kept as configured.
+        findings: every line of the report, with refusals.
+        overlay: identified parameters, as sections of a configuration.
+        kept: paths in the overlay whose values stay as configured.
     """
 
-    findings: tuple[Finding, ...]
+    findings: tuple[ReportLine, ...]
     overlay: dict[str, Any]
     kept: tuple[str, ...]
 
@@ -76,47 +77,36 @@ class _Cell:
     control: ControlSettings
 
 
-@dataclass(frozen=True, slots=True)
-class _Step:
-    """A recorded step as a tape wants it."""
-
-    ipoc: int | None
-    inputs: Inputs
-    command: tuple[float, ...]
-    contact: bool
-    limited: bool
-
-
 def identify(recordings: Sequence[Recorded]) -> Identified:
-    """Return what recordings tell.
+    """Identify parameters from recordings.
 
     Raises:
         IdentifyError: a recording cannot be read, or they are not of one cell.
     """
     cell = _cell(recordings)
-    tapes = _tapes(recordings, cell)
+    traces = _traces(recordings, cell)
     place = cell.task.arm.camera_in_tcp
     camera = (np.array(place.position), rotations.matrix(place.quaternion))
     delay = cell.tracking.distance.delay
-    per_tape = [scene.views(tape, camera, cell.tracking.camera, delay) for tape in tapes]
-    bodies = [i for i, views in enumerate(per_tape) for _ in views]
-    seen = [view for views in per_tape for view in views]
+    per_trace = [scene_fit.views(trace, camera, cell.tracking.camera, delay) for trace in traces]
+    bodies = [i for i, views in enumerate(per_trace) for _ in views]
+    seen = [view for views in per_trace for view in views]
     labels = [
         f"{recorded.name}{', later' if i else ''}"
-        for recorded, views in zip(recordings, per_tape, strict=True)
+        for recorded, views in zip(recordings, per_trace, strict=True)
         for i in range(len(views))
     ]
-    found = swing.look(seen, camera)
-    servos = identify_servos(tapes)
-    modes = identify_modes(tapes)
-    swings = identify_swings(found, seen)
-    vision = identify_camera(found, seen, [tape.images for tape in tapes])
-    noise = identify_noise(tapes, found, seen, camera)
+    fit = swing.find_swings(seen, camera)
+    servos = identify_servos(traces)
+    modes = identify_modes(traces)
+    swings = identify_swings(fit, seen)
+    vision = identify_camera(fit, seen, [trace.images for trace in traces])
+    noise = identify_noise(traces, fit, seen, camera)
     origin = rotations.matrix(cell.task.object.nominal.quaternion).T @ np.array(
         cell.task.object.nominal.position
     )
     start = cell.task.conveyor.start_position
-    offset = identify_offset(found, seen, bodies, start, float(origin[1]))
+    offset = identify_offset(fit, seen, bodies, start, float(origin[1]))
     overlay, kept = _overlay(cell, servos, modes, swings, vision, noise)
     findings = (
         *_servo_findings(servos),
@@ -159,7 +149,7 @@ def _arm_of(recorded: Recorded) -> Any:
 
 
 def _settings(recorded: Recorded) -> tuple[TrackingSettings, ControlSettings]:
-    """Return the settings that a recording was made with; the defaults where it is silent."""
+    """Return the settings of a recording, or defaults where it has none."""
     name = f"{recorded.name}: config"
     document = documents.read(recorded.texts.get("config", "").encode(), name)
     value = document.value if isinstance(document.value, dict) else {}
@@ -169,7 +159,7 @@ def _settings(recorded: Recorded) -> tuple[TrackingSettings, ControlSettings]:
     )
 
 
-def _tapes(recordings: Sequence[Recorded], cell: _Cell) -> list[Tape]:
+def _traces(recordings: Sequence[Recorded], cell: _Cell) -> list[Trace]:
     tool = cell.task.arm.tcp_in_flange
     nominal = rotations.matrix(cell.task.object.nominal.quaternion)
     try:
@@ -182,10 +172,10 @@ def _tapes(recordings: Sequence[Recorded], cell: _Cell) -> list[Tape]:
         )
     except ValueError as error:
         raise IdentifyError(str(error)) from error
-    tapes = []
+    traces = []
     for recorded in recordings:
         steps = [
-            _Step(
+            TraceStep(
                 s.ipoc,
                 s.inputs,
                 tuple(s.outputs["command"]),
@@ -195,16 +185,13 @@ def _tapes(recordings: Sequence[Recorded], cell: _Cell) -> list[Tape]:
             for s in recorded.steps
         ]
         try:
-            tapes.append(make_tape(steps, arm.tcp_in_base, nominal))
+            traces.append(build_trace(steps, arm.tcp_in_base, nominal))
         except ValueError as error:
             raise IdentifyError(f"{recorded.name}: {error}") from error
-    cycles = [tape.cycle_s for tape in tapes]
-    if max(cycles) > (1.0 + CLOSE) * min(cycles):
+    cycles = [trace.cycle_s for trace in traces]
+    if max(cycles) > (1.0 + SAME_CYCLE) * min(cycles):
         raise IdentifyError("the recordings were made at different cycle times")
-    return tapes
-
-
-# --- the overlay --------------------------------------------------------------------------
+    return traces
 
 
 def _overlay(
@@ -215,7 +202,7 @@ def _overlay(
     vision: CameraResult,
     noise: NoiseResult,
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """Return the sections of an overlay, and the paths that had to be kept as configured."""
+    """Return the sections of an overlay, and the paths that stay as configured."""
     kept: list[str] = []
     control: dict[str, Any] = {}
     if any(result.model for result in servos):
@@ -235,9 +222,9 @@ def _overlay(
                 kept.append(f"control.effector.{mode.axis}")
         control["effector"] = [_plain(mode) for mode in effector]
     tracking = _noise_overlay(cell.tracking, noise)
-    told = [result.mode for result in swings if result.mode is not None]
-    if told:
-        tracking["swing"] = [_plain(mode) for mode in told]
+    swing_modes = [result.mode for result in swings if result.mode is not None]
+    if swing_modes:
+        tracking["swing"] = [_plain(mode) for mode in swing_modes]
     overlay: dict[str, Any] = {}
     if tracking:
         overlay["tracking"] = tracking
@@ -282,7 +269,7 @@ def _mean(values: Sequence[float]) -> float:
 
 
 def _hand_eye(cell: _Cell, vision: CameraResult) -> dict[str, Any] | None:
-    """Return the corrected place of the camera if it is significantly off, in what is told."""
+    """Return the corrected camera pose if an estimate is significantly off, else None."""
     place = cell.task.arm.camera_in_tcp
     shift, turn = _corrections(vision.position), _corrections(vision.rotation)
     if not (shift.any() or turn.any()):
@@ -295,15 +282,15 @@ def _hand_eye(cell: _Cell, vision: CameraResult) -> dict[str, Any] | None:
 
 
 def _corrections(outcomes: Sequence[Outcome]) -> Array:
-    """Return what is to be added: all that is told, if any of it is significant."""
-    told = [outcome if isinstance(outcome, Estimate) else None for outcome in outcomes]
-    if not any(e is not None and abs(e.value) > SIGNIFICANT * e.deviation for e in told):
+    """Return the corrections (3,): all estimates if one is significant, else zero."""
+    estimates = [outcome if isinstance(outcome, Estimate) else None for outcome in outcomes]
+    if not any(e is not None and abs(e.value) > SIGNIFICANT * e.deviation for e in estimates):
         return np.zeros(3)
-    return np.array([0.0 if e is None else e.value for e in told])
+    return np.array([0.0 if e is None else e.value for e in estimates])
 
 
 def _plain(value: Any) -> dict[str, Any]:
-    """Return a settings dataclass as an overlay has it."""
+    """Return a settings dataclass as plain values of an overlay."""
     return {
         name: [_digits(v) for v in part] if isinstance(part, tuple) else _digits(part)
         for name, part in asdict(value).items()
@@ -311,92 +298,91 @@ def _plain(value: Any) -> dict[str, Any]:
 
 
 def _digits(value: Any) -> Any:
-    """Return a number with as many digits as can matter."""
+    """Return a number rounded to six digits."""
     return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
-# --- the report ---------------------------------------------------------------------------
-
-
-def _servo_findings(servos: Sequence[ServoResult]) -> list[Finding]:
+def _servo_findings(servos: Sequence[ServoResult]) -> list[ReportLine]:
     lines = []
     for result in servos:
-        name, told = f"servo {AXES[result.axis]}", result.model is not None
-        lines += [Finding(f"{name} frequency", "Hz", 1.0, result.frequency_hz, told)]
-        if told:
+        name, in_overlay = f"servo {AXES[result.axis]}", result.model is not None
+        lines += [ReportLine(f"{name} frequency", "Hz", 1.0, result.frequency_hz, in_overlay)]
+        if in_overlay:
             lines += [
-                Finding(f"{name} damping", "", 1.0, result.damping, told),
-                Finding(f"{name} dead time", "ms", 1e3, result.dead_time, told),
+                ReportLine(f"{name} damping", "", 1.0, result.damping, in_overlay),
+                ReportLine(f"{name} dead time", "ms", 1e3, result.dead_time, in_overlay),
             ]
     return lines
 
 
-def _mode_findings(modes: Sequence[ModeResult]) -> list[Finding]:
+def _mode_findings(modes: Sequence[ModeResult]) -> list[ReportLine]:
     lines = []
     for result in modes:
-        name, told = f"effector {ring_down.AXES[result.axis]}", result.mode is not None
-        lines += [Finding(f"{name} frequency", "Hz", 1.0, result.frequency_hz, told)]
-        if told:
-            lines += [Finding(f"{name} damping", "", 1.0, result.damping, told)]
+        name, in_overlay = f"effector {ring_down.AXES[result.axis]}", result.mode is not None
+        lines += [ReportLine(f"{name} frequency", "Hz", 1.0, result.frequency_hz, in_overlay)]
+        if in_overlay:
+            lines += [ReportLine(f"{name} damping", "", 1.0, result.damping, in_overlay)]
     return lines
 
 
-def _swing_findings(swings: Sequence[SwingResult]) -> list[Finding]:
+def _swing_findings(swings: Sequence[SwingResult]) -> list[ReportLine]:
     lines = []
     for i, result in enumerate(swings):
-        name, told = f"swing {i + 1}", result.mode is not None
-        lines += [Finding(f"{name} frequency", "Hz", 1.0, result.frequency_hz, told)]
+        name, in_overlay = f"swing {i + 1}", result.mode is not None
+        lines += [ReportLine(f"{name} frequency", "Hz", 1.0, result.frequency_hz, in_overlay)]
         if isinstance(result.frequency_hz, Estimate):
             axis = "" if result.mode is None else f" off {'xyz'[result.mode.axis]}"
             lines += [
-                Finding(f"{name} damping", "", 1.0, result.damping, told),
-                Finding(f"{name} axis{axis}", "deg", math.degrees(1.0), result.oblique, told),
+                ReportLine(f"{name} damping", "", 1.0, result.damping, in_overlay),
+                ReportLine(
+                    f"{name} axis{axis}", "deg", math.degrees(1.0), result.oblique, in_overlay
+                ),
             ]
             lines += [
-                Finding(f"{name} lever {axis_}", "m/rad", 1.0, lever, told)
+                ReportLine(f"{name} lever {axis_}", "m/rad", 1.0, lever, in_overlay)
                 for axis_, lever in zip("xyz", result.levers, strict=True)
             ]
     return lines
 
 
-def _camera_findings(vision: CameraResult) -> list[Finding]:
+def _camera_findings(vision: CameraResult) -> list[ReportLine]:
     return [
         *(
-            Finding(f"hand-eye {axis}", "mm", 1e3, outcome)
+            ReportLine(f"hand-eye {axis}", "mm", 1e3, outcome)
             for axis, outcome in zip("xyz", vision.position, strict=True)
         ),
         *(
-            Finding(f"hand-eye r{axis}", "mrad", 1e3, outcome)
+            ReportLine(f"hand-eye r{axis}", "mrad", 1e3, outcome)
             for axis, outcome in zip("xyz", vision.rotation, strict=True)
         ),
-        Finding("camera stamp error", "ms", 1e3, vision.stamp_error),
-        Finding("camera latency (spread)", "ms", 1e3, vision.latency),
-        Finding("camera period (spread)", "ms", 1e3, vision.period),
+        ReportLine("camera stamp error", "ms", 1e3, vision.stamp_error),
+        ReportLine("camera latency (spread)", "ms", 1e3, vision.latency),
+        ReportLine("camera period (spread)", "ms", 1e3, vision.period),
     ]
 
 
-def _noise_findings(noise: NoiseResult, settings: TrackingSettings) -> list[Finding]:
+def _noise_findings(noise: NoiseResult, settings: TrackingSettings) -> list[ReportLine]:
     soft = 1e3 / _mean(settings.tactile.stiffness)
     turn = 1e3 / _mean(settings.tactile.rotational_stiffness)
     return [
-        Finding("distance noise", "mm", 1e3, noise.distance, told=True),
-        Finding("distance resolution", "mm", 1e3, noise.resolution),
-        Finding("distance outliers", "%", 1e2, noise.distance_outliers),
-        Finding("camera noise at 0 m", "mm", 1e3, noise.lateral, told=True),
-        Finding("camera noise slope", "mm/m", 1e3, noise.lateral_slope, told=True),
-        Finding("camera depth factor", "", 1.0, noise.depth_factor, told=True),
-        Finding("camera angle noise at 0 m", "mrad", 1e3, noise.angle, told=True),
-        Finding("camera angle noise slope", "mrad/m", 1e3, noise.angle_slope, told=True),
-        Finding("camera error over stated", "", 1.0, noise.honesty),
-        Finding("camera outliers", "%", 1e2, noise.camera_outliers),
-        Finding("force noise", "mm", soft, noise.force, told=True),
-        Finding("torque noise", "mrad", turn, noise.torque, told=True),
+        ReportLine("distance noise", "mm", 1e3, noise.distance, in_overlay=True),
+        ReportLine("distance resolution", "mm", 1e3, noise.resolution),
+        ReportLine("distance outliers", "%", 1e2, noise.distance_outliers),
+        ReportLine("camera noise at 0 m", "mm", 1e3, noise.lateral, in_overlay=True),
+        ReportLine("camera noise slope", "mm/m", 1e3, noise.lateral_slope, in_overlay=True),
+        ReportLine("camera depth factor", "", 1.0, noise.depth_factor, in_overlay=True),
+        ReportLine("camera angle noise at 0 m", "mrad", 1e3, noise.angle, in_overlay=True),
+        ReportLine("camera angle noise slope", "mrad/m", 1e3, noise.angle_slope, in_overlay=True),
+        ReportLine("camera error over stated", "", 1.0, noise.honesty),
+        ReportLine("camera outliers", "%", 1e2, noise.camera_outliers),
+        ReportLine("force noise", "mm", soft, noise.force, in_overlay=True),
+        ReportLine("torque noise", "mrad", turn, noise.torque, in_overlay=True),
     ]
 
 
-def _offset_findings(offset: OffsetResult, labels: Sequence[str]) -> list[Finding]:
+def _offset_findings(offset: OffsetResult, labels: Sequence[str]) -> list[ReportLine]:
     lines = [
-        Finding(f"distance offset x10, {label}", "mm", 1e3, outcome)
+        ReportLine(f"distance offset x10, {label}", "mm", 1e3, outcome)
         for label, outcome in zip(labels or ("all",), offset.recordings, strict=True)
     ]
-    return [*lines, Finding("distance offset of the sensor", "mm", 1e3, offset.sensor)]
+    return [*lines, ReportLine("distance offset of the sensor", "mm", 1e3, offset.sensor)]

@@ -1,8 +1,8 @@
-"""The camera's place in the tool and its stamps, where the robot's motion tells them.
+"""Camera pose in the tool, stamp error, latency and period, from a fitted scene.
 
-Law of this file: pure; read off the fitted scene. A direction that only the prior holds is not
-observable and is refused with what would tell it: a hand-eye position shows itself only when the
-tool turns, a stamp error only when tool and object move against each other.
+Invariants:
+- A value that only the prior determines is refused as not observable. A hand-eye position needs a
+  rotating tool, a stamp error a relative motion of tool and object.
 """
 
 from collections.abc import Sequence
@@ -12,25 +12,24 @@ import numpy as np
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
-from linemate.daemon.identification.scene import Scene, Views
-from linemate.daemon.identification.tape import Images
+from linemate.daemon.identification.scene_fit import SceneFit, Views
+from linemate.daemon.identification.trace import Images
 
 POSITION_DEVIATION = 0.0015  # [m]
 ANGLE_DEVIATION = 0.004  # [rad]
 STAMP_DEVIATION = 0.003  # [s]
-LOSSES = 5.0  # images in a row that count as lost ones
+LOSSES = 5.0  # most images in a row that count as lost
 
 
 @dataclass(frozen=True, slots=True)
 class CameraResult:
-    """What is known of the camera.
+    """Outcomes about the camera.
 
     Attributes:
-        position: three outcomes, what must be added to the hand-eye position in the tcp [m].
-        rotation: three outcomes, a turn about the camera's axes to be added [rad].
-        stamp_error: what must be added to the exposures' stamps [s].
-        latency: from exposure to arrival, as stamped; its deviation is the spread [s].
-        period: between exposures [s].
+        position: three corrections of the hand-eye position, in the tcp [m].
+        rotation: three corrections of its rotation, about the camera's axes [rad].
+        stamp_error: correction of the exposure stamps [s].
+        latency: from exposure to arrival by the stamps [s]; its deviation is the spread.
     """
 
     position: tuple[Outcome, ...]
@@ -41,9 +40,9 @@ class CameraResult:
 
 
 def identify_camera(
-    scene: Scene | None, seen: Sequence[Views], images: Sequence[Images]
+    scene: SceneFit | None, seen: Sequence[Views], images: Sequence[Images]
 ) -> CameraResult:
-    """Return what a fitted scene tells of the camera."""
+    """Return the camera's outcomes from a fitted scene."""
     latency, period = _times(images)
     if scene is None:
         refusal = Refusal("too few images of the object in free space")
@@ -53,28 +52,28 @@ def identify_camera(
     turned = max(_turned(view) for view in seen)
     basis = f"{sum(len(view.times) for view in seen)} images, tool turned by {turned:.2f} rad"
     position = tuple(
-        _told(
+        _outcome(
             float(scene.hand_eye[i]),
             float(deviations[i]),
             POSITION_DEVIATION,
             basis,
-            f"not observable: the tool turned by only {turned:.2f} rad while it looked "
+            f"not observable: the tool turned by only {turned:.2f} rad in the images "
             f"(known to +-{1e3 * deviations[i]:.1f} mm)",
         )
         for i in range(3)
     )
     rotation = tuple(
-        _told(
+        _outcome(
             float(scene.hand_eye[3 + i]),
             float(deviations[3 + i]),
             ANGLE_DEVIATION,
             basis,
-            "not observable: the tool did not move enough while it looked "
+            "not observable: the tool did not move enough in the images "
             f"(known to +-{1e3 * deviations[3 + i]:.1f} mrad)",
         )
         for i in range(3)
     )
-    stamp = _told(
+    stamp = _outcome(
         scene.stamp_error,
         float(deviations[6]),
         STAMP_DEVIATION,
@@ -85,18 +84,18 @@ def identify_camera(
     return CameraResult(position, rotation, stamp, latency, period)
 
 
-def _told(value: float, deviation: float, limit: float, basis: str, reason: str) -> Outcome:
+def _outcome(value: float, deviation: float, limit: float, basis: str, reason: str) -> Outcome:
     return Estimate(value, deviation, basis) if deviation <= limit else Refusal(reason)
 
 
 def _turned(view: Views) -> float:
-    """Return by how much the tool turned while it looked [rad]."""
-    poses = view.way.spline(view.times)
+    """Return the largest rotation of the tool over the images [rad]."""
+    poses = view.tcp_path.spline(view.times)
     return float(np.ptp(poses[:, 3:], axis=0).max())
 
 
 def _relative_speed(view: Views) -> float:
-    rates: Array = view.way.rates(view.times)[:, :3].copy()
+    rates: Array = view.tcp_path.rates(view.times)[:, :3].copy()
     rates[:, 1] -= view.speed
     return float(np.percentile(np.linalg.norm(rates, axis=1), 95))
 
@@ -112,7 +111,7 @@ def _times(images: Sequence[Images]) -> tuple[Outcome, Outcome]:
     latency = Estimate(float(np.mean(delays)), float(np.std(delays)), basis)
     usual = float(np.median(gaps))
     spread = float(1.4826 * np.median(np.abs(gaps - usual)))
-    # A camera that sees nothing for longer is blind, not lossy.
+    # A longer gap is an occlusion, not a loss.
     steps = np.round(gaps / usual)
     lost = float(np.sum(steps[(steps > 1.0) & (steps <= LOSSES)] - 1.0))
     return latency, Estimate(

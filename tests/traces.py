@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, filtfilt
 
 from linemate.daemon.core import rotations
-from linemate.daemon.identification.tape import Images, Tape
+from linemate.daemon.identification.trace import Images, Trace
 from linemate.simulators.plants import rotation
 from linemate.simulators.plants.effector import EffectorPlant
 from linemate.simulators.plants.scenario import Axis, Effector
@@ -50,7 +50,7 @@ def no_images() -> Images:
     return Images(np.zeros(0), np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 6)))
 
 
-def tape(
+def trace(
     commands: Array | None = None,
     measured: Array | None = None,
     tcp: Array | None = None,
@@ -59,10 +59,10 @@ def tape(
     images: Images | None = None,
     wrenches: Array | None = None,
     contact: Array | None = None,
-) -> Tape:
-    """A tape with as much on it as is given."""
+) -> Trace:
+    """A trace with as much on it as is given."""
     n = len(next(x for x in (commands, tcp, np.zeros((100, 1))) if x is not None))
-    return Tape(
+    return Trace(
         cycle_s=CYCLE_S,
         commands=np.zeros((n, 7)) if commands is None else commands,
         answers=np.zeros((n, 7)) if measured is None else measured,
@@ -82,7 +82,7 @@ def quintic(t: Array, begin: float, duration: float) -> Array:
     return step
 
 
-def ringing(effector: Effector, seed: int, moves: int = 6, size: float = 0.03) -> Tape:
+def ringing(effector: Effector, seed: int, moves: int = 6, size: float = 0.03) -> Trace:
     """A tool that is moved along and about each of its axes, with rest behind each move."""
     every = 1.6
     n = round(moves * every / CYCLE_S)
@@ -104,7 +104,7 @@ def ringing(effector: Effector, seed: int, moves: int = 6, size: float = 0.03) -
         before = after
         deflection = np.array(plant.deflection) + spread * rng.normal(size=6)
         row[1:] = np.array(effector.stiffness) * deflection
-    return tape(tcp=tcp, wrenches=wrenches)
+    return trace(tcp=tcp, wrenches=wrenches)
 
 
 def _pose(row: Array) -> rotation.Pose:
@@ -137,7 +137,7 @@ class Sight:
 CAMERA = (np.array((-0.10, 0.0, -0.15)), np.eye(3))
 
 
-def seen(sight: Sight) -> Tape:
+def seen(sight: Sight) -> Trace:
     """What is recorded of an object that swings before a tool that moves."""
     rng = np.random.default_rng(sight.seed)
     n = round((sight.seconds + 1.0) / CYCLE_S)
@@ -177,7 +177,7 @@ def seen(sight: Sight) -> Tape:
     readings = np.round(readings, 3)
     stated = deviations if sight.covariance else np.full_like(deviations, np.nan)
     images = Images(exposures, exposures + 0.1, positions, turned, stated)
-    return tape(tcp=tcp, distances=np.column_stack((stamps, readings)), images=images)
+    return trace(tcp=tcp, distances=np.column_stack((stamps, readings)), images=images)
 
 
 def _object(sight: Sight, t: float) -> tuple[Array, Array]:
@@ -192,6 +192,6 @@ def _object(sight: Sight, t: float) -> tuple[Array, Array]:
     return place, body
 
 
-def without(tape_: Tape, **changes: object) -> Tape:
-    """A tape with parts exchanged."""
-    return replace(tape_, **changes)  # type: ignore[arg-type]
+def without(trace_: Trace, **changes: object) -> Trace:
+    """A trace with parts exchanged."""
+    return replace(trace_, **changes)  # type: ignore[arg-type]

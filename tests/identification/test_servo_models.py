@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from tapes import CYCLE_S, answers, tape, wander
+from traces import CYCLE_S, answers, trace, wander
 
 from linemate.daemon.identification.outcome import Estimate, Refusal
-from linemate.daemon.identification.servo import identify_servos
+from linemate.daemon.identification.servo_models import identify_servos
 from linemate.simulators.plants.scenario import Robot
 
 AXES = Robot().axes
@@ -15,7 +15,7 @@ ANSWERS = answers(AXES, COMMANDS)
 
 
 def test_axes_that_moved_are_told_and_the_one_at_rest_is_refused() -> None:
-    results = identify_servos([tape(COMMANDS, ANSWERS)])
+    results = identify_servos([trace(COMMANDS, ANSWERS)])
     for result, true in zip(results, AXES, strict=True):
         if result.axis == 3:
             assert result.model is None
@@ -33,7 +33,7 @@ def test_a_slow_drift_under_noise_cannot_tell_frequency_from_dead_time() -> None
     t = np.arange(700) * CYCLE_S
     slow = np.tile(0.01 * np.sin(2 * np.pi * 0.1 * t)[:, None] ** 2, (1, 7))
     noise = 1e-4 * np.random.default_rng(0).normal(size=slow.shape)
-    results = identify_servos([tape(slow, answers(AXES, slow) + noise)])
+    results = identify_servos([trace(slow, answers(AXES, slow) + noise)])
     for result in results:
         assert isinstance(result.frequency_hz, Refusal)
         assert "not enough excitation" in result.frequency_hz.reason
@@ -41,12 +41,12 @@ def test_a_slow_drift_under_noise_cannot_tell_frequency_from_dead_time() -> None
 
 def test_answers_of_something_else_are_refused() -> None:
     strange = COMMANDS + 0.02 * np.sin(2 * np.pi * 3.3 * np.arange(700) * CYCLE_S)[:, None]
-    result = identify_servos([tape(COMMANDS, strange)])[0]
+    result = identify_servos([trace(COMMANDS, strange)])[0]
     assert isinstance(result.frequency_hz, Refusal)
 
 
 def test_a_recording_without_answers_is_refused() -> None:
-    result = identify_servos([tape(COMMANDS, np.full_like(COMMANDS, np.nan))])[0]
+    result = identify_servos([trace(COMMANDS, np.full_like(COMMANDS, np.nan))])[0]
     assert isinstance(result.frequency_hz, Refusal)
     assert "too few" in result.frequency_hz.reason
 

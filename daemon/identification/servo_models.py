@@ -1,7 +1,8 @@
-"""Each axis' servo: frequency, damping and dead time of its forward model, with their doubt.
+"""Servo model of each axis: frequency, damping and dead time, with their deviations.
 
-Law of this file: pure; every axis for itself, all recordings of it together. An axis that hardly
-moved, or moved too smoothly to tell its frequency from its dead time, is refused.
+Invariants:
+- Each axis is fitted by itself, with all recordings together.
+- An axis is refused if its motion cannot separate the frequency from the dead time.
 """
 
 from collections.abc import Sequence
@@ -14,14 +15,14 @@ from linemate.daemon.core.control.servo_fit import Passage, ServoFit
 from linemate.daemon.core.control.settings import ServoModel
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
-from linemate.daemon.identification.tape import Tape
+from linemate.daemon.identification.trace import Trace
 
-LEAST_LAG = 1e-5  # root mean square by which the answer must depart from the setpoint [rad, m]
-FREQUENCY_SHARE = 0.02  # largest deviation of a frequency that is told, of its value
+LEAST_LAG = 1e-5  # least root mean square of the servo lag [rad, m]
+FREQUENCY_SHARE = 0.02  # largest deviation of an accepted frequency, as a share of it
 DAMPING_DEVIATION = 0.05
 DEAD_TIME_DEVIATION = 0.002  # [s]
-MISFIT = 0.1  # share of the motion that may be left over
-LEAST_MISFIT = 1e-6  # no servo is linear beyond this, whatever the residual says [rad, m]
+MISFIT = 0.1  # largest residual, as a share of the lag
+LEAST_MISFIT = 1e-6  # assumed nonlinearity of a servo [rad, m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,21 +42,21 @@ class ServoResult:
     dead_time: Outcome
 
 
-def identify_servos(tapes: Sequence[Tape]) -> tuple[ServoResult, ...]:
+def identify_servos(traces: Sequence[Trace]) -> tuple[ServoResult, ...]:
     """Return every axis' servo.
 
     Args:
-        tapes: of one cell, at one cycle time.
+        traces: of one cell, at one cycle time.
     """
-    if not tapes:
+    if not traces:
         return ()
-    axes = tapes[0].commands.shape[1]
-    cycle_s = float(np.mean([tape.cycle_s for tape in tapes]))
+    axes = traces[0].commands.shape[1]
+    cycle_s = float(np.mean([trace.cycle_s for trace in traces]))
     return tuple(
         _judged(
             axis,
             servo_fit.fit(
-                [Passage(t.commands[:, axis], t.answers[:, axis]) for t in tapes], cycle_s
+                [Passage(t.commands[:, axis], t.answers[:, axis]) for t in traces], cycle_s
             ),
         )
         for axis in range(axes)
@@ -80,7 +81,7 @@ def _judged(axis: int, found: ServoFit | None) -> ServoResult:
 
 
 def _refusal(found: ServoFit | None) -> Refusal | None:
-    """Return why a fit is not believed, None if it is."""
+    """Return why a fit is refused, None if it is accepted."""
     if found is None:
         return Refusal("too few answers in the recording")
     if found.motion < LEAST_LAG:
@@ -95,8 +96,8 @@ def _refusal(found: ServoFit | None) -> Refusal | None:
     )
     for name, deviation, limit, unit, scale in shares:
         if not deviation <= limit:
-            doubt = f"+-{scale * deviation:.2g} {unit}".rstrip()
-            return Refusal(f"not enough excitation: its {name} is known only to {doubt}")
+            known = f"+-{scale * deviation:.2g} {unit}".rstrip()
+            return Refusal(f"not enough excitation: its {name} is known only to {known}")
     if found.residual > MISFIT * found.motion:
         share = found.residual / found.motion
         return Refusal(f"a second-order servo leaves {100.0 * share:.0f} % of the lag unexplained")
