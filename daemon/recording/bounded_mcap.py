@@ -303,7 +303,7 @@ class _Reader:
 def _decompress(compression: str, data: bytes, size: int) -> bytes:
     """Return at most ``size`` + 1 bytes, however many there are."""
     if compression == "zstd":
-        # The package's one-call function makes room for whatever the data claims.
+        # The package's one-call function allocates whatever the data claims.
         limited = zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK)
         with limited.stream_reader(data) as reader:
             return reader.read(size + 1)

@@ -1,7 +1,7 @@
 """Recorder: encodes steps in the loop and sends them to the writer process.
 
 Invariants:
-- Only ``close`` waits. A bounded queue holds what the kernel has no room for.
+- Only ``close`` waits. A bounded queue holds what the socket does not take.
 - A full queue drops steps and counts them. A full disk ends the recording with a reason.
 - A killed daemon loses nothing that it sent, a killed writer its last chunk.
 - A killed writer is restarted with back-off. The recording goes on in a new file, and the steps
@@ -74,7 +74,7 @@ class Recorder:
         metadata: text by name, the same for every file.
         queue: longest queue, in items.
         chunk_bytes: size of a chunk before compression.
-        flush_s: most that the sudden end of the writer loses, besides the queue [s].
+        flush_s: most that the sudden end of the writer loses [s], and the queue.
     """
 
     directory: Path
@@ -142,11 +142,7 @@ class Recorder:
         return self._begin(path)
 
     def restart_writer_if_lost(self, now_ns: int) -> None:
-        """Restart the writer process after its end, and continue the recording. Never waits.
-
-        Args:
-            now_ns: monotonic time [ns].
-        """
+        """Restart the writer process after its end, and continue the recording. Never waits."""
         self._receive()
         result = self._restart.pop_result()
         if result is not None:
@@ -250,7 +246,6 @@ class Recorder:
 
         Args:
             stamp_ns: monotonic time of the event [ns].
-            level: viewer_messages.INFO or WARNING.
             name: name of the writer, format.STATE_LOG for changes of the operating state.
         """
         if self._status.recording:
@@ -306,7 +301,7 @@ class Recorder:
             self._waiting.append(item)
 
     def _send_waiting(self) -> None:
-        """Send the queue as far as the kernel has room for it."""
+        """Send the queue as far as the socket takes it."""
         link, waiting = self._link, self._waiting
         if link is None:
             return

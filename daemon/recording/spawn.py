@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 POLL_S: Final = 0.002
-ACTIONS_BYTES: Final = 512  # room for a posix_spawn_file_actions_t, which has 80 bytes in glibc
+ACTIONS_BYTES: Final = 512  # at least a posix_spawn_file_actions_t; 80 in glibc
 INPUT: Final = b"/dev/null"  # standard input of the new process
 
 _C: Final = ctypes.CDLL(None)

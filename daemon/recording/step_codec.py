@@ -29,8 +29,6 @@ LAYOUT: dict[str, tuple[str, ...]] = {kind.__name__: kind.__struct_fields__ for 
 _VALUES: dict[type[Any], Callable[[Any], Any]] = {
     kind: attrgetter(*LAYOUT[kind.__name__]) for kind in _KINDS
 }
-
-
 _OF_INPUTS, _OF_OUTPUTS, _OF_ROBOT = _VALUES[Inputs], _VALUES[Outputs], _VALUES[RobotSample]
 _ROBOT = LAYOUT["Inputs"].index("robot")
 _HORIZON = LAYOUT["Outputs"].index("horizon")
@@ -45,17 +43,16 @@ _OF_SAMPLES = tuple(
 
 
 class RecordingError(ValueError):
-    """Bytes that are no step."""
+    """Bytes that are not a step."""
 
 
 @dataclass(frozen=True, slots=True)
 class StepRecord:
-    """One step as it was recorded.
+    """One recorded step.
 
     Attributes:
-        ipoc: of the telegram it answered, None if there was none.
-        inputs: exactly what entered the step.
-        outputs: the fields of ``Outputs`` by name, plain; the horizon as a digest.
+        ipoc: counter of the answered telegram, None without one.
+        outputs: plain values by name; the horizon as a digest.
     """
 
     ipoc: int | None
@@ -65,36 +62,33 @@ class StepRecord:
 
 
 def encode(ipoc: int | None, state: str, inputs: Inputs, outputs: Outputs) -> bytes:
-    """Make bytes of one step.
+    """Encode one step as a msgpack array.
 
     Args:
-        ipoc: of the telegram it answered, None if there was none.
-
-    Returns:
-        A msgpack array.
+        ipoc: counter of the answered telegram, None without one.
     """
-    # An IPOC is as long as its digits; msgpack's integers are not.
+    # An IPOC may be longer than msgpack's integers.
     counter = ipoc if ipoc is None or -(2**63) <= ipoc < 2**64 else str(ipoc)
-    # What is known to be inside is taken apart here: msgpack asks back for each object it meets.
-    entered, said = list(_OF_INPUTS(inputs)), list(_OF_OUTPUTS(outputs))
+    # Known objects are flattened here: msgpack calls back for each object that it meets.
+    entered, results = list(_OF_INPUTS(inputs)), list(_OF_OUTPUTS(outputs))
     if inputs.robot is not None:
         entered[_ROBOT] = _OF_ROBOT(inputs.robot)
     for place, values in _OF_SAMPLES:
         entered[place] = [values(sample) for sample in entered[place]]
     if outputs.horizon is not None:
-        said[_HORIZON] = digest(outputs.horizon)
-    return _pack((VERSION, counter, state, entered, said))
+        results[_HORIZON] = digest(outputs.horizon)
+    return _pack((VERSION, counter, state, entered, results))
 
 
 def decode(data: bytes, layout: Mapping[str, tuple[str, ...]] = LAYOUT) -> StepRecord:
-    """Read one step.
+    """Decode one step.
 
     Args:
-        data: what ``encode`` made, now or in an earlier version.
-        layout: the fields as the recording's own layout tells them.
+        data: bytes of ``encode``, of this or an earlier version.
+        layout: field names of the recording.
 
     Raises:
-        RecordingError: the bytes are no step of that layout.
+        RecordingError: the bytes are not a step of that layout.
     """
     try:
         version, *rest = msgpack.unpackb(data, use_list=False)
@@ -115,41 +109,36 @@ def decode(data: bytes, layout: Mapping[str, tuple[str, ...]] = LAYOUT) -> StepR
 
 
 def differences(record: StepRecord, outputs: Outputs) -> tuple[str, ...]:
-    """Which fields of the outputs are not, bit for bit, the recorded ones.
+    """Return the names of outputs that differ from the recorded ones in any bit.
 
-    Args:
-        outputs: of the same step, made again.
-
-    Returns:
-        Names of fields, those that only one of both has among them.
+    A name that only one of both has is among them.
     """
-    made = dict(zip(LAYOUT["Outputs"], _VALUES[Outputs](outputs), strict=True))
-    names = [*record.outputs, *(name for name in made if name not in record.outputs)]
+    replayed = dict(zip(LAYOUT["Outputs"], _VALUES[Outputs](outputs), strict=True))
+    names = [*record.outputs, *(name for name in replayed if name not in record.outputs)]
     return tuple(
         name
         for name in names
         if name not in record.outputs
-        or name not in made
-        or _pack(record.outputs[name]) != _pack(made[name])
+        or name not in replayed
+        or _pack(record.outputs[name]) != _pack(replayed[name])
     )
 
 
 def plain(outputs: Outputs) -> dict[str, Any]:
-    """Outputs by the name of their fields, as a recording tells them: plain values."""
-    made = zip(LAYOUT["Outputs"], _VALUES[Outputs](outputs), strict=True)
-    return {name: msgpack.unpackb(_pack(value), use_list=False) for name, value in made}
+    """Return outputs by name as plain values, as a recording has them."""
+    values = zip(LAYOUT["Outputs"], _VALUES[Outputs](outputs), strict=True)
+    return {name: msgpack.unpackb(_pack(value), use_list=False) for name, value in values}
 
 
 def digest(array: np.ndarray[Any, Any]) -> bytes:
-    """What stands for an array in a recording: 8 bytes that change with any bit of it."""
+    """Return 8 bytes that change with any bit of an array."""
     exact = np.ascontiguousarray(array, dtype=np.float64)
-    # A checksum against change, not against malice; BLAKE2b took ten times as long, half of what
-    # recording costs a cycle.
+    # A checksum, not a signature: BLAKE2b takes ten times as long, half of the cost of recording.
     return crc64.xz(repr(exact.shape).encode() + exact.tobytes()).to_bytes(8, "big")
 
 
 def _plain(value: object) -> object:
-    """What msgpack does not know by itself."""
+    """Convert a value that msgpack does not know."""
     values = _VALUES.get(type(value))
     if values is not None:
         return values(value)
@@ -157,10 +146,10 @@ def _plain(value: object) -> object:
         return digest(value)
     if isinstance(value, np.generic):
         return value.item()
-    raise TypeError(f"{type(value).__name__} does not belong into a recording")
+    raise TypeError(f"{type(value).__name__} cannot be recorded")
 
 
-# One for all: each brings a buffer of 256 KiB, which ``packb`` makes and throws away each time.
+# One packer for all: each allocates a buffer of 256 KiB, and ``packb`` one a call.
 _PACKER = msgpack.Packer(default=_plain)
 
 
@@ -168,26 +157,26 @@ def _pack(value: object) -> bytes:
     try:
         packed: bytes = _PACKER.pack(value)
     except Exception:
-        _PACKER.reset()  # half a value waits in it
+        _PACKER.reset()  # it holds half a value
         raise
     return packed
 
 
 def _inputs(values: tuple[Any, ...], layout: Mapping[str, tuple[str, ...]]) -> Inputs:
-    given = dict(zip(layout["Inputs"], values, strict=True))
+    fields = dict(zip(layout["Inputs"], values, strict=True))
 
     def samples(name: str, kind: type[Any]) -> tuple[Any, ...]:
-        return tuple(_sample(kind, item, layout) for item in given[name])
+        return tuple(_sample(kind, item, layout) for item in fields[name])
 
-    robot = given["robot"]
+    robot = fields["robot"]
     return Inputs(
         **{
-            **given,
+            **fields,
             "robot": None if robot is None else _sample(RobotSample, robot, layout),
             "distance": samples("distance", DistanceSample),
             "camera": samples("camera", CameraSample),
             "wrench": samples("wrench", WrenchSample),
-            "order": MotionOrder(given["order"]),
+            "order": MotionOrder(fields["order"]),
         }
     )
 

@@ -123,7 +123,6 @@ class StepView(Struct, frozen=True):
 
     Attributes:
         measured: joints A1..A6 [rad] and E1 [m], None without a telegram.
-        commanded: setpoints, as ``measured``.
         poses: (name in the outputs, position [m] and quaternion w first), in base.
     """
 
@@ -168,7 +167,6 @@ def encode_line(text: str, wall_ns: int, level: int = INFO, name: str = "linemat
 
     Args:
         wall_ns: time of the line since the epoch [ns].
-        level: INFO or WARNING.
         name: name of the writer.
     """
     message = {"timestamp": _time(wall_ns), "level": level, "message": text, "name": name}

@@ -1,7 +1,7 @@
 """The daemon's end of the socket to the writer process.
 
 Invariants:
-- Only ``close`` waits. What the kernel has no room for stays with the caller.
+- Only ``close`` waits. What the socket does not take stays with the caller.
 - The end of the process is a text in ``lost``, never an exception.
 """
 

@@ -140,7 +140,7 @@ class RecordingWriter:
         start = self._start
         assert start is not None  # noqa: S101 - begin has set it
         self._path, self._stream = str(path), stream
-        make_room(path.parent, start.rotation.total_bytes)
+        remove_oldest(path.parent, start.rotation.total_bytes)
         offset_ns = time.time_ns() - time.monotonic_ns()
         self._file = StepFile(stream, start.texts, start.chunk_bytes, offset_ns)
         self._began_s = time.monotonic()
@@ -295,16 +295,16 @@ def new_file(directory: Path) -> tuple[Path, BinaryIO]:
         time.sleep(0.001)  # names count milliseconds
 
 
-def make_room(directory: Path, total_bytes: int | None) -> None:
+def remove_oldest(directory: Path, total_bytes: int | None) -> None:
     """Remove the oldest recordings beyond a limit; the newest one, being written, stays."""
     if total_bytes is None:
         return
     *older, newest = sorted(directory.glob(PATTERN))
-    room_bytes = total_bytes - newest.stat().st_size
+    space_bytes = total_bytes - newest.stat().st_size
     for path in reversed(older):
-        room_bytes -= path.stat().st_size
-        if room_bytes < 0:
-            log.info("recording removed to make room: %s", path)
+        space_bytes -= path.stat().st_size
+        if space_bytes < 0:
+            log.info("recording removed for the limit of all recordings: %s", path)
             path.unlink()
 
 

@@ -54,7 +54,6 @@ class WriterRestart(Generic[T]):
         """Start the process when its back-off is over; it is known to have ended.
 
         Args:
-            now_ns: monotonic time [ns].
             start: starts the process; called in a thread.
         """
         if self._work is not None or self.is_over:

@@ -1,1 +1,1 @@
-"""The process: configuration, loop, clock, states, recorder, doors."""
+"""The process linemated: start-up, links, operators, recording, status."""

@@ -55,7 +55,6 @@ class CommandPort:
         handle: carries out an order; synchronous and quick.
         telemetry: returns what subscribers are sent.
         local, udp: endpoints, None for none.
-        now_ns: monotonic clock.
         secret: returns 32 random bytes.
 
     Attributes:
@@ -142,7 +141,6 @@ class CommandPort:
         The window ends at its time or with its budget. ``poll`` handles the rest.
 
         Args:
-            loop: running loop.
             until_ns: monotonic time at which the cycle needs the loop [ns].
             budget: most messages until then.
         """

@@ -31,7 +31,6 @@ class CycleTiming:
 
         Args:
             woken_late_ns: lateness of the clock [ns].
-            step_ns: computing time [ns].
         """
         self._woken_late_ns, self._step_ns, self._prepared = woken_late_ns, step_ns, True
 

@@ -32,7 +32,7 @@ class IncidentFiles:
         directory: where; None keeps nothing.
         written, failed: files.
         refused: incidents that found another one unfinished.
-        removed: older files that made room for newer ones.
+        removed: number of older files removed beyond MOST_FILES.
     """
 
     directory: Path | None

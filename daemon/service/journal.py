@@ -2,7 +2,7 @@
 
 Invariants:
 - Time comes in as a stamp.
-- At most ``most`` lines in any second. A line that found no room is joined to the next one.
+- At most ``most`` lines in any second. A line beyond that is joined to the next one.
 """
 
 from collections import deque
@@ -12,7 +12,7 @@ from typing import Final
 from linemate.daemon.cycle.samples import SensorFact
 
 SECOND_NS: Final = 1_000_000_000
-WAITING: Final = 8  # texts that wait for room; further ones are counted only
+WAITING: Final = 8  # texts that wait; further ones are counted only
 
 
 class Journal:
@@ -34,11 +34,7 @@ class Journal:
         self._stamps: deque[int] = deque([-SECOND_NS] * most, maxlen=most)
 
     def say(self, now_ns: int, text: str) -> None:
-        """Write a line, at once if there is room.
-
-        Args:
-            now_ns: monotonic time [ns].
-        """
+        """Write a line, at once if the limit allows."""
         if len(self._waiting) < WAITING:
             self._waiting.append(text)
         else:
@@ -46,7 +42,7 @@ class Journal:
         self.catch_up(now_ns)
 
     def catch_up(self, now_ns: int) -> None:
-        """Write the waiting texts as one line if there is room at a monotonic time [ns]."""
+        """Write the waiting texts as one line if the limit allows at a monotonic time [ns]."""
         if not self._waiting or now_ns - self._stamps[0] < SECOND_NS:
             return
         left_out = [f"{self.suppressed} more, see the recording's /log"] if self.suppressed else []
@@ -74,7 +70,6 @@ class SensorChanges:
         """Return a line for each sensor that came or went since the last call.
 
         Args:
-            now_ns: monotonic time [ns].
             limits_s: age of the newest sample beyond which a sensor counts as out [s].
             covered: sensors that the tool covers now; their silence is normal.
         """

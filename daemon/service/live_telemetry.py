@@ -28,7 +28,6 @@ class LiveTelemetry:
     """Newest steps and events.
 
     Attributes:
-        cycle_ms: period T0 [ms].
         event_count: number of events so far.
     """
 

@@ -51,7 +51,6 @@ class ParameterService:
     """Parameters of a running daemon.
 
     Attributes:
-        station: everything from files.
         on_change: called before a change is in force.
         on_event: called with a line about a change, after it.
         settings: the settings in force.

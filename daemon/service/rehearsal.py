@@ -34,8 +34,6 @@ class Peak:
 
     Attributes:
         name: ``tcp``, or the axis.
-        speed: [m/s], [rad/s].
-        at_s: task time [s].
         margin: to the nearest position limit [rad], [m]; infinity for the tcp.
     """
 

@@ -45,11 +45,7 @@ class Rates:
     _updated_ns: int | None = None
 
     def update(self, links: Iterable[LinkStatus], now_ns: int) -> None:
-        """Compute the rates since the last call.
-
-        Args:
-            now_ns: monotonic time [ns].
-        """
+        """Compute the rates since the last call."""
         counts = {link.name: link.counters[RATED.get(link.name, "samples")] for link in links}
         if self._updated_ns is not None and now_ns > self._updated_ns:
             span_s = (now_ns - self._updated_ns) / 1e9

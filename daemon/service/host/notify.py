@@ -63,11 +63,7 @@ class Notifier:
         self.send("STOPPING=1")
 
     def alive(self, now_ns: int) -> None:
-        """Feed the watchdog after a cycle, three times in its period.
-
-        Args:
-            now_ns: monotonic time [ns].
-        """
+        """Feed the watchdog after a cycle, three times in its period."""
         if self.watchdog_s is not None and now_ns - self._fed_ns >= self.watchdog_s / 3.0 * 1e9:
             self._fed_ns = now_ns
             self.send("WATCHDOG=1")
