@@ -90,8 +90,12 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "daemon/config/settings.py": ("awake", "slack"),
     "daemon/config/watch_settings.py": ("astray",),
     "daemon/service/host/realtime.py": ("awake", "slack"),
+    "tests/config/test_config.py": ("slack",),
+    "tests/service/test_idle_spinner.py": ("awake",),
+    "tests/service/test_realtime.py": ("slack",),
     # Names of state classes in recordings.
     "daemon/recording/snapshot.py": ("feeling", "verdict"),
+    "tests/recording/test_snapshot.py": ("belief",),
 }
 
 SHORTEST_ENTRY = 4  # words of an Args or Attributes entry

@@ -1,4 +1,4 @@
-"""Configuration files: what is told about a bad one, and what a good one resolves to."""
+"""Configuration files: the errors of a bad one, and what a good one resolves to."""
 
 import base64
 from collections.abc import Callable
@@ -81,7 +81,7 @@ control: {horizon_s: 0.25}
     assert station.config.tracking.distance.gate == TrackingSettings().distance.gate
 
 
-def test_every_error_of_every_file_is_told_at_once(write: Write, tmp_path: Path) -> None:
+def test_every_error_of_every_file_is_reported_at_once(write: Write, tmp_path: Path) -> None:
     (tmp_path / "task.yaml").write_text("name: 3\narm: {urdf: none.urdf}\n")
     path = write(
         """
@@ -120,7 +120,7 @@ speeling: 1
     assert any("arm.urdf: no such file" in line for line in others)
 
 
-def test_a_missing_file_is_told_in_the_same_form(tmp_path: Path) -> None:
+def test_a_missing_file_is_reported_in_the_same_form(tmp_path: Path) -> None:
     (line,) = errors(tmp_path / "none.yaml")
     assert line.startswith("1:1: (file): ")
     assert line.endswith("No such file or directory")
@@ -131,7 +131,7 @@ def test_a_file_beyond_the_limit_is_not_read(write: Write) -> None:
     assert "longer than" in line
 
 
-def test_a_controller_file_that_makes_no_telegram_is_told_at_its_key(
+def test_a_controller_file_that_makes_no_telegram_is_reported_at_its_key(
     write: Write, tmp_path: Path
 ) -> None:
     (tmp_path / "rsi.xml").write_text("<ROOT><CONFIG></CONFIG></ROOT>")
@@ -139,7 +139,9 @@ def test_a_controller_file_that_makes_no_telegram_is_told_at_its_key(
     assert line.startswith("2:15: rsi.config: ")
 
 
-def test_a_controller_file_without_an_axis_of_the_arm_is_told(write: Write, tmp_path: Path) -> None:
+def test_a_controller_file_without_an_axis_of_the_arm_is_reported(
+    write: Write, tmp_path: Path
+) -> None:
     xml = (PROTOCOL_DATA / "rsi_joints.xml").read_text(encoding="utf-8")
     assert "DEF_EIPos" in xml
     assert "EK.E1" in xml
@@ -150,14 +152,16 @@ def test_a_controller_file_without_an_axis_of_the_arm_is_told(write: Write, tmp_
     assert line == "2:15: rsi.config: the task's arm needs SEND DEF_EIPos, RECEIVE EK.E1"
 
 
-def test_axes_that_would_be_read_in_the_wrong_unit_are_told(write: Write) -> None:
+def test_axes_that_would_be_read_in_the_wrong_unit_are_reported(write: Write) -> None:
     (line,) = errors(write("task: wheel.yaml\nrsi: {linear_axes: [E2]}\n"))
     assert line == "2:20: rsi.linear_axes: the task's arm stands on E1, which is linear"
     (line,) = errors(write("task: wheel.yaml\nrsi: {linear_axes: [E1, Q1]}\n"))
     assert line.startswith("2:25: rsi.linear_axes[1]: ")
 
 
-def test_what_a_dbc_lacks_is_told_at_the_key_that_names_it(write: Write, tmp_path: Path) -> None:
+def test_what_a_dbc_lacks_is_reported_at_the_key_that_names_it(
+    write: Write, tmp_path: Path
+) -> None:
     (tmp_path / "bad.dbc").write_text("BO_ nonsense\n")
     text = "task: wheel.yaml\ndistance: {{can: {{interface: slcan}}, {}}}\n"
     for named, key in (
@@ -185,23 +189,23 @@ def test_a_key_given_twice_does_not_hide_what_is_wrong_with_its_value(write: Wri
     assert second.startswith("2:19: rsi.bind: given twice")
 
 
-def test_directories_that_are_not_there_are_told(write: Write) -> None:
+def test_directories_that_are_not_there_are_reported(write: Write) -> None:
     text = "task: wheel.yaml\nrecording: {directory: none}\nrealtime: {incidents: none}\n"
-    told = [line.split(": ")[1] for line in errors(write(text))]
-    assert told == ["recording.directory", "realtime.incidents"]
+    lines = [line.split(": ")[1] for line in errors(write(text))]
+    assert lines == ["recording.directory", "realtime.incidents"]
 
 
-def test_groups_that_are_not_there_are_told(write: Write) -> None:
+def test_groups_that_are_not_there_are_reported(write: Write) -> None:
     text = "task: wheel.yaml\ncommand: {{view_groups: [{}], operate_groups: [{}]}}\n"
-    viewers, operators = errors(write(text.format("root, nobody-has-this", "or-this")))
+    viewers, operators = errors(write(text.format("root, no-group-has-this", "or-this")))
     assert "command.operate_groups: no such group: or-this" in operators
-    assert "command.view_groups: no such group: nobody-has-this" in viewers
+    assert "command.view_groups: no such group: no-group-has-this" in viewers
     command = config.load(write(text.format('root, "77"', '"5"'))).config.command
     assert (command.view_groups, command.operate_groups) == (("root", "77"), ("5",))
     assert group_ids(command.view_groups) == {0, 77}
 
 
-def test_a_camera_peer_that_is_no_address_is_told(write: Write) -> None:
+def test_a_camera_peer_that_is_no_address_is_reported(write: Write) -> None:
     for peer in ("camera.local", "10.0.0.1:0", "10.0.0.1:99999", "10.0.0.1:x", "[::1]5", "[::1"):
         (line,) = errors(write(f'task: wheel.yaml\ncamera: {{peer: "{peer}"}}\n'))
         assert "camera.peer: " in line, peer
@@ -222,15 +226,15 @@ def test_keys_that_others_can_read_are_refused(write: Write, tmp_path: Path) -> 
     assert "holds no key" in line
 
 
-def test_every_bad_line_of_a_key_file_is_told_at_the_key_that_names_it(
+def test_every_bad_line_of_a_key_file_is_reported_at_the_key_that_names_it(
     write: Write, tmp_path: Path
 ) -> None:
     keys = tmp_path / "keys"
     keys.write_text(f"{KEY}panel operate\n{KEY}")
     keys.chmod(0o400)
-    told = errors(write("task: wheel.yaml\ncommand: {udp: {keys: keys}}\n"))
+    lines = errors(write("task: wheel.yaml\ncommand: {udp: {keys: keys}}\n"))
     where = f"2:23: command.udp.keys: {keys}"
-    assert [line.removeprefix(where)[:3] for line in told] == [":2:", ":3:"]
+    assert [line.removeprefix(where)[:3] for line in lines] == [":2:", ":3:"]
 
 
 def test_keys_can_be_a_credential_of_systemd(
@@ -273,7 +277,9 @@ def test_a_remote_command_port_needs_consent(write: Write, tmp_path: Path) -> No
         "camera: null",
     ],
 )
-def test_sections_of_any_kind_are_told_and_nothing_else_happens(write: Write, text: str) -> None:
+def test_sections_of_any_kind_are_reported_and_nothing_else_happens(
+    write: Write, text: str
+) -> None:
     assert errors(write(text))
 
 
@@ -283,7 +289,7 @@ def test_the_schema_covers_every_section() -> None:
     assert schema["required"] == ["task"]
 
 
-def test_two_links_on_one_port_are_told_where_their_addresses_meet(write: Write) -> None:
+def test_two_links_on_one_port_are_reported_where_their_addresses_meet(write: Write) -> None:
     text = "task: wheel.yaml\nrsi: {{bind: {}}}\ncamera: {{port: 49152, bind: {}}}\n"
     for robot, camera, clash in (
         ("127.0.0.1", "127.0.0.1", True),
@@ -297,7 +303,7 @@ def test_two_links_on_one_port_are_told_where_their_addresses_meet(write: Write)
             assert config.load(path).rsi_port == 49152
 
 
-def test_limits_wider_than_the_urdfs_are_told_at_their_place(write: Write) -> None:
+def test_limits_wider_than_the_urdfs_are_reported_at_their_place(write: Write) -> None:
     rows = [
         f"{{lower: -0.1, upper: {upper}, speed: {speed}, acceleration: 40, jerk: 15000}}"
         for upper, speed in ((0.1, 1.0), (-0.08, 1.0), *[(0.1, 1.0)] * 4, (0.1, 1.6))

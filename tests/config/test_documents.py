@@ -39,7 +39,7 @@ def load(text: str | bytes) -> Whole:
     return fill(read(data, "f.yaml"), Whole)
 
 
-def told(error: FileError) -> None:
+def check_lines(error: FileError) -> None:
     assert error.lines
     assert all(line.startswith("f.yaml:") for line in error.lines)
 
@@ -55,7 +55,7 @@ def test_a_good_file_fills_its_dataclass() -> None:
     assert whole == Whole((Part(0.001, "010"), Part(2.0)), colour=Colour.BLUE, free={"a": 1})
 
 
-def test_every_error_is_told_at_once_and_in_the_order_of_the_file() -> None:
+def test_every_error_is_reported_at_once_and_in_the_order_of_the_file() -> None:
     text = "parts:\n- {length: -1}\n- {lenght: 1}\ncount: 1.5\non: 1\ncolour: green\nmore: 2\n"
     assert errors(text) == [
         "f.yaml:2:12: parts[0].length: should be greater than or equal to 0, not -1",
@@ -108,7 +108,7 @@ def test_numbers_are_read_as_people_write_them(plain: str, number: float) -> Non
     assert load(f"parts: [{{length: {plain}}}]").parts[0].length == number
 
 
-def test_bytes_that_are_no_utf_8_are_told_with_their_place() -> None:
+def test_bytes_that_are_no_utf_8_are_reported_with_their_place() -> None:
     assert errors(b"parts:\n- {length: \xff}") == ["f.yaml:2:12: (file): not UTF-8: byte 0xff"]
 
 
@@ -129,7 +129,7 @@ def test_bytes_that_are_no_utf_8_are_told_with_their_place() -> None:
         ("? [1, 2]\n: 3", "1:1", "a key should be a text"),
     ],
 )
-def test_what_is_no_document_is_told_and_never_raises_anything_else(
+def test_what_is_no_document_is_reported_and_never_raises_anything_else(
     text: str, place: str, what: str
 ) -> None:
     found = [line for line in errors(text) if line.startswith(f"f.yaml:{place}: ")]
@@ -145,7 +145,7 @@ def test_a_small_file_cannot_grow_large() -> None:
     assert "more than" in line
 
 
-def test_a_check_between_values_is_told_beside_the_others() -> None:
+def test_a_check_between_values_is_reported_with_the_others() -> None:
     def check(value: Any) -> list[Complaint]:
         return [Complaint(("count",), "should fit the parts"), Complaint(("parts", 0), "odd")]
 
@@ -158,7 +158,7 @@ def test_a_check_between_values_is_told_beside_the_others() -> None:
     ]
 
 
-def test_a_list_of_wrong_length_is_told_beside_its_items() -> None:
+def test_a_list_of_wrong_length_is_reported_with_its_items() -> None:
     assert errors("parts: []") == ["f.yaml:1:8: parts: should have at least 1 items, not 0"]
     assert errors("parts: [{length: 1}, {length: 1}, {length: 1}, {length: 1}]") == [
         "f.yaml:1:8: parts: should have at most 3 items, not 4"
@@ -190,7 +190,7 @@ def test_any_bytes_give_a_value_or_complaints(data: bytes) -> None:
     try:
         load(data)
     except FileError as error:
-        told(error)
+        check_lines(error)
 
 
 YAMLISH = st.lists(
@@ -223,7 +223,7 @@ def test_anything_like_yaml_gives_a_value_or_complaints(text: str) -> None:
     try:
         load(text)
     except FileError as error:
-        told(error)
+        check_lines(error)
 
 
 TREES = st.recursive(
@@ -240,7 +240,7 @@ def test_values_of_any_kind_anywhere_give_a_value_or_complaints(tree: dict[str, 
     try:
         load(yaml.safe_dump(tree, allow_unicode=True))
     except FileError as error:
-        told(error)
+        check_lines(error)
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False, min_value=0.0))

@@ -18,7 +18,7 @@ DELAY = '<ELEMENT TAG="DEF_Delay" TYPE="LONG" INDX="INTERNAL"/>'
 OVERRIDE = '<ELEMENT TAG="OvPro" TYPE="LONG" INDX="9" HOLDON="0"/>'
 START = (0.0, -1.5, 1.5, 0.0, 0.5, 0.0, 0.0)
 
-Told = Callable[..., list[str]]
+Lines = Callable[..., list[str]]
 
 
 def with_receive(*elements: str) -> str:
@@ -27,7 +27,7 @@ def with_receive(*elements: str) -> str:
 
 
 @pytest.fixture
-def told(tmp_path: Path) -> Told:
+def lines_of(tmp_path: Path) -> Lines:
     """Return the errors of a configuration with an RSI file; none if it is good."""
 
     def check(xml: str, more: str = "") -> list[str]:
@@ -43,55 +43,55 @@ def told(tmp_path: Path) -> Told:
     return check
 
 
-def test_the_shipped_files_are_good(told: Told) -> None:
+def test_the_shipped_files_are_good(lines_of: Lines) -> None:
     for name in ("rsi_joints.xml", "rsi_joints_setpoints.xml"):
-        assert told((PROTOCOL_DATA / name).read_text(encoding="utf-8")) == []
+        assert lines_of((PROTOCOL_DATA / name).read_text(encoding="utf-8")) == []
 
 
 @pytest.mark.parametrize("tag", ["AK.A4", "EK.E1"])
-def test_an_absolute_correction_must_be_held(told: Told, tag: str) -> None:
+def test_an_absolute_correction_must_be_held(lines_of: Lines, tag: str) -> None:
     begin = SHIPPED.index(f'TAG="{tag}"')
     xml = SHIPPED[:begin] + SHIPPED[begin:].replace('HOLDON="1"', 'HOLDON="0"', 1)
-    (line,) = told(xml)
+    (line,) = lines_of(xml)
     assert line == (
         f'2:15: rsi.config: RECEIVE {tag}: HOLDON="0" with absolute corrections: a lost reply '
         'takes the whole correction back. Set HOLDON="1".'
     )
 
 
-def test_an_increment_must_not_be_held(told: Told) -> None:
-    (line,) = told(SHIPPED, ", corrections: relative")
+def test_an_increment_must_not_be_held(lines_of: Lines) -> None:
+    (line,) = lines_of(SHIPPED, ", corrections: relative")
     assert "RECEIVE AK.A1, AK.A2" in line
     assert 'HOLDON="1" with relative corrections: a lost reply repeats the last increment' in line
-    assert told(SHIPPED.replace('HOLDON="1"', 'HOLDON="0"'), ", corrections: relative") == []
+    assert lines_of(SHIPPED.replace('HOLDON="1"', 'HOLDON="0"'), ", corrections: relative") == []
 
 
-def test_a_controller_that_takes_no_replies_is_refused(told: Told) -> None:
-    (line,) = told(SHIPPED.replace("<ONLYSEND>FALSE", "<ONLYSEND>TRUE"))
+def test_a_controller_that_takes_no_replies_is_refused(lines_of: Lines) -> None:
+    (line,) = lines_of(SHIPPED.replace("<ONLYSEND>FALSE", "<ONLYSEND>TRUE"))
     assert "ONLYSEND is TRUE" in line
     assert "Set ONLYSEND to FALSE" in line
 
 
-def test_a_layout_without_delay_is_refused(told: Told) -> None:
+def test_a_layout_without_delay_is_refused(lines_of: Lines) -> None:
     assert DELAY in SHIPPED
-    (line,) = told(SHIPPED.replace(DELAY, ""))
+    (line,) = lines_of(SHIPPED.replace(DELAY, ""))
     assert "SEND has no DEF_Delay" in line
     assert DELAY in line
 
 
-def test_every_fault_of_an_rsi_file_is_told_at_once(told: Told) -> None:
+def test_every_fault_of_an_rsi_file_is_reported_at_once(lines_of: Lines) -> None:
     xml = with_receive(OVERRIDE).replace(DELAY, "").replace('INDX="1" HOLDON="1"', 'INDX="1"'
         ' HOLDON="0"')  # fmt: skip
-    lines = told(xml.replace("<ONLYSEND>FALSE", "<ONLYSEND>TRUE"))
+    lines = lines_of(xml.replace("<ONLYSEND>FALSE", "<ONLYSEND>TRUE"))
     assert len(lines) == 4
 
 
-def test_an_element_without_a_value_is_named(told: Told) -> None:
-    (line,) = told(with_receive(OVERRIDE, '<ELEMENT TAG="Stop" TYPE="BOOL" INDX="10"/>'))
+def test_an_element_without_a_value_is_named(lines_of: Lines) -> None:
+    (line,) = lines_of(with_receive(OVERRIDE, '<ELEMENT TAG="Stop" TYPE="BOOL" INDX="10"/>'))
     assert "RECEIVE OvPro, Stop: linemate has no value for it and would write 0" in line
     assert "rsi.constants: {OvPro: VALUE, Stop: VALUE}" in line
     both = with_receive(OVERRIDE, '<ELEMENT TAG="Stop" TYPE="BOOL" INDX="10"/>')
-    assert told(both, ", constants: {OvPro: 100, Stop: false}") == []
+    assert lines_of(both, ", constants: {OvPro: 100, Stop: false}") == []
 
 
 @pytest.mark.parametrize(
@@ -110,25 +110,25 @@ def test_an_element_without_a_value_is_named(told: Told) -> None:
     ],
 )
 def test_a_constant_must_be_of_its_elements_type(
-    told: Told, kind: str, value: str, good: bool
+    lines_of: Lines, kind: str, value: str, good: bool
 ) -> None:
     xml = with_receive(OVERRIDE.replace("LONG", kind))
-    lines = told(xml, f", constants: {{OvPro: {value}}}")
+    lines = lines_of(xml, f", constants: {{OvPro: {value}}}")
     assert (lines == []) is good
     if not good:
         assert f"rsi.constants.OvPro: should be a {kind} as TYPE says" in lines[0]
 
 
-def test_a_constant_for_what_is_not_there_or_is_written_anyway_is_refused(told: Told) -> None:
-    (line,) = told(SHIPPED, ", constants: {Ovpro: 100}")
+def test_a_constant_for_what_is_not_there_or_is_written_anyway_is_refused(lines_of: Lines) -> None:
+    (line,) = lines_of(SHIPPED, ", constants: {Ovpro: 100}")
     assert "rsi.constants.Ovpro: no element of RECEIVE" in line
-    (line,) = told(SHIPPED, ", constants: {AK.A1: 0.5}")
+    (line,) = lines_of(SHIPPED, ", constants: {AK.A1: 0.5}")
     assert "rsi.constants.AK.A1: linemate writes it in every reply" in line
 
 
-def test_a_gate_needs_the_signal_that_it_waits_for(told: Told) -> None:
+def test_a_gate_needs_the_signal_that_it_waits_for(lines_of: Lines) -> None:
     xml = SHIPPED.replace('<ELEMENT TAG="DiL" TYPE="LONG" INDX="1"/>', "")
-    lines = told(xml)
+    lines = lines_of(xml)
     assert len(lines) == 2
     assert "waypoints[5] waits for screws_fixed, and the file has no SEND DiL" in lines[0]
     assert "tool.fixed_after" in lines[0]

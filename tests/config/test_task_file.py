@@ -32,14 +32,14 @@ def test_the_shipped_task_loads_with_its_arm() -> None:
     assert task.text == WHEEL.read_text(encoding="utf-8")
 
 
-def test_a_urdf_beside_the_task_is_taken_before_a_shipped_one(tmp_path: Path) -> None:
+def test_a_urdf_next_to_the_task_is_taken_before_a_shipped_one(tmp_path: Path) -> None:
     shutil.copy(WHEEL, tmp_path / "t.yaml")
     assert task_file.load(tmp_path / "t.yaml").urdf == (DAEMON_DATA / "arm.urdf").read_text()
     (tmp_path / "arm.urdf").write_text("<robot name='mine'/>")
     assert task_file.load(tmp_path / "t.yaml").urdf == "<robot name='mine'/>"
 
 
-def test_a_missing_urdf_is_told_beside_the_other_errors(tmp_path: Path) -> None:
+def test_a_missing_urdf_is_reported_with_the_other_errors(tmp_path: Path) -> None:
     text = edited("urdf: arm.urdf", "urdf: other.urdf").replace(
         "nominal_speed: 0.106", "nominal_speed: -1"
     )
@@ -54,14 +54,14 @@ def test_a_missing_urdf_is_told_beside_the_other_errors(tmp_path: Path) -> None:
     )
 
 
-def test_a_missing_task_file_is_told(tmp_path: Path) -> None:
+def test_a_missing_task_file_is_reported(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="No such file"):
         task_file.load(tmp_path / "none.yaml")
     with pytest.raises(FileError, match="not a regular file"):
         task_file.load(tmp_path)
 
 
-def test_times_that_do_not_rise_are_told_each() -> None:
+def test_times_that_do_not_rise_are_reported_each() -> None:
     text = edited("time: 4.0", "time: 2.8").replace("time: 8.5, phase", "time: 1, phase")
     assert [line.split(": ", 1)[1] for line in errors(text)] == [
         "waypoints[2].time: should be later than the waypoint before (2.8), not 2.8",
@@ -90,12 +90,12 @@ def test_times_that_do_not_rise_are_told_each() -> None:
         ("axis: [0.0, 1.0, 0.0]", "axis: [0.0, 2.0, 0.0]", "conveyor.axis"),
     ],
 )
-def test_what_should_be_unit_and_is_not_is_told(old: str, new: str, key: str) -> None:
+def test_what_should_be_unit_and_is_not_is_reported(old: str, new: str, key: str) -> None:
     (line,) = errors(edited(old, new))
     assert f" {key}: should have length 1" in line
 
 
-def test_an_object_whose_y_is_not_the_direction_of_travel_is_told() -> None:
+def test_an_object_whose_y_is_not_the_direction_of_travel_is_reported() -> None:
     (line,) = errors(edited("axis: [0.0, 1.0, 0.0]", "axis: [1.0, 0.0, 0.0]"))
     assert "object.nominal.quaternion: its y axis should lie along conveyor.axis" in line
 
@@ -120,7 +120,7 @@ def test_errors_of_kind_and_of_relation_come_together() -> None:
 
 
 @pytest.mark.parametrize("value", ["3", "[]", "{}", "[[1]]", "[{time: 1}]", "null", "text"])
-def test_waypoints_of_any_kind_are_told_and_nothing_else_happens(value: str) -> None:
+def test_waypoints_of_any_kind_are_reported_and_nothing_else_happens(value: str) -> None:
     head = WHEEL.read_text(encoding="utf-8").split("waypoints:")[0]
     assert all("waypoints" in line for line in errors(f"{head}waypoints: {value}\n"))
 
@@ -131,7 +131,7 @@ def test_the_schema_describes_a_task() -> None:
     assert schema["title"] == "linemate task"
 
 
-def test_a_gate_on_a_signal_that_is_ordered_later_is_told() -> None:
+def test_a_gate_on_a_signal_that_is_ordered_later_is_reported() -> None:
     (line,) = errors(edited("fix_screws: 8.5", "fix_screws: 14.1"))
     assert "tool.fix_screws: 14.1 s is after waypoints[5] at 14 s, which waits for it" in line
     (line,) = errors(edited("release_wheel: 14.5", "release_wheel: 850"))

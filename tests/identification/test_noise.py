@@ -25,7 +25,7 @@ def readings(speed: float, sigma: float, step: float, outliers: float = 0.0) -> 
     return np.column_stack((t, x))
 
 
-def told(outcome: Outcome) -> Estimate:
+def estimate(outcome: Outcome) -> Estimate:
     assert isinstance(outcome, Estimate), outcome
     return outcome
 
@@ -33,15 +33,15 @@ def told(outcome: Outcome) -> Estimate:
 def test_noise_and_resolution_of_a_coarse_sensor_on_a_moving_conveyor() -> None:
     deviation, resolution, wild = distance_noise([readings(0.106, 0.25e-3, 1e-3, 0.003)])
     true = math.hypot(0.25e-3, 1e-3 / math.sqrt(12.0))
-    assert told(deviation).value == pytest.approx(true, rel=0.08)
-    assert abs(told(deviation).value - true) < 4.0 * told(deviation).deviation
-    assert told(resolution).value == pytest.approx(1e-3, rel=1e-6)
-    assert 0.0 < told(wild).value < 0.01
+    assert estimate(deviation).value == pytest.approx(true, rel=0.08)
+    assert abs(estimate(deviation).value - true) < 4.0 * estimate(deviation).deviation
+    assert estimate(resolution).value == pytest.approx(1e-3, rel=1e-6)
+    assert 0.0 < estimate(wild).value < 0.01
 
 
 def test_a_fine_sensor_shows_its_noise_and_no_step() -> None:
     deviation, resolution, _ = distance_noise([readings(0.106, 0.3e-3, 0.0)])
-    assert told(deviation).value == pytest.approx(0.3e-3, rel=0.08)
+    assert estimate(deviation).value == pytest.approx(0.3e-3, rel=0.08)
     assert isinstance(resolution, Refusal)
 
 
@@ -49,7 +49,7 @@ def test_a_coarse_sensor_at_rest_hides_its_noise() -> None:
     deviation, resolution, _ = distance_noise([readings(0.0, 0.6e-3, 1e-3)])
     assert isinstance(deviation, Refusal)
     assert "hardly moves" in deviation.reason
-    assert told(resolution).value == pytest.approx(1e-3)
+    assert estimate(resolution).value == pytest.approx(1e-3)
 
 
 def test_a_handful_of_readings_is_refused() -> None:
@@ -69,8 +69,8 @@ def test_the_cameras_noise_grows_with_the_distance_as_it_was_made() -> None:
         (found.angle_slope, 4e-3),
         (found.honesty, 1.0),
     ):
-        assert abs(told(outcome).value - true) < 4.0 * told(outcome).deviation + 1e-5
-    assert told(found.camera_outliers).value == pytest.approx(0.02, abs=0.012)
+        assert abs(estimate(outcome).value - true) < 4.0 * estimate(outcome).deviation + 1e-5
+    assert estimate(found.camera_outliers).value == pytest.approx(0.02, abs=0.012)
 
 
 def test_a_camera_that_states_no_covariance_is_measured_all_the_same() -> None:
@@ -78,8 +78,8 @@ def test_a_camera_that_states_no_covariance_is_measured_all_the_same() -> None:
     wrong = CameraNoise(lateral=0.001, lateral_slope=0.0, angle=0.002, angle_slope=0.0)
     views = scene_fit.views(one, CAMERA, wrong)
     found = identify_noise([one], find_swings(views, CAMERA), views, CAMERA)
-    assert told(found.lateral_slope).value == pytest.approx(1.2e-3, rel=0.4)
-    assert told(found.angle_slope).value == pytest.approx(4e-3, rel=0.4)
+    assert estimate(found.lateral_slope).value == pytest.approx(1.2e-3, rel=0.4)
+    assert estimate(found.angle_slope).value == pytest.approx(4e-3, rel=0.4)
 
 
 def test_images_from_one_distance_tell_no_slope() -> None:
@@ -92,8 +92,8 @@ def test_images_from_one_distance_tell_no_slope() -> None:
 
 def test_force_noise_is_seen_through_the_ringing() -> None:
     force, torque = wrench_noise([ringing(Effector(), seed=5, moves=3)])
-    assert told(force).value == pytest.approx(0.05e-3 * 50e3, rel=0.05)
-    assert told(torque).value == pytest.approx(0.2e-3 * 2000.0, rel=0.05)
+    assert estimate(force).value == pytest.approx(0.05e-3 * 50e3, rel=0.05)
+    assert estimate(torque).value == pytest.approx(0.2e-3 * 2000.0, rel=0.05)
 
 
 def test_wrenches_in_contact_do_not_count() -> None:

@@ -24,7 +24,7 @@ def test_every_axis_rings_with_its_own_mode() -> None:
         assert result.frequency_hz.deviation < 0.01 * true
 
 
-def test_a_well_damped_mode_is_told_from_a_hard_one() -> None:
+def test_a_well_damped_mode_is_separated_from_a_hard_one() -> None:
     damped = replace(EFFECTOR, damping=(0.08, 0.02, 0.02, 0.02, 0.02, 0.02))
     result = identify_modes([ringing(damped, seed=1)])[0]
     assert result.mode is not None

@@ -1,4 +1,4 @@
-"""Swing, hand-eye pose, stamps and offset from images: the truth within its doubt, or a reason."""
+"""Swing, hand-eye pose, stamps and offset from images: true within the deviation, or refused."""
 
 from dataclasses import replace
 
@@ -33,7 +33,7 @@ def within(outcome: Outcome, true: float, times: float = 4.0) -> bool:
     return abs(outcome.value - true) <= times * outcome.deviation
 
 
-def test_the_default_swing_is_told_within_its_doubt() -> None:
+def test_the_default_swing_is_reported_within_its_deviation() -> None:
     (result,) = swings(seen(Sight()))
     assert result.mode is not None
     assert result.mode.axis == 1
@@ -45,7 +45,7 @@ def test_the_default_swing_is_told_within_its_doubt() -> None:
     assert result.frequency_hz.deviation < 0.002
 
 
-def test_doubts_are_honest_over_many_recordings() -> None:
+def test_deviations_are_honest_over_many_recordings() -> None:
     offs = []
     for seed in range(5):
         result = swings(seen(Sight(seconds=10.0, seed=seed)))[0]
@@ -55,16 +55,16 @@ def test_doubts_are_honest_over_many_recordings() -> None:
     assert 0.3 < float(np.sqrt(np.mean(np.square(offs)))) < 2.0
 
 
-def test_two_swings_about_two_axes_are_told_apart() -> None:
+def test_two_swings_about_two_axes_are_separated() -> None:
     both = (
         (0.62, 0.002, (0.0, 0.006, 0.0), (0.9, 0.0, -0.3)),
         (1.1, 0.01, (0.005, 0.0, 0.0), (0.9, 0.0, -0.3)),
     )
     results = swings(seen(Sight(seconds=18.0, swings=both)))
-    told = sorted((r.mode for r in results if r.mode), key=lambda mode: mode.frequency_hz)
-    assert [mode.axis for mode in told] == [1, 0]
-    assert [mode.frequency_hz for mode in told] == pytest.approx([0.62, 1.1], rel=0.01)
-    assert told[1].levers == pytest.approx((0.0, 0.3, 0.0), abs=0.06)
+    modes = sorted((r.mode for r in results if r.mode), key=lambda mode: mode.frequency_hz)
+    assert [mode.axis for mode in modes] == [1, 0]
+    assert [mode.frequency_hz for mode in modes] == pytest.approx([0.62, 1.1], rel=0.01)
+    assert modes[1].levers == pytest.approx((0.0, 0.3, 0.0), abs=0.06)
 
 
 def test_an_object_at_rest_does_not_swing() -> None:
@@ -73,7 +73,7 @@ def test_an_object_at_rest_does_not_swing() -> None:
     assert "nothing swings" in result.frequency_hz.reason
 
 
-def test_an_oblique_swing_is_refused_but_its_frequency_told() -> None:
+def test_an_oblique_swing_is_refused_but_its_frequency_is_reported() -> None:
     oblique = ((0.62, 0.002, (0.0, 0.005, 0.004), (0.9, 0.0, -0.3)),)
     result = swings(seen(Sight(swings=oblique)))[0]
     assert result.mode is None
@@ -134,14 +134,14 @@ def test_a_tool_at_rest_before_an_object_at_rest_tells_no_delay() -> None:
     assert isinstance(result.rotation[2], Refusal)
 
 
-def test_a_swing_is_found_beside_a_crooked_camera() -> None:
+def test_a_swing_is_found_next_to_a_crooked_camera() -> None:
     crooked = (0.004, -0.003, 0.005, 0.006, -0.004, 0.008)
     result = swings(seen(Sight(hand_eye=crooked)))[0]
     assert within(result.frequency_hz, 0.62)
     assert within(result.levers[2], -0.9)
 
 
-def test_the_offset_of_a_recording_is_told_and_the_sensors_only_over_bodies() -> None:
+def test_the_offset_of_a_recording_is_reported_and_the_sensors_only_over_bodies() -> None:
     found, views = looked(seen(Sight(offset=0.012)))
     result = identify_offset(found, views, [0], 0.0, 0.02)
     assert within(result.recordings[0], 0.012)

@@ -1,4 +1,4 @@
-"""Servos of whole recordings: told with their doubt, or refused with the reason."""
+"""Servos of whole recordings: with their deviation, or refused with the reason."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ COMMANDS[:, 3] = 0.1  # A4 rests
 ANSWERS = answers(AXES, COMMANDS)
 
 
-def test_axes_that_moved_are_told_and_the_one_at_rest_is_refused() -> None:
+def test_axes_that_moved_are_reported_and_the_one_at_rest_is_refused() -> None:
     results = identify_servos([trace(COMMANDS, ANSWERS)])
     for result, true in zip(results, AXES, strict=True):
         if result.axis == 3:

@@ -61,7 +61,7 @@ def steps(n: int = 60, silent: tuple[int, ...] = (), touching: range = range(0))
     return made
 
 
-def test_answers_stand_beside_the_commands_of_their_own_telegram() -> None:
+def test_answers_stand_next_to_the_commands_of_their_own_telegram() -> None:
     trace = build_trace(steps(), kinematics, NOMINAL)
     assert trace.cycle_s == pytest.approx(0.012)
     assert trace.commands[:, 0] == pytest.approx(0.02 * np.arange(60))

@@ -103,7 +103,7 @@ class Ended:
     """A command that ended, and what it took: processor time [s], memory [MiB]."""
 
     code: int
-    said: str
+    output: str
     cpu_s: float
     memory_mib: float
 
@@ -116,11 +116,11 @@ def ran(*words: Any) -> Ended:
         peaks = [0.0]
         looking = threading.Thread(target=_watch_memory, args=(process.pid, peaks))
         looking.start()
-        said = process.stdout.read().decode()
+        output = process.stdout.read().decode()
         _, status, usage = os.wait4(process.pid, 0)
         looking.join()
         process.returncode = os.waitstatus_to_exitcode(status)
-    return Ended(process.returncode, said, usage.ru_utime + usage.ru_stime, peaks[-1])
+    return Ended(process.returncode, output, usage.ru_utime + usage.ru_stime, peaks[-1])
 
 
 def _watch_memory(pid: int, peaks: list[float]) -> None:
@@ -145,8 +145,8 @@ def test_a_bomb_is_refused_within_256_mib_and_5_s(
     path.write_bytes(bomb())
     ended = ran(command, path, *(["--no-browser"] if command == "view" else []))
     assert ended.code == 1
-    assert "damaged: " in ended.said
-    assert "of an unknown number of steps were read" in ended.said
+    assert "damaged: " in ended.output
+    assert "of an unknown number of steps were read" in ended.output
     # Processor time: what a busy machine adds is not the file's doing.
     assert ended.cpu_s < CPU_S
     assert 10.0 < ended.memory_mib < MEMORY_MIB
@@ -249,5 +249,5 @@ def test_a_wrong_checksum_of_the_data_is_damage() -> None:
     at = data.index(struct.pack("<BQ", 15, 4))
     right = zlib.crc32(data[:at])
     for crc, is_damaged in ((right, False), (right ^ 1, True)):
-        told = data[: at + 9] + struct.pack("<I", crc) + data[at + 13 :]
-        assert isinstance(read(told)[-1], Damage) is is_damaged
+        changed = data[: at + 9] + struct.pack("<I", crc) + data[at + 13 :]
+        assert isinstance(read(changed)[-1], Damage) is is_damaged

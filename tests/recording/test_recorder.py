@@ -142,17 +142,17 @@ def test_a_step_that_cannot_be_packed_is_counted(recorder: Recorder, entries: En
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
 def test_a_full_disk_ends_the_recording_and_nothing_else(tmp_path: Path) -> None:
-    told: list[Report] = []
-    writer = RecordingWriter(told.append)
+    reports: list[Report] = []
+    writer = RecordingWriter(reports.append)
     writer.begin(RecordingStart(1, "/dev/full", {}, 65_536, 0.0, Rotation()))
     writer.write([Item(ItemKind.STEP, 1, b"step")])
     writer.flush_if_due(1.0)
-    assert "No space left" in told[-1]["failure"]
-    assert told[-1]["ended"]
+    assert "No space left" in reports[-1]["failure"]
+    assert reports[-1]["ended"]
     path = tmp_path / "next.mcap"
     writer.begin(RecordingStart(2, str(path), {}, 65_536, 0.0, Rotation()))
     writer.write([Item(ItemKind.STEP, 1, b"step"), Item(ItemKind.END, 0)])
-    assert (told[-1]["number"], told[-1]["written"], told[-1]["failure"]) == (2, 1, "")
+    assert (reports[-1]["number"], reports[-1]["written"], reports[-1]["failure"]) == (2, 1, "")
     with path.open("rb") as stream:
         assert [m.data for _, _, m in make_reader(stream).iter_messages(STEP)] == [b"step"]
 
@@ -289,9 +289,9 @@ def test_a_file_that_is_full_is_followed_by_one_that_stands_for_itself(
     assert not any(map(read, others))
     assert [v.k for v in replayed(first)] == list(range(8))
     assert [v.k for v in replayed(second)] == list(range(8, 20))
-    for verdict in (*replayed(first), *replayed(second)):
-        assert not verdict.changes
-        assert verdict.failure is verdict.restart is None
+    for step in (*replayed(first), *replayed(second)):
+        assert not step.changes
+        assert step.failure is step.restart is None
 
 
 def test_a_file_that_is_old_is_followed_by_the_next(tmp_path: Path, entries: Entries) -> None:
@@ -305,7 +305,7 @@ def test_a_file_that_is_old_is_followed_by_the_next(tmp_path: Path, entries: Ent
     assert recorder.status.files == len(list(tmp_path.glob("*.mcap"))) >= 4
 
 
-def test_the_oldest_recordings_make_room_and_nothing_else_is_touched(
+def test_the_oldest_recordings_are_removed_and_nothing_else_is_touched(
     tmp_path: Path, entries: Entries
 ) -> None:
     names = ["linemate-20200101T000000.000Z.mcap", "linemate-20210101T000000.000Z.mcap"]
@@ -346,27 +346,27 @@ def test_dropped_steps_are_bridged_so_that_the_rest_replays(
     recorder.record(steps[9:])
     recorder.close()
     assert recorder.status.dropped == 4
-    verdicts = replayed(Path(recorder.status.file))
-    assert [v.k for v in verdicts] == [*range(5), *range(9, 20)]
-    assert all(not v.changes and v.failure is v.restart is None for v in verdicts)
+    steps_again = replayed(Path(recorder.status.file))
+    assert [v.k for v in steps_again] == [*range(5), *range(9, 20)]
+    assert all(not v.changes and v.failure is v.restart is None for v in steps_again)
 
 
-def test_the_lines_for_people_and_the_times_of_cycles_stand_beside_the_steps(
+def test_the_lines_for_people_and_the_times_of_cycles_stand_next_to_the_steps(
     recorder: Recorder, entries: Entries
 ) -> None:
     recorder.start()
-    recorder.write_line(7, "link camera is down: nobody sends")
+    recorder.write_line(7, "link camera is down: no datagrams")
     times = CycleTimes(1, 8, None, None, 0, 100, 200, False, "idle")
     recorder.record(entries, [times])
     recorder.close()
     with Path(recorder.status.file).open("rb") as stream:
-        told: dict[str, list[object]] = {}
+        messages_of: dict[str, list[object]] = {}
         for _, channel, message in make_reader(stream).iter_messages(["/log", TIMING]):
-            told.setdefault(channel.topic, []).append(json.loads(message.data))
-    messages = [line["message"] for line in told["/log"]]  # type: ignore[index]
-    assert messages[0] == "link camera is down: nobody sends"
+            messages_of.setdefault(channel.topic, []).append(json.loads(message.data))
+    messages = [line["message"] for line in messages_of["/log"]]  # type: ignore[index]
+    assert messages[0] == "link camera is down: no datagrams"
     assert "state: track" in messages
-    assert told[TIMING] == [
+    assert messages_of[TIMING] == [
         {"ipoc": 1, "arrival_ns": 8, "lead_ns": 0, "step_ns": 100, "turnaround_ns": 200,
          "prepared": False, "state": "idle"}
     ]  # fmt: skip
@@ -408,9 +408,9 @@ def test_a_killed_writer_is_started_again_and_the_recording_goes_on(
     assert (status.restarts, status.dropped, status.failure) == (1, 2, "")
     assert status.file != first
     assert recorder.writer_pid is None
-    verdicts = replayed(Path(status.file))
-    assert len(verdicts) == len(steps) - half - 2
-    assert not any(verdict.changes or verdict.failure for verdict in verdicts)
+    steps_again = replayed(Path(status.file))
+    assert len(steps_again) == len(steps) - half - 2
+    assert not any(step.changes or step.failure for step in steps_again)
     assert "recording goes on in" in caplog.text
 
 

@@ -17,7 +17,7 @@ from linemate.daemon.recording.step_codec import decode, differences, encode
 
 
 @cache
-def told() -> tuple[tuple[StepState, Inputs, Outputs], ...]:
+def recorded_steps() -> tuple[tuple[StepState, Inputs, Outputs], ...]:
     """A few seconds of a run up to the approach."""
     world = World(parameters())
     world.run(1.5)
@@ -30,7 +30,7 @@ def told() -> tuple[tuple[StepState, Inputs, Outputs], ...]:
 
 
 def test_a_step_goes_on_bit_for_bit_from_a_state_that_was_kept() -> None:
-    rows = told()
+    rows = recorded_steps()
     for begin in range(0, len(rows) - 10, 24):
         state = snapshot.decode(snapshot.encode(rows[begin][0]))
         for _, inputs, outputs in rows[begin : begin + 10]:
@@ -39,7 +39,7 @@ def test_a_step_goes_on_bit_for_bit_from_a_state_that_was_kept() -> None:
 
 
 def test_a_state_comes_back_as_the_same_bytes() -> None:
-    data = snapshot.encode(told()[-1][0])
+    data = snapshot.encode(recorded_steps()[-1][0])
     assert snapshot.encode(snapshot.decode(data)) == data
     assert len(data) < 100_000
 
@@ -103,7 +103,7 @@ def test_a_renamed_field_keeps_its_name_in_a_recording() -> None:
         fields = snapshot._kind(name).__struct_fields__
         assert set(renamed.values()) <= set(fields)
         assert not set(renamed) & (set(fields) - set(renamed.values()))
-    state = told()[-1][0]
+    state = recorded_steps()[-1][0]
     _, tree = msgpack.unpackb(snapshot.encode(state))
     stored = tree[2]["tracker"][2]["belief"][2]
     assert "pushes" in stored

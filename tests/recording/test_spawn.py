@@ -1,4 +1,4 @@
-"""Processes that are started beside a loop that must not wait."""
+"""Processes that are started next to a loop that must not wait."""
 
 import os
 import socket
@@ -15,7 +15,7 @@ def spawned(code: str, descriptor: int = 2) -> Spawned:
     return Spawned([sys.executable, "-c", code], dict(os.environ), descriptor)
 
 
-def test_the_exit_code_or_the_signal_is_told() -> None:
+def test_the_exit_code_or_the_signal_is_reported() -> None:
     assert spawned("raise SystemExit(3)").wait(20.0) == 3
     process = spawned("import time; time.sleep(60)")
     assert process.poll() is None
@@ -74,7 +74,7 @@ def test_other_threads_run_while_the_new_process_has_not_begun_its_program(tmp_p
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     # Before its program the new process opens a pipe, and that waits for the one who writes. With
-    # the interpreter's lock held nobody ever would.
+    # the interpreter's lock held no thread ever would.
     with subprocess.Popen([sys.executable, "-c", BEHIND_A_PIPE, str(pipe)]) as process:
         try:
             assert process.wait(30.0) == 0

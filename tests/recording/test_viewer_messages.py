@@ -132,13 +132,13 @@ def test_a_scene_keeps_the_joints_of_a_urdf_and_leaves_its_looks_out() -> None:
         '</link><link name="b"/><joint name="j" type="revolute"><parent link="a"/><child link="b"/>'
         '<origin xyz="1 2 3"/><axis xyz="0 0 1"/><limit lower="0" upper="1"/></joint></robot>'
     )
-    told = viewer_messages.scene({"task": "name: t", "urdf": urdf, "config": "secret"}, 0.004)
-    assert told["task"] == "name: t"
-    assert told["cycle_s"] == 0.004
-    assert "mesh" not in told["urdf"]
-    assert '<origin xyz="1 2 3" />' in told["urdf"]
-    assert viewer_messages.root_link(told["urdf"]) == "a"
-    assert "secret" not in str(told)
+    scene = viewer_messages.scene({"task": "name: t", "urdf": urdf, "config": "secret"}, 0.004)
+    assert scene["task"] == "name: t"
+    assert scene["cycle_s"] == 0.004
+    assert "mesh" not in scene["urdf"]
+    assert '<origin xyz="1 2 3" />' in scene["urdf"]
+    assert viewer_messages.root_link(scene["urdf"]) == "a"
+    assert "secret" not in str(scene)
 
 
 def test_a_scene_without_a_readable_urdf_has_no_arm() -> None:

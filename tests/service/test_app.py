@@ -43,13 +43,13 @@ watch: {healthy_cycles: 10}
 SHIPPED = PROTOCOL_DATA / "rsi_joints.xml"
 
 
-HELD_UP_S = CYCLE_S / 3.0
+DELAYED_S = CYCLE_S / 3.0
 ATTEMPTS = 6
 late_s: list[float] = []
 """How late the controllers of a test woke; the daemon in the same loop was as late."""
 
 
-def tried_anew_when_held_up(test: Callable[..., None]) -> Callable[..., None]:
+def repeated_when_delayed(test: Callable[..., None]) -> Callable[..., None]:
     """What a daemon does in time is to be seen while its machine lets it: the last try counts."""
 
     @functools.wraps(test)
@@ -59,7 +59,7 @@ def tried_anew_when_held_up(test: Callable[..., None]) -> Callable[..., None]:
             try:
                 return test(*args, **fixtures)
             except AssertionError:
-                if max(late_s, default=0.0) < HELD_UP_S:
+                if max(late_s, default=0.0) < DELAYED_S:
                     raise
         return test(*args, **fixtures)
 
@@ -104,7 +104,7 @@ class Controller:
         self._skipped += 1
 
     async def take(self) -> None:
-        # After a stall the pace begins anew: no burst of telegrams for the lost time.
+        # After a stall the pace begins again: no burst of telegrams for the lost time.
         due_s = self._next_s + self.cycle_s
         self._next_s = max(due_s, time.monotonic())
         await asyncio.sleep(self._next_s - time.monotonic())
@@ -112,7 +112,7 @@ class Controller:
         self._receive()
 
     async def answers(self, count: int) -> None:
-        """Waits for the answers that are still under way; not one more than count may come."""
+        """Waits for the answers that have not come yet; not one more than count may come."""
 
         def all_here() -> bool:
             self._receive()
@@ -203,7 +203,7 @@ def serve(tmp_path: Path, parameters: Parameters) -> Serve:
     return serve
 
 
-@tried_anew_when_held_up
+@repeated_when_delayed
 def test_every_telegram_is_answered_at_rest_and_recorded(
     serve: Serve, tmp_path: Path, task: Task
 ) -> None:
@@ -236,7 +236,7 @@ def test_every_telegram_is_answered_at_rest_and_recorded(
     assert [record.inputs.k for record in records] == list(range(len(records)))
 
 
-@tried_anew_when_held_up
+@repeated_when_delayed
 def test_a_missing_telegram_makes_its_step_and_the_next_one_is_answered(
     serve: Serve, task: Task
 ) -> None:
@@ -257,8 +257,8 @@ def test_a_missing_telegram_makes_its_step_and_the_next_one_is_answered(
     run(main())
 
 
-@tried_anew_when_held_up
-def test_garbage_on_every_port_is_counted_and_hurts_nobody(serve: Serve, task: Task) -> None:
+@repeated_when_delayed
+def test_garbage_on_every_port_is_counted_and_hurts_no_one(serve: Serve, task: Task) -> None:
     async def main() -> None:
         async with serve() as running:
             controller = running.controller(task)
@@ -278,7 +278,7 @@ def test_garbage_on_every_port_is_counted_and_hurts_nobody(serve: Serve, task: T
     run(main())
 
 
-@tried_anew_when_held_up
+@repeated_when_delayed
 def test_operators_are_answered_while_telegrams_come_and_while_none_do(
     serve: Serve, task: Task
 ) -> None:
@@ -318,7 +318,7 @@ def test_a_second_daemon_on_the_same_port_says_so_and_ends(serve: Serve) -> None
     run(main())
 
 
-@tried_anew_when_held_up
+@repeated_when_delayed
 def test_a_controller_of_another_cycle_is_answered_and_not_armed_for(
     serve: Serve, task: Task
 ) -> None:
@@ -337,7 +337,7 @@ def test_a_controller_of_another_cycle_is_answered_and_not_armed_for(
     run(main())
 
 
-@tried_anew_when_held_up
+@repeated_when_delayed
 def test_a_fault_in_the_cycle_is_counted_and_the_daemon_goes_on(
     serve: Serve, task: Task, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -457,7 +457,7 @@ def test_an_end_while_the_robot_moves_brings_it_to_rest_first(serve: Serve, task
             await controller.cycles(15)
             running.app.cycle.operating.machine = Machine(State.TRACK)
             running.app.end()
-            with contextlib.suppress(ConnectionRefusedError):  # it has ended meanwhile
+            with contextlib.suppress(ConnectionRefusedError):  # it has ended
                 await controller.cycles(50)
             assert running.app.cycle.machine.state is State.HOLD
             assert len(controller.replies) < 50

@@ -1,4 +1,4 @@
-"""The daemon's doors on real sockets: modes, peers, floods, and nothing that waits."""
+"""The command server on real sockets: modes, peers, floods, and nothing that waits."""
 
 import asyncio
 import contextlib
@@ -111,8 +111,8 @@ def test_a_local_user_who_may_only_view_cannot_operate(tmp_path: Path) -> None:
         done.append(op)
         return {}
 
-    door = LocalEndpoint(tmp_path / "s", LocalAccess(view_gids=frozenset({os.getgid()})))
-    port = CommandPort(handle, dict, door)
+    endpoint = LocalEndpoint(tmp_path / "s", LocalAccess(view_gids=frozenset({os.getgid()})))
+    port = CommandPort(handle, dict, endpoint)
     port.open()
     try:
         with connected(port) as (end, core):
@@ -216,7 +216,7 @@ def test_a_long_answer_comes_whole_on_the_local_socket(tmp_path: Path) -> None:
         assert ask(port, end, core, "params").result == result
 
 
-def test_a_peer_that_does_not_read_is_dropped_and_nobody_waits_for_it(tmp_path: Path) -> None:
+def test_a_peer_that_does_not_read_is_dropped_and_no_one_waits_for_it(tmp_path: Path) -> None:
     big = {"a": bytes(60000)}
     with open_port(tmp_path, handle=lambda *_: big) as port, connected(port) as (end, core):
         started = time.monotonic()
@@ -282,14 +282,14 @@ def test_a_keyed_client_is_served_over_udp(tmp_path: Path) -> None:
 
 
 def test_udp_opens_on_loopback_only_and_never_without_a_key() -> None:
-    for door, why in (
+    for endpoint, why in (
         (UdpEndpoint("0.0.0.0", 0, (ALICE,)), "not loopback"),
         (UdpEndpoint("127.0.0.1", 0), "no keys"),
         (UdpEndpoint("127.0.0.1", 0, (), allow_remote=True), "no keys"),
         (UdpEndpoint("localhost.invalid", 0, (ALICE,)), "address"),
     ):
         with pytest.raises(CommandPortError, match=why):
-            CommandPort(lambda *_: {}, dict, None, door).open()
+            CommandPort(lambda *_: {}, dict, None, endpoint).open()
 
 
 def test_a_port_that_is_taken_is_an_error(tmp_path: Path) -> None:
@@ -365,7 +365,7 @@ def test_keys_are_replaced_while_running(tmp_path: Path) -> None:
             end.recv(100)
 
 
-def test_one_lease_holds_over_all_doors(tmp_path: Path) -> None:
+def test_one_lease_holds_over_all_endpoints(tmp_path: Path) -> None:
     with (
         open_port(tmp_path, (ALICE,)) as port,
         shaken(port, ALICE) as (far, far_core),
@@ -448,7 +448,7 @@ def test_telemetry_is_made_once_for_all_subscribers(tmp_path: Path) -> None:
         assert made == [1]
 
 
-def test_telemetry_that_raises_is_logged_once_and_harms_nobody(
+def test_telemetry_that_raises_is_logged_once_and_harms_no_one(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     def telemetry() -> dict[str, Any]:

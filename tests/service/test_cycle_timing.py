@@ -28,8 +28,8 @@ def test_a_prepared_cycle_is_accounted_for_with_its_parts(entries: tuple[LogEntr
     lock.follow(entry.inputs.stamp_ns - 5_000 - T)
     timing.note_schedule(lock)
     timing.close_cycle([entry], turnaround_ns=70_000)
-    (told,) = timing.timing.last()
-    assert told == CycleTimes(
+    (times,) = timing.timing.last()
+    assert times == CycleTimes(
         ipoc=36, arrival_ns=entry.inputs.stamp_ns, expected_ns=entry.inputs.stamp_ns - 5_000,
         woken_late_ns=20_000, lead_ns=500_000, step_ns=300_000, turnaround_ns=70_000,
         prepared=True, state=entry.state,
@@ -62,7 +62,7 @@ def test_after_a_stall_only_the_last_step_has_the_measured_times(
         + [structs.replace(entries[3], ipoc=48)],
         5,
     )
-    assert [told.step_ns for told in timing.timing.last()] == [None, None, None, 900_000]
+    assert [times.step_ns for times in timing.timing.last()] == [None, None, None, 900_000]
 
 
 def test_entering_a_fault_takes_the_ring_once(entries: tuple[LogEntry, ...]) -> None:
@@ -112,7 +112,7 @@ def test_one_file_is_written_at_a_time(tmp_path: Path) -> None:
 def test_the_newest_incidents_are_kept_and_the_removed_ones_are_named(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    # As an earlier run of the daemon left it: stamps may be later, for the host was started anew.
+    # As an earlier run of the daemon left it: stamps may be later, for the host was started again.
     for k in range(MOST_FILES):
         path = tmp_path / f"incident-{10**15 + k}.csv"
         path.write_bytes(b"old")

@@ -1,4 +1,4 @@
-"""Cores that are kept spinner: by processes that give way to all others and outlive nobody."""
+"""Idle spinner: its processes yield to all others and end with their starter."""
 
 import contextlib
 import os
@@ -15,7 +15,7 @@ from linemate.daemon.config.settings import RealtimeSettings
 from linemate.daemon.service.host.idle_spinner import MODULE, IdleSpinner
 from linemate.daemon.service.host.realtime import request_all
 
-PATIENCE_S = 20.0
+TIMEOUT_S = 20.0
 
 STARTER = """
 import os, sys, time
@@ -27,7 +27,7 @@ time.sleep(60)
 
 
 def eventually(what: Callable[[], bool]) -> bool:
-    end = time.monotonic() + PATIENCE_S
+    end = time.monotonic() + TIMEOUT_S
     while time.monotonic() < end:
         if what():
             return True
@@ -91,10 +91,10 @@ def test_one_whose_starter_is_gone_before_it_began_ends_at_once() -> None:
     gone.wait()
     core = str(min(os.sched_getaffinity(0)))
     command = [sys.executable, "-m", MODULE, core, str(gone.pid)]
-    subprocess.run(command, check=True, timeout=PATIENCE_S)
+    subprocess.run(command, check=True, timeout=TIMEOUT_S)
 
 
-def test_the_daemon_asks_for_it_only_when_told_and_gives_it_back() -> None:
+def test_the_daemon_asks_for_it_only_on_request_and_gives_it_back() -> None:
     assert request_all(RealtimeSettings()).spinner is None
     host = request_all(RealtimeSettings(keep_awake=True))
     assert host.granted("keep_awake")

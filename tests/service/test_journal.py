@@ -18,14 +18,14 @@ def test_a_second_has_no_more_lines_than_allowed_and_nothing_is_lost_unsaid() ->
     journal.catch_up(now[0])
     for at_ns, _ in lines:
         assert sum(at_ns <= other < at_ns + 1000 * MS for other, _ in lines) <= 3
-    told = " | ".join(text for _, text in lines).split(" | ")
-    assert told[:4] == ["line 0", "line 1", "line 2", "line 3"]
-    left_out = [int(text.split()[0]) for text in told if "more" in text]
-    assert sum(left_out) + sum(text.startswith("line") for text in told) == 200
+    texts = " | ".join(text for _, text in lines).split(" | ")
+    assert texts[:4] == ["line 0", "line 1", "line 2", "line 3"]
+    left_out = [int(text.split()[0]) for text in texts if "more" in text]
+    assert sum(left_out) + sum(text.startswith("line") for text in texts) == 200
     assert sum(left_out) > 0
 
 
-def test_a_line_without_room_waits_for_it() -> None:
+def test_a_line_beyond_the_limit_waits_for_it() -> None:
     lines: list[str] = []
     journal = Journal(lines.append, 1)
     for n in range(4):
@@ -46,7 +46,7 @@ def test_few_lines_are_all_written() -> None:
     assert lines == [str(n) for n in range(10)]
 
 
-def test_a_sensor_is_told_when_it_comes_goes_and_comes_back() -> None:
+def test_a_sensor_is_reported_when_it_comes_goes_and_comes_back() -> None:
     sensors = SensorChanges()
 
     def at(now_ms: int, stamp_ms: int | None, excluded: str | None = None) -> list[str]:

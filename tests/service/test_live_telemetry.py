@@ -80,10 +80,10 @@ def test_happenings_are_numbered_and_bounded(entries: tuple[LogEntry, ...]) -> N
     live = seen(entries)
     for n in range(10):
         live.add_event(n, f"{n}: " + "x" * 100)
-    told = live.snapshot(np.eye(3))["happened"]
+    events = live.snapshot(np.eye(3))["happened"]
     first = live.event_count - EVENTS + 1
-    assert [number for number, _, _ in told] == list(range(first, live.event_count + 1))
-    assert all(len(text) == LONGEST_EVENT for _, _, text in told)
+    assert [number for number, _, _ in events] == list(range(first, live.event_count + 1))
+    assert all(len(text) == LONGEST_EVENT for _, _, text in events)
 
 
 def test_all_of_it_fits_into_one_datagram(

@@ -31,7 +31,7 @@ def test_a_good_configuration_is_called_good(
     assert [line.partition(":")[0] for line in peaks] == ["tcp", *AXES]
 
 
-def test_every_error_of_a_bad_one_is_told_and_the_code_is_78(
+def test_every_error_of_a_bad_one_is_reported_and_the_code_is_78(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = written(tmp_path, "task: none.yaml\nrsi: {cycle_ms: fast}\ncamera: {speed: .nan}\n")
@@ -60,7 +60,7 @@ def test_a_wrong_command_line_is_usage() -> None:
     assert ended.value.code == 2
 
 
-def test_the_process_tells_its_ports_serves_and_ends_as_told(tmp_path: Path) -> None:
+def test_the_process_tells_its_ports_serves_and_ends_on_request(tmp_path: Path) -> None:
     path = written(
         tmp_path, "task: wheel.yaml\nrsi: {port: 0}\ncamera: {port: 0}\ncommand: {socket: s}\n"
     )
@@ -86,8 +86,8 @@ def test_the_process_tells_its_ports_serves_and_ends_as_told(tmp_path: Path) -> 
         assert second.returncode == 1
         assert "the robot's port cannot be opened" in second.stderr
         process.send_signal(signal.SIGTERM)
-        _, said = process.communicate(timeout=10)
-    assert process.returncode == 0, said
+        _, errors = process.communicate(timeout=10)
+    assert process.returncode == 0, errors
     assert not (tmp_path / "s").exists()
 
 

@@ -19,7 +19,7 @@ def manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[so
         yield listening, address
 
 
-def test_the_manager_is_told_in_its_own_words(manager: tuple[socket.socket, str]) -> None:
+def test_the_manager_gets_its_own_messages(manager: tuple[socket.socket, str]) -> None:
     listening, address = manager
     notifier = Notifier(address)
     notifier.ready("IDLE")

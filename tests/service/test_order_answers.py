@@ -25,7 +25,7 @@ def operating(state: State) -> Operating:
 
 
 def decide(made: Operating, monkeypatch: pytest.MonkeyPatch, **changes: bool) -> None:
-    """One decision that sees the orders given, and else what is said."""
+    """One decision that sees the orders given, and else the given facts."""
     orders = dict.fromkeys(made._orders, True)
     seen = replace(FIT, **orders, **changes)
     monkeypatch.setattr(watch, "observe", lambda before, *_: (before, seen))
@@ -87,7 +87,7 @@ def test_without_a_decision_the_answer_comes_after_a_few_cycles() -> None:
     run(main())
 
 
-def test_an_answer_that_nobody_waits_for_any_more_hurts_nothing(
+def test_an_answer_that_no_one_waits_for_any_more_hurts_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     async def main() -> None:

@@ -37,10 +37,10 @@ class Standing:
         self.station = config.load(self.path)
         self.cycle = Cycle(parameters, RsiCodec(self.station.rsi))
         self.cycle.listen(0)
-        self.told: list[tuple[Parameters, str, Any]] = []
+        self.changes: list[tuple[Parameters, str, Any]] = []
         self.lines: list[str] = []
         self.service = ParameterService(
-            self.station, self.cycle, lambda *what: self.told.append(what), self.lines.append
+            self.station, self.cycle, lambda *what: self.changes.append(what), self.lines.append
         )
         self._rest = task.file.arm.rest_joints
         self._k = 0
@@ -99,10 +99,10 @@ def test_a_live_change_is_in_force_with_the_next_step_and_in_none_before(make: M
         last = here.cycle.last
         assert before is not None
         assert last is not None
-        assert last.parameters is here.told[0][0]
+        assert last.parameters is here.changes[0][0]
         assert last.parameters.tracker.settings.distance.deviation == 0.001
         assert last.before is before.after
-        assert here.told[0][1:] == ("uid:7", {NOISE: {"old": 0.00038, "new": 0.001}})
+        assert here.changes[0][1:] == ("uid:7", {NOISE: {"old": 0.00038, "new": 0.001}})
         assert here.service.get({"names": [NOISE]}) == {"values": {NOISE: 0.001}}
         assert "uid:7 set" in here.lines[0]
 
@@ -161,12 +161,12 @@ def test_what_does_not_fit_is_refused_with_its_name_and_nothing_of_it_is_taken(
         assert here.service.get({"names": ["watch.healthy_cycles"]})["values"] != {
             "watch.healthy_cycles": 33
         }
-        assert not here.told
+        assert not here.changes
 
     run(main())
 
 
-def test_every_error_of_a_change_is_told_at_once(make: Make) -> None:
+def test_every_error_of_a_change_is_reported_at_once(make: Make) -> None:
     async def main() -> None:
         answer = make().assign({NOISE: -1.0, "tracking.camera.gate": 0.0, "watch.missed_s": -3})
         for name in (NOISE, "tracking.camera.gate", "watch.missed_s"):
@@ -175,7 +175,7 @@ def test_every_error_of_a_change_is_told_at_once(make: Make) -> None:
     run(main())
 
 
-def test_what_needs_the_compiler_begins_anew_where_the_robot_stands(make: Make) -> None:
+def test_what_needs_the_compiler_begins_again_where_the_robot_stands(make: Make) -> None:
     async def main() -> None:
         here = make()
         here.cycles(20)
@@ -187,7 +187,7 @@ def test_what_needs_the_compiler_begins_anew_where_the_robot_stands(make: Make) 
         now = here.cycle.last
         assert now is not None
         assert now.outputs.command == last.outputs.command
-        assert now.parameters is here.told[0][0]
+        assert now.parameters is here.changes[0][0]
         assert here.cycle.parameters.settings.servos[2].frequency_hz == 5.0
         assert here.cycle.parameters.controller.steps == 50
 
@@ -250,7 +250,7 @@ def test_the_robots_model_does_not_change_while_it_may_move(make: Make, state: S
     run(main())
 
 
-def test_a_compiled_change_is_not_taken_by_a_robot_that_moved_meanwhile(make: Make) -> None:
+def test_a_compiled_change_is_not_taken_by_a_robot_that_has_moved(make: Make) -> None:
     async def main() -> None:
         here = make()
         here.cycles(5)
@@ -259,7 +259,7 @@ def test_a_compiled_change_is_not_taken_by_a_robot_that_moved_meanwhile(make: Ma
         assert "has moved since" in (await kept(answer))["refused"]
         here.cycles(1)
         assert here.cycle.parameters.settings.servos[2].frequency_hz == 4.5
-        assert not here.told
+        assert not here.changes
 
     run(main())
 
@@ -344,7 +344,7 @@ def test_without_a_directory_nothing_is_saved_and_the_reason_says_what_to_do(
     run(main())
 
 
-def test_overlays_are_laid_in_their_order_and_told_by_their_own_place(tmp_path: Path) -> None:
+def test_overlays_are_laid_in_their_order_and_reported_by_their_own_place(tmp_path: Path) -> None:
     path = tmp_path / "linemated.yaml"
     path.write_text("task: wheel.yaml\nstate: .\noverlays: [one.yaml]\nwatch: {missed_s: 0.05}\n")
     (tmp_path / "one.yaml").write_text("watch: {missed_s: 0.06, leak_s: 0.12}\n")
@@ -367,8 +367,8 @@ def test_one_bad_overlay_does_not_hide_what_is_wrong_with_the_next(tmp_path: Pat
     (tmp_path / "two.yaml").write_text("watch: {missed_s: no}\n")
     with pytest.raises(FileError) as caught:
         config.load(path)
-    told = [line.removeprefix(f"{tmp_path}/").split(": ")[:2] for line in caught.value.lines]
-    assert told == [
+    lines = [line.removeprefix(f"{tmp_path}/").split(": ")[:2] for line in caught.value.lines]
+    assert lines == [
         ["none.yaml:1:1", "(file)"],
         ["one.yaml:1:9", "watch.nope"],
         ["two.yaml:1:19", "watch.missed_s"],

@@ -82,7 +82,7 @@ def test_without_rights_every_refusal_tells_how_to_allow_it() -> None:
     assert "LimitRTPRIO" in priority[2]
 
 
-def test_the_collector_runs_in_the_slack_and_fully_only_at_rest() -> None:
+def test_the_collector_runs_between_cycles_and_fully_only_at_rest() -> None:
     collector = Collector(every=10)
     collections: list[int] = []
 
@@ -108,7 +108,7 @@ def test_the_collector_runs_in_the_slack_and_fully_only_at_rest() -> None:
     assert gc.isenabled()
 
 
-COMPANIONS = """
+HELPERS = """
 import json, os, threading
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # as the daemon does: the algebra brings no thread
 from linemate.daemon.service.host.realtime import HelperThreads, request_all
@@ -131,7 +131,7 @@ print(json.dumps([helpers.wanted, helpers.granted, own, seen]))
 
 def test_other_threads_get_the_least_priority_once_the_loop_has_one() -> None:
     done = subprocess.run(
-        [sys.executable, "-c", COMPANIONS], capture_output=True, text=True, check=True
+        [sys.executable, "-c", HELPERS], capture_output=True, text=True, check=True
     )
     wanted, granted, own, seen = json.loads(done.stdout)
     if not wanted:

@@ -21,7 +21,7 @@ def made(file: TaskFile = TASK.file, task: Task = TASK) -> Parameters:
     return build(file, task.urdf, TrackingSettings(), shipped_control(), 0.012)
 
 
-def told(file: TaskFile) -> list[str]:
+def complaints_of(file: TaskFile) -> list[str]:
     found = rehearse(made(file)).complaints
     return [f"{spelled(complaint.path)}: {complaint.what}" for complaint in found]
 
@@ -51,34 +51,34 @@ def test_an_exercise_is_not_carried_off_by_a_conveyor_that_will_stop() -> None:
     assert rehearsal.peaks[7].speed == 0.0
 
 
-def test_a_pose_out_of_reach_is_told_with_its_waypoint_and_place() -> None:
-    (what,) = told(with_position(8, -2.5, 0.0, -0.3))
+def test_a_pose_out_of_reach_is_reported_with_its_waypoint_and_place() -> None:
+    (what,) = complaints_of(with_position(8, -2.5, 0.0, -0.3))
     assert what.startswith("waypoints[8]: the arm does not reach the pose at 15.")
     assert "m in base" in what
 
 
-def test_a_rest_pose_that_is_not_at_the_first_waypoint_is_told_with_both_distances() -> None:
+def test_a_rest_pose_that_is_not_at_the_first_waypoint_is_reported_with_both_distances() -> None:
     rest = (0.5, *TASK.file.arm.rest_joints[1:])
     file = replace(TASK.file, arm=replace(TASK.file.arm, rest_joints=rest))  # type: ignore[arg-type]
-    (what,) = told(file)
+    (what,) = complaints_of(file)
     assert what.startswith("arm.rest_joints: with these joints the tcp is ")
     assert "500 mrad away from waypoints[0], at most 20 mm and 50 mrad" in what
 
 
-def test_a_programme_that_is_too_fast_is_told_with_the_axis_and_the_time() -> None:
+def test_a_programme_that_is_too_fast_is_reported_with_the_axis_and_the_time() -> None:
     points = tuple(replace(point, time=point.time / 5.0) for point in TASK.file.waypoints)
-    lines = told(replace(TASK.file, waypoints=points))
+    lines = complaints_of(replace(TASK.file, waypoints=points))
     assert any("tcp would move at 1." in line and "limit 0.455 m/s" in line for line in lines)
 
 
-def test_a_waypoint_deep_in_the_object_is_told_with_the_force() -> None:
-    assert told(with_position(4, 0.0, 0.0, 0.005)) == []
-    (what,) = told(with_position(4, 0.0, 0.0, 0.01))
+def test_a_waypoint_deep_in_the_object_is_reported_with_the_force() -> None:
+    assert complaints_of(with_position(4, 0.0, 0.0, 0.005)) == []
+    (what,) = complaints_of(with_position(4, 0.0, 0.0, 0.01))
     assert what.startswith("waypoints[4].pose.position: 10 mm beyond the object's surface press")
     assert "500 N at 50000 N/m, overload is 350 N" in what
 
 
-def test_an_axis_beyond_its_position_limit_is_told() -> None:
+def test_an_axis_beyond_its_position_limit_is_reported() -> None:
     rows = list(shipped_control().limits)
     rows[0] = replace(rows[0], upper=0.01)
     narrow = replace(shipped_control(), limits=tuple(rows))

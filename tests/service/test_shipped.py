@@ -1,4 +1,4 @@
-"""What is installed beside the program: its first configuration and its unit."""
+"""What is installed with the program: its first configuration and its unit."""
 
 import re
 import shutil

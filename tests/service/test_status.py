@@ -74,7 +74,7 @@ def test_a_camera_whose_port_is_closed_is_a_complaint_in_contact_too(app: App) -
     assert app.status()["complaints"] == ("link camera is down: the port is taken",)
 
 
-def test_a_fault_is_told_with_its_cause(app: App) -> None:
+def test_a_fault_is_reported_with_its_cause(app: App) -> None:
     app.cycle.operating.machine = Machine(State.FAULT, latched=True)
     app.cycle.operating.cause = "held too long: in hold for 60.1 s, limit 60.0 s"
     status = app.status()

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tapes import CYCLE_S, Array, answers
+from traces import CYCLE_S, Array, answers
 
 from linemate.daemon.core.control import adaptation
 from linemate.daemon.core.control.adaptation import AdaptationSettings, ServoEstimates, ServoWindow

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from tapes import CYCLE_S, answers, wander
+from traces import CYCLE_S, answers, wander
 
 from linemate.daemon.core.control import servo_fit
 from linemate.daemon.core.control.servo_fit import Passage
