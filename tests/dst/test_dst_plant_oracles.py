@@ -224,7 +224,8 @@ def test_a_contact_that_is_felt_late_in_a_silence_is_granted_its_reaction() -> N
     run.sensors.silent = dict.fromkeys(("distance", "camera"), run.seen.now_s)
     assert run.go(0.28) == []
     # CONTACT bears a shorter silence than TRACK.
-    assert run.go(0.05, state=State.CONTACT) == []
+    run.plant.contact, run.plant.tool = "clamped", run.plant.place
+    assert run.go(0.06, state=State.CONTACT) == []
     assert run.go(0.03) == ["reaction"]
 
 
