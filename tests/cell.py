@@ -136,7 +136,7 @@ class World:
         """Force along the tool's axis that accelerates the tool [N]."""
         (first, _), (middle, R), (last, _) = map(self._tcp, self.state.control.joints[:3])
         acceleration = (first - 2.0 * middle + last) / self.parameters.cycle_s**2
-        return -self.parameters.tracker.ringing.mass * float(R[:, 2] @ acceleration)
+        return -self.parameters.tracker.vibration.mass * float(R[:, 2] @ acceleration)
 
     def _tcp(self, joints: Any) -> tuple[np.ndarray, np.ndarray]:
         """Where the robot has its tcp with some joints, in c."""

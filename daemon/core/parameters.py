@@ -12,14 +12,16 @@ from linemate.daemon.core import rotations
 from linemate.daemon.core.control import controller as control
 from linemate.daemon.core.control import kinematics, urdf_limits
 from linemate.daemon.core.control.settings import ControlSettings
-from linemate.daemon.core.tracking import contact, linear_axis, merge
+from linemate.daemon.core.tracking import linear_axis, merge
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
 from linemate.daemon.core.tracking.conveyor import Classifier
+from linemate.daemon.core.tracking.damping import damped_until, free_table
 from linemate.daemon.core.tracking.reference import compile_reference, tabulated
 from linemate.daemon.core.tracking.settings import ClassifierKind, TrackingSettings
 from linemate.daemon.core.tracking.task import Phase, TaskFile
-from linemate.daemon.core.tracking.touch_profile import lengthened
-from linemate.daemon.core.tracking.tracker import Foresight, Tracker, damped_until, hanging
+from linemate.daemon.core.tracking.touch import contact
+from linemate.daemon.core.tracking.touch.touch_profile import lengthened
+from linemate.daemon.core.tracking.tracker_state import Foresight, Tracker
 from linemate.daemon.core.tracking.transverse import Transverse
 
 TOOL_AXIS = 2  # of the tcp
@@ -135,8 +137,8 @@ def build(
         axis_steps=controller.preview,
         axis_range=_axis_range(controller),
         ahead=ahead,
-        free=hanging(reference, leave, control_settings.filters.contact_blend, clock),
-        ringing=contact.ringing(
+        free=free_table(reference, leave, control_settings.filters.contact_blend, clock),
+        vibration=contact.tool_vibration(
             along_tool.frequency_hz,
             along_tool.damping,
             tracking.tactile.stiffness[TOOL_AXIS],

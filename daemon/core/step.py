@@ -21,6 +21,7 @@ from linemate.daemon.core.control import controller as control
 from linemate.daemon.core.horizon import Array, Horizon
 from linemate.daemon.core.inputs import Inputs, MotionOrder
 from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.core.tracking import task_clock, tracker_state
 from linemate.daemon.core.tracking import tracker as tracking
 from linemate.daemon.core.tracking.reference import Reference
 from linemate.daemon.core.tracking.task import Phase
@@ -44,7 +45,7 @@ class StepState(Struct, frozen=True, eq=False):
         moving: the robot has not come to rest since it last tracked.
     """
 
-    tracker: tracking.TrackerState
+    tracker: tracker_state.TrackerState
     control: control.ControlState
     applied: Array
     moving: bool = False
@@ -173,8 +174,8 @@ class StepPlan(Struct, frozen=True, eq=False):
         desired: command, None where the robot is to stand.
     """
 
-    tracker: tracking.TrackerState
-    report: tracking.Report
+    tracker: tracker_state.TrackerState
+    report: tracker_state.Report
     horizon: Horizon | None = None
     desired: control.DesiredCommand | None = None
 
@@ -222,13 +223,13 @@ def finish(
     if horizon is None or desired is None:
         state = _brake(delivered, planned.tracker, parameters)
         return state, _outputs(state, inputs, planned.report, None, "hold", parameters)
-    tracker = tracking.touched(
+    tracker = tracking.update_contact(
         parameters.tracker,
         state.tracker,
         planned.tracker,
         planned.report,
         held=not inputs.sent and inputs.pace is None,
-        is_open=inputs.robot is None or bool(inputs.robot.digital_in & tracking.CLAMP_OPEN),
+        is_open=inputs.robot is None or bool(inputs.robot.digital_in & task_clock.CLAMP_OPEN),
     )
     after, held = control.limit_command(
         parameters.controller, desired, delivered.control.limiter, clamped=state.tracker.contact
@@ -257,7 +258,9 @@ def _apply_delivery(state: StepState, inputs: Inputs) -> StepState:
     )
 
 
-def _brake(state: StepState, tracker: tracking.TrackerState, parameters: Parameters) -> StepState:
+def _brake(
+    state: StepState, tracker: tracker_state.TrackerState, parameters: Parameters
+) -> StepState:
     """Return the state of a robot on hold: it brakes; at rest its plan is reset."""
     if not state.moving:
         return replace(state, tracker=tracker)
@@ -271,13 +274,13 @@ def _brake(state: StepState, tracker: tracking.TrackerState, parameters: Paramet
     return StepState(tracker, braked, state.applied, moving=not is_standing)
 
 
-def _samples(inputs: Inputs, parameters: Parameters) -> tracking.Measurements:
+def _samples(inputs: Inputs, parameters: Parameters) -> tracker_state.StepSamples:
     """Return the inputs of tracking."""
     tcp = stamp = None
     if inputs.robot is not None:
         tcp = _tcp(parameters, _joints(parameters, inputs.robot))
         stamp = inputs.robot.stamp_ns
-    return tracking.Measurements(
+    return tracker_state.StepSamples(
         stamp_ns=inputs.stamp_ns,
         tcp=tcp,
         tcp_stamp_ns=stamp or 0,
@@ -290,7 +293,7 @@ def _samples(inputs: Inputs, parameters: Parameters) -> tracking.Measurements:
 
 def _ready(state: StepState, parameters: Parameters) -> str | None:
     """Return why the task cannot start, None if it can."""
-    if state.tracker.belief is None:
+    if state.tracker.conveyor is None:
         return "no distance has been measured yet"
     off = state.tracker.poses[0] - parameters.tracker.reference.rest
     if float(np.abs(off[:3]).max()) > REST_DISTANCE or float(np.abs(off[3:]).max()) > REST_ANGLE:
@@ -304,7 +307,7 @@ def _ready(state: StepState, parameters: Parameters) -> str | None:
 def _outputs(
     state: StepState,
     inputs: Inputs,
-    report: tracking.Report,
+    report: tracker_state.Report,
     poses: Array | None,
     held: str | None,
     parameters: Parameters,
@@ -316,7 +319,7 @@ def _outputs(
         signals |= FIX_SCREWS
     if tracker.releasing is not None:
         signals |= RELEASE_WHEEL
-    withdrawn = tracker.withdrawn is not None and tracker.withdrawn > 1.2 * tracking.AWAY_TIME
+    withdrawn = tracker.withdrawn is not None and tracker.withdrawn > 1.2 * tracking.WITHDRAW_S
     return Outputs(
         k=inputs.k,
         stamp_ns=inputs.stamp_ns,
@@ -335,10 +338,10 @@ def _outputs(
         horizon=poses,
         contact=tracker.contact,
         clamped=tracker.clamped,
-        overdue=tracking.is_overdue(parameters.tracker, tracker),
+        overdue=task_clock.is_overdue(parameters.tracker, tracker),
         overload=report.overload,
         finished=report.phase is Phase.DONE or withdrawn,
         held=held,
         ready="under way" if state.moving else _ready(state, parameters),
-        refused=report.refused,
+        refused=report.rejected,
     )

@@ -32,23 +32,35 @@ _PARTS = {
     "tracking.classifier_imm:ImmState": "tracking.classifiers.classifier_imm:ImmState",
     "tracking.classifier_rule:RuleState": "tracking.classifiers.classifier_rule:RuleState",
     "tracking.classifier_rule:Trial": "tracking.classifiers.classifier_rule:TentativeClass",
-    "tracking.contact:Feeling": "tracking.contact:Feeling",
+    "tracking.contact:Feeling": "tracking.touch.contact:ContactState",
     "tracking.conveyor:Motion": "tracking.conveyor:Motion",
     "tracking.conveyor:Source": "tracking.conveyor:Source",
-    "tracking.guard:Search": "tracking.guard:Search",
+    "tracking.guard:Search": "tracking.touch.guard:ContactSearch",
     "tracking.hypotheses:Bank": "tracking.classifiers.onset_bank:OnsetBank",
     "tracking.hypotheses:Verdict": "tracking.classifiers.onset_bank:OnsetPosterior",
     "tracking.linear_axis:AxisPlan": "tracking.linear_axis:AxisPlan",
     "tracking.observation:History": "tracking.observation:History",
-    "tracking.observation:Sighting": "tracking.observation:Sighting",
+    "tracking.observation:Sighting": "tracking.observation:PoseMeasurement",
     "tracking.ramp_check:StartCheck": "tracking.classifiers.start_check:StartCheck",
     "tracking.task:Gate": "tracking.task:Gate",
-    "tracking.tracker:TrackerState": "tracking.tracker:TrackerState",
+    "tracking.tracker:TrackerState": "tracking.tracker_state:TrackerState",
     "tracking.transverse:TransverseState": "tracking.transverse:TransverseState",
 }
 
 # By name in a recording: fields whose name in a recording is not the present one.
 _FIELDS = {
+    "tracking.tracker:TrackerState": {
+        "belief": "conveyor",
+        "across": "transverse",
+        "sightings": "first_poses",
+        "feeling": "contact_state",
+        "seen_ns": "pose_ns",
+    },
+    "tracking.transverse:TransverseState": {
+        "refused": "rejected",
+        "paces": "frequency_factors",
+        "scatter": "nis",
+    },
     "control.controller:ControlState": {
         "smooth": "past_poses",
         "passed": "past_joints",

@@ -349,12 +349,15 @@ def _fits(state: stepping.StepState, parameters: Parameters) -> bool:
     )
     if any(np.shape(a) != np.shape(b) for a, b in pairs):
         return False
-    estimate = tracker.belief
+    estimate = tracker.conveyor
     if estimate is not None:
         initial = parameters.tracker.classifier.initial(0.0)
         if type(initial) is not type(estimate) or not _same_shapes(initial, estimate):
             return False
-    return tracker.across is None or len(tracker.across.x) == parameters.tracker.transverse.size
+    return (
+        tracker.transverse is None
+        or len(tracker.transverse.x) == parameters.tracker.transverse.size
+    )
 
 
 def _same_shapes(first: Any, second: Any) -> bool:

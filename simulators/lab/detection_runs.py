@@ -16,8 +16,8 @@ from itertools import count, pairwise
 from typing import Any, Literal
 
 from linemate.daemon.core.tracking.conveyor import Classifier, PositionMeasurement, Source
+from linemate.daemon.core.tracking.estimation import FIRST_READINGS, FIRST_SPREAD
 from linemate.daemon.core.tracking.settings import TrackingSettings
-from linemate.daemon.core.tracking.tracker import AGREEING, AGREEMENT
 from linemate.simulators.harness.setup import Setup
 from linemate.simulators.judge.judge import attribute
 from linemate.simulators.judge.rows import DaemonEvent
@@ -267,8 +267,8 @@ def _watch(classifier: Classifier, station: _Station, duration_s: float) -> Iter
         if state is None:
             # As the tracker begins: some readings that agree, against an outlier first.
             heard = [row.value for row in rows if row.source is Source.DISTANCE]
-            readings = [*readings, *heard][-AGREEING:]
-            if len(readings) == AGREEING and max(readings) - min(readings) < AGREEMENT:
+            readings = [*readings, *heard][-FIRST_READINGS:]
+            if len(readings) == FIRST_READINGS and max(readings) - min(readings) < FIRST_SPREAD:
                 state = classifier.initial(readings[-1])
             continue
         state = classifier.advance(state, rows, station.cycle_s)

@@ -26,7 +26,7 @@ from linemate.daemon.core.step import (
     plan,
     step,
 )
-from linemate.daemon.core.tracking import tracker as tracking_state
+from linemate.daemon.core.tracking import estimation, tracker, tracker_state
 from linemate.daemon.core.tracking.task import Phase
 from linemate.daemon.recording import snapshot
 from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
@@ -245,17 +245,17 @@ def test_a_force_measures_the_object_only_after_the_clamp_has_drawn_the_tool_in(
     tracker, inputs = assembly.states[k + 1].tracker, assembly.inputs[k + 1]
     state = replace(tracker, contact=True, touching=touching)
     bent = WrenchSample(inputs.stamp_ns, (0.0, 20.0, 0.0), (0.0, 0.0, 0.0))
-    seen = tracking_state.Measurements(
+    seen = tracker_state.StepSamples(
         inputs.stamp_ns, state.poses[0], inputs.stamp_ns, (), (), (bent,), 0
     )
     blind = replace(seen, wrench=())
-    felt, *_ = tracking_state.estimate(P.tracker, state, seen)
-    unfelt, *_ = tracking_state.estimate(P.tracker, state, blind)
-    assert felt.belief.contact == counts
-    assert unfelt.across is not None
-    assert felt.across is not None
-    assert (felt.belief.x == unfelt.belief.x).all() != counts
-    assert (felt.across.x == unfelt.across.x).all() != counts
+    felt, *_ = estimation.estimate(P.tracker, state, seen)
+    unfelt, *_ = estimation.estimate(P.tracker, state, blind)
+    assert felt.conveyor.contact == counts
+    assert unfelt.transverse is not None
+    assert felt.transverse is not None
+    assert (felt.conveyor.x == unfelt.conveyor.x).all() != counts
+    assert (felt.transverse.x == unfelt.transverse.x).all() != counts
 
 
 def test_the_tcp_is_where_the_object_wants_it_once_it_is_close(assembly: Told) -> None:
@@ -488,7 +488,7 @@ def test_a_tool_that_was_withdrawn_is_not_on_the_object_any_more(
     withdrawn: float | None, *, is_on_it: bool
 ) -> None:
     there = replace(on_the_object().state.tracker, withdrawn=withdrawn)
-    rested = tracking_state.rest(P.tracker, there, there.poses[0], 0.0)
+    rested = tracker.rest(P.tracker, there, there.poses[0], 0.0)
     assert rested.contact == is_on_it
     assert rested.started == is_on_it
     assert rested.withdrawn is None
@@ -500,7 +500,7 @@ def test_a_controller_that_begins_again_there_finds_the_tool_on_the_object() -> 
     assert stepping.is_engaged(world.state, P, there)
     state = stepping.resumed(P, world.state, there)
     assert state.tracker.contact
-    assert state.tracker.belief is world.state.tracker.belief
+    assert state.tracker.conveyor is world.state.tracker.conveyor
     assert not state.moving
     away = robot_sample(world.stamp_ns, (world.command[0] + 0.1, *world.command[1:]))
     assert not stepping.is_engaged(world.state, P, away)
@@ -638,8 +638,8 @@ def test_a_robot_that_goes_on_is_led_as_if_the_step_before_were_its_own(assembly
     assert on.control.limiter.acceleration == pytest.approx(asked, abs=1e-6)
     assert np.abs(held.control.limiter.acceleration - asked).max() > 1.0
     # One that held has set its tool ringing, and its force tells nothing for a while.
-    assert on.tracker.feeling == sent.tracker.feeling
-    assert held.tracker.feeling.calm == 0 < sent.tracker.feeling.calm
+    assert on.tracker.contact_state == sent.tracker.contact_state
+    assert held.tracker.contact_state.calm == 0 < sent.tracker.contact_state.calm
 
 
 def test_a_robot_that_goes_on_brakes_within_its_limits_though_it_was_taken_to_stand(

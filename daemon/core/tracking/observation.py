@@ -1,7 +1,7 @@
-"""From samples to measurements in the nominal frame c: where the object was, and when.
+"""From samples to pose measurements of the object in the nominal frame c.
 
-Law of this file: what a sensor saw, joined with where the robot was at that moment. The robot's
-pose is interpolated between telegrams, so that a delay need not be a whole number of steps.
+Invariants:
+- The robot's pose is interpolated between telegrams: a delay need not be a whole number of steps.
 """
 
 import math
@@ -20,7 +20,7 @@ _diagonal = itemgetter(0, 6, 11, 15, 18, 20)  # of the upper triangle of a covar
 
 
 class History(Struct, frozen=True, eq=False):
-    """Where the undeflected tcp was, in c, newest last.
+    """Past poses of the undeflected tcp in c, newest last.
 
     Attributes:
         poses: m poses (6,), position [m] and rotation vector [rad].
@@ -56,7 +56,7 @@ def pose_at(history: History, stamp_ns: int, reach: float) -> Array | None:
 
 
 def rate_now(history: History) -> Array:
-    """Return how fast the tcp moves (6,) [m/s, rad/s], 0 where one pose alone is known."""
+    """Return the speed of the tcp (6,) [m/s, rad/s], 0 with a single pose."""
     if len(history.stamps_ns) < 2:
         return np.zeros(6)
     span = (history.stamps_ns[-1] - history.stamps_ns[-2]) * 1e-9
@@ -64,7 +64,7 @@ def rate_now(history: History) -> Array:
     return rate
 
 
-class Sighting(Struct, frozen=True, eq=False):
+class PoseMeasurement(Struct, frozen=True, eq=False):
     """One measured pose of the object in c.
 
     Attributes:
@@ -79,15 +79,15 @@ class Sighting(Struct, frozen=True, eq=False):
     variance: Array
 
 
-def sight(
+def measure_camera(
     sample: CameraSample,
     tcp: Array,
     camera: tuple[Array, Array],
     noise: CameraNoise,
     now_ns: int,
     rate: Array,
-) -> Sighting:
-    """Return what a camera saw.
+) -> PoseMeasurement:
+    """Return the pose measurement of a camera sample.
 
     Args:
         tcp: (6,) undeflected tcp in c at the exposure.
@@ -111,7 +111,7 @@ def sight(
         diagonal = np.array((lateral, lateral, depth, angle, angle, angle)) ** 2
     variance = diagonal.reshape(2, 3).dot((R_camera * R_camera).T).reshape(6)
     variance += (noise.stamp * rate) ** 2
-    return Sighting(position, rotation, (now_ns - sample.exposure_ns) * 1e-9, variance)
+    return PoseMeasurement(position, rotation, (now_ns - sample.exposure_ns) * 1e-9, variance)
 
 
 class Wrench(Struct, frozen=True, eq=False):
@@ -135,14 +135,16 @@ def mean_wrench(samples: tuple[WrenchSample, ...]) -> Wrench | None:
         return None
     count = len(samples)
     stamp = sum([sample.stamp_ns for sample in samples]) // count
-    # A dozen floats are added up sooner than they have become an array.
+    # For a dozen floats sums are faster than an array.
     rows = [sample.force + sample.torque for sample in samples]
     mean = np.array([sum(column) / count for column in zip(*rows, strict=True)])
     return Wrench(mean[:3], mean[3:], stamp, count)
 
 
-def touch(wrench: Wrench, tcp: Array, noise: TactileNoise, now_ns: int, rate: Array) -> Sighting:
-    """Return where the object holds the clamped tool: the tcp, deflected by the wrench.
+def measure_touch(
+    wrench: Wrench, tcp: Array, noise: TactileNoise, now_ns: int, rate: Array
+) -> PoseMeasurement:
+    """Return the pose measurement of a clamped tool: the tcp, deflected by the wrench.
 
     Args:
         tcp: (6,) undeflected tcp in c at that moment.
@@ -158,4 +160,4 @@ def touch(wrench: Wrench, tcp: Array, noise: TactileNoise, now_ns: int, rate: Ar
     variance = np.array((place, place, place, turned, turned, turned))
     variance += (noise.stamp * rate) ** 2
     delay = (now_ns - wrench.stamp_ns) * 1e-9
-    return Sighting(tcp[:3] + R.dot(shift), R.dot(rotations.exp(turn)), delay, variance)
+    return PoseMeasurement(tcp[:3] + R.dot(shift), R.dot(rotations.exp(turn)), delay, variance)

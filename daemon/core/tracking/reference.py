@@ -14,7 +14,7 @@ import numpy as np
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.task import Gate, Phase, TaskFile, WaypointFrame
-from linemate.daemon.core.tracking.touch_profile import (
+from linemate.daemon.core.tracking.touch.touch_profile import (
     TouchProfile,
     contact_stretch,
     lengthened,

@@ -18,7 +18,7 @@ from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core.control import command_limiter
 from linemate.daemon.core.control.command_limiter import LimiterState
 from linemate.daemon.core.inputs import MotionOrder
-from linemate.daemon.core.tracking import tracker
+from linemate.daemon.core.tracking import task_clock
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
 from linemate.daemon.cycle import states, watch
 from linemate.daemon.cycle.replies import Replies
@@ -190,12 +190,12 @@ def _contact_never() -> list[Patch]:
 
 def _screws_anywhere() -> list[Patch]:
     """The task believes itself in contact as soon as the time has come."""
-    whole = tracker._since  # noqa: SLF001 - where the tool's signals are made
+    whole = task_clock.elapsed
 
-    def since(before: float | None, _holds: bool, period: float) -> float | None:
+    def elapsed(before: float | None, _holds: bool, period: float) -> float | None:
         return whole(before, True, period)
 
-    return [(tracker, "_since", since)]
+    return [(task_clock, "elapsed", elapsed)]
 
 
 def _not_predicted() -> list[Patch]:

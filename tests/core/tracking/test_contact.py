@@ -5,17 +5,17 @@ import random
 
 import pytest
 
-from linemate.daemon.core.tracking.contact import (
+from linemate.daemon.core.tracking.touch.contact import (
     NEAR,
-    NOTHING,
+    NO_CONTACT,
     PULL,
     TOUCHES,
-    Feeling,
-    Ringing,
-    assumed,
-    feel,
-    ringing,
-    touched,
+    ContactState,
+    ToolVibration,
+    assume_touch,
+    count_touches,
+    record_force,
+    tool_vibration,
 )
 
 FREQUENCY, DAMPING, STIFFNESS, FORCE = 7.0, 0.02, 50e3, 15.0
@@ -33,15 +33,15 @@ def first_touch(
     *,
     held: int | None = None,
     distance: float = 0.0,
-    mode: Ringing | None = None,
+    mode: ToolVibration | None = None,
     accelerations: list[float] | None = None,
 ) -> int | None:
-    mode = mode or ringing(FREQUENCY, DAMPING, STIFFNESS, FORCE, cycle_s)
-    feeling: Feeling = NOTHING
+    mode = mode or tool_vibration(FREQUENCY, DAMPING, STIFFNESS, FORCE, cycle_s)
+    feeling: ContactState = NO_CONTACT
     for k, force in enumerate(forces):
         acceleration = accelerations[k] if accelerations else 0.0
-        feeling = feel(feeling, mode, force, acceleration, held=k == held)
-        feeling = touched(feeling, mode, distance, NEAR)
+        feeling = record_force(feeling, mode, force, acceleration, held=k == held)
+        feeling = count_touches(feeling, mode, distance, NEAR)
         if feeling.touches >= 2:
             return k
     return None
@@ -105,15 +105,17 @@ def test_a_tool_that_begins_to_ring_near_the_object_does_not_touch(
     cycle_s: float, sign: float
 ) -> None:
     # The first half of a swing is in the mean of the period before, and the second is not.
-    mode = ringing(FREQUENCY, DAMPING, STIFFNESS, FORCE, cycle_s)
-    feeling, kick = NOTHING, round(1.1 / cycle_s)
+    mode = tool_vibration(FREQUENCY, DAMPING, STIFFNESS, FORCE, cycle_s)
+    feeling, kick = NO_CONTACT, round(1.1 / cycle_s)
     for k in range(round(2.0 / cycle_s)):
         force = -4.0 + sign * rung((k - kick) * cycle_s, 42.0)
         distance = -0.05 if k * cycle_s < 1.0 else 0.0
-        feeling = touched(feel(feeling, mode, force, 0.0, held=False), mode, distance, NEAR)
+        feeling = count_touches(
+            record_force(feeling, mode, force, 0.0, held=False), mode, distance, NEAR
+        )
         # The first quarter of a swing may be a contact, for there is no telling yet.
         if sign < 0.0 and 0.0 <= (k - kick) * cycle_s < 0.5 / FREQUENCY + 0.02:
-            feeling = Feeling(feeling.forces, feeling.calm, 0, feeling.free)
+            feeling = ContactState(feeling.forces, feeling.calm, 0, feeling.free)
         assert feeling.touches < TOUCHES
 
 
@@ -137,7 +139,7 @@ def test_a_contact_is_felt_beyond_the_estimated_object_too() -> None:
 
 
 def test_while_it_remembers_the_time_before_the_robot_held_nothing_is_said() -> None:
-    memory = ringing(FREQUENCY, DAMPING, STIFFNESS, FORCE, 0.004).memory
+    memory = tool_vibration(FREQUENCY, DAMPING, STIFFNESS, FORCE, 0.004).memory
     assert memory * 0.004 == pytest.approx(1.5 / FREQUENCY, abs=0.012)
     forces: list[float | None] = [6.0] * 100 + [-0.5 * k for k in range(200)]
     assert first_touch(0.004, forces, held=100) == 100 + memory + 1
@@ -148,9 +150,9 @@ def often_held(cycle_s: float, seconds: float, lost: float, press: float) -> int
 
     Each lost reply kicks the tool. It comes near the object after 1 s and is pressed 0.1 s later.
     """
-    mode = ringing(FREQUENCY, DAMPING, STIFFNESS, FORCE, cycle_s)
+    mode = tool_vibration(FREQUENCY, DAMPING, STIFFNESS, FORCE, cycle_s)
     chance = random.Random(3)
-    feeling, kicks = NOTHING, list[int]()
+    feeling, kicks = NO_CONTACT, list[int]()
     for k in range(round(seconds / cycle_s)):
         held = chance.random() < lost
         if held:
@@ -158,7 +160,9 @@ def often_held(cycle_s: float, seconds: float, lost: float, press: float) -> int
         force = 6.0 + sum(rung((k - kick) * cycle_s, 30.0) for kick in kicks)
         force += press if k * cycle_s >= 1.1 else 0.0
         distance = -0.05 if k * cycle_s < 1.0 else 0.0
-        feeling = touched(feel(feeling, mode, force, 0.0, held=held), mode, distance, NEAR)
+        feeling = count_touches(
+            record_force(feeling, mode, force, 0.0, held=held), mode, distance, NEAR
+        )
         if feeling.touches >= TOUCHES:
             return k
     return None
@@ -182,23 +186,23 @@ def test_a_tool_that_lost_replies_kick_again_and_again_does_not_touch(
 
 
 def test_a_step_without_a_force_repeats_the_last_one_and_memory_is_bounded() -> None:
-    mode = ringing(FREQUENCY, DAMPING, STIFFNESS, FORCE, 0.004)
-    feeling = feel(NOTHING, mode, None, 0.0, held=False)
+    mode = tool_vibration(FREQUENCY, DAMPING, STIFFNESS, FORCE, 0.004)
+    feeling = record_force(NO_CONTACT, mode, None, 0.0, held=False)
     assert feeling.forces == ()
     for force in [1.0, None, 2.0] * 100:
-        feeling = feel(feeling, mode, force, 0.0, held=False)
+        feeling = record_force(feeling, mode, force, 0.0, held=False)
     assert feeling.forces[-3:] == (1.0, 1.0, 2.0)
     assert len(feeling.forces) == mode.memory
 
 
 def test_without_a_force_sensor_a_touch_is_assumed_at_the_place_when_it_is_due() -> None:
-    feeling = NOTHING
+    feeling = NO_CONTACT
     for _ in range(TOUCHES):
-        feeling = assumed(feeling, 0.001, is_due=True)
+        feeling = assume_touch(feeling, 0.001, is_due=True)
     assert feeling.touches == TOUCHES
-    assert assumed(feeling, 0.001, is_due=False).touches == 0
+    assert assume_touch(feeling, 0.001, is_due=False).touches == 0
 
 
 @pytest.mark.parametrize("distance", [-0.02, math.inf])
 def test_without_a_force_sensor_no_touch_is_assumed_far_from_the_object(distance: float) -> None:
-    assert assumed(NOTHING, distance, is_due=True).touches == 0
+    assert assume_touch(NO_CONTACT, distance, is_due=True).touches == 0

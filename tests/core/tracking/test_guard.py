@@ -3,20 +3,20 @@
 import numpy as np
 import pytest
 
-from linemate.daemon.core.tracking import contact, guard
 from linemate.daemon.core.tracking.task import GuardedApproach
+from linemate.daemon.core.tracking.touch import contact, guard
 
 DT = 0.012
 GUARD = GuardedApproach(speed=0.005, overrun=0.012)
-RINGING = contact.ringing(7.0, 0.02, 50e3, 15.0, DT)
+RINGING = contact.tool_vibration(7.0, 0.02, 50e3, 15.0, DT)
 
 
-def feeling(force: float, calm: int | None = None) -> contact.Feeling:
+def feeling(force: float, calm: int | None = None) -> contact.ContactState:
     memory = RINGING.memory
-    return contact.Feeling((force,) * memory, memory if calm is None else calm)
+    return contact.ContactState((force,) * memory, memory if calm is None else calm)
 
 
-def after(seconds: float, felt: contact.Feeling) -> guard.Search:
+def after(seconds: float, felt: contact.ContactState) -> guard.ContactSearch:
     search = guard.NO_SEARCH
     for _ in range(round(seconds / DT)):
         search = guard.advanced(search, GUARD, felt, RINGING, DT)
@@ -31,10 +31,10 @@ def test_a_search_advances_at_its_speed_up_to_its_overrun() -> None:
 
 
 @pytest.mark.parametrize(
-    "felt", [feeling(16.0), feeling(0.0, calm=3), contact.Feeling((0.0, 0.0), 30)]
+    "felt", [feeling(16.0), feeling(0.0, calm=3), contact.ContactState((0.0, 0.0), 30)]
 )
 def test_a_search_stands_while_something_presses_or_nothing_can_be_felt(
-    felt: contact.Feeling,
+    felt: contact.ContactState,
 ) -> None:
     stood = after(1.2, felt)
     assert stood.reach == 0.0
@@ -44,12 +44,12 @@ def test_a_search_stands_while_something_presses_or_nothing_can_be_felt(
 
 def test_a_task_without_an_overrun_never_fails_to_find_its_object() -> None:
     none = GuardedApproach(overrun=0.0)
-    assert not guard.has_failed(guard.Search(0.0, 100.0), none)
+    assert not guard.has_failed(guard.ContactSearch(0.0, 100.0), none)
 
 
 def test_the_horizon_goes_on_at_the_speed_of_the_search_and_ends_at_its_bound() -> None:
     relative, span = np.zeros((4, 6)), np.array((0.0, 0.1, 0.2, 1.0))
-    search = guard.Search(0.011, 2.2)
+    search = guard.ContactSearch(0.011, 2.2)
     ahead = guard.reached(relative, search, GUARD, span, is_on=True)
     assert ahead[:, 2].tolist() == pytest.approx([0.011, 0.0115, 0.012, 0.012])
     kept = guard.reached(relative, search, GUARD, span, is_on=False)

@@ -12,11 +12,11 @@ from linemate.daemon.core.tracking.observation import (
     History,
     Wrench,
     mean_wrench,
+    measure_camera,
+    measure_touch,
     pose_at,
     rate_now,
     remember,
-    sight,
-    touch,
 )
 from linemate.daemon.core.tracking.settings import CameraNoise, TactileNoise
 from linemate.protocol.samples import CameraSample, WrenchSample
@@ -127,7 +127,7 @@ def test_between_two_telegrams_the_orientation_is_all_but_the_great_circles(
 @settings(max_examples=60, deadline=None)
 @given(poses(), poses())
 def test_a_sighting_is_the_product_of_the_transforms(tcp: Array, seen: Array) -> None:
-    sighting = sight(
+    sighting = measure_camera(
         camera_sample(seen, EPOCH), tcp, CAMERA, CameraNoise(), EPOCH + 105_000_000, STILL
     )
     known = (
@@ -149,7 +149,9 @@ def test_a_stationary_object_is_seen_at_one_place_from_wherever(
     camera = homogeneous(tcp[:3], rotations.exp(tcp[3:])) @ homogeneous(*CAMERA)
     seen = np.linalg.inv(camera) @ part
     in_camera = np.concatenate((seen[:3, 3], rotations.log(seen[:3, :3])))
-    sighting = sight(camera_sample(in_camera, EPOCH), tcp, CAMERA, CameraNoise(), EPOCH, STILL)
+    sighting = measure_camera(
+        camera_sample(in_camera, EPOCH), tcp, CAMERA, CameraNoise(), EPOCH, STILL
+    )
     assert np.allclose(homogeneous(sighting.position, sighting.rotation), part, atol=1e-10)
 
 
@@ -161,7 +163,7 @@ def test_variances_are_turned_with_the_line_of_sight(tcp: Array, seed: int) -> N
     for index, value in zip((0, 6, 11, 15, 18, 20), diagonal, strict=True):
         covariance[index] = float(value)
     sample = camera_sample(np.array((0, 0, 0.3, 0, 0, 0.0)), EPOCH, tuple(covariance))
-    sighting = sight(sample, tcp, CAMERA, CameraNoise(), EPOCH, STILL)
+    sighting = measure_camera(sample, tcp, CAMERA, CameraNoise(), EPOCH, STILL)
     R = rotations.exp(tcp[3:]) @ CAMERA[1]
     assert np.allclose(sighting.variance[:3], np.diag(R @ np.diag(diagonal[:3]) @ R.T))
     assert np.allclose(sighting.variance[3:], np.diag(R @ np.diag(diagonal[3:]) @ R.T))
@@ -173,7 +175,9 @@ def test_without_a_covariance_noise_grows_with_distance_and_most_along_the_line_
 
     def deviation(distance: float) -> Array:
         sample = camera_sample(np.array((0.0, 0.0, distance, 0.0, 0.0, 0.0)), EPOCH)
-        return np.sqrt(sight(sample, np.zeros(6), straight, CameraNoise(), EPOCH, STILL).variance)
+        return np.sqrt(
+            measure_camera(sample, np.zeros(6), straight, CameraNoise(), EPOCH, STILL).variance
+        )
 
     # 0.25 + 0.0012 d mm across, twice that along, 0.6 + 0.004 d mrad: the study's camera, d in mm.
     for distance in (0.0, 0.25, 1.0):
@@ -192,7 +196,7 @@ def test_touch_is_the_deflected_tool(tcp: Array, load: Array) -> None:
     wrench = mean_wrench((sample,))
     assert wrench is not None
     noise = TactileNoise(stiffness=(50e3, 40e3, 30e3), rotational_stiffness=(2e3, 1e3, 3e3))
-    sighting = touch(wrench, tcp, noise, EPOCH + 3_000_000, STILL)
+    sighting = measure_touch(wrench, tcp, noise, EPOCH + 3_000_000, STILL)
     R = rotations.exp(tcp[3:])
     shift, turn = force / (50e3, 40e3, 30e3), torque / (2e3, 1e3, 3e3)
     known = homogeneous(tcp[:3], R) @ homogeneous(shift, rotations.exp(turn))
@@ -211,7 +215,7 @@ def test_the_mean_of_three_wrenches_is_dated_to_their_middle_and_a_third_as_unce
     assert np.allclose(wrench.force, (1.0, 2.0, 3.0))
     assert np.allclose(wrench.torque, (0.1, 0.0, 1.0))
     one, three = (
-        touch(found, np.zeros(6), TactileNoise(), EPOCH, STILL).variance
+        measure_touch(found, np.zeros(6), TactileNoise(), EPOCH, STILL).variance
         for found in (mean_wrench(samples[:1]), wrench)
         if found is not None
     )
@@ -229,8 +233,8 @@ def test_the_middle_of_many_stamps_loses_no_nanoseconds() -> None:
 def test_what_moves_is_less_well_known_by_as_much_as_it_moves_in_the_dates_deviation() -> None:
     wrench = Wrench(np.zeros(3), np.zeros(3), EPOCH, 1)
     noise = TactileNoise(stamp=0.001)
-    still = touch(wrench, np.zeros(6), noise, EPOCH, STILL).variance
-    moving_too = touch(wrench, np.zeros(6), noise, EPOCH, SPEED).variance
+    still = measure_touch(wrench, np.zeros(6), noise, EPOCH, STILL).variance
+    moving_too = measure_touch(wrench, np.zeros(6), noise, EPOCH, SPEED).variance
     assert np.allclose(moving_too - still, (0.001 * SPEED) ** 2)
     assert np.allclose(rate_now(moving(3, 12_000_000, SPEED)), SPEED, atol=1e-9)
     assert not rate_now(moving(1, 12_000_000, SPEED)).any()

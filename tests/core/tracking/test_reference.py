@@ -12,6 +12,7 @@ from linemate.daemon.config import task_file
 from linemate.daemon.config.files import DAEMON_DATA
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.damping import CONTACT_SHARE, free_table
 from linemate.daemon.core.tracking.reference import (
     Reference,
     barrier,
@@ -27,7 +28,6 @@ from linemate.daemon.core.tracking.task import (
     Waypoint,
     WaypointFrame,
 )
-from linemate.daemon.core.tracking.tracker import LATE, hanging
 
 TASK = task_file.load(DAEMON_DATA / "wheel.yaml").file
 REFERENCE = compile_reference(TASK)
@@ -219,8 +219,10 @@ def test_a_turned_programme_is_known_to_be_one() -> None:
 
 def test_the_tool_is_damped_until_it_touches_and_again_once_it_has_left() -> None:
     touch, leave, blend = REFERENCE.contact_time, 15.0, 0.06
-    instants = np.array((0.0, touch - blend, touch, touch + LATE * blend, leave, leave + blend))
-    shares = hanging(REFERENCE, leave, blend, instants)
-    assert shares == pytest.approx((1.0, 1.0, LATE, 0.0, 0.0, 1.0), abs=1e-9)
-    around = hanging(REFERENCE, leave, blend, touch + np.linspace(-0.1, 0.1, 41))
+    instants = np.array(
+        (0.0, touch - blend, touch, touch + CONTACT_SHARE * blend, leave, leave + blend)
+    )
+    shares = free_table(REFERENCE, leave, blend, instants)
+    assert shares == pytest.approx((1.0, 1.0, CONTACT_SHARE, 0.0, 0.0, 1.0), abs=1e-9)
+    around = free_table(REFERENCE, leave, blend, touch + np.linspace(-0.1, 0.1, 41))
     assert (np.diff(around) <= 0.0).all()

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from linemate.daemon.core.tracking import release
 from linemate.daemon.core.tracking.observation import Wrench
+from linemate.daemon.core.tracking.touch import release
 
 NEAR, FAR = 0.0, -0.05
 

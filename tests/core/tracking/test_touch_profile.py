@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linemate.daemon.core.tracking import touch_profile
 from linemate.daemon.core.tracking.reference import compile_reference
 from linemate.daemon.core.tracking.task import Phase, TaskFile, WaypointFrame
+from linemate.daemon.core.tracking.touch import touch_profile
 from linemate.simulators.harness.setup import shipped_task
 
 TASK = shipped_task().file

@@ -1,4 +1,4 @@
-"""Across the conveyor: found, believed, predicted; with filterpy and chi-square as witnesses."""
+"""Across the conveyor: found, plain, predicted; with filterpy and chi-square as witnesses."""
 
 import math
 from dataclasses import replace
@@ -13,13 +13,13 @@ from scipy import linalg, stats
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.observation import Sighting
+from linemate.daemon.core.tracking.observation import PoseMeasurement
 from linemate.daemon.core.tracking.settings import CameraNoise, FusionSettings, SwingMode
 from linemate.daemon.core.tracking.transverse import (
-    DOUBTED,
-    JUMPED,
-    MOST_DOUBT,
-    PACES,
+    FREQUENCY_FACTORS,
+    LARGEST_INFLATION,
+    LEAST_INFLATION,
+    MOST_JUMPS,
     STATIC,
     TURN,
     Transverse,
@@ -46,12 +46,12 @@ def angle(t: float | Array, amplitude: float = 0.006, phase: float = 0.7) -> Arr
 
 def seen(
     place: Array, rotation: Array, swing: float, delay: float, noise: Array | None = None
-) -> Sighting:
+) -> PoseMeasurement:
     """What is measured of an object at rest at ``place`` that is turned by ``swing`` about y."""
     off = np.zeros(6) if noise is None else noise
     position = place + swing * np.array(MODE.levers) + off[:3]
     turned = rotations.exp(off[3:]) @ rotations.exp(np.array((0.0, swing, 0.0))) @ rotation
-    return Sighting(position, turned, delay, VARIANCE)
+    return PoseMeasurement(position, turned, delay, VARIANCE)
 
 
 PLACE = np.array((-1.06, 0.3, 2.17))
@@ -70,7 +70,7 @@ def run(
     rng = np.random.default_rng(seed)
     turned = rotations.exp(OFF) if rotation is None else rotation
 
-    def look(now: float) -> Sighting:
+    def look(now: float) -> PoseMeasurement:
         late = delay + jitter * rng.uniform(-1.0, 1.0)
         noise = rng.normal(0.0, np.sqrt(VARIANCE)) if seed is not None else None
         return seen(PLACE, turned, float(angle(now - late, amplitude)), late, noise)
@@ -141,7 +141,7 @@ def test_delays_that_jitter_cost_nothing_for_each_is_measured() -> None:
 def test_the_swing_a_while_ago_is_what_the_rows_take_it_for() -> None:
     state = run(3.0, amplitude=0.006)
     for delay in (0.0, 0.05, 0.2):
-        rows = FILTER.rows(state, delay)[:, STATIC:] @ state.x[STATIC:]
+        rows = FILTER.observation_rows(state, delay)[:, STATIC:] @ state.x[STATIC:]
         back = float(FILTER.swing_angles(state, np.array((-delay,)))[0, 0])
         levers = MODE.levers
         known = (levers[0] * back, levers[2] * back, 0.0, back, 0.0)
@@ -174,38 +174,38 @@ def test_no_real_step_is_locked_out(
     taken = 0
     for _ in range(60):
         state = FILTER.predict(FILTER.predict(state, T0), T0)
-        state, believed = FILTER.correct(state, seen(place, rotation, 0.0, 0.1), GATE)
-        taken += believed
-    assert taken >= 60 - JUMPED
+        state, plain = FILTER.correct(state, seen(place, rotation, 0.0, 0.1), GATE)
+        taken += plain
+    assert taken >= 60 - MOST_JUMPS
     assert np.abs(state.x[:2] - place[[0, 2]]).max() < 0.02 * max(np.abs(jump[0]).max(), 0.01)
     assert off(state, rotation) < 0.05 * max(float(np.linalg.norm(jump[1])), 0.01)
 
 
 def scattered(
-    scale: float, *, doubted: bool, seed: int, seconds: float = 4.0
+    scale: float, *, is_camera: bool, seed: int, seconds: float = 4.0
 ) -> list[TransverseState]:
-    """What is believed while a camera looks at rest that misses by ``scale`` of what it tells."""
+    """Return the states with a camera at rest whose noise is ``scale`` times the stated one."""
     rng = np.random.default_rng(seed)
 
-    def look() -> Sighting:
+    def look() -> PoseMeasurement:
         return seen(PLACE, rotations.exp(OFF), 0.0, 0.1, scale * rng.normal(0.0, np.sqrt(VARIANCE)))
 
     states = [FILTER.initial([look() for _ in range(5)])]
     for _ in range(round(seconds / FRAME)):
         state = FILTER.predict(states[-1], FRAME)
-        states.append(FILTER.correct(state, look(), GATE, doubted=doubted)[0])
+        states.append(FILTER.correct(state, look(), GATE, is_camera=is_camera)[0])
     return states[40:]
 
 
 def test_a_camera_twice_as_noisy_as_it_tells_is_weighed_by_what_it_shows() -> None:
     ratios = []
     for seed in range(5):
-        doubted = scattered(2.0, doubted=True, seed=seed)
-        believed = scattered(2.0, doubted=False, seed=seed)
-        assert all(2.5 < state.doubt < 6.0 for state in doubted[40:])
+        inflated = scattered(2.0, is_camera=True, seed=seed)
+        plain = scattered(2.0, is_camera=False, seed=seed)
+        assert all(2.5 < state.inflation < 6.0 for state in inflated[40:])
         misses = [
             np.sqrt(np.mean([(state.x[0] - PLACE[0]) ** 2 for state in states[40:]]))
-            for states in (doubted, believed)
+            for states in (inflated, plain)
         ]
         ratios.append(misses[0] / misses[1])
     assert np.median(ratios) < 0.9
@@ -213,10 +213,10 @@ def test_a_camera_twice_as_noisy_as_it_tells_is_weighed_by_what_it_shows() -> No
 
 def test_a_camera_that_is_as_good_as_it_tells_is_believed_to_the_last_bit() -> None:
     for seed in range(5):
-        doubted = scattered(1.0, doubted=True, seed=seed)
-        believed = scattered(1.0, doubted=False, seed=seed)
-        assert max(state.scatter for state in doubted) < 0.8 * DOUBTED
-        for state, other in zip(doubted, believed, strict=True):
+        inflated = scattered(1.0, is_camera=True, seed=seed)
+        plain = scattered(1.0, is_camera=False, seed=seed)
+        assert max(state.nis for state in inflated) < 0.8 * LEAST_INFLATION
+        for state, other in zip(inflated, plain, strict=True):
             assert np.array_equal(state.x, other.x)
             assert np.array_equal(state.P, other.P)
 
@@ -224,25 +224,25 @@ def test_a_camera_that_is_as_good_as_it_tells_is_believed_to_the_last_bit() -> N
 def test_what_a_gate_refuses_teaches_no_doubt_and_what_it_lets_in_a_bounded_one() -> None:
     state = run(3.0)
     wild = seen(PLACE + np.array((0.05, 0.0, 0.0)), rotations.exp(OFF), 0.0, 0.1)
-    after, believed = FILTER.correct(state, wild, GATE, doubted=True)
-    assert not believed
-    assert after.scatter == state.scatter
-    for state in scattered(8.0, doubted=True, seed=1):
-        assert 1.0 <= state.doubt <= MOST_DOUBT
+    after, plain = FILTER.correct(state, wild, GATE, is_camera=True)
+    assert not plain
+    assert after.nis == state.nis
+    for state in scattered(8.0, is_camera=True, seed=1):
+        assert 1.0 <= state.inflation <= LARGEST_INFLATION
 
 
 def test_single_outliers_are_refused_and_change_nothing() -> None:
     state = run(3.0)
     for axis in (0, 2):
         wrong = seen(PLACE + 0.03 * np.eye(3)[axis], rotations.exp(OFF), 0.0, 0.1)
-        after, believed = FILTER.correct(state, wrong, GATE)
-        assert not believed
+        after, plain = FILTER.correct(state, wrong, GATE)
+        assert not plain
         assert np.array_equal(after.x, state.x)
         assert np.array_equal(after.P, state.P)
-        assert after.refused == 1
-        good, believed = FILTER.correct(after, seen(PLACE, rotations.exp(OFF), 0.0, 0.1), GATE)
-        assert believed
-        assert good.refused == 0
+        assert after.rejected == 1
+        good, plain = FILTER.correct(after, seen(PLACE, rotations.exp(OFF), 0.0, 0.1), GATE)
+        assert plain
+        assert good.rejected == 0
 
 
 @pytest.mark.parametrize("axis", [0, 2])
@@ -251,11 +251,11 @@ def test_a_sighting_that_is_no_number_is_refused_and_changes_nothing(axis: int) 
     place = PLACE.copy()
     place[axis] = math.nan
     nowhere = seen(place, rotations.exp(OFF), 0.0, 0.1)
-    after, believed = FILTER.correct(state, nowhere, GATE, doubted=True)
-    assert not believed
+    after, plain = FILTER.correct(state, nowhere, GATE, is_camera=True)
+    assert not plain
     assert np.array_equal(after.x, state.x)
     assert np.array_equal(after.P, state.P)
-    assert after.scatter == state.scatter
+    assert after.nis == state.nis
 
 
 @settings(max_examples=20, deadline=None)
@@ -392,7 +392,7 @@ def swinging_at(pace: float, seconds: float, amplitude: float = 0.006) -> Transv
     rng = np.random.default_rng(3)
     turned = rotations.exp(OFF)
 
-    def look(now: float) -> Sighting:
+    def look(now: float) -> PoseMeasurement:
         late = 0.1 + 0.015 * rng.uniform(-1.0, 1.0)
         noise = rng.normal(0.0, np.sqrt(VARIANCE))
         return seen(PLACE, turned, float(angle(pace * (now - late), amplitude)), late, noise)
@@ -411,7 +411,7 @@ def swinging_at(pace: float, seconds: float, amplitude: float = 0.006) -> Transv
 def test_a_frequency_that_is_wrong_is_found_and_the_swing_foreseen_with_it(pace: float) -> None:
     seconds = 7.2
     state = swinging_at(pace, seconds)
-    assert state.paces[0] == pytest.approx(pace, abs=0.006)
+    assert state.frequency_factors[0] == pytest.approx(pace, abs=0.006)
     ahead = np.linspace(0.0, 0.5, 40)
     known = angle(pace * (seconds + ahead))
     assert np.abs(FILTER.swing_angles(state, ahead)[0] - known).max() < 0.3e-3
@@ -419,13 +419,13 @@ def test_a_frequency_that_is_wrong_is_found_and_the_swing_foreseen_with_it(pace:
 
 def test_an_object_that_does_not_swing_tells_nothing_of_a_frequency() -> None:
     state = swinging_at(1.0, 7.2, amplitude=0.0)
-    assert abs(state.paces[0] - 1.0) < 0.02
+    assert abs(state.frequency_factors[0] - 1.0) < 0.02
     assert math.sqrt(state.P[-1, -1]) > 0.5 * MODE.spread
 
 
 def test_a_frequency_stays_near_what_was_identified_whatever_is_seen() -> None:
     state = swinging_at(1.6, 7.2)
-    assert PACES[0] <= state.paces[0] <= PACES[1]
+    assert FREQUENCY_FACTORS[0] <= state.frequency_factors[0] <= FREQUENCY_FACTORS[1]
 
 
 def test_a_frequency_taken_for_exact_has_no_state() -> None:
@@ -435,16 +435,16 @@ def test_a_frequency_taken_for_exact_has_no_state() -> None:
     for k in range(40):
         sighting = seen(PLACE, rotations.exp(OFF), float(angle(k * T0)), 0.0)
         state, _ = own.correct(own.predict(state, T0), sighting, GATE)
-    assert state.paces[0] == 1.0
+    assert state.frequency_factors[0] == 1.0
 
 
 def test_a_wrong_pace_enters_the_rows_and_the_transition_as_it_enters_the_swing() -> None:
     state = run(4.0, amplitude=0.006)
     off = 1e-4
-    faster = structs.replace(state, paces=(state.paces[0] + off,))
+    faster = structs.replace(state, frequency_factors=(state.frequency_factors[0] + off,))
     for delay in (0.0, 0.1, 0.25):
-        column = FILTER.rows(state, delay)[:, -1]
-        rows = [FILTER.rows(each, delay) @ each.x for each in (faster, state)]
+        column = FILTER.observation_rows(state, delay)[:, -1]
+        rows = [FILTER.observation_rows(each, delay) @ each.x for each in (faster, state)]
         assert np.allclose(column, (rows[0] - rows[1]) / off, rtol=0.02, atol=2e-6)
     late = 0.3
     moved = [FILTER.predict(each, late).x for each in (faster, state)]

@@ -1,9 +1,9 @@
-"""Guarded approach: advance beyond the estimated object until contact is felt, up to a bound.
+"""Guarded approach: advance beyond the estimated object until contact, up to a bound.
 
 Invariants:
-    * The tool advances only while it can feel a contact and feels none.
-    * It advances by at most the overrun of the task.
-    * Once contact is felt the programme presses from there, wherever the object was estimated.
+- The tool advances only while a contact is observable and there is none.
+- It advances by at most the overrun of the task.
+- From the contact on, the tool presses from there, wherever the object was estimated.
 """
 
 import math
@@ -13,14 +13,14 @@ from msgspec import Struct
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.contact import Feeling, Ringing, can_feel
 from linemate.daemon.core.tracking.task import GuardedApproach
+from linemate.daemon.core.tracking.touch.contact import ContactState, ToolVibration, is_observable
 
 PRESSING_S = 0.5  # time from the contact to the full press [s]
-PATIENCE = 2.0  # a search that cannot advance ends after so many times its duration
+TIMEOUT_FACTOR = 2.0  # a search that cannot advance ends after so many times its duration
 
 
-class Search(Struct, frozen=True):
+class ContactSearch(Struct, frozen=True):
     """How far the tool has searched for the object.
 
     Attributes:
@@ -33,36 +33,40 @@ class Search(Struct, frozen=True):
     lasted: float = 0.0
 
 
-NO_SEARCH = Search()
+NO_SEARCH = ContactSearch()
 
 
 def advanced(
-    search: Search, guard: GuardedApproach, feeling: Feeling, ringing: Ringing, dt: float
-) -> Search:
+    search: ContactSearch,
+    guard: GuardedApproach,
+    contact_state: ContactState,
+    vibration: ToolVibration,
+    dt: float,
+) -> ContactSearch:
     """Return the search one step later.
 
     Args:
-        feeling: forces along the tool's axis.
-        ringing: of the tool, with the force of a contact.
+        contact_state: forces along the tool's axis.
+        vibration: of the tool, with the force of a contact.
         dt: T0 [s].
     """
     reach = search.reach
     # A force that is no contact yet may become one: wait for it.
-    if can_feel(feeling, ringing) and abs(feeling.forces[-1]) < ringing.force:
+    if is_observable(contact_state, vibration) and abs(contact_state.forces[-1]) < vibration.force:
         reach = min(reach + guard.speed * dt, guard.overrun)
-    return Search(reach, search.lasted + dt)
+    return ContactSearch(reach, search.lasted + dt)
 
 
-def has_failed(search: Search, guard: GuardedApproach) -> bool:
+def has_failed(search: ContactSearch, guard: GuardedApproach) -> bool:
     """Return whether the object was not found within the overrun."""
     if guard.overrun <= 0.0 or search.lasted <= 0.0:
         return False
     duration = guard.overrun / guard.speed
-    return search.reach >= guard.overrun or search.lasted > PATIENCE * duration
+    return search.reach >= guard.overrun or search.lasted > TIMEOUT_FACTOR * duration
 
 
 def reached(
-    relative: Array, search: Search, guard: GuardedApproach, span: Array, *, is_on: bool
+    relative: Array, search: ContactSearch, guard: GuardedApproach, span: Array, *, is_on: bool
 ) -> Array:
     """Return the programmed tcp in the object (m, 6) with the search added along the tool's axis.
 

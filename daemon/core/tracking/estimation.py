@@ -1,0 +1,173 @@
+"""Estimation of the object in one step: predict and correct, along and across the conveyor."""
+
+import math
+
+from msgspec.structs import replace
+
+from linemate.daemon.core.tracking.conveyor import (
+    ConveyorEstimate,
+    PositionMeasurement,
+    Source,
+)
+from linemate.daemon.core.tracking.observation import (
+    History,
+    PoseMeasurement,
+    Wrench,
+    mean_wrench,
+    measure_camera,
+    measure_touch,
+    pose_at,
+    rate_now,
+    remember,
+)
+from linemate.daemon.core.tracking.task import Gate
+from linemate.daemon.core.tracking.touch import release
+from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
+from linemate.daemon.core.tracking.transverse import TransverseState
+from linemate.protocol.samples import DistanceSample
+
+FIRST_READINGS = 4  # readings of the distance sensor that start the classifier
+FIRST_SPREAD = 0.015  # largest range of these readings: none is an outlier [m]
+SEATING_S = 0.012  # a clamp closes in 0.04 s; contact is detected 0.03 s after it or later [s]
+
+
+def estimate(
+    tracker: Tracker, state: TrackerState, samples: StepSamples
+) -> tuple[TrackerState, int, Wrench | None]:
+    """Return the state with its beliefs one step later, the rejected first_poses, the wrench."""
+    history = state.history
+    if samples.tcp is not None:
+        history = remember(history, samples.tcp_stamp_ns, samples.tcp, tracker.history_length)
+    transverse = state.transverse
+    if transverse is not None:
+        seating = state.fixing is not None and Gate.SCREWS_FIXED not in state.passed
+        transverse = tracker.transverse.predict(transverse, tracker.cycle_s, seating=seating)
+    wrench = mean_wrench(samples.wrench)
+    pull = release.averaged(state.pull, wrench, tracker.cycle_s) if state.contact else state.pull
+    felt = wrench if _is_force_used(tracker, state) else None
+    first_poses = _pose_measurements(tracker, history, samples, felt)
+    rows = [_distance_measurement(tracker, samples.stamp_ns, sample) for sample in samples.distance]
+    rejected = 0
+    waiting, pose_ns = state.first_poses, state.pose_ns
+    for source, measured, gate in first_poses:
+        if transverse is None:
+            waiting = (*waiting, measured)[-tracker.settings.fusion.initial_images :]
+            if len(waiting) == tracker.settings.fusion.initial_images:
+                transverse = tracker.transverse.initial(list(waiting))
+        else:
+            is_camera = source is Source.CAMERA
+            transverse, is_accepted = tracker.transverse.correct(
+                transverse, measured, gate, is_camera=is_camera
+            )
+            rejected += not is_accepted
+            if not is_accepted:
+                continue
+        if source is Source.CAMERA:
+            pose_ns = samples.stamp_ns - round(measured.delay * 1e9)
+        rows.append(_along_measurement(tracker, transverse, source, measured, gate))
+    conveyor, readings = state.conveyor, state.readings
+    if conveyor is None:
+        recent = (*readings, *(row.value for row in rows if row.source is Source.DISTANCE))
+        readings = recent[-FIRST_READINGS:]
+        if len(readings) == FIRST_READINGS and max(readings) - min(readings) < FIRST_SPREAD:
+            conveyor = tracker.classifier.initial(readings[-1])
+    else:
+        conveyor = tracker.classifier.advance(conveyor, rows, tracker.cycle_s)
+    state = replace(
+        state,
+        history=history,
+        conveyor=conveyor,
+        transverse=transverse,
+        first_poses=waiting,
+        readings=readings,
+        pull=pull,
+        pose_ns=pose_ns,
+    )
+    return state, rejected, wrench
+
+
+def _distance_measurement(
+    tracker: Tracker, now_ns: int, sample: DistanceSample
+) -> PositionMeasurement:
+    """Return (10)'s row: the sensor reads the start position as the object is at its origin."""
+    noise = tracker.settings.distance
+    value = sample.position - tracker.task.conveyor.start_position + tracker.reference.origin[1]
+    delay = (now_ns - sample.stamp_ns) * 1e-9 + noise.delay
+    return PositionMeasurement(Source.DISTANCE, float(value), delay, noise.deviation**2, noise.gate)
+
+
+def _along_measurement(
+    tracker: Tracker,
+    transverse: TransverseState | None,
+    source: Source,
+    measured: PoseMeasurement,
+    gate: float,
+) -> PositionMeasurement:
+    """Return a pose's component along the conveyor, without the swing."""
+    value, variance = float(measured.position[1]), float(measured.variance[1])
+    if transverse is not None:
+        if source is Source.CAMERA:
+            variance *= transverse.inflation
+        angles = tracker.transverse.swing_now(transverse, measured.delay)
+        for mode, angle in zip(tracker.transverse.swing, angles, strict=True):
+            value -= mode.levers[1] * angle
+    return PositionMeasurement(source, value, measured.delay, variance, gate)
+
+
+def _is_force_used(tracker: Tracker, state: TrackerState) -> bool:
+    """Return whether the force measures where the object is: the tool is surely clamped to it.
+
+    A clamp that was ordered to open may be open without reporting it. A tool that hangs free would
+    measure the object at its own position, and would follow itself.
+    """
+    if not is_seated(state):
+        return False
+    if state.releasing is None:
+        return state.contact
+    pulling = release.PULLING * tracker.settings.tactile.contact_force
+    return state.contact and math.hypot(*state.pull) > pulling
+
+
+def is_seated(state: TrackerState) -> bool:
+    """Return whether a closing clamp has drawn the tool in.
+
+    Before that the mount is bent by the tool's offset from the object: the force does not measure
+    the object. Its change would be detected as a stop, a start or an impulse.
+    """
+    return state.contact and state.touching >= SEATING_S
+
+
+def _pose_measurements(
+    tracker: Tracker,
+    history: History | None,
+    samples: StepSamples,
+    wrench: Wrench | None,
+) -> list[tuple[Source, PoseMeasurement, float]]:
+    """Return the pose measurements of the camera and of the force-torque sensor.
+
+    Args:
+        wrench: of the clamped tool; None if it does not measure the object.
+    """
+    measurements: list[tuple[Source, PoseMeasurement, float]] = []
+    if history is None or not (samples.camera or wrench is not None):
+        return measurements
+    settings, rate = tracker.settings, rate_now(history)
+    for sample in samples.camera:
+        tcp = pose_at(history, sample.exposure_ns, tracker.cycle_s)
+        delay = (samples.stamp_ns - sample.exposure_ns) * 1e-9
+        if tcp is not None and delay <= settings.camera.longest_delay:
+            measured = measure_camera(
+                sample, tcp, tracker.camera, settings.camera, samples.stamp_ns, rate
+            )
+            measurements.append((Source.CAMERA, measured, settings.camera.gate))
+    if wrench is not None:
+        tcp = pose_at(history, wrench.stamp_ns, 2.5 * tracker.cycle_s)
+        if tcp is not None:
+            measured = measure_touch(wrench, tcp, settings.tactile, samples.stamp_ns, rate)
+            measurements.append((Source.TACTILE, measured, settings.tactile.gate))
+    return measurements
+
+
+def conveyor_estimate(tracker: Tracker, state: TrackerState) -> ConveyorEstimate | None:
+    """Return the estimate of the classifier, None before it starts."""
+    return None if state.conveyor is None else tracker.classifier.estimate(state.conveyor)

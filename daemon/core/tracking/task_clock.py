@@ -1,0 +1,168 @@
+"""The task's clock with its gates, and the order of the tool's signals."""
+
+import math
+
+from msgspec.structs import replace
+
+from linemate.daemon.core.tracking.conveyor import (
+    ConveyorEstimate,
+)
+from linemate.daemon.core.tracking.reference import barrier, last_step
+from linemate.daemon.core.tracking.task import Gate
+from linemate.daemon.core.tracking.touch import guard, release
+from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
+
+LARGEST_BEND = 0.008  # of the mount; a tool farther off is not on the object any more [m]
+CLAMP_OPEN = 2  # bit of the tool's signals: the wheel is released
+
+
+def standing_time(tracker: Tracker, state: TrackerState, now_ns: int, retreat: bool) -> float:
+    """Return at which step's time the task's clock stands [s]; infinity if nothing stops it."""
+    if retreat and is_before_contact(state):
+        return state.time
+    closed = barrier(tracker.reference, state.time, state.passed)
+    if state.time <= tracker.sight_time < closed and not retreat:
+        # Beyond this waypoint the camera goes blind, and contact relies on what it saw last.
+        oldest_ns = round(tracker.task.guard.sight * 1e9)
+        if state.pose_ns is None or now_ns - state.pose_ns > oldest_ns:
+            closed = tracker.sight_time
+    return last_step(closed, tracker.cycle_s)
+
+
+def is_before_contact(state: TrackerState) -> bool:
+    """Return whether the tool has not felt the object yet: a retreat must not lead it there."""
+    return not state.contact and Gate.WHEEL_RELEASED not in state.passed
+
+
+def advance_clock(
+    tracker: Tracker,
+    state: TrackerState,
+    view: ConveyorEstimate | None,
+    samples: StepSamples,
+    retreat: bool,
+) -> TrackerState:
+    """Return the state with the task's clock one step further, as far as its gates let it."""
+    T0 = tracker.cycle_s
+    tool, passed = tracker.task.tool, open_gates(tracker, state, view, samples)
+    if retreat and state.releasing is None and not state.contact:
+        state = _set_back(tracker, state)
+    stood = max(state.stood - release.STANDING_S, 0.0)
+    moved = 0.0 if view is None else abs(view.speed) * stood
+    clamped = retreat and state.withdrawn is None
+    clamped = clamped and _may_be_clamped(tracker, state, passed, moved)
+    if retreat:
+        state = replace(
+            state,
+            clamped=clamped,
+            releasing=elapsed(state.releasing, True, T0),
+            withdrawn=elapsed(state.withdrawn, not clamped, T0),
+        )
+    if not state.started:
+        return state
+    # Counted in steps: a sum of many periods is no multiple of one.
+    steps = round(state.time / T0) + 1
+    stand = standing_time(tracker, replace(state, passed=passed), samples.stamp_ns, retreat)
+    time = min(steps * T0, stand)
+    blended = state.blended
+    if blended is not None:
+        blended += T0
+    elif time > 0.0 and state.transverse is not None:
+        blended = 0.0
+    screwing = time >= tool.fix_screws and not retreat and _is_pressed(tracker, state)
+    releasing = time >= tool.release_wheel
+    return replace(
+        state,
+        passed=passed,
+        time=time,
+        blended=blended,
+        fixing=elapsed(state.fixing, screwing, T0),
+        releasing=state.releasing if retreat else elapsed(state.releasing, releasing, T0),
+    )
+
+
+def _set_back(tracker: Tracker, state: TrackerState) -> TrackerState:
+    """Return the state with the task's clock where the robot got its last command.
+
+    A retreat that begins while commands are lost must not lead the tool on to where it should be
+    by now: nearer to the object, at the speed of a catch-up.
+    """
+    if state.stood <= 0.0:
+        return state
+    T0 = tracker.cycle_s
+    steps = round(state.time / T0) - round(state.stood / T0)
+    return replace(state, time=max(steps, 0) * T0)
+
+
+def _is_pressed(tracker: Tracker, state: TrackerState) -> bool:
+    """Return whether the tool is in contact and the object has pushed it back for a while.
+
+    A tool that slows down feels its own mass for a moment, as if it touched.
+    """
+    if state.assumed:
+        return state.contact
+    return state.contact and state.pull[2] < -tracker.settings.tactile.contact_force
+
+
+def _may_be_clamped(
+    tracker: Tracker, state: TrackerState, passed: frozenset[Gate], moved: float
+) -> bool:
+    """Return whether to withdraw now could pull at a closed clamp.
+
+    Args:
+        tracker: compiled.
+        state: with the task's clock at the last command that the robot got.
+        passed: gates that are open.
+        moved: way of the object while the robot stood, for it got no commands [m].
+    """
+    if moved > LARGEST_BEND and not state.contact:
+        return False
+    leading = release.LEADING_S if state.stood <= 0.0 else release.STANDING_S
+    steps = math.ceil(leading / tracker.cycle_s)
+    _, relative = tracker.table.ahead(state.time, math.inf, steps)
+    return release.may_be_clamped(
+        contact=state.contact,
+        released=Gate.WHEEL_RELEASED in passed,
+        distance=float(relative[-1, 2]) if state.started else -math.inf,
+        opening=state.releasing,
+        timeout=tracker.task.tool.release_timeout,
+    )
+
+
+def is_overdue(tracker: Tracker, state: TrackerState) -> bool:
+    """Return whether the clamp has not opened in time, or contact was not found in reach."""
+    timeout = tracker.task.tool.release_timeout
+    if release.is_overdue(state.releasing, timeout, contact=state.contact):
+        return True
+    searched = not state.contact and state.releasing is None
+    return searched and guard.has_failed(state.search, tracker.task.guard)
+
+
+def open_gates(
+    tracker: Tracker, state: TrackerState, view: ConveyorEstimate | None, samples: StepSamples
+) -> frozenset[Gate]:
+    """Return the gates that are open, with those that what is known now opens."""
+    tool, fixing, releasing = tracker.task.tool, state.fixing, state.releasing
+    gates = []
+    if view is not None and view.position + view.offset >= tracker.reference.origin[1]:
+        gates.append(Gate.OBJECT_CLOSE)
+    if state.blended is not None and state.blended >= tracker.settings.merge.blend:
+        gates.append(Gate.OBJECT_SEEN)
+    if samples.digital_in & 1 or _has_lasted(fixing, tool.fixed_after):
+        gates.append(Gate.SCREWS_FIXED)
+    # A clamp that is open before it was ordered to open has not closed yet.
+    opened = releasing is not None and samples.digital_in & CLAMP_OPEN
+    if opened or _has_lasted(releasing, tool.released_after):
+        gates.append(Gate.WHEEL_RELEASED)
+    return state.passed if state.passed.issuperset(gates) else state.passed.union(gates)
+
+
+def _has_lasted(age: float | None, needed: float | None) -> bool:
+    """Tell whether something has lasted as long as is needed; without a need it never has."""
+    return age is not None and needed is not None and age >= needed
+
+
+def elapsed(age: float | None, begun: bool, dt: float) -> float | None:
+    """Return how long something has lasted: None before, 0 as it begins."""
+    if age is not None:
+        return age + dt
+    return 0.0 if begun else None

@@ -1,0 +1,1 @@
+"""Touch: contact detection, guarded approach, and release of the clamp."""

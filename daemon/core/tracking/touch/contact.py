@@ -1,0 +1,177 @@
+"""Contact detection: the force along the tool's axis without the tool's own vibration.
+
+A tool on an elastic mount vibrates for seconds after an impulse, with more force than a contact: a
+hold of one cycle at 0.5 rad/s left 100 N. Half a period earlier that force was opposite, so the sum
+of both is free of it. A constant force (gravity, bias) is the mean of the period before that. A
+contact shows in that sum at once and in full.
+
+While replies are lost again and again, each lost one excites the tool. Then a contact is a force
+that stays on one side of the free tool's mean for a full period: a vibration changes its side twice
+in a period.
+"""
+
+import math
+from dataclasses import dataclass
+
+from msgspec import Struct
+
+TOUCHES = 2  # steps in a row that make a contact
+NEAR = 0.008  # least distance before the object from which a force may be a contact [m]
+MARGIN = 0.003  # or this much before the approach is slow: an object that is nearer still [m]
+
+# An object pushes a tool back. So many times the force the other way is a contact too: the sensor's
+# axis may be wrong, and the tool must not press on.
+PULL = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class ToolVibration:
+    """Vibration of the tool along its own axis, in steps.
+
+    Attributes:
+        half: half a period, in steps and parts of one.
+        kept: share of a deflection that is left after half a period, with its sign turned.
+        force: what counts as contact [N].
+        mass: of the tool, on its mount's stiffness [kg].
+    """
+
+    half: float
+    kept: float
+    force: float
+    mass: float = 0.0
+
+    @property
+    def memory(self) -> int:
+        """Forces that are remembered: half a period, the period before it, and the newest."""
+        return math.ceil(self.half) + self.period + 1
+
+    @property
+    def period(self) -> int:
+        """Steps of a full period."""
+        return math.ceil(2.0 * self.half)
+
+
+def tool_vibration(
+    frequency_hz: float, damping: float, stiffness: float, force: float, cycle_s: float
+) -> ToolVibration:
+    """Return the vibration of a mode, sampled in steps.
+
+    Args:
+        frequency_hz: of the mode along the tool's axis.
+        damping: of it, as a share of critical.
+        stiffness: of the mount along that axis [N/m].
+        force: what counts as contact [N].
+        cycle_s: T0 [s].
+    """
+    half = 0.5 / (frequency_hz * cycle_s)
+    kept = math.exp(-math.pi * damping / math.sqrt(1.0 - damping**2))
+    return ToolVibration(half, kept, force, stiffness / (2.0 * math.pi * frequency_hz) ** 2)
+
+
+class ContactState(Struct, frozen=True):
+    """State of the contact detection.
+
+    Attributes:
+        forces: along its axis, the newest last, one a step, without those that accelerate it [N].
+        calm: steps since the robot last held against its command, as far as memory goes.
+        touches: steps in a row with a contact's force.
+        free: mean force of the last full period before the tool came near the object [N]; None
+            while less is known.
+    """
+
+    forces: tuple[float, ...] = ()
+    calm: int = 0
+    touches: int = 0
+    free: float | None = None
+
+
+NO_CONTACT = ContactState()
+
+
+def record_force(
+    state: ContactState,
+    vibration: ToolVibration,
+    force: float | None,
+    acceleration: float,
+    *,
+    held: bool,
+) -> ContactState:
+    """Return the state with the force of one step.
+
+    Args:
+        force: along its axis [N], None if none was measured: then it is what it was.
+        acceleration: planned, along its axis [m/s^2]. The force that accelerates the tool is
+            no contact.
+        held: the robot did not get the last command and held.
+    """
+    forces = state.forces
+    newest = forces[-1] if forces else None
+    if force is not None:
+        newest = force + vibration.mass * acceleration
+    if newest is not None:
+        forces = (*forces, newest)[-vibration.memory :]
+    calm = 0 if held else min(state.calm + 1, vibration.memory)
+    return ContactState(forces, calm, state.touches, state.free)
+
+
+def is_observable(state: ContactState, vibration: ToolVibration) -> bool:
+    """Return whether the forces go back far enough to separate contact from vibration."""
+    return len(state.forces) >= vibration.memory and state.calm >= vibration.memory
+
+
+def is_contact(state: ContactState, vibration: ToolVibration) -> bool:
+    """Return whether the force of the tool is a contact.
+
+    Not decided while the forces reach back beyond a hold: the tool did not vibrate before it.
+    """
+    forces = state.forces
+    if not is_observable(state, vibration):
+        return False
+    whole, part = divmod(vibration.half, 1.0)
+    ago = -1 - int(whole)
+    opposite = forces[ago] + part * (forces[ago - 1] - forces[ago])
+    pair = forces[-1] + vibration.kept * opposite
+    before = sum(forces[: vibration.period]) / vibration.period
+    # The mean of the period before is off for a tool that began to ring in it, and the mean of the
+    # free tool for one that was kicked then. A contact shows against both.
+    means = (before,) if state.free is None else (before, state.free)
+    pushes = [pair - (1.0 + vibration.kept) * mean for mean in means]
+    return max(pushes) < -vibration.force or min(pushes) > PULL * vibration.force
+
+
+def is_lasting_contact(state: ContactState, vibration: ToolVibration) -> bool:
+    """Return whether a contact's force has been on one side for a full period."""
+    free, newest = state.free, state.forces[-vibration.period :]
+    if free is None or len(newest) < vibration.period:
+        return False
+    return min(newest) > free + vibration.force or max(newest) < free - vibration.force
+
+
+def count_touches(
+    state: ContactState, vibration: ToolVibration, distance: float, near: float
+) -> ContactState:
+    """Return the state with its touches counted.
+
+    Args:
+        distance: programmed, to the object [m].
+        near: distance before the object from which a force may be a contact [m].
+    """
+    forces, free = state.forces, state.free
+    # Beyond the estimated object too: the tool may search for it there.
+    if not -near < distance < math.inf:
+        if len(forces) >= vibration.period:
+            free = sum(forces[-vibration.period :]) / vibration.period
+        return ContactState(forces, state.calm, 0, free)
+    is_pressed = is_contact(state, vibration) or is_lasting_contact(state, vibration)
+    return ContactState(forces, state.calm, state.touches + 1 if is_pressed else 0, free)
+
+
+def assume_touch(state: ContactState, distance: float, *, is_due: bool) -> ContactState:
+    """Return the state of a tool without a force sensor: it touches at its place.
+
+    Args:
+        distance: programmed, to the object [m].
+        is_due: the programme has reached its waypoint of contact and the clamp may be closed.
+    """
+    near = is_due and -NEAR < distance < math.inf
+    return ContactState(state.forces, state.calm, state.touches + 1 if near else 0, state.free)

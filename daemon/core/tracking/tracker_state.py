@@ -1,0 +1,185 @@
+"""Values of tracking: compiled parameters, state, samples of a step, report."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from msgspec import Struct
+
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking import linear_axis
+from linemate.daemon.core.tracking.conveyor import (
+    Classifier,
+    Motion,
+)
+from linemate.daemon.core.tracking.observation import (
+    History,
+    PoseMeasurement,
+)
+from linemate.daemon.core.tracking.reference import Reference, ReferenceTable
+from linemate.daemon.core.tracking.settings import TrackingSettings
+from linemate.daemon.core.tracking.task import Gate, Phase, TaskFile
+from linemate.daemon.core.tracking.touch import contact, guard
+from linemate.daemon.core.tracking.transverse import Transverse, TransverseState
+from linemate.protocol.samples import CameraSample, DistanceSample, Vector3, WrenchSample
+
+Foresight = Callable[[int, Array], tuple[Array, Array]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tracker:
+    """Compiled parameters of tracking.
+
+    Attributes:
+        table: the reference at every step of the task's clock.
+        camera: position (3,) and rotation (3, 3) of the camera in the tcp.
+        cycle_s: T0 [s].
+        steps: n, length of the horizon.
+        commit: nc, the last step that a merge keeps.
+        matrices: (6, n - nc, 5) of the merge.
+        corner: (2 h + 1,) kernel that rounds the goal's corners along the conveyor.
+        history_length: number of robot poses in the history.
+        span: (n+1,) times of the horizon from now [s].
+        axis_steps: length of the linear axis' plan, as far as control reads it.
+        axis_range: positions that the linear axis can take [m]; unbounded without one.
+        ahead: (n+2,) times from now at which the conveyor's position is predicted [s]: the span,
+            and the time of the linear axis' goal.
+        free: (t,) share of the damping at every step of the task's clock.
+        vibration: of the tool along its axis.
+        sight_time: when the tool leaves its last waypoint before contact [s].
+        search_time: when the tool should be in contact at the latest [s].
+        press: programmed tcp in the object along its axis at that time [m].
+        damped_until: last task time before contact at which the tool is damped in full [s].
+        foresight: oracle for campaigns, in place of the estimate: from a stamp [ns] and times from
+            it (m,) [s] to positions (m, 3) and rotation vectors (m, 3) of the object in c.
+    """
+
+    task: TaskFile
+    settings: TrackingSettings
+    reference: Reference
+    classifier: Classifier
+    transverse: Transverse
+    table: ReferenceTable
+    camera: tuple[Array, Array]
+    cycle_s: float
+    steps: int
+    commit: int
+    matrices: Array
+    corner: Array
+    history_length: int
+    span: Array
+    axis_steps: int
+    axis_range: tuple[float, float]
+    ahead: Array
+    free: Array
+    vibration: contact.ToolVibration
+    sight_time: float
+    search_time: float
+    press: float
+    damped_until: float
+    foresight: Foresight | None = None
+
+
+class TrackerState(Struct, frozen=True, eq=False):
+    """State of tracking.
+
+    Attributes:
+        history: poses of the undeflected tcp.
+        conveyor: state of the classifier; None before the first distance readings.
+        transverse: state of the filter across the conveyor; None before enough images.
+        first_poses: images that wait to start that filter.
+        poses: (n+1, 6) x_t of the last step.
+        axis: plan of the linear axis.
+        object_left: the object leaves the range of the linear axis, or is about to.
+        departure: positions of the linear axis and of the conveyor unit at the start of the task's
+            clock [m]; None before.
+        time: task time of step k [s]; constant before the start.
+        started: the start edge has come.
+        passed: gates that are open.
+        blended: time since the blend to the sensed motion began [s], None before.
+        contact_state: of the contact detection, until there is contact.
+        contact: the tool is clamped to the object.
+        assumed: contact is assumed: the cell has no force-torque sensor.
+        touching: time since the contact began [s].
+        fixing: time since the tool was ordered to fix [s]; None before.
+        releasing: time since the tool was ordered to release [s]; None before.
+        withdrawn: time since an emergency retraction began [s]; None without.
+        clamped: a retreat waits for the clamp, which is closed on the object or may be.
+        anchor: (6,) of a robot at rest from which an emergency retraction began: its pose, or its
+            offset from the object while the task is started; None if it tracked.
+        distance: programmed, from the tcp to the object along its z [m].
+        readings: of the distance sensor, before the classifier starts [m].
+        pull: mean force on the clamped tool [N].
+        search: for an object that is farther away than estimated.
+        pose_ns: exposure of the camera's last accepted pose [ns], None before.
+        stood: time without a command, in which the robot stood still [s].
+    """
+
+    history: History | None
+    conveyor: Any
+    transverse: TransverseState | None
+    first_poses: tuple[PoseMeasurement, ...]
+    poses: Array
+    axis: linear_axis.AxisPlan
+    departure: tuple[float, float] | None = None
+    object_left: bool = False
+    time: float = 0.0
+    started: bool = False
+    passed: frozenset[Gate] = frozenset()
+    blended: float | None = None
+    contact_state: contact.ContactState = contact.NO_CONTACT
+    contact: bool = False
+    assumed: bool = False
+    touching: float = 0.0
+    fixing: float | None = None
+    releasing: float | None = None
+    withdrawn: float | None = None
+    clamped: bool = False
+    anchor: Array | None = None
+    distance: float = math.inf
+    readings: tuple[float, ...] = ()
+    pull: Vector3 = (0.0, 0.0, 0.0)
+    search: guard.ContactSearch = guard.NO_SEARCH
+    pose_ns: int | None = None
+    stood: float = 0.0
+
+
+class Report(Struct, frozen=True, eq=False):
+    """Results of one step of tracking, without the horizon.
+
+    Attributes:
+        sensed: x_f(k, 0) (6,) in c, or None.
+        part: the object now (6,) in c, or None.
+        speed: of the conveyor [m/s], or None.
+        motion, tentative, confidence, events: of the classifier.
+        force: mean force [N], or None without a sample.
+        overload: the force exceeds the tool's limit.
+        object_left: the object leaves the range of the linear axis, or is about to.
+        rejected: number of pose measurements that the gate rejected in this step.
+    """
+
+    sensed: Array | None
+    part: Array | None
+    speed: float | None
+    motion: Motion
+    tentative: bool
+    confidence: float
+    events: tuple[tuple[str, str], ...]
+    phase: Phase
+    force: Array | None
+    overload: bool
+    object_left: bool
+    rejected: int
+
+
+class StepSamples(Struct, frozen=True, eq=False):
+    """Samples of one step, and the pose of the robot."""
+
+    stamp_ns: int
+    tcp: Array | None
+    tcp_stamp_ns: int
+    distance: Sequence[DistanceSample]
+    camera: Sequence[CameraSample]
+    wrench: tuple[WrenchSample, ...]
+    digital_in: int
