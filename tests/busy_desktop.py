@@ -35,7 +35,7 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=10)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--niceness", type=int, default=0, help="of the browser; 0 as a user's")
-    parser.add_argument("--burners", type=int, default=0, help="busy processes beside the browser")
+    parser.add_argument("--burners", type=int, default=0, help="busy processes next to the browser")
     args = parser.parse_args()
     program = browser.path()
     if program is None:
@@ -102,13 +102,13 @@ def tell(seed: int, code: int, out: Path, *, started: bool) -> None:
         return
     result: dict[str, Any] = json.loads((out / "result.json").read_text())
     silences = longest_silences(next(out.glob("*.mcap")))
-    told = ", ".join(f"{name} {1e3 * silences[name]:.0f} ms" for name in SENSORS)
+    silence_text = ", ".join(f"{name} {1e3 * silences[name]:.0f} ms" for name in SENSORS)
     counts = result["telegrams"]
     late = counts["late"] + counts["lost"]
     print(
         f"seed {seed}: exit {code}, {result['outcome']}, "
         f"browser {'started' if started else 'NOT started'}, {late} late of {counts['sent']}; "
-        f"longest silence in contact: {told}",
+        f"longest silence in contact: {silence_text}",
         flush=True,
     )
     for text in (result["reason"], *result["shortfalls"], *result.get("notes", ())):

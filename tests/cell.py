@@ -32,7 +32,7 @@ MOUNT = TASK.file.conveyor.start_position
 SWING = 0.004
 TURN = rotations.exp(np.array((0.05, -0.25, 0.2)))
 OFF = np.array((0.03, -0.02, 0.04))
-"""The object in c beside its nominal pose, and its turn."""
+"""The object in c next to its nominal pose, and its turn."""
 
 
 @cache

@@ -55,10 +55,10 @@ class Truth:
         rng = np.random.default_rng(self.seed)
         decay = np.exp(-GRID)  # of a ripple that forgets within a second
         noise = rng.normal(size=len(times)) * np.sqrt(1.0 - decay**2)
-        wave = 0.0
+        ripple_state = 0.0
         for i, kick in enumerate(noise):
-            wave = decay * wave + kick
-            speeds[i] += self.ripple * wave * speeds[i] / NOMINAL
+            ripple_state = decay * ripple_state + kick
+            speeds[i] += self.ripple * ripple_state * speeds[i] / NOMINAL
         positions = np.cumsum(speeds) * GRID
         for name, value in (("times", times), ("positions", positions), ("speeds", speeds)):
             object.__setattr__(self, name, value)
@@ -97,7 +97,7 @@ def row(
 
 @dataclass(frozen=True)
 class Story:
-    """What a classifier told over a run."""
+    """Events of a classifier over a run."""
 
     times: Array
     views: list[ConveyorEstimate]

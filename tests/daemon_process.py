@@ -17,7 +17,7 @@ from linemate.daemon.transport.client import Client
 LINEMATED = (sys.executable, "-m", "linemate.daemon.service.main")
 LINEMATE = (sys.executable, "-m", "linemate.daemon.operator.main")
 START_S = 60.0
-PATIENCE_S = 4.5  # a request may lie 5 s ahead at most
+TIMEOUT_S = 4.5  # a request may lie 5 s ahead at most
 
 
 class DaemonProcess:
@@ -56,7 +56,7 @@ class DaemonProcess:
             line = pipe.readline() if ready else b""
         if not line:
             self._kill()
-            raise AssertionError(f"the daemon did not start:\n{self.said()}")
+            raise AssertionError(f"the daemon did not start:\n{self.log_text()}")
         self.listening = json.loads(line)
         return self
 
@@ -79,20 +79,20 @@ class DaemonProcess:
         host, port = self.listening["robot"]
         return host, port
 
-    def said(self) -> str:
+    def log_text(self) -> str:
         """What it logged so far."""
         return self.log.read_text(encoding="utf-8", errors="replace")
 
     def status(self) -> dict[str, Any]:
         """Its status, over its socket."""
         with Client.local(self.listening["command"]["socket"]) as client:
-            return client.call("status", None, PATIENCE_S)
+            return client.call("status", None, TIMEOUT_S)
 
     def status_by_tool(self) -> tuple[int, dict[str, Any]]:
         """Exit code and output of ``linemate status --json``."""
         path = self.listening["command"]["socket"]
         done = subprocess.run(
-            [*LINEMATE, "status", "--json", "--socket", path, "--timeout", str(PATIENCE_S)],
+            [*LINEMATE, "status", "--json", "--socket", path, "--timeout", str(TIMEOUT_S)],
             capture_output=True,
             text=True,
             check=False,

@@ -1,7 +1,7 @@
 """Floods from the loopback: ``python tests/floods.py [--rate 20000] [--seconds 5]``.
 
-Law of this file: bounded in rate and time, to ports of the daemon that it started itself. A robot
-asks meanwhile and judges; what it misses while nobody floods is the baseline of the same run. A
+Bounded in rate and time, to ports of the daemon that it started itself. A robot
+asks in between and judges; what it misses while no one floods is the baseline of the same run. A
 camera sends good poses all the time; those that did not become samples are counted.
 """
 
@@ -48,14 +48,14 @@ SHORT = Flood(5_000.0, 1.5)
 
 
 @dataclass(frozen=True)
-class Told:
+class FloodOutcome:
     """What a robot missed.
 
     Attributes:
         sent: datagrams of the flood.
         cycles: of the robot, with and without.
         baseline, missed: replies that did not come in their cycle.
-        answered_s: how long a genuine status took meanwhile, None if none came.
+        answered_s: how long a genuine status took in between, None if none came.
         poses, samples: good poses sent during the flood, and what the daemon took of them.
     """
 
@@ -107,7 +107,7 @@ def _samples(daemon: DaemonProcess) -> int:
     return int(daemon.status()["links"]["camera"]["counters"].get("samples", 0))
 
 
-def run(daemon: DaemonProcess, port: str, flood: Flood) -> Told:
+def run(daemon: DaemonProcess, port: str, flood: Flood) -> FloodOutcome:
     """Flood one port of a daemon; ``port`` is robot, camera or command."""
     listening = daemon.listening
     host, number = listening["command"]["udp"] if port == "command" else listening[port]
@@ -116,7 +116,7 @@ def run(daemon: DaemonProcess, port: str, flood: Flood) -> Told:
         return _flooded(daemon, f"{host}:{number}", flood, poses)
 
 
-def _flooded(daemon: DaemonProcess, target: str, flood: Flood, poses: Poses) -> Told:
+def _flooded(daemon: DaemonProcess, target: str, flood: Flood, poses: Poses) -> FloodOutcome:
     robot = PlainRobot(daemon.robot())
     cycles = round(flood.seconds / CYCLE_S)
     robot.cycles(80)
@@ -136,7 +136,7 @@ def _flooded(daemon: DaemonProcess, target: str, flood: Flood, poses: Poses) -> 
         sent = int(pouring.stdout.readline())
         good, taken = poses.sent - sent_before, _samples(daemon) - taken_before
     robot.close()
-    return Told(sent, cycles, baseline, missed, asked[0], good, taken)
+    return FloodOutcome(sent, cycles, baseline, missed, asked[0], good, taken)
 
 
 def _pour(target: tuple[str, int], flood: Flood) -> int:
@@ -200,11 +200,11 @@ def main() -> int:
                 "command: {socket: c.sock, udp: {port: 0, keys: keys}}\n"
             )
             with DaemonProcess(folder, text) as daemon:
-                told = run(daemon, port, flood)
-        bad = told.missed > told.baseline + 0.003 * told.cycles
-        bad = bad or told.samples < 0.99 * told.poses
+                outcome = run(daemon, port, flood)
+        bad = outcome.missed > outcome.baseline + 0.003 * outcome.cycles
+        bad = bad or outcome.samples < 0.99 * outcome.poses
         failed = failed or bad
-        print(f"{port}: {told} {'TOO MANY' if bad else 'good'}", flush=True)
+        print(f"{port}: {outcome} {'TOO MANY' if bad else 'good'}", flush=True)
     return 1 if failed else 0
 
 

@@ -1,6 +1,6 @@
 """Fuzzing of every wire: ``python tests/fuzz.py [WIRE ...] [--inputs N] [--atheris SECONDS]``.
 
-Law of this file: any bytes give a value or the wire's own error, and nothing else; that is the
+Any bytes give a value or the wire's own error, and nothing else; that is the
 whole check. Inputs are whole messages that were cut, joined, flipped and overwritten, by seed; with
 ``--atheris`` libFuzzer looks for them instead, where it is installed.
 """

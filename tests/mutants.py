@@ -1,6 +1,6 @@
 """Mutation testing: ``python tests/mutants.py [FILE ...] [--share 0.1] [--seed 0] [--workers 1]``.
 
-Law of this file: each mutant is one small change of the syntax tree (a comparison, a boolean, a
+Each mutant is one small change of the syntax tree (a comparison, a boolean, a
 number, an arithmetic sign, a branch, a return), put in the place of the module before its own
 tests import it; the file on the disk is never touched. A mutant that its tests do not notice
 survives and is printed with its line. Survivors that are shown to be equivalent stand in
@@ -189,7 +189,7 @@ class Mutant:
 
     @property
     def reason(self) -> str | None:
-        """Why nobody can see it, None if somebody might."""
+        """Why no one can see it, None if somebody might."""
         return EQUIVALENT.get(self.file, {}).get((self.statement, self.what))
 
 
@@ -299,7 +299,7 @@ EQUIVALENT: dict[str, dict[tuple[str, str], str]] = {
     }
     | {
         (f"class {name}(Struct, frozen=True, forbid_unknown_fields=True):", "True -> False"): (
-            "nobody writes to a message, and an unknown field is one more than were read"
+            "no one writes to a message, and an unknown field is one more than were read"
         )
         for name in (
             *("Empty", "ParamsOf", "GetOf", "SetOf", "RecordOf", "SubscribeOf", "PageOf"),
@@ -326,7 +326,7 @@ EQUIVALENT: dict[str, dict[tuple[str, str], str]] = {
         for n in range(1, 7)
     },
 }
-"""Changes that nobody can see, by file, statement and change, each with its reason."""
+"""Changes that no one can see, by file, statement and change, each with its reason."""
 
 
 def mutants(file: str) -> Iterator[Mutant]:

@@ -16,7 +16,7 @@ SILENCE_S = 0.1
 
 
 class PlainRobot:
-    """Stands where the task begins, or wherever it is told to, and tells its Delay."""
+    """Stands where the task begins, or wherever it is reported to, and tells its Delay."""
 
     def __init__(self, target: tuple[str, int]) -> None:
         self._codec = RsiCodec(parse_config((ROOT / "protocol/data/rsi_joints.xml").read_bytes()))
@@ -53,7 +53,7 @@ class PlainRobot:
             self.delay += reply is None
             time.sleep(max(0.0, begun + (k + 1) * CYCLE_S - time.monotonic()))
             if time.monotonic() - begun > (k + 2) * CYCLE_S:
-                # This process itself was held up: its schedule slips, nobody is charged.
+                # This process itself was delayed: its schedule slips, no one is charged.
                 begun = time.monotonic() - (k + 1) * CYCLE_S
         return took
 

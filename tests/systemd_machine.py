@@ -1,6 +1,6 @@
 """A real systemd as PID 1 of namespaces that are thrown away, with our units and no others.
 
-Law of this file: nothing of it reaches the machine. Files are an overlay in memory, the network is
+Nothing of it reaches the machine. Files are an overlay in memory, the network is
 a loopback of its own, the cgroups hang below one that is made here and removed here. Where rights
 or tools are missing, ``lacking`` says which.
 """
@@ -125,7 +125,7 @@ class Machine:
             )
             (bin_ / name).write_text(text, encoding="utf-8")
             (bin_ / name).chmod(0o755)
-        # pip keeps what it compiled beside the sources; the sandbox could not.
+        # pip keeps what it compiled next to the sources; the sandbox could not.
         subprocess.run([sys.executable, "-m", "compileall", "-q", str(site)], check=True)
         packages = next(Path(p) for p in sys.path if p.endswith("site-packages"))
         binds = f"{sys.base_prefix} {PYTHON}\n{packages} {PACKAGES}\n{self.out} {OUT}\n"
@@ -187,7 +187,7 @@ class Machine:
     ) -> None:
         self._end()
 
-    def said(self) -> str:
+    def log_text(self) -> str:
         """What systemd logged."""
         return self.log.read_text(encoding="utf-8", errors="replace")
 
@@ -203,13 +203,18 @@ class Machine:
             check=False,
             stdin=subprocess.DEVNULL,
         )
-        assert not check or done.returncode == 0, (command, done.stdout, done.stderr, self.said())
+        assert not check or done.returncode == 0, (
+            command,
+            done.stdout,
+            done.stderr,
+            self.log_text(),
+        )
         return done
 
     def show(self, unit: str, *properties: str) -> dict[str, str]:
         """Properties of a unit."""
-        told = self.run("systemctl", "show", unit, *(f"--property={name}" for name in properties))
-        return dict(line.split("=", 1) for line in told.stdout.splitlines())
+        done = self.run("systemctl", "show", unit, *(f"--property={name}" for name in properties))
+        return dict(line.split("=", 1) for line in done.stdout.splitlines())
 
     def _enter(self) -> list[str]:
         assert self._pid is not None
@@ -234,7 +239,7 @@ class Machine:
                     if Path(f"/proc/{pid}/comm").read_text(encoding="ascii").strip() == "systemd":
                         return int(pid)
             time.sleep(0.02)
-        raise AssertionError(f"systemd did not boot: {self.said()}")
+        raise AssertionError(f"systemd did not boot: {self.log_text()}")
 
     def _await_running(self) -> None:
         end = time.monotonic() + BOOT_S
@@ -243,7 +248,7 @@ class Machine:
             if done.stdout.strip() == "active":
                 return
             time.sleep(0.05)
-        raise AssertionError(f"systemd did not come up: {self.said()}")
+        raise AssertionError(f"systemd did not come up: {self.log_text()}")
 
     def _end(self) -> None:
         if self._process is not None and self._process.poll() is None:

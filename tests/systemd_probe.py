@@ -1,6 +1,6 @@
 """What a program could do that had got into the daemon's place: it tries, and tells how it went.
 
-Law of this file: the standard library alone; each attempt by itself; one line of JSON at the end.
+The standard library alone; each attempt by itself; one line of JSON at the end.
 """
 
 import ctypes

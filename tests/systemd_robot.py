@@ -1,6 +1,6 @@
-"""A robot controller that stands where it was left: it asks every 12 ms and does what it is told.
+"""A robot controller that stands where it was left: it asks every 12 ms and applies what it gets.
 
-Law of this file: a program of its own, run inside the namespaces. One line of JSON a programme's
+A program of its own, run inside the namespaces. One line of JSON a programme's
 telegram on stdout: when, which programme, its IPOC, and where the reply sends the robot (A1..A6
 rad, E1 m), null without a reply. After TIMEOUT telegrams in a row without one the programme ends,
 as with KSS29002, and the next one begins where the robot stands, on a port and a counter of its
@@ -72,11 +72,11 @@ def _ask(
         link.send(data)
         while (left := until - time.monotonic()) > 0.0:
             link.settimeout(left)
-            told = codec.parse_sensor(link.recv(2048))
-            if told.ipoc == ipoc and told.joints is not None and told.external is not None:
-                return (*told.joints, told.external[0])
+            reply = codec.parse_sensor(link.recv(2048))
+            if reply.ipoc == ipoc and reply.joints is not None and reply.external is not None:
+                return (*reply.joints, reply.external[0])
     except (OSError, RsiError):
-        # Nobody listens, or nobody in time.
+        # No one listens, or no one in time.
         return None
     return None
 

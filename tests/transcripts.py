@@ -1,8 +1,8 @@
 """Long random conversations with a pure machine, as one digest each.
 
-Law of this file: what a machine answered is hashed word for word. A digest says that nothing has
-changed, not that it is right: laws say that. Whoever changes what a machine answers on purpose
-copies the new digest from the failure. Chances come from ``random()`` alone, which is the same in
+What a machine answered is hashed word for word. A digest says that nothing has
+changed, not that it is right: other tests check that. After a wanted change
+copy the new digest from the failure. Random numbers come from ``random()`` alone, which is the same in
 every version of Python.
 """
 
@@ -31,7 +31,7 @@ class Chance:
 
 
 class Transcript:
-    """What was said so far."""
+    """What was reported so far."""
 
     def __init__(self) -> None:
         self._hash = blake2b(digest_size=8)

@@ -37,7 +37,7 @@ def answer(data: bytes) -> bytes:
 
 
 class Plant:
-    """Notes what it is told."""
+    """Records its calls."""
 
     def __init__(self, on_begin: Callable[[int], None] = lambda at_ns: None) -> None:
         self.begun: list[int] = []
@@ -97,7 +97,7 @@ def _answer_from_a_thread(endpoint: socket.socket, stop: threading.Event) -> Non
             endpoint.sendto(answer(data), source)
 
 
-def test_being_held_up_slips_the_schedule_and_never_floods() -> None:
+def test_being_delayed_slips_the_schedule_and_never_floods() -> None:
     def stall(at_ns: int) -> None:
         if len(plant.begun) == 3:
             time.sleep(0.1)

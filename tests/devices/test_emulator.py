@@ -98,15 +98,15 @@ def test_all_four_links_live_and_the_truth_is_kept(tmp_path: Path) -> None:
     async def main() -> None:
         station = Station(tmp_path)
         station.open()
-        told: list[dict[str, Any]] = []
+        states: list[dict[str, Any]] = []
         config = station.config(wait_answered=3, truth=tmp_path / "truth.npz")
-        emulator = Emulator(config, told.append)
+        emulator = Emulator(config, states.append)
         running = asyncio.create_task(emulator.run())
         result = await running
         await station.close()
 
-        assert [state["event"] for state in told[:1] + told[-1:]] == ["ready", "end"]
-        assert any(state["event"] == "state" for state in told)
+        assert [state["event"] for state in states[:1] + states[-1:]] == ["ready", "end"]
+        assert any(state["event"] == "state" for state in states)
         facts = result.facts
         assert facts["reason"] == "duration"
         assert facts["telegrams"]["sent"] == 75
@@ -173,10 +173,10 @@ def test_the_world_stands_still_until_somebody_answers(tmp_path: Path) -> None:
         config = station.config(wait_answered=3)
         silent = replace(config, robot_target=("127.0.0.1", 9))
         stop = asyncio.Event()
-        told: list[dict[str, Any]] = []
-        emulator = Emulator(silent, told.append)
+        states: list[dict[str, Any]] = []
+        emulator = Emulator(silent, states.append)
         running = asyncio.create_task(emulator.run(stop))
-        await until(lambda: sum(state["event"] == "state" for state in told) >= 2)
+        await until(lambda: sum(state["event"] == "state" for state in states) >= 2)
         stop.set()
         result = await running
         await station.close()

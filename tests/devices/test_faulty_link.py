@@ -1,4 +1,4 @@
-"""What a faulty link does to bytes: exactly what it is told, and the same again."""
+"""What a faulty link does to bytes: exactly what is asked for, reproducibly."""
 
 import pytest
 

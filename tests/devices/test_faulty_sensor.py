@@ -23,7 +23,7 @@ def test_a_sound_sensor_says_what_it_reads() -> None:
     assert sound.clock(1.5) == 1.5
 
 
-def test_a_stuck_sensor_repeats_what_it_said_first() -> None:
+def test_a_stuck_sensor_repeats_its_first_reading() -> None:
     stuck = sensor("stuck")
     assert stuck.reading((1.0, 2.0), 1.0) == (1.0, 2.0)
     assert stuck.reading((3.0, 4.0), 1.9) == (1.0, 2.0)
@@ -52,12 +52,15 @@ def test_nan_and_its_kin_come_one_component_at_a_time() -> None:
     odd = sensor("nan", 1.0)
     seen = [odd.reading(POSE, 1.0 + 0.001 * i) for i in range(900)]
     kinds = {
-        repr(a) for said in seen for a, b in zip(said, POSE, strict=True) if repr(a) != repr(b)
+        repr(a)
+        for reading in seen
+        for a, b in zip(reading, POSE, strict=True)
+        if repr(a) != repr(b)
     }
     assert kinds == {repr(value) for value in ODD}
-    for said in seen:
-        assert sum(repr(a) != repr(b) for a, b in zip(said, POSE, strict=True)) <= 1
-    assert any(math.isnan(a) for said in seen for a in said)
+    for reading in seen:
+        assert sum(repr(a) != repr(b) for a, b in zip(reading, POSE, strict=True)) <= 1
+    assert any(math.isnan(a) for reading in seen for a in reading)
 
 
 @pytest.mark.parametrize(

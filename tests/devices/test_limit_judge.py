@@ -86,7 +86,7 @@ def test_rounding_on_the_wire_is_granted_and_no_more() -> None:
     assert judge.violations > 0
 
 
-def test_a_cycle_in_which_the_controller_held_is_nobodys_fault() -> None:
+def test_a_cycle_in_which_the_controller_held_is_no_ones_fault() -> None:
     judge = _judge()
     moving = _ramp(jerk=40.0, acceleration=1.5, speed=0.3, count=30)
     _feed(judge, moving)

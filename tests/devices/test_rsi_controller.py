@@ -41,7 +41,7 @@ def _holdon(rsi: RsiConfig, *, holdon: bool) -> RsiConfig:
 
 
 class Peer:
-    """A daemon that answers what it is told."""
+    """A daemon that answers with given corrections."""
 
     def __init__(self, controller: RsiController) -> None:
         self.controller = controller
@@ -128,7 +128,7 @@ def test_the_counter_steps_by_the_cycles_milliseconds() -> None:
     assert [peer.cycle().ipoc for _ in range(3)] == [100, 104, 108]
 
 
-def test_a_wrong_counter_is_refused_and_told_in_delay() -> None:
+def test_a_wrong_counter_is_refused_and_reported_in_delay() -> None:
     controller = _controller()
     peer = Peer(controller)
     peer.cycle()
@@ -246,7 +246,7 @@ def test_after_the_end_no_telegram_is_sent_and_the_robot_stands() -> None:
     assert peer.controller.counts.sent == 2
 
 
-def test_a_restart_begins_anew_where_the_robot_stands() -> None:
+def test_a_restart_begins_again_where_the_robot_stands() -> None:
     peer = Peer(_controller(ControllerConfig(timeout=0)))
     moved = peer.cycle(_step(0.001))
     peer.silent_cycle()

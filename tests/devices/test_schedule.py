@@ -61,17 +61,17 @@ def test_an_action_may_add_another() -> None:
     run(main())
 
 
-def test_a_fault_in_an_action_is_told_and_the_rest_goes_on() -> None:
+def test_a_fault_in_an_action_is_reported_and_the_rest_goes_on() -> None:
     async def main() -> None:
-        told: list[Exception] = []
+        errors: list[Exception] = []
         ran: list[int] = []
-        schedule = DeviceSchedule(on_error=told.append)
+        schedule = DeviceSchedule(on_error=errors.append)
         schedule.open()
         schedule.at(1, partial(divmod, 1, 0))
         schedule.at(2, lambda: ran.append(1))
         await until(lambda: bool(ran))
         schedule.close()
-        assert isinstance(told[0], ZeroDivisionError)
+        assert isinstance(errors[0], ZeroDivisionError)
 
     run(main())
 

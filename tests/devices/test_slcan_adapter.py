@@ -35,11 +35,11 @@ def test_what_the_host_sends_reaches_the_bus_unless_listening() -> None:
     assert adapter.feed(b"t12321122\r") == b"\a"
 
 
-def test_version_serial_number_and_flags_are_told() -> None:
+def test_version_serial_number_and_flags_are_reported() -> None:
     assert SlcanAdapter().feed(b"V\rN\rF\r\r") == b"V1013\rNLM01\rF00\r\r"
 
 
-def test_stamps_are_told_when_asked_for() -> None:
+def test_stamps_are_reported_when_asked_for() -> None:
     adapter = SlcanAdapter()
     adapter.feed(b"Z1\rO\r")
     assert adapter.forward(FRAME, time_ms=61_000) == b"t18340102030403E8\r"

@@ -1,4 +1,4 @@
-"""A short share of the swarm, what once failed, and that the swarm would notice."""
+"""A short share of the fault campaign, past failures, and planted errors."""
 
 import logging
 import os
@@ -26,7 +26,7 @@ OPEN_REGRESSIONS = {
     60758: "jitter in contact: mount overloaded, 8.1 mm",
     414903: "jitter in contact: 216 N",
 }
-"""What the plant's oracles found and nobody has mended yet, by the seed of its plan."""
+"""What the plant's oracles found and that is not fixed yet, by the seed of its plan."""
 LOSSY = FaultPlan(1, faults=(Fault(0.3, "reply", "loss", 0.9, 0.3),))
 
 
@@ -42,12 +42,12 @@ def open_or(seed: int, known: dict[int, str], value: Any) -> Any:
 
 
 @pytest.mark.parametrize("seed", [0, 2, 3, 6, 7, 10])
-def test_a_seed_is_lived_through_without_a_violation(seed: int) -> None:
+def test_a_seed_runs_without_a_violation(seed: int) -> None:
     assert dst_run.run(draw(seed)).violations == ()
 
 
 @pytest.mark.parametrize("seed", [1, 3, 5, 7])
-def test_a_seed_is_lived_through_at_4_ms_without_a_violation(seed: int) -> None:
+def test_a_seed_runs_at_4_ms_without_a_violation(seed: int) -> None:
     assert dst_run.run(draw(seed, cycle_ms=4)).violations == ()
 
 
@@ -61,14 +61,14 @@ def test_what_once_failed_does_not_fail_again(line: str) -> None:
 def test_one_plan_leaves_one_trace_whatever_the_process_and_its_hash_seed() -> None:
     plan = draw(3)
     here = dst_run.run(plan).digest
-    told = subprocess.run(
+    done = subprocess.run(
         [sys.executable, "-m", "linemate.simulators.lab.faults.dst", "--trace", "3"],
         env={**os.environ, "PYTHONHASHSEED": "12345"},
         capture_output=True,
         text=True,
         check=True,
     )
-    assert told.stdout.split() == ["3", here]
+    assert done.stdout.split() == ["3", here]
     assert dst_run.run(replace(plan, seed=4)).digest != here
 
 
@@ -79,7 +79,7 @@ def test_ports_that_tell_when_they_are_filled_are_as_good_as_asked_every_time(
     class Asking(VirtualTime):
         def __init__(self, *args: int) -> None:
             super().__init__(*args)
-            self.unplugged.add("something that nobody watches")
+            self.unplugged.add("something that no one watches")
 
     digest = dst_run.run(draw(seed)).digest
     monkeypatch.setattr(dst_run, "VirtualTime", Asking)
@@ -117,7 +117,7 @@ def test_half_of_the_seeds_are_calm_and_the_others_reach_every_kind_of_fault() -
     assert all(dst_run.LEAD_IN_S + plan.duration_s >= 2.0 for plan in plans)
 
 
-# The swarm would notice.
+# The campaign notices planted errors.
 
 
 @pytest.mark.parametrize(
@@ -305,6 +305,6 @@ def test_the_last_line_counts_the_runs(capsys: pytest.CaptureFixture[str]) -> No
 @pytest.mark.parametrize("text", ["", "5", "5:5", "7:3", "a:b", "0:99999999999"])
 def test_seeds_that_are_none_are_refused(text: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert dst.main([text]) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert told.err.startswith("dst: ")
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("dst: ")

@@ -146,7 +146,7 @@ def test_a_force_long_after_the_commands_came_back_is_not_excused() -> None:
     assert run.go(0.05) == ["force"]
 
 
-def test_a_collision_with_a_line_that_stands_is_nobody_elses_fault() -> None:
+def test_a_collision_with_a_line_that_stands_is_no_one_elses_fault() -> None:
     run = Run(State.CONTACT)
     run.plant.contact, run.plant.tool, run.plant.speed = "clamped", run.plant.place, 0.0
     run.go(0.1)
@@ -167,7 +167,7 @@ def test_a_daemon_that_moves_a_clamped_robot_after_its_restart_is_not_excused() 
 
 
 @pytest.mark.parametrize(
-    ("mm_beside", "mm_before", "state", "kinds"),
+    ("mm_off_axis", "mm_before", "state", "kinds"),
     [
         (7.0, 5.0, State.TRACK, ["place"]),
         (7.0, 5.0, State.RETREAT, []),
@@ -175,11 +175,11 @@ def test_a_daemon_that_moves_a_clamped_robot_after_its_restart_is_not_excused() 
         (5.0, 5.0, State.TRACK, []),
     ],
 )
-def test_a_tool_at_the_hub_and_beside_it_is_blamed_while_it_tracks(
-    mm_beside: float, mm_before: float, state: State, kinds: list[str]
+def test_a_tool_at_the_hub_and_off_its_axis_is_blamed_while_it_tracks(
+    mm_off_axis: float, mm_before: float, state: State, kinds: list[str]
 ) -> None:
     run = Run(state)
-    run.plant.tool = (1e-3 * mm_beside, 0.0, -1e-3 * mm_before)
+    run.plant.tool = (1e-3 * mm_off_axis, 0.0, -1e-3 * mm_before)
     assert run.go(0.2) == kinds
 
 
@@ -256,7 +256,7 @@ def test_a_sensor_that_says_500_n_ends_the_motion() -> None:
 
 
 @pytest.mark.parametrize("has_wrench", [True, False])
-def test_a_clamped_tool_that_nobody_noticed_is_blamed(has_wrench: bool) -> None:
+def test_a_clamped_tool_that_no_one_noticed_is_blamed(has_wrench: bool) -> None:
     run = Run()
     run.plant.contact, run.plant.tool = "clamped", run.plant.place
     run.sensors.has_wrench = has_wrench
@@ -307,7 +307,7 @@ def test_a_contact_far_from_the_hub_is_blamed(mm: float, kinds: list[str]) -> No
     assert run.go(0.1, state=State.CONTACT) == kinds
 
 
-def test_an_overload_that_nobody_bore_is_blamed_unless_a_wrench_was_wrong() -> None:
+def test_an_overload_that_no_one_bore_is_blamed_unless_a_wrench_was_wrong() -> None:
     run = Run()
     run.go(0.5)
     run.sensors.wrong = {"force_torque": run.seen.now_s}

@@ -27,7 +27,7 @@ def test_a_stop_and_a_start_around_contact_leave_less_than_200_n_at_the_mount(
 def test_the_pull_of_a_clamp_that_closes_is_not_taken_for_a_motion_of_the_conveyor(
     seed: int, stop_s: float, after_s: float
 ) -> None:
-    # The tool is 1 to 4 mm beside the hub at the touch: the clamp bends the mount by that much.
+    # The tool is 1 to 4 mm off the hub axis at the touch: the clamp bends the mount by that much.
     events = (
         ConveyorEvent("stop", stop_s, STOP),
         ConveyorEvent("start", round(stop_s + after_s, 3), START),

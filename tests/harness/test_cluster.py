@@ -31,14 +31,14 @@ def jobs() -> list[CampaignJob]:
 
 
 def test_a_cluster_gives_the_results_of_this_process_in_the_same_order(address: str) -> None:
-    told = 0
+    calls = 0
 
     def progress() -> None:
-        nonlocal told
-        told += 1
+        nonlocal calls
+        calls += 1
 
     there = campaign.execute(jobs(), progress=progress, scheduler=address)
-    assert told == 4
+    assert calls == 4
     assert json.dumps(there) == json.dumps(campaign.execute(jobs(), workers=1))
 
 
@@ -65,7 +65,7 @@ def test_workers_with_other_sources_are_refused(
         campaign.execute(jobs(), scheduler=address)
 
 
-def test_an_address_where_nobody_answers_ends_with_2(
+def test_an_address_where_no_one_answers_ends_with_2(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("distributed")

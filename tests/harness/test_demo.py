@@ -32,7 +32,7 @@ DEMO = [sys.executable, "-m", "linemate.simulators.harness.main", "demo"]
 class Ended:
     code: int
     out: Path
-    told: str
+    output: str
     errors: str
 
     @property
@@ -86,7 +86,7 @@ def test_a_run_that_ends_before_the_wheel_is_on_is_not_called_assembled(ended: E
     assert ended.code == 1, ended.errors
     assert ended.result["assembled"] is False
     assert ended.result["outcome"] in {"held", "retreated", "fault"}
-    assert json.loads(ended.told) == ended.result
+    assert json.loads(ended.output) == ended.result
 
 
 def test_the_reason_of_a_run_that_did_not_assemble_is_the_daemons_last_change(ended: Ended) -> None:
@@ -108,12 +108,12 @@ def test_late_replies_end_with_1_beyond_what_the_controller_tolerates_or_strictl
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     def perform(*_: Any, strict: bool, **__: Any) -> dict[str, Any]:
-        told = {"late": late, "lost": 0, "refused": 0, "tolerated": 0 if strict else 100}
+        counts = {"late": late, "lost": 0, "refused": 0, "tolerated": 0 if strict else 100}
         result: dict[str, Any] = {
             "assembled": True,
             "outcome": "assembled",
             "control_error": {"approach": {"max_mm": 0.1, "max_mrad": 0.1}},
-            "telegrams": told,
+            "telegrams": counts,
             "limits": {"violations": 0},
         }
         short = shortfalls(result)
@@ -137,13 +137,13 @@ def test_results_report_figures_and_recording_are_left(ended: Ended) -> None:
 
 
 def test_the_controller_counted_every_telegram(ended: Ended) -> None:
-    told = ended.result["telegrams"]
-    sent = told["sent"]
+    counts = ended.result["telegrams"]
+    sent = counts["sent"]
     lead_in_s = scenario_file.load("wheel").lead_in_s
     assert sent == pytest.approx((lead_in_s + SHORT_S) / 0.012, abs=3)
-    assert told["answered"] + told["late"] + told["lost"] + told["refused"] == sent
-    assert told["refused"] == 0
-    assert told["answered"] > 0.5 * sent
+    assert counts["answered"] + counts["late"] + counts["lost"] + counts["refused"] == sent
+    assert counts["refused"] == 0
+    assert counts["answered"] > 0.5 * sent
     turnaround = ended.result["turnaround_us"]
     assert 0.0 < turnaround["p50"] <= turnaround["p99"] <= turnaround["max"]
 
@@ -151,15 +151,15 @@ def test_the_controller_counted_every_telegram(ended: Ended) -> None:
 def test_both_sides_tell_of_the_same_run(ended: Ended) -> None:
     steps = list(joined.read_steps(ended.out / "short-seed5-12ms.mcap"))
     answered = {step.ipoc for step in steps if step.ipoc is not None}
-    told = ended.result["telegrams"]
+    counts = ended.result["telegrams"]
     # The daemon answered before the counting began, and may have been late as well.
-    assert len(answered) >= told["answered"]
+    assert len(answered) >= counts["answered"]
     tracked = [step for step in steps if step.state == "track"]
     assert tracked
     assert any(step.inputs.camera for step in tracked)
     assert any(step.inputs.distance for step in tracked)
     assert any(step.inputs.wrench for step in tracked)
-    if told["late"] == told["lost"] == 0:
+    if counts["late"] == counts["lost"] == 0:
         moved = [
             abs(tracked[-1].outputs["command"][axis] - tracked[0].outputs["command"][axis])
             for axis in range(6)
@@ -198,7 +198,7 @@ def test_an_interrupt_ends_everything_that_was_started(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_daemon_that_does_not_start_is_told_with_its_own_words(
+def test_a_daemon_that_does_not_start_is_reported_with_its_own_words(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))
@@ -214,15 +214,15 @@ def test_a_daemon_that_does_not_start_is_told_with_its_own_words(
 def test_a_world_that_never_begins_is_blamed_on_what_kept_it_waiting() -> None:
     operator: Any = SimpleNamespace(refusal="")
 
-    def said(**state: Any) -> str:
+    def reason(**state: Any) -> str:
         emulated: Any = SimpleNamespace(state=state)
         return demo._stalled(emulated, {"state": "init"}, operator)
 
     missed = {"late": 30, "lost": 12, "refused": 0, "answered": 900}
-    assert "42 telegrams got no answer in time" in said(waiting=True, telegrams=missed)
-    assert said(waiting=True, telegrams={"answered": 900}) == "the daemon is init"
+    assert "42 telegrams got no answer in time" in reason(waiting=True, telegrams=missed)
+    assert reason(waiting=True, telegrams={"answered": 900}) == "the daemon is init"
     operator.refusal = "arm refused: no distance has been measured yet"
-    assert said(waiting=False, telegrams=missed) == operator.refusal
+    assert reason(waiting=False, telegrams=missed) == operator.refusal
 
 
 def test_a_broken_scenario_is_refused_before_anything_starts(tmp_path: Path) -> None:

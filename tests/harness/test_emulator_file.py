@@ -37,7 +37,9 @@ def test_names_seeds_and_paths_are_taken_from_the_file(tmp_path: Path) -> None:
         ("robot_target: [127.0.0.1]", "robot_target"),
     ],
 )
-def test_what_is_wrong_is_told_with_its_place(text: str, complaint: str, tmp_path: Path) -> None:
+def test_what_is_wrong_is_reported_with_its_place(
+    text: str, complaint: str, tmp_path: Path
+) -> None:
     path = tmp_path / "emulator.yaml"
     path.write_text(text + "\n")
     with pytest.raises(FileError, match=complaint):
@@ -49,7 +51,7 @@ def test_a_missing_file_is_an_error_with_its_name(tmp_path: Path) -> None:
         emulator.load(tmp_path / "gone.yaml")
 
 
-def test_the_process_tells_where_everything_is_and_ends_as_told(tmp_path: Path) -> None:
+def test_the_process_tells_where_everything_is_and_ends_on_order(tmp_path: Path) -> None:
     path = tmp_path / "emulator.yaml"
     path.write_text("can_link: can\nserial_link: ft\ntruth: truth.npz\nwait_answered: 10\n")
     command = [sys.executable, "-m", "linemate.simulators.harness.main", "emulator"]
@@ -61,7 +63,7 @@ def test_the_process_tells_where_everything_is_and_ends_as_told(tmp_path: Path) 
         assert ready["event"] == "ready"
         assert os.path.realpath(ready["can"]["channel"]).startswith("/dev/pts/")
         process.send_signal(signal.SIGTERM)
-        told = [json.loads(line) for line in process.stdout]
+        states = [json.loads(line) for line in process.stdout]
         assert process.wait(20.0) == 0
-    assert told[-1]["event"] == "end"
+    assert states[-1]["event"] == "end"
     assert (tmp_path / "truth.npz").exists()

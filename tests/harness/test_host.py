@@ -1,4 +1,4 @@
-"""What is said about the machine is what the kernel says."""
+"""Facts of the machine are those of the kernel."""
 
 import os
 import subprocess
@@ -9,13 +9,15 @@ from linemate.simulators.harness import host
 
 
 def test_the_machine_is_named_with_what_figures_depend_on() -> None:
-    told = host.machine()
-    assert told["cores"] == len(os.sched_getaffinity(0))
-    assert told["kernel"] == os.uname().release
-    assert told["real_time"] == (host.missing_rights() is None)
+    facts = host.machine()
+    assert facts["cores"] == len(os.sched_getaffinity(0))
+    assert facts["kernel"] == os.uname().release
+    assert facts["real_time"] == (host.missing_rights() is None)
 
 
-def test_time_that_a_hypervisor_withheld_is_told_if_the_kernel_counts_it(tmp_path: Path) -> None:
+def test_time_that_a_hypervisor_withheld_is_reported_if_the_kernel_counts_it(
+    tmp_path: Path,
+) -> None:
     stat = tmp_path / "stat"
     stat.write_text("cpu  10 20 30 40 50 60 70 250 0 0\ncpu0 1 2 3 4 5 6 7 8 0 0\n")
     assert host.stolen_s(stat) == 250 / os.sysconf("SC_CLK_TCK")
@@ -49,11 +51,11 @@ def granted(priority: int, *, refuse_nice: bool = False) -> list[str]:
     return done.stdout.splitlines()
 
 
-def test_without_sched_fifo_a_niceness_is_asked_for_and_what_came_of_it_is_said() -> None:
-    told = granted(60)
-    assert "asked 0 -15" in told
-    assert "locked" in told
-    assert any(line.endswith("; niceness -15 instead") for line in told)
+def test_without_sched_fifo_a_niceness_is_asked_for_and_what_came_of_it_is_reported() -> None:
+    facts = granted(60)
+    assert "asked 0 -15" in facts
+    assert "locked" in facts
+    assert any(line.endswith("; niceness -15 instead") for line in facts)
     refused = granted(60, refuse_nice=True)
     assert any("niceness -15 refused as well (Operation not permitted)" in line for line in refused)
 

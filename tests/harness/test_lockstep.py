@@ -13,7 +13,7 @@ from linemate.simulators.judge.rows import CLAMPED, STATES
 SHORT = ("scenario.lead_in_s=1.5", "scenario.duration_s=0.6")
 
 
-def told(seed: int, *overrides: str) -> tuple[RunEvidence, list[LogEntry]]:
+def run_of(seed: int, *overrides: str) -> tuple[RunEvidence, list[LogEntry]]:
     entries: list[LogEntry] = []
     evidence = lockstep.run(setup.make("wheel", overrides), seed, on_step=entries.append)
     return evidence, entries
@@ -43,7 +43,7 @@ def test_every_telegram_is_answered(wheel: RunEvidence) -> None:
     assert counts.late == counts.lost == counts.refused == 0
 
 
-def test_both_changes_of_class_are_told_after_they_happened(wheel: RunEvidence) -> None:
+def test_both_changes_of_class_are_reported_after_they_happened(wheel: RunEvidence) -> None:
     for entry in judge(wheel)["detection"]:
         assert 0.0 < entry["perceived_s"] <= entry["confirmed_s"]
 
@@ -71,18 +71,18 @@ def test_contact_seen_by_the_daemon_is_contact_in_truth(wheel: RunEvidence) -> N
 
 
 def test_the_same_seed_gives_the_same_run_to_the_byte() -> None:
-    (one, entries), (other, again) = told(3, *SHORT), told(3, *SHORT)
+    (one, entries), (other, again) = run_of(3, *SHORT), run_of(3, *SHORT)
     assert bytes_of(one) == bytes_of(other)
     assert [repr(e.inputs) for e in entries] == [repr(e.inputs) for e in again]
     assert judge(one) == judge(other)
 
 
 def test_another_seed_gives_another_run() -> None:
-    assert bytes_of(told(3, *SHORT)[0]) != bytes_of(told(4, *SHORT)[0])
+    assert bytes_of(run_of(3, *SHORT)[0]) != bytes_of(run_of(4, *SHORT)[0])
 
 
 def test_every_sensor_reaches_the_step_through_its_wire() -> None:
-    _, entries = told(0, *SHORT)
+    _, entries = run_of(0, *SHORT)
     inputs = [entry.inputs for entry in entries]
     cycles = len(inputs)
     assert sum(len(i.wrench) for i in inputs) == pytest.approx(3 * cycles, abs=6)
@@ -110,7 +110,7 @@ def test_every_sensor_reaches_the_step_through_its_wire() -> None:
     ],
 )
 def test_a_fault_costs_no_telegram_but_its_own_and_no_limit(fault: str, most: int) -> None:
-    evidence, _ = told(0, *SHORT, f"scenario.faults=[{fault}]")
+    evidence, _ = run_of(0, *SHORT, f"scenario.faults=[{fault}]")
     counts = evidence.telegrams
     assert (counts.lost > 0) == (most > 0)
     assert counts.sent == counts.answered + counts.lost
@@ -131,7 +131,7 @@ def test_a_delayed_sample_is_stamped_at_its_arrival() -> None:
     fault = (
         "scenario.faults=[{at_s: -9.0, link: distance, kind: delay, duration_s: 99, value: 0.1}]"
     )
-    (_, late), (_, usual) = told(0, *SHORT, fault), told(0, *SHORT)
+    (_, late), (_, usual) = run_of(0, *SHORT, fault), run_of(0, *SHORT)
 
     def stamps(entries: list[LogEntry]) -> list[int]:
         return [sample.stamp_ns for entry in entries for sample in entry.inputs.distance]
@@ -142,7 +142,7 @@ def test_a_delayed_sample_is_stamped_at_its_arrival() -> None:
 
 def test_a_silent_robot_ends_the_exchange() -> None:
     fault = "scenario.faults=[{at_s: 0.0, link: robot, kind: silence, duration_s: 9}]"
-    evidence, _ = told(0, *SHORT, fault, "scenario.duration_s=2.0")
+    evidence, _ = run_of(0, *SHORT, fault, "scenario.duration_s=2.0")
     assert evidence.broken is not None
     assert judge(evidence)["outcome"] == "fault"
 
@@ -157,4 +157,4 @@ def test_a_collision_ends_the_run() -> None:
 def test_computing_times_are_measured_only_when_asked_for() -> None:
     timed = lockstep.run(setup.make("wheel", SHORT), 0, timing=True)
     assert (timed.rows.step_us > 0.0).all()
-    assert np.isnan(told(0, *SHORT)[0].rows.step_us).all()
+    assert np.isnan(run_of(0, *SHORT)[0].rows.step_us).all()

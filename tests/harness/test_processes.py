@@ -71,7 +71,7 @@ def test_grandchildren_go_with_their_group(tmp_path: Path) -> None:
     assert wait_gone(grandchild)
 
 
-def test_a_child_that_fails_is_told_with_its_last_words(tmp_path: Path) -> None:
+def test_a_child_that_fails_is_reported_with_its_last_words(tmp_path: Path) -> None:
     with Children() as children:
         children.start("doomed", python("import sys; sys.exit('no such port')"), tmp_path / "log")
         with pytest.raises(ChildError, match=r"(?s)doomed ended early, exit 1.*no such port"):

@@ -1,4 +1,4 @@
-"""Scenario files: what is shipped loads, and what is wrong is told with its place."""
+"""Scenario files: what is shipped loads, and what is wrong is reported with its place."""
 
 import json
 
@@ -33,7 +33,7 @@ def test_an_empty_file_is_the_default_scenario() -> None:
     assert scenario_file.parse(b"", "default.yaml") == Scenario(name="default")
 
 
-def test_every_error_is_told_at_once_in_order_with_its_place() -> None:
+def test_every_error_is_reported_at_once_in_order_with_its_place() -> None:
     text = (
         "lead_in_s: -1\n"
         "conveyr: 1\n"

@@ -17,7 +17,7 @@ def test_an_override_changes_its_key_and_nothing_else() -> None:
     assert changed == replace(plain, tracking=tracking)
 
 
-def test_truth_and_belief_are_set_apart() -> None:
+def test_truth_and_settings_are_kept_apart() -> None:
     made = setup.make("wheel", ["scenario.conveyor.events.0.acceleration=0.13"])
     assert made.scenario.events[0].acceleration == -0.13
     assert made.task.conveyor.deceleration == setup.make("wheel").task.conveyor.deceleration
@@ -55,7 +55,7 @@ def test_an_override_of_the_truth_keeps_to_the_files_ranges() -> None:
 
 def test_every_variant_changes_the_settings_but_the_default_under_any_name() -> None:
     plain = (TrackingSettings(), setup.shipped_control())
-    # The oracle's settings are the default's: it is told the future beside them.
+    # The oracle's settings are the default's: it also gets the true future.
     same = {"default", variants.ORACLE, plain[0].classifier.value}
     for name in variants.VARIANTS:
         assert (variants.apply(name, *plain) == plain) == (name in same), name

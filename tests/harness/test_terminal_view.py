@@ -30,8 +30,8 @@ MOMENT = Glimpse(
 )
 
 
-def test_a_line_tells_class_error_slack_and_a_link_in_trouble() -> None:
-    told = line(MOMENT)
+def test_a_line_tells_class_error_idle_time_and_a_link_in_trouble() -> None:
+    text = line(MOMENT)
     for word in (
         "5.25 s",
         "approach",
@@ -41,8 +41,8 @@ def test_a_line_tells_class_error_slack_and_a_link_in_trouble() -> None:
         "camera down",
         "late 3 (100 tolerated)",
     ):
-        assert word in told
-    assert "\n" not in told
+        assert word in text
+    assert "\n" not in text
 
 
 def test_a_picture_tells_the_same_and_every_link() -> None:

@@ -93,7 +93,7 @@ def test_changes_of_state_are_read_from_the_log_and_no_other_line_is_one(tmp_pat
     for n, payload in enumerate(
         (
             ("state: hold", 2),
-            ("track -> hold: said by someone else", 2),
+            ("track -> hold: logged by another program", 2),
             (f"track -> hold: {cause}", 2, STATE_LOG),
             ("hold -> retreat: overload", 2, STATE_LOG),
         )

@@ -1,4 +1,4 @@
-"""The judge on synthetic rows, whose verdict is known beforehand."""
+"""The judge on synthetic rows, whose result is known beforehand."""
 
 import json
 import re
@@ -62,7 +62,7 @@ def evidence(rows: Rows, **changes: Any) -> RunEvidence:
     return replace(whole, **changes)
 
 
-def told(*events: tuple[float, str, str]) -> tuple[DaemonEvent, ...]:
+def events_of(*events: tuple[float, str, str]) -> tuple[DaemonEvent, ...]:
     return tuple(DaemonEvent(*event) for event in events)
 
 
@@ -94,7 +94,7 @@ def test_each_error_shows_in_its_own_figure_and_in_the_total() -> None:
         assert result["total_error"]["approach"]["rms_mm"] == pytest.approx(2.0)
 
 
-def test_a_turn_is_told_in_milliradians() -> None:
+def test_a_turn_is_reported_in_milliradians() -> None:
     rows = perfect_run()
     for column in (rows.tcp, rows.tcp_rigid):
         column[:, 3:] = (np.cos(0.0015), 0.0, np.sin(0.0015), 0.0)
@@ -202,17 +202,17 @@ def test_whatever_is_not_within_limits_is_named_with_its_value_and_limit() -> No
     named = " / ".join(result["shortfalls"])
     assert "control error in approach 1.20 mm, limit 1 mm" in named
     assert f"{result['limits']['violations']} setpoints beyond the axis limits, limit 0" in named
-    told_so = table.outcome_line(result)
-    assert "NOT within limits: control error in approach 1.20 mm, limit 1 mm" in told_so
-    assert "0 violations" not in told_so
+    text = table.outcome_line(result)
+    assert "NOT within limits: control error in approach 1.20 mm, limit 1 mm" in text
+    assert "0 violations" not in text
 
 
-def test_a_verdict_says_not_within_limits_only_with_what_is_not() -> None:
+def test_a_result_says_not_within_limits_only_with_what_is_not() -> None:
     for counts in (TELEGRAMS, replace(TELEGRAMS, late=3), replace(TELEGRAMS, late=300)):
         result = judge(evidence(perfect_run(), telegrams=counts))
-        told_so = table.outcome_line(result)
-        assert ("NOT within limits: " in told_so) is (counts.late == 300)
-        assert f"replies: {counts.late} late (100 tolerated)" in told_so
+        text = table.outcome_line(result)
+        assert ("NOT within limits: " in text) is (counts.late == 300)
+        assert f"replies: {counts.late} late (100 tolerated)" in text
 
 
 STALE = "no fresh position: camera silent for 0.31 s, distance 0.02 s (limit 0.30 s)"
@@ -282,7 +282,7 @@ def test_only_what_is_assembled_has_no_reason() -> None:
 
 
 def test_latencies_run_from_the_true_onset() -> None:
-    events = told(
+    events = events_of(
         (5.16, "stop", "tentative"), (5.28, "stop", "confirmed"),
         (10.5, "start", "tentative"), (10.8, "start", "confirmed"),
     )  # fmt: skip
@@ -297,7 +297,7 @@ def test_what_a_run_did_not_live_to_see_was_not_missed() -> None:
 
 
 def test_a_perception_that_was_taken_back_is_not_the_perception() -> None:
-    events = told(
+    events = events_of(
         (5.1, "stop", "tentative"), (5.12, "stop", "cancelled"),
         (5.2, "stop", "tentative"), (5.3, "stop", "confirmed"),
     )  # fmt: skip
@@ -307,8 +307,8 @@ def test_a_perception_that_was_taken_back_is_not_the_perception() -> None:
     assert alarms == {"tentative": 0, "confirmed": 0}
 
 
-def test_what_is_told_without_reason_is_a_false_alarm() -> None:
-    events = told(
+def test_what_is_reported_without_reason_is_a_false_alarm() -> None:
+    events = events_of(
         (2.0, "stop", "tentative"), (2.1, "stop", "cancelled"), (3.0, "start", "tentative"),
         (5.2, "start", "tentative"), (5.3, "stop", "confirmed"), (8.0, "start", "confirmed"),
     )  # fmt: skip
@@ -343,7 +343,7 @@ def test_each_limit_is_guarded(limit: AxisLimit, what: str) -> None:
         assert found["worst_share"][what] > 1.0
 
 
-def test_the_controllers_own_halt_is_nobodys_violation_but_the_jump_after_it_is() -> None:
+def test_the_controllers_own_halt_is_no_ones_violation_but_the_jump_after_it_is() -> None:
     q = np.zeros((2000, 7))
     q[:1000] = 0.9 * 0.004 * np.arange(1000)[:, None]
     q[:1000] -= q[999]
@@ -355,7 +355,7 @@ def test_the_controllers_own_halt_is_nobodys_violation_but_the_jump_after_it_is(
     assert judging.violations(q, held, limits, 0.004)["violations"] == 7
 
 
-def test_contact_force_is_told_in_newtons() -> None:
+def test_contact_force_is_reported_in_newtons() -> None:
     rows = perfect_run()
     rows.force[:] = (3.0, 0.0, 4.0)
     assert judge(evidence(rows))["contact_force_n"] == {"max": 5.0, "rms": 5.0}
@@ -366,7 +366,7 @@ def test_virtual_time_has_no_computing_time() -> None:
 
 
 def test_rows_survive_their_archive(tmp_path: Any) -> None:
-    rows = replace(perfect_run(), events=told((5.1, "stop", "tentative")))
+    rows = replace(perfect_run(), events=events_of((5.1, "stop", "tentative")))
     save(rows, tmp_path / "rows.npz")
     again = load(tmp_path / "rows.npz")
     assert again.events == rows.events

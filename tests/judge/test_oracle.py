@@ -60,5 +60,5 @@ def test_with_the_future_known_no_error_of_prediction_is_left_even_as_the_screws
     result = judge(evidence)
     assert result["variant"] == "oracle"
     assert result["assembled"]
-    # What was told of the conveyor is the classifier's still: an oracle is for the prediction.
+    # The class is still the classifier's: the oracle replaces the prediction only.
     assert all(entry["confirmed_s"] > 0.0 for entry in result["detection"])

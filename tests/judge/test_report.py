@@ -139,8 +139,8 @@ def test_the_page_tells_every_figure_of_the_result_and_escapes_words() -> None:
 def test_a_failed_run_is_not_dressed_up() -> None:
     failed = RESULT | {"assembled": False, "outcome": "collision"}
     assert "NOT assembled: collision" in table.plain(failed)
-    assert 'class="verdict failed"' in report.page(failed, {})
-    assert 'class="verdict failed"' not in report.page(RESULT, {})
+    assert 'class="outcome failed"' in report.page(failed, {})
+    assert 'class="outcome failed"' not in report.page(RESULT, {})
 
 
 def test_what_is_not_known_is_a_dash_and_never_a_zero() -> None:

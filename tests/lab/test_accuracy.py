@@ -56,7 +56,7 @@ def test_work_is_kept_for_the_same_sources_and_question_only(
     assert piece(2) == [2]
     (tmp_path / "piece.json").write_text("{")
     assert piece(2) == [3]
-    # Somebody edits a source while the piece is made: it is nobody's result.
+    # Somebody edits a source while the piece is made: it is no one's result.
     with pytest.raises(accuracy.ChangedError, match="piece"):
         piece(2, sources="b")
 

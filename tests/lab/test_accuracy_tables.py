@@ -1,4 +1,4 @@
-"""Tables: a bar is met by the seeds that nobody tuned on, or it is not met."""
+"""Tables: a bar is met by the seeds that no one tuned on, or it is not met."""
 
 import math
 from typing import Any
@@ -45,7 +45,7 @@ def test_control_is_the_largest_over_all_windows_of_a_run_that_assembled() -> No
     assert tables.value(run(), "total_error.quiet.max_mm") == math.inf
 
 
-def test_the_verdict_rests_on_the_seeds_that_verify() -> None:
+def test_the_bar_rests_on_the_seeds_that_verify() -> None:
     good, bad = [stop(1.0)] * 3, [stop(5.0)] * 3
     met = dict(tables.bars_met({"wheel": {"tuned": good, "verify": bad}}, {}))
     assert met["total after a stop in the approach, mm"] is False
@@ -54,7 +54,7 @@ def test_the_verdict_rests_on_the_seeds_that_verify() -> None:
     assert not tables.bars_met({"wheel": {"tuned": good}}, {})
 
 
-def test_both_groups_stand_beside_the_bar() -> None:
+def test_both_groups_are_next_to_the_bar() -> None:
     text = tables.claims({"wheel": {"tuned": [stop(1.0)], "verify": [stop(3.0)]}})
     row = next(line for line in text.splitlines() if "after a stop in the approach" in line)
     assert row.split(" | ")[1:] == [
@@ -73,7 +73,7 @@ def test_a_wrong_model_is_compared_with_nominal_on_the_same_seeds() -> None:
     assert dict(tables.bars_met(runs, {}))["swing frequency +5 %"] is False
 
 
-def test_without_nominal_on_as_many_seeds_there_is_no_verdict() -> None:
+def test_without_nominal_on_as_many_seeds_there_is_no_bar() -> None:
     runs = {"wheel": {"verify": [stop(1.0)]}, "swing-1.05": {"verify": [stop(1.0)] * 2}}
     assert "swing frequency +5 %" not in dict(tables.bars_met(runs, {}))
 

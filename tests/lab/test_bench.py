@@ -92,12 +92,12 @@ def test_figures_are_printed_as_json_and_as_a_table(
     assert json.loads(capsys.readouterr().out)["step_us"]["125"] == 300.5
     picture = tmp_path / "bench.png"
     assert bench.main(Namespace(json=False, **(ARGUMENTS | {"plot": picture}))) == 0
-    told = capsys.readouterr().out
-    assert "horizon 42 at 12 ms" in told
-    assert "21.3 times real time" in told
-    assert "next to a bare C echo" in told
-    assert "note: a remark" in told
-    (line,) = [line for line in told.splitlines() if "inline" in line]
+    output = capsys.readouterr().out
+    assert "horizon 42 at 12 ms" in output
+    assert "21.3 times real time" in output
+    assert "next to a bare C echo" in output
+    assert "note: a remark" in output
+    (line,) = [line for line in output.splitlines() if "inline" in line]
     assert line.split() == ["4ms", "inline", "90", "60", "\N{EN DASH}", "110", "1.50", "1.45", "2",
                             "0", "1", "500", "0.0"]  # fmt: skip
     assert picture.stat().st_size > 1000

@@ -1,4 +1,4 @@
-"""What a station said is said again, at any cycle."""
+"""A trace of a station is played at any cycle time."""
 
 import itertools
 from importlib.resources import files
@@ -60,11 +60,11 @@ def test_the_players_robot_goes_where_it_is_sent_and_the_daemons_codec_reads_it(
     reply = SensorTelegram(ipoc=1, joints=(0.1, 0.0, 0.0, 0.0, 0.0, -0.2), external=(0.3,))
     arm.follow(codec.format_sensor(reply))
     arm.follow(None)
-    told = codec.parse_robot(arm.telegram(100_000_020, 60 * MS))
-    assert told.ipoc == 100_000_020
-    assert told.joints == pytest.approx((0.1, 0.0, 0.0, 0.0, 0.0, -0.2))
-    assert told.external is not None
-    assert told.external[0] == pytest.approx(0.3)
-    assert told.channels["DiL"] == 1
+    telegram = codec.parse_robot(arm.telegram(100_000_020, 60 * MS))
+    assert telegram.ipoc == 100_000_020
+    assert telegram.joints == pytest.approx((0.1, 0.0, 0.0, 0.0, 0.0, -0.2))
+    assert telegram.external is not None
+    assert telegram.external[0] == pytest.approx(0.3)
+    assert telegram.channels["DiL"] == 1
     arm.rest()
     assert codec.parse_robot(arm.telegram(1, 0)).joints == pytest.approx((0.0,) * 6)

@@ -32,27 +32,27 @@ def rounds(daemon_us: list[list[int]], echo_us: int = 50) -> list[Round]:
 
 
 def test_a_ratio_is_the_median_of_the_rounds_own_ratios() -> None:
-    told = figures(rounds([[100] * 9, [60] * 9, [5000] * 9]), CYCLE, [])
-    assert told["p50_ratio"] == 2.0
-    assert told["p50_us"] == 100.0
-    assert told["echo_p99_us"] == 50.0
-    assert told["cycles"] == 27
-    assert told["late"] == told["late_unexplained"] == 9
+    figure = figures(rounds([[100] * 9, [60] * 9, [5000] * 9]), CYCLE, [])
+    assert figure["p50_ratio"] == 2.0
+    assert figure["p50_us"] == 100.0
+    assert figure["echo_p99_us"] == 50.0
+    assert figure["cycles"] == 27
+    assert figure["late"] == figure["late_unexplained"] == 9
 
 
-def test_what_the_echo_itself_owes_is_told_apart() -> None:
+def test_lateness_of_the_echo_is_kept_apart() -> None:
     took = [50_000, -1, CYCLE + 1, CYCLE]
-    told = figures([Round([0] * 4, [60_000] * 4, took, 0.0, None)], CYCLE, [])
-    assert told["late"] == 0
-    assert told["echo_late"] == 2
+    figure = figures([Round([0] * 4, [60_000] * 4, took, 0.0, None)], CYCLE, [])
+    assert figure["late"] == 0
+    assert figure["echo_late"] == 2
 
 
 def test_a_reply_that_never_came_is_late_and_slower_than_any() -> None:
     one = Round([0, CYCLE], [-1, 60_000], [50_000, 50_000], 0.0, None)
-    told = figures([one], CYCLE, [])
-    assert told["late"] == 1
-    assert told["p99_us"] is None
-    assert told["prepared"] is None
+    figure = figures([one], CYCLE, [])
+    assert figure["late"] == 1
+    assert figure["p99_us"] is None
+    assert figure["prepared"] is None
     assert percentile([-1, 5, 7], 0.5) == 7.0
 
 
@@ -133,11 +133,11 @@ def test_one_short_round_for_real(program: Path, tmp_path: Path) -> None:
     fifo = host.missing_rights() is None
     bench = Bench(trace, program, tmp_path, fifo, 1, 0.1, (0, 0))
     found = bench_turnaround.measure(bench, 12_000, prepared=True, modes=("idle",))
-    told = found.modes["idle"]
-    assert told["cycles"] == bench_turnaround.LEAST_CYCLES
-    assert told["p50_us"] > 0.0
-    assert told["echo_p50_us"] > 0.0
-    assert told["prepared"] > 0.5
+    figure = found.modes["idle"]
+    assert figure["cycles"] == bench_turnaround.LEAST_CYCLES
+    assert figure["p50_us"] > 0.0
+    assert figure["echo_p50_us"] > 0.0
+    assert figure["prepared"] > 0.5
     assert found.cpu_per_cycle_us > 10.0
     assert 0.1 < found.start_s < 60.0
     robot = found.status["links"]["robot"]["counters"]

@@ -57,7 +57,7 @@ def test_workers_do_not_outlive_a_campaign_that_is_killed() -> None:
         time.sleep(0.02)
 
 
-def test_progress_is_told_once_a_run() -> None:
+def test_progress_is_reported_once_a_run() -> None:
     count = 0
 
     def progress() -> None:
@@ -106,7 +106,7 @@ def test_a_run_leaves_its_report(tmp_path: Path) -> None:
     assert {"result.json", "report.html", "fig4.png", "fig5.png"} <= left
 
 
-def test_several_seeds_are_told_a_line_each(capsys: pytest.CaptureFixture[str]) -> None:
+def test_several_seeds_are_reported_a_line_each(capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["run", "--seed", "0..1", "--workers", "1"]
     arguments += [part for override in SHORT for part in ("--set", override)]
     assert main(arguments) == 1

@@ -18,7 +18,7 @@ def test_every_case_can_be_made(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in WRONG if not WRONG[name].sets])
-def test_a_wrong_model_changes_the_plant_and_no_belief(name: str) -> None:
+def test_a_wrong_model_changes_the_plant_and_no_setting(name: str) -> None:
     wrong, nominal = WRONG[name].setup(), setup.make("wheel", cycle_ms=12.0)
     assert wrong.scenario != nominal.scenario
     assert replace(wrong, scenario=nominal.scenario) == nominal

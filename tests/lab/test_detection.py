@@ -32,7 +32,7 @@ def test_a_missed_event_is_worse_than_any_latency() -> None:
     assert detection.latencies([0.1] * 9 + [math.inf])["p95"] is None
 
 
-def test_confusion_is_told_as_the_share_that_was_not_taken_for_a_stop() -> None:
+def test_confusion_is_reported_as_the_share_that_was_not_taken_for_a_stop() -> None:
     tally = Tally()
     tally.pushed.update({"made": 200, "suspected": 20, "taken": 1})
     found = detection.figures("jerk", tally)

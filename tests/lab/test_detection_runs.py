@@ -35,8 +35,8 @@ def spec_of(kind: Kind, duration_s: float, *overrides: str) -> DetectionRun:
     return DetectionRun(kind, setup.make("wheel", overrides), 1, duration_s)
 
 
-def tallied(*told: tuple[float, str, str], pushes: tuple[Push, ...] = ()) -> Tally:
-    events = [DaemonEvent(*one) for one in told]
+def tallied(*reported: tuple[float, str, str], pushes: tuple[Push, ...] = ()) -> Tally:
+    events = [DaemonEvent(*one) for one in reported]
     return detection_runs._tally(events, () if pushes else applied(), list(pushes), 40.0)
 
 
@@ -65,7 +65,7 @@ def test_rows_say_where_the_unit_was_as_long_ago_as_they_say() -> None:
     assert sources.count(Source.TACTILE) == pytest.approx(599, abs=1)
 
 
-def test_latencies_and_alarms_are_told_apart() -> None:
+def test_latencies_and_alarms_are_kept_apart() -> None:
     tally = tallied(
         (2.0, "stop", "tentative"),
         (2.1, "stop", "cancelled"),

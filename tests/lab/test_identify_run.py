@@ -1,4 +1,4 @@
-"""From a stranger's beliefs over recordings to an overlay: what is told is the plant's truth."""
+"""From wrong settings over recordings to an overlay: the plant's true values are found."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -46,20 +46,20 @@ def test_servos_are_the_plants_although_others_were_believed(found: Identified) 
         assert models[axis]["dead_time"] == pytest.approx(axes[axis].dead_time_s, abs=2e-4)
 
 
-def test_the_tools_modes_are_told_where_it_was_excited(found: Identified) -> None:
+def test_the_tools_modes_are_reported_where_it_was_excited(found: Identified) -> None:
     modes, true = found.overlay["control"]["effector"], Effector().frequency_hz
     for axis in (0, 1, 2):
         assert modes[axis]["frequency_hz"] == pytest.approx(true[axis], rel=0.01)
         assert modes[axis]["damping"] == pytest.approx(0.02, abs=0.006)
 
 
-def test_the_swing_is_told(found: Identified) -> None:
+def test_the_swing_is_reported(found: Identified) -> None:
     frequency = value(found, "swing 1 frequency")
     assert abs(frequency.value - 0.62) < 4.0 * frequency.deviation
     assert frequency.deviation < 0.005
 
 
-def test_what_was_kept_is_said(found: Identified) -> None:
+def test_what_was_kept_is_reported(found: Identified) -> None:
     refused = {f.name for f in found.findings if isinstance(f.outcome, Refusal)}
     assert "distance offset of the sensor" in refused
     for path in found.kept:

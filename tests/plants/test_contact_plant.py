@@ -95,7 +95,7 @@ def test_entering_from_the_side_is_a_collision() -> None:
     assert bench.reason().startswith("hit the hub from the side")
 
 
-def test_passing_the_plane_far_beside_the_hub_is_none() -> None:
+def test_passing_the_plane_far_off_the_hub_is_none() -> None:
     bench = Bench()
     for k in range(20):
         bench.put(0.7, 0.0, -0.05 + 0.01 * k)

@@ -70,7 +70,7 @@ def test_free_vibration_loses_energy_as_damping_says() -> None:
         assert size == pytest.approx(0.001 * math.exp(-0.02 * omega * seconds), rel=0.05)
 
 
-def test_a_turning_robot_keeps_the_tools_motion_in_the_room() -> None:
+def test_a_turning_robot_keeps_the_tools_motion_in_space() -> None:
     plant = EffectorPlant(Effector(frequency_hz=(1e-3,) * 6, damping=(0.0,) * 6), H)
     step = rotation.exp((0.0, 0.0, 0.002))
     pose: Pose = ((0.0, 0.0, 0.0), IDENTITY)

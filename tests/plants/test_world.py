@@ -24,7 +24,7 @@ from linemate.simulators.plants.scenario import (
 from linemate.simulators.plants.world import World
 
 
-def wave(world: World, t: float) -> tuple[float, ...]:
+def swaying(world: World, t: float) -> tuple[float, ...]:
     start = world.scenario.robot.start
     return tuple(q + 0.02 * math.sin(2 * t + i) for i, q in enumerate(start))
 
@@ -37,7 +37,7 @@ def run(scenario: Scenario, seconds: float, cuts: int = 1) -> list[object]:
     for k in range(cycles):
         t = world.cycle_start(k)
         world.advance(t)
-        world.command(wave(world, t))
+        world.command(swaying(world, t))
         for i in range(1, cuts + 1):
             world.advance(t + i * (world.cycle_start(k + 1) - t) / cuts)
             if i < cuts:
@@ -134,7 +134,7 @@ def test_a_reply_late_within_its_cycle_still_counts_but_not_too_late() -> None:
             t = world.cycle_start(k)
             world.advance(t)
             world.advance(t + delay)
-            world.command(wave(world, t))
+            world.command(swaying(world, t))
         world.advance(world.cycle_start(100))
     assert prompt.robot_state().joints == late.robot_state().joints
     axes = (*Robot().axes[:5], Axis(6.5, 0.75, 0.002, 15.0), Robot().axes[6])
@@ -158,7 +158,7 @@ def test_encoder_noise_is_per_cycle_and_moves_nothing() -> None:
     for k in range(400):
         for world in (noisy, clean):
             world.advance(world.cycle_start(k))
-            world.command(wave(world, 0.012 * k))
+            world.command(swaying(world, 0.012 * k))
         state = noisy.robot_state()
         assert state.joints == noisy.robot_state().joints
         assert state.joints_true == clean.robot_state().joints
@@ -232,8 +232,8 @@ def test_an_oracle_robot_mates_the_wheel_through_a_stop_and_a_restart() -> None:
     lag = 0.024 + 0.012 + 2 * 0.8 / (math.tau * 8.0)
     robot = Robot(axes=axes, start=(*Robot().start[:6], 0.106 * (lag - 2.0)))  # type: ignore[arg-type]
     effector = Effector(damping=(0.2,) * 6)
-    feeling = ForceTorque(period_s=0.0017, sigma_translation=0.0, sigma_rotation=0.0)
-    world = World(replace(QUIET, robot=robot, effector=effector, force_torque=feeling))
+    force_torque = ForceTorque(period_s=0.0017, sigma_translation=0.0, sigma_rotation=0.0)
+    world = World(replace(QUIET, robot=robot, effector=effector, force_torque=force_torque))
     q: tuple[float, ...] = world.scenario.robot.start
     phases, worst = [], 0.0
     for k in range(int(13.0 / 0.012)):
@@ -268,7 +268,7 @@ def test_an_oracle_robot_mates_the_wheel_through_a_stop_and_a_restart() -> None:
 
 
 def test_a_robot_that_stands_in_the_way_is_hit() -> None:
-    """Nobody steers: the tool waits inside the hub's plane until the hub comes along."""
+    """No controller: the tool waits inside the hub's plane until the hub comes along."""
     world = World(replace(QUIET, lead_in_s=7.0))
     goal = world.hub_pose(0.0)
     goal[:3, 3] += 0.05 * goal[:3, 2]

@@ -1,4 +1,4 @@
-"""Makes the golden recording anew: ``python tests/system/make_golden.py``.
+"""Makes the golden recording again: ``python tests/system/make_golden.py``.
 
 To be run when a change of outputs is meant; the commit says why it is. Steps, states and
 parameters only: what viewers are shown would double its size.

@@ -1,6 +1,6 @@
-"""The controller emulator of the package rsipi as a process, and a plain echo beside it.
+"""The controller emulator of the package rsipi as a process, and a plain echo next to it.
 
-Law of this file: rsipi's code judges, unchanged; here it is only bound to the loopback, ended
+Rsipi's code judges, unchanged; here it is only bound to the loopback, ended
 after so many cycles, and made to say what it counted. It leaves its log in ./logs. Not a test:
 ``test_rsipi`` starts it.
 """
@@ -80,7 +80,7 @@ def control(config: str, cycle_ms: int, cycles: int, joints: list[float]) -> dic
 
 
 def echo() -> None:
-    """Answer each telegram with its IPOC and no more, until told to end."""
+    """Answer each telegram with its IPOC and no more, until it is ended."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as port:
         port.bind(("127.0.0.1", 0))
         print(port.getsockname()[1], flush=True)

@@ -1,6 +1,6 @@
-"""A daemon and its emulators, each on real links, given what nobody should ever send them.
+"""A daemon and its emulators, each on real links, given what no one should ever send them.
 
-Law of this file: whatever comes, it is counted where an operator can see it, each telegram is
+Whatever comes, it is counted where an operator can see it, each telegram is
 still answered, and the robot does not move. The emulator's controller says what was answered, its
 judge what was applied; the daemon's own word is only believed for its counters.
 """
@@ -41,7 +41,7 @@ T = TypeVar("T")
 
 LONGEST_S = 240.0
 QUIET = Scenario(lead_in_s=1.0, camera=Camera(dropout_rate=0.0, blind_beyond=10.0))
-PATIENCE_S = 40.0
+TIMEOUT_S = 40.0
 ROUNDS = 10
 ON_ITS_WAY = 0.02
 JUNK = (
@@ -100,7 +100,7 @@ def at(value: Any, *path: str) -> Any:
 
 
 class Station:
-    """The emulators in a thread of their own, beside a daemon in a process of its own."""
+    """The emulators in a thread of their own, next to a daemon in a process of its own."""
 
     def __init__(self, daemon: DaemonProcess, scenario: Scenario = QUIET) -> None:
         self.daemon = daemon
@@ -143,7 +143,7 @@ class Station:
         self._loop.call_soon_threadsafe(self._stop.set)
         assert self._running is not None
         try:
-            self._running.result(PATIENCE_S)  # type: ignore[call-arg]
+            self._running.result(TIMEOUT_S)  # type: ignore[call-arg]
         finally:
             self._loop.call_soon_threadsafe(self._loop.stop)
             self._thread.join()
@@ -155,11 +155,11 @@ class Station:
         async def call() -> T:
             return action(*args)
 
-        return asyncio.run_coroutine_threadsafe(call(), self._loop).result(PATIENCE_S)
+        return asyncio.run_coroutine_threadsafe(call(), self._loop).result(TIMEOUT_S)
 
     def until(self, condition: Callable[[], bool]) -> None:
         """Wait until something holds in the emulators."""
-        end = time.monotonic() + PATIENCE_S
+        end = time.monotonic() + TIMEOUT_S
         while not self.do(condition):
             assert self._running is None or not self._running.done(), self._running
             assert time.monotonic() < end, "it did not happen in time"
@@ -183,7 +183,7 @@ class Station:
 
     def status_once(self, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
         """The daemon's first status that meets a condition."""
-        return self.daemon.status_once(condition, PATIENCE_S)
+        return self.daemon.status_once(condition, TIMEOUT_S)
 
     def shown(self, *path: str) -> Any:
         """What ``linemate status --json`` shows at a path; 0 where nothing was counted."""
@@ -192,7 +192,7 @@ class Station:
     def until_counted(self, action: Callable[[], object], *path: str) -> None:
         """Do something, once or again, until a count of the daemon's has risen."""
         before = at(self.daemon.status(), *path)
-        end = time.monotonic() + PATIENCE_S
+        end = time.monotonic() + TIMEOUT_S
         while at(self.daemon.status(), *path) == before:
             assert time.monotonic() < end, f"{path} stays at {before}"
             self.do(action)
@@ -213,17 +213,17 @@ class Station:
         return float(np.ptp(setpoints, axis=0).max())
 
     def set_going(self) -> str:
-        """Arm and start until the robot is on its way; what was said last if it never is."""
-        end = time.monotonic() + PATIENCE_S
-        told = ""
+        """Arm and start until the robot is on its way; what was reported last if it never is."""
+        end = time.monotonic() + TIMEOUT_S
+        text = ""
         while self.travelled() < ON_ITS_WAY and time.monotonic() < end:
             status = self.daemon.status()
             order = {"idle": "arm", "armed": "start"}.get(status["state"])
-            told = (order and self.order(order)) or f"{status['state']}, {status['because']}"
+            text = (order and self.order(order)) or f"{status['state']}, {status['because']}"
             if status["state"] not in {"init", "idle", "armed", "track"}:
                 break
             self.cycles(1)
-        return told
+        return text
 
     @contextmanager
     def unharmed(self) -> Iterator[Glimpse]:
@@ -232,9 +232,9 @@ class Station:
         yield before
         self.cycles(20)
         after = self.glimpse()
-        end = time.monotonic() + PATIENCE_S
+        end = time.monotonic() + TIMEOUT_S
         while _unanswered(before, after) > 0:  # a busy machine's answers are on their way
-            assert time.monotonic() < end, _told(before, after)
+            assert time.monotonic() < end, _difference(before, after)
             self.cycles(1)
             after = self.glimpse()
         assert after.counts.answered > before.counts.answered
@@ -250,7 +250,7 @@ class Station:
 
 
 def _unanswered(before: Glimpse, after: Glimpse) -> int:
-    """Telegrams without any answer, beside those that the daemon tells it never could answer.
+    """Telegrams without any answer, next to those that the daemon tells it never could answer.
 
     After a stall only the newest telegram of those that wait is worth an answer.
     """
@@ -259,7 +259,7 @@ def _unanswered(before: Glimpse, after: Glimpse) -> int:
     return after.counts.lost - before.counts.lost - stale
 
 
-def _told(before: Glimpse, after: Glimpse) -> str:
+def _difference(before: Glimpse, after: Glimpse) -> str:
     """Both sides' counts side by side."""
     return "\n".join(
         f"{g.counts} {g.status['links']['robot']['counters']} {g.status['telegrams']}"
@@ -269,7 +269,7 @@ def _told(before: Glimpse, after: Glimpse) -> str:
 
 @contextmanager
 def serving(folder: Path) -> Iterator[DaemonProcess]:
-    """A daemon with every link and door."""
+    """A daemon with every link and endpoint."""
     keys = folder / "keys"
     keys.write_text(key_line(make_key("panel", Role.OPERATE, bytes(range(32)))))
     keys.chmod(0o400)
@@ -334,9 +334,9 @@ def test_garbage_at_the_robots_port_is_counted_and_every_telegram_answered(
     assert fresh["received"] == sum(
         fresh.get(name, 0) for name in ("answered", "unanswered", "stale", "oversize", "crowded")
     )
-    told = station.shown("telegrams")
-    assert told["unreadable"] - before.status["telegrams"]["unreadable"] >= 9
-    assert told["new_session"] == before.status["telegrams"]["new_session"]
+    counts = station.shown("telegrams")
+    assert counts["unreadable"] - before.status["telegrams"]["unreadable"] >= 9
+    assert counts["new_session"] == before.status["telegrams"]["new_session"]
     assert station.shown("last_refusal")
 
 
@@ -384,12 +384,12 @@ def test_a_second_controllers_flawless_telegrams_are_refused_while_the_first_one
             stranger.sendto(telegram, station.daemon.robot())
             station.cycles(1)
         assert heard(stranger) is None
-    told = station.shown("telegrams")
+    counts = station.shown("telegrams")
     links, old = station.shown("links", "robot", "counters"), before.status["links"]["robot"]
     dropped = links["kernel_drops"] - old["counters"].get("kernel_drops", 0)
     assert dropped >= 15
-    assert told["refused"] - before.status["telegrams"]["refused"] + dropped >= 20
-    assert told["new_session"] == before.status["telegrams"]["new_session"]
+    assert counts["refused"] - before.status["telegrams"]["refused"] + dropped >= 20
+    assert counts["new_session"] == before.status["telegrams"]["new_session"]
 
 
 def codec_telegram(controller: RsiController, ipoc: int) -> bytes:
@@ -420,7 +420,7 @@ def test_garbage_at_the_cameras_port_is_counted_and_poses_still_come(
         msgspec.structs.replace(good, q=(nan,) * 4),
         msgspec.structs.replace(good, cov=(-1.0,) * 21),
         msgspec.structs.replace(good, frame="elsewhere"),
-        msgspec.structs.replace(good, obj="door"),
+        msgspec.structs.replace(good, obj="window"),
     ]
     target = station.daemon.listening["camera"]
     with station.unharmed() as before:
@@ -508,7 +508,7 @@ def test_garbage_on_the_force_torque_line_is_counted_and_wrenches_still_come(
 
 
 @pytest.mark.parametrize("name", ["distance", "force_torque"])
-def test_a_port_that_is_unplugged_is_told_and_reopened_when_it_is_back(
+def test_a_port_that_is_unplugged_is_reported_and_reopened_when_it_is_back(
     station: Station, name: str
 ) -> None:
     device = station.emulator.can if name == "distance" else station.emulator.force_torque
@@ -560,7 +560,7 @@ def test_wrong_replies_are_counted_by_the_controller_and_move_nothing(
     refusals = link.controller.refusals
     assert refusals["wrong_ipoc"] == old.get("wrong_ipoc", 0) + 1
     assert refusals["sentype"] == old.get("sentype", 0) + 1
-    # The telegrams' Delay has told it to the daemon, which goes on.
+    # The telegrams' Delay has reported it to the daemon, which goes on.
     assert station.shown("state") == "idle"
 
 
@@ -597,9 +597,9 @@ def test_what_comes_while_the_robot_moves_never_makes_it_move_beyond_its_limits(
 ) -> None:
     wheel = replace(scenario_file.load("wheel"), lead_in_s=5.0)
     with serving(tmp_path) as daemon, Station(daemon, wheel) as station:
-        told = station.set_going()
+        counts = station.set_going()
         if station.travelled() < ON_ITS_WAY:
-            pytest.skip(f"the machine is too busy for the robot to get on its way: {told}")
+            pytest.skip(f"the machine is too busy for the robot to get on its way: {counts}")
         listening = daemon.listening
         for junk in JUNK:
             for target in (listening["robot"], listening["camera"], listening["command"]["udp"]):

@@ -1,6 +1,6 @@
 """Programs that are started with what cannot work: they say all of it, touch nothing, and end.
 
-Law of this file: real processes only. The ports that a broken file names are held by the test, so
+Real processes only. The ports that a broken file names are held by the test, so
 that a program that tried to bind before it was sure would end otherwise than it should.
 """
 
@@ -21,14 +21,16 @@ from linemate.protocol.command.preshared_keys import key_line, make_key
 from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, parse_config
 
 LINEMATE_SIM = (sys.executable, "-m", "linemate.simulators.harness.main")
-TOLD = re.compile(r"(?P<file>/[^:]+):(?P<line>\d+):(?P<column>\d+): (?P<key>[^:]+): (?P<what>.+)")
+ERROR_LINE = re.compile(
+    r"(?P<file>/[^:]+):(?P<line>\d+):(?P<column>\d+): (?P<key>[^:]+): (?P<what>.+)"
+)
 BAD_CONFIGURATION = 78
 CANNOT_RUN = 1
 UNAVAILABLE = 69
 END_S = 3.0
 
 Error = tuple[str, str, str, str]
-"""File, what stands at the place that is told, key, what is wrong."""
+"""File, what stands at the place that is reported, key, what is wrong."""
 
 
 def ended(*command: str) -> subprocess.CompletedProcess[bytes]:
@@ -43,12 +45,12 @@ def errors(done: subprocess.CompletedProcess[bytes]) -> list[Error]:
     """Every line of a refusal, with the text it points at; each line must be of the one form."""
     assert done.returncode == BAD_CONFIGURATION, done.stderr
     assert done.stdout == b""
-    told = []
+    found = []
     for line in done.stderr.decode().splitlines():
-        match = TOLD.fullmatch(line)
+        match = ERROR_LINE.fullmatch(line)
         assert match, line
-        told.append((match["file"], _pointed(match), match["key"], match["what"]))
-    return told
+        found.append((match["file"], _pointed(match), match["key"], match["what"]))
+    return found
 
 
 def _pointed(match: re.Match[str]) -> str:
@@ -66,7 +68,7 @@ def held() -> Iterator[int]:
         yield port.getsockname()[1]
 
 
-def test_every_error_of_every_file_is_told_with_its_place_and_no_port_is_bound(
+def test_every_error_of_every_file_is_reported_with_its_place_and_no_port_is_bound(
     tmp_path: Path, held: int
 ) -> None:
     task = (DAEMON_DATA / "wheel.yaml").read_text(encoding="utf-8")
@@ -100,8 +102,8 @@ trucking: {{}}
 """,
         encoding="utf-8",
     )
-    told = errors(daemon(path))
-    own = [(key, text) for file, text, key, _ in told if file == str(path)]
+    found = errors(daemon(path))
+    own = [(key, text) for file, text, key, _ in found if file == str(path)]
     for key, text in (
         ("rsi.config", "rsi.xml"),
         ("rsi.cycle_ms", "twelve"),
@@ -122,12 +124,12 @@ trucking: {{}}
     ):
         assert any(key == k and at.startswith(text) for k, at in own), (key, text, own)
     assert len(own) == 16, own
-    assert [(key, text) for file, text, key, _ in told if file == str(tmp_path / "task.yaml")] == [
+    assert [(key, text) for file, text, key, _ in found if file == str(tmp_path / "task.yaml")] == [
         ("waypoint", "waypoint: []")
     ]
     assert not (tmp_path / "c.sock").exists()
     checked = daemon(path, "--check")
-    assert errors(checked) == told
+    assert errors(checked) == found
 
 
 @pytest.mark.parametrize(
@@ -141,18 +143,18 @@ trucking: {{}}
     ],
     ids=["no file", "not UTF-8", "not YAML", "a list", "empty"],
 )
-def test_a_file_that_cannot_be_read_is_told_in_the_same_form(
+def test_a_file_that_cannot_be_read_is_reported_in_the_same_form(
     tmp_path: Path, data: bytes | None, what: str
 ) -> None:
     path = tmp_path / "linemated.yaml"
     if data is not None:
         path.write_bytes(data)
-    told = errors(daemon(path, "--check"))
-    assert {file for file, _, _, _ in told} == {str(path)}
-    assert any(what in said for _, _, _, said in told), told
+    found = errors(daemon(path, "--check"))
+    assert {file for file, _, _, _ in found} == {str(path)}
+    assert any(what in text for _, _, _, text in found), found
 
 
-def test_an_emulators_broken_file_is_told_in_the_same_form(tmp_path: Path, held: int) -> None:
+def test_an_emulators_broken_file_is_reported_in_the_same_form(tmp_path: Path, held: int) -> None:
     path = tmp_path / "emulator.yaml"
     path.write_text(
         f"""\
@@ -166,8 +168,8 @@ cable: red
 """,
         encoding="utf-8",
     )
-    told = errors(ended(*LINEMATE_SIM, "emulator", "--config", str(path)))
-    assert [(key, text) for _, text, key, _ in told] == [
+    found = errors(ended(*LINEMATE_SIM, "emulator", "--config", str(path)))
+    assert [(key, text) for _, text, key, _ in found] == [
         ("seed", "first"),
         ("distance_mount", ".nan"),
         ("wait_answered", "1.5"),
@@ -175,7 +177,7 @@ cable: red
     ]
 
 
-def test_an_emulator_that_cannot_do_what_it_is_told_says_so(tmp_path: Path, held: int) -> None:
+def test_an_emulator_that_cannot_do_what_it_is_reported_says_so(tmp_path: Path, held: int) -> None:
     (tmp_path / "scenario.yaml").write_text(
         "faults: [{at_s: 1, link: robot, kind: ipoc_flip, value: 0.1}]\n", encoding="utf-8"
     )
@@ -204,7 +206,7 @@ def test_a_good_file_is_checked_without_binding_what_it_names(tmp_path: Path, he
     assert not (tmp_path / "c.sock").exists()
 
 
-def test_a_second_daemon_says_what_is_taken_and_the_first_one_ends_as_told(tmp_path: Path) -> None:
+def test_a_second_daemon_says_what_is_taken_and_the_first_one_ends_on_order(tmp_path: Path) -> None:
     keys = tmp_path / "keys"
     keys.write_text(key_line(make_key("panel", Role.OPERATE, bytes(range(32)))))
     keys.chmod(0o400)
@@ -218,7 +220,7 @@ def test_a_second_daemon_says_what_is_taken_and_the_first_one_ends_as_told(tmp_p
         robot.connect(first.robot())
         robot.settimeout(10.0)
         robot_port, udp_port = first.robot()[1], first.listening["command"]["udp"][1]
-        for more, said in (
+        for more, text in (
             (f"rsi: {{port: {robot_port}}}", "the robot's port cannot be opened"),
             (
                 f"rsi: {{port: 0}}\ncommand: {{udp: {{port: {udp_port}, keys: keys}}}}",
@@ -231,10 +233,10 @@ def test_a_second_daemon_says_what_is_taken_and_the_first_one_ends_as_told(tmp_p
             assert done.returncode == CANNOT_RUN
             complaints = [line for line in done.stderr.decode().splitlines() if "ERROR" in line]
             assert len(complaints) == 1
-            assert said in complaints[0]
+            assert text in complaints[0]
             assert f"(process {first.process.pid}" in complaints[0]
             assert b"Traceback" not in done.stderr
-        # The first one lives, doors and all, and answers the robot up to its end.
+        # The first one lives, with its endpoints, and answers the robot up to its end.
         ipocs = range(1000, 1000 + 30 * 12, 12)
         for ipoc in ipocs:
             robot.send(
@@ -252,7 +254,7 @@ def test_a_second_daemon_says_what_is_taken_and_the_first_one_ends_as_told(tmp_p
             assert codec.parse_sensor(robot.recv(2048)).ipoc == ipoc
         assert first.status()["telegrams"]["unreadable"] == 0
         code, took_s = first.end()
-        assert (code, first.process.poll()) == (0, 0), first.said()
+        assert (code, first.process.poll()) == (0, 0), first.log_text()
         assert took_s < END_S
         assert not (tmp_path / "c.sock").exists()
     for kind, address in ((socket.SOCK_DGRAM, robot_port), (socket.SOCK_DGRAM, udp_port)):

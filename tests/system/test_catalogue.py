@@ -1,7 +1,7 @@
 """Rows of the fault catalogue in virtual time, each with its figure; see docs/reliability.md.
 
 The whole daemon lives through a short assembly (contact at 1.1 s, retreat at 1.9 s); what a fault
-adds is told against the same run without it. Every run is judged by all of the swarm's oracles.
+adds is compared with the same run without it. All oracles of the campaign judge each run.
 """
 
 from dataclasses import dataclass
@@ -93,7 +93,7 @@ def live(
     lived = Lived(FaultPlan(seed, duration_s=2.6, events=events, faults=faults))
     lived.live()
     assert lived.outcome().violations == ()
-    # Whoever drives the robot home without the daemon looks out for himself.
+    # Driving the robot home without the daemon is not judged.
     touched = lived.world.collision
     assert may_touch or touched is None or touched.time_s > lived.homed_s
     return lived
@@ -346,7 +346,7 @@ def test_r9_drives_off_end_the_motion() -> None:
 @pytest.mark.parametrize("lasting_s", [0.02, 0.05, 0.2])
 @pytest.mark.parametrize("at_s", [FREE_S, IN_CONTACT_S])
 def test_p1_a_stopped_process_misses_what_passed_and_two(at_s: float, lasting_s: float) -> None:
-    # A robot that nobody answers stands, and the car takes its wheel along.
+    # A robot that no one answers stands, and the car takes its wheel along.
     away = lasting_s > 0.1 and at_s == IN_CONTACT_S
     lived = live(Fault(at_s, "daemon", "stall", lasting_s), may_touch=away)
     counts = lived.controller.counts

@@ -1,4 +1,4 @@
-"""The golden recording: what the step said when it was last looked at, it says today.
+"""The golden recording: the step gives the same outputs as when it was recorded.
 
 A change of outputs fails here with the table of what moved, when and by how much. If it is meant:
 ``python tests/system/make_golden.py``, and the commit says why.

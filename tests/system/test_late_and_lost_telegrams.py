@@ -18,7 +18,7 @@ LED = frozenset({State.TRACK, State.CONTACT})
 MOST_AHEAD = 2
 """Steps more or less than cycles while the tool is led [cycles]."""
 LATERAL_M = 0.004
-"""Of the rigid tool beside the hub's axis, once it follows the object [m]."""
+"""Of the rigid tool next to the hub's axis, once it follows the object [m]."""
 FOLLOWS_S = 1.0
 FORCE_N = 200.0
 
@@ -99,7 +99,7 @@ def peaks(scenario: str, cycle_ms: CycleMs, lost: dict[float, float]) -> dict[fl
 
 
 @pytest.mark.parametrize("cycle_ms", [12, 4])
-def test_x8_beside_a_running_line_the_target_is_regained_without_tearing_at_the_mount(
+def test_x8_next_to_a_running_line_the_target_is_regained_without_tearing_at_the_mount(
     cycle_ms: CycleMs,
 ) -> None:
     """84 ms: a robot that is back at its target at once, which none can be, has 202 N."""
@@ -108,7 +108,7 @@ def test_x8_beside_a_running_line_the_target_is_regained_without_tearing_at_the_
     assert found[10.0] < 270.0
 
 
-def test_x8_beside_a_line_that_stands_or_starts_140_ms_are_borne_and_the_task_goes_on() -> None:
+def test_x8_next_to_a_line_that_stands_or_starts_140_ms_are_borne_and_the_task_goes_on() -> None:
     found = peaks("wheel", 12, {7.5: 0.084, 8.3: 0.14, 9.5: 0.14, 11.0: 0.14})
     assert max(found.values()) < FORCE_N
 
@@ -119,7 +119,7 @@ IN_CONTACT_S = 1.35
 
 
 class Unattended(Simulation):
-    """A run in which nobody gives an order once the task has begun."""
+    """A run in which no one gives an order once the task has begun."""
 
     def __init__(self, plan: FaultPlan) -> None:
         super().__init__(plan)

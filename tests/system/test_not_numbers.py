@@ -98,8 +98,8 @@ def test_no_field_of_a_pose_brings_what_is_not_finite_into_a_sample(wild: float)
         if sample is None:
             continue
         # A tiny or minus zero number is a number.
-        told = (*sample.position, *sample.quaternion, *(sample.covariance or ()))
-        assert all(map(math.isfinite, told)), where
+        values = (*sample.position, *sample.quaternion, *(sample.covariance or ()))
+        assert all(map(math.isfinite, values)), where
         assert abs(math.hypot(*sample.quaternion) - 1.0) < 1e-6, where
         assert math.isfinite(wild), where
 

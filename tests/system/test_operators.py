@@ -1,4 +1,4 @@
-"""Operators at a running daemon whose robot is answered: nobody waits for anybody."""
+"""Operators at a running daemon whose robot is answered: no one waits for anybody."""
 
 import os
 import statistics
@@ -21,7 +21,7 @@ CALLS = 200
 
 
 class Robot(threading.Thread):
-    """Sends telegrams of a robot that stands, until told to end."""
+    """Sends telegrams of a robot that stands, until it is ended."""
 
     def __init__(self, address: tuple[str, int]) -> None:
         super().__init__()
@@ -61,8 +61,8 @@ def median_ms(client: Client) -> float:
     return statistics.median(took)
 
 
-@pytest.mark.parametrize("door", ["local", "udp"])
-def test_a_command_does_not_wait_for_the_next_cycle(door: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("endpoint", ["local", "udp"])
+def test_a_command_does_not_wait_for_the_next_cycle(endpoint: str, tmp_path: Path) -> None:
     keys = tmp_path / "keys"
     keys.write_text(key_line(make_key("panel", Role.OPERATE, bytes(range(32)))) + "\n")
     keys.chmod(0o600)
@@ -75,17 +75,17 @@ def test_a_command_does_not_wait_for_the_next_cycle(door: str, tmp_path: Path) -
             listening = daemon.listening["command"]
             made = (
                 Client.local(listening["socket"])
-                if door == "local"
+                if endpoint == "local"
                 else Client.udp(*listening["udp"], read_key(keys))
             )
             with made as client:
                 median = median_ms(client)
-            print(f"{door}: {median:.2f} ms")
+            print(f"{endpoint}: {median:.2f} ms")
         finally:
             robot.end.set()
             robot.join()
         # Waiting for the next reply would be half a cycle in the median, and the call's own time;
-        # on a machine that is held up it is more than the 2 ms that it is on a quiet one.
+        # on a machine that is delayed it is more than the 2 ms that it is on a quiet one.
         assert median < 1e3 * CYCLE_S / 2.0
 
 
@@ -109,7 +109,7 @@ def test_the_groups_of_a_local_peer_decide_whether_it_operates_views_or_is_refus
         assert as_member_of(4243, 4242) == ("answered", "answered")
         assert as_member_of(4243) == ("answered", "role")
         assert as_member_of(4244) == ("no answer", "no answer")
-        assert "connections_refused" in daemon.said()
+        assert "connections_refused" in daemon.log_text()
 
 
 def as_another_user(groups: tuple[int, ...], where: Path) -> tuple[str, ...]:
@@ -121,7 +121,7 @@ def as_another_user(groups: tuple[int, ...], where: Path) -> tuple[str, ...]:
     reading, writing = os.pipe()
     pid = os.fork()  # the interpreter may lie where another user cannot start it
     if pid == 0:
-        said = []
+        answers = []
         try:
             os.setgroups(groups)
             os.setgid(65534)
@@ -130,16 +130,16 @@ def as_another_user(groups: tuple[int, ...], where: Path) -> tuple[str, ...]:
                 try:
                     with Client.local(where) as client:
                         client.call(op, None, 4.0)
-                    said.append("answered")
+                    answers.append("answered")
                 except RefusedError as error:
-                    said.append(error.code)
+                    answers.append(error.code)
                 except (NoAnswerError, OSError):
-                    said.append("no answer")
+                    answers.append("no answer")
         finally:
-            os.write(writing, ",".join(said).encode())
+            os.write(writing, ",".join(answers).encode())
             os._exit(0)
     os.close(writing)
     with os.fdopen(reading) as pipe:
-        told = pipe.read()
+        answers = pipe.read()
     os.waitpid(pid, 0)
-    return tuple(told.split(","))
+    return tuple(answers.split(","))

@@ -46,7 +46,7 @@ FREE_S, CONTACT_S = 0.5, 1.3
 
 
 class PlantedError(Exception):
-    """Nobody in the daemon knows of it."""
+    """No one in the daemon knows of it."""
 
 
 def plant(
@@ -92,7 +92,7 @@ def test_an_exception_anywhere_in_a_cycle_ends_the_motion_and_not_the_daemon(
     # before its telegram was judged, is one that its telegram then did not get.
     for violation in simulation.outcome().violations:
         if at_s == CONTACT_S and violation.startswith("force: "):
-            continue  # of a wheel that is let go beside a running line; a collision is judged below
+            continue  # the wheel is let go at a running line; a collision is judged below
         assert violation.startswith(("exception: 1 faults", "exception: 1 hasty"))
     assert simulation.world.collision is None
     after = [state for now_s, state in seen if now_s > raised[0] + 0.1]

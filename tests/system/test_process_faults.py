@@ -91,10 +91,10 @@ def test_a_killed_process_leaves_no_port_taken(daemon: DaemonProcess) -> None:
 
 @pytest.mark.parametrize("port", ["command", "camera", "robot"])
 def test_a_flood_on_a_port_costs_hardly_a_telegram(daemon: DaemonProcess, port: str) -> None:
-    told = floods.run(daemon, port, floods.SHORT)
-    assert told.sent > 1000
+    outcome = floods.run(daemon, port, floods.SHORT)
+    assert outcome.sent > 1000
     # Two cores for the flood, the robot, the daemon and everybody else: `make floods` has the bar.
-    assert told.missed <= told.baseline + 0.2 * told.cycles
-    assert told.samples >= 0.9 * told.poses
-    assert told.answered_s is not None
+    assert outcome.missed <= outcome.baseline + 0.2 * outcome.cycles
+    assert outcome.samples >= 0.9 * outcome.poses
+    assert outcome.answered_s is not None
     assert daemon.process.poll() is None

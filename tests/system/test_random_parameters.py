@@ -141,7 +141,7 @@ def run_once(folder: Path, seed: int, sets: int) -> Counter[str]:
         operator = Operator(station, run, seed)
         turns = round((1.5 + made.scenario.duration_s) / made.scenario.cycle_s)
         done, has_moved = 0, False
-        # What is set may lead the tool astray: a run ends early where it meets the object.
+        # What is set may lead the tool off its path: a run ends early where it meets the object.
         for turn in range(turns):
             if not run.turn():
                 break

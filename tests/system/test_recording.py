@@ -80,14 +80,14 @@ def writer_of(daemon: DaemonProcess) -> int:
     return int(child)
 
 
-def test_a_daemon_that_is_killed_loses_nothing_that_it_told_its_writer(tmp_path: Path) -> None:
+def test_a_daemon_that_is_killed_loses_nothing_that_its_writer_has(tmp_path: Path) -> None:
     with DaemonProcess(tmp_path, TEXT) as daemon:
         exchange(daemon, 2.0)
         writer = os.pidfd_open(writer_of(daemon))
         daemon.process.send_signal(signal.SIGKILL)
         killed_ns = time.monotonic_ns()
         daemon.process.wait(10.0)
-    assert select.select([writer], [], [], 10.0)[0], "the writer ends when nobody is left"
+    assert select.select([writer], [], [], 10.0)[0], "the writer ends when no one is left"
     os.close(writer)
     (path,) = tmp_path.glob("linemate-*.mcap")
     recording = read(path)
@@ -118,8 +118,8 @@ def test_a_disk_that_fills_up_costs_the_recording_and_no_cycle(tmp_path: Path) -
     with DaemonProcess(tmp_path, TEXT) as daemon:
         exchange(daemon, 1.0)
         (path,) = tmp_path.glob("linemate-*.mcap")
-        room = path.stat().st_size + 4096
-        resource.prlimit(writer_of(daemon), resource.RLIMIT_FSIZE, (room, room))
+        limit_bytes = path.stat().st_size + 4096
+        resource.prlimit(writer_of(daemon), resource.RLIMIT_FSIZE, (limit_bytes, limit_bytes))
         steps = daemon.status()["steps"]
         answered = exchange(daemon, 2.0)
         status = daemon.status_once(lambda status: bool(status["recording"]["failure"]))
@@ -131,7 +131,7 @@ def test_a_disk_that_fills_up_costs_the_recording_and_no_cycle(tmp_path: Path) -
         assert daemon.end()[0] == 0
     recording = read(path)
     assert len(recording.steps) > 30
-    assert path.stat().st_size <= room
+    assert path.stat().st_size <= limit_bytes
 
 
 def test_a_killed_recorder_comes_back_twice_and_costs_no_cycle(tmp_path: Path) -> None:
@@ -149,12 +149,12 @@ def test_a_killed_recorder_comes_back_twice_and_costs_no_cycle(tmp_path: Path) -
             assert status["dropped"] > 0
         assert daemon.status()["faults"] == 0
         assert daemon.end()[0] == 0
-        said = daemon.said()
+        log = daemon.log_text()
     *cut, last = sorted(tmp_path.glob("linemate-*.mcap"))
     assert len(cut) == 2
     for path in cut:
-        assert "signal 9" in said
-        assert f"{path} was cut short" in said
+        assert "signal 9" in log
+        assert f"{path} was cut short" in log
         assert not read(path).whole
     assert tool.main(["replay", str(last)]) == 0
 

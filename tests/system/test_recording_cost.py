@@ -56,7 +56,7 @@ def test_recording_costs_the_cycle_little_and_its_files_stay_small(tmp_path: Pat
     aside = statistics.fmean(turns[True]) - without
     print(
         f"taking a step {1e6 * cost:.0f} us, {100.0 * cost / CYCLE_S:.2f} % of a cycle, "
-        f"{cost / without:.3f} of a turn of {1e6 * without:.0f} us; interleaved, the turns beside "
+        f"{cost / without:.3f} of a turn of {1e6 * without:.0f} us; interleaved, the turns next to "
         f"a recording take {1e6 * aside:+.0f} us; {minute / 1e6:.1f} MB a minute"
     )
     assert statistics.median(took) < MOST_OF_A_TURN * statistics.median(turns[False])

@@ -88,12 +88,12 @@ def controller(folder: Path, layout: str, port: int, cycle_ms: int, cycles: int)
     command += ["--cycle-ms", str(cycle_ms), "--cycles", str(cycles), "--result", str(result)]
     command += ["--joints", *map(str, REST)]
     with (
-        (folder / "said").open("wb") as said,
-        subprocess.Popen(command, cwd=folder, stdout=said, stderr=subprocess.STDOUT) as process,
+        (folder / "log").open("wb") as log,
+        subprocess.Popen(command, cwd=folder, stdout=log, stderr=subprocess.STDOUT) as process,
     ):
         try:
             yield result
-            assert process.wait(120.0) == 0, (folder / "said").read_text()
+            assert process.wait(120.0) == 0, (folder / "log").read_text()
         finally:
             process.kill()
 

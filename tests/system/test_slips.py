@@ -1,6 +1,6 @@
 """Forty slips of unit or sign in a good site: each is refused, or the tcp stays slow.
 
-A slip that ``linemated --check`` passes is lived through in virtual time: the daemon believes it,
+A slip that ``linemated --check`` passes is run in virtual time: the daemon uses it,
 the plant is as it always was.
 """
 
@@ -209,18 +209,18 @@ def checked(path: Path) -> LoadedConfig:
 
 
 def true_speed(station: LoadedConfig) -> float:
-    """Run the site's daemon beside the shipped plant; the fastest true tcp [m/s]."""
+    """Run the site's daemon next to the shipped plant; the fastest true tcp [m/s]."""
     known = setup.make("wheel")
     identified = known.control
-    said = station.config
-    control = replace(said.control, servos=identified.servos, effector=identified.effector)
-    if said.control.servos != setup.shipped_control().servos:
-        control = replace(control, servos=said.control.servos)
+    settings_of = station.config
+    control = replace(settings_of.control, servos=identified.servos, effector=identified.effector)
+    if settings_of.control.servos != setup.shipped_control().servos:
+        control = replace(control, servos=settings_of.control.servos)
     site = replace(
         known,
         task=station.task.file,
         urdf=station.task.urdf,
-        tracking=said.tracking,
+        tracking=settings_of.tracking,
         control=control,
     )
     run = lockstep.Lockstep(site, 0)
@@ -254,7 +254,7 @@ def test_a_slip_is_refused_or_the_tcp_stays_slow(name: str, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "complaint"),
     [
         ("conveyor in mm/s", "conveyor.nominal_speed: "),
         ("object 12 m away", "does not reach the pose"),
@@ -265,7 +265,7 @@ def test_a_slip_is_refused_or_the_tcp_stays_slow(name: str, tmp_path: Path) -> N
         ("first waypoint out of reach", "arm.rest_joints: with these joints"),
     ],
 )
-def test_the_process_refuses_and_says_where(name: str, told: str, tmp_path: Path) -> None:
+def test_the_process_refuses_and_says_where(name: str, complaint: str, tmp_path: Path) -> None:
     site = good()
     SLIPS[name](site)
     done = subprocess.run(
@@ -279,7 +279,7 @@ def test_the_process_refuses_and_says_where(name: str, told: str, tmp_path: Path
         timeout=60,
     )
     assert done.returncode == 78
-    assert told in done.stderr
+    assert complaint in done.stderr
 
 
 def test_the_process_says_of_a_good_site_how_fast_it_is(tmp_path: Path) -> None:

@@ -1,8 +1,8 @@
 """A whole cell under a real systemd: the daemon is killed while it leads the robot.
 
-Law of this file: the template unit, the emulators on the real links beside it, and their own truth
-as the judge. What systemd restarts leads nobody: the robot stays where it was left until its
-programme and an operator begin anew. Skipped with a reason where rights or tools are missing.
+The template unit, the emulators on the real links next to it, and their own truth
+as the judge. What systemd restarts leads no one: the robot stays where it was left until its
+programme and an operator begin again. Skipped with a reason where rights or tools are missing.
 """
 
 import json
@@ -28,7 +28,7 @@ SOCKET = "/run/linemate-west/command.sock"
 ROBOT = ("127.0.0.1", 49252)
 CAMERA = ("127.0.0.1", 49253)
 READY_S = 3.0
-PATIENCE_S = 30.0
+TIMEOUT_S = 30.0
 SILENCE_S = 0.2
 """The daemon hears silence for this long before the robot's program starts [s]."""
 LED_S = 1.8
@@ -94,8 +94,8 @@ def tool(machine: Machine, *words: str) -> subprocess.CompletedProcess[str]:
 def until(
     machine: Machine, found: Callable[[Mapping[str, Any]], bool], what: str
 ) -> dict[str, Any]:
-    """The first status that has something; while nobody answers there is none."""
-    end, status = time.monotonic() + PATIENCE_S, {}
+    """The first status that has something; while no one answers there is none."""
+    end, status = time.monotonic() + TIMEOUT_S, {}
     while time.monotonic() < end:
         done = tool(machine, "status", "--json")
         if done.stdout:
@@ -103,13 +103,13 @@ def until(
             if found(status):
                 return dict(status)
         time.sleep(0.02)
-    said = (machine.out / "linemated.log").read_text()[-2000:]
-    raise AssertionError((what, status.get("state"), status.get("unfit"), said))
+    log = (machine.out / "linemated.log").read_text()[-2000:]
+    raise AssertionError((what, status.get("state"), status.get("unfit"), log))
 
 
 def until_scene(machine: Machine, time_s: float) -> None:
     """Wait for a time on the scenario's clock, by the emulator's word."""
-    end = time.monotonic() + PATIENCE_S
+    end = time.monotonic() + TIMEOUT_S
     while time.monotonic() < end:
         path = machine.out / "lab.jsonl"
         lines = path.read_text().splitlines() if path.exists() else []
@@ -120,17 +120,19 @@ def until_scene(machine: Machine, time_s: float) -> None:
 
 
 def ordered(machine: Machine, op: str) -> None:
-    end = time.monotonic() + PATIENCE_S
+    end = time.monotonic() + TIMEOUT_S
     while (done := tool(machine, op)).returncode != 0:
         assert time.monotonic() < end, done.stderr
         time.sleep(0.05)
 
 
 def truth(machine: Machine) -> dict[str, Any]:
-    """The emulator's account of what it applied; told as it ends."""
+    """The emulator's account of what it applied; written at its end."""
     machine.run("systemctl", "stop", LAB)
-    with np.load(machine.out / "truth.npz") as told:
-        account = {name: told[name] for name in ("setpoints", "joints", "answered", "digital_out")}
+    with np.load(machine.out / "truth.npz") as archive:
+        account = {
+            name: archive[name] for name in ("setpoints", "joints", "answered", "digital_out")
+        }
     for name in ("truth.npz", "lab.jsonl"):
         (machine.out / name).unlink()
     return account
@@ -148,25 +150,25 @@ def test_a_daemon_killed_while_it_leads_moves_nothing_when_it_is_back(machine: M
     pid = int(machine.show(UNIT, "MainPID")["MainPID"])
     machine.run("kill", "-KILL", str(pid))
     status = until(machine, lambda status: status["pid"] != pid, "another daemon")
-    told = machine.show(UNIT, "NRestarts", "ActiveEnterTimestampMonotonic",
+    shown = machine.show(UNIT, "NRestarts", "ActiveEnterTimestampMonotonic",
                         "ActiveExitTimestampMonotonic")  # fmt: skip
     exited, entered = (
-        int(told[f"Active{name}TimestampMonotonic"]) * 1e-6 for name in ("Exit", "Enter")
+        int(shown[f"Active{name}TimestampMonotonic"]) * 1e-6 for name in ("Exit", "Enter")
     )
-    assert told["NRestarts"] == "1"
+    assert shown["NRestarts"] == "1"
     assert entered - exited < READY_S
     assert status["state"] == "init"
     time.sleep(1.0)
     first = truth(machine)
     led = np.flatnonzero(np.any(np.diff(first["setpoints"], axis=0) != 0.0, axis=1))
     assert len(led) > 0.5 * LED_S / 0.012, "the robot was led"
-    # From the last thing that the killed daemon said on, the robot was asked for nothing else.
+    # After the last reply of the killed daemon the setpoints stay.
     after = first["setpoints"][led[-1] + 1 :]
     assert len(after) > 40
     assert np.ptp(after, axis=0).max() == 0.0
     assert not first["answered"][led[-1] + 2 :].any()
 
-    # The robot's programme begins anew, at a place of its own, and is told to stay there.
+    # The robot's programme begins again, at a place of its own, and is reported to stay there.
     machine.run("systemctl", "start", LAB)
     until_scene(machine, -3.0)
     second = truth(machine)

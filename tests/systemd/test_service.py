@@ -1,7 +1,7 @@
 """The service under a real systemd: from its start to its end, killed, stopped and starved between.
 
-Law of this file: the shipped unit as ``make install`` lays it out, in namespaces that are thrown
-away; what differs is a drop-in. A robot stands beside it and judges: it notes where each reply
+The shipped unit as ``make install`` lays it out, in namespaces that are thrown
+away; what differs is a drop-in. A robot stands next to it and judges: it notes where each reply
 sends it. Skipped with a reason where rights or tools are missing.
 """
 
@@ -32,7 +32,7 @@ STILL = 1e-7
 """What eight decimals of a degree leave of a posture [rad, m]."""
 
 KEY = key_line(make_key("panel", Role.OPERATE, bytes(range(32))))
-OTHER = key_line(make_key("desk", Role.VIEW, bytes(range(1, 33))))
+OTHER = key_line(make_key("office", Role.VIEW, bytes(range(1, 33))))
 
 CONFIG = """\
 task: wheel.yaml
@@ -84,7 +84,7 @@ def machine(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machine]:
 
 
 class Robot:
-    """The robot beside the daemon, and what it noted."""
+    """The robot next to the daemon, and what it noted."""
 
     def __init__(self, machine: Machine) -> None:
         self._machine = machine
@@ -137,8 +137,8 @@ def main_pid(machine: Machine) -> int:
 def status(machine: Machine) -> dict[str, Any]:
     done = machine.run("linemate", "status", "--json", "--timeout", "4", check=False)
     assert done.stdout, done.stderr
-    told: dict[str, Any] = json.loads(done.stdout)
-    return told
+    shown: dict[str, Any] = json.loads(done.stdout)
+    return shown
 
 
 def until_restarted(machine: Machine, pid: int, within_s: float) -> float:
@@ -146,15 +146,15 @@ def until_restarted(machine: Machine, pid: int, within_s: float) -> float:
     end = time.monotonic() + within_s
     names = ("ActiveState", "MainPID", "ActiveExitTimestampMonotonic")
     while True:
-        told = machine.show(UNIT, *names, "ActiveEnterTimestampMonotonic")
-        if told["ActiveState"] == "active" and int(told["MainPID"]) not in {0, pid}:
-            entered = int(told["ActiveEnterTimestampMonotonic"])
-            return (entered - int(told["ActiveExitTimestampMonotonic"])) * 1e-6
-        assert time.monotonic() < end, (told, machine.said()[-2000:])
+        shown = machine.show(UNIT, *names, "ActiveEnterTimestampMonotonic")
+        if shown["ActiveState"] == "active" and int(shown["MainPID"]) not in {0, pid}:
+            entered = int(shown["ActiveEnterTimestampMonotonic"])
+            return (entered - int(shown["ActiveExitTimestampMonotonic"])) * 1e-6
+        assert time.monotonic() < end, (shown, machine.log_text()[-2000:])
         time.sleep(0.05)
 
 
-def said(machine: Machine) -> str:
+def journal(machine: Machine) -> str:
     return (machine.out / "linemated.log").read_text(encoding="utf-8")
 
 
@@ -167,13 +167,13 @@ def assert_still(notes: list[dict[str, Any]]) -> None:
 
 
 def test_it_starts_to_ready_and_the_tool_of_an_operator_finds_it(service: Machine) -> None:
-    told = service.show(UNIT, "ActiveState", "StatusText", "User", "NRestarts")
-    assert (told["ActiveState"], told["User"], told["NRestarts"]) == ("active", "linemate", "0")
-    assert re.match(r"INIT .* steps", told["StatusText"])
+    shown = service.show(UNIT, "ActiveState", "StatusText", "User", "NRestarts")
+    assert (shown["ActiveState"], shown["User"], shown["NRestarts"]) == ("active", "linemate", "0")
+    assert re.match(r"INIT .* steps", shown["StatusText"])
     assert status(service)["state"] == "init"
 
 
-def test_whoever_broke_into_it_could_not_get_out(service: Machine) -> None:
+def test_anyone_who_broke_into_it_could_not_get_out(service: Machine) -> None:
     shipped = service.run("cat", f"/etc/systemd/system/{UNIT}").stdout
     probe = re.sub(r"ExecStart=.*", f"ExecStart={INTERPRETER} /opt/probe.py", shipped)
     # The unit as it is, but for the program and for who starts it again.
@@ -185,12 +185,12 @@ def test_whoever_broke_into_it_could_not_get_out(service: Machine) -> None:
     service.run("systemctl", "daemon-reload")
     service.run("systemctl", "start", "probe.service")
     end = time.monotonic() + 10.0
-    path, told = service.out / "probe.json", ""
-    while not told.endswith("}\n"):
-        assert time.monotonic() < end, service.said()[-2000:]
+    path, shown = service.out / "probe.json", ""
+    while not shown.endswith("}\n"):
+        assert time.monotonic() < end, service.log_text()[-2000:]
         time.sleep(0.05)
-        told = path.read_text() if path.exists() else ""
-    outcomes = json.loads(told)
+        shown = path.read_text() if path.exists() else ""
+    outcomes = json.loads(shown)
     assert outcomes.pop("its own directory") == "done"
     assert outcomes.pop("loopback") == "done"
     assert len(outcomes) == 13
@@ -254,7 +254,7 @@ ANSWERED = {0, 1}
 UNANSWERED = {3}
 
 
-def test_its_credential_lets_an_operator_in_and_nobody_else(service: Machine) -> None:
+def test_its_credential_lets_an_operator_in_and_no_one_else(service: Machine) -> None:
     assert asked_with(service, KEY) in ANSWERED
     assert asked_with(service, OTHER) in UNANSWERED
     assert service.run("stat", "--format=%U %a", "/etc/linemate/link.key").stdout == "root 600\n"
@@ -274,29 +274,29 @@ def test_a_reload_takes_the_keys_as_they_are_now_without_a_restart(service: Mach
         write(KEY)
         service.run("systemctl", "restart", UNIT)
         pid = main_pid(service)
-        for lines, panel, desk in (
+        for lines, panel, office in (
             ([KEY], ANSWERED, UNANSWERED),
             ([KEY, OTHER], ANSWERED, ANSWERED),
             ([OTHER], UNANSWERED, ANSWERED),
             (["nonsense"], UNANSWERED, ANSWERED),
         ):
             write(*lines)
-            before = said(service)
+            before = journal(service)
             service.run("systemctl", "reload", UNIT)
             end = time.monotonic() + 5.0
-            while "keys" not in said(service)[len(before) :]:
-                assert time.monotonic() < end, said(service)
+            while "keys" not in journal(service)[len(before) :]:
+                assert time.monotonic() < end, journal(service)
                 time.sleep(0.05)
             assert asked_with(service, KEY) in panel
-            assert asked_with(service, OTHER) in desk
-            told = service.show(UNIT, "ActiveState", "MainPID")
-            assert told == {"ActiveState": "active", "MainPID": str(pid)}
+            assert asked_with(service, OTHER) in office
+            shown = service.show(UNIT, "ActiveState", "MainPID")
+            assert shown == {"ActiveState": "active", "MainPID": str(pid)}
     finally:
         service.run("mv", "/etc/linemate/good.yaml", path)
         service.run("systemctl", "restart", UNIT)
 
 
-def test_a_robot_is_answered_and_told_to_stay_where_it_is(service: Machine, robot: Robot) -> None:
+def test_a_robot_is_answered_and_stays_where_it_is(service: Machine, robot: Robot) -> None:
     notes = robot.until_answered(100)
     assert_still(notes)
     assert status(service)["state"] in {"init", "idle"}
@@ -311,9 +311,9 @@ def test_a_hung_daemon_is_killed_by_the_watchdog_and_the_next_one_moves_nothing(
     service.run("kill", "-STOP", str(pid))
     until_restarted(service, pid, WATCHDOG_S + 10.0)
     assert time.monotonic() - began < WATCHDOG_S + READY_S + 2.0
-    told = service.show(UNIT, "NRestarts", "Result")
-    assert int(told["NRestarts"]) == restarts + 1
-    assert "Watchdog timeout" in service.said()
+    shown = service.show(UNIT, "NRestarts", "Result")
+    assert int(shown["NRestarts"]) == restarts + 1
+    assert "Watchdog timeout" in service.log_text()
     assert_still(robot.until_answered(100))
 
 
@@ -328,12 +328,12 @@ def test_a_killed_daemon_is_ready_again_in_three_seconds_and_moves_nothing(
     first = next(note for note in notes if note["axes"] is not None)
     assert_still([first])
     assert_still(notes)
-    # The programme that was under way is over: the robot began another.
+    # The programme that was running is over: the robot began another.
     assert first["programme"] > 1
     assert status(service)["state"] in {"init", "idle"}
 
 
-def test_its_metrics_are_told_beside_it(service: Machine) -> None:
+def test_its_metrics_are_reported_next_to_it(service: Machine) -> None:
     service.run("systemctl", "start", "linemate-metrics.service")
     ask = (
         "from urllib.request import urlopen as u; print(u('http://127.0.0.1:9465/metrics').read())"
@@ -354,27 +354,27 @@ def test_a_bridge_carries_it_in_its_own_sandbox(service: Machine) -> None:
         "session = open_session([], ['tcp/127.0.0.1:7447']);"
         "print([r.ok.payload.to_string() for r in session.get('linemate/*/status') if r.ok])"
     )
-    end, told = time.monotonic() + 15.0, ""
-    while '"health"' not in told:
-        assert time.monotonic() < end, told
-        told = service.run(INTERPRETER, "-c", ask, check=False).stdout
+    end, shown = time.monotonic() + 15.0, ""
+    while '"health"' not in shown:
+        assert time.monotonic() < end, shown
+        shown = service.run(INTERPRETER, "-c", ask, check=False).stdout
     service.run("systemctl", "stop", "linemate-bridge.service")
 
 
-def test_it_ends_as_told_and_leaves_a_recording_that_is_whole(service: Machine) -> None:
+def test_it_ends_on_order_and_leaves_a_recording_that_is_whole(service: Machine) -> None:
     began = time.monotonic()
     service.run("systemctl", "stop", UNIT)
     assert time.monotonic() - began < 6.0
-    told = service.show(UNIT, "ActiveState", "Result", "ExecMainCode", "ExecMainStatus")
-    assert (told["ActiveState"], told["Result"]) == ("inactive", "success")
-    assert (told["ExecMainCode"], told["ExecMainStatus"]) == ("1", "0")
+    shown = service.show(UNIT, "ActiveState", "Result", "ExecMainCode", "ExecMainStatus")
+    assert (shown["ActiveState"], shown["Result"]) == ("inactive", "success")
+    assert (shown["ExecMainCode"], shown["ExecMainStatus"]) == ("1", "0")
     newest = service.run("sh", "-c", "ls -t /var/lib/linemate/*.mcap | head -1").stdout.strip()
     assert service.run("linemate", "export", newest, "--out", f"{OUT}/csv").returncode == 0
     listed = service.run("ls", "/run/linemate").stdout
     assert "command.sock" not in listed
 
 
-def test_a_bad_configuration_is_told_and_not_tried_again(machine: Machine) -> None:
+def test_a_bad_configuration_is_reported_and_not_tried_again(machine: Machine) -> None:
     machine.run("systemctl", "stop", UNIT)
     path = "/etc/linemate/linemated.yaml"
     machine.run("cp", path, "/etc/linemate/good.yaml")
@@ -382,9 +382,9 @@ def test_a_bad_configuration_is_told_and_not_tried_again(machine: Machine) -> No
     try:
         machine.run("systemctl", "start", UNIT, check=False)
         # The reason why it stays failed, and not for a moment only until its restart.
-        told = machine.show(UNIT, "ActiveState", "SubState", "ExecMainStatus")
-        assert told == {"ActiveState": "failed", "SubState": "failed", "ExecMainStatus": "78"}
-        assert f"{path}:" in said(machine)
+        shown = machine.show(UNIT, "ActiveState", "SubState", "ExecMainStatus")
+        assert shown == {"ActiveState": "failed", "SubState": "failed", "ExecMainStatus": "78"}
+        assert f"{path}:" in journal(machine)
     finally:
         machine.run("mv", "/etc/linemate/good.yaml", path)
         machine.run("systemctl", "reset-failed", UNIT)
