@@ -2,8 +2,8 @@
 
 What a machine answered is hashed word for word. A digest says that nothing has
 changed, not that it is right: other tests check that. After a wanted change
-copy the new digest from the failure. Random numbers come from ``random()`` alone, which is the same in
-every version of Python.
+copy the new digest from the failure. Random numbers come from ``random()`` alone, which
+is the same in every version of Python.
 """
 
 import random
