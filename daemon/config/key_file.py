@@ -25,7 +25,10 @@ def key_path(name: str, base: Path) -> Path:
         return base / name
     directory = os.environ.get("CREDENTIALS_DIRECTORY")
     if directory is None:
-        raise ValueError("no credentials here: systemd's LoadCredential gives them")
+        raise ValueError(
+            "no credentials here: $CREDENTIALS_DIRECTORY is not set. "
+            "Add LoadCredential= to the unit."
+        )
     return Path(directory) / Path(name.removeprefix(CREDENTIAL)).name
 
 

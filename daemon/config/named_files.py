@@ -162,4 +162,4 @@ class NamedFiles:
         if name:
             self.keys = read_keys(key_path(name, self._base))
             if not self.keys:
-                raise ValueError("holds no key; make one with `linemate keygen`")
+                raise ValueError("holds no key. Make one with `linemate keygen`.")

@@ -106,8 +106,11 @@ def _check_socket(base: Path, name: str | None) -> None:
     if name is None:
         return
     path = base / name
-    if len(os.fsencode(path)) > LONGEST_SOCKET_PATH:
-        raise ValueError(f"longer than the {LONGEST_SOCKET_PATH} bytes a socket's path may have")
+    length = len(os.fsencode(path))
+    if length > LONGEST_SOCKET_PATH:
+        raise ValueError(
+            f"path of a socket too long: {length} bytes, limit {LONGEST_SOCKET_PATH}. Shorten it."
+        )
     if not path.parent.is_dir():
         raise ValueError(f"no such directory: {path.parent}")
 
@@ -125,7 +128,9 @@ def _check_can(can: dict[str, Any]) -> None:
 
 def _check_consent(bind: str) -> None:
     if not ipaddress.ip_address(bind).is_loopback:
-        raise ValueError(f"{bind} can be reached by others; say allow_remote: true")
+        raise ValueError(
+            f"{bind} can be reached by other hosts. Set allow_remote: true to allow it."
+        )
 
 
 def _shared_ports(values: PlainValues, rsi_port: int | None) -> Iterator[Complaint]:

@@ -126,10 +126,10 @@ class Recorder:
         """Begin a recording; return a refusal, None if it has begun."""
         self._receive()
         if self._status.recording:
-            return "a recording runs already"
+            return "a recording runs already. Stop it first."
         self._send_waiting()
         if self._waiting:
-            return "the last one is ending"
+            return "the last recording is still ending. Try again in a second."
         reason = self.open()
         if reason is not None:
             return reason
@@ -216,7 +216,7 @@ class Recorder:
         if self._is_wanted:
             return None
         self._status.recording = False
-        return link.lost or "the last one is ending"
+        return link.lost or "the last recording is still ending. Try again in a second."
 
     def record(self, entries: Iterable[LogEntry], times: Iterable[CycleTimes] = ()) -> None:
         """Record steps and the times of their cycles, oldest first. Never waits."""

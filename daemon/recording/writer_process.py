@@ -174,7 +174,10 @@ class RecordingWriter:
         rotation = start.rotation
         free_bytes = shutil.disk_usage(Path(self._path).parent).free
         if free_bytes < rotation.reserve_bytes:
-            raise OSError(f"less than {rotation.reserve_bytes // MIB} MiB are free on the disk")
+            raise OSError(
+                f"disk nearly full: {free_bytes // MIB} MiB are free, limit "
+                f"{rotation.reserve_bytes // MIB}. Free some space."
+            )
         age_s = time.monotonic() - self._began_s
         self._is_full = file.size() >= rotation.size_bytes or age_s >= rotation.age_s
 

@@ -456,7 +456,7 @@ class App:
 
     def _record(self, action: str) -> dict[str, Any]:
         if self._recorder is None:
-            return {"refused": "the configuration names no directory for recordings"}
+            return {"refused": "no directory for recordings. Set recording.directory."}
         reason = self._recorder.start() if action == "start" else self._recorder.stop()
         self._events.repeat_links()
         if reason is None and action == "start":

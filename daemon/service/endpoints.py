@@ -150,9 +150,11 @@ def bind(endpoint: UdpEndpoint) -> socket.socket:
     except ValueError as error:
         raise CommandPortError(f"command port: {error}") from error
     if not endpoint.keys:
-        raise CommandPortError("command port: no keys; UDP without a key does not exist")
+        raise CommandPortError("command port: no keys. Name a key file in command.udp.keys.")
     if not address.is_loopback and not endpoint.allow_remote:
-        raise CommandPortError(f"command port: {address} is not loopback; say allow_remote")
+        raise CommandPortError(
+            f"command port: {address} is not loopback. Set allow_remote: true to serve other hosts."
+        )
     family = socket.AF_INET6 if address.version == 6 else socket.AF_INET
     bound = socket.socket(family, socket.SOCK_DGRAM)
     try:

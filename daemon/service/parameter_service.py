@@ -140,7 +140,7 @@ class ParameterService:
         for name in values:
             rule = parameter_list.change_rule(name)
             if name in self._listed and rule.change is ChangeTime.RESTART:
-                return f"{name} is set in the configuration file and taken at the daemon's start"
+                return f"{name} changes only with a restart. Set it in the configuration file."
         return None
 
     def _beyond_robot(self, wanted: Settings) -> str | None:
