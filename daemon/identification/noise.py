@@ -14,6 +14,7 @@ from scipy.optimize import minimize
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.identification import scene_fit as scenes
+from linemate.daemon.identification.conveyor_motion import find_outliers
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
 from linemate.daemon.identification.scene_fit import Camera, SceneFit, Views
 from linemate.daemon.identification.trace import Trace
@@ -92,7 +93,7 @@ def distance_noise(recordings: Sequence[Array]) -> tuple[Outcome, Outcome, Outco
     if not long:
         refusal = Refusal("fewer than a hundred readings of the distance sensor")
         return refusal, refusal, refusal
-    wild = [scenes.outliers(readings[:, 1]) for readings in long]
+    wild = [find_outliers(readings[:, 1]) for readings in long]
     total = sum(len(readings) for readings in long)
     step = _resolution(np.concatenate([readings[:, 1] for readings in long]))
     deviation = _distance_deviation([r[~out] for r, out in zip(long, wild, strict=True)], step)

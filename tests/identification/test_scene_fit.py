@@ -162,14 +162,3 @@ def test_before_and_after_a_contact_are_two_scenes() -> None:
     before, after = scene_fit.views(one, CAMERA, CameraNoise())
     assert before.times.max() < 7.95
     assert after.times.min() > 10.05
-
-
-def test_the_conveyor_is_read_through_outliers_and_steps() -> None:
-    t = np.arange(0.0, 3.0, 0.012)
-    readings = np.round(0.106 * t + 2.5e-4 * np.random.default_rng(0).normal(size=len(t)), 3)
-    readings[50] += 0.08
-    asked = np.array([0.01, 0.6, 1.5, 2.9, 5.0])
-    position, speed, known = scene_fit.conveyor(np.column_stack((t, readings)), asked)
-    assert known.tolist() == [True, True, True, True, False]
-    assert position[1:4] == pytest.approx(0.106 * asked[1:4], abs=6e-4)
-    assert speed[1:3] == pytest.approx(0.106, abs=0.01)
