@@ -171,7 +171,7 @@ class CommandServer:
         """Return the datagram that answers a request, None if its session has ended.
 
         Args:
-            request: from on_datagram.
+            request: as returned by ``on_datagram``.
             result: of the handler; with the key ``refused`` a refusal.
             now_ns: time on the server's monotonic clock.
         """

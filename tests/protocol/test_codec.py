@@ -846,3 +846,31 @@ def test_a_constant_for_no_element_or_for_one_that_replies_set_is_refused(
     xml = files("linemate.protocol").joinpath("data", "rsi_joints.xml").read_bytes()
     with pytest.raises(RsiError, match=says):
         RsiCodec(parse_config(xml), constants=constants)
+
+
+def test_a_constant_is_in_every_reply_and_alone_in_a_bare_one() -> None:
+    receive = "AK.A1 DOUBLE 1\nOvPro LONG 2\nSay.it STRING 3"
+    codec = RsiCodec(config(receive=receive), constants={"OvPro": 100, "Say.it": "a & b"})
+    constants = b'<OvPro>100</OvPro><Say it="a &amp; b"/>'
+    reply = codec.format_sensor(SensorTelegram(7, joints=(0.0,) * 6))
+    assert reply == (
+        b'<Sen Type="ImFree"><AK A1="0.00000000"/>' + constants + b"<IPOC>7</IPOC></Sen>"
+    )
+    assert codec.bare_sensor().with_ipoc(b"7") == (
+        b'<Sen Type="ImFree">' + constants + b"<IPOC>7</IPOC></Sen>"
+    )
+
+
+def test_only_a_telegram_with_the_next_counter_and_joints_in_reach_is_expected() -> None:
+    codec = RsiCodec(config("DEF_AIPos DOUBLE INTERNAL"))
+    joints = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
+    expected = codec.expect_robot(12, None, joints, 0.05)
+    assert expected is not None
+    for ipoc, moved, matches in ((12, 0.04, True), (13, 0.04, False), (12, 0.06, False)):
+        telegram = RobotTelegram(ipoc, joints=(moved, *joints[1:]))
+        assert expected.matches(codec.format_robot(telegram)) is matches
+
+
+def test_nothing_is_expected_without_joints_in_the_telegram() -> None:
+    codec = RsiCodec(config("DEF_Delay LONG INTERNAL"))
+    assert codec.expect_robot(12, 0, (0.0,) * 6, 0.05) is None

@@ -116,3 +116,14 @@ def test_a_conveyor_that_runs_evenly_stays_even_on_a_host_that_reads_in_portions
                 worst = max(worst, abs(sample.stamp_ns - BEGIN_NS - n * PERIOD_NS))
         waiting.clear()
     assert worst < PERIOD_NS // 3
+
+
+def test_nothing_is_dated_before_there_is_a_reading() -> None:
+    assert list(EvenClock().date([])) == []
+
+
+def test_the_first_portion_is_dated_by_its_own_readings() -> None:
+    clock = EvenClock()
+    portion = readings(*(BEGIN_NS + k * PERIOD_NS for k in range(40)))
+    assert [s.stamp_ns for s in clock.date(portion)] == [s.stamp_ns for s in portion]
+    assert clock.redated == 0

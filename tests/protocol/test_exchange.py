@@ -104,6 +104,24 @@ def test_telegrams_lost_while_learning_do_not_fix_a_wrong_step(
     assert feed(cycles[-1] + 1).kind is TelegramKind.NORMAL
 
 
+def test_a_known_step_needs_no_learning() -> None:
+    feed = Feed()
+    feed(0)
+    assert feed.exchange.settled_step is None
+    feed.exchange.resume(STEP)
+    assert feed.exchange.settled_step == STEP
+    assert feed(1).kind is TelegramKind.NORMAL
+
+
+def test_a_session_is_opened_by_the_first_telegram_another_peer_or_after_silence() -> None:
+    feed = Feed()
+    assert feed.exchange.would_open(0, None)
+    feed(0)
+    assert not feed.exchange.would_open(CYCLE_NS, None)
+    assert feed.exchange.would_open(CYCLE_NS, "other")
+    assert feed.exchange.would_open(2_000_000_000, None)
+
+
 def test_a_gap_says_how_many_cycles_passed() -> None:
     feed = running()
     verdict = feed(8)
