@@ -63,9 +63,10 @@ fuzz: .venv/.ok
 
 # Every branch of the state machine, the gate, the exchange and the parsers, by their own tests.
 OWN_TESTS := tests/protocol tests/cycle/test_states.py tests/cycle/test_states_transcript.py \
-	tests/cycle/test_watch.py tests/core/control/test_limits.py tests/core/control/test_limits_transcript.py
-JUDGED := daemon/cycle/states.py,daemon/cycle/watch.py,daemon/core/control/limits.py,protocol/exchange*.py
-JUDGED := $(JUDGED),protocol/rsi/*.py,protocol/command/*.py,protocol/sensors/*.py,protocol/units.py
+	tests/cycle/test_watch.py \
+	tests/core/control/test_command_limiter.py tests/core/control/test_command_limiter_transcript.py
+JUDGED := daemon/cycle/states.py,daemon/cycle/watch.py,daemon/core/control/axis_limits.py,protocol/exchange*.py
+JUDGED := $(JUDGED),daemon/core/control/command_limiter.py,protocol/rsi/*.py,protocol/command/*.py,protocol/sensors/*.py,protocol/units.py
 
 coverage: .venv/.ok
 	COVERAGE_FILE=.coverage.judged .venv/bin/python -m coverage run -m pytest -q $(OWN_TESTS) $(ARGS)

@@ -238,7 +238,7 @@ EQUIVALENT: dict[str, dict[tuple[str, str], str]] = {
             "1000.0 -> 1001.0",
         ): "the same for every cycle of whole milliseconds",
         (
-            "line = self._line if event is Event.RESYNC else _Line(ipoc, 0, 1)",
+            "line = self._line if event is TelegramEvent.RESYNC else _TelegramLine(ipoc, 0, 1)",
             "1 -> 2",
         ): "the second of a line counts two either way",
         ("if delta < 0:", "delta < 0 -> delta <= 0"): "no difference is zero here",
@@ -268,15 +268,6 @@ EQUIVALENT: dict[str, dict[tuple[str, str], str]] = {
         ): "a signal has both or neither",
     },
     "protocol/rsi/codec.py": {
-        (statement, "joints is not None and whole -> joints is not None or whole"): (
-            "a controller tells all six joints or none"
-        )
-        for statement in (
-            "self._joint_fields = joints.fields if joints is not None and whole else ()",
-            "self._joint_scales = joints.scales if joints is not None and whole else ()",
-        )
-    }
-    | {
         (
             f"{name} = [(q {sign} reach) / scale for q, scale in zip(joints, scales, strict=True)]",
             "True -> False",
