@@ -68,6 +68,7 @@ class RsiLink(DatagramLink):
         port: int = 49152,
         *,
         ready_reply: Callable[[], ReadyReply | None] = lambda: None,
+        on_open: Callable[[int], None] = lambda _: None,
         name: str = "robot",
         backoff: Backoff | None = None,
     ) -> None:
@@ -75,6 +76,7 @@ class RsiLink(DatagramLink):
         self.turnaround_ns: int | None = None
         self._on_telegram = on_telegram
         self._ready_reply = ready_reply
+        self._on_open = on_open
         self._last = b""
         self._sent_ns = 0
         self._sole_sender = SoleSender(SILENCE_S, 1, lambda: self.status.last_sample_stamp_ns)
@@ -83,6 +85,12 @@ class RsiLink(DatagramLink):
     def kept(self) -> Address | None:
         """The only sender that the kernel lets through, None while all may send."""
         return self._sole_sender.kept
+
+    def open(self) -> None:
+        """Bind and listen on the running loop; if that fails, try again with back-off."""
+        super().open()
+        if self._socket is not None:
+            self._on_open(self.opened_ns)
 
     def attend(self, until_ns: int) -> bool:
         """Sleep until a telegram comes, answer it, and return whether one came.

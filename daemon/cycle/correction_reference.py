@@ -128,8 +128,8 @@ class Program(NamedTuple):
         stamp_ns: its arrival [ns].
         delay: bad cycles that the controller had counted.
         reference: the position that corrections count from.
-        taken: the last command that the controller is known to have applied.
-        given: the command of the reply to this telegram.
+        applied: the last command that the controller is known to have applied.
+        pending: the command of the reply to this telegram.
         moved: a correction other than zero was sent since the program started.
         replies: replies since, that one included.
         heard: telegrams since, answered or not.
@@ -142,8 +142,8 @@ class Program(NamedTuple):
     delay: int | None
     peer: Hashable
     reference: Axes
-    taken: Axes
-    given: Axes
+    applied: Axes
+    pending: Axes
     moved: bool
     replies: int = 1
     heard: int = 0
@@ -187,7 +187,7 @@ def continuation(program: Program, robot: RobotSample, cycle_s: float) -> Contin
     if found is None and by_counter is not None and by_counter <= 0:
         # A telegram of the past was delayed. Its Delay is of the past as well.
         is_delayed = abs(passed_s - by_counter * cycle_s) <= DELAYED_S
-        found = Continuation(0, program.given) if is_delayed else None
+        found = Continuation(0, program.pending) if is_delayed else None
     return found
 
 
@@ -216,9 +216,9 @@ def _accounted(
 def _held(program: Program, bad: int, cycles: int, unserved: int) -> Axes | None:
     """Return the command in force: it depends on whether the last reply was applied."""
     if bad == cycles:
-        return program.taken
-    if bad <= unserved or program.given == program.taken:
-        return program.given
+        return program.applied
+    if bad <= unserved or program.pending == program.applied:
+        return program.pending
     return None
 
 

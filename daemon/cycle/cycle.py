@@ -159,10 +159,10 @@ class Cycle(Stepper):
         self._end()
 
     def _begin(self, *, preparing: bool = False) -> None:
-        """Notice that what was begun before did not end: it raised, which is a fault.
+        """Notice that the last call raised, which is a fault.
 
-        Its reply never went out, unless it went out before its telegram was read. A preparation
-        that failed before its step owed none.
+        Its reply did not go out, unless it was the ready one. A preparation that failed before its
+        step owed none.
         """
         if self._is_running:
             self.operating.has_failed = True
@@ -177,16 +177,17 @@ class Cycle(Stepper):
         self._sent_ahead = self.ready_reply = None
 
     def _end(self) -> None:
-        """Note that nothing failed, and foresee the next telegram."""
-        self.ready_reply = self._foresee()
+        """Note that the call did not raise, and predict the next telegram."""
+        self.ready_reply = self._predict()
         self._sent_ahead, self._is_running = None, False
 
-    def _foresee(self) -> ReadyReply | None:
-        """Return the ready reply and the telegram that goes on as everything did."""
-        ready, foreseen = self._ready, self.exchange.foreseen()
-        if ready is None or foreseen is None or self._joints is None:
+    def _predict(self) -> ReadyReply | None:
+        """Return the ready reply and the telegram that would be the ordinary next one."""
+        ready = self._ready
+        if ready is None or self._joints is None or not ready.entry.inputs.sent:
             return None
-        if not ready.entry.inputs.sent or self.session.is_interrupted:
+        foreseen = self.exchange.foreseen()
+        if foreseen is None or self.session.is_interrupted:
             return None
         ipoc, peer = foreseen
         telegram = self.codec.expect_robot(ipoc, self.session.delay, self._joints, LONGEST_JUMP)
@@ -240,7 +241,7 @@ class Cycle(Stepper):
         peer: Hashable,
         decision: TelegramDecision,
     ) -> bool:
-        """Find out which correction is in force, and open or resume the session if it is known."""
+        """Open or resume the session if it is proven which correction is in force."""
         session, axes = self.session, self._axes(robot)
         opens = decision.kind in _OPENS
         is_resumed = opens or session.is_interrupted or decision.missed > 0
@@ -248,7 +249,7 @@ class Cycle(Stepper):
         if found is None:
             return False
         reference, held = found
-        # Where this process stood still without noticing, its estimate of the object is too old.
+        # After an unnoticed stall of this process, its estimate of the object is too old.
         if session.proof is not Proof.CONTINUED or session.stalled_s >= RESTART_S:
             self._open_session(robot, reference, held)
         elif is_resumed:
@@ -264,11 +265,11 @@ class Cycle(Stepper):
         self._restart(robot, held)
 
     def _check_position(self, robot: RobotSample) -> None:
-        """Note an axis that is not where it was sent; look for a better start before motion.
+        """Check the following error; before motion, open the session again where the robot rests.
 
-        A session may begin while the robot still comes to rest; corrections count from there.
+        A session may begin while the robot still comes to rest.
         """
-        axes, start = self._axes(robot), self.session.start
+        axes, start = self._axes(robot), self.session.reference
         if self.session.held != start or states.order(self.machine) is not MotionOrder.HOLD:
             self.following.check_moving(axes, self.operating.settings.follow_tolerance)
         elif self.following.check_resting(axes, start):
@@ -290,18 +291,18 @@ class Cycle(Stepper):
         return self._replies.without_corrections(signals).with_ipoc(ipoc_text)
 
     def _answer(self, telegram: RobotTelegram, stamp_ns: int, decision: TelegramDecision) -> bytes:
-        """Return the reply after as many steps as the controller made cycles."""
+        """Return the reply, after as many steps as the controller made cycles."""
         session, last, steps = self.session, self.last, decision.steps
         if decision.missed:
             session.moves = False
         ahead = steps == 0 and not session.was_sent and not session.was_lost
         if ahead and last is not None and last.inputs.sent == session.moves:
-            # The clock was ahead of a late telegram: its step is made, only not yet sent.
-            self.last = last.answering(telegram.ipoc)
+            # The timer made the step of this late telegram, but did not send it.
+            self.last = replace(last, ipoc=telegram.ipoc)
             return self._give(last, self._reply(last), telegram)
         if decision.missed:
-            # The robot held meanwhile, also where the clock had no step left to make for it: a
-            # controller that was held up itself counts fewer cycles than the time has.
+            # The robot has held, even if the timer had no step left to make for it: a controller
+            # that was stalled itself counts fewer cycles than the time has.
             session.was_sent = False
         if steps == 0 and last is not None and self._plan is not None:
             entry = self._finish_again(last, self._plan, telegram.ipoc)
@@ -317,7 +318,8 @@ class Cycle(Stepper):
         if ready is not None:
             self.prepared += 1
             ready = self._confirmed(ready, answering=True)
-            entry, plan, reply = ready.entry.answering(telegram.ipoc), ready.plan, ready.reply
+            entry, plan = replace(ready.entry, ipoc=telegram.ipoc), ready.plan
+            reply = ready.reply
         else:
             self.inline += 1
             entry, plan = self._step(

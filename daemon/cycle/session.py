@@ -33,9 +33,9 @@ class Session:
     """The program that is served now.
 
     Attributes:
-        start: the reference: absolute corrections count from there.
-        given: the command of the last reply while its delivery status is open.
-        taken: the last command that the controller applied.
+        reference: absolute corrections count from there.
+        pending: the command of the last reply while its delivery status is open.
+        applied: the last command that the controller applied.
         was_lost: the last reply was not applied.
         was_sent: the last step's command went out in a reply.
         moves: the controller got a command in its last cycle, as far as is known.
@@ -62,14 +62,14 @@ class Session:
         "_silence_s",
         "_silent_until_ns",
         "_telegrams",
-        "given",
+        "applied",
         "moves",
         "openings",
+        "pending",
         "proof",
+        "reference",
         "replies_lost",
         "stalled_s",
-        "start",
-        "taken",
         "unproven",
         "unserved",
         "was_lost",
@@ -83,9 +83,9 @@ class Session:
             cycle_s: the controller's cycle [s].
             absolute: corrections count from a reference. Increments need none.
         """
-        self.start: Axes = ()
-        self.given: Axes | None = None
-        self.taken: Axes = ()
+        self.reference: Axes = ()
+        self.pending: Axes | None = None
+        self.applied: Axes = ()
         self.was_lost = False
         self.was_sent = True
         self.moves = False
@@ -117,7 +117,7 @@ class Session:
     @property
     def held(self) -> Axes:
         """Where the robot is, as far as is known: an open reply counts as applied."""
-        return self.taken if self.given is None else self.given
+        return self.applied if self.pending is None else self.pending
 
     @property
     def arrived(self) -> bool:
@@ -286,7 +286,7 @@ class Session:
     def open(self, start: Axes, held: Axes, delay: int | None) -> None:
         """Begin with a robot that holds."""
         self.openings += 1
-        self.start, self._program = start, None
+        self.reference, self._program = start, None
         self.resume(held, delay)
         self.was_sent = True
 
@@ -296,9 +296,9 @@ class Session:
         Returns:
             Whether that reply is lost.
         """
-        is_lost = self.given is not None and self.given != held
+        is_lost = self.pending is not None and self.pending != held
         self.replies_lost += is_lost
-        self.given, self.taken = None, held
+        self.pending, self.applied = None, held
         self._delay = delay
         self.was_lost, self.was_sent, self.moves = False, False, False
         return is_lost
@@ -333,7 +333,7 @@ class Session:
         """
         cycles += self.unserved
         self.unserved = 0
-        given, self.given = self.given, None
+        given, self.pending = self.pending, None
         before, self._delay = self._delay, delay
         program = self._program
         answered_ns = stamp_ns if program is None else program.stamp_ns
@@ -346,20 +346,20 @@ class Session:
             self.moves = False
             self.replies_lost += 1
         else:
-            self.taken = given
+            self.applied = given
         return self.was_lost
 
     def give(self, command: Axes) -> None:
         """A reply goes to the wire; its delivery status is open."""
         self.was_sent, self.was_lost, self.moves = True, False, True
-        self.given = command
+        self.pending = command
 
     def give_unread(self, command: Axes) -> None:
         """Note a reply that went out to a telegram that could not be judged afterwards."""
-        self.given = command
+        self.pending = command
         program = self._program
         if program is not None:
-            self._program = program._replace(given=command, replies=program.replies + 1)
+            self._program = program._replace(pending=command, replies=program.replies + 1)
 
     def refrain(self) -> None:
         """A cycle passed, or passes, without a command: the robot holds in it."""
@@ -376,10 +376,10 @@ class Session:
             robot.stamp_ns,
             robot.delay,
             peer,
-            self.start,
-            self.taken,
+            self.reference,
+            self.applied,
             self.held,
-            moved=moved or self.held != self.start,
+            moved=moved or self.held != self.reference,
         )
 
 

@@ -1,7 +1,8 @@
-"""The steps that were made, for the recorder and whoever else looks on.
+"""Log of the steps for the recorder and others that look at them later.
 
-Law of this file: values and a bounded queue; the oldest is dropped and counted. Nothing in the
-cycle waits for anybody who reads it.
+Invariants:
+- Bounded. The oldest entry is dropped and counted.
+- The cycle waits for no reader.
 """
 
 from collections import deque
@@ -16,13 +17,13 @@ LONGEST_LOG = 256
 
 
 class LogEntry(Struct, frozen=True):
-    """One step as the recorder wants it.
+    """One step, with what it was made from.
 
     Attributes:
         ipoc: the one it answered, None if it answered none.
         inputs, outputs: in and out.
         before, after: the step's own state; where ``before`` is not the ``after`` of the entry
-            before, a session began anew, or steps are missing.
+            before, a session began, or steps are missing.
         parameters: it was made with.
     """
 
@@ -34,24 +35,12 @@ class LogEntry(Struct, frozen=True):
     after: stepping.StepState | None = None
     parameters: Parameters | None = None
 
-    def answering(self, ipoc: int) -> "LogEntry":
-        """Return the same step, said to have answered a telegram."""
-        return LogEntry(
-            ipoc,
-            self.state,
-            self.inputs,
-            self.outputs,
-            self.before,
-            self.after,
-            self.parameters,
-        )
-
 
 class StepLog:
-    """Entries that nobody has taken yet.
+    """Entries that were not read yet.
 
     Attributes:
-        dropped: entries that were never taken.
+        dropped: entries that were not read in time.
     """
 
     __slots__ = ("_entries", "dropped")

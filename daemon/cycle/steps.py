@@ -99,13 +99,11 @@ class Stepper:
         return self.operating.refusal(op, self._situation())
 
     def order(self, op: str, who: str = "") -> str | None:
-        """Take an operator's order for the next step.
+        """Accept an operator's order for the next step; return why it is refused, or None.
 
         Args:
             op: arm, start, stop, retreat or ack.
-
-        Returns:
-            None, or why it is refused.
+            who: the operator.
         """
         if op in _MOVES and self.session.unproven is not None:
             return self.session.unproven
@@ -172,17 +170,16 @@ class Stepper:
         self._ready = self._plan = None
 
     def _finish_again(self, last: LogEntry, plan: stepping.StepPlan, ipoc: int) -> LogEntry:
-        """Return the last step once more, with what the telegram tells of the robot.
+        """Finish the last step again, with the robot's position from the telegram.
 
-        The clock has made the step of this telegram, or of a later one. Another step would be one
-        more than the controller has cycles, and the object would be predicted farther and farther
-        ahead.
+        The timer has made the step of this telegram, or of a later one. One more step than the
+        controller has cycles would predict the object too far ahead.
         """
         sent, applied, pace = self._delivery(answering=True)
         before, made_with = last.before, last.parameters
         assert before is not None and made_with is not None and last.after is not None  # noqa: PT018, S101
         if sent:
-            # The robot has the command of this very step, and goes on towards what it desired.
+            # The robot has the command of this step, and goes on towards its target.
             gate = last.after.control.limiter
             before = replace(before, control=replace(before.control, limiter=gate))
         inputs = replace(last.inputs, sent=sent, applied=applied, pace=pace)
@@ -196,7 +193,7 @@ class Stepper:
         return entry
 
     def _replan_ready(self) -> None:
-        """Make the step that is ready once more: the state before it is another one."""
+        """Make the prepared step again, because the state before it has changed."""
         ready = self._ready
         if ready is None:
             return
@@ -216,7 +213,7 @@ class Stepper:
         return self._state
 
     def _confirmed(self, ready: PreparedStep, *, answering: bool = False) -> PreparedStep:
-        """Return a prepared step, finished once more if what it assumed of the robot is not so."""
+        """Return a prepared step, finished again if the robot did not get the last command."""
         sent, applied, pace = self._delivery(answering=answering)
         inputs = ready.entry.inputs
         if (inputs.sent, inputs.applied, inputs.pace) == (sent, applied, pace):
@@ -230,11 +227,14 @@ class Stepper:
         return PreparedStep(self._reply(entry), entry, ready.plan)
 
     def _delivery(self, *, answering: bool) -> tuple[bool, Axes | None, tuple[Axes, Axes] | None]:
-        """Return whether the last step's command is the robot's, where it is if not, and its pace.
+        """Return the delivery status of the last step's command.
 
         Args:
-            answering: a telegram tells that no cycle has passed. Until then a robot that got no
-                command is one that holds.
+            answering: a telegram shows that no cycle has passed. Without one, a robot that got no
+                command holds.
+
+        Returns:
+            Whether the robot has the command; else where it is, and its speed and acceleration.
         """
         session, given = self.session, self._given
         if session.arrived:
@@ -245,10 +245,10 @@ class Stepper:
         return False, session.held, (tuple(gate.speed.tolist()), tuple(gate.acceleration.tolist()))
 
     def _catch_up(self, stamp_ns: int, steps: int) -> None:
-        """Make the steps of cycles whose telegrams did not come and were not missed yet."""
+        """Make the steps of cycles whose telegrams did not come, unless the timer made them."""
         period = round(self.parameters.cycle_s * 1e9)
-        most = max(1, round(CATCH_UP_S / self.parameters.cycle_s))
-        for back in range(min(steps, most) - 1, 0, -1):
+        limit = max(1, round(CATCH_UP_S / self.parameters.cycle_s))
+        for back in range(min(steps, limit) - 1, 0, -1):
             self._step_unsent(self._opened(), stamp_ns - back * period)
 
     def _step_unsent(self, state: stepping.StepState, stamp_ns: int) -> None:
@@ -315,7 +315,7 @@ class Stepper:
             self._before,
             following_error=self.following.error,
             # Where corrections count from is not known before the robot rests.
-            settling=self.session.held == self.session.start and not self.following.is_resting,
+            settling=self.session.held == self.session.reference and not self.following.is_resting,
             sensed=settings.merge.blend < PROGRAMMED_S,
             last_approach=self._in_last_approach,
         )
@@ -327,8 +327,8 @@ class Stepper:
         return task_time > self.parameters.tracker.sight_time
 
     def _reply(self, entry: LogEntry) -> PreparedReply:
-        """Return the reply to a step but for the IPOC: corrections, or increments."""
-        origin = self.session.start if self._replies.absolute else self.session.held
+        """Return the reply to a step without its IPOC."""
+        origin = self.session.reference if self._replies.absolute else self.session.held
         outputs = entry.outputs
         return self._replies.prepare(outputs.command, origin, outputs.digital_out)
 

@@ -110,7 +110,9 @@ class App:
             self._on_telegram,
             config.rsi.bind,
             station.rsi_port,
-            ready_reply=lambda: self.cycle.ready_reply,
+            # Not a function of ours: it is called between a telegram and its reply.
+            ready_reply=partial(getattr, self.cycle, "ready_reply"),
+            on_open=self.cycle.listen,
         )
         self._sensors = tuple(build_sensors(station, self.cycle))
         self._links: tuple[Link, ...] = (self._robot, *self._sensors)
@@ -269,7 +271,6 @@ class App:
             return None
         began_ns = time.monotonic_ns()
         prepared = self.cycle.prepared
-        self.cycle.listen(self._robot.opened_ns)
         try:
             reply = self.cycle.on_telegram(data, stamp_ns, source, is_answered=is_answered)
         except Exception as error:  # noqa: BLE001 - an unanswered telegram stops the robot

@@ -177,7 +177,7 @@ class Bench:
         # Nothing moves before a link has proven itself.
         speed = SPEED if self.exchange.state is Running.RUNNING else 0.0
         command = (session.held[0] + speed, *axes[1:])
-        reference = session.start[0]
+        reference = session.reference[0]
         session.give(command)
         session.remember(robot, port, self.exchange.settled_step)
         return command[0] - reference
@@ -319,11 +319,11 @@ def test_no_three_faults_do_so_either() -> None:
 def test_a_single_fault_of_a_program_that_goes_on_does_not_end_it(event: str, rule: str) -> None:
     bench = Bench(rule)
     bench.run(60)
-    start = bench.session.start
+    start = bench.session.reference
     bench.act(event)
     bench.run(25)
     assert bench.session.is_proven
-    assert bench.session.start == start
+    assert bench.session.reference == start
 
 
 @pytest.mark.parametrize("event", ["daemon 0", "daemon 8", "daemon 30", "daemon 200"])

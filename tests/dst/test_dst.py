@@ -164,7 +164,7 @@ def test_a_daemon_that_does_not_look_at_delay_breaks_the_limits(
     assert dst_run.run(LOSSY).violations == ()
 
     def settle(session: Session, *_: int | None) -> bool:
-        session.taken, session.given = session.given or session.taken, None
+        session.applied, session.pending = session.pending or session.applied, None
         return False
 
     monkeypatch.setattr(Session, "settle", settle)

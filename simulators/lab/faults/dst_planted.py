@@ -168,7 +168,7 @@ def _stops_dead() -> list[Patch]:
 
 def _delay_ignored() -> list[Patch]:
     def settle(session: Session, *_: int | None) -> bool:
-        session.taken, session.given = session.given or session.taken, None
+        session.applied, session.pending = session.pending or session.applied, None
         return False
 
     return [(Session, "settle", settle)]
