@@ -30,7 +30,7 @@ POSITION: Final = ("distance", "camera")
 """Sensors of the object's position."""
 
 LATCHED: Final = "latched"
-"""Name of the machine's own condition beside the signals'."""
+"""Name of the machine's own condition, next to the signals'."""
 
 
 class Evidence(Struct, frozen=True, eq=False):

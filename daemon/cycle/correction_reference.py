@@ -125,7 +125,6 @@ class Program(NamedTuple):
 
     Attributes:
         step: what the counter grows by each cycle; None while unknown.
-        stamp_ns: its arrival [ns].
         delay: bad cycles that the controller had counted.
         reference: the position that corrections count from.
         applied: the last command that the controller is known to have applied.

@@ -76,9 +76,7 @@ class Cycle(Stepper):
         """Wait for the first telegram.
 
         Args:
-            parameters: of the step.
             codec: of the robot's telegrams.
-            watch_settings: time-outs and debounce.
             absolute: corrections are offsets from the start (#ABSOLUTE), else increments.
             wrench_expected: there is a force-torque sensor.
         """
@@ -104,7 +102,6 @@ class Cycle(Stepper):
         """Return the reply to one telegram, None if it is not to be answered.
 
         Args:
-            stamp_ns: its arrival [ns].
             is_answered: ``ready_reply`` is sent already.
         """
         self._begin()

@@ -34,7 +34,6 @@ class FollowingCheck:
 
         Args:
             lag_s: longest lag of the robot behind its commands [s].
-            cycle_s: T0 [s].
         """
         self.error: str | None = None
         self._at_start = 0
@@ -62,7 +61,6 @@ class FollowingCheck:
         """Compare the position of a robot that has got a command.
 
         Args:
-            axes: its position.
             tolerance: beyond the range of the last commands [rad, m].
         """
         self._rest.clear()
@@ -80,7 +78,6 @@ class FollowingCheck:
         """Return whether a robot without a command has come to rest away from the start.
 
         Args:
-            axes: its position.
             start: its position when the session began.
         """
         self.error = None

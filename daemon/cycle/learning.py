@@ -1,10 +1,10 @@
-"""The servos, learned anew from each motion and taken while the robot stands.
+"""Learning of the servo models from each motion; a change is made while the robot stands.
 
-Law of this file: in motion two tuples a cycle are kept and nothing is computed; a look costs
-milliseconds of the interpreter, which a cycle does not have. Once the robot stands the motion is
-looked at in a thread, and what was learned goes to the parameters' desk as an operator's change
-would: recorded, replayed, logged, and undone by one ``param set``. How far and how fast is bounded
-by ``AdaptationSettings``, about the models that the configuration names.
+Invariants:
+- In motion, two tuples a cycle are kept and nothing is computed.
+- A motion is evaluated in a thread once the robot stands: it takes milliseconds.
+- A change goes through the parameter service like an operator's, so it is recorded and logged.
+- ``AdaptationSettings`` bounds it around the models that the configuration names.
 """
 
 import math
@@ -21,24 +21,21 @@ from linemate.daemon.cycle.states import MOVING
 from linemate.daemon.cycle.step_log import LogEntry
 
 WHO = "learning"
-"""Whom the log names for a change that was learned."""
+"""Operator that the log names for a learned change."""
 
-LONGEST_S = 60.0
-"""The end of a motion that is longer is looked at."""
-
+LONGEST_S = 60.0  # of a longer motion the end is evaluated [s]
+# A frequency that would change by a smaller share stays: each change is compiled and recorded.
 WORTH = 0.002
-"""A frequency that would change by a smaller share stays: a change is compiled and recorded."""
 
 
 class Learner:
-    """What moved, and what is believed of the servos.
+    """Keeps the motion and the servo models learned from it.
 
     Args:
         identified: the models that the configuration names, one an axis.
-        cycle_s: T0 [s].
 
     Attributes:
-        ripe: a motion is over and has not been looked at.
+        ripe: a motion is over and not evaluated yet.
     """
 
     def __init__(
@@ -56,7 +53,7 @@ class Learner:
         )
 
     def take(self, entries: Sequence[LogEntry]) -> None:
-        """Note the steps that were made: each command with the answer that the next one saw."""
+        """Keep each command of a motion with the position that the next step had."""
         for entry in entries:
             if entry.state not in MOVING:
                 self._command = None
@@ -69,7 +66,7 @@ class Learner:
             self._command = entry.outputs.command if entry.inputs.sent else None
 
     def motion(self) -> list[tuple[tuple[float, ...], tuple[float, ...] | None]]:
-        """Hand over the motion that is over; the next one begins."""
+        """Return the motion that is over, and begin the next one."""
         self.ripe = False
         kept = list(self._motion)
         self._motion.clear()
@@ -78,10 +75,10 @@ class Learner:
     def look(
         self, motion: Sequence[tuple[tuple[float, ...], tuple[float, ...] | None]]
     ) -> ServoEstimates:
-        """Return what is believed after a motion, window by window; in a thread.
+        """Return the models after a motion, window by window; to be called in a thread.
 
         Args:
-            motion: as ``motion`` handed it over.
+            motion: as ``motion`` returned it.
         """
         axes, found = len(self._identified), self.learned
         size = max(math.ceil(self._settings.window_s / self._cycle_s), 1)

@@ -1,7 +1,8 @@
-"""The operating state between two steps: what was noticed and ordered, and what may be done next.
+"""Operating state between two steps: gathers facts and orders, and decides what may be done next.
 
-Law of this file: it gathers facts; ``watch`` puts time-outs and debounce in front of them and
-``states`` decides. What is noticed and what is ordered lasts until the next decision, no longer.
+Invariants:
+- ``watch`` applies time-outs and debounce to the facts, ``states`` decides.
+- An event or an order counts until the next decision, no longer.
 """
 
 from collections import deque
@@ -32,10 +33,10 @@ _AT_REST = frozenset({State.INIT, State.IDLE, State.HOLD, State.FAULT})
 
 
 class Situation(Struct, frozen=True, eq=False):
-    """The robot and the task as a decision finds them.
+    """The robot and the task at a decision.
 
     Attributes:
-        last, before: what the last two steps said; None before there were any.
+        last, before: outputs of the last two steps; None before there were any.
         following_error: axis beyond the tolerance, in words; None if there is none.
         settling: the robot may still move although it was not sent anywhere yet.
         sensed: poses lead the motion, and not its programme alone.
@@ -57,11 +58,11 @@ class Operating:
     Attributes:
         machine: where the operating state stands.
         signals: what the last decision saw.
-        on_transition: told every decision, if set.
-        has_new_session: noticed: the robot's program has started again.
-        has_resynchronised: noticed: the counter or the address has changed, the program goes on.
-        is_reply_lost: noticed: a reply has not reached the robot.
-        has_failed: noticed: what was begun raised.
+        on_transition: called with every decision.
+        has_new_session: event: the robot's program has started again.
+        has_resynchronised: event: the counter or the address has changed, the program goes on.
+        is_reply_lost: event: a reply has not reached the robot.
+        has_failed: event: what was begun raised.
         wrong_cycle: why the controller's period cannot be followed, None if it can.
         cause: why the present state was entered.
         fault: the cause of the latched fault, None without one.
@@ -71,7 +72,6 @@ class Operating:
         """Wait for the first telegram.
 
         Args:
-            cycle_s: T0 [s].
             wrench_expected: there is a force-torque sensor.
         """
         self.machine = Machine()
@@ -91,30 +91,29 @@ class Operating:
         self._changes: deque[Change] = deque(maxlen=CHANGES)
         self._settled: Machine | None = None  # the last signals led nowhere from there
 
-    def refusal(self, op: str, found: Situation) -> str | None:
+    def refusal(self, op: str, situation: Situation) -> str | None:
         """Return why an operator's order is refused now, None if it is not.
 
         Args:
             op: arm, start, stop, retreat or ack.
-            found: what keeps a robot from being armed is named before what follows from it.
+            situation: what keeps a robot from being armed is named before what follows from it.
         """
         reason = states.refusal(self.machine, self.signals, op)
-        if reason is not None and op == "arm" and found.last is not None:
-            reason = found.last.ready or (SETTLING if found.settling else reason)
+        if reason is not None and op == "arm" and situation.last is not None:
+            reason = situation.last.ready or (SETTLING if situation.settling else reason)
         return reason
 
-    def order(self, op: str, found: Situation, who: str = "") -> str | None:
+    def order(self, op: str, situation: Situation, who: str = "") -> str | None:
         """Take an operator's order for the next decision.
 
         Args:
             op: arm, start, stop, retreat or ack.
-            found: the robot and the task.
-            who: gave it.
+            situation: the robot and the task.
 
         Returns:
             None, or why it is refused.
         """
-        reason = self.refusal(op, found)
+        reason = self.refusal(op, situation)
         if reason is None:
             self._orders[op] = who
         return reason
@@ -125,18 +124,18 @@ class Operating:
         return self.machine.state in _AT_REST and not self._orders
 
     def decide(
-        self, stamp_ns: int, samples: SensorQueues, found: Situation, *, telegram: bool
+        self, stamp_ns: int, samples: SensorQueues, situation: Situation, *, telegram: bool
     ) -> None:
         """Move the operating state on what was seen up to now.
 
         Args:
             stamp_ns: of the step [ns].
             samples: what the sensors brought.
-            found: the robot and the task.
+            situation: the robot and the task.
             telegram: the step is made for one.
         """
         before = self.machine
-        facts = self._facts(stamp_ns, samples, found, telegram=telegram)
+        facts = self._facts(stamp_ns, samples, situation, telegram=telegram)
         orders = self._orders
         self._orders = {}
         self.decisions += 1
@@ -149,7 +148,7 @@ class Operating:
             self.machine = states.transition(before, self.signals)
             self._settled = self.machine if self.machine is before else None
             if self.machine is not before:
-                self._note_change(before, self._evidence(facts, samples, found, orders))
+                self._note_change(before, self._evidence(facts, samples, situation, orders))
         if self.on_transition is not None:
             self.on_transition(before, self.signals, self.machine)
 
@@ -179,28 +178,32 @@ class Operating:
         self._changes.append(Change(evidence.facts.stamp_ns, before.state, after.state, why))
 
     def _evidence(
-        self, facts: watch.Facts, samples: SensorQueues, found: Situation, orders: dict[str, str]
+        self,
+        facts: watch.Facts,
+        samples: SensorQueues,
+        situation: Situation,
+        orders: dict[str, str],
     ) -> Evidence:
-        last = found.last
+        last = situation.last
         return Evidence(
             facts,
             self._watch,
             self.settings,
             samples.facts(),
-            unready=SETTLING if found.settling else None if last is None else last.ready,
-            following_error=found.following_error,
+            unready=SETTLING if situation.settling else None if last is None else last.ready,
+            following_error=situation.following_error,
             overload_n=samples.overload_n,
             ordered_by=orders,
             fault=self.fault,
         )
 
     def _facts(
-        self, stamp_ns: int, samples: SensorQueues, found: Situation, *, telegram: bool
+        self, stamp_ns: int, samples: SensorQueues, situation: Situation, *, telegram: bool
     ) -> watch.Facts:
         """Return what was seen up to now, for the watch."""
         # A link that carries telegrams but no replies is no link.
         telegram = telegram and not self.is_reply_lost
-        last = found.last
+        last = situation.last
         if last is None:
             return watch.Facts(
                 stamp_ns,
@@ -215,12 +218,14 @@ class Operating:
                 fault=self.has_failed,
                 orders=frozenset(self._orders),
             )
-        before, period, state = found.before or last, self._cycle_s, self.machine.state
-        # A motion that is led by poses has none that fit. An exercise is led by its programme
-        # alone: it is there to find out what does not fit.
-        contradicted = state is State.TRACK and samples.camera_health.contradicts and found.sensed
+        before, period, state = situation.before or last, self._cycle_s, self.machine.state
+        # No pose fits a motion that poses lead. An exercise, led by its program alone, goes on: it
+        # is there to find out what does not fit.
+        contradicted = (
+            state is State.TRACK and samples.camera_health.contradicts and situation.sensed
+        )
         # In the last approach the camera goes blind: the distance sensor alone shows the object.
-        lost = found.last_approach and samples.distance_health.reason is not None
+        lost = situation.last_approach and samples.distance_health.reason is not None
         contradicted = contradicted or (state is State.TRACK and lost)
         return watch.Facts(
             stamp_ns=stamp_ns,
@@ -229,17 +234,17 @@ class Operating:
             wrong_cycle=self.wrong_cycle,
             resynchronised=self.has_resynchronised,
             position_ns=samples.newest_ns,
-            slower_ns=_slower_ns(samples, last, last_approach=found.last_approach),
+            slower_ns=_slower_ns(samples, last, last_approach=situation.last_approach),
             wrench_ns=samples.wrench.newest_ns,
             wrench_expected=self._wrench_expected,
             contradicted=contradicted,
             gap_m=following_error.gap_after_stop(last, period) if state in NEAR else None,
-            following_error=found.following_error is not None,
-            ready=last.ready is None and not found.settling,
+            following_error=situation.following_error is not None,
+            ready=last.ready is None and not situation.settling,
             object_left=last.object_left,
             contact=last.contact,
             clamped=last.clamped,
-            settling=found.settling,
+            settling=situation.settling,
             overdue=last.overdue,
             overload=samples.overloaded,
             done=last.phase is Phase.RETREAT,

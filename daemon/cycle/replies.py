@@ -1,8 +1,9 @@
-"""A step's command as the reply that tells it: corrections, or increments.
+"""Replies: a step's command as corrections or increments, written before the telegram comes.
 
-Law of this file: pure; everything of a reply but its IPOC is made before the telegram is there.
-What the configuration has no element for is not written, and never silently lost: the codec
-refuses it. External axes that it has elements for and the arm does not have stay where they are.
+Invariants:
+- Pure. Everything but the IPOC is written beforehand.
+- A correction without an element in the configuration is refused by the codec, never dropped.
+- External axes that the arm does not have stay where they are.
 """
 
 from typing import cast

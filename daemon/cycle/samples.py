@@ -147,7 +147,6 @@ class SensorQueues:
         """Return the samples of a step.
 
         Args:
-            conditions: of the step.
             force_limit: that the tool bears [N].
         """
         distance = self.distance.drain(conditions)

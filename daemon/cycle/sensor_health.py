@@ -73,8 +73,6 @@ class Health(Generic[Sample]):
     Attributes:
         reason: why the sensor is excluded, None if it is not.
         since_ns: when that began [ns], None before the first change.
-        refused: samples.
-        outs: exclusions.
     """
 
     __slots__ = ("_bad_since_ns", "_good", "_lately", "outs", "reason", "refused", "since_ns")

@@ -203,7 +203,7 @@ class Session:
         evidence = self._evidence(robot, axes, programmed, peer, found)
         self.proof = proving.decide(evidence)
         if not self.is_proven:
-            self._doubt(robot, peer, goes_on=found is not None)
+            self._refuse_proof(robot, peer, goes_on=found is not None)
             return None
         self.unproven, self._candidate = None, None
         self._lately.clear()
@@ -264,8 +264,8 @@ class Session:
         )
         return count
 
-    def _doubt(self, robot: RobotSample, peer: Hashable, *, goes_on: bool) -> None:
-        """Say why the correction in force is unknown; a bare reply follows."""
+    def _refuse_proof(self, robot: RobotSample, peer: Hashable, *, goes_on: bool) -> None:
+        """Note why the correction in force is unknown; a bare reply follows."""
         program = self._program
         self.refuse(peer)
         if program is not None and peer == program.peer and not goes_on:

@@ -1,9 +1,11 @@
-"""The operating states of the daemon, as a table.
+"""Operating states of the daemon, as a table.
 
-Law of this file: pure. Time-outs and debounce stand in front of it (``watch``), the gate that
-limits commands behind it. The first row of a state that holds decides, so a state's rows stand
-in the order of their priority: link, overload, retreat, stop, stale, start. A fault is latched
-until somebody acknowledges it. Source: reference/reliability.md, section 4.
+Time-outs and debounce come before the table (``watch``), the limits of commands after it.
+
+Invariants:
+- Pure. The first row of the present state that holds decides.
+- A state's rows stand in the order of their priority: link, overload, retreat, stop, stale, start.
+- A fault is latched until an operator acknowledges it.
 """
 
 from collections.abc import Callable

@@ -44,13 +44,9 @@ class Stepper:
     """Makes the sampling steps.
 
     Attributes:
-        parameters: of the step.
         operating: decides what the daemon may do.
         samples: of the sensors, for the next step.
-        session: the controller's program.
         following: compares the robot's position with its commands.
-        last: the last step.
-        steps: made in all.
         remade: steps finished again, because the robot did not get a command as assumed.
         repeated: telegrams answered with a step that the timer had made, finished again.
     """
@@ -103,7 +99,6 @@ class Stepper:
 
         Args:
             op: arm, start, stop, retreat or ack.
-            who: the operator.
         """
         if op in _MOVES and self.session.unproven is not None:
             return self.session.unproven

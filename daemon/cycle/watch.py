@@ -1,8 +1,9 @@
-"""Time-outs and debounce: from what one cycle showed to the signals of the state machine.
+"""Time-outs and debounce: from the facts of one cycle to the signals of the state machine.
 
-Law of this file: pure; time comes in as a stamp. One bad sample changes nothing here, and a
-link once lost must prove itself again. Limits depend on the state, for in contact a missing
-telegram may be coasted over and a stop is not safe. Source: reference/reliability.md, 2.0, 4.
+Invariants:
+- Pure. Time comes in as a stamp.
+- One bad sample changes nothing. A link once lost must prove itself again.
+- Limits depend on the state: in contact a stop is not safe, so missing telegrams are coasted over.
 """
 
 from functools import lru_cache
@@ -70,7 +71,7 @@ class Watch(Struct, frozen=True):
     """What must be remembered from cycle to cycle.
 
     Attributes:
-        link: the verdict on the robot link.
+        link: state of the robot link.
         telegram_ns: stamp of the last cycle with a telegram [ns], or None.
         good: cycles with a telegram, in a row since the link came.
         stamp_ns: stamp of the last cycle [ns], or None.
@@ -109,21 +110,21 @@ def observe(
 
 
 def _count(watch: Watch, facts: Facts, state: State, settings: WatchSettings) -> Watch:
-    # A link that was lost, or a controller that started anew, has proved nothing yet.
-    anew = facts.new_session or watch.link is Link.LOST
-    leak_ns = 0 if anew else _leaked(watch, facts, settings)
-    doubtful = anew or facts.resynchronised
-    good = (0 if doubtful else watch.good) + 1 if facts.telegram else 0
+    # A link that was lost, or a controller whose program started again, is not proven.
+    restarts = facts.new_session or watch.link is Link.LOST
+    leak_ns = 0 if restarts else _leaked(watch, facts, settings)
+    unproven = restarts or facts.resynchronised
+    good = (0 if unproven else watch.good) + 1 if facts.telegram else 0
     telegram_ns = facts.stamp_ns if facts.telegram else watch.telegram_ns
     silent_s = _age_s(telegram_ns, facts.stamp_ns)
-    touches = state in IN_CONTACT
-    lost_s = settings.link_lost_in_contact_s if touches else settings.link_lost_s
-    begun = facts.new_session and watch.link is not Link.LOST
-    if begun or silent_s >= lost_s:
+    in_contact = state in IN_CONTACT
+    lost_s = settings.link_lost_in_contact_s if in_contact else settings.link_lost_s
+    began = facts.new_session and watch.link is not Link.LOST
+    if began or silent_s >= lost_s:
         link = Link.LOST
     elif watch.link is Link.HEALTHY:
-        missed_s = settings.missed_in_contact_s if touches else settings.missed_s
-        shaky = not touches and leak_ns >= round(settings.leak_s * 1e9)
+        missed_s = settings.missed_in_contact_s if in_contact else settings.missed_s
+        shaky = not in_contact and leak_ns >= round(settings.leak_s * 1e9)
         shaky = shaky or silent_s >= missed_s
         shaky = shaky or facts.resynchronised or facts.wrong_cycle is not None
         link = Link.UNPROVEN if shaky else Link.HEALTHY
@@ -166,7 +167,7 @@ def _signals(watch: Watch, facts: Facts, settings: WatchSettings) -> Signals:
     trouble = fault or "stop" in facts.orders or watch.link is not Link.HEALTHY
     trouble = trouble or facts.object_left or not (position_fresh and wrench_fresh)
     near = facts.gap_m is not None and facts.gap_m < settings.near_m
-    # Whoever has to stop this near is as good as in contact.
+    # A stop this near to the object would end in contact.
     contact = watch.contact >= settings.cycles_of_contact or (near and trouble)
     return _seen(
         watch.link,
@@ -194,7 +195,7 @@ _NO_ORDER = _ordered(frozenset())
 
 
 _seen = lru_cache(maxsize=512)(Signals)
-"""Most cycles see what some cycle saw before."""
+"""Signals of earlier cycles: most cycles have the same."""
 
 
 def _expired(watch: Watch, facts: Facts, settings: WatchSettings) -> bool:
@@ -217,9 +218,9 @@ def _expired(watch: Watch, facts: Facts, settings: WatchSettings) -> bool:
 
 def _is_blind(facts: Facts, settings: WatchSettings) -> bool:
     """Return whether no sensor shows the clamped object, neither its position nor its force."""
-    seen = _age_s(facts.position_ns, facts.stamp_ns) <= settings.position_in_contact_s
-    felt = _age_s(facts.wrench_ns, facts.stamp_ns) <= settings.wrench_s
-    return not (seen or felt)
+    has_position = _age_s(facts.position_ns, facts.stamp_ns) <= settings.position_in_contact_s
+    has_force = _age_s(facts.wrench_ns, facts.stamp_ns) <= settings.wrench_s
+    return not (has_position or has_force)
 
 
 def _age_s(then_ns: int | None, now_ns: int) -> float:

@@ -175,20 +175,20 @@ def test_what_is_named_is_enough_for_the_row_whatever_else_is_the_case() -> None
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "lines"),
     [
         ({"new_session": True}, "the controller's programme began again. Arm and start again."),
         ({}, "no answered telegram since the start, limit 0.10 s. Check the robot's network"),
     ],
 )
-def test_a_new_programme_and_a_silent_line_are_told_apart(
-    change: dict[str, bool], said: str
+def test_a_new_program_and_a_silent_line_have_different_causes(
+    change: dict[str, bool], lines: str
 ) -> None:
     lost = replace(QUIET, link=Link.LOST)
     row = deciding_row(Machine(State.TRACK), lost)
     assert row is not None
     facts = watch.Facts(NOW_NS, telegram=False, **change)  # type: ignore[arg-type]
-    assert said in causes.cause(row, Machine(State.TRACK), lost, evidence(facts=facts))
+    assert lines in causes.cause(row, Machine(State.TRACK), lost, evidence(facts=facts))
 
 
 def test_an_excluded_sensor_is_named_with_what_it_was_excluded_for() -> None:
@@ -202,7 +202,7 @@ def test_an_excluded_sensor_is_named_with_what_it_was_excluded_for() -> None:
     assert "Check the link of" in text
 
 
-def test_a_latched_fault_is_said_at_once_and_again_where_it_leads(app: App) -> None:
+def test_a_latched_fault_is_reported_at_once_and_again_where_it_leads(app: App) -> None:
     operating, situation = app.cycle.operating, Situation(None, None, None, False, True)
     operating.machine = Machine(State.RETREAT)
     operating._watch = Watch(Link.HEALTHY, NOW_NS, state=State.RETREAT, since_ns=NOW_NS)

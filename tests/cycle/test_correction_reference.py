@@ -122,7 +122,7 @@ class Controller:
         self.delay += not answered
 
     @property
-    def told(self) -> int:
+    def known(self) -> int:
         return self.delay if self.rule == "total" else self.row
 
     def restart(self) -> None:
@@ -156,13 +156,13 @@ class Bench:
         robot = RobotSample(self.now_ns, ipoc, (position, 0, 0, 0, 0, 0), (), delay)
         session, axes = self.session, (position, 0.0, 0.0, 0.0, 0.0, 0.0)
         session.hear(self.now_ns)
-        verdict = self.exchange.on_telegram(ipoc, self.now_ns, port)
-        self.answered = verdict.answer
-        if not verdict.answer:
+        decision = self.exchange.on_telegram(ipoc, self.now_ns, port)
+        self.answered = decision.answer
+        if not decision.answer:
             return None
-        opens = verdict.kind in {TelegramKind.FIRST, TelegramKind.NEW_SESSION}
-        if opens or session.needs_proof(robot, verdict.missed):
-            is_resumed = opens or session.is_interrupted or verdict.missed > 0
+        opens = decision.kind in {TelegramKind.FIRST, TelegramKind.NEW_SESSION}
+        if opens or session.needs_proof(robot, decision.missed):
+            is_resumed = opens or session.is_interrupted or decision.missed > 0
             found = session.prove(robot, axes, None, port)
             if found is None:
                 session.refrain()
@@ -173,7 +173,7 @@ class Bench:
                 session.resume(found[1], delay)
                 if session.step is not None and self.exchange.settled_step is None:
                     self.exchange.resume(session.step)
-        session.settle(delay, verdict.missed + 1, self.now_ns)
+        session.settle(delay, decision.missed + 1, self.now_ns)
         # Nothing moves before a link has proven itself.
         speed = SPEED if self.exchange.state is Running.RUNNING else 0.0
         command = (session.held[0] + speed, *axes[1:])
@@ -187,7 +187,7 @@ class Bench:
         correction, answered = None, False
         if telegram:
             correction = self.receive(
-                controller.ipoc, controller.position, controller.told, controller.port
+                controller.ipoc, controller.position, controller.known, controller.port
             )
             answered = self.answered and reply
         if answered and correction is not None:

@@ -87,19 +87,19 @@ class Station:
             self.feed()
         reply = self.cycle.on_telegram(self.telegram(), self.stamp_ns)
         assert reply is not None
-        told = CODEC.parse_sensor(reply)
+        fields = CODEC.parse_sensor(reply)
         self.next()
         if lost:
             self.delay += 1
         else:
-            self.take(told)
-        return told
+            self.take(fields)
+        return fields
 
-    def take(self, told: SensorTelegram) -> None:
-        assert told.joints is not None
-        assert told.external is not None
+    def take(self, fields: SensorTelegram) -> None:
+        assert fields.joints is not None
+        assert fields.external is not None
         origin = self.start if self.absolute else self.axes
-        offsets = (*told.joints, told.external[0])
+        offsets = (*fields.joints, fields.external[0])
         self.axes = tuple(o + d for o, d in zip(origin, offsets, strict=True))
         self.commands.append(self.axes)
 
@@ -136,10 +136,10 @@ def bare(station: Station) -> bool:
     return is_bare
 
 
-def zero(told: SensorTelegram) -> bool:
-    assert told.joints is not None
-    assert told.external is not None
-    return not any((*told.joints, *told.external)) and told.channels["DiO"] == 0
+def zero(fields: SensorTelegram) -> bool:
+    assert fields.joints is not None
+    assert fields.external is not None
+    return not any((*fields.joints, *fields.external)) and fields.channels["DiO"] == 0
 
 
 # One telegram, one reply.
@@ -169,7 +169,7 @@ def test_the_first_reply_is_zero_wherever_the_robot_stands(station: Station) -> 
     assert zero(station.exchange())
 
 
-def test_a_robot_that_nobody_has_started_is_told_to_stay_for_ever(station: Station) -> None:
+def test_a_robot_that_was_not_started_stays_for_ever(station: Station) -> None:
     assert all(zero(station.exchange()) for _ in range(200))
     assert station.cycle.machine.state is State.IDLE
 
@@ -372,10 +372,10 @@ def test_a_programme_that_goes_on_after_a_long_silence_keeps_its_start(station: 
     moved(station)
     held = station.axes
     station.delay = 200  # every cycle of the silence was counted
-    told = station.exchange()
-    assert told.joints is not None
+    fields = station.exchange()
+    assert fields.joints is not None
     assert station.axes == pytest.approx(held, abs=1e-9)
-    assert not zero(told)
+    assert not zero(fields)
     assert station.cycle.machine.state not in {State.TRACK, State.ARMED}
 
 
@@ -443,7 +443,7 @@ def test_a_step_stands_on_what_the_telegram_before_it_was_given_however_late(
 
 
 @pytest.mark.parametrize("is_prepared", [True, False])
-@pytest.mark.parametrize("told_missing", [0, 1, 2])
+@pytest.mark.parametrize("steps_missing", [0, 1, 2])
 @pytest.mark.parametrize("slipped", [0, 1, 3])
 @pytest.mark.parametrize("unanswered", [1, 2])
 def test_after_a_cycle_without_a_reply_a_step_begins_where_the_robot_holds(
@@ -451,18 +451,18 @@ def test_after_a_cycle_without_a_reply_a_step_begins_where_the_robot_holds(
     task: Task,
     slipped: int,
     unanswered: int,
-    told_missing: int,
+    steps_missing: int,
     is_prepared: bool,
 ) -> None:
     station = Station(parameters, task).track(163)
-    # A controller that was held up counts no cycles: the clock's steps are ahead of its IPOC.
+    # A controller that was delayed counts no cycles: the clock's steps are ahead of its IPOC.
     for _ in range(slipped):
         station.cycle.on_missing(station.stamp_ns)
         station.k += 1
     station.exchange()
     # Of telegrams that wait together only the newest is answered; the clock may have seen to both.
     for count in range(unanswered):
-        if count < told_missing:
+        if count < steps_missing:
             station.cycle.on_missing(station.stamp_ns)
         station.next()
         station.delay += 1
@@ -486,7 +486,7 @@ def test_a_robot_that_moves_gets_no_step_that_took_it_for_one_that_holds(
     parameters: Parameters, task: Task, steps_ahead: int, *, is_prepared: bool
 ) -> None:
     station = Station(parameters, task).track(163)
-    # The controller is held up and counts no cycles; the clock goes on without it.
+    # The controller is delayed and counts no cycles; the clock goes on without it.
     for _ in range(steps_ahead):
         station.cycle.on_missing(station.stamp_ns)
         station.k += 1
@@ -724,9 +724,9 @@ def test_prepared_and_in_line_replies_are_the_same_bytes_in_motion(
             if ahead and k > 0:
                 assert station.cycle.prepare(station.stamp_ns)
             replies.append(station.cycle.on_telegram(station.telegram(), station.stamp_ns))
-            told = replies[-1]
-            assert told is not None
-            station.take(CODEC.parse_sensor(told))
+            answer = replies[-1]
+            assert answer is not None
+            station.take(CODEC.parse_sensor(answer))
             station.next()
         assert replies[0] == replies[1]
     assert np.abs(np.array(one.axes) - one.start).max() > 0.001
@@ -892,7 +892,7 @@ def test_a_log_that_is_not_read_is_bounded_and_counted(station: Station) -> None
     assert station.cycle.take_log() == []
 
 
-# What is told.
+# Status.
 
 
 def test_the_status_is_plain_at_every_moment(station: Station) -> None:
@@ -900,11 +900,11 @@ def test_the_status_is_plain_at_every_moment(station: Station) -> None:
     station.exchange()
     json.dumps(station.cycle.status())
     station.track(60)
-    told = json.loads(json.dumps(station.cycle.status(), allow_nan=False))
-    assert told["state"] == "track"
-    assert told["steps"] == station.cycle.steps
-    assert told["speed"] == pytest.approx(SPEED, abs=0.002)
-    assert told["ages_s"]["position"] == pytest.approx(0.003)
+    fields = json.loads(json.dumps(station.cycle.status(), allow_nan=False))
+    assert fields["state"] == "track"
+    assert fields["steps"] == station.cycle.steps
+    assert fields["speed"] == pytest.approx(SPEED, abs=0.002)
+    assert fields["ages_s"]["position"] == pytest.approx(0.003)
 
 
 def test_increments_add_up_to_the_corrections(parameters: Parameters, task: Task) -> None:

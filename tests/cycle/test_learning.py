@@ -1,4 +1,4 @@
-"""Servos are learned anew from a whole wheel, by nothing but commands and answers."""
+"""Servos are learned again from a whole wheel, by nothing but commands and answers."""
 
 from functools import cache
 

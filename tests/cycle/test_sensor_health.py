@@ -131,9 +131,9 @@ def test_a_wrong_unit_or_sign_is_never_believed_and_puts_the_sensor_out(wrong: f
     reason = conveyor.health.reason
     assert reason is not None
     assert "jumped" in reason
-    told = conveyor.health.status(conveyor.k * PERIOD_NS)
-    assert told["since_s"] == pytest.approx(0.01 * (80 - BAD))
-    assert told["refused"] == 80
+    changes = conveyor.health.status(conveyor.k * PERIOD_NS)
+    assert changes["since_s"] == pytest.approx(0.01 * (80 - BAD))
+    assert changes["refused"] == 80
 
 
 def test_a_sensor_is_back_after_ten_good_samples() -> None:
@@ -244,16 +244,16 @@ def test_bad_for_100_ms_is_out_even_where_samples_are_rare() -> None:
 
 
 @given(st.lists(st.booleans(), max_size=200))
-def test_out_needs_three_bad_of_five_and_back_needs_ten_good(verdicts: list[bool]) -> None:
+def test_out_needs_three_bad_of_five_and_back_needs_ten_good(accepted: list[bool]) -> None:
     health = Health()
-    for k, good in enumerate(verdicts):
+    for k, good in enumerate(accepted):
         was_out = health.reason is not None
         used = health.judge(k * 1_000_000, None if good else "bad")
         if used:
             assert good
         if was_out and health.reason is None:
-            assert all(verdicts[k - GOOD + 1 : k + 1])
+            assert all(accepted[k - GOOD + 1 : k + 1])
         if not was_out and health.reason is not None:
-            lately = verdicts[max(0, k - 4) : k + 1]
-            assert lately.count(False) >= BAD or verdicts[max(0, k - 100) : k + 1].count(True) == 0
-    assert health.refused <= len(verdicts)
+            lately = accepted[max(0, k - 4) : k + 1]
+            assert lately.count(False) >= BAD or accepted[max(0, k - 100) : k + 1].count(True) == 0
+    assert health.refused <= len(accepted)

@@ -23,8 +23,8 @@ MOVING = Conditions(moving=True, deviation=0.25e-3)
 
 def test_three_bad_of_the_last_five_put_a_sensor_out_and_two_do_not() -> None:
     spread = Health()
-    verdicts = [spread.judge(n * MS, None if good else "bad") for n, good in enumerate([0, 1, 0])]
-    assert verdicts == [False, True, False]
+    accepted = [spread.judge(n * MS, None if good else "bad") for n, good in enumerate([0, 1, 0])]
+    assert accepted == [False, True, False]
     assert spread.reason is None
     assert not spread.judge(3 * MS, "worse")
     assert (spread.reason, spread.since_ns, spread.outs, spread.refused) == ("worse", 3 * MS, 1, 3)
@@ -154,11 +154,11 @@ def test_a_coarse_sensor_stands_for_the_time_of_one_and_a_half_units(
     changed_ns = next(
         n * 10 * MS for n in range(60) if round(0.1 * n * 0.01 / unit) * unit == place
     )
-    said = [
+    accepted = [
         health.accepts(DistanceSample(changed_ns + ms * MS, place), QUIET)
         for ms in range((last_ns - changed_ns) // MS + 1, longest_ms + 40)
     ]
-    first = said.index(False) + (last_ns - changed_ns) // MS + 1
+    first = accepted.index(False) + (last_ns - changed_ns) // MS + 1
     # The speed of a staircase is known no better.
     assert first == pytest.approx(longest_ms, rel=0.1)
     assert first >= 150
@@ -175,7 +175,7 @@ def test_the_fourth_pose_alike_puts_a_camera_out_at_once() -> None:
     assert health.outs == 1
     turned = CameraHealth()
     assert all(turned.accepts(image(n, 0.5, 1.0 - 1e-9 * n), MOVING) for n in range(20))
-    # Each standstill begins anew.
+    # Each standstill begins again.
     for n in range(12):
         assert turned.accepts(image(n, 0.5), Conditions(n % 3 != 0, 0.0))
     assert turned.refused == 0
@@ -206,8 +206,8 @@ def felt(n: int, force: float, torque: float = 0.0) -> WrenchSample:
 
 def test_the_25th_wrench_alike_puts_a_sensor_out_at_once() -> None:
     health = WrenchHealth()
-    said = [health.accepts(felt(n, 7.0), MOVING) for n in range(25)]
-    assert said == [True] * 24 + [False]
+    accepted = [health.accepts(felt(n, 7.0), MOVING) for n in range(25)]
+    assert accepted == [True] * 24 + [False]
     assert (health.reason, health.outs) == ("25 wrenches alike", 1)
     assert not health.accepts(felt(30, 8.0), MOVING)
     twisted = WrenchHealth()
@@ -227,7 +227,7 @@ def test_a_hundred_thousand_newtons_are_measured_and_more_is_not(sign: float) ->
         assert WrenchHealth().accepts(felt(0, sign * force, sign * torque), MOVING) is is_believed
 
 
-def _distances(told: Transcript, chance: Chance) -> None:
+def _distances(transcript: Transcript, chance: Chance) -> None:
     health, stamp_ns, place, speed = DistanceHealth(), 0, 0.5, 0.1
     unit = chance.pick((0.0, 1e-4, 1e-3, 1e-2, 2e-2))
     stuck, reading = 0, place
@@ -245,12 +245,12 @@ def _distances(told: Transcript, chance: Chance) -> None:
             reading = shown
         sample = DistanceSample(stamp_ns, reading if stuck else shown)
         deviation = chance.pick((0.25e-3, 0.25e-3, 0.004, 0.006))
-        told.say(health.accepts(sample, Conditions(moving=False, deviation=deviation)))
-        told.say(health.status(stamp_ns + 5 * MS))
+        transcript.say(health.accepts(sample, Conditions(moving=False, deviation=deviation)))
+        transcript.say(health.status(stamp_ns + 5 * MS))
 
 
 def test_distances_are_believed_as_they_always_were() -> None:
-    told = Transcript()
+    transcript = Transcript()
     for script in range(25):
-        _distances(told, Chance(f"belief/{script}"))
-    assert told.digest == "2c6f718f2a26313d"
+        _distances(transcript, Chance(f"belief/{script}"))
+    assert transcript.digest == "2c6f718f2a26313d"

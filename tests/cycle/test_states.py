@@ -109,7 +109,7 @@ def test_the_modes_lead_to_each_other_as_the_design_draws_them(edges: Edges) -> 
     }
 
 
-def test_i1_the_step_is_told_to_hold_in_every_quiet_state(edges: Edges) -> None:
+def test_i1_the_step_holds_in_every_quiet_state(edges: Edges) -> None:
     for machine in {after for _, after in edges}:
         held = order(machine) is MotionOrder.HOLD
         assert held == (machine.state in QUIET | {State.HOLD})
@@ -234,7 +234,7 @@ def test_a_start_together_with_another_order_does_not_start() -> None:
 
 def test_the_usual_day_runs_through_the_states() -> None:
     machine = Machine()
-    told = []
+    reported = []
     for signals in (
         GOOD,
         replace(GOOD, arm=True),
@@ -246,8 +246,8 @@ def test_the_usual_day_runs_through_the_states() -> None:
         replace(GOOD, done=True, clear=True),
     ):
         machine = transition(machine, signals)
-        told.append((machine.state, order(machine)))
-    assert told == [
+        reported.append((machine.state, order(machine)))
+    assert reported == [
         (State.IDLE, MotionOrder.HOLD),
         (State.ARMED, MotionOrder.HOLD),
         (State.TRACK, MotionOrder.TRACK),
@@ -372,7 +372,7 @@ def test_a_transition_is_the_one_that_was_agreed_on(
 ) -> None:
     reached = transition(machine, signals)
     assert reached == after
-    # An emergency retreat is not begun anew in every cycle.
+    # An emergency retreat is not begun again in every cycle.
     assert (reached is machine) == (machine == after)
 
 

@@ -30,7 +30,7 @@ MS = 1_000_000
 EDGES = (0.0, 0.0999, 0.1, 0.1001, 0.14, 0.16, 0.161, 0.25, 0.3, 0.301, 0.999, 1.0, 1.001, 60.0)
 
 
-def _said(machine: Machine) -> tuple[object, ...]:
+def _text(machine: Machine) -> tuple[object, ...]:
     return str(machine.state), machine.latched, machine.programmed, machine.because
 
 
@@ -48,7 +48,7 @@ def _said(machine: Machine) -> tuple[object, ...]:
     ],
 )
 def test_the_whole_table_decides_as_it_always_did(state: State, digest: str) -> None:
-    told = Transcript()
+    transcript = Transcript()
     machines = [Machine(state, *bits) for bits in itertools.product((False, True), repeat=2)]
     chance = Chance(f"states/{state}")
     for link in Link:
@@ -56,19 +56,19 @@ def test_the_whole_table_decides_as_it_always_did(state: State, digest: str) -> 
             if not chance.happens(0.05):
                 continue
             signals = Signals(link, *bits)
-            told.say(fit(signals), unfit(signals))
+            transcript.say(fit(signals), unfit(signals))
             for machine in machines:
-                told.say(_said(transition(machine, signals)))
-                told.say([refusal(machine, signals, op) for op in OPS])
-    told.say([str(order(machine)) for machine in machines])
-    assert told.digest == digest
+                transcript.say(_text(transition(machine, signals)))
+                transcript.say([refusal(machine, signals, op) for op in OPS])
+    transcript.say([str(order(machine)) for machine in machines])
+    assert transcript.digest == digest
 
 
 SMALL = WatchSettings(healthy_cycles=7, missed_s=0.03, missed_in_contact_s=0.055, leak_s=0.1)
 SHIPPED = WatchSettings()
 
 
-def _day(settings: WatchSettings, chance: Chance, told: Transcript) -> None:
+def _day(settings: WatchSettings, chance: Chance, transcript: Transcript) -> None:
     """Cycles with and without telegrams, sensors of every age, in every state."""
     watch, machine, now_ns = Watch(), Machine(), 10_000 * MS
     weather = 0.99
@@ -107,8 +107,8 @@ def _day(settings: WatchSettings, chance: Chance, told: Transcript) -> None:
             orders=frozenset(op for op in OPS[:5] if seldom()),
         )
         watch, signals = observe(watch, facts, machine, settings)
-        told.say(str(watch.link), str(watch.state), [str(v) for v in structs.astuple(watch)])
-        told.say([str(v) for v in astuple(signals)])
+        transcript.say(str(watch.link), str(watch.state), [str(v) for v in structs.astuple(watch)])
+        transcript.say([str(v) for v in astuple(signals)])
 
 
 @pytest.mark.parametrize(
@@ -121,10 +121,10 @@ def _day(settings: WatchSettings, chance: Chance, told: Transcript) -> None:
     ids=["small", "shipped", "least"],
 )
 def test_the_watch_sees_as_it_always_did(settings: WatchSettings, digest: str) -> None:
-    told = Transcript()
+    transcript = Transcript()
     for day in range(60):
-        _day(settings, Chance(f"watch/{day}"), told)
-    assert told.digest == digest
+        _day(settings, Chance(f"watch/{day}"), transcript)
+    assert transcript.digest == digest
 
 
 @pytest.mark.parametrize(

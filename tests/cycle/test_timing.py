@@ -1,4 +1,4 @@
-"""Times are kept in fixed room, and the ring is there when something went wrong."""
+"""Times are kept in fixed size, and the ring is there when something went wrong."""
 
 import csv
 
@@ -81,9 +81,9 @@ def test_the_summary_tells_percentiles_in_microseconds() -> None:
     for n in range(1, 1001):
         timing.note(at(n, turnaround_ns=n * 1000))
         timing.note_age("camera", 25 * MS)
-    told = timing.summary()
-    assert 500 <= told["turnaround_us"]["p50"] <= 545
-    assert told["turnaround_us"]["max"] == 1000.0
-    assert told["age_us"]["camera"]["max"] == 25_000.0
-    assert told["age_us"]["wrench"]["p50"] is None
-    assert told["late"] == told["missing"] == 0
+    summary = timing.summary()
+    assert 500 <= summary["turnaround_us"]["p50"] <= 545
+    assert summary["turnaround_us"]["max"] == 1000.0
+    assert summary["age_us"]["camera"]["max"] == 25_000.0
+    assert summary["age_us"]["wrench"]["p50"] is None
+    assert summary["late"] == summary["missing"] == 0

@@ -46,7 +46,7 @@ def test_a_new_link_must_prove_itself_before_it_counts_as_healthy() -> None:
     assert links[-1] is Link.HEALTHY
 
 
-def test_a_hole_while_proving_begins_the_count_anew() -> None:
+def test_a_hole_while_proving_begins_the_count_again() -> None:
     run = Run()
     for _ in range(SETTINGS.healthy_cycles - 1):
         run.cycle()
@@ -135,7 +135,7 @@ def test_one_cycle_of_contact_changes_nothing() -> None:
     assert seen == [False, False, False, True, False]
 
 
-def test_one_sensor_alone_is_borne_for_a_second_while_the_task_is_under_way() -> None:
+def test_one_sensor_alone_is_borne_for_a_second_while_the_task_runs() -> None:
     for state, bearable_s in ((State.TRACK, 1.0), (State.ARMED, 1.0), (State.CONTACT, 1e6)):
         run = Run(state)
         for age_s in (0.5, 0.999, 1.001, 3.0):

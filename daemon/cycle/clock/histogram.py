@@ -1,7 +1,7 @@
-"""How long something takes, without keeping every time.
+"""Histogram of durations: fixed size, percentiles within 9 %, about a microsecond a value.
 
-Law of this file: pure, of fixed size, about a microsecond a value. Buckets are an eighth of an
-octave wide, so a percentile is right within 9 %; the greatest value is kept exactly.
+Invariants:
+- Pure. A bucket is an eighth of an octave wide. The greatest value is exact.
 """
 
 from dataclasses import dataclass, field
@@ -12,22 +12,14 @@ OCTAVES = 40  # of nanoseconds: up to 18 minutes
 
 @dataclass(slots=True)
 class Histogram:
-    """Durations, counted.
-
-    Attributes:
-        greatest_ns: the longest [ns].
-    """
+    """Durations, counted."""
 
     count: int = 0
     greatest_ns: int = 0
     _buckets: list[int] = field(default_factory=lambda: [0] * (PER_OCTAVE * OCTAVES))
 
     def add(self, duration_ns: int) -> None:
-        """Count one; a negative one counts as 0.
-
-        Args:
-            duration_ns: [ns].
-        """
+        """Count one; a negative one counts as 0."""
         value = max(0, duration_ns)
         self.count += 1
         self.greatest_ns = max(self.greatest_ns, value)

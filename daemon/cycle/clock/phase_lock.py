@@ -230,7 +230,6 @@ class Lead:
 
     Attributes:
         lead_ns: the lead [ns]; the longest until steps were made.
-        max_ns: the longest [ns].
     """
 
     def __init__(self, period_ns: int) -> None:
@@ -272,7 +271,6 @@ class PhaseLock:
 
     Attributes:
         estimate: period and phase of the controller.
-        period_ns: in force [ns].
         next_ns: when the next telegram is expected [ns].
         grace_ns: how long after that it counts as missing [ns].
         lead_ns: how long before that its step is prepared [ns]; 0: never.
@@ -285,7 +283,6 @@ class PhaseLock:
 
         Args:
             period_ns: the configured cycle T0 [ns].
-            now_ns: monotonic time [ns].
             lead_ns: how long before a telegram its step is prepared [ns]; 0: never; None: as long
                 as steps have lately needed.
 
@@ -310,7 +307,6 @@ class PhaseLock:
         """Follow a telegram that was answered.
 
         Args:
-            stamp_ns: its arrival [ns].
             cycles: since the telegram before, by their IPOCs.
             restarts: it begins a session.
         """

@@ -46,11 +46,7 @@ class TimerFd:
         return self._fd
 
     def arm(self, at_ns: int) -> None:
-        """Expire once at a monotonic time; at once if that has passed.
-
-        Args:
-            at_ns: [ns].
-        """
+        """Expire once at a monotonic time; at once if that has passed."""
         at_ns = max(1, at_ns)  # zero would disarm
         if self._own is not None:
             self._own(self._fd, flags=TFD_TIMER_ABSTIME, initial=at_ns, interval=0)
@@ -105,7 +101,6 @@ class CycleTimer:
     """Wakes the loop when the phase lock says so, and calls what is due.
 
     Attributes:
-        on_due: makes a step.
         on_error: gets what ``on_due`` or ``attend`` raised. The timer goes on.
         poll: reads telegrams that wait, so that none of them is called missing.
         attend: waits for a telegram whose reply is ready and that is expected then [ns].

@@ -1,8 +1,8 @@
-"""What every cycle took: histograms for always, and the last two seconds for when it matters.
+"""Cycle timing: histograms of all cycles, and a ring of the last two seconds for incidents.
 
-Law of this file: pure and of fixed size; a cycle costs a few microseconds, so it stays on. A
-deadline that is missed, or a fault that is entered, takes the ring as it stands, once in a while
-at most; who writes it does so in the slack.
+Invariants:
+- Pure, of fixed size. A cycle costs a few microseconds, so it is always on.
+- A missed deadline or a new fault copies the ring, at most once in ``PAUSE_S``.
 """
 
 from collections import deque
@@ -14,9 +14,8 @@ from msgspec import Struct
 
 from linemate.daemon.cycle.clock.histogram import Histogram
 
-KEPT_S: Final = 2.0
-PAUSE_S: Final = 10.0
-"""Between two rings that are written out, so that a bad hour does not fill a disk."""
+KEPT_S: Final = 2.0  # length of the ring [s]
+PAUSE_S: Final = 10.0  # between two rings that are written, so that no disk is filled [s]
 
 SENSORS: Final = ("distance", "camera", "wrench")
 
@@ -50,14 +49,14 @@ COLUMNS: Final = CycleTimes.__struct_fields__
 
 @dataclass(frozen=True, slots=True)
 class Incident:
-    """Why a ring was taken, when, and what was in it."""
+    """A copy of the ring, with its reason and time."""
 
     why: str
     at_ns: int
     cycles: tuple[CycleTimes, ...]
 
     def lines(self) -> Iterable[str]:
-        """The ring as comma separated values, oldest cycle first, with a head that says why."""
+        """Return the ring as comma separated values, oldest cycle first, after its reason."""
         yield f"# {self.why} at {self.at_ns} ns; times in ns\n"
         yield ",".join(COLUMNS) + "\n"
         for cycle in self.cycles:
@@ -71,16 +70,15 @@ def _histograms() -> dict[str, Histogram]:
 
 @dataclass(slots=True)
 class Timing:
-    """The account of the loop's time.
+    """Timing of the cycles.
 
     Attributes:
-        period_ns: T0 [ns].
         lateness: of the clock's wakes.
         lead: in force, cycle by cycle.
         ages: of each sensor's newest sample when a step took it.
         late: replies that took longer than a cycle.
         missing: cycles without a telegram.
-        incidents: rings that were taken.
+        incidents: rings that were copied.
     """
 
     period_ns: int
@@ -97,7 +95,7 @@ class Timing:
     _waiting: Incident | None = None
 
     def __post_init__(self) -> None:
-        """Make the ring as long as it has to be."""
+        """Make the ring as long as ``KEPT_S``."""
         self._ring = deque(maxlen=max(1, round(KEPT_S * 1e9 / self.period_ns)))
 
     def note(self, cycle: CycleTimes) -> None:
@@ -117,19 +115,14 @@ class Timing:
                 self.incident("a reply was late", cycle.arrival_ns)
 
     def note_age(self, sensor: str, age_ns: int) -> None:
-        """Take in how old a sensor's newest sample was when a step took it.
-
-        Args:
-            age_ns: [ns].
-        """
+        """Take in how old a sensor's newest sample was when a step took it."""
         self.ages[sensor].add(age_ns)
 
     def incident(self, why: str, at_ns: int) -> None:
-        """Take the ring as it stands, unless one was taken a moment ago.
+        """Copy the ring, unless one was copied a moment ago.
 
         Args:
-            why: for whoever reads it.
-            at_ns: when [ns].
+            why: one line for the reader.
         """
         if self._taken_ns is not None and at_ns - self._taken_ns < PAUSE_S * 1e9:
             return

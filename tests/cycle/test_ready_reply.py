@@ -1,4 +1,4 @@
-"""A reply made before its telegram is the reply that the telegram would have got."""
+"""The ready reply is the reply that the ordinary way returns."""
 
 from importlib.resources import files
 
@@ -47,10 +47,10 @@ class Robot:
         return self.codec.format_robot(replace(telegram, **changed))  # type: ignore[arg-type]
 
     def follow(self, reply: bytes) -> None:
-        told = self.codec.parse_sensor(reply)
-        assert told.joints is not None
-        assert told.external is not None
-        self.offsets, self.axis = told.joints, told.external[0]
+        correction = self.codec.parse_sensor(reply)
+        assert correction.joints is not None
+        assert correction.external is not None
+        self.offsets, self.axis = correction.joints, correction.external[0]
         self.k += 1
 
 
@@ -86,24 +86,24 @@ def test_for_the_same_inputs_prepared_and_in_line_give_the_same_bytes(
 ) -> None:
     robot = Robot(task)
     codec = RsiCodec(parse_config(XML))
-    inline, prepared, hasty = (Cycle(parameters, codec) for _ in range(3))
-    for cycle in (inline, prepared, hasty):
+    inline, prepared, driven = (Cycle(parameters, codec) for _ in range(3))
+    for cycle in (inline, prepared, driven):
         cycle.listen(0)
     for k in range(300):
-        for cycle in (inline, prepared, hasty):
+        for cycle in (inline, prepared, driven):
             distance(robot, cycle)
         data = robot.telegram()
-        ready = [cycle.prepare(robot.stamp_ns) for cycle in (prepared, hasty)]
+        ready = [cycle.prepare(robot.stamp_ns) for cycle in (prepared, driven)]
         assert ready == [k > 0] * 2
-        early = ready_reply(hasty, data, PEER, robot.stamp_ns)
+        early = ready_reply(driven, data, PEER, robot.stamp_ns)
         replies = [
-            cycle.on_telegram(data, robot.stamp_ns, PEER) for cycle in (inline, prepared, hasty)
+            cycle.on_telegram(data, robot.stamp_ns, PEER) for cycle in (inline, prepared, driven)
         ]
         assert replies[0] is not None
         assert replies[0] == replies[1] == replies[2]
         assert early in {None, replies[0]}
         assert (early is not None) == (k > 2)  # the counter's step takes three telegrams to learn
-        logs = [cycle.take_log() for cycle in (inline, prepared, hasty)]
+        logs = [cycle.take_log() for cycle in (inline, prepared, driven)]
         assert [len(log) for log in logs] == [1, 1, 1]
         assert logs[0][0].inputs == logs[1][0].inputs == logs[2][0].inputs
         robot.follow(replies[0])
@@ -139,7 +139,7 @@ def test_a_sample_that_comes_after_the_step_was_made_is_the_next_steps(
         "too late",
     ],
 )
-def test_what_was_not_assumed_is_not_answered_in_haste(
+def test_an_unexpected_telegram_does_not_get_the_ready_reply(
     parameters: Parameters, task: Task, change: str
 ) -> None:
     robot = Robot(task)
@@ -170,7 +170,7 @@ def test_what_was_not_assumed_is_not_answered_in_haste(
 
 
 @given(st.data())
-def test_whatever_is_answered_in_haste_would_have_been_answered_so(
+def test_the_ready_reply_is_what_the_ordinary_way_returns(
     parameters: Parameters, task: Task, data: st.DataObject
 ) -> None:
     robot = Robot(task)
