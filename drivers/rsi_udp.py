@@ -14,7 +14,7 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
 
 from linemate.drivers.backoff import Backoff
 from linemate.drivers.datagrams import Address, Datagram, DatagramLink, DatagramSocket
@@ -104,15 +104,17 @@ class RsiLink(DatagramLink):
         if transport is None or transport.fileno() >= MAX_SELECTABLE:
             return False
         try:
-            ready = self._ready_reply()
-            if ready is not None and until_ns - time.monotonic_ns() > WARM_UP_NS:
-                # The comparison's code and data are in the processor's caches when it counts.
-                ready.telegram.matches(self._last)
+            ready = self._valid_ready_reply()
+            if ready is not None:
+                until_ns = min(until_ns, ready.until_ns)
+                if until_ns - time.monotonic_ns() > WARM_UP_NS:
+                    # The comparison's code and data are in the processor's caches when it counts.
+                    ready.telegram.matches(self._last)
             raw = transport.wait(until_ns - time.monotonic_ns())
             if raw is None:
                 return False
             self.counters["received"] += 1
-            sent = self._send_ready(transport, raw[0], raw[3])
+            sent = self._send_ready(transport, ready, raw[0], raw[3])
             if not self._answer(transport, transport.stamped(raw), sent):
                 self._read(transport)
         except OSError as error:
@@ -130,7 +132,8 @@ class RsiLink(DatagramLink):
         for datagrams in waiting.values():
             while datagrams:
                 newest = datagrams.pop()
-                sent = self._send_ready(transport, newest.data, newest.source)
+                ready = self._valid_ready_reply()
+                sent = self._send_ready(transport, ready, newest.data, newest.source)
                 if self._answer(transport, newest, sent):
                     break
             self.counters["stale"] += len(datagrams)
@@ -150,12 +153,15 @@ class RsiLink(DatagramLink):
             self.counters["stale"] += 1
         datagrams.append(datagram)
 
-    def _send_ready(self, transport: DatagramSocket, data: bytes, source: Address) -> bytes | None:
-        """Send the ready reply to the telegram that it was made for, and return it."""
+    def _valid_ready_reply(self) -> ReadyReply | None:
         ready = self._ready_reply()
-        if ready is None or ready.peer != source or not ready.telegram.matches(data):
-            return None
-        if time.monotonic_ns() > ready.until_ns:
+        return None if ready is None or time.monotonic_ns() > ready.until_ns else ready
+
+    def _send_ready(
+        self, transport: DatagramSocket, ready: ReadyReply | None, data: bytes, source: Any
+    ) -> bytes | None:
+        """Send the ready reply to the telegram that it was made for, and return it."""
+        if ready is None or source != ready.peer or not ready.telegram.matches(data):
             return None
         self._send(transport, ready.data, source)
         return ready.data
@@ -182,15 +188,15 @@ class RsiLink(DatagramLink):
         self._sole_sender.note_good(transport, source)
         return True
 
-    def _send(self, transport: DatagramSocket, reply: bytes, source: Address) -> None:
+    def _send(self, transport: DatagramSocket, reply: bytes, source: Any) -> None:
         try:
             transport.endpoint.sendto(reply, source)
         except OSError as error:
             self.counters["send_errors"] += 1
             log.debug("%s: reply not sent: %s", self.status.name, error)
         else:
+            self._sent_ns = time.monotonic_ns()
             self.counters["answered"] += 1
-        self._sent_ns = time.monotonic_ns()
 
     def _release(self) -> None:
         self._sole_sender.forget()
