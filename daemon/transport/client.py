@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 SOCKET_NAME: Final = "linemate/command.sock"
 DEFAULT_PORT: Final = 49160
 DEFAULT_TIMEOUT_S: Final = 0.5
-READS: Final = frozenset({"status", "params", "get"})
-MAX_REPEATS: Final = 3  # of a request that only reads
+# Requests that may be repeated when they expired on their way: they change nothing.
+REPEATABLE: Final = frozenset({"status", "params", "get", "scene", "subscribe"})
+MAX_REPEATS: Final = 3
 RESEND_S: Final = 0.1
 RENEW_S: Final = 20.0  # a server closes sessions that are idle for a minute
 
@@ -154,7 +155,7 @@ class Client:
             CommandError: There is no such operation, or it has no such parameters.
         """
         answer = self._call_once(op, params or {}, timeout_s)
-        for _ in range(MAX_REPEATS if op in READS else 0):
+        for _ in range(MAX_REPEATS if op in REPEATABLE else 0):
             if answer.code != "expired":
                 break
             answer = self._call_once(op, params or {}, timeout_s)

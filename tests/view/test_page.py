@@ -89,7 +89,7 @@ def test_a_page_waits_for_its_first_message_and_shows_a_daemon_that_ends_or_come
             assert chromium.value(KINDS) == ["bad", "bad"]
 
 
-@pytest.mark.parametrize("last", [{"phase": "done"}, {"state": "idle", "phase": "wait"}])
+@pytest.mark.parametrize("last", [{"phase": "done"}, {"state": "idle", "phase": "wait"}, {}])
 def test_a_daemon_that_ends_after_its_task_is_no_alarm(
     chromium: Browser, tmp_path: Path, last: dict[str, str]
 ) -> None:
@@ -102,9 +102,13 @@ def test_a_daemon_that_ends_after_its_task_is_no_alarm(
 
     with shown(chromium, "--socket", tmp_path / SOCKET) as address:
         chromium.open(address)
-        with rerun(tmp_path, Finishing(0.1, 4.0)):
-            name, value = next(iter(last.items()))
+        rerunning = Finishing(0.1, 4.0)
+        if not last:  # The last frames did not arrive, but a status did.
+            rerunning.status |= {"state": "idle", "because": "retreated"}
+        with rerun(tmp_path, rerunning):
+            name, value = next(iter(last.items()), ("state", "retreat"))
             chromium.until(f"{TEXT.format({'state': 'state-name'}.get(name, name))} === '{value}'")
+            chromium.until(f"{TEXT.format('health-name')} === '✓ healthy'")
         chromium.until(f"{TEXT.format('state-name')} === 'ended'")
         assert chromium.value(KINDS) == ["unknown", ""]
         assert "Its task was done" in chromium.value(f"{BANNER}.textContent")

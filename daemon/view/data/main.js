@@ -43,7 +43,7 @@ function condition(frame, status) {
   const isSilent = source.kind === "live" && frame && source.silent > SILENT_S;
   if (source.link.up && !isSilent) return "ok";
   if (!frame && !status) return "waiting";
-  return source.kind === "live" && source.isDone ? "ended" : "lost";
+  return source.kind === "live" && source.hasEndedWell ? "ended" : "lost";
 }
 
 function bannerText(frame, status) {

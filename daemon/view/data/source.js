@@ -4,7 +4,7 @@ const CHUNK = 250; // frames of a recording that are fetched at once
 const CHUNKS = 24; // that are kept
 const MAX_EVENTS = 200;
 const ENDED = "the view has ended";
-const AT_WORK = ["armed", "track", "contact", "retreat", "hold", "fault"];
+const BEGUN = ["armed", "track", "contact", "hold", "fault"]; // states of the next task
 
 export class LiveSource {
   constructor(changed) {
@@ -47,8 +47,15 @@ export class LiveSource {
     const before = this.frame;
     if (frame.phase === "done") this.isDone = true;
     else if (before && before.state === "retreat" && frame.state === "idle") this.isDone = true;
-    else if (AT_WORK.includes(frame.state)) this.isDone = false;
+    else if (BEGUN.includes(frame.state)) this.isDone = false;
     this.frame = frame;
+  }
+
+  // The last frames of a daemon can be missing: then its status says that the task has ended.
+  get hasEndedWell() {
+    const { state, because } = this.status || {};
+    const isBack = state === "idle" && because === "retreated";
+    return this.isDone || (isBack && !(this.frame && BEGUN.includes(this.frame.state)));
   }
 
   get silent() { return (performance.now() - this.newestAt) / 1000; }
