@@ -30,11 +30,7 @@ class _Waiting:
 
 @dataclass(slots=True)
 class Answers:
-    """Orders that wait for their decision.
-
-    Attributes:
-        cycle_s: T0 [s].
-    """
+    """Orders that wait for their decision."""
 
     operating: Operating
     cycle_s: float

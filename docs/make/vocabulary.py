@@ -100,8 +100,8 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "tests/config/test_config.py": ("slack",),
     "tests/service/test_idle_spinner.py": ("awake",),
     "tests/service/test_realtime.py": ("slack",),
-    # Names of state classes in recordings.
-    "daemon/recording/snapshot.py": ("feeling", "verdict"),
+    # Names of state classes and fields in recordings.
+    "daemon/recording/snapshot.py": ("feeling", "verdict", "belief", "scatter"),
     "tests/recording/test_snapshot.py": ("belief",),
 }
 
