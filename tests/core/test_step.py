@@ -49,28 +49,28 @@ class Told:
         return next(o for o in self.outputs if (o.task_time or 0.0) >= task_time - 1e-9)
 
 
-def watched(world: World, told: Told, order: MotionOrder, **changes: Any) -> Outputs:
+def watched(world: World, outcome: Told, order: MotionOrder, **changes: Any) -> Outputs:
     inputs = world.inputs(order, **changes)
-    told.states.append(world.state)
-    told.inputs.append(inputs)
-    told.outputs.append(world.take(inputs))
-    return told.outputs[-1]
+    outcome.states.append(world.state)
+    outcome.inputs.append(inputs)
+    outcome.outputs.append(world.take(inputs))
+    return outcome.outputs[-1]
 
 
 @pytest.fixture(scope="module")
 def assembly() -> Told:
-    """The whole task beside a conveyor that never stops: the tool does what it is asked for."""
-    world, told = World(P), Told([], [], [])
+    """The whole task next to a conveyor that never stops: the tool does what it is asked for."""
+    world, outcome = World(P), Told([], [], [])
     for _ in range(100):
-        watched(world, told, MotionOrder.HOLD)
-    watched(world, told, MotionOrder.TRACK, start=True)
+        watched(world, outcome, MotionOrder.HOLD)
+    watched(world, outcome, MotionOrder.TRACK, start=True)
     for _ in range(1700):
-        asked = told.outputs[-1].digital_out
+        asked = outcome.outputs[-1].digital_out
         robot = robot_sample(world.stamp_ns - world.period_ns, world.joints, asked)
-        outputs = watched(world, told, MotionOrder.TRACK, robot=robot)
+        outputs = watched(world, outcome, MotionOrder.TRACK, robot=robot)
         if outputs.finished:
             break
-    return told
+    return outcome
 
 
 def text(outputs: Outputs) -> str:
@@ -131,13 +131,13 @@ def test_a_plan_finished_for_another_fate_of_the_last_command_is_the_whole_step(
         assumed = replace(first, order=order)
         planned = plan(state, assumed, P)
         for inputs in other_fates(state, assumed):
-            (whole, said), (made, told) = (
+            (whole, said), (made, outcome) = (
                 step(state, inputs, P),
                 finish(state, planned, inputs, P),
             )
             assert snapshot.encode(made) == snapshot.encode(whole)
-            assert text(told) == text(said)
-            contacts.add((told.contact, state.tracker.contact))
+            assert text(outcome) == text(said)
+            contacts.add((outcome.contact, state.tracker.contact))
     assert len(contacts) > 1
 
 
@@ -148,11 +148,11 @@ def test_a_pose_out_of_reach_is_held_whatever_became_of_the_last_command(assembl
     planned = plan(state, first, P)
     for inputs in other_fates(state, first):
         whole, said = step(state, inputs, P)
-        made, told = finish(state, planned, inputs, P)
+        made, outcome = finish(state, planned, inputs, P)
         assert said.held is not None
         assert "reach" in said.held
         assert snapshot.encode(made) == snapshot.encode(whole)
-        assert text(told) == text(said)
+        assert text(outcome) == text(said)
 
 
 def test_two_robots_may_take_turns_in_one_process() -> None:
@@ -405,15 +405,15 @@ def test_a_retreat_before_contact_stands_still_and_withdraws(begun: float) -> No
     assert not world.outputs.contact
     assert world.outputs.task_time is not None
     assert world.outputs.task_time < P.tracker.reference.contact_time
-    told: list[Outputs] = []
+    outcome: list[Outputs] = []
     # A tool that may be clamped waits for its clamp's time-out of 2 s.
-    world.run(3.2, MotionOrder.RETREAT, each=told.append)
-    assert {o.task_time for o in told} == {world.outputs.task_time}
-    depths = [depth(o) for o in told]
+    world.run(3.2, MotionOrder.RETREAT, each=outcome.append)
+    assert {o.task_time for o in outcome} == {world.outputs.task_time}
+    depths = [depth(o) for o in outcome]
     # Commands that were sent before go on for a while.
     assert max(depths) < -0.001
     assert depths[-1] < -0.1
-    assert told[-1].finished
+    assert outcome[-1].finished
 
 
 def depth(outputs: Outputs) -> float:
@@ -444,9 +444,9 @@ def test_no_screws_are_ordered_in_a_retreat() -> None:
     world = tracking(9.0)
     assert world.outputs is not None
     assert world.outputs.digital_out == FIX_SCREWS
-    told: list[Outputs] = []
-    world.run(0.5, MotionOrder.RETREAT, each=told.append)
-    assert {o.digital_out for o in told} == {RELEASE_WHEEL}
+    outcome: list[Outputs] = []
+    world.run(0.5, MotionOrder.RETREAT, each=outcome.append)
+    assert {o.digital_out for o in outcome} == {RELEASE_WHEEL}
 
 
 @cache
@@ -629,11 +629,11 @@ def test_a_robot_that_goes_on_is_led_as_if_the_step_before_were_its_own(assembly
     gate = state.control.limiter
     there = tuple(gate.position.tolist())
     pace = (tuple(gate.speed.tolist()), tuple(gate.acceleration.tolist()))
-    sent, told = step(state, inputs, P)
+    sent, outcome = step(state, inputs, P)
     on, goes_on = step(state, replace(inputs, sent=False, applied=there, pace=pace), P)
     held, _ = step(state, replace(inputs, sent=False, applied=there), P)
     assert np.abs(gate.speed).max() > 0.05
-    assert goes_on.command == pytest.approx(told.command, abs=1e-9)
+    assert goes_on.command == pytest.approx(outcome.command, abs=1e-9)
     asked = sent.control.limiter.acceleration
     assert on.control.limiter.acceleration == pytest.approx(asked, abs=1e-6)
     assert np.abs(held.control.limiter.acceleration - asked).max() > 1.0
@@ -656,10 +656,10 @@ def test_a_robot_that_goes_on_brakes_within_its_limits_though_it_was_taken_to_st
     )
     state, _ = step(state, hold, P)
     assert not state.moving
-    state, told = step(state, replace(hold, pace=pace), P)
-    commands.append(told.command)
+    state, outcome = step(state, replace(hold, pace=pace), P)
+    commands.append(outcome.command)
     while state.moving:
-        state, told = step(state, replace(hold, sent=True, applied=None), P)
-        commands.append(told.command)
+        state, outcome = step(state, replace(hold, sent=True, applied=None), P)
+        commands.append(outcome.command)
     assert_steady(commands)
     assert np.abs(np.subtract(commands[-1], there)).max() > 1e-4

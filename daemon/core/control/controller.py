@@ -71,7 +71,6 @@ class ControlState(Struct, frozen=True, eq=False):
         past_joints: (servo_past, axes) the last q_d(0), oldest first.
         joints: (n_rob + 1, axes) q_d of the last step, the next guess of the inverse kinematics.
         poses: (n_rob + 1, 6) the x_d of ``joints``.
-        limiter: of the commands.
     """
 
     past_poses: Array
@@ -264,7 +263,6 @@ def limit_command(
     """Return the state after the command limiter; its limiter's position is the command.
 
     Args:
-        controller: with the limits.
         desired: command of this step.
         limiter: of the commands that the robot has; without a desired command it brakes.
         clamped: the tool is clamped to the object: the arm compensates the linear axis' lag.
@@ -295,8 +293,6 @@ def _add_stand_in(controller: Controller, command: Array, rail: float) -> Array:
     was pulled with 326 N instead of 200 N after a hold of 84 ms at 106 mm/s.
 
     Args:
-        controller: with the arm.
-        command: that is desired.
         rail: limited position of the linear axis [m].
     """
     short = float(command[6]) - rail

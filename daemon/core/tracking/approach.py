@@ -1,7 +1,6 @@
-"""The feasible trajectory, first half: where the tcp should be over the horizon (Sect. III-C).
+"""Goal of the tcp over the horizon (Sect. III-C): sensed poses x_f, blending, retraction.
 
-Law of this file: from an estimate and the reference to the goal x_f(k + i), and from the
-programmed to the sensed motion without a step. Poses (m, 6) in c.
+Poses are (m, 6) in c.
 """
 
 from collections.abc import Sequence
@@ -131,7 +130,7 @@ def smoothstep(s: Array) -> Array:
 
 
 def blend(programmed: Array, goal: Array, share: Array) -> Array:
-    """Return the way (m, 6) from the programmed to the sensed motion; share (m,) in [0, 1]."""
+    """Return the blend (m, 6) of programmed and sensed motion; share (m,) in [0, 1]."""
     between: Array = programmed + share[:, None] * (goal - programmed)
     return between
 

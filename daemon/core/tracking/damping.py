@@ -41,15 +41,14 @@ def damped_until(reference: Reference, blend: float) -> float:
 def free_table(reference: Reference, leave: float, blend: float, times: Array) -> Array:
     """Return where at some task times the tool hangs free (m,): 0 from contact to retreat.
 
-    The tool is damped until it touches, and not damped once it is clamped; what (11) adds cannot
-    go at once. A quarter of it goes after contact: then what is missing before and what is left
-    behind are alike, 0.04 mm instead of 0.07 on one side.
+    The tool is damped until contact and not while clamped. What (11) adds is blended out: three
+    quarters of the blend before contact, a quarter after it. Then the errors before and after are
+    alike: 0.04 mm, instead of 0.07 mm on one side.
 
     Args:
         reference: with the time of contact.
         leave: when the tool leaves the object [s].
-        blend: time in which one gives way to the other [s].
-        times: (m,) [s].
+        blend: duration of the blend [s].
     """
     before = (reference.contact_time - times) / blend + CONTACT_SHARE
     after = (times - leave) / blend

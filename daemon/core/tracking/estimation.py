@@ -34,7 +34,7 @@ SEATING_S = 0.012  # a clamp closes in 0.04 s; contact is detected 0.03 s after 
 def estimate(
     tracker: Tracker, state: TrackerState, samples: StepSamples
 ) -> tuple[TrackerState, int, Wrench | None]:
-    """Return the state with its beliefs one step later, the rejected first_poses, the wrench."""
+    """Return the state with its estimates one step later, the rejected poses, the wrench."""
     history = state.history
     if samples.tcp is not None:
         history = remember(history, samples.tcp_stamp_ns, samples.tcp, tracker.history_length)

@@ -1,9 +1,12 @@
-"""A change of prediction enters the horizon without a jump (reading notes, "The merge").
+"""Merge of a new goal into the horizon without a jump.
 
-Law of this file: what the dead time has committed is kept bit for bit; behind it the deviation
-``e = x_t - x_f`` dies out along the closed loop of a linear quadratic regulator of fifth order,
-because servo and elastic mode together need a bounded fourth derivative. Matrices are made at
-start-up; a merge is one product.
+Behind the commit point the deviation ``e = x_t - x_f`` decays along the closed loop of a linear
+quadratic regulator. It is of fifth order: servo and elastic mode together need a bounded fourth
+derivative.
+
+Invariants:
+- Committed steps are kept bit for bit.
+- Matrices are computed at start-up; a merge is one product.
 """
 
 import math
@@ -14,16 +17,15 @@ from scipy.linalg import solve_discrete_are
 from linemate.daemon.core.horizon import Array
 
 ORDER = 5
-ALONG = 1  # the column of a list that lies along the conveyor
+ALONG = 1  # column of a pose along the conveyor
 
-CORNER_S = 0.00566
-"""Over what a goal's corners are rounded, one sigma [s]: 1.4 steps of 4 ms, half a step of 12."""
+CORNER_S = 0.00566  # one sigma of the rounding of corners [s]: 1.4 steps of 4 ms, half of 12 ms
 
 
 def commit_steps(dead_time: float, cycle_s: float) -> int:
     """Return nc, the last step of the list that can no longer be changed.
 
-    The longest dead time, one cycle of interpolation, and one more: one too few costs 0.4 mm.
+    The longest dead time, one cycle of interpolation, and one more. One step less costs 0.4 mm.
     """
     return math.ceil((dead_time + cycle_s) / cycle_s - 1e-9) + 1
 
@@ -57,10 +59,9 @@ def merge_matrix(tau: float, cycle_s: float, steps: int) -> Array:
 def rounding(cycle_s: float, commit: int) -> Array:
     """Return a kernel (2 h + 1,) that rounds the corners of a goal over its steps, h <= nc - 4.
 
-    Where a ramp ends the goal has a corner in its speed. Over five steps of 4 ms a merge takes that
-    for a fourth derivative, with a gain of (tau/T0)^4, and swings out by millimetres. A binomial
-    kernel, sigma 5.7 ms, leaves a thirtieth of it and moves the goal by less than 2 um; at 12 ms
-    it is 1.
+    Where a ramp ends, the speed of the goal has a corner. A merge over five steps of 4 ms amplifies
+    it by (tau/T0)^4 and overshoots by millimetres. A binomial kernel of sigma 5.7 ms leaves a
+    thirtieth of it and moves the goal by less than 2 um; at 12 ms the kernel is 1.
     """
     half = min(int(2.0 * (CORNER_S / cycle_s) ** 2 + 1e-9), commit + 1 - ORDER)
     taps = np.array([math.comb(2 * half, i) for i in range(2 * half + 1)], dtype=float)
@@ -71,7 +72,7 @@ def rounding(cycle_s: float, commit: int) -> Array:
 def rounded(goal: Array, kernel: Array) -> Array:
     """Return a goal (m, d), corners along the conveyor rounded but for half a kernel at its ends.
 
-    The merge reads none of its beginning, and the end is as far off as the horizon is long.
+    The merge does not read the beginning; the end is a horizon away.
     """
     half = len(kernel) // 2
     if half == 0:

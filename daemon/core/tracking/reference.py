@@ -1,8 +1,7 @@
-"""The reference: x_r along the task's clock, and the clock with its gates.
+"""Reference trajectory x_r along the task's clock, and the clock's gates.
 
-Law of this file: what is programmed, before any sensor. Poses are (6,) or (m, 6) in c; a stretch
-between two waypoints is run through by a quintic of time, each end moving as its frame does. The
-stretch to contact has a profile of its own, whose speed near the object is bounded.
+Poses are (6,) or (m, 6) in c. A stretch between two waypoints is a quintic of time, each end moving
+as its frame does. The stretch to contact has a profile with a bounded speed near the object.
 """
 
 import math
@@ -25,7 +24,7 @@ from linemate.protocol.samples import Quaternion
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
-    """A task's trajectory, compiled.
+    """Compiled trajectory of a task.
 
     Attributes:
         nominal: (3, 3) C, the nominal object's axes in base.
@@ -94,10 +93,7 @@ class Reference:
         return self.phases[self._segment(time)]
 
     def poses(self, times: Array) -> tuple[Array, Array]:
-        """Return x_r and (x_o^nom)^-1 x_r at task times; past its ends it stays with them.
-
-        Args:
-            times: (m,) [s], rising.
+        """Return x_r and (x_o^nom)^-1 x_r at task times; constant before and after the task.
 
         Returns:
             The tcp (m, 6) in c and the tcp (m, 6) in the nominal object, which is not turned in
@@ -119,7 +115,7 @@ class Reference:
         return poses, relative
 
     def _segment(self, time: float) -> int:
-        """Return the number of the stretch that a task time lies in."""
+        """Return the number of the stretch of a task time."""
         return min(max(bisect_right(self.starts, time) - 1, 0), len(self.starts) - 1)
 
     def _within(self, i: int, times: Array) -> tuple[Array, Array]:
@@ -209,7 +205,7 @@ def _touching(reference: Reference) -> float:
 
 
 def barrier(reference: Reference, time: float, passed: frozenset[Gate]) -> float:
-    """Return the task time that may not be passed yet: the next gate that is not open."""
+    """Return the task time of the next gate that is not open."""
     for at, gate in reference.gated:
         if at >= time - 1e-9 and gate not in passed:
             return at
@@ -218,11 +214,10 @@ def barrier(reference: Reference, time: float, passed: frozenset[Gate]) -> float
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceTable:
-    """The reference at every step of the task's clock, so that a horizon is a slice of it.
+    """The reference at every step of the task's clock: a horizon is a slice of it.
 
     Attributes:
         reference: of which it was made.
-        cycle_s: T0 [s].
         poses, relative: (t, 6) of ``Reference.poses`` at 0, T0, 2 T0, ...
     """
 
@@ -261,8 +256,8 @@ def tabulated(reference: Reference, cycle_s: float, steps: int) -> ReferenceTabl
 
 
 def last_step(time: float, cycle_s: float) -> float:
-    """Return the last multiple of T0 that is not past a time; infinity stays what it is [s].
+    """Return the last multiple of T0 up to a time [s]; infinity is kept.
 
-    The task's clock counts whole steps and stands at the last one before a gate.
+    The task's clock counts whole steps and stops at the last one before a gate.
     """
     return math.floor(time / cycle_s + 1e-6) * cycle_s if time < math.inf else math.inf

@@ -1,6 +1,7 @@
-"""What can be set of tracking: noise, gates, classes, blending.
+"""Settings of tracking: noise, gates, classes, blending.
 
-Law of this file: frozen values in SI units with their ranges; nothing computed.
+Invariants:
+- Frozen values in SI units with their ranges; nothing is computed.
 """
 
 import math
@@ -10,8 +11,8 @@ from typing import Annotated
 
 from annotated_types import Ge, Gt, Le, Len, Lt
 
-# Wide of anything that was ever measured, and narrow enough that a covariance keeps its sign in
-# 64 bits whatever is set while the filter runs.
+# Wider than any measured value. Narrow enough that a covariance stays positive in 64 bits, whatever
+# is set while the filter runs.
 Length = Annotated[float, Ge(1e-5), Le(0.05)]
 Angle = Annotated[float, Ge(1e-5), Le(0.1)]
 Slope = Annotated[float, Ge(0.0), Le(0.1)]
@@ -27,7 +28,7 @@ Lever = Annotated[float, Ge(-10.0), Le(10.0)]
 
 
 class ClassifierKind(StrEnum):
-    """Which classifier decides what the conveyor is doing."""
+    """Classifier of the conveyor's motion."""
 
     RULE = "rule"
     IMM = "imm"
@@ -37,12 +38,12 @@ class ClassifierKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class DistanceNoise:
-    """The distance sensor as the filter sees it.
+    """Noise model of the distance sensor.
 
     Attributes:
         deviation: one sigma, quantisation included [m].
         delay: from measuring to arrival [s].
-        gate: innovation refused beyond this many sigma.
+        gate: reject an innovation beyond this many sigma.
     """
 
     deviation: Length = 0.00038
@@ -52,17 +53,17 @@ class DistanceNoise:
 
 @dataclass(frozen=True, slots=True)
 class CameraNoise:
-    """The camera as the filter sees it: deviations grow with the distance to the object.
+    """Noise model of the camera: deviations grow with the distance to the object.
 
     Attributes:
         lateral: sigma across the line of sight at distance 0 [m].
-        lateral_slope: and for each metre of distance.
+        lateral_slope: increase of ``lateral`` for each metre of distance.
         depth_factor: sigma along the line of sight, as a multiple of the lateral one.
         angle: sigma of each rotation at distance 0 [rad].
-        angle_slope: and for each metre of distance [rad/m].
-        gate: innovation refused beyond this many sigma.
-        longest_delay: an older exposure is refused [s].
-        stamp: sigma of its date [s]: what moves meanwhile is less well known.
+        angle_slope: increase of ``angle`` for each metre of distance [rad/m].
+        gate: reject an innovation beyond this many sigma.
+        longest_delay: reject an older exposure [s].
+        stamp: sigma of its time stamp [s]; it adds the motion in that time to the variance.
     """
 
     lateral: Length = 0.00025
@@ -84,11 +85,11 @@ class TactileNoise:
         angle: sigma of each rotation [rad].
         stiffness: of the mount along tcp x, y, z [N/m].
         rotational_stiffness: about tcp x, y, z [Nm/rad].
-        gate: innovation refused beyond this many sigma; wide, for steps here are real (the
-            screws' 1.5 mrad, a stop) and the device's own CRC keeps nonsense out.
-        contact_force: force that counts as contact [N].
+        gate: reject an innovation beyond this many sigma; wide, for steps here are real (1.5 mrad
+            by the screws, a stop) and the device's CRC rejects corrupt data.
+        contact_force: least force of a contact [N].
         overload_force: force beyond which the tool is withdrawn [N].
-        stamp: sigma of its date [s]; a tool that swings on a wrong date would feed itself.
+        stamp: sigma of its time stamp [s].
     """
 
     deflection: Length = 0.00005
@@ -114,8 +115,8 @@ class SwingMode:
         frequency_hz: natural frequency of the swing [Hz].
         damping: damping ratio, share of critical.
         levers: displacement of the object for each radian of swing, x y z [m/rad].
-        spread: one sigma of the frequency, as a share of it; what is left is estimated while the
-            object is seen. 0 takes it for exact.
+        spread: one sigma of the frequency, as a share; the error is estimated while the object is
+            seen. 0: the frequency is exact.
     """
 
     axis: Annotated[int, Ge(0), Le(2)] = 1
@@ -127,12 +128,12 @@ class SwingMode:
 
 @dataclass(frozen=True, slots=True)
 class FusionSettings:
-    """Process noise of the filter: what the model leaves out.
+    """Process noise of the filters.
 
     Attributes:
         position: random walk of the object across the conveyor [m/sqrt(s)].
         angle: random walk of its orientation [rad/sqrt(s)].
-        seating: the same while the tool fixes its screws, which seat it anew [rad/sqrt(s)].
+        seating: random walk of the orientation while the screws seat the tool [rad/sqrt(s)].
         swing: random walk of the swing's amplitude [rad/sqrt(s)].
         pace: random walk of the swing's frequency, as a share of it [1/sqrt(s)].
         speed: random walk of the conveyor's speed while running [m/s/sqrt(s)].
@@ -161,12 +162,12 @@ class FusionSettings:
 
 @dataclass(frozen=True, slots=True)
 class RippleSettings:
-    """The periodic part of the conveyor's ripple, as a drive or a chain makes it.
+    """Periodic part of the conveyor's ripple, by a drive or a chain.
 
     Attributes:
         frequency_hz: frequency at full conveyor speed [Hz].
-        spread: one sigma of the frequency, as a share of it; what is left is estimated while the
-            conveyor runs. 0 takes it for exact.
+        spread: one sigma of the frequency, as a share; the error is estimated while the conveyor
+            runs. 0: the frequency is exact.
         deviation: one sigma of its amplitude at full speed [m]; 0 for a conveyor without.
         walk: random walk of the amplitude [m/sqrt(s)].
         pace: random walk of the frequency, as a share of it [1/sqrt(s)].
@@ -233,13 +234,13 @@ class BankSettings:
 
 @dataclass(frozen=True, slots=True)
 class ImpulseSettings:
-    """A push of the body, as by a hand or a second robot: the hypothesis beside the classes.
+    """Impulse disturbance of the body, by a hand or a second robot.
 
     Attributes:
-        frequencies_hz: at which a pushed body may swing along the conveyor.
+        frequencies_hz: possible swing frequencies of the body along the conveyor.
         damping: damping ratio, share of critical.
         deviation: of the amplitude [m].
-        confirmed: log odds at which a push is taken.
+        confirmed: log odds at which an impulse is accepted.
         longest_onset: age of the oldest onset in the bank [s].
     """
 
@@ -272,7 +273,7 @@ class ImmSettings:
 
 @dataclass(frozen=True, slots=True)
 class MergeSettings:
-    """How a change of prediction enters the horizon (reading notes, "The merge").
+    """Merge of a new prediction into the horizon.
 
     Attributes:
         along: time constant along the conveyor [s].
@@ -287,10 +288,10 @@ class MergeSettings:
 
 @dataclass(frozen=True, slots=True)
 class TrackingSettings:
-    """All that can be set of tracking.
+    """All settings of tracking.
 
     Attributes:
-        classifier: which one decides what the conveyor is doing.
+        classifier: of the conveyor's motion.
         predict: False freezes the horizon at the present estimate (ablation ``no-prediction``).
         mixture: the bank's prediction weighs its hypotheses; False takes the class in force.
     """

@@ -1,8 +1,8 @@
-"""The task as data: what is assembled where, in which phases, beside which conveyor.
+"""Task file as data: what is assembled where, in which phases, at which conveyor.
 
-Law of this file: frozen values in SI units as a task file gives them, and nothing computed.
-Ranges stand on the fields (``annotated_types``), so that the file's validator and a caller in
-Python are held to the same rules. ``reference`` turns a task into trajectories.
+Invariants:
+- Frozen values in SI units; nothing is computed.
+- Ranges are on the fields (``annotated_types``), for the file's validator and for Python callers.
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from annotated_types import Ge, Gt, Le, Len, Lt
 
 from linemate.protocol.samples import Quaternion, Vector3
 
-# Wide of any station, and too narrow for millimetres, milliseconds or degrees.
+# Wider than any station needs; millimetres, milliseconds or degrees are out of range.
 Metre = Annotated[float, Ge(-30.0), Le(30.0)]
 Place = tuple[Metre, Metre, Metre]
 Time = Annotated[float, Ge(0.0), Le(3600.0)]
@@ -30,7 +30,7 @@ class WaypointFrame(StrEnum):
 
 
 class Phase(StrEnum):
-    """What a stretch of the reference trajectory is for."""
+    """Purpose of a stretch of the reference trajectory."""
 
     WAIT = "wait"
     APPROACH = "approach"
@@ -41,7 +41,7 @@ class Phase(StrEnum):
 
 
 class Gate(StrEnum):
-    """What must have happened before the task may go past a waypoint."""
+    """Condition for passing a waypoint."""
 
     NONE = "none"
     OBJECT_CLOSE = "object_close"
@@ -79,13 +79,13 @@ class Waypoint:
 
 @dataclass(frozen=True, slots=True)
 class ConveyorClasses:
-    """The conveyor's classes (Sect. III-B): what a stop and a start look like.
+    """Classes of the conveyor (Sect. III-B): speed, and accelerations of a stop and a start.
 
     Attributes:
         axis: direction of travel in base, a unit vector.
-        nominal_speed: [m/s].
-        deceleration: of a stop [m/s^2].
-        acceleration: of a start [m/s^2].
+        nominal_speed: speed of a running conveyor [m/s].
+        deceleration: nominal deceleration of a stop [m/s^2].
+        acceleration: nominal acceleration of a start [m/s^2].
         start_position: reading of the distance sensor at which the task's clock starts [m].
     """
 

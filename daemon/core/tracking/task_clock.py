@@ -17,12 +17,12 @@ CLAMP_OPEN = 2  # bit of the tool's signals: the wheel is released
 
 
 def standing_time(tracker: Tracker, state: TrackerState, now_ns: int, retreat: bool) -> float:
-    """Return at which step's time the task's clock stands [s]; infinity if nothing stops it."""
+    """Return the step's time at which the task's clock stops [s]; infinity without a stop."""
     if retreat and is_before_contact(state):
         return state.time
     closed = barrier(tracker.reference, state.time, state.passed)
     if state.time <= tracker.sight_time < closed and not retreat:
-        # Beyond this waypoint the camera goes blind, and contact relies on what it saw last.
+        # Beyond this waypoint the camera is too near; contact relies on its last pose.
         oldest_ns = round(tracker.task.guard.sight * 1e9)
         if state.pose_ns is None or now_ns - state.pose_ns > oldest_ns:
             closed = tracker.sight_time
@@ -30,7 +30,7 @@ def standing_time(tracker: Tracker, state: TrackerState, now_ns: int, retreat: b
 
 
 def is_before_contact(state: TrackerState) -> bool:
-    """Return whether the tool has not felt the object yet: a retreat must not lead it there."""
+    """Return whether there was no contact yet: a retreat must not lead the tool there."""
     return not state.contact and Gate.WHEEL_RELEASED not in state.passed
 
 
@@ -41,7 +41,7 @@ def advance_clock(
     samples: StepSamples,
     retreat: bool,
 ) -> TrackerState:
-    """Return the state with the task's clock one step further, as far as its gates let it."""
+    """Return the state with the task's clock one step later, unless a gate stops it."""
     T0 = tracker.cycle_s
     tool, passed = tracker.task.tool, open_gates(tracker, state, view, samples)
     if retreat and state.releasing is None and not state.contact:
@@ -96,7 +96,7 @@ def _set_back(tracker: Tracker, state: TrackerState) -> TrackerState:
 def _is_pressed(tracker: Tracker, state: TrackerState) -> bool:
     """Return whether the tool is in contact and the object has pushed it back for a while.
 
-    A tool that slows down feels its own mass for a moment, as if it touched.
+    The inertia of a tool that slows down gives the force of a contact for a moment.
     """
     if state.assumed:
         return state.contact
@@ -109,7 +109,6 @@ def _may_be_clamped(
     """Return whether to withdraw now could pull at a closed clamp.
 
     Args:
-        tracker: compiled.
         state: with the task's clock at the last command that the robot got.
         passed: gates that are open.
         moved: way of the object while the robot stood, for it got no commands [m].
@@ -140,7 +139,7 @@ def is_overdue(tracker: Tracker, state: TrackerState) -> bool:
 def open_gates(
     tracker: Tracker, state: TrackerState, view: ConveyorEstimate | None, samples: StepSamples
 ) -> frozenset[Gate]:
-    """Return the gates that are open, with those that what is known now opens."""
+    """Return the open gates, with those that open now."""
     tool, fixing, releasing = tracker.task.tool, state.fixing, state.releasing
     gates = []
     if view is not None and view.position + view.offset >= tracker.reference.origin[1]:
@@ -157,12 +156,12 @@ def open_gates(
 
 
 def _has_lasted(age: float | None, needed: float | None) -> bool:
-    """Tell whether something has lasted as long as is needed; without a need it never has."""
+    """Return whether an age has reached a duration; never without one."""
     return age is not None and needed is not None and age >= needed
 
 
 def elapsed(age: float | None, begun: bool, dt: float) -> float | None:
-    """Return how long something has lasted: None before, 0 as it begins."""
+    """Return the time since a beginning [s]: None before, 0 as it begins."""
     if age is not None:
         return age + dt
     return 0.0 if begun else None

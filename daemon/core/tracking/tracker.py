@@ -288,7 +288,6 @@ def _sensed_poses(
 
     Args:
         state: with the object's estimate across the conveyor.
-        stamp_ns: of now [ns].
         along: (m,) predicted positions along the conveyor [m].
         span: (m,) their times from now [s].
         relative: (m, 6) the programmed tcp in the object.

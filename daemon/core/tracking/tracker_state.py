@@ -34,7 +34,6 @@ class Tracker:
     Attributes:
         table: the reference at every step of the task's clock.
         camera: position (3,) and rotation (3, 3) of the camera in the tcp.
-        cycle_s: T0 [s].
         steps: n, length of the horizon.
         commit: nc, the last step that a merge keeps.
         matrices: (6, n - nc, 5) of the merge.

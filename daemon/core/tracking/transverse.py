@@ -41,7 +41,6 @@ class TransverseState(Struct, frozen=True, eq=False):
         x: (5 + 2 m + p,): x, z [m], a small rotation [rad]; for each swing its angle and quadrature
             [rad]; for each swing with a ``spread`` the error of its frequency as a share. Rotation
             and frequency errors are folded into the fields below after each correction, then 0.
-        P: covariance of x.
         rotation: (3, 3) the object at rest in c.
         rejected: measurements rejected in a row.
         frequency_factors: each swing's frequency over the identified one.
@@ -324,7 +323,6 @@ def _average_nis(nis: float, inflation: float, beyond: Array, variance: Array) -
     """Return the average NIS with one more pose.
 
     Args:
-        nis: before.
         inflation: of the pose's variance.
         beyond: (5,) squared innovations minus their expected variance.
         variance: (5,) of the pose, inflated.

@@ -27,7 +27,7 @@ SHIPPED = Limits(
     0.012,
 )
 # One axis of another kind each: a slow one, a nervous one, one whose jerk bites at 4 ms.
-HOUSE = Limits(
+THREE_AXES = Limits(
     np.array((-1.0, -0.5, 0.0)),
     np.array((1.0, 0.5, 3.0)),
     np.array((1.0, 3.0, 0.2)),
@@ -110,7 +110,7 @@ def wishes(draw: st.DrawFn, axes: int) -> list[Array]:
 
 
 @pytest.mark.parametrize("period", CYCLES)
-@pytest.mark.parametrize("bounds", [SHIPPED, HOUSE], ids=["shipped", "house"])
+@pytest.mark.parametrize("bounds", [SHIPPED, THREE_AXES], ids=["shipped", "three axes"])
 @settings(max_examples=25, deadline=None)
 @given(data=st.data())
 def test_whatever_is_desired_the_commands_stay_within_the_limits(
@@ -127,7 +127,7 @@ def test_huge_wishes_back_and_forth_do_not_overflow_into_the_command(
 ) -> None:
     row = np.full(3, huge)
     desired = [row, row, -row, row, row, REST[3], row, REST[3], REST[3], -row] * 3
-    assert_within(run(desired, HOUSE, period).commands, HOUSE, period)
+    assert_within(run(desired, THREE_AXES, period).commands, THREE_AXES, period)
 
 
 @pytest.mark.parametrize("period", CYCLES)
@@ -136,14 +136,14 @@ def test_a_wish_that_is_not_finite_brakes_and_says_so(period: float) -> None:
     for axis, bad in enumerate((np.nan, np.inf, -np.inf)):
         row = moving[-1].copy()
         row[axis] = bad
-        result = run([*moving, *[row] * 200], HOUSE, period)
+        result = run([*moving, *[row] * 200], THREE_AXES, period)
         assert set(result.held[60:]) == {"the command was not finite"}
-        assert_within(result.commands, HOUSE, period)
+        assert_within(result.commands, THREE_AXES, period)
         assert limiter.is_standing(result.states[-1])
 
 
 @pytest.mark.parametrize("period", CYCLES)
-@pytest.mark.parametrize("bounds", [SHIPPED, HOUSE], ids=["shipped", "house"])
+@pytest.mark.parametrize("bounds", [SHIPPED, THREE_AXES], ids=["shipped", "three axes"])
 @settings(max_examples=8, deadline=None)
 @given(data=st.data())
 def test_the_brake_comes_to_rest_within_the_limits_from_wherever_the_gate_can_be(
@@ -174,13 +174,13 @@ def test_a_smooth_wish_inside_the_limits_passes_bit_for_bit(
 ) -> None:
     # A sine that is faded in, sized by whichever limit bites first, its fade included.
     w = 2.0 * np.pi * cycles
-    room = np.minimum(REST[3] - HOUSE.lower, HOUSE.upper - REST[3])
+    room = np.minimum(REST[3] - THREE_AXES.lower, THREE_AXES.upper - REST[3])
     largest = np.minimum.reduce(
         (
             0.5 * room,
-            HOUSE.speed / (2 * w),
-            HOUSE.acceleration / (4 * w**2),
-            HOUSE.jerk / (8 * w**3),
+            THREE_AXES.speed / (2 * w),
+            THREE_AXES.acceleration / (4 * w**2),
+            THREE_AXES.jerk / (8 * w**3),
         )
     )
     t = np.arange(int(2.5 / cycles / period)) * period
@@ -188,7 +188,7 @@ def test_a_smooth_wish_inside_the_limits_passes_bit_for_bit(
     fade = fade**4 * (35.0 - 84.0 * fade + 70.0 * fade**2 - 20.0 * fade**3)
     wave = 0.35 * share * np.outer(fade * np.sin(w * t), largest)
     desired = REST[3] + wave
-    result = run(desired, HOUSE, period)
+    result = run(desired, THREE_AXES, period)
     assert result.held == [None] * len(desired)
     assert np.array_equal(result.commands[1:], desired)
 
@@ -258,17 +258,17 @@ def test_after_nonsense_the_arm_catches_up_and_passes_again(period: float) -> No
 def test_a_robot_that_stands_beyond_a_limit_may_only_come_back(
     beyond: float, period: float
 ) -> None:
-    start = HOUSE.upper + beyond
-    further = run([start + 0.5] * 200, HOUSE, period, start)
+    start = THREE_AXES.upper + beyond
+    further = run([start + 0.5] * 200, THREE_AXES, period, start)
     assert (further.commands <= start).all()
-    back = run([HOUSE.upper - 0.2] * int(8.0 / period), HOUSE, period, start)
+    back = run([THREE_AXES.upper - 0.2] * int(8.0 / period), THREE_AXES, period, start)
     assert (back.commands <= start).all()
-    assert (back.commands[-1] < HOUSE.upper).all()
+    assert (back.commands[-1] < THREE_AXES.upper).all()
 
 
 @pytest.mark.parametrize("period", CYCLES)
 def test_at_full_speed_towards_a_limit_the_robot_stops_before_it(period: float) -> None:
-    for bounds in (SHIPPED, HOUSE):
+    for bounds in (SHIPPED, THREE_AXES):
         for target in (bounds.lower - 0.9, bounds.upper):
             result = run([target] * int(12.0 / period), bounds, period)
             assert_within(result.commands, bounds, period)
@@ -279,8 +279,8 @@ def test_at_full_speed_towards_a_limit_the_robot_stops_before_it(period: float) 
 
 def test_the_reason_names_the_axes_that_were_held_back() -> None:
     wish = REST[3] + np.array((0.0, 0.5, 0.0))
-    assert run([wish], HOUSE, 0.012).held == ["limited: quick"]
-    assert run([wish + 0.5], HOUSE, 0.012).held == ["limited: slow, quick, soft"]
+    assert run([wish], THREE_AXES, 0.012).held == ["limited: quick"]
+    assert run([wish + 0.5], THREE_AXES, 0.012).held == ["limited: slow, quick, soft"]
 
 
 @example(0.5)
@@ -288,10 +288,10 @@ def test_the_reason_names_the_axes_that_were_held_back() -> None:
 @given(st.floats(-0.9, 0.9))
 def test_a_gate_at_rest_stays_where_it_is(place: float) -> None:
     start = np.array((place, 0.5 * place, 1.0 + place))
-    result = run([start] * 20, HOUSE, 0.012, start)
+    result = run([start] * 20, THREE_AXES, 0.012, start)
     assert (result.commands == start).all()
     assert result.held == [None] * 20
-    assert limiter.is_standing(limiter.brake(result.states[-1], at(HOUSE, 0.012)))
+    assert limiter.is_standing(limiter.brake(result.states[-1], at(THREE_AXES, 0.012)))
 
 
 def test_moving_is_not_standing() -> None:
@@ -304,12 +304,12 @@ def test_moving_is_not_standing() -> None:
 
 
 GENTLE = Limits(
-    HOUSE.lower,
-    HOUSE.upper,
-    HOUSE.speed,
-    0.25 * HOUSE.acceleration,
-    0.25 * HOUSE.jerk,
-    HOUSE.names,
+    THREE_AXES.lower,
+    THREE_AXES.upper,
+    THREE_AXES.speed,
+    0.25 * THREE_AXES.acceleration,
+    0.25 * THREE_AXES.jerk,
+    THREE_AXES.names,
     0.012,
 )
 
@@ -317,15 +317,17 @@ GENTLE = Limits(
 @pytest.mark.parametrize("period", CYCLES)
 def test_a_gentle_stop_stays_gentle_and_comes_to_rest(period: float) -> None:
     times = period * np.arange(1, int(1.5 / period))[:, None]
-    before = run(REST[3] + 0.1 * HOUSE.speed * np.maximum(0.0, times - 0.8), HOUSE, period)
+    before = run(
+        REST[3] + 0.1 * THREE_AXES.speed * np.maximum(0.0, times - 0.8), THREE_AXES, period
+    )
     state = before.states[-1]
-    assert (state.speed > 0.09 * HOUSE.speed).all()
+    assert (state.speed > 0.09 * THREE_AXES.speed).all()
     after = []
     for _ in range(int(6.0 / period)):
-        state = limiter.brake(state, at(HOUSE, period), at(GENTLE, period))
+        state = limiter.brake(state, at(THREE_AXES, period), at(GENTLE, period))
         after.append(state)
     assert limiter.is_standing(state)
-    assert_within(np.vstack((before.commands, [s.position for s in after])), HOUSE, period)
+    assert_within(np.vstack((before.commands, [s.position for s in after])), THREE_AXES, period)
     taken = np.array([s.acceleration for s in after])
     # Once what the motion itself had is let go, no more than the gentle deceleration is used.
     ripe = int(0.3 / period)
@@ -338,17 +340,17 @@ def stopping_way(state: LimiterState, period: float, gentle: Limits | None) -> A
     """Return how far the axes still go (m,); the commands of the stop are within the limits."""
     commands = [state.position - state.speed * period * i for i in (3, 2, 1, 0)]
     for _ in range(int(6.0 / period)):
-        state = limiter.brake(state, at(HOUSE, period), gentle and at(gentle, period))
+        state = limiter.brake(state, at(THREE_AXES, period), gentle and at(gentle, period))
         commands.append(state.position)
     assert limiter.is_standing(state)
     jumps = np.diff(np.diff(np.array(commands), axis=0), axis=0) / period**2
-    assert (np.abs(jumps) <= HOUSE.acceleration * (1.0 + 1e-6) + 1e-6).all()
+    assert (np.abs(jumps) <= THREE_AXES.acceleration * (1.0 + 1e-6) + 1e-6).all()
     return state.position - commands[3]
 
 
 @pytest.mark.parametrize("period", CYCLES)
 def test_a_gentle_stop_does_not_begin_at_the_speed_of_a_catch_up(period: float) -> None:
-    planned, here = 0.1 * HOUSE.speed, REST[3]
+    planned, here = 0.1 * THREE_AXES.speed, REST[3]
     caught_up = LimiterState(here, 3.0 * planned, 0.0 * planned, here, planned)
     steady = LimiterState(here, planned, 0.0 * planned, here, planned)
     quickest = stopping_way(caught_up, period, None)
@@ -364,11 +366,11 @@ def test_an_acceleration_beyond_the_gentle_one_is_let_go_at_the_jerk_of_the_limi
     period: float,
 ) -> None:
     for way in (-1.0, 1.0):
-        for had in (HOUSE, GENTLE):
+        for had in (THREE_AXES, GENTLE):
             held = way * 0.9 * had.acceleration
-            speed = way * 0.5 * HOUSE.speed
+            speed = way * 0.5 * THREE_AXES.speed
             state = LimiterState(REST[3], speed, held, REST[3], speed)
-            after = limiter.brake(state, at(HOUSE, period), at(GENTLE, period))
+            after = limiter.brake(state, at(THREE_AXES, period), at(GENTLE, period))
             fallen = way * (held - after.acceleration)
             whole = np.abs(held) + GENTLE.acceleration
             assert np.allclose(fallen, np.minimum(had.jerk * period, whole), rtol=1e-6)
@@ -378,16 +380,16 @@ def test_an_acceleration_beyond_the_gentle_one_is_let_go_at_the_jerk_of_the_limi
 def test_a_gate_made_of_what_a_robot_does_goes_on_as_the_one_that_led_it(period: float) -> None:
     times = period * np.arange(1, 60)[:, None]
     wishes = REST[3] + 0.02 * (1.0 - np.cos(2.0 * times)) ** 2
-    led = run(wishes[:-1], HOUSE, period).states[-1]
+    led = run(wishes[:-1], THREE_AXES, period).states[-1]
     made = limiter.moving(led.position, led.speed, led.acceleration)
-    expected, _ = limiter.admit(led, wishes[-1], at(HOUSE, period))
-    found, why = limiter.admit(made, wishes[-1], at(HOUSE, period))
+    expected, _ = limiter.admit(led, wishes[-1], at(THREE_AXES, period))
+    found, why = limiter.admit(made, wishes[-1], at(THREE_AXES, period))
     assert why is None
     assert np.abs(expected.position - led.position).min() > 1e-5
     for name in ("position", "speed", "acceleration"):
         assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-6)
     # From rest the same wish would be a jump.
-    _, why = limiter.admit(limiter.at_rest(led.position), wishes[-1], at(HOUSE, period))
+    _, why = limiter.admit(limiter.at_rest(led.position), wishes[-1], at(THREE_AXES, period))
     assert why is not None
 
 

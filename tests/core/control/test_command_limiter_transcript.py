@@ -15,7 +15,7 @@ from linemate.daemon.core.control.axis_limits import Limits
 from linemate.daemon.core.control.command_limiter import LimiterState
 from linemate.daemon.core.horizon import Array
 
-HOUSE = Limits(
+THREE_AXES = Limits(
     np.array((-1.0, -0.5, 0.0)),
     np.array((1.0, 0.5, 3.0)),
     np.array((1.0, 3.0, 0.2)),
@@ -25,12 +25,12 @@ HOUSE = Limits(
     0.012,
 )
 GENTLE = Limits(
-    HOUSE.lower,
-    HOUSE.upper,
-    HOUSE.speed,
-    0.3 * HOUSE.acceleration,
-    0.2 * HOUSE.jerk,
-    HOUSE.names,
+    THREE_AXES.lower,
+    THREE_AXES.upper,
+    THREE_AXES.speed,
+    0.3 * THREE_AXES.acceleration,
+    0.2 * THREE_AXES.jerk,
+    THREE_AXES.names,
     0.012,
 )
 
@@ -53,7 +53,7 @@ def _wishes(chance: Chance, period: float) -> Iterator[Array]:
         aim = np.array(
             [chance.between(-1.3, 1.3), chance.between(-0.7, 0.7), chance.between(-0.5, 3.5)]
         )
-        pace = chance.between(0.02, 1.3) * HOUSE.speed * period
+        pace = chance.between(0.02, 1.3) * THREE_AXES.speed * period
         first = wish.copy()
         for n in range(1, int(chance.between(5, 70))):
             match kind:
@@ -76,21 +76,21 @@ def _wishes(chance: Chance, period: float) -> Iterator[Array]:
             yield spoilt
 
 
-def _journey(chance: Chance, period: float, told: Transcript) -> None:
+def _journey(chance: Chance, period: float, outcome: Transcript) -> None:
     state = limiter.at_rest(START)
     wishes = _wishes(chance, period)
     braking, gentle = 0, None
     for _ in range(400):
         if braking:
             braking -= 1
-            state = limiter.brake(state, at(HOUSE, period), gentle and at(gentle, period))
+            state = limiter.brake(state, at(THREE_AXES, period), gentle and at(gentle, period))
             why = "brake"
         else:
-            state, why = limiter.admit(state, next(wishes), at(HOUSE, period))
+            state, why = limiter.admit(state, next(wishes), at(THREE_AXES, period))
             if chance.happens(0.01):
                 braking = int(chance.between(3, 150))
                 gentle = chance.pick((None, GENTLE))
-        told.say(why, limiter.is_standing(state), _bits(state))
+        outcome.say(why, limiter.is_standing(state), _bits(state))
 
 
 def _bits(state: LimiterState) -> list[str]:
@@ -103,10 +103,10 @@ def _bits(state: LimiterState) -> list[str]:
     [(0.012, "c21c35386129a61e"), (0.004, "8efdb339b7b94323")],
 )
 def test_the_gate_admits_to_the_bit_what_it_always_did(period: float, digest: str) -> None:
-    told = Transcript()
+    outcome = Transcript()
     for journey in range(10):
-        _journey(Chance(f"gate/{journey}"), period, told)
-    assert told.digest == digest
+        _journey(Chance(f"gate/{journey}"), period, outcome)
+    assert outcome.digest == digest
 
 
 @pytest.mark.parametrize(

@@ -249,10 +249,10 @@ def test_a_list_far_off_takes_little_more_than_an_iteration_a_pose(
     made = 0
     jacobian = pin.computeFrameJacobian
 
-    def counted(*told: Any) -> Array:
+    def counted(*outcome: Any) -> Array:
         nonlocal made
         made += 1
-        found: Array = jacobian(*told)
+        found: Array = jacobian(*outcome)
         return found
 
     rest = np.array((*TASK.file.arm.rest_joints, 0.0))

@@ -36,7 +36,7 @@ def test_no_arm_has_limits_that_neither_its_urdf_nor_its_site_gave() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "outcome"),
     [
         ({"speed": 3.1}, (3, "speed", "3.1 is wider than the URDF's for A4: 2.37365")),
         ({"upper": 6.2}, (3, "upper", "6.2 is wider than the URDF's for A4: 6.10865")),
@@ -45,12 +45,12 @@ def test_no_arm_has_limits_that_neither_its_urdf_nor_its_site_gave() -> None:
     ],
 )
 def test_limits_beyond_the_urdfs_are_named(
-    change: dict[str, float], told: tuple[int, str, str]
+    change: dict[str, float], outcome: tuple[int, str, str]
 ) -> None:
     rows = list(shipped_control().limits)
     rows[3] = replace(rows[3], **change)
     settings = ControlSettings(limits=tuple(rows))
-    assert wider(settings, URDF, "flange", linear_axis=True) == [told]
+    assert wider(settings, URDF, "flange", linear_axis=True) == [outcome]
 
 
 def test_narrower_limits_are_good() -> None:
@@ -62,7 +62,7 @@ def test_narrower_limits_are_good() -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "outcome"),
     [
         (
             'lower="-2.443460952792061"',
@@ -78,9 +78,11 @@ def test_narrower_limits_are_good() -> None:
         ('velocity="1.5"', "", "the <limit> of joint E1 has no velocity"),
     ],
 )
-def test_a_urdf_in_other_units_is_refused_by_the_joints_name(old: str, new: str, told: str) -> None:
+def test_a_urdf_in_other_units_is_refused_by_the_joints_name(
+    old: str, new: str, outcome: str
+) -> None:
     assert old in URDF
-    with pytest.raises(UrdfLimitsError, match=told):
+    with pytest.raises(UrdfLimitsError, match=outcome):
         read(URDF.replace(old, new), "flange", linear_axis=True)
 
 

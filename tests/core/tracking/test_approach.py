@@ -88,7 +88,7 @@ def test_a_swing_is_right_to_the_second_order(
     assert off[WIDTH / 2] < 0.3 * off[WIDTH]
 
 
-def test_the_tcp_beside_a_swinging_object_is_within_a_few_micrometres() -> None:
+def test_the_tcp_next_to_a_swinging_object_is_within_a_few_micrometres() -> None:
     where = part(np.linspace(-WIDTH, WIDTH, 9))
     for reach in (-0.40, -0.06, 0.001):
         distance = np.array((0.0, 0.0, reach, 0.0, 0.0, 0.0))

@@ -51,7 +51,7 @@ def measured(truth: Truth, seed: int) -> list[list[PositionMeasurement]]:
     return steps
 
 
-def told(
+def outcome(
     steps: list[list[PositionMeasurement]], bank: BankClassifier = BANK
 ) -> tuple[BankState, int, BankState]:
     """The state before the bank has hypotheses, its step, and the state at the end."""
@@ -98,7 +98,7 @@ def test_evidence_is_the_likelihood_ratio_of_a_filter_for_each_hypothesis(
     events: tuple[tuple[float, float], ...],
 ) -> None:
     steps = measured(Truth(1.5, events), seed=3)
-    start, first, state = told(steps)
+    start, first, state = outcome(steps)
     assert start.age <= SETTLING + 1e-9
     evidence, _ = onset_bank.likelihood_ratios(state.changes, BANK.change_prior)
     now = (len(steps) - 1) * T0
@@ -133,7 +133,7 @@ def integrated(A: float, B: float) -> float:
 
 def test_the_best_hypothesis_is_the_onset_that_was() -> None:
     steps = measured(Truth(1.5, ((0.9, -STOP),)), seed=4)
-    _, _, state = told(steps)
+    _, _, state = outcome(steps)
     best = state.changes.age[
         int(np.argmax(onset_bank.likelihood_ratios(state.changes, BANK.change_prior)[0]))
     ]
@@ -154,8 +154,8 @@ def test_a_ramp_is_as_set_as_far_as_the_readings_let_it(found: float, sigma: flo
         gaussian(a, nominal, share * nominal)
         for share in (settings.amplitude_deviation, settings.as_set_deviation)
     )
-    told = gaussian(a, found, sigma) / wide  # by the readings alone
-    belief = told * (settings.as_set * narrow + (1.0 - settings.as_set) * wide)
+    outcome = gaussian(a, found, sigma) / wide  # by the readings alone
+    belief = outcome * (settings.as_set * narrow + (1.0 - settings.as_set) * wide)
     expected = float((a * belief).sum() / belief.sum())
     assert bank_prediction.ramp_estimate(BANK, state)[ACCELERATION] == pytest.approx(
         expected, abs=0.03 * sigma
@@ -254,7 +254,7 @@ def in_contact(
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_in_contact_a_stop_is_confirmed_beside_the_hypothesis_of_a_push(seed: int) -> None:
+def test_in_contact_a_stop_is_confirmed_next_to_the_hypothesis_of_a_push(seed: int) -> None:
     truth = Truth(1.0, ((0.4, -STOP),), seed=seed)
     events = in_contact(truth, lambda _: 0.0, 0.9, seed)
     confirmed = [t for t, kind, what in events if (kind, what) == ("stop", "confirmed")]

@@ -45,17 +45,17 @@ SEEDS = range(3)
 STOPPED = NOMINAL / STOP  # how long a stop takes [s]
 STARTED = NOMINAL / START
 
-_TOLD: dict[tuple[str, int, tuple[tuple[float, float], ...], float], Story] = {}
+_STORIES: dict[tuple[str, int, tuple[tuple[float, float], ...], float], Story] = {}
 
 
 def story(
     classifier: Classifier, seed: int, events: tuple[tuple[float, float], ...], seconds: float
 ) -> Story:
-    """A run with the poor sensor, told once."""
+    """A run with the poor sensor, computed once."""
     key = (type(classifier).__name__, seed, events, seconds)
-    if key not in _TOLD:
-        _TOLD[key] = tell(classifier, Truth(seconds, events, seed=seed))
-    return _TOLD[key]
+    if key not in _STORIES:
+        _STORIES[key] = tell(classifier, Truth(seconds, events, seed=seed))
+    return _STORIES[key]
 
 
 ONE_STOP = ((3.0, -STOP),)
@@ -77,10 +77,10 @@ def test_a_stop_is_perceived_and_confirmed_before_the_conveyor_has_stopped(
     classifier: Classifier,
 ) -> None:
     for seed, latency in enumerate(latencies(classifier, "stop", "confirmed")):
-        told = story(classifier, seed, ONE_STOP, 4.2)
-        assert 0.0 < told.first("stop", "tentative", 3.0) - 3.0 <= latency < 0.5 * STOPPED
-        assert told.motion(3.0 + latency + T0) is Motion.STOPPING
-        assert told.count("confirmed") == 1
+        outcome = story(classifier, seed, ONE_STOP, 4.2)
+        assert 0.0 < outcome.first("stop", "tentative", 3.0) - 3.0 <= latency < 0.5 * STOPPED
+        assert outcome.motion(3.0 + latency + T0) is Motion.STOPPING
+        assert outcome.count("confirmed") == 1
 
 
 @each
@@ -88,10 +88,10 @@ def test_a_start_is_confirmed_before_the_conveyor_has_its_speed_again(
     classifier: Classifier,
 ) -> None:
     for seed, latency in enumerate(latencies(classifier, "start", "confirmed")):
-        told = story(classifier, seed, STOP_AND_GO, 7.0)
-        assert 0.0 < told.first("start", "tentative", 4.0) - 4.0 <= latency < 0.4 * STARTED
-        assert told.motion(3.9) is Motion.STANDING
-        assert told.motion(6.9) is Motion.STARTING
+        outcome = story(classifier, seed, STOP_AND_GO, 7.0)
+        assert 0.0 < outcome.first("start", "tentative", 4.0) - 4.0 <= latency < 0.4 * STARTED
+        assert outcome.motion(3.9) is Motion.STANDING
+        assert outcome.motion(6.9) is Motion.STARTING
 
 
 def test_the_rule_is_as_slow_as_the_papers_and_the_bank_is_quicker() -> None:
@@ -115,10 +115,10 @@ def test_the_rule_is_as_slow_as_the_papers_and_the_bank_is_quicker() -> None:
 @each
 def test_a_restart_during_the_deceleration_is_noticed(classifier: Classifier) -> None:
     for seed in SEEDS:
-        told = story(classifier, seed, CHANGED_MIND, 3.0)
-        assert told.first("stop", "confirmed", 1.0) < RESTARTED_AT
-        assert told.first("start", "confirmed", RESTARTED_AT) - RESTARTED_AT < 0.4
-        assert told.motion(2.9) is Motion.STARTING
+        outcome = story(classifier, seed, CHANGED_MIND, 3.0)
+        assert outcome.first("stop", "confirmed", 1.0) < RESTARTED_AT
+        assert outcome.first("start", "confirmed", RESTARTED_AT) - RESTARTED_AT < 0.4
+        assert outcome.motion(2.9) is Motion.STARTING
 
 
 @each
@@ -138,9 +138,9 @@ def test_what_is_tried_is_confirmed_or_cancelled_and_nothing_else_is(
 
 @each
 def test_a_view_is_tentative_from_trial_to_verdict(classifier: Classifier) -> None:
-    told = story(classifier, 0, STOP_AND_GO, 7.0)
+    outcome = story(classifier, 0, STOP_AND_GO, 7.0)
     trial = False
-    for view in told.views:
+    for view in outcome.views:
         for _, what in view.events:
             trial = what == "tentative"
         assert view.tentative is trial
@@ -149,10 +149,10 @@ def test_a_view_is_tentative_from_trial_to_verdict(classifier: Classifier) -> No
 @each
 def test_a_conveyor_that_runs_on_is_left_in_peace(classifier: Classifier) -> None:
     truth = Truth(10.0, seed=11)
-    told = tell(classifier, truth)
-    assert told.count("confirmed") == 0
-    assert np.abs(told.position_errors(truth, 0.0)).max() < 0.0012
-    assert told.views[-1].speed == pytest.approx(NOMINAL, abs=0.004)
+    outcome = tell(classifier, truth)
+    assert outcome.count("confirmed") == 0
+    assert np.abs(outcome.position_errors(truth, 0.0)).max() < 0.0012
+    assert outcome.views[-1].speed == pytest.approx(NOMINAL, abs=0.004)
 
 
 @each
@@ -169,11 +169,11 @@ def test_outliers_of_100_mm_neither_confirm_nor_disturb(
     wrong[1:] &= ~wrong[:-1]  # at most one in a row; two are another test
     assert wrong.sum() > 5
     jumps = clean + rng.choice((-0.1, 0.1), len(times))
-    told = tell(classifier, truth, readings=np.where(wrong, jumps, clean))
+    outcome = tell(classifier, truth, readings=np.where(wrong, jumps, clean))
     gaps = tell(classifier, truth, readings=np.where(wrong, np.nan, clean))
-    assert told.count("confirmed") == len(events)
-    assert told.events == gaps.events
-    for view, other in zip(told.views, gaps.views, strict=True):
+    assert outcome.count("confirmed") == len(events)
+    assert outcome.events == gaps.events
+    for view, other in zip(outcome.views, gaps.views, strict=True):
         assert (view.position, view.speed, view.motion) == (
             other.position,
             other.speed,
@@ -191,10 +191,10 @@ def test_one_reading_that_is_a_few_millimetres_off_is_no_change_for_the_rule(siz
     for wrong in (180, 220, 260):
         readings[wrong] += size
         missing[wrong] = np.nan
-    told = tell(RULE, truth, readings=readings)
+    outcome = tell(RULE, truth, readings=readings)
     gaps = tell(RULE, truth, readings=missing)
-    assert told.events == gaps.events
-    assert [view.speed for view in told.views] == [view.speed for view in gaps.views]
+    assert outcome.events == gaps.events
+    assert [view.speed for view in outcome.views] == [view.speed for view in gaps.views]
 
 
 @each
@@ -204,9 +204,9 @@ def test_two_outliers_in_a_row_confirm_nothing(classifier: Classifier) -> None:
     readings = Sensor(seed=3).read(truth, times)
     for start in (170, 250, 300):
         readings[start : start + 2] += 0.1 if start == 250 else -0.1
-    told = tell(classifier, truth, readings=readings)
-    assert told.count("confirmed") == 0
-    assert np.abs(told.position_errors(truth, 0.0)).max() < 0.0012
+    outcome = tell(classifier, truth, readings=readings)
+    assert outcome.count("confirmed") == 0
+    assert np.abs(outcome.position_errors(truth, 0.0)).max() < 0.0012
 
 
 @pytest.mark.parametrize("classifier", [RULE, BANK, IMM], ids=["rule", "bank", "imm"])
@@ -218,8 +218,8 @@ def test_a_sensor_that_has_really_moved_does_not_lock_the_filter_out(
     times = np.arange(-LEAD + 0.5, truth.seconds, T0)
     readings = Sensor(seed=4).read(truth, times)
     readings[times > 1.0] += shift
-    told = tell(classifier, truth, readings=readings)
-    errors = told.position_errors(truth, 3.0) - shift
+    outcome = tell(classifier, truth, readings=readings)
+    errors = outcome.position_errors(truth, 3.0) - shift
     assert np.abs(errors).max() < 0.002
 
 
@@ -229,9 +229,9 @@ def test_a_sensor_that_is_silent_for_half_a_second_is_survived(classifier: Class
     times = np.arange(-LEAD + 0.5, truth.seconds, T0)
     readings = Sensor(seed=5).read(truth, times)
     readings[(times > 1.0) & (times < 1.5)] = np.nan
-    told = tell(classifier, truth, readings=readings)
-    assert told.count("confirmed") == 0
-    assert np.abs(told.position_errors(truth, 1.0)).max() < 0.004
+    outcome = tell(classifier, truth, readings=readings)
+    assert outcome.count("confirmed") == 0
+    assert np.abs(outcome.position_errors(truth, 1.0)).max() < 0.004
 
 
 @each
@@ -277,7 +277,7 @@ def test_a_late_camera_does_no_harm_while_the_conveyor_brakes(classifier: Classi
 
 
 @each
-def test_the_offset_of_the_distance_sensor_is_found_beside_a_camera(
+def test_the_offset_of_the_distance_sensor_is_found_next_to_a_camera(
     classifier: Classifier,
 ) -> None:
     state = classifier.initial(0.025)
@@ -297,8 +297,8 @@ sober = pytest.mark.parametrize("classifier", [RULE, SOBER], ids=["rule", "bank"
 
 @sober
 def test_the_outlook_begins_where_the_view_is(classifier: Classifier) -> None:
-    told = story(classifier, 1, STOP_AND_GO, 7.0)
-    for state, view in list(zip(told.states, told.views, strict=True))[::20]:
+    outcome = story(classifier, 1, STOP_AND_GO, 7.0)
+    for state, view in list(zip(outcome.states, outcome.views, strict=True))[::20]:
         now = float(classifier.predict_positions(state, np.zeros(1))[0])
         assert now == pytest.approx(view.position, abs=1e-9)
 
@@ -307,14 +307,14 @@ def test_the_outlook_begins_where_the_view_is(classifier: Classifier) -> None:
 def test_the_outlook_of_a_stop_ends_where_the_conveyor_will_stand(classifier: Classifier) -> None:
     errors = []
     for seed in SEEDS:
-        told = story(classifier, seed, ONE_STOP, 4.2)
+        outcome = story(classifier, seed, ONE_STOP, 4.2)
         truth = Truth(4.2, ONE_STOP, seed=seed)
-        k = int(np.searchsorted(told.times, 3.6))
+        k = int(np.searchsorted(outcome.times, 3.6))
         ahead = np.linspace(0.0, 0.5, 30)
-        way = classifier.predict_positions(told.states[k], ahead) + told.views[k].offset
+        way = classifier.predict_positions(outcome.states[k], ahead) + outcome.views[k].offset
         # A ripple that is left may take it back by as much as it has brought it.
         assert (np.diff(way) >= -3e-5).all()
-        errors.append(np.abs(way - truth.at(told.times[k] + ahead)).max())
+        errors.append(np.abs(way - truth.at(outcome.times[k] + ahead)).max())
     assert median(errors) < 0.002
     assert max(errors) < 0.005
 
@@ -322,20 +322,20 @@ def test_the_outlook_of_a_stop_ends_where_the_conveyor_will_stand(classifier: Cl
 @sober
 def test_the_outlook_of_a_running_conveyor_goes_on(classifier: Classifier) -> None:
     truth = Truth(3.0, ripple=0.0)
-    told = tell(classifier, truth, IDEAL)
+    outcome = tell(classifier, truth, IDEAL)
     ahead = np.linspace(0.0, 0.5, 10)
-    way = classifier.predict_positions(told.states[-1], ahead) + told.views[-1].offset
-    assert np.allclose(way, truth.at(told.times[-1]) + NOMINAL * ahead, atol=2e-4)
+    way = classifier.predict_positions(outcome.states[-1], ahead) + outcome.views[-1].offset
+    assert np.allclose(way, truth.at(outcome.times[-1]) + NOMINAL * ahead, atol=2e-4)
 
 
 def test_the_mixture_acts_before_it_is_sure_and_costs_little_in_peace() -> None:
     ahead = np.array((0.1,))
     onset, quiet = [], []
     for seed in SEEDS:
-        told = story(BANK, seed, ONE_STOP, 4.2)
+        outcome = story(BANK, seed, ONE_STOP, 4.2)
         truth = Truth(4.2, ONE_STOP, seed=seed)
-        for k, t in enumerate(told.times):
-            state, view = told.states[k], told.views[k]
+        for k, t in enumerate(outcome.times):
+            state, view = outcome.states[k], outcome.views[k]
             if view.motion is not Motion.RUNNING:
                 continue
             errors = [
@@ -358,30 +358,30 @@ def test_the_mixture_acts_before_it_is_sure_and_costs_little_in_peace() -> None:
 
 @each
 def test_a_conveyor_that_stands_from_the_start_is_found_standing(classifier: Classifier) -> None:
-    told = tell(classifier, Truth(2.0, speed=0.0))
-    assert told.views[-1].motion is Motion.STANDING
-    assert told.views[-1].speed == pytest.approx(0.0, abs=0.002)
+    outcome = tell(classifier, Truth(2.0, speed=0.0))
+    assert outcome.views[-1].motion is Motion.STANDING
+    assert outcome.views[-1].speed == pytest.approx(0.0, abs=0.002)
 
 
 @each
 def test_a_step_changes_no_state_that_was_given(classifier: Classifier) -> None:
-    told = story(classifier, 0, ONE_STOP, 4.2)
+    outcome = story(classifier, 0, ONE_STOP, 4.2)
     for k in range(200, 380, 7):
-        again = classifier.advance(told.states[k], [row(0.5)], T0)
-        twice = classifier.advance(told.states[k], [row(0.5)], T0)
+        again = classifier.advance(outcome.states[k], [row(0.5)], T0)
+        twice = classifier.advance(outcome.states[k], [row(0.5)], T0)
         assert classifier.estimate(again) == classifier.estimate(twice)
     replayed = tell(classifier, Truth(4.2, ONE_STOP, seed=0))
-    assert replayed.views == told.views
+    assert replayed.views == outcome.views
 
 
 def test_without_classes_the_rule_keeps_to_one_speed() -> None:
-    told = tell(CONSTANT, Truth(4.2, ONE_STOP, seed=0))
-    assert told.events == []
-    assert {view.motion for view in told.views} == {Motion.RUNNING}
+    outcome = tell(CONSTANT, Truth(4.2, ONE_STOP, seed=0))
+    assert outcome.events == []
+    assert {view.motion for view in outcome.views} == {Motion.RUNNING}
 
 
 def test_a_stop_that_the_rule_tries_has_already_cost_speed() -> None:
-    """A class tried at the speed before it is found a tenth of a second later than it is told."""
+    """A class tried at the speed before it is found a tenth of a second late."""
     errors = []
     for seed in range(12):
         truth = Truth(2.0, ((1.0, -STOP),), seed=seed)
@@ -465,13 +465,13 @@ def test_a_start_that_does_not_speed_up_is_taken_back_within_half_a_second(
 def test_a_short_creep_of_the_conveyor_leaves_no_change_tentative(classifier: Classifier) -> None:
     for seed in SEEDS:
         events = ((1.0, -STOP), (4.0, 0.1), (4.15, -0.1))
-        told = tell(classifier, Truth(12.0, events, seed=seed))
+        outcome = tell(classifier, Truth(12.0, events, seed=seed))
         run = longest = 0
-        for view in told.views:
+        for view in outcome.views:
             run = run + 1 if view.tentative else 0
             longest = max(longest, run)
         assert longest * T0 <= LONGEST_TENTATIVE
-        assert told.motion(11.9) is Motion.STANDING
+        assert outcome.motion(11.9) is Motion.STANDING
 
 
 @each
@@ -480,8 +480,8 @@ def test_a_start_of_another_acceleration_is_not_taken_back(
     classifier: Classifier, share: float
 ) -> None:
     for seed in SEEDS:
-        told = story(classifier, seed, ((1.0, -STOP), (4.0, share * START)), 11.0)
-        confirmed = told.first("start", "confirmed", 4.0)
+        outcome = story(classifier, seed, ((1.0, -STOP), (4.0, share * START)), 11.0)
+        confirmed = outcome.first("start", "confirmed", 4.0)
         if classifier is not RULE or share > 1.0:  # the paper's rule may miss a slower start
             assert confirmed < 8.0
-        assert told.first("start", "cancelled", confirmed) == float("inf")
+        assert outcome.first("start", "cancelled", confirmed) == float("inf")

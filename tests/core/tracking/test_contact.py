@@ -37,12 +37,12 @@ def first_touch(
     accelerations: list[float] | None = None,
 ) -> int | None:
     mode = mode or tool_vibration(FREQUENCY, DAMPING, STIFFNESS, FORCE, cycle_s)
-    feeling: ContactState = NO_CONTACT
+    contact_state: ContactState = NO_CONTACT
     for k, force in enumerate(forces):
         acceleration = accelerations[k] if accelerations else 0.0
-        feeling = record_force(feeling, mode, force, acceleration, held=k == held)
-        feeling = count_touches(feeling, mode, distance, NEAR)
-        if feeling.touches >= 2:
+        contact_state = record_force(contact_state, mode, force, acceleration, held=k == held)
+        contact_state = count_touches(contact_state, mode, distance, NEAR)
+        if contact_state.touches >= 2:
             return k
     return None
 
@@ -106,17 +106,19 @@ def test_a_tool_that_begins_to_ring_near_the_object_does_not_touch(
 ) -> None:
     # The first half of a swing is in the mean of the period before, and the second is not.
     mode = tool_vibration(FREQUENCY, DAMPING, STIFFNESS, FORCE, cycle_s)
-    feeling, kick = NO_CONTACT, round(1.1 / cycle_s)
+    contact_state, kick = NO_CONTACT, round(1.1 / cycle_s)
     for k in range(round(2.0 / cycle_s)):
         force = -4.0 + sign * rung((k - kick) * cycle_s, 42.0)
         distance = -0.05 if k * cycle_s < 1.0 else 0.0
-        feeling = count_touches(
-            record_force(feeling, mode, force, 0.0, held=False), mode, distance, NEAR
+        contact_state = count_touches(
+            record_force(contact_state, mode, force, 0.0, held=False), mode, distance, NEAR
         )
         # The first quarter of a swing may be a contact, for there is no telling yet.
         if sign < 0.0 and 0.0 <= (k - kick) * cycle_s < 0.5 / FREQUENCY + 0.02:
-            feeling = ContactState(feeling.forces, feeling.calm, 0, feeling.free)
-        assert feeling.touches < TOUCHES
+            contact_state = ContactState(
+                contact_state.forces, contact_state.calm, 0, contact_state.free
+            )
+        assert contact_state.touches < TOUCHES
 
 
 @pytest.mark.parametrize(("times", "is_felt"), [(0.9 * PULL, False), (1.3 * PULL, True)])
@@ -152,7 +154,7 @@ def often_held(cycle_s: float, seconds: float, lost: float, press: float) -> int
     """
     mode = tool_vibration(FREQUENCY, DAMPING, STIFFNESS, FORCE, cycle_s)
     chance = random.Random(3)
-    feeling, kicks = NO_CONTACT, list[int]()
+    contact_state, kicks = NO_CONTACT, list[int]()
     for k in range(round(seconds / cycle_s)):
         held = chance.random() < lost
         if held:
@@ -160,10 +162,10 @@ def often_held(cycle_s: float, seconds: float, lost: float, press: float) -> int
         force = 6.0 + sum(rung((k - kick) * cycle_s, 30.0) for kick in kicks)
         force += press if k * cycle_s >= 1.1 else 0.0
         distance = -0.05 if k * cycle_s < 1.0 else 0.0
-        feeling = count_touches(
-            record_force(feeling, mode, force, 0.0, held=held), mode, distance, NEAR
+        contact_state = count_touches(
+            record_force(contact_state, mode, force, 0.0, held=held), mode, distance, NEAR
         )
-        if feeling.touches >= TOUCHES:
+        if contact_state.touches >= TOUCHES:
             return k
     return None
 
@@ -187,20 +189,20 @@ def test_a_tool_that_lost_replies_kick_again_and_again_does_not_touch(
 
 def test_a_step_without_a_force_repeats_the_last_one_and_memory_is_bounded() -> None:
     mode = tool_vibration(FREQUENCY, DAMPING, STIFFNESS, FORCE, 0.004)
-    feeling = record_force(NO_CONTACT, mode, None, 0.0, held=False)
-    assert feeling.forces == ()
+    contact_state = record_force(NO_CONTACT, mode, None, 0.0, held=False)
+    assert contact_state.forces == ()
     for force in [1.0, None, 2.0] * 100:
-        feeling = record_force(feeling, mode, force, 0.0, held=False)
-    assert feeling.forces[-3:] == (1.0, 1.0, 2.0)
-    assert len(feeling.forces) == mode.memory
+        contact_state = record_force(contact_state, mode, force, 0.0, held=False)
+    assert contact_state.forces[-3:] == (1.0, 1.0, 2.0)
+    assert len(contact_state.forces) == mode.memory
 
 
 def test_without_a_force_sensor_a_touch_is_assumed_at_the_place_when_it_is_due() -> None:
-    feeling = NO_CONTACT
+    contact_state = NO_CONTACT
     for _ in range(TOUCHES):
-        feeling = assume_touch(feeling, 0.001, is_due=True)
-    assert feeling.touches == TOUCHES
-    assert assume_touch(feeling, 0.001, is_due=False).touches == 0
+        contact_state = assume_touch(contact_state, 0.001, is_due=True)
+    assert contact_state.touches == TOUCHES
+    assert assume_touch(contact_state, 0.001, is_due=False).touches == 0
 
 
 @pytest.mark.parametrize("distance", [-0.02, math.inf])

@@ -11,7 +11,7 @@ GUARD = GuardedApproach(speed=0.005, overrun=0.012)
 RINGING = contact.tool_vibration(7.0, 0.02, 50e3, 15.0, DT)
 
 
-def feeling(force: float, calm: int | None = None) -> contact.ContactState:
+def contact_state(force: float, calm: int | None = None) -> contact.ContactState:
     memory = RINGING.memory
     return contact.ContactState((force,) * memory, memory if calm is None else calm)
 
@@ -24,14 +24,14 @@ def after(seconds: float, felt: contact.ContactState) -> guard.ContactSearch:
 
 
 def test_a_search_advances_at_its_speed_up_to_its_overrun() -> None:
-    assert after(1.2, feeling(0.0)).reach == pytest.approx(0.006)
-    assert not guard.has_failed(after(1.2, feeling(0.0)), GUARD)
-    assert after(9.6, feeling(0.0)).reach == pytest.approx(GUARD.overrun)
-    assert guard.has_failed(after(2.5, feeling(0.0)), GUARD)
+    assert after(1.2, contact_state(0.0)).reach == pytest.approx(0.006)
+    assert not guard.has_failed(after(1.2, contact_state(0.0)), GUARD)
+    assert after(9.6, contact_state(0.0)).reach == pytest.approx(GUARD.overrun)
+    assert guard.has_failed(after(2.5, contact_state(0.0)), GUARD)
 
 
 @pytest.mark.parametrize(
-    "felt", [feeling(16.0), feeling(0.0, calm=3), contact.ContactState((0.0, 0.0), 30)]
+    "felt", [contact_state(16.0), contact_state(0.0, calm=3), contact.ContactState((0.0, 0.0), 30)]
 )
 def test_a_search_stands_while_something_presses_or_nothing_can_be_felt(
     felt: contact.ContactState,

@@ -129,7 +129,7 @@ def test_the_matrix_is_the_optimum_of_the_whole_sum(tau: float, cycle_s: float) 
 
 
 def test_merging_again_under_the_same_goal_goes_on_along_the_closed_loop() -> None:
-    """Merging each step is the regulator going on: no step notices that it was merged anew."""
+    """Merging each step is the regulator going on: no step notices that it was merged again."""
     T0 = 0.012
     span = np.arange(STEPS + 1) * T0
     old = cubic(span - T0)
@@ -166,12 +166,12 @@ def swung(cycle_s: float, kernel: Array) -> float:
     commit = merge.commit_steps(0.036, cycle_s)
     M = matrices(cycle_s, commit, steps)
     span = np.arange(steps + 1) * cycle_s
-    beside = np.linspace(-0.06, 0.06, 241)
-    weight = np.exp(-0.5 * (beside / 0.02) ** 2)
+    offsets = np.linspace(-0.06, 0.06, 241)
+    weight = np.exp(-0.5 * (offsets / 0.02) ** 2)
     worst = 0.0
     for end_s in (np.arange(commit + 1) + 0.5) * cycle_s:
         truth = np.outer(ramp(span - end_s), np.eye(6)[1])
-        times = span[:, None] - cycle_s - end_s + beside
+        times = span[:, None] - cycle_s - end_s + offsets
         old = np.outer(ramp(times) @ weight / weight.sum(), np.eye(6)[1])
         plan = merge.merge(old, merge.rounded(truth, kernel), M, commit)
         worst = max(worst, float(np.abs(plan - truth)[:, 1].max()))

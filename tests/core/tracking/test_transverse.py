@@ -388,7 +388,7 @@ def squared_errors(seed: int, late: int, fusion: FusionSettings) -> list[float]:
 
 
 def swinging_at(pace: float, seconds: float, amplitude: float = 0.006) -> TransverseState:
-    """A filter whose object swings at ``pace`` times the frequency that it was told."""
+    """A filter whose object swings at ``pace`` times the configured frequency."""
     rng = np.random.default_rng(3)
     turned = rotations.exp(OFF)
 

@@ -61,7 +61,6 @@ def tool_vibration(
         damping: of it, as a share of critical.
         stiffness: of the mount along that axis [N/m].
         force: what counts as contact [N].
-        cycle_s: T0 [s].
     """
     half = 0.5 / (frequency_hz * cycle_s)
     kept = math.exp(-math.pi * damping / math.sqrt(1.0 - damping**2))

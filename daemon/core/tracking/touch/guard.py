@@ -48,7 +48,6 @@ def advanced(
     Args:
         contact_state: forces along the tool's axis.
         vibration: of the tool, with the force of a contact.
-        dt: T0 [s].
     """
     reach = search.reach
     # A force that is no contact yet may become one: wait for it.

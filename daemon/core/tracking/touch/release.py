@@ -26,9 +26,9 @@ def may_be_clamped(
 ) -> bool:
     """Return whether to withdraw could pull at a closed clamp.
 
-    A clamp that was felt is closed until it is reported open. One that nobody felt may still have
+    After a contact the clamp is closed until it is reported open. Without one it may still have
     closed on an object this near, for example without a force-torque sensor. It was ordered to
-    open, so it is open or on nothing once the timeout is over.
+    open: after the timeout it is open, or holds nothing.
 
     Args:
         released: the opening was reported, or its configured time is over.
