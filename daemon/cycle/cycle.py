@@ -141,6 +141,8 @@ class Cycle(Stepper):
 
     def on_missing(self, stamp_ns: int) -> None:
         """Make the step of a cycle whose telegram did not come, as its deadline passes."""
+        if self._has_failed_after_step(stamp_ns):
+            return
         self.exchange.on_missing()
         if self._state is None:
             return
@@ -154,6 +156,15 @@ class Cycle(Stepper):
             # The step was decided on as if its telegram would come.
             self.operating.is_reply_lost = True
         self._end()
+
+    def _has_failed_after_step(self, stamp_ns: int) -> bool:
+        """Return whether a cycle's telegram came, and failed between its step and its reply.
+
+        A second step with the same stamp would date all measurements a cycle late.
+        """
+        if not self._is_running or self._was_preparing or self._state is self._state_at_begin:
+            return False
+        return stamp_ns - self._stamp_ns < round(0.5e9 * self.parameters.cycle_s)
 
     def _begin(self, *, preparing: bool = False) -> None:
         """Notice that the last call raised, which is a fault.

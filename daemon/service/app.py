@@ -139,6 +139,8 @@ class App:
         self._times = CycleTiming(Timing(period_ns))
         self._incidents = IncidentFiles(incident_directory(station))
         self._arrival: int | None = None
+        # Telegrams that were counted and then failed: the clock has not followed them.
+        self._unfollowed = 0
         self._began_ns = time.monotonic_ns()
         self._status_ns = 0
         self._telegram_ns: int | None = None
@@ -271,11 +273,12 @@ class App:
             self.counters["foreign_telegrams"] += 1
             return None
         began_ns = time.monotonic_ns()
-        prepared = self.cycle.prepared
+        prepared, decision = self.cycle.prepared, self.cycle.decision
         try:
             reply = self.cycle.on_telegram(data, stamp_ns, source, is_answered=is_answered)
         except Exception as error:  # noqa: BLE001 - an unanswered telegram stops the robot
             self._failing_ns = stamp_ns
+            self._unfollowed += self.cycle.decision is not decision
             self._failed(error)
             return None
         if reply is None:
@@ -303,7 +306,7 @@ class App:
         """Return the start of the controller's cycle of a telegram [ns]."""
         if self._arrival is not None:
             return stamp_ns  # the clock has not followed the previous telegram yet
-        return self._timer.lock.date(stamp_ns, cycles)
+        return self._timer.lock.date(stamp_ns, cycles + self._unfollowed)
 
     def _follow(self) -> None:
         """Let the clock follow the answered telegram, after the reply."""
@@ -314,7 +317,8 @@ class App:
         self._times.note_schedule(self._timer.lock)
         lock = self._timer.lock
         restarts = decision.kind in {Telegram.FIRST, Telegram.NEW_SESSION}
-        lock.follow(stamp_ns, decision.missed + 1, restarts=restarts)
+        lock.follow(stamp_ns, decision.missed + 1 + self._unfollowed, restarts=restarts)
+        self._unfollowed = 0
         self._timer.arm()
         self.cycle.operating.wrong_cycle = lock.estimate.lasting_refusal
 

@@ -96,3 +96,15 @@ def test_an_exception_anywhere_in_a_cycle_ends_the_motion_and_not_the_daemon(
     after = [state for now_s, state in seen if now_s > raised[0] + 0.1]
     assert after
     assert set(after) <= SAFE
+
+
+@pytest.mark.parametrize("at_s", [1.15, 1.3, 1.6])
+def test_an_exception_between_a_step_and_its_reply_dates_no_measurement_wrong(
+    at_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A second step with the stamp of the first took 1.3 mm of the line for a push of the body.
+    simulation = Simulation(FaultPlan(1, duration_s=at_s + 0.6))
+    raised = plant(simulation, (FollowingCheck, "add_command"), at_s, monkeypatch)
+    simulation.live()
+    assert raised
+    assert all(each.startswith("exception: ") for each in simulation.outcome().violations)
