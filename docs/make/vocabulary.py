@@ -84,6 +84,9 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "tests/operator/test_doctor.py": ("awake",),
     # The counters express and hasty of the robot link.
     "drivers/rsi_udp.py": ("express", "hasty"),
+    "tests/drivers/test_rsi_udp.py": ("express", "hasty"),
+    # The name of an object.
+    "tests/protocol/test_wires_transcript.py": ("door",),
     # Keys on a wire: of the status and of the configuration.
     "daemon/cycle/cycle.py": ("astray",),
     "daemon/cycle/causes.py": ("astray",),

@@ -22,7 +22,7 @@ def learned(needed: int = 5) -> CameraPeer:
 
 
 @pytest.mark.parametrize("stranger", [B, C])
-def test_nobody_is_heard_beside_a_camera_that_sent_lately(stranger: tuple[str, int]) -> None:
+def test_no_other_sender_is_used_while_the_camera_sends(stranger: tuple[str, int]) -> None:
     peer = learned()
     before = SECOND + round(TAKEOVER_S * 1e9)
     assert peer.role(stranger, before - 1) is FOREIGN
@@ -50,7 +50,7 @@ def test_the_camera_is_heard_at_once_when_it_is_back() -> None:
     assert peer.role(B, late + 1) is FOREIGN
 
 
-def test_whatever_comes_the_camera_is_heard_and_nobody_else_while_it_sends() -> None:
+def test_in_any_order_the_camera_is_used_and_no_other_sender_while_it_sends() -> None:
     for seed in range(200):
         draw = random.Random(seed)
         peer, at_ns, last_ns = learned(), SECOND, SECOND
@@ -73,7 +73,7 @@ def test_whatever_comes_the_camera_is_heard_and_nobody_else_while_it_sends() -> 
     ("text", "heard"),
     [("10.0.0.1", {A, B}), ("10.0.0.1:5", {A}), ("10.0.0.2:5", {C}), ("10.0.0.3", set())],
 )
-def test_with_a_peer_nobody_else_is_ever_heard(text: str, heard: set[tuple[str, int]]) -> None:
+def test_with_a_peer_no_other_sender_is_ever_used(text: str, heard: set[tuple[str, int]]) -> None:
     found = {one for one in (A, B, C) if CameraPeer(parse_peer(text)).role(one, 0) is not FOREIGN}
     assert found == heard
 

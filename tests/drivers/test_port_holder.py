@@ -48,7 +48,7 @@ def test_what_may_not_be_seen_is_no_answer(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("error", [OSError(errno.EADDRNOTAVAIL, "not here"), OverflowError(), None])
-def test_nobody_is_named_for_a_port_that_cannot_be_had_for_another_reason(
+def test_no_process_is_named_for_a_port_that_fails_for_another_reason(
     error: BaseException | None,
 ) -> None:
     with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as bound:

@@ -98,7 +98,7 @@ def test_a_sensor_that_is_unplugged_is_opened_and_set_up_again(tmp_path: Path) -
     run(main())
 
 
-def test_a_sensor_that_falls_silent_is_started_anew(tmp_path: Path) -> None:
+def test_a_silent_sensor_is_started_again(tmp_path: Path) -> None:
     async def main() -> None:
         sensor = _sensor(tmp_path / "ft")
         link = SerialLink(

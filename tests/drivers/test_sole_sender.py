@@ -135,7 +135,7 @@ def test_another_controller_may_come_after_the_first_ones_silence(
     run(main())
 
 
-def test_telegrams_that_are_not_answered_keep_nobody_out(two: tuple[Sender, Sender]) -> None:
+def test_telegrams_without_an_answer_keep_no_sender_out(two: tuple[Sender, Sender]) -> None:
     async def main() -> None:
         link = RsiLink(lambda data, *_, **__: data if data == b"robot" else None, port=0)
         link.open()

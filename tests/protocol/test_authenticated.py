@@ -1,4 +1,4 @@
-"""Sessions: what is old, elsewhere, reflected or nobody's is not carried out, ever."""
+"""Sessions: what is old, elsewhere, reflected or no one's is not carried out, ever."""
 
 import random
 
@@ -194,7 +194,7 @@ def test_a_held_back_cookie_makes_deadlines_earlier_never_later() -> None:
     answer = world.ask(client, "stop")
     assert answer is not None
     assert answer.code == "expired"
-    # The refusal itself told the client the time.
+    # The refusal itself has the time.
     again = world.ask(client, "stop")
     assert again is not None
     assert again.ok
@@ -351,7 +351,7 @@ def test_a_key_that_has_a_session_pays_for_another_with_its_own() -> None:
     assert all(world.ask(client, "status") for client in hers)
 
 
-def test_nobodys_last_session_is_taken_away() -> None:
+def test_no_key_loses_its_last_session() -> None:
     keys = tuple(key_of(f"k{i}", seed=i + 10) for i in range(MAX_SESSIONS + 1))
     world = World(keys)
     clients = [world.client(key) for key in keys]
@@ -397,7 +397,7 @@ def test_sessions_of_a_key_that_is_taken_away_end_and_stay_ended() -> None:
     assert world.done == done
 
 
-def test_a_key_whose_role_changed_begins_anew() -> None:
+def test_a_key_with_another_role_begins_a_new_session() -> None:
     world = World((ALICE,))
     client = world.client()
     assert world.ask(client, "stop") is not None
@@ -409,7 +409,7 @@ def test_a_key_whose_role_changed_begins_anew() -> None:
     assert answer.code == "role"
 
 
-def test_an_answer_to_a_session_that_has_ended_meanwhile_is_not_sent() -> None:
+def test_an_answer_to_an_ended_session_is_not_sent() -> None:
     world = World((ALICE,))
     client = world.client()
     sent = client.request("stop", {}, world.now_ns + 500 * MS)

@@ -1,8 +1,7 @@
-"""An attacker who heard everything: 10^5 datagrams, none carried out, none answered.
+"""An attacker with all frames: 10^5 datagrams, none executed, none answered.
 
-Law of this file: he has every frame that ever went either way, and may change, cut, join, delay and
-reflect them and seal with keys of his own; he has no key of the daemon's. LINEMATE_ATTACKS sets how
-often he tries, LINEMATE_SEED what he tries.
+The attacker may change, cut, join, delay and reflect frames and seal them with other keys than the
+daemon's. LINEMATE_ATTACKS is the number of datagrams, LINEMATE_SEED their seed.
 """
 
 import os
@@ -159,9 +158,9 @@ def test_a_request_held_back_is_never_carried_out_after_its_deadline() -> None:
         held = client.request(ORDERS[count % len(ORDERS)], {}, world.now_ns + 500 * MS)
         world.now_ns += attacker.random.choice((600 * MS, 1 * S, 3 * S, 10 * S))
         for reply in world.deliver(held.frame, attacker.address):
-            told = client.on_datagram(reply, world.now_ns)
-            assert isinstance(told, Answer)
-            assert (told.ok, told.code) == (False, "expired")
+            answer = client.on_datagram(reply, world.now_ns)
+            assert isinstance(answer, Answer)
+            assert (answer.ok, answer.code) == (False, "expired")
             expired += 1
     assert len(world.done) == done
     assert expired == 2000

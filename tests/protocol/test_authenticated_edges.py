@@ -34,9 +34,7 @@ def test_a_session_is_idle_after_more_than_a_minute_of_silence(silent_ns: int, i
 
 
 @pytest.mark.parametrize(("later_ns", "is_buried"), [(20 * S - 1, True), (20 * S, False)])
-def test_a_session_that_was_ended_cannot_begin_anew_for_20_s(
-    later_ns: int, is_buried: bool
-) -> None:
+def test_an_ended_session_cannot_begin_again_for_20_s(later_ns: int, is_buried: bool) -> None:
     world = World((ALICE,))
     client = world.client()
     assert world.ask(client, "status") is not None

@@ -362,7 +362,7 @@ def test_stragglers_in_order_are_no_new_sender() -> None:
     assert decoder.restarts == 0
 
 
-def test_a_risen_reset_starts_the_sequence_anew_at_once() -> None:
+def test_a_higher_reset_restarts_the_sequence_at_once() -> None:
     decoder = CameraDecoder()
     decoder.feed(message(50), 3 * S)
     sample = decoder.feed(message(0, t_tx=51 * PERIOD_NS, reset=1), 3 * S + PERIOD_NS)
@@ -384,7 +384,7 @@ def test_a_sender_that_rebooted_without_telling_is_believed_after_three_messages
     assert decoder.restarts == 1
 
 
-def test_cameras_are_told_apart() -> None:
+def test_each_camera_has_a_state_of_its_own() -> None:
     decoder = CameraDecoder()
     for seq, src in itertools.product(range(3), ("left", "right")):
         decoder.feed(message(seq, src=src), 3 * S + seq * PERIOD_NS)
@@ -392,7 +392,7 @@ def test_cameras_are_told_apart() -> None:
     assert decoder.offset_ns("left") == decoder.offset_ns("right") == 3 * S
 
 
-def test_cameras_are_bounded_and_a_silent_one_makes_room() -> None:
+def test_cameras_are_bounded_and_a_silent_one_is_dropped() -> None:
     decoder = CameraDecoder(max_sources=2, window_s=10.0)
     decoder.feed(message(0, src="a"), 3 * S)
     decoder.feed(message(0, src="b"), 4 * S)
@@ -404,7 +404,7 @@ def test_cameras_are_bounded_and_a_silent_one_makes_room() -> None:
 
 def test_only_the_expected_camera_frame_and_object_are_taken() -> None:
     decoder = CameraDecoder("camera", "hub", "cam0")
-    for key, other in (("frame", "base"), ("obj", "door"), ("src", "cam1")):
+    for key, other in (("frame", "base"), ("obj", "rim"), ("src", "cam1")):
         assert refused(decoder, message(0, **{key: other}), S) == "unexpected"
     assert decoder.feed(message(0), S).object_id == "hub"
     assert decoder.counters()["unexpected"] == 3

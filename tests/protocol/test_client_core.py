@@ -125,7 +125,7 @@ def test_an_event_that_is_malformed_does_not_use_up_its_number() -> None:
     assert isinstance(client.on_datagram(event, 0), Telemetry)
 
 
-def test_the_servers_clock_is_learnt_anew_from_every_reply() -> None:
+def test_the_servers_clock_is_estimated_from_every_reply() -> None:
     world = World()
     client = world.client()
     # The client's clock runs away by two seconds; one refused call is the price.

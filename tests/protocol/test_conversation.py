@@ -145,12 +145,12 @@ def test_a_look_does_not_overtake_an_order() -> None:
 )
 def test_a_deadline_is_neither_past_nor_far(ahead_ms: int, code: str) -> None:
     payload = encode_request("stop", {}, START_NS // MS + ahead_ms)
-    said = conversation().judge(payload, 1, START_NS)
+    outcome = conversation().judge(payload, 1, START_NS)
     if code:
-        assert isinstance(said, bytes)
-        assert decode_reply(said).e == code
+        assert isinstance(outcome, bytes)
+        assert decode_reply(outcome).e == code
     else:
-        assert said == CommandOrder("stop", {}, 1, Role.OPERATE, "x")
+        assert outcome == CommandOrder("stop", {}, 1, Role.OPERATE, "x")
 
 
 @given(st.dictionaries(st.text(max_size=30), st.text(max_size=400), max_size=150))
@@ -165,8 +165,8 @@ def test_an_answer_of_any_length_comes_whole_or_is_refused(result: dict[str, str
 
 
 def test_the_longest_answer_comes_in_parts_and_a_longer_one_is_refused() -> None:
-    room = MAX_RESULT_BYTES - 6  # map head, key "a", bin head
-    for length, ok in ((room, True), (room + 1, False)):
+    limit = MAX_RESULT_BYTES - 6  # map head, key "a", bin head
+    for length, ok in ((limit, True), (limit + 1, False)):
         world = World((ALICE,), lambda *_, n=length: {"a": bytes(n)})
         answer = world.ask(world.client(), "params")
         assert answer is not None
@@ -217,7 +217,7 @@ def test_what_a_handler_cannot_say_is_refused_not_raised() -> None:
         assert answer.code == code
 
 
-def test_a_handler_that_broke_is_said_to_have() -> None:
+def test_a_failed_handler_is_answered_as_internal() -> None:
     reply = decode_reply(conversation().fail(START_NS))
     assert (reply.ok, reply.e) == (False, "internal")
 

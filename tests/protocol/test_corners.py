@@ -58,7 +58,7 @@ def test_more_senders_than_are_remembered_are_written_all_the_same() -> None:
 
 @pytest.mark.parametrize("wild", [math.nan, math.inf, -math.inf, 1e13])
 @pytest.mark.parametrize("spare", [(), (0.0,), (0.5,)])
-def test_a_correction_that_no_wire_carries_is_refused_whatever_stands_beside_it(
+def test_a_correction_that_the_wire_cannot_carry_is_refused_next_to_any_other(
     wild: float, spare: tuple[float, ...]
 ) -> None:
     codec = RsiCodec(parse_config(SHIPPED))
@@ -113,8 +113,8 @@ def _foreseen(**changed: object) -> bool:
     codec.parse_robot(codec.format_robot(RobotTelegram(12, **plain)))  # type: ignore[arg-type]
     expected = codec.expect_robot(24, 0, SIX, 0.05)
     assert expected is not None
-    told = {"ipoc": 24, **plain, **changed}
-    return expected.matches(codec.format_robot(RobotTelegram(**told)))  # type: ignore[arg-type]
+    values = {"ipoc": 24, **plain, **changed}
+    return expected.matches(codec.format_robot(RobotTelegram(**values)))  # type: ignore[arg-type]
 
 
 def test_the_expected_telegram_is_known_by_counter_delay_and_place() -> None:
@@ -184,7 +184,7 @@ def test_a_strength_that_is_not_finite_is_refused() -> None:
             decoder.decode(100, struct.pack("<ff", 2.0, wild), 7)
 
 
-def test_a_number_without_a_range_that_finds_no_room_is_refused() -> None:
+def test_a_number_without_a_range_that_does_not_fit_is_refused() -> None:
     encoder = DistanceEncoder(SANE_DBC, "Encoder", "Travel")
     assert encoder.encode(1.0) == (101, struct.pack("<ib", 4000, 0))
     with pytest.raises(DistanceError, match="does not fit"):
@@ -207,16 +207,16 @@ def _local(counters: Counter[str] | None = None) -> LocalServer:
     return LocalServer("uid:1", Role.OPERATE, ControlLease(), counters or Counter())
 
 
-def test_a_local_handler_that_broke_is_told_so() -> None:
+def test_a_failed_handler_of_the_local_socket_is_answered() -> None:
     server = _local()
     payload = encode_request("arm", {}, START_NS // MS)
     order = server.on_message(local_body(FrameType.REQUEST, 0, 0, 1, payload), START_NS)
     assert isinstance(order, CommandOrder)
     reply = cut_local(server.fail(order, START_NS))
     assert reply.sequence == 1
-    told = decode_reply(reply.payload)
-    assert not told.ok
-    assert told.e == "internal"
+    values = decode_reply(reply.payload)
+    assert not values.ok
+    assert values.e == "internal"
 
 
 def test_local_telemetry_comes_when_it_is_due_and_to_those_who_want_it() -> None:
@@ -231,24 +231,24 @@ def test_local_telemetry_comes_when_it_is_due_and_to_those_who_want_it() -> None
     assert due == [True, False] * 5
 
 
-def test_telemetry_that_finds_no_room_in_its_event_is_counted() -> None:
+def test_telemetry_that_does_not_fit_its_event_is_counted() -> None:
     counters: Counter[str] = Counter()
     server = LocalServer("uid:1", Role.VIEW, ControlLease(), counters)
-    # The room of a local message is greater than the longest result: a narrower one.
+    # A local message can hold the longest result: use a smaller limit.
     server._conversation = Conversation("uid:1", Role.VIEW, ControlLease(), 300, counters)
     payload = encode_request("subscribe", {"rate_hz": 50.0}, START_NS // MS)
     server.on_message(local_body(FrameType.REQUEST, 0, 0, 1, payload), START_NS)
-    said = [
+    events = [
         server.event(START_NS + k * 20 * MS, lambda n=n: {"a": bytes(n)})  # type: ignore[misc]
         for k, n in enumerate(range(250, 310))
     ]
-    fits = [one is not None for one in said]
+    fits = [one is not None for one in events]
     assert fits == sorted(fits, reverse=True)
     assert fits[0]
     assert not fits[-1]
-    assert counters["events_too_long"] == said.count(None)
-    assert all(len(cut_local(one).payload) <= 300 for one in said if one is not None)
-    assert max(len(cut_local(one).payload) for one in said if one is not None) == 300
+    assert counters["events_too_long"] == events.count(None)
+    assert all(len(cut_local(one).payload) <= 300 for one in events if one is not None)
+    assert max(len(cut_local(one).payload) for one in events if one is not None) == 300
 
 
 def test_nothing_is_sealed_before_the_handshake_is_answered() -> None:
@@ -260,15 +260,15 @@ def test_nothing_is_sealed_before_the_handshake_is_answered() -> None:
         client._frame(FrameType.CLOSE, 1, b"")
 
 
-def test_a_handler_that_broke_is_told_to_a_session_that_lives() -> None:
+def test_a_failed_handler_is_answered_while_its_session_lasts() -> None:
     world = World()
     client = world.client()
     sent = client.request("stop", {}, world.now_ns + 500 * MS)
     received = world.server.on_datagram(sent.frame, client_address(client), world.now_ns)
     assert received.request is not None
-    told = world.server.fail(received.request, world.now_ns)
-    assert told is not None
-    answer = client.on_datagram(told, world.now_ns)
+    values = world.server.fail(received.request, world.now_ns)
+    assert values is not None
+    answer = client.on_datagram(values, world.now_ns)
     assert isinstance(answer, Answer)
     assert answer.code == "internal"
 
@@ -279,9 +279,9 @@ def test_axes_in_another_order_are_written_at_their_places() -> None:
     reply = SensorTelegram(7, joints=SIX, external=(0.1,), channels={"DiO": 5})
     data = codec.format_sensor(reply)
     assert data.index(b"A4=") < data.index(b"A3=")
-    told = codec.parse_sensor(data)
-    assert told.joints == pytest.approx(SIX)
-    assert told.channels["DiO"] == 5
+    values = codec.parse_sensor(data)
+    assert values.joints == pytest.approx(SIX)
+    assert values.channels["DiO"] == 5
     with pytest.raises(RsiError, match="too few"):
         codec.format_sensor(SensorTelegram(7, joints=SIX[:5], external=(0.1,)))  # type: ignore[arg-type]
 

@@ -57,10 +57,10 @@ def test_more_or_fewer_joints_than_there_are_cannot_be_expected() -> None:
 
 
 def test_a_configuration_of_256_kib_is_read_and_a_byte_more_is_not() -> None:
-    room = 262_144 - len(SHIPPED)
-    assert parse_config(SHIPPED + b"\n" * room) == parse_config(SHIPPED)
+    padding = 262_144 - len(SHIPPED)
+    assert parse_config(SHIPPED + b"\n" * padding) == parse_config(SHIPPED)
     with pytest.raises(RsiError, match="262145 bytes, at most 262144"):
-        parse_config(SHIPPED + b"\n" * (room + 1))
+        parse_config(SHIPPED + b"\n" * (padding + 1))
 
 
 @pytest.mark.parametrize("place", ["IP_NUMBER", "PORT", "ONLYSEND"])
@@ -68,9 +68,9 @@ def test_of_a_wrong_setting_32_characters_are_shown(place: str) -> None:
     text = SHIPPED.decode()
     begin = text.index(f"<{place}>") + len(place) + 2
     wrong = text[:begin] + "x" * 40 + text[text.index(f"</{place}>") :]
-    with pytest.raises(RsiError) as told:
+    with pytest.raises(RsiError) as caught:
         parse_config(wrong.encode())
-    assert "'" + "x" * 32 + "'" in str(told.value)
+    assert "'" + "x" * 32 + "'" in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -94,17 +94,17 @@ def test_elements_may_stand_in_any_order(tags: tuple[str, ...]) -> None:
     )
     codec = RsiCodec(parse_config((text[:begin] + elements + text[end:]).encode()))
     six = tuple(0.1 * n for n in range(1, 7))
-    told = RobotTelegram(
+    telegram = RobotTelegram(
         24,
         joints=six if "AIPos" in tags else None,
         external=six[::-1] if "EIPos" in tags else None,
         tcp=(1.0, 2.0, 3.0, *six[:3]) if "RIst" in tags else None,
         delay=7 if "Delay" in tags else None,
     )
-    read = codec.parse_robot(codec.format_robot(told))
-    assert (read.ipoc, read.delay) == (24, told.delay)
+    read = codec.parse_robot(codec.format_robot(telegram))
+    assert (read.ipoc, read.delay) == (24, telegram.delay)
     for name in ("joints", "external", "tcp"):
-        assert getattr(read, name) == pytest.approx(getattr(told, name), abs=1e-9)
+        assert getattr(read, name) == pytest.approx(getattr(telegram, name), abs=1e-9)
 
 
 def test_a_number_has_one_to_sixteen_decimals() -> None:
@@ -251,10 +251,10 @@ def test_a_stamp_is_that_of_a_minute() -> None:
 
 
 def test_a_refused_line_is_shown_to_its_32nd_byte() -> None:
-    with pytest.raises(SlcanError) as told:
+    with pytest.raises(SlcanError) as caught:
         slcan.parse_frame(b"y" * 40)
-    assert str(told.value) == f"slcan: no frame: {b'y' * 32!r}"
-    assert told.value.line == b"y" * 40
+    assert str(caught.value) == f"slcan: no frame: {b'y' * 32!r}"
+    assert caught.value.line == b"y" * 40
 
 
 def test_the_longest_line_is_whole_and_the_next_longer_one_is_counted() -> None:
@@ -293,16 +293,16 @@ def test_a_wrench_saturates_at_the_ends_of_sixteen_bits() -> None:
 
 def test_the_ft300_host_waits_for_700_ms_and_asks_ten_times() -> None:
     host, now_ns, asked = Ft300Host(), 5 * MS, 1
-    said = host.begin(now_ns).send
-    assert said == b"\xff" * 50 + bytes.fromhex("0910019a00010202 00cdca")
+    request = host.begin(now_ns).send
+    assert request == b"\xff" * 50 + bytes.fromhex("0910019a00010202 00cdca")
     while host.failure is None:
         assert host.on_time(now_ns + 700 * MS - 1).send == b""
         assert host.failure is None
         now_ns += 700 * MS
-        asked += host.on_time(now_ns).send == said
+        asked += host.on_time(now_ns).send == request
     assert asked == 10
     assert host.failure == "ft300: no answer after 10 attempts"
-    assert host.begin(now_ns).send == said
+    assert host.begin(now_ns).send == request
     assert (host.failure, host.running) == (None, False)
 
 
@@ -360,9 +360,9 @@ def test_a_frame_is_cut_from_38_to_1200_bytes() -> None:
     ],
 )
 def test_a_foreign_head_is_named(head: tuple[bytes, int, int], what: str) -> None:
-    with pytest.raises(CommandError) as told:
+    with pytest.raises(CommandError) as caught:
         frame_codec.cut_frame(struct.pack(">2sBBHQQ", *head, 7, 8, 9) + bytes(16))
-    assert str(told.value) == what
+    assert str(caught.value) == what
 
 
 def test_what_all_messages_share_is_as_specified() -> None:
@@ -475,9 +475,9 @@ def test_parameters_are_taken_to_their_ends_on_both_sides(
 
 def test_an_operation_has_a_name_of_sixteen_letters_at_most() -> None:
     for size, kind in ((16, "unknown"), (17, "malformed")):
-        with pytest.raises(CommandError) as told:
+        with pytest.raises(CommandError) as caught:
             requests.decode_request(msgpack.packb({"op": "x" * size, "t": 7}))
-        assert told.value.kind == kind
+        assert caught.value.kind == kind
 
 
 def test_only_stop_and_retreat_are_taken_in_any_order_and_without_the_lease() -> None:

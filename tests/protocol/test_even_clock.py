@@ -75,7 +75,7 @@ def test_a_sensor_whose_phase_has_moved_is_followed() -> None:
     assert early.stamp_ns == BEGIN_NS + 400 * PERIOD_NS
 
 
-def test_a_sensor_that_becomes_slower_is_learned_anew() -> None:
+def test_the_period_of_a_slower_sensor_is_learned_again() -> None:
     clock = taught()
     for k in range(1, 200):
         (sample,) = readings(BEGIN_NS + k * 3 * PERIOD_NS)

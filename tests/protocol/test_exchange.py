@@ -39,7 +39,7 @@ FIRST = 4208163634
 
 
 class Feed:
-    """An exchange that is fed telegrams by cycle number: IPOC and stamp agree unless told."""
+    """An exchange that is fed telegrams by cycle number: IPOC and stamp agree by default."""
 
     def __init__(self, step: int = STEP, cycle_s: float = CYCLE_S) -> None:
         self.exchange = Exchange(cycle_s)
@@ -57,8 +57,8 @@ class Feed:
         return [self(cycle).kind.value for cycle in cycles]
 
     def kinds_of(self, *telegrams: tuple[float, float]) -> list[str]:
-        """Of telegrams that come in a cycle and say that they are another's."""
-        return [self(cycle, said).kind.value for cycle, said in telegrams]
+        """Kinds of telegrams that come in one cycle with the counter of another."""
+        return [self(cycle, counter).kind.value for cycle, counter in telegrams]
 
 
 def running(step: int = STEP) -> Feed:
@@ -124,8 +124,8 @@ def test_a_session_is_opened_by_the_first_telegram_another_peer_or_after_silence
 
 def test_a_gap_says_how_many_cycles_passed() -> None:
     feed = running()
-    verdict = feed(8)
-    assert (verdict.kind, verdict.answer, verdict.missed, verdict.steps) == (
+    decision = feed(8)
+    assert (decision.kind, decision.answer, decision.missed, decision.steps) == (
         TelegramKind.GAP,
         True,
         3,
@@ -138,8 +138,8 @@ def test_a_gap_says_how_many_cycles_passed() -> None:
 
 def test_the_same_telegram_twice_is_answered_once() -> None:
     feed = running()
-    verdict = feed(4.1, 4)
-    assert (verdict.kind, verdict.answer, verdict.steps) == (TelegramKind.DUPLICATE, False, 0)
+    decision = feed(4.1, 4)
+    assert (decision.kind, decision.answer, decision.steps) == (TelegramKind.DUPLICATE, False, 0)
     assert feed(5).kind is TelegramKind.NORMAL
 
 
@@ -154,8 +154,8 @@ def test_a_telegram_after_its_successor_is_late_and_not_answered() -> None:
 
 def test_a_telegram_seen_long_ago_is_backward() -> None:
     feed = running()
-    verdict = feed(4.5, 2)
-    assert (verdict.kind, verdict.answer) == (TelegramKind.BACKWARD, False)
+    decision = feed(4.5, 2)
+    assert (decision.kind, decision.answer) == (TelegramKind.BACKWARD, False)
     assert feed(5).kind is TelegramKind.NORMAL
 
 
@@ -172,8 +172,8 @@ def test_steps_of_the_clock_are_taken_off_a_gap() -> None:
     feed = running()
     feed.exchange.on_missing()
     feed.exchange.on_missing()
-    verdict = feed(8)
-    assert (verdict.kind, verdict.missed, verdict.steps) == (TelegramKind.GAP, 3, 2)
+    decision = feed(8)
+    assert (decision.kind, decision.missed, decision.steps) == (TelegramKind.GAP, 3, 2)
     assert feed(9).steps == 1
 
 
@@ -199,15 +199,15 @@ def test_a_clock_before_the_first_telegram_owes_nothing() -> None:
 @pytest.mark.parametrize("ahead", [1e6 / STEP, WINDOW + 1, 2.5, -1e6, -FIRST / STEP, 50])
 def test_a_counter_that_jumps_for_good_is_a_new_session_at_the_third_telegram(ahead: float) -> None:
     feed = running()
-    verdicts = [feed(5 + n, 5 + n + ahead) for n in range(5)]
-    assert [v.answer for v in verdicts] == [False, False, True, True, True]
-    assert [v.kind for v in verdicts[2:]] == [
+    decisions = [feed(5 + n, 5 + n + ahead) for n in range(5)]
+    assert [v.answer for v in decisions] == [False, False, True, True, True]
+    assert [v.kind for v in decisions[2:]] == [
         TelegramKind.NEW_SESSION,
         TelegramKind.NORMAL,
         TelegramKind.NORMAL,
     ]
-    assert {v.session for v in verdicts[2:]} == {2}
-    assert verdicts[2].steps == 1
+    assert {v.session for v in decisions[2:]} == {2}
+    assert decisions[2].steps == 1
     assert feed.exchange.state is ExchangeState.RUNNING
 
 
@@ -238,8 +238,8 @@ def test_a_line_goes_on_from_the_next_cycle_to_the_end_of_the_window() -> None:
 @pytest.mark.parametrize(("apart", "in_line"), [(1, True), (1200, True), (1201, False)])
 def test_telegrams_further_apart_than_the_window_are_no_line(apart: int, in_line: bool) -> None:
     feed = running()
-    told = [feed.exchange.on_telegram(apart * n, (5 + n) * CYCLE_NS).kind for n in range(3)]
-    assert (told[-1] is TelegramKind.NEW_SESSION) == in_line
+    kinds = [feed.exchange.on_telegram(apart * n, (5 + n) * CYCLE_NS).kind for n in range(3)]
+    assert (kinds[-1] is TelegramKind.NEW_SESSION) == in_line
 
 
 @pytest.mark.parametrize(("cycle_s", "reach"), [(0.012, 1200), (0.004, 400), (0.0004, 100)])
@@ -264,17 +264,17 @@ def test_a_line_that_goes_on_makes_as_many_steps_as_cycles_have_passed() -> None
     ahead = feed(5, 9)  # a flipped bit
     assert ahead.steps == 5
     line = [feed(cycle) for cycle in range(6, 9)]
-    assert [verdict.kind for verdict in line] == [
+    assert [decision.kind for decision in line] == [
         TelegramKind.LATE,
         TelegramKind.LATE,
         TelegramKind.GAP,
     ]
     assert line[-1].missed == 3
     after = [feed(cycle) for cycle in range(9, 12)]
-    assert [verdict.steps for verdict in (*line, *after)] == [0, 0, 0, 0, 1, 1]
+    assert [decision.steps for decision in (*line, *after)] == [0, 0, 0, 0, 1, 1]
 
 
-def test_a_line_that_ends_where_the_doubt_began_does_not_go_on() -> None:
+def test_a_line_that_ends_at_the_last_telegram_does_not_continue() -> None:
     feed = running()
     assert feed(5, 9).kind is TelegramKind.GAP  # a flipped bit
     kinds = feed.kinds_of((6, 2), (7, 3), (8, 4))
@@ -305,18 +305,18 @@ def test_missed_telegrams_that_come_at_last_and_in_line_are_late_and_no_new_sess
     assert feed.exchange.session == 1
 
 
-@pytest.mark.parametrize("held_up", [(5, 6, 7), (6, 7, 8), (7, 8, 9)])
-def test_telegrams_that_were_held_up_do_not_outvote_the_one_that_kept_time(
-    held_up: tuple[int, int, int],
+@pytest.mark.parametrize("delayed", [(5, 6, 7), (6, 7, 8), (7, 8, 9)])
+def test_delayed_telegrams_do_not_overrule_the_one_that_agrees_with_the_clock(
+    delayed: tuple[int, int, int],
 ) -> None:
     feed = running()
-    # Nobody has confirmed it yet, but counter and clock agree on it.
+    # No one has confirmed it yet, but counter and clock agree on it.
     assert feed(10).kind is TelegramKind.GAP
-    arrivals = [(10.3 + 0.7 * n, cycle) for n, cycle in enumerate(held_up)]
+    arrivals = [(10.3 + 0.7 * n, cycle) for n, cycle in enumerate(delayed)]
     assert feed.kinds_of(*arrivals) == ["late"] * 3
-    verdict = feed(12)
-    assert verdict.kind is TelegramKind.GAP
-    assert verdict.missed == 1
+    decision = feed(12)
+    assert decision.kind is TelegramKind.GAP
+    assert decision.missed == 1
 
 
 @pytest.mark.parametrize(("ahead", "refused"), [(1, 1), (2, 2), (3, 2), (4, 2)])
@@ -357,9 +357,9 @@ def test_silence_ends_a_session(silence_s: float, kind: TelegramKind) -> None:
     feed = running()
     cycles = round(silence_s / CYCLE_S)
     ipoc = FIRST + STEP * (4 + cycles)
-    verdict = feed.exchange.on_telegram(ipoc, 4 * CYCLE_NS + round(silence_s * 1e9))
-    assert verdict.kind is kind
-    assert verdict.session == (2 if kind is TelegramKind.NEW_SESSION else 1)
+    decision = feed.exchange.on_telegram(ipoc, 4 * CYCLE_NS + round(silence_s * 1e9))
+    assert decision.kind is kind
+    assert decision.session == (2 if kind is TelegramKind.NEW_SESSION else 1)
 
 
 def test_a_counter_that_stands_still_is_a_new_session_after_the_silence() -> None:
@@ -383,8 +383,8 @@ def test_another_peer_is_refused_while_the_first_one_lives() -> None:
 def test_a_reset_begins_with_a_first_telegram_again() -> None:
     feed = running()
     feed.exchange.reset()
-    verdict = feed(5)
-    assert (verdict.kind, verdict.session) == (TelegramKind.FIRST, 2)
+    decision = feed(5)
+    assert (decision.kind, decision.session) == (TelegramKind.FIRST, 2)
     assert feed.exchange.counters["first"] == 2
 
 
@@ -393,14 +393,14 @@ def test_a_reset_begins_with_a_first_telegram_again() -> None:
 def test_a_flipped_bit_costs_at_most_three_answers(step: int, position: int) -> None:
     for bit in range(40):
         feed = Feed(step)
-        verdicts = []
+        decisions = []
         for n in range(position + 10):
             flip = 1 << bit if n == position else 0
-            verdicts.append(feed.exchange.on_telegram((FIRST + n * step) ^ flip, n * CYCLE_NS))
-        after = verdicts[position:]
-        assert [verdict.answer for verdict in after].count(False) <= 3
+            decisions.append(feed.exchange.on_telegram((FIRST + n * step) ^ flip, n * CYCLE_NS))
+        after = decisions[position:]
+        assert [decision.answer for decision in after].count(False) <= 3
         # Late where a small flip looked like a gap, and its steps were made too early.
-        assert {verdict.kind for verdict in after[4:]} <= {TelegramKind.NORMAL, TelegramKind.LATE}
+        assert {decision.kind for decision in after[4:]} <= {TelegramKind.NORMAL, TelegramKind.LATE}
         assert after[-1].kind is TelegramKind.NORMAL
         assert feed.exchange.step == step
         assert position < 4 or feed.exchange.session == 1
@@ -437,37 +437,37 @@ def test_whatever_came_before_a_clean_line_is_answered_from_its_third_telegram(
         now += wait
         if missing:
             exchange.on_missing()
-        verdict = exchange.on_telegram(ipoc, now, peer)
-        assert verdict.missed >= 0
-        assert verdict.steps >= 0
-        assert verdict.answer or not verdict.steps
+        decision = exchange.on_telegram(ipoc, now, peer)
+        assert decision.missed >= 0
+        assert decision.steps >= 0
+        assert decision.answer or not decision.steps
     now += 150_000_000
     for n in range(12):
         now += CYCLE_NS
-        verdict = exchange.on_telegram(start + n * step, now, "a")
-        assert verdict.answer or n < CONSISTENT - 1
+        decision = exchange.on_telegram(start + n * step, now, "a")
+        assert decision.answer or n < CONSISTENT - 1
 
 
 @given(st.lists(st.sampled_from(["ok", "lost", "lost and stepped", "late"]), max_size=60))
-def test_steps_follow_the_controllers_cycles(fates: list[str]) -> None:
-    """Whoever makes a step, the clock or a telegram: at each answer k is the controller's."""
+def test_steps_follow_the_controllers_cycles(deliveries: list[str]) -> None:
+    """Steps by the clock or by telegrams: at each answer k is the controller's."""
     feed = running()
     made = 4
     lost = 0
-    for cycle, fate in enumerate(fates, start=5):
-        if fate == "lost" and lost < WINDOW - 2:
+    for cycle, delivery in enumerate(deliveries, start=5):
+        if delivery == "lost" and lost < WINDOW - 2:
             lost += 1
             continue
-        if fate in {"late", "lost and stepped"}:
+        if delivery in {"late", "lost and stepped"}:
             feed.exchange.on_missing()
             made += 1
-        if fate == "lost and stepped":
+        if delivery == "lost and stepped":
             lost += 1
             continue
-        verdict = feed(cycle)
+        decision = feed(cycle)
         lost = 0
-        made += verdict.steps
-        assert verdict.answer
+        made += decision.steps
+        assert decision.answer
         assert made == cycle
 
 
@@ -568,7 +568,7 @@ def test_an_unreadable_reply_is_the_same_as_no_answer() -> None:
     assert (exchange.delay, exchange.counts.refused, exchange.counts.unreadable) == (1, 1, 2)
 
 
-def test_a_bad_reply_beside_a_good_one_is_charged_but_the_cycle_is_answered() -> None:
+def test_a_bad_reply_after_a_good_one_is_charged_and_the_cycle_is_answered() -> None:
     exchange = controller()
     for first_bad in (True, False):
         ipoc = exchange.next_ipoc()
@@ -702,7 +702,7 @@ CONFIG = parse_config((files("linemate.protocol") / "data" / "rsi_joints.xml").r
 class ExchangePair:
     """Both ends on one link: real codecs, real exchanges, bytes in between, no socket.
 
-    A fate a cycle and direction: how the link treats the datagram. What is delayed arrives at
+    A delivery a cycle and direction: how the link treats the datagram. What is delayed arrives at
     the head of the next cycle, before that cycle's own datagram.
     """
 
@@ -714,7 +714,7 @@ class ExchangePair:
     answers: int = 0
     kinds: list[TelegramKind] = field(default_factory=list)
     judgements: list[Judgement | None] = field(default_factory=list)
-    held_up: dict[str, list[bytes]] = field(default_factory=lambda: {"down": [], "up": []})
+    delayed: dict[str, list[bytes]] = field(default_factory=lambda: {"down": [], "up": []})
 
     def __post_init__(self) -> None:
         self.controller = ControllerExchange(self.step, 10_000, first_ipoc=FIRST)
@@ -736,16 +736,16 @@ class ExchangePair:
             self.judge(data)
         self.judgements.append(self.controller.close_cycle())
 
-    def link(self, direction: str, fate: str, *datagrams: bytes) -> list[bytes]:
-        arriving, self.held_up[direction] = self.held_up[direction], []
+    def link(self, direction: str, delivery: str, *datagrams: bytes) -> list[bytes]:
+        arriving, self.delayed[direction] = self.delayed[direction], []
         for data in datagrams:
-            match fate:
+            match delivery:
                 case "lost":
                     pass
                 case "twice":
                     arriving += [data, data]
-                case "held up":
-                    self.held_up[direction].append(data)
+                case "delayed":
+                    self.delayed[direction].append(data)
                 case "garbled":
                     arriving.append(data.replace(b"<IPOC>", b"<IPOC>9"))
                 case "cut":
@@ -760,9 +760,9 @@ class ExchangePair:
         except RsiError:
             self.refused += 1
             return []
-        verdict = self.daemon.on_telegram(telegram.ipoc, self.now_ns)
-        self.kinds.append(verdict.kind)
-        if not verdict.answer:
+        decision = self.daemon.on_telegram(telegram.ipoc, self.now_ns)
+        self.kinds.append(decision.kind)
+        if not decision.answer:
             return []
         self.answers += 1
         reply = SensorTelegram(telegram.ipoc, joints=(0.0,) * 6, external=(0.0,))
@@ -790,7 +790,7 @@ def test_on_a_good_link_every_telegram_is_answered(step: int) -> None:
 
 def test_what_the_link_does_is_seen_at_both_ends() -> None:
     pair = ExchangePair()
-    fates = [
+    deliveries = [
         ("ok", "ok", Judgement.ACCEPTED),
         ("ok", "ok", Judgement.ACCEPTED),
         ("ok", "ok", Judgement.ACCEPTED),
@@ -802,14 +802,14 @@ def test_what_the_link_does_is_seen_at_both_ends() -> None:
         ("ok", "cut", Judgement.REFUSED),
         ("garbled", "ok", Judgement.MISSING),
         ("ok", "garbled", Judgement.REFUSED),
-        ("ok", "held up", Judgement.MISSING),
+        ("ok", "delayed", Judgement.MISSING),
         ("ok", "ok", Judgement.ACCEPTED),
-        ("held up", "ok", Judgement.MISSING),
+        ("delayed", "ok", Judgement.MISSING),
         ("ok", "ok", Judgement.ACCEPTED),
     ]
-    for down, up, _ in fates:
+    for down, up, _ in deliveries:
         pair.cycle(down, up)
-    assert pair.judgements == [judgement for _, _, judgement in fates]
+    assert pair.judgements == [judgement for _, _, judgement in deliveries]
     assert pair.refused == 1
     assert pair.daemon.counters == {
         "first": 1,
@@ -843,22 +843,22 @@ def test_a_controller_started_again_is_a_new_session() -> None:
     assert pair.daemon.session == 2
 
 
-FATES = st.sampled_from(["ok", "ok", "ok", "lost", "twice", "held up", "garbled", "cut"])
+DELIVERIES = st.sampled_from(["ok", "ok", "ok", "lost", "twice", "delayed", "garbled", "cut"])
 
 
 @settings(max_examples=100)
-@given(st.lists(st.tuples(FATES, FATES), max_size=30))
+@given(st.lists(st.tuples(DELIVERIES, DELIVERIES), max_size=30))
 def test_after_any_link_has_come_to_its_senses_the_exchange_goes_on(
-    fates: list[tuple[str, str]],
+    deliveries: list[tuple[str, str]],
 ) -> None:
     pair = ExchangePair()
-    for down, up in fates:
+    for down, up in deliveries:
         pair.cycle(down, up)
     for _ in range(10):
         pair.cycle()
     assert pair.judgements[-6:] == [Judgement.ACCEPTED] * 6
     assert pair.answers <= len(pair.kinds)
-    # Charged: every cycle without a good reply, and those with a bad one beside the good.
+    # Charged: every cycle without a good reply, and those with a bad one after the good one.
     counts = pair.controller.counts
     unanswered = counts.sent - counts.answered
     assert 0 <= pair.controller.delay - unanswered <= counts.wrong_ipoc + counts.unreadable

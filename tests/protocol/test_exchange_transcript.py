@@ -1,6 +1,6 @@
 """Both roles of the exchange in long random conversations that go to the edges of every window.
 
-The edges stand here as numbers of their own: 100 cycles, 2 s, 100 ms, 4 cycles of slack.
+The edges are numbers of this file: 100 cycles, 2 s, 100 ms, 4 cycles of tolerance.
 """
 
 from dataclasses import astuple
@@ -30,14 +30,16 @@ class Controller:
         self.now_ns = 10 * S
         self.peer = "first"
         self.exchange = Exchange(self.cycle_ns * 1e-9)
-        self.told = Transcript()
+        self.transcript = Transcript()
 
     def send(self, ipoc: int, peer: str | None = None) -> None:
         exchange = self.exchange
         foreseen = exchange.foreseen()
-        verdict = exchange.on_telegram(ipoc, self.now_ns, peer or self.peer)
-        self.told.say(ipoc, foreseen, structs.astuple(verdict), exchange.state, exchange.step)
-        self.told.say(exchange.session, exchange.silence_ns(self.now_ns + 1))
+        decision = exchange.on_telegram(ipoc, self.now_ns, peer or self.peer)
+        self.transcript.say(
+            ipoc, foreseen, structs.astuple(decision), exchange.state, exchange.step
+        )
+        self.transcript.say(exchange.session, exchange.silence_ns(self.now_ns + 1))
 
     def next(self, cycles: int = 1, passed: float | None = None) -> None:
         self.ipoc += cycles * self.step
@@ -77,14 +79,14 @@ class Controller:
             case 9:  # another programme, or one that counts otherwise
                 self.ipoc = chance.pick((0, 3, 10**6, self.ipoc + 10**5))
                 self.step = chance.pick((self.step, self.step, 5, 13))
-            case 10:  # the doubt: some steps elsewhere, then on as before, or not
+            case 10:  # some steps elsewhere, then on as before, or not
                 there = self.ipoc
                 for n in range(chance.pick((1, 2, 3, 4))):
                     self.now_ns += self.cycle_ns
                     self.send(there + 10**6 + n * self.step)
                 if chance.happens(0.7):
                     self.next(chance.pick((1, 2, 3, 4, 5, 99, 100, 101)))
-            case 11:  # a line that goes on from before the doubt, in or out of its time
+            case 11:  # a line that goes on from before the jump, in or out of its time
                 self.next(chance.pick((101, 102, 50)), 0.5)
                 back = chance.pick((1, 2, 3, 40, 97, 98, 99, 100))
                 self.ipoc -= 60 * self.step
@@ -108,7 +110,7 @@ class Controller:
     ],
 )
 def test_the_daemons_role_answers_as_it_always_did(part: int, digest: str) -> None:
-    told = Transcript()
+    transcript = Transcript()
     kinds: set[str] = set()
     for script in range(SCRIPTS // 4):
         controller = Controller(Chance(f"exchange/{part}/{script}"))
@@ -116,12 +118,12 @@ def test_the_daemons_role_answers_as_it_always_did(part: int, digest: str) -> No
             controller.event()
         counters = controller.exchange.counters
         kinds.update(name for name, count in counters.items() if count)
-        told.say(controller.told.digest, counters)
+        transcript.say(controller.transcript.digest, counters)
     assert len(kinds) == 11  # every kind of telegram and every counter
-    assert told.digest == digest
+    assert transcript.digest == digest
 
 
-def _converse(chance: Chance, told: Transcript) -> None:  # noqa: PLR0912 - as above
+def _converse(chance: Chance, transcript: Transcript) -> None:  # noqa: PLR0912 - as above
     step = chance.pick((1, 4, 12))
     exchange = ControllerExchange(
         step,
@@ -135,21 +137,21 @@ def _converse(chance: Chance, told: Transcript) -> None:  # noqa: PLR0912 - as a
         match int(chance.between(0, 12)):
             case 0 | 1 | 2 | 3:
                 ipoc, deadline_ns = exchange.next_ipoc(), deadline_ns + 12 * MS
-                told.say(ipoc)
+                transcript.say(ipoc)
                 if chance.happens(0.6):
-                    told.say(exchange.on_reply(ipoc, deadline_ns - 1, deadline_ns))
+                    transcript.say(exchange.on_reply(ipoc, deadline_ns - 1, deadline_ns))
             case 4:
                 ipoc, deadline_ns = exchange.next_ipoc(), deadline_ns + 12 * MS
                 after = chance.pick((-1, 0, 1))
-                told.say(exchange.on_reply(ipoc, deadline_ns + after, deadline_ns))
+                transcript.say(exchange.on_reply(ipoc, deadline_ns + after, deadline_ns))
             case 5:
-                told.say(exchange.on_reply(ipoc - chance.pick((0, 1, 2, 3, 50)) * step))
+                transcript.say(exchange.on_reply(ipoc - chance.pick((0, 1, 2, 3, 50)) * step))
             case 6:
-                told.say(exchange.on_reply(ipoc + chance.pick((-1, 1, 2, step, -(10**4)))))
+                transcript.say(exchange.on_reply(ipoc + chance.pick((-1, 1, 2, step, -(10**4)))))
             case 7:
-                told.say(exchange.on_unreadable())
+                transcript.say(exchange.on_unreadable())
             case 8:
-                told.say(exchange.close_cycle())
+                transcript.say(exchange.close_cycle())
             case 9:
                 if chance.happens(0.2):
                     exchange.restart(chance.pick((0, 7, 10**6)))
@@ -157,18 +159,18 @@ def _converse(chance: Chance, told: Transcript) -> None:  # noqa: PLR0912 - as a
             case 10:
                 for _ in range(chance.pick((1, 2, 3, 130))):
                     ipoc = exchange.next_ipoc()
-                    told.say(ipoc)
+                    transcript.say(ipoc)
                 for back in (1, 2, 97, 98, 99, 100, 101, 102):
-                    told.say(exchange.on_reply(ipoc - back * step))
+                    transcript.say(exchange.on_reply(ipoc - back * step))
             case _:
-                told.say(exchange.on_reply(ipoc))
-        told.say(exchange.state, exchange.broken, exchange.delay, exchange.row)
-        told.say(astuple(exchange.counts))
+                transcript.say(exchange.on_reply(ipoc))
+        transcript.say(exchange.state, exchange.broken, exchange.delay, exchange.row)
+        transcript.say(astuple(exchange.counts))
 
 
 @pytest.mark.parametrize(("part", "digest"), [(0, "be43dd381514b79a"), (1, "699c2e5dfac45705")])
 def test_the_controllers_role_answers_as_it_always_did(part: int, digest: str) -> None:
-    told = Transcript()
+    transcript = Transcript()
     for script in range(SCRIPTS // 2):
-        _converse(Chance(f"controller/{part}/{script}"), told)
-    assert told.digest == digest
+        _converse(Chance(f"controller/{part}/{script}"), transcript)
+    assert transcript.digest == digest

@@ -124,7 +124,7 @@ def test_the_documented_session_runs_on_the_client(
     assert client.close() == vectors["close"]
 
 
-def test_the_documented_payloads_mean_what_is_said(
+def test_the_documented_payloads_are_decoded_as_documented(
     vectors: dict[str, bytes], meanings: dict[str, Any]
 ) -> None:
     for name, meaning in meanings.items():
@@ -320,7 +320,7 @@ VALUE = (
     st.integers(0, 2**63 - 1),
 )
 @settings(max_examples=60)
-def test_what_is_set_arrives_as_it_was_said(values: dict[str, Any], deadline_ms: int) -> None:
+def test_values_of_a_set_arrive_unchanged(values: dict[str, Any], deadline_ms: int) -> None:
     items = [
         item
         for value in values.values()
@@ -374,7 +374,7 @@ def test_what_takes_no_parameters_is_asked_without_its_schema() -> None:
 
 
 @pytest.mark.parametrize(
-    "said",
+    "message",
     [
         {"ok": True},
         {"t": 1},
@@ -394,15 +394,17 @@ def test_what_takes_no_parameters_is_asked_without_its_schema() -> None:
         [True, 1],
     ],
 )
-def test_what_is_not_a_reply_is_refused(said: object) -> None:
+def test_what_is_not_a_reply_is_refused(message: object) -> None:
     with pytest.raises(CommandError, match="malformed"):
-        decode_reply(msgpack.packb(said))
+        decode_reply(msgpack.packb(message))
 
 
-@pytest.mark.parametrize("said", [{"t": 1}, {"t": 1, "d": [1]}, {"t": -1, "d": {}}, {"d": {}}, 1])
-def test_what_is_not_an_event_is_refused(said: object) -> None:
+@pytest.mark.parametrize(
+    "message", [{"t": 1}, {"t": 1, "d": [1]}, {"t": -1, "d": {}}, {"d": {}}, 1]
+)
+def test_what_is_not_an_event_is_refused(message: object) -> None:
     with pytest.raises(CommandError, match="malformed"):
-        decode_event(msgpack.packb(said))
+        decode_event(msgpack.packb(message))
     with pytest.raises(CommandError, match="malformed"):
         decode_event(msgpack.packb({"t": 1, "d": {b"x": 1}}))
 

@@ -38,8 +38,8 @@ def test_a_conversation_runs_without_a_key() -> None:
 @given(st.binary(max_size=1300))
 def test_any_message_gets_silence_or_an_answer(data: bytes) -> None:
     server, client = server_of(), LocalClient()
-    said = server.on_message(data, START_NS)
-    assert said is None or isinstance(said, bytes)
+    answer = server.on_message(data, START_NS)
+    assert answer is None or isinstance(answer, bytes)
     client.on_datagram(data, 0)
 
 
@@ -47,12 +47,12 @@ def test_any_message_gets_silence_or_an_answer(data: bytes) -> None:
 def test_any_payload_gets_silence_or_an_answer(
     payload: bytes, kind: FrameType, sequence: int
 ) -> None:
-    said = server_of().on_message(local_body(kind, 0, 0, sequence, payload), START_NS)
+    answer = server_of().on_message(local_body(kind, 0, 0, sequence, payload), START_NS)
     if kind is FrameType.REQUEST and sequence:
-        assert isinstance(said, bytes)
-        assert cut_local(said).sequence == sequence
+        assert isinstance(answer, bytes)
+        assert cut_local(answer).sequence == sequence
     elif kind is not FrameType.HELLO:
-        assert said is None
+        assert answer is None
 
 
 @pytest.mark.parametrize("kind", [FrameType.HELLO, FrameType.REQUEST, FrameType.CLOSE])
@@ -70,11 +70,11 @@ PARAMS: dict[str, dict[str, Any]] = {"set": {"values": {"a": 1}}, "record": {"ac
 def test_a_viewer_cannot_operate(op: str) -> None:
     params = PARAMS.get(op, {})
     payload = encode_request(op, params, START_NS // MS)
-    said = server_of(Role.VIEW).on_message(
+    answer = server_of(Role.VIEW).on_message(
         local_body(FrameType.REQUEST, 0, 0, 1, payload), START_NS
     )
-    assert isinstance(said, bytes)
-    assert decode_reply(cut_local(said).payload).e == "role"
+    assert isinstance(answer, bytes)
+    assert decode_reply(cut_local(answer).payload).e == "role"
 
 
 def test_telemetry_that_cannot_be_made_is_counted() -> None:

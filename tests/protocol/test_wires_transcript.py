@@ -1,6 +1,6 @@
 """What every parser makes of damaged messages and every writer of random values, word for word.
 
-Of a refusal only its class is said, for its words may become better. See ``transcripts``.
+Of a refusal only its class is written, for its words may become better. See ``transcripts``.
 """
 
 import random
@@ -54,14 +54,14 @@ def answered(call: Callable[..., object], *args: object) -> object:
     ],
 )
 def test_a_parser_makes_of_damaged_messages_what_it_always_did(wire: str, digest: str) -> None:
-    told, parser = Transcript(), fuzz.wires()[wire]
+    transcript, parser = Transcript(), fuzz.wires()[wire]
     chance = random.Random(f"transcript/{wire}")
     for whole in parser.examples:
-        told.say(answered(parser.parse, whole))
+        transcript.say(answered(parser.parse, whole))
     for _ in range(MESSAGES):
         data = fuzz.mutated(chance, parser.examples)
-        told.say(data, answered(parser.parse, data))
-    assert told.digest == digest
+        transcript.say(data, answered(parser.parse, data))
+    assert transcript.digest == digest
 
 
 LAYOUTS = ("rsi_joints.xml", "rsi_joints_setpoints.xml")
@@ -86,7 +86,7 @@ def _channels(chance: Chance) -> dict[str, int | bool | float | str]:
     [("rsi_joints.xml", "738dc86318250e5a"), ("rsi_joints_setpoints.xml", "4991510bdce2cd3d")],
 )
 def test_telegrams_are_written_and_read_as_they_always_were(layout: str, digest: str) -> None:
-    told = Transcript()
+    transcript = Transcript()
     codec = RsiCodec(parse_config((DATA / layout).read_bytes()))
     chance = Chance(f"telegrams/{layout}")
     for n in range(600):
@@ -102,9 +102,9 @@ def test_telegrams_are_written_and_read_as_they_always_were(layout: str, digest:
             channels=_channels(chance),
         )
         data = answered(codec.format_robot, robot)
-        told.say(data)
+        transcript.say(data)
         if isinstance(data, bytes):
-            told.say(answered(codec.parse_robot, data))
+            transcript.say(answered(codec.parse_robot, data))
         reply = SensorTelegram(
             chance.pick((n, 0, 4208163634)),
             sentype=chance.pick(("ImFree", "linemate", "", "a b", '"', "x" * 40)),
@@ -114,15 +114,15 @@ def test_telegrams_are_written_and_read_as_they_always_were(layout: str, digest:
             message=chance.pick((None, None, "on its way", "<&>", "")),
         )
         data = answered(codec.format_sensor, reply)
-        told.say(data)
+        transcript.say(data)
         if isinstance(data, bytes):
-            told.say(codec.prepare_sensor(reply).with_ipoc(b"123"))
-            told.say(answered(codec.parse_sensor, data))
-    assert told.digest == digest
+            transcript.say(codec.prepare_sensor(reply).with_ipoc(b"123"))
+            transcript.say(answered(codec.parse_sensor, data))
+    assert transcript.digest == digest
 
 
 def _poses(chance: Chance) -> Iterator[tuple[CameraMessage, int]]:
-    """Some cameras that repeat, overtake, pause, begin anew and lose their clocks."""
+    """Some cameras that repeat, overtake, pause, begin again and lose their clocks."""
     now_ns, numbers = 10**12, dict.fromkeys("abcdefghijkl", 0)
     offsets = {src: round(chance.between(-1e12, 1e12)) for src in numbers}
     for _ in range(400):
@@ -156,23 +156,23 @@ def _poses(chance: Chance) -> Iterator[tuple[CameraMessage, int]]:
     ("part", "digest"), [(0, "1a9e44a46a86f3ce"), (1, "dcd8a60531635927"), (2, "97fd6bb53e79cc46")]
 )
 def test_cameras_are_followed_as_they_always_were(part: int, digest: str) -> None:
-    told = Transcript()
+    transcript = Transcript()
     expected = ((None, None, None), ("camera", "hub", None), ("camera", "hub", "a"))[part]
     for script in range(8):
         decoder = CameraDecoder(*expected)
         for message, now_ns in _poses(Chance(f"camera/{script}")):
             data = answered(camera_codec.encode, message)
             if not isinstance(data, bytes):
-                told.say(data)
+                transcript.say(data)
                 continue
-            told.say(answered(decoder.feed, data, now_ns))
-            told.say(decoder.offset_ns(message.src))
-        told.say(decoder.counters())
-    assert told.digest == digest
+            transcript.say(answered(decoder.feed, data, now_ns))
+            transcript.say(decoder.offset_ns(message.src))
+        transcript.say(decoder.counters())
+    assert transcript.digest == digest
 
 
 def test_distances_are_written_and_read_as_they_always_were() -> None:
-    told, chance = Transcript(), Chance("distance")
+    transcript, chance = Transcript(), Chance("distance")
     kinds = (
         ("CIA406_TPDO1", "Position", None),
         ("TF03", "Distance", "Strength"),
@@ -185,20 +185,20 @@ def test_distances_are_written_and_read_as_they_always_were() -> None:
             metres = chance.pick((0.0, 180.0, 180.01, -0.01, 1e6, chance.between(0.0, 40.0)))
             power = chance.pick((0.0, 1.0, 65535.0, 65536.0, 333.4))
             frame = answered(encoder.encode, metres, power)
-            told.say(frame)
+            transcript.say(frame)
             if isinstance(frame, tuple):
                 for extended in (False, True):
-                    told.say(decoder.decode(*frame, 7, extended=extended))
+                    transcript.say(decoder.decode(*frame, 7, extended=extended))
                 for cut in (frame[1][:-1], frame[1] + b"\0", frame[1][::-1], frame[1] * 9):
-                    told.say(answered(decoder.decode, frame[0], cut, 7))
-    assert told.digest == "3c9b6d2e93909ea0"
+                    transcript.say(answered(decoder.decode, frame[0], cut, 7))
+    assert transcript.digest == "3c9b6d2e93909ea0"
 
 
 @pytest.mark.parametrize(
     ("device", "digest"), [("bota", "9a13e9e399aea0cc"), ("robotiq-ft300", "c78586c0e05c50b8")]
 )
 def test_wrenches_are_cut_from_any_stream_as_they_always_were(device: str, digest: str) -> None:
-    told, chance = Transcript(), Chance(f"wrench/{device}")
+    transcript, chance = Transcript(), Chance(f"wrench/{device}")
     frame = bota_frame if device == "bota" else ft300_frame
     decoder = make_decoder(device)
     for n in range(1500):
@@ -217,33 +217,33 @@ def test_wrenches_are_cut_from_any_stream_as_they_always_were(device: str, diges
             case 4:
                 decoder.reset()
         for part in (data[:7], data[7:]) if chance.happens(0.3) else (data,):
-            told.say(decoder.feed(bytes(part), n * 4 * MS), decoder.counters())
-    assert told.digest == digest
+            transcript.say(decoder.feed(bytes(part), n * 4 * MS), decoder.counters())
+    assert transcript.digest == digest
 
 
 @pytest.mark.parametrize(
     ("device", "digest"), [("bota", "2f7d51080a3f88fd"), ("robotiq-ft300", "6f79569fb0c3477c")]
 )
 def test_host_and_device_of_a_line_talk_as_they_always_did(device: str, digest: str) -> None:
-    told = Transcript()
+    transcript = Transcript()
     for script in range(60):
         chance = Chance(f"dialogue/{device}/{script}")
         host, sensor, now_ns = make_host(device), make_device(device), 5_000 * MS
         boot = sensor.boot()
-        said = host.begin(now_ns)
-        told.say(boot, said)
+        output = host.begin(now_ns)
+        transcript.say(boot, output)
         heard = boot if chance.happens(0.7) else b""
         for _ in range(40):
             now_ns += chance.pick((1, 10, 100, 500, 999, 1000, 1001, 2500)) * MS
-            to_sensor = _damaged(chance, said.send)
+            to_sensor = _damaged(chance, output.send)
             heard += _damaged(chance, sensor.feed(to_sensor))
-            told.say(heard)
-            said = host.feed(heard, now_ns) if chance.happens(0.8) else host.on_time(now_ns)
+            transcript.say(heard)
+            output = host.feed(heard, now_ns) if chance.happens(0.8) else host.on_time(now_ns)
             heard = b""
-            told.say(said)
+            transcript.say(output)
             if chance.happens(0.03):
                 heard = sensor.boot()
-    assert told.digest == digest
+    assert transcript.digest == digest
 
 
 def _damaged(chance: Chance, data: bytes) -> bytes:
@@ -258,7 +258,7 @@ def _lengthened(frame: slcan.CanFrame) -> slcan.CanFrame:
 
 
 def test_a_can_adapters_lines_are_cut_and_understood_as_they_always_were() -> None:
-    told, chance = Transcript(), Chance("slcan")
+    transcript, chance = Transcript(), Chance("slcan")
     whole = "t1834AABBCCDD T00000183281234 r1230 O C S6 S9 V F Z1  z Z t7FF0 t8000 T1FFFFFFF0 L"
     whole += " T200000000 t1834AABBCCDD1234 M00000000 s0123 t1838AABBCCDDEEFF0011 t1839 t18g1AA"
     pieces = tuple(f"{line}\r".encode() for line in whole.split(" "))
@@ -269,13 +269,13 @@ def test_a_can_adapters_lines_are_cut_and_understood_as_they_always_were() -> No
         if chance.happens(0.1):
             data = data[: chance.pick(range(len(data) + 1))]
         cut = lines.feed(data)
-        told.say(cut, vars(lines) if hasattr(lines, "__dict__") else None)
+        transcript.say(cut, vars(lines) if hasattr(lines, "__dict__") else None)
         for line in cut:
             frame = answered(slcan.parse_frame, line)
-            told.say(frame)
+            transcript.say(frame)
             if isinstance(frame, slcan.CanFrame):
                 for stamp_ms in (None, 0, 59_999, 60_000):
-                    told.say(answered(slcan.format_frame, frame, stamp_ms))
-                told.say(answered(_lengthened, frame))
-        told.say(commands.feed(data))
-    assert told.digest == "e9ef44e7c62b4d6b"
+                    transcript.say(answered(slcan.format_frame, frame, stamp_ms))
+                transcript.say(answered(_lengthened, frame))
+        transcript.say(commands.feed(data))
+    assert transcript.digest == "e9ef44e7c62b4d6b"

@@ -64,14 +64,14 @@ def test_a_clock_that_was_set_back_a_little_is_dated_by_arrival_before_long(
     assert clock.distrusted == 1
 
 
-def test_a_line_that_is_held_up_and_drained_leaves_the_clock_believed() -> None:
+def test_a_delayed_line_that_drains_keeps_the_clock_in_use() -> None:
     """For 48 ms nothing is read, and then all at once: each frame is dated when it came."""
-    held_up = [48_000_000 - k * PERIOD_NS for k in range(12)]
-    lateness = ([300] * 5 + held_up) * 10
+    delayed_ns = [48_000_000 - k * PERIOD_NS for k in range(12)]
+    lateness = ([300] * 5 + delayed_ns) * 10
     assert dated(lateness) == [300] * len(lateness)
 
 
-def test_a_restarted_device_is_dated_anew() -> None:
+def test_the_offset_of_a_restarted_device_is_learned_again() -> None:
     clock = WrenchClock()
     for k in range(10):
         clock.date(sample(k * PERIOD_NS, 3_000_000_000 + k * 4000))
