@@ -155,7 +155,7 @@ class Transverse:
         While the tool seats on the object, the orientation may step: its process noise is larger.
         Without that the step is estimated as a swing, 1 mm at the hub for each milliradian.
         """
-        F, Q = self._model(dt, seating)
+        F, Q = _matrices(self.fusion, self.swing, dt, seating)
         F = self._set_frequencies(F, state, dt)
         P = F.dot(state.P).dot(F.T)
         P += Q
@@ -175,8 +175,7 @@ class Transverse:
                 F[k, i], F[k, k], F[k, j] = -s, c, -way * (c * angle + s * quadrature)
         return F
 
-    @lru_cache(maxsize=16)  # noqa: B019 - a few small models, and no more of them
-    def _model(self, dt: float, seating: bool) -> tuple[Array, Array]:
+    def _matrices(self, dt: float, seating: bool) -> tuple[Array, Array]:
         """Return A of (5) at the identified frequencies, and Q."""
         turning = self.fusion.seating if seating else self.fusion.angle
         F = np.eye(self.size)
@@ -307,6 +306,14 @@ class Transverse:
             grown = math.exp(swing.mode.damping * w * delay)
             angles.append(grown * (c * math.cos(w * delay) - s * math.sin(w * delay)))
         return tuple(angles)
+
+
+@lru_cache(maxsize=16)
+def _matrices(
+    fusion: FusionSettings, swing: tuple[SwingMode, ...], dt: float, seating: bool
+) -> tuple[Array, Array]:
+    """Return A of (5) at the identified frequencies, and Q, by the values of the settings."""
+    return Transverse(fusion, swing)._matrices(dt, seating)  # noqa: SLF001
 
 
 def _innovation(state: TransverseState, measured: PoseMeasurement, H: Array) -> Array:
