@@ -72,6 +72,15 @@ WORDS = {
     "held up": "delayed",
     "lest": "so that not",
     "nought": "0",
+    "simulators/lab/faults/dst_run.py": ("hasty",),
+    "tests/lab/test_bench_turnaround.py": ("express", "hasty"),
+    "tests/system/test_planted_errors.py": ("hasty",),
+    # The option --awake and the key keep_awake.
+    "simulators/harness/main.py": ("awake",),
+    "simulators/harness/demo.py": ("awake",),
+    "simulators/lab/bench/bench.py": ("awake",),
+    # The name of a random stream: another name would give other draws.
+    "simulators/lab/detection_runs.py": ("drill",),
 }
 
 # File: words that it may use, and why.

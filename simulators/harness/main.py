@@ -216,6 +216,7 @@ def _add_bench(commands: "Commands[CommandLine]") -> None:
     bench.add_argument(
         "--awake",
         action=argparse.BooleanOptionalAction,
+        dest="idle_spinner",
         help="let no core sleep; in a virtual machine",
     )
     bench.add_argument("--plot", type=Path, metavar="FILE", help="draw the ratios")

@@ -75,7 +75,7 @@ MEASURED = {
     bench.VIRTUAL: 21.3,
 }
 ARGUMENTS = {
-    "awake": None,
+    "idle_spinner": None,
     "rounds": 5,
     "round_s": 0.8,
     "cycles": (4,),

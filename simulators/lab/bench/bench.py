@@ -170,14 +170,14 @@ class Options:
     Attributes:
         round_s: how long one of turn-around or lateness is [s].
         cycles_ms: cycles that are measured [ms].
-        awake: no core sleeps while processes are measured.
+        idle_spinner: keep the cores from sleeping while processes are measured.
     """
 
     rounds: int = ROUNDS
     round_s: float = 0.6
     cycles_ms: tuple[int, ...] = CYCLES_MS
     parts: tuple[str, ...] = PARTS
-    awake: bool = False
+    idle_spinner: bool = False
 
 
 def measure_all(options: Options) -> dict[str, Any]:
@@ -189,8 +189,8 @@ def measure_all(options: Options) -> dict[str, Any]:
         "notes": [],
     }
     if {"turnaround", "wakeup"} & set(options.parts):
-        awake = IdleSpinner(os.sched_getaffinity(0) if options.awake else ())
-        with closing(awake), tempfile.TemporaryDirectory(prefix="linemate-bench-") as name:
+        idle_spinner = IdleSpinner(os.sched_getaffinity(0) if options.idle_spinner else ())
+        with closing(idle_spinner), tempfile.TemporaryDirectory(prefix="linemate-bench-") as name:
             _measure_processes(options, Path(name), result)
     jobs = []
     if "step" in options.parts:
@@ -210,7 +210,7 @@ def _measure_processes(options: Options, folder: Path, result: dict[str, Any]) -
     """Measure what needs processes, and put it into the result."""
     refused = host.missing_rights()
     program = bench_floor.compiled(folder)
-    if options.awake:
+    if options.idle_spinner:
         result["notes"].append("no core sleeps: --no-awake lets them")
     if refused is not None:
         result["notes"].append(f"no real-time priority for anybody: {refused}")
@@ -326,8 +326,10 @@ def main(args: argparse.Namespace) -> int:
     Returns:
         0; a bench judges nothing. 69 when it could not be brought to its end.
     """
-    awake = doctor.is_virtual(doctor.Host()) if args.awake is None else args.awake
-    options = Options(args.rounds, args.round_s, args.cycles, args.parts, awake)
+    idle_spinner = (
+        doctor.is_virtual(doctor.Host()) if args.idle_spinner is None else args.idle_spinner
+    )
+    options = Options(args.rounds, args.round_s, args.cycles, args.parts, idle_spinner)
     try:
         with interruptible():
             result = measure_all(options)
