@@ -28,9 +28,9 @@ UNKNOWN_SPEED = 1.0  # ... and what this speed adds, while the conveyor's is unk
 # In the last approach the camera goes blind, and small jumps count too. There the jump is the
 # greatest of these three.
 SMALL_JUMP = 0.006  # [m]
-SCATTER = 6.0  # measured deviations, known after so many samples:
+MEASURED_DEVIATIONS = 6.0  # measured deviations, known after so many samples:
 LEARNED = 20
-SCATTER_GAIN = 0.05  # of their mean square
+VARIANCE_GAIN = 0.05  # of their mean square
 UNITS = 2.0  # resolution steps
 EXCLUDED_S = 0.05  # what acceleration adds grows no longer for an excluded sensor [s]
 FORGOTTEN_NS = 2_000_000_000  # forget a heading that nothing has agreed with for so long [ns]
@@ -149,7 +149,7 @@ class DistanceHealth(Health[DistanceSample]):
         self._changed_ns = 0
         self._quick: float | None = None  # how quick it was at its last change
         self._unit = 0.0
-        self._learned = 0  # samples that the scatter was measured with
+        self._learned = 0  # samples that the deviation was measured with
         self._square = 0.0  # mean square of their way from the heading [m^2]
 
     def accepts(self, sample: DistanceSample, conditions: Conditions) -> bool:
@@ -182,9 +182,9 @@ class DistanceHealth(Health[DistanceSample]):
         return self.judge(stamp_ns, fault)
 
     def _learn(self, off: float) -> None:
-        """Update the scatter of accepted samples about their heading by one way [m]."""
+        """Update the variance of accepted samples about their heading by one way [m]."""
         self._learned = min(self._learned + 1, LEARNED)
-        self._square += max(SCATTER_GAIN, 1.0 / self._learned) * (off * off - self._square)
+        self._square += max(VARIANCE_GAIN, 1.0 / self._learned) * (off * off - self._square)
 
     def _largest_jump(self, passed: float, speed: float | None, conditions: Conditions) -> float:
         """Return how far a sample may be from where the distance was heading [m].
@@ -192,11 +192,12 @@ class DistanceHealth(Health[DistanceSample]):
         Args:
             passed: since the samples that it was heading from [s].
             speed: at which it was heading on [m/s], None if that is not known.
-            conditions: of the step.
         """
         jump = JUMP
         if conditions.last_approach and self._learned >= LEARNED:
-            jump = max(SMALL_JUMP, SCATTER * math.sqrt(self._square), UNITS * self._unit)
+            jump = max(
+                SMALL_JUMP, MEASURED_DEVIATIONS * math.sqrt(self._square), UNITS * self._unit
+            )
             if self.reason is not None:
                 # A distance that jumped by 30 mm would be accepted again after 0.22 s.
                 passed = min(passed, EXCLUDED_S)

@@ -78,7 +78,7 @@ def test_one_outlier_is_refused_and_nothing_else() -> None:
 
 @pytest.mark.parametrize("unit", [1e-4, 1e-3, 1e-2])
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_a_jump_near_the_object_is_judged_by_the_sensors_own_scatter_and_unit(
+def test_a_jump_near_the_object_is_judged_by_the_sensors_own_deviation_and_unit(
     unit: float, sign: float
 ) -> None:
     conveyor = Conveyor(unit, conditions=APPROACHING)
@@ -100,7 +100,7 @@ def test_a_jump_near_the_object_is_not_believed_because_time_has_passed() -> Non
     assert conveyor.run(100)[-1]
 
 
-def test_a_sensor_whose_scatter_is_not_known_yet_may_jump_by_30_mm() -> None:
+def test_a_sensor_whose_deviation_is_not_known_yet_may_jump_by_30_mm() -> None:
     conveyor = Conveyor(conditions=APPROACHING)
     conveyor.run(OUTVOTING)
     assert conveyor.shows(conveyor.place + 0.02)
