@@ -20,14 +20,14 @@ SERVICES := linemated.service linemated@.service linemate-metrics.service linema
 help:
 	@echo "make demo     the wheel assembly in real time, ARGS=... for options; leaves out/demo"
 	@echo "make test     every test; ARGS=... goes to pytest"
-	@echo "make lint     ruff, mypy, import walls"
+	@echo "make lint     ruff, mypy, import contracts"
 	@echo "make format   ruff's formatting and safe fixes"
 	@echo "make bench    what a step costs on this machine"
 	@echo "make dst      seeded fault runs in virtual time, SEEDS=FIRST:LAST; ARGS=... for options"
 	@echo "make fuzz     every parser with a million damaged messages; ARGS=--inputs=N"
 	@echo "make coverage every branch of states, watch, gate, exchange and parsers by their own tests"
 	@echo "make mutants  changes of states, watch, gate, exchange and parsers that no test notices"
-	@echo "make floods   20 000 datagrams a second on each port, judged by a robot beside it"
+	@echo "make floods   20 000 datagrams a second on each port, judged by a robot that goes on"
 	@echo "make accuracy the tables of docs/results/accuracy.md, in hours; ARGS=--short for a few runs"
 	@echo "make docs     links, generated pages, and every command that the pages show"
 	@echo "make results  measure the figures of the pages again, NAME=campaign or another"
@@ -44,8 +44,8 @@ test: .venv/.ok
 lint: .venv/.ok
 	.venv/bin/ruff check .
 	.venv/bin/ruff format --check .
-	@set -e; for room in protocol drivers daemon simulators; do \
-		echo "mypy -p linemate.$$room"; .venv/bin/mypy -p linemate.$$room; done
+	@set -e; for package in protocol drivers daemon simulators; do \
+		echo "mypy -p linemate.$$package"; .venv/bin/mypy -p linemate.$$package; done
 	.venv/bin/lint-imports
 
 format: .venv/.ok

@@ -1,8 +1,4 @@
-"""Manual pages from the command lines themselves, and completion by shtab.
-
-Law of this file: what can be typed comes from argparse; only what argparse cannot know, what a
-command is for and what its end means, is written here.
-"""
+"""Manual pages in roff, from the programs' parsers and the settings' classes."""
 
 import argparse
 import re
@@ -15,13 +11,13 @@ Sub = argparse._SubParsersAction  # noqa: SLF001 - argparse has no public name f
 
 
 def escaped(text: str) -> str:
-    """Text for roff."""
+    """Return text for roff."""
     text = text.replace("\\", "\\e").replace("-", "\\-").replace("``", "")
     return re.sub(r"^([.'])", r"\\&\1", text, flags=re.MULTILINE)
 
 
 def head(name: str, number: int, what: str) -> list[str]:
-    """The first lines of a page."""
+    """Return the first lines of a page."""
     return [
         '.\\" Made by `make docs-write`.',
         f'.TH {name.upper()} {number} "" linemate "linemate"',
@@ -33,11 +29,11 @@ def head(name: str, number: int, what: str) -> list[str]:
 def program_page(
     parser: argparse.ArgumentParser, number: int, what: str, more: dict[str, list[str]]
 ) -> str:
-    """A program's page.
+    """Return a program's page.
 
     Args:
         number: of the manual's section.
-        what: it is, in one line.
+        what: one line about the program.
         more: further sections, a paragraph a line; one with a tab has a term before it.
     """
     lines = head(parser.prog, number, what)
@@ -67,7 +63,7 @@ def _synopsis(parser: argparse.ArgumentParser) -> list[str]:
 
 
 def _arguments(parser: argparse.ArgumentParser) -> str:
-    """What follows the command's name, in short."""
+    """Return the arguments after the command's name, in short."""
     parts = []
     for action in parser._actions:  # noqa: SLF001
         if isinstance(action, (argparse._HelpAction, Sub)):  # noqa: SLF001
@@ -91,17 +87,17 @@ def _metavar(action: argparse.Action) -> str:
 def _commands(
     parser: argparse.ArgumentParser, about: str = ""
 ) -> Iterator[tuple[argparse.ArgumentParser, str]]:
-    """The commands at the leaves, each with what it is for."""
+    """Yield the commands at the leaves with their help."""
     for action in parser._actions:  # noqa: SLF001
         if isinstance(action, Sub):
-            told = {choice.dest: choice.help or "" for choice in action._choices_actions}  # noqa: SLF001
+            texts = {choice.dest: choice.help or "" for choice in action._choices_actions}  # noqa: SLF001
             for name, inner in action.choices.items():
                 below = list(_commands(inner))
-                yield from below or [(inner, told.get(name, about))]
+                yield from below or [(inner, texts.get(name, about))]
 
 
 def _own(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
-    """The options of a parser, without help."""
+    """Yield the options of a parser, without --help."""
     for action in parser._actions:  # noqa: SLF001
         if action.option_strings and not isinstance(action, argparse._HelpAction):  # noqa: SLF001
             yield action
@@ -114,7 +110,7 @@ def _key(action: argparse.Action) -> tuple[str, ...]:
 def _shared(
     commands: list[tuple[argparse.ArgumentParser, str]],
 ) -> dict[tuple[str, ...], argparse.Action]:
-    """Options that most commands have: told once."""
+    """Return the options that most commands have."""
     found = [(_key(action), action) for command, _ in commands for action in _own(command)]
     count = Counter(key for key, _ in found)
     return {key: action for key, action in found if count[key] > len(commands) / 2}
@@ -158,7 +154,7 @@ def configuration_page() -> str:
                 " comes with linemate. Lengths are in m, angles in rad, times in s unless a name"
                 " says otherwise. What is left out keeps its default; a key that is not known, a"
                 " key given twice and a value that readers of YAML read differently are errors.",
-                "linemated --config FILE --check tells every error of the file and of those it"
+                "linemated --config FILE --check reports every error of the file and of those it"
                 " names, as file:line:column: key: what; linemated --schema prints the JSON schema"
                 " for editors.",
             ]

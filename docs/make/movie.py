@@ -49,7 +49,7 @@ def main() -> int:
         for index in range(count):
             moment = args.first_s + index * args.step_s
             page.value(f"{SEEK}.value = '{moment / length}'; {SEEK}.oninput()")
-            time.sleep(0.3)  # The predicted horizons come from a process beside the view.
+            time.sleep(0.3)  # The predicted horizons come from another process.
             page.picture(Path(name) / "frame.png")
             with Image.open(Path(name) / "frame.png") as picture:
                 frames.append(picture.convert("RGB").resize(SHOWN, Image.Resampling.LANCZOS))

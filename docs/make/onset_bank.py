@@ -1,7 +1,7 @@
 """Draw docs/onset-bank.png: how a bank of onsets finds a stop. ``python -m docs.make.onset_bank``.
 
 The recursion is written out here on the smallest filter that shows it, position and speed. The
-daemon's bank has more states (``daemon/core/tracking/classifiers/hypotheses.py``), the same sums.
+daemon's bank has more states (``daemon/core/tracking/classifiers/onset_bank.py``), the same sums.
 """
 
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What the manual pages say beyond the command lines: purposes, exit codes, files, examples."""
+"""Texts of the manual pages: purposes, exit codes, files, examples."""
 
 import argparse
 from collections.abc import Iterator
@@ -14,8 +14,8 @@ _SEE = "SEE ALSO"
 
 LINEMATE: dict[str, list[str]] = {
     "DESCRIPTION": [
-        "Asks a running linemated(8), and orders it what an operator may order. Without --udp it"
-        " goes through the daemon's local socket, for which root and members of the socket's group"
+        "Shows the status of a running linemated(8), and sends it an operator's orders. Without"
+        " --udp it uses the daemon's local socket, for which root and members of the socket's group"
         " need no key. With --udp it needs a key, which `linemate keygen` makes.",
         "Errors are one line on standard error. With --json every command prints one map with a"
         " version; within a version keys are only ever added.",
@@ -34,7 +34,7 @@ LINEMATE: dict[str, list[str]] = {
     "FILES": [
         "/run/linemate/command.sock\tThe local socket of linemated.service; that of"
         " linemated@NAME.service is /run/linemate-NAME/command.sock.",
-        "~/.config/linemate/key\tThe operator's key for --udp, which nobody else may read.",
+        "~/.config/linemate/key\tThe operator's key for --udp, which no one else may read.",
     ],
     "EXAMPLES": [
         "  linemate status --watch\n  linemate param set tracking.camera.gate=6\n"
@@ -48,14 +48,14 @@ LINEMATE: dict[str, list[str]] = {
 
 LINEMATED: dict[str, list[str]] = {
     "DESCRIPTION": [
-        "Leads an industrial robot beside a moving conveyor: takes the controller's RSI telegrams,"
-        " the distance sensor's CAN frames, the camera's poses and the force-torque sensor's"
-        " stream, and answers each telegram with one correction.",
-        "It tells systemd when it is ready, feeds its watchdog from the control cycle, reloads the"
-        " operators' keys on SIGHUP, and on SIGTERM brings the robot to rest before it ends.",
+        "Leads an industrial robot that works on a moving conveyor: takes the controller's RSI"
+        " telegrams, the distance sensor's CAN frames, the camera's poses and the force-torque"
+        " sensor's stream, and answers each telegram with one correction.",
+        "It notifies systemd when it is ready, feeds its watchdog from the control cycle, reloads"
+        " the operators' keys on SIGHUP, and on SIGTERM brings the robot to rest before it ends.",
     ],
     "EXIT STATUS": [
-        "0\tEnded as told.",
+        "0\tEnded as ordered.",
         "1\tCannot run: a port is taken.",
         "2\tThe command line was wrong.",
         "78\tBad configuration: every error on standard error as file:line:column: key: what.",
@@ -67,7 +67,7 @@ LINEMATED: dict[str, list[str]] = {
     ],
     "FILES": [
         "/etc/linemate/linemated.yaml\tThe configuration, see linemated.yaml(5).",
-        "/var/lib/linemate/parameters.yaml\tWhat operators saved, laid over the configuration.",
+        "/var/lib/linemate/parameters.yaml\tParameters that operators saved, an overlay.",
         "/var/lib/linemate/parameters.log\tWho changed which parameter when.",
         "/var/lib/linemate/*.mcap\tRecordings.",
         "/var/log/linemate\tThe last two seconds before missed deadlines and faults.",
@@ -82,9 +82,9 @@ LINEMATE_SIM: dict[str, list[str]] = {
     ],
     "EXIT STATUS": [
         "0\tAssembled within limits; for other commands: done.",
-        "1\tNot so.",
+        "1\tNot assembled, or not within limits.",
         "2\tThe command line was wrong.",
-        "69\tA port or a device cannot be had.",
+        "69\tA port or a device is not available.",
         "78\tA bad file, with every error as file:line:column: key: what.",
     ],
     "EXAMPLES": ["  linemate-sim demo --out out/demo\n  linemate-sim run --seed 0..39"],
@@ -93,8 +93,8 @@ LINEMATE_SIM: dict[str, list[str]] = {
 
 
 def every() -> Iterator[Page]:
-    """Each program: its command line, the manual's section, what it is, and further sections."""
+    """Yield each program's parser, its manual section, one line about it, and further sections."""
     yield operator.parser(), 1, "watch and operate a linemate daemon", dict(LINEMATE)
-    yield service.parser(), 8, "the daemon that leads a robot beside a conveyor", dict(LINEMATED)
-    made: Any = harness._parser()  # noqa: SLF001 - its room keeps it to itself
+    yield service.parser(), 8, "the daemon that leads a robot at a conveyor", dict(LINEMATED)
+    made: Any = harness._parser()  # noqa: SLF001 - no public name
     yield made, 1, "emulators of the station, and runs against them", dict(LINEMATE_SIM)

@@ -1,7 +1,6 @@
-"""The configuration's and the parameters' reference, from the settings' own classes.
+"""Reference tables of configuration, parameters, task and scenarios, from the settings' classes.
 
-Law of this file: nothing is said here that the program does not say itself; types and ranges come
-from the annotations that check a file, units and meanings from the docstrings beside them.
+Types and ranges come from annotations, units and meanings from docstrings.
 """
 
 from collections.abc import Iterator
@@ -11,15 +10,16 @@ from pathlib import Path
 from types import NoneType
 from typing import Any, get_args, get_type_hints
 
-from linemate.daemon.config import parameter_list
+from linemate.daemon.config import parameter_list, task_file
 from linemate.daemon.config.settings import Config
 from linemate.daemon.config.settings_tree import SECTIONS
-from linemate.daemon.core.tracking.task import TaskFile
+from linemate.daemon.core.tracking.task import Gate, TaskFile, WaypointFrame
 from linemate.simulators.devices.faults import KINDS, MEANINGS, REAL
 from linemate.simulators.devices.links.emulator_config import EmulatorConfig
 from linemate.simulators.harness.setup import shipped_control
 from linemate.simulators.plants.scenario import Scenario
 
+SHIPPED_TASK = Path(__file__).resolve().parents[2] / "daemon/data/wheel.yaml"
 MADE = "<!-- Made by `make docs-write`; edit the settings' docstrings instead. -->\n"
 
 
@@ -35,7 +35,7 @@ class Section:
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """One key of a section, in words."""
+    """One key of a section, as text."""
 
     name: str
     kind: str
@@ -45,7 +45,7 @@ class Key:
 
 
 def sections(whole: type[Any] = Config) -> Iterator[Section]:
-    """Every section of a file, a configuration's if no other is named; the file itself first."""
+    """Yield every section of a file, the file itself first."""
     yield Section("", whole, optional=False, is_list=False)
     yield from _below("", whole)
 
@@ -60,7 +60,7 @@ def _below(above: str, kind: type[Any]) -> Iterator[Section]:
 
 
 def _class(hint: Any) -> tuple[type[Any] | None, bool, bool]:
-    """The settings class in a hint, whether None may stand for it, whether there are several."""
+    """Return the settings class in a hint, whether it may be None, whether it is a list."""
     if is_dataclass(hint) and isinstance(hint, type):
         return hint, False, False
     parts = get_args(hint)
@@ -76,23 +76,23 @@ def _class(hint: Any) -> tuple[type[Any] | None, bool, bool]:
 
 
 def keys(section: Section) -> Iterator[Key]:
-    """The keys of a section that are values, not sections."""
+    """Yield the keys of a section that are values, not sections."""
     about = parameter_list.describe_fields(section.kind)
     hints = get_type_hints(section.kind)
     for field in fields(section.kind):
         if _class(hints[field.name])[0] is None:
-            told = about[field.name]
+            entry = about[field.name]
             yield Key(
                 field.name,
-                told["type"],
+                entry["type"],
                 _default(field),
-                _allowed(told),
-                told.get("describe", ""),
+                _allowed(entry),
+                entry.get("describe", ""),
             )
 
 
 def meaning(section: Section) -> str:
-    """The first sentence of a section's class."""
+    """Return the first line of a section's class."""
     return (section.kind.__doc__ or "").partition("\n")[0]
 
 
@@ -105,11 +105,11 @@ def _default(field: Any) -> str:
 
 
 def shown(value: Any) -> str:
-    """A value as a file has it."""
+    """Return a value as a file has it."""
     if isinstance(value, Enum):
         return str(value.value)
     if isinstance(value, Path):
-        return value.name  # a shipped one: where it lies is this machine's affair
+        return value.name  # A shipped file: its folder depends on the machine.
     if value is None or isinstance(value, bool):
         return {None: "none", True: "true", False: "false"}[value]
     if isinstance(value, float):
@@ -119,17 +119,17 @@ def shown(value: Any) -> str:
     return str(value)
 
 
-def _allowed(told: dict[str, Any]) -> str:
-    if "choices" in told:
-        return ", ".join(map(shown, told["choices"]))
-    low, high = told.get("min"), told.get("max")
+def _allowed(entry: dict[str, Any]) -> str:
+    if "choices" in entry:
+        return ", ".join(map(shown, entry["choices"]))
+    low, high = entry.get("min"), entry.get("max")
     if low is None and high is None:
         return ""
     return f"{'' if low is None else shown(low)} .. {'' if high is None else shown(high)}".strip()
 
 
 def configuration_page() -> str:
-    """docs/configuration.md, below its hand-written head."""
+    """Return docs/configuration.md below its head."""
     lines = []
     for section in sections():
         listed = list(keys(section))
@@ -152,7 +152,7 @@ def _table(listed: list[Key]) -> Iterator[str]:
 
 
 def scenarios_page() -> str:
-    """docs/scenarios.md, below its hand-written head: a scenario's keys, faults, an emulator's."""
+    """Return docs/scenarios.md below its head: keys of a scenario, faults, keys of an emulator."""
     lines = ["## A scenario", ""]
     for section in sections(Scenario):
         name = f"{section.name}[]" if section.is_list else section.name
@@ -173,24 +173,40 @@ def scenarios_page() -> str:
     return "\n".join(lines)
 
 
+def shipped_waypoints() -> Iterator[str]:
+    """Yield the table of the shipped task's waypoints."""
+    yield "| task time, s | phase behind it | place | gate |"
+    yield "|---|---|---|---|"
+    for point in task_file.load(SHIPPED_TASK).file.waypoints:
+        depth = 1000.0 * point.pose.position[2]
+        place = (
+            "rest pose"
+            if point.frame is WaypointFrame.BASE
+            else f"{depth:g} mm along z of the object"
+        )
+        gate = "" if point.gate is Gate.NONE else f"`{point.gate}`"
+        yield f"| {point.time:g} | `{point.phase}` | {place} | {gate} |"
+
+
 def task_page() -> str:
-    """The tables of docs/task.md: a task file's keys."""
-    lines = []
+    """Return docs/task.md below its head: the shipped task's waypoints, and all keys."""
+    lines = ["## The shipped task", "", *shipped_waypoints(), "", "## Keys", ""]
     for section in sections(TaskFile):
         name = f"{section.name}[]" if section.is_list else section.name
         lines += [f"### `{name}`" if name else "### The file", ""]
-        lines += [meaning(section), "", *_table(list(keys(section))), ""]
+        listed = list(keys(section))
+        lines += [meaning(section), "", *([*_table(listed), ""] if listed else [])]
     return "\n".join(lines)
 
 
 def parameters_page() -> str:
-    """The tables of docs/parameters.md: every parameter with its default and when it may change."""
+    """Return docs/parameters.md below its head: every parameter and when it may change."""
     lines: list[str] = []
     above = None
-    for told in parameter_list.list_parameters(
+    for entry in parameter_list.list_parameters(
         Config(task="wheel.yaml", control=shipped_control())
     ):
-        name = told["name"]
+        name = entry["name"]
         if name.partition(".")[0] not in SECTIONS:
             continue
         parent = name.rpartition(".")[0]
@@ -199,20 +215,20 @@ def parameters_page() -> str:
             lines += ["", f"## `{parent}`", ""]
             lines += ["| name | default | unit | allowed | changes | meaning |"]
             lines += ["|---|---|---|---|---|---|"]
-        changes = told["change"] + (", not in contact" if told.get("in_contact") is False else "")
+        changes = entry["change"] + (", not in contact" if entry.get("in_contact") is False else "")
         lines.append(
-            f"| `{name.rpartition('.')[2]}` | {_usual(told)} "
-            f"| {told.get('unit', '')} | {_cell(_allowed(told))} | {changes} "
-            f"| {_text(told.get('describe', ''))} |"
+            f"| `{name.rpartition('.')[2]}` | {_usual(entry)} "
+            f"| {entry.get('unit', '')} | {_cell(_allowed(entry))} | {changes} "
+            f"| {_text(entry.get('describe', ''))} |"
         )
     return "\n".join(lines[1:]) + "\n"
 
 
-def _usual(told: dict[str, Any]) -> str:
-    """A parameter's default in words."""
-    if told["name"].startswith("control.limits."):
+def _usual(entry: dict[str, Any]) -> str:
+    """Return a parameter's default in words."""
+    if entry["name"].startswith("control.limits."):
         return "the URDF's"
-    return _cell(shown(told["default"]))
+    return _cell(shown(entry["default"]))
 
 
 def _cell(text: str) -> str:

@@ -1,4 +1,4 @@
-"""RSI telegrams: literal ones from reference/rsi.md, laws, and garbage."""
+"""RSI telegrams: literal ones, laws, and garbage."""
 
 import math
 from importlib.resources import files

@@ -7,7 +7,7 @@ Invariants:
   faults, or loses its links one by one and gets them back in another order. A quarter has a row of
   the second catalogue.
 
-Source: reference/reliability.md, section 5.
+The rows of docs/fault-catalogue.md.
 """
 
 import json

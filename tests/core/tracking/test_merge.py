@@ -36,7 +36,7 @@ def cubic(t: Array) -> Array:
 
 @pytest.mark.parametrize(
     ("dead_time", "cycle_s", "known"),
-    # The reading notes' two figures; then by hand: ceil((D + T0) / T0) + 1.
+    # By hand: ceil((D + T0) / T0) + 1.
     [(0.036, 0.012, 5), (0.036, 0.004, 11), (0.0, 0.012, 2), (0.030, 0.012, 5), (0.024, 0.012, 4)],
 )
 def test_committed_is_dead_time_one_cycle_of_interpolation_and_one_more(
