@@ -258,6 +258,22 @@ def test_a_force_measures_the_object_only_after_the_clamp_has_drawn_the_tool_in(
     assert (felt.transverse.x == unfelt.transverse.x).all() != counts
 
 
+def test_a_force_beyond_overload_does_not_measure_the_object(assembly: Told) -> None:
+    k = next(k for k, o in enumerate(assembly.outputs) if o.contact)
+    tracker, inputs = assembly.states[k + 1].tracker, assembly.inputs[k + 1]
+    state = replace(tracker, contact=True, touching=1.0)
+    limit = P.tracker.settings.tactile.overload_force
+    for force, counts in ((0.9 * limit, True), (1.1 * limit, False)):
+        bent = WrenchSample(inputs.stamp_ns, (0.0, force, 0.0), (0.0, 0.0, 0.0))
+        seen = tracker_state.StepSamples(
+            inputs.stamp_ns, state.poses[0], inputs.stamp_ns, (), (), (bent,), 0
+        )
+        after, _, wrench = estimation.estimate(P.tracker, state, seen)
+        assert wrench is not None
+        assert after.conveyor is not None
+        assert after.conveyor.contact == counts
+
+
 def test_the_tcp_is_where_the_object_wants_it_once_it_is_close(assembly: Told) -> None:
     for outputs, inputs in zip(assembly.outputs, assembly.inputs, strict=True):
         time = outputs.task_time

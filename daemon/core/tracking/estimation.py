@@ -44,7 +44,8 @@ def estimate(
         transverse = tracker.transverse.predict(transverse, tracker.cycle_s, seating=seating)
     wrench = mean_wrench(samples.wrench)
     pull = release.averaged(state.pull, wrench, tracker.cycle_s) if state.contact else state.pull
-    felt = wrench if _is_force_used(tracker, state) else None
+    is_felt = _is_force_used(tracker, state) and not _is_overload(tracker, wrench)
+    felt = wrench if is_felt else None
     first_poses = _pose_measurements(tracker, history, samples, felt)
     rows = [_distance_measurement(tracker, samples.stamp_ns, sample) for sample in samples.distance]
     rejected = 0
@@ -126,6 +127,15 @@ def _is_force_used(tracker: Tracker, state: TrackerState) -> bool:
         return state.contact
     pulling = release.PULLING * tracker.settings.tactile.contact_force
     return state.contact and math.hypot(*state.pull) > pulling
+
+
+def _is_overload(tracker: Tracker, wrench: Wrench | None) -> bool:
+    """Return whether a force is larger than the tool may bear: then it does not measure the object.
+
+    A wrong sensor would move the object by 10 mm for 500 N, and the clamped tool would follow.
+    """
+    limit = tracker.settings.tactile.overload_force
+    return wrench is not None and math.hypot(*wrench.force.tolist()) > limit
 
 
 def is_seated(state: TrackerState) -> bool:
