@@ -47,6 +47,7 @@ lint: .venv/.ok
 	@set -e; for package in protocol drivers daemon simulators; do \
 		echo "mypy -p linemate.$$package"; .venv/bin/mypy -p linemate.$$package; done
 	.venv/bin/lint-imports
+	.venv/bin/python docs/make/vocabulary.py
 
 format: .venv/.ok
 	.venv/bin/ruff check --fix .

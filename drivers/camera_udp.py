@@ -17,7 +17,7 @@ from linemate.drivers.camera_peer import TAKEOVER_S, CameraPeer, Peer, SenderRol
 from linemate.drivers.datagrams import Address, Datagram, DatagramLink, DatagramSocket
 from linemate.drivers.sole_sender import SoleSender
 from linemate.protocol.errors import ProtocolError
-from linemate.protocol.samples import CameraSample
+from linemate.protocol.stamped_samples import CameraSample
 
 BUDGET = 8  # datagrams read at one wake
 SILENCE_S = 0.25  # ten images; after that the kernel lets other senders through

@@ -25,7 +25,7 @@ from linemate.drivers.link import describe_error
 from linemate.drivers.read_ahead import ReadAhead
 from linemate.drivers.stamps import ArrivalClock, paired_clocks
 from linemate.protocol.errors import ProtocolError
-from linemate.protocol.samples import DistanceSample
+from linemate.protocol.stamped_samples import DistanceSample
 
 T = TypeVar("T")
 

@@ -17,9 +17,9 @@ from linemate.drivers.backoff import Backoff
 from linemate.drivers.kept_link import KeptLink
 from linemate.drivers.link import describe_error
 from linemate.protocol.errors import ProtocolError
-from linemate.protocol.samples import WrenchSample
 from linemate.protocol.sensors.wrench import WrenchHost
 from linemate.protocol.sensors.wrench_stream import WrenchDecoder
+from linemate.protocol.stamped_samples import WrenchSample
 
 READ_BYTES = 4096
 OPEN_S = 5.0  # longest time to open or close

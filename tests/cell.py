@@ -16,7 +16,12 @@ from linemate.daemon.core.inputs import Inputs, MotionOrder
 from linemate.daemon.core.parameters import Parameters, build
 from linemate.daemon.core.step import Outputs, StepState, initial, step
 from linemate.daemon.core.tracking.settings import TrackingSettings
-from linemate.protocol.samples import CameraSample, DistanceSample, RobotSample, WrenchSample
+from linemate.protocol.stamped_samples import (
+    CameraSample,
+    DistanceSample,
+    RobotSample,
+    WrenchSample,
+)
 
 EPOCH_NS = 7_000_000_000_000
 TASK = task_file.load(DAEMON_DATA / "wheel.yaml")

@@ -15,7 +15,12 @@ from linemate.daemon.core.inputs import Inputs, MotionOrder
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.cycle.step_log import LogEntry
-from linemate.protocol.samples import CameraSample, DistanceSample, RobotSample, WrenchSample
+from linemate.protocol.stamped_samples import (
+    CameraSample,
+    DistanceSample,
+    RobotSample,
+    WrenchSample,
+)
 
 # A shell ignores SIGINT for what it starts in the background, and children inherit that: the tests
 # that interrupt a program would wait for ever.

@@ -1,4 +1,4 @@
-"""Tapes made of the plants' own models: what a cell whose truth is known would have recorded."""
+"""Recorded runs made of the plants' own models, whose truth is known."""
 
 import math
 from dataclasses import dataclass, replace

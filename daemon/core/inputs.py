@@ -9,7 +9,12 @@ from enum import StrEnum
 
 from msgspec import Struct
 
-from linemate.protocol.samples import CameraSample, DistanceSample, RobotSample, WrenchSample
+from linemate.protocol.stamped_samples import (
+    CameraSample,
+    DistanceSample,
+    RobotSample,
+    WrenchSample,
+)
 
 
 class MotionOrder(StrEnum):

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from linemate.daemon.core.horizon import Array
-from linemate.protocol.samples import Quaternion
+from linemate.protocol.stamped_samples import Quaternion
 
 SMALL = 1e-6
 EYE = np.eye(3)

@@ -25,7 +25,7 @@ from linemate.daemon.core.tracking import task_clock, tracker_state
 from linemate.daemon.core.tracking import tracker as tracking
 from linemate.daemon.core.tracking.reference import Reference
 from linemate.daemon.core.tracking.task import Phase
-from linemate.protocol.samples import RobotSample
+from linemate.protocol.stamped_samples import RobotSample
 
 # Position [m] and unit quaternion, w first, in base.
 Pose = tuple[float, float, float, float, float, float, float]

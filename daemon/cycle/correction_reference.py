@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
-from linemate.protocol.samples import RobotSample
+from linemate.protocol.stamped_samples import RobotSample
 
 Axes = tuple[float, ...]
 """A1..A6 [rad], and E1 [m] where the arm has it."""

@@ -28,7 +28,7 @@ from linemate.daemon.cycle.steps import PreparedStep, Stepper
 from linemate.protocol.exchange import Exchange, TelegramDecision, TelegramKind
 from linemate.protocol.rsi.codec import PreparedReply, RobotTelegram, RsiCodec, RsiError
 from linemate.protocol.rsi.expected_telegram import ReadyReply
-from linemate.protocol.samples import RobotSample, Vector6
+from linemate.protocol.stamped_samples import RobotSample, Vector6
 
 LONGEST_JUMP = 0.05  # of a joint in the expected telegram [rad]
 

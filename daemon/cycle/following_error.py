@@ -11,7 +11,7 @@ from collections import deque
 
 from linemate.daemon.core.step import Outputs, Pose
 from linemate.daemon.cycle.session import Axes
-from linemate.protocol.samples import AXES
+from linemate.protocol.stamped_samples import AXES
 
 REST_S = 0.12  # the robot rests if its telegrams of this time ...
 STILL = 2e-4  # ... are this near to each other [rad, m]

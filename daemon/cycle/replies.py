@@ -10,7 +10,7 @@ from typing import cast
 
 from linemate.protocol.rsi.codec import PreparedReply, RsiCodec, SensorTelegram
 from linemate.protocol.rsi.telegram_layout import EXTERNAL_AXES
-from linemate.protocol.samples import Vector6
+from linemate.protocol.stamped_samples import Vector6
 
 
 class Replies:

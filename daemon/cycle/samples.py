@@ -21,9 +21,9 @@ from linemate.daemon.cycle.sensor_health import (
     Sample,
     WrenchHealth,
 )
-from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
 from linemate.protocol.sensors.even_clock import EvenClock
 from linemate.protocol.sensors.wrench_clock import WrenchClock
+from linemate.protocol.stamped_samples import CameraSample, DistanceSample, WrenchSample
 
 DISTANCES, POSES, WRENCHES = 32, 16, 64  # samples that may wait
 

@@ -14,7 +14,7 @@ from typing import Any, Generic, TypeVar
 
 from msgspec import Struct
 
-from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
+from linemate.protocol.stamped_samples import CameraSample, DistanceSample, WrenchSample
 
 BAD, OF = 3, 5  # exclude a sensor after 3 bad of its last 5 samples
 BAD_S = 0.1  # or after bad samples only for this long

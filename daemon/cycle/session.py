@@ -20,7 +20,7 @@ from linemate.daemon.cycle.correction_reference import (
     Proof,
     Start,
 )
-from linemate.protocol.samples import RobotSample
+from linemate.protocol.stamped_samples import RobotSample
 
 __all__ = ["RESTART_PROGRAM", "Axes", "Session", "standing"]
 

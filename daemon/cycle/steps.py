@@ -24,7 +24,7 @@ from linemate.daemon.cycle.session import Axes, Session, standing
 from linemate.daemon.cycle.states import Machine, State
 from linemate.daemon.cycle.step_log import LogEntry, StepLog
 from linemate.protocol.rsi.codec import PreparedReply, RsiCodec
-from linemate.protocol.samples import RobotSample
+from linemate.protocol.stamped_samples import RobotSample
 
 PROGRAMMED_S = 1000.0  # a blend this long lets the program alone lead the motion [s]
 CATCH_UP_S = 0.3  # steps made at once after a gap, at most [s]

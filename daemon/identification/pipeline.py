@@ -31,7 +31,7 @@ from linemate.daemon.identification.servo_models import ServoResult, identify_se
 from linemate.daemon.identification.swing import SwingResult, identify_swings
 from linemate.daemon.identification.trace import Trace, TraceStep, build_trace
 from linemate.daemon.recording.step_codec import StepRecord
-from linemate.protocol.samples import AXES
+from linemate.protocol.stamped_samples import AXES
 
 SIGNIFICANT = 4.0  # least offset of a corrected hand-eye pose, in deviations
 SAME_CYCLE = 0.01  # largest difference of cycle times that count as the same

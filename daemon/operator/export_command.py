@@ -27,7 +27,7 @@ from linemate.daemon.command_line import (
 from linemate.daemon.operator import console
 from linemate.daemon.recording.format import LAYOUT, METADATA, STEP, UnreadableRecordingError
 from linemate.daemon.recording.reader import damage_report, layout_of, records
-from linemate.protocol.samples import AXES
+from linemate.protocol.stamped_samples import AXES
 
 if TYPE_CHECKING:
     from mcap.records import Message

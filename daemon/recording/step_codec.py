@@ -17,7 +17,12 @@ from fastcrc import crc64
 
 from linemate.daemon.core.inputs import Inputs, MotionOrder
 from linemate.daemon.core.step import Outputs
-from linemate.protocol.samples import CameraSample, DistanceSample, RobotSample, WrenchSample
+from linemate.protocol.stamped_samples import (
+    CameraSample,
+    DistanceSample,
+    RobotSample,
+    WrenchSample,
+)
 
 VERSION = 1
 

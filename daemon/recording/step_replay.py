@@ -32,7 +32,7 @@ from linemate.daemon.recording.format import (
     StateBefore,
 )
 from linemate.daemon.recording.step_codec import StepRecord
-from linemate.protocol.samples import RobotSample
+from linemate.protocol.stamped_samples import RobotSample
 
 FIRST_STEPS = 50  # steps whose stamps give the period of a recording without parameters
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
-from linemate.protocol.samples import AXES
+from linemate.protocol.stamped_samples import AXES
 
 if TYPE_CHECKING:  # the writer process must not import daemon.core
     from linemate.daemon.core.inputs import Inputs

@@ -21,7 +21,7 @@ from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.step import REST_ANGLE, REST_DISTANCE
 from linemate.daemon.core.tracking import linear_axis
 from linemate.daemon.core.tracking.task import Phase
-from linemate.protocol.samples import AXES
+from linemate.protocol.stamped_samples import AXES
 
 STEP_S = 0.02
 MOST_STEPS = 3000

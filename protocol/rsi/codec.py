@@ -22,7 +22,7 @@ from linemate.protocol.rsi.telegram_layout import (
 from linemate.protocol.rsi.telegram_reader import MAX_TELEGRAM_BYTES, TelegramReader, Texts
 from linemate.protocol.rsi.telegram_writer import TelegramWriter
 from linemate.protocol.rsi.xml_scan import RsiError
-from linemate.protocol.samples import Vector6
+from linemate.protocol.stamped_samples import Vector6
 
 __all__ = [
     "MAX_TELEGRAM_BYTES",

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 from msgspec import Struct
 
-from linemate.protocol.samples import Vector6
+from linemate.protocol.stamped_samples import Vector6
 
 Channel = float | int | bool | str  # of type DOUBLE, LONG, BOOL or STRING, in the wire's unit
 

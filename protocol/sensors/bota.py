@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import fastcrc
 
-from linemate.protocol.samples import WrenchSample
 from linemate.protocol.sensors.wrench_stream import (
     SILENT_ATTEMPTS,
     SILENT_FRAMES,
@@ -23,6 +22,7 @@ from linemate.protocol.sensors.wrench_stream import (
     WrenchDecoder,
     WrenchError,
 )
+from linemate.protocol.stamped_samples import WrenchSample
 
 BOTA_HEADER = b"\xaa"
 _HEADER_BYTE = BOTA_HEADER[0]

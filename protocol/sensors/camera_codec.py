@@ -16,8 +16,8 @@ import msgspec
 from msgspec import Meta
 
 from linemate.protocol.errors import ProtocolError
-from linemate.protocol.samples import CameraSample, Quaternion
 from linemate.protocol.sensors.clock_offset import ClockOffset
+from linemate.protocol.stamped_samples import CameraSample, Quaternion
 
 MAX_DATAGRAM_BYTES = 1199  # no network fragments it
 

@@ -17,9 +17,9 @@ import cantools
 from cantools.database.can import Database, Message, Signal
 
 from linemate.protocol.errors import ProtocolError
-from linemate.protocol.samples import DistanceSample
 from linemate.protocol.sensors import distance_bits
 from linemate.protocol.sensors.distance_bits import Bits
+from linemate.protocol.stamped_samples import DistanceSample
 
 # TF03, TF02 and CIA406_TPDO1 (node 3).
 SHIPPED_DBC = Path(__file__).parents[1] / "data" / "distance.dbc"

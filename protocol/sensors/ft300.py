@@ -13,7 +13,6 @@ from collections.abc import Sequence
 
 import fastcrc
 
-from linemate.protocol.samples import WrenchSample
 from linemate.protocol.sensors.wrench_stream import (
     SILENT_ATTEMPTS,
     SILENT_FRAMES,
@@ -21,6 +20,7 @@ from linemate.protocol.sensors.wrench_stream import (
     WrenchDecoder,
     WrenchError,
 )
+from linemate.protocol.stamped_samples import WrenchSample
 
 FT300_HEADER = b"\x20\x4e"
 FT300_FRAME_BYTES = 16

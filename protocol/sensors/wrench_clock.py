@@ -7,8 +7,8 @@ Invariants:
     A frame can be late, never early. The smallest ``arrival - sent`` of the window is the offset.
 """
 
-from linemate.protocol.samples import WrenchSample
 from linemate.protocol.sensors.clock_offset import ClockOffset
+from linemate.protocol.stamped_samples import WrenchSample
 
 WRAP_US = 1 << 32
 # The device's clock is wrong if a frame would be later than this [ns], ...

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from msgspec import Struct
 
 from linemate.protocol.errors import ProtocolError
-from linemate.protocol.samples import WrenchSample
+from linemate.protocol.stamped_samples import WrenchSample
 
 
 class WrenchError(ProtocolError):

@@ -26,7 +26,7 @@ from linemate.protocol.rsi.codec import (
     RsiError,
     SensorTelegram,
 )
-from linemate.protocol.samples import Vector6
+from linemate.protocol.stamped_samples import Vector6
 from linemate.simulators.devices.limit_judge import LIMITS, AxisLimit, LimitJudge
 
 AXES = 7

@@ -29,7 +29,7 @@ from linemate.daemon.core.step import (
 from linemate.daemon.core.tracking import estimation, tracker, tracker_state
 from linemate.daemon.core.tracking.task import Phase
 from linemate.daemon.recording import snapshot
-from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
+from linemate.protocol.stamped_samples import CameraSample, DistanceSample, WrenchSample
 
 P = parameters()
 HOME = (*REST, AXIS)

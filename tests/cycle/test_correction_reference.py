@@ -21,7 +21,7 @@ from linemate.daemon.cycle.correction_reference import (
 from linemate.daemon.cycle.session import Session
 from linemate.protocol.exchange import Exchange, TelegramKind
 from linemate.protocol.exchange import ExchangeState as Running
-from linemate.protocol.samples import RobotSample
+from linemate.protocol.stamped_samples import RobotSample
 
 T = 0.012
 T_NS = 12_000_000

@@ -24,7 +24,7 @@ from linemate.daemon.cycle.states import State
 from linemate.daemon.cycle.step_log import LONGEST_LOG
 from linemate.daemon.cycle.steps import CATCH_UP_S
 from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, SensorTelegram, parse_config
-from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
+from linemate.protocol.stamped_samples import CameraSample, DistanceSample, WrenchSample
 
 PERIOD = 12_000_000
 START = 9_000_000_000

@@ -12,7 +12,7 @@ from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle.correction_reference import UNACCOUNTED_S
 from linemate.daemon.cycle.cycle import LONGEST_JUMP, Cycle
 from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, parse_config
-from linemate.protocol.samples import DistanceSample
+from linemate.protocol.stamped_samples import DistanceSample
 
 T = 12_000_000
 START = 5_000_000_000

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from linemate.daemon.cycle.samples import SampleQueue
 from linemate.daemon.cycle.sensor_health import Conditions, Health
-from linemate.protocol.samples import DistanceSample
+from linemate.protocol.stamped_samples import DistanceSample
 
 CONDITIONS = Conditions(moving=False, deviation=0.0)
 

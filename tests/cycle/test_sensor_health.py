@@ -22,7 +22,7 @@ from linemate.daemon.cycle.sensor_health import (
     Health,
     WrenchHealth,
 )
-from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
+from linemate.protocol.stamped_samples import CameraSample, DistanceSample, WrenchSample
 
 PERIOD_NS = 10_000_000
 SPEED = 0.106

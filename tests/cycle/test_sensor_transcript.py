@@ -14,7 +14,7 @@ from linemate.daemon.cycle.sensor_health import (
     Health,
     WrenchHealth,
 )
-from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
+from linemate.protocol.stamped_samples import CameraSample, DistanceSample, WrenchSample
 
 MS = 1_000_000
 QUIET = Conditions(moving=False, deviation=0.25e-3)

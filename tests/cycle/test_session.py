@@ -4,7 +4,7 @@ import pytest
 
 from linemate.daemon.cycle.correction_reference import Proof
 from linemate.daemon.cycle.session import Axes, Session
-from linemate.protocol.samples import RobotSample
+from linemate.protocol.stamped_samples import RobotSample
 
 CYCLE_S, STEP = 0.012, 12
 START: Axes = (0.0, -1.4, 1.6, 0.0, 1.3, 0.0, 0.0)

@@ -14,10 +14,10 @@ from linemate.drivers.can_bus import CanLink
 from linemate.drivers.rsi_udp import RsiLink
 from linemate.drivers.serial_port import SerialLink
 from linemate.protocol.rsi.codec import RsiCodec, RsiError, SensorTelegram, parse_config
-from linemate.protocol.samples import CameraSample, DistanceSample, WrenchSample
 from linemate.protocol.sensors.camera_codec import CameraDecoder
 from linemate.protocol.sensors.distance import DistanceDecoder
 from linemate.protocol.sensors.wrench import make_decoder, make_host
+from linemate.protocol.stamped_samples import CameraSample, DistanceSample, WrenchSample
 from linemate.simulators.devices.links.emulator import SHIPPED_RSI, Emulator, EmulatorConfig
 from linemate.simulators.devices.truth import load
 from linemate.simulators.plants.scenario import Camera, DistanceSensor, Fault, Scenario

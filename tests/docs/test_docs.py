@@ -1,9 +1,9 @@
 """The pages: their links lead somewhere, what is made is in step, and what they show runs.
 
-Law of this file: a block ``sh`` is run, line by line in one shell, in a scratch folder beside a
-running daemon and its emulators; of what would take long (``make``, ``linemate-sim``) the command
-line alone is tried. A block ``sh host`` is for the machine of a cell and is only understood:
-bash reads it, and the programs' own parsers take its command lines.
+Invariants:
+    A block ``sh`` runs line by line in one shell, in a scratch folder of a running daemon.
+    Of long commands (``make``, ``linemate-sim``) only the command line is parsed.
+    A block ``sh host`` is parsed only: by bash, and by the programs' own parsers.
 """
 
 import json
@@ -41,7 +41,7 @@ PARSERS = {
 }
 LINEMATE_SIM = (sys.executable, "-m", "linemate.simulators.harness.main")
 JUDGED = 'linemate() { command linemate "$@" || [ "$1" = status ]; }'
-"""A machine that is held up makes the cell's status degraded: that is no fault of the page."""
+"""A machine that is delayed makes the cell's status degraded: that is no fault of the page."""
 
 COSTLY = ("make", "linemate-sim")
 
@@ -197,18 +197,18 @@ def test_zsh_completes_what_can_be_typed(typed: str, expected: list[str]) -> Non
     ours, its = os.openpty()
     shell = subprocess.Popen(["zsh", "-f", "-i"], stdin=its, stdout=its, stderr=its)
     os.close(its)
-    said = ""
+    text = ""
 
     def until(words: list[str]) -> None:
-        nonlocal said
-        while not all(word in said for word in words):
-            assert select.select([ours], [], [], 30.0)[0], said
-            said += os.read(ours, 4096).decode()
+        nonlocal text
+        while not all(word in text for word in words):
+            assert select.select([ours], [], [], 30.0)[0], text
+            text += os.read(ours, 4096).decode()
 
     try:
         os.write(ours, ZSH.format(folder=ROOT / "docs/completion").encode())
         until(["BEGIN"])
-        said = ""
+        text = ""
         os.write(ours, f"{typed}\t\x18s".encode())
         until(expected)
     finally:

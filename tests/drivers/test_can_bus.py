@@ -9,9 +9,9 @@ from loops import run, until
 
 from linemate.drivers.backoff import Backoff
 from linemate.drivers.can_bus import CanLink
-from linemate.protocol.samples import DistanceSample
 from linemate.protocol.sensors.distance import DistanceDecoder, DistanceEncoder
 from linemate.protocol.sensors.slcan import CanFrame
+from linemate.protocol.stamped_samples import DistanceSample
 from linemate.simulators.devices.can_sensor import CanSensor
 from linemate.simulators.devices.links.slcan_pty import SlcanPty
 

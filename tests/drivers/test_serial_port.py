@@ -9,8 +9,8 @@ from loops import run, until
 
 from linemate.drivers.backoff import Backoff
 from linemate.drivers.serial_port import SerialLink
-from linemate.protocol.samples import WrenchSample
 from linemate.protocol.sensors.wrench import bota_frame, make_decoder, make_host
+from linemate.protocol.stamped_samples import WrenchSample
 from linemate.simulators.devices.force_torque import ForceTorqueSensor
 from linemate.simulators.devices.links.serial_pty import SerialPty
 

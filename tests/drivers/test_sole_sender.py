@@ -14,8 +14,8 @@ from linemate.drivers.camera_udp import CameraLink
 from linemate.drivers.datagrams import DatagramSocket
 from linemate.drivers.rsi_udp import RsiLink
 from linemate.drivers.sole_sender import SoleSender, keep_only, only_from
-from linemate.protocol.samples import CameraSample
 from linemate.protocol.sensors.camera_codec import CameraDecoder
+from linemate.protocol.stamped_samples import CameraSample
 from linemate.simulators.devices.camera_sender import CameraSender
 
 Sender = socket.socket

@@ -25,7 +25,7 @@ FIT = Signals(link=Link.HEALTHY, position_fresh=True, wrench_fresh=True, ready=T
 OPEN_REGRESSIONS = {
     60758: "jitter in contact: mount overloaded, 8.1 mm",
     414903: "jitter in contact: 216 N",
-    640151: "a distance that comes 20 ms late: 7.5 mm beside the hub in TRACK",
+    640151: "a distance that comes 20 ms late: 7.5 mm off the hub in TRACK",
     700211: "jitter in contact: 203 N",
 }
 """What the plant's oracles found and that is not fixed yet, by the seed of its plan."""

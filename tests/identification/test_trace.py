@@ -9,7 +9,12 @@ import pytest
 from linemate.daemon.core import rotations
 from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.identification.trace import build_trace, tcp_path
-from linemate.protocol.samples import CameraSample, DistanceSample, RobotSample, WrenchSample
+from linemate.protocol.stamped_samples import (
+    CameraSample,
+    DistanceSample,
+    RobotSample,
+    WrenchSample,
+)
 
 T0_NS = 12_000_000
 EPOCH_NS = 8_000_000_000

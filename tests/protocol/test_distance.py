@@ -6,7 +6,6 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from linemate.protocol.samples import DistanceSample
 from linemate.protocol.sensors.distance import (
     MAX_FRAME_BYTES,
     SHIPPED_DBC,
@@ -15,6 +14,7 @@ from linemate.protocol.sensors.distance import (
     DistanceError,
 )
 from linemate.protocol.sensors.distance_bits import find
+from linemate.protocol.stamped_samples import DistanceSample
 
 SITE_DBC = """VERSION ""
 BS_:

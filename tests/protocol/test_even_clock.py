@@ -2,8 +2,8 @@
 
 import random
 
-from linemate.protocol.samples import DistanceSample
 from linemate.protocol.sensors.even_clock import EvenClock
+from linemate.protocol.stamped_samples import DistanceSample
 
 PERIOD_NS = 4_000_000
 BEGIN_NS = 10**12

@@ -1,7 +1,7 @@
 import pytest
 
-from linemate.protocol.samples import WrenchSample
 from linemate.protocol.sensors.wrench_clock import LONGEST_LATE_NS, STEADY_NS, WRAP_US, WrenchClock
+from linemate.protocol.stamped_samples import WrenchSample
 
 PERIOD_NS = 4_000_000
 

@@ -14,7 +14,7 @@ from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.recording import step_codec
 from linemate.daemon.recording.step_codec import RecordingError, decode, differences, digest, encode
-from linemate.protocol.samples import DistanceSample
+from linemate.protocol.stamped_samples import DistanceSample
 
 
 def encoded(entry: LogEntry) -> bytes:

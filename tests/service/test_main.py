@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from linemate.daemon.service import main as service
-from linemate.protocol.samples import AXES
+from linemate.protocol.stamped_samples import AXES
 
 LINEMATED = [sys.executable, "-m", "linemate.daemon.service.main"]
 

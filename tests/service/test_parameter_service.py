@@ -19,7 +19,7 @@ from linemate.daemon.cycle.cycle import Cycle
 from linemate.daemon.cycle.states import Machine, State
 from linemate.daemon.service.parameter_service import ParameterService
 from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec
-from linemate.protocol.samples import DistanceSample
+from linemate.protocol.stamped_samples import DistanceSample
 
 CYCLE_NS = 12_000_000
 TEXT = "task: wheel.yaml\nstate: .\ncontrol: {brake: {jerk: 20.0}}\n"

@@ -20,7 +20,7 @@ from linemate.daemon.core.control.settings import BrakeSettings, ControlSettings
 from linemate.daemon.core.control.smoothing import smoothing_taps
 from linemate.daemon.core.control.tcp_limit import TcpLimit
 from linemate.daemon.core.horizon import Array, Horizon
-from linemate.protocol.samples import AXES
+from linemate.protocol.stamped_samples import AXES
 
 LONGEST_STAND_IN = 0.03  # lag of the linear axis that the arm compensates [m]
 LARGEST_STAND_IN = 0.1  # change of a joint for it; larger near a singular pose [rad]

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from linemate.daemon.core.control.settings import AxisLimits, ControlSettings
-from linemate.protocol.samples import AXES
+from linemate.protocol.stamped_samples import AXES
 
 ROUNDING = 1e-9  # a limit that is wider by less is not wider
 

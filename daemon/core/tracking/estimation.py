@@ -24,7 +24,7 @@ from linemate.daemon.core.tracking.task import Gate
 from linemate.daemon.core.tracking.touch import release
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
 from linemate.daemon.core.tracking.transverse import TransverseState
-from linemate.protocol.samples import DistanceSample
+from linemate.protocol.stamped_samples import DistanceSample
 
 FIRST_READINGS = 4  # readings of the distance sensor that start the classifier
 FIRST_SPREAD = 0.015  # largest range of these readings: none is an outlier [m]

@@ -14,7 +14,7 @@ from msgspec import Struct
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.settings import CameraNoise, TactileNoise
-from linemate.protocol.samples import CameraSample, WrenchSample
+from linemate.protocol.stamped_samples import CameraSample, WrenchSample
 
 _diagonal = itemgetter(0, 6, 11, 15, 18, 20)  # of the upper triangle of a covariance (6, 6)
 

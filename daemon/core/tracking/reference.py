@@ -19,7 +19,7 @@ from linemate.daemon.core.tracking.touch.touch_profile import (
     lengthened,
     touch_profile,
 )
-from linemate.protocol.samples import Quaternion
+from linemate.protocol.stamped_samples import Quaternion
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,7 +11,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Gt, Le, Len, Lt
 
-from linemate.protocol.samples import Quaternion, Vector3
+from linemate.protocol.stamped_samples import Quaternion, Vector3
 
 # Wider than any station needs; millimetres, milliseconds or degrees are out of range.
 Metre = Annotated[float, Ge(-30.0), Le(30.0)]

@@ -22,7 +22,7 @@ from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.task import Gate, Phase, TaskFile
 from linemate.daemon.core.tracking.touch import contact, guard
 from linemate.daemon.core.tracking.transverse import Transverse, TransverseState
-from linemate.protocol.samples import CameraSample, DistanceSample, Vector3, WrenchSample
+from linemate.protocol.stamped_samples import CameraSample, DistanceSample, Vector3, WrenchSample
 
 Foresight = Callable[[int, Array], tuple[Array, Array]]
 

@@ -58,7 +58,6 @@ __all__ = [
     "EmulatorConfig",
     "EmulatorResult",
     "OnState",
-    "run_emulator",
     "serve",
 ]
 
@@ -428,28 +427,6 @@ class Emulator:
     def _tell(self, state: dict[str, Any]) -> None:
         if self._on_state is not None:
             self._on_state(state)
-
-
-async def run_emulator(
-    config: EmulatorConfig,
-    on_state: OnState | None = None,
-    stop: asyncio.Event | None = None,
-) -> EmulatorResult:
-    """Run a station of emulated devices to its end.
-
-    Args:
-        on_state: called when it is ready, with its progress, and at its end; it must not block.
-        stop: ends the run early when set.
-
-    Returns:
-        What happened.
-
-    Raises:
-        OSError: a port or file that cannot be opened.
-        ProtocolError: a configuration that makes no telegram or no message.
-        ValueError: a scenario or controller that makes no sense.
-    """
-    return await Emulator(config, on_state).run(stop)
 
 
 def serve(config: EmulatorConfig, out: TextIO = sys.stdout, priority: int = 0) -> EmulatorResult:

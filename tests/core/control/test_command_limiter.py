@@ -12,7 +12,7 @@ from linemate.daemon.core.control import command_limiter as limiter
 from linemate.daemon.core.control.axis_limits import Limits
 from linemate.daemon.core.control.command_limiter import LimiterState
 from linemate.daemon.core.horizon import Array
-from linemate.protocol.samples import AXES
+from linemate.protocol.stamped_samples import AXES
 from linemate.simulators.harness.setup import shipped_control
 
 CYCLES = (0.012, 0.004)

@@ -19,7 +19,7 @@ from linemate.daemon.core.tracking.observation import (
     remember,
 )
 from linemate.daemon.core.tracking.settings import CameraNoise, TactileNoise
-from linemate.protocol.samples import CameraSample, WrenchSample
+from linemate.protocol.stamped_samples import CameraSample, WrenchSample
 
 EPOCH = 5_000_000_000_000
 CAMERA = (np.array((-0.10, 0.02, -0.15)), rotations.exp(np.array((0.02, -0.3, 0.1))))

@@ -11,7 +11,7 @@ import numpy as np
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.observation import Wrench
-from linemate.protocol.samples import Vector3
+from linemate.protocol.stamped_samples import Vector3
 
 LEADING_S = 0.15  # commanded motion goes on for this long, whatever is decided now
 STANDING_S = 0.1  # the last command leads a robot on for this long: servos, and the tool's swing
