@@ -107,7 +107,10 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "docs/decisions/0006-ripple-as-a-state.md": ("wave",),
     "docs/decisions/0011-idle-spinners.md": ("awake",),
     "docs/json.md": ("astray",),
-    "docs/parameters.md": ("astray", "wave",),
+    "docs/parameters.md": (
+        "astray",
+        "wave",
+    ),
     "docs/performance.md": ("awake", "slack"),
     "docs/troubleshooting.md": ("awake", "astray"),
     # The term that the glossary explains; wall clock is a term of the field.

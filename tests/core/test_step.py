@@ -1,4 +1,4 @@
-"""One sampling step: pure, committed to what it has said, and never beyond its limits."""
+"""One sampling step: pure, committed to its outputs, and never beyond its limits."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ C = P.tracker.reference.nominal
 
 
 @dataclass(frozen=True, repr=False)
-class Told:
+class Assembly:
     """A run, step by step: the state before, the inputs, the outputs."""
 
     states: list[StepState]
@@ -49,7 +49,7 @@ class Told:
         return next(o for o in self.outputs if (o.task_time or 0.0) >= task_time - 1e-9)
 
 
-def watched(world: World, outcome: Told, order: MotionOrder, **changes: Any) -> Outputs:
+def watched(world: World, outcome: Assembly, order: MotionOrder, **changes: Any) -> Outputs:
     inputs = world.inputs(order, **changes)
     outcome.states.append(world.state)
     outcome.inputs.append(inputs)
@@ -58,9 +58,9 @@ def watched(world: World, outcome: Told, order: MotionOrder, **changes: Any) -> 
 
 
 @pytest.fixture(scope="module")
-def assembly() -> Told:
+def assembly() -> Assembly:
     """The whole task next to a conveyor that never stops: the tool does what it is asked for."""
-    world, outcome = World(P), Told([], [], [])
+    world, outcome = World(P), Assembly([], [], [])
     for _ in range(100):
         watched(world, outcome, MotionOrder.HOLD)
     watched(world, outcome, MotionOrder.TRACK, start=True)
@@ -96,21 +96,21 @@ def assert_within(commands: Sequence[Sequence[float]] | Array, cycle_s: float = 
 # Purity.
 
 
-def test_the_same_state_and_inputs_give_the_same_outputs_bit_for_bit(assembly: Told) -> None:
+def test_the_same_state_and_inputs_give_the_same_outputs_bit_for_bit(assembly: Assembly) -> None:
     for k in range(0, len(assembly.inputs), 23):
         _, again = step(assembly.states[k], assembly.inputs[k], P)
         assert text(again) == text(assembly.outputs[k])
 
 
-def test_a_recording_of_the_inputs_replays_bit_for_bit(assembly: Told) -> None:
+def test_a_recording_of_the_inputs_replays_bit_for_bit(assembly: Assembly) -> None:
     state = initial(P, robot_sample(EPOCH_NS))
     for inputs, outputs in list(zip(assembly.inputs, assembly.outputs, strict=True))[:350]:
         state, again = step(state, inputs, P)
         assert text(again) == text(outputs)
 
 
-def other_fates(state: StepState, inputs: Inputs) -> list[Inputs]:
-    """The same inputs, the last command's fate being another: held, held elsewhere, gone on."""
+def other_deliveries(state: StepState, inputs: Inputs) -> list[Inputs]:
+    """The same inputs, another delivery of the last command: held, held elsewhere, gone on."""
     gate = state.control.limiter
     there = tuple((gate.position + 1e-4).tolist())
     pace = (tuple(gate.speed.tolist()), tuple(gate.acceleration.tolist()))
@@ -123,36 +123,38 @@ def other_fates(state: StepState, inputs: Inputs) -> list[Inputs]:
 
 
 @pytest.mark.parametrize("order", list(MotionOrder))
-def test_a_plan_finished_for_another_fate_of_the_last_command_is_the_whole_step(
-    assembly: Told, order: MotionOrder
+def test_a_plan_finished_for_another_delivery_of_the_last_command_is_the_whole_step(
+    assembly: Assembly, order: MotionOrder
 ) -> None:
     contacts = set()
     for state, first in zip(assembly.states[::3], assembly.inputs[::3], strict=True):
         assumed = replace(first, order=order)
         planned = plan(state, assumed, P)
-        for inputs in other_fates(state, assumed):
-            (whole, said), (made, outcome) = (
+        for inputs in other_deliveries(state, assumed):
+            (whole, whole_outputs), (made, outcome) = (
                 step(state, inputs, P),
                 finish(state, planned, inputs, P),
             )
             assert snapshot.encode(made) == snapshot.encode(whole)
-            assert text(outcome) == text(said)
+            assert text(outcome) == text(whole_outputs)
             contacts.add((outcome.contact, state.tracker.contact))
     assert len(contacts) > 1
 
 
-def test_a_pose_out_of_reach_is_held_whatever_became_of_the_last_command(assembly: Told) -> None:
+def test_a_pose_out_of_reach_is_held_whatever_became_of_the_last_command(
+    assembly: Assembly,
+) -> None:
     state, first = assembly.states[900], assembly.inputs[900]
     tracker = replace(state.tracker, poses=state.tracker.poses + np.array((5.0, 0, 0, 0, 0, 0)))
     state = replace(state, tracker=tracker)
     planned = plan(state, first, P)
-    for inputs in other_fates(state, first):
-        whole, said = step(state, inputs, P)
+    for inputs in other_deliveries(state, first):
+        whole, whole_outputs = step(state, inputs, P)
         made, outcome = finish(state, planned, inputs, P)
-        assert said.held is not None
-        assert "reach" in said.held
+        assert whole_outputs.held is not None
+        assert "reach" in whole_outputs.held
         assert snapshot.encode(made) == snapshot.encode(whole)
-        assert text(outcome) == text(said)
+        assert text(outcome) == text(whole_outputs)
 
 
 def test_two_robots_may_take_turns_in_one_process() -> None:
@@ -168,7 +170,7 @@ def test_two_robots_may_take_turns_in_one_process() -> None:
 # What was promised.
 
 
-def test_what_is_committed_is_kept_bit_for_bit(assembly: Told) -> None:
+def test_what_is_committed_is_kept_bit_for_bit(assembly: Assembly) -> None:
     """x_t(k, i) == x_t(k-1, i+1) for i <= nc, in every step that tracks after one that did."""
     nc = P.tracker.commit
     assert nc == 5
@@ -181,7 +183,7 @@ def test_what_is_committed_is_kept_bit_for_bit(assembly: Told) -> None:
     assert tracked > 1000
 
 
-def test_the_target_is_the_value_that_was_committed_first(assembly: Told) -> None:
+def test_the_target_is_the_value_that_was_committed_first(assembly: Assembly) -> None:
     nc = P.tracker.commit
     for k in range(200, len(assembly.outputs), 37):
         promised = assembly.outputs[k - nc].horizon
@@ -205,7 +207,7 @@ def test_no_measured_pose_of_the_robot_enters_the_command() -> None:
         assert lying.step(MotionOrder.TRACK, robot=robot).command == one.command
 
 
-def test_the_task_is_done_from_start_to_end(assembly: Told) -> None:
+def test_the_task_is_done_from_start_to_end(assembly: Assembly) -> None:
     phases = [outputs.phase for outputs in assembly.outputs]
     order = [phase for i, phase in enumerate(phases) if i == 0 or phase is not phases[i - 1]]
     assert order == [
@@ -221,7 +223,7 @@ def test_the_task_is_done_from_start_to_end(assembly: Told) -> None:
     assert {outputs.held for outputs in assembly.outputs[101:]} == {None}
 
 
-def test_the_tool_is_asked_when_the_task_says(assembly: Told) -> None:
+def test_the_tool_is_asked_when_the_task_says(assembly: Assembly) -> None:
     assert assembly.at(8.45).digital_out == 0
     assert assembly.at(8.55).digital_out == FIX_SCREWS
     assert assembly.at(14.45).digital_out == FIX_SCREWS
@@ -229,7 +231,7 @@ def test_the_tool_is_asked_when_the_task_says(assembly: Told) -> None:
 
 
 def test_contact_is_felt_where_the_task_plans_it_and_lost_when_the_wheel_is(
-    assembly: Told,
+    assembly: Assembly,
 ) -> None:
     touched = [o.task_time or 0.0 for o in assembly.outputs if o.contact]
     assert 5.9 < touched[0] < 6.1
@@ -239,7 +241,7 @@ def test_contact_is_felt_where_the_task_plans_it_and_lost_when_the_wheel_is(
 
 @pytest.mark.parametrize(("touching", "counts"), [(0.0, False), (0.01, False), (0.02, True)])
 def test_a_force_measures_the_object_only_after_the_clamp_has_drawn_the_tool_in(
-    assembly: Told, touching: float, *, counts: bool
+    assembly: Assembly, touching: float, *, counts: bool
 ) -> None:
     k = next(k for k, o in enumerate(assembly.outputs) if o.contact)
     tracker, inputs = assembly.states[k + 1].tracker, assembly.inputs[k + 1]
@@ -258,7 +260,7 @@ def test_a_force_measures_the_object_only_after_the_clamp_has_drawn_the_tool_in(
     assert (felt.transverse.x == unfelt.transverse.x).all() != counts
 
 
-def test_a_force_beyond_overload_does_not_measure_the_object(assembly: Told) -> None:
+def test_a_force_beyond_overload_does_not_measure_the_object(assembly: Assembly) -> None:
     k = next(k for k, o in enumerate(assembly.outputs) if o.contact)
     tracker, inputs = assembly.states[k + 1].tracker, assembly.inputs[k + 1]
     state = replace(tracker, contact=True, touching=1.0)
@@ -274,7 +276,7 @@ def test_a_force_beyond_overload_does_not_measure_the_object(assembly: Told) -> 
         assert after.conveyor.contact == counts
 
 
-def test_the_tcp_is_where_the_object_wants_it_once_it_is_close(assembly: Told) -> None:
+def test_the_tcp_is_where_the_object_wants_it_once_it_is_close(assembly: Assembly) -> None:
     for outputs, inputs in zip(assembly.outputs, assembly.inputs, strict=True):
         time = outputs.task_time
         if time is None or outputs.sensed is None or outputs.part is None or not 5.0 < time < 5.9:
@@ -286,7 +288,7 @@ def test_the_tcp_is_where_the_object_wants_it_once_it_is_close(assembly: Told) -
         assert np.abs(off).max() < 1.5e-3
 
 
-def test_the_commands_of_a_whole_task_stay_within_the_limits(assembly: Told) -> None:
+def test_the_commands_of_a_whole_task_stay_within_the_limits(assembly: Assembly) -> None:
     assert_within([outputs.command for outputs in assembly.outputs])
 
 
@@ -362,7 +364,7 @@ def tracking(seconds: float) -> World:
     return _TRACKING[seconds].fork()
 
 
-def test_hold_in_motion_comes_to_rest_within_the_limits_and_stays_there(assembly: Told) -> None:
+def test_hold_in_motion_comes_to_rest_within_the_limits_and_stays_there(assembly: Assembly) -> None:
     k = next(i for i, outputs in enumerate(assembly.outputs) if (outputs.task_time or 0.0) > 2.0)
     before = [outputs.command for outputs in assembly.outputs[:k]]
     state = assembly.states[k]
@@ -376,7 +378,7 @@ def test_hold_in_motion_comes_to_rest_within_the_limits_and_stays_there(assembly
     assert not state.moving
 
 
-def test_after_a_hold_the_task_can_begin_anew_only_from_its_first_pose() -> None:
+def test_after_a_hold_the_task_can_start_again_only_from_its_first_pose() -> None:
     world = tracking(2.4)
     world.run(0.8, MotionOrder.HOLD)
     assert world.outputs is not None
@@ -632,14 +634,14 @@ def test_a_reply_that_was_lost_is_taken_up_from_where_the_robot_stands() -> None
     assert world.outputs.held is None
 
 
-def test_where_the_robot_holds_may_be_told() -> None:
+def test_where_the_robot_holds_may_be_given() -> None:
     world = tracking(1.0)
     stands = tuple(q + 0.001 for q in world.command)
     outputs = world.step(MotionOrder.HOLD, sent=False, applied=stands)
     assert np.allclose(outputs.command, stands, atol=1e-9)
 
 
-def test_a_robot_that_goes_on_is_led_as_if_the_step_before_were_its_own(assembly: Told) -> None:
+def test_a_robot_that_goes_on_is_led_as_if_the_step_before_were_its_own(assembly: Assembly) -> None:
     k = next(k for k, o in enumerate(assembly.outputs) if (o.task_time or 0.0) > 2.0)
     state, inputs = assembly.states[k], assembly.inputs[k]
     gate = state.control.limiter
@@ -659,7 +661,7 @@ def test_a_robot_that_goes_on_is_led_as_if_the_step_before_were_its_own(assembly
 
 
 def test_a_robot_that_goes_on_brakes_within_its_limits_though_it_was_taken_to_stand(
-    assembly: Told,
+    assembly: Assembly,
 ) -> None:
     k = next(k for k, o in enumerate(assembly.outputs) if (o.task_time or 0.0) > 2.0)
     before, state = assembly.states[k - 2 : k]

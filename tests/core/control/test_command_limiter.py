@@ -174,10 +174,10 @@ def test_a_smooth_wish_inside_the_limits_passes_bit_for_bit(
 ) -> None:
     # A sine that is faded in, sized by whichever limit bites first, its fade included.
     w = 2.0 * np.pi * cycles
-    room = np.minimum(REST[3] - THREE_AXES.lower, THREE_AXES.upper - REST[3])
+    span = np.minimum(REST[3] - THREE_AXES.lower, THREE_AXES.upper - REST[3])
     largest = np.minimum.reduce(
         (
-            0.5 * room,
+            0.5 * span,
             THREE_AXES.speed / (2 * w),
             THREE_AXES.acceleration / (4 * w**2),
             THREE_AXES.jerk / (8 * w**3),
@@ -186,8 +186,8 @@ def test_a_smooth_wish_inside_the_limits_passes_bit_for_bit(
     t = np.arange(int(2.5 / cycles / period)) * period
     fade = np.clip(t * cycles, 0.0, 1.0)
     fade = fade**4 * (35.0 - 84.0 * fade + 70.0 * fade**2 - 20.0 * fade**3)
-    wave = 0.35 * share * np.outer(fade * np.sin(w * t), largest)
-    desired = REST[3] + wave
+    ripple = 0.35 * share * np.outer(fade * np.sin(w * t), largest)
+    desired = REST[3] + ripple
     result = run(desired, THREE_AXES, period)
     assert result.held == [None] * len(desired)
     assert np.array_equal(result.commands[1:], desired)

@@ -34,15 +34,15 @@ def test_simulation_is_what_the_plant_does() -> None:
     assert answer == pytest.approx(ANSWERS[:, 2], abs=1e-6)
 
 
-def test_noise_biases_nothing_and_its_doubt_is_honest() -> None:
+def test_noise_biases_nothing_and_its_deviation_is_honest() -> None:
     offs = []
     for seed in range(8):
         noise = 2e-5 * np.random.default_rng(seed).normal(size=len(ANSWERS))
         found = servo_fit.fit([Passage(COMMANDS[:, 0], ANSWERS[:, 0] + noise)], CYCLE_S)
         assert found is not None
-        doubt = math.sqrt(found.covariance[0, 0])
-        assert 0.0 < doubt < 0.1
-        offs.append((found.model.frequency_hz - 4.0) / doubt)
+        deviation = math.sqrt(found.covariance[0, 0])
+        assert 0.0 < deviation < 0.1
+        offs.append((found.model.frequency_hz - 4.0) / deviation)
     assert max(map(abs, offs)) < 4.0
     assert abs(np.mean(offs)) < 4.0 / math.sqrt(len(offs))
     assert 0.3 < np.std(offs) < 2.0

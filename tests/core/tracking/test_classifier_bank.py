@@ -155,8 +155,8 @@ def test_a_ramp_is_as_set_as_far_as_the_readings_let_it(found: float, sigma: flo
         for share in (settings.amplitude_deviation, settings.as_set_deviation)
     )
     outcome = gaussian(a, found, sigma) / wide  # by the readings alone
-    belief = outcome * (settings.as_set * narrow + (1.0 - settings.as_set) * wide)
-    expected = float((a * belief).sum() / belief.sum())
+    weights = outcome * (settings.as_set * narrow + (1.0 - settings.as_set) * wide)
+    expected = float((a * weights).sum() / weights.sum())
     assert bank_prediction.ramp_estimate(BANK, state)[ACCELERATION] == pytest.approx(
         expected, abs=0.03 * sigma
     )
@@ -365,16 +365,16 @@ def test_in_contact_little_evidence_moves_the_prediction_less_than_bayes_would()
 
 # The periodic part of the ripple: a frequency known to a few hundredths, phase and size unknown.
 
-WAVE_HZ, WAVE_M = 1.2, 0.0001
+RIPPLE_HZ, RIPPLE_M = 1.2, 0.0001
 
 
-def waved(bank: BankClassifier, hz: float, ahead: float, *, touch: bool) -> Array:
-    """Errors of the outlook ``ahead`` s, of the last 10 s of 14 on a conveyor with a wave."""
+def ripple_errors(bank: BankClassifier, hz: float, ahead: float, *, touch: bool) -> Array:
+    """Errors of the prediction ``ahead`` s, of the last 10 s of 14 on a conveyor with a ripple."""
     rng = np.random.default_rng(7)
     truth = Truth(14.0, seed=7)
 
     def at(t: float) -> float:
-        return float(truth.at(t)) + WAVE_M * math.sin(2.0 * math.pi * hz * t)
+        return float(truth.at(t)) + RIPPLE_M * math.sin(2.0 * math.pi * hz * t)
 
     state = bank.initial(at(-1.5))
     errors = []
@@ -400,28 +400,29 @@ def test_a_periodic_ripple_is_foreseen_with_its_frequency_a_few_hundredths_off(
     quiet = BankSettings(penalty=50.0, contact_penalty=50.0)
     plain, foreseeing = (
         BankClassifier(ConveyorClasses(), FusionSettings(), quiet, DEVIATION, ripple=ripple)
-        for ripple in (NO_RIPPLE, RippleSettings(frequency_hz=WAVE_HZ))
+        for ripple in (NO_RIPPLE, RippleSettings(frequency_hz=RIPPLE_HZ))
     )
     before, now = (
-        float(np.std(waved(bank, WAVE_HZ * off, 0.12, touch=touch))) for bank in (plain, foreseeing)
+        float(np.std(ripple_errors(bank, RIPPLE_HZ * off, 0.12, touch=touch)))
+        for bank in (plain, foreseeing)
     )
     assert now < (0.8 if touch else 0.9) * before
 
 
 @pytest.mark.parametrize("touch", [False, True], ids=["distance alone", "in contact"])
-def test_a_wave_where_none_is_expected_costs_little(touch: bool) -> None:
+def test_a_ripple_where_none_is_expected_costs_little(touch: bool) -> None:
     quiet = BankSettings(penalty=50.0, contact_penalty=50.0)
     plain, foreseeing = (
         BankClassifier(ConveyorClasses(), FusionSettings(), quiet, DEVIATION, ripple=ripple)
-        for ripple in (NO_RIPPLE, RippleSettings(frequency_hz=WAVE_HZ))
+        for ripple in (NO_RIPPLE, RippleSettings(frequency_hz=RIPPLE_HZ))
     )
     before, now = (
-        float(np.std(waved(bank, 2.1, 0.12, touch=touch))) for bank in (plain, foreseeing)
+        float(np.std(ripple_errors(bank, 2.1, 0.12, touch=touch))) for bank in (plain, foreseeing)
     )
     assert now < 1.1 * before
 
 
-def test_a_conveyor_that_has_stood_begins_its_wave_anew_at_the_frequency_that_was_learnt() -> None:
+def test_a_conveyor_that_has_stood_keeps_its_learnt_ripple_frequency() -> None:
     bank = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), DEVIATION)
     truth = Truth(8.0, ((5.0, -STOP),))
     rng = np.random.default_rng(4)

@@ -137,7 +137,7 @@ def test_what_is_tried_is_confirmed_or_cancelled_and_nothing_else_is(
 
 
 @each
-def test_a_view_is_tentative_from_trial_to_verdict(classifier: Classifier) -> None:
+def test_a_view_is_tentative_from_trial_to_decision(classifier: Classifier) -> None:
     outcome = story(classifier, 0, STOP_AND_GO, 7.0)
     trial = False
     for view in outcome.views:
@@ -160,7 +160,7 @@ def test_a_conveyor_that_runs_on_is_left_in_peace(classifier: Classifier) -> Non
 def test_outliers_of_100_mm_neither_confirm_nor_disturb(
     classifier: Classifier, events: tuple[tuple[float, float], ...]
 ) -> None:
-    """A reading of nonsense is as good as none: the belief is that of a gap, to the last bit."""
+    """A reading of nonsense is as good as none: the estimate is that of a gap, to the last bit."""
     truth = Truth(4.0, events, seed=2)
     times = np.arange(-LEAD + 0.5, truth.seconds, T0)
     clean = Sensor(seed=2).read(truth, times)
@@ -250,7 +250,7 @@ def test_delayed_rows_tell_the_same_of_a_constant_speed_as_rows_without_delay(
         late = classifier.advance(late, [*known, *other], T0)
     one, two = classifier.estimate(prompt), classifier.estimate(late)
     assert two.position == pytest.approx(one.position, abs=2e-6)
-    # A mixture of models always doubts a little, and doubts a little less with older rows.
+    # A mixture of models always has a variance, and a little less with older rows.
     assert two.speed == pytest.approx(one.speed, abs=5e-5)
     assert two.offset == pytest.approx(one.offset, abs=2e-6)
     assert one.position + one.offset == pytest.approx(NOMINAL * times[-1], abs=2e-6)
@@ -296,7 +296,7 @@ sober = pytest.mark.parametrize("classifier", [RULE, SOBER], ids=["rule", "bank"
 
 
 @sober
-def test_the_outlook_begins_where_the_view_is(classifier: Classifier) -> None:
+def test_the_prediction_begins_where_the_view_is(classifier: Classifier) -> None:
     outcome = story(classifier, 1, STOP_AND_GO, 7.0)
     for state, view in list(zip(outcome.states, outcome.views, strict=True))[::20]:
         now = float(classifier.predict_positions(state, np.zeros(1))[0])
@@ -304,7 +304,9 @@ def test_the_outlook_begins_where_the_view_is(classifier: Classifier) -> None:
 
 
 @sober
-def test_the_outlook_of_a_stop_ends_where_the_conveyor_will_stand(classifier: Classifier) -> None:
+def test_the_prediction_of_a_stop_ends_where_it_will_stand(
+    classifier: Classifier,
+) -> None:
     errors = []
     for seed in SEEDS:
         outcome = story(classifier, seed, ONE_STOP, 4.2)
@@ -320,7 +322,7 @@ def test_the_outlook_of_a_stop_ends_where_the_conveyor_will_stand(classifier: Cl
 
 
 @sober
-def test_the_outlook_of_a_running_conveyor_goes_on(classifier: Classifier) -> None:
+def test_the_prediction_of_a_running_conveyor_goes_on(classifier: Classifier) -> None:
     truth = Truth(3.0, ripple=0.0)
     outcome = tell(classifier, truth, IDEAL)
     ahead = np.linspace(0.0, 0.5, 10)
@@ -393,7 +395,7 @@ def test_a_stop_that_the_rule_tries_has_already_cost_speed() -> None:
     assert abs(float(np.median(errors))) < 0.0008
 
 
-def test_an_estimate_that_follows_more_readily_is_nearer_in_a_stop_told_no_later() -> None:
+def test_an_estimate_that_follows_more_readily_is_nearer_in_a_stop_reported_no_later() -> None:
     stiff = replace(RULE, rule=replace(RULE.rule, following=RULE.rule.bandwidth))
     late: dict[str, list[float]] = {"as shipped": [], "stiff": []}
     for seed in range(8):

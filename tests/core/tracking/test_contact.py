@@ -140,7 +140,7 @@ def test_a_contact_is_felt_beyond_the_estimated_object_too() -> None:
     assert first_touch(0.004, forces, distance=-0.005) == 101
 
 
-def test_while_it_remembers_the_time_before_the_robot_held_nothing_is_said() -> None:
+def test_while_it_remembers_the_time_before_the_robot_held_nothing_is_reported() -> None:
     memory = tool_vibration(FREQUENCY, DAMPING, STIFFNESS, FORCE, 0.004).memory
     assert memory * 0.004 == pytest.approx(1.5 / FREQUENCY, abs=0.012)
     forces: list[float | None] = [6.0] * 100 + [-0.5 * k for k in range(200)]

@@ -15,7 +15,7 @@ times = st.floats(0.0, 12.0)
 
 
 def speed_at(t: float, speed: float, acceleration: float) -> float:
-    """The class's speed, said another way: by its ends."""
+    """The class's speed, by its ends."""
     if acceleration < 0.0:
         return max(speed + acceleration * t, min(speed, 0.0))
     if acceleration > 0.0:

@@ -221,7 +221,7 @@ def test_a_camera_that_is_as_good_as_it_tells_is_believed_to_the_last_bit() -> N
             assert np.array_equal(state.P, other.P)
 
 
-def test_what_a_gate_refuses_teaches_no_doubt_and_what_it_lets_in_a_bounded_one() -> None:
+def test_what_a_gate_refuses_adds_no_variance_and_what_it_lets_in_a_bounded_one() -> None:
     state = run(3.0)
     wild = seen(PLACE + np.array((0.05, 0.0, 0.0)), rotations.exp(OFF), 0.0, 0.1)
     after, plain = FILTER.correct(state, wild, GATE, is_camera=True)
