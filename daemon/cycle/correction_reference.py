@@ -8,6 +8,7 @@ and the controller keeps the correction that it has (HOLDON=1).
 Invariants:
 - A moved program is believed to go on only if counter and Delay account for the time that passed.
 - A start is believed only after silence in which a running program would have raised Delay.
+- A counter that goes on where it stopped shows no start, whatever time has passed.
 - A daemon that knows no program and heard no silence has no proof but the programmed position.
 - A programmed position that differs from the known reference refutes that the program goes on.
 """
@@ -33,6 +34,10 @@ SILENT_S = 0.05
 MARGIN = 2
 # The same for a daemon that has moved the robot before: a wrong proof would take it back [s].
 SILENT_AFTER_MOTION_S = 0.15
+# A controller whose host was stalled for less goes on with its program [s].
+STALLED_S = 10.0
+# After a stall the counter has grown by the telegrams that were lost, and by no more than this [s].
+COUNTED_S = 0.5
 # Telegrams in a row that must agree before a start counts that one wrong digit could fake.
 CONFIRMATIONS = 3
 # A delayed telegram of the program's past: clock and counter agree at least so far [s].
@@ -245,6 +250,23 @@ def start_seen(
     if (before + MARGIN) * cycle_s > 0.5 * silence_s:
         return Start.NOT_SEEN
     return Start.SEEN if before <= 0 else Start.LIKELY
+
+
+def goes_on_after_stall(program: Program, robot: RobotSample, cycle_s: float) -> bool:
+    """Return whether the counter goes on where it stopped, as after a stall of the controller.
+
+    The counter of a restarted program has run on for the time that passed, or begins elsewhere.
+
+    Args:
+        program: the one that was answered last.
+        robot: the first telegram after a silence.
+        cycle_s: the controller's cycle [s].
+    """
+    cycles = _cycles(program, robot.ipoc)
+    if cycles is None or cycles <= 0:
+        return False
+    passed_s, counted_s = (robot.stamp_ns - program.stamp_ns) * 1e-9, cycles * cycle_s
+    return counted_s <= COUNTED_S and UNACCOUNTED_S < passed_s - counted_s <= STALLED_S
 
 
 def compare(actual: Axes, programmed: Axes | None) -> Programmed:

@@ -232,6 +232,12 @@ class Session:
             known = Known.UNMOVED
         since_s = (robot.stamp_ns - self._silent_until_ns) * 1e-9
         start = proving.start_seen(robot.delay, self._silence_s, since_s, self._cycle_s, known)
+        if (
+            program is not None
+            and known is Known.MOVED
+            and proving.goes_on_after_stall(program, robot, self._cycle_s)
+        ):
+            start = Start.NOT_SEEN
         confirmations = self._follow_candidate(robot, axes, peer, start)
         self._lately.append(axes)
         spread = max(max(way) - min(way) for way in zip(*self._lately, strict=True))

@@ -241,6 +241,8 @@ class Bench:
                 self.run(int(how), telegram=False)
             case "paused":
                 self.stand_still(int(how))
+            case "stalled":
+                self.pause(int(how))
             case "counter":
                 self.jump(int(how[1:]) if how[0] == "=" else self.controller.ipoc + 12 * int(how))
             case "port":
@@ -331,6 +333,32 @@ def test_a_daemon_that_was_restarted_in_motion_sends_bare_replies_only(event: st
     bench = Bench("total")
     bench.run(60)
     bench.act(event)
+    before = bench.controller.correction
+    bench.run(200)
+    assert bench.controller.correction == before
+    assert "Restart the KRL program" in str(bench.session.unproven)
+
+
+# A stall directly after a jump of the counter or a restart of the daemon looks like a start.
+BEFORE_STALL = [event for event in EVENTS if event.split()[0] not in {"counter", "daemon"}]
+
+
+@pytest.mark.parametrize("rule", ["total", "row"])
+@pytest.mark.parametrize("first", BEFORE_STALL)
+def test_a_stall_of_the_controller_after_a_fault_moves_nothing(first: str, rule: str) -> None:
+    for stall, served in product(("stalled 8", "stalled 14", "stalled 60"), (0, 1, 4)):
+        live_through(rule, (first, stall), served)
+
+
+@pytest.mark.parametrize("cycles", [8, 14, 60, 500])
+@pytest.mark.parametrize("lost", [0, 3])
+def test_a_controller_that_was_stalled_in_motion_keeps_its_correction(
+    cycles: int, lost: int
+) -> None:
+    bench = Bench("total")
+    bench.run(60)
+    bench.run(lost, reply=False)
+    bench.act(f"stalled {cycles}")
     before = bench.controller.correction
     bench.run(200)
     assert bench.controller.correction == before
