@@ -87,6 +87,18 @@ def make_folder(path: Path) -> None:
         raise UsageError(f"--out {path}: cannot be written. Name another directory")
 
 
+def check_output_folder(path: Path) -> None:
+    """Check that an output directory can be made and written; what it makes it removes again.
+
+    Raises:
+        UsageError: It cannot be made, or not be written.
+    """
+    missing = [part for part in (path, *path.parents) if not part.exists()]
+    make_folder(path)
+    for part in missing:
+        part.rmdir()
+
+
 def check_output_file(path: Path, option: str = "--out") -> None:
     """Check that a file can be written.
 

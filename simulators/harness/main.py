@@ -19,7 +19,7 @@ from linemate.daemon.command_line import (
     UsageError,
     Version,
     check_output_file,
-    make_folder,
+    check_output_folder,
 )
 from linemate.daemon.near_names import near_names
 from linemate.simulators.harness.variants import VARIANTS, SetupError
@@ -82,7 +82,7 @@ def _dispatch(args: argparse.Namespace) -> int:
 
 def _check_outputs(args: argparse.Namespace) -> None:
     if getattr(args, "out", None) is not None:
-        make_folder(args.out)
+        check_output_folder(args.out)
     if getattr(args, "plot", None) is not None:
         check_output_file(args.plot, "--plot")
 
