@@ -88,6 +88,8 @@ class Child:
         for number, timeout_s in ((signal.SIGTERM, POLITE_S), (signal.SIGKILL, FIRM_S)):
             if self.ended() is None:
                 self.signal_group(number)
+                # A stopped process ends by SIGTERM only once it continues.
+                self.signal_group(signal.SIGCONT)
                 self.wait(timeout_s)
         # The leader may be gone and have left others of its group.
         self.signal_group(signal.SIGKILL)
