@@ -18,7 +18,6 @@ from collections.abc import Mapping
 from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from select import select
 from typing import Any
 
 import yaml
@@ -31,10 +30,12 @@ from linemate.simulators.harness import host, scenario_file
 from linemate.simulators.harness import identified_overlay as overlay
 from linemate.simulators.harness import terminal_view as live
 from linemate.simulators.harness.processes import (
+    START_S,
     Child,
     ChildError,
     Children,
     interruptible,
+    start_daemon,
     wait_until,
 )
 from linemate.simulators.harness.setup import shipped_task
@@ -44,7 +45,6 @@ from linemate.simulators.judge.judge import judge, unanswered
 from linemate.simulators.plants.scenario import Scenario
 
 LOOPBACK = "127.0.0.1"
-START_S = 60.0
 STALL_S = 30.0
 END_S = 15.0
 LOOK_S = 0.5
@@ -300,23 +300,7 @@ def _open_view(station: DemoStation, children: Children) -> None:
 def _start_daemon(station: DemoStation, children: Children) -> tuple[Child, dict[str, Any]]:
     """Start the daemon, and wait for its word of where it listens."""
     file = station.write("daemon", station.daemon_file())
-    reading, writing = os.pipe()
-    with os.fdopen(reading, encoding="utf-8") as pipe:
-        try:
-            command = _command("daemon.service.main", "--config", str(file))
-            command += ["--ready-fd", str(writing)]
-            log = station.folder / "daemon.log"
-            daemon = children.start("daemon", command, log, keep=[writing])
-        finally:
-            os.close(writing)
-        # Readable after a message, and at its end.
-        wait_until(lambda: bool(select([pipe], [], [], 0)[0]), children, START_S, "the daemon")
-        line = pipe.readline()
-    if not line:
-        daemon.wait(END_S)
-        raise ChildError("daemon", "did not start", daemon.tail())
-    listening: dict[str, Any] = json.loads(line)
-    return daemon, listening
+    return start_daemon(children, file, station.folder / "daemon.log")
 
 
 def _stalled(emulated: Emulated, status: Mapping[str, Any], operator: "_Operator") -> str:

@@ -9,18 +9,22 @@ Invariants:
 from __future__ import annotations
 
 import ctypes
+import json
 import os
 import signal
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from select import select
 from types import FrameType, TracebackType
-from typing import Final, NoReturn, Self
+from typing import Any, Final, NoReturn, Self
 
 PR_SET_PDEATHSIG: Final = 1
+START_S: Final = 60.0
 POLITE_S: Final = 4.0
 FIRM_S: Final = 2.0
 LOG_TAIL: Final = 12
@@ -240,3 +244,30 @@ def die_with(parent: int) -> None:
     _libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:
         os._exit(1)
+
+
+def start_daemon(children: Children, config: Path, log: Path) -> tuple[Child, dict[str, Any]]:
+    """Start a daemon, and return it with the addresses on which it listens.
+
+    Raises:
+        ChildError: it ended without a message.
+        TimeoutError: no message in time.
+    """
+    reading, writing = os.pipe()
+    with os.fdopen(reading, encoding="utf-8") as pipe:
+        try:
+            command = [
+                sys.executable, "-m", "linemate.daemon.service.main",
+                "--config", str(config), "--ready-fd", str(writing),
+            ]  # fmt: skip
+            daemon = children.start("daemon", command, log, keep=[writing])
+        finally:
+            os.close(writing)
+        # Readable after a message, and at its end.
+        wait_until(lambda: bool(select([pipe], [], [], 0)[0]), children, START_S, "the daemon")
+        line = pipe.readline()
+    if not line:
+        daemon.wait(START_S)
+        raise ChildError("daemon", "did not start", daemon.tail())
+    listening: dict[str, Any] = json.loads(line)
+    return daemon, listening

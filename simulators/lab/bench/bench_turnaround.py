@@ -9,7 +9,6 @@ Invariants:
 from __future__ import annotations
 
 import json
-import os
 import socket
 import sys
 import time
@@ -25,7 +24,7 @@ from typing import Any, Final
 import yaml
 
 from linemate.daemon.transport.client import Client, RefusedError
-from linemate.simulators.harness.processes import Child, ChildError, Children, wait_until
+from linemate.simulators.harness.processes import START_S, Child, Children, start_daemon
 from linemate.simulators.lab.bench.bench_floor import (
     Hogs,
     Place,
@@ -41,7 +40,6 @@ PRIORITIES: Final = {"probe": 90, "player": 85, "echo": 81, "daemon": 80}
 
 PROBE_PERIOD_NS: Final = 1_000_000
 SPIKE_NS: Final = 150_000
-START_S: Final = 60.0
 MOVING: Final = {"track", "contact"}
 AT_WORK_S: Final = 8.0
 LEAST_CYCLES: Final = 100
@@ -359,7 +357,7 @@ class _Run:
         }
         path = self._folder / "daemon.yaml"
         path.write_text(yaml.safe_dump(configuration, sort_keys=False), encoding="utf-8")
-        return started(self._children, path, self._folder / "daemon.log")
+        return start_daemon(self._children, path, self._folder / "daemon.log")
 
     def _start_probes(self) -> list[TimerProgram]:
         """One on each core that matters, the daemon's last."""
@@ -374,30 +372,3 @@ class _Run:
             )
             for cpu in cpus
         ]  # fmt: skip
-
-
-def started(children: Children, config: Path, log: Path) -> tuple[Child, dict[str, Any]]:
-    """Start a daemon, and return it with its word of where it listens.
-
-    Raises:
-        ChildError: it ended without a word.
-        TimeoutError: no message in time.
-    """
-    reading, writing = os.pipe()
-    with os.fdopen(reading, encoding="utf-8") as pipe:
-        try:
-            command = [
-                sys.executable, "-m", "linemate.daemon.service.main",
-                "--config", str(config), "--ready-fd", str(writing),
-            ]  # fmt: skip
-            daemon = children.start("daemon", command, log, keep=[writing])
-        finally:
-            os.close(writing)
-        # Readable after a message, and at its end.
-        wait_until(lambda: bool(select([pipe], [], [], 0)[0]), children, START_S, "the daemon")
-        line = pipe.readline()
-    if not line:
-        daemon.wait(START_S)
-        raise ChildError("daemon", "did not start", daemon.tail())
-    listening: dict[str, Any] = json.loads(line)
-    return daemon, listening
