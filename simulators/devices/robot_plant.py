@@ -31,7 +31,7 @@ class RobotPlant:
     def read(self) -> RobotReading:
         """What the controller's telegram says of the robot now."""
         world = self.world
-        (x, y, z), (r11, r12, r13, r21, r22, r23, r31, r32, r33) = world.rigid()
+        (x, y, z), (r11, r12, r13, r21, r22, r23, r31, r32, r33) = world.reported()
         a, b, c = rotation_to_abc(((r11, r12, r13), (r21, r22, r23), (r31, r32, r33)))
         self.axes = seven(world.encoders())
         return RobotReading(self.axes, (x, y, z, a, b, c), digital_in=world.digital_in())

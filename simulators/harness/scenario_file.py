@@ -37,13 +37,35 @@ RANGES: dict[str, tuple[float | None, float | None]] = {
     "covariance_honesty": (1e-3, 1e3),
     "stiffness": (1.0, 1e9),
     "acceleration_limit": (1e-3, 1e4),
+    "travel": (1e-6, 1.0),
+    "stribeck_speed": (1e-6, 10.0),
+    "presliding": (1e-7, 1.0),
+    "dead_time_period_s": (0.1, 1e6),
+    "frequency_share": (0.0, 0.3),
+    "dead_time_amplitude": (0.0, 0.01),
+    "balanced": (0.0, 1.0),
     "count": (0, None),
     "seed": (0, 2**63 - 1),
 }
 """Lowest and highest value of the fields of that name; tuples item by item."""
 
 SHARES = ("outlier_rate", "dropout_rate")
-NOT_NEGATIVE = ("sigma", "delay_s", "jitter_s", "dead_time_s", "quantisation", "range")
+NOT_NEGATIVE = (
+    "sigma",
+    "delay_s",
+    "jitter_s",
+    "dead_time_s",
+    "quantisation",
+    "range",
+    "depth",
+    "lost_motion",
+    "coulomb",
+    "breakaway",
+    "recovery_s",
+    "compliance",
+    "masses",
+    "inertia",
+)
 """How the names of fields begin or end that are never negative."""
 
 

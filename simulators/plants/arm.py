@@ -17,6 +17,8 @@ from linemate.simulators.plants.scenario import DenavitHartenbergLink, Robot
 
 _BARE: Pose = ((0.0, 0.0, 0.0), rotation.IDENTITY)
 
+Values = tuple[float, ...]
+
 Number = float | str
 """A constant, or the name or product that stands for a value."""
 
@@ -89,6 +91,41 @@ def _chain(links: tuple[DenavitHartenbergLink, ...], tool: Pose) -> list[str]:
     ]
     rows = ", ".join(str(value) for row in zip(*columns, strict=True) for value in row)
     return [*lines, f"return ({', '.join(map(str, place))}), ({rows})"]
+
+
+def frames(
+    links: tuple[DenavitHartenbergLink, ...], joints: Values
+) -> tuple[list[Values], list[Values]]:
+    """Compute where the axes are, in Craig's form.
+
+    Args:
+        joints: A1..A6 [rad]; more are ignored.
+
+    Returns:
+        Origins of the axes and of the flange in the arm's root [m], and the axes' directions.
+    """
+    place: Values = (0.0, 0.0, 0.0)
+    x: Values = (1.0, 0.0, 0.0)
+    y: Values = (0.0, 1.0, 0.0)
+    z: Values = (0.0, 0.0, 1.0)
+    origins, axes = [], []
+    for n, link in enumerate(links):
+        ca, sa = math.cos(link.alpha), math.sin(link.alpha)
+        place = tuple(p + link.a * e for p, e in zip(place, x, strict=True))
+        y, z = _turned(y, z, ca, sa)
+        origins.append(place)
+        axes.append(z)
+        place = tuple(p + link.d * e for p, e in zip(place, z, strict=True))
+        angle = joints[n] + link.theta
+        x, y = _turned(x, y, math.cos(angle), math.sin(angle))
+    return [*origins, place], axes
+
+
+def _turned(a: Values, b: Values, c: float, s: float) -> tuple[Values, Values]:
+    return (
+        tuple(c * u + s * v for u, v in zip(a, b, strict=True)),
+        tuple(c * v - s * u for u, v in zip(a, b, strict=True)),
+    )
 
 
 def _named(lines: list[str], name: str, values: list[Number]) -> list[Number]:

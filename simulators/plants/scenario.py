@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, Literal
 
+from linemate.simulators.plants.bending.effects_arm import ArmEffects
 from linemate.simulators.plants.streams import stream
 
 Vector3 = tuple[float, float, float]
@@ -284,6 +285,7 @@ class Robot:
         links: Denavit-Hartenberg table; a half turn about x follows the last row (flange).
         tcp_position: tcp in the flange [m].
         tcp_rotation: tcp in the flange, rotation vector [rad].
+        effects: errors of a real arm and its drives, off by default.
     """
 
     axes: tuple[Axis, Axis, Axis, Axis, Axis, Axis, Axis] = (
@@ -299,6 +301,7 @@ class Robot:
     links: tuple[DenavitHartenbergLink, ...] = ARM
     tcp_position: Vector3 = (-0.35, 0.0, 0.20)
     tcp_rotation: Vector3 = (0.0, -_QUARTER, 0.0)
+    effects: ArmEffects = field(default_factory=ArmEffects)
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,8 @@ Invariants:
 
 import math
 import struct
+from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache, partial
 from itertools import chain
 from operator import add, sub
@@ -200,6 +202,40 @@ class ServoBank:
                 left -= piece.length
             cuts.append(tuple(pieces))
         return tuple(cuts)
+
+
+class VaryingServoBank(ServoBank):
+    """Axes whose frequency and dead time change from cycle to cycle."""
+
+    def __init__(
+        self,
+        axes: tuple[Axis, ...],
+        start: tuple[float, ...],
+        cycle_s: float,
+        substeps: int,
+        vary: Callable[[float, tuple[float, ...]], tuple[Axis, ...]],
+        dead_time_amplitude: float,
+    ) -> None:
+        """Begin at rest.
+
+        Args:
+            vary: the axes at a time [s] and positions.
+            dead_time_amplitude: largest change of a dead time [s].
+        """
+        longest = [replace(a, dead_time_s=a.dead_time_s + dead_time_amplitude) for a in axes]
+        super().__init__(tuple(longest), start, cycle_s, substeps)
+        self._vary = vary
+        self._least_dead_time_s = min(axis.dead_time_s for axis in axes) - dead_time_amplitude
+
+    def begin_cycle(self, cycle: int) -> None:
+        """Arrive at a cycle's start, with the axes as they are now."""
+        super().begin_cycle(cycle)
+        axes = self._vary(cycle * self._cycle_s, self.positions)
+        self._lags = tuple(_lag(axis, self._step, self._substeps) for axis in axes)
+        self._cuts.cache_clear()
+
+    def _look_ahead(self) -> list[_Motion]:
+        return self._one_by_one([])
 
 
 class _Table(NamedTuple):

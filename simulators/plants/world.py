@@ -9,7 +9,7 @@ Invariants:
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from linemate.simulators.plants import rotation
 from linemate.simulators.plants.arm import ArmPlant
+from linemate.simulators.plants.bending.drives import drives
+from linemate.simulators.plants.bending.link_side import link_side, true_links
 from linemate.simulators.plants.body import BodyPlant
 from linemate.simulators.plants.contact_plant import Collision, ContactPlant, Impact, Phase
 from linemate.simulators.plants.conveyor_plant import ConveyorPlant
@@ -31,7 +33,6 @@ from linemate.simulators.plants.sensors import (
     ForceTorquePlant,
     WrenchEmission,
 )
-from linemate.simulators.plants.servo_plant import ServoBank
 from linemate.simulators.plants.streams import Draws
 
 SUBSTEP_S = 0.004
@@ -52,7 +53,7 @@ class RobotTruth:
     Attributes:
         joints: encoders of A1..A6 [rad].
         external: encoder of E1 [m].
-        joints_true: A1..A6 without encoder noise [rad].
+        joints_true: motors of A1..A6 without encoder noise [rad].
         external_true: E1 without encoder noise [m].
         setpoints: interpolated setpoints A1..A6 [rad], E1 [m].
         velocities: A1..A6 [rad/s], E1 [m/s] at the last substep.
@@ -82,9 +83,9 @@ class World:
         self._conveyor = ConveyorPlant(scenario.conveyor, seed, start)
         self._body = BodyPlant(scenario.body)
         self._arm = ArmPlant(scenario.robot)
-        self._servos = ServoBank(
-            scenario.robot.axes, scenario.robot.start, scenario.cycle_s, self._substeps
-        )
+        self._real_arm = ArmPlant(replace(scenario.robot, links=true_links(scenario.robot, seed)))
+        self._servos = drives(scenario.robot, scenario.cycle_s, self._substeps)
+        self._links = link_side(scenario.robot, seed)
         self._effector = EffectorPlant(scenario.effector, self._h)
         self._contact = ContactPlant(scenario.contact)
         self._distance = DistanceSensorPlant(scenario.distance, seed, start, scenario.cycle_s)
@@ -94,6 +95,8 @@ class World:
         self._encoder_draws = Draws.normal(seed, "robot.encoders")
         self._encoder_noise: tuple[float, ...] = (0.0,) * 7
         self._is_noisy = any(self._encoder_sigmas)
+        self._encoder_steps = scenario.robot.effects.quantisation
+        self._is_quantised = any(self._encoder_steps)
         self._track: list[Pose] = []
         # What depends on time alone is computed a block ahead, the last one first.
         self._units_measured: list[float] = []
@@ -102,7 +105,10 @@ class World:
         self._index = 0
         self._grid = start
         self._now = start
-        self._rigid = self._arm.tcp(scenario.robot.start)
+        start_joints = scenario.robot.start
+        self._rigid = self._real_arm.tcp(
+            start_joints if self._links is None else self._links.at(start_joints)
+        )
         self._look_ahead(math.ceil((scenario.duration_s + scenario.lead_in_s) / self._h) + 1)
         self._hub = self._track[0]
         self._begin_cycle()
@@ -170,7 +176,7 @@ class World:
 
     def robot_state(self) -> RobotTruth:
         """The robot now, as its encoders say and as it is."""
-        true = self._joints_at(self._now)
+        true = self._motors_at(self._now)
         read = self.encoders()
         return RobotTruth(
             time_s=self._now,
@@ -185,10 +191,15 @@ class World:
 
     def encoders(self) -> tuple[float, ...]:
         """What the encoders say now: A1..A6 [rad], E1 [m]."""
-        true = self._joints_at(self._now)
-        if not self._is_noisy:
-            return true
-        return tuple(q + n for q, n in zip(true, self._encoder_noise, strict=True))
+        read = self._motors_at(self._now)
+        if self._is_noisy:
+            read = tuple(q + n for q, n in zip(read, self._encoder_noise, strict=True))
+        if self._is_quantised:
+            read = tuple(
+                step * round(q / step) if step else q
+                for q, step in zip(read, self._encoder_steps, strict=True)
+            )
+        return read
 
     @property
     def velocities(self) -> tuple[float, ...]:
@@ -199,12 +210,16 @@ class World:
         """Rigid tcp in base, now."""
         return self._rigid_at(self._now)
 
+    def reported(self) -> Pose:
+        """Tcp in base as the controller computes it from its encoders, now."""
+        return self._arm.tcp(self._motors_at(self._now))
+
     def hub(self) -> Pose:
         """True hub in base, now."""
         return self._hub if self._on_grid(self._now) else self._hub_at(self._now)
 
     def tcp_of(self, joints: tuple[float, ...]) -> Matrix:
-        """Rigid tcp in base, 4x4, for any joints (A1..A6 [rad], E1 [m])."""
+        """Rigid tcp in base, 4x4, of a faultless arm for any joints (A1..A6 [rad], E1 [m])."""
         return rotation.matrix(self._arm.tcp(joints))
 
     def take_distance(self) -> list[DistanceEmission]:
@@ -285,7 +300,10 @@ class World:
 
     def _step(self, following: float) -> None:
         self._servos.advance(self._index)
-        rigid = self._arm.tcp(self._servos.positions)
+        joints, links = self._servos.positions, self._links
+        if links is not None:
+            joints = links.advance(joints, self._servos.velocities, self._h)
+        rigid = self._real_arm.tcp(joints)
         self._index = index = self._index + 1
         if index >= len(self._track):
             self._look_ahead(_TRACK_BLOCK)
@@ -331,13 +349,16 @@ class World:
     def _hub_at(self, t: float) -> Pose:
         return self._contact.turned(self._body.hub(self._conveyor.at(t)[0], t), t)
 
-    def _joints_at(self, t: float) -> tuple[float, ...]:
+    def _motors_at(self, t: float) -> tuple[float, ...]:
         if self._on_grid(t):
             return self._servos.positions
         return self._servos.peek(self._index, t - self._grid)
 
     def _rigid_at(self, t: float) -> Pose:
-        return self._rigid if self._on_grid(t) else self._arm.tcp(self._joints_at(t))
+        if self._on_grid(t):
+            return self._rigid
+        joints = self._motors_at(t)
+        return self._real_arm.tcp(joints if self._links is None else self._links.at(joints))
 
     def _deflection_at(self, t: float) -> Six:
         if self._on_grid(t):

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from linemate.simulators.plants.bending.effects_arm import ArmEffects, Windup
 from linemate.simulators.plants.scenario import (
     Axis,
     Body,
@@ -289,3 +290,30 @@ def test_a_world_past_its_duration_goes_on() -> None:
 
 def test_an_open_scenario_is_sampled_by_its_own_seed() -> None:
     assert World(Scenario(seed=9)).scenario == sample(9)
+
+
+def test_an_arm_that_bends_is_unseen_by_its_encoders() -> None:
+    """Encoders are on the motor side; the rigid tcp comes from the link side."""
+    robot = replace(Robot(), effects=ArmEffects(windup=Windup((0.6e-3,) * 6)))
+    bent, straight = World(Scenario(robot=robot)), World(Scenario())
+    for k in range(200):
+        for world in (bent, straight):
+            world.advance(world.cycle_start(k))
+            world.command(tuple(q + 1e-4 * k for q in world.scenario.robot.start))
+    assert bent.encoders() == straight.encoders()
+    assert bent.reported() == straight.rigid()
+    off = np.linalg.norm(bent.tcp_rigid_pose()[:3, 3] - straight.tcp_rigid_pose()[:3, 3])
+    assert 0.5e-3 < off < 4e-3
+
+
+def test_encoders_are_read_in_steps() -> None:
+    steps = (1e-4,) * 7
+    robot = replace(Robot(), effects=ArmEffects(quantisation=steps))
+    world = World(Scenario(robot=robot))
+    world.command(tuple(q + 1e-3 for q in robot.start))
+    world.advance(world.time_s + 0.1)
+    true = world.robot_state().joints_true
+    counts = np.divide(world.encoders(), 1e-4)
+    assert counts == pytest.approx(np.round(counts), abs=1e-6)
+    assert np.abs(np.subtract(world.encoders()[:6], true)).max() <= 0.5e-4
+    assert world.encoders()[:6] != true
