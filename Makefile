@@ -14,7 +14,7 @@ BIN ?= $(if $(OWN),$(OWN)/bin,/usr/local/bin)
 SHARE ?= $(if $(OWN),$(OWN)/share,/usr/local/share)
 SERVICES := linemated.service linemated@.service linemate-metrics.service linemate-bridge.service
 
-.PHONY: help demo test lint format bench dst fuzz coverage judged mutants mutation floods accuracy install install-program install-files \
+.PHONY: help demo test lint format bench dst fuzz coverage judged mutants mutation floods accuracy world install install-program install-files \
 	uninstall systemd-test docs docs-write results sbom clean
 
 help:
@@ -29,6 +29,7 @@ help:
 	@echo "make mutants  changes of states, watch, gate, exchange and parsers that no test notices"
 	@echo "make floods   20 000 datagrams a second on each port, judged by a robot that goes on"
 	@echo "make accuracy the tables of docs/results/accuracy.md, in hours; ARGS=--short for a few runs"
+	@echo "make world    the rows of the realistic world; ARGS=\"--rows 'conveyor*' --seeds 0..2\""
 	@echo "make docs     links, generated pages, and every command that the pages show"
 	@echo "make results  measure the figures of the pages again, NAME=campaign or another"
 	@echo "make sbom     bill of materials (CycloneDX) of what make install installs"
@@ -85,6 +86,9 @@ floods: .venv/.ok
 
 accuracy: .venv/.ok
 	.venv/bin/python -m linemate.simulators.lab.accuracy $(ARGS)
+
+world: .venv/.ok
+	.venv/bin/linemate-sim world $(ARGS)
 
 # Debian's python3 has no ensurepip and its pip refuses the system's site-packages:
 # an environment without pip, filled by a pip from outside, needs neither.

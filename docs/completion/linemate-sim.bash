@@ -5,11 +5,12 @@
 #    source ~/.local/share/bash_completion/linemate-sim
 # See also: https://github.com/scop/bash-completion/blob/main/doc/configuration.md
 
-_shtab_linemate_sim_subparsers=(demo run campaign emulator bench schema)
+_shtab_linemate_sim_subparsers=(demo run campaign world emulator bench schema)
 
 _shtab_linemate_sim_demo_option_strings=(-h --help --scenario --out --json --cycle-ms --seed --strict --view)
 _shtab_linemate_sim_run_option_strings=(-h --help --scenario --out --json --set --workers --cycle-ms --seed --variant --timing)
 _shtab_linemate_sim_campaign_option_strings=(-h --help --scenario --out --json --set --workers --cycle-ms --seeds --first-seed --scheduler --detection --variants)
+_shtab_linemate_sim_world_option_strings=(-h --help --rows --seeds --cycle-ms --json --list --kept --set --workers)
 _shtab_linemate_sim_emulator_option_strings=(-h --help --config)
 _shtab_linemate_sim_bench_option_strings=(-h --help --json --rounds --round-s --cycles --parts --awake --no-awake --plot)
 _shtab_linemate_sim_schema_option_strings=(-h --help)
@@ -18,13 +19,14 @@ _shtab_linemate_sim_option_strings=(-h --help --version)
 _shtab_linemate_sim_demo___out_COMPGEN=_shtab_compgen_dirs
 _shtab_linemate_sim_run___out_COMPGEN=_shtab_compgen_dirs
 _shtab_linemate_sim_campaign___out_COMPGEN=_shtab_compgen_dirs
+_shtab_linemate_sim_world___kept_COMPGEN=_shtab_compgen_dirs
 _shtab_linemate_sim_emulator___config_COMPGEN=_shtab_compgen_files
 _shtab_linemate_sim_bench___plot_COMPGEN=_shtab_compgen_files
 
 _shtab_linemate_sim_demo___cycle_ms_choices=(4 12)
 _shtab_linemate_sim_run___variant_choices=(oracle default bank imm rule no-classes no-prediction no-feedforward no-damping no-swing no-blend)
 _shtab_linemate_sim_schema_pos_0_choices=(scenario task)
-_shtab_linemate_sim_pos_0_choices=(demo run campaign emulator bench schema)
+_shtab_linemate_sim_pos_0_choices=(demo run campaign world emulator bench schema)
 
 _shtab_linemate_sim_demo__h_nargs=0
 _shtab_linemate_sim_demo___help_nargs=0
@@ -38,6 +40,10 @@ _shtab_linemate_sim_run___timing_nargs=0
 _shtab_linemate_sim_campaign__h_nargs=0
 _shtab_linemate_sim_campaign___help_nargs=0
 _shtab_linemate_sim_campaign___json_nargs=0
+_shtab_linemate_sim_world__h_nargs=0
+_shtab_linemate_sim_world___help_nargs=0
+_shtab_linemate_sim_world___json_nargs=0
+_shtab_linemate_sim_world___list_nargs=0
 _shtab_linemate_sim_emulator__h_nargs=0
 _shtab_linemate_sim_emulator___help_nargs=0
 _shtab_linemate_sim_bench__h_nargs=0

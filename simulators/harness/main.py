@@ -32,6 +32,7 @@ MODULES = {
     "demo": "harness.demo",
     "run": "lab.runs",
     "campaign": "lab.campaign",
+    "world": "lab.world.measure",
     "emulator": "harness.emulator_command",
     "bench": "lab.bench.bench",
 }
@@ -157,6 +158,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_demo(commands)
     _add_run(commands)
     _add_campaign(commands)
+    _add_world(commands)
     emulator = commands.add_parser("emulator", help="the emulators alone, in real time")
     emulator.add_argument("--config", type=Path, required=True, metavar="FILE")
     _add_bench(commands)
@@ -265,6 +267,20 @@ def _add_campaign(commands: "Commands[CommandLine]") -> None:
         help="conveyor, sensors and classifier alone: latencies, false alarms, jerks",
     )  # fmt: skip
     campaign.add_argument("--variants", type=variants, default=("default",), metavar="A,B,...")
+
+
+def _add_world(commands: "Commands[CommandLine]") -> None:
+    world = commands.add_parser("world", help="rows of the realistic world, judged by its truth")
+    world.add_argument("--rows", metavar="A,B,...", help="names of rows; all by default")
+    world.add_argument("--seeds", type=seeds, default=(0, 1, 2), metavar="N|A..B", help="0..2")
+    world.add_argument("--cycle-ms", type=float, metavar="MS", help="instead of the scenario's")
+    world.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    world.add_argument("--list", action="store_true", help="print the rows and what they change")
+    world.add_argument(
+        "--kept", type=Path, default=Path("out/world"), metavar="DIR",
+        help="for finished runs: an interrupted command goes on there; out/world",
+    )  # fmt: skip
+    _add_plan(world)
 
 
 if __name__ == "__main__":

@@ -24,6 +24,7 @@ from linemate.daemon.core.tracking.task import TaskFile
 from linemate.daemon.near_names import near_names
 from linemate.simulators.harness import scenario_file, variants
 from linemate.simulators.harness.variants import SetupError
+from linemate.simulators.harness.world import rows
 from linemate.simulators.plants.scenario import Scenario
 
 TASK = "wheel.yaml"
@@ -103,7 +104,7 @@ def make(
     truth = scenario_file.load(scenario)
     if cycle_ms is not None:
         truth = replace(truth, cycle_s=round(cycle_ms * 1e-3, 9))
-    known = identified()
+    known = _commissioned(scenario)
     tracking, control = variants.apply(variant, known.tracking, known.control)
     setup = replace(known, scenario=truth, tracking=tracking, control=control, variant=variant)
     return override(setup, overrides) if overrides else setup
@@ -118,6 +119,14 @@ def identified() -> Setup:
     from linemate.simulators.harness import identified_overlay as overlay
 
     return overlay.laid_over(Setup(scenario_file.load(scenario_file.DEFAULT)), overlay.load())
+
+
+def _commissioned(scenario: str) -> Setup:
+    """Settings of the cell of a scenario: those identified, and what its commissioning adds."""
+    from linemate.simulators.harness import identified_overlay as overlay
+
+    known, own = identified(), rows.daemon_settings(scenario)
+    return overlay.laid_over(known, own) if own else known
 
 
 def override(setup: Setup, overrides: Sequence[str]) -> Setup:

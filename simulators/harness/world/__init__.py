@@ -1,0 +1,1 @@
+"""The realistic world as scenarios: its rows and their settings of the daemon."""

@@ -1,0 +1,195 @@
+"""``linemate-sim world``: rows of the realistic world, each over the same seeds.
+
+Invariants:
+    A run is judged by the plant's truth.
+    A finished run is kept under the digest of its sources and its setup, so an interrupted
+        command goes on.
+    Rows and seeds are in the order in which they were asked for.
+"""
+
+import hashlib
+import json
+from argparse import Namespace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from linemate.daemon.near_names import near_names
+from linemate.simulators.harness import setup
+from linemate.simulators.harness.cluster import digest
+from linemate.simulators.harness.setup import Setup
+from linemate.simulators.harness.variants import SetupError
+from linemate.simulators.harness.world import rows
+from linemate.simulators.judge import report_json
+from linemate.simulators.lab.campaign import progress_bar, spread
+from linemate.simulators.lab.world import table
+
+WORKERS = 2
+SCENARIOS = ("plant-floor", "plant-floor-harsh")
+"""Scenario files that are measured like rows."""
+
+
+@dataclass(frozen=True, slots=True)
+class WorldJob:
+    """One run of one row.
+
+    Attributes:
+        kept: folder of finished runs.
+        sources: digest of the sources that the run is made with.
+    """
+
+    row: str
+    setup: Setup
+    seed: int
+    kept: Path
+    sources: str
+
+
+def main(args: Namespace) -> int:
+    """Measure what the arguments say.
+
+    Args:
+        args: rows, seeds, cycle_ms, overrides, workers, kept, json, list.
+
+    Returns:
+        0 when every run was made, whatever came of it.
+
+    Raises:
+        SetupError: a row or a setting is unknown.
+    """
+    names = chosen(args.rows)
+    if args.list:
+        print("\n".join(f"{name:28s} {what(name)}" for name in names))
+        return 0
+    jobs = prepare(names, args.seeds, args.overrides, args.cycle_ms, args.kept)
+    with progress_bar(len(jobs), "world") as progress:
+        runs = spread(measured, jobs, args.workers or WORKERS, progress)
+    whole = collect(runs)
+    print(report_json.text(whole) if args.json else table.text(whole))
+    return 0
+
+
+def known() -> tuple[str, ...]:
+    """Names of everything that can be measured."""
+    from linemate.simulators.harness import scenario_file
+
+    shipped = scenario_file.shipped()
+    return (*rows.rows(), *(name for name in SCENARIOS if name in shipped))
+
+
+def chosen(text: str | None) -> tuple[str, ...]:
+    """Names of rows, separated by commas; ``sway*`` is all that begin so; None is all.
+
+    Raises:
+        SetupError: no such row.
+    """
+    every = known()
+    if text is None:
+        return every
+    found: list[str] = []
+    for name in filter(None, (part.strip() for part in text.split(","))):
+        begin = name.removesuffix("*")
+        matches = [row for row in every if row == name or (begin != name and row.startswith(begin))]
+        if not matches:
+            raise SetupError(f"no row {name!r}{near_names(name, every)}")
+        found += matches
+    return tuple(dict.fromkeys(found))
+
+
+def what(name: str) -> str:
+    """What a row changes, in one line."""
+    row = rows.rows().get(name)
+    return "all effects at once" if row is None else row.what
+
+
+def prepare(
+    names: Sequence[str],
+    seeds: Sequence[int],
+    overrides: Sequence[str],
+    cycle_ms: float | None,
+    kept: Path,
+) -> list[WorldJob]:
+    """Make the jobs of rows and seeds."""
+    listed, sources = rows.rows(), digest()
+    made = {
+        name: setup.make(
+            rows.PREFIX + name if name in listed else name, overrides, cycle_ms=cycle_ms
+        )
+        for name in names
+    }
+    return [WorldJob(name, made[name], seed, kept, sources) for name in names for seed in seeds]
+
+
+def measured(job: WorldJob) -> dict[str, Any]:
+    """Return the figures of a run: those that are kept, or those of a new run."""
+    mark = hashlib.blake2b(
+        f"{job.sources} {job.setup!r} {job.seed}".encode(), digest_size=12
+    ).hexdigest()
+    path = job.kept / f"{job.row}-{job.seed}-{mark}.json"
+    try:
+        kept: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        kept = {}
+    if kept:
+        return kept
+    found: dict[str, Any] = json.loads(report_json.text(perform(job)))
+    if digest() != job.sources:
+        raise SetupError(f"sources changed while {job.row} was measured; use a clone of its own")
+    report_json.write(path, found)
+    return found
+
+
+def perform(job: WorldJob) -> dict[str, Any]:
+    """Run one job and return its figures."""
+    from linemate.simulators.harness import lockstep
+    from linemate.simulators.judge.judge import judge
+
+    return {"row": job.row, **figures(judge(lockstep.run(job.setup, job.seed)))}
+
+
+def figures(result: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the figures of a judged run; None where the run has none."""
+    control, total = result["control_error"], result["total_error"]
+    latencies = {entry["event"]: entry for entry in reversed(result["detection"])}
+    force = result["contact_force_n"]
+    windows = [control[name] for name in ("approach", "stop", "contact") if control[name]]
+    return {
+        "seed": result["seed"],
+        "cycle_ms": result["cycle_ms"],
+        "outcome": result["outcome"],
+        "reason": result["reason"],
+        "control_rms_mm": _of(control["approach"], "rms_mm"),
+        "control_mm": _of(control["approach"], "max_mm"),
+        "control_all_mm": max((window["max_mm"] for window in windows), default=None),
+        "impact_mm": _of(total["impact"], "max_mm"),
+        "impact_mrad": _of(total["impact"], "max_mrad"),
+        "stop_mm": _of(total["stop"], "max_mm"),
+        "stop_s": _of(latencies.get("stop"), "confirmed_s"),
+        "start_s": _of(latencies.get("start"), "confirmed_s"),
+        "force_n": _of(force, "max"),
+        "false_tentative": result["false_alarms"]["tentative"],
+        "false_confirmed": result["false_alarms"]["confirmed"],
+        "missed": sum(entry["confirmed_s"] is None for entry in result["detection"]),
+        "violations": result["limits"]["violations"],
+    }
+
+
+def _of(values: Mapping[str, Any] | None, key: str) -> Any:
+    return None if values is None else values[key]
+
+
+def collect(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """What ``world --json`` prints: runs, and a summary of each row."""
+    names = list(dict.fromkeys(run["row"] for run in runs))
+    return {
+        "version": 1,
+        "rows": {
+            name: {
+                "what": what(name),
+                "summary": table.summarise([run for run in runs if run["row"] == name]),
+                "runs": [run for run in runs if run["row"] == name],
+            }
+            for name in names
+        },
+    }

@@ -1,0 +1,54 @@
+"""The table of the realistic world: medians, sums, and reasons of what was not assembled."""
+
+from typing import Any
+
+from linemate.simulators.lab.world import measure, table
+
+
+def run(seed: int, **changed: Any) -> dict[str, Any]:
+    plain: dict[str, Any] = {
+        "row": "x", "seed": seed, "outcome": "assembled", "reason": None, "missed": 0,
+        "control_rms_mm": 0.1, "control_mm": 0.2, "impact_mm": 0.3, "stop_mm": 2.0,
+        "start_s": 0.3, "force_n": 55.0, "false_tentative": 1, "false_confirmed": 0,
+    }  # fmt: skip
+    return plain | changed
+
+
+def test_a_missed_start_counts_as_infinite() -> None:
+    summary = table.summarise([run(0), run(1), run(2, start_s=None, missed=1)])
+    assert summary["start_s"]["worst"] is None
+    assert summary["start_s"]["median"] == 0.3
+    assert summary["missed"] == 1
+    assert summary["false_tentative"] == 3
+
+
+def test_outcomes_are_counted_and_reasons_printed() -> None:
+    runs = [run(0), run(1, outcome="collision", reason="the mount broke away", impact_mm=9.0)]
+    summary = table.summarise(runs)
+    assert table.outcomes(summary) == "1 assembled, 1 collision"
+    assert summary["impact_mm"]["worst"] == 9.0
+    printed = table.text({"rows": {"x": {"summary": summary, "runs": runs}}})
+    assert "x seed 1: collision: the mount broke away" in printed
+    assert "4.65 (9)" in printed
+
+
+def test_a_figure_that_no_run_has_is_a_dash() -> None:
+    assert table.spread(table.summarise([run(0, impact_mm=None)])["impact_mm"]) == "-"
+
+
+def test_the_figures_of_a_judged_run_are_by_its_first_stop_and_start() -> None:
+    span = {"max_mm": 1.0, "rms_mm": 0.5, "max_mrad": 2.0, "rms_mrad": 1.0}
+    error = dict.fromkeys(("approach", "stop", "impact", "contact"), span)
+    found = measure.figures({
+        "seed": 1, "cycle_ms": 12, "outcome": "held", "reason": "why",
+        "control_error": error, "total_error": error, "contact_force_n": None,
+        "detection": [
+            {"event": "stop", "confirmed_s": 0.1},
+            {"event": "start", "confirmed_s": None},
+            {"event": "stop", "confirmed_s": 0.9},
+        ],
+        "false_alarms": {"tentative": 2, "confirmed": 1}, "limits": {"violations": 0},
+    })  # fmt: skip
+    assert (found["stop_s"], found["start_s"], found["missed"]) == (0.1, None, 1)
+    assert (found["false_tentative"], found["false_confirmed"]) == (2, 1)
+    assert found["force_n"] is None
