@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -133,3 +134,22 @@ def test_zeros_and_lengths_are_drawn_from_the_seed() -> None:
     assert true_links(arm, 1) == true_links(arm, 1) != true_links(arm, 2)
     place, drawn = arm.links[2].a, true_links(arm, 1)[2].a
     assert 0.0 < abs(place - drawn) < 1e-3
+
+
+@pytest.mark.parametrize("name", ["A", "B"])
+def test_the_plant_winds_up_as_the_recorded_kuka_kr300(name: str) -> None:
+    """Motor recorded, link recorded 3 ms later; the depth is that of the fit to both."""
+    with np.load(Path(__file__).parents[1] / "data" / "kr300" / f"{name}.npz") as data:
+        motor = np.radians(data["act_pos_mot_deg"][:, :3].astype(float))
+        link = np.radians(data["act_pos_se_deg"][:, :3].astype(float))
+    depth = (0.05e-3,) * 3 + (0.0,) * 3
+    side = link_side(robot(windup=Windup(depth, (TRAVEL,) * 6)), seed=0)
+    assert side is not None
+    rest = Robot().start[3:]
+    rows = [side.advance((*row, *rest), (0.0,) * 7, 0.004)[:3] for row in motor.tolist()]
+    late = np.array(rows) - 0.0028 * np.gradient(motor, 0.004, axis=0)
+    off = link - late
+    off -= off.mean(axis=0)
+    bent = link - motor
+    assert np.sqrt(np.mean(off**2, axis=0)).max() < 0.25e-3
+    assert np.sqrt(np.mean((bent - bent.mean(axis=0)) ** 2, axis=0)).min() > 0.5e-3

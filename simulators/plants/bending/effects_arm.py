@@ -20,7 +20,7 @@ class Windup:
     """Windup of the gears with the direction of motion: Dahl's hysteresis (Dahl 1968).
 
     ``dw/dq = (depth sgn(dq) - w) / travel``; the link lags by w behind the motor. Fitted to
-    a recorded KUKA KR300 R2500: 0.03-0.08 mrad on A1-A3 if the 3 ms between the stamps of its
+    a recorded KUKA KR300 R2500: 0.00-0.09 mrad on A1-A3 if the 3 ms between the stamps of its
     encoders are fitted too, and 0.4-0.7 mrad if they are not. The second is the harsh case.
 
     Attributes:

@@ -32,7 +32,7 @@ class LinkSide:
         self._arm = _Weights(robot)
         self._motor = start
         self._windup: Values = (0.0,) * _AXES
-        self._slack: Values = (0.0,) * _AXES
+        self._play: Values = (0.0,) * _AXES
         self._speed: Values = (0.0,) * _AXES
         self._acceleration: Values = (0.0,) * _AXES
 
@@ -41,7 +41,7 @@ class LinkSide:
 
         Args:
             motor: A1..A6 [rad], E1 [m].
-            velocities: there [rad/s], [m/s].
+            velocities: A1..A6 [rad/s], E1 [m/s], at these positions.
             dt: since the last step [s].
 
         Returns:
@@ -51,9 +51,9 @@ class LinkSide:
             (v - before) / dt for v, before in zip(velocities[:_AXES], self._speed, strict=True)
         )
         self._speed = velocities[:_AXES]
-        self._windup, self._slack = self._hysteresis(motor)
+        self._windup, self._play = self._hysteresis(motor)
         self._motor = motor
-        return self._placed(motor, self._windup, self._slack)
+        return self._placed(motor, self._windup, self._play)
 
     def at(self, motor: Values) -> Values:
         """Joints on the link side for motors that go on to ``motor`` from the last step."""
@@ -61,21 +61,21 @@ class LinkSide:
 
     def _hysteresis(self, motor: Values) -> tuple[Values, Values]:
         """Windup and lost motion of each axis at the end of a way in one direction [rad]."""
-        windups, slacks = [], []
+        windups, plays = [], []
         for axis in range(_AXES):
             way = motor[axis] - self._motor[axis]
             depth, gap = self._depths[axis], self._gaps[axis]
-            windup, slack = self._windup[axis], self._slack[axis]
+            windup, play = self._windup[axis], self._play[axis]
             if depth and way:
                 goal = math.copysign(depth, way)
                 windup = goal + (windup - goal) * math.exp(-abs(way) / self._travels[axis])
             windups.append(windup)
-            slacks.append(min(max(slack + way, -gap), gap))
-        return tuple(windups), tuple(slacks)
+            plays.append(min(max(play + way, -gap), gap))
+        return tuple(windups), tuple(plays)
 
-    def _placed(self, motor: Values, windup: Values, slack: Values) -> Values:
+    def _placed(self, motor: Values, windup: Values, play: Values) -> Values:
         bent = self._bend(motor) if self._is_elastic else (0.0,) * _AXES
-        joints = [motor[i] + self._zero[i] - windup[i] - slack[i] - bent[i] for i in range(_AXES)]
+        joints = [motor[i] + self._zero[i] - windup[i] - play[i] - bent[i] for i in range(_AXES)]
         return (*joints, *motor[_AXES:])
 
     def _bend(self, motor: Values) -> Values:
@@ -128,7 +128,7 @@ def link_side(robot: Robot, seed: int) -> LinkSide | None:
     """Make the link side of an arm that starts at rest.
 
     Args:
-        seed: of the run, for the zeros.
+        seed: of the run; it draws the zeros.
 
     Returns:
         None for an arm whose joints are where its motors are.
@@ -149,7 +149,7 @@ def true_links(robot: Robot, seed: int) -> tuple[DenavitHartenbergLink, ...]:
     """The table of the real arm, whose lengths and twists are not as the drawing says.
 
     Args:
-        seed: of the run.
+        seed: of the run; it draws the errors of the table.
     """
     geometry = robot.effects.geometry
     length, angle = geometry.length_sigma, geometry.angle_sigma
