@@ -22,6 +22,7 @@ class Part(Struct, frozen=True, eq=False):
         along: (m,) positions along the conveyor [m].
         rotation: (3, 3) at rest.
         swing: (modes, m) angles [rad].
+        slopes: of x and z for each metre along the conveyor.
     """
 
     x: float
@@ -29,6 +30,7 @@ class Part(Struct, frozen=True, eq=False):
     along: Array
     rotation: Array
     swing: Array
+    slopes: tuple[float, float] = (0.0, 0.0)
 
 
 def sensed(
@@ -51,8 +53,10 @@ def sensed(
     base = rotations.log(R)
     terms, adds = np.empty((len(series.adds), len(relative))), series.adds.copy()
     terms[:3], adds[:3, :3] = relative[:, :3].T, R.T
-    terms[one], adds[one] = 1.0, (part.x, 0.0, part.z, *base.tolist())
-    terms[along] = part.along
+    terms[one], terms[along], now = 1.0, part.along, float(part.along[0])
+    (x_slope, z_slope), (x, z) = part.slopes, (part.x, part.z)
+    adds[one] = (x - x_slope * now, 0.0, z - z_slope * now, *base.tolist())
+    adds[along, :3] = x_slope, 1.0, z_slope
     if modes:
         inverse = rotations.left_jacobian_inverse(base)
         terms[swing:square] = part.swing
@@ -63,12 +67,12 @@ def sensed(
         adds[turned_arm, :3] = series.generators[m].dot(R).T
         adds[swing + m, 3:] = inverse[:, mode.axis]
     tcp = terms.T.dot(adds)
-    now = terms[one:, 0].dot(adds[one:])
+    now_in_c = terms[one:, 0].dot(adds[one:])
     programmed = relative[:, 3:]
     if turned and bool(np.abs(programmed).max() > 0.0):
         own = rotations.exp_many(tcp[:, 3:]) @ rotations.exp_many(programmed)
         tcp[:, 3:] = rotations.log_many(own)
-    return tcp, now
+    return tcp, now_in_c
 
 
 class _Series(Struct, frozen=True, eq=False):
@@ -93,7 +97,6 @@ def _series(modes: tuple[SwingMode, ...]) -> _Series:
     one = 3 + 3 * count
     along, swing, square = one + 1, one + 2, one + 2 + count
     adds = np.zeros((square + count, 6))
-    adds[along, 1] = 1.0
     generators = tuple(rotations.skew(np.eye(3)[mode.axis]) for mode in modes)
     for m, (mode, generator) in enumerate(zip(modes, generators, strict=True)):
         adds[swing + m, :3] = mode.levers

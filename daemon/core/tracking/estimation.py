@@ -33,15 +33,17 @@ SEATING_S = 0.012  # a clamp closes in 0.04 s; contact is detected 0.03 s after 
 
 def estimate(
     tracker: Tracker, state: TrackerState, samples: StepSamples
-) -> tuple[TrackerState, int, Wrench | None]:
-    """Return the state with its estimates one step later, the rejected poses, the wrench."""
+) -> tuple[TrackerState, ConveyorEstimate | None, int, Wrench | None]:
+    """Return the state one step later, the conveyor, the number of rejected poses, the wrench."""
     history = state.history
     if samples.tcp is not None:
         history = remember(history, samples.tcp_stamp_ns, samples.tcp, tracker.history_length)
     transverse = state.transverse
     if transverse is not None:
         seating = state.fixing is not None and Gate.SCREWS_FIXED not in state.passed
-        transverse = tracker.transverse.predict(transverse, tracker.cycle_s, seating=seating)
+        transverse = tracker.transverse.predict(
+            transverse, tracker.cycle_s, seating=seating, speed=state.speed
+        )
     wrench = mean_wrench(samples.wrench)
     pull = release.averaged(state.pull, wrench, tracker.cycle_s) if state.contact else state.pull
     is_felt = _is_force_used(tracker, state) and not _is_overload(tracker, wrench)
@@ -74,6 +76,7 @@ def estimate(
             conveyor = tracker.classifier.initial(readings[-1])
     else:
         conveyor = tracker.classifier.advance(conveyor, rows, tracker.cycle_s)
+    view = None if conveyor is None else tracker.classifier.estimate(conveyor)
     state = replace(
         state,
         history=history,
@@ -83,8 +86,9 @@ def estimate(
         readings=readings,
         pull=pull,
         pose_ns=pose_ns,
+        speed=0.0 if view is None else view.speed,
     )
-    return state, rejected, wrench
+    return state, view, rejected, wrench
 
 
 def _distance_measurement(
@@ -176,8 +180,3 @@ def _pose_measurements(
             measured = measure_touch(wrench, tcp, settings.tactile, samples.stamp_ns, rate)
             measurements.append((Source.TACTILE, measured, settings.tactile.gate))
     return measurements
-
-
-def conveyor_estimate(tracker: Tracker, state: TrackerState) -> ConveyorEstimate | None:
-    """Return the estimate of the classifier, None before it starts."""
-    return None if state.conveyor is None else tracker.classifier.estimate(state.conveyor)

@@ -16,7 +16,7 @@ from linemate.daemon.core.tracking.conveyor import (
     Motion,
 )
 from linemate.daemon.core.tracking.damping import damping_time, free_shares
-from linemate.daemon.core.tracking.estimation import conveyor_estimate, estimate, is_seated
+from linemate.daemon.core.tracking.estimation import estimate, is_seated
 from linemate.daemon.core.tracking.observation import (
     History,
     Wrench,
@@ -109,8 +109,7 @@ def track(
     """
     if is_seated(state) and state.search is not guard.NO_SEARCH:
         state = _end_search(tracker, state)
-    state, rejected, wrench = estimate(tracker, state, samples)
-    view = conveyor_estimate(tracker, state)
+    state, view, rejected, wrench = estimate(tracker, state, samples)
     if start and not state.started:
         state = replace(state, started=True)
     if retreat and not state.started and state.anchor is None:
@@ -232,9 +231,9 @@ def observe(
 
     A tool on the object is asked to release it: the object may go on.
     """
-    state, rejected, wrench = estimate(tracker, state, samples)
+    state, view, rejected, wrench = estimate(tracker, state, samples)
     if state.contact:
-        passed = open_gates(tracker, state, conveyor_estimate(tracker, state), samples)
+        passed = open_gates(tracker, state, view, samples)
         releasing = elapsed(state.releasing, True, tracker.cycle_s)
         touching = state.touching + tracker.cycle_s
         state = replace(state, passed=passed, fixing=None, releasing=releasing, touching=touching)
@@ -244,7 +243,6 @@ def observe(
         now = np.zeros(1)
         along = tracker.classifier.predict_positions(state.conveyor, now)
         target, part = _sensed_poses(tracker, state, samples.stamp_ns, along, now, relative)
-    view = conveyor_estimate(tracker, state)
     return state, report(tracker, state, view, wrench, rejected, target, part)
 
 
@@ -303,6 +301,7 @@ def _sensed_poses(
         along=along,
         rotation=state.transverse.rotation,
         swing=tracker.transverse.swing_angles(state.transverse, ahead),
+        slopes=tracker.transverse.slopes(state.transverse),
     )
     swing, turned = tracker.transverse.swing, tracker.reference.turned
     return approach.sensed(part, swing, relative, turned=turned)

@@ -113,6 +113,7 @@ class TrackerState(Struct, frozen=True, eq=False):
         search: for an object that is farther away than estimated.
         pose_ns: exposure of the camera's last accepted pose [ns], None before.
         stood: time without a command, in which the robot stood still [s].
+        speed: of the conveyor, as it was last estimated [m/s].
     """
 
     history: History | None
@@ -142,6 +143,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     search: guard.ContactSearch = guard.NO_SEARCH
     pose_ns: int | None = None
     stood: float = 0.0
+    speed: float = 0.0
 
 
 class Report(Struct, frozen=True, eq=False):

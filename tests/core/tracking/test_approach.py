@@ -187,3 +187,17 @@ def test_a_withdrawal_is_straight_back_out_of_the_object(pose: Array) -> None:
         inside = np.linalg.inv(homogeneous(goal[k])) @ homogeneous(back[k])
         assert np.allclose(inside[:3, 3], (0.0, 0.0, -way[k]), atol=1e-12)
     assert np.array_equal(goal, np.tile(pose, (4, 1)))
+
+
+def test_an_object_that_moves_askew_is_off_by_its_slopes_times_the_way_from_now() -> None:
+    along = np.array((0.3, 0.31, 0.36))
+    angles = np.zeros((1, 3))
+    straight = Part(-1.06, 2.17, along, rotations.exp(TILT), angles)
+    askew = Part(-1.06, 2.17, along, rotations.exp(TILT), angles, slopes=(0.01, -0.02))
+    relative = np.tile((0.0, 0.0, -0.2, 0.0, 0.0, 0.0), (3, 1))
+    tcp, now = approach.sensed(straight, (MODE,), relative, turned=False)
+    moved, now_askew = approach.sensed(askew, (MODE,), relative, turned=False)
+    off = np.zeros((3, 6))
+    off[:, 0], off[:, 2] = 0.01 * (along - along[0]), -0.02 * (along - along[0])
+    assert np.allclose(moved - tcp, off, atol=1e-15)
+    assert np.allclose(now, now_askew)

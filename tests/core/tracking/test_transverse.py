@@ -27,6 +27,7 @@ from linemate.daemon.core.tracking.transverse import (
 )
 
 T0 = 0.012
+SPEED = 0.106  # of the conveyor [m/s]
 FRAME = 0.025  # of a camera with 40 Hz
 MODE = SwingMode()
 EXACT = replace(MODE, spread=0.0)
@@ -295,6 +296,7 @@ def transition(dt: float, size: int, modes: tuple[SwingMode, ...]) -> Array:
         w, i = 2.0 * math.pi * mode.frequency_hz, STATIC + 2 * m
         d = -mode.damping * w
         generator[i : i + 2, i : i + 2] = ((d, w), (-w, d))
+    generator[:2, -2:] = SPEED * np.eye(2)
     return np.asarray(linalg.expm(generator * dt))
 
 
@@ -306,7 +308,8 @@ def witness(state: TransverseState, modes: tuple[SwingMode, ...]) -> KalmanFilte
     kf.x[TURN:STATIC] = rotations.log(state.rotation)
     kf.P = state.P.copy()
     fusion = FusionSettings()
-    rates = [fusion.position] * 2 + [fusion.angle] * 3 + [fusion.swing] * (size - STATIC)
+    rates = [fusion.position] * 2 + [fusion.angle] * 3 + [fusion.swing] * (size - STATIC - 2)
+    rates += [fusion.askew_walk] * 2
     kf.Q = np.diag(np.array(rates) ** 2) * T0
     kf.F = transition(T0, size, modes)
     kf.R = np.diag(VARIANCE[[0, 2, 3, 4, 5]])
@@ -327,7 +330,7 @@ def test_the_recursion_is_filterpys(modes: tuple[SwingMode, ...]) -> None:
     kf = witness(state, modes)
     size = len(state.x)
     for k in range(200):
-        state = own.predict(state, T0)
+        state = own.predict(state, T0, speed=SPEED)
         kf.predict()
         if k % 2:
             continue
@@ -344,6 +347,7 @@ def test_the_recursion_is_filterpys(modes: tuple[SwingMode, ...]) -> None:
             H[0] += mode.levers[0] * row
             H[1] += mode.levers[2] * row
             H[TURN + mode.axis] += row
+        H[:2, -2:] = -delay * SPEED * np.eye(2)
         turn = rotations.log(sighting.rotation)
         R = np.diag(sighting.variance[[0, 2, 3, 4, 5]] + own._walk(delay))
         kf.update(np.concatenate((sighting.position[[0, 2]], turn)), R=R, H=H)
@@ -356,11 +360,12 @@ def test_the_recursion_is_filterpys(modes: tuple[SwingMode, ...]) -> None:
 def squared_errors(seed: int, late: int, fusion: FusionSettings) -> list[float]:
     """NEES of one run whose truth is the filter's own model, at some instants far apart."""
     rng = np.random.default_rng(seed)
-    size = STATIC + 2
-    start = np.diag(np.r_[(2e-3,) * 2, (5e-3,) * 3, (4e-3,) * 2] ** 2)
+    size = STATIC + 4
+    start = np.diag(np.r_[(2e-3,) * 2, (5e-3,) * 3, (4e-3,) * 2, (5e-3,) * 2] ** 2)
     F = transition(T0, size, (EXACT,))
     own = Transverse(fusion, (EXACT,))
-    walk = np.r_[(fusion.position,) * 2, (fusion.angle,) * 3, (fusion.swing,) * 2] * math.sqrt(T0)
+    walk = np.r_[(fusion.position,) * 2, (fusion.angle,) * 3, (fusion.swing,) * 2]
+    walk = np.r_[walk, (fusion.askew_walk,) * 2] * math.sqrt(T0)
     first = rng.multivariate_normal(np.zeros(size), start)
     truth = [first.copy()]
     rotation = [rotations.exp(first[TURN:STATIC]) @ rotations.exp(OFF)]
@@ -372,7 +377,7 @@ def squared_errors(seed: int, late: int, fusion: FusionSettings) -> list[float]:
         kick = walk * rng.normal(size=size)
         truth.append(F @ truth[-1] + kick)
         rotation.append(rotations.exp(kick[TURN:STATIC]) @ rotation[-1])
-        state = own.predict(state, T0)
+        state = own.predict(state, T0, speed=SPEED)
         if k % 2 == 0 and k >= late:
             then = truth[k - late]
             place = np.array((then[0], 0.0, then[1]))
@@ -431,7 +436,7 @@ def test_a_frequency_stays_near_what_was_identified_whatever_is_seen() -> None:
 def test_a_frequency_taken_for_exact_has_no_state() -> None:
     own = Transverse(FusionSettings(), (EXACT, MODE))
     state = own.initial([seen(PLACE, rotations.exp(OFF), 0.0, 0.1)] * 5)
-    assert len(state.x) == own.size == STATIC + 4 + 1
+    assert len(state.x) == own.size == STATIC + 4 + 2 + 1
     for k in range(40):
         sighting = seen(PLACE, rotations.exp(OFF), float(angle(k * T0)), 0.0)
         state, _ = own.correct(own.predict(state, T0), sighting, GATE)
@@ -488,5 +493,38 @@ def test_a_step_of_the_orientation_is_no_swing_while_the_tool_seats_itself() -> 
 def test_the_covariance_is_honest(late: int, fusion: FusionSettings) -> None:
     """NEES over seeded runs of a matching model lies in its 95 % band."""
     nees = np.array([squared_errors(seed, late, fusion) for seed in range(72)])
-    low, high = stats.chi2.ppf((0.025, 0.975), nees.size * (STATIC + 2)) / nees.size
+    low, high = stats.chi2.ppf((0.025, 0.975), nees.size * (STATIC + 4)) / nees.size
     assert low < nees.mean() < high
+
+
+def test_a_conveyor_that_is_askew_is_learnt_while_it_runs_and_stands_when_it_stands() -> None:
+    slopes = (0.01, -0.006)
+
+    def place(t: float) -> Array:
+        way = SPEED * min(t, 4.0)
+        return PLACE + np.array((slopes[0] * way, way, slopes[1] * way))
+
+    delay, rng = 0.1, np.random.default_rng(3)
+
+    def look(now: float) -> PoseMeasurement:
+        noise = rng.normal(0.0, np.sqrt(VARIANCE))
+        return seen(place(now - delay), rotations.exp(OFF), 0.0, delay, noise)
+
+    state = FILTER.initial([look(-FRAME * i) for i in range(4, -1, -1)])
+    for k in range(1, round(5.0 / T0)):
+        state = FILTER.predict(state, T0, speed=SPEED if k * T0 < 4.0 else 0.0)
+        if k % 2 == 0:
+            state, taken = FILTER.correct(state, look(k * T0), GATE)
+            assert taken
+    assert np.allclose(FILTER.slopes(state), slopes, atol=1.2e-3)
+    assert np.abs(state.x[:2] - place(5.0)[[0, 2]]).max() < 0.3e-3
+
+
+def test_a_conveyor_told_to_be_straight_is_never_askew() -> None:
+    own = Transverse(FusionSettings(askew=0.0, askew_walk=0.0), (MODE,))
+    state = own.initial([seen(PLACE, rotations.exp(OFF), 0.0, 0.0)] * 5)
+    for k in range(1, 100):
+        moved = PLACE + 0.01 * SPEED * k * T0
+        state = own.predict(state, T0, speed=SPEED)
+        state, _ = own.correct(state, seen(moved, rotations.exp(OFF), 0.0, 0.0), GATE)
+    assert own.slopes(state) == (0.0, 0.0)
