@@ -13,7 +13,8 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import NDArray
 
-from linemate.simulators.plants.scenario import Conveyor, applied_events
+from linemate.simulators.plants.effects.conveyor import ChainErrors, off_line
+from linemate.simulators.plants.scenario import Conveyor, applied_events, shaped_ramps
 from linemate.simulators.plants.streams import stream
 
 RIPPLE_STEP_S = 0.004
@@ -34,6 +35,9 @@ class ConveyorPlant:
         self._segments = _segments(conveyor)
         self._onsets = [segment[0] for segment in self._segments[1:]]
         self._table = np.array(self._segments)
+        self._effects = effects = conveyor.effects
+        self._shaped = shaped_ramps(conveyor)[0] if effects.shapes_ramps else None
+        self._chain = self._chain_errors(conveyor, seed)
         self._decay = math.exp(-RIPPLE_STEP_S / self._ripple.correlation_s)
         self._generator = stream(seed, "conveyor.ripple")
         self._free = self._ripple.speed_sigma * float(self._generator.standard_normal())
@@ -44,6 +48,8 @@ class ConveyorPlant:
 
     def nominal(self, t: float) -> tuple[float, float]:
         """Position [m] and speed [m/s] without ripple."""
+        if self._shaped is not None:
+            return self._shaped.at(t)[:2]
         onset, position, speed, acceleration = self._segments[bisect_right(self._onsets, t)]
         age = t - onset
         return position + (speed + 0.5 * acceleration * age) * age, speed + acceleration * age
@@ -54,6 +60,9 @@ class ConveyorPlant:
         Raises:
             ValueError: before the start of the run.
         """
+        if self._chain is not None:
+            positions, speeds = self.motion(np.array([t]))
+            return float(positions[0]), float(speeds[0])
         position, speed = self.nominal(t)
         cell, rest = self._cell(t)
         drift, after = self._speeds[cell], self._speeds[cell + 1]
@@ -67,6 +76,26 @@ class ConveyorPlant:
             + amplitude * math.sin(phase),
             speed + drift + slope * rest + amplitude * self._omega * math.cos(phase),
         )
+
+    def drive(self, times: Array) -> tuple[Array, Array, Array]:
+        """Motion of the drive without ripple, chain and stick-slip, at ascending times.
+
+        Returns:
+            Positions [m], speeds [m/s] and accelerations [m/s^2], shape (n,) each.
+        """
+        if self._shaped is not None:
+            return self._shaped.motion(times)
+        row = self._table[np.searchsorted(np.array(self._onsets), times, side="right")]
+        return (*self._nominals(times), row[:, 3])
+
+    @property
+    def leaves_line(self) -> bool:
+        """Whether the unit leaves the straight line of the nominal conveyor."""
+        return self._effects.leaves_line
+
+    def off_line(self, positions: Array) -> Array:
+        """How far the unit is off the nominal line at positions, in base, (n, 3) [m]."""
+        return off_line(self._effects, positions)
 
     def positions(self, times: Array) -> Array:
         """Positions at many times at once; the same law as `at`.
@@ -89,6 +118,10 @@ class ConveyorPlant:
             Positions [m] and speeds [m/s], shape (n,) each.
         """
         position, speed = self._nominals(times)
+        drive_speed = speed
+        if self._chain is not None:
+            deviation, rate = self._chain.deviation(times, *self.drive(times))
+            position, speed = position + deviation, speed + rate
         self._cell(float(times[-1]))
         cells = np.maximum((times - self._start) / RIPPLE_STEP_S, 0.0)
         index = cells.astype(int)
@@ -98,7 +131,7 @@ class ConveyorPlant:
         bases = np.array(self._positions[first:last])
         drift = drifts[index - first]
         slope = (drifts[index - first + 1] - drift) / RIPPLE_STEP_S
-        amplitude = self._ripple.amplitude * speed / self._nominal
+        amplitude = self._ripple.amplitude * drive_speed / self._nominal
         phase = self._omega * times + self._phase
         return (
             position
@@ -108,7 +141,17 @@ class ConveyorPlant:
             speed + drift + slope * rest + amplitude * self._omega * np.cos(phase),
         )
 
+    def _chain_errors(self, conveyor: Conveyor, seed: int) -> ChainErrors | None:
+        effects = conveyor.effects
+        if not (effects.teeth or effects.stick_slip):
+            return None
+        starts = [event.onset_s for event in applied_events(conveyor) if event.kind == "start"]
+        phase = float(stream(seed, "conveyor.sprocket").uniform())
+        return ChainErrors(effects, [(t, self.nominal(t)[0]) for t in starts], phase)
+
     def _nominals(self, times: Array) -> tuple[Array, Array]:
+        if self._shaped is not None:
+            return self._shaped.motion(times)[:2]
         row = self._table[np.searchsorted(np.array(self._onsets), times, side="right")]
         age = times - row[:, 0]
         return (

@@ -166,6 +166,11 @@ def matrix(pose: Pose) -> NDArray[np.float64]:
     )
 
 
+def add(a: Vec, b: Vec) -> Vec:
+    """Sum of two vectors."""
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
 def norm(v: Vec) -> float:
     """Length of a vector."""
     return math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])

@@ -12,6 +12,8 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, Literal
 
 from linemate.simulators.plants.bending.effects_arm import ArmEffects
+from linemate.simulators.plants.effects.conveyor import ConveyorEffects, Order, ShapedRamps
+from linemate.simulators.plants.effects.sensors import CameraEffects, DistanceEffects
 from linemate.simulators.plants.streams import stream
 
 Vector3 = tuple[float, float, float]
@@ -63,6 +65,7 @@ class Conveyor:
         ConveyorEvent("start", 9.0, 0.013),
     )
     ripple: Ripple = field(default_factory=Ripple)
+    effects: ConveyorEffects = field(default_factory=ConveyorEffects)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,6 +157,7 @@ class DistanceSensor:
     outlier_range: float = 0.100
     dropout_rate: float = 0.0
     offset: float = 0.0
+    effects: DistanceEffects = field(default_factory=DistanceEffects)
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,6 +203,7 @@ class Camera:
     covariance_honesty: float = 1.0
     position_in_tcp: Vector3 = (-0.10, 0.0, -0.15)
     rotation_in_tcp: Vector3 = (0.0, 0.0, 0.0)
+    effects: CameraEffects = field(default_factory=CameraEffects)
 
 
 @dataclass(frozen=True, slots=True)
@@ -380,7 +385,7 @@ class AppliedEvent:
     Attributes:
         kind: what the conveyor does, "stop" or "start".
         onset_s: scenario time of the onset [s].
-        speed: speed at the onset, without ripple [m/s].
+        speed: speed of the drive at the onset, without ripple [m/s].
         acceleration: signed acceleration of the conveyor [m/s^2].
         settled_s: when the new speed was (or would have been) reached [s].
     """
@@ -434,6 +439,8 @@ def applied_events(conveyor: Conveyor) -> tuple[AppliedEvent, ...]:
     Returns:
         What took place, in order of time, each with the speed at its onset.
     """
+    if conveyor.effects.shapes_ramps:
+        return shaped_ramps(conveyor)[1]
     running, speed, acceleration, since = True, conveyor.nominal_speed, 0.0, -math.inf
     applied: list[AppliedEvent] = []
     for event in sorted(conveyor.events, key=lambda e: e.onset_s):
@@ -447,6 +454,28 @@ def applied_events(conveyor: Conveyor) -> tuple[AppliedEvent, ...]:
         settled = since + (goal - speed) / acceleration
         applied.append(AppliedEvent(event.kind, since, speed, acceleration, settled))
     return tuple(applied)
+
+
+def shaped_ramps(conveyor: Conveyor) -> tuple[ShapedRamps, tuple[AppliedEvent, ...]]:
+    """Return the drive's motion of a conveyor whose ramps are shaped, and what took place."""
+    orders: list[Order] = []
+    running = True
+    for event in sorted(conveyor.events, key=lambda e: e.onset_s):
+        if (event.kind == "start") != running:
+            running = not running
+            orders.append(Order(running, event.onset_s, event.acceleration))
+    ramps = ShapedRamps(conveyor.nominal_speed, orders, conveyor.effects)
+    applied = tuple(
+        AppliedEvent(
+            "start" if order.starts else "stop",
+            order.onset_s,
+            speed,
+            order.acceleration if order.starts else -order.acceleration,
+            settled,
+        )
+        for order, speed, settled in zip(orders, ramps.speeds, ramps.settled, strict=True)
+    )
+    return ramps, applied
 
 
 def _clamped_speed(conveyor: Conveyor, speed: float, acceleration: float, age: float) -> float:

@@ -14,6 +14,12 @@ from numpy.typing import NDArray
 
 from linemate.simulators.plants import rotation
 from linemate.simulators.plants.effector import Six
+from linemate.simulators.plants.effects.sensors import (
+    CameraEffects,
+    CameraErrors,
+    DistanceEffects,
+    DistanceErrors,
+)
 from linemate.simulators.plants.rotation import Pose, Vec
 from linemate.simulators.plants.scenario import Camera, DistanceSensor, Effector, ForceTorque
 from linemate.simulators.plants.streams import Draws, stream
@@ -39,7 +45,7 @@ class CameraEmission(NamedTuple):
 
     Attributes:
         time_s: when it leaves the camera [s].
-        exposure_s: middle of the exposure [s].
+        exposure_s: middle of the exposure, as the camera states it [s].
         position: hub in camera [m].
         quaternion: hub in camera, w x y z.
         covariance: upper triangle row by row, x y z rx ry rz in the camera's frame, or None.
@@ -117,6 +123,11 @@ class DistanceSensorPlant:
         self._noise = Draws.normal(seed, "distance.noise")
         self._chance = Draws.uniform(seed, "distance.outlier")
         self._dropout = Draws.uniform(seed, "distance.dropout")
+        period = cycle_s if sensor.period_s is None else sensor.period_s
+        effects = sensor.effects
+        self._errors = (
+            None if effects == DistanceEffects() else DistanceErrors(effects, period, seed)
+        )
         self.due: deque[DistanceEmission] = deque()
 
     def measure(self, position: float) -> None:
@@ -128,6 +139,8 @@ class DistanceSensorPlant:
         sensor = self._sensor
         exposure = self.clock.next_s
         due = self.clock.tick()
+        if self._errors is not None:
+            position = self._errors.disturb(position)
         chance, where = self._chance.take(2)
         value = position + sensor.offset + sensor.sigma * self._noise.one()
         if sensor.dropout_rate and self._dropout.one() < sensor.dropout_rate:
@@ -155,6 +168,9 @@ class CameraPlant:
             camera.jitter_s,
         )
         self._mount: Pose = (camera.position_in_tcp, rotation.exp(camera.rotation_in_tcp))
+        self._errors = _camera_errors(camera, seed)
+        if self._errors is not None:
+            self._mount = self._errors.mount(self._mount)
         self._noise = Draws.normal(seed, "camera.noise")
         self._chance = Draws.uniform(seed, "camera.outlier")
         self._dropout = Draws.uniform(seed, "camera.dropout")
@@ -174,9 +190,15 @@ class CameraPlant:
         dropped = self._dropout.one() < camera.dropout_rate
         hub_in_tcp = rotation.relative(rigid, hub)
         distance = rotation.norm(hub_in_tcp[0])
+        seen = rotation.relative(self._mount, hub_in_tcp)
+        if self._errors is not None:
+            hidden = self._errors.is_hidden(exposure, seen, distance)
+            dropped = dropped or hidden
+            seen = self._errors.disturb(seen, distance)
+            exposure = self._errors.stamp(exposure)
         if dropped or not camera.blind_below <= distance <= camera.blind_beyond:
             return
-        (x, y, z), turned = rotation.relative(self._mount, hub_in_tcp)
+        (x, y, z), turned = seen
         lateral = camera.sigma + camera.sigma_per_metre * distance
         depth = camera.depth_factor * lateral
         twist = camera.sigma_rotation + camera.sigma_rotation_per_metre * distance
@@ -196,6 +218,12 @@ class CameraPlant:
         p, q, r = (honesty * lateral) ** 2, (honesty * depth) ** 2, (honesty * twist) ** 2
         o = 0.0
         return (p, o, o, o, o, o, p, o, o, o, o, q, o, o, o, r, o, o, r, o, r)
+
+
+def _camera_errors(camera: Camera, seed: int) -> CameraErrors | None:
+    if camera.effects == CameraEffects():
+        return None
+    return CameraErrors(camera.effects, camera.period_s, camera.depth_factor, seed)
 
 
 class ForceTorquePlant:

@@ -341,12 +341,23 @@ class World:
         self._next_exposure = min(touch.next_s, reach.next_s, sight.next_s)
 
     def _hubs(self, times: Matrix) -> list[Pose]:
-        return self._body.hubs(self._conveyor.positions(times), times)
+        positions = self._conveyor.positions(times)
+        hubs = self._body.hubs(positions, times)
+        if not self._conveyor.leaves_line:
+            return hubs
+        return [
+            (rotation.add(place, shift), turn)
+            for (place, turn), shift in zip(
+                hubs, self._conveyor.off_line(positions).tolist(), strict=True
+            )
+        ]
 
     def _on_grid(self, t: float) -> bool:
         return abs(t - self._grid) < _TINY
 
     def _hub_at(self, t: float) -> Pose:
+        if self._conveyor.leaves_line:
+            return self._contact.turned(self._hubs(np.array([t]))[0], t)
         return self._contact.turned(self._body.hub(self._conveyor.at(t)[0], t), t)
 
     def _motors_at(self, t: float) -> tuple[float, ...]:
