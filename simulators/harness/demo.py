@@ -40,7 +40,7 @@ from linemate.simulators.harness.processes import (
 )
 from linemate.simulators.harness.setup import shipped_task
 from linemate.simulators.harness.terminal_view import Glimpse, LinkGlimpse, TerminalView
-from linemate.simulators.harness.world import rows
+from linemate.simulators.harness.world import world_rows
 from linemate.simulators.judge import joined, report_json, table
 from linemate.simulators.judge.judge import judge, unanswered
 from linemate.simulators.plants.scenario import Scenario
@@ -111,7 +111,7 @@ class DemoStation:
                 "keep_awake": doctor.is_virtual(doctor.Host()),
             },
             # What was identified of the cell, as after its commissioning.
-            **rows.laid_over(overlay.load(), rows.daemon_settings(self.scenario.name)),
+            **world_rows.laid_over(overlay.load(), world_rows.daemon_settings(self.scenario.name)),
         }
 
     def emulator_file(self, listening: Mapping[str, Any]) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from typing import Any
 from linemate.daemon.config import documents, task_file
 from linemate.daemon.config.documents import Complaint, FileError
 from linemate.simulators.devices.faults import KINDS
-from linemate.simulators.harness.world import rows
+from linemate.simulators.harness.world import world_rows
 from linemate.simulators.plants.scenario import Scenario
 
 DATA = Path(__file__).parent / "data"
@@ -81,8 +81,8 @@ def load(name: str) -> Scenario:
     Raises:
         FileError: there is no such file, or everything that is wrong in it.
     """
-    if name in rows.names():
-        return documents.fill(rows.document(name), Scenario, complaints)
+    if name in world_rows.names():
+        return documents.fill(world_rows.document(name), Scenario, complaints)
     known = shipped()
     path = DATA / f"{name}.yaml" if name in known else Path(name)
     try:

@@ -24,7 +24,7 @@ from linemate.daemon.core.tracking.task import TaskFile
 from linemate.daemon.near_names import near_names
 from linemate.simulators.harness import scenario_file, variants
 from linemate.simulators.harness.variants import SetupError
-from linemate.simulators.harness.world import rows
+from linemate.simulators.harness.world import world_rows
 from linemate.simulators.plants.scenario import Scenario
 
 TASK = "wheel.yaml"
@@ -125,7 +125,7 @@ def _commissioned(scenario: str) -> Setup:
     """Settings of the cell of a scenario: those identified, and what its commissioning adds."""
     from linemate.simulators.harness import identified_overlay as overlay
 
-    known, own = identified(), rows.daemon_settings(scenario)
+    known, own = identified(), world_rows.daemon_settings(scenario)
     return overlay.laid_over(known, own) if own else known
 
 

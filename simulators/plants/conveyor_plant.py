@@ -13,7 +13,7 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import NDArray
 
-from linemate.simulators.plants.effects.conveyor import ChainErrors, off_line
+from linemate.simulators.plants.effects.conveyor_effects import ChainErrors, off_line
 from linemate.simulators.plants.scenario import Conveyor, applied_events, shaped_ramps
 from linemate.simulators.plants.streams import stream
 

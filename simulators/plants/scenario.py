@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, Literal
 
 from linemate.simulators.plants.bending.effects_arm import ArmEffects
-from linemate.simulators.plants.effects.conveyor import ConveyorEffects, Order, ShapedRamps
-from linemate.simulators.plants.effects.sensors import CameraEffects, DistanceEffects
+from linemate.simulators.plants.effects.conveyor_effects import ConveyorEffects, Order, ShapedRamps
+from linemate.simulators.plants.effects.sensor_errors import CameraEffects, DistanceEffects
 from linemate.simulators.plants.streams import stream
 
 Vector3 = tuple[float, float, float]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from linemate.simulators.plants import rotation
 from linemate.simulators.plants.effector import Six
-from linemate.simulators.plants.effects.sensors import (
+from linemate.simulators.plants.effects.sensor_errors import (
     CameraEffects,
     CameraErrors,
     DistanceEffects,

@@ -20,10 +20,10 @@ from linemate.simulators.harness import setup
 from linemate.simulators.harness.cluster import digest
 from linemate.simulators.harness.setup import Setup
 from linemate.simulators.harness.variants import SetupError
-from linemate.simulators.harness.world import rows
+from linemate.simulators.harness.world import world_rows
 from linemate.simulators.judge import report_json
 from linemate.simulators.lab.campaign import progress_bar, spread
-from linemate.simulators.lab.world import table
+from linemate.simulators.lab.world import world_table
 
 WORKERS = 2
 SCENARIOS = ("plant-floor", "plant-floor-harsh")
@@ -66,7 +66,7 @@ def main(args: Namespace) -> int:
     with progress_bar(len(jobs), "world") as progress:
         runs = spread(measured, jobs, args.workers or WORKERS, progress)
     whole = collect(runs)
-    print(report_json.text(whole) if args.json else table.text(whole))
+    print(report_json.text(whole) if args.json else world_table.text(whole))
     return 0
 
 
@@ -75,7 +75,7 @@ def known() -> tuple[str, ...]:
     from linemate.simulators.harness import scenario_file
 
     shipped = scenario_file.shipped()
-    return (*rows.rows(), *(name for name in SCENARIOS if name in shipped))
+    return (*world_rows.rows(), *(name for name in SCENARIOS if name in shipped))
 
 
 def chosen(text: str | None) -> tuple[str, ...]:
@@ -99,7 +99,7 @@ def chosen(text: str | None) -> tuple[str, ...]:
 
 def what(name: str) -> str:
     """What a row changes, in one line."""
-    row = rows.rows().get(name)
+    row = world_rows.rows().get(name)
     return "all effects at once" if row is None else row.what
 
 
@@ -111,10 +111,10 @@ def prepare(
     kept: Path,
 ) -> list[WorldJob]:
     """Make the jobs of rows and seeds."""
-    listed, sources = rows.rows(), digest()
+    listed, sources = world_rows.rows(), digest()
     made = {
         name: setup.make(
-            rows.PREFIX + name if name in listed else name, overrides, cycle_ms=cycle_ms
+            world_rows.PREFIX + name if name in listed else name, overrides, cycle_ms=cycle_ms
         )
         for name in names
     }
@@ -187,7 +187,7 @@ def collect(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "rows": {
             name: {
                 "what": what(name),
-                "summary": table.summarise([run for run in runs if run["row"] == name]),
+                "summary": world_table.summarise([run for run in runs if run["row"] == name]),
                 "runs": [run for run in runs if run["row"] == name],
             }
             for name in names

@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 from linemate.simulators.plants.conveyor_plant import ConveyorPlant
-from linemate.simulators.plants.effects.conveyor import REST_SPEED, ConveyorEffects, off_line
+from linemate.simulators.plants.effects.conveyor_effects import (
+    REST_SPEED,
+    ConveyorEffects,
+    off_line,
+)
 from linemate.simulators.plants.scenario import (
     Conveyor,
     ConveyorEvent,

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from linemate.simulators.lab.world import measure, table
+from linemate.simulators.lab.world import measure, world_table
 
 
 def run(seed: int, **changed: Any) -> dict[str, Any]:
@@ -15,7 +15,7 @@ def run(seed: int, **changed: Any) -> dict[str, Any]:
 
 
 def test_a_missed_start_counts_as_infinite() -> None:
-    summary = table.summarise([run(0), run(1), run(2, start_s=None, missed=1)])
+    summary = world_table.summarise([run(0), run(1), run(2, start_s=None, missed=1)])
     assert summary["start_s"]["worst"] is None
     assert summary["start_s"]["median"] == 0.3
     assert summary["missed"] == 1
@@ -24,16 +24,16 @@ def test_a_missed_start_counts_as_infinite() -> None:
 
 def test_outcomes_are_counted_and_reasons_printed() -> None:
     runs = [run(0), run(1, outcome="collision", reason="the mount broke away", impact_mm=9.0)]
-    summary = table.summarise(runs)
-    assert table.outcomes(summary) == "1 assembled, 1 collision"
+    summary = world_table.summarise(runs)
+    assert world_table.outcomes(summary) == "1 assembled, 1 collision"
     assert summary["impact_mm"]["worst"] == 9.0
-    printed = table.text({"rows": {"x": {"summary": summary, "runs": runs}}})
+    printed = world_table.text({"rows": {"x": {"summary": summary, "runs": runs}}})
     assert "x seed 1: collision: the mount broke away" in printed
     assert "4.65 (9)" in printed
 
 
 def test_a_figure_that_no_run_has_is_a_dash() -> None:
-    assert table.spread(table.summarise([run(0, impact_mm=None)])["impact_mm"]) == "-"
+    assert world_table.spread(world_table.summarise([run(0, impact_mm=None)])["impact_mm"]) == "-"
 
 
 def test_the_figures_of_a_judged_run_are_by_its_first_stop_and_start() -> None:

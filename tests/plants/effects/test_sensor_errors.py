@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from linemate.simulators.plants import rotation
-from linemate.simulators.plants.effects.sensors import (
+from linemate.simulators.plants.effects.sensor_errors import (
     CameraEffects,
     DistanceEffects,
     Interval,

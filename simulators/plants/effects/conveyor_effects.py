@@ -24,7 +24,7 @@ STICKING = 0.8
 
 @dataclass(frozen=True, slots=True)
 class ConveyorEffects:
-    """What a real conveyor does besides running, stopping and starting.
+    """What a real conveyor does in addition to running, stopping and starting.
 
     Attributes:
         askew: direction of travel turned off the line, to the car and upwards [rad].
@@ -68,7 +68,7 @@ class Order:
     Attributes:
         starts: it is a start, else a stop.
         onset_s: when the speed begins to change [s].
-        acceleration: magnitude [m/s^2].
+        acceleration: magnitude of the change of speed, not signed [m/s^2].
     """
 
     starts: bool

@@ -3,20 +3,20 @@
 import pytest
 
 from linemate.simulators.harness import scenario_file, setup
-from linemate.simulators.harness.world import rows
+from linemate.simulators.harness.world import world_rows
 from linemate.simulators.plants.scenario import Scenario, sample
 
 NOMINAL = scenario_file.load("wheel")
 
 
-@pytest.mark.parametrize("name", rows.names())
+@pytest.mark.parametrize("name", world_rows.names())
 def test_every_row_is_a_scenario_that_can_be_sampled(name: str) -> None:
     scenario = scenario_file.load(name)
     assert scenario.name == name
     assert sample(3, sample(3, scenario)) == sample(3, scenario)
 
 
-@pytest.mark.parametrize("name", [name for name in rows.names() if name != "world/nominal"])
+@pytest.mark.parametrize("name", [name for name in world_rows.names() if name != "world/nominal"])
 def test_every_row_but_the_nominal_one_changes_the_plant(name: str) -> None:
     assert plain(scenario_file.load(name)) != plain(NOMINAL)
 
@@ -29,23 +29,23 @@ def test_the_nominal_row_is_the_default_scenario() -> None:
     assert plain(scenario_file.load("world/nominal")) == plain(NOMINAL)
 
 
-@pytest.mark.parametrize("name", rows.names())
+@pytest.mark.parametrize("name", world_rows.names())
 def test_a_rows_daemon_settings_fit_and_leave_its_truth_alone(name: str) -> None:
     made = setup.make(name)
     assert made.scenario == scenario_file.load(name)
     changed = (made.tracking, made.control, made.task) != (
         setup.identified().tracking, setup.identified().control, setup.identified().task
     )  # fmt: skip
-    assert changed == bool(rows.daemon_settings(name))
+    assert changed == bool(world_rows.daemon_settings(name))
 
 
 def test_a_mapping_over_a_list_changes_the_named_items() -> None:
     below = {"a": [{"b": 1, "c": 2}, {"b": 3}], "d": [1, 2]}
-    assert rows.laid_over(below, {"a": {"0": {"b": 9}}, "d": [5]}) == {
+    assert world_rows.laid_over(below, {"a": {"0": {"b": 9}}, "d": [5]}) == {
         "a": [{"b": 9, "c": 2}, {"b": 3}], "d": [5]
     }  # fmt: skip
 
 
 def test_another_scenario_has_no_settings_of_ours() -> None:
-    assert rows.daemon_settings("wheel") == {}
-    assert rows.daemon_settings("../parameters/identified") == {}
+    assert world_rows.daemon_settings("wheel") == {}
+    assert world_rows.daemon_settings("../parameters/identified") == {}

@@ -24,8 +24,8 @@ class Interval:
     """A time in which a sensor sees nothing.
 
     Attributes:
-        begin_s: scenario time [s].
-        end_s: scenario time [s].
+        begin_s: scenario time of the first instant without sight [s].
+        end_s: scenario time of the first instant with sight again [s].
     """
 
     begin_s: float
@@ -34,7 +34,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class CameraEffects:
-    """What a real camera does wrong besides white noise, delay and loss.
+    """What a real camera adds to white noise, delay and loss.
 
     Attributes:
         depth_bias: error of the depth per distance tcp - hub [m/m].
@@ -72,7 +72,7 @@ class CameraEffects:
 
 @dataclass(frozen=True, slots=True)
 class DistanceEffects:
-    """What a real distance sensor does wrong besides white noise and quantisation.
+    """What a real distance sensor adds to white noise and quantisation.
 
     Attributes:
         slip: share of the travel that a slipping measuring wheel does not count.
