@@ -45,6 +45,9 @@ RANGES: dict[str, tuple[float | None, float | None]] = {
     "frequency_share": (0.0, 0.3),
     "dead_time_amplitude": (0.0, 0.01),
     "balanced": (0.0, 1.0),
+    "mass": (0.0, 1e6),
+    "frequency_spread": (0.0, 0.9),
+    "mass_spread": (0.0, 0.9),
     "count": (0, None),
     "seed": (0, 2**63 - 1),
 }

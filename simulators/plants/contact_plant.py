@@ -80,6 +80,11 @@ class ContactPlant:
         fixed = SCREWS_FIXED if self.fixed_s is not None else 0
         return fixed | (WHEEL_RELEASED if self.released_s is not None else 0)
 
+    @property
+    def caught(self) -> tuple[Vec, Vec]:
+        """Where the clamp caught the hub: tcp in the hub frame, position and rotation vector."""
+        return self._caught
+
     def turned(self, hub: Pose, t: float) -> Pose:
         """The hub at time t with the step that the tight screws gave it."""
         if self._screwing_s is None:

@@ -33,6 +33,11 @@ class EffectorPlant:
         self._velocity: Six = ZERO
         self._held: tuple[Pose, Pose, Six] | None = None
 
+    @property
+    def velocity(self) -> Six:
+        """Velocity of the tool in base, along and about the axes of the rigid tcp."""
+        return self._velocity
+
     def swing_free(self, before: Pose, after: Pose) -> None:
         """One step in free space while the rigid tcp moves from `before` to `after`."""
         if self._held is not None:

@@ -14,6 +14,7 @@ from typing import Any, Literal
 from linemate.simulators.plants.bending.effects_arm import ArmEffects
 from linemate.simulators.plants.effects.conveyor_effects import ConveyorEffects, Order, ShapedRamps
 from linemate.simulators.plants.effects.sensor_errors import CameraEffects, DistanceEffects
+from linemate.simulators.plants.forces.switches import CarrierMode
 from linemate.simulators.plants.streams import stream
 
 Vector3 = tuple[float, float, float]
@@ -118,6 +119,7 @@ class Body:
         tilt: angle of the drawn rotation [rad].
         suspension_to_hub: vector in c [m].
         swings: oscillations, applied one after another, outermost first.
+        carrier: modes that the conveyor's acceleration and the contact force excite.
     """
 
     nominal: Vector3 = (2.20, 0.0, 1.10)
@@ -128,6 +130,7 @@ class Body:
     suspension_to_hub: Vector3 = (0.9, 0.0, -0.3)
     swings: tuple[Swing, ...] = (Swing(),)
     jerks: tuple[Jerk, ...] = ()
+    carrier: tuple[CarrierMode, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -511,7 +514,8 @@ def _sample_body(seed: int, body: Body) -> Body:
         x, y, z = (axis * (body.tilt / math.sqrt(float(axis @ axis)))).tolist()
         body = replace(body, rotation=(x, y, z))
     swings = tuple(_sample_swing(seed, i, swing) for i, swing in enumerate(body.swings))
-    return replace(body, swings=swings)
+    carrier = tuple(_sample_mode(seed, i, mode) for i, mode in enumerate(body.carrier))
+    return replace(body, swings=swings, carrier=carrier)
 
 
 def _sample_swing(seed: int, index: int, swing: Swing) -> Swing:
@@ -522,6 +526,22 @@ def _sample_swing(seed: int, index: int, swing: Swing) -> Swing:
         phase = float(stream(seed, f"swing.{index}.phase").uniform(0, math.tau))
         swing = replace(swing, phase=phase)
     return swing
+
+
+def _sample_mode(seed: int, index: int, mode: CarrierMode) -> CarrierMode:
+    return replace(
+        mode,
+        frequency_hz=_spread(
+            seed, f"carrier.{index}.frequency", mode.frequency_hz, mode.frequency_spread
+        ),
+        mass=_spread(seed, f"carrier.{index}.mass", mode.mass, mode.mass_spread),
+        frequency_spread=0.0,
+        mass_spread=0.0,
+    )
+
+
+def _spread(seed: int, name: str, value: float, share: float) -> float:
+    return value * (1.0 + share * float(stream(seed, name).uniform(-1, 1))) if share else value
 
 
 def to_dict(value: Any) -> Any:

@@ -22,7 +22,8 @@ from linemate.simulators.plants.bending.link_side import link_side, true_links
 from linemate.simulators.plants.body import BodyPlant
 from linemate.simulators.plants.contact_plant import Collision, ContactPlant, Impact, Phase
 from linemate.simulators.plants.conveyor_plant import ConveyorPlant
-from linemate.simulators.plants.effector import EffectorPlant, Six, deflected
+from linemate.simulators.plants.effector import ZERO, EffectorPlant, Six, deflected
+from linemate.simulators.plants.forces.carried import CarriedBody
 from linemate.simulators.plants.rotation import Pose
 from linemate.simulators.plants.scenario import Scenario, sample
 from linemate.simulators.plants.sensors import (
@@ -88,6 +89,7 @@ class World:
         self._links = link_side(scenario.robot, seed)
         self._effector = EffectorPlant(scenario.effector, self._h)
         self._contact = ContactPlant(scenario.contact)
+        self._carried = self._new_carried(scenario)
         self._distance = DistanceSensorPlant(scenario.distance, seed, start, scenario.cycle_s)
         self._camera = CameraPlant(scenario.camera, seed, start)
         self._force_torque = ForceTorquePlant(scenario.force_torque, scenario.effector, seed, start)
@@ -235,7 +237,10 @@ class World:
         return self._take(self._force_torque.due)
 
     def hub_pose(self, t: float | None = None) -> Matrix:
-        """True hub in base, 4x4, at t (default now); in the future without unordered steps."""
+        """True hub in base, 4x4, at t (default now).
+
+        The future knows no step of the screws that is not ordered, and no force of contact.
+        """
         return rotation.matrix(self.hub() if t is None else self._hub_at(t))
 
     def tcp_rigid_pose(self) -> Matrix:
@@ -249,6 +254,17 @@ class World:
     def deflection(self) -> Six:
         """Elastic tcp relative to the rigid one, in the rigid tcp frame [m, rad], now."""
         return self._deflection_at(self._now)
+
+    def sway(self) -> Six:
+        """Displacement [m] and rotation [rad] of the hub by the carrier's modes in c, now."""
+        if self._carried is None:
+            return ZERO
+        x, y, z, a, b, c = self._carried.sway.tolist()
+        return (x, y, z, a, b, c)
+
+    def energy(self) -> float:
+        """Work that the robot has done on the car in contact, relative to the conveyor [J]."""
+        return 0.0 if self._carried is None else self._carried.energy
 
     def unit_position(self, t: float | None = None) -> float:
         """True position of the conveyor unit [m]."""
@@ -287,6 +303,12 @@ class World:
         """When the tool let go of the wheel [s]."""
         return self._contact.released_s
 
+    def _new_carried(self, scenario: Scenario) -> CarriedBody | None:
+        if not scenario.body.carrier:
+            return None
+        parts = self._start, self._h, self._contact, self._effector
+        return CarriedBody(scenario, self.unit_speed, *parts)
+
     def _age(self) -> float:
         return self._now - self.cycle_start(self.cycle)
 
@@ -308,8 +330,14 @@ class World:
         if index >= len(self._track):
             self._look_ahead(_TRACK_BLOCK)
         contact = self._contact
-        hub = contact.turned(self._track[index], following)
+        hub = unmoved = self._track[index]
+        carried = self._carried
+        if carried is not None:
+            hub = carried.hub(following, rigid, unmoved)
+        hub = contact.turned(hub, following)
         contact.advance(following, self._h, self._effector, self._rigid, rigid, hub)
+        if carried is not None:
+            carried.settle(following, rigid, hub, unmoved)
         self._grid, self._rigid, self._hub = following, rigid, hub
         if index % self._substeps == 0:
             self._begin_cycle()
@@ -336,8 +364,10 @@ class World:
             t = sight.next_s
             if not self._hubs_seen:
                 self._hubs_seen = self._hubs(sight.upcoming(_AHEAD))[::-1]
-            hub = self._contact.turned(self._hubs_seen.pop(), t)
-            self._camera.measure(self._rigid_at(t), hub)
+            rigid, hub = self._rigid_at(t), self._hubs_seen.pop()
+            if self._carried is not None:
+                hub = self._carried.hub_within(t, rigid, hub)
+            self._camera.measure(rigid, self._contact.turned(hub, t))
         self._next_exposure = min(touch.next_s, reach.next_s, sight.next_s)
 
     def _hubs(self, times: Matrix) -> list[Pose]:
@@ -357,8 +387,15 @@ class World:
 
     def _hub_at(self, t: float) -> Pose:
         if self._conveyor.leaves_line:
-            return self._contact.turned(self._hubs(np.array([t]))[0], t)
-        return self._contact.turned(self._body.hub(self._conveyor.at(t)[0], t), t)
+            hub = self._hubs(np.array([t]))[0]
+        else:
+            hub = self._body.hub(self._conveyor.at(t)[0], t)
+        if self._carried is not None:
+            if self._grid <= t < self._grid + self._h:
+                hub = self._carried.hub_within(t, self._rigid_at(t), hub)
+            else:
+                hub = self._carried.hub_at(t, hub)
+        return self._contact.turned(hub, t)
 
     def _motors_at(self, t: float) -> tuple[float, ...]:
         if self._on_grid(t):

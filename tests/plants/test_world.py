@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from linemate.simulators.plants.bending.effects_arm import ArmEffects, Windup
+from linemate.simulators.plants.forces.switches import CarrierMode
 from linemate.simulators.plants.scenario import (
     Axis,
     Body,
@@ -227,14 +228,23 @@ def gap_at(t: float) -> float:
     return min(0.15, 0.05 * (t - 9.0) ** 2)
 
 
-def test_an_oracle_robot_mates_the_wheel_through_a_stop_and_a_restart() -> None:
+YIELDING = CarrierMode(frequency_hz=1.2, damping=0.03, mass=800.0)
+
+
+@pytest.mark.parametrize("carrier", [(), (YIELDING,)])
+def test_an_oracle_robot_mates_the_wheel_through_a_stop_and_a_restart(
+    carrier: tuple[CarrierMode, ...],
+) -> None:
     """A robot that knows the future and lags by a known ramp delay: the whole sequence runs."""
     axes = tuple(Axis(8.0, 0.8, 0.024, 50.0) for _ in range(7))
     lag = 0.024 + 0.012 + 2 * 0.8 / (math.tau * 8.0)
     robot = Robot(axes=axes, start=(*Robot().start[:6], 0.106 * (lag - 2.0)))  # type: ignore[arg-type]
     effector = Effector(damping=(0.2,) * 6)
     force_torque = ForceTorque(period_s=0.0017, sigma_translation=0.0, sigma_rotation=0.0)
-    world = World(replace(QUIET, robot=robot, effector=effector, force_torque=force_torque))
+    body = replace(QUIET.body, carrier=carrier)
+    world = World(
+        replace(QUIET, robot=robot, effector=effector, force_torque=force_torque, body=body)
+    )
     q: tuple[float, ...] = world.scenario.robot.start
     phases, worst = [], 0.0
     for k in range(int(13.0 / 0.012)):

@@ -1,0 +1,129 @@
+"""Two-way contact of the car in its carrier with the tool that the clamp holds.
+
+Invariants:
+    Whoever advances the world calls ``hub`` and then ``settle``, once a substep.
+    The mount's force on tool and car is the one that the robot feels, with the sign turned.
+"""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from linemate.simulators.plants import rotation
+from linemate.simulators.plants.body import C_IN_BASE
+from linemate.simulators.plants.contact_plant import ContactPlant
+from linemate.simulators.plants.effector import EffectorPlant
+from linemate.simulators.plants.forces.carrier import CarrierPlant, Mount, swayed
+from linemate.simulators.plants.forces.linear import Array
+from linemate.simulators.plants.rotation import Pose
+from linemate.simulators.plants.scenario import Scenario
+
+_TINY = 1e-9
+_TO_C = np.kron(np.eye(2), np.array(C_IN_BASE).reshape(3, 3).T)
+
+
+class CarriedBody:
+    """Hub of a car whose carrier sways and gives way."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        speed: Callable[[float], float],
+        start_s: float,
+        step_s: float,
+        contact: ContactPlant,
+        effector: EffectorPlant,
+    ) -> None:
+        """Take the parts of a world.
+
+        Args:
+            speed: of the conveyor at a scenario time [m/s].
+        """
+        self._carrier = CarrierPlant(scenario.body.carrier, speed, start_s, step_s)
+        self._contact, self._effector, self._h = contact, effector, step_s
+        self._close_s = scenario.contact.close_s
+        stiffness = np.array(scenario.effector.stiffness)
+        omega = math.tau * np.array(scenario.effector.frequency_hz)
+        zeta = np.array(scenario.effector.damping)
+        self._values = (stiffness / omega**2, 2.0 * zeta * stiffness / omega, stiffness)
+        self._mount: Mount | None = None
+        self._closing: Array | None = None
+        self._before: Pose | None = None
+
+    @property
+    def sway(self) -> Array:
+        """Displacement [m] and rotation [rad] of the hub by the carrier in c, now, (6,)."""
+        return self._carrier.sway
+
+    @property
+    def energy(self) -> float:
+        """Work that the robot has done on the car in contact, relative to the conveyor [J]."""
+        return self._carrier.energy
+
+    def hub(self, t: float, rigid: Pose, unmoved: Pose) -> Pose:
+        """Go on to the next grid point.
+
+        Args:
+            t: scenario time there [s].
+            rigid: rigid tcp there.
+            unmoved: hub there if the carrier did not move.
+
+        Returns:
+            The hub there, without the step of the screws.
+        """
+        self._carrier.advance(self._pull(t, rigid, unmoved))
+        return swayed(unmoved, self._carrier.sway)
+
+    def hub_within(self, t: float, rigid: Pose, unmoved: Pose) -> Pose:
+        """The hub within the substep that comes next; arguments as for ``hub``."""
+        return swayed(unmoved, self._carrier.peek(t, self._pull(t, rigid, unmoved)))
+
+    def hub_at(self, t: float, unmoved: Pose) -> Pose:
+        """The hub at any time; in the future without a force of contact."""
+        return swayed(unmoved, self._carrier.at(t))
+
+    def settle(self, t: float, rigid: Pose, hub: Pose, unmoved: Pose) -> None:
+        """Exchange momentum as the clamp has caught, closed or opened at the grid point.
+
+        Args:
+            hub: hub there, as the contact saw it.
+            unmoved: hub there if the carrier did not move.
+        """
+        before, self._before = self._before, unmoved
+        carrier, clamped = self._carrier, self._contact.phase == "clamped"
+        if clamped and carrier.yields and not carrier.held:
+            self._mount = Mount.at(rigid, *self._values)
+            self._closing = self._closing_velocity(hub)
+            still = np.zeros(6) if before is None else _velocity(before, unmoved, self._h)
+            tool = self._mount.axes @ np.array(self._effector.velocity)
+            carrier.seize(self._mount, tool - still - self._closing)
+        elif carrier.held and not clamped:
+            carrier.let_go()
+        elif self._closing is not None and self._mount is not None and self._is_closed(t):
+            carrier.push(self._mount, self._closing)
+            self._closing = None
+        carrier.begin_pull(np.array(self._effector.deflection))
+
+    def _pull(self, t: float, rigid: Pose, unmoved: Pose) -> Array | None:
+        if not self._carrier.held:
+            return None
+        hub = self._contact.turned(swayed(unmoved, self._carrier.sway), t)
+        return np.array(self._contact.held_deflection(t, rigid, hub))
+
+    def _is_closed(self, t: float) -> bool:
+        caught = self._contact.clamped_s
+        return caught is not None and t >= caught + self._close_s - _TINY
+
+    def _closing_velocity(self, hub: Pose) -> Array:
+        """Velocity of the tool against the hub while the clamp closes, in c, (6,)."""
+        place, turn = self._contact.caught
+        to_c = _TO_C @ np.kron(np.eye(2), np.array(hub[1]).reshape(3, 3))
+        return np.asarray(-(to_c @ np.array((*place, *turn))) / self._close_s)
+
+
+def _velocity(before: Pose, after: Pose, dt: float) -> Array:
+    """Mean velocity from one pose in base to the next, in c, (6,)."""
+    turned = rotation.apply(before[1], rotation.log(rotation.between(before[1], after[1])))
+    moved = np.subtract(after[0], before[0])
+    return np.asarray(_TO_C @ np.concatenate((moved, turned)) / dt)
