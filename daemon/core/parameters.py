@@ -16,7 +16,8 @@ from linemate.daemon.core.tracking import linear_axis, merge
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
 from linemate.daemon.core.tracking.conveyor import Classifier
 from linemate.daemon.core.tracking.damping import damped_until, free_table
-from linemate.daemon.core.tracking.reference import compile_reference, tabulated
+from linemate.daemon.core.tracking.go_no_go import prediction_error
+from linemate.daemon.core.tracking.reference import compile_reference, last_step, tabulated
 from linemate.daemon.core.tracking.settings import ClassifierKind, TrackingSettings
 from linemate.daemon.core.tracking.task import Phase, TaskFile
 from linemate.daemon.core.tracking.touch import contact
@@ -25,6 +26,8 @@ from linemate.daemon.core.tracking.tracker_state import Foresight, Tracker
 from linemate.daemon.core.tracking.transverse import Transverse
 
 TOOL_AXIS = 2  # of the tcp
+NEAR_GATE = 0.01  # least distance before the object at which go or no-go is decided again [m]
+FINAL_S = 0.3  # before contact, from which on the touch cannot be prevented [s]
 HISTORY_S = 0.45  # length of the robot's pose history, to date exposures [s]
 
 
@@ -118,7 +121,7 @@ def build(
     along_tool = control_settings.effector[TOOL_AXIS]
     span = np.arange(controller.steps + 1) * cycle_s
     lag = linear_axis.delay(task.linear_axis.ramp, cycle_s)
-    ahead = np.append(span, controller.preview * cycle_s + lag)
+    ahead = np.append(span, (controller.preview * cycle_s + lag, *prediction_error.LEADS_S))
     tracker = Tracker(
         task=task,
         settings=tracking,
@@ -146,6 +149,8 @@ def build(
             cycle_s,
         ),
         sight_time=reference.sight_time,
+        near_time=reference.time_before(max(task.guard.clearance, NEAR_GATE)),
+        final_time=last_step(reference.contact_time - FINAL_S, cycle_s),
         search_time=reference.time_of(Phase.CONTACT, Phase.SCREWS),
         press=reference.press,
         damped_until=damped_until(reference, control_settings.filters.contact_blend),

@@ -9,6 +9,7 @@ from linemate.daemon.core.tracking.conveyor import (
     PositionMeasurement,
     Source,
 )
+from linemate.daemon.core.tracking.go_no_go import prediction_error
 from linemate.daemon.core.tracking.observation import (
     History,
     PoseMeasurement,
@@ -49,7 +50,7 @@ def estimate(
     is_felt = _is_force_used(tracker, state) and not _is_overload(tracker, wrench)
     felt = wrench if is_felt else None
     first_poses = _pose_measurements(tracker, history, samples, felt)
-    rows = [_distance_measurement(tracker, samples.stamp_ns, sample) for sample in samples.distance]
+    rows = [distance_measurement(tracker, samples.stamp_ns, sample) for sample in samples.distance]
     rejected = 0
     waiting, pose_ns = state.first_poses, state.pose_ns
     for source, measured, gate in first_poses:
@@ -77,6 +78,10 @@ def estimate(
     else:
         conveyor = tracker.classifier.advance(conveyor, rows, tracker.cycle_s)
     view = None if conveyor is None else tracker.classifier.estimate(conveyor)
+    if state.conveyor is not None and state.transverse is not None:
+        seen = [measured for source, measured, _ in first_poses if source is Source.CAMERA]
+        monitor = prediction_error.compare_poses(state.monitor, samples.stamp_ns, seen)
+        state = replace(state, monitor=monitor)
     state = replace(
         state,
         history=history,
@@ -91,7 +96,7 @@ def estimate(
     return state, view, rejected, wrench
 
 
-def _distance_measurement(
+def distance_measurement(
     tracker: Tracker, now_ns: int, sample: DistanceSample
 ) -> PositionMeasurement:
     """Return (10)'s row: the sensor reads the start position as the object is at its origin."""

@@ -78,6 +78,17 @@ class Reference:
             return -math.inf
         return self.starts[max(bisect_left(self.starts, planned) - 1, 0)]
 
+    def time_before(self, distance: float) -> float:
+        """Return when the tool on its last approach is this near [m] to the object [s].
+
+        Infinity without a contact.
+        """
+        if self.contact_time == math.inf:
+            return math.inf
+        times = np.linspace(self.sight_time, self.contact_time, 2001)
+        reached = np.flatnonzero(self.poses(times)[1][:, 2] >= -distance)
+        return float(times[reached[0]]) if len(reached) else self.contact_time
+
     @property
     def press(self) -> float:
         """Programmed tcp in the object along its axis at the waypoint of contact [m]."""
@@ -244,6 +255,18 @@ class ReferenceTable:
             return self.poses[window], self.relative[window]
         times = np.arange(first, last + 1) * self.cycle_s
         return self.reference.poses(np.minimum(times, limit))
+
+    def behind(self, time: float, floor: float, steps: int) -> tuple[Array, Array]:
+        """Return x_r and (x_o^nom)^-1 x_r (steps + 1, 6) of a clock that goes back from ``time``.
+
+        Args:
+            time: of the task's clock, a multiple of T0 [s].
+            floor: at which the clock stands [s].
+        """
+        first = round(time / self.cycle_s)
+        lowest = round(last_step(floor, self.cycle_s) / self.cycle_s)
+        held = np.maximum(np.arange(first, first - steps - 1, -1), lowest)
+        return self.poses[held], self.relative[held]
 
 
 def tabulated(reference: Reference, cycle_s: float, steps: int) -> ReferenceTable:

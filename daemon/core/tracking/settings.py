@@ -64,6 +64,8 @@ class CameraNoise:
         gate: reject an innovation beyond this many sigma.
         longest_delay: reject an older exposure [s].
         stamp: sigma of its time stamp [s]; it adds the motion in that time to the variance.
+        blind_below: distance from the tcp to the object below which it gives no poses [m]. The last
+            waypoint before contact is moved out by the task to where it still sees.
     """
 
     lateral: Length = 0.00025
@@ -74,6 +76,7 @@ class CameraNoise:
     gate: Sigmas = 5.0
     longest_delay: Annotated[float, Gt(0.0), Le(1.0)] = 0.3
     stamp: Annotated[float, Ge(0.0), Le(0.1)] = 0.0005
+    blind_below: Annotated[float, Ge(0.0), Le(0.5)] = 0.03
 
 
 @dataclass(frozen=True, slots=True)

@@ -141,8 +141,12 @@ class GuardedApproach:
         speed: along the tool's axis [m/s]. The motion goes on for about 0.15 s after the touch.
         overrun: largest distance beyond the waypoint [m]; without contact up to there the tool
             retreats. 0 does not search.
-        sight: greatest age of the camera's last accepted pose with which the approach leaves its
-            last waypoint before contact [s]. An older one makes the tool wait there.
+        sight: greatest age of the camera's last accepted pose with which the approach goes on,
+            down to ``camera.blind_below`` [s]. An older one makes the tool wait.
+        tolerance: largest error across the tool's axis that the touch tolerates [m]: about half of
+            what the tool catches. A larger expected error makes the tool wait beside the object.
+        angle_tolerance: the same of the orientation [rad].
+        wait: longest time to wait beside the object in one assembly [s]; then the tool retreats.
     """
 
     touch_speed: Annotated[float, Ge(0.002), Le(0.1)] = 0.009
@@ -150,6 +154,9 @@ class GuardedApproach:
     speed: Annotated[float, Gt(0.0), Le(0.02)] = 0.005
     overrun: Annotated[float, Ge(0.0), Le(0.05)] = 0.012
     sight: Annotated[float, Gt(0.0), Le(5.0)] = 0.3
+    tolerance: Annotated[float, Gt(0.0), Le(1.0)] = 0.003
+    angle_tolerance: Annotated[float, Gt(0.0), Le(6.3)] = 0.015
+    wait: Annotated[float, Gt(0.0), Le(600.0)] = 10.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ from msgspec.structs import replace
 from linemate.daemon.core.tracking.conveyor import (
     ConveyorEstimate,
 )
+from linemate.daemon.core.tracking.go_no_go.decision import Order
 from linemate.daemon.core.tracking.reference import barrier, last_step
 from linemate.daemon.core.tracking.task import Gate
 from linemate.daemon.core.tracking.touch import guard, release
@@ -16,17 +17,21 @@ LARGEST_BEND = 0.008  # of the mount; a tool farther off is not on the object an
 CLAMP_OPEN = 2  # bit of the tool's signals: the wheel is released
 
 
-def standing_time(tracker: Tracker, state: TrackerState, now_ns: int, retreat: bool) -> float:
+def standing_time(tracker: Tracker, state: TrackerState, retreat: bool) -> float:
     """Return the step's time at which the task's clock stops [s]; infinity without a stop."""
     if retreat and is_before_contact(state):
         return state.time
     closed = barrier(tracker.reference, state.time, state.passed)
-    if state.time <= tracker.sight_time < closed and not retreat:
-        # Beyond this waypoint the camera is too near; contact relies on its last pose.
-        oldest_ns = round(tracker.task.guard.sight * 1e9)
-        if state.pose_ns is None or now_ns - state.pose_ns > oldest_ns:
-            closed = tracker.sight_time
+    if state.go.order is not Order.GO and not retreat:
+        if state.time > tracker.sight_time:
+            return state.time
+        closed = min(closed, tracker.sight_time)
     return last_step(closed, tracker.cycle_s)
+
+
+def is_backing_off(state: TrackerState, retreat: bool) -> bool:
+    """Return whether the task's clock goes back to the far gate."""
+    return state.go.order is Order.BACK and not retreat and is_before_contact(state)
 
 
 def is_before_contact(state: TrackerState) -> bool:
@@ -61,8 +66,10 @@ def advance_clock(
         return state
     # Counted in steps: a sum of many periods is no multiple of one.
     steps = round(state.time / T0) + 1
-    stand = standing_time(tracker, replace(state, passed=passed), samples.stamp_ns, retreat)
+    stand = standing_time(tracker, replace(state, passed=passed), retreat)
     time = min(steps * T0, stand)
+    if is_backing_off(state, retreat):
+        time = max((steps - 2) * T0, last_step(tracker.sight_time, T0))
     blended = state.blended
     if blended is not None:
         blended += T0

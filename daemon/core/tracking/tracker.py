@@ -17,6 +17,9 @@ from linemate.daemon.core.tracking.conveyor import (
 )
 from linemate.daemon.core.tracking.damping import damping_time, free_shares
 from linemate.daemon.core.tracking.estimation import estimate, is_seated
+from linemate.daemon.core.tracking.go_no_go import prediction_error
+from linemate.daemon.core.tracking.go_no_go.decision import GO
+from linemate.daemon.core.tracking.go_no_go.evidence import decide
 from linemate.daemon.core.tracking.observation import (
     History,
     Wrench,
@@ -26,12 +29,14 @@ from linemate.daemon.core.tracking.task_clock import (
     LARGEST_BEND,
     advance_clock,
     elapsed,
+    is_backing_off,
     is_before_contact,
     open_gates,
     standing_time,
 )
 from linemate.daemon.core.tracking.touch import contact, guard, release
 from linemate.daemon.core.tracking.tracker_state import Report, StepSamples, Tracker, TrackerState
+from linemate.daemon.core.tracking.transverse import TransverseState
 
 WITHDRAW_WAY = 0.15  # way of an emergency retraction [m]
 WITHDRAW_S = 0.6  # duration of an emergency retraction [s]
@@ -89,6 +94,7 @@ def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> Tra
         search=guard.NO_SEARCH,
         distance=math.inf,
         stood=0.0,
+        go=GO,
     )
 
 
@@ -115,13 +121,11 @@ def track(
     if retreat and not state.started and state.anchor is None:
         state = replace(state, anchor=state.poses[-1])
     stood = retreat and state.anchor is None and bool((state.poses == state.poses[0]).all())
+    state = decide(tracker, state, view, samples)
     state = advance_clock(tracker, state, view, samples, retreat)
     span = tracker.span
-    limit = (
-        standing_time(tracker, state, samples.stamp_ns, retreat) if state.started else state.time
-    )
-    goal, relative = tracker.table.ahead(state.time, limit, tracker.steps)
-    relative = _programmed_poses(tracker, state, relative, retreat)
+    limit = standing_time(tracker, state, retreat) if state.started else state.time
+    goal, relative = _programmed_poses(tracker, state, limit, retreat)
     is_searching = not retreat and _is_searching(tracker, state)
     if is_searching:
         state = replace(state, search=_advance_search(tracker, state))
@@ -133,9 +137,11 @@ def track(
     if state.conveyor is not None:
         along = tracker.classifier.predict_positions(state.conveyor, tracker.ahead)
         if not tracker.settings.predict:
-            along[:-1] = along[0]
+            along[: len(span)] = along[0]
     if state.transverse is not None and along is not None:
-        target, part = _sensed_poses(tracker, state, samples.stamp_ns, along[:-1], span, relative)
+        steady = along[: len(span)]
+        target, part = _sensed_poses(tracker, state, samples.stamp_ns, steady, span, relative)
+        state = _record_prediction(tracker, state, samples.stamp_ns, along)
         if state.blended is not None and state.blended >= tracker.settings.merge.blend:
             goal = target
         elif state.blended is not None:
@@ -156,12 +162,19 @@ def track(
 
 
 def _programmed_poses(
-    tracker: Tracker, state: TrackerState, relative: Array, retreat: bool
-) -> Array:
-    """Return the programmed tcp in the object (m, 6) for a tool in contact or in retreat."""
+    tracker: Tracker, state: TrackerState, limit: float, retreat: bool
+) -> tuple[Array, Array]:
+    """Return the programmed tcp x_r and the programmed tcp in the object, (m, 6) each.
+
+    Args:
+        limit: task time at which the clock stops [s].
+    """
+    if is_backing_off(state, retreat):
+        return tracker.table.behind(state.time, tracker.sight_time, tracker.steps)
+    goal, relative = tracker.table.ahead(state.time, limit, tracker.steps)
     if state.contact:
         relative = _pressing_poses(tracker, state, relative)
-    return _waiting_poses(state, relative) if retreat else relative
+    return goal, _waiting_poses(state, relative) if retreat else relative
 
 
 def _pressing_poses(tracker: Tracker, state: TrackerState, relative: Array) -> Array:
@@ -295,16 +308,43 @@ def _sensed_poses(
     if tracker.foresight is not None:
         positions, vectors = tracker.foresight(stamp_ns, ahead)
         return approach.known(positions, vectors, relative, turned=tracker.reference.turned)
-    part = approach.Part(
-        x=float(state.transverse.x[0]),
-        z=float(state.transverse.x[1]),
-        along=along,
-        rotation=state.transverse.rotation,
-        swing=tracker.transverse.swing_angles(state.transverse, ahead),
-        slopes=tracker.transverse.slopes(state.transverse),
-    )
+    part = _part(tracker, state.transverse, along, ahead)
     swing, turned = tracker.transverse.swing, tracker.reference.turned
     return approach.sensed(part, swing, relative, turned=turned)
+
+
+def _part(tracker: Tracker, estimate: TransverseState, along: Array, ahead: Array) -> approach.Part:
+    """Return the object at some times from now [s], of which the first is 0."""
+    return approach.Part(
+        x=float(estimate.x[0]),
+        z=float(estimate.x[1]),
+        along=along,
+        rotation=estimate.rotation,
+        swing=tracker.transverse.swing_angles(estimate, ahead),
+        slopes=tracker.transverse.slopes(estimate),
+    )
+
+
+def _record_prediction(
+    tracker: Tracker, state: TrackerState, now_ns: int, along: Array
+) -> TrackerState:
+    """Return the state with the predictions of this step kept for their check, if they are due.
+
+    Args:
+        state: with the object's estimate across the conveyor.
+        along: positions of the conveyor at ``Tracker.ahead`` [m].
+    """
+    if state.contact or not prediction_error.is_due(state.monitor, now_ns):
+        return state
+    assert state.transverse is not None  # noqa: S101 - callers have checked
+    times = np.array((0.0, *prediction_error.LEADS_S))
+    along = np.concatenate((along[:1], along[1 - len(times) :]))
+    part = _part(tracker, state.transverse, along, times)
+    relative = np.zeros((len(times), 6))
+    poses, _ = approach.sensed(part, tracker.transverse.swing, relative, turned=False)
+    return replace(
+        state, monitor=prediction_error.record(state.monitor, now_ns, poses[1:], along[1:])
+    )
 
 
 def update_contact(
@@ -394,8 +434,9 @@ def _advance_axis(
             departure = goal, view.position + view.offset
         begun, unit = departure
         # A conveyor that runs is caught up with gradually: a ramp long.
-        share = approach.smoothstep((state.time + tracker.ahead[-1:]) / file.ramp)
-        travelled = float(along[-1]) + view.offset - unit
+        step = len(tracker.span)
+        share = approach.smoothstep((state.time + tracker.ahead[step : step + 1]) / file.ramp)
+        travelled = float(along[step]) + view.offset - unit
         wanted = begun + file.travel * float(share[0]) * travelled
         low, high = tracker.axis_range
         goal = min(max(wanted, low), high)

@@ -13,6 +13,11 @@ from linemate.daemon.core.tracking.conveyor import (
     Classifier,
     Motion,
 )
+from linemate.daemon.core.tracking.go_no_go.decision import GO, GoState
+from linemate.daemon.core.tracking.go_no_go.prediction_error import (
+    NO_PREDICTIONS,
+    PredictionMonitor,
+)
 from linemate.daemon.core.tracking.observation import (
     History,
     PoseMeasurement,
@@ -42,11 +47,13 @@ class Tracker:
         span: (n+1,) times of the horizon from now [s].
         axis_steps: length of the linear axis' plan, as far as control reads it.
         axis_range: positions that the linear axis can take [m]; unbounded without one.
-        ahead: (n+2,) times from now at which the conveyor's position is predicted [s]: the span,
-            and the time of the linear axis' goal.
+        ahead: times from now at which the conveyor's position is predicted [s]: the span, the
+            time of the linear axis' goal, and the leads whose predictions are checked.
         free: (t,) share of the damping at every step of the task's clock.
         vibration: of the tool along its axis.
         sight_time: when the tool leaves its last waypoint before contact [s].
+        near_time: when the tool reaches the clearance before the object [s].
+        final_time: until when the touch can be prevented [s]; -infinity without contact.
         search_time: when the tool should be in contact at the latest [s].
         press: programmed tcp in the object along its axis at that time [m].
         damped_until: last task time before contact at which the tool is damped in full [s].
@@ -74,6 +81,8 @@ class Tracker:
     free: Array
     vibration: contact.ToolVibration
     sight_time: float
+    near_time: float
+    final_time: float
     search_time: float
     press: float
     damped_until: float
@@ -114,6 +123,11 @@ class TrackerState(Struct, frozen=True, eq=False):
         pose_ns: exposure of the camera's last accepted pose [ns], None before.
         stood: time without a command, in which the robot stood still [s].
         speed: of the conveyor, as it was last estimated [m/s].
+        go: decision of go or no-go before contact.
+        monitor: past predictions of the object and their errors.
+        motion: class of the conveyor in the last step.
+        steady_s: time since it changed [s].
+        following: mean of the tcp off its plan, in the tool's axes [m].
     """
 
     history: History | None
@@ -144,6 +158,11 @@ class TrackerState(Struct, frozen=True, eq=False):
     pose_ns: int | None = None
     stood: float = 0.0
     speed: float = 0.0
+    go: GoState = GO
+    monitor: PredictionMonitor = NO_PREDICTIONS
+    motion: Motion = Motion.RUNNING
+    steady_s: float = 0.0
+    following: Vector3 = (0.0, 0.0, 0.0)
 
 
 class Report(Struct, frozen=True, eq=False):

@@ -1,0 +1,1 @@
+"""Decision before contact: whether the tool may go on to the object."""

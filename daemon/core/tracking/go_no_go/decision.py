@@ -1,0 +1,237 @@
+"""State table of go or no-go before contact: from evidence to the order for the task's clock.
+
+Invariants:
+- Pure. Reasons and zone alone decide; values only enter the reasons.
+- After a no-go the way is free only when no reason has held for ``CLEAR_S``.
+- Near the object the tool stands and does not back off: a clamp may have closed there.
+- In the final zone the decision is over: the touch is under way.
+"""
+
+from enum import StrEnum
+
+from msgspec import Struct
+
+from linemate.daemon.core.tracking.task import GuardedApproach
+
+CLEAR_S = 0.2  # time without a reason after which a waiting tool goes on [s]
+BACK_S = 0.25  # a no-go on the way that lasts longer makes the tool back off to the far gate [s]
+RELEASE_SHARE = 0.85  # of a limit, below which a waiting tool takes it for met
+LEAST_CHECKED_S = 0.5  # images that have checked predictions, before the first go [s]
+STEADY_S = 0.25  # time since a change of class, before the touch [s]
+DEVIATIONS = 3.0  # sigmas of the estimate that must be within the tolerance
+LARGEST_NIS = 16.0  # average normalised innovation squared of a camera
+REJECTED = 4  # poses rejected in a row
+
+
+class Zone(StrEnum):
+    """Where the tool is on its last approach."""
+
+    FAR = "far"  # up to the last waypoint before contact
+    MIDDLE = "middle"  # from there to the clearance
+    NEAR = "near"  # the step in which the clearance is reached
+    CLOSE = "close"  # within the clearance
+    LAST = "last"  # the last step before the touch cannot be prevented
+    FINAL = "final"
+
+
+class Order(StrEnum):
+    """What the task's clock does."""
+
+    GO = "go"
+    STAND = "stand"
+    BACK = "back"
+
+
+class Reason(StrEnum):
+    """Why the tool does not go on."""
+
+    SIGHT = "sight"
+    UNCHECKED = "unchecked"
+    PREDICTION = "prediction"
+    ANGLE = "angle"
+    DISTANCE = "distance"
+    COVARIANCE = "covariance"
+    INNOVATION = "innovation"
+    FOLLOWING = "following"
+    CHANGE = "change"
+
+
+_ALWAYS = frozenset(
+    {
+        Reason.PREDICTION,
+        Reason.ANGLE,
+        Reason.DISTANCE,
+        Reason.COVARIANCE,
+        Reason.INNOVATION,
+        Reason.FOLLOWING,
+    }
+)
+
+COUNTED: dict[Zone, frozenset[Reason]] = {
+    Zone.FAR: frozenset(Reason),
+    Zone.MIDDLE: _ALWAYS | {Reason.SIGHT},
+    Zone.NEAR: _ALWAYS | {Reason.SIGHT, Reason.CHANGE},
+    Zone.CLOSE: _ALWAYS | {Reason.SIGHT},
+    Zone.LAST: _ALWAYS | {Reason.SIGHT, Reason.CHANGE},
+    Zone.FINAL: frozenset(),
+}
+"""Reasons that count in a zone. A change of class may become certain on the way."""
+
+TODO: dict[Reason, str] = {
+    Reason.SIGHT: "Check the camera's view and camera.blind_below.",
+    Reason.UNCHECKED: "Wait, or check the camera's rate.",
+    Reason.PREDICTION: "Let the object come to rest; identify its swing, the camera and the arm.",
+    Reason.ANGLE: "Let the object come to rest; check the camera's mounting.",
+    Reason.DISTANCE: "Check the distance sensor against the camera.",
+    Reason.COVARIANCE: "Check the camera's noise and rate.",
+    Reason.INNOVATION: "Check the camera's noise settings and calibration.",
+    Reason.FOLLOWING: "Check the drives and the servo models.",
+    Reason.CHANGE: "Wait for the conveyor.",
+}
+
+
+class Evidence(Struct, frozen=True):
+    """What a decision is made from.
+
+    Attributes:
+        sight_s: age of the camera's last accepted pose; 0 where the camera is blind by its
+            configuration [s].
+        checked_s: for how long predictions have been compared with images [s].
+        prediction: error of past predictions across the tool's axis, the larger lead [m].
+        angle: the same of the orientation [rad].
+        distance: mean error of the conveyor's predicted position against the readings [m].
+        deviation: one sigma of the object across the tool's axis at the contact [m].
+        angle_deviation: the same of its orientation [rad].
+        nis: average normalised innovation squared of the camera.
+        rejected: poses rejected in a row.
+        following: mean distance of the tcp from its plan [m].
+        tentative: a change of the conveyor's class is tentative.
+        steady_s: time since the last change of class was confirmed [s].
+    """
+
+    sight_s: float
+    checked_s: float
+    prediction: float
+    angle: float
+    distance: float
+    deviation: float
+    angle_deviation: float
+    nis: float
+    rejected: int
+    following: float
+    tentative: bool
+    steady_s: float
+
+
+class GoState(Struct, frozen=True):
+    """The decision so far.
+
+    Attributes:
+        reasons: that count now or did less than ``CLEAR_S`` ago.
+        text: the first of them in words, with value and limit; None without a reason.
+        clear_s: time without a reason [s].
+        lasted_s: time since the no-go began [s].
+        waited_s: time that the task's clock has stood or gone back for it, in all [s].
+    """
+
+    order: Order = Order.GO
+    reasons: tuple[Reason, ...] = ()
+    text: str | None = None
+    clear_s: float = 0.0
+    lasted_s: float = 0.0
+    waited_s: float = 0.0
+
+
+GO = GoState()
+
+
+def next_state(
+    state: GoState,
+    reasons: tuple[Reason, ...],
+    zone: Zone,
+    dt: float,
+    *,
+    stands: bool,
+    may_back: bool,
+) -> GoState:
+    """Return the decision one step later.
+
+    Args:
+        reasons: that hold now; those that do not count in the zone are left out here.
+        stands: the tool is at the far gate, so that a no-go makes it wait.
+        may_back: the tool is far enough from the object to back off.
+    """
+    counted = tuple(reason for reason in reasons if reason in COUNTED[zone])
+    if zone is Zone.FINAL or (not counted and state.order is Order.GO):
+        return _gone(state)
+    clear_s = 0.0 if counted else state.clear_s + dt
+    if clear_s >= CLEAR_S:
+        return _gone(state)
+    lasted_s = 0.0 if state.order is Order.GO else state.lasted_s + dt
+    order = Order.STAND
+    if zone is not Zone.FAR and may_back and (state.order is Order.BACK or lasted_s >= BACK_S):
+        order = Order.BACK
+    waits = stands or zone is not Zone.FAR
+    waited_s = state.waited_s + dt if waits else state.waited_s
+    shown = counted or state.reasons
+    return GoState(order, shown, state.text, clear_s, lasted_s, waited_s)
+
+
+def _gone(state: GoState) -> GoState:
+    """Return the decision to go on; the time waited is kept."""
+    return state if state.order is Order.GO else GoState(waited_s=state.waited_s)
+
+
+def find_reasons(
+    evidence: Evidence, guard: GuardedApproach, *, waiting: bool
+) -> tuple[Reason, ...]:
+    """Return the reasons that hold.
+
+    Args:
+        guard: with the limits.
+        waiting: the tool waits: what made it wait must be clearly better.
+    """
+    share = RELEASE_SHARE if waiting else 1.0
+    place, turn = share * guard.tolerance, share * guard.angle_tolerance
+    lacking = (
+        (Reason.SIGHT, evidence.sight_s > guard.sight),
+        (Reason.UNCHECKED, evidence.checked_s < LEAST_CHECKED_S),
+        (Reason.PREDICTION, evidence.prediction > place),
+        (Reason.ANGLE, evidence.angle > turn),
+        (Reason.DISTANCE, abs(evidence.distance) > place),
+        (
+            Reason.COVARIANCE,
+            DEVIATIONS * evidence.deviation > place or DEVIATIONS * evidence.angle_deviation > turn,
+        ),
+        (Reason.INNOVATION, evidence.nis > LARGEST_NIS or evidence.rejected >= REJECTED),
+        (Reason.FOLLOWING, evidence.following > place),
+        (Reason.CHANGE, evidence.tentative or evidence.steady_s < STEADY_S),
+    )
+    return tuple([reason for reason, holds in lacking if holds])
+
+
+def describe(reason: Reason, evidence: Evidence, guard: GuardedApproach) -> str:
+    """Return a reason in words: what is wrong, value and limit, and what to do."""
+    place, turn = f"limit {1e3 * guard.tolerance:.1f} mm", f"{1e3 * guard.angle_tolerance:.0f} mrad"
+    whats = {
+        Reason.SIGHT: f"no camera pose for {evidence.sight_s:.2f} s, limit {guard.sight:.2f} s",
+        Reason.UNCHECKED: (
+            f"predictions checked for {evidence.checked_s:.1f} s, {LEAST_CHECKED_S:.1f} s needed"
+        ),
+        Reason.PREDICTION: f"prediction error {1e3 * evidence.prediction:.1f} mm, {place}",
+        Reason.ANGLE: f"prediction error {1e3 * evidence.angle:.0f} mrad, limit {turn}",
+        Reason.DISTANCE: (
+            f"distance sensor {1e3 * evidence.distance:.1f} mm from the prediction, {place}"
+        ),
+        Reason.COVARIANCE: (
+            f"three sigma at the contact {1e3 * DEVIATIONS * evidence.deviation:.1f} mm and "
+            f"{1e3 * DEVIATIONS * evidence.angle_deviation:.0f} mrad, {place} and {turn}"
+        ),
+        Reason.INNOVATION: (
+            f"camera poses do not fit the estimate: NIS {evidence.nis:.0f}, limit "
+            f"{LARGEST_NIS:.0f}, {evidence.rejected} rejected in a row"
+        ),
+        Reason.FOLLOWING: f"the tcp is {1e3 * evidence.following:.1f} mm off its plan, {place}",
+        Reason.CHANGE: "the conveyor's motion is changing",
+    }
+    return f"{whats[reason]}. {TODO[reason]}"

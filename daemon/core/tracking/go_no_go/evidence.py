@@ -1,0 +1,168 @@
+"""Evidence of go or no-go before contact, and the decision in one step."""
+
+import math
+
+import numpy as np
+from msgspec.structs import replace
+
+from linemate.daemon.core import rotations
+from linemate.daemon.core.tracking.conveyor import (
+    ConveyorEstimate,
+    Motion,
+)
+from linemate.daemon.core.tracking.estimation import distance_measurement
+from linemate.daemon.core.tracking.go_no_go import decision, prediction_error
+from linemate.daemon.core.tracking.go_no_go.decision import Evidence, Zone
+from linemate.daemon.core.tracking.reference import last_step
+from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
+from linemate.daemon.core.tracking.transverse import STATIC, TURN, X
+
+EVALUATED_S = 0.6  # before the far gate the decision begins: longer than the horizon [s]
+FOLLOWING_S = 0.2  # time constant of the mean following error [s]
+NEAREST_BACK = 0.005  # a tool nearer than this to the object does not back off [m]
+_ENDS = {Motion.STANDING: Motion.STOPPING, Motion.RUNNING: Motion.STARTING}
+
+
+def zone(tracker: Tracker, state: TrackerState) -> Zone:
+    """Return where the tool is on its last approach."""
+    time, T0 = state.time, tracker.cycle_s
+    is_over = (
+        tracker.sight_time == -math.inf
+        or state.contact
+        or state.withdrawn is not None
+        or tracker.foresight is not None
+    )
+    if is_over or not time <= tracker.final_time:
+        return Zone.FINAL
+    if time <= tracker.sight_time:
+        return Zone.FAR
+    if time + 1.5 * T0 > tracker.final_time:
+        return Zone.LAST
+    if time < tracker.near_time:
+        return Zone.MIDDLE
+    return Zone.NEAR if time < tracker.near_time + T0 else Zone.CLOSE
+
+
+def is_evaluated(tracker: Tracker, state: TrackerState) -> bool:
+    """Return whether the decision matters: the task runs and the far gate is near."""
+    return state.started and state.time > tracker.sight_time - EVALUATED_S
+
+
+def _compare_distances(
+    tracker: Tracker, state: TrackerState, view: ConveyorEstimate, samples: StepSamples
+) -> TrackerState:
+    """Return the state with its past predictions compared with the readings of one step."""
+    monitor = state.monitor
+    for sample in samples.distance:
+        row = distance_measurement(tracker, samples.stamp_ns, sample)
+        stamp_ns = samples.stamp_ns - round(row.delay * 1e9)
+        position = row.value - view.offset
+        monitor = prediction_error.compare_distance(monitor, stamp_ns, position, tracker.cycle_s)
+    return state if monitor is state.monitor else replace(state, monitor=monitor)
+
+
+def decide(
+    tracker: Tracker, state: TrackerState, view: ConveyorEstimate | None, samples: StepSamples
+) -> TrackerState:
+    """Return the state with go or no-go decided for this step."""
+    state = _note_class(tracker, state, view)
+    state = _note_following(tracker, state)
+    if not is_evaluated(tracker, state):
+        return state if state.go is decision.GO else replace(state, go=decision.GO)
+    if view is None or state.transverse is None:
+        return state
+    state = _compare_distances(tracker, state, view, samples)
+    where, before = zone(tracker, state), state.go
+    if where is Zone.FINAL:
+        go = decision.next_state(before, (), where, tracker.cycle_s, stands=False, may_back=False)
+        return replace(state, go=go)
+    guard, evidence = tracker.task.guard, gather(tracker, state, view, samples.stamp_ns)
+    waiting = before.order is not decision.Order.GO
+    reasons = decision.find_reasons(evidence, guard, waiting=waiting)
+    go = decision.next_state(
+        before,
+        reasons,
+        where,
+        tracker.cycle_s,
+        stands=state.time >= last_step(tracker.sight_time, tracker.cycle_s),
+        may_back=state.distance < -NEAREST_BACK,
+    )
+    if go.reasons:
+        go = replace(go, text=decision.describe(go.reasons[0], evidence, guard))
+    return replace(state, go=go)
+
+
+def gather(tracker: Tracker, state: TrackerState, view: ConveyorEstimate, now_ns: int) -> Evidence:
+    """Return the evidence of one step."""
+    short, long = state.monitor.leads
+    x, y, _ = state.following
+    deviation, angle_deviation = contact_deviation(tracker, state, view)
+    transverse = state.transverse
+    assert transverse is not None  # noqa: S101 - callers have checked
+    return Evidence(
+        sight_s=_sight(tracker, state, now_ns),
+        checked_s=min(short.checked_s, long.checked_s),
+        prediction=max(short.lateral, long.lateral),
+        angle=max(short.angle, long.angle),
+        distance=state.monitor.distance,
+        deviation=deviation,
+        angle_deviation=angle_deviation,
+        nis=transverse.nis,
+        rejected=transverse.rejected,
+        following=math.hypot(x, y),
+        tentative=view.tentative,
+        steady_s=state.steady_s,
+    )
+
+
+def contact_deviation(
+    tracker: Tracker, state: TrackerState, view: ConveyorEstimate
+) -> tuple[float, float]:
+    """Return one sigma of the object across the tool's axis [m] and of its angle [rad] at contact.
+
+    The covariance is carried on to the contact without further images.
+    """
+    transverse = state.transverse
+    assert transverse is not None  # noqa: S101 - callers have checked
+    ahead = max(tracker.reference.contact_time - state.time, 0.0)
+    H = tracker.transverse.observation_rows(transverse, -ahead)
+    variance = np.einsum("ij,jk,ik->i", H, transverse.P, H)
+    across = float(variance[X]) + tracker.settings.fusion.position**2 * ahead
+    turned = float(variance[TURN:STATIC].sum()) + 3.0 * tracker.settings.fusion.angle**2 * ahead
+    return math.sqrt(max(across + view.deviation**2, 0.0)), math.sqrt(max(turned, 0.0))
+
+
+def _sight(tracker: Tracker, state: TrackerState, now_ns: int) -> float:
+    """Return the age of the camera's last accepted pose [s], 0 where it is blind as configured."""
+    if -state.distance < tracker.settings.camera.blind_below:
+        return 0.0
+    return math.inf if state.pose_ns is None else (now_ns - state.pose_ns) * 1e-9
+
+
+def _note_class(
+    tracker: Tracker, state: TrackerState, view: ConveyorEstimate | None
+) -> TrackerState:
+    """Return the state with the time since the conveyor's class changed.
+
+    Predictions of the class before are no evidence any more. The end of a ramp is no change: it
+    was predicted.
+    """
+    if view is None:
+        return state
+    is_end = _ENDS.get(view.motion) is state.motion
+    has_changed = view.motion is not state.motion and not is_end
+    if has_changed or ("push", "confirmed") in view.events:
+        monitor = prediction_error.forget(state.monitor)
+        return replace(state, motion=view.motion, steady_s=0.0, monitor=monitor)
+    return replace(state, motion=view.motion, steady_s=state.steady_s + tracker.cycle_s)
+
+
+def _note_following(tracker: Tracker, state: TrackerState) -> TrackerState:
+    """Return the state with the mean following error, in the tool's axes [m]."""
+    if state.history is None:
+        return state
+    tcp, plan = state.history.poses[-1], state.poses[0]
+    off = rotations.exp(plan[3:]).T.dot(tcp[:3] - plan[:3]).tolist()
+    gain = 1.0 - math.exp(-tracker.cycle_s / FOLLOWING_S)
+    x, y, z = (mean + gain * (each - mean) for mean, each in zip(state.following, off, strict=True))
+    return replace(state, following=(x, y, z))

@@ -1,0 +1,204 @@
+"""Measured error of past predictions: where the object was predicted, and where it was seen then.
+
+The error needs no model of the object: a swing that is not modelled, a wrong delay, a bending arm
+and a conveyor that runs askew all show in it.
+
+Invariants:
+- A prediction is compared with measurements as they came, not with an estimate made from them.
+- A prediction made before a change of the conveyor's class is no evidence after it.
+- Memory is bounded.
+"""
+
+import math
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
+
+import numpy as np
+from msgspec import Struct
+
+from linemate.daemon.core import rotations
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.observation import PoseMeasurement
+
+# How far ahead predictions are checked [s]: over the delay of robot and camera together, and over
+# the time that the camera is blind before contact.
+LEADS_S = (0.25, 1.5)
+SPACING_S = 0.036  # time between two predictions that are kept [s]
+WINDOW_S = 1.0  # errors of this time count [s]
+QUANTILE = 0.9  # of their sizes: a single outlier does not count
+DISTANCE_S = 0.15  # time constant of the distance sensor's mean error [s]
+LARGEST_DISTANCE_ERROR = 0.02  # of one reading: more is an outlier [m]
+
+Errors = tuple[float, float, float, float]
+"""Error across the tool's axis x, y, along it [m], and of the orientation [rad]."""
+
+
+class LeadMonitor(Struct, frozen=True, eq=False):
+    """Predictions with one lead that wait for their time, and the errors of those before.
+
+    Attributes:
+        stamps_ns: times that the object is predicted for, oldest first.
+        poses: (6,) of the object in c at these times.
+        along: positions of the conveyor at these times [m].
+        errors: of each image, newest last, with its stamp [ns].
+        lateral, depth: error of the last second across and along the object's axis [m].
+        angle: the same of its orientation [rad].
+    """
+
+    stamps_ns: tuple[int, ...] = ()
+    poses: tuple[Array, ...] = ()
+    along: tuple[float, ...] = ()
+    errors: tuple[tuple[int, Errors], ...] = ()
+    lateral: float = 0.0
+    depth: float = 0.0
+    angle: float = 0.0
+
+    @property
+    def checked_s(self) -> float:
+        """For how long predictions have been compared with images [s]."""
+        if not self.errors:
+            return 0.0
+        return (self.errors[-1][0] - self.errors[0][0]) * 1e-9
+
+
+class PredictionMonitor(Struct, frozen=True, eq=False):
+    """Predictions with several leads, and their errors.
+
+    Attributes:
+        leads: one for each of ``LEADS_S``.
+        distance: mean error of the conveyor's position with the shortest lead [m].
+        recorded_ns: time of the newest prediction that is kept [ns].
+    """
+
+    leads: tuple[LeadMonitor, ...] = (LeadMonitor(),) * len(LEADS_S)
+    distance: float = 0.0
+    recorded_ns: int = -(10**18)
+
+
+NO_PREDICTIONS = PredictionMonitor()
+
+
+def is_due(monitor: PredictionMonitor, now_ns: int) -> bool:
+    """Return whether another prediction is to be kept."""
+    return now_ns - monitor.recorded_ns >= SPACING_S * 1e9
+
+
+def record(
+    monitor: PredictionMonitor, now_ns: int, poses: Array, along: Array
+) -> PredictionMonitor:
+    """Return the monitor with the predictions of one step.
+
+    Args:
+        poses: (leads, 6) of the object in c.
+        along: (leads,) of the conveyor [m].
+    """
+    leads = []
+    for lead, ahead_s, pose, y in zip(monitor.leads, LEADS_S, poses, along.tolist(), strict=True):
+        keep = slice(-math.ceil((ahead_s + WINDOW_S) / SPACING_S), None)
+        stamps = (*lead.stamps_ns, now_ns + round(ahead_s * 1e9))[keep]
+        leads.append(_with(lead, stamps, (*lead.poses, pose)[keep], (*lead.along, y)[keep]))
+    return PredictionMonitor(tuple(leads), monitor.distance, now_ns)
+
+
+def forget(monitor: PredictionMonitor) -> PredictionMonitor:
+    """Return the monitor without the predictions that wait: the class they assume is over."""
+    leads = tuple(_with(lead, (), (), ()) for lead in monitor.leads)
+    return PredictionMonitor(leads, 0.0)
+
+
+def compare_poses(
+    monitor: PredictionMonitor, now_ns: int, measured: Sequence[PoseMeasurement]
+) -> PredictionMonitor:
+    """Return the monitor with the errors of its predictions for the images of one step."""
+    if not measured or not monitor.leads[0].stamps_ns:
+        return monitor
+    leads = monitor.leads
+    for each in measured:
+        stamp_ns = now_ns - round(each.delay * 1e9)
+        along = _along(leads[0], stamp_ns)
+        if along is not None:
+            leads = tuple(_compared(lead, stamp_ns, each, along) for lead in leads)
+    return PredictionMonitor(leads, monitor.distance, monitor.recorded_ns)
+
+
+def compare_distance(
+    monitor: PredictionMonitor, stamp_ns: int, position: float, dt: float
+) -> PredictionMonitor:
+    """Return the monitor with the error of its shortest prediction for one reading.
+
+    Args:
+        position: of the conveyor, measured [m].
+        dt: time between readings [s].
+    """
+    expected = _along(monitor.leads[0], stamp_ns)
+    if expected is None:
+        return monitor
+    off = position - expected
+    if abs(off) > LARGEST_DISTANCE_ERROR:
+        return monitor
+    gain = 1.0 - math.exp(-dt / DISTANCE_S)
+    mean = monitor.distance + gain * (off - monitor.distance)
+    return PredictionMonitor(monitor.leads, mean, monitor.recorded_ns)
+
+
+def _with(
+    lead: LeadMonitor, stamps: tuple[int, ...], poses: tuple[Array, ...], along: tuple[float, ...]
+) -> LeadMonitor:
+    """Return a lead's monitor with other predictions."""
+    return LeadMonitor(stamps, poses, along, lead.errors, lead.lateral, lead.depth, lead.angle)
+
+
+def _place(stamps: tuple[int, ...], stamp_ns: int) -> tuple[int, float]:
+    """Return the prediction before a time and the share to the next one; -1 if there is none."""
+    i = bisect_right(stamps, stamp_ns) - 1
+    if i < 0 or i + 1 >= len(stamps):
+        return -1, 0.0
+    return i, (stamp_ns - stamps[i]) / (stamps[i + 1] - stamps[i])
+
+
+def _along(lead: LeadMonitor, stamp_ns: int) -> float | None:
+    """Return the predicted position of the conveyor at a time [m], None without a prediction."""
+    i, share = _place(lead.stamps_ns, stamp_ns)
+    if i < 0:
+        return None
+    return lead.along[i] + share * (lead.along[i + 1] - lead.along[i])
+
+
+def _compared(
+    lead: LeadMonitor, stamp_ns: int, measured: PoseMeasurement, along: float
+) -> LeadMonitor:
+    """Return a lead's monitor with the error of its prediction for one image.
+
+    Args:
+        along: position of the conveyor then, by the shortest prediction [m]. A longer one may not
+            know that the conveyor stops, and need not: the distance sensor shows it up to the
+            contact.
+    """
+    i, share = _place(lead.stamps_ns, stamp_ns)
+    if i < 0:
+        return lead
+    pose = lead.poses[i] + share * (lead.poses[i + 1] - lead.poses[i])
+    pose[1] += along - (lead.along[i] + share * (lead.along[i + 1] - lead.along[i]))
+    R = rotations.exp(pose[3:])
+    x, y, z = R.T.dot(measured.position - pose[:3]).tolist()
+    turned = math.hypot(*rotations.log(R.T.dot(measured.rotation)).tolist())
+    oldest = bisect_left(lead.errors, (stamp_ns - round(WINDOW_S * 1e9),))
+    errors = (*lead.errors[oldest:], (stamp_ns, (x, y, z, turned)))
+    lateral, depth, angle = _sizes(errors)
+    return LeadMonitor(lead.stamps_ns, lead.poses, lead.along, errors, lateral, depth, angle)
+
+
+def _sizes(errors: tuple[tuple[int, Errors], ...]) -> tuple[float, float, float]:
+    """Return the sizes of the errors of the window: across, along [m], orientation [rad].
+
+    Each is the quantile of the medians of three errors: noise counts less than a deviation that
+    lasts.
+    """
+    values = np.array([error for _, error in errors])
+    if len(values) >= 3:
+        values = np.median((values[:-2], values[1:-1], values[2:]), axis=0)
+    squared = values * values
+    sizes = np.sqrt(np.stack((squared[:, 0] + squared[:, 1], squared[:, 2], squared[:, 3])))
+    place = min(round(QUANTILE * len(values)), len(values) - 1)
+    lateral, depth, angle = np.sort(sizes, axis=1)[:, place].tolist()
+    return lateral, depth, angle
