@@ -23,6 +23,7 @@ from linemate.daemon.core.inputs import Inputs, MotionOrder
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.tracking import task_clock, tracker_state
 from linemate.daemon.core.tracking import tracker as tracking
+from linemate.daemon.core.tracking.go_no_go import evidence
 from linemate.daemon.core.tracking.reference import Reference
 from linemate.daemon.core.tracking.task import Phase
 from linemate.protocol.stamped_samples import RobotSample
@@ -76,6 +77,8 @@ class Outputs(Struct, frozen=True, eq=False):
         ready: why the task cannot start, None if it can.
         refused: number of pose measurements that the gate rejected.
         object_left: the object is tracked and out of reach, or about to be.
+        waiting: why the tool waits before contact, None if it does not.
+        outwaited: it has waited for longer than the task allows.
     """
 
     k: int
@@ -102,6 +105,8 @@ class Outputs(Struct, frozen=True, eq=False):
     ready: str | None
     refused: int
     object_left: bool = False
+    waiting: str | None = None
+    outwaited: bool = False
 
 
 def _joints(parameters: Parameters, robot: RobotSample) -> Array:
@@ -344,4 +349,6 @@ def _outputs(
         held=held,
         ready="under way" if state.moving else _ready(state, parameters),
         refused=report.rejected,
+        waiting=evidence.waiting(parameters.tracker, tracker),
+        outwaited=tracker.go.waited_s > parameters.tracker.task.guard.wait,
     )

@@ -39,6 +39,7 @@ class Evidence(Struct, frozen=True, eq=False):
     Attributes:
         facts, counts, settings: of the watch, the counts after this cycle.
         sensors: ``distance``, ``camera`` and ``force_torque``.
+        waiting: why the tool waits before contact, None if it does not.
         unready: why the task cannot start, None if it can.
         following_error: the axis that is not where it was sent, in words.
         overload_n: the last force beyond the limit, and the limit [N].
@@ -49,6 +50,7 @@ class Evidence(Struct, frozen=True, eq=False):
     counts: watch.Watch
     settings: WatchSettings
     sensors: Mapping[str, SensorFact]
+    waiting: str | None
     unready: str | None
     following_error: str | None
     overload_n: tuple[float, float] | None
@@ -227,6 +229,10 @@ def _contact(_: Signals, evidence: Evidence) -> Explanation:
     return f"a stop would leave {gap_m:.3f} m to the object, limit {settings.near_m:.3f} m", ""
 
 
+def _outwaited(_: Signals, evidence: Evidence) -> Explanation:
+    return (evidence.waiting or "go was not given").removesuffix("."), ""
+
+
 def _overload(_: Signals, evidence: Evidence) -> Explanation:
     todo = "Check that nothing is jammed."
     if evidence.overload_n is None:
@@ -277,6 +283,7 @@ EXPLAINED: Final[Mapping[str, Callable[[Signals, Evidence], Explanation]]] = {
     "object_left": _object_left,
     "contact": _contact,
     "overload": _overload,
+    "outwaited": _outwaited,
     "done": lambda _signals, _evidence: ("the task's retreat has begun", ""),
     "clear": lambda _signals, _evidence: ("the tool is free, away and at rest", ""),
     "expired": _expired,

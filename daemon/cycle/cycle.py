@@ -42,6 +42,7 @@ _SHOWN = (
     "contact",
     "overload",
     "held",
+    "waiting",
     "ready",
     "target",
     "sensed",

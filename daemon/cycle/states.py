@@ -52,6 +52,7 @@ class Signals:
         object_left: the object is out of the robot's reach, or about to be, while it is tracked.
         contact: the tool touches the object, or is so near that to stop would end there.
         overload: the force is beyond what the tool bears.
+        outwaited: the tool has waited before contact for longer than the task allows.
         overdue: the tool has not done in its time what the programme needs: in contact and in a
             retreat the clamp has not opened; in TRACK no contact was found.
         done: the task has come to its own retreat, or to its end.
@@ -69,6 +70,7 @@ class Signals:
     object_left: bool = False
     contact: bool = False
     overload: bool = False
+    outwaited: bool = False
     overdue: bool = False
     done: bool = False
     clear: bool = False
@@ -226,6 +228,7 @@ TABLE: tuple[Row, ...] = (
         _overdue,
         latches=True,
     ),
+    Row(TRACK, RETREAT, "waited too long before contact", lambda s, _: s.outwaited),
     Row(TRACK, RETREAT, "the task retreats", _done, programmed=True),
     Row(TRACK, CONTACT, "contact", _contact),
     Row(CONTACT, FAULT, "robot link lost in motion", _lost, latches=True),

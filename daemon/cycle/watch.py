@@ -38,7 +38,8 @@ class Facts(Struct, frozen=True):
         following_error: an axis is beyond the tolerance of its commands.
         clamped: a retreat waits for the clamp to open.
         settling: the robot may still move although it was not sent anywhere yet.
-        ready, object_left, contact, overload, overdue, done, clear, fault: as in ``Signals``, raw.
+        ready, object_left, contact, overload, outwaited, overdue, done, clear, fault: as in
+            ``Signals``, raw.
         orders: accepted orders that came since the last cycle.
     """
 
@@ -60,6 +61,7 @@ class Facts(Struct, frozen=True):
     clamped: bool = False
     settling: bool = False
     overload: bool = False
+    outwaited: bool = False
     overdue: bool = False
     done: bool = False
     clear: bool = False
@@ -177,6 +179,7 @@ def _signals(watch: Watch, facts: Facts, settings: WatchSettings) -> Signals:
         facts.object_left,
         contact,
         watch.overload >= settings.cycles_of_overload,
+        facts.outwaited,
         facts.overdue,
         facts.done,
         facts.clear,

@@ -93,6 +93,8 @@ def samples(status: Mapping[str, Any] | None) -> Iterator[Sample]:
     yield from _one_hot("state", "Operating state, one-hot", STATES, status.get("state"))
     complaints = float(len(status.get("complaints", ())))
     yield Sample("complaints", "gauge", "Number of complaints", (), complaints)
+    waiting = float(status.get("waiting") is not None)
+    yield Sample("waiting", "gauge", "The tool waits before contact for a go", (), waiting)
     for path, name, kind, what in NUMBERS:
         yield from _number(name, kind, what, (), _at(status, path))
     for path, name, label, what in COUNTED:

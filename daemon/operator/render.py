@@ -140,6 +140,8 @@ def _task(status: Status) -> Iterator[str]:
     flags = [name for name in ("contact", "overload") if status.get(name)]
     held = f"held: {status['held']}" if status.get("held") else "not held"
     yield f"tool      {', '.join(flags) or 'no contact'}   {held}"
+    if status.get("waiting"):
+        yield f"waiting   {status['waiting']}"
     plan, gap = (_distance_mm(status, a, b) for a, b in (("target", "sensed"), ("target", "part")))
     yield f"errors    plan {plan}   tool to part {gap}"
     turnaround = status.get("turnaround_us") or {}

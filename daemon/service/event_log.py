@@ -36,6 +36,7 @@ class EventLog:
         self._sensors = SensorChanges()
         self._sensors_checked_ns = 0
         self._links_up: dict[str, bool] = {}
+        self._waits = False
 
     def add(self, text: str, stamp_ns: int | None = None, name: str = "linemated") -> None:
         """Add a line to the recording and the telemetry.
@@ -56,6 +57,7 @@ class EventLog:
             self.add(str(change), change.stamp_ns, STATE_LOG)
         if now_ns - self._sensors_checked_ns < SENSORS_EVERY_NS:
             return
+        self._log_waiting(now_ns)
         self._sensors_checked_ns = now_ns
         settings = self._cycle.operating.settings
         limits_s = {
@@ -68,6 +70,19 @@ class EventLog:
         self._add_device_lines(now_ns, lines)
         self._state_journal.catch_up(now_ns)
         self._device_journal.catch_up(now_ns)
+
+    def _log_waiting(self, now_ns: int) -> None:
+        """Log that the tool begins or ends to wait before contact, with the reason."""
+        last = self._cycle.last
+        waiting = None if last is None else last.outputs.waiting
+        if (waiting is not None) is self._waits:
+            return
+        self._waits = waiting is not None
+        line = "go: no longer waiting before contact"
+        if waiting is not None:
+            line = f"no-go: waiting before contact: {waiting}"
+        self._state_journal.say(now_ns, line)
+        self.add(line, now_ns, STATE_LOG)
 
     def log_links(self, now_ns: int, links: Sequence[LinkStatus]) -> None:
         """Log links that came up or went down."""

@@ -178,6 +178,7 @@ class Lockstep:
             tolerated=self.controller.config.total_tolerated,
             changes=tuple(self._changes),
             refusal=self._operator.refusal,
+            waiting=self._daemon.waiting,
         )
 
     def _exchange(self, data: bytes, t: float) -> None:
@@ -239,6 +240,7 @@ class _DaemonLog:
 
     def __init__(self, n: int) -> None:
         self.events: list[DaemonEvent] = []
+        self.waiting: str | None = None
         self.step_us = math.nan
         self._values = np.full((n, _WIDTH), np.nan)
         self._codes = np.zeros((n, len(_CODES)), np.int64)
@@ -247,6 +249,8 @@ class _DaemonLog:
     def note(self, t: float, entry: LogEntry) -> None:
         """Take a step; only one that answered a telegram fills a row."""
         outputs = entry.outputs
+        if outputs.waiting is not None:
+            self.waiting = outputs.waiting
         if outputs.events:
             self.events += [DaemonEvent(t, kind, what) for kind, what in outputs.events]
         if entry.ipoc is None:

@@ -97,6 +97,7 @@ class RunEvidence:
             None if it counts them in a row only.
         changes: of the daemon's operating state, oldest first.
         refusal: why the last order was refused, None if none was.
+        waiting: why the tool last waited before contact, None if it never did.
     """
 
     rows: Rows
@@ -113,6 +114,7 @@ class RunEvidence:
     tolerated: int | None = 100
     changes: Sequence[StateChange] = ()
     refusal: str | None = None
+    waiting: str | None = None
 
 
 def judge(evidence: RunEvidence, *, strict: bool = False) -> dict[str, Any]:
@@ -358,7 +360,10 @@ def _why_nothing_happened(evidence: RunEvidence) -> str:
         return f"never started: {evidence.refusal}"
     if not changes:
         return "the daemon's state never changed. Check the robot link."
-    return f"the run ended in {changes[-1].after}, entered by: {changes[-1]}"
+    ended = f"the run ended in {changes[-1].after}, entered by: {changes[-1]}"
+    if evidence.waiting is not None:
+        return f"{ended}; last waited before contact: {evidence.waiting}"
+    return ended
 
 
 def _last_trouble(changes: Sequence[StateChange]) -> StateChange | None:

@@ -12,7 +12,7 @@ from linemate.daemon.core.tracking.conveyor import (
 )
 from linemate.daemon.core.tracking.estimation import distance_measurement
 from linemate.daemon.core.tracking.go_no_go import decision, prediction_error
-from linemate.daemon.core.tracking.go_no_go.decision import Evidence, Zone
+from linemate.daemon.core.tracking.go_no_go.decision import Evidence, Order, Zone
 from linemate.daemon.core.tracking.reference import last_step
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
 from linemate.daemon.core.tracking.transverse import STATIC, TURN, X
@@ -77,7 +77,7 @@ def decide(
         go = decision.next_state(before, (), where, tracker.cycle_s, stands=False, may_back=False)
         return replace(state, go=go)
     guard, evidence = tracker.task.guard, gather(tracker, state, view, samples.stamp_ns)
-    waiting = before.order is not decision.Order.GO
+    waiting = before.order is not Order.GO
     reasons = decision.find_reasons(evidence, guard, waiting=waiting)
     go = decision.next_state(
         before,
@@ -87,9 +87,17 @@ def decide(
         stands=state.time >= last_step(tracker.sight_time, tracker.cycle_s),
         may_back=state.distance < -NEAREST_BACK,
     )
-    if go.reasons:
+    if reasons and go.reasons:
         go = replace(go, text=decision.describe(go.reasons[0], evidence, guard))
-    return replace(state, go=go)
+    return state if go is before else replace(state, go=go)
+
+
+def waiting(tracker: Tracker, state: TrackerState) -> str | None:
+    """Return why the tool waits before contact, None if it does not."""
+    is_free = state.go.order is Order.GO or state.contact or state.withdrawn is not None
+    if is_free or state.time < last_step(tracker.sight_time, tracker.cycle_s):
+        return None
+    return state.go.text
 
 
 def gather(tracker: Tracker, state: TrackerState, view: ConveyorEstimate, now_ns: int) -> Evidence:
