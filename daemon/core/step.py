@@ -78,7 +78,7 @@ class Outputs(Struct, frozen=True, eq=False):
         refused: number of pose measurements that the gate rejected.
         object_left: the object is tracked and out of reach, or about to be.
         waiting: why the tool waits before contact, None if it does not.
-        outwaited: it has waited for longer than the task allows.
+        waited_s: how long it has waited before contact, in all [s]; None if it has not.
     """
 
     k: int
@@ -106,7 +106,7 @@ class Outputs(Struct, frozen=True, eq=False):
     refused: int
     object_left: bool = False
     waiting: str | None = None
-    outwaited: bool = False
+    waited_s: float | None = None
 
 
 def _joints(parameters: Parameters, robot: RobotSample) -> Array:
@@ -350,5 +350,5 @@ def _outputs(
         ready="under way" if state.moving else _ready(state, parameters),
         refused=report.rejected,
         waiting=evidence.waiting(parameters.tracker, tracker),
-        outwaited=tracker.go.waited_s > parameters.tracker.task.guard.wait,
+        waited_s=tracker.go.waited_s or None,
     )

@@ -39,23 +39,23 @@ class Evidence(Struct, frozen=True, eq=False):
     Attributes:
         facts, counts, settings: of the watch, the counts after this cycle.
         sensors: ``distance``, ``camera`` and ``force_torque``.
-        waiting: why the tool waits before contact, None if it does not.
         unready: why the task cannot start, None if it can.
         following_error: the axis that is not where it was sent, in words.
         overload_n: the last force beyond the limit, and the limit [N].
         fault: the cause of the latched fault.
+        waiting: why the tool waits before contact, None if it does not.
     """
 
     facts: watch.Facts
     counts: watch.Watch
     settings: WatchSettings
     sensors: Mapping[str, SensorFact]
-    waiting: str | None
     unready: str | None
     following_error: str | None
     overload_n: tuple[float, float] | None
     ordered_by: Mapping[str, str]
     fault: str | None
+    waiting: str | None = None
 
 
 class Change(Struct, frozen=True):

@@ -5,6 +5,7 @@ Invariants:
 - An event or an order counts until the next decision, no longer.
 """
 
+import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -40,6 +41,7 @@ class Situation(Struct, frozen=True, eq=False):
         following_error: axis beyond the tolerance, in words; None if there is none.
         settling: the robot may still move although it was not sent anywhere yet.
         sensed: poses lead the motion, and not its programme alone.
+        longest_wait_s: that the task allows before contact [s].
         last_approach: the tool has left its last waypoint before contact; the camera, which soon
             sees nothing any more, is not waited for.
     """
@@ -49,6 +51,7 @@ class Situation(Struct, frozen=True, eq=False):
     following_error: str | None
     settling: bool
     sensed: bool
+    longest_wait_s: float = math.inf
     last_approach: bool = False
 
 
@@ -246,7 +249,7 @@ class Operating:
             contact=last.contact,
             clamped=last.clamped,
             settling=situation.settling,
-            outwaited=last.outwaited,
+            outwaited=situation.longest_wait_s < (last.waited_s or 0.0),
             overdue=last.overdue,
             overload=samples.overloaded,
             done=last.phase is Phase.RETREAT,

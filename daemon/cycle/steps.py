@@ -312,6 +312,7 @@ class Stepper:
             # Where corrections count from is not known before the robot rests.
             settling=self.session.held == self.session.reference and not self.following.is_resting,
             sensed=settings.merge.blend < PROGRAMMED_S,
+            longest_wait_s=self.parameters.tracker.task.guard.wait,
             last_approach=self._in_last_approach,
         )
 

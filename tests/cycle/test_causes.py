@@ -35,6 +35,7 @@ FACTS = {
     "object_left": "leaves the reach of the linear axis or the arm",
     "contact": r"contact felt for 2 cycles, limit 2",
     "overload": r"force 400 N, limit 350 N",
+    "outwaited": r"go was not given",
     "done": "the task's retreat has begun",
     "clear": "the tool is free, away and at rest",
     "expired": r"in (hold|retreat) for 90\.0 s, limit \d+\.0 s",

@@ -1,0 +1,144 @@
+"""State table of go or no-go: every zone, order and reason."""
+
+import itertools
+import math
+
+import pytest
+from msgspec import structs
+
+from linemate.daemon.core.tracking.go_no_go.decision import (
+    BACK_S,
+    CLEAR_S,
+    COUNTED,
+    GO,
+    LEAST_CHECKED_S,
+    RELEASE_SHARE,
+    TODO,
+    Evidence,
+    GoState,
+    Order,
+    Reason,
+    Zone,
+    describe,
+    find_reasons,
+    next_state,
+)
+from linemate.daemon.core.tracking.task import GuardedApproach
+
+T0 = 0.012
+GUARD = GuardedApproach()
+GOOD = Evidence(
+    sight_s=0.1,
+    checked_s=1.0,
+    prediction=0.001,
+    angle=0.002,
+    distance=0.0,
+    deviation=0.0003,
+    angle_deviation=0.0005,
+    nis=1.0,
+    rejected=0,
+    following=0.0001,
+    tentative=False,
+    steady_s=5.0,
+)
+BAD = {
+    Reason.SIGHT: {"sight_s": GUARD.sight + 0.01},
+    Reason.UNCHECKED: {"checked_s": LEAST_CHECKED_S - 0.01},
+    Reason.PREDICTION: {"prediction": GUARD.tolerance + 1e-6},
+    Reason.ANGLE: {"angle": GUARD.angle_tolerance + 1e-6},
+    Reason.DISTANCE: {"distance": -GUARD.tolerance - 1e-6},
+    Reason.COVARIANCE: {"deviation": GUARD.tolerance / 3.0 + 1e-6},
+    Reason.INNOVATION: {"rejected": 4},
+    Reason.FOLLOWING: {"following": GUARD.tolerance + 1e-6},
+    Reason.CHANGE: {"tentative": True},
+}
+
+
+def after(
+    state: GoState, reasons: tuple[Reason, ...], zone: Zone, seconds: float, may_back: bool = True
+) -> GoState:
+    for _ in range(round(seconds / T0)):
+        state = next_state(state, reasons, zone, T0, stands=True, may_back=may_back)
+    return state
+
+
+def test_good_evidence_gives_no_reason() -> None:
+    assert find_reasons(GOOD, GUARD, waiting=False) == ()
+    assert find_reasons(GOOD, GUARD, waiting=True) == ()
+
+
+@pytest.mark.parametrize("reason", Reason)
+def test_each_reason_is_found_alone_and_named_with_its_value(reason: Reason) -> None:
+    evidence = structs.replace(GOOD, **BAD[reason])
+    assert find_reasons(evidence, GUARD, waiting=False) == (reason,)
+    text = describe(reason, evidence, GUARD)
+    assert text.endswith(TODO[reason])
+    assert "nan" not in describe(reason, structs.replace(GOOD, sight_s=math.inf), GUARD)
+
+
+@pytest.mark.parametrize(
+    ("zone", "order", "reasons", "may_back"),
+    list(itertools.product(Zone, Order, [(), *((r,) for r in Reason)], (False, True))),
+)
+def test_the_whole_table_decides(
+    zone: Zone, order: Order, reasons: tuple[Reason, ...], may_back: bool
+) -> None:
+    state = GO if order is Order.GO else GoState(order, (Reason.ANGLE,), "no", 0.0, 2 * BACK_S, 1.0)
+    new = next_state(state, reasons, zone, T0, stands=True, may_back=may_back)
+    counts = bool(set(reasons) & COUNTED[zone])
+    if zone is Zone.FINAL:
+        assert new.order is Order.GO
+    elif order is Order.GO:
+        assert new.order is (Order.STAND if counts else Order.GO)
+    else:
+        backs = zone is not Zone.FAR and may_back
+        assert new.order is (Order.BACK if backs else Order.STAND)
+        assert new.waited_s == pytest.approx(1.0 + T0)
+        assert new.clear_s == pytest.approx(0.0 if counts else T0)
+
+
+def test_no_reason_counts_in_the_final_zone_and_every_one_before_the_far_gate() -> None:
+    assert COUNTED[Zone.FINAL] == frozenset()
+    assert COUNTED[Zone.FAR] == frozenset(Reason)
+    hard = COUNTED[Zone.MIDDLE] & COUNTED[Zone.NEAR] & COUNTED[Zone.CLOSE] & COUNTED[Zone.LAST]
+    assert hard >= {Reason.PREDICTION, Reason.ANGLE, Reason.DISTANCE, Reason.FOLLOWING}
+
+
+def test_a_waiting_tool_goes_on_only_after_a_time_without_a_reason() -> None:
+    state = after(GO, (Reason.PREDICTION,), Zone.FAR, 1.0)
+    almost = after(state, (), Zone.FAR, CLEAR_S - 2 * T0)
+    assert almost.order is Order.STAND
+    again = after(almost, (Reason.PREDICTION,), Zone.FAR, T0)
+    assert after(again, (), Zone.FAR, CLEAR_S - 2 * T0).order is Order.STAND
+    assert after(again, (), Zone.FAR, CLEAR_S + 2 * T0).order is Order.GO
+
+
+def test_a_waiting_tool_needs_clearly_better_values() -> None:
+    evidence = structs.replace(GOOD, prediction=0.5 * (1.0 + RELEASE_SHARE) * GUARD.tolerance)
+    assert find_reasons(evidence, GUARD, waiting=False) == ()
+    assert find_reasons(evidence, GUARD, waiting=True) == (Reason.PREDICTION,)
+
+
+def test_a_no_go_on_the_way_stands_first_and_then_backs_off() -> None:
+    state = after(GO, (Reason.DISTANCE,), Zone.MIDDLE, BACK_S - 2 * T0)
+    assert state.order is Order.STAND
+    assert after(state, (Reason.DISTANCE,), Zone.MIDDLE, 4 * T0).order is Order.BACK
+
+
+def test_a_tool_near_the_object_does_not_back_off() -> None:
+    state = after(GO, (Reason.DISTANCE,), Zone.CLOSE, 3.0, may_back=False)
+    assert state.order is Order.STAND
+
+
+def test_all_waiting_of_an_assembly_adds_up() -> None:
+    state = after(GO, (Reason.ANGLE,), Zone.FAR, 1.0)
+    state = after(state, (), Zone.FAR, 1.0)
+    assert state.order is Order.GO
+    state = after(state, (Reason.ANGLE,), Zone.FAR, 1.0)
+    assert state.waited_s > 2.0
+
+
+def test_a_no_go_before_the_gate_is_no_waiting_yet() -> None:
+    state = next_state(GO, (Reason.ANGLE,), Zone.FAR, T0, stands=False, may_back=True)
+    assert state.order is Order.STAND
+    assert state.waited_s == 0.0
