@@ -16,8 +16,9 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from linemate.daemon.core import rotations
-from linemate.daemon.core.control import command_limiter
+from linemate.daemon.core.control import command_limiter, windup
 from linemate.daemon.core.control import controller as control
+from linemate.daemon.core.control.windup import WindupState
 from linemate.daemon.core.horizon import Array, Horizon
 from linemate.daemon.core.inputs import Inputs, MotionOrder
 from linemate.daemon.core.parameters import Parameters
@@ -44,12 +45,14 @@ class StepState(Struct, frozen=True, eq=False):
     Attributes:
         applied: (axes,) the last command that was sent.
         moving: the robot has not come to rest since it last tracked.
+        windup: of the measured axes, None for an arm without.
     """
 
     tracker: tracker_state.TrackerState
     control: control.ControlState
     applied: Array
     moving: bool = False
+    windup: WindupState | None = None
 
 
 class Outputs(Struct, frozen=True, eq=False):
@@ -116,9 +119,23 @@ def _joints(parameters: Parameters, robot: RobotSample) -> Array:
     return np.array(robot.joints)
 
 
-def _tcp(parameters: Parameters, joints: Array) -> Array:
-    """Return the undeflected tcp (6,) in c."""
+def _tcp(parameters: Parameters, joints: Array, wound: WindupState | None = None) -> Array:
+    """Return the undeflected tcp (6,) in c for the motors' positions and their windup."""
+    if parameters.controller.windup is not None and wound is not None:
+        joints = windup.links(parameters.controller.windup, wound, joints)
     return parameters.controller.arm.tcp_in(parameters.tracker.reference.nominal, joints)
+
+
+def _wound(
+    parameters: Parameters, wound: WindupState | None, robot: RobotSample | None
+) -> WindupState | None:
+    """Return the windup after what a telegram reports."""
+    if parameters.controller.windup is None or robot is None:
+        return wound
+    joints = _joints(parameters, robot)
+    if wound is None:
+        return windup.begin(parameters.controller.windup, joints)
+    return windup.follow(parameters.controller.windup, wound, joints)
 
 
 def _axis(parameters: Parameters, joints: Array) -> float:
@@ -140,11 +157,13 @@ def _in_base(reference: Reference, pose: Array) -> Pose:
 def initial(parameters: Parameters, robot: RobotSample) -> StepState:
     """Return the state of a robot at rest where a telegram reports it."""
     joints = _joints(parameters, robot)
-    pose = _tcp(parameters, joints)
+    wound = _wound(parameters, None, robot)
+    pose = _tcp(parameters, joints, wound)
     return StepState(
         tracker=tracking.at_rest(parameters.tracker, pose, _axis(parameters, joints)),
-        control=control.at_rest(parameters.controller, joints, pose),
+        control=control.at_rest(parameters.controller, joints, pose, wound),
         applied=joints,
+        windup=wound,
     )
 
 
@@ -154,9 +173,11 @@ def resumed(parameters: Parameters, state: StepState, robot: RobotSample) -> Ste
     The object's estimate and the progress of the task are kept.
     """
     joints = _joints(parameters, robot)
-    pose = _tcp(parameters, joints)
+    wound = _wound(parameters, state.windup, robot)
+    pose = _tcp(parameters, joints, wound)
     tracker = tracking.rest(parameters.tracker, state.tracker, pose, _axis(parameters, joints))
-    return StepState(tracker, control.at_rest(parameters.controller, joints, pose), joints)
+    rest = control.at_rest(parameters.controller, joints, pose, wound)
+    return StepState(tracker, rest, joints, windup=wound)
 
 
 def is_engaged(state: StepState, parameters: Parameters, robot: RobotSample) -> bool:
@@ -177,12 +198,14 @@ class StepPlan(Struct, frozen=True, eq=False):
         tracker: one step later; contact is still that of the step before.
         horizon: x_t, None where the robot is to stand.
         desired: command, None where the robot is to stand.
+        windup: of the measured axes.
     """
 
     tracker: tracker_state.TrackerState
     report: tracker_state.Report
     horizon: Horizon | None = None
     desired: control.DesiredCommand | None = None
+    windup: WindupState | None = None
 
 
 def step(state: StepState, inputs: Inputs, parameters: Parameters) -> tuple[StepState, Outputs]:
@@ -202,15 +225,17 @@ def plan(state: StepState, inputs: Inputs, parameters: Parameters) -> StepPlan:
         state: of the step before.
         inputs: of which ``sent``, ``applied`` and ``pace`` are not read.
     """
-    samples = _samples(inputs, parameters)
+    wound = _wound(parameters, state.windup, inputs.robot)
+    samples = _samples(inputs, parameters, wound)
     if inputs.order is MotionOrder.HOLD:
-        return StepPlan(*tracking.observe(parameters.tracker, state.tracker, samples))
+        observed = tracking.observe(parameters.tracker, state.tracker, samples)
+        return StepPlan(*observed, windup=wound)
     retreat = inputs.order is MotionOrder.RETREAT
     tracker, horizon, report = tracking.track(
         parameters.tracker, state.tracker, samples, start=inputs.start, retreat=retreat
     )
     desired = control.desire_command(parameters.controller, state.control, horizon)
-    return StepPlan(tracker, report, horizon, desired)
+    return StepPlan(tracker, report, horizon, desired, wound)
 
 
 def finish(
@@ -226,6 +251,7 @@ def finish(
     delivered = _apply_delivery(state, inputs)
     horizon, desired = planned.horizon, planned.desired
     if horizon is None or desired is None:
+        delivered = replace(delivered, windup=planned.windup)
         state = _brake(delivered, planned.tracker, parameters)
         return state, _outputs(state, inputs, planned.report, None, "hold", parameters)
     tracker = tracking.update_contact(
@@ -239,7 +265,7 @@ def finish(
     after, held = control.limit_command(
         parameters.controller, desired, delivered.control.limiter, clamped=state.tracker.contact
     )
-    state = StepState(tracker, after, delivered.applied, moving=True)
+    state = StepState(tracker, after, delivered.applied, moving=True, windup=planned.windup)
     outputs = _outputs(state, inputs, planned.report, horizon.poses, held, parameters)
     if planned.report.object_left or desired.command is None:
         outputs = replace(outputs, object_left=True)
@@ -271,19 +297,21 @@ def _brake(
         return replace(state, tracker=tracker)
     braked = control.stop(parameters.controller, state.control)
     is_standing = command_limiter.is_standing(braked.limiter)
-    joints = braked.limiter.position
-    pose = _tcp(parameters, joints)
+    joints, wound = braked.limiter.position, state.windup
+    pose = _tcp(parameters, joints, wound)
     if is_standing:
-        braked = control.at_rest(parameters.controller, joints, pose)
+        braked = control.at_rest(parameters.controller, joints, pose, wound)
     tracker = tracking.rest(parameters.tracker, tracker, pose, _axis(parameters, joints))
-    return StepState(tracker, braked, state.applied, moving=not is_standing)
+    return StepState(tracker, braked, state.applied, moving=not is_standing, windup=wound)
 
 
-def _samples(inputs: Inputs, parameters: Parameters) -> tracker_state.StepSamples:
+def _samples(
+    inputs: Inputs, parameters: Parameters, wound: WindupState | None
+) -> tracker_state.StepSamples:
     """Return the inputs of tracking."""
     tcp = stamp = None
     if inputs.robot is not None:
-        tcp = _tcp(parameters, _joints(parameters, inputs.robot))
+        tcp = _tcp(parameters, _joints(parameters, inputs.robot), wound)
         stamp = inputs.robot.stamp_ns
     return tracker_state.StepSamples(
         stamp_ns=inputs.stamp_ns,

@@ -27,6 +27,7 @@ _ROOT = "linemate.daemon.core."
 _PARTS = {
     "control.controller:ControlState": "control.controller:ControlState",
     "control.limits:GateState": "control.command_limiter:LimiterState",
+    "control.windup:WindupState": "control.windup:WindupState",
     "step:State": "step:StepState",
     "tracking.classifier_bank:BankState": "tracking.classifiers.bank_model:BankState",
     "tracking.classifier_imm:ImmState": "tracking.classifiers.classifier_imm:ImmState",

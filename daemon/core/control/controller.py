@@ -12,13 +12,14 @@ import numpy as np
 from msgspec import Struct, structs
 
 from linemate.daemon.core import rotations
-from linemate.daemon.core.control import command_limiter, inverse_filter, tcp_limit
+from linemate.daemon.core.control import command_limiter, inverse_filter, tcp_limit, windup
 from linemate.daemon.core.control.axis_limits import Limits
 from linemate.daemon.core.control.command_limiter import LimiterState
 from linemate.daemon.core.control.kinematics import Arm, UnreachableError
 from linemate.daemon.core.control.settings import BrakeSettings, ControlSettings
 from linemate.daemon.core.control.smoothing import smoothing_taps
 from linemate.daemon.core.control.tcp_limit import TcpLimit
+from linemate.daemon.core.control.windup import Windup, WindupState
 from linemate.daemon.core.horizon import Array, Horizon
 from linemate.protocol.stamped_samples import AXES
 
@@ -37,6 +38,7 @@ class Controller:
             taps as rows of a matrix.
         servo: taps (past + 1 + n_rob, axes) of (12).
         servo_past: steps of (12) in the past.
+        windup: of the axes, None for an arm whose links are where its motors are.
         limits: of the command limiter.
         gentle: with which a hold comes to rest.
         steps: n, the horizon that control reads.
@@ -56,6 +58,7 @@ class Controller:
     gentle: Limits
     steps: int
     contact_steps: int
+    windup: Windup | None = None
 
     @property
     def preview(self) -> int:
@@ -71,6 +74,7 @@ class ControlState(Struct, frozen=True, eq=False):
         past_joints: (servo_past, axes) the last q_d(0), oldest first.
         joints: (n_rob + 1, axes) q_d of the last step, the next guess of the inverse kinematics.
         poses: (n_rob + 1, 6) the x_d of ``joints``.
+        windup: of the oldest of ``past_joints``, which are positions of the links.
     """
 
     past_poses: Array
@@ -78,6 +82,7 @@ class ControlState(Struct, frozen=True, eq=False):
     joints: Array
     poses: Array
     limiter: LimiterState
+    windup: WindupState | None = None
 
 
 def compile_controller(
@@ -140,6 +145,7 @@ def compile_controller(
         gentle=_gentle(settings.brake, bounds),
         steps=max(needed, math.ceil(settings.horizon_s / cycle_s)),
         contact_steps=max(round(filters.contact_blend / cycle_s), 1),
+        windup=windup.compile_windup(settings.windup, arm.axes),
     )
 
 
@@ -165,14 +171,26 @@ def _gentle(brake: BrakeSettings, bounds: Limits) -> Limits:
     )
 
 
-def at_rest(controller: Controller, joints: Array, pose: Array) -> ControlState:
-    """Return the state of a robot that stands at ``joints`` (axes,), its tcp at ``pose`` (6,)."""
+def at_rest(
+    controller: Controller, joints: Array, pose: Array, wound: WindupState | None = None
+) -> ControlState:
+    """Return the state of a robot that stands.
+
+    Args:
+        joints: (axes,) of the motors.
+        pose: (6,) of the tcp.
+        wound: windup there, None without.
+    """
+    placed = joints
+    if controller.windup is not None and wound is not None:
+        placed = windup.links(controller.windup, wound, joints)
     return ControlState(
         past_poses=np.tile(pose, (controller.effector_past, 1)),
-        past_joints=np.tile(joints, (controller.servo_past, 1)),
-        joints=np.tile(joints, (controller.preview + 1, 1)),
+        past_joints=np.tile(placed, (controller.servo_past, 1)),
+        joints=np.tile(placed, (controller.preview + 1, 1)),
         poses=np.tile(pose, (controller.preview + 1, 1)),
         limiter=command_limiter.at_rest(joints),
+        windup=wound,
     )
 
 
@@ -246,15 +264,19 @@ def desire_command(controller: Controller, state: ControlState, horizon: Horizon
         solved = controller.arm.follow(guesses, fresh, horizon.nominal, before)
     except UnreachableError as error:
         return DesiredCommand(state, None, str(error))
-    window = np.concatenate((state.past_joints, last[1 : kept + 1], solved))
+    window = motors = np.concatenate((state.past_joints, last[1 : kept + 1], solved))
+    wound = state.windup
+    if controller.windup is not None and wound is not None:
+        motors, wound = windup.motors(controller.windup, wound, window)
     later = ControlState(
         past_poses=smoothed[1 : past + 1],
         past_joints=window[1 : controller.servo_past + 1],
         joints=window[controller.servo_past :],
         poses=np.concatenate((state.poses[1 : kept + 1], fresh)),
         limiter=state.limiter,
+        windup=wound,
     )
-    return DesiredCommand(later, np.add.reduce(controller.servo * window))
+    return DesiredCommand(later, np.add.reduce(controller.servo * motors))
 
 
 def limit_command(

@@ -32,6 +32,19 @@ class ServoModel:
 
 
 @dataclass(frozen=True, slots=True)
+class AxisWindup:
+    """Identified windup of one axis: the link lags behind the motor by its direction of motion.
+
+    Attributes:
+        depth: after a long way in one direction [rad]; 0 for an axis that does not wind up.
+        travel: way after a reversal in which 63 % of the change take place [rad].
+    """
+
+    depth: Annotated[float, Ge(0.0), Le(0.005)] = 0.0
+    travel: Annotated[float, Ge(2e-5), Le(0.1)] = 0.003
+
+
+@dataclass(frozen=True, slots=True)
 class EffectorMode:
     """One elastic mode of the tool's suspension along or about a tcp axis.
 
@@ -137,6 +150,7 @@ class ControlSettings:
     """All that can be set of control. Axes are A1..A6, then E1.
 
     Attributes:
+        windup: of each axis; left out: the links are where the motors are.
         limits: of each axis, within those of the URDF; left out: those of the URDF.
         tcp_speed: limit of the tcp's speed relative to the object; the conveyor's nominal speed
             comes on top of it [m/s].
@@ -147,6 +161,7 @@ class ControlSettings:
 
     servos: Annotated[tuple[ServoModel, ...], Len(6, 7)] = _SERVOS
     effector: Annotated[tuple[EffectorMode, ...], Len(6, 6)] = _MODES
+    windup: Annotated[tuple[AxisWindup, ...], Len(0, 7)] = ()
     limits: Annotated[tuple[AxisLimits, ...], Len(0, 7)] = ()
     smoothing: SmoothingSettings = SmoothingSettings()
     brake: BrakeSettings = BrakeSettings()
