@@ -37,6 +37,8 @@ _STATE = {
     "contact": slice(38, 39),
     "digital_in": slice(39, 40),
     "collision": slice(40, 41),
+    "sway": slice(41, 47),
+    "energy": slice(47, 48),
 }
 """What is put down when a telegram goes out: the rigid tcp, the hub, and the rest."""
 _REPLY = {
@@ -63,7 +65,8 @@ class TruthLog:
     ``unit_speed`` [m/s] of the conveyor; ``setpoints`` applied from this telegram on and
     ``joints`` measured, A1..A6 [rad], E1 [m]; ``deflection`` of the mount [m, rad] and ``force``
     on it [N], tool axes; ``turnaround_us``, NaN without a good reply; ``answered``, ``clamped``
-    by a correction limit, ``collision`` so far.
+    by a correction limit, ``collision`` so far; ``sway`` of the hub by the carrier [m, rad],
+    in the conveyor frame; ``energy`` that the robot has put into the car in contact [J].
 
     Attributes:
         dropped: rows beyond the allocated ones.
@@ -116,6 +119,8 @@ class TruthLog:
             CONTACT_CODES[world.contact],
             world.digital_in(),
             world.collision is not None,
+            *world.sway(),
+            world.energy(),
         )
 
     def end(self, applied: Applied, turnaround_ns: int | None = None) -> None:
@@ -158,6 +163,7 @@ class TruthLog:
         columns["hub"] = pose_rows(columns.pop("hub_place"), hub_turn)
         columns["unit_position"], columns["unit_speed"] = self._unit(columns["t"])
         columns["force"] = deflection[:, :3] * self._stiffness()
+        columns["relative"] = deflection[:, :3]
         return columns
 
     def _unit(self, times: Column) -> tuple[Column, Column]:

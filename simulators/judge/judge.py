@@ -19,6 +19,7 @@ import numpy as np
 
 from linemate.simulators.devices.limit_judge import LIMITS, AxisLimit
 from linemate.simulators.judge import poses
+from linemate.simulators.judge.contact_figures import contact_figures
 from linemate.simulators.judge.rows import (
     CLAMPED,
     FREE,
@@ -151,6 +152,7 @@ def judge(evidence: RunEvidence, *, strict: bool = False) -> dict[str, Any]:
         "detection": detection,
         "false_alarms": alarms,
         "contact_force_n": _force(rows),
+        "contact": contact_figures(rows, _screws(rows)[0]),
         "telegrams": {
             **asdict(evidence.telegrams),
             "tolerated": 0 if strict else evidence.tolerated,

@@ -64,6 +64,9 @@ class Rows:
         setpoints: applied by the controller from this telegram on, (n, 7).
         joints: measured axes, (n, 7).
         force: on the elastic mount, tcp axes [N], (n, 3).
+        relative: elastic tcp off the rigid one, rigid tcp axes [m], (n, 3).
+        sway: of the hub by the carrier's modes, in the conveyor frame [m, rad], (n, 6).
+        energy: work of the robot on the car in contact, relative to the conveyor [J], (n,).
         answered: the telegram got its reply in time, (n,).
         command: the daemon's own setpoints, (n, 7).
         target: x_t(k, 0), the committed x_c(k), in base, (n, 7).
@@ -91,6 +94,9 @@ class Rows:
     setpoints: Floats
     joints: Floats
     force: Floats
+    relative: Floats
+    sway: Floats
+    energy: Floats
     answered: Bools
     command: Floats
     target: Floats
@@ -127,14 +133,17 @@ class Rows:
 
 TRUTH = (
     "t", "tcp", "tcp_rigid", "hub", "contact", "digital_in", "unit_position", "unit_speed",
-    "setpoints", "joints", "force", "answered",
+    "setpoints", "joints", "force", "relative", "sway", "energy", "answered",
 )  # fmt: skip
 """Columns that the emulator fills (``devices.truth``); the others are the daemon's word."""
 
 _SHAPES: dict[str, tuple[int, ...]] = {
     "tcp": (7,), "tcp_rigid": (7,), "hub": (7,), "target": (7,), "sensed": (7,), "part": (7,),
     "setpoints": (AXES,), "joints": (AXES,), "command": (AXES,), "force": (3,),
+    "relative": (3,), "sway": (6,),
 }  # fmt: skip
+_ADDED = ("relative", "sway", "energy")
+"""Columns that older archives do not have."""
 _INTS = {"contact", "digital_in", "phase", "scenario", "state"}
 _BOOLS = {"answered", "tentative", "contact_seen"}
 
@@ -165,4 +174,6 @@ def load(path: Path) -> Rows:
     with np.load(path, allow_pickle=False) as archive:
         columns = {name: archive[name] for name in archive.files}
     events = tuple(DaemonEvent(float(t), str(k), str(w)) for t, k, w in columns.pop("events"))
-    return Rows(events=events, **columns)
+    length = len(columns["t"])
+    added = {name: np.zeros((length, *_SHAPES.get(name, ()))) for name in _ADDED}
+    return Rows(events=events, **{**added, **columns})
