@@ -1,0 +1,67 @@
+"""The two scenarios of a plant floor: all effects are on, and the harsh one has 1.5 times them."""
+
+import math
+from typing import Any
+
+import pytest
+
+from linemate.simulators.harness import scenario_file, setup
+from linemate.simulators.plants.scenario import Scenario, sample
+
+WHEEL = scenario_file.to_plain(scenario_file.load("wheel"))
+MODERATE = scenario_file.to_plain(scenario_file.load("plant-floor"))
+HARSH = scenario_file.to_plain(scenario_file.load("plant-floor-harsh"))
+
+FACTORS = {"frequency_hz": 1.5**-0.5, "mass": 1 / 1.5, "view_limit": 1.5**-0.5, "teeth": 10 / 12}
+"""What 1.5 times the effect is, where it is not 1.5 times the value."""
+
+SAME = ("travel", "correlation_s", "damping", "direction", "drive")
+"""What is no size."""
+
+
+def leaves(value: Any, path: tuple[str, ...] = ()) -> dict[tuple[str, ...], Any]:
+    items = value.items() if isinstance(value, dict) else enumerate(value)
+    found: dict[tuple[str, ...], Any] = {}
+    for key, item in items:
+        here = (*path, str(key))
+        found |= leaves(item, here) if isinstance(item, (dict, list)) else {here: item}
+    return found
+
+
+def changed() -> list[tuple[str, ...]]:
+    before, after = leaves(WHEEL), leaves(MODERATE)
+    return [path for path in after if before.get(path) != after[path] and path != ("name",)]
+
+
+@pytest.mark.parametrize("path", changed(), ids=".".join)
+def test_the_harsh_floor_has_one_and_a_half_times_each_size(path: tuple[str, ...]) -> None:
+    moderate, harsh = leaves(MODERATE)[path], leaves(HARSH)[path]
+    name = next(part for part in reversed(path) if not part.isdigit())
+    if name in SAME or path[:2] == ("distance", "delay_s"):
+        return
+    assert harsh == pytest.approx(moderate * FACTORS.get(name, 1.5), rel=0.011)
+
+
+def test_the_distance_sensor_is_one_and_a_half_times_as_late() -> None:
+    nominal = WHEEL["distance"]["delay_s"]
+    late = MODERATE["distance"]["delay_s"] - nominal
+    assert HARSH["distance"]["delay_s"] - nominal == pytest.approx(1.5 * late)
+
+
+def test_every_effect_is_on() -> None:
+    off = leaves(scenario_file.to_plain(Scenario()))
+    every = {path[:3] for path in off if "effects" in path}
+    on = {path[:3] for path in changed() if "effects" in path}
+    # A rail's supports, a speed and a correlation time are no effects of their own.
+    plain = {"sag_span", "stick_slip_speed", "pitch", "correlation_s"}
+    assert {path for path in every - on if path[-1] not in plain} == set()
+    assert MODERATE["body"]["carrier"]
+
+
+@pytest.mark.parametrize("name", ["plant-floor", "plant-floor-harsh"])
+def test_a_plant_floor_can_be_sampled_and_set_up(name: str) -> None:
+    made = setup.make(name)
+    assert sample(3, sample(3, made.scenario)) == sample(3, made.scenario)
+    stop, start = made.scenario.events
+    assert stop.settled_s < start.onset_s
+    assert math.isclose(start.onset_s, 9.0)
