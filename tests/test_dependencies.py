@@ -18,6 +18,7 @@ FOLDERS = ("protocol", "drivers", "daemon", "simulators")
 # Import names that are not the package's name.
 PACKAGES = {
     "can": "python-can",
+    "mujoco": "mujoco-core",
     "pinocchio": "pin",
     "yaml": "pyyaml",
     "zenoh": "eclipse-zenoh",
@@ -50,7 +51,7 @@ def declared(*extras: str) -> set[str]:
 
 @pytest.mark.parametrize("folder", FOLDERS)
 def test_every_package_that_is_imported_is_declared(folder: str) -> None:
-    extras = {"daemon": ["fleet"], "simulators": ["cluster", "demo"]}.get(folder, [])
+    extras = {"daemon": ["fleet"], "simulators": ["cluster", "demo", "mujoco"]}.get(folder, [])
     known = declared(*extras)
     missing = [(package, path) for package, path in imported(folder) if package not in known]
     assert not missing

@@ -6,8 +6,8 @@ Invariants:
 """
 
 from linemate.protocol.units import rotation_to_abc
+from linemate.simulators.devices.emulated_world import EmulatedWorld
 from linemate.simulators.devices.rsi_controller import Applied, RobotReading, Seven
-from linemate.simulators.plants.world import World
 
 
 class RobotPlant:
@@ -18,7 +18,7 @@ class RobotPlant:
         axes: what was last read, A1..A6 [rad], E1 [m].
     """
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: EmulatedWorld) -> None:
         self.world = world
         self.cycle = 0
         self.axes = self.start
@@ -26,7 +26,7 @@ class RobotPlant:
     @property
     def start(self) -> Seven:
         """Where the robot stands at the beginning, A1..A6 [rad], E1 [m]."""
-        return seven(self.world.scenario.robot.start)
+        return seven(self.world.start)
 
     def read(self) -> RobotReading:
         """What the controller's telegram says of the robot now."""

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from linemate.simulators.devices.emulated_world import EmulatedWorld
 from linemate.simulators.devices.rsi_controller import Applied
-from linemate.simulators.plants.world import World
 
 CONTACT_CODES = {"free": 0, "clamped": 1, "released": 2}
 
@@ -83,7 +83,7 @@ class TruthLog:
         self._ipocs = np.zeros(rows, np.int64)  # too long for a float
         # This long row is packed: numpy takes twice as long to put a tuple into one of its own.
         self._put_state = struct.Struct(f"{_width(_STATE)}d").pack_into
-        self._world: World | None = None
+        self._world: EmulatedWorld | None = None
         self._rows = rows
         self._count = 0
         self._begun = False
@@ -93,7 +93,7 @@ class TruthLog:
         """Number of complete rows."""
         return self._count
 
-    def begin(self, world: World, axes: Seven) -> None:
+    def begin(self, world: EmulatedWorld, axes: Seven) -> None:
         """Note the world at the instant of a telegram.
 
         Args:
@@ -173,7 +173,7 @@ class TruthLog:
 
     def _stiffness(self) -> Column:
         world = self._world
-        return np.zeros(3) if world is None else np.array(world.scenario.effector.stiffness[:3])
+        return np.zeros(3) if world is None else np.array(world.mount_stiffness[:3])
 
     def save(self, path: Path, facts: Mapping[str, Any]) -> None:
         """Write the rows as a numpy archive, with facts as JSON in ``facts``.

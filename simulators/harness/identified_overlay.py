@@ -14,16 +14,18 @@ from typing import Any
 from linemate.daemon.config import documents, files
 from linemate.daemon.config.documents import FileError
 from linemate.daemon.config.files import UnreadableError
+from linemate.simulators.devices.worlds import MUJOCO, OWN
 from linemate.simulators.harness.setup import Setup, override
 from linemate.simulators.harness.variants import SetupError
 
-SHIPPED = Path(__file__).with_name("data") / "parameters" / "identified.yaml"
-"""What was identified of the default cell, by `identify_run`, from recordings."""
+_FOLDER = Path(__file__).with_name("data") / "parameters"
+SHIPPED = {OWN: _FOLDER / "identified.yaml", MUJOCO: _FOLDER / "mujoco.yaml"}
+"""What was identified of the default cell of each world, by `identify_run`, from recordings."""
 
 SECTIONS = ("tracking", "control", "task")
 
 
-def load(path: Path = SHIPPED) -> dict[str, Any]:
+def load(path: Path = SHIPPED[OWN]) -> dict[str, Any]:
     """Return an overlay's plain values.
 
     Raises:

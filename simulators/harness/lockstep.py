@@ -24,11 +24,13 @@ from linemate.daemon.cycle.cycle import Cycle
 from linemate.daemon.cycle.states import State
 from linemate.daemon.cycle.step_log import LogEntry
 from linemate.protocol.rsi.codec import RsiCodec, parse_config
+from linemate.simulators.devices.emulated_world import EmulatedWorld
 from linemate.simulators.devices.faults import KINDS, Faults
 from linemate.simulators.devices.faulty_link import FaultyLink
 from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.devices.rsi_controller import ControllerConfig, RsiController
 from linemate.simulators.devices.truth import TruthLog
+from linemate.simulators.devices.worlds import build_world
 from linemate.simulators.harness.sensor_links import SensorLinks
 from linemate.simulators.harness.setup import Setup
 from linemate.simulators.harness.variants import ORACLE, SetupError
@@ -111,7 +113,7 @@ class Lockstep:
         """Set everything up at the beginning of the lead-in."""
         scenario = sample(seed, setup.scenario)
         self._setup, self._scenario = setup, scenario
-        self.world = World(scenario)
+        self.world: EmulatedWorld = build_world(setup.world, scenario, setup.mujoco)
         self._plant = RobotPlant(self.world)
         rsi = parse_config(_shipped(RSI_CONFIG))
         self.controller = RsiController(
@@ -121,6 +123,8 @@ class Lockstep:
             setup.task, setup.urdf, setup.tracking, setup.control, scenario.cycle_s
         )
         if setup.variant == ORACLE:
+            if not isinstance(self.world, World):
+                raise SetupError("the variant oracle needs a world whose future is known")
             oracle = Oracle(self.world, compiled.tracker.reference.nominal, scenario.cycle_s)
             compiled = with_foresight(compiled, oracle)
         self.cycle = Cycle(compiled, RsiCodec(rsi))

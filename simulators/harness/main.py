@@ -37,7 +37,8 @@ MODULES = {
     "bench": "lab.bench.bench",
 }
 """Module of each command, below ``linemate.simulators``; its ``main(args) -> int`` runs it."""
-DEMO_PACKAGES = ("matplotlib", "rich")  # of the extra `demo`
+EXTRAS = {"matplotlib": "demo", "rich": "demo", "mujoco": "mujoco"}
+"""The extra that a package comes with."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -74,10 +75,11 @@ def _dispatch(args: argparse.Namespace) -> int:
         raise UsageError(str(error)) from error
     except ModuleNotFoundError as error:
         package = str(error.name).partition(".")[0]
-        if package not in DEMO_PACKAGES:
+        if package not in EXTRAS:
             raise
         raise UsageError(
-            f"package {package} is missing. Install the extra: pip install 'linemate[demo]'"
+            f"package {package} is missing. Install the extra: "
+            f"pip install 'linemate[{EXTRAS[package]}]'"
         ) from error
 
 
@@ -198,6 +200,10 @@ Commands = argparse._SubParsersAction  # noqa: SLF001 -- argparse has no public 
 
 def _add_common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scenario", default="wheel", metavar="NAME|FILE")
+    parser.add_argument(
+        "--world", choices=("own", "mujoco"), default="own",
+        help="what emulates the station: own plants, or MuJoCo (extra 'mujoco'); own",
+    )  # fmt: skip
     parser.add_argument("--out", type=Path, metavar="DIR", help="leave results there")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
 

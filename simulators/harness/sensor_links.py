@@ -20,13 +20,16 @@ from linemate.protocol.sensors.distance import DistanceDecoder, DistanceEncoder
 from linemate.protocol.sensors.wrench import make_decoder, make_host
 from linemate.simulators.devices.camera_sender import CameraSender
 from linemate.simulators.devices.can_sensor import CanSensor
+from linemate.simulators.devices.emulated_world import (
+    CameraReading,
+    EmulatedWorld,
+    WrenchReading,
+)
 from linemate.simulators.devices.faults import GARBAGE_BYTES, Faults
 from linemate.simulators.devices.faulty_link import FaultyLink
 from linemate.simulators.devices.faulty_sensor import FaultySensor
 from linemate.simulators.devices.force_torque import ForceTorqueSensor
 from linemate.simulators.judge.rows import EPOCH_NS
-from linemate.simulators.plants.sensors import CameraEmission, WrenchEmission
-from linemate.simulators.plants.world import World
 
 DEVICE = "bota"
 SENSORS = ("distance", "camera", "force_torque")
@@ -95,7 +98,7 @@ class Emitters:
 
     def __init__(
         self,
-        world: World,
+        world: EmulatedWorld,
         faults: Faults,
         mount: float,
         stamp: Callable[[float], int],
@@ -110,7 +113,7 @@ class Emitters:
             distance: the distance sensor's message; None: CIA 406.
             device: the force-torque sensor; None: there is none.
         """
-        seed = world.scenario.seed
+        seed = world.seed
         self.links = {
             name: FaultyLink(name, faults, seed, ordered=name != "camera") for name in SENSORS
         }
@@ -119,7 +122,7 @@ class Emitters:
         encoder = distance or DistanceEncoder()
         self.frame = encoder.can_id, encoder.extended
         self._world, self._faults, self._stamp = world, faults, stamp
-        self._begin_s = -world.scenario.lead_in_s
+        self._begin_s = -world.lead_in_s
         self._junk = random.Random(seed)  # noqa: S311 -- noise, not a secret
         self._can = CanSensor(encoder, mount)
         self._camera = CameraSender(clock_offset_ns=CAMERA_CLOCK_NS)
@@ -198,7 +201,7 @@ class Emitters:
         if is_wrong:
             hearing.wrong_s = time_s
 
-    def _datagram(self, pose: CameraEmission) -> bytes:
+    def _datagram(self, pose: CameraReading) -> bytes:
         sensor = self.sensors["camera"]
         reading = (*pose.position, *pose.quaternion)
         values = sensor.reading(reading, pose.exposure_s, additive=3)
@@ -214,7 +217,7 @@ class Emitters:
             sent_ns=self._stamp(sensor.clock(pose.time_s)),
         )
 
-    def _streamed(self, wrench: WrenchEmission) -> bytes:
+    def _streamed(self, wrench: WrenchReading) -> bytes:
         sensor, taken_s = self.sensors["force_torque"], wrench.exposure_s
         force, torque = wrench.force, wrench.torque
         if not sensor.is_sound:
@@ -233,7 +236,7 @@ class SensorLinks:
         refused: what a decoder did not accept, by link.
     """
 
-    def __init__(self, world: World, cycle: Cycle, faults: Faults, mount: float) -> None:
+    def __init__(self, world: EmulatedWorld, cycle: Cycle, faults: Faults, mount: float) -> None:
         """Plug everything in; the force-torque sensor has been talked to and streams.
 
         Args:
@@ -242,7 +245,7 @@ class SensorLinks:
         self.refused: Counter[str] = Counter()
         self.emitters = Emitters(world, faults, mount, self.stamp)
         self._world, self._cycle = world, cycle
-        self._begin_s = -world.scenario.lead_in_s
+        self._begin_s = -world.lead_in_s
         self._can_decoder = DistanceDecoder()
         self._camera_decoder = CameraDecoder()
         self._wrench_decoder = make_decoder(DEVICE)

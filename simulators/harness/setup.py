@@ -22,12 +22,15 @@ from linemate.daemon.core.control.settings import ControlSettings
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.task import TaskFile
 from linemate.daemon.near_names import near_names
+from linemate.simulators.devices.worlds import OWN, UNUSED
 from linemate.simulators.harness import scenario_file, variants
 from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.harness.world import world_rows
+from linemate.simulators.mujoco_world.cell import Cell
 from linemate.simulators.plants.scenario import Scenario
 
 TASK = "wheel.yaml"
+_OWN_TRUTH = tuple(f"scenario.{part}" for part in UNUSED)
 
 
 class OverrideError(SetupError):
@@ -62,6 +65,8 @@ class Setup:
     Attributes:
         urdf: text of the task's URDF.
         variant: which transformation has been applied to tracking and control.
+        world: what solves the truth, one of ``worlds.WORLDS``.
+        mujoco: sizes of the MuJoCo station.
     """
 
     scenario: Scenario
@@ -70,6 +75,8 @@ class Setup:
     task: TaskFile = field(default_factory=lambda: shipped_task().file)
     urdf: str = field(default_factory=lambda: shipped_task().urdf, repr=False)
     variant: str = "default"
+    world: str = OWN
+    mujoco: Cell = field(default_factory=Cell)
 
 
 class _Plain(BaseModel):
@@ -78,9 +85,10 @@ class _Plain(BaseModel):
     tracking: TrackingSettings
     control: ControlSettings
     task: TaskFile
+    mujoco: Cell
 
 
-ROOTS = ("scenario", "tracking", "control", "task")
+ROOTS = ("scenario", "tracking", "control", "task", "mujoco")
 
 
 def make(
@@ -89,6 +97,7 @@ def make(
     *,
     variant: str = "default",
     cycle_ms: float | None = None,
+    world: str = OWN,
 ) -> Setup:
     """Put a run together.
 
@@ -97,6 +106,7 @@ def make(
             that is unique; a value is YAML.
         variant: applied before the overrides, which have the last word.
         cycle_ms: instead of the scenario's cycle.
+        world: one of ``worlds.WORLDS``; the daemon believes what was identified of that station.
 
     Raises:
         FileError, OverrideError, UnknownVariantError: what is wrong.
@@ -104,21 +114,39 @@ def make(
     truth = scenario_file.load(scenario)
     if cycle_ms is not None:
         truth = replace(truth, cycle_s=round(cycle_ms * 1e-3, 9))
-    known = _commissioned(scenario)
+    if world != OWN:
+        _refuse_unused(truth, overrides)
+    known = _commissioned(scenario) if world == OWN else identified(world)
     tracking, control = variants.apply(variant, known.tracking, known.control)
     setup = replace(known, scenario=truth, tracking=tracking, control=control, variant=variant)
     return override(setup, overrides) if overrides else setup
 
 
+def _refuse_unused(scenario: Scenario, overrides: Sequence[str]) -> None:
+    """Refuse a truth that the MuJoCo world would pass over.
+
+    Raises:
+        SetupError: it is in the scenario, or in an override.
+    """
+    plain = Scenario()
+    changed = [part for part in UNUSED if getattr(scenario, part) != getattr(plain, part)]
+    changed += [text for text in overrides if text.startswith(_OWN_TRUTH)]
+    if changed:
+        raise SetupError(
+            f"{changed[0]}: the MuJoCo world has sizes of its own. Set mujoco.* instead."
+        )
+
+
 @cache
-def identified() -> Setup:
-    """Settings of the shipped cell, as ``linemate identify`` found them.
+def identified(world: str = OWN) -> Setup:
+    """Settings of the shipped cell of a world, as ``linemate identify`` found them.
 
     The plant's own numbers never reach a run; see ``overlay.SHIPPED``.
     """
     from linemate.simulators.harness import identified_overlay as overlay
 
-    return overlay.laid_over(Setup(scenario_file.load(scenario_file.DEFAULT)), overlay.load())
+    whole = Setup(scenario_file.load(scenario_file.DEFAULT), world=world)
+    return overlay.laid_over(whole, overlay.load(overlay.SHIPPED[world]))
 
 
 def _commissioned(scenario: str) -> Setup:
@@ -136,7 +164,11 @@ def override(setup: Setup, overrides: Sequence[str]) -> Setup:
         OverrideError: no such key, an ambiguous one, or a value that does not fit.
     """
     whole = _Plain(
-        scenario=setup.scenario, tracking=setup.tracking, control=setup.control, task=setup.task
+        scenario=setup.scenario,
+        tracking=setup.tracking,
+        control=setup.control,
+        task=setup.task,
+        mujoco=setup.mujoco,
     )
     plain: dict[str, Any] = whole.model_dump(mode="json")
     for assignment in overrides:
@@ -152,6 +184,7 @@ def override(setup: Setup, overrides: Sequence[str]) -> Setup:
         tracking=whole.tracking,
         control=whole.control,
         task=whole.task,
+        mujoco=whole.mujoco,
     )
 
 

@@ -186,7 +186,13 @@ def main(args: Namespace) -> int:
     jobs = [
         CampaignJob(made, seed)
         for made in (
-            setup.make(args.scenario, args.overrides, variant=variant, cycle_ms=args.cycle_ms)
+            setup.make(
+                args.scenario,
+                args.overrides,
+                variant=variant,
+                cycle_ms=args.cycle_ms,
+                world=args.world,
+            )
             for variant in args.variants
         )
         for seed in seeds

@@ -26,6 +26,7 @@ from linemate.daemon.operator import identify_command
 from linemate.daemon.recording.step_codec import encode
 from linemate.daemon.recording.step_file import StepFile
 from linemate.daemon.recording.step_items import metadata_of
+from linemate.simulators.devices.worlds import OWN, WORLDS
 from linemate.simulators.harness import lockstep, scenario_file
 from linemate.simulators.harness.identified_overlay import laid_over
 from linemate.simulators.harness.setup import Setup, override, shipped_task
@@ -55,6 +56,7 @@ class IdentificationPlan:
         seed: of the first recording.
         cycle_ms: instead of the scenarios' cycle.
         overrides: ``KEY=VALUE`` of the plant, as for a run; for a cell that is not the default one.
+        world: one of ``worlds.WORLDS``.
     """
 
     exercises: int = 2
@@ -62,6 +64,7 @@ class IdentificationPlan:
     seed: int = FIRST_SEED
     cycle_ms: float | None = None
     overrides: tuple[str, ...] = ()
+    world: str = OWN
 
 
 def identified(plan: IdentificationPlan, folder: Path) -> Identified:
@@ -123,7 +126,7 @@ def _initial_setup(plan: IdentificationPlan, name: str) -> Setup:
     truth: Scenario = scenario_file.load(name)
     if plan.cycle_ms is not None:
         truth = replace(truth, cycle_s=round(plan.cycle_ms * 1e-3, 9))
-    setup = Setup(truth, tracking=STRANGE_TRACKING, control=STRANGER)
+    setup = Setup(truth, tracking=STRANGE_TRACKING, control=STRANGER, world=plan.world)
     return override(setup, plan.overrides) if plan.overrides else setup
 
 
@@ -148,10 +151,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--wheels", type=int, default=plain.wheels, metavar="N")
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED, metavar="M")
     parser.add_argument("--cycle-ms", type=float, metavar="MS")
+    parser.add_argument("--world", choices=WORLDS, default=OWN)
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
     args = parser.parse_args(argv)
     plan = IdentificationPlan(
-        args.exercises, args.wheels, args.first_seed, args.cycle_ms, tuple(args.overrides)
+        args.exercises,
+        args.wheels,
+        args.first_seed,
+        args.cycle_ms,
+        tuple(args.overrides),
+        args.world,
     )
     found = identified(plan, args.out)
     print(identify_command.table(found.findings))

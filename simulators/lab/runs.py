@@ -23,7 +23,13 @@ def main(args: Namespace) -> int:
     Returns:
         0 assembled within limits, 1 not.
     """
-    setup = make(args.scenario, args.overrides, variant=args.variant, cycle_ms=args.cycle_ms)
+    setup = make(
+        args.scenario,
+        args.overrides,
+        variant=args.variant,
+        cycle_ms=args.cycle_ms,
+        world=args.world,
+    )
     single = len(args.seeds) == 1
     jobs = [
         CampaignJob(setup, seed, _folder(args.out, seed, single), timing=args.timing)

@@ -116,6 +116,31 @@ class World:
         self._begin_cycle()
 
     @property
+    def seed(self) -> int:
+        """Seed of the run."""
+        return self.scenario.seed
+
+    @property
+    def lead_in_s(self) -> float:
+        """The run starts this long before t = 0 [s]."""
+        return self.scenario.lead_in_s
+
+    @property
+    def start(self) -> tuple[float, ...]:
+        """Axes at the beginning, A1..A6 [rad], E1 [m]."""
+        return self.scenario.robot.start
+
+    @property
+    def look_ahead_s(self) -> float:
+        """No axis moves on a setpoint before this time has passed [s]."""
+        return min(axis.dead_time_s for axis in self.scenario.robot.axes)
+
+    @property
+    def mount_stiffness(self) -> tuple[float, ...]:
+        """Stiffness of the mount, along [N/m] and about [Nm/rad] the tcp's axes."""
+        return self.scenario.effector.stiffness
+
+    @property
     def time_s(self) -> float:
         """Scenario time reached [s]."""
         return self._now

@@ -20,12 +20,13 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from queue import SimpleQueue
 from threading import Thread
-from typing import Any, TextIO
+from typing import Any, TextIO, cast
 
 from linemate.protocol.rsi.codec import parse_config
 from linemate.protocol.sensors.distance import DistanceEncoder
 from linemate.simulators.devices.camera_sender import CameraSender
 from linemate.simulators.devices.can_sensor import CanSensor
+from linemate.simulators.devices.emulated_world import Collision, Impact
 from linemate.simulators.devices.faults import GARBAGE_BYTES, REAL, Faults
 from linemate.simulators.devices.force_torque import ForceTorqueSensor
 from linemate.simulators.devices.links.camera_sender_udp import CameraUdp
@@ -39,8 +40,8 @@ from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.devices.rsi_controller import Applied, RsiController
 from linemate.simulators.devices.schedule import DeviceSchedule
 from linemate.simulators.devices.truth import TruthLog
+from linemate.simulators.devices.worlds import build_world
 from linemate.simulators.plants.scenario import Scenario
-from linemate.simulators.plants.world import World
 
 NEWEST = 500
 SPARE_ROWS = 100
@@ -99,7 +100,7 @@ class Emulator:
             ValueError: a scenario or controller that makes no sense.
         """
         self.config = config
-        self.world = World(config.scenario)
+        self.world = build_world(config.world, config.scenario, config.mujoco)
         self.truth = TruthLog(_rows(config.scenario))
         self._plant = RobotPlant(self.world)
         rsi = parse_config(config.rsi_xml.read_bytes())
@@ -139,7 +140,7 @@ class Emulator:
         self._waiting = config.wait_answered > 0
         self._row = 0
         self._cycle_s = config.scenario.cycle_s
-        self._look_ahead_s = min(axis.dead_time_s for axis in config.scenario.robot.axes)
+        self._look_ahead_s = self.world.look_ahead_s
         self._begun_ns = 0
         self._origin_ns = 0
         self._begun_s = self.world.time_s
@@ -265,7 +266,7 @@ class Emulator:
 
     def facts(self, reason: str) -> dict[str, Any]:
         """The run as a whole."""
-        controller, world, scenario = self.link.controller, self.world, self.world.scenario
+        controller, world, scenario = self.link.controller, self.world, self.config.scenario
         judge = controller.judge
         return {
             "version": 1,
@@ -289,8 +290,8 @@ class Emulator:
                 "worst": dict(judge.worst),
                 "evidence": [asdict(violation) for violation in judge.evidence],
             },
-            "impact": None if world.impact is None else asdict(world.impact),
-            "collision": None if world.collision is None else asdict(world.collision),
+            "impact": _plain(world.impact),
+            "collision": _plain(world.collision),
             "screws_fixed_s": world.screws_fixed_s,
             "released_s": world.released_s,
             "contact": world.contact,
@@ -472,6 +473,11 @@ def serve(config: EmulatorConfig, out: TextIO = sys.stdout, priority: int = 0) -
         lines.put(None)
         if writer.ident is not None:
             writer.join()
+
+
+def _plain(event: Impact | Collision | None) -> dict[str, Any] | None:
+    """Return an event of a world, a dataclass of that world's own, as plain values."""
+    return None if event is None else asdict(cast("Any", event))
 
 
 def _rows(scenario: Scenario) -> int:

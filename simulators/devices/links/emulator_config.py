@@ -11,6 +11,8 @@ from linemate import protocol
 from linemate.protocol.sensors.distance import SHIPPED_DBC
 from linemate.simulators.devices.links.endpoint import Address
 from linemate.simulators.devices.rsi_controller import ControllerConfig
+from linemate.simulators.devices.worlds import OWN
+from linemate.simulators.mujoco_world.cell import Cell
 from linemate.simulators.plants.scenario import Scenario
 
 SHIPPED_RSI = Path(next(iter(protocol.__path__))) / "data" / "rsi_joints.xml"
@@ -23,6 +25,8 @@ class EmulatorConfig:
 
     Attributes:
         scenario: the world and its sensors.
+        world: what solves it: "own" or "mujoco".
+        mujoco: sizes of the MuJoCo station.
         controller: how the controller is set up; its cycle is the scenario's.
         rsi_xml: path of the site's RSI_EthernetConfig.xml.
         robot_target: where telegrams go; None: to IP_NUMBER and PORT of the configuration.
@@ -50,6 +54,8 @@ class EmulatorConfig:
     """
 
     scenario: Scenario = field(default_factory=Scenario)
+    world: str = OWN
+    mujoco: Cell = field(default_factory=Cell)
     controller: ControllerConfig = field(default_factory=ControllerConfig)
     rsi_xml: Path = SHIPPED_RSI
     robot_target: Address | None = None

@@ -1,0 +1,49 @@
+"""Worlds by name: the plants of this project, or MuJoCo."""
+
+from linemate.simulators.devices.emulated_world import EmulatedWorld
+from linemate.simulators.mujoco_world.cell import Cell, Order, Ramp
+from linemate.simulators.plants.scenario import Scenario
+from linemate.simulators.plants.world import World
+
+OWN, MUJOCO = "own", "mujoco"
+WORLDS = (OWN, MUJOCO)
+
+UNUSED = ("body", "camera", "distance", "force_torque", "effector", "contact")
+"""Parts of a scenario that the MuJoCo world has sizes of its own for."""
+
+
+def build_world(name: str, scenario: Scenario, cell: Cell | None = None) -> EmulatedWorld:
+    """Return a world at the beginning of a run.
+
+    Args:
+        name: one of WORLDS.
+        cell: sizes of the MuJoCo station, its own if None.
+
+    Raises:
+        ModuleNotFoundError: MuJoCo is not installed.
+        ValueError: no such world.
+    """
+    if name == OWN:
+        return World(scenario)
+    if name != MUJOCO:
+        raise ValueError(f"no world {name!r}; there are {', '.join(WORLDS)}")
+    from linemate.simulators.mujoco_world.mujoco_world import MujocoWorld
+
+    return MujocoWorld(cell or Cell(), order_of(scenario))
+
+
+def order_of(scenario: Scenario) -> Order:
+    """Return what a scenario asks of any world: conveyor, axes at the start, and times."""
+    return Order(
+        seed=scenario.seed,
+        cycle_s=scenario.cycle_s,
+        lead_in_s=scenario.lead_in_s,
+        duration_s=scenario.duration_s,
+        start=scenario.robot.start,
+        nominal_speed=scenario.conveyor.nominal_speed,
+        ramps=tuple(
+            Ramp(event.onset_s, event.kind == "start", abs(event.acceleration))
+            for event in scenario.events
+        ),
+        hub=scenario.body.nominal,
+    )

@@ -1,0 +1,1 @@
+"""Second, independent emulated station: multibody dynamics and contact solved by MuJoCo."""
