@@ -163,6 +163,9 @@ class EmulatedWorld(Protocol):
     def deflection(self) -> Six:
         """Elastic tcp relative to the rigid one, in the rigid tcp's frame [m, rad]."""
 
+    def sag(self) -> Six:
+        """Part of the deflection that is no contact: the weight of tool and wheel [m, rad]."""
+
     def sway(self) -> Six:
         """Displacement [m] and rotation [rad] of the hub by the carrier's modes, in c."""
 

@@ -39,6 +39,7 @@ _STATE = {
     "collision": slice(40, 41),
     "sway": slice(41, 47),
     "energy": slice(47, 48),
+    "sag": slice(48, 51),
 }
 """What is put down when a telegram goes out: the rigid tcp, the hub, and the rest."""
 _REPLY = {
@@ -63,10 +64,11 @@ class TruthLog:
     ``t`` scenario time [s]; ``cycle``, ``ipoc`` of the telegram; ``contact`` one of
     ``CONTACT_CODES``; ``digital_in``, ``digital_out`` the tool's signals; ``unit_position`` [m],
     ``unit_speed`` [m/s] of the conveyor; ``setpoints`` applied from this telegram on and
-    ``joints`` measured, A1..A6 [rad], E1 [m]; ``deflection`` of the mount [m, rad] and ``force``
-    on it [N], tool axes; ``turnaround_us``, NaN without a good reply; ``answered``, ``clamped``
-    by a correction limit, ``collision`` so far; ``sway`` of the hub by the carrier [m, rad],
-    in the conveyor frame; ``energy`` that the robot has put into the car in contact [J].
+    ``joints`` measured, A1..A6 [rad], E1 [m]; ``deflection`` of the mount [m, rad]; ``relative``,
+    its translation without the sag under the weight [m], and ``force`` of contact on it [N], tool
+    axes; ``turnaround_us``, NaN without a good reply; ``answered``, ``clamped`` by a correction
+    limit, ``collision`` so far; ``sway`` of the hub by the carrier [m, rad], in the conveyor
+    frame; ``energy`` that the robot has put into the car in contact [J].
 
     Attributes:
         dropped: rows beyond the allocated ones.
@@ -121,6 +123,7 @@ class TruthLog:
             world.collision is not None,
             *world.sway(),
             world.energy(),
+            *world.sag()[:3],
         )
 
     def end(self, applied: Applied, turnaround_ns: int | None = None) -> None:
@@ -162,8 +165,8 @@ class TruthLog:
         columns["tcp_rigid"] = pose_rows(place, turn)
         columns["hub"] = pose_rows(columns.pop("hub_place"), hub_turn)
         columns["unit_position"], columns["unit_speed"] = self._unit(columns["t"])
-        columns["force"] = deflection[:, :3] * self._stiffness()
-        columns["relative"] = deflection[:, :3]
+        columns["relative"] = deflection[:, :3] - columns.pop("sag")
+        columns["force"] = columns["relative"] * self._stiffness()
         return columns
 
     def _unit(self, times: Column) -> tuple[Column, Column]:

@@ -64,7 +64,7 @@ class Rows:
         setpoints: applied by the controller from this telegram on, (n, 7).
         joints: measured axes, (n, 7).
         force: on the elastic mount, tcp axes [N], (n, 3).
-        relative: elastic tcp off the rigid one, rigid tcp axes [m], (n, 3).
+        relative: elastic tcp off where it would hang by its weight, rigid tcp axes [m], (n, 3).
         sway: of the hub by the carrier's modes, in the conveyor frame [m, rad], (n, 6).
         energy: work of the robot on the car in contact, relative to the conveyor [J], (n,).
         answered: the telegram got its reply in time, (n,).

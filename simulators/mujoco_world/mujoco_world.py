@@ -163,6 +163,10 @@ class MujocoWorld:
         """
         return self._station.six(self._station.rigid, self._station.tool)
 
+    def sag(self) -> Six:
+        """Part of the deflection that is no contact: none, it is zeroed with the weight."""
+        return (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
     def sway(self) -> Six:
         """Displacement [m] and rotation [rad] of the hub by the hanger's modes, in c."""
         return self._station.sway()

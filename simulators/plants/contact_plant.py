@@ -8,6 +8,7 @@ Invariants:
 """
 
 import math
+import operator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -115,6 +116,8 @@ class ContactPlant:
             self._tighten(t, self._screwing_s)
         if self.phase == "clamped":
             self._hold(t, effector, before, rigid, hub)
+            if self.phase != "clamped":
+                effector.drop_wheel()
             return
         effector.swing_free(before, rigid)
         if self.collision is None:
@@ -137,7 +140,8 @@ class ContactPlant:
     ) -> None:
         deflection = self.held_deflection(t, rigid, hub)
         effector.hold(before, rigid, deflection)
-        x, y, z, a, b, c = deflection
+        # The mount is sized for the weight that it carries: only what is added overloads it.
+        x, y, z, a, b, c = map(operator.sub, deflection, effector.sag(rigid))
         bent, twisted = rotation.norm((x, y, z)), rotation.norm((a, b, c))
         if bent > self._contact.deflection_limit or twisted > self._contact.deflection_angle_limit:
             self._collide(t, f"mount overloaded: {_figures(bent, twisted)}")

@@ -11,6 +11,7 @@ Invariants:
 import math
 
 from linemate.simulators.plants import rotation
+from linemate.simulators.plants.forces.weight import new_weight
 from linemate.simulators.plants.oscillator import transition
 from linemate.simulators.plants.rotation import Pose, Rot
 from linemate.simulators.plants.scenario import Effector
@@ -24,6 +25,7 @@ class EffectorPlant:
 
     def __init__(self, effector: Effector, step: float) -> None:
         self._step = step
+        self._weight = new_weight(effector.load, effector.stiffness)
         self._modes = tuple(
             (math.tau * f, zeta)
             for f, zeta in zip(effector.frequency_hz, effector.damping, strict=True)
@@ -32,6 +34,23 @@ class EffectorPlant:
         self.deflection: Six = ZERO
         self._velocity: Six = ZERO
         self._held: tuple[Pose, Pose, Six] | None = None
+
+    def rest(self, rigid: Pose) -> None:
+        """Let the tool hang still at its weight."""
+        self.deflection = self.sag(rigid)
+
+    def sag(self, rigid: Pose) -> Six:
+        """Deflection under the weight alone, in the rigid tcp's frame."""
+        return ZERO if self._weight is None else self._weight.sag(rigid)
+
+    def drop_wheel(self) -> None:
+        """Go on without the wheel's weight and mass."""
+        if self._weight is None:
+            return
+        faster = self._weight.lightened
+        self._weight.drop_wheel()
+        self._modes = tuple((omega * faster, zeta) for omega, zeta in self._modes)
+        self._phis = tuple(transition(omega, zeta, self._step) for omega, zeta in self._modes)
 
     @property
     def velocity(self) -> Six:
@@ -43,6 +62,8 @@ class EffectorPlant:
         if self._held is not None:
             self._let_go(*self._held)
         turned, drive = _motion(before, after)
+        if self._weight is not None:
+            self.deflection, drive = self._hang(before, after, turned, drive)
         step = self._step
         r0, r1, r2, r3, r4, r5 = drive
         d0, d1, d2, d3, d4, d5 = self.deflection
@@ -64,6 +85,13 @@ class EffectorPlant:
         d5, w5 = p * d5 + q * w5, s * d5 + u * w5 + r5
         self.deflection = _expressed(turned, d0, d1, d2, d3, d4, d5)
         self._velocity = _expressed(turned, w0, w1, w2, w3, w4, w5)
+        if self._weight is not None:
+            self.deflection = _plus(self.deflection, self._weight.sag(after))
+
+    def _hang(self, before: Pose, after: Pose, turned: Rot, drive: Six) -> tuple[Six, Six]:
+        """Return the deflection from where the tool would hang, and the motion of that point."""
+        old, new = self.sag(before), _in_old_frame(turned, self.sag(after))
+        return _plus(self.deflection, old, -1.0), _plus(drive, _plus(new, old, -1.0))
 
     def hold(self, before: Pose, after: Pose, deflection: Six) -> None:
         """One step in contact: the tool is where it is held, the mount takes the difference."""
@@ -86,13 +114,15 @@ class EffectorPlant:
         if self._held is not None:
             self._let_go(*self._held)
         turned, drive = _motion(before, after)
+        hanging = self.deflection
+        if self._weight is not None:
+            hanging, drive = self._hang(before, after, turned, drive)
         deflection = []
-        for (omega, zeta), d, w, r in zip(
-            self._modes, self.deflection, self._velocity, drive, strict=True
-        ):
+        for (omega, zeta), d, w, r in zip(self._modes, hanging, self._velocity, drive, strict=True):
             p11, p12, _, _ = transition(omega, zeta, dt)
             deflection.append(p11 * d + p12 * (w - r / dt))
-        return _expressed(turned, *deflection)
+        bent = _expressed(turned, *deflection)
+        return bent if self._weight is None else _plus(bent, self._weight.sag(after))
 
 
 def _motion(before: Pose, after: Pose) -> tuple[Rot, Six]:
@@ -100,6 +130,26 @@ def _motion(before: Pose, after: Pose) -> tuple[Rot, Six]:
     (x, y, z), turned = rotation.relative(before, after)
     a, b, c = rotation.log(turned)
     return turned, (x, y, z, a, b, c)
+
+
+def _plus(a: Six, b: Six, share: float = 1.0) -> Six:
+    """Return a + share b."""
+    a0, a1, a2, a3, a4, a5 = a
+    b0, b1, b2, b3, b4, b5 = b
+    return (
+        a0 + share * b0,
+        a1 + share * b1,
+        a2 + share * b2,
+        a3 + share * b3,
+        a4 + share * b4,
+        a5 + share * b5,
+    )
+
+
+def _in_old_frame(turned: Rot, values: Six) -> Six:
+    """Two vectors of the frame that has turned, in the one before."""
+    x, y, z, a, b, c = values
+    return _expressed(rotation.transpose(turned), x, y, z, a, b, c)
 
 
 def _expressed(turned: Rot, x: float, y: float, z: float, a: float, b: float, c: float) -> Six:

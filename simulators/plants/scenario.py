@@ -14,7 +14,7 @@ from typing import Any, Literal
 from linemate.simulators.plants.bending.effects_arm import ArmEffects
 from linemate.simulators.plants.effects.conveyor_effects import ConveyorEffects, Order, ShapedRamps
 from linemate.simulators.plants.effects.sensor_errors import CameraEffects, DistanceEffects
-from linemate.simulators.plants.forces.switches import CarrierMode
+from linemate.simulators.plants.forces.switches import CarrierMode, ForceTorqueEffects, Load
 from linemate.simulators.plants.streams import stream
 
 Vector3 = tuple[float, float, float]
@@ -222,6 +222,7 @@ class ForceTorque:
         sigma_rotation: noise of each torque, as deflection [rad].
         bias: constant error, as deflection [m, rad].
         dropout_rate: probability that a reading is missing.
+        effects: bias after mounting and drift.
     """
 
     period_s: float = 0.004
@@ -232,6 +233,7 @@ class ForceTorque:
     sigma_rotation: float = 0.2e-3
     bias: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     dropout_rate: float = 0.0
+    effects: ForceTorqueEffects = field(default_factory=ForceTorqueEffects)
 
 
 @dataclass(frozen=True, slots=True)
@@ -320,11 +322,13 @@ class Effector:
         frequency_hz: x y z, rotations about x y z.
         damping: damping ratio of each axis, share of critical.
         stiffness: stiffness along and about each axis [N/m], [Nm/rad].
+        load: weight of tool and wheel.
     """
 
     frequency_hz: Vector6 = (5.0, 4.5, 7.0, 5.5, 6.0, 6.5)
     damping: Vector6 = (0.02, 0.02, 0.02, 0.02, 0.02, 0.02)
     stiffness: Vector6 = (50e3, 50e3, 50e3, 2000.0, 2000.0, 2000.0)
+    load: Load = field(default_factory=Load)
 
 
 @dataclass(frozen=True, slots=True)
@@ -500,7 +504,15 @@ def sample(seed: int, scenario: Scenario | None = None) -> Scenario:
     if ripple.phase is None:
         ripple = replace(ripple, phase=float(stream(seed, "ripple.phase").uniform(0, math.tau)))
     conveyor = replace(scenario.conveyor, ripple=ripple)
-    return replace(scenario, conveyor=conveyor, body=_sample_body(seed, scenario.body))
+    effector = _sample_effector(seed, scenario.effector)
+    body = _sample_body(seed, scenario.body)
+    return replace(scenario, conveyor=conveyor, body=body, effector=effector)
+
+
+def _sample_effector(seed: int, effector: Effector) -> Effector:
+    load = effector.load
+    mass = _spread(seed, "load.wheel_mass", load.wheel_mass, load.wheel_mass_spread)
+    return replace(effector, load=replace(load, wheel_mass=mass, wheel_mass_spread=0.0))
 
 
 def _sample_body(seed: int, body: Body) -> Body:

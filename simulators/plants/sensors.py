@@ -20,6 +20,7 @@ from linemate.simulators.plants.effects.sensor_errors import (
     DistanceEffects,
     DistanceErrors,
 )
+from linemate.simulators.plants.forces.gauge import new_gauge
 from linemate.simulators.plants.rotation import Pose, Vec
 from linemate.simulators.plants.scenario import Camera, DistanceSensor, Effector, ForceTorque
 from linemate.simulators.plants.streams import Draws, stream
@@ -235,6 +236,7 @@ class ForceTorquePlant:
         spread = np.repeat((sensor.sigma_translation, sensor.sigma_rotation), 3)
         self._noise_gain = spread * effector.stiffness
         self._bias = np.array(sensor.bias) * effector.stiffness
+        self._gauge = new_gauge(sensor.effects, seed, start_s)
         self._errors: list[list[float]] = []
         self.clock = _Clock(
             Draws.uniform(seed, "force_torque.delay"),
@@ -264,6 +266,9 @@ class ForceTorquePlant:
             return
         d0, d1, d2, d3, d4, d5 = deflection
         k0, k1, k2, k3, k4, k5 = self._stiffness
+        if self._gauge is not None:
+            g0, g1, g2, g3, g4, g5 = self._gauge.at(exposure)
+            e0, e1, e2, e3, e4, e5 = e0 + g0, e1 + g1, e2 + g2, e3 + g3, e4 + g4, e5 + g5
         force = (k0 * d0 + e0, k1 * d1 + e1, k2 * d2 + e2)
         torque = (k3 * d3 + e3, k4 * d4 + e4, k5 * d5 + e5)
         self.due.append(WrenchEmission(due, exposure, force, torque))

@@ -111,6 +111,7 @@ class World:
         self._rigid = self._real_arm.tcp(
             start_joints if self._links is None else self._links.at(start_joints)
         )
+        self._effector.rest(self._rigid)
         self._look_ahead(math.ceil((scenario.duration_s + scenario.lead_in_s) / self._h) + 1)
         self._hub = self._track[0]
         self._begin_cycle()
@@ -279,6 +280,10 @@ class World:
     def deflection(self) -> Six:
         """Elastic tcp relative to the rigid one, in the rigid tcp frame [m, rad], now."""
         return self._deflection_at(self._now)
+
+    def sag(self) -> Six:
+        """Part of the deflection that the weight of tool and wheel makes, now."""
+        return self._effector.sag(self._rigid_at(self._now))
 
     def sway(self) -> Six:
         """Displacement [m] and rotation [rad] of the hub by the carrier's modes in c, now."""

@@ -103,13 +103,14 @@ class CarriedBody:
         elif self._closing is not None and self._mount is not None and self._is_closed(t):
             carrier.push(self._mount, self._closing)
             self._closing = None
-        carrier.begin_pull(np.array(self._effector.deflection))
+        carrier.begin_pull(np.subtract(self._effector.deflection, self._effector.sag(rigid)))
 
     def _pull(self, t: float, rigid: Pose, unmoved: Pose) -> Array | None:
         if not self._carrier.held:
             return None
         hub = self._contact.turned(swayed(unmoved, self._carrier.sway), t)
-        return np.array(self._contact.held_deflection(t, rigid, hub))
+        held = self._contact.held_deflection(t, rigid, hub)
+        return np.asarray(np.subtract(held, self._effector.sag(rigid)))
 
     def _is_closed(self, t: float) -> bool:
         caught = self._contact.clamped_s

@@ -46,3 +46,55 @@ class CarrierMode:
     mass: float = 0.0
     frequency_spread: float = 0.0
     mass_spread: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """Weight of the tool and the wheel on the elastic mount.
+
+    The mount sags by m g / k along and by (c x m g) / k about the axes of the rigid tcp: 25 kg
+    on 50 N/mm is 4.9 mm. ``Effector.frequency_hz`` belongs to the tool with its wheel; once the
+    wheel is released the frequencies grow by sqrt((tool + wheel) / tool).
+
+    Sizes: a car's wheel with its tyre weighs 20 to 28 kg (16 to 20 inch; manufacturers'
+    catalogues); a clamp with nutrunners 25 to 60 kg (estimate).
+
+    Attributes:
+        tool_mass: of the tool without wheel [kg].
+        tool_centre: its centre of gravity in the tcp [m].
+        wheel_mass: of the wheel [kg]; it is gone when the wheel is released.
+        wheel_centre: its centre of gravity in the tcp [m].
+        wheel_mass_spread: half range of the wheel's mass over the cars, share of it.
+    """
+
+    tool_mass: float = 0.0
+    tool_centre: Vector3 = (0.0, 0.0, -0.15)
+    wheel_mass: float = 0.0
+    wheel_centre: Vector3 = (0.0, 0.0, -0.05)
+    wheel_mass_spread: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class ForceTorqueEffects:
+    """Errors of a real force-torque sensor: bias after mounting and drift with temperature.
+
+    The drift goes to its end as 1 - exp(-t / time), which is how a sensor warms up. Bias and end
+    of the drift are drawn for each axis, uniform within +- their range.
+
+    Sizes: 2 to 10 N and 0.2 to 1 Nm of bias after mounting; drift of 0.1 % of full scale a kelvin
+    (makers' data of strain-gauge sensors), that is 1 to 5 N over a warm-up of 10 to 20 min. A run
+    of 20 s sees 2 % of it, or all of it with a short time as after a cold start.
+
+    Attributes:
+        bias_force: half range of the bias of each force [N].
+        bias_torque: half range of the bias of each torque [Nm].
+        drift_force: half range of the end of each force's drift [N].
+        drift_torque: half range of the end of each torque's drift [Nm].
+        drift_time_s: time constant of the drift [s].
+    """
+
+    bias_force: float = 0.0
+    bias_torque: float = 0.0
+    drift_force: float = 0.0
+    drift_torque: float = 0.0
+    drift_time_s: float = 600.0
