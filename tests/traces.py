@@ -72,6 +72,7 @@ def trace(
         images=no_images() if images is None else images,
         wrenches=np.zeros((0, 7)) if wrenches is None else wrenches,
         contact=np.zeros((0, 2)) if contact is None else contact,
+        motors=np.zeros((n, 7)),
     )
 
 

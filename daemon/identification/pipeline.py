@@ -22,11 +22,13 @@ from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.task import TaskFile
 from linemate.daemon.identification import ring_down, scene_fit, swing
+from linemate.daemon.identification.arm_windup import ArmWindup, bent_trace, identify_arm_windup
 from linemate.daemon.identification.hand_eye import CameraResult, identify_camera
 from linemate.daemon.identification.noise import NoiseResult, identify_noise
 from linemate.daemon.identification.offset import OffsetResult, identify_offset
 from linemate.daemon.identification.outcome import Estimate, Outcome, ReportLine
 from linemate.daemon.identification.ring_down import ModeResult, identify_modes
+from linemate.daemon.identification.scene_fit import Views
 from linemate.daemon.identification.servo_models import ServoResult, identify_servos
 from linemate.daemon.identification.swing import SwingResult, identify_swings
 from linemate.daemon.identification.trace import Trace, TraceStep, build_trace
@@ -84,11 +86,19 @@ def identify(recordings: Sequence[Recorded]) -> Identified:
         IdentifyError: a recording cannot be read, or they are not of one cell.
     """
     cell = _cell(recordings)
-    traces = _traces(recordings, cell)
+    arm = _arm(cell)
+    traces = _traces(recordings, cell, arm)
     place = cell.task.arm.camera_in_tcp
     camera = (np.array(place.position), rotations.matrix(place.quaternion))
-    delay = cell.tracking.distance.delay
-    per_trace = [scene_fit.views(trace, camera, cell.tracking.camera, delay) for trace in traces]
+
+    def look(trace: Trace) -> list[Views]:
+        return scene_fit.views(trace, camera, cell.tracking.camera, cell.tracking.distance.delay)
+
+    # Without its windup an arm makes a scene of false swings and a false hand-eye pose.
+    nominal = _nominal(cell)
+    windup = identify_arm_windup(traces, look, camera, arm.tcp_in_base, nominal)
+    traces = [bent_trace(trace, windup.axes, arm.tcp_in_base, nominal) for trace in traces]
+    per_trace = [look(trace) for trace in traces]
     bodies = [i for i, views in enumerate(per_trace) for _ in views]
     seen = [view for views in per_trace for view in views]
     labels = [
@@ -108,8 +118,11 @@ def identify(recordings: Sequence[Recorded]) -> Identified:
     start = cell.task.conveyor.start_position
     offset = identify_offset(fit, seen, bodies, start, float(origin[1]))
     overlay, kept = _overlay(cell, servos, modes, swings, vision, noise)
+    if windup.axes:
+        overlay.setdefault("control", {})["windup"] = [_plain(axis) for axis in windup.axes]
     findings = (
         *_servo_findings(servos),
+        *_windup_findings(windup),
         *_mode_findings(modes),
         *_swing_findings(swings),
         *_camera_findings(vision),
@@ -159,11 +172,14 @@ def _settings(recorded: Recorded) -> tuple[TrackingSettings, ControlSettings]:
     )
 
 
-def _traces(recordings: Sequence[Recorded], cell: _Cell) -> list[Trace]:
+def _nominal(cell: _Cell) -> Array:
+    return rotations.matrix(cell.task.object.nominal.quaternion)
+
+
+def _arm(cell: _Cell) -> kinematics.Arm:
     tool = cell.task.arm.tcp_in_flange
-    nominal = rotations.matrix(cell.task.object.nominal.quaternion)
     try:
-        arm = kinematics.load(
+        return kinematics.load(
             cell.urdf,
             cell.task.arm.flange,
             np.array(tool.position),
@@ -172,7 +188,10 @@ def _traces(recordings: Sequence[Recorded], cell: _Cell) -> list[Trace]:
         )
     except ValueError as error:
         raise IdentifyError(str(error)) from error
-    traces = []
+
+
+def _traces(recordings: Sequence[Recorded], cell: _Cell, arm: kinematics.Arm) -> list[Trace]:
+    nominal, traces = _nominal(cell), []
     for recorded in recordings:
         steps = [
             TraceStep(
@@ -313,6 +332,19 @@ def _servo_findings(servos: Sequence[ServoResult]) -> list[ReportLine]:
                 ReportLine(f"{name} dead time", "ms", 1e3, result.dead_time, in_overlay),
             ]
     return lines
+
+
+def _windup_findings(windup: ArmWindup) -> list[ReportLine]:
+    return [
+        ReportLine(
+            f"windup {AXES[axis]}",
+            "mrad",
+            1e3,
+            outcome,
+            axis < len(windup.axes) and windup.axes[axis].depth > 0.0,
+        )
+        for axis, outcome in enumerate(windup.depths)
+    ]
 
 
 def _mode_findings(modes: Sequence[ModeResult]) -> list[ReportLine]:

@@ -237,7 +237,7 @@ def fit(
             break
         scale = math.sqrt(_chi2(scene, seen, camera, kept))
         for i, view in enumerate(seen):
-            weighed = residuals(scene, i, view, camera) / _spread(view)
+            weighed = residuals(scene, i, view, camera) / spread(view)
             kept[i] = np.abs(weighed).max(axis=1) < GATE * max(scale, 0.2)
     A, _ = _normal(scene, seen, camera, kept, shared)
     chi2 = _chi2(scene, seen, camera, kept)
@@ -251,11 +251,11 @@ def fit(
     ), tuple(kept)
 
 
-def _spread(view: Views) -> Array:
+def spread(view: Views) -> Array:
     """Return the deviations (m, 6) of an image against the scene, the conveyor's own included."""
-    spread = view.deviations.copy()
-    spread[:, :3] = np.hypot(spread[:, :3], ALONG)
-    return spread
+    deviations = view.deviations.copy()
+    deviations[:, :3] = np.hypot(deviations[:, :3], ALONG)
+    return deviations
 
 
 def _robust_chi2(values: Array) -> float:
@@ -264,7 +264,7 @@ def _robust_chi2(values: Array) -> float:
 
 def _chi2(scene: SceneFit, seen: Sequence[Views], camera: Camera, kept: list[Mask]) -> float:
     weighed = [
-        (residuals(scene, i, view, camera) / _spread(view))[kept[i]] for i, view in enumerate(seen)
+        (residuals(scene, i, view, camera) / spread(view))[kept[i]] for i, view in enumerate(seen)
     ]
     return max(_robust_chi2(np.concatenate(weighed)), 1e-12)
 
@@ -296,7 +296,7 @@ def _cost(scene: SceneFit, seen: Sequence[Views], camera: Camera, kept: list[Mas
     prior = np.append(scene.hand_eye, scene.stamp_error) / PRIORS
     total = float(prior @ prior)
     for i, view in enumerate(seen):
-        weighed = (residuals(scene, i, view, camera) / _spread(view))[kept[i]]
+        weighed = (residuals(scene, i, view, camera) / spread(view))[kept[i]]
         total += float(np.sum(weighed * weighed))
     return total
 
@@ -316,6 +316,33 @@ def _steps(scene: SceneFit) -> Array:
     return np.concatenate((own, np.tile(mode, len(scene.modes)), (1e-5,) * 6, (1e-5,)))
 
 
+def linearised(
+    scene: SceneFit, index: int, view: Views, camera: Camera, kept: Mask
+) -> tuple[Array, Array]:
+    """Return the jacobian by all parameters and the residuals of one view, both weighed."""
+    columns, narrow, e = _derivatives(scene, index, view, camera, kept)
+    jacobian = np.zeros((len(e), _size(scene)))
+    jacobian[:, columns] = narrow
+    return jacobian, e
+
+
+def _derivatives(
+    scene: SceneFit, index: int, view: Views, camera: Camera, kept: Mask
+) -> tuple[list[int], Array, Array]:
+    """Return which parameters one view depends on, its jacobian by them, and its residuals."""
+    size, own, steps = _size(scene), 6 + 2 * len(scene.modes), _steps(scene)
+    columns = [*range(index * own, (index + 1) * own), *range(len(scene.rests) * own, size)]
+    deviations = spread(view)
+    e = (residuals(scene, index, view, camera) / deviations)[kept].ravel()
+    jacobian = np.empty((len(e), len(columns)))
+    for j, column in enumerate(columns):
+        shift = np.zeros(size)
+        shift[column] = steps[column]
+        moved = residuals(_moved(scene, shift), index, view, camera) / deviations
+        jacobian[:, j] = (moved[kept].ravel() - e) / steps[column]
+    return columns, jacobian, e
+
+
 def _normal(
     scene: SceneFit,
     seen: Sequence[Views],
@@ -324,19 +351,10 @@ def _normal(
     shared: bool,
 ) -> tuple[Array, Array]:
     """Return the normal matrix and the gradient of the cost."""
-    size, own = _size(scene), 6 + 2 * len(scene.modes)
-    steps, common = _steps(scene), len(scene.rests) * own
+    size = _size(scene)
     A, g = np.zeros((size, size)), np.zeros(size)
     for i, view in enumerate(seen):
-        spread = _spread(view)
-        columns = [*range(i * own, (i + 1) * own), *range(common, size)]
-        e = (residuals(scene, i, view, camera) / spread)[kept[i]].ravel()
-        jacobian = np.empty((len(e), len(columns)))
-        for j, column in enumerate(columns):
-            shift = np.zeros(size)
-            shift[column] = steps[column]
-            moved = (residuals(_moved(scene, shift), i, view, camera) / spread)[kept[i]].ravel()
-            jacobian[:, j] = (moved - e) / steps[column]
+        columns, jacobian, e = _derivatives(scene, i, view, camera, kept[i])
         A[np.ix_(columns, columns)] += jacobian.T @ jacobian
         g[columns] += jacobian.T @ e
     prior = np.append(scene.hand_eye, scene.stamp_error)

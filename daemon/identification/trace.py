@@ -74,6 +74,7 @@ class Trace:
         distances: (d, 2) arrival [s] and reading [m].
         wrenches: (w, 7) arrival [s], force [N], torque [Nm].
         contact: (c, 2) begin and end of each contact [s].
+        motors: (m, axes) positions in the robot's telegrams [rad, m].
     """
 
     cycle_s: float
@@ -85,6 +86,7 @@ class Trace:
     images: Images
     wrenches: Array
     contact: Array
+    motors: Array
 
     def in_contact(self, times: Array, margin: float = 0.0) -> Mask:
         """Return for each time (m,) whether the tool was clamped, ``margin`` s around included."""
@@ -128,11 +130,12 @@ def build_trace(steps: Iterable[TraceStep], kinematics: Kinematics, nominal: Arr
         commands=_in_force(rows, joints[0]),
         answers=answers,
         robot_times=times,
-        tcp=_poses(joints, kinematics, nominal),
+        tcp=tcp_poses(joints, kinematics, nominal),
         distances=_distances(rows, epoch),
         images=_images(rows, epoch),
         wrenches=_wrenches(rows, epoch),
         contact=_contacts(rows, epoch),
+        motors=joints,
     )
 
 
@@ -166,8 +169,8 @@ def _in_force(rows: list[TraceStep], at_first: Array) -> Array:
     return np.array(commands)
 
 
-def _poses(joints: Array, kinematics: Kinematics, nominal: Array) -> Array:
-    """Return the tcp (m, 6) in c; its rotation vector is continuous."""
+def tcp_poses(joints: Array, kinematics: Kinematics, nominal: Array) -> Array:
+    """Return the tcp (m, 6) in c for joints (m, axes); its rotation vector is continuous."""
     poses = np.empty((len(joints), 6))
     for row, q in zip(poses, joints, strict=True):
         position, rotation = kinematics(q)

@@ -20,7 +20,7 @@ DEFAULT_OUT = Path("identified.yaml")
 def add_parser(commands: Any, _: argparse.ArgumentParser) -> None:
     """Add the command."""
     parser = commands.add_parser(
-        "identify", help="servos, tool, swing, delays and noise from recordings"
+        "identify", help="servos, windup, tool, swing, delays and noise from recordings"
     )
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE")
     parser.add_argument(

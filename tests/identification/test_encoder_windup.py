@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from linemate.daemon.identification.outcome import Estimate, Refusal
-from linemate.daemon.identification.windup import (
+from linemate.daemon.identification.encoder_windup import (
     AxisRecord,
     WindupModel,
     dahl,
     identify_windup,
     predicted,
 )
+from linemate.daemon.identification.outcome import Estimate, Refusal
 
 DATA = Path(__file__).parents[1] / "data" / "kr300"
 TIMES = np.arange(2500) * 0.004

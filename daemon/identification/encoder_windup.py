@@ -72,7 +72,6 @@ class WindupResult:
     """Result for one axis.
 
     Attributes:
-        model: None if refused.
         depth, lag: outcomes [rad], [s].
         residual: root mean square of what the model leaves [rad].
     """

@@ -1,0 +1,241 @@
+"""Windup of the axes from images: the camera rides on the arm and sees what encoders do not.
+
+Linear least squares about a fitted scene (``scene_fit``), for depths and scene together. Without
+the depths the scene takes a windup for swings and for an error of the hand-eye pose.
+
+    link = motor - depth w,   dw = (sgn(dq) - w) |dq| / travel                      (Dahl)
+
+Invariants:
+- The windup at the beginning of a recording is unknown and fitted with it.
+- Weak priors keep the fit regular. An axis whose depth they determine is refused.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from linemate.daemon.core.control.settings import AxisWindup
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.identification import scene_fit as scenes
+from linemate.daemon.identification import swing
+from linemate.daemon.identification.encoder_windup import dahl
+from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
+from linemate.daemon.identification.scene_fit import Camera, SceneFit, Views
+from linemate.daemon.identification.trace import (
+    Kinematics,
+    Mask,
+    TcpPath,
+    Trace,
+    tcp_path,
+    tcp_poses,
+)
+
+TRAVELS = (0.5e-3, 1e-3, 1.5e-3, 2.2e-3, 3.3e-3, 5e-3, 7.5e-3, 11e-3, 16e-3)
+ROUNDS = 2
+PRIOR = 0.5e-3  # of a depth and of the windup at the beginning [rad]
+SIGNIFICANT = 4.0  # least depth, in deviations
+LEAST_DEPTH = 0.03e-3  # [rad]
+LARGEST_DEVIATION = 0.1e-3  # of an accepted depth [rad]
+STEP = 1e-4  # of the numeric derivatives [rad]
+MOST_AXES = 6  # the linear axis has no gear at the end of a lever
+
+Look = Callable[[Trace], list[Views]]
+"""From a trace to its images with poses."""
+
+
+@dataclass(frozen=True, slots=True)
+class ArmWindup:
+    """Result of all axes.
+
+    Attributes:
+        axes: settings of each axis; empty if none winds up.
+        depths: outcome of each axis [rad].
+    """
+
+    axes: tuple[AxisWindup, ...]
+    depths: tuple[Outcome, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Recording:
+    """A trace with its images, and how its tcp moves with each axis (axes, m, 6)."""
+
+    trace: Trace
+    views: list[Views]
+    slopes: Array
+
+
+def bent_trace(trace: Trace, axes: Sequence[AxisWindup], kinematics: Kinematics,
+               nominal: Array) -> Trace:  # fmt: skip
+    """Return a trace whose tcp follows the links instead of the motors."""
+    links = trace.motors.copy()
+    for axis, each in enumerate(axes):
+        if each.depth > 0.0:
+            links[:, axis] -= each.depth * dahl(trace.motors[:, axis], each.travel)
+    return replace(trace, tcp=tcp_poses(links, kinematics, nominal))
+
+
+def identify_arm_windup(
+    traces: Sequence[Trace], look: Look, camera: Camera, kinematics: Kinematics, nominal: Array
+) -> ArmWindup:
+    """Return the windup of each axis.
+
+    Args:
+        traces: of one cell.
+        look: images of a trace with poses.
+        kinematics: from links to the tcp in base.
+        nominal: (3, 3) C, the nominal object's axes in base.
+    """
+    count = min(traces[0].motors.shape[1], MOST_AXES) if traces else 0
+    recordings = [
+        _Recording(trace, look(trace), _slopes(trace, count, kinematics, nominal))
+        for trace in traces
+    ]
+    images = sum(len(view.times) for recording in recordings for view in recording.views)
+    axes: tuple[AxisWindup, ...] = ()
+    depths = deviations = np.zeros(count)
+    for _ in range(ROUNDS):
+        bent = [bent_trace(trace, axes, kinematics, nominal) for trace in traces]
+        seen = [view for trace in bent for view in look(trace)]
+        scene = swing.find_swings(seen, camera) if images else None
+        if scene is None:
+            refusal = Refusal("too few images of the object in free space")
+            return ArmWindup((), (refusal,) * count)
+        travel, depths, deviations = _best_fit(scene, seen, recordings, camera)
+        axes = tuple(AxisWindup(min(max(d, 0.0), 0.005), travel) for d in depths.tolist())
+    return _judged(axes, depths, deviations, images)
+
+
+def _judged(axes: Sequence[AxisWindup], depths: Array, deviations: Array, images: int) -> ArmWindup:
+    """Return the axes whose depth is known and more than chance."""
+    outcomes: list[Outcome] = []
+    kept = []
+    for each, depth, deviation in zip(axes, depths.tolist(), deviations.tolist(), strict=True):
+        is_known = deviation < LARGEST_DEVIATION
+        if is_known:
+            basis = f"{images} images, travel {1e3 * each.travel:.1f} mrad"
+            outcomes.append(Estimate(depth, deviation, basis))
+        else:
+            outcomes.append(Refusal(f"its depth is known only to +-{1e3 * deviation:.2g} mrad"))
+        is_there = depth > max(SIGNIFICANT * deviation, LEAST_DEPTH)
+        kept.append(each if is_known and is_there else AxisWindup())
+    found = tuple(kept) if any(each.depth > 0.0 for each in kept) else ()
+    return ArmWindup(found, tuple(outcomes))
+
+
+def _slopes(trace: Trace, count: int, kinematics: Kinematics, nominal: Array) -> Array:
+    """Return how the tcp moves with each axis (axes, m, 6) [m/rad], [1]."""
+    rows = []
+    for axis in range(count):
+        moved = trace.motors.copy()
+        moved[:, axis] += STEP
+        rows.append((tcp_poses(moved, kinematics, nominal) - trace.tcp) / STEP)
+    return np.array(rows).reshape(count, len(trace.tcp), 6)
+
+
+def _best_fit(
+    scene: SceneFit, bent: Sequence[Views], recordings: Sequence[_Recording], camera: Camera
+) -> tuple[float, Array, Array]:
+    """Return the travel that fits best [rad], the depths and their deviations [rad].
+
+    Args:
+        scene: about which is linearised.
+        bent: the images with the poses to which it was fitted.
+        recordings: with the poses of the motors, to which the depths belong.
+    """
+    kept = [_kept(scene, i, view, camera) for i, view in enumerate(bent)]
+    base, wanted = _scene_rows(scene, recordings, camera, kept)
+    best: tuple[float, float, Array, Array] | None = None
+    for travel in TRAVELS:
+        columns = _windup_rows(scene, recordings, camera, kept, travel)
+        cost, depths, deviations = _solved(base, columns, wanted, len(recordings[0].slopes))
+        if best is None or cost < best[0]:
+            best = cost, travel, depths, deviations
+    assert best is not None  # noqa: S101 - there are travels
+    return best[1:]
+
+
+def _kept(scene: SceneFit, index: int, view: Views, camera: Camera) -> Mask:
+    """Return which images (m,) of a view are no outliers."""
+    weighed = scenes.residuals(scene, index, view, camera) / scenes.spread(view)
+    scale = 1.4826 * float(np.median(np.abs(weighed)))
+    kept: Mask = np.abs(weighed).max(axis=1) < scenes.GATE * max(scale, 0.2)
+    return kept
+
+
+def _scene_rows(
+    scene: SceneFit, recordings: Sequence[_Recording], camera: Camera, kept: Sequence[Mask]
+) -> tuple[Array, Array]:
+    """Return the jacobian of the scene and the residuals of all images, weighed, with priors."""
+    views = [view for recording in recordings for view in recording.views]
+    jacobians, residuals = [], []
+    for i, view in enumerate(views):
+        jacobian, e = scenes.linearised(scene, i, view, camera, kept[i])
+        jacobians.append(jacobian)
+        residuals.append(e)
+    size = jacobians[0].shape[1]
+    prior = np.zeros((len(scenes.PRIORS), size))
+    prior[:, size - len(scenes.PRIORS) :] = np.diag(1.0 / scenes.PRIORS)
+    jacobians.append(prior)
+    residuals.append(np.append(scene.hand_eye, scene.stamp_error) / scenes.PRIORS)
+    return np.concatenate(jacobians), np.concatenate(residuals)
+
+
+def _windup_rows(
+    scene: SceneFit,
+    recordings: Sequence[_Recording],
+    camera: Camera,
+    kept: Sequence[Mask],
+    travel: float,
+) -> Array:
+    """Return how the residuals change with each depth, then with each windup at the beginning."""
+    count, index, blocks = len(recordings[0].slopes), 0, []
+    for r, recording in enumerate(recordings):
+        shifts = [*_shifts(recording, travel)]
+        for view in recording.views:
+            spread = scenes.spread(view)
+            e = scenes.residuals(scene, index, view, camera)
+            block = np.zeros((int(kept[index].sum()) * 6, count * (1 + len(recordings))))
+            for n, shift in enumerate(shifts):
+                moved = replace(view, tcp_path=_shifted(recording.trace, STEP * shift))
+                change = (scenes.residuals(scene, index, moved, camera) - e) / STEP / spread
+                column = n if n < count else n + r * count
+                block[:, column] = change[kept[index]].ravel()
+            blocks.append(block)
+            index += 1
+    return np.concatenate(blocks)
+
+
+def _shifts(recording: _Recording, travel: float) -> Iterator[Array]:
+    """Yield by how much the tcp (m, 6) moves with each depth, then with each beginning."""
+    slopes = recording.slopes
+    motors = recording.trace.motors[:, : len(slopes)]
+    ways = np.cumsum(np.abs(np.diff(motors, axis=0, prepend=motors[:1])), axis=0)
+    for axis, slope in enumerate(slopes):
+        yield -dahl(motors[:, axis], travel)[:, None] * slope
+    for axis, slope in enumerate(slopes):
+        yield -np.exp(-ways[:, axis] / travel)[:, None] * slope
+
+
+def _shifted(trace: Trace, shift: Array) -> TcpPath:
+    return tcp_path(replace(trace, tcp=trace.tcp + shift))
+
+
+def _solved(base: Array, columns: Array, wanted: Array, count: int) -> tuple[float, Array, Array]:
+    """Return the cost, the depths (count,) and their deviations [rad]."""
+    size, width = base.shape[1], columns.shape[1]
+    priors = len(base) - len(columns)
+    lower = np.zeros((priors + width, width))
+    lower[priors:] = np.eye(width) / PRIOR
+    X = np.block([[base, np.vstack((columns, lower[:priors]))],
+                  [np.zeros((width, size)), lower[priors:]]])  # fmt: skip
+    y = -np.append(wanted, np.zeros(width))
+    scale = np.maximum(np.sqrt(np.sum(X * X, axis=0)), 1e-12)
+    values = np.linalg.lstsq(X / scale, y, rcond=1e-10)[0] / scale
+    left = y - X @ values
+    chi2 = max(float((1.4826 * np.median(np.abs(left[: len(columns)]))) ** 2), 0.1)
+    covariance = np.linalg.pinv((X / scale).T @ (X / scale), hermitian=True) * chi2
+    deviations = np.sqrt(np.maximum(covariance.diagonal(), 0.0)) / scale
+    part = slice(size, size + count)
+    return float(left @ left), values[part], deviations[part]
