@@ -20,7 +20,7 @@ from linemate.daemon.core.tracking.go_no_go import prediction_error
 from linemate.daemon.core.tracking.reference import compile_reference, last_step, tabulated
 from linemate.daemon.core.tracking.settings import ClassifierKind, TrackingSettings
 from linemate.daemon.core.tracking.task import Phase, TaskFile
-from linemate.daemon.core.tracking.touch import contact
+from linemate.daemon.core.tracking.touch import compliance, contact
 from linemate.daemon.core.tracking.touch.touch_profile import lengthened
 from linemate.daemon.core.tracking.tracker_state import Foresight, Tracker
 from linemate.daemon.core.tracking.transverse import Transverse
@@ -60,6 +60,7 @@ def _classifier(task: TaskFile, settings: TrackingSettings) -> Classifier:
             settings.mixture,
             settings.jerk,
             settings.wave,
+            settings.tactile.compliance,
         )
     if settings.classifier is ClassifierKind.IMM:
         from linemate.daemon.core.tracking.classifiers.classifier_imm import ImmClassifier
@@ -112,6 +113,8 @@ def build(
     commit = max(merge.commit_steps(dead_time, cycle_s), merge.ORDER)
     along = merge.merge_matrix(tracking.merge.along, cycle_s, controller.steps - commit)
     across = merge.merge_matrix(tracking.merge.across, cycle_s, controller.steps - commit)
+    matrices = np.stack([along if axis == merge.ALONG else across for axis in range(6)])
+    delay_along, delay_across = (commit + merge.delay(rows) for rows in (along, across))
     camera = task.arm.camera_in_tcp
     task = lengthened(task)
     reference = compile_reference(task)
@@ -133,7 +136,7 @@ def build(
         cycle_s=cycle_s,
         steps=controller.steps,
         commit=commit,
-        matrices=np.stack([along if axis == merge.ALONG else across for axis in range(6)]),
+        matrices=matrices,
         corner=merge.rounding(cycle_s, commit),
         history_length=math.ceil(HISTORY_S / cycle_s),
         span=span,
@@ -147,6 +150,11 @@ def build(
             tracking.tactile.stiffness[TOOL_AXIS],
             tracking.tactile.contact_force,
             cycle_s,
+        ),
+        compliance=compliance.ComplianceModel(
+            stiffness=min(tracking.tactile.stiffness),
+            delays=(delay_across, delay_along, delay_across),
+            dt=cycle_s,
         ),
         sight_time=reference.sight_time,
         near_time=reference.time_before(max(task.guard.clearance, NEAR_GATE)),

@@ -270,7 +270,7 @@ def test_a_force_beyond_overload_does_not_measure_the_object(assembly: Assembly)
         seen = tracker_state.StepSamples(
             inputs.stamp_ns, state.poses[0], inputs.stamp_ns, (), (), (bent,), 0
         )
-        after, _, wrench = estimation.estimate(P.tracker, state, seen)
+        after, *_, wrench = estimation.estimate(P.tracker, state, seen)
         assert wrench is not None
         assert after.conveyor is not None
         assert after.conveyor.contact == counts

@@ -77,6 +77,11 @@ class ConveyorEstimate(Struct, frozen=True):
     events: tuple[tuple[str, str], ...] = ()
 
 
+def has_changed_class(events: tuple[tuple[str, str], ...]) -> bool:
+    """Return whether a stop or a start was confirmed, or taken back."""
+    return any(kind != "push" and what != "tentative" for kind, what in events)
+
+
 class Classifier(Protocol):
     """A longitudinal Kalman filter with a class decision. Its state is a frozen value."""
 

@@ -2,14 +2,19 @@
 
 import math
 
+import numpy as np
 from msgspec.structs import replace
 
+from linemate.daemon.core import rotations
+from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.conveyor import (
     ConveyorEstimate,
     PositionMeasurement,
     Source,
+    has_changed_class,
 )
 from linemate.daemon.core.tracking.go_no_go import prediction_error
+from linemate.daemon.core.tracking.merge import ALONG
 from linemate.daemon.core.tracking.observation import (
     History,
     PoseMeasurement,
@@ -22,13 +27,16 @@ from linemate.daemon.core.tracking.observation import (
     remember,
 )
 from linemate.daemon.core.tracking.task import Gate
-from linemate.daemon.core.tracking.touch import release
+from linemate.daemon.core.tracking.touch import compliance, release
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
 from linemate.daemon.core.tracking.transverse import TransverseState
 from linemate.protocol.stamped_samples import DistanceSample
 
 FIRST_READINGS = 4  # readings of the distance sensor that start the classifier
 FIRST_SPREAD = 0.015  # largest range of these readings: none is an outlier [m]
+# The offset of the compliance follows across; the screws turn the object by a milliradian at once.
+_SLOWER = np.array((4.0, 4.0, 4.0, 0.0625, 0.0625, 0.0625))
+_TRANSLATIONS = np.array((4.0, 4.0, 4.0, 0.0, 0.0, 0.0))
 SEATING_S = 0.012  # a clamp closes in 0.04 s; contact is detected 0.03 s after it or later [s]
 
 
@@ -47,12 +55,12 @@ def estimate(
         )
     wrench = mean_wrench(samples.wrench)
     pull = release.averaged(state.pull, wrench, tracker.cycle_s) if state.contact else state.pull
-    is_felt = _is_force_used(tracker, state) and not _is_overload(tracker, wrench)
-    felt = wrench if is_felt else None
+    felt = wrench if is_force_used(tracker, state, wrench) else None
     first_poses = _pose_measurements(tracker, history, samples, felt)
     rows = [distance_measurement(tracker, samples.stamp_ns, sample) for sample in samples.distance]
     rejected = 0
     waiting, pose_ns = state.first_poses, state.pose_ns
+    oscillation = compliance.uncertainty(state.compliance, tracker.compliance)
     for source, measured, gate in first_poses:
         if transverse is None:
             waiting = (*waiting, measured)[-tracker.settings.fusion.initial_images :]
@@ -60,15 +68,18 @@ def estimate(
                 transverse = tracker.transverse.initial(list(waiting))
         else:
             is_camera = source is Source.CAMERA
+            across = measured if is_camera else _yielding(tracker, measured, oscillation)
             transverse, is_accepted = tracker.transverse.correct(
-                transverse, measured, gate, is_camera=is_camera
+                transverse, across, gate, is_camera=is_camera
             )
             rejected += not is_accepted
             if not is_accepted:
                 continue
         if source is Source.CAMERA:
             pose_ns = samples.stamp_ns - round(measured.delay * 1e9)
-        rows.append(_along_measurement(tracker, transverse, source, measured, gate))
+        row = _along_measurement(tracker, transverse, source, measured, gate)
+        more = oscillation if source is Source.TACTILE else 0.0
+        rows.append(replace(row, variance=row.variance + more))
     conveyor, readings = state.conveyor, state.readings
     if conveyor is None:
         recent = (*readings, *(row.value for row in rows if row.source is Source.DISTANCE))
@@ -94,6 +105,53 @@ def estimate(
         speed=0.0 if view is None else view.speed,
     )
     return state, view, rejected, wrench
+
+
+def _yielding(tracker: Tracker, measured: PoseMeasurement, oscillation: float) -> PoseMeasurement:
+    """Return a deflection as the filter across the conveyor takes it: slowly.
+
+    A target that followed it at once would drive a body that gives way.
+
+    Args:
+        oscillation: variance that it adds to a deflection [m^2].
+    """
+    factor = tracker.settings.tactile.compliance**2
+    variance = factor * (_SLOWER * measured.variance + _TRANSLATIONS * oscillation)
+    return replace(measured, variance=variance)
+
+
+def comply(
+    tracker: Tracker,
+    state: TrackerState,
+    samples: StepSamples,
+    view: ConveyorEstimate | None,
+    wrench: Wrench | None,
+    part: Array,
+) -> TrackerState:
+    """Return the state with the compliance of a clamped tool one step later.
+
+    Args:
+        view: whose change of class has taken the offset along the conveyor over.
+        part: (6,) the object now in c, as the target has it without the compliance's offset.
+    """
+    history = state.history
+    if wrench is None or history is None or not is_force_used(tracker, state, wrench):
+        return state
+    tcp = pose_at(history, wrench.stamp_ns, 2.5 * tracker.cycle_s)
+    if tcp is None:
+        return state
+    R = rotations.exp(tcp[3:])
+    shift = R.dot(wrench.force / np.array(tracker.settings.tactile.stiffness))
+    # The clamped tool moves with the object: it carries the measurement on to now.
+    late = (samples.stamp_ns - wrench.stamp_ns) * 1e-9
+    off = tcp[:3] + shift + late * rate_now(history)[:3] - part[:3]
+    fx, fy, fz = R.dot(wrench.force).tolist()
+    x, y, z = off.tolist()
+    before = state.compliance
+    if view is not None and has_changed_class(view.events):
+        before = compliance.taken_over(before, ALONG)
+    later = compliance.advance(before, tracker.compliance, (fx, fy, fz), (x, y, z), state.touching)
+    return replace(state, compliance=later)
 
 
 def distance_measurement(
@@ -124,13 +182,13 @@ def _along_measurement(
     return PositionMeasurement(source, value, measured.delay, variance, gate)
 
 
-def _is_force_used(tracker: Tracker, state: TrackerState) -> bool:
+def is_force_used(tracker: Tracker, state: TrackerState, wrench: Wrench | None) -> bool:
     """Return whether the force measures where the object is: the tool is surely clamped to it.
 
     A clamp that was ordered to open may be open without reporting it. A tool that hangs free would
     measure the object at its own position, and would follow itself.
     """
-    if not is_seated(state):
+    if not is_seated(state) or _is_overload(tracker, wrench):
         return False
     if state.releasing is None:
         return state.contact

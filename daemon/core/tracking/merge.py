@@ -56,6 +56,11 @@ def merge_matrix(tau: float, cycle_s: float, steps: int) -> Array:
     return rows
 
 
+def delay(matrix: Array) -> int:
+    """Return how many steps behind the commit point the merge takes up a goal, in the mean."""
+    return round(float(matrix.sum()))
+
+
 def rounding(cycle_s: float, commit: int) -> Array:
     """Return a kernel (2 h + 1,) that rounds the corners of a goal over its steps, h <= nc - 4.
 

@@ -93,6 +93,8 @@ class TactileNoise:
         contact_force: least force of a contact [N].
         overload_force: force beyond which the tool is withdrawn [N].
         stamp: sigma of its time stamp [s].
+        compliance: times the sigma of a deflection with which it moves the target. 1 follows it at
+            once, and drives a body that gives way.
     """
 
     deflection: Length = 0.00005
@@ -107,6 +109,7 @@ class TactileNoise:
     contact_force: Force = 15.0
     overload_force: Force = 350.0
     stamp: Annotated[float, Ge(0.0), Le(0.1)] = 0.0003
+    compliance: Annotated[float, Ge(1.0), Le(1000.0)] = 12.0
 
 
 @dataclass(frozen=True, slots=True)

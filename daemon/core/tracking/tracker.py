@@ -16,7 +16,7 @@ from linemate.daemon.core.tracking.conveyor import (
     Motion,
 )
 from linemate.daemon.core.tracking.damping import damping_time, free_shares
-from linemate.daemon.core.tracking.estimation import estimate, is_seated
+from linemate.daemon.core.tracking.estimation import comply, estimate, is_seated
 from linemate.daemon.core.tracking.go_no_go import prediction_error
 from linemate.daemon.core.tracking.go_no_go.decision import GO
 from linemate.daemon.core.tracking.go_no_go.evidence import decide
@@ -34,7 +34,7 @@ from linemate.daemon.core.tracking.task_clock import (
     open_gates,
     standing_time,
 )
-from linemate.daemon.core.tracking.touch import contact, guard, release
+from linemate.daemon.core.tracking.touch import compliance, contact, guard, release
 from linemate.daemon.core.tracking.tracker_state import Report, StepSamples, Tracker, TrackerState
 from linemate.daemon.core.tracking.transverse import TransverseState
 
@@ -95,6 +95,7 @@ def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> Tra
         distance=math.inf,
         stood=0.0,
         go=GO,
+        compliance=compliance.NO_COMPLIANCE,
     )
 
 
@@ -114,7 +115,8 @@ def track(
     ``update_contact`` decides on contact later: it needs the delivery of the last command.
     """
     if is_seated(state) and state.search is not guard.NO_SEARCH:
-        state = _end_search(tracker, state)
+        state = _end_search(state)
+    was_soft = state.compliance.soft
     state, view, rejected, wrench = estimate(tracker, state, samples)
     if start and not state.started:
         state = replace(state, started=True)
@@ -142,6 +144,8 @@ def track(
         steady = along[: len(span)]
         target, part = _sensed_poses(tracker, state, samples.stamp_ns, steady, span, relative)
         state = _record_prediction(tracker, state, samples.stamp_ns, along)
+        state = comply(tracker, state, samples, view, wrench, part)
+        target[:, :3] += state.compliance.offset
         if state.blended is not None and state.blended >= tracker.settings.merge.blend:
             goal = target
         elif state.blended is not None:
@@ -158,7 +162,8 @@ def track(
     state = replace(state, poses=poses, distance=float(relative[0, 2]))
     free = free_shares(tracker, damping_time(tracker, state), limit)
     horizon = Horizon(poses, state.axis.positions, free, tracker.reference.nominal, tracker.commit)
-    return state, horizon, report(tracker, state, view, wrench, rejected, target, part)
+    outcome = report(tracker, state, view, wrench, rejected, target, part)
+    return state, horizon, _with_oscillation(outcome, was_soft=was_soft, state=state)
 
 
 def _programmed_poses(
@@ -206,16 +211,17 @@ def _advance_search(tracker: Tracker, state: TrackerState) -> guard.ContactSearc
     )
 
 
-def _end_search(tracker: Tracker, state: TrackerState) -> TrackerState:
+def _end_search(state: TrackerState) -> TrackerState:
     """Return the state of a tool that has found the object beyond its estimate.
 
     The tactile sensor places the object from now on. The estimate must follow it at once, because
     the programme counts from there and the search is over.
     """
-    transverse = state.transverse
-    if transverse is not None:
-        transverse = tracker.transverse.widened(transverse, state.search.reach)
-    return replace(state, transverse=transverse, search=guard.NO_SEARCH)
+    history = state.history
+    axis = np.zeros(3) if history is None else rotations.exp(history.poses[-1][3:])[:, 2]
+    x, y, z = (state.search.reach * axis).tolist()
+    complied = compliance.displaced((x, y, z))
+    return replace(state, compliance=complied, search=guard.NO_SEARCH)
 
 
 def _anchor(state: TrackerState, goal: Array) -> tuple[TrackerState, Array]:
@@ -285,6 +291,14 @@ def report(
         object_left=state.object_left,
         rejected=rejected,
     )
+
+
+def _with_oscillation(report: Report, *, was_soft: bool, state: TrackerState) -> Report:
+    """Return the report with the begin or the end of an oscillation that softens the contact."""
+    if state.compliance.soft is was_soft:
+        return report
+    event = ("oscillation", "over" if was_soft else "perceived")
+    return replace(report, events=(*report.events, event))
 
 
 def _sensed_poses(

@@ -26,6 +26,11 @@ from linemate.daemon.core.tracking.reference import Reference, ReferenceTable
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.task import Gate, Phase, TaskFile
 from linemate.daemon.core.tracking.touch import contact, guard
+from linemate.daemon.core.tracking.touch.compliance import (
+    NO_COMPLIANCE,
+    Compliance,
+    ComplianceModel,
+)
 from linemate.daemon.core.tracking.transverse import Transverse, TransverseState
 from linemate.protocol.stamped_samples import CameraSample, DistanceSample, Vector3, WrenchSample
 
@@ -51,6 +56,7 @@ class Tracker:
             time of the linear axis' goal, and the leads whose predictions are checked.
         free: (t,) share of the damping at every step of the task's clock.
         vibration: of the tool along its axis.
+        compliance: of a clamped tool.
         sight_time: when the tool leaves its last waypoint before contact [s].
         near_time: when the tool reaches the clearance before the object [s].
         final_time: until when the touch can be prevented [s]; -infinity without contact.
@@ -80,6 +86,7 @@ class Tracker:
     ahead: Array
     free: Array
     vibration: contact.ToolVibration
+    compliance: ComplianceModel
     sight_time: float
     near_time: float
     final_time: float
@@ -128,6 +135,7 @@ class TrackerState(Struct, frozen=True, eq=False):
         motion: class of the conveyor in the last step.
         steady_s: time since it changed [s].
         following: mean of the tcp off its plan, in the tool's axes [m].
+        compliance: of a clamped tool: the offset by force from the feed-forward target.
     """
 
     history: History | None
@@ -163,6 +171,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     motion: Motion = Motion.RUNNING
     steady_s: float = 0.0
     following: Vector3 = (0.0, 0.0, 0.0)
+    compliance: Compliance = NO_COMPLIANCE
 
 
 class Report(Struct, frozen=True, eq=False):

@@ -347,6 +347,7 @@ def test_in_contact_little_evidence_moves_the_prediction_less_than_bayes_would()
         state = structs.replace(
             bank.initial(0.0),
             contact=True,
+            is_keen=True,
             changes=onset_bank.begin(np.zeros(STATES), (0.0,)),
         )
         shares[caution] = [

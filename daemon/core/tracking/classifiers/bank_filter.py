@@ -14,6 +14,7 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     OFFSET,
     RANDOM,
     RIPPLE,
+    RIPPLE_FACTORS,
     RIPPLE_QUADRATURE,
     STATES,
     BankModel,
@@ -26,7 +27,6 @@ from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, 
 
 OFFSET_DEVIATION = 0.1  # of x10 before anything but the distance sensor saw the object [m]
 SETTLING = 0.6  # the banks are empty until the speed is estimated [s]
-RIPPLE_FACTORS = (0.9, 1.1)  # range of the ripple's frequency over the configured one
 MOST_REJECTED = 8  # measurements of one sensor rejected in a row, after which the filter widens
 REST_DEVIATION = 0.002  # of the speed when a stop ends [m/s]
 FAST_SHARE = 0.7  # of the cruising speed, above which a stop may turn out to be none

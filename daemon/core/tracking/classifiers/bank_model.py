@@ -36,6 +36,7 @@ STATES = 10
 Y, V, RANDOM, OFFSET, ACCELERATION, IMPULSE, IMPULSE_QUADRATURE = range(7)
 RIPPLE, RIPPLE_QUADRATURE, FREQUENCY = range(7, STATES)
 RAMPS = (Motion.STOPPING, Motion.STARTING)
+RIPPLE_FACTORS = (0.9, 1.1)  # range of the ripple's frequency over the configured one
 _CONSTANT = (0.0,)  # frequencies of a change of class [rad/s]
 
 # Class and event that can follow each class.
@@ -47,6 +48,18 @@ NEXT = {
     Motion.STANDING: _START,
     Motion.STOPPING: _START,
 }
+
+
+class Guide(Struct, frozen=True, eq=False):
+    """Estimate that leads the target in contact; it takes a deflection slowly.
+
+    Attributes:
+        x, P, ripple_factor: as of ``BankState``, without an impulse disturbance.
+    """
+
+    x: Array
+    P: Array
+    ripple_factor: float
 
 
 class BankState(Struct, frozen=True, eq=False):
@@ -73,6 +86,8 @@ class BankState(Struct, frozen=True, eq=False):
         is_expired: it was cancelled for its duration, and its odds have not been calm since.
         start_check: of a start against the readings, or None.
         contact: the force-torque sensor took part in the last step.
+        is_keen: it measured the object better than the distance sensor: nothing oscillates.
+        guide: leads the target in contact; None without contact.
         events: of the last step.
     """
 
@@ -96,6 +111,8 @@ class BankState(Struct, frozen=True, eq=False):
     is_expired: bool = False
     start_check: StartCheck | None = None
     contact: bool = False
+    is_keen: bool = False
+    guide: Guide | None = None
     events: tuple[tuple[str, str], ...] = ()
 
 
@@ -106,6 +123,7 @@ class BankModel:
     Attributes:
         distance_deviation: one sigma of a reading of the distance sensor [m].
         mixture: the prediction weighs the hypotheses; False takes the class in force.
+        compliance: times the sigma of a deflection with which the guide takes it.
     """
 
     conveyor: ConveyorClasses
@@ -115,6 +133,7 @@ class BankModel:
     mixture: bool = True
     impulse: ImpulseSettings = field(default_factory=ImpulseSettings)
     ripple: RippleSettings = field(default_factory=RippleSettings)
+    compliance: float = 1.0
 
     @cached_property
     def changes(self) -> dict[Motion, float]:

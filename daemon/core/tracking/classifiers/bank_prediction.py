@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.classifiers import guide
 from linemate.daemon.core.tracking.classifiers.bank_model import (
     ACCELERATION,
     IMPULSE,
@@ -55,13 +56,15 @@ def _weighted_estimates(
     estimates, rest = [], 1.0
     if change > LEAST_WEIGHT:
         motion, _ = NEXT[state.motion]
-        estimates.append((change, _after_change(state), motion, state.impulse_omega))
+        changed = _without_impulse(state, _after_change(state))
+        estimates.append((change, changed, motion, state.impulse_omega))
         rest -= change
-    if impulse > LEAST_WEIGHT:
+    if impulse > LEAST_WEIGHT and state.guide is None:
         omega = model.likeliest_omega(state)
         estimates.append((impulse, _after_impulse(model, state), state.motion, omega))
         rest -= impulse
-    estimates.append((rest, ramp_estimate(model, state), state.motion, state.impulse_omega))
+    led = guide.led_state(state)
+    estimates.append((rest, ramp_estimate(model, led), state.motion, state.impulse_omega))
     return estimates
 
 
@@ -92,6 +95,13 @@ def _after_change(state: BankState) -> Array:
     return x
 
 
+def _without_impulse(state: BankState, x: Array) -> Array:
+    """Return an estimate (10,) without the body's swing after an impulse, if a guide leads."""
+    if state.guide is not None:
+        x[IMPULSE] = x[IMPULSE_QUADRATURE] = 0.0
+    return x
+
+
 def _after_impulse(model: BankModel, state: BankState) -> Array:
     """Return the estimate (10,) after an impulse: ``merge_moments`` without the spread."""
     weights = state.impulse.weights * state.impulse.amplitudes
@@ -109,21 +119,25 @@ def hypothesis_weights(model: BankModel, state: BankState) -> tuple[float, float
     quiet tracking quiet. Neither counts while the distance sensor is rejected: no class explains
     its readings, so the ones before are no evidence of a stop. The sensor may be frozen.
     """
+    if state.contact and not state.is_keen:
+        return 0.0, 0.0
     if not model.mixture or not len(state.changes):
         return 0.0, 0.0
     if state.rejected.get(Source.DISTANCE, 0) >= CONTRADICTED:
         return 0.0, 0.0
     caution, penalty = 1.0, model.bank.penalty
     if state.motion is Motion.RUNNING:
-        if state.contact:
+        if state.is_keen:
             caution, penalty = model.bank.contact_caution, model.bank.contact_penalty
     elif state.motion is Motion.STANDING:
         penalty = 0.0
     else:
         return 0.0, 0.0
-    change = math.exp(min(caution * (state.change.odds - penalty), 50.0))
-    impulse = math.exp(min(state.impulse.odds - max(penalty, model.impulse.confirmed), 50.0))
-    total = 1.0 + change + impulse
+    change = caution * (state.change.odds - penalty)
+    impulse = state.impulse.odds - max(penalty, model.impulse.confirmed)
+    largest = max(change, impulse, 0.0)
+    change, impulse = math.exp(change - largest), math.exp(impulse - largest)
+    total = math.exp(-largest) + change + impulse
     return change / total, impulse / total
 
 

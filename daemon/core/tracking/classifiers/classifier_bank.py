@@ -15,6 +15,7 @@ from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.classifiers import (
     bank_filter,
     bank_prediction,
+    guide,
     onset_bank,
     start_check,
 )
@@ -61,11 +62,13 @@ class BankClassifier(BankModel):
         state = bank_filter.predict(self, state, dt)
         if measurements:
             state = bank_filter.correct(self, state, measurements)
-        contact = any(each.source is Source.TACTILE for each in measurements)
-        if contact is not state.contact:
-            state = replace(state, contact=contact)
+        felt = [each.variance for each in measurements if each.source is Source.TACTILE]
+        is_keen = bool(felt) and min(felt) < self.distance_deviation**2
+        if bool(felt) is not state.contact or is_keen is not state.is_keen:
+            state = replace(state, contact=bool(felt), is_keen=is_keen)
         state = _bound_tentative(self._decide(state), before, dt)
-        return self._settle(self._check_start(before, state, measurements, dt), dt)
+        state = self._settle(self._check_start(before, state, measurements, dt), dt)
+        return guide.advance(self, before, state, measurements, dt)
 
     def predict_positions(self, state: BankState, times: Array) -> Array:
         """Return the object's positions (m,) along the conveyor at ``times`` from now [s]."""
@@ -123,7 +126,7 @@ class BankClassifier(BankModel):
         settings = self.bank
         limit = settings.start_confirmed
         if event == "stop":
-            limit = settings.contact_confirmed if state.contact else settings.stop_confirmed
+            limit = settings.contact_confirmed if state.is_keen else settings.stop_confirmed
         state = replace(
             state,
             change=change,

@@ -1,0 +1,119 @@
+"""Guide: the estimate along the conveyor that leads the target in contact.
+
+The bank's null filter follows the force-torque sensor within a few cycles. It needs that to detect
+a stop or a start. A target that followed it would drive a body that gives way, see docs/method.md.
+The guide is a second filter of the same model. It takes the class from the bank at once, and a
+deflection slowly.
+
+Invariants:
+- There is a guide in contact only.
+- An impulse disturbance does not move it.
+"""
+
+from collections.abc import Sequence
+
+from msgspec.structs import replace
+
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.classifiers.bank_model import (
+    ACCELERATION,
+    FREQUENCY,
+    IMPULSE,
+    RIPPLE,
+    RIPPLE_FACTORS,
+    BankModel,
+    BankState,
+    Guide,
+    V,
+)
+from linemate.daemon.core.tracking.conveyor import PositionMeasurement, Source, has_changed_class
+
+_SWING = slice(IMPULSE, RIPPLE)
+
+
+def advance(
+    model: BankModel,
+    before: BankState,
+    state: BankState,
+    measurements: Sequence[PositionMeasurement],
+    dt: float,
+) -> BankState:
+    """Return the state with its guide one step later; None out of contact.
+
+    Args:
+        before: of the step before.
+        state: one step later, its class decided.
+    """
+    if not state.contact:
+        return state if state.guide is None else replace(state, guide=None)
+    guide = before.guide
+    if guide is None or state.age < before.age:
+        return replace(state, guide=synchronised(state))
+    led = _predicted(model, state, guide, dt)
+    for measurement in measurements:
+        led = _corrected(model, led, measurement)
+    if state.motion is not before.motion:
+        led = _in_class(state, led)
+    return replace(state, guide=Guide(led.x, led.P, led.ripple_factor))
+
+
+def led_state(state: BankState) -> BankState:
+    """Return the state with the guide's estimate in place of the null filter's."""
+    guide = state.guide
+    if guide is None:
+        return state
+    return replace(state, x=guide.x, P=guide.P, ripple_factor=guide.ripple_factor)
+
+
+def synchronised(state: BankState) -> Guide:
+    """Return a guide at the null filter's estimate, without its impulse disturbance."""
+    x, P = state.x.copy(), state.P.copy()
+    x[_SWING] = 0.0
+    P[_SWING, :] = P[:, _SWING] = 0.0
+    return Guide(x, P, state.ripple_factor)
+
+
+def _predicted(model: BankModel, state: BankState, guide: Guide, dt: float) -> BankState:
+    """Return the guide one step later, (5) and (6), as a state of the bank out of contact."""
+    led = replace(
+        state, x=guide.x, P=guide.P, ripple_factor=guide.ripple_factor, contact=False, rejected={}
+    )
+    F = model.transition(led, dt)
+    P = F.dot(guide.P).dot(F.T)
+    P.reshape(-1)[:: len(P) + 1] += model.process_noise(led, dt)
+    P[_SWING, :] = P[:, _SWING] = 0.0
+    return replace(led, x=F.dot(guide.x), P=P)
+
+
+def _corrected(model: BankModel, led: BankState, measurement: PositionMeasurement) -> BankState:
+    """Return (2)-(4) for one measurement; one beyond its gate changes nothing."""
+    h = model.observation_row(measurement, led)
+    variance = measurement.variance
+    if measurement.source is Source.TACTILE:
+        variance = variance * model.compliance**2
+    Ph = led.P.dot(h)
+    S = float(Ph.dot(h)) + variance
+    nu = measurement.value - float(h.dot(led.x))
+    if not nu * nu <= measurement.gate**2 * S:
+        return led
+    K: Array = Ph / S
+    x = led.x + nu * K
+    low, high = RIPPLE_FACTORS
+    factor, x[FREQUENCY] = min(max(led.ripple_factor + float(x[FREQUENCY]), low), high), 0.0
+    return replace(led, x=x, P=led.P - K[:, None].dot(Ph[None]), ripple_factor=factor)
+
+
+def _in_class(state: BankState, led: BankState) -> BankState:
+    """Return the guide in another class.
+
+    What the bank has confirmed or taken back, the guide takes over whole. Where a stop or a start
+    ends it takes the speed.
+    """
+    if has_changed_class(state.events):
+        guide = synchronised(state)
+        return replace(led, x=guide.x, P=guide.P)
+    x, P = led.x.copy(), led.P.copy()
+    x[V], x[ACCELERATION] = state.x[V], 0.0
+    P[ACCELERATION, :] = P[:, ACCELERATION] = 0.0
+    P[V, V] += (float(led.x[V]) - float(state.x[V])) ** 2
+    return replace(led, x=x, P=P)

@@ -1,0 +1,206 @@
+"""Compliance of a clamped tool: a slow admittance, watched by a passivity observer.
+
+The target follows the object by feed-forward. Measured force moves it by an offset alone, slowly:
+
+    o' = w a r,     r = tcp + F / k - (object + o)
+
+r is how far the measured object is from the target's, beyond a dead band; at rest it is
+(F - F_d) / k, with the desired force F_d that the programmed press makes of the mount's stiffness
+k. So D = k / w is the damper of the admittance. A delayed motion drives a body above the quarter
+of one over the delay, however slow it is. So the energy that the offset gives is observed at the
+contact port (Hannaford and Ryu, "Time-domain passivity control of haptic interfaces", IEEE
+Transactions on Robotics and Automation 18(1), 2002):
+
+    E += -F_ac . v_o dt - P dt, E >= 0     v_o the offset's speed a delay ago
+
+The gain a falls from 1 to 0 as E reaches its bound: no body gets more than that, and P a second.
+
+Invariants:
+- The offset has no lead: it is constant over the horizon.
+- A growing oscillation stops it altogether until the oscillation is small again.
+"""
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from linemate.protocol.stamped_samples import Vector3
+
+RATE = 0.7  # w: of the offset [1/s], far below a quarter of one over the delay
+SEATING_RATE = 6.0  # added as the tool touches, when its place is known worst [1/s]
+SEATING_S = 0.25  # time in which that dies out [s]
+SMOOTHING_S = 0.05  # time constant of the deviation that moves the offset [s]
+DEAD_BAND = 0.00002  # deviation that moves nothing [m]
+SEATED_S = 0.7  # the tool seats and presses until then: its force is no oscillation [s]
+SLOW_S = 3.0  # time constant of the force whose work is not counted: the press [s]
+QUICK_S = 0.25  # time constant of the mean force; what is faster is an oscillation [s]
+MEMORY_S = 0.25  # time constant of the oscillation's mean square [s]
+GRAIN_S = 0.1  # its past is kept in such steps [s]
+PAST = 10  # and so many of them
+REACH = 0.015  # largest offset [m]
+
+ENERGY_J = 0.005  # that the offset may give: 0.5 mm of a body of 100 kg at 3.5 Hz
+LEAK_W = 0.001  # and so much a second, which the least damping of a body takes
+
+QUIET_N = 6.0  # rms of an oscillation's force that is normal in contact [N]
+LARGEST_N = 60.0  # rms of an oscillation's force that softens [N]
+GROWN_N = 20.0  # rms that softens while it grows by
+GROWTH = 1.5  # this factor in a second
+CALM = 0.5  # share of these at which the softening ends
+
+
+@dataclass(frozen=True, slots=True)
+class ComplianceModel:
+    """What the admittance is built for.
+
+    Attributes:
+        stiffness: of the mount [N/m].
+        delays: steps from the offset to the tool's motion, along x, y, z of c.
+        dt: cycle [s].
+    """
+
+    stiffness: float
+    delays: tuple[int, int, int]
+    dt: float
+
+
+class Compliance(Struct, frozen=True):
+    """State of the admittance and of its observer; vectors in c.
+
+    Attributes:
+        offset: of the target [m].
+        smooth: measured object from the target's, smoothed [m].
+        press: slow mean of the force [N]; None before the first one.
+        mean: quicker mean of it [N].
+        power: mean square of the force's deviation from the latter [N^2].
+        past: that mean square at steps of ``GRAIN_S``, newest last.
+        age: since the newest of them [s].
+        moves: of the offset that the tool has not made yet, oldest first [m].
+        energy: that the offset has given [J].
+        soft: the oscillation stops the offset.
+    """
+
+    offset: Vector3 = (0.0, 0.0, 0.0)
+    smooth: Vector3 = (0.0, 0.0, 0.0)
+    press: Vector3 | None = None
+    mean: Vector3 = (0.0, 0.0, 0.0)
+    power: float = 0.0
+    past: tuple[float, ...] = ()
+    age: float = 0.0
+    moves: tuple[Vector3, ...] = ()
+    energy: float = 0.0
+    soft: bool = False
+
+
+NO_COMPLIANCE = Compliance()
+
+
+def advance(
+    state: Compliance, model: ComplianceModel, force: Vector3, off: Vector3, touching: float
+) -> Compliance:
+    """Return the state one step later.
+
+    Args:
+        force: on the clamped tool, in c [N].
+        off: measured object, seen from the object of the target without its offset [m].
+        touching: time since the contact began [s].
+    """
+    dt = model.dt
+    if state.press is None:
+        state = replace(state, press=force, mean=force)
+    press = _toward(state.press or force, force, dt / SLOW_S)
+    mean = _toward(state.mean, force, dt / QUICK_S)
+    swung = _minus(force, mean)
+    power, past, age, energy, soft = 0.0, state.past, state.age, 0.0, False
+    if touching > SEATED_S:
+        power = state.power + dt / MEMORY_S * (_dot(swung, swung) - state.power)
+        age += dt
+        if age >= GRAIN_S:
+            past, age = (*past, power)[-PAST:], 0.0
+        soft = is_growing(power, past, was=state.soft)
+        moved = _delayed(state.moves, model.delays)
+        given = state.energy - _dot(_minus(force, press), moved) - LEAK_W * dt
+        energy = max(given, 0.0)
+    smooth = _toward(state.smooth, _minus(off, state.offset), dt / SMOOTHING_S)
+    rate = RATE + SEATING_RATE * math.exp(-touching / SEATING_S)
+    length = math.hypot(*smooth)
+    share = max(1.0 - DEAD_BAND / length, 0.0) if length > 0.0 and not soft else 0.0
+    step = rate * dt * share * max(1.0 - energy / ENERGY_J, 0.0)
+    x, y, z = (o + step * r for o, r in zip(state.offset, smooth, strict=True))
+    offset = _bounded((x, y, z))
+    moves = (*state.moves, _minus(offset, state.offset))[-max(model.delays) :]
+    return Compliance(offset, smooth, press, mean, power, past, age, moves, energy, soft)
+
+
+def _delayed(moves: tuple[Vector3, ...], delays: tuple[int, int, int]) -> Vector3:
+    """Return the offset's move that the tool makes now, component by component [m]."""
+    x, y, z = (
+        moves[-delay][axis] if len(moves) >= delay else 0.0 for axis, delay in enumerate(delays)
+    )
+    return (x, y, z)
+
+
+def is_growing(power: float, past: tuple[float, ...], *, was: bool) -> bool:
+    """Return whether an oscillation is too large, or grows and is not small.
+
+    Args:
+        power: mean square of its force [N^2].
+        past: at earlier times, oldest first.
+        was: it was so in the step before; then it must have become small to end.
+    """
+    if was:
+        return power > (CALM * GROWN_N) ** 2
+    if power > LARGEST_N**2:
+        return True
+    has_grown = len(past) == PAST and power > GROWTH**2 * past[0]
+    return has_grown and power > GROWN_N**2 and all(a <= b for a, b in pairwise(past))
+
+
+def uncertainty(state: Compliance, model: ComplianceModel) -> float:
+    """Return the variance that an oscillation adds to a measured deflection [m^2].
+
+    That of two tenths of a second ago, so that a stop is detected before it counts itself.
+    """
+    if len(state.past) < 3:
+        return 0.0
+    power = min(state.past[-3], state.past[-2])
+    return max(power - QUIET_N**2, 0.0) / model.stiffness**2
+
+
+def displaced(way: Vector3) -> Compliance:
+    """Return the state of a tool that has touched the object away from its estimate."""
+    return Compliance(offset=_bounded(way))
+
+
+def taken_over(state: Compliance, axis: int) -> Compliance:
+    """Return the state with no offset along an axis: the feed-forward has taken it over."""
+    x, y, z = (0.0 if i == axis else o for i, o in enumerate(state.offset))
+    return replace(state, offset=(x, y, z))
+
+
+def _bounded(offset: Vector3) -> Vector3:
+    """Return an offset no longer than ``REACH``."""
+    length = math.hypot(*offset)
+    if length <= REACH:
+        return offset
+    x, y, z = (REACH / length * o for o in offset)
+    return (x, y, z)
+
+
+def _toward(old: Vector3, new: Vector3, gain: float) -> Vector3:
+    """Return a first-order lag one step later."""
+    x, y, z = (a + gain * (b - a) for a, b in zip(old, new, strict=True))
+    return (x, y, z)
+
+
+def _minus(a: Vector3, b: Vector3) -> Vector3:
+    """Return a - b."""
+    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
+
+
+def _dot(a: Vector3, b: Vector3) -> float:
+    """Return the inner product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -1,0 +1,105 @@
+"""Compliance: a slow offset by force, bounded energy, and softening while it grows."""
+
+import math
+
+import pytest
+
+from linemate.daemon.core.tracking.touch import compliance
+from linemate.daemon.core.tracking.touch.compliance import (
+    ENERGY_J,
+    NO_COMPLIANCE,
+    REACH,
+    SEATED_S,
+    Compliance,
+    ComplianceModel,
+)
+
+MODEL = ComplianceModel(stiffness=50e3, delays=(12, 10, 12), dt=0.012)
+SEATED = 2.0 * SEATED_S
+
+
+def followed(
+    seconds: float, force: float, off: float, touching: float = SEATED, frequency_hz: float = 0.0
+) -> Compliance:
+    """The state after a force, and an object off its estimate, along y."""
+    state = NO_COMPLIANCE
+    for k in range(round(seconds / MODEL.dt)):
+        wave = math.cos(math.tau * frequency_hz * k * MODEL.dt)
+        state = compliance.advance(
+            state, MODEL, (0.0, force * wave, 0.0), (0.0, off * wave, 0.0), touching
+        )
+    return state
+
+
+def test_the_offset_takes_up_a_lasting_deviation_but_for_the_dead_band() -> None:
+    state = followed(20.0, 0.0, 0.001)
+    assert state.offset[1] == pytest.approx(0.001, abs=2.0 * compliance.DEAD_BAND)
+    assert state.offset[0] == state.offset[2] == 0.0
+
+
+def test_the_offset_follows_no_faster_than_its_rate() -> None:
+    state = followed(0.1, 0.0, 0.001)
+    assert 0.0 < state.offset[1] < 0.001 * compliance.RATE * 0.1
+
+
+def test_a_tool_that_has_just_touched_is_aligned_at_once() -> None:
+    assert followed(0.3, 0.0, 0.001, touching=0.05).offset[1] > 0.0007
+
+
+def test_the_offset_is_bounded() -> None:
+    assert math.hypot(*followed(60.0, 0.0, 1.0).offset) <= REACH * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize("frequency_hz", [0.7, 1.5, 3.0, 5.0, 8.0])
+def test_an_oscillation_gets_no_more_energy_than_the_bound_and_the_leak(
+    frequency_hz: float,
+) -> None:
+    """Whatever the phase: the force leads or lags behind the offset's motion."""
+    force, off = 40.0, 0.0008
+    for lead in (0.0, 0.25, 0.5, 0.75):
+        state, given, seconds = NO_COMPLIANCE, 0.0, 20.0
+        offsets = []
+        for k in range(round(seconds / MODEL.dt)):
+            phase = math.tau * frequency_hz * k * MODEL.dt
+            f = force * math.cos(phase + math.tau * lead)
+            state = compliance.advance(
+                state, MODEL, (0.0, f, 0.0), (0.0, off * math.cos(phase), 0.0), SEATED
+            )
+            offsets.append(state.offset[1])
+            late = MODEL.delays[1] + 1
+            if len(offsets) > late:
+                given -= f * (offsets[-late] - offsets[-late - 1])
+        assert given < 3.0 * ENERGY_J + compliance.LEAK_W * seconds
+
+
+def test_a_growing_oscillation_softens_until_it_is_small() -> None:
+    state, softened = NO_COMPLIANCE, []
+    for k in range(700):
+        t = k * MODEL.dt
+        f = (10.0 + 30.0 * min(t, 3.0)) * math.sin(math.tau * 4.0 * t) * (t < 4.0)
+        state = compliance.advance(state, MODEL, (0.0, f, 0.0), (0.0, 0.0, 0.0), SEATED)
+        softened.append(state.soft)
+    assert not softened[0]
+    assert any(softened)
+    assert not softened[-1]
+
+
+def test_a_steady_oscillation_of_moderate_size_does_not_soften() -> None:
+    assert not followed(5.0, 40.0, 0.0, frequency_hz=3.0).soft
+
+
+def test_a_softened_contact_moves_no_offset() -> None:
+    before = Compliance(offset=(0.0, 0.001, 0.0), press=(0.0, 0.0, 0.0), power=3600.0, soft=True)
+    after = compliance.advance(before, MODEL, (0.0, 0.0, 0.0), (0.0, 0.003, 0.0), SEATED)
+    assert after.offset == before.offset
+
+
+def test_an_oscillation_makes_a_deflection_uncertain_after_a_while() -> None:
+    assert compliance.uncertainty(followed(0.1, 40.0, 0.0, frequency_hz=4.0), MODEL) == 0.0
+    late = compliance.uncertainty(followed(3.0, 40.0, 0.0, frequency_hz=4.0), MODEL)
+    assert math.sqrt(late) == pytest.approx(40.0 / math.sqrt(2.0) / 50e3, rel=0.2)
+
+
+def test_a_class_that_takes_over_clears_the_offset_along_the_conveyor() -> None:
+    state = Compliance(offset=(0.001, 0.002, 0.003))
+    assert compliance.taken_over(state, 1).offset == (0.001, 0.0, 0.003)

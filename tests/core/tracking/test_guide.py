@@ -1,0 +1,71 @@
+"""Guide: it takes a deflection slowly, and a class at once."""
+
+import math
+
+import numpy as np
+from msgspec import structs
+
+from linemate.daemon.core.tracking.classifiers.bank_model import BankState
+from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
+from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, Source
+from linemate.daemon.core.tracking.settings import BankSettings, FusionSettings
+from linemate.daemon.core.tracking.task import ConveyorClasses
+
+SPEED, DT = 0.106, 0.012
+BANK = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), 0.00038, compliance=12.0)
+
+
+def in_contact(
+    seconds: float, amplitude: float, state: BankState | None = None, stop_s: float = math.inf
+) -> tuple[BankState, list[float]]:
+    """The bank in contact with a body that swings at 4 Hz, and the guide's positions ahead."""
+    begun = state is None
+    if state is None:
+        state = BANK.initial(0.0)
+    ahead = []
+    first = 0 if begun else 1000
+    for k in range(first, first + round(seconds / DT)):
+        t = k * DT
+        late = max(t - stop_s, 0.0)
+        way = SPEED * min(t, stop_s) + SPEED * late - 0.052 * late * late
+        swing = amplitude * math.sin(math.tau * 4.0 * t)
+        rows = [PositionMeasurement(Source.DISTANCE, way, 0.001, 0.00038**2, 4.0)]
+        if not begun or t > 2.0:
+            # What the compliance makes of the oscillation, which is known by then.
+            variance = 3e-5**2 + 0.5 * amplitude**2
+            rows.append(PositionMeasurement(Source.TACTILE, way + swing, 0.005, variance, 20.0))
+        state = BANK.advance(state, rows, DT)
+        ahead.append(float(BANK.predict_positions(state, np.zeros(1))[0]) - way)
+    assert state is not None
+    return state, ahead
+
+
+def test_there_is_a_guide_in_contact_only() -> None:
+    assert in_contact(1.5, 0.0)[0].guide is None
+    state, _ = in_contact(3.0, 0.0)
+    assert state.guide is not None
+    row = PositionMeasurement(Source.DISTANCE, SPEED * 3.0, 0.001, 0.00038**2, 4.0)
+    assert BANK.advance(state, [row], DT).guide is None
+
+
+def test_a_swinging_body_moves_the_target_by_a_fifth_of_its_swing() -> None:
+    _, ahead = in_contact(4.0, 0.0004)
+    assert np.ptp(ahead[-80:]) < 0.2 * 2.0 * 0.0004
+
+
+def test_without_a_guide_the_target_would_follow_the_swing() -> None:
+    state, _ = in_contact(3.0, 0.0004)
+    later = []
+    for _ in range(20):
+        state, _ = in_contact(0.012, 0.0004, state)
+        led = BANK.predict_positions(state, np.zeros(1))
+        fast = BANK.predict_positions(structs.replace(state, guide=None), np.zeros(1))
+        later.append(float(fast[0] - led[0]))
+    assert max(later) - min(later) > 2e-5
+
+
+def test_a_confirmed_stop_moves_the_target_at_once() -> None:
+    state, ahead = in_contact(3.9, 0.0, stop_s=3.0)
+    assert state.motion is Motion.STOPPING
+    assert np.abs(ahead).max() < 0.0012
+    assert abs(ahead[-1]) < 0.0003
