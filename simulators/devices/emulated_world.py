@@ -70,7 +70,7 @@ class WrenchReading(Reading, Protocol):
         """Torque [Nm]."""
 
 
-class Collision(Protocol):
+class CollisionRecord(Protocol):
     """What went wrong, and when [s]."""
 
     @property
@@ -82,7 +82,7 @@ class Collision(Protocol):
         """What went wrong, with figures."""
 
 
-class Impact(Protocol):
+class ImpactRecord(Protocol):
     """First touch of tool and hub: when [s], and the closing speed [m/s]."""
 
     @property
@@ -192,11 +192,11 @@ class EmulatedWorld(Protocol):
         """Free, clamped or released."""
 
     @property
-    def impact(self) -> Impact | None:
+    def impact(self) -> ImpactRecord | None:
         """First touch of tool and hub."""
 
     @property
-    def collision(self) -> Collision | None:
+    def collision(self) -> CollisionRecord | None:
         """First collision, if any."""
 
     @property

@@ -1,7 +1,9 @@
 """Worlds by name: the plants of this project, or MuJoCo."""
 
+from importlib.util import find_spec
+
 from linemate.simulators.devices.emulated_world import EmulatedWorld
-from linemate.simulators.mujoco_world.cell import Cell, Order, Ramp
+from linemate.simulators.mujoco_world.mujoco_cell import MujocoCell, Ramp, RunOrder
 from linemate.simulators.plants.scenario import Scenario
 from linemate.simulators.plants.world import World
 
@@ -12,11 +14,20 @@ UNUSED = ("body", "camera", "distance", "force_torque", "effector", "contact")
 """Parts of a scenario that the MuJoCo world has sizes of its own for."""
 
 
-def build_world(name: str, scenario: Scenario, cell: Cell | None = None) -> EmulatedWorld:
+def require(name: str) -> None:
+    """Check that a world can be built here.
+
+    Raises:
+        ModuleNotFoundError: MuJoCo is not installed.
+    """
+    if name == MUJOCO and find_spec("mujoco") is None:
+        raise ModuleNotFoundError("no module named 'mujoco'", name="mujoco")
+
+
+def build_world(name: str, scenario: Scenario, cell: MujocoCell | None = None) -> EmulatedWorld:
     """Return a world at the beginning of a run.
 
     Args:
-        name: one of WORLDS.
         cell: sizes of the MuJoCo station, its own if None.
 
     Raises:
@@ -29,12 +40,12 @@ def build_world(name: str, scenario: Scenario, cell: Cell | None = None) -> Emul
         raise ValueError(f"no world {name!r}; there are {', '.join(WORLDS)}")
     from linemate.simulators.mujoco_world.mujoco_world import MujocoWorld
 
-    return MujocoWorld(cell or Cell(), order_of(scenario))
+    return MujocoWorld(cell or MujocoCell(), order_of(scenario))
 
 
-def order_of(scenario: Scenario) -> Order:
+def order_of(scenario: Scenario) -> RunOrder:
     """Return what a scenario asks of any world: conveyor, axes at the start, and times."""
-    return Order(
+    return RunOrder(
         seed=scenario.seed,
         cycle_s=scenario.cycle_s,
         lead_in_s=scenario.lead_in_s,

@@ -26,6 +26,7 @@ from linemate.daemon.operator import doctor
 from linemate.daemon.service.host.idle_spinner import IdleSpinner
 from linemate.daemon.transport.client import Client, NoAnswerError, RefusedError
 from linemate.simulators.devices import truth
+from linemate.simulators.devices.worlds import OWN, require
 from linemate.simulators.harness import host, scenario_file
 from linemate.simulators.harness import identified_overlay as overlay
 from linemate.simulators.harness import terminal_view as live
@@ -74,12 +75,14 @@ class DemoStation:
     Attributes:
         folder: temporary, for ports, logs and configurations.
         cores: the daemon's and the emulators'; empty leaves them to the scheduler.
+        world: one of ``worlds.WORLDS``.
         ports: TCP ports of the slcan adapter and of the force-torque sensor.
     """
 
     folder: Path
     scenario: Scenario
     cores: tuple[tuple[int, ...], tuple[int, ...]] = ((), ())
+    world: str = OWN
     ports: tuple[int, int] = field(default_factory=lambda: (_free_port(), _free_port()))
 
     @property
@@ -111,7 +114,10 @@ class DemoStation:
                 "keep_awake": doctor.is_virtual(doctor.Host()),
             },
             # What was identified of the cell, as after its commissioning.
-            **world_rows.laid_over(overlay.load(), world_rows.daemon_settings(self.scenario.name)),
+            **world_rows.laid_over(
+                overlay.load(overlay.SHIPPED[self.world]),
+                world_rows.daemon_settings(self.scenario.name),
+            ),
         }
 
     def emulator_file(self, listening: Mapping[str, Any]) -> dict[str, Any]:
@@ -122,6 +128,7 @@ class DemoStation:
         """
         return {
             "scenario": "scenario.yaml",
+            "world": self.world,
             "priority": EMULATOR_PRIORITY,
             "cpus": list(self.cores[1]),
             "robot_target": listening["robot"],
@@ -194,7 +201,7 @@ def main(args: Namespace) -> int:
     """Run the demonstration.
 
     Args:
-        args: scenario, cycle_ms, seed, out, view, strict, json.
+        args: scenario, world, cycle_ms, seed, out, view, strict, json.
 
     Returns:
         0 assembled within limits with no more late replies than the controller tolerates, none
@@ -203,6 +210,7 @@ def main(args: Namespace) -> int:
     Raises:
         FileError: what is wrong with the scenario's file.
     """
+    require(args.world)
     scenario = scenario_file.load(args.scenario)
     scenario = replace(scenario, seed=args.seed, cycle_s=round(args.cycle_ms * 1e-3, 9))
     out = args.out or Path("out/demo")
@@ -211,7 +219,9 @@ def main(args: Namespace) -> int:
         print(_cost(refused), file=sys.stderr)
     try:
         with interruptible():
-            result = perform(scenario, out, is_viewed=args.view, strict=args.strict)
+            result = perform(
+                scenario, out, is_viewed=args.view, strict=args.strict, world=args.world
+            )
     except (DemoError, ChildError, TimeoutError, NoAnswerError, RefusedError) as error:
         print(f"linemate-sim demo: {error}", file=sys.stderr)
         return EX_UNAVAILABLE
@@ -220,7 +230,12 @@ def main(args: Namespace) -> int:
 
 
 def perform(
-    scenario: Scenario, out: Path, *, is_viewed: bool = False, strict: bool = False
+    scenario: Scenario,
+    out: Path,
+    *,
+    is_viewed: bool = False,
+    strict: bool = False,
+    world: str = OWN,
 ) -> dict[str, Any]:
     """Run a scenario with everything in its place, judge it, and leave the results.
 
@@ -229,6 +244,7 @@ def perform(
         out: takes result.json, report.html, fig4.png, fig5.png and the recording.
         is_viewed: a page shows it as it goes.
         strict: one late reply is too many.
+        world: one of ``worlds.WORLDS``.
 
     Returns:
         The result, as in result.json.
@@ -240,7 +256,7 @@ def perform(
     with tempfile.TemporaryDirectory(prefix="linemate-") as name:
         # A core of one's own is a gift to a real-time process, and a cage to any other.
         cores = host.shared_out() if host.missing_rights() is None else ((), ())
-        station = DemoStation(Path(name), scenario, cores)
+        station = DemoStation(Path(name), scenario, cores, world)
         began_s, stolen_s = time.monotonic(), host.stolen_s()
         status = _run(station, is_viewed=is_viewed)
         withheld = _withheld(stolen_s, host.stolen_s(), time.monotonic() - began_s)

@@ -198,12 +198,16 @@ def _seconds(text: str) -> float:
 Commands = argparse._SubParsersAction  # noqa: SLF001 -- argparse has no public name for it
 
 
-def _add_common(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--scenario", default="wheel", metavar="NAME|FILE")
+def _add_which_world(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--world", choices=("own", "mujoco"), default="own",
         help="what emulates the station: own plants, or MuJoCo (extra 'mujoco'); own",
     )  # fmt: skip
+
+
+def _add_common(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--scenario", default="wheel", metavar="NAME|FILE")
+    _add_which_world(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="leave results there")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
 
@@ -277,6 +281,7 @@ def _add_campaign(commands: "Commands[CommandLine]") -> None:
 
 def _add_world(commands: "Commands[CommandLine]") -> None:
     world = commands.add_parser("world", help="rows of the realistic world, judged by its truth")
+    _add_which_world(world)
     world.add_argument("--rows", metavar="A,B,...", help="names of rows; all by default")
     world.add_argument("--seeds", type=seeds, default=(0, 1, 2), metavar="N|A..B", help="0..2")
     world.add_argument("--cycle-ms", type=float, metavar="MS", help="instead of the scenario's")

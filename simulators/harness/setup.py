@@ -26,7 +26,7 @@ from linemate.simulators.devices.worlds import OWN, UNUSED
 from linemate.simulators.harness import scenario_file, variants
 from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.harness.world import world_rows
-from linemate.simulators.mujoco_world.cell import Cell
+from linemate.simulators.mujoco_world.mujoco_cell import MujocoCell
 from linemate.simulators.plants.scenario import Scenario
 
 TASK = "wheel.yaml"
@@ -76,7 +76,7 @@ class Setup:
     urdf: str = field(default_factory=lambda: shipped_task().urdf, repr=False)
     variant: str = "default"
     world: str = OWN
-    mujoco: Cell = field(default_factory=Cell)
+    mujoco: MujocoCell = field(default_factory=MujocoCell)
 
 
 class _Plain(BaseModel):
@@ -85,7 +85,7 @@ class _Plain(BaseModel):
     tracking: TrackingSettings
     control: ControlSettings
     task: TaskFile
-    mujoco: Cell
+    mujoco: MujocoCell
 
 
 ROOTS = ("scenario", "tracking", "control", "task", "mujoco")

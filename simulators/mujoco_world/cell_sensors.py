@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from linemate.simulators.mujoco_world.cell import Cell, Three, known
 from linemate.simulators.mujoco_world.frame_poses import Array, Vec, quaternion_of, turn_of
+from linemate.simulators.mujoco_world.mujoco_cell import MujocoCell, Three, known
 
 CAMERA_IN_TCP: Three = (-0.10, 0.0, -0.15)
 
 
-class DistanceReading(NamedTuple):
+class MujocoDistance(NamedTuple):
     """A reading of the distance sensor; see ``devices.station``."""
 
     time_s: float
@@ -27,7 +27,7 @@ class DistanceReading(NamedTuple):
     strength: float
 
 
-class CameraReading(NamedTuple):
+class MujocoPose(NamedTuple):
     """A pose of the hub in the camera's frame; see ``devices.station``."""
 
     time_s: float
@@ -37,7 +37,7 @@ class CameraReading(NamedTuple):
     covariance: tuple[float, ...] | None
 
 
-class WrenchReading(NamedTuple):
+class MujocoWrench(NamedTuple):
     """A force and a torque on the mount, in the rigid tcp's frame; see ``devices.station``."""
 
     time_s: float
@@ -46,13 +46,13 @@ class WrenchReading(NamedTuple):
     torque: Vec
 
 
-class DistanceSensor:
+class ConveyorEncoder:
     """Measuring wheel on the conveyor."""
 
-    def __init__(self, cell: Cell, seed: int) -> None:
+    def __init__(self, cell: MujocoCell, seed: int) -> None:
         self._sensors = cell.sensors
         self._draw = np.random.default_rng((seed, 0xD15))
-        self.due: deque[DistanceReading] = deque()
+        self.due: deque[MujocoDistance] = deque()
 
     def measure(self, t: float, position: float) -> None:
         """Read the conveyor's position [m]."""
@@ -60,13 +60,13 @@ class DistanceSensor:
         read = position * (1.0 + known(sensors.distance_scale))
         read += sensors.distance_sigma * float(self._draw.standard_normal())
         read = sensors.distance_step * round(read / sensors.distance_step)
-        self.due.append(DistanceReading(t + sensors.distance_delay_s, t, read, 300.0))
+        self.due.append(MujocoDistance(t + sensors.distance_delay_s, t, read, 300.0))
 
 
-class Camera:
+class HubCamera:
     """Camera on the robot's side of the mount: it sees the hub."""
 
-    def __init__(self, cell: Cell, seed: int) -> None:
+    def __init__(self, cell: MujocoCell, seed: int) -> None:
         self._sensors = sensors = cell.sensors
         self._draw = np.random.default_rng((seed, 0xCA3))
         self._place = np.array(CAMERA_IN_TCP) + known(sensors.hand_eye)
@@ -74,7 +74,7 @@ class Camera:
         self._kept = math.exp(-sensors.camera_period_s / sensors.camera_wander_s)
         self._wander = sensors.camera_wander * self._draw.standard_normal(3)
         self._last_s = -math.inf
-        self.due: deque[CameraReading] = deque()
+        self.due: deque[MujocoPose] = deque()
 
     def measure(self, t: float, rigid: tuple[Array, Array], hub: tuple[Array, Array]) -> None:
         """Take an image.
@@ -102,7 +102,7 @@ class Camera:
         quaternion = quaternion_of(turned @ self._turn.T @ rigid[1].T @ hub[1])
         x, y, z = seen.tolist()
         self.due.append(
-            CameraReading(
+            MujocoPose(
                 due_s, t + known(sensors.camera_stamp_s), (x, y, z), quaternion,
                 _covariance(sigma, sensors.camera_angle),
             )
@@ -115,14 +115,14 @@ def _covariance(sigma: Array, angle: float) -> tuple[float, ...]:
     return tuple(variances[r] if r == c else 0.0 for r in range(6) for c in range(r, 6))
 
 
-class ForceTorqueSensor:
+class MountSensor:
     """Force and torque in the mount, zeroed before the run with tool and wheel on it."""
 
-    def __init__(self, cell: Cell, seed: int) -> None:
+    def __init__(self, cell: MujocoCell, seed: int) -> None:
         self._sensors = cell.sensors
         self._draw = np.random.default_rng((seed, 0xF0C))
         self._begin_s: float | None = None
-        self.due: deque[WrenchReading] = deque()
+        self.due: deque[MujocoWrench] = deque()
 
     def measure(self, t: float, wrench: Array) -> None:
         """Read the wrench of the mount, (6,) [N, Nm]."""
@@ -133,4 +133,4 @@ class ForceTorqueSensor:
         drift = known(sensors.force_drift) * (t - self._begin_s)
         fx, fy, fz = (wrench[:3] + sensors.force_sigma * noise[:3] + drift).tolist()
         tx, ty, tz = (wrench[3:] + sensors.torque_sigma * noise[3:]).tolist()
-        self.due.append(WrenchReading(t + 0.001, t, (fx, fy, fz), (tx, ty, tz)))
+        self.due.append(MujocoWrench(t + 0.001, t, (fx, fy, fz), (tx, ty, tz)))

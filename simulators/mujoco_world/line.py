@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linemate.simulators.mujoco_world.cell import Line, Order, Ramp, known
 from linemate.simulators.mujoco_world.frame_poses import Array
+from linemate.simulators.mujoco_world.mujoco_cell import Line, Ramp, RunOrder, known
 
 WANDER_HZ = (0.07, 0.19, 0.43)
 """Frequencies of the slow variation of the speed."""
@@ -26,12 +26,11 @@ class Profile:
     acceleration: Array
 
 
-def profile(line: Line, order: Order, step_s: float, count: int) -> Profile:
+def profile(line: Line, order: RunOrder, step_s: float, count: int) -> Profile:
     """Tabulate a run from its start on; the position is 0 at scenario time 0 without variation.
 
     Args:
-        line: sampled.
-        count: of time steps.
+        step_s: time step of the simulation [s].
     """
     nominal = order.nominal_speed * known(line.speed_share)
     times: Array = step_s * np.arange(count, dtype=np.float64) - order.lead_in_s

@@ -10,8 +10,8 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from linemate.simulators.mujoco_world.cell import Six, Tool, known
 from linemate.simulators.mujoco_world.frame_poses import Vec
+from linemate.simulators.mujoco_world.mujoco_cell import Six, Tool, known
 
 Phase = Literal["free", "clamped", "released"]
 
@@ -32,7 +32,7 @@ PUSH_M = 0.008
 
 
 @dataclass(frozen=True, slots=True)
-class Impact:
+class FirstTouch:
     """First touch of wheel and hub.
 
     Attributes:
@@ -48,7 +48,7 @@ class Impact:
 
 
 @dataclass(frozen=True, slots=True)
-class Collision:
+class MatingCollision:
     """What went wrong, when, and with what figures."""
 
     time_s: float
@@ -56,7 +56,7 @@ class Collision:
 
 
 @dataclass(frozen=True, slots=True)
-class Situation:
+class MatingPoses:
     """Wheel, tool and hub at one instant.
 
     Attributes:
@@ -80,8 +80,8 @@ class Mating:
     def __init__(self, tool: Tool) -> None:
         self._tool = tool
         self.phase: Phase = "free"
-        self.impact: Impact | None = None
-        self.collision: Collision | None = None
+        self.impact: FirstTouch | None = None
+        self.collision: MatingCollision | None = None
         self.fixed_s: float | None = None
         self.released_s: float | None = None
         self.peak_n = 0.0
@@ -112,14 +112,16 @@ class Mating:
         """Whether the gripper holds the wheel."""
         return self.released_s is None
 
-    def advance(self, t: float, dt: float, now: Situation) -> None:
+    def advance(self, t: float, dt: float, now: MatingPoses) -> None:
         """Judge one time step that ends at t."""
         self.peak_n = max(self.peak_n, now.touch_n)
         depth = now.wheel[2]
         if self.phase == "free" and now.touch_n > TOUCH_N:
             self.phase = "clamped"
             if self.impact is None:
-                self.impact = Impact(t, now.tool[:3], now.tool[3:], (depth - self._before_m) / dt)
+                self.impact = FirstTouch(
+                    t, now.tool[:3], now.tool[3:], (depth - self._before_m) / dt
+                )
         elif self.phase == "clamped" and not self.are_screws_in and depth < -(BOLT_TIP_M + FREE_M):
             self.phase = "free"
         self._before_m = depth
@@ -130,7 +132,7 @@ class Mating:
         self._turn_screws(t, now)
         self._release(t)
 
-    def _watch(self, t: float, now: Situation) -> None:
+    def _watch(self, t: float, now: MatingPoses) -> None:
         """Tell a collision of the wheel in the gripper."""
         x, y, z, *turn = now.wheel
         lateral, angle = math.hypot(x, y), math.hypot(*turn)
@@ -143,7 +145,7 @@ class Mating:
         elif z > -BOLT_TIP_M and lateral < HUB_RADIUS_M and is_off:
             self._collide(t, f"missed the bolts: {figures}")
 
-    def _watch_clearing(self, t: float, now: Situation) -> None:
+    def _watch_clearing(self, t: float, now: MatingPoses) -> None:
         """Tell a collision of the empty gripper that has to leave the wheel."""
         if self._is_clear:
             return
@@ -155,7 +157,7 @@ class Mating:
             self._collide(t, f"gripper pushed into the wheel by {1e3 * z:.1f} mm")
         self._is_clear = z < -CLEAR_M
 
-    def _turn_screws(self, t: float, now: Situation) -> None:
+    def _turn_screws(self, t: float, now: MatingPoses) -> None:
         if self._pulled_in_s is not None:
             if self.fixed_s is None and t - self._pulled_in_s >= PULLED_IN_S:
                 self.fixed_s = t
@@ -183,4 +185,4 @@ class Mating:
 
     def _collide(self, t: float, reason: str) -> None:
         if self.collision is None:
-            self.collision = Collision(t, reason)
+            self.collision = MatingCollision(t, reason)

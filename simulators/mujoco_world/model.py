@@ -12,7 +12,7 @@ import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path
 
-from linemate.simulators.mujoco_world.cell import Cell, Order, Six, Three, known
+from linemate.simulators.mujoco_world.mujoco_cell import MujocoCell, RunOrder, Six, Three, known
 
 URDF = Path(__file__).parents[2] / "daemon" / "data" / "arm.urdf"
 """The arm as its maker describes it: the same file that a site gives the daemon."""
@@ -74,11 +74,10 @@ def read_urdf(path: Path = URDF) -> tuple[list[UrdfJoint], UrdfJoint]:
     return chain, joints["flange_mount"]
 
 
-def mjcf(cell: Cell, order: Order) -> str:
+def mjcf(cell: MujocoCell, order: RunOrder) -> str:
     """Return the model of a station whose values are all drawn.
 
     Args:
-        cell: sampled.
         order: of the run: where the hub is at conveyor reading 0.
     """
     return f"""<mujoco model="linemate station">
@@ -119,7 +118,7 @@ def _text(values: tuple[float, ...]) -> str:
     return " ".join(f"{value:.9g}" for value in values)
 
 
-def _conveyor(cell: Cell, order: Order) -> str:
+def _conveyor(cell: MujocoCell, order: RunOrder) -> str:
     """Return the moving carrier with the body hung from it."""
     car, line = cell.car, cell.line
     offset, tilt = known(car.offset), known(car.tilt)
@@ -170,7 +169,7 @@ def _circle(angle: float) -> list[tuple[float, float]]:
     return [(BOLT_CIRCLE_M * math.cos(turn), BOLT_CIRCLE_M * math.sin(turn)) for turn in turns]
 
 
-def _arm(cell: Cell) -> str:
+def _arm(cell: MujocoCell) -> str:
     """Return linear axis, links, elastic mount and tool."""
     arm, tool = cell.arm, cell.tool
     chain, flange = read_urdf()
@@ -200,14 +199,14 @@ def _arm(cell: Cell) -> str:
     )
 
 
-def mount_stiffness(cell: Cell) -> Six:
+def mount_stiffness(cell: MujocoCell) -> Six:
     """Return the true stiffness of the mount: along [N/m] and about [Nm/rad]."""
     share = known(cell.tool.stiffness_share)
     a, b, c, d, e, f = (share * k for k in cell.tool.stiffness)
     return (a, b, c, d, e, f)
 
 
-def _mount(cell: Cell) -> str:
+def _mount(cell: MujocoCell) -> str:
     tool = cell.tool
     mass = tool.tool_mass + known(tool.wheel_mass)
     moving = (mass, mass, mass, 1.4, 1.4, 1.8)
@@ -223,7 +222,7 @@ def _mount(cell: Cell) -> str:
     return text
 
 
-def _motors(cell: Cell) -> str:
+def _motors(cell: MujocoCell) -> str:
     """Return the rotors of A1..A6, seen from the joint, each on an axis of its own."""
     arm = cell.arm
     friction = known(arm.friction_share)
@@ -236,7 +235,7 @@ def _motors(cell: Cell) -> str:
     )
 
 
-def _gears(cell: Cell) -> str:
+def _gears(cell: MujocoCell) -> str:
     """Return the gears: springs between a motor and its link."""
     arm = cell.arm
     text = ""
@@ -249,7 +248,7 @@ def _gears(cell: Cell) -> str:
     return text
 
 
-def _wheel(cell: Cell) -> str:
+def _wheel(cell: MujocoCell) -> str:
     """Return the wheel with the edges of its holes and three pads on its mating face."""
     tool = cell.tool
     inner = BOLT_RADIUS_M + tool.hole_clearance + EDGE_RADIUS_M
@@ -275,7 +274,7 @@ def _wheel(cell: Cell) -> str:
     )
 
 
-def _pairs(cell: Cell) -> str:
+def _pairs(cell: MujocoCell) -> str:
     """Return what may touch what: each bolt its hole, the pads the hub's face."""
     mu = known(cell.tool.friction)
     how = (

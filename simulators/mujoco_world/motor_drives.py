@@ -13,8 +13,8 @@ import math
 
 import numpy as np
 
-from linemate.simulators.mujoco_world.cell import Arm, known
 from linemate.simulators.mujoco_world.frame_poses import Array
+from linemate.simulators.mujoco_world.mujoco_cell import ArmDrives, known
 
 AXES = 7
 
@@ -47,11 +47,12 @@ class Drives:
         dead_time_s: setpoint received until it acts [s].
     """
 
-    def __init__(self, arm: Arm, start: tuple[float, ...], cycle_s: float, step_s: float) -> None:
+    def __init__(
+        self, arm: ArmDrives, start: tuple[float, ...], cycle_s: float, step_s: float
+    ) -> None:
         """Stand at the start.
 
         Args:
-            arm: sampled.
             start: A1..A6 [rad], E1 [m].
             step_s: time step of the simulation [s].
         """

@@ -12,25 +12,31 @@ from typing import TypeVar
 
 import numpy as np
 
-from linemate.simulators.mujoco_world.cell import Cell, Order, known, sample
 from linemate.simulators.mujoco_world.cell_sensors import (
-    Camera,
-    CameraReading,
-    DistanceReading,
-    DistanceSensor,
-    ForceTorqueSensor,
-    WrenchReading,
+    ConveyorEncoder,
+    HubCamera,
+    MountSensor,
+    MujocoDistance,
+    MujocoPose,
+    MujocoWrench,
 )
 from linemate.simulators.mujoco_world.frame_poses import Array, Pose, matrix_of, pose
 from linemate.simulators.mujoco_world.line import profile
-from linemate.simulators.mujoco_world.mating import Collision, Impact, Mating, Phase, Situation
+from linemate.simulators.mujoco_world.mating import (
+    FirstTouch,
+    Mating,
+    MatingCollision,
+    MatingPoses,
+    Phase,
+)
 from linemate.simulators.mujoco_world.model import TIMESTEP_S, mount_stiffness
 from linemate.simulators.mujoco_world.motor_drives import Drives
-from linemate.simulators.mujoco_world.station import Six, Station
+from linemate.simulators.mujoco_world.mujoco_cell import MujocoCell, RunOrder, known, sample
+from linemate.simulators.mujoco_world.station import MujocoStation, Six
 
 _TINY = 1e-9
 _SPARE_S = 2.0
-_Reading = TypeVar("_Reading", DistanceReading, CameraReading, WrenchReading)
+_Reading = TypeVar("_Reading", MujocoDistance, MujocoPose, MujocoWrench)
 
 
 class MujocoWorld:
@@ -41,11 +47,11 @@ class MujocoWorld:
         order: what was asked of the run.
     """
 
-    def __init__(self, cell: Cell, order: Order) -> None:
+    def __init__(self, cell: MujocoCell, order: RunOrder) -> None:
         """Set everything up at rest, the conveyor at its speed."""
         self.cell = cell = sample(order.seed, cell)
         self.order = order
-        self._station = Station(cell, order)
+        self._station = MujocoStation(cell, order)
         self._drives = Drives(cell.arm, order.start, order.cycle_s, TIMESTEP_S)
         self._mating = Mating(cell.tool)
         self._steps_a_cycle = round(order.cycle_s / TIMESTEP_S)
@@ -179,7 +185,7 @@ class MujocoWorld:
         """True hub in base now, 4x4.
 
         Raises:
-            ValueError: another time: nobody knows the future of this world.
+            ValueError: another time: no one knows the future of this world.
         """
         if t is not None and abs(t - self.time_s) > TIMESTEP_S:
             raise ValueError("the MuJoCo world tells where the hub is now alone")
@@ -214,12 +220,12 @@ class MujocoWorld:
         return self._mating.phase
 
     @property
-    def impact(self) -> Impact | None:
+    def impact(self) -> FirstTouch | None:
         """First touch of wheel and hub."""
         return self._mating.impact
 
     @property
-    def collision(self) -> Collision | None:
+    def collision(self) -> MatingCollision | None:
         """First collision, if any."""
         return self._mating.collision
 
@@ -240,15 +246,15 @@ class MujocoWorld:
 
     # Sensors
 
-    def take_distance(self) -> list[DistanceReading]:
+    def take_distance(self) -> list[MujocoDistance]:
         """Readings of the distance sensor that became due since the last call."""
         return self._take(self._distance.due)
 
-    def take_camera(self) -> list[CameraReading]:
+    def take_camera(self) -> list[MujocoPose]:
         """Poses of the camera that became due since the last call."""
         return self._take(self._camera.due)
 
-    def take_wrench(self) -> list[WrenchReading]:
+    def take_wrench(self) -> list[MujocoWrench]:
         """Readings of the force-torque sensor that became due since the last call."""
         return self._take(self._force_torque.due)
 
@@ -262,9 +268,9 @@ class MujocoWorld:
 
     def _begin_sensors(self) -> None:
         sensors, seed = self.cell.sensors, self.order.seed
-        self._distance = DistanceSensor(self.cell, seed)
-        self._camera = Camera(self.cell, seed)
-        self._force_torque = ForceTorqueSensor(self.cell, seed)
+        self._distance = ConveyorEncoder(self.cell, seed)
+        self._camera = HubCamera(self.cell, seed)
+        self._force_torque = MountSensor(self.cell, seed)
         self._periods = tuple(
             max(1, round(period / TIMESTEP_S))
             for period in (
@@ -319,9 +325,9 @@ class MujocoWorld:
         if self._step % touch == 0:
             self._force_torque.measure(t, station.wrench())
 
-    def _situation(self, touch_n: float) -> Situation:
+    def _situation(self, touch_n: float) -> MatingPoses:
         station = self._station
-        return Situation(
+        return MatingPoses(
             station.six(station.hub, station.tool),
             station.six(station.hub, station.wheel),
             station.six(station.wheel, station.tool),

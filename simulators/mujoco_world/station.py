@@ -10,10 +10,10 @@ import math
 import mujoco
 import numpy as np
 
-from linemate.simulators.mujoco_world.cell import Cell, Order, known
 from linemate.simulators.mujoco_world.frame_poses import Array, Pose, pose, vector_of
 from linemate.simulators.mujoco_world.line import Profile
 from linemate.simulators.mujoco_world.model import mjcf, mount_stiffness
+from linemate.simulators.mujoco_world.mujoco_cell import MujocoCell, RunOrder, known
 
 GRAVITY = 9.81
 Six = tuple[float, float, float, float, float, float]
@@ -24,23 +24,17 @@ Place = tuple[Array, Array]
 """Position (3,) and rotation (3, 3) in base."""
 
 
-class Station:
+class MujocoStation:
     """Model and state of one run.
 
     Attributes:
-        model: MuJoCo's model.
-        data: MuJoCo's state.
         stiffness: of the mount, along [N/m] and about [Nm/rad], (6,).
         rigid, tool, hub, wheel: numbers of the bodies.
         gripper, screws: numbers of the constraints that hold the wheel.
     """
 
-    def __init__(self, cell: Cell, order: Order) -> None:
-        """Compile the model.
-
-        Args:
-            cell: sampled.
-        """
+    def __init__(self, cell: MujocoCell, order: RunOrder) -> None:
+        """Compile the model of a station whose values are all drawn."""
         self._cell, self._order = cell, order
         self.model = model = mujoco.MjModel.from_xml_string(mjcf(cell, order))
         self.data = mujoco.MjData(model)

@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linemate.simulators.mujoco_world.cell import Cell, Order, Ramp, sample
+from linemate.simulators.mujoco_world.mujoco_cell import MujocoCell, Ramp, RunOrder, sample
 
 pytest.importorskip("mujoco", reason="the extra 'mujoco' is not installed")
 
 from linemate.simulators.mujoco_world.mujoco_world import MujocoWorld
 
 START = (0.0, -1.6233553393476978, 1.848973829348316, 0.0, 1.3451778367942788, 0.0, 0.0)
-ORDER = Order(
+ORDER = RunOrder(
     seed=3,
     cycle_s=0.012,
     lead_in_s=1.0,
@@ -25,13 +25,13 @@ ORDER = Order(
 )
 
 
-def world(cell: Cell | None = None, **changes: object) -> MujocoWorld:
-    return MujocoWorld(cell or Cell(), replace(ORDER, **changes))  # type: ignore[arg-type]
+def world(cell: MujocoCell | None = None, **changes: object) -> MujocoWorld:
+    return MujocoWorld(cell or MujocoCell(), replace(ORDER, **changes))  # type: ignore[arg-type]
 
 
-def swing_of(hz: float, damping: float = 0.01) -> Cell:
+def swing_of(hz: float, damping: float = 0.01) -> MujocoCell:
     """Return a cell whose body swings along the conveyor alone."""
-    cell = Cell()
+    cell = MujocoCell()
     car = replace(
         cell.car, fore_aft_hz=hz, fore_aft_damping=damping, excitation=0.0, tilt=(0.0, 0.0, 0.0)
     )
@@ -49,7 +49,7 @@ def test_a_seed_gives_the_same_run() -> None:
 
 
 def test_seeds_differ() -> None:
-    assert sample(1, Cell()) != sample(2, Cell())
+    assert sample(1, MujocoCell()) != sample(2, MujocoCell())
 
 
 def test_a_value_that_is_given_is_not_drawn() -> None:
@@ -58,7 +58,7 @@ def test_a_value_that_is_given_is_not_drawn() -> None:
 
 def test_a_new_draw_leaves_the_others_as_they_were() -> None:
     given = sample(1, swing_of(4.7)).car
-    assert given.lateral_hz == sample(1, Cell()).car.lateral_hz
+    assert given.lateral_hz == sample(1, MujocoCell()).car.lateral_hz
 
 
 @pytest.mark.parametrize("hz", [0.6, 1.2, 4.7])

@@ -26,7 +26,7 @@ from linemate.protocol.rsi.codec import parse_config
 from linemate.protocol.sensors.distance import DistanceEncoder
 from linemate.simulators.devices.camera_sender import CameraSender
 from linemate.simulators.devices.can_sensor import CanSensor
-from linemate.simulators.devices.emulated_world import Collision, Impact
+from linemate.simulators.devices.emulated_world import CollisionRecord, ImpactRecord
 from linemate.simulators.devices.faults import GARBAGE_BYTES, REAL, Faults
 from linemate.simulators.devices.force_torque import ForceTorqueSensor
 from linemate.simulators.devices.links.camera_sender_udp import CameraUdp
@@ -475,7 +475,7 @@ def serve(config: EmulatorConfig, out: TextIO = sys.stdout, priority: int = 0) -
             writer.join()
 
 
-def _plain(event: Impact | Collision | None) -> dict[str, Any] | None:
+def _plain(event: ImpactRecord | CollisionRecord | None) -> dict[str, Any] | None:
     """Return an event of a world, a dataclass of that world's own, as plain values."""
     return None if event is None else asdict(cast("Any", event))
 

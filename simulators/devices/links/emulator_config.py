@@ -12,7 +12,7 @@ from linemate.protocol.sensors.distance import SHIPPED_DBC
 from linemate.simulators.devices.links.endpoint import Address
 from linemate.simulators.devices.rsi_controller import ControllerConfig
 from linemate.simulators.devices.worlds import OWN
-from linemate.simulators.mujoco_world.cell import Cell
+from linemate.simulators.mujoco_world.mujoco_cell import MujocoCell
 from linemate.simulators.plants.scenario import Scenario
 
 SHIPPED_RSI = Path(next(iter(protocol.__path__))) / "data" / "rsi_joints.xml"
@@ -55,7 +55,7 @@ class EmulatorConfig:
 
     scenario: Scenario = field(default_factory=Scenario)
     world: str = OWN
-    mujoco: Cell = field(default_factory=Cell)
+    mujoco: MujocoCell = field(default_factory=MujocoCell)
     controller: ControllerConfig = field(default_factory=ControllerConfig)
     rsi_xml: Path = SHIPPED_RSI
     robot_target: Address | None = None

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from linemate.daemon.near_names import near_names
+from linemate.simulators.devices.worlds import OWN
 from linemate.simulators.harness import setup
 from linemate.simulators.harness.cluster import digest
 from linemate.simulators.harness.setup import Setup
@@ -24,6 +25,7 @@ from linemate.simulators.harness.world import world_rows
 from linemate.simulators.judge import report_json
 from linemate.simulators.lab.campaign import progress_bar, spread
 from linemate.simulators.lab.world import world_table
+from linemate.simulators.lab.world.mujoco_rows import MUJOCO_ROWS, prepared
 
 WORKERS = 2
 SCENARIOS = ("plant-floor", "plant-floor-harsh")
@@ -50,7 +52,7 @@ def main(args: Namespace) -> int:
     """Measure what the arguments say.
 
     Args:
-        args: rows, seeds, cycle_ms, overrides, workers, kept, json, list.
+        args: world, rows, seeds, cycle_ms, overrides, workers, kept, json, list.
 
     Returns:
         0 when every run was made, whatever came of it.
@@ -58,7 +60,7 @@ def main(args: Namespace) -> int:
     Raises:
         SetupError: a row or a setting is unknown.
     """
-    names = chosen(args.rows)
+    names = chosen(args.rows, args.world)
     if args.list:
         print("\n".join(f"{name:28s} {what(name)}" for name in names))
         return 0
@@ -78,13 +80,13 @@ def known() -> tuple[str, ...]:
     return (*world_rows.rows(), *(name for name in SCENARIOS if name in shipped))
 
 
-def chosen(text: str | None) -> tuple[str, ...]:
+def chosen(text: str | None, world: str = OWN) -> tuple[str, ...]:
     """Names of rows, separated by commas; ``sway*`` is all that begin so; None is all.
 
     Raises:
         SetupError: no such row.
     """
-    every = known()
+    every = known() if world == OWN else tuple(MUJOCO_ROWS)
     if text is None:
         return every
     found: list[str] = []
@@ -99,6 +101,8 @@ def chosen(text: str | None) -> tuple[str, ...]:
 
 def what(name: str) -> str:
     """What a row changes, in one line."""
+    if name in MUJOCO_ROWS:
+        return MUJOCO_ROWS[name].what
     row = world_rows.rows().get(name)
     return "all effects at once" if row is None else row.what
 
@@ -113,7 +117,9 @@ def prepare(
     """Make the jobs of rows and seeds."""
     listed, sources = world_rows.rows(), digest()
     made = {
-        name: setup.make(
+        name: prepared(name, tuple(overrides), cycle_ms)
+        if name in MUJOCO_ROWS
+        else setup.make(
             world_rows.PREFIX + name if name in listed else name, overrides, cycle_ms=cycle_ms
         )
         for name in names

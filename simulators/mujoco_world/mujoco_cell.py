@@ -33,8 +33,8 @@ class Car:
         lateral_hz: frequency of the pendulum across the conveyor.
         yaw_hz: frequency of the turn about the vertical.
         fore_aft_damping: damping ratio of that mode; None draws it, as those of the others.
-        lateral_damping: damping ratio across.
-        yaw_damping: damping ratio about the vertical.
+        lateral_damping: of the pendulum across the conveyor.
+        yaw_damping: of the turn about the vertical.
         excitation: acceleration amplitude that each mode starts the run with, at the hub [m/s^2].
         offset: hub off its nominal place in base [m].
         tilt: hub off its nominal orientation, rotation vector in base [rad].
@@ -83,7 +83,7 @@ class Line:
 
 
 @dataclass(frozen=True, slots=True)
-class Arm:
+class ArmDrives:
     """Drives and joints of A1..A6, and of E1 (last of seven).
 
     Attributes:
@@ -127,11 +127,11 @@ class Tool:
 
     Attributes:
         tool_mass: without the wheel [kg].
-        wheel_mass: [kg].
+        wheel_mass: mass that the gripper carries [kg].
         tool_centre: centre of gravity of the tool in the tcp frame [m].
         wheel_centre: centre of gravity of the wheel in the tcp frame [m].
-        stiffness: of the mount that is told to the daemon: along [N/m] and about [Nm/rad].
-        stiffness_share: true stiffness over the one told.
+        stiffness: of the mount by its data sheet: along [N/m] and about [Nm/rad].
+        stiffness_share: true stiffness over that of the data sheet.
         damping: damping ratio of the mount.
         hole_clearance: radius of a bolt hole over the bolt's [m].
         chamfer: widening of a hole at its mouth [m].
@@ -177,12 +177,12 @@ class Sensors:
         camera_range_bias: depth error over the distance [m/m].
         camera_blind: no pose nearer than this [m].
         camera_dropout: share of images without a pose.
-        hand_eye: camera off where the daemon was told, in the camera's frame [m].
+        hand_eye: residual error of its calibration, in the camera's frame [m].
         hand_eye_angle: the same as a rotation vector [rad].
         distance_period_s: between two readings [s].
-        distance_delay_s: how long a reading is under way, not dated [s].
+        distance_delay_s: age of a reading when it arrives; its date does not say so [s].
         distance_sigma: noise of a reading [m].
-        distance_step: resolution [m].
+        distance_step: smallest difference of two readings [m].
         distance_scale: scale error of the measuring wheel.
         force_period_s: between two readings [s].
         force_sigma: noise of a force [N].
@@ -216,12 +216,12 @@ class Sensors:
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
+class MujocoCell:
     """The station: everything that MuJoCo and the sensors are made of."""
 
     car: Car = field(default_factory=Car)
     line: Line = field(default_factory=Line)
-    arm: Arm = field(default_factory=Arm)
+    arm: ArmDrives = field(default_factory=ArmDrives)
     tool: Tool = field(default_factory=Tool)
     sensors: Sensors = field(default_factory=Sensors)
 
@@ -236,7 +236,7 @@ class Ramp:
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
+class RunOrder:
     """What is asked of a run, whatever station it is on.
 
     Attributes:
@@ -255,7 +255,7 @@ class Order:
     hub: Three
 
 
-_Part = TypeVar("_Part", Car, Line, Arm, Tool, Sensors)
+_Part = TypeVar("_Part", Car, Line, ArmDrives, Tool, Sensors)
 
 
 _Value = TypeVar("_Value")
@@ -296,7 +296,7 @@ class _Draw:
         return (x, y, z)
 
 
-def sample(seed: int, cell: Cell) -> Cell:
+def sample(seed: int, cell: MujocoCell) -> MujocoCell:
     """Draw what the station leaves open.
 
     Returns:

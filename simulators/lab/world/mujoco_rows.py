@@ -1,0 +1,58 @@
+"""Rows of the MuJoCo world: what each changes of its station."""
+
+from dataclasses import dataclass
+
+from linemate.simulators.harness import setup
+from linemate.simulators.harness.setup import Setup
+
+
+@dataclass(frozen=True, slots=True)
+class MujocoRow:
+    """One row.
+
+    Attributes:
+        what: what is different, in one line.
+        sets: ``KEY=VALUE`` of the station.
+        scenario: orders to the conveyor.
+    """
+
+    what: str
+    sets: tuple[str, ...] = ()
+    scenario: str = "wheel"
+
+
+def _car(hz: float, damping: float) -> tuple[str, ...]:
+    return (f"mujoco.car.fore_aft_hz={hz}", f"mujoco.car.fore_aft_damping={damping}")
+
+
+MUJOCO_ROWS = {
+    "mujoco": MujocoRow("the MuJoCo station as its seed draws it"),
+    "mujoco-no-stop": MujocoRow("the same, never stopped", scenario="no-stop"),
+    "mujoco-stop-in-contact": MujocoRow("the same, stopped in contact", scenario="stop-in-contact"),
+    "mujoco-0.62hz": MujocoRow("car with a fore-aft mode of 0.62 Hz, 1 %", _car(0.62, 0.01)),
+    "mujoco-1.2hz": MujocoRow("car with a fore-aft mode of 1.2 Hz, 2 %", _car(1.2, 0.02)),
+    "mujoco-4.7hz-0.9pct": MujocoRow("car with a fore-aft mode of 4.7 Hz, 0.9 %", _car(4.7, 0.009)),
+    "mujoco-4.7hz-4pct": MujocoRow("car with a fore-aft mode of 4.7 Hz, 4 %", _car(4.7, 0.04)),
+    "mujoco-loose-holes": MujocoRow(
+        "bolt holes 1 mm wider all around", ("mujoco.tool.hole_clearance=1.0e-3",)
+    ),
+    "mujoco-soft-mount": MujocoRow(
+        "a mount 0.57 times as stiff as specified", ("mujoco.tool.stiffness_share=0.57",)
+    ),
+    "mujoco-late-stamp": MujocoRow(
+        "camera dated 15 ms late", ("mujoco.sensors.camera_stamp_s=0.015",)
+    ),
+    "mujoco-blind": MujocoRow("camera blind below 60 mm", ("mujoco.sensors.camera_blind=0.060",)),
+    "mujoco-askew": MujocoRow("conveyor askew by 10 mrad", ("mujoco.line.askew=0.010",)),
+    "mujoco-light-car": MujocoRow(
+        "a body of 300 kg",
+        ("mujoco.car.mass=300.0", "mujoco.car.inertia=[370.0, 120.0, 430.0]"),
+    ),
+}
+
+
+def prepared(name: str, overrides: tuple[str, ...], cycle_ms: float | None) -> Setup:
+    """Return the runs of a row before their seeds."""
+    row = MUJOCO_ROWS[name]
+    sets = (*row.sets, *overrides)
+    return setup.make(row.scenario, sets, cycle_ms=cycle_ms, world="mujoco")
