@@ -12,7 +12,7 @@ from msgspec import structs
 from scipy import integrate
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.classifiers import bank_prediction, onset_bank
+from linemate.daemon.core.tracking.classifiers import bank_filter, bank_prediction, onset_bank
 from linemate.daemon.core.tracking.classifiers.bank_filter import SETTLING
 from linemate.daemon.core.tracking.classifiers.bank_model import (
     ACCELERATION,
@@ -23,7 +23,12 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
 )
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
 from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, Source
-from linemate.daemon.core.tracking.settings import BankSettings, FusionSettings, RippleSettings
+from linemate.daemon.core.tracking.settings import (
+    BankSettings,
+    FusionSettings,
+    ImpulseSettings,
+    RippleSettings,
+)
 from linemate.daemon.core.tracking.task import ConveyorClasses
 
 NEVER = 1e9
@@ -457,3 +462,64 @@ def test_a_frozen_distance_sensor_is_not_predicted_as_a_stop(seed: int) -> None:
             speeds.append((later - now) / float(ahead[0]))
     assert speeds
     assert min(speeds) > 0.95 * NOMINAL
+
+
+def coasting(tau: float, seconds: float) -> tuple[Array, Array]:
+    """Times and positions of a stop at 1 s whose last part fades exponentially."""
+    times = np.arange(-1.0, seconds, 0.001)
+    age, fast = np.maximum(times - 1.0, 0.0), NOMINAL / STOP - tau
+    ramp = NOMINAL - STOP * age
+    tail = STOP * tau * np.exp(-np.maximum(age - fast, 0.0) / tau)
+    return times, np.cumsum(np.where(age < fast, ramp, tail)) * 0.001
+
+
+def followed(times: Array, positions: Array, *, sway: float = 0.0) -> list[BankState]:
+    """States of a bank in contact whose body swings by ``sway`` [m] at 0.9 Hz from 4 s on.
+
+    No swing is explained by an impulse: only the distance sensor tells it from a start.
+    """
+    impulse = ImpulseSettings(confirmed=NEVER) if sway else ImpulseSettings()
+    bank = BankClassifier(
+        ConveyorClasses(), FusionSettings(), BankSettings(), DEVIATION, impulse=impulse
+    )
+    rng = np.random.default_rng(4)
+    state, states = bank.initial(float(positions[0])), []
+    for t in np.arange(times[0] + 0.2, times[-1], T0):
+        at = float(np.interp(t - 0.001, times, positions))
+        swung = sway * (1.0 - math.cos(2.0 * math.pi * 0.9 * max(t - 4.0, 0.0)))
+        far, near = rng.normal(0.0, DEVIATION), rng.normal(0.0, 5e-5)
+        rows = [
+            PositionMeasurement(Source.DISTANCE, at + far, 0.001, DEVIATION**2, 4.0),
+            PositionMeasurement(Source.TACTILE, at + near + swung, 0.001, 25e-10, 20.0),
+        ]
+        state = bank.advance(state, rows, T0)
+        states.append(state)
+    return states
+
+
+@pytest.mark.parametrize("tau", [0.1, 0.3])
+def test_a_stop_that_coasts_out_ends_and_is_no_start(tau: float) -> None:
+    states = followed(*coasting(tau, 5.0))
+    events = [event for state in states for event in state.events]
+    assert ("stop", "confirmed") in events
+    assert ("start", "confirmed") not in events
+    assert states[-1].motion is Motion.STANDING
+    assert all(float(state.x[1]) >= -1e-3 for state in states)
+
+
+@pytest.mark.parametrize("sway", [0.0002, 0.0005, 0.001])
+def test_a_body_that_swings_is_no_start_as_long_as_the_conveyor_stands(sway: float) -> None:
+    states = followed(*coasting(0.05, 10.0), sway=sway)
+    assert ("start", "confirmed") not in [event for state in states for event in state.events]
+    assert states[-1].motion is Motion.STANDING
+
+
+def test_a_speed_that_is_left_when_a_stop_ends_dies_out() -> None:
+    states = followed(*coasting(0.1, 3.0))
+    before = [state for state in states if state.motion is Motion.STOPPING][-1]
+    left = structs.replace(before, x=before.x + np.eye(STATES)[1] * 0.003)
+    standing = bank_filter.enter_standing(BANK, left)
+    assert standing.x[1] == 0.0
+    assert standing.x[2] == pytest.approx(left.x[1] + left.x[2])
+    ahead = bank_prediction.predict_positions(BANK, standing, np.array((0.0, 0.2, 2.0, 4.0)))
+    assert ahead[3] - ahead[2] < 1e-6 < ahead[1] - ahead[0]

@@ -29,6 +29,10 @@ OFFSET_DEVIATION = 0.1  # of x10 before anything but the distance sensor saw the
 SETTLING = 0.6  # the banks are empty until the speed is estimated [s]
 MOST_REJECTED = 8  # measurements of one sensor rejected in a row, after which the filter widens
 REST_DEVIATION = 0.002  # of the speed when a stop ends [m/s]
+CREEP_DEVIATION = 0.0005  # of the lasting speed of a conveyor that stands [m/s]
+SLOW = 0.004  # speed below which a stop whose deceleration fades is over [m/s]
+FADED = 0.3  # share of the nominal deceleration below which it fades
+SLOW_SHARE, LONGEST_STOP = 0.3, 3.0  # of nominal speed and duration; later a slow stop is over
 FAST_SHARE = 0.7  # of the cruising speed, above which a stop may turn out to be none
 SLOWEST_STOP = 0.5  # of the nominal deceleration, which every stop exceeds
 
@@ -89,14 +93,40 @@ def predict(model: BankModel, state: BankState, dt: float) -> BankState:
 def _end_class(model: BankModel, state: BankState) -> BankState:
     """Return the state past the end of a stop (standing) or a start (running)."""
     v = float(state.x[V])
-    if state.motion is Motion.STOPPING and v <= 0.0:
-        standing = enter_class(state, Motion.STANDING, max(v, 0.0), REST_DEVIATION)
-        return reset_ripple(model, standing)
+    if state.motion is Motion.STOPPING and _is_stopped(model, state):
+        return enter_standing(model, state)
     if state.motion is Motion.STOPPING and v > FAST_SHARE * state.cruise:
         return _cancel_stop(model, state)
     if state.motion is Motion.STARTING and v >= state.cruise:
         return enter_class(state, Motion.RUNNING, v, 2.0 * REST_DEVIATION)
     return state
+
+
+def _is_stopped(model: BankModel, state: BankState) -> bool:
+    """Return whether a stop is over: no speed is left, or it fades, or the stop lasts too long."""
+    v, slowing = float(state.x[V]), -float(state.x[ACCELERATION])
+    if v <= 0.0:
+        return True
+    deceleration = model.conveyor.deceleration
+    if v < SLOW and slowing < FADED * deceleration:
+        return True
+    slow = SLOW_SHARE * model.conveyor.nominal_speed
+    return v < slow and state.class_age > LONGEST_STOP * model.conveyor.nominal_speed / deceleration
+
+
+def enter_standing(model: BankModel, state: BankState) -> BankState:
+    """Return the state of a conveyor that stands.
+
+    The speed that is left becomes one that dies out. The lasting speed is a creep.
+    """
+    x, P = state.x.copy(), state.P.copy()
+    x[RANDOM] += x[V]
+    P[RANDOM, :] += P[V, :]
+    P[:, RANDOM] += P[:, V]
+    P[V, :] = P[:, V] = 0.0
+    P[RANDOM, RANDOM] += REST_DEVIATION**2
+    standing = enter_class(replace(state, x=x, P=P), Motion.STANDING, 0.0, CREEP_DEVIATION)
+    return reset_ripple(model, standing)
 
 
 def reset_ripple(model: BankModel, state: BankState) -> BankState:
@@ -218,6 +248,7 @@ def clear_banks(state: BankState) -> BankState:
         impulse=NO_POSTERIOR,
         change_odds=-30.0,
         impulse_odds=-30.0,
+        distance_odds=None,
         tentative=False,
         is_expired=False,
     )

@@ -16,6 +16,7 @@ from msgspec import Struct
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.classifiers import onset_bank
+from linemate.daemon.core.tracking.classifiers.distance_check import NO_READINGS
 from linemate.daemon.core.tracking.classifiers.onset_bank import (
     NO_POSTERIOR,
     AmplitudePrior,
@@ -37,6 +38,9 @@ Y, V, RANDOM, OFFSET, ACCELERATION, IMPULSE, IMPULSE_QUADRATURE = range(7)
 RIPPLE, RIPPLE_QUADRATURE, FREQUENCY = range(7, STATES)
 RAMPS = (Motion.STOPPING, Motion.STARTING)
 RIPPLE_FACTORS = (0.9, 1.1)  # range of the ripple's frequency over the configured one
+RAMP_WALK = 0.05  # random walk of a ramp's acceleration, as a share of the nominal one [1/sqrt(s)]
+END_WALK = 1.0  # the same at the end of a stop, which may coast out or brake smoothly [1/sqrt(s)]
+END_S = 0.25  # time to the end of a stop below which its deceleration is uncertain [s]
 _CONSTANT = (0.0,)  # frequencies of a change of class [rad/s]
 
 # Class and event that can follow each class.
@@ -81,6 +85,9 @@ class BankState(Struct, frozen=True, eq=False):
         change, impulse: posteriors of the two banks after the last step.
         change_odds: log odds of a change against no change and against an impulse.
         impulse_odds: log odds of an impulse against both others.
+        distance_odds: log odds of a change by the distance sensor alone, None if it has no say or
+            was not asked.
+        readings: (2, m) of the distance sensor, ages [s] and positions [m].
         tentative: a change has been perceived.
         tentative_s: how long it has been tentative [s].
         is_expired: it was cancelled for its duration, and its odds have not been calm since.
@@ -106,6 +113,8 @@ class BankState(Struct, frozen=True, eq=False):
     impulse: OnsetPosterior = NO_POSTERIOR
     change_odds: float = -30.0
     impulse_odds: float = -30.0
+    distance_odds: float | None = None
+    readings: Array = NO_READINGS
     tentative: bool = False
     tentative_s: float = 0.0
     is_expired: bool = False
@@ -178,8 +187,11 @@ class BankModel:
         return self.conveyor.acceleration if motion is Motion.STARTING else 0.0
 
     def random_ripple(self, state: BankState) -> tuple[float, float]:
-        """Return the random ripple's standard deviation [m/s] and correlation time [s]."""
-        if state.contact or self._is_fine_sensor:
+        """Return the random ripple's standard deviation [m/s] and correlation time [s].
+
+        At standstill it is what is left of the speed, and dies out.
+        """
+        if state.motion is Motion.STANDING or state.contact or self._is_fine_sensor:
             return self.fusion.contact_ripple, self.fusion.contact_ripple_time
         return self.fusion.ripple, self.fusion.ripple_time
 
@@ -202,9 +214,8 @@ class BankModel:
         fusion = self.fusion
         share = self.speed_share(float(state.x[V]))
         ripple, time = self.random_ripple(state)
-        is_ramp = state.motion in RAMPS
         ripple = (ripple * share) ** 2 * (1.0 - math.exp(-2.0 * dt / time))
-        rate = (0.05 * abs(self.class_acceleration(state.motion))) ** 2 * dt if is_ramp else 0.0
+        rate = (self._ramp_walk(state) * self.class_acceleration(state.motion)) ** 2 * dt
         speed = fusion.speed * (1.0 if state.motion is not Motion.STANDING else 0.3)
         amplitude = frequency = 0.0
         if self.ripple.deviation > 0.0:
@@ -214,6 +225,13 @@ class BankModel:
         return np.array(
             [1e-12, speed**2 * dt, ripple, offset, rate, 0.0, 0.0, amplitude, amplitude, frequency]
         )
+
+    def _ramp_walk(self, state: BankState) -> float:
+        """Return the random walk of a ramp's acceleration, as a share [1/sqrt(s)]."""
+        if state.motion is not Motion.STOPPING:
+            return RAMP_WALK
+        left = max(float(state.x[V]), 0.0) / self.conveyor.deceleration
+        return RAMP_WALK + END_WALK * math.exp(-left / END_S)
 
     def speed_share(self, speed: float) -> float:
         """Return the share of the nominal speed, with which every ripple fades."""

@@ -26,6 +26,7 @@ from linemate.daemon.core.tracking.conveyor import ConveyorEstimate, Motion, Sou
 LEAST_WEIGHT = 1e-4  # of a hypothesis in the prediction
 LEAST_RIPPLE = 1e-7  # amplitude of a ripple in the prediction [m]
 CONTRADICTED = 2  # readings of the distance sensor rejected in a row; one may be an outlier
+DENIED = 4.0  # log odds of a change in contact beyond what the distance sensor says
 LEAST_SWING = 1e-6  # amplitude of a swing in the prediction [m]
 
 
@@ -133,7 +134,11 @@ def hypothesis_weights(model: BankModel, state: BankState) -> tuple[float, float
         penalty = 0.0
     else:
         return 0.0, 0.0
-    change = caution * (state.change.odds - penalty)
+    odds = state.change.odds
+    if state.contact and state.distance_odds is not None:
+        # What the distance sensor denies is a body that swings.
+        odds = min(odds, state.distance_odds + DENIED)
+    change = caution * (odds - penalty)
     impulse = state.impulse.odds - max(penalty, model.impulse.confirmed)
     largest = max(change, impulse, 0.0)
     change, impulse = math.exp(change - largest), math.exp(impulse - largest)

@@ -15,6 +15,7 @@ from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.classifiers import (
     bank_filter,
     bank_prediction,
+    distance_check,
     guide,
     onset_bank,
     start_check,
@@ -30,6 +31,7 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     IMPULSE,
     IMPULSE_QUADRATURE,
     NEXT,
+    RAMPS,
     STATES,
     BankModel,
     BankState,
@@ -45,6 +47,12 @@ from linemate.daemon.core.tracking.conveyor import (
 )
 
 CALM = 2.0  # log odds below which a tentative change is cancelled
+ASKED = -2.0  # log odds of a change in contact above which the distance sensor is asked
+# Least log odds by the distance sensor alone with which a change in contact is confirmed.
+SUPPORT = {"stop": 0.0, "start": 1.5}
+MOVED = 1.5  # log odds of a change by the distance sensor alone above which no impulse is accepted
+RUNNING_DEVIATION = 0.003  # of the steady speed of a running conveyor, for the distance check [m/s]
+STANDING_DEVIATION = 0.0003  # the same of one that stands [m/s]
 
 
 class BankClassifier(BankModel):
@@ -62,8 +70,10 @@ class BankClassifier(BankModel):
         state = bank_filter.predict(self, state, dt)
         if measurements:
             state = bank_filter.correct(self, state, measurements)
+        readings = distance_check.keep(state.readings, measurements, dt)
         felt = [each.variance for each in measurements if each.source is Source.TACTILE]
         is_keen = bool(felt) and min(felt) < self.distance_deviation**2
+        state = replace(state, readings=readings)
         if bool(felt) is not state.contact or is_keen is not state.is_keen:
             state = replace(state, contact=bool(felt), is_keen=is_keen)
         state = _bound_tentative(self._decide(state), before, dt)
@@ -133,13 +143,17 @@ class BankClassifier(BankModel):
             impulse=impulse,
             change_odds=change_odds,
             impulse_odds=impulse_odds,
+            distance_odds=None,
         )
-        if change_odds > limit:
+        if state.contact and change.odds > ASKED:
+            state = replace(state, distance_odds=self._distance_odds(state))
+        said = state.distance_odds
+        if change_odds > limit and (said is None or said > SUPPORT[event]):
             events = [*state.events, (event, "tentative"), (event, "confirmed")]
             if state.tentative:
                 events.remove((event, "tentative"))
             return self._accept_change(replace(state, events=tuple(events)), motion)
-        if impulse_odds > self.impulse.confirmed:
+        if impulse_odds > self.impulse.confirmed and (said is None or said < MOVED):
             return self._accept_impulse(state)
         if state.is_expired:
             return replace(state, is_expired=False) if change_odds < CALM else state
@@ -148,6 +162,20 @@ class BankClassifier(BankModel):
         if state.tentative and change_odds < CALM:
             return replace(state, tentative=False, events=(*state.events, (event, "cancelled")))
         return state
+
+    def _distance_odds(self, state: BankState) -> float | None:
+        """Return the log odds of a change by the distance sensor alone, None if it has no say."""
+        if state.motion in RAMPS:
+            return None
+        weights = state.change.weights
+        standing = state.motion is Motion.STANDING
+        return distance_check.log_odds(
+            state.readings,
+            float(weights.dot(state.changes.age)),
+            self.changes[state.motion] * float(weights.dot(state.change.amplitudes)),
+            STANDING_DEVIATION if standing else RUNNING_DEVIATION,
+            self.distance_deviation,
+        )
 
     def _accept_change(self, state: BankState, motion: Motion) -> BankState:
         """Return the state in its new class, the banks cleared."""
@@ -188,8 +216,7 @@ class BankClassifier(BankModel):
         speed = float(state.x[V])
         nominal = self.conveyor.nominal_speed
         if SETTLING < state.age < SETTLING + 1.5 * dt and speed < 0.3 * nominal:
-            standing = enter_class(state, Motion.STANDING, speed, REST_DEVIATION)
-            return bank_filter.reset_ripple(self, standing)
+            return bank_filter.enter_standing(self, state)
         if state.age > SETTLING and not state.tentative and speed > 0.7 * nominal:
             return replace(state, cruise=state.cruise + dt * (speed - state.cruise))
         return state

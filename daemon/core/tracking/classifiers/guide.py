@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from msgspec.structs import replace
 
 from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.classifiers import bank_filter
 from linemate.daemon.core.tracking.classifiers.bank_model import (
     ACCELERATION,
     FREQUENCY,
@@ -26,7 +27,12 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     Guide,
     V,
 )
-from linemate.daemon.core.tracking.conveyor import PositionMeasurement, Source, has_changed_class
+from linemate.daemon.core.tracking.conveyor import (
+    Motion,
+    PositionMeasurement,
+    Source,
+    has_changed_class,
+)
 
 _SWING = slice(IMPULSE, RIPPLE)
 
@@ -53,7 +59,7 @@ def advance(
     for measurement in measurements:
         led = _corrected(model, led, measurement)
     if state.motion is not before.motion:
-        led = _in_class(state, led)
+        led = _in_class(model, state, led)
     return replace(state, guide=Guide(led.x, led.P, led.ripple_factor))
 
 
@@ -103,7 +109,7 @@ def _corrected(model: BankModel, led: BankState, measurement: PositionMeasuremen
     return replace(led, x=x, P=led.P - K[:, None].dot(Ph[None]), ripple_factor=factor)
 
 
-def _in_class(state: BankState, led: BankState) -> BankState:
+def _in_class(model: BankModel, state: BankState, led: BankState) -> BankState:
     """Return the guide in another class.
 
     What the bank has confirmed or taken back, the guide takes over whole. Where a stop or a start
@@ -112,6 +118,8 @@ def _in_class(state: BankState, led: BankState) -> BankState:
     if has_changed_class(state.events):
         guide = synchronised(state)
         return replace(led, x=guide.x, P=guide.P)
+    if state.motion is Motion.STANDING:
+        return bank_filter.enter_standing(model, led)
     x, P = led.x.copy(), led.P.copy()
     x[V], x[ACCELERATION] = state.x[V], 0.0
     P[ACCELERATION, :] = P[:, ACCELERATION] = 0.0

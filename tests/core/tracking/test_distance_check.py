@@ -1,0 +1,80 @@
+"""What the distance sensor alone says of a change: it sees the conveyor, not the body."""
+
+import numpy as np
+import pytest
+
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.classifiers import distance_check
+from linemate.daemon.core.tracking.classifiers.distance_check import NO_READINGS
+from linemate.daemon.core.tracking.conveyor import PositionMeasurement, Source
+
+T0 = 0.012
+SIGMA = 0.38e-3
+START = 0.013
+
+
+def readings(acceleration: float, moved_s: float, seed: int, speed: float = 0.0) -> Array:
+    """A second of readings of a conveyor that accelerates since ``moved_s``."""
+    rng = np.random.default_rng(seed)
+    kept = NO_READINGS
+    for k in range(84):
+        left = max(moved_s - (83 - k) * T0, 0.0)
+        value = speed * k * T0 + 0.5 * acceleration * left * left + rng.normal(0.0, SIGMA)
+        kept = distance_check.keep(
+            kept, [PositionMeasurement(Source.DISTANCE, value, 0.001, SIGMA**2, 4.0)], T0
+        )
+    return kept
+
+
+def odds(kept: Array, onset: float, change: float, speed_deviation: float = 3e-4) -> float:
+    said = distance_check.log_odds(kept, onset, change, speed_deviation, SIGMA)
+    assert said is not None
+    return said
+
+
+def test_a_conveyor_that_starts_is_told_from_one_that_stands() -> None:
+    started = [odds(readings(START, 0.4, seed), 0.4, START) for seed in range(40)]
+    stands = [odds(readings(0.0, 0.4, seed), 0.4, START) for seed in range(40)]
+    assert np.mean(started) > 5.0
+    assert np.mean(stands) < -5.0
+    assert sum(each > 1.5 for each in stands) <= 1
+
+
+def test_a_stop_of_a_running_conveyor_is_found_without_knowing_its_speed() -> None:
+    stopped = [odds(readings(-0.1, 0.15, s, 0.106), 0.15, -0.1, 0.003) for s in range(40)]
+    runs = [odds(readings(0.0, 0.15, s, 0.106), 0.15, -0.1, 0.003) for s in range(40)]
+    assert np.mean(stopped) > 1.5
+    assert np.mean(runs) < -1.5
+
+
+def test_the_odds_are_those_of_two_likelihoods() -> None:
+    """Against the densities of all readings at once, with the prior of level and speed."""
+    kept = readings(START, 0.3, 5)
+    times, way = 0.3 - kept[0], kept[1] - kept[1][-1]
+    cov = SIGMA**2 * np.eye(len(times)) + 1.0 + 9e-8 * np.outer(times, times)
+    shift = 0.5 * START * np.maximum(times, 0.0) ** 2
+    inverse = np.linalg.inv(cov)
+    ratio = float(shift @ inverse @ way - 0.5 * shift @ inverse @ shift)
+    assert odds(kept, 0.3, START) == pytest.approx(ratio, rel=1e-3, abs=1e-3)
+
+
+def test_an_outlier_of_100_mm_does_not_speak() -> None:
+    kept = readings(0.0, 0.4, 7)
+    clean = odds(kept, 0.4, START)
+    kept[1, 70] += 0.1
+    assert odds(kept, 0.4, START) == pytest.approx(clean, abs=2.5)
+
+
+def test_a_silent_sensor_has_no_say() -> None:
+    kept = readings(0.0, 0.4, 1)
+    assert distance_check.log_odds(NO_READINGS, 0.2, START, 3e-4, SIGMA) is None
+    silent = distance_check.keep(kept, [], 0.2)
+    assert distance_check.log_odds(silent, 0.2, START, 3e-4, SIGMA) is None
+
+
+def test_readings_older_than_a_second_are_dropped_and_no_other_sensor_is_kept() -> None:
+    kept = readings(0.0, 0.0, 1)
+    camera = PositionMeasurement(Source.CAMERA, 0.0, 0.1, 1e-6, 4.0)
+    later = distance_check.keep(kept, [camera], 0.5)
+    assert later.shape[1] < kept.shape[1]
+    assert later[0].max() <= distance_check.SPAN_S
