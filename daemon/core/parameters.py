@@ -130,7 +130,7 @@ def build(
         settings=tracking,
         reference=reference,
         classifier=_classifier(task, tracking),
-        transverse=Transverse(tracking.fusion, tracking.swing),
+        transverse=Transverse(tracking.fusion, tracking.swing, tracking.camera),
         table=table,
         camera=(np.array(camera.position), rotations.matrix(camera.quaternion)),
         cycle_s=cycle_s,
@@ -179,7 +179,7 @@ def retuned(parameters: Parameters, tracking: TrackingSettings) -> Parameters:
         parameters.tracker,
         settings=tracking,
         classifier=_classifier(parameters.tracker.task, tracking),
-        transverse=Transverse(tracking.fusion, tracking.swing),
+        transverse=Transverse(tracking.fusion, tracking.swing, tracking.camera),
     )
     return replace(parameters, tracker=tracker)
 

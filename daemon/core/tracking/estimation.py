@@ -1,6 +1,7 @@
 """Estimation of the object in one step: predict and correct, along and across the conveyor."""
 
 import math
+from bisect import bisect_right
 
 import numpy as np
 from msgspec.structs import replace
@@ -14,6 +15,7 @@ from linemate.daemon.core.tracking.conveyor import (
     has_changed_class,
 )
 from linemate.daemon.core.tracking.go_no_go import prediction_error
+from linemate.daemon.core.tracking.go_no_go.prediction_error import PredictionMonitor
 from linemate.daemon.core.tracking.merge import ALONG
 from linemate.daemon.core.tracking.observation import (
     History,
@@ -22,6 +24,7 @@ from linemate.daemon.core.tracking.observation import (
     mean_wrench,
     measure_camera,
     measure_touch,
+    motion_at,
     pose_at,
     rate_now,
     remember,
@@ -32,6 +35,8 @@ from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, Tr
 from linemate.daemon.core.tracking.transverse import TransverseState
 from linemate.protocol.stamped_samples import DistanceSample
 
+UNITS_S = 0.35  # for which positions of the conveyor unit are remembered [s]
+MOTION_NS = 24_000_000  # over which the tcp's speed at an exposure is averaged [ns]
 FIRST_READINGS = 4  # readings of the distance sensor that start the classifier
 FIRST_SPREAD = 0.015  # largest range of these readings: none is an outlier [m]
 # The offset of the compliance follows across; the screws turn the object by a milliradian at once.
@@ -69,8 +74,8 @@ def estimate(
         else:
             is_camera = source is Source.CAMERA
             across = measured if is_camera else _yielding(tracker, measured, oscillation)
-            transverse, is_accepted = tracker.transverse.correct(
-                transverse, across, gate, is_camera=is_camera
+            transverse, is_accepted = _correct(
+                tracker, state, transverse, source, across, gate, samples.stamp_ns
             )
             rejected += not is_accepted
             if not is_accepted:
@@ -89,12 +94,9 @@ def estimate(
     else:
         conveyor = tracker.classifier.advance(conveyor, rows, tracker.cycle_s)
     view = None if conveyor is None else tracker.classifier.estimate(conveyor)
-    if state.conveyor is not None and state.transverse is not None:
-        seen = [measured for source, measured, _ in first_poses if source is Source.CAMERA]
-        monitor = prediction_error.compare_poses(state.monitor, samples.stamp_ns, seen)
-        state = replace(state, monitor=monitor)
     state = replace(
         state,
+        monitor=_compared(tracker, state, samples.stamp_ns, first_poses),
         history=history,
         conveyor=conveyor,
         transverse=transverse,
@@ -103,6 +105,7 @@ def estimate(
         pull=pull,
         pose_ns=pose_ns,
         speed=0.0 if view is None else view.speed,
+        units=_with_unit(tracker, state, samples.stamp_ns, view),
     )
     return state, view, rejected, wrench
 
@@ -154,6 +157,64 @@ def comply(
     return replace(state, compliance=later)
 
 
+def _correct(
+    tracker: Tracker,
+    state: TrackerState,
+    transverse: TransverseState,
+    source: Source,
+    measured: PoseMeasurement,
+    gate: float,
+    now_ns: int,
+) -> tuple[TransverseState, bool]:
+    """Return the estimate across the conveyor after one pose, and whether it was accepted."""
+    is_camera = source is Source.CAMERA
+    transverse, is_accepted = tracker.transverse.correct(
+        transverse, measured, gate, is_camera=is_camera
+    )
+    unit = _unit_at(state, now_ns - round(measured.delay * 1e9))
+    if is_camera and is_accepted and unit is not None:
+        transverse = tracker.transverse.correct_along(transverse, measured, unit)
+    return transverse, is_accepted
+
+
+def _compared(
+    tracker: Tracker,
+    state: TrackerState,
+    now_ns: int,
+    poses: list[tuple[Source, PoseMeasurement, float]],
+) -> PredictionMonitor:
+    """Return the monitor of past predictions, compared with the images of one step."""
+    transverse = state.transverse
+    if state.conveyor is None or transverse is None:
+        return state.monitor
+    seen = [
+        tracker.transverse.without_errors(transverse, measured)
+        for source, measured, _ in poses
+        if source is Source.CAMERA
+    ]
+    return prediction_error.compare_poses(state.monitor, now_ns, seen)
+
+
+def _with_unit(
+    tracker: Tracker, state: TrackerState, now_ns: int, view: ConveyorEstimate | None
+) -> tuple[tuple[int, float], ...]:
+    """Return the past positions of the conveyor unit, with that of now."""
+    if view is None or state.contact:
+        return ()
+    count = math.ceil(UNITS_S / tracker.cycle_s)
+    return (*state.units[-count:], (now_ns, view.position + view.offset))
+
+
+def _unit_at(state: TrackerState, stamp_ns: int) -> float | None:
+    """Return the position of the conveyor unit at a time [m], None if it is not known."""
+    units = state.units
+    i = bisect_right(units, (stamp_ns, math.inf))
+    if not 0 < i < len(units):
+        return None
+    (before_ns, before), (after_ns, after) = units[i - 1], units[i]
+    return before + (after - before) * (stamp_ns - before_ns) / (after_ns - before_ns)
+
+
 def distance_measurement(
     tracker: Tracker, now_ns: int, sample: DistanceSample
 ) -> PositionMeasurement:
@@ -172,6 +233,8 @@ def _along_measurement(
     gate: float,
 ) -> PositionMeasurement:
     """Return a pose's component along the conveyor, without the swing."""
+    if transverse is not None:
+        measured = tracker.transverse.without_errors(transverse, measured)
     value, variance = float(measured.position[1]), float(measured.variance[1])
     if transverse is not None:
         if source is Source.CAMERA:
@@ -233,8 +296,9 @@ def _pose_measurements(
         tcp = pose_at(history, sample.exposure_ns, tracker.cycle_s)
         delay = (samples.stamp_ns - sample.exposure_ns) * 1e-9
         if tcp is not None and delay <= settings.camera.longest_delay:
+            motion = motion_at(history, sample.exposure_ns, MOTION_NS)
             measured = measure_camera(
-                sample, tcp, tracker.camera, settings.camera, samples.stamp_ns, rate
+                sample, tcp, tracker.camera, settings.camera, samples.stamp_ns, rate, motion
             )
             measurements.append((Source.CAMERA, measured, settings.camera.gate))
     if wrench is not None:

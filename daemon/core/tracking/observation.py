@@ -64,6 +64,21 @@ def rate_now(history: History) -> Array:
     return rate
 
 
+def motion_at(history: History, stamp_ns: int, span_ns: int) -> Array | None:
+    """Return the speed of the tcp (6,) in c at a stamp [m/s, rad/s], None where it is not known.
+
+    Args:
+        span_ns: time over which it is averaged [ns].
+    """
+    before = pose_at(history, stamp_ns - span_ns // 2, 0.0)
+    after = pose_at(history, stamp_ns + span_ns // 2, span_ns * 1e-9)
+    if before is None or after is None:
+        return None
+    motion: Array = (after - before) / (span_ns * 1e-9)
+    motion[3:] = rotations.left_jacobian(before[3:]).dot(motion[3:])
+    return motion
+
+
 class PoseMeasurement(Struct, frozen=True, eq=False):
     """One measured pose of the object in c.
 
@@ -71,12 +86,15 @@ class PoseMeasurement(Struct, frozen=True, eq=False):
         rotation: (3, 3) of the object's axes in c.
         delay: tau, from the measurement to now [s].
         variance: (6,) of position and of a rotation about the axes of c [m^2, rad^2].
+        sensitivity: (6, 4) change of position and rotation for a stamp that is 1 s late, and for a
+            bias of 1 m for each metre of range along the camera's x, y, z. None if it has neither.
     """
 
     position: Array
     rotation: Array
     delay: float
     variance: Array
+    sensitivity: Array | None = None
 
 
 def measure_camera(
@@ -86,6 +104,7 @@ def measure_camera(
     noise: CameraNoise,
     now_ns: int,
     rate: Array,
+    motion: Array | None = None,
 ) -> PoseMeasurement:
     """Return the pose measurement of a camera sample.
 
@@ -95,6 +114,7 @@ def measure_camera(
         noise: model of its deviations where the sample has no covariance.
         now_ns: time of the step.
         rate: (6,) of the tcp.
+        motion: (6,) speed of the tcp at the exposure, in c [m/s, rad/s]; None if it is not known.
     """
     R_tcp = rotations.exp(tcp[3:])
     R_camera = R_tcp.dot(camera[1])
@@ -111,7 +131,14 @@ def measure_camera(
         diagonal = np.array((lateral, lateral, depth, angle, angle, angle)) ** 2
     variance = diagonal.reshape(2, 3).dot((R_camera * R_camera).T).reshape(6)
     variance += (noise.stamp * rate) ** 2
-    return PoseMeasurement(position, rotation, (now_ns - sample.exposure_ns) * 1e-9, variance)
+    sensitivity = None
+    if motion is not None:
+        sensitivity = np.zeros((6, 4))
+        sensitivity[:, 0] = motion
+        sensitivity[:3, 0] += np.cross(motion[3:], position - tcp[:3])
+        sensitivity[:3, 1:] = math.hypot(*sample.position) * R_camera
+    delay = (now_ns - sample.exposure_ns) * 1e-9
+    return PoseMeasurement(position, rotation, delay, variance, sensitivity)
 
 
 class Wrench(Struct, frozen=True, eq=False):

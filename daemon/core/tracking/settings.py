@@ -64,6 +64,10 @@ class CameraNoise:
         gate: reject an innovation beyond this many sigma.
         longest_delay: reject an older exposure [s].
         stamp: sigma of its time stamp [s]; it adds the motion in that time to the variance.
+        stamp_offset: sigma of a constant error of its stamps [s], which is estimated from the arm's
+            own motion. 0: the stamps are exact.
+        bias: sigma of a constant bias for each metre of range, across and along the line of sight,
+            which is estimated as the range changes [m/m]. 0: it has none.
         blind_below: distance from the tcp to the object below which it gives no poses [m]. The last
             waypoint before contact is moved out by the task to where it still sees.
     """
@@ -76,6 +80,8 @@ class CameraNoise:
     gate: Sigmas = 5.0
     longest_delay: Annotated[float, Gt(0.0), Le(1.0)] = 0.3
     stamp: Annotated[float, Ge(0.0), Le(0.1)] = 0.0005
+    stamp_offset: Annotated[float, Ge(0.0), Le(0.1)] = 0.01
+    bias: Annotated[float, Ge(0.0), Le(0.1)] = 0.001
     blind_below: Annotated[float, Ge(0.0), Le(0.5)] = 0.03
 
 

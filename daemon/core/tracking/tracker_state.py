@@ -131,6 +131,8 @@ class TrackerState(Struct, frozen=True, eq=False):
         stood: time without a command, in which the robot stood still [s].
         speed: of the conveyor, as it was last estimated [m/s].
         go: decision of go or no-go before contact.
+        units: past positions of the conveyor unit, as the distance sensor sees it, with their times
+            [ns, m].
         monitor: past predictions of the object and their errors.
         motion: class of the conveyor in the last step.
         steady_s: time since it changed [s].
@@ -167,6 +169,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     stood: float = 0.0
     speed: float = 0.0
     go: GoState = GO
+    units: tuple[tuple[int, float], ...] = ()
     monitor: PredictionMonitor = NO_PREDICTIONS
     motion: Motion = Motion.RUNNING
     steady_s: float = 0.0

@@ -20,13 +20,22 @@ from scipy.linalg.lapack import dposv as _solve
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.observation import PoseMeasurement
-from linemate.daemon.core.tracking.settings import FusionSettings, SwingMode
+from linemate.daemon.core.tracking.settings import CameraNoise, FusionSettings, SwingMode
 
 X, Z, TURN = 0, 1, 2  # rows of x, z, and of the first of three rotations
 STATIC = 5  # states without the swings
 _MEASURED = np.array((0, 2, 3, 4, 5))  # components of a pose without y
 FREQUENCY_FACTORS = (0.9, 1.1)  # range of the estimated frequency over the identified one
 SWING_DEVIATION = 0.008  # initial sigma of a swing [rad]
+CAMERA = 5  # states of the camera's errors: stamp, three biases, offset along the conveyor
+STAMP_WALK = 0.05  # random walk of the stamp's error, as a share of its sigma [1/sqrt(s)]
+BIAS_WALK = 0.02  # of a bias, likewise
+ALONG_DEVIATION = 0.1  # initial sigma of the object's offset from the conveyor unit [m]
+ALONG_WALK = 0.0002  # random walk of that offset [m/sqrt(s)]
+ALONG_NOISE = 0.0005  # sigma of the unit's position at an exposure [m]
+ALONG_GATE = 4.0  # reject an innovation along the conveyor beyond this many sigma
+SPEED_SPAN_S = 0.02  # over which the object's speed is taken [s]
+LASTING = 20.0  # images over which an unknown error of the camera stays the same
 MOST_REJECTED = 4  # measurements rejected in a row, after which the filter widens
 JUMP = 3.0  # times the gate: beyond it the model is not the cause, and more rejections are needed
 MOST_JUMPS = 20  # jumps rejected in a row (half a second), after which the filter widens
@@ -91,6 +100,7 @@ class Transverse:
 
     fusion: FusionSettings
     swing: tuple[SwingMode, ...]
+    camera: CameraNoise | None = None
 
     @property
     def size(self) -> int:
@@ -105,6 +115,11 @@ class Transverse:
     @cached_property
     def _first_factor(self) -> int:
         """Index of the first frequency error in x."""
+        return self._camera + (CAMERA if self.camera is not None else 0)
+
+    @cached_property
+    def _camera(self) -> int:
+        """Index of the stamp's error; behind it three biases and the offset along the conveyor."""
         return self._slope + 2
 
     @cached_property
@@ -156,6 +171,11 @@ class Transverse:
                 P[j, j] = swing.mode.spread**2
         k = self._slope
         P[k, k] = P[k + 1, k + 1] = self.fusion.askew**2
+        if self.camera is not None:
+            k = self._camera
+            P[k, k] = self.camera.stamp_offset**2
+            P[k + 1, k + 1] = P[k + 2, k + 2] = P[k + 3, k + 3] = self.camera.bias**2
+            P[k + 4, k + 4] = ALONG_DEVIATION**2
         return TransverseState(x, P, rotation, frequency_factors=(1.0,) * len(self.swing))
 
     def slopes(self, state: TransverseState) -> tuple[float, float]:
@@ -175,7 +195,7 @@ class Transverse:
         Args:
             speed: of the conveyor since the last step [m/s].
         """
-        F, Q = _matrices(self.fusion, self.swing, dt, seating)
+        F, Q = _matrices(self.fusion, self.swing, self.camera, dt, seating)
         F = self._set_frequencies(F, state, dt)
         F[X, self._slope] = F[Z, self._slope + 1] = speed * dt
         P = F.dot(state.P).dot(F.T)
@@ -202,7 +222,12 @@ class Transverse:
         noise[:TURN] = self.fusion.position**2 * dt
         noise[TURN:STATIC] = turning**2 * dt
         noise[STATIC : self._slope] = self.fusion.swing**2 * dt
-        noise[self._slope : self._first_factor] = self.fusion.askew_walk**2 * dt
+        noise[self._slope : self._camera] = self.fusion.askew_walk**2 * dt
+        if self.camera is not None:
+            k = self._camera
+            noise[k] = (STAMP_WALK * self.camera.stamp_offset) ** 2 * dt
+            noise[k + 1 : k + 4] = (BIAS_WALK * self.camera.bias) ** 2 * dt
+            noise[k + 4] = ALONG_WALK**2 * dt
         noise[self._first_factor :] = self.fusion.pace**2 * dt
         for swing in self._swings:
             i = swing.i
@@ -255,6 +280,9 @@ class Transverse:
             is_camera: inflate its variance by the NIS of earlier poses.
         """
         H = self.observation_rows(state, measured.delay)
+        sensitivity = self.sensitivity(state, measured)
+        if sensitivity is not None:
+            H[:, self._camera : self._camera + CAMERA - 1] = sensitivity[_MEASURED]
         innovation = _innovation(state, measured, H)
         P, variance = state.P, measured.variance[_MEASURED] + self._walk(measured.delay)
         inflation = state.inflation if is_camera else 1.0
@@ -295,6 +323,78 @@ class Transverse:
         )
         return state, True
 
+    def sensitivity(self, state: TransverseState, measured: PoseMeasurement) -> Array | None:
+        """Return the change (6, 4) of a measured pose for the camera's errors, None without any.
+
+        A stamp that is late shows the object where the arm has moved it since: by the arm's motion
+        relative to the object.
+        """
+        if self.camera is None or measured.sensitivity is None:
+            return None
+        moved = measured.sensitivity.copy()
+        later = self.swing_now(state, measured.delay - 0.5 * SPEED_SPAN_S)
+        earlier = self.swing_now(state, measured.delay + 0.5 * SPEED_SPAN_S)
+        x, z = self.slopes(state)
+        moved[:3, 0] -= (x * state.speed, state.speed, z * state.speed)
+        for mode, now, before in zip(self.swing, later, earlier, strict=True):
+            rate = (now - before) / SPEED_SPAN_S
+            moved[:3, 0] -= np.multiply(mode.levers, rate)
+            moved[3 + mode.axis, 0] -= rate
+        return moved
+
+    def correct_along(
+        self, state: TransverseState, measured: PoseMeasurement, unit: float
+    ) -> TransverseState:
+        """Return the estimate after the pose's component along the conveyor.
+
+        The object is at a constant offset from the conveyor unit: what changes as the arm moves is
+        an error of the camera. An outlier is left out.
+
+        Args:
+            unit: position of the conveyor at the exposure, by the distance sensor [m].
+        """
+        sensitivity = self.sensitivity(state, measured)
+        if sensitivity is None:
+            return state
+        k, h = self._camera, np.zeros(self.size)
+        h[k : k + CAMERA - 1], h[k + CAMERA - 1] = sensitivity[1], 1.0
+        value = float(measured.position[1]) - unit
+        angles = self.swing_now(state, measured.delay)
+        for mode, angle in zip(self.swing, angles, strict=True):
+            value -= mode.levers[1] * angle
+        Ph = state.P.dot(h)
+        S = float(h.dot(Ph)) + state.inflation * float(measured.variance[1]) + ALONG_NOISE**2
+        innovation = value - float(h.dot(state.x))
+        if not innovation * innovation <= ALONG_GATE * ALONG_GATE * S:
+            return state
+        K = Ph / S
+        x, P = state.x + K * innovation, state.P - np.outer(K, Ph)
+        rotation = rotations.exp(x[TURN:STATIC]).dot(state.rotation)
+        factors = self._corrected(state, x)
+        x[TURN:STATIC] = 0.0
+        x[self._first_factor :] = 0.0
+        return replace(state, x=x, P=P, rotation=rotation, frequency_factors=factors)
+
+    def without_errors(self, state: TransverseState, measured: PoseMeasurement) -> PoseMeasurement:
+        """Return a measured pose without the camera's estimated errors, its variance with theirs.
+
+        What is not known of them is the same in every image: it counts as often as images are
+        averaged.
+        """
+        sensitivity = self.sensitivity(state, measured)
+        if sensitivity is None:
+            return measured
+        k = slice(self._camera, self._camera + CAMERA - 1)
+        error = sensitivity.dot(state.x[k])
+        spread = np.einsum("ij,jk,ik->i", sensitivity, state.P[k, k], sensitivity)
+        return PoseMeasurement(
+            measured.position - error[:3],
+            rotations.exp(-error[3:]).dot(measured.rotation),
+            measured.delay,
+            measured.variance + LASTING * spread,
+            measured.sensitivity,
+        )
+
     def _walk(self, delay: float) -> Array:
         """Return the variance (5,) of the object's walk since a measurement ``delay`` s ago."""
         return max(delay, 0.0) * self._drift
@@ -332,10 +432,14 @@ class Transverse:
 
 @lru_cache(maxsize=16)
 def _matrices(
-    fusion: FusionSettings, swing: tuple[SwingMode, ...], dt: float, seating: bool
+    fusion: FusionSettings,
+    swing: tuple[SwingMode, ...],
+    camera: CameraNoise | None,
+    dt: float,
+    seating: bool,
 ) -> tuple[Array, Array]:
     """Return A of (5) at the identified frequencies, and Q, by the values of the settings."""
-    return Transverse(fusion, swing)._matrices(dt, seating)  # noqa: SLF001
+    return Transverse(fusion, swing, camera)._matrices(dt, seating)  # noqa: SLF001
 
 
 def _innovation(state: TransverseState, measured: PoseMeasurement, H: Array) -> Array:
