@@ -21,11 +21,12 @@ from linemate.daemon.core.tracking.reference import compile_reference, last_step
 from linemate.daemon.core.tracking.settings import ClassifierKind, TrackingSettings
 from linemate.daemon.core.tracking.task import Phase, TaskFile
 from linemate.daemon.core.tracking.touch import compliance, contact
-from linemate.daemon.core.tracking.touch.touch_profile import lengthened
+from linemate.daemon.core.tracking.touch.touch_profile import lengthened, sighted
 from linemate.daemon.core.tracking.tracker_state import Foresight, Tracker
 from linemate.daemon.core.tracking.transverse import Transverse
 
 TOOL_AXIS = 2  # of the tcp
+SIGHT_MARGIN = 0.02  # of the last waypoint before contact to where the camera goes blind [m]
 NEAR_GATE = 0.01  # least distance before the object at which go or no-go is decided again [m]
 FINAL_S = 0.3  # before contact, from which on the touch cannot be prevented [s]
 HISTORY_S = 0.45  # length of the robot's pose history, to date exposures [s]
@@ -116,7 +117,7 @@ def build(
     matrices = np.stack([along if axis == merge.ALONG else across for axis in range(6)])
     delay_along, delay_across = (commit + merge.delay(rows) for rows in (along, across))
     camera = task.arm.camera_in_tcp
-    task = lengthened(task)
+    task = lengthened(sighted(task, tracking.camera.blind_below + SIGHT_MARGIN))
     reference = compile_reference(task)
     table = tabulated(reference, cycle_s, controller.steps)
     clock = np.arange(len(table.poses)) * cycle_s

@@ -68,8 +68,8 @@ class CameraNoise:
             own motion. 0: the stamps are exact.
         bias: sigma of a constant bias for each metre of range, across and along the line of sight,
             which is estimated as the range changes [m/m]. 0: it has none.
-        blind_below: distance from the tcp to the object below which it gives no poses [m]. The last
-            waypoint before contact is moved out by the task to where it still sees.
+        blind_below: distance from the tcp to the object below which it may give no poses [m]. The
+            last waypoint before contact is moved out to 20 mm before it: there the tool waits.
     """
 
     lateral: Length = 0.00025
@@ -82,7 +82,7 @@ class CameraNoise:
     stamp: Annotated[float, Ge(0.0), Le(0.1)] = 0.0005
     stamp_offset: Annotated[float, Ge(0.0), Le(0.1)] = 0.01
     bias: Annotated[float, Ge(0.0), Le(0.1)] = 0.001
-    blind_below: Annotated[float, Ge(0.0), Le(0.5)] = 0.03
+    blind_below: Annotated[float, Ge(0.0), Le(0.5)] = 0.06
 
 
 @dataclass(frozen=True, slots=True)

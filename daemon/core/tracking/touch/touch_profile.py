@@ -93,6 +93,25 @@ def _parts(task: TaskFile, stretch: int) -> _Parts | None:
     return _Parts((first, second, third), (shortest, second / speed, BRAKING_S))
 
 
+def sighted(task: TaskFile, distance: float) -> TaskFile:
+    """Return the task whose last waypoint before contact is at least so far from the object [m].
+
+    The tool waits there: the camera must see the object. A waypoint before it that is nearer still
+    keeps it where it is.
+    """
+    stretch = contact_stretch(task)
+    if stretch is None:
+        return task
+    here, before = task.waypoints[stretch], task.waypoints[max(stretch - 1, 0)]
+    x, y, z = here.pose.position
+    is_nearer = before.frame is WaypointFrame.OBJECT and before.pose.position[2] > -distance
+    if z <= -distance or is_nearer:
+        return task
+    moved = replace(here, pose=replace(here.pose, position=(x, y, -distance)))
+    points = (*task.waypoints[:stretch], moved, *task.waypoints[stretch + 1 :])
+    return replace(task, waypoints=points)
+
+
 def lengthened(task: TaskFile) -> TaskFile:
     """Return the task with enough time for the stretch to contact.
 
