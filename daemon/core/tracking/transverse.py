@@ -33,6 +33,7 @@ BIAS_WALK = 0.02  # of a bias, likewise
 ALONG_DEVIATION = 0.1  # initial sigma of the object's offset from the conveyor unit [m]
 ALONG_WALK = 0.0002  # random walk of that offset [m/sqrt(s)]
 ALONG_NOISE = 0.0005  # sigma of the unit's position at an exposure [m]
+ALONG_LEAK = 0.1  # share of a rejected innovation by which that offset becomes less certain
 ALONG_GATE = 4.0  # reject an innovation along the conveyor beyond this many sigma
 SPEED_SPAN_S = 0.02  # over which the object's speed is taken [s]
 LASTING = 20.0  # images over which an unknown error of the camera stays the same
@@ -366,7 +367,10 @@ class Transverse:
         S = float(h.dot(Ph)) + state.inflation * float(measured.variance[1]) + ALONG_NOISE**2
         innovation = value - float(h.dot(state.x))
         if not innovation * innovation <= ALONG_GATE * ALONG_GATE * S:
-            return state
+            # The object may have moved on the unit: its offset counts less from now on.
+            P = state.P.copy()
+            P[k + CAMERA - 1, k + CAMERA - 1] += (ALONG_LEAK * innovation) ** 2
+            return replace(state, P=P)
         K = Ph / S
         x, P = state.x + K * innovation, state.P - np.outer(K, Ph)
         rotation = rotations.exp(x[TURN:STATIC]).dot(state.rotation)

@@ -90,3 +90,17 @@ def test_a_stretch_that_begins_in_the_station_is_left_as_it_is() -> None:
     points = list(TASK.waypoints)
     points[2] = replace(points[2], frame=WaypointFrame.BASE)
     assert touch_profile.contact_stretch(replace(TASK, waypoints=tuple(points))) is None
+
+
+def test_the_tool_waits_where_the_camera_still_sees_the_object() -> None:
+    stretch = touch_profile.contact_stretch(TASK)
+    assert stretch is not None
+    near = -TASK.waypoints[stretch].pose.position[2]
+    assert touch_profile.sighted(TASK, near) == TASK
+    moved = touch_profile.sighted(TASK, near + 0.03).waypoints[stretch]
+    assert moved.pose.position[2] == -(near + 0.03)
+    assert moved.time == TASK.waypoints[stretch].time
+
+
+def test_a_waypoint_is_not_moved_behind_the_one_before_it() -> None:
+    assert touch_profile.sighted(TASK, 0.4) == TASK

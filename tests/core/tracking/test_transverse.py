@@ -528,3 +528,68 @@ def test_a_conveyor_told_to_be_straight_is_never_askew() -> None:
         state = own.predict(state, T0, speed=SPEED)
         state, _ = own.correct(state, seen(moved, rotations.exp(OFF), 0.0, 0.0), GATE)
     assert own.slopes(state) == (0.0, 0.0)
+
+
+class TestCameraErrors:
+    """Stamp and bias of the camera, from the arm's own motion."""
+
+    OWN = Transverse(FusionSettings(), (), CameraNoise(stamp_offset=0.01, bias=0.003))
+
+    def estimate(
+        self, offset: float, bias: tuple[float, float, float], *, moves: bool = True
+    ) -> tuple[TransverseState, Array, Array]:
+        """Return the estimate, the errors' estimates and sigmas, after an approach of 4 s."""
+        chance = np.random.default_rng(3)
+        place, sigma, state = np.array((0.1, 0.0, 0.5)), np.sqrt(VARIANCE), None
+        first: list[PoseMeasurement] = []
+        for i in range(160):
+            t = i * FRAME
+            share = min(t / 4.0, 1.0) if moves else 0.0
+            rate = 0.25 if moves else 0.0
+            # The tool comes nearer along z and follows sideways.
+            motion = np.array((0.3 * rate, 0.0, rate, 0.0, 0.0, 0.0))
+            distance = 0.55 - 0.35 * share
+            sensitivity = np.zeros((6, 4))
+            sensitivity[:, 0] = motion * (1.0 if int(t) % 2 == 0 else -1.0)
+            sensitivity[:3, 1:] = distance * np.eye(3)
+            error = sensitivity @ np.array((offset, *bias))
+            seen_at = place + error[:3] + sigma[:3] * chance.standard_normal(3)
+            turned = rotations.exp(sigma[3:] * chance.standard_normal(3))
+            measured = PoseMeasurement(seen_at, turned, 0.0, VARIANCE, sensitivity)
+            if state is None:
+                first.append(measured)
+                state = self.OWN.initial(first) if len(first) == 5 else None
+                continue
+            state, _ = self.OWN.correct(self.OWN.predict(state, FRAME), measured, GATE)
+            state = self.OWN.correct_along(state, measured, -0.05)
+        assert state is not None
+        k = slice(self.OWN._camera, self.OWN._camera + 4)
+        return state, state.x[k], np.sqrt(np.diag(state.P)[k])
+
+    @pytest.mark.parametrize("offset", [-0.02, 0.0, 0.02])
+    def test_the_error_of_a_stamp_is_found_from_the_arms_motion(self, offset: float) -> None:
+        _, errors, sigmas = self.estimate(offset, (0.0, 0.0, 0.0))
+        assert sigmas[0] < 0.0006
+        assert abs(errors[0] - offset) < 3.0 * sigmas[0] + 0.02 * abs(offset)
+
+    def test_a_bias_that_grows_with_the_range_is_found_as_the_range_changes(self) -> None:
+        bias = (0.003, -0.002, 0.004)
+        state, errors, sigmas = self.estimate(0.0, bias)
+        assert np.all(np.abs(errors[1:] - bias) < 3.0 * sigmas[1:])
+        assert np.all(sigmas[1:] < 0.0015)
+        assert abs(state.x[0] - 0.1) < 0.0006
+        assert abs(state.x[1] - 0.5) < 0.0009
+
+    def test_a_tool_at_rest_learns_nothing_of_the_stamp(self) -> None:
+        _, errors, sigmas = self.estimate(0.02, (0.0, 0.0, 0.0), moves=False)
+        assert sigmas[0] > 0.0099
+        assert abs(errors[0]) < 1e-9
+
+    def test_a_pose_without_its_errors_is_where_the_object_is(self) -> None:
+        state, _, _ = self.estimate(0.02, (0.0, 0.0, 0.0))
+        sensitivity = np.zeros((6, 4))
+        sensitivity[2, 0] = 0.25
+        off = PoseMeasurement(np.array((0.1, 0.0, 0.505)), np.eye(3), 0.0, VARIANCE, sensitivity)
+        right = self.OWN.without_errors(state, off)
+        assert right.position[2] == pytest.approx(0.5, abs=0.0003)
+        assert right.variance[2] > off.variance[2]
