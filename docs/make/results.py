@@ -16,6 +16,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from docs.make import world_results
+
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs/results"
 
@@ -88,6 +90,7 @@ COMMANDS: dict[str, tuple[str, Callable[[Result], Result]]] = {
         campaign,
     ),
     "bench": ("linemate-sim bench --parts virtual,step --json", bench),
+    **{name: (text, world_results.condensed) for name, text in world_results.COMMANDS.items()},
 }  # fmt: skip
 
 
@@ -109,6 +112,11 @@ def load(name: str) -> Result:
     record: Result = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
     figures: Result = record["figures"]
     return figures
+
+
+def is_stored(name: str) -> bool:
+    """Tell whether a result was measured; a table shows what there is."""
+    return (FOLDER / f"{name}.json").exists()
 
 
 def filled(page: str) -> str:
@@ -164,8 +172,7 @@ def shown(name: str) -> str:
 def readme() -> str:
     """Return the table of figures of README.md."""
     run, real = load("campaign"), load("demo")
-    default, rule, fast = run["default"], run["rule"], load("campaign-4ms")["default"]
-    plain, blind, guess = (load("without")[v] for v in ("default", "no-prediction", "no-classes"))
+    default, fast = run["default"], load("campaign-4ms")["default"]
     timed = load("bench")
     crowd = load("demo-busy")["runs"]
     loads = [each["load_1min"] for each in crowd]
@@ -174,7 +181,7 @@ def readme() -> str:
     control, control_fast = worst(default, f"{CONTROL}_mm"), worst(fast, f"{CONTROL}_mm")
     rows = (
         (
-            "one assembly in real time, 12 ms",
+            "the paper's scenario in real time, 12 ms",
             f"{'assembled' if real['assembled'] else 'not assembled'}; {answered} of {sent}"
             f" telegrams answered, {late} late; control error"
             f" {number(real['control_error']['approach']['max_mm'])} mm at most",
@@ -200,32 +207,6 @@ def readme() -> str:
             "campaign-4ms",
         ),
         (
-            "stop perceived, confirmed; start perceived, confirmed",
-            "default: {}, {}; {}, {} s. The paper's rule: {}, {}; {}, {} s".format(
-                *(
-                    median(figures, f"detection.{event}_s")
-                    for figures in (default, rule)
-                    for event in (
-                        "stop.perceived", "stop.confirmed", "start.perceived", "start.confirmed",
-                    )
-                )
-            ),
-            "campaign",
-        ),
-        (
-            "without classes",
-            f"{of(guess)} assembled, but {median(guess, IMPACT)} mm at impact and"
-            f" {median(guess, FORCE)} N instead of {median(plain, IMPACT)} mm and"
-            f" {median(plain, FORCE)} N",
-            "without",
-        ),
-        (
-            "without prediction",
-            f"{of(blind)} assembled; {median(blind, STOP)} mm after a stop,"
-            f" {median(blind, FORCE)} N",
-            "without",
-        ),
-        (
             "one step, horizon 42; a run in virtual time",
             f"{number(timed['step_us']['42'] / 1000)} ms;"
             f" {number(timed['virtual_times_realtime'])} times real time"
@@ -234,7 +215,8 @@ def readme() -> str:
             "bench",
         ),
     )  # fmt: skip
-    lines = [f"| {what} | {figure} | {shown(name)} |" for what, figure, name in rows]
+    first = world_results.readme(load, is_stored)
+    lines = [f"| {what} | {figure} | {shown(name)} |" for what, figure, name in (*first, *rows)]
     return "\n".join(["| what | figure | result |", "|---|---|---|", *lines])
 
 
@@ -330,6 +312,9 @@ def step() -> str:
 
 
 TABLES: dict[str, Callable[[], str]] = {
+    "world-sizes": world_results.sizes,
+    "world": lambda: world_results.rows(load, is_stored),
+    "plant-floor": lambda: world_results.floor(load, is_stored),
     "readme": readme,
     "demo": output,
     "accuracy": accuracy,

@@ -170,7 +170,8 @@ def figures(result: Mapping[str, Any]) -> dict[str, Any]:
         "control_all_mm": max((window["max_mm"] for window in windows), default=None),
         "impact_mm": _of(total["impact"], "max_mm"),
         "impact_mrad": _of(total["impact"], "max_mrad"),
-        "stop_mm": _of(total["stop"], "max_mm"),
+        # A tool that never touched did not follow to the end; its distance is no error.
+        "stop_mm": None if total["impact"] is None else _of(total["stop"], "max_mm"),
         "stop_s": _of(latencies.get("stop"), "confirmed_s"),
         "start_s": _of(latencies.get("start"), "confirmed_s"),
         "force_n": _of(force, "max"),

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from docs.make import world_results
 from linemate.simulators.harness import scenario_file, setup
 from linemate.simulators.plants.scenario import Scenario, sample
 
@@ -53,9 +54,16 @@ def test_every_effect_is_on() -> None:
     every = {path[:3] for path in off if "effects" in path}
     on = {path[:3] for path in changed() if "effects" in path}
     # A rail's supports, a speed and a correlation time are no effects of their own.
-    plain = {"sag_span", "stick_slip_speed", "pitch", "correlation_s"}
+    plain = {"sag_span", "stick_slip_speed", "pitch", "correlation_s", "drift_time_s"}
     assert {path for path in every - on if path[-1] not in plain} == set()
     assert MODERATE["body"]["carrier"]
+
+
+def test_what_a_data_sheet_says_is_told_to_the_daemon() -> None:
+    for name in ("plant-floor", "plant-floor-harsh"):
+        made = setup.make(name)
+        assert made.tracking.camera.blind_below == made.scenario.camera.blind_below
+    assert setup.make("wheel").tracking == setup.identified().tracking
 
 
 @pytest.mark.parametrize("name", ["plant-floor", "plant-floor-harsh"])
@@ -65,3 +73,11 @@ def test_a_plant_floor_can_be_sampled_and_set_up(name: str) -> None:
     stop, start = made.scenario.events
     assert stop.settled_s < start.onset_s
     assert math.isclose(start.onset_s, 9.0)
+
+
+def test_the_page_gives_a_source_for_every_size_of_the_plant_floor() -> None:
+    listed = [tuple(path.split(".")) for path, *_ in world_results.SIZES]
+    values = leaves(MODERATE)
+    sized = [path for path in changed() if values[path] and not set(path) & set(SAME)]
+    unsourced = [path for path in sized if not any(path[: len(p)] == p for p in listed)]
+    assert unsourced == []

@@ -52,3 +52,15 @@ def test_the_figures_of_a_judged_run_are_by_its_first_stop_and_start() -> None:
     assert (found["stop_s"], found["start_s"], found["missed"]) == (0.1, None, 1)
     assert (found["false_tentative"], found["false_confirmed"]) == (2, 1)
     assert found["force_n"] is None
+    assert found["stop_mm"] == 1.0
+
+
+def test_a_run_that_never_touched_has_no_error_after_a_stop() -> None:
+    span = {"max_mm": 345.0, "rms_mm": 99.0, "max_mrad": 2.0, "rms_mrad": 1.0}
+    error = {"approach": None, "stop": span, "impact": None, "contact": None}
+    found = measure.figures({
+        "seed": 1, "cycle_ms": 12, "outcome": "held", "reason": "why",
+        "control_error": error, "total_error": error, "contact_force_n": None, "detection": [],
+        "false_alarms": {"tentative": 0, "confirmed": 0}, "limits": {"violations": 0},
+    })  # fmt: skip
+    assert found["stop_mm"] is None
