@@ -62,6 +62,7 @@ def _classifier(task: TaskFile, settings: TrackingSettings) -> Classifier:
             settings.jerk,
             settings.wave,
             settings.tactile.compliance,
+            settings.sway,
         )
     if settings.classifier is ClassifierKind.IMM:
         from linemate.daemon.core.tracking.classifiers.classifier_imm import ImmClassifier

@@ -50,6 +50,8 @@ _PARTS = {
     "tracking.observation:History": "tracking.observation:History",
     "tracking.observation:Sighting": "tracking.observation:PoseMeasurement",
     "tracking.ramp_check:StartCheck": "tracking.classifiers.start_check:StartCheck",
+    "tracking.sway:SwayBank": "tracking.classifiers.sway_bank:SwayBank",
+    "tracking.sway:UnitEstimate": "tracking.classifiers.unit_estimate:UnitEstimate",
     "tracking.task:Gate": "tracking.task:Gate",
     "tracking.tracker:TrackerState": "tracking.tracker_state:TrackerState",
     "tracking.transverse:TransverseState": "tracking.transverse:TransverseState",
@@ -106,7 +108,7 @@ _FIELDS = {
     },
 }
 
-_ARRAYS = {"<f8", "<i8", "|b1", "<i4"}
+_ARRAYS = {"<f8", "<i8", "|b1", "<i4", "<c16"}
 
 
 class SnapshotError(ValueError):

@@ -274,6 +274,44 @@ class ImpulseSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class SwaySettings:
+    """Sway of the body along the conveyor, by itself and by stops and starts.
+
+    Attributes:
+        is_on: it is looked for and followed.
+        frequency_hz: natural frequency, as ``identify`` finds it in recorded stops; 0 if unknown.
+        spread: one sigma of that frequency, as a share.
+        gain: share of the conveyor's acceleration that excites it, as identified: 1 for a
+            pendulum, 0 if unknown.
+        gain_deviation: one sigma of that gain.
+        damping: damping ratio, share of critical.
+        range_hz: lowest and highest frequency at which it is looked for.
+        step: of the frequencies that are tried, as a share.
+        memory: time constant of what is remembered of it [s].
+        found: log odds at which a sway counts as found.
+        least: amplitude from which it is followed [m].
+        contact_least: the same in contact, where the force-torque sensor sees it [m].
+        walk: random walk of the sway, as a share of its amplitude [1/sqrt(s)].
+        pace: random walk of its frequency, as a share of it [1/sqrt(s)].
+    """
+
+    is_on: bool = True
+    frequency_hz: Annotated[float, Ge(0.0), Le(10.0)] = 0.0
+    spread: Annotated[float, Ge(0.001), Le(0.2)] = 0.03
+    gain: Annotated[float, Ge(0.0), Le(2.0)] = 0.0
+    gain_deviation: Annotated[float, Ge(0.01), Le(1.0)] = 0.1
+    damping: Annotated[float, Ge(0.0), Lt(0.5)] = 0.01
+    range_hz: tuple[Frequency, Frequency] = (0.35, 5.5)
+    step: Annotated[float, Ge(0.01), Le(0.5)] = 0.1
+    memory: Constant = 4.0
+    found: LogOdds = 8.0
+    least: Length = 0.0003
+    contact_least: Length = 0.0001
+    walk: Annotated[float, Ge(0.0), Le(1.0)] = 0.03
+    pace: Annotated[float, Ge(0.0), Le(0.1)] = 0.005
+
+
+@dataclass(frozen=True, slots=True)
 class ImmSettings:
     """The interacting multiple model filter.
 
@@ -324,6 +362,7 @@ class TrackingSettings:
     bank: BankSettings = BankSettings()
     imm: ImmSettings = ImmSettings()
     jerk: ImpulseSettings = ImpulseSettings()
+    sway: SwaySettings = SwaySettings()
     merge: MergeSettings = MergeSettings()
     predict: bool = True
     mixture: bool = True

@@ -7,16 +7,20 @@ import numpy as np
 from msgspec.structs import replace
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.classifiers import onset_bank
+from linemate.daemon.core.tracking.classifiers import onset_bank, sway_bank
 from linemate.daemon.core.tracking.classifiers.bank_model import (
     ACCELERATION,
     FREQUENCY,
+    GAIN,
     OFFSET,
+    PACE,
     RANDOM,
     RIPPLE,
     RIPPLE_FACTORS,
     RIPPLE_QUADRATURE,
     STATES,
+    SWAY,
+    SWAY_QUADRATURE,
     BankModel,
     BankState,
     V,
@@ -25,6 +29,7 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
 from linemate.daemon.core.tracking.classifiers.onset_bank import NO_POSTERIOR, OnsetBank
 from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, Source
 
+SWAY_DEVIATION = 0.001  # of the amplitude of a known sway when the estimate begins [m]
 OFFSET_DEVIATION = 0.1  # of x10 before anything but the distance sensor saw the object [m]
 SETTLING = 0.6  # the banks are empty until the speed is estimated [s]
 MOST_REJECTED = 8  # measurements of one sensor rejected in a row, after which the filter widens
@@ -51,6 +56,12 @@ def initial(model: BankModel, position: float) -> BankState:
     P[Y, OFFSET] = P[OFFSET, Y] = -offset
     x = np.zeros(STATES)
     x[Y], x[V] = position, 0.5 * nominal
+    sway = model.sway
+    is_known = sway.is_on and sway.frequency_hz > 0.0
+    if is_known:
+        P[SWAY, SWAY] = P[SWAY_QUADRATURE, SWAY_QUADRATURE] = SWAY_DEVIATION**2
+        P[PACE, PACE], P[GAIN, GAIN] = sway.spread**2, sway.gain_deviation**2
+        x[GAIN] = sway.gain
     return BankState(
         x=x,
         P=P,
@@ -59,6 +70,8 @@ def initial(model: BankModel, position: float) -> BankState:
         changes=onset_bank.empty(STATES),
         impulses=onset_bank.empty(STATES),
         impulse_omega=2.0 * math.pi * model.impulse.frequencies_hz[0],
+        sways=sway_bank.empty(sway) if sway.is_on else None,
+        sway_omega=2.0 * math.pi * sway.frequency_hz if is_known else 0.0,
     )
 
 
@@ -79,7 +92,7 @@ def predict(model: BankModel, state: BankState, dt: float) -> BankState:
             impulses = onset_bank.empty(STATES)
     state = replace(
         state,
-        x=F.dot(state.x),
+        x=model.advanced(state, F, dt),
         P=P,
         changes=changes,
         impulses=impulses,
@@ -160,7 +173,7 @@ def correct(
 ) -> BankState:
     """Return (2)-(4) for some measurements, null filter and banks alike, each gated.
 
-    All that is linear is corrected as one array: ``J = [P, x, f_1 .. f_m]`` (10, 11 + m) becomes
+    All that is linear is corrected as one array: ``J = [P, x, f_1 .. f_m]`` (14, 15 + m) becomes
     ``J - K (h'J - z)``. Here z is 0 for P, the measured value for x, and for each f the part of
     its signature that F does not propagate.
     """
@@ -176,12 +189,13 @@ def correct(
         off = h.dot(J)
         Ph, minus_rho = off[:STATES], off[_FIRST:]
         S = float(Ph.dot(h)) + measurement.variance
-        nu = measurement.value - float(off[STATES])
+        nu = measurement.value - float(off[STATES]) + float(h[GAIN] * J[GAIN, STATES])
         off[STATES] = -nu
         later = int(changes.age.searchsorted(measurement.delay))
         if later:  # not begun when this was measured: without h'D, which is in f
             ages, acted = changes.age[:later], float(h[ACCELERATION])
-            minus_rho[:later] += change * (ages * (0.5 * ages - measurement.delay) + acted)
+            way = model.acted_way(state, measurement.delay, ages, measurement.source)
+            minus_rho[:later] += change * (acted - way)
         if len(impulses) and measurement.source is not Source.DISTANCE:
             minus_rho[count:] -= model.delayed_response(
                 impulses.age, measurement.delay, impulses.omega
@@ -192,7 +206,8 @@ def correct(
             rejections = rejected.get(measurement.source, 0) + 1
             rejected = {**rejected, measurement.source: rejections}
             if rejections >= MOST_REJECTED:
-                return _widened(model, replace(state, x=J[:, STATES], P=J[:, :STATES]), nu)
+                state = replace(state, x=J[:, STATES], P=J[:, :STATES])
+                return _widened(model, state, nu, measurement.source)
             continue
         if rejected.get(measurement.source):
             rejected = {**rejected, measurement.source: 0}
@@ -203,6 +218,7 @@ def correct(
     x = J[:, STATES].copy()
     low, high = RIPPLE_FACTORS
     factor, x[FREQUENCY] = min(max(state.ripple_factor + float(x[FREQUENCY]), low), high), 0.0
+    omega, x[PACE] = state.sway_omega * (1.0 + min(max(float(x[PACE]), -0.1), 0.1)), 0.0
     return replace(
         state,
         x=x,
@@ -211,14 +227,23 @@ def correct(
         impulses=OnsetBank(J[:, middle:], sums[:, count:]),
         rejected=rejected,
         ripple_factor=factor,
+        sway_omega=omega,
     )
 
 
-def _widened(model: BankModel, state: BankState, nu: float) -> BankState:
-    """Return the state with a larger covariance: the filter is wrong, not eight readings."""
+def _widened(model: BankModel, state: BankState, nu: float, source: Source) -> BankState:
+    """Return the state with a larger covariance: the filter is wrong, not eight readings.
+
+    A body that is elsewhere while the distance sensor agrees has moved against the conveyor: the
+    conveyor's speed and class are right.
+    """
     P = state.P.copy()
     P[Y, Y] += nu * nu
     P[OFFSET, OFFSET] += nu * nu
+    if source is not Source.DISTANCE and not state.rejected.get(Source.DISTANCE):
+        P[Y, OFFSET] -= nu * nu
+        P[OFFSET, Y] -= nu * nu
+        return replace(state, P=P, rejected={})
     P[V, V] += (0.5 * model.conveyor.nominal_speed) ** 2
     # A ripple that was estimated by a wrong filter would be predicted for seconds.
     state = reset_ripple(model, clear_banks(replace(state, P=P)))

@@ -6,6 +6,7 @@ speed. While the tool is in contact the body may be pushed: an impulse disturban
 like a damped sine. Camera and force-torque sensor see that, the distance sensor does not.
 """
 
+import cmath
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,7 +16,7 @@ import numpy as np
 from msgspec import Struct
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.classifiers import onset_bank
+from linemate.daemon.core.tracking.classifiers import onset_bank, sway_bank
 from linemate.daemon.core.tracking.classifiers.distance_check import NO_READINGS
 from linemate.daemon.core.tracking.classifiers.onset_bank import (
     NO_POSTERIOR,
@@ -24,23 +25,26 @@ from linemate.daemon.core.tracking.classifiers.onset_bank import (
     OnsetPosterior,
 )
 from linemate.daemon.core.tracking.classifiers.start_check import StartCheck
+from linemate.daemon.core.tracking.classifiers.sway_bank import SwayBank
 from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, Source
 from linemate.daemon.core.tracking.settings import (
     BankSettings,
     FusionSettings,
     ImpulseSettings,
     RippleSettings,
+    SwaySettings,
 )
 from linemate.daemon.core.tracking.task import ConveyorClasses
 
-STATES = 10
+STATES = 14
 Y, V, RANDOM, OFFSET, ACCELERATION, IMPULSE, IMPULSE_QUADRATURE = range(7)
-RIPPLE, RIPPLE_QUADRATURE, FREQUENCY = range(7, STATES)
+RIPPLE, RIPPLE_QUADRATURE, FREQUENCY, SWAY, SWAY_QUADRATURE, PACE, GAIN = range(7, STATES)
 RAMPS = (Motion.STOPPING, Motion.STARTING)
 RIPPLE_FACTORS = (0.9, 1.1)  # range of the ripple's frequency over the configured one
 RAMP_WALK = 0.05  # random walk of a ramp's acceleration, as a share of the nominal one [1/sqrt(s)]
 END_WALK = 1.0  # the same at the end of a stop, which may coast out or brake smoothly [1/sqrt(s)]
 END_S = 0.25  # time to the end of a stop below which its deceleration is uncertain [s]
+NO_SWAY = (0.0,) * 5  # what a row has from the ripple's frequency on
 _CONSTANT = (0.0,)  # frequencies of a change of class [rad/s]
 
 # Class and event that can follow each class.
@@ -70,15 +74,18 @@ class BankState(Struct, frozen=True, eq=False):
     """Estimate of the null filter, and the onset banks.
 
     Attributes:
-        x: (10,) position y [m], speed [m/s], random ripple [m/s], offset x10 of the distance sensor
+        x: (14,) position y [m], speed [m/s], random ripple [m/s], offset x10 of the distance sensor
             [m], acceleration [m/s^2], swing after an impulse and its quadrature [m], periodic
-            ripple at full speed and its quadrature [m], and the error of the ripple's frequency as
-            a share. The last is folded into ``ripple_factor`` after each correction and then 0.
+            ripple at full speed and its quadrature [m], the error of the ripple's frequency as a
+            share, sway s and s'/w [m], the error of its frequency as a share, and its gain. The
+            errors are folded into ``ripple_factor`` and ``sway_omega`` after each correction.
         cruise: speed at which a start ends [m/s].
         changes: onsets of the next class.
         impulses: onsets of impulse disturbances.
         impulse_omega: frequency of the swing in x [rad/s].
         ripple_factor: frequency of the periodic ripple over the configured one.
+        sways: what identifies the sway; None where it is not looked for.
+        sway_omega: its frequency [rad/s], 0 before it is found.
         age: of the estimate [s].
         class_age: time since the class began to act [s].
         rejected: measurements rejected in a row, by sensor.
@@ -106,6 +113,8 @@ class BankState(Struct, frozen=True, eq=False):
     impulses: OnsetBank
     impulse_omega: float
     ripple_factor: float = 1.0
+    sways: SwayBank | None = None
+    sway_omega: float = 0.0
     age: float = 0.0
     class_age: float = 0.0
     rejected: Mapping[Source, int] = {}
@@ -143,6 +152,7 @@ class BankModel:
     impulse: ImpulseSettings = field(default_factory=ImpulseSettings)
     ripple: RippleSettings = field(default_factory=RippleSettings)
     compliance: float = 1.0
+    sway: SwaySettings = field(default_factory=SwaySettings)
 
     @cached_property
     def changes(self) -> dict[Motion, float]:
@@ -206,7 +216,7 @@ class BankModel:
         return self.distance_deviation < 0.5 * way
 
     def process_noise(self, state: BankState, dt: float) -> Array:
-        """Return the diagonal of Q (10,) of (6): independent random walks and a stationary ripple.
+        """Return the diagonal of Q (14,) of (6): independent random walks and a stationary ripple.
 
         filterpy's white-noise matrices couple position and speed. The walk of the speed is slow
         enough (0.5 mm/s after 1 s) that its share of the position is left out.
@@ -222,9 +232,13 @@ class BankModel:
             amplitude = (self.ripple.walk * share) ** 2 * dt
             frequency = (self.ripple.pace * share) ** 2 * dt
         offset = fusion.offset**2 * dt
-        return np.array(
-            [1e-12, speed**2 * dt, ripple, offset, rate, 0.0, 0.0, amplitude, amplitude, frequency]
-        )
+        walk = pace = 0.0
+        if state.sway_omega:
+            sway, quadrature = float(state.x[SWAY]), float(state.x[SWAY_QUADRATURE])
+            size = self.sway.least + math.hypot(sway, quadrature)
+            walk, pace = (self.sway.walk * size) ** 2 * dt, self.sway.pace**2 * dt
+        known = [1e-12, speed**2 * dt, ripple, offset, rate, 0.0, 0.0]
+        return np.array([*known, amplitude, amplitude, frequency, walk, walk, pace, 0.0])
 
     def _ramp_walk(self, state: BankState) -> float:
         """Return the random walk of a ramp's acceleration, as a share [1/sqrt(s)]."""
@@ -242,7 +256,7 @@ class BankModel:
         return 2.0 * math.pi * self.ripple.frequency_hz * state.ripple_factor
 
     def transition(self, state: BankState, dt: float) -> Array:
-        """Return A (10, 10) of (5), linearised in the error of the ripple's frequency."""
+        """Return A (14, 14) of (5), linearised in the errors of the frequencies."""
         time = self.random_ripple(state)[1]
         F = _fixed_transition(dt, time, state.impulse_omega, self.impulse.damping).copy()
         angle = self.ripple_omega(state) * dt
@@ -253,10 +267,76 @@ class BankModel:
         F[RIPPLE, RIPPLE_QUADRATURE], F[RIPPLE_QUADRATURE, RIPPLE] = s, -s
         F[RIPPLE, FREQUENCY] = way * (c * quadrature - s * ripple)
         F[RIPPLE_QUADRATURE, FREQUENCY] = -way * (c * ripple + s * quadrature)
+        if state.sway_omega:
+            self._set_sway(F, state, dt)
         return F
 
+    def sway_pole(self, state: BankState) -> complex:
+        """Return the pole of the sway [1/s]."""
+        return state.sway_omega * complex(-self.sway.damping, 1.0)
+
+    def _set_sway(self, F: Array, state: BankState, dt: float) -> None:
+        """Set the rows of the sway in A: it turns, and the conveyor's acceleration forces it."""
+        omega, pole, values = state.sway_omega, self.sway_pole(state), state.x.tolist()
+        turn = cmath.exp(pole * dt)
+        c, s = turn.real, turn.imag
+        forced = (1j / omega) * (turn - 1.0) / pole
+        sway, quadrature, gain, way = (
+            values[SWAY],
+            values[SWAY_QUADRATURE],
+            values[GAIN],
+            omega * dt,
+        )
+        a = values[ACCELERATION]
+        F[SWAY, SWAY] = F[SWAY_QUADRATURE, SWAY_QUADRATURE] = c
+        F[SWAY, SWAY_QUADRATURE], F[SWAY_QUADRATURE, SWAY] = s, -s
+        F[SWAY, ACCELERATION] = gain * forced.real
+        F[SWAY_QUADRATURE, ACCELERATION] = -gain * forced.imag
+        F[SWAY, GAIN], F[SWAY_QUADRATURE, GAIN] = a * forced.real, -a * forced.imag
+        F[SWAY, PACE] = way * (c * quadrature - s * sway)
+        F[SWAY_QUADRATURE, PACE] = gain * a * dt / omega - way * (c * sway + s * quadrature)
+
+    def advanced(self, state: BankState, F: Array, dt: float) -> Array:
+        """Return the states (14,) of (5).
+
+        What the sway gains is the product of two states. Each has its column in A, so A counts the
+        product twice.
+        """
+        x: Array = F.dot(state.x)
+        product = float(state.x[GAIN] * state.x[ACCELERATION])
+        if product:
+            pole = self.sway_pole(state)
+            forced = product * complex(sway_bank.response(state.sway_omega, pole, dt))
+            x[SWAY] -= forced.real
+            x[SWAY_QUADRATURE] += forced.imag
+        return x
+
+    def _set_past_sway(self, h: list[float], state: BankState, delay: float, acted: float) -> None:
+        """Set what the past's sway makes of the states now.
+
+        Args:
+            acted: how long the acceleration has acted, at most ``delay`` [s].
+        """
+        pole, values = self.sway_pole(state), state.x.tolist()
+        back = cmath.exp(-pole * delay)
+        c, s = back.real, back.imag
+        unforced = -(complex(sway_bank.response(state.sway_omega, pole, acted)) * back).real
+        h[ACCELERATION] += values[GAIN] * unforced
+        h[SWAY], h[SWAY_QUADRATURE], h[GAIN] = c, s, values[ACCELERATION] * unforced
+        way = state.sway_omega * delay
+        h[PACE] = -way * (c * values[SWAY_QUADRATURE] - s * values[SWAY])
+
+    def acted_way(self, state: BankState, delay: float, ages: Array, source: Source) -> Array:
+        """Return how much an acceleration of 1 since ``ages`` (m,) counts for a reading's past."""
+        way: Array = ages * (delay - 0.5 * ages)
+        if state.sway_omega and source is not Source.DISTANCE:
+            pole = self.sway_pole(state)
+            forced = sway_bank.response(state.sway_omega, pole, ages) * cmath.exp(-pole * delay)
+            way = way - float(state.x[GAIN]) * forced.real
+        return way
+
     def observation_row(self, measurement: PositionMeasurement, state: BankState) -> Array:
-        """Return h (10,) of (1), (8), (10), with the delay in it.
+        """Return h (14,) of (1), (8), (10), with the delay in it.
 
         The acceleration of the class acts since its onset only.
         """
@@ -266,13 +346,14 @@ class BankModel:
         share, angle = self.speed_share(float(state.x[V])), self.ripple_omega(state) * tau
         ripple, quadrature = share * math.cos(angle), -share * math.sin(angle)
         if measurement.source is Source.DISTANCE:
-            return np.array([1.0, -tau, -tau, 1.0, acted, 0.0, 0.0, ripple, quadrature, 0.0])
+            return np.array([1.0, -tau, -tau, 1.0, acted, 0.0, 0.0, ripple, quadrature, *NO_SWAY])
         w = state.impulse_omega
         grown = math.exp(self.impulse.damping * w * tau)
         swing, swing_quadrature = grown * math.cos(w * tau), -grown * math.sin(w * tau)
-        return np.array(
-            [1.0, -tau, -tau, 0.0, acted, swing, swing_quadrature, ripple, quadrature, 0.0]
-        )
+        h = [1.0, -tau, -tau, 0.0, acted, swing, swing_quadrature, ripple, quadrature, *NO_SWAY]
+        if state.sway_omega:
+            self._set_past_sway(h, state, tau, back)
+        return np.array(h)
 
     def impulse_response(self, ages: Array, omega: Array) -> tuple[Array, Array]:
         """Return swing and quadrature (m,) for amplitude 1, ``ages`` after the impulse."""

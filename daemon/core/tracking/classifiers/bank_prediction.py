@@ -8,14 +8,20 @@ import math
 import numpy as np
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.classifiers import guide
+from linemate.daemon.core.tracking.classifiers import guide, sway_bank
 from linemate.daemon.core.tracking.classifiers.bank_model import (
     ACCELERATION,
+    GAIN,
     IMPULSE,
     IMPULSE_QUADRATURE,
     NEXT,
+    OFFSET,
     RAMPS,
     RANDOM,
+    RIPPLE,
+    RIPPLE_QUADRATURE,
+    SWAY,
+    SWAY_QUADRATURE,
     BankModel,
     BankState,
     V,
@@ -45,6 +51,8 @@ def predict_positions(model: BankModel, state: BankState, times: Array) -> Array
         y, v, r = y + weight * x[Y], v + weight * x[V], r + weight * x[RANDOM]
         part = _nonlinear_part(model, x, motion, omega, state.cruise, times, turn)
         nonlinear = nonlinear + weight * part
+        if state.sway_omega:
+            nonlinear = nonlinear + weight * sway_ahead(model, state, x, motion, times)
     steady: Array = (y + r * tau) + v * times - (r * tau) * np.exp(times * (-1.0 / tau))
     return steady + nonlinear
 
@@ -162,7 +170,8 @@ def _nonlinear_part(
         cruise: speed at which a start ends [m/s].
         turn: cosine and sine (m,) of the ripple's phase from now.
     """
-    _, v, _, _, a, swing, swing_quadrature, ripple, quadrature, _ = x
+    v, a, swing, swing_quadrature = x[V], x[ACCELERATION], x[IMPULSE], x[IMPULSE_QUADRATURE]
+    ripple, quadrature = x[RIPPLE], x[RIPPLE_QUADRATURE]
     is_ramp = motion in RAMPS
     part = added_way(v, a, cruise, times) if is_ramp else 0.0
     if abs(ripple) + abs(quadrature) > LEAST_RIPPLE:
@@ -175,6 +184,22 @@ def _nonlinear_part(
     return part
 
 
+def sway_ahead(
+    model: BankModel, state: BankState, x: list[float], motion: Motion, times: Array
+) -> Array:
+    """Return the sway (m,) [m] at ``times``, forced by the acceleration until the ramp's end."""
+    omega, pole = state.sway_omega, model.sway_pole(state)
+    sway = complex(x[SWAY], -x[SWAY_QUADRATURE]) * np.exp(pole * times)
+    v, a = x[V], x[ACCELERATION]
+    if motion in RAMPS and x[GAIN] and a:
+        end = max(state.cruise - v, 0.0) / a if a > 0.0 else max(v, 0.0) / -a
+        after = np.maximum(times - end, 0.0)
+        acted = sway_bank.response(omega, pole, times) - sway_bank.response(omega, pole, after)
+        sway = sway + x[GAIN] * a * acted
+    ahead: Array = sway.real
+    return ahead
+
+
 def _ramp_shares(model: BankModel, v: float, a: float, times: Array) -> Array:
     """Return the shares (m,) of the nominal speed on a ramp."""
     nominal = model.conveyor.nominal_speed
@@ -184,14 +209,15 @@ def _ramp_shares(model: BankModel, v: float, a: float, times: Array) -> Array:
 
 def estimate(model: BankModel, state: BankState) -> ConveyorEstimate:
     """Return the estimate of the conveyor now."""
-    y, v, random, offset, _, swing, _, ripple, quadrature, _ = ramp_estimate(model, state).tolist()
+    x = ramp_estimate(model, state).tolist()
+    v, random = x[V], x[RANDOM]
     variance = state.P.diagonal().tolist()
     share = model.speed_share(v)
     return ConveyorEstimate(
-        position=y + swing + share * ripple,
-        speed=v + random + share * quadrature * model.ripple_omega(state),
-        offset=offset,
-        deviation=math.sqrt(max(variance[Y] + variance[IMPULSE], 0.0)),
+        position=x[Y] + x[IMPULSE] + x[SWAY] + share * x[RIPPLE],
+        speed=v + random + share * x[RIPPLE_QUADRATURE] * model.ripple_omega(state),
+        offset=x[OFFSET],
+        deviation=math.sqrt(max(variance[Y] + variance[IMPULSE] + variance[SWAY], 0.0)),
         speed_deviation=math.sqrt(max(variance[V] + variance[RANDOM], 0.0)),
         motion=state.motion,
         tentative=state.tentative,

@@ -19,6 +19,7 @@ from linemate.daemon.core.tracking.classifiers import (
     guide,
     onset_bank,
     start_check,
+    sway_filter,
 )
 from linemate.daemon.core.tracking.classifiers.bank_filter import (
     REST_DEVIATION,
@@ -67,17 +68,21 @@ class BankClassifier(BankModel):
     ) -> BankState:
         """Return the estimate ``dt`` seconds later, its class decided."""
         before = state
-        state = bank_filter.predict(self, state, dt)
+        state = sway_filter.predict(self, bank_filter.predict(self, state, dt), dt)
+        felt = [each.variance for each in measurements if each.source is Source.TACTILE]
+        if felt and not state.contact:
+            state = sway_filter.touched(state)
+        predicted = state
         if measurements:
             state = bank_filter.correct(self, state, measurements)
         readings = distance_check.keep(state.readings, measurements, dt)
-        felt = [each.variance for each in measurements if each.source is Source.TACTILE]
         is_keen = bool(felt) and min(felt) < self.distance_deviation**2
         state = replace(state, readings=readings)
         if bool(felt) is not state.contact or is_keen is not state.is_keen:
             state = replace(state, contact=bool(felt), is_keen=is_keen)
         state = _bound_tentative(self._decide(state), before, dt)
         state = self._settle(self._check_start(before, state, measurements, dt), dt)
+        state = sway_filter.follow(self, predicted, state, measurements)
         return guide.advance(self, before, state, measurements, dt)
 
     def predict_positions(self, state: BankState, times: Array) -> Array:

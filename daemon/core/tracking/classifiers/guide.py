@@ -7,21 +7,26 @@ deflection slowly.
 
 Invariants:
 - There is a guide in contact only.
-- An impulse disturbance does not move it.
+- An impulse disturbance does not move it; of the sways a slow one that is identified does.
 """
 
+import math
 from collections.abc import Sequence
 
 from msgspec.structs import replace
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.classifiers import bank_filter
+from linemate.daemon.core.tracking.classifiers import bank_filter, sway_filter
 from linemate.daemon.core.tracking.classifiers.bank_model import (
     ACCELERATION,
     FREQUENCY,
+    GAIN,
     IMPULSE,
+    PACE,
     RIPPLE,
     RIPPLE_FACTORS,
+    STATES,
+    SWAY,
     BankModel,
     BankState,
     Guide,
@@ -35,6 +40,8 @@ from linemate.daemon.core.tracking.conveyor import (
 )
 
 _SWING = slice(IMPULSE, RIPPLE)
+_SWAY = slice(SWAY, STATES)
+FASTEST = 2.0 * math.pi * 2.5  # sway that is led [rad/s]: a faster one would be driven by its delay
 
 
 def advance(
@@ -60,6 +67,8 @@ def advance(
         led = _corrected(model, led, measurement)
     if state.motion is not before.motion:
         led = _in_class(model, state, led)
+    if sway_filter.has_taken_over(before, state):
+        led = _with_sway(state, led)
     return replace(state, guide=Guide(led.x, led.P, led.ripple_factor))
 
 
@@ -75,8 +84,17 @@ def synchronised(state: BankState) -> Guide:
     """Return a guide at the null filter's estimate, without its impulse disturbance."""
     x, P = state.x.copy(), state.P.copy()
     x[_SWING] = 0.0
+    if state.sway_omega > FASTEST:
+        x[_SWAY] = 0.0
+    return Guide(x, _unled(state, P), state.ripple_factor)
+
+
+def _unled(state: BankState, P: Array) -> Array:
+    """Return the covariance, changed in place, without what does not lead the target."""
     P[_SWING, :] = P[:, _SWING] = 0.0
-    return Guide(x, P, state.ripple_factor)
+    if state.sway_omega > FASTEST:
+        P[_SWAY, :] = P[:, _SWAY] = 0.0
+    return P
 
 
 def _predicted(model: BankModel, state: BankState, guide: Guide, dt: float) -> BankState:
@@ -87,8 +105,7 @@ def _predicted(model: BankModel, state: BankState, guide: Guide, dt: float) -> B
     F = model.transition(led, dt)
     P = F.dot(guide.P).dot(F.T)
     P.reshape(-1)[:: len(P) + 1] += model.process_noise(led, dt)
-    P[_SWING, :] = P[:, _SWING] = 0.0
-    return replace(led, x=F.dot(guide.x), P=P)
+    return replace(led, x=model.advanced(led, F, dt), P=_unled(led, P))
 
 
 def _corrected(model: BankModel, led: BankState, measurement: PositionMeasurement) -> BankState:
@@ -99,14 +116,24 @@ def _corrected(model: BankModel, led: BankState, measurement: PositionMeasuremen
         variance = variance * model.compliance**2
     Ph = led.P.dot(h)
     S = float(Ph.dot(h)) + variance
-    nu = measurement.value - float(h.dot(led.x))
+    nu = measurement.value - float(h.dot(led.x)) + float(h[GAIN] * led.x[GAIN])
     if not nu * nu <= measurement.gate**2 * S:
         return led
     K: Array = Ph / S
     x = led.x + nu * K
     low, high = RIPPLE_FACTORS
     factor, x[FREQUENCY] = min(max(led.ripple_factor + float(x[FREQUENCY]), low), high), 0.0
+    x[PACE] = 0.0  # the null filter knows the sway's frequency better
     return replace(led, x=x, P=led.P - K[:, None].dot(Ph[None]), ripple_factor=factor)
+
+
+def _with_sway(state: BankState, led: BankState) -> BankState:
+    """Return the guide with a sway that the bank has just found."""
+    x, P = led.x.copy(), led.P.copy()
+    x[_SWAY] = 0.0 if state.sway_omega > FASTEST else state.x[_SWAY]
+    P[_SWAY, :] = P[:, _SWAY] = 0.0
+    P[_SWAY, _SWAY] = state.P[_SWAY, _SWAY]
+    return replace(led, x=x, P=_unled(state, P))
 
 
 def _in_class(model: BankModel, state: BankState, led: BankState) -> BankState:

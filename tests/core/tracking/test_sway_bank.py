@@ -1,0 +1,109 @@
+"""The regressions find the sway of a body that hangs from a conveyor."""
+
+import cmath
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from linemate.daemon.core.tracking.classifiers import sway_bank
+from linemate.daemon.core.tracking.classifiers.sway_bank import SwayFit
+from linemate.daemon.core.tracking.conveyor import PositionMeasurement, Source
+from linemate.daemon.core.tracking.settings import SwaySettings
+
+SETTINGS = SwaySettings()
+T0 = 0.012
+BRAKE = -0.104
+DELAY = 0.1
+SIGMA, UNIT_SIGMA = 0.0005, 0.00038
+
+
+def swayed(frequency_hz: float, gain: float, free: float, times: np.ndarray) -> np.ndarray:
+    """Sway of a pendulum whose conveyor brakes for a second from t = 0 on, by integration."""
+    w, zeta = math.tau * frequency_hz, SETTINGS.damping
+
+    def slope(t: float, z: np.ndarray) -> tuple[float, float]:
+        a = BRAKE if 0.0 <= t < 1.0 else 0.0
+        return z[1], -2.0 * zeta * w * z[1] - w * w * z[0] - gain * a
+
+    solved = solve_ivp(
+        slope, (times[0], times[-1]), (free, 0.0), t_eval=times, max_step=0.005, rtol=1e-8
+    )
+    return np.asarray(solved.y[0])
+
+
+def followed(frequency_hz: float, gain: float, free: float = 0.0, seconds: float = 2.0) -> SwayFit:
+    """What the regressions make of a camera and a distance sensor; the stop is known at once."""
+    rng = np.random.default_rng(5)
+    fine = np.arange(-4.0, seconds, 0.002)
+    sway = swayed(frequency_hz, gain, free, fine)
+    ramp = np.clip(fine, 0.0, 1.0)
+    speed = 0.104 * (1.0 - ramp)
+    unit = np.cumsum(speed) * 0.002
+    bank = sway_bank.empty(SETTINGS)
+    for k in range(round((4.0 + seconds) / T0)):
+        t = -4.0 + k * T0
+        a = BRAKE if 0.0 <= t < 1.0 else 0.0
+        bank = sway_bank.predict(SETTINGS, bank, T0, a, stands=t > 1.05)
+        now = float(np.interp(t, fine, unit)) + rng.normal(0.0, UNIT_SIGMA)
+        distance = PositionMeasurement(Source.DISTANCE, now, 0.0, UNIT_SIGMA**2, 4.0)
+        bank = sway_bank.read_unit(bank, distance, 0.104)
+        seen = float(np.interp(t - DELAY, fine, unit + sway)) + rng.normal(0.0, SIGMA)
+        image = PositionMeasurement(Source.CAMERA, seen, DELAY, SIGMA**2, 5.0)
+        bank = sway_bank.read(SETTINGS, bank, image, a, max(t, 0.0))
+    return sway_bank.evaluate(SETTINGS, bank)[1]
+
+
+@pytest.mark.parametrize("frequency_hz", [0.5, 0.62, 0.83, 1.0, 1.2, 2.0])
+def test_a_stop_tells_frequency_and_gain_of_a_pendulum(frequency_hz: float) -> None:
+    fit = followed(frequency_hz, gain=1.0)
+    assert fit.score > SETTINGS.found
+    assert fit.omega == pytest.approx(math.tau * frequency_hz, rel=0.06)
+    assert fit.values[2] == pytest.approx(1.0, abs=0.35)
+    now = swayed(frequency_hz, 1.0, 0.0, np.arange(-4.0, 2.0, 0.002))[-1]
+    assert fit.values[0] == pytest.approx(now, abs=0.2 * abs(BRAKE) / fit.omega**2 + 5e-4)
+
+
+def test_a_free_swing_is_found_and_has_no_gain() -> None:
+    fit = followed(1.2, gain=0.0, free=0.0036)
+    assert fit.score > SETTINGS.found
+    assert fit.omega == pytest.approx(math.tau * 1.2, rel=0.03)
+    assert abs(fit.values[2]) < 0.35
+
+
+def test_a_body_that_does_not_sway_has_none() -> None:
+    assert followed(1.0, gain=0.0).score < 0.0
+
+
+def test_an_acceleration_that_is_noticed_late_is_made_up_for() -> None:
+    early = late = sway_bank.empty(SETTINGS)
+    for _ in range(20):
+        early = sway_bank.predict(SETTINGS, early, T0, BRAKE, stands=False)
+        late = sway_bank.predict(SETTINGS, late, T0, 0.0, stands=False)
+    late = sway_bank.change_class(SETTINGS, late, BRAKE, 20 * T0)
+    np.testing.assert_allclose(late.forced, early.forced, rtol=1e-9, atol=1e-15)
+
+
+def test_the_response_is_that_of_the_differential_equation() -> None:
+    w = math.tau * 0.62
+    pole = w * complex(-SETTINGS.damping, 1.0)
+    times = np.arange(0.0, 0.9, 0.1)
+    expected = swayed(0.62, 1.0, 0.0, np.concatenate(((-4.0,), times)))[1:]
+    own = BRAKE * sway_bank.response(w, pole, times).real
+    np.testing.assert_allclose(own, expected, atol=2e-5)
+    assert sway_bank.response(w, pole, 0.01) == pytest.approx(
+        1j / w * (cmath.exp(pole * 0.01) - 1.0) / pole
+    )
+
+
+def test_another_sensor_of_the_body_may_have_another_offset() -> None:
+    bank = sway_bank.empty(SETTINGS)
+    unit = PositionMeasurement(Source.DISTANCE, 0.0, 0.0, UNIT_SIGMA**2, 4.0)
+    for k in range(400):
+        bank = sway_bank.predict(SETTINGS, bank, T0, 0.0, stands=True)
+        bank = sway_bank.read_unit(bank, unit, 0.0)
+        source, value = (Source.CAMERA, 0.0) if k < 200 else (Source.TACTILE, 0.001)
+        reading = PositionMeasurement(source, value, 0.0, 1e-8, 5.0)
+        bank = sway_bank.read(SETTINGS, bank, reading, 0.0, 10.0)
+    assert sway_bank.evaluate(SETTINGS, bank)[1].score < SETTINGS.found

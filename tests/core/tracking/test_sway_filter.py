@@ -1,0 +1,151 @@
+"""A body that sways is no conveyor that starts or stops, and it is followed."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conveyor_truth import DEVIATION, NOMINAL, STOP, T0, Sensor, Truth
+
+from linemate.daemon.core.tracking.classifiers.bank_model import GAIN, SWAY, BankState
+from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
+from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, Source
+from linemate.daemon.core.tracking.settings import BankSettings, FusionSettings, SwaySettings
+from linemate.daemon.core.tracking.task import ConveyorClasses
+
+BANK = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), DEVIATION)
+DELAY = 0.1
+
+
+def sway_of(truth: Truth, frequency_hz: float, gain: float, free: float) -> np.ndarray:
+    """Sway on the truth's grid: forced by the conveyor, and free from the start."""
+    h = float(truth.times[1] - truth.times[0])
+    a = np.gradient(np.convolve(truth.speeds, np.full(9, 1.0 / 9.0), "same"), h)
+    a[:20] = a[-20:] = 0.0
+    a[np.abs(a) < 0.005] = 0.0
+    w = math.tau * frequency_hz
+    turn = np.exp(complex(-0.01, 1.0) * w * h)
+    z, sway = complex(free, 0.0), np.empty(len(a))
+    for i, each in enumerate(a):
+        z = turn * z + 1j * gain * each * h / w
+        sway[i] = z.real
+    return sway
+
+
+def run(
+    truth: Truth,
+    sway: np.ndarray,
+    seconds: float,
+    *,
+    bank: BankClassifier = BANK,
+    contact_from: float = math.inf,
+) -> tuple[BankState, list[tuple[float, str, str]], list[float]]:
+    """The classifier on a body that sways: state, events, and errors of the sway."""
+    rng = np.random.default_rng(7)
+    events, errors, state = [], [], None
+    readings = Sensor(seed=3).read(truth, np.arange(round((seconds + 2.0) / T0)) * T0 - 2.0)
+    for k, reading in enumerate(readings):
+        t = -2.0 + k * T0
+        if state is None:
+            state = bank.initial(float(reading))
+            continue
+        rows = [PositionMeasurement(Source.DISTANCE, float(reading), 0.001, DEVIATION**2, 4.0)]
+        body = np.interp((t - DELAY, t), truth.times, truth.positions + sway)
+        if t > contact_from:
+            value = body[1] + rng.normal(0.0, 5e-5)
+            rows.append(PositionMeasurement(Source.TACTILE, value, 0.0, 25e-10, 20.0))
+        elif k % 2:
+            value = body[0] + rng.normal(0.0, 5e-4)
+            rows.append(PositionMeasurement(Source.CAMERA, value, DELAY, 25e-8, 5.0))
+        state = bank.advance(state, rows, T0)
+        events += [(t, *event) for event in state.events]
+        errors.append(float(state.x[SWAY] - np.interp(t, truth.times, sway)))
+    assert state is not None
+    return state, events, errors
+
+
+def confirmed(events: list[tuple[float, str, str]]) -> list[str]:
+    return [what for _, what, how in events if how == "confirmed"]
+
+
+@pytest.mark.parametrize("frequency_hz", [0.5, 0.62, 1.0, 1.5])
+def test_an_unknown_pendulum_is_followed_after_its_first_stop(frequency_hz: float) -> None:
+    truth = Truth(5.0, ((1.0, -STOP),), ripple=1e-5)
+    state, events, errors = run(truth, sway_of(truth, frequency_hz, 1.0, 0.0), 5.0)
+    assert confirmed(events) == ["stop"]
+    assert state.motion is Motion.STANDING
+    assert state.sway_omega == pytest.approx(math.tau * frequency_hz, rel=0.04)
+    assert state.x[GAIN] == pytest.approx(1.0, abs=0.3)
+    tail = np.array(errors[-round(1.5 / T0) :])
+    assert float(np.sqrt(np.mean(tail**2))) < 4e-4
+
+
+def test_a_known_pendulum_is_right_while_nothing_sees_it() -> None:
+    known = replace(BANK, sway=SwaySettings(frequency_hz=0.62, gain=1.0))
+    truth = Truth(1.4, ((0.2, -STOP),), ripple=1e-5)
+    sway = sway_of(truth, 0.62, 1.0, 0.0)
+    blind = replace(truth)
+    rows_until = 0.0
+    state = None
+    readings = Sensor(seed=3).read(blind, np.arange(round(3.2 / T0)) * T0 - 2.0)
+    rng = np.random.default_rng(2)
+    for k, reading in enumerate(readings):
+        t = -2.0 + k * T0
+        if state is None:
+            state = known.initial(float(reading))
+            continue
+        rows = [PositionMeasurement(Source.DISTANCE, float(reading), 0.001, DEVIATION**2, 4.0)]
+        if k % 2 and t < rows_until:
+            value = float(np.interp(t - DELAY, truth.times, truth.positions + sway))
+            value += rng.normal(0.0, 5e-4)
+            rows.append(PositionMeasurement(Source.CAMERA, value, DELAY, 25e-8, 5.0))
+        state = known.advance(state, rows, T0)
+    assert state is not None
+    true = float(np.interp(1.2 - T0, truth.times, sway))
+    assert true > 0.009
+    assert float(state.x[SWAY]) == pytest.approx(true, abs=1.2e-3)
+    ahead = np.array((0.0, 0.15))
+    places = known.predict_positions(state, ahead)
+    body = np.interp(1.2 - T0 + ahead, truth.times, truth.positions + sway)
+    assert places[1] - places[0] == pytest.approx(body[1] - body[0], abs=6e-4)
+
+
+@pytest.mark.parametrize("in_contact", [False, True])
+@pytest.mark.parametrize("frequency_hz", [0.4, 0.7, 1.2, 2.0, 4.0])
+def test_a_sway_while_standing_is_no_start(frequency_hz: float, in_contact: bool) -> None:
+    truth = Truth(12.0, speed=0.0, ripple=0.0)
+    begins = 0.0 if in_contact else math.inf
+    sway = sway_of(truth, frequency_hz, 0.0, 0.0025)
+    state, events, _ = run(truth, sway, 12.0, contact_from=begins)
+    assert "start" not in confirmed(events)
+    assert "stop" not in confirmed(events)
+    assert confirmed(events).count("push") <= 4
+    assert state.motion is Motion.STANDING
+
+
+def test_a_swing_does_not_hide_a_stop() -> None:
+    truth = Truth(3.0, ((1.0, -STOP),), ripple=1e-5)
+    _, events, _ = run(truth, sway_of(truth, 1.2, 0.0, 0.0036), 3.0)
+    stops = [t for t, what, how in events if (what, how) == ("stop", "confirmed")]
+    assert len(stops) == 1
+    assert 1.0 < stops[0] < 1.35
+
+
+def test_without_a_sway_nothing_is_followed() -> None:
+    truth = Truth(8.0, ((3.0, -STOP),), ripple=1e-5)
+    state, events, _ = run(truth, np.zeros(len(truth.times)), 8.0)
+    assert state.sway_omega == 0.0
+    assert confirmed(events) == ["stop"]
+    assert not np.any(state.P[SWAY:])
+
+
+def test_a_start_is_confirmed_though_the_body_lags_behind() -> None:
+    truth = Truth(6.0, ((0.0, 0.013),), speed=0.0, ripple=0.0)
+    known = replace(BANK, sway=SwaySettings(frequency_hz=0.62, gain=1.0))
+    sway = sway_of(truth, 0.62, 1.0, 0.0)
+    state, events, _ = run(truth, sway, 2.5, bank=known, contact_from=-1.5)
+    starts = [t for t, what, how in events if (what, how) == ("start", "confirmed")]
+    assert len(starts) == 1
+    assert starts[0] < 0.7
+    assert state.motion is Motion.STARTING
+    assert NOMINAL > float(state.x[1]) > 0.02
