@@ -14,8 +14,9 @@ from typing import Literal
 
 from linemate.simulators.plants import rotation
 from linemate.simulators.plants.effector import EffectorPlant, Six, deflected, deflection_between
+from linemate.simulators.plants.forces.mating_plant import new_mating
 from linemate.simulators.plants.rotation import Pose, Rot, Vec
-from linemate.simulators.plants.scenario import Contact
+from linemate.simulators.plants.scenario import Contact, Effector
 
 Phase = Literal["free", "clamped", "released"]
 
@@ -32,7 +33,7 @@ class Impact:
     """The instant at which the tcp reached the hub plane.
 
     Attributes:
-        position: elastic tcp in the hub frame [m]; z is 0 there.
+        position: elastic tcp in the hub frame [m]; z is 0 there, or where the clamp takes it.
         rotation: elastic tcp in the hub frame, rotation vector [rad].
         speed: closing speed along the hub's z [m/s].
     """
@@ -54,8 +55,16 @@ class Collision:
 class ContactPlant:
     """What tool and hub do to each other."""
 
-    def __init__(self, contact: Contact) -> None:
+    def __init__(self, contact: Contact, effector: Effector | None = None) -> None:
+        """Take what mates.
+
+        Args:
+            effector: the mount; without it the contact has no forces of bolts and flange.
+        """
         self._contact = contact
+        self.mating = None if effector is None else new_mating(contact, effector)
+        self._tear_off = contact.mating.tear_off
+        self._stiffness = (0.0,) * 3 if effector is None else effector.stiffness[:3]
         self._whole_step = rotation.exp(contact.step)
         self.phase: Phase = "free"
         self.impact: Impact | None = None
@@ -112,12 +121,16 @@ class ContactPlant:
             rigid: rigid tcp at its end.
             hub: hub at its end, the screws' step included.
         """
+        if self.mating is not None:
+            self.mating.touch.begin(dt)
         if self._screwing_s is not None and self.fixed_s is None:
             self._tighten(t, self._screwing_s)
         if self.phase == "clamped":
             self._hold(t, effector, before, rigid, hub)
             if self.phase != "clamped":
                 effector.drop_wheel()
+            return
+        if self.mating is not None and self._touches(t, dt, effector, before, rigid, hub):
             return
         effector.swing_free(before, rigid)
         if self.collision is None:
@@ -143,11 +156,49 @@ class ContactPlant:
         # The mount is sized for the weight that it carries: only what is added overloads it.
         x, y, z, a, b, c = map(operator.sub, deflection, effector.sag(rigid))
         bent, twisted = rotation.norm((x, y, z)), rotation.norm((a, b, c))
+        if self._tears(t, (x, y, z)):
+            return
         if bent > self._contact.deflection_limit or twisted > self._contact.deflection_angle_limit:
             self._collide(t, f"mount overloaded: {_figures(bent, twisted)}")
             self._open(t)
             return
         self._work(t)
+
+    def _tears(self, t: float, bent: Vec) -> bool:
+        """Tear the wheel off the clamp where the contact force is beyond its strength."""
+        if not self._tear_off:
+            return False
+        force = rotation.norm(tuple(map(operator.mul, bent, self._stiffness)))
+        if force <= self._tear_off:
+            return False
+        self._collide(t, f"wheel torn off: {force:.0f} N, limit {self._tear_off:.0f} N")
+        self._open(t)
+        return True
+
+    def _touches(
+        self, t: float, dt: float, effector: EffectorPlant, before: Pose, rigid: Pose, hub: Pose
+    ) -> bool:
+        """One substep in reach of bolts and flange; False if the tool swings freely."""
+        mating = self.mating
+        if mating is None or self.phase != "free" or self.collision is not None:
+            return False
+        if not mating.advance(dt, effector, before, rigid, hub):
+            return False
+        (place, turned), contact = mating.tool, self._contact
+        self._before = (rotation.apply(hub[1], place), hub[1])
+        bent = tuple(map(operator.sub, effector.deflection, effector.sag(rigid)))
+        lateral, twist = math.hypot(place[0], place[1]), rotation.angle(turned)
+        if mating.arrived and (lateral > contact.capture_lateral or twist > contact.capture_angle):
+            self._collide(t, f"missed the hub: {_figures(lateral, twist)}")
+        elif mating.touching and rotation.norm(bent[:3]) > contact.deflection_limit:
+            length = rotation.norm(bent[:3])
+            self._collide(t, f"mount overloaded before the clamp closed: {1e3 * length:.1f} mm")
+        elif mating.seated:
+            self.impact = Impact(t, place, rotation.log(turned), mating.speed)
+            self.phase = "clamped"
+            self.clamped_s = t
+            self._caught = (place, self.impact.rotation)
+        return True
 
     def _work(self, t: float) -> None:
         """Start and stop the tool's timers as the controller's bits say."""

@@ -93,6 +93,13 @@ class EffectorPlant:
         old, new = self.sag(before), _in_old_frame(turned, self.sag(after))
         return _plus(self.deflection, old, -1.0), _plus(drive, _plus(new, old, -1.0))
 
+    def strike(self, before: Pose, after: Pose, deflection: Six, velocity: Six) -> None:
+        """One step with contact forces: take its result, given in the axes of `before`."""
+        turned, _ = _motion(before, after)
+        self.deflection = _expressed(turned, *deflection)
+        self._velocity = _expressed(turned, *velocity)
+        self._held = None
+
     def hold(self, before: Pose, after: Pose, deflection: Six) -> None:
         """One step in contact: the tool is where it is held, the mount takes the difference."""
         # How fast the tool moves is of interest only when it is let go.

@@ -14,7 +14,7 @@ from typing import Any, Literal
 from linemate.simulators.plants.bending.effects_arm import ArmEffects
 from linemate.simulators.plants.effects.conveyor_effects import ConveyorEffects, Order, ShapedRamps
 from linemate.simulators.plants.effects.sensor_errors import CameraEffects, DistanceEffects
-from linemate.simulators.plants.forces.switches import CarrierMode, ForceTorqueEffects, Load
+from linemate.simulators.plants.forces.switches import CarrierMode, ForceTorqueEffects, Load, Mating
 from linemate.simulators.plants.streams import stream
 
 Vector3 = tuple[float, float, float]
@@ -348,6 +348,7 @@ class Contact:
         release_s: order to release until the clamp is open [s].
         clearance: the released tool is free of the hub after this distance [m].
         drag_limit: lateral motion that the released, not yet cleared tool survives [m].
+        mating: bolts, flange and friction before the clamp closes.
     """
 
     capture_lateral: float = 0.006
@@ -362,6 +363,7 @@ class Contact:
     release_s: float = 0.3
     clearance: float = 0.010
     drag_limit: float = 0.012
+    mating: Mating = field(default_factory=Mating)
 
 
 @dataclass(frozen=True, slots=True)
@@ -506,7 +508,16 @@ def sample(seed: int, scenario: Scenario | None = None) -> Scenario:
     conveyor = replace(scenario.conveyor, ripple=ripple)
     effector = _sample_effector(seed, scenario.effector)
     body = _sample_body(seed, scenario.body)
-    return replace(scenario, conveyor=conveyor, body=body, effector=effector)
+    contact = _sample_contact(seed, scenario.contact)
+    return replace(scenario, conveyor=conveyor, body=body, effector=effector, contact=contact)
+
+
+def _sample_contact(seed: int, contact: Contact) -> Contact:
+    mating = contact.mating
+    if mating.angle is not None:
+        return contact
+    share = float(stream(seed, "mating.angle").uniform(-1, 1))
+    return replace(contact, mating=replace(mating, angle=share * mating.angle_range))
 
 
 def _sample_effector(seed: int, effector: Effector) -> Effector:

@@ -88,7 +88,7 @@ class World:
         self._servos = drives(scenario.robot, scenario.cycle_s, self._substeps)
         self._links = link_side(scenario.robot, seed)
         self._effector = EffectorPlant(scenario.effector, self._h)
-        self._contact = ContactPlant(scenario.contact)
+        self._contact = ContactPlant(scenario.contact, scenario.effector)
         self._carried = self._new_carried(scenario)
         self._distance = DistanceSensorPlant(scenario.distance, seed, start, scenario.cycle_s)
         self._camera = CameraPlant(scenario.camera, seed, start)
@@ -367,7 +367,7 @@ class World:
         hub = contact.turned(hub, following)
         contact.advance(following, self._h, self._effector, self._rigid, rigid, hub)
         if carried is not None:
-            carried.settle(following, rigid, hub, unmoved)
+            hub = carried.settle(following, rigid, hub, unmoved)
         self._grid, self._rigid, self._hub = following, rigid, hub
         if index % self._substeps == 0:
             self._begin_cycle()

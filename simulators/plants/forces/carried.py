@@ -73,7 +73,11 @@ class CarriedBody:
             The hub there, without the step of the screws.
         """
         self._carrier.advance(self._pull(t, rigid, unmoved))
-        return swayed(unmoved, self._carrier.sway)
+        hub = swayed(unmoved, self._carrier.sway)
+        mating = self._contact.mating
+        if mating is not None and self._carrier.yields:
+            mating.touch.give_way = self._carrier.inverse_mass(_to_c(hub))
+        return hub
 
     def hub_within(self, t: float, rigid: Pose, unmoved: Pose) -> Pose:
         """The hub within the substep that comes next; arguments as for ``hub``."""
@@ -83,14 +87,18 @@ class CarriedBody:
         """The hub at any time; in the future without a force of contact."""
         return swayed(unmoved, self._carrier.at(t))
 
-    def settle(self, t: float, rigid: Pose, hub: Pose, unmoved: Pose) -> None:
+    def settle(self, t: float, rigid: Pose, hub: Pose, unmoved: Pose) -> Pose:
         """Exchange momentum as the clamp has caught, closed or opened at the grid point.
 
         Args:
             hub: hub there, as the contact saw it.
             unmoved: hub there if the carrier did not move.
+
+        Returns:
+            The hub after that.
         """
         before, self._before = self._before, unmoved
+        hub = self._strike(t, hub, unmoved) if self._carrier.yields else hub
         carrier, clamped = self._carrier, self._contact.phase == "clamped"
         if clamped and carrier.yields and not carrier.held:
             self._mount = Mount.at(rigid, *self._values)
@@ -104,6 +112,18 @@ class CarriedBody:
             carrier.push(self._mount, self._closing)
             self._closing = None
         carrier.begin_pull(np.subtract(self._effector.deflection, self._effector.sag(rigid)))
+        return hub
+
+    def _strike(self, t: float, hub: Pose, unmoved: Pose) -> Pose:
+        """Let the hub give way to what touched it in the step that has ended."""
+        mating = self._contact.mating
+        if mating is None or not (mating.touching or self._carrier.expects):
+            return hub
+        to_c, touch = _to_c(hub), mating.touch
+        self._carrier.strike(to_c @ touch.impulse, to_c @ touch.impulse_time)
+        hub = self._contact.turned(swayed(unmoved, self._carrier.sway), t)
+        mating.correct(hub)
+        return hub
 
     def _pull(self, t: float, rigid: Pose, unmoved: Pose) -> Array | None:
         if not self._carrier.held:
@@ -119,8 +139,12 @@ class CarriedBody:
     def _closing_velocity(self, hub: Pose) -> Array:
         """Velocity of the tool against the hub while the clamp closes, in c, (6,)."""
         place, turn = self._contact.caught
-        to_c = _TO_C @ np.kron(np.eye(2), np.array(hub[1]).reshape(3, 3))
-        return np.asarray(-(to_c @ np.array((*place, *turn))) / self._close_s)
+        return np.asarray(-(_to_c(hub) @ np.array((*place, *turn))) / self._close_s)
+
+
+def _to_c(hub: Pose) -> Array:
+    """Axes of the hub in c, for vectors of six, (6, 6)."""
+    return np.asarray(_TO_C @ np.kron(np.eye(2), np.array(hub[1]).reshape(3, 3)))
 
 
 def _velocity(before: Pose, after: Pose, dt: float) -> Array:

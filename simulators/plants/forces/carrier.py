@@ -87,6 +87,7 @@ class CarrierPlant:
         self.yields = any(mode.mass for mode in modes)
         self._mount: Mount | None = None
         self._pull = np.zeros(6)
+        self._expected = np.zeros(len(modes))
         self._steps: dict[float, linear.Step] = {}
         self._free_step = self._new_step(step_s)
         self._state = np.zeros(2 * self._count)
@@ -158,6 +159,7 @@ class CarrierPlant:
             relative: velocity in c that the tool loses, as far as no mode moves, (6,).
         """
         self._mount = mount
+        self._expected = np.zeros(self._count)
         self._new_steps()
         self.push(mount, relative - self._shape @ self.speeds)
 
@@ -166,6 +168,33 @@ class CarrierPlant:
         inertia = self._mass + self._shape.T @ mount.mass @ self._shape
         gained = np.linalg.solve(inertia, self._shape.T @ mount.mass @ velocity)
         self._state = self._state + np.concatenate((np.zeros(self._count), gained))
+        self._history[-1] = self._state
+        self._ahead.clear()
+
+    def inverse_mass(self, axes: Array) -> Array:
+        """How the hub gives way to an impulse, in axes given in c (6, 6): velocity of impulse."""
+        shape = axes.T @ self._shape
+        return np.asarray(shape @ np.linalg.solve(self._mass, shape.T))
+
+    @property
+    def expects(self) -> bool:
+        """The last step was made with a force of the step before."""
+        return bool(self._expected.any())
+
+    def strike(self, impulse: Array, impulse_time: Array) -> None:
+        """Correct the step that has ended by the impulse that the hub got in it, in c, (6,).
+
+        The step was made with the mean force of the one before, which is taken off.
+
+        Args:
+            impulse_time: integral of the impulse over the step [Ns s].
+        """
+        h = self._h
+        given = self._shape.T @ np.column_stack((impulse_time, impulse))
+        more = given - np.outer(self._expected, (0.5 * h * h, h))
+        self._expected = given[:, 1] / h
+        gained = np.linalg.solve(self._mass, more)
+        self._state = self._state + gained.T.ravel()
         self._history[-1] = self._state
         self._ahead.clear()
 
@@ -193,7 +222,7 @@ class CarrierPlant:
         mean = (self._speed(t + dt) - self._speed(t)) / dt
         mount = self._mount
         if mount is None or pull is None:
-            force = -self._drive * mean
+            force = self._expected - self._drive * mean
             return np.asarray(step.state @ self._state + (step.start + step.end) @ force)
         first, last = self._left(mount, pull)
         force = -(self._drive + self._shape.T @ mount.mass @ _TRAVEL) * mean

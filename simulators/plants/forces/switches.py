@@ -98,3 +98,48 @@ class ForceTorqueEffects:
     drift_force: float = 0.0
     drift_torque: float = 0.0
     drift_time_s: float = 600.0
+
+
+@dataclass(frozen=True, slots=True)
+class Mating:
+    """Mating by bolts, flange and friction; without bolts the clamp catches at once.
+
+    The bolts' tips meet the wheel first. Where each bolt is within chamfer and clearance of its
+    hole the wheel goes on and the chamfer draws it in; elsewhere the tips hold it off. Then the
+    flange touches, at its rim first where the wheel is tilted, with friction until the clamp
+    closes. Every contact is a spring with a damper.
+
+    Sizes: five bolts M14 on a circle of 112 mm (common for cars); chamfer 1 to 2 mm; the bolts'
+    angle within +-2 degrees of what the camera sees (0.035 rad, 2 mm on that circle); friction of
+    steel on aluminium or steel 0.1 to 0.3 (engineers' handbooks); flange of 150 mm; stiffness of
+    disc and hub 1 kN/mm and damping are estimates: the mount is twenty times as soft.
+
+    Attributes:
+        bolts: how many; 0 for a clamp that catches at once.
+        bolt_circle: radius of their circle [m].
+        bolt_length: their tips stand out this far from the flange [m].
+        chamfer: a bolt this far from its hole is drawn in [m].
+        clearance: of a bolt in its hole, each side [m].
+        angle: of the bolts against the hub's orientation [rad]; None draws it.
+        angle_range: half range of that angle over the cars [rad].
+        flange: radius of the flange [m].
+        friction: coefficient of friction.
+        elasticity: stiffness of the contact as a whole [N/m].
+        contact_damping: its damping ratio with the tool's mass, share of critical.
+        seat: the clamp takes the hub when the flange is nearer than this [m].
+        tear_off: contact force that tears the wheel off the clamp [N]; 0 for none.
+    """
+
+    bolts: int = 0
+    bolt_circle: float = 0.056
+    bolt_length: float = 0.025
+    chamfer: float = 0.0015
+    clearance: float = 0.0005
+    angle: float | None = None
+    angle_range: float = 0.0
+    flange: float = 0.075
+    friction: float = 0.2
+    elasticity: float = 1e6
+    contact_damping: float = 0.2
+    seat: float = 1e-3
+    tear_off: float = 0.0

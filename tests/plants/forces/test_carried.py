@@ -10,7 +10,7 @@ from linemate.simulators.plants.contact_plant import ContactPlant
 from linemate.simulators.plants.effector import EffectorPlant, deflected
 from linemate.simulators.plants.forces.carried import CarriedBody
 from linemate.simulators.plants.forces.carrier import swayed
-from linemate.simulators.plants.forces.switches import CarrierMode
+from linemate.simulators.plants.forces.switches import CarrierMode, Mating
 from linemate.simulators.plants.rotation import Pose
 from linemate.simulators.plants.scenario import Body, Contact, Effector, Scenario, sample
 from linemate.simulators.plants.world import World
@@ -23,16 +23,24 @@ HUB: Pose = ((2.2, 0.0, 1.1), (0.0, 0.0, 1.0, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0))
 class Cell:
     """A robot that pushes the tool along the hub's z onto a car that is carried."""
 
-    def __init__(self, *modes: CarrierMode, lateral: float = 0.0) -> None:
+    def __init__(
+        self,
+        *modes: CarrierMode,
+        lateral: float = 0.0,
+        contact: Contact | None = None,
+        damping: float = 0.0,
+    ) -> None:
         scenario = Scenario(
-            body=Body(carrier=modes), contact=Contact(), effector=Effector(damping=(0.0,) * 6)
+            body=Body(carrier=modes),
+            contact=contact or Contact(),
+            effector=Effector(damping=(damping,) * 6),
         )
-        self.contact = ContactPlant(scenario.contact)
+        self.contact = ContactPlant(scenario.contact, scenario.effector)
         self.effector = EffectorPlant(scenario.effector, STEP)
         parts = self.contact, self.effector
         self.carried = CarriedBody(scenario, lambda _: 0.0, 0.0, STEP, *parts)
         self.t, self.lateral = 0.0, lateral
-        self.rigid = self.at(-0.002)
+        self.rigid = self.at(-0.035 if scenario.contact.mating.bolts else -0.002)
 
     def at(self, depth: float) -> Pose:
         return (2.2 + depth, self.lateral, 1.1), HUB[1]
@@ -42,8 +50,7 @@ class Cell:
         before, self.rigid = self.rigid, self.at(depth)
         hub = self.carried.hub(self.t, self.rigid, HUB)
         self.contact.advance(self.t, STEP, self.effector, before, self.rigid, hub)
-        self.carried.settle(self.t, self.rigid, hub, HUB)
-        return hub
+        return self.carried.settle(self.t, self.rigid, hub, HUB)
 
     def push(self, speed: float, depth: float, seconds: float) -> Pose:
         hub = HUB
@@ -113,6 +120,64 @@ def test_a_released_car_swings_on_with_its_speed() -> None:
     assert carrier.speeds[0] == pytest.approx(
         v * math.cos(omega * STEP) - omega * q * math.sin(omega * STEP), rel=1e-9
     )
+
+
+HEAVY = CarrierMode(frequency_hz=3.0, damping=0.5, direction=(0, 0, 1), mass=500.0)
+BOLTS = Contact(mating=Mating(bolts=5, angle=0.0))
+
+
+@pytest.mark.parametrize("lateral", [0.0, 0.0015])
+def test_bolts_within_the_chamfer_go_in_and_the_clamp_closes(lateral: float) -> None:
+    cell = Cell(HEAVY, lateral=lateral, contact=BOLTS, damping=0.1)
+    cell.push(0.03, 0.001, 1.5)
+    assert cell.contact.phase == "clamped"
+    assert cell.contact.collision is None
+    assert cell.contact.impact is not None
+    assert cell.contact.impact.position[2] == pytest.approx(-0.001, abs=0.3e-3)
+    assert cell.contact.impact.speed == pytest.approx(0.03, rel=0.5)
+
+
+def test_bolts_beside_their_holes_keep_the_clamp_open_until_the_mount_gives_up() -> None:
+    cell = Cell(HEAVY, lateral=0.004, contact=BOLTS, damping=0.1)
+    cell.push(0.03, -0.023, 1.0)
+    assert cell.contact.phase == "free"
+    assert cell.contact.collision is None
+    assert -50e3 * cell.effector.deflection[2] > 20.0
+    cell.push(0.03, 0.05, 1.0)
+    assert cell.contact.collision is not None
+    assert cell.contact.collision.reason.startswith("mount overloaded before the clamp closed")
+
+
+def test_a_tool_that_comes_too_far_beside_the_bolts_has_missed() -> None:
+    cell = Cell(HEAVY, lateral=0.008, contact=BOLTS, damping=0.1)
+    cell.push(0.03, 0.0, 2.0)
+    assert cell.contact.collision is not None
+    assert cell.contact.collision.reason.startswith("missed the hub: 8.0 mm")
+
+
+def test_a_touch_pushes_a_car_that_gives_way() -> None:
+    kg, omega = 500.0, math.tau * 3.0
+    cell = Cell(HEAVY, lateral=0.004, contact=BOLTS, damping=0.3)
+    hub = cell.push(0.03, -0.023, 2.0)
+    force = kg * omega**2 * (hub[0][0] - 2.2)
+    assert force > 20.0
+    assert -50e3 * cell.effector.deflection[2] == pytest.approx(force, rel=0.01)
+
+
+def test_a_wheel_is_torn_off_beyond_the_clamps_strength() -> None:
+    contact = Contact(deflection_limit=0.2, mating=Mating(tear_off=2500.0))
+    cell = Cell(HEAVY, contact=contact)
+    cell.push(0.1, 0.3, 5.0)
+    assert cell.contact.collision is not None
+    assert cell.contact.collision.reason.startswith("wheel torn off: 25")
+    assert cell.contact.phase == "released"
+
+
+def test_each_hub_has_its_own_angle_within_the_range() -> None:
+    contact = Contact(mating=Mating(bolts=5, angle_range=0.035))
+    drawn = {sample(seed, Scenario(contact=contact)).contact.mating.angle for seed in range(20)}
+    assert len(drawn) == 20
+    assert all(angle is not None and abs(angle) <= 0.035 for angle in drawn)
 
 
 SWAY = CarrierMode(frequency_hz=1.0, damping=0.02, mass=400.0, frequency_spread=0.2)
