@@ -253,10 +253,10 @@ def perform(
         ChildError: a process ended early.
         DemoError, NoAnswerError, RefusedError, TimeoutError: what else went wrong.
     """
-    with tempfile.TemporaryDirectory(prefix="linemate-") as name:
+    with tempfile.TemporaryDirectory(prefix="linemate-") as folder:
         # A core of one's own is a gift to a real-time process, and a cage to any other.
         cores = host.shared_out() if host.missing_rights() is None else ((), ())
-        station = DemoStation(Path(name), scenario, cores, world)
+        station = DemoStation(Path(folder), scenario, cores, world)
         began_s, stolen_s = time.monotonic(), host.stolen_s()
         status = _run(station, is_viewed=is_viewed)
         withheld = _withheld(stolen_s, host.stolen_s(), time.monotonic() - began_s)
@@ -268,7 +268,9 @@ def perform(
         facts = truth.load(station.truth)[1]
         result["notes"] = [*_notes(status, facts), *withheld]
         report_json.write_results(out, result, evidence.rows)
-        kept = out / f"{scenario.name}-seed{scenario.seed}-{result['cycle_ms']:g}ms.mcap"
+        # A row of the world has a slash in its name.
+        name = scenario.name.replace("/", "-")
+        kept = out / f"{name}-seed{scenario.seed}-{result['cycle_ms']:g}ms.mcap"
         shutil.move(recording, kept)
     return result
 

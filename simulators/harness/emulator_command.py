@@ -19,6 +19,7 @@ from linemate.simulators.devices.faults import REAL, Faults
 from linemate.simulators.devices.links.emulator import serve
 from linemate.simulators.devices.links.emulator_config import EmulatorConfig
 from linemate.simulators.harness import host, scenario_file
+from linemate.simulators.harness.world import world_rows
 
 OWN = ("scenario", "seed", "cycle_ms", "priority", "cpus")
 EX_UNAVAILABLE = 69
@@ -107,4 +108,5 @@ def main(args: Namespace) -> int:
 
 
 def _scenario_name(name: str, base: Path) -> str:
-    return name if name in scenario_file.shipped() else str(base / name)
+    shipped = (*scenario_file.shipped(), *world_rows.names())
+    return name if name in shipped else str(base / name)

@@ -286,6 +286,7 @@ def _add_world(commands: "Commands[CommandLine]") -> None:
     world.add_argument("--seeds", type=seeds, default=(0, 1, 2), metavar="N|A..B", help="0..2")
     world.add_argument("--cycle-ms", type=float, metavar="MS", help="instead of the scenario's")
     world.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    world.add_argument("--check", action="store_true", help="end with 1 if a run collided")
     world.add_argument("--list", action="store_true", help="print the rows and what they change")
     world.add_argument(
         "--kept", type=Path, default=Path("out/world"), metavar="DIR",

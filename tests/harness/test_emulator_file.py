@@ -28,6 +28,13 @@ def test_names_seeds_and_paths_are_taken_from_the_file(tmp_path: Path) -> None:
     assert wishes == emulator.Wishes(60, ())
 
 
+def test_a_row_of_the_world_is_taken_by_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "emulator.yaml"
+    path.write_text("scenario: world/sway-1.0hz\n")
+    config, _ = emulator.load(path)
+    assert config.scenario.body.carrier[0].frequency_hz == 1.0
+
+
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [

@@ -55,7 +55,7 @@ def main(args: Namespace) -> int:
         args: world, rows, seeds, cycle_ms, overrides, workers, kept, json, list.
 
     Returns:
-        0 when every run was made, whatever came of it.
+        0 when every run was made; 1 with ``--check`` if one of them collided.
 
     Raises:
         SetupError: a row or a setting is unknown.
@@ -69,7 +69,7 @@ def main(args: Namespace) -> int:
         runs = spread(measured, jobs, args.workers or WORKERS, progress)
     whole = collect(runs)
     print(report_json.text(whole) if args.json else world_table.text(whole))
-    return 0
+    return int(args.check and any(run["outcome"] == "collision" for run in runs))
 
 
 def known() -> tuple[str, ...]:

@@ -1,6 +1,7 @@
 """The two scenarios of a plant floor: all effects are on, and the harsh one has 1.5 times them."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from docs.make import world_results
 from linemate.simulators.harness import scenario_file, setup
 from linemate.simulators.plants.scenario import Scenario, sample
+from linemate.simulators.plants.world import World
 
 WHEEL = scenario_file.to_plain(scenario_file.load("wheel"))
 MODERATE = scenario_file.to_plain(scenario_file.load("plant-floor"))
@@ -57,6 +59,17 @@ def test_every_effect_is_on() -> None:
     plain = {"sag_span", "stick_slip_speed", "pitch", "correlation_s", "drift_time_s"}
     assert {path for path in every - on if path[-1] not in plain} == set()
     assert MODERATE["body"]["carrier"]
+
+
+def emissions(seed: int) -> list[object]:
+    world = World(replace(scenario_file.load("plant-floor-harsh"), seed=seed, lead_in_s=1.0))
+    world.advance(1.5)
+    return [*world.take_camera(), *world.take_distance(), *world.take_wrench(), world.encoders()]
+
+
+def test_one_seed_gives_one_plant_floor() -> None:
+    assert emissions(3) == emissions(3)
+    assert emissions(3) != emissions(4)
 
 
 def test_what_a_data_sheet_says_is_told_to_the_daemon() -> None:

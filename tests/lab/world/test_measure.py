@@ -39,6 +39,9 @@ def test_a_finished_run_is_taken_from_where_it_is_kept(
     again = measured(tmp_path, capsys, "--seeds", "5")
     assert first["rows"]["nominal"]["summary"]["held"] == 1
     assert again["rows"]["nominal"]["summary"]["collision"] == 1
+    arguments = ["world", "--rows", "nominal", "--kept", str(tmp_path), "--seeds", "5", *SHORT]
+    assert main([*arguments, "--check"]) == 1
+    assert main([*arguments, "--check", "--set", "scenario.camera.sigma=1e-3"]) == 0
 
 
 def test_another_setting_is_another_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
