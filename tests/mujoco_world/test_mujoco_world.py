@@ -5,7 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
+from linemate.simulators.mujoco_world.frame_poses import vector_of
 from linemate.simulators.mujoco_world.mujoco_cell import MujocoCell, Ramp, RunOrder, sample
 
 pytest.importorskip("mujoco", reason="the extra 'mujoco' is not installed")
@@ -33,7 +35,12 @@ def swing_of(hz: float, damping: float = 0.01) -> MujocoCell:
     """Return a cell whose body swings along the conveyor alone."""
     cell = MujocoCell()
     car = replace(
-        cell.car, fore_aft_hz=hz, fore_aft_damping=damping, excitation=0.0, tilt=(0.0, 0.0, 0.0)
+        cell.car,
+        fore_aft_hz=hz,
+        fore_aft_damping=damping,
+        lateral_hz=1.0,
+        excitation=0.0,
+        tilt=(0.0, 0.0, 0.0),
     )
     line = replace(cell.line, askew=0.0, chain_amplitude=0.0, wander=0.0)
     return replace(cell, car=car, line=line)
@@ -58,7 +65,7 @@ def test_a_value_that_is_given_is_not_drawn() -> None:
 
 def test_a_new_draw_leaves_the_others_as_they_were() -> None:
     given = sample(1, swing_of(4.7)).car
-    assert given.lateral_hz == sample(1, MujocoCell()).car.lateral_hz
+    assert given.yaw_hz == sample(1, MujocoCell()).car.yaw_hz
 
 
 @pytest.mark.parametrize("hz", [0.6, 1.2, 4.7])
@@ -115,35 +122,60 @@ def test_motor_and_link_differ_by_what_the_gear_carries() -> None:
 
 
 def test_the_body_yields_to_the_robot() -> None:
-    """A wheel that is pressed against the hub moves a soft body, and the force is felt."""
-    station = world(swing_of(1.0), nominal_speed=1e-3, ramps=())
+    """A wheel that is pressed against the hub moves the body, and the force is felt."""
+    station = world(swing_of(1.0), nominal_speed=1e-5, ramps=(), duration_s=12.0)
+    before = station.hub()[0][0]
     pressed = _press(station)
     assert station.contact == "clamped"
     assert station.impact is not None
-    assert 20.0 < pressed < 400.0
-    felt = station.take_wrench()[-1]
-    assert felt.force[2] < -10.0
+    assert 10.0 < pressed < 400.0
+    assert station.hub()[0][0] > before + 0.3e-3
+    assert station.take_wrench()[-1].force[2] < -10.0
+    assert station.energy() > 0.0
 
 
 def _press(station: MujocoWorld) -> float:
-    """Move the tool along its axis against the hub with the arm's own kinematics."""
-    from scipy.optimize import least_squares
-
-    from linemate.simulators.mujoco_world.frame_poses import vector_of
-
+    """Move the tool against the hub, at 25 mm/s in the end; return the force on the mount [N]."""
     solver = world()
     goal, turn = station.hub_pose()[:3, 3], station.hub_pose()[:3, :3]
-    axes = np.array(START)
-    for cycle in range(250):
-        depth = min(0.0015, -0.05 + 0.0003 * cycle)
-        place = goal + turn[:, 2] * depth
-
-        def off(q: np.ndarray, place: np.ndarray = place) -> np.ndarray:
-            (x, y, z), r = solver._station.computed_tcp(np.array([*q, 0.0]))
-            rotation = turn.T @ np.array(r).reshape(3, 3)
-            return np.array([x - place[0], y - place[1], z - place[2], *vector_of(rotation)])
-
-        axes[:6] = least_squares(off, axes[:6], xtol=1e-10).x
-        station.command(tuple(axes.tolist()), cycle)
-        station.advance(station.cycle_start(cycle + 1))
+    before = _axes_at(solver, goal - 0.060 * turn[:, 2], turn, np.array(START))
+    for cycle in range(120):
+        share = 0.5 - 0.5 * math.cos(math.pi * (cycle + 1) / 120)
+        _go(station, cycle, np.array(START) + share * (before - np.array(START)))
+    axes = before
+    for cycle in range(120, 340):
+        depth = min(0.003, -0.060 + 0.0003 * (cycle - 120))
+        axes = _axes_at(solver, goal + depth * turn[:, 2], turn, axes)
+        _go(station, cycle, axes)
     return float(np.linalg.norm(np.array(station.deflection()[:3]) * station.mount_stiffness[:3]))
+
+
+def _go(station: MujocoWorld, cycle: int, axes: np.ndarray) -> None:
+    station.command(tuple(axes.tolist()), cycle)
+    station.advance(station.cycle_start(cycle + 1))
+
+
+def _axes_at(
+    solver: MujocoWorld, place: np.ndarray, turn: np.ndarray, near: np.ndarray
+) -> np.ndarray:
+    """Return the axes that bring the computed tcp there, E1 at rest."""
+
+    def off(q: np.ndarray) -> np.ndarray:
+        (x, y, z), r = solver._station.computed_tcp(np.array([*q, 0.0]))
+        rotation = turn.T @ np.array(r).reshape(3, 3)
+        return np.array([x - place[0], y - place[1], z - place[2], *vector_of(rotation)])
+
+    return np.array([*least_squares(off, near[:6], xtol=1e-10).x, 0.0])
+
+
+def test_a_pressed_wheel_comes_to_rest_on_the_bolts() -> None:
+    """Without a controller that reacts, contact and mount ring down by themselves."""
+    station = world(swing_of(4.7, 0.009), nominal_speed=1e-5, ramps=(), duration_s=12.0)
+    _press(station)
+    assert station.collision is None
+    station.advance(station.time_s + 5.0)
+    felt = [reading.force for reading in station.take_wrench()]
+    touching, late = np.array(felt[-1400:-1150]), np.array(felt[-100:])
+    assert np.linalg.norm(np.std(late, axis=0)) < 0.3 * np.linalg.norm(np.std(touching, axis=0))
+    assert np.linalg.norm(np.std(late, axis=0)) < 3.0 * station.cell.sensors.force_sigma
+    assert np.linalg.norm(np.mean(late, axis=0)) > 20.0
