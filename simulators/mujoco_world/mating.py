@@ -25,7 +25,6 @@ FREE_M = 0.005
 BOLT_TIP_M = 0.015
 HUB_RADIUS_M = 0.3
 CAUGHT_LATERAL_M = 0.006
-CAUGHT_ANGLE = 0.05
 CLEAR_M = 0.010
 DRAG_M = 0.020
 PUSH_M = 0.008
@@ -65,6 +64,7 @@ class MatingPoses:
         tool_in_wheel: tcp in the wheel's frame.
         touch_n: force between wheel and hub, the screws' not counted [N].
         mount_n: force on the mount beyond the weight it was zeroed with [N].
+        mount_nm: torque on it, likewise [Nm].
     """
 
     tool: Six
@@ -72,6 +72,7 @@ class MatingPoses:
     tool_in_wheel: Six
     touch_n: float
     mount_n: float
+    mount_nm: float
 
 
 class Mating:
@@ -134,16 +135,16 @@ class Mating:
 
     def _watch(self, t: float, now: MatingPoses) -> None:
         """Tell a collision of the wheel in the gripper."""
-        x, y, z, *turn = now.wheel
-        lateral, angle = math.hypot(x, y), math.hypot(*turn)
-        is_off = lateral > CAUGHT_LATERAL_M or angle > CAUGHT_ANGLE
-        figures = f"{1e3 * lateral:.1f} mm, {1e3 * angle:.1f} mrad"
+        x, y, z, *_ = now.wheel
+        lateral = math.hypot(x, y)
         if now.mount_n > self._tool.mount_limit:
             self._collide(t, f"mount overloaded: {now.mount_n:.0f} N")
+        elif now.mount_nm > self._tool.mount_torque_limit:
+            self._collide(t, f"mount overloaded: {now.mount_nm:.0f} Nm")
         elif now.touch_n > self._tool.contact_limit:
             self._collide(t, f"wheel and hub pressed with {now.touch_n:.0f} N")
-        elif z > -BOLT_TIP_M and lateral < HUB_RADIUS_M and is_off:
-            self._collide(t, f"missed the bolts: {figures}")
+        elif z > -BOLT_TIP_M and CAUGHT_LATERAL_M < lateral < HUB_RADIUS_M:
+            self._collide(t, f"missed the bolts: {1e3 * lateral:.1f} mm")
 
     def _watch_clearing(self, t: float, now: MatingPoses) -> None:
         """Tell a collision of the empty gripper that has to leave the wheel."""

@@ -140,6 +140,7 @@ class Tool:
         screws_s: time to fix the screws [s].
         release_s: order to release until the gripper is open [s].
         mount_limit: force on the mount at which its break-away opens [N].
+        mount_torque_limit: torque at which it opens [Nm].
         contact_limit: force between wheel and hub that is a collision [N].
     """
 
@@ -157,6 +158,7 @@ class Tool:
     screws_s: float = 1.2
     release_s: float | None = None
     mount_limit: float = 400.0
+    mount_torque_limit: float = 80.0
     contact_limit: float = 2500.0
 
 

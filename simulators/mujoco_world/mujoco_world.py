@@ -326,11 +326,12 @@ class MujocoWorld:
             self._force_torque.measure(t, station.wrench())
 
     def _situation(self, touch_n: float) -> MatingPoses:
-        station = self._station
+        station, wrench = self._station, self._station.wrench()
         return MatingPoses(
             station.six(station.hub, station.tool),
             station.six(station.hub, station.wheel),
             station.six(station.wheel, station.tool),
             touch_n,
-            float(np.linalg.norm(station.wrench()[:3])),
+            float(np.linalg.norm(wrench[:3])),
+            float(np.linalg.norm(wrench[3:])),
         )
