@@ -155,6 +155,9 @@ class FusionSettings:
             0.05 mm sees every ripple, and a generic one needs no frequency and costs nothing there.
         contact_ripple_time: its correlation time [s].
         offset: random walk of the distance sensor's offset [m/sqrt(s)].
+        slip: one sigma of the way that the distance sensor reads too much, as a share: its wheel
+            slips, or has another size. It is estimated. 0: its scale is exact.
+        slip_walk: random walk of that share while the conveyor runs [1/sqrt(s)].
         askew: one sigma of the conveyor's direction against y of the nominal object's frame, as the
             object's way in x and in z for each metre; it is estimated. 0: the direction is exact.
         askew_walk: random walk of that direction [1/sqrt(s)].
@@ -172,6 +175,8 @@ class FusionSettings:
     contact_ripple: Walk = 0.001
     contact_ripple_time: Constant = 0.2
     offset: Walk = 0.00002
+    slip: Annotated[float, Ge(0.0), Le(0.1)] = 0.003
+    slip_walk: Annotated[float, Ge(0.0), Le(0.01)] = 0.0001
     askew: Annotated[float, Ge(0.0), Le(0.1)] = 0.005
     askew_walk: Annotated[float, Ge(0.0), Le(0.01)] = 0.0001
     initial_images: Annotated[int, Ge(1), Le(50)] = 5

@@ -18,6 +18,7 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     ACCELERATION,
     FREQUENCY,
     RIPPLE,
+    SLIP,
     STATES,
     BankState,
 )
@@ -33,7 +34,7 @@ from linemate.daemon.core.tracking.task import ConveyorClasses
 
 NEVER = 1e9
 # Without ripple the filter's own noise does not depend on what it believes of the speed.
-FUSION = FusionSettings(ripple=1e-9)
+FUSION = FusionSettings(ripple=1e-9, slip=0.0, slip_walk=0.0)
 NO_RIPPLE = RippleSettings(deviation=0.0)
 SETTINGS = BankSettings(perceived=NEVER, stop_confirmed=NEVER, start_confirmed=NEVER)
 PRIOR = onset_bank.AmplitudePrior(1.0, SETTINGS.amplitude_deviation**2)
@@ -523,3 +524,23 @@ def test_a_speed_that_is_left_when_a_stop_ends_dies_out() -> None:
     assert standing.x[2] == pytest.approx(left.x[1] + left.x[2])
     ahead = bank_prediction.predict_positions(BANK, standing, np.array((0.0, 0.2, 2.0, 4.0)))
     assert ahead[3] - ahead[2] < 1e-6 < ahead[1] - ahead[0]
+
+
+@pytest.mark.parametrize("slip", [0.008, -0.008])
+def test_a_wheel_that_slips_is_learnt_from_the_camera_while_the_conveyor_runs(slip: float) -> None:
+    fusion = FusionSettings()
+    bank = BankClassifier(ConveyorClasses(), fusion, BankSettings(), DEVIATION)
+    truth, rng = Truth(6.0, seed=5), np.random.default_rng(6)
+    times = np.arange(-1.0, 6.0, T0)
+    state = bank.initial(float(truth.at(-1.0)))
+    for k, t in enumerate(times):
+        read = (1.0 + slip) * float(truth.at(t - 0.001)) + rng.normal(0.0, DEVIATION)
+        rows = [PositionMeasurement(Source.DISTANCE, read, 0.001, DEVIATION**2, 4.0)]
+        if k % 2:
+            seen = float(truth.at(t - CAMERA_DELAY)) + rng.normal(0.0, 5e-4)
+            rows.append(PositionMeasurement(Source.CAMERA, seen, CAMERA_DELAY, 25e-8, 5.0))
+        state = bank.advance(state, rows, T0)
+    assert state.x[SLIP] == pytest.approx(slip, abs=0.0015)
+    assert abs(bank.estimate(state).position - float(truth.at(times[-1]))) < 0.5e-3
+    # Taken for the conveyor's, the slip would be 0.85 mm/s of speed.
+    assert state.x[1] == pytest.approx(NOMINAL, abs=0.5e-3)

@@ -18,6 +18,7 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     RIPPLE,
     RIPPLE_FACTORS,
     RIPPLE_QUADRATURE,
+    SLIP,
     STATES,
     SWAY,
     SWAY_QUADRATURE,
@@ -52,6 +53,7 @@ def initial(model: BankModel, position: float) -> BankState:
     P[V, V], P[RANDOM, RANDOM], P[OFFSET, OFFSET] = nominal**2, model.fusion.ripple**2, offset
     P[RIPPLE, RIPPLE] = P[RIPPLE_QUADRATURE, RIPPLE_QUADRATURE] = model.ripple.deviation**2
     P[FREQUENCY, FREQUENCY] = model.ripple.spread**2
+    P[SLIP, SLIP] = model.fusion.slip**2
     P[Y, Y] = model.distance_deviation**2 + offset
     P[Y, OFFSET] = P[OFFSET, Y] = -offset
     x = np.zeros(STATES)
@@ -173,7 +175,7 @@ def correct(
 ) -> BankState:
     """Return (2)-(4) for some measurements, null filter and banks alike, each gated.
 
-    All that is linear is corrected as one array: ``J = [P, x, f_1 .. f_m]`` (14, 15 + m) becomes
+    All that is linear is corrected as one array: ``J = [P, x, f_1 .. f_m]`` (15, 16 + m) becomes
     ``J - K (h'J - z)``. Here z is 0 for P, the measured value for x, and for each f the part of
     its signature that F does not propagate.
     """

@@ -36,15 +36,15 @@ from linemate.daemon.core.tracking.settings import (
 )
 from linemate.daemon.core.tracking.task import ConveyorClasses
 
-STATES = 14
+STATES = 15
 Y, V, RANDOM, OFFSET, ACCELERATION, IMPULSE, IMPULSE_QUADRATURE = range(7)
-RIPPLE, RIPPLE_QUADRATURE, FREQUENCY, SWAY, SWAY_QUADRATURE, PACE, GAIN = range(7, STATES)
+RIPPLE, RIPPLE_QUADRATURE, FREQUENCY, SLIP, SWAY, SWAY_QUADRATURE, PACE, GAIN = range(7, STATES)
 RAMPS = (Motion.STOPPING, Motion.STARTING)
 RIPPLE_FACTORS = (0.9, 1.1)  # range of the ripple's frequency over the configured one
 RAMP_WALK = 0.05  # random walk of a ramp's acceleration, as a share of the nominal one [1/sqrt(s)]
 END_WALK = 1.0  # the same at the end of a stop, which may coast out or brake smoothly [1/sqrt(s)]
 END_S = 0.25  # time to the end of a stop below which its deceleration is uncertain [s]
-NO_SWAY = (0.0,) * 5  # what a row has from the ripple's frequency on
+NO_SWAY = (0.0,) * 6  # what a row has from the ripple's frequency on
 _CONSTANT = (0.0,)  # frequencies of a change of class [rad/s]
 
 # Class and event that can follow each class.
@@ -74,11 +74,12 @@ class BankState(Struct, frozen=True, eq=False):
     """Estimate of the null filter, and the onset banks.
 
     Attributes:
-        x: (14,) position y [m], speed [m/s], random ripple [m/s], offset x10 of the distance sensor
+        x: (15,) position y [m], speed [m/s], random ripple [m/s], offset x10 of the distance sensor
             [m], acceleration [m/s^2], swing after an impulse and its quadrature [m], periodic
             ripple at full speed and its quadrature [m], the error of the ripple's frequency as a
-            share, sway s and s'/w [m], the error of its frequency as a share, and its gain. The
-            errors are folded into ``ripple_factor`` and ``sway_omega`` after each correction.
+            share, the way that the distance sensor reads too much as a share, sway s and s'/w [m],
+            the error of its frequency as a share, and its gain. The errors are folded into
+            ``ripple_factor`` and ``sway_omega`` after each correction.
         cruise: speed at which a start ends [m/s].
         changes: onsets of the next class.
         impulses: onsets of impulse disturbances.
@@ -216,7 +217,7 @@ class BankModel:
         return self.distance_deviation < 0.5 * way
 
     def process_noise(self, state: BankState, dt: float) -> Array:
-        """Return the diagonal of Q (14,) of (6): independent random walks and a stationary ripple.
+        """Return the diagonal of Q (15,) of (6): independent random walks and a stationary ripple.
 
         filterpy's white-noise matrices couple position and speed. The walk of the speed is slow
         enough (0.5 mm/s after 1 s) that its share of the position is left out.
@@ -238,7 +239,8 @@ class BankModel:
             size = self.sway.least + math.hypot(sway, quadrature)
             walk, pace = (self.sway.walk * size) ** 2 * dt, self.sway.pace**2 * dt
         known = [1e-12, speed**2 * dt, ripple, offset, rate, 0.0, 0.0]
-        return np.array([*known, amplitude, amplitude, frequency, walk, walk, pace, 0.0])
+        slip = (fusion.slip_walk * share) ** 2 * dt
+        return np.array([*known, amplitude, amplitude, frequency, slip, walk, walk, pace, 0.0])
 
     def _ramp_walk(self, state: BankState) -> float:
         """Return the random walk of a ramp's acceleration, as a share [1/sqrt(s)]."""
@@ -256,13 +258,14 @@ class BankModel:
         return 2.0 * math.pi * self.ripple.frequency_hz * state.ripple_factor
 
     def transition(self, state: BankState, dt: float) -> Array:
-        """Return A (14, 14) of (5), linearised in the errors of the frequencies."""
+        """Return A (15, 15) of (5), linearised in the errors of the frequencies."""
         time = self.random_ripple(state)[1]
         F = _fixed_transition(dt, time, state.impulse_omega, self.impulse.damping).copy()
         angle = self.ripple_omega(state) * dt
         way = 2.0 * math.pi * self.ripple.frequency_hz * dt
         c, s = math.cos(angle), math.sin(angle)
         ripple, quadrature = state.x[RIPPLE:FREQUENCY].tolist()
+        F[OFFSET, SLIP] = float(state.x[V]) * dt
         F[RIPPLE, RIPPLE] = F[RIPPLE_QUADRATURE, RIPPLE_QUADRATURE] = c
         F[RIPPLE, RIPPLE_QUADRATURE], F[RIPPLE_QUADRATURE, RIPPLE] = s, -s
         F[RIPPLE, FREQUENCY] = way * (c * quadrature - s * ripple)
@@ -297,7 +300,7 @@ class BankModel:
         F[SWAY_QUADRATURE, PACE] = gain * a * dt / omega - way * (c * sway + s * quadrature)
 
     def advanced(self, state: BankState, F: Array, dt: float) -> Array:
-        """Return the states (14,) of (5).
+        """Return the states (15,) of (5).
 
         What the sway gains is the product of two states. Each has its column in A, so A counts the
         product twice.
@@ -336,7 +339,7 @@ class BankModel:
         return way
 
     def observation_row(self, measurement: PositionMeasurement, state: BankState) -> Array:
-        """Return h (14,) of (1), (8), (10), with the delay in it.
+        """Return h (15,) of (1), (8), (10), with the delay in it.
 
         The acceleration of the class acts since its onset only.
         """
