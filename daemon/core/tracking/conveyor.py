@@ -94,6 +94,9 @@ class Classifier(Protocol):
     def predict_positions(self, state: Any, times: Array) -> Array:
         """Return the object's positions (m,) along the conveyor at ``times`` from now [s]."""
 
+    def predict_sway(self, state: Any, times: Array) -> Array:
+        """Return the part (m,) of these positions that is the body's sway [m]."""
+
     def estimate(self, state: Any) -> ConveyorEstimate:
         """Return the estimate of the conveyor now."""
 

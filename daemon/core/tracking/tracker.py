@@ -356,9 +356,8 @@ def _record_prediction(
     part = _part(tracker, state.transverse, along, times)
     relative = np.zeros((len(times), 6))
     poses, _ = approach.sensed(part, tracker.transverse.swing, relative, turned=False)
-    return replace(
-        state, monitor=prediction_error.record(state.monitor, now_ns, poses[1:], along[1:])
-    )
+    unit = along[1:] - tracker.classifier.predict_sway(state.conveyor, times[1:])
+    return replace(state, monitor=prediction_error.record(state.monitor, now_ns, poses[1:], unit))
 
 
 def update_contact(

@@ -89,6 +89,12 @@ class BankClassifier(BankModel):
         """Return the object's positions (m,) along the conveyor at ``times`` from now [s]."""
         return bank_prediction.predict_positions(self, state, times)
 
+    def predict_sway(self, state: BankState, times: Array) -> Array:
+        """Return the part (m,) of these positions that is the body's sway [m]."""
+        if not state.sway_omega:
+            return np.zeros(len(times))
+        return bank_prediction.sway_ahead(self, state, state.x.tolist(), state.motion, times)
+
     def estimate(self, state: BankState) -> ConveyorEstimate:
         """Return the estimate of the conveyor now."""
         return bank_prediction.estimate(self, state)

@@ -315,6 +315,10 @@ class ImmClassifier:
                 total += weight * (y + way(v, a, state.cruise, times) + ripple * fade)
         return total / float(state.mu[state.mu > NEGLIGIBLE].sum())
 
+    def predict_sway(self, _state: object, times: Array) -> Array:
+        """Return 0 (m,): this classifier knows no sway."""
+        return np.zeros(len(times))
+
     def estimate(self, state: ImmState) -> ConveyorEstimate:
         """Return the estimate of the conveyor now, the modes merged."""
         mean = state.mu @ state.x

@@ -388,6 +388,10 @@ class RuleClassifier:
         positions: Array = y + way(v, self._acceleration(state.motion), state.cruise, times)
         return positions
 
+    def predict_sway(self, _state: object, times: Array) -> Array:
+        """Return 0 (m,): this classifier knows no sway."""
+        return np.zeros(len(times))
+
     def estimate(self, state: RuleState) -> ConveyorEstimate:
         """Return the estimate of the conveyor now."""
         y, v, o = state.x.tolist()

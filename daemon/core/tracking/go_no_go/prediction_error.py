@@ -90,7 +90,7 @@ def record(
 
     Args:
         poses: (leads, 6) of the object in c.
-        along: (leads,) of the conveyor [m].
+        along: (leads,) of the conveyor without the body's sway [m].
     """
     leads = []
     for lead, ahead_s, pose, y in zip(monitor.leads, LEADS_S, poses, along.tolist(), strict=True):
