@@ -4,7 +4,7 @@ Invariants:
 - Pure. Reasons and zone alone decide; values only enter the reasons.
 - After a no-go the way is free only when no reason has held for ``CLEAR_S``.
 - Near the object the tool stands and does not back off: a clamp may have closed there.
-- In the final zone the decision is over: the touch is under way.
+- In the final zone the decision is over: the touch has begun.
 """
 
 from enum import StrEnum
@@ -188,7 +188,6 @@ def find_reasons(
     """Return the reasons that hold.
 
     Args:
-        guard: with the limits.
         waiting: the tool waits: what made it wait must be clearly better.
     """
     share = RELEASE_SHARE if waiting else 1.0
