@@ -263,6 +263,9 @@ class ImpulseSettings:
         damping: damping ratio, share of critical.
         deviation: of the amplitude [m].
         confirmed: log odds at which an impulse is accepted.
+        apart: least time between two accepted impulses [s]. What looks like a push so soon after
+            another is mostly lost motion or windup of an arm that answers the last one, and each
+            answer excites the next.
         longest_onset: age of the oldest onset in the bank [s].
     """
 
@@ -270,6 +273,7 @@ class ImpulseSettings:
     damping: Annotated[float, Ge(0.0), Lt(1.0)] = 0.15
     deviation: Length = 0.002
     confirmed: LogOdds = 6.0
+    apart: Annotated[float, Ge(0.0), Le(60.0)] = 1.5
     longest_onset: Annotated[float, Ge(0.05), Le(5.0)] = 0.5
 
     @property

@@ -241,18 +241,26 @@ TOUCH = 0.00005
 
 
 def in_contact(
-    truth: Truth, push: Callable[[float], float], seconds: float, seed: int
+    truth: Truth,
+    push: Callable[[float], float],
+    seconds: float,
+    seed: int,
+    pushed_s: float = -math.inf,
 ) -> list[tuple[float, str, str]]:
-    """Events of a bank in contact whose body is pushed; the push starts at 0 s or later."""
+    """Events of a bank in contact whose body is pushed; the push starts at 0 s or later.
+
+    Args:
+        pushed_s: when another push was accepted [s].
+    """
     rng = np.random.default_rng(seed)
-    state = CONTACT.initial(float(truth.at(-1.5)))
+    state = structs.replace(CONTACT.initial(float(truth.at(-1.5))), impulse_age=-1.5 - pushed_s)
     events = []
     for t in np.arange(-1.5 + T0, seconds, T0):
         read = round((float(truth.at(t - 0.001)) + rng.normal(0.0, 0.00025)) * 1e3) / 1e3
         felt = float(truth.at(t - 0.006)) + push(t - 0.006) + rng.normal(0.0, TOUCH)
         rows = [
             PositionMeasurement(Source.DISTANCE, read, 0.001, DEVIATION**2, 4.0),
-            PositionMeasurement(Source.TACTILE, felt, 0.006, TOUCH**2, 5.0),
+            PositionMeasurement(Source.TACTILE, felt, 0.006, TOUCH**2, 20.0),
         ]
         state = CONTACT.advance(state, rows, T0)
         events += [(float(t), kind, what) for kind, what in CONTACT.estimate(state).events]
@@ -278,6 +286,21 @@ def test_a_push_of_the_body_is_not_taken_for_a_stop(size: float, frequency_hz: f
 
     events = in_contact(Truth(1.3, seed=5), push, 1.2, 5)
     assert not [t for t, kind, what in events if (kind, what) == ("stop", "confirmed")]
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("pushed_s", "count"), [(-math.inf, 1), (-1.4, 1), (-0.5, 0)])
+def test_what_follows_a_push_too_soon_is_not_taken_for_another(
+    pushed_s: float, count: int, seed: int
+) -> None:
+    w = 2.0 * math.pi * 1.5
+
+    def push(t: float) -> float:
+        late = max(t - 0.2, 0.0)
+        return 0.002 * math.exp(-0.15 * w * late) * math.sin(w * late)
+
+    events = in_contact(Truth(1.3, seed=seed), push, 0.7, seed, pushed_s)
+    assert len([t for t, kind, what in events if (kind, what) == ("push", "confirmed")]) == count
 
 
 # A fine sensor: it sees the ripple, and a stop leaves its gate before anybody has perceived it.

@@ -100,6 +100,7 @@ def predict(model: BankModel, state: BankState, dt: float) -> BankState:
         impulses=impulses,
         age=state.age + dt,
         class_age=state.class_age + dt,
+        impulse_age=state.impulse_age + dt,
         events=(),
     )
     return _end_class(model, state)

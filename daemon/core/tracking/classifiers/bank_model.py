@@ -84,6 +84,7 @@ class BankState(Struct, frozen=True, eq=False):
         changes: onsets of the next class.
         impulses: onsets of impulse disturbances.
         impulse_omega: frequency of the swing in x [rad/s].
+        impulse_age: time since an impulse was accepted [s].
         ripple_factor: frequency of the periodic ripple over the configured one.
         sways: what identifies the sway; None where it is not looked for.
         sway_omega: its frequency [rad/s], 0 before it is found.
@@ -113,6 +114,7 @@ class BankState(Struct, frozen=True, eq=False):
     changes: OnsetBank
     impulses: OnsetBank
     impulse_omega: float
+    impulse_age: float = math.inf
     ripple_factor: float = 1.0
     sways: SwayBank | None = None
     sway_omega: float = 0.0

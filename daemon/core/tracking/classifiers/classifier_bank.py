@@ -164,7 +164,8 @@ class BankClassifier(BankModel):
             if state.tentative:
                 events.remove((event, "tentative"))
             return self._accept_change(replace(state, events=tuple(events)), motion)
-        if impulse_odds > self.impulse.confirmed and (said is None or said < MOVED):
+        is_apart = state.impulse_age >= self.impulse.apart
+        if is_apart and impulse_odds > self.impulse.confirmed and (said is None or said < MOVED):
             return self._accept_impulse(state)
         if state.is_expired:
             return replace(state, is_expired=False) if change_odds < CALM else state
@@ -217,6 +218,7 @@ class BankClassifier(BankModel):
             x=state.x + mean,
             P=state.P + spread,
             impulse_omega=self.likeliest_omega(state),
+            impulse_age=0.0,
             events=tuple(events),
         )
 
