@@ -25,7 +25,7 @@ from linemate.protocol.sensors.even_clock import EvenClock
 from linemate.protocol.sensors.wrench_clock import WrenchClock
 from linemate.protocol.stamped_samples import CameraSample, DistanceSample, WrenchSample
 
-DISTANCES, POSES, WRENCHES = 32, 16, 64  # samples that may wait
+DISTANCES, POSES, WRENCHES = 128, 16, 64  # samples that may wait; 1 kHz of distance for 0.1 s
 
 
 class SensorFact(Struct, frozen=True):

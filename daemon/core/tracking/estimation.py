@@ -21,6 +21,7 @@ from linemate.daemon.core.tracking.observation import (
     History,
     PoseMeasurement,
     Wrench,
+    mean_distances,
     mean_wrench,
     measure_camera,
     measure_touch,
@@ -62,7 +63,10 @@ def estimate(
     pull = release.averaged(state.pull, wrench, tracker.cycle_s) if state.contact else state.pull
     felt = wrench if is_force_used(tracker, state, wrench) else None
     first_poses = _pose_measurements(tracker, history, samples, felt)
-    rows = [distance_measurement(tracker, samples.stamp_ns, sample) for sample in samples.distance]
+    rows = [
+        distance_measurement(tracker, samples.stamp_ns, *block)
+        for block in mean_distances(samples.distance)
+    ]
     rejected = 0
     waiting, pose_ns = state.first_poses, state.pose_ns
     oscillation = compliance.uncertainty(state.compliance, tracker.compliance)
@@ -216,13 +220,18 @@ def _unit_at(state: TrackerState, stamp_ns: int) -> float | None:
 
 
 def distance_measurement(
-    tracker: Tracker, now_ns: int, sample: DistanceSample
+    tracker: Tracker, now_ns: int, sample: DistanceSample, count: int = 1
 ) -> PositionMeasurement:
-    """Return (10)'s row: the sensor reads the start position as the object is at its origin."""
+    """Return (10)'s row: the sensor reads the start position as the object is at its origin.
+
+    Args:
+        count: readings whose mean the sample is.
+    """
     noise = tracker.settings.distance
     value = sample.position - tracker.task.conveyor.start_position + tracker.reference.origin[1]
     delay = (now_ns - sample.stamp_ns) * 1e-9 + noise.delay
-    return PositionMeasurement(Source.DISTANCE, float(value), delay, noise.deviation**2, noise.gate)
+    variance = noise.deviation**2 / count
+    return PositionMeasurement(Source.DISTANCE, float(value), delay, variance, noise.gate)
 
 
 def _along_measurement(

@@ -6,6 +6,7 @@ Invariants:
 
 import math
 from bisect import bisect_left
+from collections.abc import Sequence
 from operator import itemgetter
 
 import numpy as np
@@ -14,7 +15,10 @@ from msgspec import Struct
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.settings import CameraNoise, TactileNoise
-from linemate.protocol.stamped_samples import CameraSample, WrenchSample
+from linemate.protocol.stamped_samples import CameraSample, DistanceSample, WrenchSample
+
+MOST_DISTANCES = 4  # readings of the distance sensor a step that enter the filter one by one
+OUTLIER_RANGE = 0.005  # range of some readings beyond which one of them is an outlier [m]
 
 _diagonal = itemgetter(0, 6, 11, 15, 18, 20)  # of the upper triangle of a covariance (6, 6)
 
@@ -139,6 +143,32 @@ def measure_camera(
         sensitivity[:3, 1:] = math.hypot(*sample.position) * R_camera
     delay = (now_ns - sample.exposure_ns) * 1e-9
     return PoseMeasurement(position, rotation, delay, variance, sensitivity)
+
+
+def mean_distances(samples: Sequence[DistanceSample]) -> list[tuple[DistanceSample, int]]:
+    """Return readings of the distance sensor, or means of some in a row, and of how many.
+
+    A sensor of 1 kHz sends more readings than the filter can take one by one. With an outlier among
+    them the middle one stands for all, and counts as one.
+    """
+    if len(samples) <= MOST_DISTANCES:
+        return [(sample, 1) for sample in samples]
+    blocks, size = [], -(-len(samples) // MOST_DISTANCES)
+    for begin in range(0, len(samples), size):
+        block = samples[begin : begin + size]
+        count, positions = len(block), sorted([sample.position for sample in block])
+        if positions[-1] - positions[0] > OUTLIER_RANGE:
+            middle = sorted(block, key=_position)[count // 2]
+            blocks.append((middle, 1))
+            continue
+        stamp = sum([sample.stamp_ns for sample in block]) // count
+        mean = DistanceSample(stamp, sum(positions) / count, block[-1].strength)
+        blocks.append((mean, count))
+    return blocks
+
+
+def _position(sample: DistanceSample) -> float:
+    return sample.position
 
 
 class Wrench(Struct, frozen=True, eq=False):

@@ -9,8 +9,10 @@ from scipy.spatial.transform import Rotation, Slerp
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.observation import (
+    MOST_DISTANCES,
     History,
     Wrench,
+    mean_distances,
     mean_wrench,
     measure_camera,
     measure_touch,
@@ -19,7 +21,7 @@ from linemate.daemon.core.tracking.observation import (
     remember,
 )
 from linemate.daemon.core.tracking.settings import CameraNoise, TactileNoise
-from linemate.protocol.stamped_samples import CameraSample, WrenchSample
+from linemate.protocol.stamped_samples import CameraSample, DistanceSample, WrenchSample
 
 EPOCH = 5_000_000_000_000
 CAMERA = (np.array((-0.10, 0.02, -0.15)), rotations.exp(np.array((0.02, -0.3, 0.1))))
@@ -238,3 +240,31 @@ def test_what_moves_is_less_well_known_by_as_much_as_it_moves_in_the_dates_devia
     assert np.allclose(moving_too - still, (0.001 * SPEED) ** 2)
     assert np.allclose(rate_now(moving(3, 12_000_000, SPEED)), SPEED, atol=1e-9)
     assert not rate_now(moving(1, 12_000_000, SPEED)).any()
+
+
+def readings(count: int) -> list[DistanceSample]:
+    return [DistanceSample(EPOCH + 1_000_000 * i, 0.1 + 1e-4 * i, 300.0) for i in range(count)]
+
+
+def test_a_few_readings_of_the_distance_sensor_stay_as_they_are() -> None:
+    few = readings(MOST_DISTANCES)
+    assert mean_distances(few) == [(sample, 1) for sample in few]
+    assert mean_distances([]) == []
+
+
+@pytest.mark.parametrize("count", [5, 12, 13, 128])
+def test_many_readings_become_a_few_means_with_their_own_stamps(count: int) -> None:
+    many = readings(count)
+    blocks = mean_distances(many)
+    assert len(blocks) <= MOST_DISTANCES
+    assert sum(each for _, each in blocks) == count
+    for mean, _ in blocks:
+        assert mean.position == pytest.approx(0.1 + 1e-4 * (mean.stamp_ns - EPOCH) * 1e-6, abs=1e-9)
+
+
+def test_an_outlier_among_many_readings_is_left_out_of_its_mean() -> None:
+    many = readings(12)
+    many[4] = DistanceSample(many[4].stamp_ns, 0.2, 30.0)
+    blocks = mean_distances(many)
+    assert max(mean.position for mean, _ in blocks) < 0.102
+    assert [each for _, each in blocks] == [3, 1, 3, 3]
