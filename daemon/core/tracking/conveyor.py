@@ -61,6 +61,7 @@ class ConveyorEstimate(Struct, frozen=True):
         offset: of the distance sensor, x10 [m].
         deviation: one sigma of the position [m].
         speed_deviation: one sigma of the speed [m/s].
+        sway: of the object against the conveyor unit, in the position [m].
         tentative: a change of class is tentative.
         confidence: log odds of the change that was last evaluated.
         events: of this step, for example ``("stop", "confirmed")``.
@@ -75,6 +76,7 @@ class ConveyorEstimate(Struct, frozen=True):
     tentative: bool = False
     confidence: float = 0.0
     events: tuple[tuple[str, str], ...] = ()
+    sway: float = 0.0
 
 
 def has_changed_class(events: tuple[tuple[str, str], ...]) -> bool:

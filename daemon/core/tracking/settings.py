@@ -297,6 +297,8 @@ class SwaySettings:
         range_hz: lowest and highest frequency at which it is looked for.
         step: of the frequencies that are tried, as a share.
         memory: time constant of what is remembered of it [s].
+        unseen: one sigma of the gain of a sway that is not known, while no sensor sees the body
+            after a stop or a start; go or no-go counts it. 0: an unknown sway is no reason to wait.
         found: log odds at which a sway counts as found.
         least: amplitude from which it is followed [m].
         contact_least: the same in contact, where the force-torque sensor sees it [m].
@@ -306,13 +308,14 @@ class SwaySettings:
 
     is_on: bool = True
     frequency_hz: Annotated[float, Ge(0.0), Le(10.0)] = 0.0
-    spread: Annotated[float, Ge(0.001), Le(0.2)] = 0.03
+    spread: Annotated[float, Ge(0.001), Le(0.2)] = 0.02
     gain: Annotated[float, Ge(0.0), Le(2.0)] = 0.0
-    gain_deviation: Annotated[float, Ge(0.01), Le(1.0)] = 0.1
+    gain_deviation: Annotated[float, Ge(0.01), Le(1.0)] = 0.05
     damping: Annotated[float, Ge(0.0), Lt(0.5)] = 0.01
     range_hz: tuple[Frequency, Frequency] = (0.35, 5.5)
     step: Annotated[float, Ge(0.01), Le(0.5)] = 0.1
     memory: Constant = 4.0
+    unseen: Annotated[float, Ge(0.0), Le(2.0)] = 0.0
     found: LogOdds = 8.0
     least: Length = 0.0003
     contact_least: Length = 0.0001

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.classifiers import guide, sway_bank
+from linemate.daemon.core.tracking.classifiers import guide, sway_bank, sway_filter
 from linemate.daemon.core.tracking.classifiers.bank_model import (
     ACCELERATION,
     GAIN,
@@ -217,10 +217,14 @@ def estimate(model: BankModel, state: BankState) -> ConveyorEstimate:
         position=x[Y] + x[IMPULSE] + x[SWAY] + share * x[RIPPLE],
         speed=v + random + share * x[RIPPLE_QUADRATURE] * model.ripple_omega(state),
         offset=x[OFFSET],
-        deviation=math.sqrt(max(variance[Y] + variance[IMPULSE] + variance[SWAY], 0.0)),
+        deviation=math.hypot(
+            math.sqrt(max(variance[Y] + variance[IMPULSE] + variance[SWAY], 0.0)),
+            sway_filter.unseen_deviation(model, state),
+        ),
         speed_deviation=math.sqrt(max(variance[V] + variance[RANDOM], 0.0)),
         motion=state.motion,
         tentative=state.tentative,
         confidence=state.change_odds,
         events=state.events,
+        sway=x[SWAY],
     )

@@ -56,7 +56,8 @@ def _compare_distances(
     for sample in samples.distance:
         row = distance_measurement(tracker, samples.stamp_ns, sample)
         stamp_ns = samples.stamp_ns - round(row.delay * 1e9)
-        position = row.value - view.offset
+        # The sensor sees the conveyor unit, and the object sways against it.
+        position = row.value - view.offset + view.sway
         monitor = prediction_error.compare_distance(monitor, stamp_ns, position, tracker.cycle_s)
     return state if monitor is state.monitor else replace(state, monitor=monitor)
 
