@@ -1,6 +1,7 @@
 """Laws of the two-way contact: off it changes nothing, on it is reproducible and balanced."""
 
 import math
+import sys
 
 import numpy as np
 import pytest
@@ -247,3 +248,31 @@ def test_a_scenario_file_sets_the_modes() -> None:
     assert modes[1].turn == (1, 0, 0)
     with pytest.raises(scenario_file.FileError, match="mass: should be at least"):
         scenario_file.parse(b"body: {carrier: [{mass: -1}]}", "x.yaml")
+
+
+@pytest.mark.parametrize(("hz", "kg"), [(0.5, 100.0), (10.0, 100.0), (5.0, 2000.0)])
+def test_a_touch_of_an_undamped_car_does_not_grow_by_itself(hz: float, kg: float) -> None:
+    mode = CarrierMode(frequency_hz=hz, damping=0.0, direction=(0, 0, 1), mass=kg)
+    cell = Cell(mode, lateral=0.004, contact=BOLTS)
+    cell.push(0.03, -0.023, 0.5)
+    levels = []
+    for _ in range(6):
+        bent = []
+        for _ in range(250):
+            cell.step(-0.023)
+            bent.append(cell.effector.deflection[2])
+        carrier = cell.carried._carrier
+        levels.append(carrier.mechanical_energy() + 0.5 * 50e3 * max(map(abs, bent)) ** 2)
+    assert max(levels[3:]) <= 1.1 * max(levels[:3])
+
+
+def test_a_touch_of_a_car_is_as_a_tenth_of_the_step_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    mode = CarrierMode(frequency_hz=2.0, damping=0.02, direction=(0, 0, 1), mass=100.0)
+    seen = []
+    for step in (0.004, 0.0004):
+        monkeypatch.setattr(sys.modules[__name__], "STEP", step)
+        cell = Cell(mode, lateral=0.004, contact=BOLTS, damping=0.1)
+        cell.push(0.05, -0.022, 0.4)
+        seen.append(cell.carried.sway[2])
+    assert seen[0] == pytest.approx(seen[1], rel=0.02)
+    assert seen[1] > 1e-3

@@ -148,3 +148,14 @@ def test_nothing_touches_out_of_reach() -> None:
     plant.entered = True
     plant.leave(pose(z=-0.04))
     assert not plant.entered
+
+
+def test_a_hub_that_has_moved_by_the_expected_force_is_not_moved_by_it_again() -> None:
+    plant = touch()
+    plant.entered = True
+    bent = rest(plant, pose(z=0.003))
+    force = plant.force
+    plant.give_way = np.eye(6) / 50.0
+    plant.begin(STEP)
+    plant.advance(bent, ZERO, ZERO, (pose(z=0.003), pose(z=0.003)), STEP)
+    assert plant.force == pytest.approx(force, abs=1e-2)
