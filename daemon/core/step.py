@@ -24,6 +24,7 @@ from linemate.daemon.core.inputs import Inputs, MotionOrder
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.tracking import task_clock, tracker_state
 from linemate.daemon.core.tracking import tracker as tracking
+from linemate.daemon.core.tracking.estimation import elastic
 from linemate.daemon.core.tracking.go_no_go import evidence
 from linemate.daemon.core.tracking.reference import Reference
 from linemate.daemon.core.tracking.task import Phase
@@ -364,7 +365,7 @@ def _outputs(
         scenario_state="tentative" if report.tentative else "confirmed",
         confidence=report.confidence,
         events=report.events,
-        target=_in_base(reference, tracker.poses[0]),
+        target=_in_base(reference, elastic(tracker, tracker.poses[0])),
         sensed=None if report.sensed is None else _in_base(reference, report.sensed),
         part=None if report.part is None else _in_base(reference, report.part),
         speed=report.speed,

@@ -52,6 +52,7 @@ _PARTS = {
     "tracking.ramp_check:StartCheck": "tracking.classifiers.start_check:StartCheck",
     "tracking.sway:SwayBank": "tracking.classifiers.sway_bank:SwayBank",
     "tracking.sway:UnitEstimate": "tracking.classifiers.unit_estimate:UnitEstimate",
+    "tracking.tare:Tare": "tracking.touch.tare:Tare",
     "tracking.task:Gate": "tracking.task:Gate",
     "tracking.tracker:TrackerState": "tracking.tracker_state:TrackerState",
     "tracking.transverse:TransverseState": "tracking.transverse:TransverseState",

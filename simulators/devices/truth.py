@@ -39,7 +39,7 @@ _STATE = {
     "collision": slice(40, 41),
     "sway": slice(41, 47),
     "energy": slice(47, 48),
-    "sag": slice(48, 51),
+    "sag": slice(48, 54),
 }
 """What is put down when a telegram goes out: the rigid tcp, the hub, and the rest."""
 _REPLY = {
@@ -123,7 +123,7 @@ class TruthLog:
             world.collision is not None,
             *world.sway(),
             world.energy(),
-            *world.sag()[:3],
+            *world.sag(),
         )
 
     def end(self, applied: Applied, turnaround_ns: int | None = None) -> None:
@@ -162,10 +162,12 @@ class TruthLog:
         turn, hub_turn = (columns.pop(name).reshape(-1, 3, 3) for name in ("turn", "hub_turn"))
         bent = place + np.einsum("nij,nj->ni", turn, deflection[:, :3])
         columns["tcp"] = pose_rows(bent, turn @ _turns(deflection[:, 3:]))
-        columns["tcp_rigid"] = pose_rows(place, turn)
+        sag = columns.pop("sag")
+        hung = place + np.einsum("nij,nj->ni", turn, sag[:, :3])
+        columns["tcp_rigid"] = pose_rows(hung, turn @ _turns(sag[:, 3:]))
         columns["hub"] = pose_rows(columns.pop("hub_place"), hub_turn)
         columns["unit_position"], columns["unit_speed"] = self._unit(columns["t"])
-        columns["relative"] = deflection[:, :3] - columns.pop("sag")
+        columns["relative"] = deflection[:, :3] - sag[:, :3]
         columns["force"] = columns["relative"] * self._stiffness()
         return columns
 

@@ -55,7 +55,7 @@ class Rows:
     Attributes:
         t: scenario time of each telegram [s], (n,).
         tcp: true, elastic tcp in base, (n, 7).
-        tcp_rigid: where the robot holds the tool, without deflection, in base, (n, 7).
+        tcp_rigid: where the robot holds the tool: bent by its weight alone, in base, (n, 7).
         hub: true hub in base, (n, 7).
         contact: FREE, CLAMPED or RELEASED, (n,).
         digital_in: the tool's signals to the daemon (bit 0 fixed, bit 1 released), (n,).

@@ -31,7 +31,7 @@ from linemate.daemon.core.tracking.observation import (
     remember,
 )
 from linemate.daemon.core.tracking.task import Gate
-from linemate.daemon.core.tracking.touch import compliance, release
+from linemate.daemon.core.tracking.touch import compliance, contact, release, tare
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
 from linemate.daemon.core.tracking.transverse import TransverseState
 from linemate.protocol.stamped_samples import DistanceSample
@@ -59,9 +59,12 @@ def estimate(
         transverse = tracker.transverse.predict(
             transverse, tracker.cycle_s, seating=seating, speed=state.speed
         )
-    wrench = mean_wrench(samples.wrench)
+    raw = mean_wrench(samples.wrench)
+    state = _weighed(tracker, state, raw)
+    wrench = tare.tared(state.tare, raw)
     pull = release.averaged(state.pull, wrench, tracker.cycle_s) if state.contact else state.pull
     felt = wrench if is_force_used(tracker, state, wrench) else None
+    felt = tare.bending(state.tare, felt, tracker.settings.tactile)
     first_poses = _pose_measurements(tracker, history, samples, felt)
     rows = [
         distance_measurement(tracker, samples.stamp_ns, *block)
@@ -114,6 +117,52 @@ def estimate(
     return state, view, rejected, wrench
 
 
+def _weighed(tracker: Tracker, state: TrackerState, raw: Wrench | None) -> TrackerState:
+    """Return the state with its tare: taken in the approach, kept in contact, then dropped.
+
+    Args:
+        raw: wrench of the sensor.
+    """
+    if Gate.WHEEL_RELEASED in state.passed:
+        later = tare.released(state.tare, tracker.cycle_s)
+        return state if later is state.tare else replace(state, tare=later)
+    near = contact.reach(tracker.task.guard.clearance)
+    is_free = state.started and not state.contact and -math.inf < state.distance < -near
+    if raw is None or not is_free or state.withdrawn is not None or state.stood > 0.0:
+        return state
+    # Gravity is along -z of base.
+    down = -rotations.exp(state.poses[0, 3:]).T.dot(tracker.reference.nominal[2])
+    settings = tracker.settings
+    later = tare.updated(state.tare, raw, down, settings.payload, settings.tactile, tracker.cycle_s)
+    return replace(state, tare=later)
+
+
+def elastic(state: TrackerState, pose: Array) -> Array:
+    """Return the elastic tcp (6,) of a rigid one that hangs still."""
+    sag = state.tare.sag
+    if sag is None:
+        return pose
+    R = rotations.exp(pose[3:])
+    turned = rotations.log(R @ rotations.exp(sag[3:]))
+    return np.concatenate((pose[:3] + R @ sag[:3], turned))
+
+
+def sagging(state: TrackerState, target: Array) -> Array:
+    """Return the target (m, 6) of the rigid tcp for one of the elastic tcp.
+
+    Args:
+        target: not written to.
+    """
+    sag = state.tare.sag
+    if sag is None:
+        return target
+    R = rotations.exp_many(target[:, 3:]) @ rotations.exp(-sag[3:])
+    rigid = np.empty_like(target)
+    rigid[:, :3] = target[:, :3] - R @ sag[:3]
+    rigid[:, 3:] = rotations.log_many(R)
+    return rigid
+
+
 def _yielding(tracker: Tracker, measured: PoseMeasurement, oscillation: float) -> PoseMeasurement:
     """Return a deflection as the filter across the conveyor takes it: slowly.
 
@@ -148,7 +197,9 @@ def comply(
     if tcp is None:
         return state
     R = rotations.exp(tcp[3:])
-    shift = R.dot(wrench.force / np.array(tracker.settings.tactile.stiffness))
+    mount = tracker.settings.tactile
+    bending = tare.bending(state.tare, wrench, mount) or wrench
+    shift = R.dot(bending.force / np.array(mount.stiffness))
     # The clamped tool moves with the object: it carries the measurement on to now.
     late = (samples.stamp_ns - wrench.stamp_ns) * 1e-9
     off = tcp[:3] + shift + late * rate_now(history)[:3] - part[:3]

@@ -119,6 +119,20 @@ class TactileNoise:
 
 
 @dataclass(frozen=True, slots=True)
+class PayloadSettings:
+    """What hangs on the elastic mount: tool and wheel.
+
+    Attributes:
+        mass: on the mount [kg]. 0: the mean force before contact counts as weight if it is along
+            gravity and larger than a bias.
+        centre: its centre of gravity in the tcp [m].
+    """
+
+    mass: Annotated[float, Ge(0.0), Le(2000.0)] = 0.0
+    centre: tuple[Lever, Lever, Lever] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
 class SwingMode:
     """One swing of the object on its hanger, about an axis of the nominal object frame.
 
@@ -366,6 +380,7 @@ class TrackingSettings:
     distance: DistanceNoise = DistanceNoise()
     camera: CameraNoise = CameraNoise()
     tactile: TactileNoise = TactileNoise()
+    payload: PayloadSettings = PayloadSettings()
     swing: tuple[SwingMode, ...] = (SwingMode(),)
     fusion: FusionSettings = FusionSettings()
     wave: RippleSettings = RippleSettings()

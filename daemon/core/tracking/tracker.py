@@ -16,7 +16,7 @@ from linemate.daemon.core.tracking.conveyor import (
     Motion,
 )
 from linemate.daemon.core.tracking.damping import damping_time, free_shares
-from linemate.daemon.core.tracking.estimation import comply, estimate, is_seated
+from linemate.daemon.core.tracking.estimation import comply, elastic, estimate, is_seated, sagging
 from linemate.daemon.core.tracking.go_no_go import prediction_error
 from linemate.daemon.core.tracking.go_no_go.decision import GO
 from linemate.daemon.core.tracking.go_no_go.evidence import decide
@@ -34,7 +34,7 @@ from linemate.daemon.core.tracking.task_clock import (
     open_gates,
     standing_time,
 )
-from linemate.daemon.core.tracking.touch import compliance, contact, guard, release
+from linemate.daemon.core.tracking.touch import compliance, contact, guard, release, tare
 from linemate.daemon.core.tracking.tracker_state import Report, StepSamples, Tracker, TrackerState
 from linemate.daemon.core.tracking.transverse import TransverseState
 
@@ -96,6 +96,7 @@ def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> Tra
         stood=0.0,
         go=GO,
         compliance=compliance.NO_COMPLIANCE,
+        tare=tare.NO_TARE,
     )
 
 
@@ -147,10 +148,10 @@ def track(
         state = comply(tracker, state, samples, view, wrench, part)
         target[:, :3] += state.compliance.offset
         if state.blended is not None and state.blended >= tracker.settings.merge.blend:
-            goal = target
+            goal = sagging(state, target)
         elif state.blended is not None:
             share = approach.smoothstep((state.blended + span) / tracker.settings.merge.blend)
-            goal = approach.blend(goal, target, share)
+            goal = approach.blend(goal, sagging(state, target), share)
     if stood or state.anchor is not None:
         state, goal = _anchor(state, goal)
     if state.withdrawn is not None:
@@ -393,7 +394,7 @@ def update_contact(
         before.contact_state, tracker.vibration, force, acceleration, held=held
     )
     if contact_state.forces:
-        near = max(contact.NEAR, tracker.task.guard.clearance + contact.MARGIN)
+        near = contact.reach(tracker.task.guard.clearance)
         contact_state = contact.count_touches(
             contact_state, tracker.vibration, before.distance, near
         )
@@ -405,7 +406,7 @@ def update_contact(
     assumed = made and not contact_state.forces
     search = after.search
     if made and force is not None and report.part is not None and after.history is not None:
-        reach = _touched_reach(tracker, after.history, report.part, force)
+        reach = _touched_reach(tracker, after, after.history, report.part, force)
         search = guard.ContactSearch(reach, search.lasted)
     return replace(
         after,
@@ -424,11 +425,14 @@ def _planned_acceleration(tracker: Tracker, poses: Array) -> float:
     return float(axis @ bend) / tracker.cycle_s**2
 
 
-def _touched_reach(tracker: Tracker, history: History, part: Array, force: float) -> float:
+def _touched_reach(
+    tracker: Tracker, state: TrackerState, history: History, part: Array, force: float
+) -> float:
     """Return how far beyond its estimate the object was touched [m]."""
     guarded, stiffness = tracker.task.guard, tracker.settings.tactile.stiffness[2]
     limit = max(guarded.clearance, guarded.overrun, contact.NEAR)
-    return guard.touched_reach(history.poses[-1], part, force, stiffness, limit)
+    tcp = elastic(state, history.poses[-1])
+    return guard.touched_reach(tcp, part, force, stiffness, limit)
 
 
 def _advance_axis(

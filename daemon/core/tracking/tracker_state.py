@@ -31,6 +31,7 @@ from linemate.daemon.core.tracking.touch.compliance import (
     Compliance,
     ComplianceModel,
 )
+from linemate.daemon.core.tracking.touch.tare import NO_TARE, Tare
 from linemate.daemon.core.tracking.transverse import Transverse, TransverseState
 from linemate.protocol.stamped_samples import CameraSample, DistanceSample, Vector3, WrenchSample
 
@@ -138,6 +139,7 @@ class TrackerState(Struct, frozen=True, eq=False):
         steady_s: time since it changed [s].
         following: mean of the tcp off its plan, in the tool's axes [m].
         compliance: of a clamped tool: the offset by force from the feed-forward target.
+        tare: wrench of the free tool, and the mount's sag under it.
     """
 
     history: History | None
@@ -175,6 +177,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     steady_s: float = 0.0
     following: Vector3 = (0.0, 0.0, 0.0)
     compliance: Compliance = NO_COMPLIANCE
+    tare: Tare = NO_TARE
 
 
 class Report(Struct, frozen=True, eq=False):

@@ -24,6 +24,15 @@ MARGIN = 0.003  # or this much before the approach is slow: an object that is ne
 PULL = 3.0
 
 
+def reach(clearance: float) -> float:
+    """Return the distance before the object from which a force may be a contact [m].
+
+    Args:
+        clearance: of the guarded approach [m].
+    """
+    return max(NEAR, clearance + MARGIN)
+
+
 @dataclass(frozen=True, slots=True)
 class ToolVibration:
     """Vibration of the tool along its own axis, in steps.

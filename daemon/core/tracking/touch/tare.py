@@ -1,0 +1,105 @@
+"""Tare of the force-torque sensor before contact, and sag of the mount under the payload.
+
+While the tool hangs free its mean wrench is weight and bias. In contact that is taken off. The
+weight bends the mount as well: the elastic tcp is the rigid one and the sag.
+
+Invariants:
+- The tare is taken in the approach only, and frozen before the tool can touch.
+- Without a configured payload a wrench that is no bias is a weight: it is along gravity and large.
+- What the wheel weighed is gone when it is released.
+"""
+
+import math
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.observation import Wrench
+from linemate.daemon.core.tracking.settings import PayloadSettings, TactileNoise
+
+GRAVITY = 9.80665  # [m/s^2]
+MEAN_S = 0.5  # time constant of the mean wrench [s]; the tool rings at 4 Hz or more
+LEAST_N = 1.5  # a smaller tare is noise, and is not taken off [N]
+WEIGHT_N = 30.0  # along gravity: less may be a bias of the sensor [N]
+SHARE = 0.8  # of a weight's force that is along gravity; a bias has any direction
+RELEASED_S = 0.5  # time constant with which a released wheel's sag leaves the target [s]
+
+
+class Tare(Struct, frozen=True, eq=False):
+    """State of the tare, in the tcp.
+
+    Attributes:
+        wrench: (6,) mean of the free tool [N, Nm], None before the first one.
+        sag: (6,) static deflection of the mount [m, rad].
+    """
+
+    wrench: Array | None = None
+    sag: Array | None = None
+
+
+NO_TARE = Tare()
+
+
+def updated(
+    tare: Tare,
+    wrench: Wrench,
+    down: Array,
+    payload: PayloadSettings,
+    mount: TactileNoise,
+    dt: float,
+) -> Tare:
+    """Return the tare of a free tool one step later.
+
+    Args:
+        wrench: raw, of this step.
+        down: (3,) unit vector of gravity in the tcp.
+    """
+    raw = np.concatenate((wrench.force, wrench.torque))
+    mean = raw if tare.wrench is None else tare.wrench + (dt / MEAN_S) * (raw - tare.wrench)
+    return Tare(mean, _sag(mean, down, payload, mount))
+
+
+def _sag(mean: Array, down: Array, payload: PayloadSettings, mount: TactileNoise) -> Array | None:
+    """Return the static deflection (6,) [m, rad], None without a weight."""
+    stiffness = np.array((*mount.stiffness, *mount.rotational_stiffness))
+    if payload.mass > 0.0:
+        weight = payload.mass * GRAVITY * down
+        turning = np.cross(np.array(payload.centre), weight)
+        sag: Array = np.concatenate((weight, turning)) / stiffness
+        return sag
+    along = float(mean[:3].dot(down))
+    if along < WEIGHT_N or along < SHARE * math.hypot(*mean[:3].tolist()):
+        return None
+    return np.asarray(mean / stiffness)
+
+
+def released(tare: Tare, dt: float) -> Tare:
+    """Return the tare of a tool without its wheel: the sag leaves the target slowly."""
+    if tare.sag is None:
+        return tare if tare.wrench is None else NO_TARE
+    sag = (1.0 - dt / RELEASED_S) * tare.sag
+    return Tare(None, sag if float(np.abs(sag).max()) > 1e-6 else None)
+
+
+def tared(tare: Tare, wrench: Wrench | None) -> Wrench | None:
+    """Return the wrench of the contact alone."""
+    mean = tare.wrench
+    if wrench is None or mean is None or math.hypot(*mean[:3].tolist()) < LEAST_N:
+        return wrench
+    return replace(wrench, force=wrench.force - mean[:3], torque=wrench.torque - mean[3:])
+
+
+def bending(tare: Tare, wrench: Wrench | None, mount: TactileNoise) -> Wrench | None:
+    """Return the wrench that bends the mount: that of the contact, and the weight.
+
+    Args:
+        wrench: of the contact alone.
+    """
+    sag = tare.sag
+    if wrench is None or sag is None:
+        return wrench
+    force = wrench.force + sag[:3] * np.array(mount.stiffness)
+    torque = wrench.torque + sag[3:] * np.array(mount.rotational_stiffness)
+    return replace(wrench, force=force, torque=torque)

@@ -1,0 +1,74 @@
+"""Tare: what the free tool weighs is no contact, and bends the mount."""
+
+import numpy as np
+import pytest
+
+from linemate.daemon.core.tracking.observation import Wrench
+from linemate.daemon.core.tracking.settings import PayloadSettings, TactileNoise
+from linemate.daemon.core.tracking.touch import tare
+from linemate.daemon.core.tracking.touch.tare import NO_TARE, Tare
+
+MOUNT, DOWN, DT = TactileNoise(), np.array((1.0, 0.0, 0.0)), 0.012
+NO_PAYLOAD = PayloadSettings()
+WEIGHT = 25.0 * tare.GRAVITY
+
+
+def wrench(x: float, y: float = 0.0, my: float = 0.0) -> Wrench:
+    return Wrench(np.array((x, y, 0.0)), np.array((0.0, my, 0.0)), 0, 3)
+
+
+def hung(free: Wrench, payload: PayloadSettings = NO_PAYLOAD) -> Tare:
+    state = NO_TARE
+    for _ in range(300):
+        state = tare.updated(state, free, DOWN, payload, MOUNT, DT)
+    return state
+
+
+def test_the_force_of_the_free_tool_is_no_contact() -> None:
+    contact = tare.tared(hung(wrench(8.0, 6.0)), wrench(8.0, 36.0))
+    assert contact is not None
+    assert contact.force == pytest.approx((0.0, 30.0, 0.0), abs=1e-6)
+
+
+def test_a_force_along_gravity_is_a_weight_and_bends_the_mount() -> None:
+    state = hung(wrench(WEIGHT, my=-12.0))
+    assert state.sag is not None
+    assert state.sag[0] == pytest.approx(WEIGHT / 50e3)
+    assert state.sag[4] == pytest.approx(-12.0 / 2000.0)
+
+
+@pytest.mark.parametrize("free", [wrench(10.0), wrench(0.0, 60.0), wrench(-60.0)])
+def test_a_bias_is_no_weight(free: Wrench) -> None:
+    assert hung(free).sag is None
+
+
+def test_a_configured_payload_tells_weight_from_bias() -> None:
+    payload = PayloadSettings(mass=2.0, centre=(0.0, 0.0, -0.1))
+    state = hung(wrench(2.0 * tare.GRAVITY + 9.0), payload)
+    assert state.sag is not None
+    assert state.sag[0] == pytest.approx(2.0 * tare.GRAVITY / 50e3)
+    assert state.sag[4] == pytest.approx(-0.1 * 2.0 * tare.GRAVITY / 2000.0)
+
+
+def test_contact_and_weight_bend_the_mount_together() -> None:
+    state = hung(wrench(WEIGHT))
+    contact = tare.tared(state, wrench(WEIGHT, 50.0))
+    bent = tare.bending(state, contact, MOUNT)
+    assert bent is not None
+    assert bent.force == pytest.approx((WEIGHT, 50.0, 0.0), abs=1e-6)
+
+
+def test_a_small_tare_is_left_alone() -> None:
+    read = wrench(20.0)
+    assert tare.tared(hung(wrench(1.0)), read) is read
+
+
+def test_a_released_wheel_weighs_nothing_any_more() -> None:
+    state = hung(wrench(WEIGHT))
+    for _ in range(20):
+        state = tare.released(state, DT)
+    assert state.wrench is None
+    assert state.sag is not None
+    for _ in range(600):
+        state = tare.released(state, DT)
+    assert state.sag is None
