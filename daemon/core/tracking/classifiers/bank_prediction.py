@@ -151,7 +151,9 @@ def hypothesis_weights(model: BankModel, state: BankState) -> tuple[float, float
     largest = max(change, impulse, 0.0)
     change, impulse = math.exp(change - largest), math.exp(impulse - largest)
     total = math.exp(-largest) + change + impulse
-    return change / total, impulse / total
+    # A body that is pushed begins to move as on a conveyor that stops.
+    shared = 1.0 / (1.0 + math.exp(-min(max(state.change_odds, -30.0), 30.0)))
+    return (shared if state.is_keen else 1.0) * change / total, impulse / total
 
 
 def _nonlinear_part(

@@ -39,7 +39,8 @@ SLOW_S = 3.0  # time constant of the force whose work is not counted: the press 
 QUICK_S = 0.25  # time constant of the mean force; what is faster is an oscillation [s]
 MEMORY_S = 0.25  # time constant of the oscillation's mean square [s]
 GRAIN_S = 0.1  # its past is kept in such steps [s]
-PAST = 10  # and so many of them
+PAST = 30  # and so many of them
+SECOND = 10  # steps of the past in a second
 REACH = 0.015  # largest offset [m]
 
 ENERGY_J = 0.005  # that the offset may give: 0.5 mm of a body of 100 kg at 3.5 Hz
@@ -155,18 +156,20 @@ def is_growing(power: float, past: tuple[float, ...], *, was: bool) -> bool:
         return power > (CALM * GROWN_N) ** 2
     if power > LARGEST_N**2:
         return True
-    has_grown = len(past) == PAST and power > GROWTH**2 * past[0]
-    return has_grown and power > GROWN_N**2 and all(a <= b for a, b in pairwise(past))
+    recent = past[-SECOND:]
+    has_grown = len(recent) == SECOND and power > GROWTH**2 * recent[0]
+    return has_grown and power > GROWN_N**2 and all(a <= b for a, b in pairwise(recent))
 
 
 def uncertainty(state: Compliance, model: ComplianceModel) -> float:
     """Return the variance that an oscillation adds to a measured deflection [m^2].
 
-    That of two tenths of a second ago, so that a stop is detected before it counts itself.
+    The largest of the last seconds: a body that has swung may swing again. Not that of the last two
+    tenths of a second, so that a stop is detected before it counts itself.
     """
     if len(state.past) < 3:
         return 0.0
-    power = min(state.past[-3], state.past[-2])
+    power = max(state.past[:-2])
     return max(power - QUIET_N**2, 0.0) / model.stiffness**2
 
 
