@@ -383,7 +383,9 @@ def test_in_contact_little_evidence_moves_the_prediction_less_than_bayes_would()
             bank_prediction.hypothesis_weights(
                 bank,
                 structs.replace(
-                    state, change=onset_bank.OnsetPosterior(odds, np.ones(1), np.ones(1))
+                    state,
+                    change=onset_bank.OnsetPosterior(odds, np.ones(1), np.ones(1)),
+                    change_odds=odds,
                 ),
             )[0]
             for odds in (1.2, 7.0)
