@@ -18,7 +18,7 @@ HARSH = scenario_file.to_plain(scenario_file.load("plant-floor-harsh"))
 FACTORS = {"frequency_hz": 1.5**-0.5, "mass": 1 / 1.5, "view_limit": 1.5**-0.5, "teeth": 10 / 12}
 """What 1.5 times the effect is, where it is not 1.5 times the value."""
 
-SAME = ("travel", "correlation_s", "damping", "direction", "drive")
+SAME = ("duration_s", "bolts", "travel", "correlation_s", "damping", "direction", "drive")
 """What is no size."""
 
 

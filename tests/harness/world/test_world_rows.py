@@ -3,6 +3,7 @@
 import pytest
 
 from linemate.simulators.harness import scenario_file, setup
+from linemate.simulators.harness.identified_overlay import laid_over
 from linemate.simulators.harness.world import world_rows
 from linemate.simulators.plants.scenario import Scenario, sample
 
@@ -22,7 +23,8 @@ def test_every_row_but_the_nominal_one_changes_the_plant(name: str) -> None:
 
 
 def plain(scenario: Scenario) -> dict[str, object]:
-    return {**scenario_file.to_plain(scenario), "name": ""}
+    # A row ends later, so that a tool that waits before contact may still assemble.
+    return {**scenario_file.to_plain(scenario), "name": "", "duration_s": 0.0}
 
 
 def test_the_nominal_row_is_the_default_scenario() -> None:
@@ -33,10 +35,13 @@ def test_the_nominal_row_is_the_default_scenario() -> None:
 def test_a_rows_daemon_settings_fit_and_leave_its_truth_alone(name: str) -> None:
     made = setup.make(name)
     assert made.scenario == scenario_file.load(name)
-    changed = (made.tracking, made.control, made.task) != (
-        setup.identified().tracking, setup.identified().control, setup.identified().task
-    )  # fmt: skip
-    assert changed == bool(world_rows.daemon_settings(name))
+    settings, known = world_rows.daemon_settings(name), setup.identified()
+    # Laid over once more they change nothing: they are in force.
+    assert laid_over(made, settings) == made
+    if not settings:
+        assert (made.tracking, made.control, made.task) == (
+            known.tracking, known.control, known.task
+        )  # fmt: skip
 
 
 def test_a_mapping_over_a_list_changes_the_named_items() -> None:
