@@ -23,7 +23,7 @@ from linemate.daemon.cycle.sensor_health import (
 )
 from linemate.protocol.sensors.even_clock import EvenClock
 from linemate.protocol.sensors.wrench_clock import WrenchClock
-from linemate.protocol.stamped_samples import CameraSample, DistanceSample, WrenchSample
+from linemate.protocol.stamped_samples import CameraSample, DistanceSample, Vector3, WrenchSample
 
 DISTANCES, POSES, WRENCHES = 128, 16, 64  # samples that may wait; 1 kHz of distance for 0.1 s
 
@@ -113,7 +113,8 @@ class SensorQueues:
 
     Attributes:
         overloaded: of the forces drained last, two in a row were beyond the limit.
-        overload_n: the last force beyond the limit, and the limit [N]; None before one.
+        overload_n: the last force beyond the limit, without the weight, and the limit [N]; None
+            before one.
     """
 
     __slots__ = (
@@ -143,22 +144,25 @@ class SensorQueues:
         self.overload_n: tuple[float, float] | None = None
         self._was_beyond = False
 
-    def drain(self, conditions: Conditions, force_limit: float) -> StepSamples:
+    def drain(
+        self, conditions: Conditions, force_limit: float, weight: Vector3 = (0.0, 0.0, 0.0)
+    ) -> StepSamples:
         """Return the samples of a step.
 
         Args:
-            force_limit: that the tool bears [N].
+            force_limit: that the tool bears besides the weight [N].
+            weight: that the mount carries, in the sensor's axes [N].
         """
         distance = self.distance.drain(conditions)
         camera = self.camera.drain(conditions)
         wrench = self.wrench.drain(conditions)
         self.overloaded = False
         for sample in wrench:
-            self._check_overload(sample, force_limit)
+            self._check_overload(sample, force_limit, weight)
         return StepSamples(distance, camera, wrench)
 
-    def _check_overload(self, sample: WrenchSample, limit: float) -> None:
-        x, y, z = sample.force
+    def _check_overload(self, sample: WrenchSample, limit: float, weight: Vector3) -> None:
+        x, y, z = (f - w for f, w in zip(sample.force, weight, strict=True))
         square = x * x + y * y + z * z
         is_beyond = square > limit * limit
         if is_beyond:

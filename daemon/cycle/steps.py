@@ -13,6 +13,7 @@ from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core import step as stepping
 from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.core.tracking.touch import tare
 from linemate.daemon.cycle import states
 from linemate.daemon.cycle.causes import Change
 from linemate.daemon.cycle.following_error import FollowingCheck
@@ -268,7 +269,8 @@ class Stepper:
         settings = self.parameters.tracker.settings
         moving = self.machine.state in states.MOVING
         conditions = Conditions(moving, settings.distance.deviation, self._in_last_approach)
-        samples = self.samples.drain(conditions, settings.tactile.overload_force)
+        weight = tare.carried(state.tracker.tare, settings.tactile)
+        samples = self.samples.drain(conditions, settings.tactile.overload_force, weight)
         if self._new_parameters is not None:
             self._apply_swap(self._new_parameters)
             state = self._opened()

@@ -3,9 +3,9 @@
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linemate.daemon.cycle.samples import SampleQueue
+from linemate.daemon.cycle.samples import SampleQueue, SensorQueues
 from linemate.daemon.cycle.sensor_health import Conditions, Health
-from linemate.protocol.stamped_samples import DistanceSample
+from linemate.protocol.stamped_samples import DistanceSample, WrenchSample
 
 CONDITIONS = Conditions(moving=False, deviation=0.0)
 
@@ -48,3 +48,22 @@ def test_the_newest_stamp_is_that_of_the_newest_accepted_sample() -> None:
     assert queue.fact.stamp_ns == 5
     assert queue.drain(CONDITIONS) == ()
     assert queue.fact.stamp_ns == 5
+
+
+def _is_overloaded(forces: list[float], weight: float) -> bool:
+    """Whether forces along z are an overload beyond 350 N, with a weight along z."""
+    queues = SensorQueues()
+    for k, force in enumerate(forces):
+        queues.wrench.push(WrenchSample(4_000_000 * k, (0.0, 0.1 * k, force), (0.0, 0.0, 0.0)))
+    queues.drain(CONDITIONS, 350.0, (0.0, 0.0, weight))
+    return queues.overloaded
+
+
+def test_a_weight_that_the_mount_carries_is_no_overload() -> None:
+    assert _is_overloaded([380.0, 385.0], 0.0)
+    assert not _is_overloaded([380.0, 385.0], 294.0)
+
+
+def test_a_force_beyond_the_weight_is_an_overload_whichever_way_it_pushes() -> None:
+    assert _is_overloaded([660.0, 661.0], 294.0)
+    assert _is_overloaded([-100.0, -101.0], 294.0)

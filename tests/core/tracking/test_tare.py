@@ -72,3 +72,10 @@ def test_a_released_wheel_weighs_nothing_any_more() -> None:
     for _ in range(600):
         state = tare.released(state, DT)
     assert state.sag is None
+
+
+def test_only_a_known_weight_is_carried_and_none_without_the_wheel() -> None:
+    state = hung(wrench(WEIGHT, 3.0))
+    assert tare.carried(state, MOUNT) == pytest.approx((WEIGHT, 3.0, 0.0), abs=1e-6)
+    assert tare.carried(hung(wrench(-60.0)), MOUNT) == (0.0, 0.0, 0.0)
+    assert tare.carried(tare.released(state, DT), MOUNT) == (0.0, 0.0, 0.0)

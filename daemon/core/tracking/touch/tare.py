@@ -18,6 +18,7 @@ from msgspec.structs import replace
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.observation import Wrench
 from linemate.daemon.core.tracking.settings import PayloadSettings, TactileNoise
+from linemate.protocol.stamped_samples import Vector3
 
 GRAVITY = 9.80665  # [m/s^2]
 MEAN_S = 0.5  # time constant of the mean wrench [s]; the tool rings at 4 Hz or more
@@ -73,6 +74,14 @@ def _sag(mean: Array, down: Array, payload: PayloadSettings, mount: TactileNoise
     if along < WEIGHT_N or along < SHARE * math.hypot(*mean[:3].tolist()):
         return None
     return np.asarray(mean / stiffness)
+
+
+def carried(tare: Tare, mount: TactileNoise) -> Vector3:
+    """Return the weight that the mount carries, in the tcp [N]; nothing while it is not known."""
+    if tare.wrench is None or tare.sag is None:
+        return (0.0, 0.0, 0.0)
+    x, y, z = (float(bend) * k for bend, k in zip(tare.sag[:3], mount.stiffness, strict=True))
+    return (x, y, z)
 
 
 def released(tare: Tare, dt: float) -> Tare:
