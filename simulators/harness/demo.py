@@ -75,7 +75,7 @@ class DemoStation:
     Attributes:
         folder: temporary, for ports, logs and configurations.
         cores: the daemon's and the emulators'; empty leaves them to the scheduler.
-        world: one of ``worlds.WORLDS``.
+        world: name, one of ``worlds.WORLDS``.
         ports: TCP ports of the slcan adapter and of the force-torque sensor.
     """
 
@@ -244,7 +244,7 @@ def perform(
         out: takes result.json, report.html, fig4.png, fig5.png and the recording.
         is_viewed: a page shows it as it goes.
         strict: one late reply is too many.
-        world: one of ``worlds.WORLDS``.
+        world: name, one of ``worlds.WORLDS``.
 
     Returns:
         The result, as in result.json.

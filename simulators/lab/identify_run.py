@@ -56,7 +56,7 @@ class IdentificationPlan:
         seed: of the first recording.
         cycle_ms: instead of the scenarios' cycle.
         overrides: ``KEY=VALUE`` of the plant, as for a run; for a cell that is not the default one.
-        world: one of ``worlds.WORLDS``.
+        world: name, one of ``worlds.WORLDS``.
     """
 
     exercises: int = 2

@@ -45,16 +45,16 @@ class Cell:
     """What the daemon is built for.
 
     Attributes:
-        cycle_s: of the controller.
+        cycle_s: cycle of the controller.
         mount: stiffness of the mount, the same in each direction [N/m].
-        told: stiffness that the daemon is told, as a share of it.
+        configured: stiffness in the daemon's settings, as a share of it.
         dead_time: of each servo [s].
         speed: of the conveyor [m/s].
     """
 
     cycle_s: float = 0.012
     mount: float = 50e3
-    told: float = 1.0
+    configured: float = 1.0
     dead_time: float = 0.036
     speed: float = 0.106
 
@@ -83,7 +83,7 @@ class Trace:
         moved: (n, 3) of the hub from its undisturbed place, in c [m].
         forces: (n, 3) on the tool, in c [N].
         energies: (n,) that the tool has given to the body since the kick [J].
-        events: with their times.
+        events: what happened, with its time.
     """
 
     times: Array
@@ -94,8 +94,8 @@ class Trace:
 
 
 def _parameters(cell: Cell, made: Setup) -> Parameters:
-    """Return the parameters of a cell: servos and mount as they are told."""
-    stiffness = (cell.told * cell.mount,) * 3
+    """Return the parameters of a cell: servos and mount as the daemon has them configured."""
+    stiffness = (cell.configured * cell.mount,) * 3
     tracking = replace(made.tracking, tactile=replace(made.tracking.tactile, stiffness=stiffness))
     servos = tuple(replace(servo, dead_time=cell.dead_time) for servo in made.control.servos)
     filters = made.control.filters

@@ -1,4 +1,4 @@
-"""Assemblies with an arm that winds up, as the daemon is told by ``control.windup``."""
+"""Assemblies with an arm that winds up, with and without ``control.windup``."""
 
 import pytest
 
@@ -10,21 +10,22 @@ LARGEST_CONTROL_MM = 0.5
 LARGEST_IMPACT_MM = 0.4
 
 
-def overrides(travel: float, *, is_told: bool) -> tuple[str, ...]:
+def overrides(travel: float, *, is_configured: bool) -> tuple[str, ...]:
     plant = "scenario.robot.effects.windup"
     axis = f"{{depth: {DEPTH}, travel: {travel}}}"
-    told = f"control.windup=[{axis}, {axis}, {axis}]"
+    known = f"control.windup=[{axis}, {axis}, {axis}]"
     lines = (
         f"{plant}.depth=[{DEPTH}, {DEPTH}, {DEPTH}, 0, 0, 0]",
         f"{plant}.travel=[{', '.join([str(travel)] * 6)}]",
     )
-    return (*lines, told) if is_told else lines
+    return (*lines, known) if is_configured else lines
 
 
 @pytest.mark.parametrize("travel", [1e-3, 10e-3])
 def test_an_arm_whose_windup_is_known_is_as_exact_as_one_without(travel: float) -> None:
     jobs = [
-        CampaignJob(make("wheel", overrides(travel, is_told=told)), 3) for told in (True, False)
+        CampaignJob(make("wheel", overrides(travel, is_configured=known)), 3)
+        for known in (True, False)
     ]
     known, unknown = execute(jobs, 1)
     assert known["assembled"]

@@ -151,7 +151,7 @@ def sagging(state: TrackerState, target: Array) -> Array:
     """Return the target (m, 6) of the rigid tcp for one of the elastic tcp.
 
     Args:
-        target: not written to.
+        target: (m, 6), stays as it is.
     """
     sag = state.tare.sag
     if sag is None:

@@ -144,9 +144,9 @@ class GuardedApproach:
         sight: greatest age of the camera's last accepted pose with which the approach goes on,
             down to ``camera.blind_below`` [s]. An older one makes the tool wait.
         tolerance: largest error across the tool's axis that the touch tolerates [m]: about half of
-            what the tool catches. A larger expected error makes the tool wait beside the object.
+            what the tool catches. A larger expected error makes the tool wait next to the object.
         angle_tolerance: the same of the orientation [rad].
-        wait: longest time to wait beside the object in one assembly [s]; then the tool retreats.
+        wait: longest time to wait next to the object in one assembly [s]; then the tool retreats.
     """
 
     touch_speed: Annotated[float, Ge(0.002), Le(0.1)] = 0.009

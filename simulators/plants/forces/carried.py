@@ -1,7 +1,7 @@
 """Two-way contact of the car in its carrier with the tool that the clamp holds.
 
 Invariants:
-    Whoever advances the world calls ``hub`` and then ``settle``, once a substep.
+    The caller, who advances the world, calls ``hub`` and then ``settle``, once a substep.
     The mount's force on tool and car is the one that the robot feels, with the sign turned.
 """
 
@@ -66,7 +66,7 @@ class CarriedBody:
 
         Args:
             t: scenario time there [s].
-            rigid: rigid tcp there.
+            rigid: tcp there without elasticity.
             unmoved: hub there if the carrier did not move.
 
         Returns:

@@ -142,7 +142,7 @@ class CarrierPlant:
     def at(self, t: float) -> Array:
         """Displacement and rotation of the hub in c at any time, (6,).
 
-        The past is as it was. The future is without a force of contact, which nobody knows.
+        The past is as it was. The future is without a force of contact, which no one knows.
         """
         cell = max((t - self._start) / self._h, 0.0)
         index = int(cell + 1e-9)

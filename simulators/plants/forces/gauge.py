@@ -14,7 +14,7 @@ Six = tuple[float, float, float, float, float, float]
 
 
 class GaugeErrors:
-    """What the sensor shows besides the wrench and its noise."""
+    """What the sensor shows in addition to the wrench and its noise."""
 
     def __init__(self, effects: ForceTorqueEffects, seed: int, start_s: float) -> None:
         forces, torques = effects.bias_force, effects.bias_torque

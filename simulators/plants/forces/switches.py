@@ -123,7 +123,7 @@ class Mating:
         angle: of the bolts against the hub's orientation [rad]; None draws it.
         angle_range: half range of that angle over the cars [rad].
         flange: radius of the flange [m].
-        friction: coefficient of friction.
+        friction: coefficient of friction of the contact.
         elasticity: stiffness of the contact as a whole [N/m].
         contact_damping: its damping ratio with the tool's mass, share of critical.
         seat: the clamp takes the hub when the flange is nearer than this [m].

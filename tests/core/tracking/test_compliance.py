@@ -24,9 +24,9 @@ def followed(
     """The state after a force, and an object off its estimate, along y."""
     state = NO_COMPLIANCE
     for k in range(round(seconds / MODEL.dt)):
-        wave = math.cos(math.tau * frequency_hz * k * MODEL.dt)
+        ripple = math.cos(math.tau * frequency_hz * k * MODEL.dt)
         state = compliance.advance(
-            state, MODEL, (0.0, force * wave, 0.0), (0.0, off * wave, 0.0), touching
+            state, MODEL, (0.0, force * ripple, 0.0), (0.0, off * ripple, 0.0), touching
         )
     return state
 

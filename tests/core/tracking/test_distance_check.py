@@ -27,12 +27,12 @@ def readings(acceleration: float, moved_s: float, seed: int, speed: float = 0.0)
 
 
 def odds(kept: Array, onset: float, change: float, speed_deviation: float = 3e-4) -> float:
-    said = distance_check.log_odds(kept, onset, change, speed_deviation, SIGMA)
-    assert said is not None
-    return said
+    found = distance_check.log_odds(kept, onset, change, speed_deviation, SIGMA)
+    assert found is not None
+    return found
 
 
-def test_a_conveyor_that_starts_is_told_from_one_that_stands() -> None:
+def test_a_conveyor_that_starts_is_distinguished_from_one_that_stands() -> None:
     started = [odds(readings(START, 0.4, seed), 0.4, START) for seed in range(40)]
     stands = [odds(readings(0.0, 0.4, seed), 0.4, START) for seed in range(40)]
     assert np.mean(started) > 5.0

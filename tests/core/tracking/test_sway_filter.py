@@ -152,7 +152,7 @@ def test_a_start_is_confirmed_though_the_body_lags_behind() -> None:
 
 
 @pytest.mark.parametrize(("unseen", "least", "most"), [(0.0, 0.0, 0.001), (0.5, 0.004, 0.02)])
-def test_an_unknown_sway_that_nobody_sees_widens_the_estimate(
+def test_an_unknown_sway_that_no_one_sees_widens_the_estimate(
     unseen: float, least: float, most: float
 ) -> None:
     bank = replace(BANK, sway=SwaySettings(unseen=unseen))

@@ -520,7 +520,7 @@ def test_a_conveyor_that_is_askew_is_learnt_while_it_runs_and_stands_when_it_sta
     assert np.abs(state.x[:2] - place(5.0)[[0, 2]]).max() < 0.3e-3
 
 
-def test_a_conveyor_told_to_be_straight_is_never_askew() -> None:
+def test_a_conveyor_configured_straight_is_never_askew() -> None:
     own = Transverse(FusionSettings(askew=0.0, askew_walk=0.0), (MODE,))
     state = own.initial([seen(PLACE, rotations.exp(OFF), 0.0, 0.0)] * 5)
     for k in range(1, 100):

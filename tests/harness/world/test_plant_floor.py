@@ -72,7 +72,7 @@ def test_one_seed_gives_one_plant_floor() -> None:
     assert emissions(3) != emissions(4)
 
 
-def test_what_a_data_sheet_says_is_told_to_the_daemon() -> None:
+def test_the_daemon_is_configured_from_the_data_sheets() -> None:
     for name in ("plant-floor", "plant-floor-harsh"):
         made = setup.make(name)
         assert made.tracking.camera.blind_below == made.scenario.camera.blind_below

@@ -138,7 +138,7 @@ def test_bolts_within_the_chamfer_go_in_and_the_clamp_closes(lateral: float) -> 
     assert cell.contact.impact.speed == pytest.approx(0.03, rel=0.5)
 
 
-def test_bolts_beside_their_holes_keep_the_clamp_open_until_the_mount_gives_up() -> None:
+def test_bolts_next_to_their_holes_keep_the_clamp_open_until_the_mount_gives_up() -> None:
     cell = Cell(HEAVY, lateral=0.004, contact=BOLTS, damping=0.1)
     cell.push(0.03, -0.023, 1.0)
     assert cell.contact.phase == "free"
@@ -149,7 +149,7 @@ def test_bolts_beside_their_holes_keep_the_clamp_open_until_the_mount_gives_up()
     assert cell.contact.collision.reason.startswith("mount overloaded before the clamp closed")
 
 
-def test_a_tool_that_comes_too_far_beside_the_bolts_has_missed() -> None:
+def test_a_tool_that_comes_too_far_off_the_bolts_has_missed() -> None:
     cell = Cell(HEAVY, lateral=0.008, contact=BOLTS, damping=0.1)
     cell.push(0.03, 0.0, 2.0)
     assert cell.contact.collision is not None

@@ -39,7 +39,7 @@ def test_mount_and_contact_are_springs_in_series() -> None:
     assert bent[2] == pytest.approx(-force / MOUNT, rel=1e-3)
 
 
-def test_bolts_beside_their_holes_hold_the_wheel_off_at_their_tips() -> None:
+def test_bolts_next_to_their_holes_hold_the_wheel_off_at_their_tips() -> None:
     plant = touch()
     bent = rest(plant, pose(x=0.0025, z=TIPS + 0.004))
     assert not plant.entered

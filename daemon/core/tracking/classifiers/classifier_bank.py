@@ -158,14 +158,14 @@ class BankClassifier(BankModel):
         )
         if state.contact and change.odds > ASKED:
             state = replace(state, distance_odds=self._distance_odds(state))
-        said = state.distance_odds
-        if change_odds > limit and (said is None or said > SUPPORT[event]):
+        odds = state.distance_odds
+        if change_odds > limit and (odds is None or odds > SUPPORT[event]):
             events = [*state.events, (event, "tentative"), (event, "confirmed")]
             if state.tentative:
                 events.remove((event, "tentative"))
             return self._accept_change(replace(state, events=tuple(events)), motion)
         is_apart = state.impulse_age >= self.impulse.apart
-        if is_apart and impulse_odds > self.impulse.confirmed and (said is None or said < MOVED):
+        if is_apart and impulse_odds > self.impulse.confirmed and (odds is None or odds < MOVED):
             return self._accept_impulse(state)
         if state.is_expired:
             return replace(state, is_expired=False) if change_odds < CALM else state

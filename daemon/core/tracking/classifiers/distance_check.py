@@ -19,7 +19,7 @@ LATEST_S = 0.15  # age of the newest reading with which the sensor still has a s
 LEAST_READINGS = 8
 LEVEL_DEVIATION = 1.0  # of the position of the steady motion [m]: unknown
 OUTLIER_SIGMAS, MOST_OUTLIERS = 5.0, 3  # residual of an outlier; how many are left out
-LEAST_WAY = 1e-5  # way of the change since its onset below which nothing can be said [m]
+LEAST_WAY = 1e-5  # way of the change since its onset below which nothing can be decided [m]
 
 NO_READINGS = np.zeros((2, 0))
 

@@ -48,7 +48,7 @@ class SwayFit(Struct, frozen=True, eq=False):
 
     Attributes:
         score: log odds of a sway against none.
-        omega: its frequency [rad/s].
+        omega: frequency of this sway [rad/s].
         spread: one sigma of the frequency, as a share.
         values: s and s'/w now, the gain, and the body's offset without the sway (4,) [m].
         covariance: of these at that frequency (4, 4).

@@ -83,7 +83,7 @@ def follow(
 
 
 def unseen_deviation(model: BankModel, state: BankState) -> float:
-    """Return one sigma of a sway that nobody knows and no sensor has seen yet [m].
+    """Return one sigma of a sway that no one knows and no sensor has seen yet [m].
 
     A ramp that began after the body was last seen moves a pendulum by ``a t^2 / 2`` against the
     conveyor, and the slowest one by ``a / w^2`` in the mean.

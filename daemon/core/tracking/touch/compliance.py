@@ -60,7 +60,7 @@ class ComplianceModel:
     Attributes:
         stiffness: of the mount [N/m].
         delays: steps from the offset to the tool's motion, along x, y, z of c.
-        dt: cycle [s].
+        dt: cycle of the controller [s].
     """
 
     stiffness: float
