@@ -6,13 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conveyor_truth import DEVIATION, NOMINAL, STOP, T0, Truth
+from conveyor_truth import DEVIATION, NOMINAL, START, STOP, T0, Truth
 from filterpy.kalman import KalmanFilter
 from msgspec import structs
 from scipy import integrate
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.classifiers import bank_filter, bank_prediction, onset_bank
+from linemate.daemon.core.tracking.classifiers import (
+    bank_filter,
+    bank_prediction,
+    classifier_bank,
+    onset_bank,
+)
 from linemate.daemon.core.tracking.classifiers.bank_filter import SETTLING
 from linemate.daemon.core.tracking.classifiers.bank_model import (
     ACCELERATION,
@@ -538,6 +543,34 @@ def test_a_body_that_swings_is_no_start_as_long_as_the_conveyor_stands(sway: flo
     states = followed(*coasting(0.05, 10.0), sway=sway)
     assert ("start", "confirmed") not in [event for state in states for event in state.events]
     assert states[-1].motion is Motion.STANDING
+
+
+def pushed_on(support: float, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
+    """Events of a stop during which the body is pushed along as if the conveyor went on."""
+    monkeypatch.setitem(classifier_bank.SUPPORT, "start", support)
+    bank = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), DEVIATION)
+    truth, rng = Truth(1.5, ((0.4, -STOP),), seed=3), np.random.default_rng(3)
+    state, events = bank.initial(float(truth.at(-1.5))), []
+    for t in np.arange(-1.5 + T0, 1.2, T0):
+        pushed = 0.5 * (STOP + START) * max(min(t, 1.0) - 0.75, 0.0) ** 2
+        seen = float(truth.at(t - 0.006)) + pushed + rng.normal(0.0, 5e-5)
+        read = float(truth.at(t - 0.001)) + rng.normal(0.0, DEVIATION)
+        rows = [
+            PositionMeasurement(Source.DISTANCE, read, 0.001, DEVIATION**2, 4.0),
+            PositionMeasurement(Source.CAMERA, seen, 0.006, 25e-10, 20.0),
+        ]
+        state = bank.advance(state, rows, T0)
+        events += state.events
+    return events
+
+
+def test_a_body_pushed_while_the_conveyor_brakes_is_no_start(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked = pushed_on(classifier_bank.SUPPORT["start"], monkeypatch)
+    assert ("stop", "confirmed") in asked
+    assert ("start", "confirmed") not in asked
+    assert ("start", "confirmed") in pushed_on(-math.inf, monkeypatch), "else nothing is tested"
 
 
 def test_a_speed_that_is_left_when_a_stop_ends_dies_out() -> None:

@@ -5,12 +5,13 @@ import pytest
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.classifiers import distance_check
-from linemate.daemon.core.tracking.classifiers.distance_check import NO_READINGS
+from linemate.daemon.core.tracking.classifiers.distance_check import NO_READINGS, Ramp
 from linemate.daemon.core.tracking.conveyor import PositionMeasurement, Source
 
 T0 = 0.012
 SIGMA = 0.38e-3
 START = 0.013
+BRAKING = 0.104
 
 
 def readings(acceleration: float, moved_s: float, seed: int, speed: float = 0.0) -> Array:
@@ -78,3 +79,46 @@ def test_readings_older_than_a_second_are_dropped_and_no_other_sensor_is_kept() 
     later = distance_check.keep(kept, [camera], 0.5)
     assert later.shape[1] < kept.shape[1]
     assert later[0].max() <= distance_check.SPAN_S
+
+
+def on_a_ramp(restart: float, seed: int) -> Array:
+    """A second of readings: the conveyor brakes for 0.6 s, and starts again since ``restart``."""
+    rng = np.random.default_rng(seed)
+    kept, position, speed = NO_READINGS, 0.0, 0.106
+    for k in range(84):
+        left = (84 - k) * T0
+        speed += T0 * (START if left <= restart else -BRAKING if left <= 0.6 else 0.0)
+        position += speed * T0
+        value = position + rng.normal(0.0, SIGMA)
+        kept = distance_check.keep(
+            kept, [PositionMeasurement(Source.DISTANCE, value, 0.0, SIGMA**2, 4.0)], T0
+        )
+    return kept
+
+
+@pytest.mark.parametrize("share", [0.9, 1.0, 1.1])
+def test_a_restart_is_told_from_a_stop_that_goes_on(share: float) -> None:
+    ramp = Ramp(0.6, -share * BRAKING)
+    change = START + BRAKING
+
+    def said(restart: float, seed: int) -> float:
+        kept = on_a_ramp(restart, seed)
+        odds = distance_check.log_odds(kept, 0.2, change, 0.003, SIGMA, ramp)
+        assert odds is not None
+        return odds
+
+    assert min(said(0.2, seed) for seed in range(20)) > 1.5
+    assert max(said(0.0, seed) for seed in range(20)) < -1.5
+
+
+def test_the_speed_on_a_ramp_is_that_of_the_readings() -> None:
+    for seed in range(20):
+        found = distance_check.speed_now(on_a_ramp(0.0, seed), Ramp(0.6, -BRAKING), SIGMA)
+        assert found == pytest.approx(0.106 - 0.6 * BRAKING, abs=0.005)
+    assert distance_check.speed_now(NO_READINGS, Ramp(0.6, -BRAKING), SIGMA) is None
+
+
+def test_only_the_readings_since_an_age_are_asked() -> None:
+    kept = readings(0.0, 0.0, 1)
+    assert distance_check.since(kept, 0.1)[0].max() <= 0.1
+    assert distance_check.since(kept, 2.0) is kept

@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 from conveyor_truth import DEVIATION, NOMINAL, START, STOP, T0, row
+from msgspec import structs
 
-from linemate.daemon.core.tracking.classifiers import start_check
-from linemate.daemon.core.tracking.classifiers.start_check import StartRejection
+from linemate.daemon.core.tracking.classifiers import distance_check, start_check
+from linemate.daemon.core.tracking.classifiers.distance_check import NO_READINGS
+from linemate.daemon.core.tracking.classifiers.start_check import StartCheck, StartRejection
 from linemate.daemon.core.tracking.conveyor import Motion
 from linemate.daemon.core.tracking.task import ConveyorClasses
 
@@ -91,3 +93,64 @@ def test_a_check_ends_with_the_start_and_its_memory_is_bounded() -> None:
     assert check is not None
     assert len(check.readings) <= start_check.SPAN_S / T0 + 1
     assert start_check.update(check, Motion.STARTING, Motion.RUNNING, NOMINAL, [], T0) is None
+
+
+ONSET = 0.3  # time from the onset of a start to its declaration [s]
+REST = 0.0003  # one sigma of the speed of a conveyor that stands [m/s]
+
+
+def denied(
+    before: Motion, speed: float, onset: float, acceleration: float, seed: int
+) -> tuple[float, StartRejection] | None:
+    """When a start is denied after its declaration [s] and how, None if it is not within 0.5 s.
+
+    The truth has ``speed`` at the onset of the braking, 0.5 s before the declaration, if there is
+    one. A start of ``acceleration`` begins ``onset`` s before the declaration.
+    """
+    rng = np.random.default_rng(seed)
+    braking = -STOP if before is Motion.STOPPING else 0.0
+    check = StartCheck(before, 0.0, acceleration=START, braking=braking, braked=0.5)
+    kept, position = NO_READINGS, 0.0
+    for k in range(round(1.5 / T0)):
+        age = (k + 1) * T0 - 1.0
+        begun = age + onset > 0.0
+        speed += T0 * (acceleration if begun else braking if age > -0.5 else 0.0)
+        position += speed * T0
+        kept = distance_check.keep(kept, [row(position + rng.normal(0.0, DEVIATION))], T0)
+        if age <= 0.0:
+            continue
+        check = structs.replace(check, age=age)
+        denial = start_check.deny(check, kept, ONSET + age, REST, DEVIATION)
+        if denial is not None:
+            return age, denial
+    return None
+
+
+def test_a_start_that_never_was_is_denied_after_a_tenth_of_a_second() -> None:
+    found = [denied(Motion.STANDING, 0.0, ONSET, 0.0, seed) for seed in range(20)]
+    assert all(each is not None for each in found)
+    assert np.median([each[0] for each in found if each]) <= 0.12
+    assert {each[1] for each in found if each} == {StartRejection(Motion.STANDING, 0.0)}
+
+
+def test_a_conveyor_that_goes_on_braking_is_found_with_its_speed() -> None:
+    for seed in range(20):
+        found = denied(Motion.STOPPING, 0.106, -9.0, 0.0, seed)
+        assert found is not None
+        age, denial = found
+        assert age <= 0.1
+        assert denial.motion is Motion.STOPPING
+        assert denial.speed == pytest.approx(0.106 - STOP * (0.5 + age), abs=0.012)
+
+
+@pytest.mark.parametrize("share", [0.6, 1.0, 1.5])
+@pytest.mark.parametrize("before", [Motion.STANDING, Motion.STOPPING])
+def test_a_true_start_is_not_denied(before: Motion, share: float) -> None:
+    for seed in range(20):
+        assert denied(before, 0.106, ONSET, share * START, seed) is None
+
+
+def test_a_silent_sensor_denies_no_start() -> None:
+    check = StartCheck(Motion.STANDING, 0.0, acceleration=START)
+    assert start_check.deny(check, NO_READINGS, ONSET, REST, DEVIATION) is None
+    assert start_check.deny(None, NO_READINGS, ONSET, REST, DEVIATION) is None

@@ -143,7 +143,7 @@ def hypothesis_weights(model: BankModel, state: BankState) -> tuple[float, float
     else:
         return 0.0, 0.0
     odds = state.change.odds
-    if state.contact and state.distance_odds is not None:
+    if state.distance_odds is not None:
         # What the distance sensor denies is a body that swings.
         odds = min(odds, state.distance_odds + DENIED)
     change = caution * (odds - penalty)

@@ -38,7 +38,8 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     BankState,
     V,
 )
-from linemate.daemon.core.tracking.classifiers.start_check import StartRejection
+from linemate.daemon.core.tracking.classifiers.distance_check import Ramp
+from linemate.daemon.core.tracking.classifiers.start_check import StartCheck, StartRejection
 from linemate.daemon.core.tracking.conveyor import (
     LONGEST_TENTATIVE_S,
     ConveyorEstimate,
@@ -54,6 +55,7 @@ SUPPORT = {"stop": 0.0, "start": 1.5}
 MOVED = 1.5  # log odds of a change by the distance sensor alone above which no impulse is accepted
 RUNNING_DEVIATION = 0.003  # of the steady speed of a running conveyor, for the distance check [m/s]
 STANDING_DEVIATION = 0.0003  # the same of one that stands [m/s]
+LEFT_S = 0.2  # in which the speed that is left when a stop ends dies out [s]
 
 
 class BankClassifier(BankModel):
@@ -113,7 +115,14 @@ class BankClassifier(BankModel):
         check = start_check.update(
             state.start_check, before.motion, state.motion, speed, measurements, dt
         )
-        rejection = start_check.reject(check, self.conveyor, state.cruise, self.distance_deviation)
+        sigma = self.distance_deviation
+        if check is not None and state.start_check is None:
+            check = _with_ramps(check, before, state)
+        rejection = start_check.reject(check, self.conveyor, state.cruise, sigma)
+        if rejection is None:
+            rejection = start_check.deny(
+                check, state.readings, state.class_age, STANDING_DEVIATION, sigma
+            )
         if rejection is None:
             return replace(state, start_check=check)
         return self._reject_start(state, rejection)
@@ -156,7 +165,7 @@ class BankClassifier(BankModel):
             impulse_odds=impulse_odds,
             distance_odds=None,
         )
-        if state.contact and change.odds > ASKED:
+        if (state.contact or state.motion is not Motion.RUNNING) and change.odds > ASKED:
             state = replace(state, distance_odds=self._distance_odds(state))
         odds = state.distance_odds
         if change_odds > limit and (odds is None or odds > SUPPORT[event]):
@@ -177,16 +186,22 @@ class BankClassifier(BankModel):
 
     def _distance_odds(self, state: BankState) -> float | None:
         """Return the log odds of a change by the distance sensor alone, None if it has no say."""
+        weights, readings, ramp = state.change.weights, state.readings, None
+        deviation = RUNNING_DEVIATION
         if state.motion in RAMPS:
-            return None
-        weights = state.change.weights
-        standing = state.motion is Motion.STANDING
+            ramp = Ramp(state.class_age, float(state.x[ACCELERATION]))
+        elif state.motion is Motion.STANDING:
+            # The stop before is no steady motion, and what is left of its speed dies out.
+            readings = distance_check.since(readings, state.class_age)
+            left = REST_DEVIATION * math.exp(-state.class_age / LEFT_S)
+            deviation = math.hypot(STANDING_DEVIATION, left)
         return distance_check.log_odds(
-            state.readings,
+            readings,
             float(weights.dot(state.changes.age)),
             self.changes[state.motion] * float(weights.dot(state.change.amplitudes)),
-            STANDING_DEVIATION if standing else RUNNING_DEVIATION,
+            deviation,
             self.distance_deviation,
+            ramp,
         )
 
     def _accept_change(self, state: BankState, motion: Motion) -> BankState:
@@ -247,6 +262,20 @@ def _bound_tentative(state: BankState, before: BankState, dt: float) -> BankStat
     return replace(
         state, tentative=False, is_expired=True, tentative_s=0.0, events=(*state.events, event)
     )
+
+
+def _with_ramps(check: StartCheck, before: BankState, state: BankState) -> StartCheck:
+    """Return the check of a start that was declared in this step, with what it is told from.
+
+    Args:
+        before: of the step before.
+        state: in the declared start.
+    """
+    acceleration = float(state.x[ACCELERATION])
+    if before.motion is not Motion.STOPPING:
+        return replace(check, acceleration=acceleration)
+    braking = float(before.x[ACCELERATION])
+    return replace(check, acceleration=acceleration, braking=braking, braked=before.class_age)
 
 
 def _softplus(value: float) -> float:

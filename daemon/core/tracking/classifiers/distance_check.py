@@ -3,13 +3,13 @@
 Camera and force-torque sensor see the body, which also swings and is pushed. The distance sensor
 sees the conveyor alone. The null filter cannot say what the distance sensor finds: it has followed
 the body by then, and every hypothesis agrees with where the object is. So the last readings are
-fitted by themselves: a steady motion, and the change as its hypotheses say.
+fitted by themselves: a steady motion or a ramp, and the change as its hypotheses say.
 """
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
+from msgspec import Struct
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.conveyor import PositionMeasurement, Source
@@ -21,7 +21,22 @@ LEVEL_DEVIATION = 1.0  # of the position of the steady motion [m]: unknown
 OUTLIER_SIGMAS, MOST_OUTLIERS = 5.0, 3  # residual of an outlier; how many are left out
 LEAST_WAY = 1e-5  # way of the change since its onset below which nothing can be decided [m]
 
+RAMP_DEVIATION = 0.15  # of a ramp's acceleration, as a share
+RAMP_SPEED_DEVIATION = 1.0  # of the speed before a ramp [m/s]: unknown
+
 NO_READINGS = np.zeros((2, 0))
+
+
+class Ramp(Struct, frozen=True):
+    """The ramp on which the conveyor is without the change.
+
+    Attributes:
+        age: time since its onset [s].
+        acceleration: [m/s^2].
+    """
+
+    age: float
+    acceleration: float
 
 
 def keep(readings: Array, measurements: Sequence[PositionMeasurement], dt: float) -> Array:
@@ -35,8 +50,20 @@ def keep(readings: Array, measurements: Sequence[PositionMeasurement], dt: float
     return kept
 
 
+def since(readings: Array, age: float) -> Array:
+    """Return the readings of the last ``age`` s."""
+    first = int(np.count_nonzero(readings[0] > age))
+    kept: Array = readings[:, first:] if first else readings
+    return kept
+
+
 def log_odds(
-    readings: Array, onset: float, change: float, speed_deviation: float, deviation: float
+    readings: Array,
+    onset: float,
+    change: float,
+    speed_deviation: float,
+    deviation: float,
+    ramp: Ramp | None = None,
 ) -> float | None:
     """Return the log odds of a change against none, or None if the sensor has no say.
 
@@ -46,29 +73,67 @@ def log_odds(
         change: the acceleration that it adds [m/s^2].
         speed_deviation: one sigma of the steady speed before any reading [m/s].
         deviation: one sigma of a reading [m].
+        ramp: on which the conveyor was; None if its motion was steady.
     """
     ages, values = readings
-    if len(ages) < LEAST_READINGS or ages[-1] > LATEST_S:
+    if not _has_say(readings):
         return None
     times, way = onset - ages, values - values[-1]
     begun = np.maximum(times, 0.0)
-    basis = np.stack((np.ones_like(times), times, 0.5 * change * begun * begun))
-    if abs(float(basis[2, -1])) < LEAST_WAY:
+    changed = 0.5 * change * begun * begun
+    if abs(float(changed[-1])) < LEAST_WAY:
         return 0.0
     # A vague share of the change keeps the matrix regular.
-    prior = np.diag((LEVEL_DEVIATION**-2, speed_deviation**-2, 1e-4)) * deviation**2
-    share, sigma = _fit(basis, way, prior, deviation)
-    return (share - 0.5) / (sigma * sigma)
+    rows, information = [np.ones_like(times), times, changed], [1e-4]
+    if ramp is not None:
+        ramped = _ramp_way(ages, ramp)
+        way = way - ramped
+        rows.append(ramped)
+        information.append(RAMP_DEVIATION**-2)
+        speed_deviation = RAMP_SPEED_DEVIATION
+    known = (LEVEL_DEVIATION**-2, speed_deviation**-2, *information)
+    prior = np.diag(known) * deviation**2
+    fit, covariance = _fit(np.stack(rows), way, prior, deviation)
+    return (float(fit[2]) - 0.5) / (deviation**2 * float(covariance[2, 2]))
 
 
-def _fit(basis: Array, way: Array, prior: Array, deviation: float) -> tuple[float, float]:
-    """Return the change as a share of its hypothesis, and one sigma, without the worst outliers."""
+def speed_now(readings: Array, ramp: Ramp, deviation: float) -> float | None:
+    """Return the speed of a conveyor on a ramp [m/s], or None if the sensor has no say."""
+    if not _has_say(readings):
+        return None
+    ages, values = readings
+    ramped = _ramp_way(ages, ramp)
+    basis = np.stack((np.ones_like(ages), -ages, ramped))
+    known = (LEVEL_DEVIATION**-2, RAMP_SPEED_DEVIATION**-2, RAMP_DEVIATION**-2)
+    way = values - values[-1] - ramped
+    fit, _ = _fit(basis, way, np.diag(known) * deviation**2, deviation)
+    return float(fit[1] + (1.0 + fit[2]) * ramp.acceleration * ramp.age)
+
+
+def _has_say(readings: Array) -> bool:
+    """Return whether there are enough readings, the newest of them young enough."""
+    ages = readings[0]
+    return len(ages) >= LEAST_READINGS and bool(ages[-1] <= LATEST_S)
+
+
+def _ramp_way(ages: Array, ramp: Ramp) -> Array:
+    """Return the way (m,) that a ramp had made at some ages."""
+    acted = np.maximum(ramp.age - ages, 0.0)
+    way: Array = 0.5 * ramp.acceleration * acted * acted
+    return way
+
+
+def _fit(basis: Array, way: Array, prior: Array, deviation: float) -> tuple[Array, Array]:
+    """Return the shares of the basis and their covariance over ``deviation`` squared.
+
+    The worst outliers are left out.
+    """
     for left in range(MOST_OUTLIERS, -1, -1):
         covariance = np.linalg.inv(basis @ basis.T + prior)
-        fit = covariance @ (basis @ way)
+        fit: Array = covariance @ (basis @ way)
         off = np.abs(way - fit @ basis)
         worst = int(off.argmax())
         if not left or off[worst] < OUTLIER_SIGMAS * deviation:
             break
         basis, way = np.delete(basis, worst, axis=1), np.delete(way, worst)
-    return float(fit[2]), deviation * math.sqrt(float(covariance[2, 2]))
+    return fit, covariance

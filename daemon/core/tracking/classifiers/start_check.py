@@ -1,15 +1,20 @@
 """Check of a declared start against the readings of the distance sensor.
 
 A classifier that declares a start predicts a rising speed. Its own filter cannot detect a wrong
-start: it adapts until the class predicts as well as any other. The check compares the speed over
-the last half second with two hypotheses: the start, and the class before it.
+start: it adapts until the class predicts as well as any other. Two checks compare the readings with
+two hypotheses: the start, and the class before it. ``deny`` fits the readings before and after the
+onset and needs some 0.1 s. ``reject`` compares speeds after the declaration alone and needs 0.4 s.
 """
 
 import math
 from collections.abc import Sequence
 
 from msgspec import Struct
+from msgspec.structs import replace
 
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.classifiers import distance_check
+from linemate.daemon.core.tracking.classifiers.distance_check import Ramp
 from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, Source
 from linemate.daemon.core.tracking.task import ConveyorClasses
 
@@ -19,6 +24,9 @@ SHARE = 0.3  # of the way from the class before to the start, below which the st
 SIGMAS = 5.0  # by which a right start must exceed that share: it is checked in every cycle
 SPREAD = 1.2  # sigma of an interquartile mean of normal noise, as a multiple of the mean's
 LONGEST = 2.0  # a start of half the configured acceleration lasts twice as long
+DENIED = -5.0  # log odds of the start by the distance sensor alone, below which there was none
+LEAST_SHARE = 0.6  # of the start's acceleration that is tested: half of it is the limit
+OLDEST_S = 0.8  # onset up to which enough readings before it are left
 
 
 class StartCheck(Struct, frozen=True, eq=False):
@@ -28,12 +36,18 @@ class StartCheck(Struct, frozen=True, eq=False):
         before: class before the start.
         speed: estimated at the declaration [m/s].
         readings: time since the declaration [s] and position [m], the last ``SPAN_S``.
+        acceleration: of the start, as it was declared [m/s^2].
+        braking: acceleration of the stop before it, 0 after a standstill [m/s^2].
+        braked: time since that stop began, at the declaration [s].
     """
 
     before: Motion
     speed: float
     age: float = 0.0
     readings: tuple[tuple[float, float], ...] = ()
+    acceleration: float = 0.0
+    braking: float = 0.0
+    braked: float = 0.0
 
 
 class StartRejection(Struct, frozen=True):
@@ -72,7 +86,36 @@ def update(
         (age - each.delay, each.value) for each in measurements if each.source is Source.DISTANCE
     ]
     readings = [reading for reading in (*check.readings, *new) if reading[0] > age - SPAN_S]
-    return StartCheck(check.before, check.speed, age, tuple(readings))
+    return replace(check, age=age, readings=tuple(readings))
+
+
+def deny(
+    check: StartCheck | None,
+    readings: Array,
+    onset: float,
+    rest_deviation: float,
+    deviation: float,
+) -> StartRejection | None:
+    """Return the class before the start if the distance sensor denies the start, else None.
+
+    Args:
+        check: of the start, None without one.
+        readings: (2, m) as ``distance_check.keep`` returns them.
+        onset: time since the start began [s].
+        rest_deviation: one sigma of the steady speed of a conveyor that stands [m/s].
+        deviation: one sigma of a reading [m].
+    """
+    if check is None or not check.acceleration or onset > OLDEST_S:
+        return None
+    ramp = Ramp(check.braked + check.age, check.braking) if check.braking else None
+    change = LEAST_SHARE * check.acceleration - check.braking
+    said = distance_check.log_odds(readings, onset, change, rest_deviation, deviation, ramp)
+    if said is None or said > DENIED:
+        return None
+    speed = None if ramp is None else distance_check.speed_now(readings, ramp, deviation)
+    if speed is None or speed <= 0.0:
+        return StartRejection(Motion.STANDING, 0.0)
+    return StartRejection(Motion.STOPPING, speed)
 
 
 def reject(
