@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from docs.make import world_results
+from docs.make import contact_results, world_results
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs/results"
@@ -91,6 +91,7 @@ COMMANDS: dict[str, tuple[str, Callable[[Result], Result]]] = {
     ),
     "bench": ("linemate-sim bench --parts virtual,step --json", bench),
     **{name: (text, world_results.condensed) for name, text in world_results.COMMANDS.items()},
+    **{name: (text, contact_results.whole) for name, text in contact_results.COMMANDS.items()},
 }  # fmt: skip
 
 
@@ -315,6 +316,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "world-sizes": world_results.sizes,
     "world": lambda: world_results.rows(load, is_stored),
     "plant-floor": lambda: world_results.floor(load, is_stored),
+    "contact": lambda: contact_results.table(load, is_stored),
+    "contact-growing": lambda: contact_results.growing(load, is_stored),
     "readme": readme,
     "demo": output,
     "accuracy": accuracy,
@@ -336,11 +339,12 @@ def main() -> int:
     if _git("status", "--porcelain", "--untracked-files=no"):
         print("the tree has changes: commit them first, a result names its commit", file=sys.stderr)
         return 2
-    words = shlex.split(COMMANDS[args.name][0])[1:]
+    program, *words = shlex.split(COMMANDS[args.name][0])
     if "SEED" in words:
         print("several runs at several loads: pass them with --raw", file=sys.stderr)
         return 2
-    command = [sys.executable, "-m", "linemate.simulators.harness.main", *words]
+    own = ["-m", "linemate.simulators.harness.main"] if program == "linemate-sim" else []
+    command = [sys.executable, *own, *words]
     # The words are constants of this file.
     done = subprocess.run(command, check=True, stdout=subprocess.PIPE, cwd=ROOT)  # noqa: S603
     store(args.name, json.loads(done.stdout), _git("rev-parse", "HEAD"))

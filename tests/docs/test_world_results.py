@@ -11,7 +11,7 @@ def run(seed: int, **changed: Any) -> dict[str, Any]:
     plain: dict[str, Any] = {
         "seed": seed, "outcome": "assembled", "reason": None, "missed": 0, "control_rms_mm": 0.1,
         "control_mm": 0.2, "impact_mm": 0.3, "stop_mm": 2.0, "start_s": 0.3, "force_n": 55.0,
-        "false_tentative": 1, "false_confirmed": 0,
+        "oscillation_mm": 0.04, "energy_j": 0.01, "false_tentative": 1, "false_confirmed": 0,
     }  # fmt: skip
     return plain | changed
 

@@ -158,7 +158,7 @@ def figures(result: Mapping[str, Any]) -> dict[str, Any]:
     """Return the figures of a judged run; None where the run has none."""
     control, total = result["control_error"], result["total_error"]
     latencies = {entry["event"]: entry for entry in reversed(result["detection"])}
-    force = result["contact_force_n"]
+    force, contact = result["contact_force_n"], result["contact"]
     windows = [control[name] for name in ("approach", "stop", "contact") if control[name]]
     return {
         "seed": result["seed"],
@@ -175,6 +175,8 @@ def figures(result: Mapping[str, Any]) -> dict[str, Any]:
         "stop_s": _of(latencies.get("stop"), "confirmed_s"),
         "start_s": _of(latencies.get("start"), "confirmed_s"),
         "force_n": _of(force, "max"),
+        "oscillation_mm": None if contact is None else contact["oscillation_mm"]["worst"],
+        "energy_j": None if contact is None else contact["energy_j"]["worst"],
         "false_tentative": result["false_alarms"]["tentative"],
         "false_confirmed": result["false_alarms"]["confirmed"],
         "missed": sum(entry["confirmed_s"] is None for entry in result["detection"]),

@@ -21,6 +21,8 @@ SPREAD = (
     ("stop_mm", "stop mm"),
     ("start_s", "start s"),
     ("force_n", "force N"),
+    ("oscillation_mm", "osc. mm"),
+    ("energy_j", "energy J"),
 )
 SUMS = (
     ("false_tentative", "tentative"),
@@ -29,7 +31,9 @@ SUMS = (
 )
 LEGEND = (
     "median (worst) over the seeds; control: in the last second before contact, against the true"
-    " tcp, mm; tentative, false confirmed, missed: sums; -: not in every run"
+    " tcp, mm; osc.: half of the range that the hub moves against the tcp within a second of"
+    " contact; energy: largest that the robot has given to the car; tentative, false confirmed,"
+    " missed: sums; -: not in every run"
 )
 
 Run = Mapping[str, Any]

@@ -10,6 +10,7 @@ def run(seed: int, **changed: Any) -> dict[str, Any]:
         "row": "x", "seed": seed, "outcome": "assembled", "reason": None, "missed": 0,
         "control_rms_mm": 0.1, "control_mm": 0.2, "impact_mm": 0.3, "stop_mm": 2.0,
         "start_s": 0.3, "force_n": 55.0, "false_tentative": 1, "false_confirmed": 0,
+        "oscillation_mm": 0.04, "energy_j": 0.01,
     }  # fmt: skip
     return plain | changed
 
@@ -42,6 +43,8 @@ def test_the_figures_of_a_judged_run_are_by_its_first_stop_and_start() -> None:
     found = measure.figures({
         "seed": 1, "cycle_ms": 12, "outcome": "held", "reason": "why",
         "control_error": error, "total_error": error, "contact_force_n": None,
+        "contact": {"oscillation_mm": {"first": 0.4, "last": 0.2, "worst": 0.5},
+                    "energy_j": {"last": 0.1, "worst": 0.3}},
         "detection": [
             {"event": "stop", "confirmed_s": 0.1},
             {"event": "start", "confirmed_s": None},
@@ -52,6 +55,7 @@ def test_the_figures_of_a_judged_run_are_by_its_first_stop_and_start() -> None:
     assert (found["stop_s"], found["start_s"], found["missed"]) == (0.1, None, 1)
     assert (found["false_tentative"], found["false_confirmed"]) == (2, 1)
     assert found["force_n"] is None
+    assert (found["oscillation_mm"], found["energy_j"]) == (0.5, 0.3)
     assert found["stop_mm"] == 1.0
 
 
@@ -60,7 +64,9 @@ def test_a_run_that_never_touched_has_no_error_after_a_stop() -> None:
     error = {"approach": None, "stop": span, "impact": None, "contact": None}
     found = measure.figures({
         "seed": 1, "cycle_ms": 12, "outcome": "held", "reason": "why",
-        "control_error": error, "total_error": error, "contact_force_n": None, "detection": [],
+        "control_error": error, "total_error": error, "contact_force_n": None, "contact": None,
+        "detection": [],
         "false_alarms": {"tentative": 0, "confirmed": 0}, "limits": {"violations": 0},
     })  # fmt: skip
     assert found["stop_mm"] is None
+    assert (found["oscillation_mm"], found["energy_j"]) == (None, None)
