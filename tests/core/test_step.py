@@ -224,10 +224,11 @@ def test_the_task_is_done_from_start_to_end(assembly: Assembly) -> None:
 
 
 def test_the_tool_is_asked_when_the_task_says(assembly: Assembly) -> None:
-    assert assembly.at(8.45).digital_out == 0
-    assert assembly.at(8.55).digital_out == FIX_SCREWS
-    assert assembly.at(14.45).digital_out == FIX_SCREWS
-    assert assembly.at(14.55).digital_out == FIX_SCREWS | RELEASE_WHEEL
+    tool = P.tracker.task.tool
+    assert assembly.at(tool.fix_screws - 0.05).digital_out == 0
+    assert assembly.at(tool.fix_screws + 0.05).digital_out == FIX_SCREWS
+    assert assembly.at(tool.release_wheel - 0.05).digital_out == FIX_SCREWS
+    assert assembly.at(tool.release_wheel + 0.05).digital_out == FIX_SCREWS | RELEASE_WHEEL
 
 
 def test_contact_is_felt_where_the_task_plans_it_and_lost_when_the_wheel_is(
@@ -586,7 +587,8 @@ def test_whatever_is_ordered_and_lost_the_robots_setpoints_stay_within_the_limit
     stretches: list[tuple[MotionOrder, int, str]],
 ) -> None:
     world = tracking(1.6)
-    applied = [world.command]
+    # Two commands: where the robot stands if the reply before the first stretch is lost.
+    applied = [world.command, world.step(MotionOrder.TRACK).command]
     for order, length, what in stretches:
         for i in range(length):
             inputs = world.inputs(order)

@@ -143,6 +143,8 @@ class GuardedApproach:
             retreats. 0 does not search.
         sight: greatest age of the camera's last accepted pose with which the approach goes on,
             down to ``camera.blind_below`` [s]. An older one makes the tool wait.
+        checked: for how long images must have checked past predictions before the approach goes
+            on [s]. The checks begin 1.5 s after the first image. 0 needs none.
         tolerance: largest error across the tool's axis that the touch tolerates [m]: about half of
             what the tool catches. A larger expected error makes the tool wait next to the object.
         angle_tolerance: the same of the orientation [rad].
@@ -154,6 +156,7 @@ class GuardedApproach:
     speed: Annotated[float, Gt(0.0), Le(0.02)] = 0.005
     overrun: Annotated[float, Ge(0.0), Le(0.05)] = 0.012
     sight: Annotated[float, Gt(0.0), Le(5.0)] = 0.3
+    checked: Annotated[float, Ge(0.0), Le(1.0)] = 0.5
     tolerance: Annotated[float, Gt(0.0), Le(1.0)] = 0.003
     angle_tolerance: Annotated[float, Gt(0.0), Le(6.3)] = 0.015
     wait: Annotated[float, Gt(0.0), Le(600.0)] = 10.0

@@ -37,6 +37,13 @@ def test_a_force_along_gravity_is_a_weight_and_bends_the_mount() -> None:
     assert state.sag[4] == pytest.approx(-12.0 / 2000.0)
 
 
+@pytest.mark.parametrize("broken", [-np.inf, np.inf, np.nan, 1e6])
+def test_a_wrench_that_no_free_tool_has_changes_no_tare(broken: float) -> None:
+    state = hung(wrench(WEIGHT))
+    assert tare.updated(state, wrench(broken), DOWN, NO_PAYLOAD, MOUNT, DT) is state
+    assert tare.updated(state, wrench(WEIGHT, my=broken), DOWN, NO_PAYLOAD, MOUNT, DT) is state
+
+
 @pytest.mark.parametrize("free", [wrench(10.0), wrench(0.0, 60.0), wrench(-60.0)])
 def test_a_bias_is_no_weight(free: Wrench) -> None:
     assert hung(free).sag is None

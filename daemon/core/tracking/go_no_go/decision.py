@@ -16,7 +16,6 @@ from linemate.daemon.core.tracking.task import GuardedApproach
 CLEAR_S = 0.2  # time without a reason after which a waiting tool goes on [s]
 BACK_S = 0.25  # a no-go on the way that lasts longer makes the tool back off to the far gate [s]
 RELEASE_SHARE = 0.85  # of a limit, below which a waiting tool takes it for met
-LEAST_CHECKED_S = 0.5  # images that have checked predictions, before the first go [s]
 STEADY_S = 0.25  # time since a change of class, before the touch [s]
 DEVIATIONS = 3.0  # sigmas of the estimate that must be within the tolerance
 LARGEST_NIS = 16.0  # average normalised innovation squared of a camera
@@ -194,7 +193,7 @@ def find_reasons(
     place, turn = share * guard.tolerance, share * guard.angle_tolerance
     lacking = (
         (Reason.SIGHT, evidence.sight_s > guard.sight),
-        (Reason.UNCHECKED, evidence.checked_s < LEAST_CHECKED_S),
+        (Reason.UNCHECKED, evidence.checked_s < guard.checked),
         (Reason.PREDICTION, evidence.prediction > place),
         (Reason.ANGLE, evidence.angle > turn),
         (Reason.DISTANCE, abs(evidence.distance) > place),
@@ -215,7 +214,7 @@ def describe(reason: Reason, evidence: Evidence, guard: GuardedApproach) -> str:
     whats = {
         Reason.SIGHT: f"no camera pose for {evidence.sight_s:.2f} s, limit {guard.sight:.2f} s",
         Reason.UNCHECKED: (
-            f"predictions checked for {evidence.checked_s:.1f} s, {LEAST_CHECKED_S:.1f} s needed"
+            f"predictions checked for {evidence.checked_s:.1f} s, {guard.checked:.1f} s needed"
         ),
         Reason.PREDICTION: f"prediction error {1e3 * evidence.prediction:.1f} mm, {place}",
         Reason.ANGLE: f"prediction error {1e3 * evidence.angle:.0f} mrad, limit {turn}",

@@ -7,6 +7,7 @@ Invariants:
 - The tare is taken in the approach only, and frozen before the tool can touch.
 - Without a configured payload a wrench that is no bias is a weight: it is along gravity and large.
 - What the wheel weighed is gone when it is released.
+- A wrench that no free tool has does not enter.
 """
 
 import math
@@ -25,6 +26,7 @@ MEAN_S = 0.5  # time constant of the mean wrench [s]; the tool rings at 4 Hz or 
 LEAST_N = 1.5  # a smaller tare is noise, and is not taken off [N]
 WEIGHT_N = 30.0  # along gravity: less may be a bias of the sensor [N]
 SHARE = 0.8  # of a weight's force that is along gravity; a bias has any direction
+LARGEST_SAG = 0.1  # of the mount under a free tool: more is no weight [m, rad]
 RELEASED_S = 0.5  # time constant with which a released wheel's sag leaves the target [s]
 
 
@@ -58,6 +60,10 @@ def updated(
         down: (3,) unit vector of gravity in the tcp.
     """
     raw = np.concatenate((wrench.force, wrench.torque))
+    stiffness = np.array((*mount.stiffness, *mount.rotational_stiffness))
+    bent = np.abs(raw / stiffness)
+    if not (np.isfinite(raw).all() and bent.max() < LARGEST_SAG):
+        return tare
     mean = raw if tare.wrench is None else tare.wrench + (dt / MEAN_S) * (raw - tare.wrench)
     return Tare(mean, _sag(mean, down, payload, mount))
 

@@ -11,7 +11,6 @@ from linemate.daemon.core.tracking.go_no_go.decision import (
     CLEAR_S,
     COUNTED,
     GO,
-    LEAST_CHECKED_S,
     RELEASE_SHARE,
     TODO,
     Evidence,
@@ -43,7 +42,7 @@ GOOD = Evidence(
 )
 BAD = {
     Reason.SIGHT: {"sight_s": GUARD.sight + 0.01},
-    Reason.UNCHECKED: {"checked_s": LEAST_CHECKED_S - 0.01},
+    Reason.UNCHECKED: {"checked_s": GUARD.checked - 0.01},
     Reason.PREDICTION: {"prediction": GUARD.tolerance + 1e-6},
     Reason.ANGLE: {"angle": GUARD.angle_tolerance + 1e-6},
     Reason.DISTANCE: {"distance": -GUARD.tolerance - 1e-6},
@@ -65,6 +64,12 @@ def after(
 def test_good_evidence_gives_no_reason() -> None:
     assert find_reasons(GOOD, GUARD, waiting=False) == ()
     assert find_reasons(GOOD, GUARD, waiting=True) == ()
+
+
+def test_a_task_that_needs_no_checked_prediction_goes_on_without() -> None:
+    evidence = structs.replace(GOOD, checked_s=0.0)
+    assert find_reasons(evidence, GUARD, waiting=False) == (Reason.UNCHECKED,)
+    assert find_reasons(evidence, GuardedApproach(checked=0.0), waiting=False) == ()
 
 
 @pytest.mark.parametrize("reason", Reason)
