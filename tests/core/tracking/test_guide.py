@@ -5,7 +5,8 @@ import math
 import numpy as np
 from msgspec import structs
 
-from linemate.daemon.core.tracking.classifiers.bank_model import BankState
+from linemate.daemon.core.tracking.classifiers import guide
+from linemate.daemon.core.tracking.classifiers.bank_model import STATES, SWAY, BankState
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
 from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, Source
 from linemate.daemon.core.tracking.settings import BankSettings, FusionSettings
@@ -69,3 +70,32 @@ def test_a_confirmed_stop_moves_the_target_at_once() -> None:
     assert state.motion is Motion.STOPPING
     assert np.abs(ahead).max() < 0.0012
     assert abs(ahead[-1]) < 0.0003
+
+
+def swaying(state: BankState) -> BankState:
+    """The state with a sway of 3 mm at 1.7 Hz."""
+    x, P = state.x.copy(), state.P.copy()
+    x[SWAY], P[SWAY, SWAY] = 0.003, 1e-8
+    return structs.replace(state, x=x, P=P, sway_omega=math.tau * 1.7)
+
+
+def test_a_sway_that_is_found_in_contact_does_not_lead_the_target() -> None:
+    before, _ = in_contact(3.0, 0.0)
+    for state in (
+        swaying(before),
+        swaying(structs.replace(before, events=(("stop", "confirmed"),))),
+    ):
+        led = guide.advance(BANK, before, state, (), DT)
+        assert led.guide is not None
+        assert np.abs(led.guide.x[SWAY:STATES]).max() == 0.0
+        later = guide.advance(BANK, led, led, (), DT)
+        assert later.guide is not None
+        assert np.abs(later.guide.x[SWAY:STATES]).max() == 0.0
+
+
+def test_a_sway_that_was_known_before_the_contact_leads_the_target() -> None:
+    before, _ = in_contact(3.0, 0.0)
+    state = swaying(structs.replace(before, guide=None))
+    led = guide.advance(BANK, state, state, (), DT)
+    assert led.guide is not None
+    assert led.guide.x[SWAY] == 0.003

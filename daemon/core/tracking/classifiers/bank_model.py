@@ -63,11 +63,13 @@ class Guide(Struct, frozen=True, eq=False):
 
     Attributes:
         x, P, ripple_factor: as of ``BankState``, without an impulse disturbance.
+        sways: a sway leads that was known before the contact.
     """
 
     x: Array
     P: Array
     ripple_factor: float
+    sways: bool = True
 
 
 class BankState(Struct, frozen=True, eq=False):

@@ -7,7 +7,8 @@ deflection slowly.
 
 Invariants:
 - There is a guide in contact only.
-- An impulse disturbance does not move it; of the sways a slow one that is identified does.
+- An impulse disturbance does not move it; of the sways a slow one that was known before the contact
+  does. One that is found in contact may be what the clamped tool itself drives.
 """
 
 import math
@@ -67,9 +68,9 @@ def advance(
         led = _corrected(model, led, measurement)
     if state.motion is not before.motion:
         led = _in_class(model, state, led)
-    if sway_filter.has_taken_over(before, state):
-        led = _with_sway(state, led)
-    return replace(state, guide=Guide(led.x, led.P, led.ripple_factor))
+    sways = guide.sways and not sway_filter.has_taken_over(before, state)
+    led = led if sways else _without_sway(led)
+    return replace(state, guide=Guide(led.x, led.P, led.ripple_factor, sways))
 
 
 def led_state(state: BankState) -> BankState:
@@ -127,13 +128,12 @@ def _corrected(model: BankModel, led: BankState, measurement: PositionMeasuremen
     return replace(led, x=x, P=led.P - K[:, None].dot(Ph[None]), ripple_factor=factor)
 
 
-def _with_sway(state: BankState, led: BankState) -> BankState:
-    """Return the guide with a sway that the bank has just found."""
+def _without_sway(led: BankState) -> BankState:
+    """Return the guide without a sway."""
     x, P = led.x.copy(), led.P.copy()
-    x[_SWAY] = 0.0 if state.sway_omega > FASTEST else state.x[_SWAY]
+    x[_SWAY] = 0.0
     P[_SWAY, :] = P[:, _SWAY] = 0.0
-    P[_SWAY, _SWAY] = state.P[_SWAY, _SWAY]
-    return replace(led, x=x, P=_unled(state, P))
+    return replace(led, x=x, P=P)
 
 
 def _in_class(model: BankModel, state: BankState, led: BankState) -> BankState:
