@@ -38,7 +38,7 @@ GROWS, RISES, STABLE = "grows", "rises", "stable"
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class BodyCase:
     """One body on one mount."""
 
     cell: Cell
@@ -52,20 +52,20 @@ def cases(
     dampings: Sequence[float] = DAMPINGS,
     masses: Sequence[float] = MASSES,
     frequencies_hz: Sequence[float] = FREQUENCIES_HZ,
-) -> list[Case]:
+) -> list[BodyCase]:
     """Return the cases of one cycle, mount by mount."""
     cells = [Cell(1e-3 * cycle_ms, mount, dead_time=1e-3 * dead_time_ms) for mount in mounts]
     modes = [
         CarMode(mass, frequency_hz, damping)
         for damping, mass, frequency_hz in product(dampings, masses, frequencies_hz)
     ]
-    return [Case(cell, mode) for cell in cells for mode in modes]
+    return [BodyCase(cell, mode) for cell in cells for mode in modes]
 
 
 _approached = lru_cache(maxsize=1)(approached)
 
 
-def measured(case: Case) -> dict[str, Any]:
+def measured(case: BodyCase) -> dict[str, Any]:
     """Return what a case is and what it shows."""
     begun: TwoBodies = _approached(case.cell)
     trace = kicked(begun, case.mode, WINDOWS * WINDOW_S, KICK)
