@@ -81,10 +81,8 @@ def swaying(state: BankState) -> BankState:
 
 def test_a_sway_that_is_found_in_contact_does_not_lead_the_target() -> None:
     before, _ = in_contact(3.0, 0.0)
-    for state in (
-        swaying(before),
-        swaying(structs.replace(before, events=(("stop", "confirmed"),))),
-    ):
+    stops = structs.replace(before, motion=Motion.STOPPING, events=(("stop", "confirmed"),))
+    for state in (swaying(before), swaying(stops)):
         led = guide.advance(BANK, before, state, (), DT)
         assert led.guide is not None
         assert np.abs(led.guide.x[SWAY:STATES]).max() == 0.0
