@@ -229,6 +229,8 @@ def _correct(
     unit = _unit_at(state, now_ns - round(measured.delay * 1e9))
     if is_camera and is_accepted and unit is not None:
         transverse = tracker.transverse.correct_along(transverse, measured, unit)
+    if is_camera and is_accepted:
+        transverse = tracker.transverse.doubted(transverse)
     return transverse, is_accepted
 
 

@@ -139,7 +139,9 @@ def measure_camera(
     if motion is not None:
         sensitivity = np.zeros((6, 4))
         sensitivity[:, 0] = motion
-        sensitivity[:3, 0] += np.cross(motion[3:], position - tcp[:3])
+        # For three floats the products by hand take a tenth of the time of numpy's.
+        (a, b, c), (x, y, z) = motion[3:].tolist(), (position - tcp[:3]).tolist()
+        sensitivity[:3, 0] += (b * z - c * y, c * x - a * z, a * y - b * x)
         sensitivity[:3, 1:] = math.hypot(*sample.position) * R_camera
     delay = (now_ns - sample.exposure_ns) * 1e-9
     return PoseMeasurement(position, rotation, delay, variance, sensitivity)

@@ -330,6 +330,7 @@ def _sensed_poses(
 
 def _part(tracker: Tracker, estimate: TransverseState, along: Array, ahead: Array) -> approach.Part:
     """Return the object at some times from now [s], of which the first is 0."""
+    estimate = tracker.transverse.believed(estimate)
     return approach.Part(
         x=float(estimate.x[0]),
         z=float(estimate.x[1]),

@@ -36,6 +36,7 @@ ALONG_NOISE = 0.0005  # sigma of the unit's position at an exposure [m]
 ALONG_LEAK = 0.1  # share of a rejected innovation by which that offset becomes less certain
 ALONG_GATE = 4.0  # reject an innovation along the conveyor beyond this many sigma
 SPEED_SPAN_S = 0.02  # over which the object's speed is taken [s]
+NONE_ODDS = 4.0  # prior odds that an error of the camera or the conveyor's direction is not there
 LASTING = 20.0  # images over which an unknown error of the camera stays the same
 MOST_REJECTED = 4  # measurements rejected in a row, after which the filter widens
 JUMP = 3.0  # times the gate: beyond it the model is not the cause, and more rejections are needed
@@ -58,6 +59,8 @@ class TransverseState(Struct, frozen=True, eq=False):
         frequency_factors: each swing's frequency over the identified one.
         nis: average normalised innovation squared of the camera's poses.
         speed: of the conveyor in the last step [m/s].
+        doubt: (n,) what ``believed`` adds to x: it takes back errors that may not be there.
+        errors: (4, 4) covariance of the camera's errors with that doubt.
     """
 
     x: Array
@@ -67,6 +70,8 @@ class TransverseState(Struct, frozen=True, eq=False):
     frequency_factors: tuple[float, ...] = ()
     nis: float = 1.0
     speed: float = 0.0
+    doubt: Array | None = None
+    errors: Array | None = None
 
     @property
     def inflation(self) -> float:
@@ -201,7 +206,8 @@ class Transverse:
         F[X, self._slope] = F[Z, self._slope + 1] = speed * dt
         P = F.dot(state.P).dot(F.T)
         P += Q
-        return replace(state, x=F.dot(state.x), P=P, speed=speed)
+        doubt = None if state.doubt is None else F.dot(state.doubt)
+        return replace(state, x=F.dot(state.x), P=P, speed=speed, doubt=doubt)
 
     def _set_frequencies(self, F: Array, state: TransverseState, dt: float) -> Array:
         """Return a copy of A with each swing at its frequency, linearised in that one's error."""
@@ -319,10 +325,54 @@ class Transverse:
         factors = self._corrected(state, x)
         x[TURN:STATIC] = 0.0
         x[self._first_factor :] = 0.0
-        state = replace(
-            state, x=x, P=P, rotation=rotation, rejected=0, frequency_factors=factors, nis=nis
-        )
-        return state, True
+        doubt = None if state.doubt is None else state.doubt - H.dot(state.doubt).dot(K)
+        state = replace(state, x=x, P=P, rotation=rotation, rejected=0, nis=nis, doubt=doubt)
+        return replace(state, frequency_factors=factors), True
+
+    @cached_property
+    def _errors(self) -> tuple[tuple[slice, float], ...]:
+        """Errors that may not be there: where they are in x, and the prior variance of each."""
+        k, c = self._slope, self._camera
+        found = [(slice(k, k + 2), self.fusion.askew**2)]
+        if self.camera is not None:
+            found.append((slice(c, c + 1), self.camera.stamp_offset**2))
+            found.append((slice(c + 1, c + 4), self.camera.bias**2))
+        return tuple([each for each in found if each[1] > 0.0])
+
+    def doubted(self, state: TransverseState) -> TransverseState:
+        """Return the estimate with the errors weighed against none.
+
+        Most cells have no such error, and a state for it costs accuracy. The evidence for none is
+        the ratio of the posterior to the prior density at 0 (Savage and Dickey). The weighted mean
+        of the estimates with and without is what ``believed`` returns.
+        """
+        x, P = state.x.copy(), state.P
+        for where, prior in self._errors:
+            error, rows = x[where], P[where]
+            factor, gain, failed = _solve(rows[:, where], rows)
+            if failed:
+                continue
+            shift = error.dot(gain)
+            shares = factor.diagonal() / math.sqrt(prior)
+            nothing = -0.5 * float(shift[where].dot(_solve(rows[:, where], error)[1]))
+            odds = NONE_ODDS * math.exp(max(nothing, -50.0)) / float(shares.prod())
+            none = odds / (1.0 + odds)
+            x -= none * shift
+            P = P - none * rows.T.dot(gain) + (none * (1.0 - none)) * np.outer(shift, shift)
+        c = slice(self._camera, self._camera + CAMERA - 1)
+        return replace(state, doubt=x - state.x, errors=P[c, c])
+
+    def believed(self, state: TransverseState) -> TransverseState:
+        """Return the estimate for readers: errors count as far as they are likely."""
+        doubt = state.doubt
+        if doubt is None:
+            return state
+        x = state.x + doubt
+        rotation = rotations.exp(doubt[TURN:STATIC]).dot(state.rotation)
+        factors = self._corrected(state, x)
+        x[TURN:STATIC] = 0.0
+        x[self._first_factor :] = 0.0
+        return replace(state, x=x, rotation=rotation, frequency_factors=factors)
 
     def sensitivity(self, state: TransverseState, measured: PoseMeasurement) -> Array | None:
         """Return the change (6, 4) of a measured pose for the camera's errors, None without any.
@@ -389,8 +439,9 @@ class Transverse:
         if sensitivity is None:
             return measured
         k = slice(self._camera, self._camera + CAMERA - 1)
-        error = sensitivity.dot(state.x[k])
-        spread = np.einsum("ij,jk,ik->i", sensitivity, state.P[k, k], sensitivity)
+        error = sensitivity.dot(self.believed(state).x[k])
+        P = state.P[k, k] if state.errors is None else state.errors
+        spread = (sensitivity.dot(P) * sensitivity).sum(axis=1)
         return PoseMeasurement(
             measured.position - error[:3],
             rotations.exp(-error[3:]).dot(measured.rotation),

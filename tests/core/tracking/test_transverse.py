@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from scipy import linalg, stats
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking import transverse
 from linemate.daemon.core.tracking.observation import PoseMeasurement
 from linemate.daemon.core.tracking.settings import CameraNoise, FusionSettings, SwingMode
 from linemate.daemon.core.tracking.transverse import (
@@ -579,6 +581,30 @@ class TestCameraErrors:
         assert np.all(sigmas[1:] < 0.0015)
         assert abs(state.x[0] - 0.1) < 0.0006
         assert abs(state.x[1] - 0.5) < 0.0009
+
+    def test_errors_that_are_not_there_are_mostly_taken_back(self) -> None:
+        state, errors, _ = self.estimate(0.0, (0.0, 0.0, 0.0))
+        believed = self.OWN.believed(self.OWN.doubted(state)).x
+        k = self.OWN._camera
+        assert np.all(np.abs(believed[k : k + 4]) < 0.2 * np.abs(errors))
+
+    def test_an_error_that_is_surely_there_stays_whole(self) -> None:
+        state, errors, _ = self.estimate(0.02, (0.003, -0.002, 0.004))
+        doubted = self.OWN.doubted(state)
+        believed, k = self.OWN.believed(doubted).x, self.OWN._camera
+        assert believed[k : k + 4] == pytest.approx(errors, rel=0.1)
+        assert doubted.errors is not None
+        assert np.diag(doubted.errors) == pytest.approx(np.diag(state.P)[k : k + 4], rel=0.2)
+
+    def test_an_object_without_errors_is_where_a_filter_without_them_has_it(self) -> None:
+        state, _, _ = self.estimate(0.0, (0.0, 0.0, 0.0))
+        with mock.patch.object(transverse, "NONE_ODDS", 1e9):
+            believed = self.OWN.believed(self.OWN.doubted(state))
+        k, n = self.OWN._slope, self.OWN._camera + 4
+        P, x = state.P, state.x
+        gain = np.linalg.solve(P[k:n, k:n], P[k:n])
+        assert believed.x[:2] == pytest.approx((x - x[k:n] @ gain)[:2], abs=1e-7)
+        assert np.all(np.abs(believed.x[k:n]) < 1e-7)
 
     def test_a_tool_at_rest_learns_nothing_of_the_stamp(self) -> None:
         _, errors, sigmas = self.estimate(0.02, (0.0, 0.0, 0.0), moves=False)
