@@ -20,6 +20,9 @@ from linemate.simulators.plants.streams import stream
 RIPPLE_STEP_S = 0.004
 """Grid of the random ripple [s]; the same for every cycle, so that cycles see one conveyor."""
 
+FALSE_SIGNAL_S = 0.5
+"""How long a stop that is none is announced [s]."""
+
 _BLOCK = 512
 
 Array = NDArray[np.float64]
@@ -36,6 +39,8 @@ class ConveyorPlant:
         self._onsets = [segment[0] for segment in self._segments[1:]]
         self._table = np.array(self._segments)
         self._effects = effects = conveyor.effects
+        self._signal = conveyor.stop_signal
+        self._announced = _announced(conveyor)
         self._shaped = shaped_ramps(conveyor)[0] if effects.shapes_ramps else None
         self._chain = self._chain_errors(conveyor, seed)
         self._decay = math.exp(-RIPPLE_STEP_S / self._ripple.correlation_s)
@@ -87,6 +92,14 @@ class ConveyorPlant:
             return self._shaped.motion(times)
         row = self._table[np.searchsorted(np.array(self._onsets), times, side="right")]
         return (*self._nominals(times), row[:, 3])
+
+    def signals(self, t: float) -> int:
+        """What the line's controller sends at scenario time t: the bit of an announced stop."""
+        signal = self._signal
+        if signal.bit is None:
+            return 0
+        is_set = signal.stuck or any(begin <= t < end for begin, end in self._announced)
+        return int(is_set) << signal.bit
 
     @property
     def leaves_line(self) -> bool:
@@ -182,6 +195,19 @@ class ConveyorPlant:
         steps = 0.5 * RIPPLE_STEP_S * (before + speeds)
         self._positions += (self._positions[-1] + np.cumsum(steps)).tolist()
         self._speeds += speeds.tolist()
+
+
+def _announced(conveyor: Conveyor) -> tuple[tuple[float, float], ...]:
+    """From when to when a stop is announced, true or false [s]."""
+    signal = conveyor.stop_signal
+    spans = [(at, at + FALSE_SIGNAL_S) for at in signal.false_s]
+    if not signal.silent:
+        events = applied_events(conveyor)
+        for i, event in enumerate(events):
+            if event.kind == "stop":
+                until = events[i + 1].onset_s if i + 1 < len(events) else math.inf
+                spans.append((event.onset_s - signal.lead_s, until))
+    return tuple(spans)
 
 
 Segment = tuple[float, float, float, float]

@@ -57,8 +57,29 @@ class Ripple:
 
 
 @dataclass(frozen=True, slots=True)
+class StopSignal:
+    """The signal with which the line's controller announces a stop; it may lie.
+
+    A controller of a cycle of 10 to 50 ms sends it; what drive and brake need comes on top.
+
+    Attributes:
+        bit: of the robot controller's inputs; None for a line without the signal.
+        lead_s: time from the signal to the onset of the stop, negative for a late one [s].
+        false_s: scenario times at which it rises without a stop, for 0.5 s [s].
+        stuck: it is always set.
+        silent: it does not announce the stops that take place.
+    """
+
+    bit: int | None = None
+    lead_s: float = 0.0
+    false_s: tuple[float, ...] = ()
+    stuck: bool = False
+    silent: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class Conveyor:
-    """The conveyor unit: nominal speed [m/s], stops and starts, ripple."""
+    """The conveyor unit: nominal speed [m/s], stops and starts, ripple, announced stops."""
 
     nominal_speed: float = 0.106
     events: tuple[ConveyorEvent, ...] = (
@@ -67,6 +88,7 @@ class Conveyor:
     )
     ripple: Ripple = field(default_factory=Ripple)
     effects: ConveyorEffects = field(default_factory=ConveyorEffects)
+    stop_signal: StopSignal = field(default_factory=StopSignal)
 
 
 @dataclass(frozen=True, slots=True)

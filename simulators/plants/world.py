@@ -199,8 +199,8 @@ class World:
         self._contact.order(bits)
 
     def digital_in(self) -> int:
-        """Signals of the tool: bit 0 screws fixed, bit 1 wheel released."""
-        return self._contact.signals
+        """Signals: bit 0 screws fixed, bit 1 wheel released, and the line's if it has one."""
+        return self._contact.signals | self._conveyor.signals(self._now)
 
     def robot_state(self) -> RobotTruth:
         """The robot now, as its encoders say and as it is."""

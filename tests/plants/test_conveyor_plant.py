@@ -11,6 +11,7 @@ from linemate.simulators.plants.scenario import (
     ConveyorEvent,
     Ripple,
     Scenario,
+    StopSignal,
     applied_events,
 )
 
@@ -126,3 +127,16 @@ def test_the_ripple_does_not_depend_on_the_order_of_questions() -> None:
 def test_before_the_run_there_is_no_answer() -> None:
     with pytest.raises(ValueError, match="before the start"):
         plant().at(-2.1)
+
+
+def test_a_stop_is_announced_with_its_lead_until_the_restart() -> None:
+    signal = StopSignal(bit=4, lead_s=0.024, false_s=(2.0,))
+    plant = ConveyorPlant(Conveyor(stop_signal=signal), 0, -2.0)
+    instants = (1.99, 2.1, 2.51, 4.97, 4.98, 8.99, 9.01)
+    assert [plant.signals(t) for t in instants] == [0, 16, 0, 0, 16, 16, 0]
+
+
+def test_a_stuck_signal_is_always_set_and_a_line_without_one_sends_nothing() -> None:
+    stuck = ConveyorPlant(Conveyor(stop_signal=StopSignal(bit=4, stuck=True)), 0, -2.0)
+    assert stuck.signals(0.0) == 16
+    assert ConveyorPlant(Conveyor(), 0, -2.0).signals(6.0) == 0

@@ -93,6 +93,9 @@ class Classifier(Protocol):
     def advance(self, state: Any, measurements: Sequence[PositionMeasurement], dt: float) -> Any:
         """Return the state ``dt`` seconds later, corrected by the measurements of that moment."""
 
+    def announce_stop(self, state: Any) -> Any:
+        """Return the state as the line announces a stop."""
+
     def predict_positions(self, state: Any, times: Array) -> Array:
         """Return the object's positions (m,) along the conveyor at ``times`` from now [s]."""
 

@@ -8,6 +8,7 @@ from msgspec.structs import replace
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.classifiers import stop_input
 from linemate.daemon.core.tracking.conveyor import (
     ConveyorEstimate,
     PositionMeasurement,
@@ -59,6 +60,7 @@ def estimate(
         transverse = tracker.transverse.predict(
             transverse, tracker.cycle_s, seating=seating, speed=state.speed
         )
+    state = _announced(tracker, state, samples)
     raw = mean_wrench(samples.wrench)
     state = _weighed(tracker, state, raw)
     wrench = tare.tared(state.tare, raw)
@@ -99,6 +101,8 @@ def estimate(
         if len(readings) == FIRST_READINGS and max(readings) - min(readings) < FIRST_SPREAD:
             conveyor = tracker.classifier.initial(readings[-1])
     else:
+        if state.announced_s == 0.0:
+            conveyor = tracker.classifier.announce_stop(conveyor)
         conveyor = tracker.classifier.advance(conveyor, rows, tracker.cycle_s)
     view = None if conveyor is None else tracker.classifier.estimate(conveyor)
     state = replace(
@@ -115,6 +119,17 @@ def estimate(
         units=_with_unit(tracker, state, samples.stamp_ns, view),
     )
     return state, view, rejected, wrench
+
+
+def _announced(tracker: Tracker, state: TrackerState, samples: StepSamples) -> TrackerState:
+    """Return the state with a stop that the line announces in this step."""
+    settings = tracker.task.conveyor.stop_input
+    if settings.bit is None or samples.tcp is None:
+        return state
+    age = stop_input.edge_age(
+        settings, state.announced_s + tracker.cycle_s, state.digital_in, samples.digital_in
+    )
+    return replace(state, digital_in=samples.digital_in, announced_s=age)
 
 
 def _weighed(tracker: Tracker, state: TrackerState, raw: Wrench | None) -> TrackerState:

@@ -78,6 +78,26 @@ class Waypoint:
 
 
 @dataclass(frozen=True, slots=True)
+class StopInput:
+    """Digital input on which the line's controller announces a stop of the conveyor.
+
+    A rising edge makes a stop likelier that begins about then. It never confirms one: a bit that
+    is stuck, late or false does no lasting harm. Edges less than 1 s apart count once.
+
+    Attributes:
+        bit: of ``DiL``; bits 0 and 1 are the tool's. None: the line announces nothing.
+        before: the stop begins this long before the edge at the earliest [s].
+        after: the stop begins this long after the edge at the latest [s].
+        weight: log odds that an edge gives a stop, in the prediction alone.
+    """
+
+    bit: Annotated[int, Ge(2), Le(15)] | None = None
+    before: Annotated[float, Ge(0.0), Le(0.5)] = 0.05
+    after: Annotated[float, Ge(0.0), Le(0.5)] = 0.05
+    weight: Annotated[float, Ge(0.0), Le(10.0)] = 4.0
+
+
+@dataclass(frozen=True, slots=True)
 class ConveyorClasses:
     """Classes of the conveyor (Sect. III-B): speed, and accelerations of a stop and a start.
 
@@ -87,6 +107,7 @@ class ConveyorClasses:
         deceleration: nominal deceleration of a stop [m/s^2].
         acceleration: nominal acceleration of a start [m/s^2].
         start_position: reading of the distance sensor at which the task's clock starts [m].
+        stop_input: where the line announces a stop.
     """
 
     axis: Vector3 = (0.0, 1.0, 0.0)
@@ -94,6 +115,7 @@ class ConveyorClasses:
     deceleration: Annotated[float, Ge(0.001), Le(2.0)] = 0.104
     acceleration: Annotated[float, Ge(0.0005), Le(2.0)] = 0.013
     start_position: Annotated[float, Ge(-100.0), Le(100.0)] = 0.0
+    stop_input: StopInput = StopInput()
 
 
 @dataclass(frozen=True, slots=True)

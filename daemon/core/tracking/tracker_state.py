@@ -140,6 +140,9 @@ class TrackerState(Struct, frozen=True, eq=False):
         following: mean of the tcp off its plan, in the tool's axes [m].
         compliance: of a clamped tool: the offset by force from the feed-forward target.
         tare: wrench of the free tool, and the mount's sag under it.
+        digital_in: of the last telegram; before it all set, so that a bit that is set from the
+            beginning has no edge.
+        announced_s: time since the line announced a stop [s].
     """
 
     history: History | None
@@ -178,6 +181,8 @@ class TrackerState(Struct, frozen=True, eq=False):
     following: Vector3 = (0.0, 0.0, 0.0)
     compliance: Compliance = NO_COMPLIANCE
     tare: Tare = NO_TARE
+    digital_in: int = -1
+    announced_s: float = math.inf
 
 
 class Report(Struct, frozen=True, eq=False):

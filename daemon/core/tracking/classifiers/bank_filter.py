@@ -101,6 +101,7 @@ def predict(model: BankModel, state: BankState, dt: float) -> BankState:
         age=state.age + dt,
         class_age=state.class_age + dt,
         impulse_age=state.impulse_age + dt,
+        announced_s=state.announced_s + dt,
         events=(),
     )
     return _end_class(model, state)

@@ -106,6 +106,7 @@ class BankState(Struct, frozen=True, eq=False):
         contact: the force-torque sensor took part in the last step.
         is_keen: it measured the object better than the distance sensor: nothing oscillates.
         guide: leads the target in contact; None without contact.
+        announced_s: time since the line announced a stop [s].
         events: of the last step.
     """
 
@@ -136,6 +137,7 @@ class BankState(Struct, frozen=True, eq=False):
     contact: bool = False
     is_keen: bool = False
     guide: Guide | None = None
+    announced_s: float = math.inf
     events: tuple[tuple[str, str], ...] = ()
 
 

@@ -6,9 +6,16 @@ The prediction acts before a change is confirmed: hypotheses count by their post
 import math
 
 import numpy as np
+from msgspec.structs import replace
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.classifiers import guide, sway_bank, sway_filter
+from linemate.daemon.core.tracking.classifiers import (
+    guide,
+    onset_bank,
+    stop_input,
+    sway_bank,
+    sway_filter,
+)
 from linemate.daemon.core.tracking.classifiers.bank_model import (
     ACCELERATION,
     GAIN,
@@ -61,6 +68,7 @@ def _weighted_estimates(
     model: BankModel, state: BankState
 ) -> list[tuple[float, Array, Motion, float]]:
     """Return weight, estimate (10,), class and impulse frequency of what the prediction mixes."""
+    state = _with_announcement(model, state)
     change, impulse = hypothesis_weights(model, state)
     estimates, rest = [], 1.0
     if change > LEAST_WEIGHT:
@@ -75,6 +83,19 @@ def _weighted_estimates(
     led = guide.led_state(state)
     estimates.append((rest, ramp_estimate(model, led), state.motion, state.impulse_omega))
     return estimates
+
+
+def _with_announcement(model: BankModel, state: BankState) -> BankState:
+    """Return the state with the odds of a stop that the line announces.
+
+    They count for the prediction alone: the sensors must confirm a stop without them.
+    """
+    if state.motion is not Motion.RUNNING or not state.announced_s < stop_input.LATEST_S:
+        return state
+    odds = stop_input.onset_odds(model.conveyor.stop_input, state.announced_s, state.changes.age)
+    if odds is None:
+        return state
+    return replace(state, change=onset_bank.posterior(state.changes, model.change_prior, odds))
 
 
 def ramp_estimate(model: BankModel, state: BankState) -> Array:

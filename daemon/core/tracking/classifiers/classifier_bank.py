@@ -87,6 +87,10 @@ class BankClassifier(BankModel):
         state = sway_filter.follow(self, predicted, state, measurements)
         return guide.advance(self, before, state, measurements, dt)
 
+    def announce_stop(self, state: BankState) -> BankState:
+        """Return the state as the line announces a stop."""
+        return replace(state, announced_s=0.0)
+
     def predict_positions(self, state: BankState, times: Array) -> Array:
         """Return the object's positions (m,) along the conveyor at ``times`` from now [s]."""
         return bank_prediction.predict_positions(self, state, times)

@@ -303,6 +303,10 @@ class ImmClassifier:
             return replace(state, cruise=state.cruise + dt * (speed - state.cruise))
         return state
 
+    def announce_stop(self, state: ImmState) -> ImmState:
+        """Return the state as it is: the sensors alone tell this classifier of a stop."""
+        return state
+
     def predict_positions(self, state: ImmState, times: Array) -> Array:
         """Return positions (m,) at ``times`` from now: the mean over the modes."""
         tau = self.fusion.ripple_time

@@ -382,6 +382,10 @@ class RuleClassifier:
             return replace(state, cruise=state.cruise + dt * (speed - state.cruise))
         return state
 
+    def announce_stop(self, state: RuleState) -> RuleState:
+        """Return the state as it is: the sensors alone tell this classifier of a stop."""
+        return state
+
     def predict_positions(self, state: RuleState, times: Array) -> Array:
         """Return positions (m,) at ``times`` under the class in force, tentative or not."""
         y, v, _ = state.x.tolist()

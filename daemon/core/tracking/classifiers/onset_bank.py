@@ -134,11 +134,19 @@ def likelihood_ratios(bank: OnsetBank, prior: AmplitudePrior) -> tuple[Array, Ar
     return ratio, mean
 
 
-def posterior(bank: OnsetBank, prior: AmplitudePrior) -> OnsetPosterior:
-    """Return the posterior; an empty bank has log odds of -30 and no weights."""
+def posterior(
+    bank: OnsetBank, prior: AmplitudePrior, onset_odds: Array | None = None
+) -> OnsetPosterior:
+    """Return the posterior; an empty bank has log odds of -30 and no weights.
+
+    Args:
+        onset_odds: log odds (m,) of each onset before any reading; None without a difference.
+    """
     if not len(bank):
         return NO_POSTERIOR
     ratios, amplitudes = likelihood_ratios(bank, prior)
+    if onset_odds is not None:
+        ratios += onset_odds
     top = float(ratios[ratios.argmax()])
     raw = np.exp(ratios - top)
     total = float(np.add.reduce(raw))

@@ -1,0 +1,50 @@
+"""What the line announces of a stop: the odds of onsets near the edge, before any reading.
+
+The line's controller knows of a stop before any sensor sees it, but it may lie. So an edge adds
+bounded log odds to the onsets that it allows. They count for the prediction until the readings
+have decided. Whether there is a stop is decided as without it.
+"""
+
+import math
+
+import numpy as np
+
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.task import StopInput
+
+LATEST_S = 0.3  # after an edge in which it counts: by then the readings have decided [s]
+APART_S = 1.0  # between two edges that both count: a bit that chatters announces once
+
+
+def edge_age(settings: StopInput, age: float, was: int, bits: int | None) -> float:
+    """Return the time since the last edge that counts [s].
+
+    Args:
+        age: of the edge before, now [s].
+        was: digital inputs of the step before.
+        bits: digital inputs now; None without a telegram.
+    """
+    if settings.bit is None or bits is None:
+        return age
+    mask = 1 << settings.bit
+    rises = bits & mask and not was & mask
+    return 0.0 if rises and age > APART_S else age
+
+
+def onset_odds(settings: StopInput, edge: float, ages: Array) -> Array | None:
+    """Return the log odds (m,) that the line gives each onset; None if it says nothing of any.
+
+    Args:
+        edge: time since the edge [s].
+        ages: time since each onset (m,) [s].
+    """
+    if not math.isfinite(edge) or not len(ages):
+        return None
+    allowed = np.abs(ages - edge - 0.5 * (settings.before - settings.after)) <= 0.5 * (
+        settings.before + settings.after
+    )
+    count = int(np.count_nonzero(allowed))
+    if not count:
+        return None
+    odds: Array = np.where(allowed, settings.weight - math.log(count), 0.0)
+    return odds

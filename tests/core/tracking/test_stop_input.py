@@ -1,0 +1,41 @@
+"""What an announced stop adds to the odds of its onsets, and which edges count."""
+
+import math
+
+import numpy as np
+import pytest
+
+from linemate.daemon.core.tracking.classifiers import stop_input
+from linemate.daemon.core.tracking.task import StopInput
+
+WIRED = StopInput(bit=4, before=0.05, after=0.03)
+AGES = np.arange(1, 60) * 0.012
+
+
+def test_the_onsets_that_an_edge_allows_share_its_weight() -> None:
+    odds = stop_input.onset_odds(WIRED, 0.2, AGES)
+    assert odds is not None
+    allowed = odds != 0.0
+    assert AGES[allowed].min() >= 0.2 - 0.03
+    assert AGES[allowed].max() <= 0.2 + 0.05
+    assert np.exp(odds[allowed]).sum() == pytest.approx(math.exp(WIRED.weight))
+
+
+def test_without_an_edge_or_an_onset_nothing_is_said() -> None:
+    assert stop_input.onset_odds(WIRED, math.inf, AGES) is None
+    assert stop_input.onset_odds(WIRED, 0.2, np.zeros(0)) is None
+    assert stop_input.onset_odds(WIRED, 5.0, AGES) is None
+
+
+def test_only_a_rising_edge_counts() -> None:
+    assert stop_input.edge_age(WIRED, math.inf, 0, 16) == 0.0
+    assert stop_input.edge_age(WIRED, math.inf, 16, 16) == math.inf
+    assert stop_input.edge_age(WIRED, math.inf, -1, 16) == math.inf, "set from the beginning"
+    assert stop_input.edge_age(WIRED, math.inf, 16, 0) == math.inf
+    assert stop_input.edge_age(WIRED, math.inf, 0, 3) == math.inf, "the tool's bits"
+
+
+def test_a_bit_that_chatters_or_is_not_wired_announces_nothing_more() -> None:
+    assert stop_input.edge_age(WIRED, 0.4, 0, 16) == 0.4
+    assert stop_input.edge_age(StopInput(), math.inf, 0, 16) == math.inf
+    assert stop_input.edge_age(WIRED, 2.0, 0, None) == 2.0
