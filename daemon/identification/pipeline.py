@@ -30,6 +30,7 @@ from linemate.daemon.identification.outcome import Estimate, Outcome, ReportLine
 from linemate.daemon.identification.ring_down import ModeResult, identify_modes
 from linemate.daemon.identification.scene_fit import Views
 from linemate.daemon.identification.servo_models import ServoResult, identify_servos
+from linemate.daemon.identification.stops import conveyor_ramps, sway
 from linemate.daemon.identification.swing import SwingResult, identify_swings
 from linemate.daemon.identification.trace import Trace, TraceStep, build_trace
 from linemate.daemon.recording.step_codec import StepRecord
@@ -117,7 +118,12 @@ def identify(recordings: Sequence[Recorded]) -> Identified:
     )
     start = cell.task.conveyor.start_position
     offset = identify_offset(fit, seen, bodies, start, float(origin[1]))
+    delay = cell.tracking.distance.delay
+    swayed = sway.identify_sway(fit, seen, bodies, traces, camera, delay)
     overlay, kept = _overlay(cell, servos, modes, swings, vision, noise)
+    if swayed.settings:
+        found = {name: _digits(value) for name, value in swayed.settings.items()}
+        overlay.setdefault("tracking", {})["sway"] = found
     if windup.axes:
         overlay.setdefault("control", {})["windup"] = [_plain(axis) for axis in windup.axes]
     findings = (
@@ -125,6 +131,8 @@ def identify(recordings: Sequence[Recorded]) -> Identified:
         *_windup_findings(windup),
         *_mode_findings(modes),
         *_swing_findings(swings),
+        *sway.findings(swayed),
+        *conveyor_ramps.findings(conveyor_ramps.identify_ramps(traces, delay)),
         *_camera_findings(vision),
         *_noise_findings(noise, cell.tracking),
         *_offset_findings(offset, labels),

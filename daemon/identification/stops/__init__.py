@@ -1,0 +1,1 @@
+"""What recorded stops and starts tell: ramps of the conveyor, and sway of the body."""

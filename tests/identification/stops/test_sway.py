@@ -1,0 +1,145 @@
+"""Sway of the body from seen stops: true within its deviation, bounded, or refused."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from traces import CAMERA, CYCLE_S, trace
+
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.settings import CameraNoise
+from linemate.daemon.identification import scene_fit
+from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
+from linemate.daemon.identification.stops import sway
+from linemate.daemon.identification.stops.sway import SwayResult, findings, identify_sway
+from linemate.daemon.identification.swing import find_swings
+from linemate.daemon.identification.trace import Images, Trace
+
+SPEED = 0.106
+RAMPS = ((6.0, -0.104), (14.0, 0.104), (22.0, -0.104))
+SECONDS = 30.0
+
+
+@dataclass(frozen=True)
+class Body:
+    """A body on a conveyor that stops and starts, as it really is."""
+
+    frequency_hz: float = 1.2
+    gain: float = 1.0
+    damping: float = 0.02
+    lateral: float = 0.4e-3
+    stamp_error: float = 0.004
+    ramps: tuple[tuple[float, float], ...] = RAMPS
+    seed: int = 0
+
+
+def acceleration(body: Body, t: float) -> float:
+    return sum(a for begin, a in body.ramps if begin <= t < begin + SPEED / abs(a))
+
+
+def moved(body: Body, times: Array) -> tuple[Array, Array]:
+    """Position of the unit and sway of the body (n,) at times, integrated step by step."""
+    w = 2.0 * math.pi * body.frequency_hz
+
+    def rates(t: float, y: Array) -> list[float]:
+        a = acceleration(body, t)
+        force = -body.gain * a - 2.0 * body.damping * w * y[3] - w * w * y[2]
+        return [y[1], a, y[3], force]
+
+    found = solve_ivp(rates, (0.0, SECONDS + 1.0), (0.0, SPEED, 0.0, 0.0),
+                      max_step=0.02, dense_output=True).sol(times)  # fmt: skip
+    return found[0], found[2]
+
+
+def recorded(body: Body) -> Trace:
+    """A camera that stands before the conveyor's path, and a distance sensor."""
+    rng = np.random.default_rng(body.seed)
+    exposures = np.arange(0.2, SECONDS, 0.025)
+    unit, swayed = moved(body, exposures + body.stamp_error)
+    place = np.column_stack((0.0 * unit, unit + swayed, 0.5 + 0.0 * unit))
+    deviations = np.tile((body.lateral, body.lateral, 2.0 * body.lateral, 1e-3, 1e-3, 1e-3),
+                         (len(unit), 1))  # fmt: skip
+    tcp = np.zeros((round((SECONDS + 1.0) / CYCLE_S), 6))
+    images = Images(
+        exposures,
+        exposures + 0.1,
+        place - CAMERA[0] + deviations[:, :3] * rng.normal(size=(len(unit), 3)),
+        np.tile(np.eye(3), (len(unit), 1, 1)),
+        deviations,
+    )
+    stamps = np.arange(0.0, SECONDS + 1.0, CYCLE_S)
+    readings = np.round(moved(body, stamps)[0] + 0.3e-3 * rng.normal(size=len(stamps)), 3)
+    return trace(tcp=tcp, images=images, distances=np.column_stack((stamps, readings)))
+
+
+def identified(*traces: Trace) -> SwayResult:
+    per_trace = [scene_fit.views(each, CAMERA, CameraNoise()) for each in traces]
+    seen = [view for views in per_trace for view in views]
+    bodies = [i for i, views in enumerate(per_trace) for _ in views]
+    return identify_sway(find_swings(seen, CAMERA), seen, bodies, traces, CAMERA, 0.0)
+
+
+def within(outcome: Outcome, true: float, times: float = 4.0) -> bool:
+    assert isinstance(outcome, Estimate), outcome
+    assert outcome.deviation > 0.0
+    return abs(outcome.value - true) <= times * outcome.deviation
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        Body(),
+        Body(frequency_hz=0.8, gain=0.6, damping=0.01, seed=1),
+        Body(frequency_hz=1.7, gain=1.0, damping=0.03, seed=2),
+    ],
+)
+def test_a_planted_sway_is_found_within_its_deviations(body: Body) -> None:
+    result = identified(recorded(body))
+    assert within(result.frequency_hz, body.frequency_hz)
+    assert within(result.gain, body.gain)
+    assert within(result.damping, body.damping)
+    assert isinstance(result.frequency_hz, Estimate)
+    assert isinstance(result.gain, Estimate)
+    assert result.frequency_hz.deviation < 0.02 * body.frequency_hz
+    assert result.gain.deviation < 0.15
+    assert result.settings["frequency_hz"] == result.frequency_hz.value
+    assert result.settings["gain_deviation"] >= result.gain.deviation
+
+
+def test_another_sway_than_the_planted_one_is_noticed() -> None:
+    result = identified(recorded(Body()))
+    assert not within(result.frequency_hz, 1.3)
+    assert not within(result.gain, 0.4)
+
+
+def test_a_stop_that_shows_no_sway_bounds_its_gain() -> None:
+    result = identified(recorded(Body(gain=0.0)))
+    assert not result.settings
+    assert isinstance(result.frequency_hz, Refusal)
+    assert "none from" in result.frequency_hz.reason
+    assert isinstance(result.gain, Estimate)
+    assert result.gain.value == 0.0
+    assert 0.0 < result.gain.deviation <= sway.GAIN_DEVIATION
+    assert [line.name for line in findings(result)] == ["sway frequency", "sway gain"]
+
+
+def test_a_conveyor_that_never_stops_tells_of_no_sway() -> None:
+    result = identified(recorded(Body(ramps=())))
+    assert not result.settings
+    assert isinstance(result.gain, Refusal)
+    assert "no stop and no start" in result.gain.reason
+
+
+def test_a_stop_that_the_camera_does_not_see_is_refused() -> None:
+    whole = recorded(Body(ramps=RAMPS[:1]))
+    late = whole.images.exposures > 16.0
+    images = Images(*(getattr(whole.images, name)[late] for name in Images.__slots__))
+    result = identified(replace(whole, images=images))
+    assert isinstance(result.gain, Refusal)
+    assert "while the camera sees" in result.gain.reason
+
+
+def test_a_camera_too_noisy_for_the_sway_gives_no_settings() -> None:
+    assert not identified(recorded(Body(gain=0.05, lateral=3e-3))).settings
