@@ -11,7 +11,7 @@ from linemate.simulators.plants.scenario import Fault
 
 HELD_S = 1.45
 PLANS: dict[str, FaultPlan] = {
-    "camera-30-mm-off": FaultPlan(4),
+    "camera-30-mm-off": FaultPlan(4, duration_s=2.6),
     "coasting-3-s": FaultPlan(4, faults=(Fault(HELD_S, "force_torque", "silence", 0.5),)),
     "wrench-never-stale": FaultPlan(4, faults=(Fault(HELD_S, "force_torque", "silence", 0.5),)),
     "position-never-stale": FaultPlan(
