@@ -109,8 +109,8 @@ def deny(
         return None
     ramp = Ramp(check.braked + check.age, check.braking) if check.braking else None
     change = LEAST_SHARE * check.acceleration - check.braking
-    said = distance_check.log_odds(readings, onset, change, rest_deviation, deviation, ramp)
-    if said is None or said > DENIED:
+    odds = distance_check.log_odds(readings, onset, change, rest_deviation, deviation, ramp)
+    if odds is None or odds > DENIED:
         return None
     speed = None if ramp is None else distance_check.speed_now(readings, ramp, deviation)
     if speed is None or speed <= 0.0:
