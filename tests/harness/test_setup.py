@@ -68,3 +68,14 @@ def test_an_unknown_variant_names_those_that_there_are() -> None:
 
 def test_the_cycle_on_the_command_line_is_the_plants() -> None:
     assert setup.make("wheel", cycle_ms=4).scenario.cycle_s == 0.004
+
+
+def test_a_stiff_hanger_is_stated_only_where_the_body_does_not_sway() -> None:
+    sway = "scenario.body.carrier=[{frequency_hz: 0.62, damping: 0.02}]"
+    assert not setup.make("wheel").tracking.sway.look
+    assert not setup.make("quiet").tracking.sway.look
+    assert setup.make("wheel", [sway]).tracking.sway.look
+    assert setup.make("world/sway-1.0hz").tracking.sway.look
+    assert setup.make("world/swing-along-1.2hz").tracking.sway.look
+    assert setup.make("plant-floor").tracking.sway.look
+    assert not setup.make("wheel", [sway, "tracking.sway.look=false"]).tracking.sway.look

@@ -313,6 +313,8 @@ class SwaySettings:
         memory: time constant of what is remembered of it [s].
         unseen: one sigma of the gain of a sway that is not known, while no sensor sees the body
             after a stop or a start; go or no-go counts it. 0: an unknown sway is no reason to wait.
+        look: after a stop or a start that the camera has not seen, the tool backs off and looks at
+            the object before it goes on, unless its sway is known. False: its hanger is stiff.
         found: log odds at which a sway counts as found.
         least: amplitude from which it is followed [m].
         contact_least: the same in contact, where the force-torque sensor sees it [m].
@@ -330,6 +332,7 @@ class SwaySettings:
     step: Annotated[float, Ge(0.01), Le(0.5)] = 0.1
     memory: Constant = 4.0
     unseen: Annotated[float, Ge(0.0), Le(2.0)] = 0.0
+    look: bool = True
     found: LogOdds = 8.0
     least: Length = 0.0003
     contact_least: Length = 0.0001

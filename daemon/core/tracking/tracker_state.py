@@ -137,6 +137,11 @@ class TrackerState(Struct, frozen=True, eq=False):
         monitor: past predictions of the object and their errors.
         motion: class of the conveyor in the last step.
         steady_s: time since it changed [s].
+        looked_s: for how long the camera has seen the object since then [s]; infinity if it never
+            changed.
+        look_ns: exposure of the last image that counts in it [ns].
+        look_seen: acceleration of the strongest change whose effect on the object the camera has
+            seen for long enough [m/s^2].
         following: mean of the tcp off its plan, in the tool's axes [m].
         compliance: of a clamped tool: the offset by force from the feed-forward target.
         tare: wrench of the free tool, and the mount's sag under it.
@@ -178,6 +183,9 @@ class TrackerState(Struct, frozen=True, eq=False):
     monitor: PredictionMonitor = NO_PREDICTIONS
     motion: Motion = Motion.RUNNING
     steady_s: float = 0.0
+    looked_s: float = math.inf
+    look_ns: int | None = None
+    look_seen: float = 0.0
     following: Vector3 = (0.0, 0.0, 0.0)
     compliance: Compliance = NO_COMPLIANCE
     tare: Tare = NO_TARE

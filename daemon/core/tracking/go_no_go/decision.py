@@ -3,10 +3,14 @@
 Invariants:
 - Pure. Reasons and zone alone decide; values only enter the reasons.
 - After a no-go the way is free only when no reason has held for ``CLEAR_S``.
-- Near the object the tool stands and does not back off: a clamp may have closed there.
+- Where a clamp may have closed the tool stands and does not back off.
+- A tool that backs off does so up to the far gate: turning back midway excites it, and a force of
+  its own inertia looks like a touch.
+- A change of class that no image has shown makes the tool back off at once: it has to look.
 - In the final zone the decision is over: the touch has begun.
 """
 
+import math
 from enum import StrEnum
 
 from msgspec import Struct
@@ -16,6 +20,7 @@ from linemate.daemon.core.tracking.task import GuardedApproach
 CLEAR_S = 0.2  # time without a reason after which a waiting tool goes on [s]
 BACK_S = 0.25  # a no-go on the way that lasts longer makes the tool back off to the far gate [s]
 RELEASE_SHARE = 0.85  # of a limit, below which a waiting tool takes it for met
+LOOK_S = 0.6  # images of the object after a change of class, before the touch [s]
 STEADY_S = 0.25  # time since a change of class, before the touch [s]
 DEVIATIONS = 3.0  # sigmas of the estimate that must be within the tolerance
 LARGEST_NIS = 16.0  # average normalised innovation squared of a camera
@@ -53,6 +58,7 @@ class Reason(StrEnum):
     INNOVATION = "innovation"
     FOLLOWING = "following"
     CHANGE = "change"
+    UNSEEN = "unseen"
 
 
 _ALWAYS = frozenset(
@@ -63,6 +69,7 @@ _ALWAYS = frozenset(
         Reason.COVARIANCE,
         Reason.INNOVATION,
         Reason.FOLLOWING,
+        Reason.UNSEEN,
     }
 )
 
@@ -86,6 +93,7 @@ TODO: dict[Reason, str] = {
     Reason.INNOVATION: "Check the camera's noise settings and calibration.",
     Reason.FOLLOWING: "Check the drives and the servo models.",
     Reason.CHANGE: "Wait for the conveyor.",
+    Reason.UNSEEN: "Wait, or identify tracking.sway; tracking.sway.look is for a stiff hanger.",
 }
 
 
@@ -106,6 +114,8 @@ class Evidence(Struct, frozen=True):
         following: mean distance of the tcp from its plan [m].
         tentative: a change of the conveyor's class is tentative.
         steady_s: time since the last change of class was confirmed [s].
+        looked_s: for how long the camera has seen the object since a change of class whose sway
+            is not known; infinity without one [s].
     """
 
     sight_s: float
@@ -120,6 +130,7 @@ class Evidence(Struct, frozen=True):
     following: float
     tentative: bool
     steady_s: float
+    looked_s: float = math.inf
 
 
 class GoState(Struct, frozen=True):
@@ -158,17 +169,19 @@ def next_state(
     Args:
         reasons: that hold now; those that do not count in the zone are left out here.
         stands: the tool is at the far gate, so that a no-go makes it wait.
-        may_back: the tool is far enough from the object to back off.
+        may_back: no clamp can have closed on the object.
     """
     counted = tuple(reason for reason in reasons if reason in COUNTED[zone])
     if zone is Zone.FINAL or (not counted and state.order is Order.GO):
         return _gone(state)
     clear_s = 0.0 if counted else state.clear_s + dt
-    if clear_s >= CLEAR_S:
+    is_returning = state.order is Order.BACK and zone is not Zone.FAR and may_back
+    if clear_s >= CLEAR_S and not is_returning:
         return _gone(state)
     lasted_s = 0.0 if state.order is Order.GO else state.lasted_s + dt
     order = Order.STAND
-    if zone is not Zone.FAR and may_back and (state.order is Order.BACK or lasted_s >= BACK_S):
+    is_late = state.order is Order.BACK or lasted_s >= BACK_S or Reason.UNSEEN in counted
+    if zone is not Zone.FAR and may_back and is_late:
         order = Order.BACK
     waits = stands or zone is not Zone.FAR
     waited_s = state.waited_s + dt if waits else state.waited_s
@@ -204,6 +217,7 @@ def find_reasons(
         (Reason.INNOVATION, evidence.nis > LARGEST_NIS or evidence.rejected >= REJECTED),
         (Reason.FOLLOWING, evidence.following > place),
         (Reason.CHANGE, evidence.tentative or evidence.steady_s < STEADY_S),
+        (Reason.UNSEEN, evidence.looked_s < LOOK_S),
     )
     return tuple([reason for reason, holds in lacking if holds])
 
@@ -231,5 +245,9 @@ def describe(reason: Reason, evidence: Evidence, guard: GuardedApproach) -> str:
         ),
         Reason.FOLLOWING: f"the tcp is {1e3 * evidence.following:.1f} mm off its plan, {place}",
         Reason.CHANGE: "the conveyor's motion is changing",
+        Reason.UNSEEN: (
+            f"object seen for {evidence.looked_s:.1f} s since the conveyor's motion changed, "
+            f"{LOOK_S:.1f} s needed"
+        ),
     }
     return f"{whats[reason]}. {TODO[reason]}"

@@ -19,7 +19,8 @@ from linemate.daemon.core.tracking.transverse import STATIC, TURN, X
 
 EVALUATED_S = 0.6  # before the far gate the decision begins: longer than the horizon [s]
 FOLLOWING_S = 0.2  # time constant of the mean following error [s]
-NEAREST_BACK = 0.005  # a tool nearer than this to the object does not back off [m]
+LONGEST_SPACING_S = 0.1  # between two images of a camera that sees the object [s]
+NEAREST_BACK = 0.005  # a tool that feels nothing backs off only from farther away [m]
 _ENDS = {Motion.STANDING: Motion.STOPPING, Motion.RUNNING: Motion.STARTING}
 
 
@@ -56,8 +57,8 @@ def _compare_distances(
     for sample in samples.distance:
         row = distance_measurement(tracker, samples.stamp_ns, sample)
         stamp_ns = samples.stamp_ns - round(row.delay * 1e9)
-        # The sensor sees the conveyor unit, and the object sways against it.
-        position = row.value - view.offset + view.sway
+        # The sensor sees the conveyor unit, and the prediction is kept without the object's sway.
+        position = row.value - view.offset
         monitor = prediction_error.compare_distance(monitor, stamp_ns, position, tracker.cycle_s)
     return state if monitor is state.monitor else replace(state, monitor=monitor)
 
@@ -66,7 +67,7 @@ def decide(
     tracker: Tracker, state: TrackerState, view: ConveyorEstimate | None, samples: StepSamples
 ) -> TrackerState:
     """Return the state with go or no-go decided for this step."""
-    state = _note_class(tracker, state, view)
+    state = _note_look(tracker, _note_class(tracker, state, view), state)
     state = _note_following(tracker, state)
     if not is_evaluated(tracker, state):
         return state if state.go is decision.GO else replace(state, go=decision.GO)
@@ -86,11 +87,17 @@ def decide(
         where,
         tracker.cycle_s,
         stands=state.time >= last_step(tracker.sight_time, tracker.cycle_s),
-        may_back=state.distance < -NEAREST_BACK,
+        may_back=_may_back(state),
     )
     if reasons and go.reasons:
         go = replace(go, text=decision.describe(go.reasons[0], evidence, guard))
     return state if go is before else replace(state, go=go)
+
+
+def _may_back(state: TrackerState) -> bool:
+    """Return whether no clamp can have closed: the tool is too far off, or has felt no touch."""
+    felt = state.contact_state
+    return state.distance < -NEAREST_BACK or (bool(felt.forces) and not felt.touches)
 
 
 def waiting(tracker: Tracker, state: TrackerState) -> str | None:
@@ -121,6 +128,7 @@ def gather(tracker: Tracker, state: TrackerState, view: ConveyorEstimate, now_ns
         following=math.hypot(x, y),
         tentative=view.tentative,
         steady_s=state.steady_s,
+        looked_s=state.looked_s if is_look_due(tracker, state, view) else math.inf,
     )
 
 
@@ -162,8 +170,40 @@ def _note_class(
     has_changed = view.motion is not state.motion and not is_end
     if has_changed or ("push", "confirmed") in view.events:
         monitor = prediction_error.forget(state.monitor)
-        return replace(state, motion=view.motion, steady_s=0.0, monitor=monitor)
+        looked_s = 0.0 if has_changed else state.looked_s
+        return replace(state, motion=view.motion, steady_s=0.0, monitor=monitor, looked_s=looked_s)
     return replace(state, motion=view.motion, steady_s=state.steady_s + tracker.cycle_s)
+
+
+def _note_look(tracker: Tracker, state: TrackerState, before: TrackerState) -> TrackerState:
+    """Return the state with the time for which the camera has seen what a change of class does.
+
+    Args:
+        before: the state with the class of the last step; its images are those up to this step.
+    """
+    now, last = state.pose_ns, state.look_ns
+    if now is None or now == last:
+        return state
+    spacing = 0.0 if last is None else min((now - last) * 1e-9, LONGEST_SPACING_S)
+    looked_s = state.looked_s if state.looked_s < before.looked_s else state.looked_s + spacing
+    look_seen = state.look_seen
+    if decision.LOOK_S <= looked_s < math.inf:
+        look_seen = max(look_seen, _acceleration(tracker, state))
+    return replace(state, look_ns=now, looked_s=looked_s, look_seen=look_seen)
+
+
+def _acceleration(tracker: Tracker, state: TrackerState) -> float:
+    """Return the nominal size of the last change's acceleration [m/s^2]."""
+    conveyor = tracker.task.conveyor
+    stops = state.motion in {Motion.STOPPING, Motion.STANDING}
+    return conveyor.deceleration if stops else conveyor.acceleration
+
+
+def is_look_due(tracker: Tracker, state: TrackerState, view: ConveyorEstimate) -> bool:
+    """Return whether a change of class has to be seen: what it does to the object is not known."""
+    if view.sway_known or not tracker.settings.sway.look:
+        return False
+    return _acceleration(tracker, state) > state.look_seen
 
 
 def _note_following(tracker: Tracker, state: TrackerState) -> TrackerState:

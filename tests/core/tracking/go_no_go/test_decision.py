@@ -11,6 +11,7 @@ from linemate.daemon.core.tracking.go_no_go.decision import (
     CLEAR_S,
     COUNTED,
     GO,
+    LOOK_S,
     RELEASE_SHARE,
     TODO,
     Evidence,
@@ -50,6 +51,7 @@ BAD = {
     Reason.INNOVATION: {"rejected": 4},
     Reason.FOLLOWING: {"following": GUARD.tolerance + 1e-6},
     Reason.CHANGE: {"tentative": True},
+    Reason.UNSEEN: {"looked_s": LOOK_S - 0.01},
 }
 
 
@@ -94,7 +96,9 @@ def test_the_whole_table_decides(
     if zone is Zone.FINAL:
         assert new.order is Order.GO
     elif order is Order.GO:
-        assert new.order is (Order.STAND if counts else Order.GO)
+        backs = zone is not Zone.FAR and may_back and reasons == (Reason.UNSEEN,)
+        stops = Order.BACK if backs else Order.STAND
+        assert new.order is (stops if counts else Order.GO)
     else:
         backs = zone is not Zone.FAR and may_back
         assert new.order is (Order.BACK if backs else Order.STAND)
@@ -147,3 +151,17 @@ def test_a_no_go_before_the_gate_is_no_waiting_yet() -> None:
     state = next_state(GO, (Reason.ANGLE,), Zone.FAR, T0, stands=False, may_back=True)
     assert state.order is Order.STAND
     assert state.waited_s == 0.0
+
+
+def test_a_tool_that_backs_off_does_not_turn_back_before_the_far_gate() -> None:
+    state = after(GO, (Reason.DISTANCE,), Zone.MIDDLE, BACK_S + 2 * T0)
+    assert state.order is Order.BACK
+    state = after(state, (), Zone.MIDDLE, 3 * CLEAR_S)
+    assert state.order is Order.BACK
+    assert after(state, (), Zone.FAR, T0).order is Order.GO
+
+
+def test_an_unseen_change_makes_the_tool_back_off_at_once() -> None:
+    assert after(GO, (Reason.UNSEEN,), Zone.CLOSE, T0).order is Order.BACK
+    assert after(GO, (Reason.UNSEEN,), Zone.CLOSE, T0, may_back=False).order is Order.STAND
+    assert after(GO, (Reason.UNSEEN,), Zone.FAR, 2.0).order is Order.STAND
