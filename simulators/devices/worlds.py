@@ -3,7 +3,7 @@
 from importlib.util import find_spec
 
 from linemate.simulators.devices.emulated_world import EmulatedWorld
-from linemate.simulators.mujoco_world.mujoco_cell import MujocoCell, Ramp, RunOrder
+from linemate.simulators.mujoco_world.mujoco_cell import DrivenRamp, MujocoCell, RunOrder
 from linemate.simulators.plants.scenario import Scenario
 from linemate.simulators.plants.world import World
 
@@ -53,7 +53,7 @@ def order_of(scenario: Scenario) -> RunOrder:
         start=scenario.robot.start,
         nominal_speed=scenario.conveyor.nominal_speed,
         ramps=tuple(
-            Ramp(event.onset_s, event.kind == "start", abs(event.acceleration))
+            DrivenRamp(event.onset_s, event.kind == "start", abs(event.acceleration))
             for event in scenario.events
         ),
         hub=scenario.body.nominal,

@@ -21,7 +21,14 @@ import numpy as np
 
 from linemate.simulators.judge.table import aligned
 from linemate.simulators.lab.campaign import progress_bar, spread
-from linemate.simulators.lab.two_bodies import CarMode, Cell, Trace, TwoBodies, approached, kicked
+from linemate.simulators.lab.two_bodies import (
+    CarMode,
+    ContactTrace,
+    TwoBodies,
+    TwoBodyCell,
+    approached,
+    kicked,
+)
 
 MASSES = (100.0, 300.0, 1000.0, 2000.0)  # modal [kg]
 FREQUENCIES_HZ = (0.5, 1.0, 2.0, 3.0, 4.7, 6.0, 8.0, 10.0)  # of the body without the tool
@@ -41,7 +48,7 @@ GROWS, RISES, STABLE = "grows", "rises", "stable"
 class BodyCase:
     """One body on one mount."""
 
-    cell: Cell
+    cell: TwoBodyCell
     mode: CarMode
 
 
@@ -54,7 +61,7 @@ def cases(
     frequencies_hz: Sequence[float] = FREQUENCIES_HZ,
 ) -> list[BodyCase]:
     """Return the cases of one cycle, mount by mount."""
-    cells = [Cell(1e-3 * cycle_ms, mount, dead_time=1e-3 * dead_time_ms) for mount in mounts]
+    cells = [TwoBodyCell(1e-3 * cycle_ms, mount, dead_time=1e-3 * dead_time_ms) for mount in mounts]
     modes = [
         CarMode(mass, frequency_hz, damping)
         for damping, mass, frequency_hz in product(dampings, masses, frequencies_hz)
@@ -78,7 +85,7 @@ def measured(case: BodyCase) -> dict[str, Any]:
     }
 
 
-def figures(trace: Trace, cycle_s: float) -> dict[str, Any]:
+def figures(trace: ContactTrace, cycle_s: float) -> dict[str, Any]:
     """Return amplitudes window by window, largest force and energy, and how it ends."""
     length = round(WINDOW_S / cycle_s)
     amplitudes = [

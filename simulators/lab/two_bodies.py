@@ -41,7 +41,7 @@ GRAIN = 0.001  # quantisation of the distance sensor [m]
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
+class TwoBodyCell:
     """What the daemon is built for.
 
     Attributes:
@@ -75,7 +75,7 @@ class CarMode:
 
 
 @dataclass(frozen=True, slots=True)
-class Trace:
+class ContactTrace:
     """One case after its kick, a row a cycle.
 
     Attributes:
@@ -93,7 +93,7 @@ class Trace:
     events: tuple[tuple[float, str], ...]
 
 
-def _parameters(cell: Cell, made: Setup) -> Parameters:
+def _parameters(cell: TwoBodyCell, made: Setup) -> Parameters:
     """Return the parameters of a cell: servos and mount as the daemon has them configured."""
     stiffness = (cell.configured * cell.mount,) * 3
     tracking = replace(made.tracking, tactile=replace(made.tracking.tactile, stiffness=stiffness))
@@ -108,7 +108,7 @@ def _parameters(cell: Cell, made: Setup) -> Parameters:
 class Servos:
     """Each axis: setpoints interpolated over a cycle, dead time, second-order response."""
 
-    def __init__(self, parameters: Parameters, cell: Cell, joints: Array) -> None:
+    def __init__(self, parameters: Parameters, cell: TwoBodyCell, joints: Array) -> None:
         servos = parameters.settings.servos[: len(joints)]
         self._omega = np.array([math.tau * servo.frequency_hz for servo in servos])
         self._damping = np.array([servo.damping for servo in servos])
@@ -137,7 +137,7 @@ class Servos:
 class TwoBodies:
     """The loop, cycle by cycle."""
 
-    def __init__(self, cell: Cell, seed: int = 0) -> None:
+    def __init__(self, cell: TwoBodyCell, seed: int = 0) -> None:
         self.cell, self._parameters = cell, _parameters(cell, identified())
         self.noise = np.random.default_rng(seed)
         self._arm = self._parameters.controller.arm
@@ -306,7 +306,7 @@ class TwoBodies:
         return tuple(arrived)
 
 
-def approached(cell: Cell, settled_s: float = 1.2, limit_s: float = 20.0) -> TwoBodies:
+def approached(cell: TwoBodyCell, settled_s: float = 1.2, limit_s: float = 20.0) -> TwoBodies:
     """Return a loop whose tool has been in contact with a rigid body for a while.
 
     Raises:
@@ -321,7 +321,9 @@ def approached(cell: Cell, settled_s: float = 1.2, limit_s: float = 20.0) -> Two
     return loop
 
 
-def kicked(begun: TwoBodies, mode: CarMode, seconds: float, amplitude: float = 0.001) -> Trace:
+def kicked(
+    begun: TwoBodies, mode: CarMode, seconds: float, amplitude: float = 0.001
+) -> ContactTrace:
     """Return what follows a kick of a body that gives way.
 
     Args:
@@ -339,4 +341,4 @@ def kicked(begun: TwoBodies, mode: CarMode, seconds: float, amplitude: float = 0
         if math.hypot(*loop.force.tolist()) > 2000.0:
             break
     table = np.array(rows)
-    return Trace(table[:, 0], table[:, 1:4], table[:, 4:7], table[:, 7], tuple(events))
+    return ContactTrace(table[:, 0], table[:, 1:4], table[:, 4:7], table[:, 7], tuple(events))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from linemate.simulators.mujoco_world.frame_poses import Array
-from linemate.simulators.mujoco_world.mujoco_cell import Line, Ramp, RunOrder, known
+from linemate.simulators.mujoco_world.mujoco_cell import DrivenRamp, Line, RunOrder, known
 
 WANDER_HZ = (0.07, 0.19, 0.43)
 """Frequencies of the slow variation of the speed."""
@@ -50,7 +50,7 @@ def profile(line: Line, order: RunOrder, step_s: float, count: int) -> Profile:
     return Profile(moved - nominal * order.lead_in_s, speed, np.gradient(speed, step_s))
 
 
-def _straight(times: Array, nominal: float, ramps: tuple[Ramp, ...], share: float) -> Array:
+def _straight(times: Array, nominal: float, ramps: tuple[DrivenRamp, ...], share: float) -> Array:
     """Return the speed of straight ramps."""
     speed = np.full(len(times), nominal)
     for ramp in sorted(ramps, key=lambda r: r.onset_s):

@@ -75,7 +75,7 @@ class MatingPoses:
     mount_nm: float
 
 
-class Mating:
+class BoltMating:
     """State of the assembly."""
 
     def __init__(self, tool: Tool) -> None:

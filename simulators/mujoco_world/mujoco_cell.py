@@ -229,7 +229,7 @@ class MujocoCell:
 
 
 @dataclass(frozen=True, slots=True)
-class Ramp:
+class DrivenRamp:
     """An order to the conveyor: towards rest or towards nominal speed."""
 
     onset_s: float
@@ -253,7 +253,7 @@ class RunOrder:
     duration_s: float
     start: tuple[float, ...]
     nominal_speed: float
-    ramps: tuple[Ramp, ...]
+    ramps: tuple[DrivenRamp, ...]
     hub: Three
 
 

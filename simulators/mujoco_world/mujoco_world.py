@@ -23,8 +23,8 @@ from linemate.simulators.mujoco_world.cell_sensors import (
 from linemate.simulators.mujoco_world.frame_poses import Array, Pose, matrix_of, pose
 from linemate.simulators.mujoco_world.line import profile
 from linemate.simulators.mujoco_world.mating import (
+    BoltMating,
     FirstTouch,
-    Mating,
     MatingCollision,
     MatingPoses,
     Phase,
@@ -53,7 +53,7 @@ class MujocoWorld:
         self.order = order
         self._station = MujocoStation(cell, order)
         self._drives = Drives(cell.arm, order.start, order.cycle_s, TIMESTEP_S)
-        self._mating = Mating(cell.tool)
+        self._mating = BoltMating(cell.tool)
         self._steps_a_cycle = round(order.cycle_s / TIMESTEP_S)
         count = math.ceil((order.lead_in_s + order.duration_s + _SPARE_S) / TIMESTEP_S)
         self._profile = profile(cell.line, order, TIMESTEP_S, count)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from linemate.simulators.lab import stability_map, two_bodies
-from linemate.simulators.lab.two_bodies import CarMode, Cell, Trace, TwoBodies
+from linemate.simulators.lab.two_bodies import CarMode, ContactTrace, TwoBodies, TwoBodyCell
 
-SOFT, STIFF = (Cell(0.012, mount, dead_time=0.04) for mount in (50e3, 100e3))
+SOFT, STIFF = (TwoBodyCell(0.012, mount, dead_time=0.04) for mount in (50e3, 100e3))
 CALM = (
     (SOFT, CarMode(100.0, 4.7, 0.009)),
     (SOFT, CarMode(300.0, 3.0, 0.009)),
@@ -24,7 +24,7 @@ CALM = (
 
 
 @lru_cache(maxsize=2)
-def begun(cell: Cell) -> TwoBodies:
+def begun(cell: TwoBodyCell) -> TwoBodies:
     return two_bodies.approached(cell)
 
 
@@ -34,7 +34,7 @@ def shown(loop: TwoBodies, mode: CarMode) -> dict[str, Any]:
     return stability_map.figures(trace, loop.cell.cycle_s)
 
 
-def is_calm(figures: dict[str, Any], cell: Cell) -> bool:
+def is_calm(figures: dict[str, Any], cell: TwoBodyCell) -> bool:
     """Tell whether a case is stable, without more force or energy than press and kick make."""
     largest_n = 2.4e-3 * cell.mount if cell is SOFT else 2.1e-3 * cell.mount
     return (
@@ -45,7 +45,7 @@ def is_calm(figures: dict[str, Any], cell: Cell) -> bool:
 
 
 @pytest.mark.parametrize(("cell", "mode"), CALM, ids=str)
-def test_a_body_that_is_kicked_in_contact_comes_to_rest(cell: Cell, mode: CarMode) -> None:
+def test_a_body_that_is_kicked_in_contact_comes_to_rest(cell: TwoBodyCell, mode: CarMode) -> None:
     figures = shown(begun(cell), mode)
     assert is_calm(figures, cell), figures
 
@@ -61,13 +61,13 @@ def test_a_target_that_follows_force_at_once_drives_the_body(
     assert [is_calm(shown(loop, mode), SOFT) for _, mode in CALM[:2]] == [False, False]
 
 
-def trace(*amplitudes_mm: float, cycle_s: float = 0.012) -> Trace:
+def trace(*amplitudes_mm: float, cycle_s: float = 0.012) -> ContactTrace:
     """Return a motion with an amplitude in each window."""
     length = round(stability_map.WINDOW_S / cycle_s)
     times = cycle_s * np.arange(length * len(amplitudes_mm))
     moved = np.repeat(np.array(amplitudes_mm) * 1e-3, length) * np.cos(20.0 * times)
     zeros = np.zeros(len(times))
-    return Trace(
+    return ContactTrace(
         times, np.column_stack((zeros, moved, zeros)), np.zeros((len(times), 3)), zeros, ()
     )
 

@@ -9,7 +9,7 @@ from linemate.simulators.mujoco_world.mating import (
     RELEASE_WHEEL,
     SCREWS_FIXED,
     WHEEL_RELEASED,
-    Mating,
+    BoltMating,
     MatingPoses,
 )
 from linemate.simulators.mujoco_world.mujoco_cell import Tool
@@ -25,11 +25,11 @@ PRESSED = MatingPoses(
 )
 
 
-def mating() -> Mating:
-    return Mating(Tool(release_s=0.3))
+def mating() -> BoltMating:
+    return BoltMating(Tool(release_s=0.3))
 
 
-def hold(course: Mating, now: MatingPoses, since: float, duration_s: float) -> float:
+def hold(course: BoltMating, now: MatingPoses, since: float, duration_s: float) -> float:
     """Let a situation last; return the time after it."""
     steps = round(duration_s / DT)
     for step in range(1, steps + 1):
@@ -37,7 +37,7 @@ def hold(course: Mating, now: MatingPoses, since: float, duration_s: float) -> f
     return since + steps * DT
 
 
-def release(course: Mating) -> float:
+def release(course: BoltMating) -> float:
     """Fix the screws, then release the wheel; return the time after it."""
     course.order(FIX_SCREWS)
     t = hold(course, PRESSED, 0.0, 1.4)

@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from linemate.simulators.mujoco_world.frame_poses import vector_of
-from linemate.simulators.mujoco_world.mujoco_cell import MujocoCell, Ramp, RunOrder, sample
+from linemate.simulators.mujoco_world.mujoco_cell import DrivenRamp, MujocoCell, RunOrder, sample
 
 pytest.importorskip("mujoco", reason="the extra 'mujoco' is not installed")
 
@@ -22,7 +22,7 @@ ORDER = RunOrder(
     duration_s=6.0,
     start=START,
     nominal_speed=0.106,
-    ramps=(Ramp(1.0, False, 0.104),),
+    ramps=(DrivenRamp(1.0, False, 0.104),),
     hub=(2.2, 0.0, 1.1),
 )
 

@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from linemate.simulators.plants.arm import ArmPlant
-from linemate.simulators.plants.bending.effects_arm import ArmEffects, Elasticity, Geometry, Windup
+from linemate.simulators.plants.bending.effects_arm import (
+    ArmEffects,
+    Elasticity,
+    Geometry,
+    WindupEffect,
+)
 from linemate.simulators.plants.bending.link_side import LinkSide, link_side, true_links
 from linemate.simulators.plants.scenario import Robot
 
@@ -34,7 +39,7 @@ def moved(side: LinkSide, axis: int, angles: list[float]) -> list[float]:
 
 
 def wound() -> LinkSide:
-    side = link_side(robot(windup=Windup(only(1, DEPTH), (TRAVEL,) * 6)), seed=0)
+    side = link_side(robot(windup=WindupEffect(only(1, DEPTH), (TRAVEL,) * 6)), seed=0)
     assert side is not None
     return side
 
@@ -143,7 +148,7 @@ def test_the_plant_winds_up_as_the_recorded_kuka_kr300(name: str) -> None:
         motor = np.radians(data["act_pos_mot_deg"][:, :3].astype(float))
         link = np.radians(data["act_pos_se_deg"][:, :3].astype(float))
     depth = (0.05e-3,) * 3 + (0.0,) * 3
-    side = link_side(robot(windup=Windup(depth, (TRAVEL,) * 6)), seed=0)
+    side = link_side(robot(windup=WindupEffect(depth, (TRAVEL,) * 6)), seed=0)
     assert side is not None
     rest = Robot().start[3:]
     rows = [side.advance((*row, *rest), (0.0,) * 7, 0.004)[:3] for row in motor.tolist()]

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linemate.simulators.plants.bending.effects_arm import ArmEffects, Windup
+from linemate.simulators.plants.bending.effects_arm import ArmEffects, WindupEffect
 from linemate.simulators.plants.forces.switches import CarrierMode
 from linemate.simulators.plants.scenario import (
     Axis,
@@ -304,7 +304,7 @@ def test_an_open_scenario_is_sampled_by_its_own_seed() -> None:
 
 def test_an_arm_that_bends_is_unseen_by_its_encoders() -> None:
     """Encoders are on the motor side; the rigid tcp comes from the link side."""
-    robot = replace(Robot(), effects=ArmEffects(windup=Windup((0.6e-3,) * 6)))
+    robot = replace(Robot(), effects=ArmEffects(windup=WindupEffect((0.6e-3,) * 6)))
     bent, straight = World(Scenario(robot=robot)), World(Scenario())
     for k in range(200):
         for world in (bent, straight):

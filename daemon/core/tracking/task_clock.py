@@ -7,7 +7,7 @@ from msgspec.structs import replace
 from linemate.daemon.core.tracking.conveyor import (
     ConveyorEstimate,
 )
-from linemate.daemon.core.tracking.go_no_go.decision import Order
+from linemate.daemon.core.tracking.go_no_go.decision import GoOrder
 from linemate.daemon.core.tracking.reference import barrier, last_step
 from linemate.daemon.core.tracking.task import Gate
 from linemate.daemon.core.tracking.touch import guard, release
@@ -22,7 +22,7 @@ def standing_time(tracker: Tracker, state: TrackerState, retreat: bool) -> float
     if retreat and is_before_contact(state):
         return state.time
     closed = barrier(tracker.reference, state.time, state.passed)
-    if state.go.order is not Order.GO and not retreat:
+    if state.go.order is not GoOrder.GO and not retreat:
         if state.time > tracker.sight_time:
             return state.time
         closed = min(closed, tracker.sight_time)
@@ -31,7 +31,7 @@ def standing_time(tracker: Tracker, state: TrackerState, retreat: bool) -> float
 
 def is_backing_off(state: TrackerState, retreat: bool) -> bool:
     """Return whether the task's clock goes back to the far gate."""
-    return state.go.order is Order.BACK and not retreat and is_before_contact(state)
+    return state.go.order is GoOrder.BACK and not retreat and is_before_contact(state)
 
 
 def is_before_contact(state: TrackerState) -> bool:

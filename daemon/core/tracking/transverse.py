@@ -59,8 +59,8 @@ class TransverseState(Struct, frozen=True, eq=False):
         frequency_factors: each swing's frequency over the identified one.
         nis: average normalised innovation squared of the camera's poses.
         speed: of the conveyor in the last step [m/s].
-        doubt: (n,) what ``believed`` adds to x: it takes back errors that may not be there.
-        errors: (4, 4) covariance of the camera's errors with that doubt.
+        shrinkage: (n,) what ``believed`` adds to x: it takes back errors that may not be there.
+        errors: (4, 4) covariance of the camera's errors with that shrinkage.
     """
 
     x: Array
@@ -70,7 +70,7 @@ class TransverseState(Struct, frozen=True, eq=False):
     frequency_factors: tuple[float, ...] = ()
     nis: float = 1.0
     speed: float = 0.0
-    doubt: Array | None = None
+    shrinkage: Array | None = None
     errors: Array | None = None
 
     @property
@@ -206,8 +206,8 @@ class Transverse:
         F[X, self._slope] = F[Z, self._slope + 1] = speed * dt
         P = F.dot(state.P).dot(F.T)
         P += Q
-        doubt = None if state.doubt is None else F.dot(state.doubt)
-        return replace(state, x=F.dot(state.x), P=P, speed=speed, doubt=doubt)
+        shrinkage = None if state.shrinkage is None else F.dot(state.shrinkage)
+        return replace(state, x=F.dot(state.x), P=P, speed=speed, shrinkage=shrinkage)
 
     def _set_frequencies(self, F: Array, state: TransverseState, dt: float) -> Array:
         """Return a copy of A with each swing at its frequency, linearised in that one's error."""
@@ -325,8 +325,12 @@ class Transverse:
         factors = self._corrected(state, x)
         x[TURN:STATIC] = 0.0
         x[self._first_factor :] = 0.0
-        doubt = None if state.doubt is None else state.doubt - H.dot(state.doubt).dot(K)
-        state = replace(state, x=x, P=P, rotation=rotation, rejected=0, nis=nis, doubt=doubt)
+        shrinkage = (
+            None if state.shrinkage is None else state.shrinkage - H.dot(state.shrinkage).dot(K)
+        )
+        state = replace(
+            state, x=x, P=P, rotation=rotation, rejected=0, nis=nis, shrinkage=shrinkage
+        )
         return replace(state, frequency_factors=factors), True
 
     @cached_property
@@ -360,15 +364,15 @@ class Transverse:
             x -= none * shift
             P = P - none * rows.T.dot(gain) + (none * (1.0 - none)) * np.outer(shift, shift)
         c = slice(self._camera, self._camera + CAMERA - 1)
-        return replace(state, doubt=x - state.x, errors=P[c, c])
+        return replace(state, shrinkage=x - state.x, errors=P[c, c])
 
     def believed(self, state: TransverseState) -> TransverseState:
         """Return the estimate for readers: errors count as far as they are likely."""
-        doubt = state.doubt
-        if doubt is None:
+        shrinkage = state.shrinkage
+        if shrinkage is None:
             return state
-        x = state.x + doubt
-        rotation = rotations.exp(doubt[TURN:STATIC]).dot(state.rotation)
+        x = state.x + shrinkage
+        rotation = rotations.exp(shrinkage[TURN:STATIC]).dot(state.rotation)
         factors = self._corrected(state, x)
         x[TURN:STATIC] = 0.0
         x[self._first_factor :] = 0.0

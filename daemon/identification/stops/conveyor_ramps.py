@@ -27,7 +27,7 @@ WALK = 0.0002  # deviation of a chain from its ramp, which a fit does not see [m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Motion:
+class UnitMotion:
     """Motion of the conveyor on a grid of times.
 
     Attributes:
@@ -43,7 +43,7 @@ class Motion:
 
 
 @dataclass(frozen=True, slots=True)
-class Ramp:
+class FittedRamp:
     """A stop or a start.
 
     Attributes:
@@ -61,9 +61,9 @@ class RampClass:
     """Ramps of about the same acceleration.
 
     Attributes:
-        starts: they are starts.
-        acceleration: magnitude [m/s^2].
-        smooth: smooth time [s].
+        starts: True for starts, False for stops.
+        acceleration: magnitude, not signed, of the steady part [m/s^2].
+        smooth: time over which the acceleration builds up and fades [s].
     """
 
     starts: bool
@@ -71,7 +71,7 @@ class RampClass:
     smooth: Outcome
 
 
-def motion(trace: Trace, delay: float) -> Motion | None:
+def motion(trace: Trace, delay: float) -> UnitMotion | None:
     """Return the conveyor's motion, None without a distance sensor.
 
     Args:
@@ -86,7 +86,7 @@ def motion(trace: Trace, delay: float) -> Motion | None:
     if not known.any():
         return None
     times = times[known]
-    moved = Motion(times, positions[known], speeds[known], np.zeros(len(times)))
+    moved = UnitMotion(times, positions[known], speeds[known], np.zeros(len(times)))
     ways = np.zeros(len(times))
     for ramp, span in _spans(moved):
         p = _fitted(trace, ramp, delay, span, moved)[0]
@@ -94,7 +94,7 @@ def motion(trace: Trace, delay: float) -> Motion | None:
     return replace(moved, ways=ways)
 
 
-def find_ramps(moved: Motion) -> list[Ramp]:
+def find_ramps(moved: UnitMotion) -> list[FittedRamp]:
     """Return stops and starts, in order."""
     running = float(np.quantile(moved.speeds, 0.95)) if len(moved.speeds) else 0.0
     if running < LEAST_SPEED:
@@ -111,7 +111,7 @@ def find_ramps(moved: Motion) -> list[Ramp]:
             end = k + int(np.flatnonzero(comes)[0])
             # The thresholds cut off a share of the ramp at either end.
             more = (moved.times[end] - moved.times[begin]) * LOW / (HIGH - LOW)
-            found.append(Ramp(starts, moved.times[begin] - more, moved.times[end] + more))
+            found.append(FittedRamp(starts, moved.times[begin] - more, moved.times[end] + more))
     return [ramp for i, ramp in enumerate(found) if not i or ramp.begin > found[i - 1].begin]
 
 
@@ -131,7 +131,7 @@ def identify_ramps(traces: Sequence[Trace], delay: float) -> tuple[RampClass, ..
     return tuple(_judged(group) for group in _classes(fitted))
 
 
-def _spans(moved: Motion) -> list[tuple[Ramp, tuple[float, float]]]:
+def _spans(moved: UnitMotion) -> list[tuple[FittedRamp, tuple[float, float]]]:
     """Return the ramps with the times from and to which readings belong to each."""
     ramps = find_ramps(moved)
     return [
@@ -177,7 +177,7 @@ def _judged(group: Sequence[tuple[bool, Array, Array]]) -> RampClass:
 
 
 def _fitted(
-    trace: Trace, ramp: Ramp, delay: float, span: tuple[float, float], moved: Motion
+    trace: Trace, ramp: FittedRamp, delay: float, span: tuple[float, float], moved: UnitMotion
 ) -> tuple[Array, Array, Array]:
     """Return the fitted ramp, acceleration [m/s^2] and smooth time [s], and their deviations."""
     readings = trace.distances[~find_outliers(trace.distances[:, 1])] - np.array((delay, 0.0))

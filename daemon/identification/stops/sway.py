@@ -28,7 +28,12 @@ from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal, ReportLine
 from linemate.daemon.identification.scene_fit import Camera, SceneFit, Views
-from linemate.daemon.identification.stops.conveyor_ramps import STEP_S, Motion, find_ramps, motion
+from linemate.daemon.identification.stops.conveyor_ramps import (
+    STEP_S,
+    UnitMotion,
+    find_ramps,
+    motion,
+)
 from linemate.daemon.identification.trace import Trace
 
 SEARCH_HZ = (0.4, 4.0)
@@ -71,7 +76,7 @@ class _Window:
     times: Array
     seen: Array
     sigma: Array
-    moved: Motion
+    moved: UnitMotion
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,7 +143,7 @@ def _refused(reason: str) -> SwayResult:
     return SwayResult({}, refusal, refusal, refusal)
 
 
-def _windows(scene: SceneFit, view: Views, moved: Motion, camera: Camera) -> list[_Window]:
+def _windows(scene: SceneFit, view: Views, moved: UnitMotion, camera: Camera) -> list[_Window]:
     """Return the images around each ramp; ramps that follow each other share a window."""
     t = view.times + scene.stamp_error
     p, R = view.tcp_path.at(t)
@@ -199,7 +204,7 @@ def _inliers(windows: Sequence[_Window], omega: float, zeta: float) -> list[tupl
     return list(zip(windows, parts, strict=True))
 
 
-def _response(moved: Motion, omega: float, zeta: float) -> Array:
+def _response(moved: UnitMotion, omega: float, zeta: float) -> Array:
     """Return the unit's motion that the body does not follow, x - y (n,) [m], from steady speed."""
     k, fall, square = 2.0 / STEP_S, 2.0 * zeta * omega, omega * omega  # Tustin's rule
     over = (fall * k + square, 2.0 * square, square - fall * k)
@@ -341,7 +346,7 @@ def _judged(windows: Sequence[_Window], omega: float, zeta: float) -> SwayResult
 
 
 def _none(windows: Sequence[_Window]) -> SwayResult:
-    """Return the verdict that stops show no sway, with the largest gain that may hide."""
+    """Return the result that stops show no sway, with the largest gain that may hide."""
     hidden, lowest, highest = 0.0, 0.0, 0.0
     for f in np.geomspace(*SEARCH_HZ, 24).tolist():
         omega = 2.0 * math.pi * f

@@ -16,7 +16,7 @@ _SEVEN: Seven = (0.0,) * 7
 
 
 @dataclass(frozen=True, slots=True)
-class Windup:
+class WindupEffect:
     """Windup of the gears with the direction of motion: Dahl's hysteresis (Dahl 1968).
 
     ``dw/dq = (depth sgn(dq) - w) / travel``; the link lags by w behind the motor. Fitted to
@@ -122,7 +122,7 @@ class ArmEffects:
         quantisation: step of each encoder [rad], [m]; AIPos as text has 1e-4 degrees (1.7e-6).
     """
 
-    windup: Windup = field(default_factory=Windup)
+    windup: WindupEffect = field(default_factory=WindupEffect)
     lost_motion: Six = _SIX
     friction: Friction = field(default_factory=Friction)
     elasticity: Elasticity = field(default_factory=Elasticity)

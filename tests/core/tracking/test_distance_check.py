@@ -101,14 +101,14 @@ def test_a_restart_is_distinguished_from_a_stop_that_goes_on(share: float) -> No
     ramp = Ramp(0.6, -share * BRAKING)
     change = START + BRAKING
 
-    def found(restart: float, seed: int) -> float:
+    def odds_of(restart: float, seed: int) -> float:
         kept = on_a_ramp(restart, seed)
         odds = distance_check.log_odds(kept, 0.2, change, 0.003, SIGMA, ramp)
         assert odds is not None
         return odds
 
-    assert min(found(0.2, seed) for seed in range(20)) > 1.5
-    assert max(found(0.0, seed) for seed in range(20)) < -1.5
+    assert min(odds_of(0.2, seed) for seed in range(20)) > 1.5
+    assert max(odds_of(0.0, seed) for seed in range(20)) < -1.5
 
 
 def test_the_speed_on_a_ramp_is_that_of_the_readings() -> None:

@@ -21,7 +21,7 @@ def test_the_onsets_that_an_edge_allows_share_its_weight() -> None:
     assert np.exp(odds[allowed]).sum() == pytest.approx(math.exp(WIRED.weight))
 
 
-def test_without_an_edge_or_an_onset_nothing_is_said() -> None:
+def test_without_an_edge_or_an_onset_there_are_no_odds() -> None:
     assert stop_input.onset_odds(WIRED, math.inf, AGES) is None
     assert stop_input.onset_odds(WIRED, 0.2, np.zeros(0)) is None
     assert stop_input.onset_odds(WIRED, 5.0, AGES) is None

@@ -269,7 +269,7 @@ def _bound_tentative(state: BankState, before: BankState, dt: float) -> BankStat
 
 
 def _with_ramps(check: StartCheck, before: BankState, state: BankState) -> StartCheck:
-    """Return the check of a start that was declared in this step, with what it is told from.
+    """Return the check of a start declared in this step, with the ramps it is compared with.
 
     Args:
         before: of the step before.

@@ -32,7 +32,7 @@ class Ramp(Struct, frozen=True):
 
     Attributes:
         age: time since its onset [s].
-        acceleration: [m/s^2].
+        acceleration: of the conveyor, less than 0 as it brakes [m/s^2].
     """
 
     age: float

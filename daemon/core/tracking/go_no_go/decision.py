@@ -38,7 +38,7 @@ class Zone(StrEnum):
     FINAL = "final"
 
 
-class Order(StrEnum):
+class GoOrder(StrEnum):
     """What the task's clock does."""
 
     GO = "go"
@@ -97,7 +97,7 @@ TODO: dict[Reason, str] = {
 }
 
 
-class Evidence(Struct, frozen=True):
+class GoEvidence(Struct, frozen=True):
     """What a decision is made from.
 
     Attributes:
@@ -144,7 +144,7 @@ class GoState(Struct, frozen=True):
         waited_s: time that the task's clock has stood or gone back for it, in all [s].
     """
 
-    order: Order = Order.GO
+    order: GoOrder = GoOrder.GO
     reasons: tuple[Reason, ...] = ()
     text: str | None = None
     clear_s: float = 0.0
@@ -172,17 +172,17 @@ def next_state(
         may_back: no clamp can have closed on the object.
     """
     counted = tuple(reason for reason in reasons if reason in COUNTED[zone])
-    if zone is Zone.FINAL or (not counted and state.order is Order.GO):
+    if zone is Zone.FINAL or (not counted and state.order is GoOrder.GO):
         return _gone(state)
     clear_s = 0.0 if counted else state.clear_s + dt
-    is_returning = state.order is Order.BACK and zone is not Zone.FAR and may_back
+    is_returning = state.order is GoOrder.BACK and zone is not Zone.FAR and may_back
     if clear_s >= CLEAR_S and not is_returning:
         return _gone(state)
-    lasted_s = 0.0 if state.order is Order.GO else state.lasted_s + dt
-    order = Order.STAND
-    is_late = state.order is Order.BACK or lasted_s >= BACK_S or Reason.UNSEEN in counted
+    lasted_s = 0.0 if state.order is GoOrder.GO else state.lasted_s + dt
+    order = GoOrder.STAND
+    is_late = state.order is GoOrder.BACK or lasted_s >= BACK_S or Reason.UNSEEN in counted
     if zone is not Zone.FAR and may_back and is_late:
-        order = Order.BACK
+        order = GoOrder.BACK
     waits = stands or zone is not Zone.FAR
     waited_s = state.waited_s + dt if waits else state.waited_s
     shown = counted or state.reasons
@@ -191,11 +191,11 @@ def next_state(
 
 def _gone(state: GoState) -> GoState:
     """Return the decision to go on; the time waited is kept."""
-    return state if state.order is Order.GO else GoState(waited_s=state.waited_s)
+    return state if state.order is GoOrder.GO else GoState(waited_s=state.waited_s)
 
 
 def find_reasons(
-    evidence: Evidence, guard: GuardedApproach, *, waiting: bool
+    evidence: GoEvidence, guard: GuardedApproach, *, waiting: bool
 ) -> tuple[Reason, ...]:
     """Return the reasons that hold.
 
@@ -222,7 +222,7 @@ def find_reasons(
     return tuple([reason for reason, holds in lacking if holds])
 
 
-def describe(reason: Reason, evidence: Evidence, guard: GuardedApproach) -> str:
+def describe(reason: Reason, evidence: GoEvidence, guard: GuardedApproach) -> str:
     """Return a reason in words: what is wrong, value and limit, and what to do."""
     place, turn = f"limit {1e3 * guard.tolerance:.1f} mm", f"{1e3 * guard.angle_tolerance:.0f} mrad"
     whats = {

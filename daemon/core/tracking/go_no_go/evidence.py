@@ -12,7 +12,7 @@ from linemate.daemon.core.tracking.conveyor import (
 )
 from linemate.daemon.core.tracking.estimation import distance_measurement
 from linemate.daemon.core.tracking.go_no_go import decision, prediction_error
-from linemate.daemon.core.tracking.go_no_go.decision import Evidence, Order, Zone
+from linemate.daemon.core.tracking.go_no_go.decision import GoEvidence, GoOrder, Zone
 from linemate.daemon.core.tracking.reference import last_step
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
 from linemate.daemon.core.tracking.transverse import STATIC, TURN, X
@@ -79,7 +79,7 @@ def decide(
         go = decision.next_state(before, (), where, tracker.cycle_s, stands=False, may_back=False)
         return replace(state, go=go)
     guard, evidence = tracker.task.guard, gather(tracker, state, view, samples.stamp_ns)
-    waiting = before.order is not Order.GO
+    waiting = before.order is not GoOrder.GO
     reasons = decision.find_reasons(evidence, guard, waiting=waiting)
     go = decision.next_state(
         before,
@@ -102,20 +102,22 @@ def _may_back(state: TrackerState) -> bool:
 
 def waiting(tracker: Tracker, state: TrackerState) -> str | None:
     """Return why the tool waits before contact, None if it does not."""
-    is_free = state.go.order is Order.GO or state.contact or state.withdrawn is not None
+    is_free = state.go.order is GoOrder.GO or state.contact or state.withdrawn is not None
     if is_free or state.time < last_step(tracker.sight_time, tracker.cycle_s):
         return None
     return state.go.text
 
 
-def gather(tracker: Tracker, state: TrackerState, view: ConveyorEstimate, now_ns: int) -> Evidence:
+def gather(
+    tracker: Tracker, state: TrackerState, view: ConveyorEstimate, now_ns: int
+) -> GoEvidence:
     """Return the evidence of one step."""
     short, long = state.monitor.leads
     x, y, _ = state.following
     deviation, angle_deviation = contact_deviation(tracker, state, view)
     transverse = state.transverse
     assert transverse is not None  # noqa: S101 - callers have checked
-    return Evidence(
+    return GoEvidence(
         sight_s=_sight(tracker, state, now_ns),
         checked_s=min(short.checked_s, long.checked_s),
         prediction=max(short.lateral, long.lateral),

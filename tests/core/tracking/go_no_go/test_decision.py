@@ -14,9 +14,9 @@ from linemate.daemon.core.tracking.go_no_go.decision import (
     LOOK_S,
     RELEASE_SHARE,
     TODO,
-    Evidence,
+    GoEvidence,
+    GoOrder,
     GoState,
-    Order,
     Reason,
     Zone,
     describe,
@@ -27,7 +27,7 @@ from linemate.daemon.core.tracking.task import GuardedApproach
 
 T0 = 0.012
 GUARD = GuardedApproach()
-GOOD = Evidence(
+GOOD = GoEvidence(
     sight_s=0.1,
     checked_s=1.0,
     prediction=0.001,
@@ -85,23 +85,25 @@ def test_each_reason_is_found_alone_and_named_with_its_value(reason: Reason) -> 
 
 @pytest.mark.parametrize(
     ("zone", "order", "reasons", "may_back"),
-    list(itertools.product(Zone, Order, [(), *((r,) for r in Reason)], (False, True))),
+    list(itertools.product(Zone, GoOrder, [(), *((r,) for r in Reason)], (False, True))),
 )
 def test_the_whole_table_decides(
-    zone: Zone, order: Order, reasons: tuple[Reason, ...], may_back: bool
+    zone: Zone, order: GoOrder, reasons: tuple[Reason, ...], may_back: bool
 ) -> None:
-    state = GO if order is Order.GO else GoState(order, (Reason.ANGLE,), "no", 0.0, 2 * BACK_S, 1.0)
+    state = (
+        GO if order is GoOrder.GO else GoState(order, (Reason.ANGLE,), "no", 0.0, 2 * BACK_S, 1.0)
+    )
     new = next_state(state, reasons, zone, T0, stands=True, may_back=may_back)
     counts = bool(set(reasons) & COUNTED[zone])
     if zone is Zone.FINAL:
-        assert new.order is Order.GO
-    elif order is Order.GO:
+        assert new.order is GoOrder.GO
+    elif order is GoOrder.GO:
         backs = zone is not Zone.FAR and may_back and reasons == (Reason.UNSEEN,)
-        stops = Order.BACK if backs else Order.STAND
-        assert new.order is (stops if counts else Order.GO)
+        stops = GoOrder.BACK if backs else GoOrder.STAND
+        assert new.order is (stops if counts else GoOrder.GO)
     else:
         backs = zone is not Zone.FAR and may_back
-        assert new.order is (Order.BACK if backs else Order.STAND)
+        assert new.order is (GoOrder.BACK if backs else GoOrder.STAND)
         assert new.waited_s == pytest.approx(1.0 + T0)
         assert new.clear_s == pytest.approx(0.0 if counts else T0)
 
@@ -116,10 +118,10 @@ def test_no_reason_counts_in_the_final_zone_and_every_one_before_the_far_gate() 
 def test_a_waiting_tool_goes_on_only_after_a_time_without_a_reason() -> None:
     state = after(GO, (Reason.PREDICTION,), Zone.FAR, 1.0)
     almost = after(state, (), Zone.FAR, CLEAR_S - 2 * T0)
-    assert almost.order is Order.STAND
+    assert almost.order is GoOrder.STAND
     again = after(almost, (Reason.PREDICTION,), Zone.FAR, T0)
-    assert after(again, (), Zone.FAR, CLEAR_S - 2 * T0).order is Order.STAND
-    assert after(again, (), Zone.FAR, CLEAR_S + 2 * T0).order is Order.GO
+    assert after(again, (), Zone.FAR, CLEAR_S - 2 * T0).order is GoOrder.STAND
+    assert after(again, (), Zone.FAR, CLEAR_S + 2 * T0).order is GoOrder.GO
 
 
 def test_a_waiting_tool_needs_clearly_better_values() -> None:
@@ -130,38 +132,38 @@ def test_a_waiting_tool_needs_clearly_better_values() -> None:
 
 def test_a_no_go_on_the_way_stands_first_and_then_backs_off() -> None:
     state = after(GO, (Reason.DISTANCE,), Zone.MIDDLE, BACK_S - 2 * T0)
-    assert state.order is Order.STAND
-    assert after(state, (Reason.DISTANCE,), Zone.MIDDLE, 4 * T0).order is Order.BACK
+    assert state.order is GoOrder.STAND
+    assert after(state, (Reason.DISTANCE,), Zone.MIDDLE, 4 * T0).order is GoOrder.BACK
 
 
 def test_a_tool_near_the_object_does_not_back_off() -> None:
     state = after(GO, (Reason.DISTANCE,), Zone.CLOSE, 3.0, may_back=False)
-    assert state.order is Order.STAND
+    assert state.order is GoOrder.STAND
 
 
 def test_all_waiting_of_an_assembly_adds_up() -> None:
     state = after(GO, (Reason.ANGLE,), Zone.FAR, 1.0)
     state = after(state, (), Zone.FAR, 1.0)
-    assert state.order is Order.GO
+    assert state.order is GoOrder.GO
     state = after(state, (Reason.ANGLE,), Zone.FAR, 1.0)
     assert state.waited_s > 2.0
 
 
 def test_a_no_go_before_the_gate_is_no_waiting_yet() -> None:
     state = next_state(GO, (Reason.ANGLE,), Zone.FAR, T0, stands=False, may_back=True)
-    assert state.order is Order.STAND
+    assert state.order is GoOrder.STAND
     assert state.waited_s == 0.0
 
 
 def test_a_tool_that_backs_off_does_not_turn_back_before_the_far_gate() -> None:
     state = after(GO, (Reason.DISTANCE,), Zone.MIDDLE, BACK_S + 2 * T0)
-    assert state.order is Order.BACK
+    assert state.order is GoOrder.BACK
     state = after(state, (), Zone.MIDDLE, 3 * CLEAR_S)
-    assert state.order is Order.BACK
-    assert after(state, (), Zone.FAR, T0).order is Order.GO
+    assert state.order is GoOrder.BACK
+    assert after(state, (), Zone.FAR, T0).order is GoOrder.GO
 
 
 def test_an_unseen_change_makes_the_tool_back_off_at_once() -> None:
-    assert after(GO, (Reason.UNSEEN,), Zone.CLOSE, T0).order is Order.BACK
-    assert after(GO, (Reason.UNSEEN,), Zone.CLOSE, T0, may_back=False).order is Order.STAND
-    assert after(GO, (Reason.UNSEEN,), Zone.FAR, 2.0).order is Order.STAND
+    assert after(GO, (Reason.UNSEEN,), Zone.CLOSE, T0).order is GoOrder.BACK
+    assert after(GO, (Reason.UNSEEN,), Zone.CLOSE, T0, may_back=False).order is GoOrder.STAND
+    assert after(GO, (Reason.UNSEEN,), Zone.FAR, 2.0).order is GoOrder.STAND
