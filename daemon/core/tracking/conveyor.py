@@ -62,7 +62,7 @@ class ConveyorEstimate(Struct, frozen=True):
         deviation: one sigma of the position [m].
         speed_deviation: one sigma of the speed [m/s].
         sway: of the object against the conveyor unit, in the position [m].
-        sway_known: the sway is predicted, as it was told or found.
+        sway_known: the sway is predicted, as it was set or found.
         tentative: a change of class is tentative.
         confidence: log odds of the change that was last evaluated.
         events: of this step, for example ``("stop", "confirmed")``.
