@@ -39,7 +39,7 @@ _PARTS = {
     "tracking.conveyor:Source": "tracking.conveyor:Source",
     "tracking.go_no_go:GoState": "tracking.go_no_go.decision:GoState",
     "tracking.go_no_go:LeadMonitor": "tracking.go_no_go.prediction_error:LeadMonitor",
-    "tracking.go_no_go:Order": "tracking.go_no_go.decision:Order",
+    "tracking.go_no_go:Order": "tracking.go_no_go.decision:GoOrder",
     "tracking.go_no_go:PredictionMonitor": "tracking.go_no_go.prediction_error:PredictionMonitor",
     "tracking.go_no_go:Reason": "tracking.go_no_go.decision:Reason",
     "tracking.guide:Guide": "tracking.classifiers.bank_model:Guide",
