@@ -15,7 +15,7 @@ SCENARIOS = f"{FLOOR},{HARSH}"
 
 COMMANDS = {
     "world-before": "linemate-sim world --seeds 0..1 --json",
-    "world": "linemate-sim world --seeds 0..2 --json",
+    "world": "linemate-sim world --seeds 0..1 --json",
     "plant-floor": f"linemate-sim world --rows {SCENARIOS} --seeds 0..39 --json",
     "plant-floor-verified": f"linemate-sim world --rows {SCENARIOS} --seeds 1000..1099 --json",
     "plant-floor-4ms": f"linemate-sim world --rows {FLOOR} --seeds 0..39 --cycle-ms 4 --json",
