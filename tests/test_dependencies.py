@@ -95,3 +95,13 @@ def test_a_command_of_the_demo_names_the_extra_that_is_missing(
     main = importlib.import_module("linemate.simulators.harness.main").main
     assert main(["demo"]) == 2
     assert "package rich is missing" in capsys.readouterr().err
+
+
+def test_every_folder_with_code_is_installed() -> None:
+    listed = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
+    folders = {
+        ".".join(("linemate", *path.parent.relative_to(ROOT).parts))
+        for folder in FOLDERS
+        for path in (ROOT / folder).rglob("__init__.py")
+    }
+    assert set(listed) == folders
