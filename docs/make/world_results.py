@@ -5,6 +5,7 @@ from typing import Any
 
 from linemate.simulators.harness import scenario_file
 from linemate.simulators.harness.world import world_rows
+from linemate.simulators.lab.world.world_table import outcomes
 
 Result = dict[str, Any]
 Load = Callable[[str], Result]
@@ -172,12 +173,6 @@ def _cells(row: Mapping[str, Any] | None, keys: tuple[str, ...]) -> Iterator[str
     yield outcomes(summary)
     yield from (_spread(summary[key]) for key in keys)
     yield str(summary["false_confirmed"])
-
-
-def outcomes(summary: Mapping[str, Any]) -> str:
-    """Return e.g. "2 assembled, 1 held"."""
-    names = ("assembled", "held", "retreated", "collision", "fault")
-    return ", ".join(f"{summary[name]} {name}" for name in names if summary[name])
 
 
 def _spread(figure: Mapping[str, Any] | None) -> str:
