@@ -16,6 +16,15 @@ from pathlib import Path
 from typing import Any
 
 from linemate.protocol.command import frame_codec, payloads, requests
+from linemate.protocol.egm.codec import (
+    CorrectionMessage,
+    EgmCodec,
+    EgmPosition,
+    GuidanceState,
+    MotorState,
+    RapidState,
+    RobotMessage,
+)
 from linemate.protocol.errors import ProtocolError
 from linemate.protocol.rsi import ethernet_config
 from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, SensorTelegram, parse_config
@@ -31,6 +40,7 @@ SIX = (0.1, -0.2, 0.3, -0.4, 0.5, -0.6)
 INTERESTING = (
     b"nan", b"inf", b"1e999", b"-0", b"<!", b"&#0;", b"]]>", b"\x00", b"\xff" * 8, b"\x7f" * 8,
     b"\xc1", b"\xdf\xff\xff\xff\xff", b"\xdd\xff\xff\xff\xff", b"\xcb\x7f\xf8" + b"\0" * 6,
+    b"\x0a\x00", b"\x12\xff\xff\x03", b"\x09" + b"\0" * 6 + b"\xf8\x7f", b"\x80" * 10 + b"\x01",
     b"99999999999999999999", b"\r", b"\xaa", b"\x20\x4e", b"<IPOC>", b'="',
 )  # fmt: skip
 LONGEST = 4096
@@ -63,6 +73,21 @@ def _rsi() -> tuple[Wire, Wire, Wire]:
         Wire(
             (config, (DATA / "rsi_joints_setpoints.xml").read_bytes()), ethernet_config.parse_config
         ),
+    )
+
+
+def _egm() -> tuple[Wire, Wire]:
+    codec = EgmCodec()
+    position = EgmPosition(SIX, (0.1,), SIX[:3], (1.0, 0.0, 0.0, 0.0), 10**15)
+    states = (MotorState.ON, GuidanceState.RUNNING, RapidState.RUNNING)
+    robots = (
+        RobotMessage(12, 48, position, position, *states, True, 20.0, SIX, True, robotware)
+        for robotware in (6, 7)
+    )
+    correction = CorrectionMessage(12, 48, SIX, (0.1,), SIX, (0.1,))
+    return (
+        Wire(tuple(map(codec.format_robot, robots)), codec.parse_robot),
+        Wire((codec.format_correction(correction),), codec.parse_correction),
     )
 
 
@@ -125,11 +150,14 @@ def _command() -> tuple[Wire, Wire, Wire]:
 def wires() -> dict[str, Wire]:
     """Every wire by name."""
     robot, reply, config = _rsi()
+    egm_robot, egm_sensor = _egm()
     frame, request, answer = _command()
     return {
         "robot": robot,
         "reply": reply,
         "config": config,
+        "egm_robot": egm_robot,
+        "egm_sensor": egm_sensor,
         "camera": _camera(),
         "distance": _distance(),
         "bota": _stream("bota", bota_frame((1.0, 2.0, 3.0), (0.1, 0.2, 0.3))),

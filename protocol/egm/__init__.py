@@ -1,0 +1,1 @@
+"""ABB Externally Guided Motion: wire format, messages and codec."""
