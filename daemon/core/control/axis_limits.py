@@ -22,6 +22,8 @@ class AxisBounds:
         change: largest change of the acceleration in one step.
         margin: tolerance for rounding, a millionth of the acceleration.
         braking_way: way beyond which full speed is allowed; it saves two square roots.
+        free_speed: speed up to which, that far from the ends, acceleration and jerk alone limit the
+            range; it saves the other two.
     """
 
     lower: float
@@ -33,6 +35,7 @@ class AxisBounds:
     change: float
     margin: float
     braking_way: float
+    free_speed: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +71,7 @@ class Limits:
                 jerk * T0,
                 1e-6 * acceleration,
                 speed * (2.0 * acceleration / jerk + 3.0 * T0 + 0.5 * speed / acceleration),
+                speed - 1.001 * acceleration * (1.5 * T0 + 0.5 * acceleration / jerk),
             )
             for low, high, speed, acceleration, jerk in zip(
                 *(column.tolist() for column in columns), strict=True
@@ -86,6 +90,9 @@ def acceleration_range(p: float, v: float, a: float, bounds: AxisBounds) -> tupl
     hard_high = min(a + bounds.change, bounds.acceleration)
     above = bounds.upper - p - max(v, 0.0) * period
     below = p - bounds.lower + min(v, 0.0) * period
+    is_free = above > way and below > way and abs(v) < bounds.free_speed
+    if is_free and hard_low <= hard_high:
+        return hard_low, hard_high
     up = speed if above > way else min(speed, _stoppable_speed(above, bounds))
     down = speed if below > way else min(speed, _stoppable_speed(below, bounds))
     high = clip(_largest_acceleration(v, up, bounds.jerk, period), hard_low, hard_high)

@@ -108,11 +108,9 @@ def _catch_up(axis: _Axis, bounds: AxisBounds) -> float:
 def _can_stay(axis: _Axis, wanted: float, bounds: AxisBounds) -> bool:
     """Return whether the axis could stay on the desired setpoint once it is there.
 
-    An axis that has followed so far always can. One that comes back from some way off may arrive
-    so fast that the next step leaves the setpoint again, in a limit cycle.
+    One that comes back from some way off may arrive so fast that the next step leaves the setpoint
+    again, in a limit cycle.
     """
-    if axis.p == axis.last:
-        return True
     period = bounds.period
     speed = (axis.desired - axis.last) / period
     arriving = axis.v + wanted * period
@@ -125,10 +123,12 @@ def _can_stay(axis: _Axis, wanted: float, bounds: AxisBounds) -> bool:
 
 def _admit_axis(axis: _Axis, bounds: AxisBounds) -> tuple[float, bool]:
     """Return one axis' acceleration, and whether its command is the one desired."""
-    wanted = ((axis.desired - axis.p) / bounds.period - axis.v) / bounds.period
-    low, high = acceleration_range(axis.p, axis.v, axis.a, bounds)
+    p, v, a, last, _, desired = axis
+    wanted = ((desired - p) / bounds.period - v) / bounds.period
+    low, high = acceleration_range(p, v, a, bounds)
     is_allowed = low - bounds.margin <= wanted <= high + bounds.margin
-    if is_allowed and _can_stay(axis, wanted, bounds):
+    # An axis that has followed so far can always stay.
+    if is_allowed and (p == last or _can_stay(axis, wanted, bounds)):
         return wanted, True
     return clip(_catch_up(axis, bounds), low, high), False
 

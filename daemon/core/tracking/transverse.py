@@ -108,7 +108,7 @@ class Transverse:
     swing: tuple[SwingMode, ...]
     camera: CameraNoise | None = None
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Length of the state's x."""
         return self._first_factor + sum(mode.spread > 0.0 for mode in self.swing)
@@ -321,17 +321,11 @@ class Transverse:
         x = state.x + innovation.dot(K)
         P = P - PH.dot(K)
         P = 0.5 * (P + P.T.copy())  # the copy has the same order in memory: a faster sum
-        rotation = rotations.exp(x[TURN:STATIC]).dot(state.rotation)
-        factors = self._corrected(state, x)
-        x[TURN:STATIC] = 0.0
-        x[self._first_factor :] = 0.0
         shrinkage = (
             None if state.shrinkage is None else state.shrinkage - H.dot(state.shrinkage).dot(K)
         )
-        state = replace(
-            state, x=x, P=P, rotation=rotation, rejected=0, nis=nis, shrinkage=shrinkage
-        )
-        return replace(state, frequency_factors=factors), True
+        folded = self.folded(state, x, P)
+        return replace(folded, rejected=0, nis=nis, shrinkage=shrinkage), True
 
     @cached_property
     def _errors(self) -> tuple[tuple[slice, float], ...]:
@@ -368,15 +362,7 @@ class Transverse:
 
     def believed(self, state: TransverseState) -> TransverseState:
         """Return the estimate for readers: errors count as far as they are likely."""
-        shrinkage = state.shrinkage
-        if shrinkage is None:
-            return state
-        x = state.x + shrinkage
-        rotation = rotations.exp(shrinkage[TURN:STATIC]).dot(state.rotation)
-        factors = self._corrected(state, x)
-        x[TURN:STATIC] = 0.0
-        x[self._first_factor :] = 0.0
-        return replace(state, x=x, rotation=rotation, frequency_factors=factors)
+        return state if state.shrinkage is None else _believed(self, state)
 
     def sensitivity(self, state: TransverseState, measured: PoseMeasurement) -> Array | None:
         """Return the change (6, 4) of a measured pose for the camera's errors, None without any.
@@ -389,12 +375,18 @@ class Transverse:
         moved = measured.sensitivity.copy()
         later = self.swing_now(state, measured.delay - 0.5 * SPEED_SPAN_S)
         earlier = self.swing_now(state, measured.delay + 0.5 * SPEED_SPAN_S)
-        x, z = self.slopes(state)
-        moved[:3, 0] -= (x * state.speed, state.speed, z * state.speed)
+        column, (x, z) = moved[:, 0].tolist(), self.slopes(state)
+        column[0] -= x * state.speed
+        column[1] -= state.speed
+        column[2] -= z * state.speed
         for mode, now, before in zip(self.swing, later, earlier, strict=True):
             rate = (now - before) / SPEED_SPAN_S
-            moved[:3, 0] -= np.multiply(mode.levers, rate)
-            moved[3 + mode.axis, 0] -= rate
+            lever_x, lever_y, lever_z = mode.levers
+            column[0] -= lever_x * rate
+            column[1] -= lever_y * rate
+            column[2] -= lever_z * rate
+            column[3 + mode.axis] -= rate
+        moved[:, 0] = column
         return moved
 
     def correct_along(
@@ -426,12 +418,7 @@ class Transverse:
             P[k + CAMERA - 1, k + CAMERA - 1] += (ALONG_LEAK * innovation) ** 2
             return replace(state, P=P)
         K = Ph / S
-        x, P = state.x + K * innovation, state.P - np.outer(K, Ph)
-        rotation = rotations.exp(x[TURN:STATIC]).dot(state.rotation)
-        factors = self._corrected(state, x)
-        x[TURN:STATIC] = 0.0
-        x[self._first_factor :] = 0.0
-        return replace(state, x=x, P=P, rotation=rotation, frequency_factors=factors)
+        return self.folded(state, state.x + K * innovation, state.P - K[:, None] * Ph)
 
     def without_errors(self, state: TransverseState, measured: PoseMeasurement) -> PoseMeasurement:
         """Return a measured pose without the camera's estimated errors, its variance with theirs.
@@ -458,15 +445,20 @@ class Transverse:
         """Return the variance (5,) of the object's walk since a measurement ``delay`` s ago."""
         return max(delay, 0.0) * self._drift
 
-    def _corrected(self, state: TransverseState, x: Array) -> tuple[float, ...]:
-        """Return the frequency factors after a correction."""
+    def folded(self, state: TransverseState, x: Array, P: Array) -> TransverseState:
+        """Return the estimate with a corrected x (n,), its rotation and frequencies folded in."""
         low, high = FREQUENCY_FACTORS
-        return tuple(
+        first, values = self._first_factor, x.tolist()
+        factors = tuple(
             [
-                min(max(factor + float(x[swing.j]), low), high) if swing.j >= 0 else factor
+                min(max(factor + values[swing.j], low), high) if swing.j >= 0 else factor
                 for swing, factor in self._with_factors(state)
             ]
         )
+        rotation = rotations.exp(x[TURN:STATIC]).dot(state.rotation)
+        x[TURN:STATIC] = 0.0
+        x[first:] = 0.0
+        return replace(state, x=x, P=P, rotation=rotation, frequency_factors=factors)
 
     def swing_angles(self, state: TransverseState, times: Array) -> Array:
         """Return the swing angles (modes, m) [rad] at ``times`` from now, (9)."""
@@ -484,8 +476,9 @@ class Transverse:
         for swing, factor in self._with_factors(state):
             c, s = values[swing.i], values[swing.i + 1]
             w = swing.omega * factor
+            phase = w * delay
             grown = math.exp(swing.mode.damping * w * delay)
-            angles.append(grown * (c * math.cos(w * delay) - s * math.sin(w * delay)))
+            angles.append(grown * (c * math.cos(phase) - s * math.sin(phase)))
         return tuple(angles)
 
 
@@ -499,6 +492,15 @@ def _matrices(
 ) -> tuple[Array, Array]:
     """Return A of (5) at the identified frequencies, and Q, by the values of the settings."""
     return Transverse(fusion, swing, camera)._matrices(dt, seating)  # noqa: SLF001
+
+
+# A step reads an estimate up to four times, the next step once more.
+@lru_cache(maxsize=4)
+def _believed(model: Transverse, state: TransverseState) -> TransverseState:
+    """Return the estimate with its shrinkage added, by the identity of model and estimate."""
+    shrinkage = state.shrinkage
+    assert shrinkage is not None  # noqa: S101 - the caller has checked
+    return model.folded(state, state.x + shrinkage, state.P)
 
 
 def _innovation(state: TransverseState, measured: PoseMeasurement, H: Array) -> Array:

@@ -42,12 +42,15 @@ class Ramp(Struct, frozen=True):
 def keep(readings: Array, measurements: Sequence[PositionMeasurement], dt: float) -> Array:
     """Return the readings (2, m), ages [s] and positions [m], one step later with the new ones."""
     new = [(each.delay, each.value) for each in measurements if each.source is Source.DISTANCE]
-    aged = readings + np.array(((dt,), (0.0,)))
-    if new:
-        aged = np.concatenate((aged, np.array(new).T), axis=1)
-    first = int(np.count_nonzero(aged[0] > SPAN_S))
-    kept: Array = aged[:, first:] if first else aged
-    return kept
+    count = readings.shape[1]
+    aged = np.empty((2, count + len(new)))
+    np.add(readings[0], dt, out=aged[0, :count])
+    aged[1, :count] = readings[1]
+    for i, reading in enumerate(new, count):
+        aged[0, i], aged[1, i] = reading
+    if not (count and aged[0, 0] > SPAN_S):
+        return aged
+    return since(aged, SPAN_S)
 
 
 def since(readings: Array, age: float) -> Array:

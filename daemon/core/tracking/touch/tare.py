@@ -11,6 +11,7 @@ Invariants:
 """
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from msgspec import Struct
@@ -59,10 +60,10 @@ def updated(
         wrench: raw, of this step.
         down: (3,) unit vector of gravity in the tcp.
     """
+    stiffness = _stiffness(mount)
     raw = np.concatenate((wrench.force, wrench.torque))
-    stiffness = np.array((*mount.stiffness, *mount.rotational_stiffness))
-    bent = np.abs(raw / stiffness)
-    if not (np.isfinite(raw).all() and bent.max() < LARGEST_SAG):
+    # NaN is not smaller.
+    if not float(np.abs(raw / stiffness).max()) < LARGEST_SAG:
         return tare
     mean = raw if tare.wrench is None else tare.wrench + (dt / MEAN_S) * (raw - tare.wrench)
     return Tare(mean, _sag(mean, down, payload, mount))
@@ -70,7 +71,7 @@ def updated(
 
 def _sag(mean: Array, down: Array, payload: PayloadSettings, mount: TactileNoise) -> Array | None:
     """Return the static deflection (6,) [m, rad], None without a weight."""
-    stiffness = np.array((*mount.stiffness, *mount.rotational_stiffness))
+    stiffness = _stiffness(mount)
     if payload.mass > 0.0:
         weight = payload.mass * GRAVITY * down
         turning = np.cross(np.array(payload.centre), weight)
@@ -80,6 +81,14 @@ def _sag(mean: Array, down: Array, payload: PayloadSettings, mount: TactileNoise
     if along < WEIGHT_N or along < SHARE * math.hypot(*mean[:3].tolist()):
         return None
     return np.asarray(mean / stiffness)
+
+
+@lru_cache(maxsize=4)
+def _stiffness(mount: TactileNoise) -> Array:
+    """Return the mount's stiffness (6,) [N/m, Nm/rad]."""
+    stiffness = np.array((*mount.stiffness, *mount.rotational_stiffness))
+    stiffness.setflags(write=False)
+    return stiffness
 
 
 def carried(tare: Tare, mount: TactileNoise) -> Vector3:

@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
@@ -145,3 +146,29 @@ def test_the_distance_sensor_is_compared_with_the_shortest_prediction() -> None:
     assert monitor.distance == pytest.approx(0.004, rel=0.01)
     same = prediction_error.compare_distance(monitor, now_ns, 5.0, T0)
     assert same.distance == monitor.distance
+
+
+def test_the_error_of_a_window_is_the_quantile_of_its_medians_computed_at_once() -> None:
+    """Each image adds one median; numpy takes those of the whole window."""
+    noisy = run(4.0, seen=lambda t: (0.001 * math.sin(9.0 * t), 0.002, 0.001, 0.01), noise=0.002)
+    for lead in noisy.leads:
+        errors = np.array([error for _, error in lead.errors])
+        medians = np.median((errors[:-2], errors[1:-1], errors[2:]), axis=0)
+        sizes = np.sort(np.hypot(*medians.T[:2])), np.sort(np.abs(medians.T[2]))
+        place = round(prediction_error.QUANTILE * len(medians))
+        assert len(errors) > 20
+        assert (lead.lateral, lead.depth) == pytest.approx([size[place] for size in sizes])
+
+
+def test_a_state_without_medians_gives_the_same_errors_after_its_next_image() -> None:
+    before = run(4.0, noise=0.002)
+    older = [replace(lead, medians=()) for lead in before.leads]
+    image = PoseMeasurement(np.array((0.1, 0.39, 0.5)), np.eye(3), DELAY, np.ones(6))
+    now, bare = (
+        prediction_error.compare_poses(each, 4_000_000_000, [image]).leads
+        for each in (before, replace(before, leads=tuple(older)))
+    )
+    assert len(now[0].errors) > 20
+    for lead, again in zip(now, bare, strict=True):
+        assert again.medians == lead.medians[-len(again.medians) :]
+        assert (again.lateral, again.depth) == (lead.lateral, lead.depth)
