@@ -44,7 +44,7 @@ class RobotPlant:
         Args:
             applied: the open cycle's outcome.
         """
-        self.world.command(applied.setpoints, self.cycle)
+        self.world.command(applied.motion or applied.setpoints, self.cycle)
         self.world.digital_out(applied.digital_out)
         self.cycle += 1
         self.world.advance(self.world.cycle_start(self.cycle))

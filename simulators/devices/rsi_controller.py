@@ -106,6 +106,7 @@ class Applied(Struct, frozen=True):
         digital_out: signals to the tool.
         outcome: what became of its reply; None after the exchange broke off.
         clamped: a correction limit held something back.
+        motion: where the controller's own filter sends the axes; None: to the setpoints.
     """
 
     cycle: int
@@ -114,6 +115,7 @@ class Applied(Struct, frozen=True):
     digital_out: int
     outcome: Judgement | None
     clamped: bool
+    motion: Seven | None = None
 
     @property
     def answered(self) -> bool:

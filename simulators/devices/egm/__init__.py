@@ -1,0 +1,1 @@
+"""Emulated ABB controller with Externally Guided Motion."""
