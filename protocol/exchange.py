@@ -1,4 +1,4 @@
-"""Cyclic exchange, daemon's side: classify each telegram by IPOC and arrival.
+"""Cyclic exchange, daemon's side: classify each telegram by counter and arrival.
 
 Invariants:
     ``TABLE`` has the next state, the kind and whether to answer, for each state and event.
@@ -16,7 +16,7 @@ from msgspec import Struct
 
 WINDOW = 100  # an accepted telegram is at most so many cycles ahead of the last one
 CONSISTENT = 3  # telegrams in one line that overrule the counter before
-TOLERANCE = 4  # cycles by which IPOC and arrival may differ: a flipped bit is not a gap
+TOLERANCE = 4  # cycles by which counter and arrival may differ: a flipped bit is not a gap
 
 SESSION_GAP_S = 2.0  # silence that ends a session
 PEER_GAP_S = 0.1  # silence after which another peer may begin a session
@@ -52,7 +52,7 @@ class TelegramEvent(StrEnum):
     SETTLED = "the same step for the second time"
     AHEAD = "some steps ahead, in the window"
     OVERDUE = "in order, but its step was made by the clock already"
-    SAME = "the same IPOC once more"
+    SAME = "the same counter once more"
     MISSED = "one that was missed comes after its successor"
     OLDER = "behind"
     STRAY = "outside the window, between the steps, or too far ahead of the time that passed"
@@ -116,7 +116,7 @@ class TelegramDecision(Struct, frozen=True):
         steps: sampling steps to make now, so that their count follows the controller's cycles.
             Missed cycles are included, steps already made by the clock are not.
         session: number of the session, 1 for the first; a change re-zeroes and disarms.
-        step: the learned IPOC step, None while unknown.
+        step: the learned step of the counter, None while unknown.
     """
 
     kind: TelegramKind
@@ -188,14 +188,14 @@ class Exchange:
         """Begin before the first telegram.
 
         Args:
-            cycle_s: the configured cycle [s]. The IPOC's step is learned, not derived from it.
+            cycle_s: the configured cycle [s]. The counter's step is learned, not derived from it.
             session_gap_s: silence after which the next telegram is a new session [s].
             peer_gap_s: silence after which another peer may begin a session [s].
         """
         self._cycle_ns = max(1, round(cycle_s * 1e9))
         self._session_gap_ns = round(session_gap_s * 1e9)
         self._peer_gap_ns = round(peer_gap_s * 1e9)
-        # IPOC counts milliseconds on a real controller and cycles in some simulators.
+        # An IPOC counts milliseconds on a real controller and cycles in some simulators.
         self._reach = WINDOW * max(1, round(cycle_s * 1e3))
         self._counts = dict.fromkeys(TelegramKind, 0)
         self._missed_total = 0
@@ -226,12 +226,12 @@ class Exchange:
 
     @property
     def step(self) -> int | None:
-        """The learned IPOC step, None while unknown."""
+        """The learned step of the counter, None while unknown."""
         return self._step
 
     @property
     def settled_step(self) -> int | None:
-        """The learned IPOC step once it is sure, None before."""
+        """The learned step of the counter once it is sure, None before."""
         return self._step if self._state is ExchangeState.RUNNING else None
 
     @property
@@ -254,7 +254,7 @@ class Exchange:
         return None if self._state is ExchangeState.IDLE else now_ns - self._last_ns
 
     def resume(self, step: int) -> None:
-        """Continue with a known IPOC step: the new session continues the one before."""
+        """Continue with a known step of the counter: the new session continues the one before."""
         self._step, self._state = step, ExchangeState.RUNNING
 
     def would_open(self, stamp_ns: int, peer: Hashable) -> bool:

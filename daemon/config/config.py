@@ -13,7 +13,7 @@ from linemate.daemon.config import documents, files, overlays
 from linemate.daemon.config.documents import Complaint, FileError, YamlDocument
 from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.named_files import NamedFiles
-from linemate.daemon.config.settings import Config
+from linemate.daemon.config.settings import Config, ControllerKind
 from linemate.daemon.config.settings_tree import Settings
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.core.control import urdf_limits
@@ -22,12 +22,26 @@ from linemate.protocol.rsi.ethernet_config import RsiConfig
 
 
 @dataclass(frozen=True, slots=True)
+class RobotEndpoint:
+    """Socket of the robot's telegrams.
+
+    Attributes:
+        port: local UDP port, 0 for any.
+        peer: the only address that is answered. None: any address.
+    """
+
+    bind: str
+    port: int
+    peer: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class LoadedConfig:
     """Everything from files that a daemon is started with.
 
     Attributes:
         path: path of the configuration file.
-        rsi: the controller's own configuration.
+        rsi: the controller's own configuration, None without RSI.
         dbc: text of the distance sensor's DBC, None without that sensor.
         keys: pre-shared keys of the command port.
         texts: files for recordings, by name: config, task, urdf, rsi, dbc.
@@ -38,7 +52,7 @@ class LoadedConfig:
     path: Path
     config: Config
     task: Task
-    rsi: RsiConfig
+    rsi: RsiConfig | None
     dbc: str | None
     keys: tuple[PresharedKey, ...]
     texts: dict[str, str] = field(repr=False)
@@ -46,10 +60,18 @@ class LoadedConfig:
     state: Path | None = None
 
     @property
-    def rsi_port(self) -> int:
-        """UDP port of the robot's telegrams."""
-        port = self.config.rsi.port
-        return self.rsi.port if port is None else port
+    def cycle_s(self) -> float:
+        """Period of the controller [s]."""
+        return self.config.rsi.cycle_ms * 1e-3
+
+    @property
+    def robot(self) -> "RobotEndpoint":
+        """Where the robot's telegrams arrive."""
+        rsi = self.config.rsi
+        port = rsi.port
+        if port is None:
+            port = 0 if self.rsi is None else self.rsi.port
+        return RobotEndpoint(rsi.bind, port, rsi.peer)
 
 
 def load(path: Path) -> LoadedConfig:
@@ -68,7 +90,8 @@ def load(path: Path) -> LoadedConfig:
         config = documents.fill(document, Config, named.complaints)
     except FileError as error:
         raise FileError([*error.lines, *named.lines]) from error
-    if named.lines or named.task is None or named.rsi is None:
+    lacks_rsi = config.controller.kind is ControllerKind.RSI and named.rsi is None
+    if named.lines or named.task is None or lacks_rsi:
         raise FileError(named.lines)
     texts = {"config": data.decode("utf-8-sig"), **named.texts}
     base = path.parent

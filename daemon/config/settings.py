@@ -24,6 +24,23 @@ Groups = Annotated[tuple[Text, ...], Len(0, 32)]
 ExternalAxis = Literal["E1", "E2", "E3", "E4", "E5", "E6"]
 
 
+class ControllerKind(StrEnum):
+    """Family of the robot's controller."""
+
+    RSI = "rsi"
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerSettings:
+    """The robot's controller.
+
+    Attributes:
+        kind: family. The section of the same name has its settings: ``rsi`` for KUKA RSI.
+    """
+
+    kind: ControllerKind = ControllerKind.RSI
+
+
 class Corrections(StrEnum):
     """How the controller's correction objects read the reply."""
 
@@ -33,7 +50,7 @@ class Corrections(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RsiSettings:
-    """The robot controller's link.
+    """The link to a KUKA controller with RSI.
 
     Attributes:
         config: the controller's own RSI_EthernetConfig.xml; a bare name may be a shipped one.
@@ -231,6 +248,7 @@ class Config:
     task: Text
     overlays: Annotated[tuple[Text, ...], Len(0, 16)] = ()
     state: Text | None = None
+    controller: ControllerSettings = ControllerSettings()
     rsi: RsiSettings = RsiSettings()
     distance: DistanceSettings | None = None
     camera: CameraSettings | None = None

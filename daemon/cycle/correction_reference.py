@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
+from linemate.protocol.controller_link import ACCOUNTED_S
 from linemate.protocol.stamped_samples import RobotSample
 
 Axes = tuple[float, ...]
@@ -27,7 +28,7 @@ Axes = tuple[float, ...]
 RESTART_S = 0.1
 # Time that the counter may leave unaccounted. Jitter and a controller that was stalled for a moment
 # do not refute a program that goes on; a restart does [s].
-UNACCOUNTED_S = 0.08
+UNACCOUNTED_S = ACCOUNTED_S
 # Silence in which a running program would have raised Delay visibly [cycles, s].
 SILENT_CYCLES = 5
 SILENT_S = 0.05
@@ -77,11 +78,12 @@ class Proof(StrEnum):
     STARTED = "the start of the program was seen: the correction is zero"
     UNMOVED = "this daemon has sent zero only: the correction is zero"
     COMPUTED = "the correction is the actual position less the programmed one"
+    REPORTED = "setpoints are positions: the first one is the reported position"
     PENDING = "waiting for telegrams that confirm it, or for the axes to rest"
     NONE = "the correction in force is unknown"
 
 
-PROVEN = frozenset({Proof.CONTINUED, Proof.STARTED, Proof.UNMOVED, Proof.COMPUTED})
+PROVEN = frozenset({Proof.CONTINUED, Proof.STARTED, Proof.UNMOVED, Proof.COMPUTED, Proof.REPORTED})
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,8 @@ same if the ready one was sent.
 
 Invariants:
 - The same in real and in virtual time.
-- A telegram of another counter, Delay, peer or place than expected is answered after all checks.
-- A reply carries corrections only if it is proven which correction is in force (``session``).
+- A telegram of another counter, delay, peer or place than expected is answered after all checks.
+- A reply carries a setpoint only if it is proven which setpoint is in force (``session``).
 """
 
 from collections.abc import Callable, Hashable
@@ -25,9 +25,14 @@ from linemate.daemon.cycle.correction_reference import RESTART_S, Proof
 from linemate.daemon.cycle.session import Axes
 from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.cycle.steps import PreparedStep, Stepper
+from linemate.protocol.controller_link import (
+    ControllerError,
+    ControllerLink,
+    ControllerTelegram,
+    PreparedReply,
+    ReadyReply,
+)
 from linemate.protocol.exchange import Exchange, TelegramDecision, TelegramKind
-from linemate.protocol.rsi.codec import PreparedReply, RobotTelegram, RsiCodec, RsiError
-from linemate.protocol.rsi.expected_telegram import ReadyReply
 from linemate.protocol.stamped_samples import RobotSample, Vector6
 
 LONGEST_JUMP = 0.05  # of a joint in the expected telegram [rad]
@@ -68,24 +73,19 @@ class Cycle(Stepper):
     def __init__(
         self,
         parameters: Parameters,
-        codec: RsiCodec,
+        link: ControllerLink,
         watch_settings: WatchSettings | None = None,
         *,
-        absolute: bool = True,
         wrench_expected: bool = True,
     ) -> None:
         """Wait for the first telegram.
 
         Args:
-            codec: of the robot's telegrams.
-            absolute: corrections are offsets from the start (#ABSOLUTE), else increments.
+            link: codec and rules of the robot's controller.
             wrench_expected: there is a force-torque sensor.
         """
         settings = watch_settings or WatchSettings()
-        super().__init__(
-            parameters, codec, settings, absolute=absolute, wrench_expected=wrench_expected
-        )
-        self.codec = codec
+        super().__init__(parameters, link, settings, wrench_expected=wrench_expected)
         self.exchange = Exchange(parameters.cycle_s)
         self.decision: TelegramDecision | None = None
         self.date: Callable[[int, int], int] = lambda stamp_ns, _cycles: stamp_ns
@@ -100,23 +100,25 @@ class Cycle(Stepper):
     def on_telegram(
         self, data: bytes, stamp_ns: int, peer: Hashable = None, *, is_answered: bool = False
     ) -> bytes | None:
-        """Return the reply to one telegram, None if it is not to be answered.
+        """Return the reply to one telegram.
 
         Args:
             is_answered: ``ready_reply`` is sent already.
+
+        Returns:
+            Its bytes. Empty: the telegram counts, and nothing is to be sent. None: it does not.
         """
         self._begin()
         if is_answered and self._ready is not None:
             self._sent_ahead = self._ready.entry.outputs.command
         try:
-            telegram = self.codec.parse_robot(data)
-            robot = self._robot_sample(telegram, stamp_ns)
-        except RsiError as error:
+            telegram = self._link.read(data, stamp_ns)
+        except ControllerError as error:
             self.refused += 1
             self.last_refusal = str(error)
-            reply = self._answer_unreadable(error.ipoc_text, stamp_ns, peer)
+            reply = self._answer_unreadable(error.counter, stamp_ns, peer)
         else:
-            reply = self._decide(telegram, robot, peer)
+            reply = self._decide(telegram, peer)
         self._end()
         return reply
 
@@ -198,24 +200,29 @@ class Cycle(Stepper):
         foreseen = self.exchange.foreseen()
         if foreseen is None or self.session.is_interrupted:
             return None
-        ipoc, peer = foreseen
-        telegram = self.codec.expect_robot(ipoc, self.session.delay, self._joints, LONGEST_JUMP)
-        if telegram is None:
+        counter, peer = foreseen
+        expected = self._link.expect(counter, self.session.delay, self._joints, LONGEST_JUMP)
+        if expected is None:
             return None
-        reply = ready.reply.with_ipoc(b"%d" % ipoc)
-        return ReadyReply(telegram, peer, self.session.accounted_until_ns, reply)
+        pattern, echo = expected
+        reply = ready.reply.with_counter(echo)
+        return ReadyReply(pattern, peer, self.session.accounted_until_ns, reply)
 
-    def _decide(self, telegram: RobotTelegram, robot: RobotSample, peer: Hashable) -> bytes | None:
+    def _decide(self, telegram: ControllerTelegram, peer: Hashable) -> bytes | None:
+        robot = telegram.robot
         stamp_ns = robot.stamp_ns
         self.session.hear(stamp_ns)
-        decision = self.decision = self.exchange.on_telegram(telegram.ipoc, stamp_ns, peer)
+        decision = self.decision = self.exchange.on_telegram(telegram.counter, stamp_ns, peer)
         self._owes_reply = decision.answer
         if not decision.answer:
             return None
+        if telegram.unready is not None:
+            self.session.decline(telegram.unready, peer)
+            return self._reply_bare(telegram.echo, stamp_ns, decision.steps)
         is_unproven = decision.kind in _OPENS or self.session.needs_proof(robot, decision.missed)
-        if is_unproven and not self._prove(telegram, robot, peer, decision):
-            return self._reply_bare(telegram.ipoc_text, stamp_ns, decision.steps)
-        if self.session.settle(telegram.delay, decision.missed + 1, stamp_ns):
+        if is_unproven and not self._prove(telegram, peer, decision):
+            return self._reply_bare(telegram.echo, stamp_ns, decision.steps)
+        if self.session.settle(robot.delay, decision.missed + 1, stamp_ns):
             self.operating.is_reply_lost = True
         arrived = robot
         if decision.kind not in _OPENS:
@@ -229,32 +236,30 @@ class Cycle(Stepper):
         return reply
 
     def _answer_unreadable(
-        self, ipoc_text: bytes | None, stamp_ns: int, peer: Hashable
+        self, counter: tuple[int, bytes] | None, stamp_ns: int, peer: Hashable
     ) -> bytes | None:
         """Return a bare reply to a telegram of which only the counter could be read, or None."""
-        if ipoc_text is None:
+        if counter is None:
             return None
+        number, echo = counter
         self.session.hear(stamp_ns)
         if self.exchange.would_open(stamp_ns, peer):
-            return self._reply_bare(ipoc_text, stamp_ns, 0)
-        decision = self.decision = self.exchange.on_telegram(int(ipoc_text), stamp_ns, peer)
+            return self._reply_bare(echo, stamp_ns, 0)
+        decision = self.decision = self.exchange.on_telegram(number, stamp_ns, peer)
         if not decision.answer:
             return None
         self.session.refuse(peer)
-        return self._reply_bare(ipoc_text, stamp_ns, decision.steps)
+        return self._reply_bare(echo, stamp_ns, decision.steps)
 
     def _prove(
-        self,
-        telegram: RobotTelegram,
-        robot: RobotSample,
-        peer: Hashable,
-        decision: TelegramDecision,
+        self, telegram: ControllerTelegram, peer: Hashable, decision: TelegramDecision
     ) -> bool:
-        """Open or resume the session if it is proven which correction is in force."""
+        """Open or resume the session if it is proven which setpoint is in force."""
+        robot = telegram.robot
         session, axes = self.session, self._axes(robot)
         opens = decision.kind in _OPENS
         is_resumed = opens or session.is_interrupted or decision.missed > 0
-        found = session.prove(robot, axes, self._programmed(telegram), peer)
+        found = session.prove(robot, axes, telegram.programmed, peer)
         if found is None:
             return False
         reference, held = found
@@ -284,8 +289,8 @@ class Cycle(Stepper):
         elif self.following.check_resting(axes, start):
             self._open_session(robot, axes, axes)
 
-    def _reply_bare(self, ipoc_text: bytes, stamp_ns: int, steps: int) -> bytes:
-        """Return a reply without corrections: the controller keeps those that it has."""
+    def _reply_bare(self, echo: bytes, stamp_ns: int, steps: int) -> bytes:
+        """Return a reply without a setpoint: the controller keeps the one that it has."""
         ready, self._ready = self._ready, None
         if ready is not None:
             self._add_unsent(self._confirmed(ready))
@@ -297,9 +302,12 @@ class Cycle(Stepper):
             self._step_unsent(self._state, stamp_ns)
         self.session.refrain()
         signals = 0 if self.last is None or self._state is None else self.last.outputs.digital_out
-        return self._replies.without_corrections(signals).with_ipoc(ipoc_text)
+        reply = self._link.without_setpoint(signals)
+        return b"" if reply is None else reply.with_counter(echo)
 
-    def _answer(self, telegram: RobotTelegram, stamp_ns: int, decision: TelegramDecision) -> bytes:
+    def _answer(
+        self, telegram: ControllerTelegram, stamp_ns: int, decision: TelegramDecision
+    ) -> bytes:
         """Return the reply, after as many steps as the controller made cycles."""
         session, last, steps = self.session, self.last, decision.steps
         if decision.missed:
@@ -307,14 +315,14 @@ class Cycle(Stepper):
         ahead = steps == 0 and not session.was_sent and not session.was_lost
         if ahead and last is not None and last.inputs.sent == session.moves:
             # The timer made the step of this late telegram, but did not send it.
-            self.last = replace(last, ipoc=telegram.ipoc)
+            self.last = replace(last, ipoc=telegram.counter)
             return self._give(last, self._reply(last), telegram)
         if decision.missed:
             # The robot has held, even if the timer had no step left to make for it: a controller
             # that was stalled itself counts fewer cycles than the time has.
             session.was_sent = False
         if steps == 0 and last is not None and self._plan is not None:
-            entry = self._finish_again(last, self._plan, telegram.ipoc)
+            entry = self._finish_again(last, self._plan, telegram.counter)
             return self._give(entry, self._reply(entry), telegram)
         ready, self._ready = self._ready, None
         if ready is not None and steps > 1:
@@ -327,50 +335,23 @@ class Cycle(Stepper):
         if ready is not None:
             self.prepared += 1
             ready = self._confirmed(ready, answering=True)
-            entry, plan = replace(ready.entry, ipoc=telegram.ipoc), ready.plan
+            entry, plan = replace(ready.entry, ipoc=telegram.counter), ready.plan
             reply = ready.reply
         else:
             self.inline += 1
             entry, plan = self._step(
-                self._opened(), stamp_ns, telegram=True, answering=True, ipoc=telegram.ipoc
+                self._opened(), stamp_ns, telegram=True, answering=True, ipoc=telegram.counter
             )
             reply = self._reply(entry)
         self._add(entry, plan)
         return self._give(entry, reply, telegram)
 
-    def _give(self, entry: LogEntry, reply: PreparedReply, telegram: RobotTelegram) -> bytes:
+    def _give(self, entry: LogEntry, reply: PreparedReply, telegram: ControllerTelegram) -> bytes:
         """Return a reply as it goes to the wire."""
         self.session.give(entry.outputs.command)
         self._owes_reply = False  # what is lost from here on is this reply
         self._given = entry
-        return reply.with_ipoc(telegram.ipoc_text)
-
-    def _robot_sample(self, telegram: RobotTelegram, stamp_ns: int) -> RobotSample:
-        """Return what a telegram says of the robot.
-
-        Raises:
-            RsiError: the configuration sends no joints, or no linear axis that the arm has.
-        """
-        external = telegram.external or ()
-        if telegram.joints is None:
-            raise RsiError(
-                "the telegram has no AIPos: the daemon needs the joints",
-                ipoc_text=telegram.ipoc_text,
-            )
-        if self.parameters.controller.arm.linear_axis and not external:
-            raise RsiError(
-                "the telegram has no EIPos: the task's arm has a linear axis",
-                ipoc_text=telegram.ipoc_text,
-            )
-        signals = telegram.channels.get("DiL", 0)
-        return RobotSample(
-            stamp_ns=stamp_ns,
-            ipoc=telegram.ipoc,
-            joints=telegram.joints,
-            external=external,
-            delay=telegram.delay,
-            digital_in=int(signals) if isinstance(signals, (int, float)) else 0,
-        )
+        return reply.with_counter(telegram.echo)
 
     def _axes(self, robot: RobotSample) -> Axes:
         """Return a telegram's axes in the controller's order."""
@@ -378,18 +359,9 @@ class Cycle(Stepper):
             return (*robot.joints, robot.external[0])
         return robot.joints
 
-    def _programmed(self, telegram: RobotTelegram) -> Axes | None:
-        """Return the programmed position of the axes, None if the telegram does not have it."""
-        if telegram.joint_setpoints is None:
-            return None
-        if not self.parameters.controller.arm.linear_axis:
-            return telegram.joint_setpoints
-        external = telegram.external_setpoints
-        return None if not external else (*telegram.joint_setpoints, external[0])
-
     @property
     def is_unproven(self) -> bool:
-        """Whether it is unknown which correction the controller has in force."""
+        """Whether it is unknown which setpoint the controller has in force."""
         return self.session.unproven is not None
 
     @property

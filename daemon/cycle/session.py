@@ -20,11 +20,13 @@ from linemate.daemon.cycle.correction_reference import (
     Proof,
     Start,
 )
+from linemate.protocol.controller_link import ExchangeRules, SetpointKind
 from linemate.protocol.stamped_samples import RobotSample
 
 __all__ = ["RESTART_PROGRAM", "Axes", "Session", "standing"]
 
 RESTART_PROGRAM = "Restart the KRL program: it must start while the daemon listens."
+_OFFSETS = ExchangeRules()
 REST_S = 0.12  # the axes are at rest if all telegrams of so long are ...
 STILL = 2e-4  # ... so near to each other [rad, m]
 
@@ -47,7 +49,6 @@ class Session:
     """
 
     __slots__ = (
-        "_absolute",
         "_candidate",
         "_cycle_s",
         "_delay",
@@ -59,6 +60,7 @@ class Session:
         "_longest_s",
         "_pause_s",
         "_program",
+        "_rules",
         "_silence_s",
         "_silent_until_ns",
         "_telegrams",
@@ -76,12 +78,12 @@ class Session:
         "was_sent",
     )
 
-    def __init__(self, cycle_s: float, *, absolute: bool = True) -> None:
+    def __init__(self, cycle_s: float, rules: ExchangeRules = _OFFSETS) -> None:
         """Wait for the first program.
 
         Args:
             cycle_s: the controller's cycle [s].
-            absolute: corrections count from a reference. Increments need none.
+            rules: how its family exchanges setpoints.
         """
         self.reference: Axes = ()
         self.pending: Axes | None = None
@@ -94,7 +96,7 @@ class Session:
         self.stalled_s = 0.0
         self.unserved = 0
         self.openings = self.replies_lost = 0
-        self._absolute = absolute
+        self._rules = rules
         self._cycle_s = cycle_s
         self._delay: int | None = None
         self._heard_ns: int | None = None
@@ -151,7 +153,7 @@ class Session:
     @property
     def accounted_until_ns(self) -> int:
         """When the time since the last proven telegram needs a proof again [ns]."""
-        passed_ns = round(proving.UNACCOUNTED_S * 1e9)
+        passed_ns = round(self._rules.accounted_s * 1e9)
         return 0 if self._program is None else self._program.stamp_ns + passed_ns - 1
 
     @property
@@ -165,13 +167,15 @@ class Session:
         Args:
             missed: cycles before it without a telegram, by the counter.
         """
-        if not self._absolute:
+        if self._rules.setpoints is SetpointKind.INCREMENTS:
             return False
         if not self.is_proven or self._program is None or self._is_interrupted:
             return True
         passed_s = (robot.stamp_ns - self._program.stamp_ns) * 1e-9
-        if max(passed_s, missed * self._cycle_s) >= proving.UNACCOUNTED_S:
+        if max(passed_s, missed * self._cycle_s) >= self._rules.accounted_s:
             return True
+        if self._rules.setpoints is SetpointKind.POSITIONS:
+            return False
         # Missed cycles got no reply. If Delay says otherwise, the counter has jumped.
         bad = 0 if robot.delay is None or self._delay is None else robot.delay - self._delay
         return missed > 0 and bad not in {missed, missed + 1}
@@ -193,9 +197,11 @@ class Session:
             The reference, and where the robot holds; None if that is unknown. ``proof`` and
             ``unproven`` say why.
         """
-        if not self._absolute:
+        if self._rules.setpoints is SetpointKind.INCREMENTS:
             self.proof, self.unproven = Proof.STARTED, None
             return axes, axes
+        if self._rules.setpoints is SetpointKind.POSITIONS:
+            return self._prove_position(axes, peer)
         program, found = self._program, None
         if program is not None and not self._is_refuted:
             program = program._replace(heard=self._telegrams - 1, silence_s=self._longest_s)
@@ -240,7 +246,6 @@ class Session:
             start = Start.NOT_SEEN
         confirmations = self._follow_candidate(robot, axes, peer, start)
         self._lately.append(axes)
-        spread = max(max(way) - min(way) for way in zip(*self._lately, strict=True))
         return Evidence(
             known=known,
             goes_on=found is not None,
@@ -249,8 +254,33 @@ class Session:
             confirmed=confirmations >= CONFIRMATIONS,
             programmed=proving.compare(axes, programmed),
             refuted=program is not None and proving.refutes(program, programmed),
-            at_rest=len(self._lately) == self._lately.maxlen and spread < STILL,
+            at_rest=self._has_rested(),
         )
+
+    def _has_rested(self) -> bool:
+        """Return whether the axes have not moved for some time."""
+        spread = max(max(way) - min(way) for way in zip(*self._lately, strict=True))
+        return len(self._lately) == self._lately.maxlen and spread < STILL
+
+    def _prove_position(self, axes: Axes, peer: Hashable) -> tuple[Axes, Axes] | None:
+        """Return the reported position as the setpoint in force, None while the robot moves.
+
+        A robot that was moved may coast to a stop. Its position then is not its setpoint.
+        """
+        self._lately.append(axes)
+        program = self._program
+        if program is not None and program.moved and not self._has_rested():
+            self.decline("the setpoint in force is unknown: the robot still moves. Wait.", peer)
+            self.proof = Proof.PENDING
+            return None
+        self._lately.clear()
+        self.proof, self.unproven = Proof.REPORTED, None
+        return axes, axes
+
+    def decline(self, reason: str, peer: Hashable) -> None:
+        """Note a telegram that gets no setpoint; the next one that may needs a proof."""
+        self.proof, self.unproven = Proof.NONE, reason
+        self.refuse(peer)
 
     def _follow_candidate(
         self, robot: RobotSample, axes: Axes, peer: Hashable, start: Start

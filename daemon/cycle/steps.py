@@ -18,13 +18,12 @@ from linemate.daemon.cycle import states
 from linemate.daemon.cycle.causes import Change
 from linemate.daemon.cycle.following_error import FollowingCheck
 from linemate.daemon.cycle.operating import Operating, Situation
-from linemate.daemon.cycle.replies import Replies
 from linemate.daemon.cycle.samples import SensorQueues
 from linemate.daemon.cycle.sensor_health import Conditions
 from linemate.daemon.cycle.session import Axes, Session, standing
 from linemate.daemon.cycle.states import Machine, State
 from linemate.daemon.cycle.step_log import LogEntry, StepLog
-from linemate.protocol.rsi.codec import PreparedReply, RsiCodec
+from linemate.protocol.controller_link import ControllerLink, PreparedReply, SetpointKind
 from linemate.protocol.stamped_samples import RobotSample
 
 PROGRAMMED_S = 1000.0  # a blend this long lets the program alone lead the motion [s]
@@ -34,7 +33,7 @@ _MOVES = frozenset({"arm", "start"})
 
 
 class PreparedStep(Struct, frozen=True):
-    """A step made before its telegram, what it planned, and its reply without the IPOC."""
+    """A step made before its telegram, what it planned, and its reply without the counter."""
 
     reply: PreparedReply
     entry: LogEntry
@@ -55,20 +54,19 @@ class Stepper:
     def __init__(
         self,
         parameters: Parameters,
-        codec: RsiCodec,
+        link: ControllerLink,
         settings: WatchSettings,
         *,
-        absolute: bool,
         wrench_expected: bool,
     ) -> None:
         self.parameters = parameters
         self.operating = Operating(settings, parameters.cycle_s, wrench_expected=wrench_expected)
         self.samples = SensorQueues()
-        self.session = Session(parameters.cycle_s, absolute=absolute)
+        self.session = Session(parameters.cycle_s, link.rules)
         self.following = FollowingCheck(settings.follow_s, parameters.cycle_s)
         self.last: LogEntry | None = None
         self.steps = self.remade = self.repeated = 0
-        self._replies = Replies(codec, absolute=absolute)
+        self._link = link
         self._log = StepLog()
         self._state: stepping.StepState | None = None
         self._before: stepping.Outputs | None = None  # of the step before ``last``
@@ -325,10 +323,11 @@ class Stepper:
         return task_time > self.parameters.tracker.sight_time
 
     def _reply(self, entry: LogEntry) -> PreparedReply:
-        """Return the reply to a step without its IPOC."""
-        origin = self.session.reference if self._replies.absolute else self.session.held
+        """Return the reply to a step without its counter."""
+        is_offset = self._link.rules.setpoints is SetpointKind.OFFSETS
+        origin = self.session.reference if is_offset else self.session.held
         outputs = entry.outputs
-        return self._replies.prepare(outputs.command, origin, outputs.digital_out)
+        return self._link.prepare(outputs.command, origin, outputs.digital_out)
 
     def _add(self, entry: LogEntry, plan: stepping.StepPlan) -> None:
         """Remember a step, for the next decision and for the log."""

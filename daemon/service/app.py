@@ -21,7 +21,6 @@ from typing import Any
 from linemate.daemon.config.config import LoadedConfig
 from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.key_file import key_path, read_keys
-from linemate.daemon.config.settings import Corrections
 from linemate.daemon.core.control.adaptation import ServoEstimates
 from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.parameters import Parameters
@@ -37,6 +36,7 @@ from linemate.daemon.recording import viewer_messages
 from linemate.daemon.service.assembly import (
     build_command_port,
     build_learner,
+    build_link,
     build_recorder,
     build_sensors,
     incident_directory,
@@ -55,10 +55,9 @@ from linemate.drivers import port_holder
 from linemate.drivers.camera_udp import CameraLink
 from linemate.drivers.can_bus import CanLink
 from linemate.drivers.datagrams import Address
-from linemate.drivers.rsi_udp import RsiLink
+from linemate.drivers.robot_udp import RobotLink
 from linemate.drivers.serial_port import SerialLink
 from linemate.protocol.exchange import TelegramKind as Telegram
-from linemate.protocol.rsi.codec import RsiCodec
 
 ORDERS = frozenset(watch.OPERATIONS)
 REST_TIMEOUT_S = 4.0
@@ -70,7 +69,7 @@ LOG_EVERY = 1000  # a fault of the cycle is logged once in so many
 
 log = logging.getLogger(__name__)
 
-Link = RsiLink | CanLink | CameraLink | SerialLink
+Link = RobotLink | CanLink | CameraLink | SerialLink
 Handler = Callable[[Mapping[str, Any], str], Answer | asyncio.Future[Answer]]
 
 
@@ -102,19 +101,19 @@ class App:
         config = station.config
         self.cycle = Cycle(
             parameters,
-            RsiCodec(station.rsi, config.rsi.linear_axes, constants=config.rsi.constants),
+            build_link(station, parameters),
             config.watch,
-            absolute=config.rsi.corrections is Corrections.ABSOLUTE,
             wrench_expected=config.force_torque is not None,
         )
-        self._robot = RsiLink(
+        self._robot = RobotLink(
             self._on_telegram,
-            config.rsi.bind,
-            station.rsi_port,
+            station.robot.bind,
+            station.robot.port,
             # Not a function of ours: it is called between a telegram and its reply.
             ready_reply=partial(getattr, self.cycle, "ready_reply"),
             on_open=self.cycle.listen,
         )
+        self._peer = station.robot.peer
         self._sensors = tuple(build_sensors(station, self.cycle))
         self._links: tuple[Link, ...] = (self._robot, *self._sensors)
         self._rates = Rates()
@@ -200,7 +199,7 @@ class App:
         self._robot.open()
         if self._robot.address is None:
             why = self._robot.status.reason + port_holder.describe_holder(
-                self._robot.refusal, self._station.rsi_port
+                self._robot.refusal, self._station.robot.port
             )
             raise StartError(f"the robot's port cannot be opened: {why}")
         try:
@@ -268,8 +267,7 @@ class App:
     def _on_telegram(
         self, data: bytes, stamp_ns: int, source: Address, *, is_answered: bool
     ) -> bytes | None:
-        peer = self._station.config.rsi.peer
-        if peer is not None and source[0] != peer:
+        if self._peer is not None and source[0] != self._peer:
             self.counters["foreign_telegrams"] += 1
             return None
         began_ns = time.monotonic_ns()

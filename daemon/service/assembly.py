@@ -6,6 +6,8 @@ from pathlib import Path
 
 from linemate.daemon.config.config import LoadedConfig
 from linemate.daemon.config.section_checks import group_ids
+from linemate.daemon.config.settings import Corrections
+from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle.cycle import Cycle
 from linemate.daemon.cycle.learning import Learner
 from linemate.daemon.recording.recorder import MIB, Recorder, Rotation
@@ -15,9 +17,23 @@ from linemate.drivers.camera_peer import parse_peer
 from linemate.drivers.camera_udp import CameraLink
 from linemate.drivers.can_bus import CanLink
 from linemate.drivers.serial_port import SerialLink
+from linemate.protocol.controller_link import ControllerLink
+from linemate.protocol.rsi.codec import RsiCodec
+from linemate.protocol.rsi.rsi_link import RsiLink
 from linemate.protocol.sensors.camera_codec import CameraDecoder
 from linemate.protocol.sensors.distance import DistanceDecoder
 from linemate.protocol.sensors.wrench import BAUD_RATES, make_decoder, make_host
+
+
+def build_link(station: LoadedConfig, parameters: Parameters) -> ControllerLink:
+    """Return the codec and the rules of the robot's controller."""
+    settings, file = station.config.rsi, station.rsi
+    assert file is not None  # noqa: S101 - ``config.load`` refuses RSI without its file
+    return RsiLink(
+        RsiCodec(file, settings.linear_axes, constants=settings.constants),
+        absolute=settings.corrections is Corrections.ABSOLUTE,
+        on_rail=parameters.controller.arm.linear_axis,
+    )
 
 
 def build_sensors(

@@ -68,10 +68,9 @@ def _compiled(station: Any) -> Any:
     from linemate.daemon.core import parameters
 
     config = station.config
-    cycle_s = config.rsi.cycle_ms * 1e-3
     try:
         return parameters.build(
-            station.task.file, station.task.urdf, config.tracking, config.control, cycle_s
+            station.task.file, station.task.urdf, config.tracking, config.control, station.cycle_s
         )
     except ValueError as error:
         raise FileError([f"{station.path}:1:1: (file): {error}"]) from error

@@ -9,9 +9,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from operator import mul
 from typing import cast
 
+from linemate.protocol.controller_link import PreparedReply
 from linemate.protocol.rsi.ethernet_config import Element, RsiConfig, parse_config
 from linemate.protocol.rsi.expected_telegram import ExpectedTelegram
-from linemate.protocol.rsi.telegram import Channel, PreparedReply, RobotTelegram, SensorTelegram
+from linemate.protocol.rsi.telegram import Channel, RobotTelegram, SensorTelegram
 from linemate.protocol.rsi.telegram_layout import (
     Layout,
     Vector,

@@ -1,8 +1,7 @@
-"""The telegram that is expected next and the reply that is ready for it."""
+"""The telegram that is expected next."""
 
 import re
-from collections.abc import Callable, Hashable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
 
 from linemate.protocol.rsi.telegram_reader import MAX_TELEGRAM_BYTES
 
@@ -59,19 +58,3 @@ class ExpectedTelegram:
             and low[4] < float(e) < high[4]
             and low[5] < float(f) < high[5]
         )
-
-
-class ReadyReply(NamedTuple):
-    """A reply that is made before its telegram.
-
-    Attributes:
-        telegram: the only one that it answers.
-        peer: the controller that must send it.
-        until_ns: latest arrival [ns]. A later telegram needs a proof in the ordinary way.
-        data: bytes of the reply.
-    """
-
-    telegram: ExpectedTelegram
-    peer: Hashable
-    until_ns: int
-    data: bytes

@@ -60,14 +60,3 @@ class SensorTelegram(Struct, frozen=True):
     external: tuple[float, ...] | None = None
     channels: Mapping[str, Channel] = {}
     message: str | None = None
-
-
-class PreparedReply(Struct, frozen=True):
-    """Reply without its IPOC, made before its telegram arrives."""
-
-    head: bytes
-    tail: bytes
-
-    def with_ipoc(self, ipoc_text: bytes) -> bytes:
-        """Return the reply's bytes with the IPOC digits of the telegram that it answers."""
-        return self.head + ipoc_text + self.tail

@@ -10,7 +10,8 @@ import math
 from collections.abc import Mapping, Sequence
 from operator import attrgetter, truediv
 
-from linemate.protocol.rsi.telegram import Channel, PreparedReply, RobotTelegram, SensorTelegram
+from linemate.protocol.controller_link import PreparedReply
+from linemate.protocol.rsi.telegram import Channel, RobotTelegram, SensorTelegram
 from linemate.protocol.rsi.telegram_layout import Field, Layout, Vector
 from linemate.protocol.rsi.telegram_reader import LONG_MAX, LONG_MIN, MAX_IPOC, MAX_TELEGRAM_BYTES
 from linemate.protocol.rsi.xml_scan import RsiError, escape
@@ -58,7 +59,7 @@ class TelegramWriter:
         Raises:
             RsiError: a value missing, unknown, not finite or out of range; too long.
         """
-        return self.prepare(telegram, sender).with_ipoc(_digits(telegram))
+        return self.prepare(telegram, sender).with_counter(_digits(telegram))
 
     def prepare(self, telegram: Telegram, sender: str) -> PreparedReply:
         """Return the telegram without its IPOC.

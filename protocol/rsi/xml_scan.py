@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
-from linemate.protocol.errors import ProtocolError
+from linemate.protocol.controller_link import ControllerError
 
 MAX_DEPTH = 8
 BLANK = " \t\r\n"
@@ -36,7 +36,7 @@ _ENTITY = re.compile(r"&(lt|gt|amp|quot|apos);")
 _ENTITIES = {"lt": "<", "gt": ">", "amp": "&", "quot": '"', "apos": "'"}
 
 
-class RsiError(ProtocolError):
+class RsiError(ControllerError):
     """A configuration, a telegram or a value that the RSI wire refuses.
 
     Attributes:
@@ -60,6 +60,11 @@ class RsiError(ProtocolError):
         self.element = element
         self.evidence = evidence[:256]
         self.ipoc_text = ipoc_text
+
+    @property
+    def counter(self) -> tuple[int, bytes] | None:
+        """The telegram's IPOC and its digits, if it could be read."""
+        return None if self.ipoc_text is None else (int(self.ipoc_text), self.ipoc_text)
 
 
 class XmlToken(NamedTuple):

@@ -24,6 +24,7 @@ from linemate.daemon.cycle.cycle import Cycle
 from linemate.daemon.cycle.states import State
 from linemate.daemon.cycle.step_log import LogEntry
 from linemate.protocol.rsi.codec import RsiCodec, parse_config
+from linemate.protocol.rsi.rsi_link import RsiLink
 from linemate.simulators.devices.emulated_world import EmulatedWorld
 from linemate.simulators.devices.faults import KINDS, Faults
 from linemate.simulators.devices.faulty_link import FaultyLink
@@ -127,7 +128,8 @@ class Lockstep:
                 raise SetupError("the variant oracle needs a world whose future is known")
             oracle = Oracle(self.world, compiled.tracker.reference.nominal, scenario.cycle_s)
             compiled = with_foresight(compiled, oracle)
-        self.cycle = Cycle(compiled, RsiCodec(rsi))
+        on_rail = compiled.controller.arm.linear_axis
+        self.cycle = Cycle(compiled, RsiLink(RsiCodec(rsi), on_rail=on_rail))
         self.cycle.listen(0)
         self._faults = Faults(scenario.faults, TIMELESS)
         self._ways = tuple(

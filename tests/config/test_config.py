@@ -39,7 +39,8 @@ def test_the_shortest_file_names_a_task_and_takes_every_default(write: Write) ->
     station = config.load(write("task: wheel.yaml\n"))
     assert station.task.file.name == "wheel"
     assert station.config.rsi.corrections is Corrections.ABSOLUTE
-    assert station.rsi_port == station.rsi.port == 49152
+    assert station.rsi is not None
+    assert station.robot.port == station.rsi.port == 49152
     assert station.config.tracking == TrackingSettings()
     assert station.config.control == shipped_control()
     assert station.dbc is None
@@ -72,7 +73,7 @@ control: {horizon_s: 0.25}
 """
         )
     )
-    assert station.rsi_port == 0
+    assert station.robot.port == 0
     assert station.config.distance is not None
     assert station.config.distance.can["ttyBaudrate"] == 115200
     assert station.dbc is not None
@@ -300,7 +301,7 @@ def test_two_links_on_one_port_are_reported_where_their_addresses_meet(write: Wr
         if clash:
             assert "camera.port: 49152 is rsi.port's already" in errors(path)[0]
         else:
-            assert config.load(path).rsi_port == 49152
+            assert config.load(path).robot.port == 49152
 
 
 def test_limits_wider_than_the_urdfs_are_reported_at_their_place(write: Write) -> None:

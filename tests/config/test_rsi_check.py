@@ -10,8 +10,8 @@ import pytest
 from linemate.daemon.config import config
 from linemate.daemon.config.documents import FileError
 from linemate.daemon.config.files import PROTOCOL_DATA
-from linemate.daemon.cycle.replies import Replies
 from linemate.protocol.rsi.codec import RsiCodec, RsiError, parse_config
+from linemate.protocol.rsi.rsi_link import RsiLink
 
 SHIPPED = (PROTOCOL_DATA / "rsi_joints.xml").read_text(encoding="utf-8")
 DELAY = '<ELEMENT TAG="DEF_Delay" TYPE="LONG" INDX="INTERNAL"/>'
@@ -138,17 +138,17 @@ def test_a_gate_needs_the_signal_that_it_waits_for(lines_of: Lines) -> None:
 def test_a_constant_stands_in_every_reply() -> None:
     xml = with_receive(OVERRIDE, '<ELEMENT TAG="Say.it" TYPE="STRING" INDX="10"/>')
     constants = {"OvPro": 100, "Say.it": "a & b"}
-    replies = Replies(RsiCodec(parse_config(xml.encode()), constants=constants), absolute=True)
-    whole = replies.prepare(START, START, 0).with_ipoc(b"7")
+    replies = RsiLink(RsiCodec(parse_config(xml.encode()), constants=constants))
+    whole = replies.prepare(START, START, 0).with_counter(b"7")
     assert b'<OvPro>100</OvPro><Say it="a &amp; b"/><IPOC>7<' in whole
-    assert replies.bare.with_ipoc(b"7") == (
+    assert replies.bare.with_counter(b"7") == (
         b'<Sen Type="ImFree"><OvPro>100</OvPro><Say it="a &amp; b"/><IPOC>7</IPOC></Sen>'
     )
 
 
 def test_a_bare_reply_without_constants_is_the_counter_alone() -> None:
-    replies = Replies(RsiCodec(parse_config(SHIPPED.encode())), absolute=True)
-    assert replies.bare.with_ipoc(b"7") == b'<Sen Type="ImFree"><IPOC>7</IPOC></Sen>'
+    replies = RsiLink(RsiCodec(parse_config(SHIPPED.encode())))
+    assert replies.bare.with_counter(b"7") == b'<Sen Type="ImFree"><IPOC>7</IPOC></Sen>'
 
 
 def test_a_constant_that_the_wire_cannot_carry_is_refused() -> None:

@@ -24,6 +24,7 @@ from linemate.daemon.cycle.states import State
 from linemate.daemon.cycle.step_log import LONGEST_LOG
 from linemate.daemon.cycle.steps import CATCH_UP_S
 from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, SensorTelegram, parse_config
+from linemate.protocol.rsi.rsi_link import RsiLink
 from linemate.protocol.stamped_samples import CameraSample, DistanceSample, WrenchSample
 
 PERIOD = 12_000_000
@@ -41,13 +42,15 @@ class Station:
     def __init__(self, parameters: Parameters, task: Task, **options: Any) -> None:
         """Begin at the task's rest."""
         self.parameters = parameters
-        self.cycle = Cycle(parameters, CODEC, **options)
+        on_rail = parameters.controller.arm.linear_axis
+        self.absolute = bool(options.pop("absolute", True))
+        link = RsiLink(CODEC, absolute=self.absolute, on_rail=on_rail)
+        self.cycle = Cycle(parameters, link, **options)
         self.cycle.listen(0)
         self.start = (*task.file.arm.rest_joints, 0.0)
         self.mount = task.file.conveyor.start_position
         self.axes = self.start
         self.held = self.start
-        self.absolute = bool(options.get("absolute", True))
         self.k = 0
         self.ipoc, self.step = 4_208_111_000, 12
         self.delay = 0
@@ -846,7 +849,7 @@ def test_a_configuration_without_what_the_daemon_needs_is_refused_by_name(
 ) -> None:
     xml = re.sub(rf'<ELEMENT TAG="DEF_{cut}"[^>]*/>'.encode(), b"", XML)
     codec = RsiCodec(parse_config(xml))
-    cycle = Cycle(parameters, codec)
+    cycle = Cycle(parameters, RsiLink(codec, on_rail=True))
     telegram = RobotTelegram(
         ipoc=1,
         joints=None if cut == "AIPos" else (0.0,) * 6,

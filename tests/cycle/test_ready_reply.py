@@ -12,6 +12,7 @@ from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle.correction_reference import UNACCOUNTED_S
 from linemate.daemon.cycle.cycle import LONGEST_JUMP, Cycle
 from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, parse_config
+from linemate.protocol.rsi.rsi_link import RsiLink
 from linemate.protocol.stamped_samples import DistanceSample
 
 T = 12_000_000
@@ -62,7 +63,7 @@ def distance(robot: Robot, cycle: Cycle, before_ns: int = 3_000_000) -> None:
 
 def ready_cycle(parameters: Parameters, robot: Robot, cycles: int = 5) -> Cycle:
     """A cycle that has answered some telegrams and has the next reply ready."""
-    cycle = Cycle(parameters, RsiCodec(parse_config(XML)))
+    cycle = Cycle(parameters, RsiLink(RsiCodec(parse_config(XML)), on_rail=True))
     cycle.listen(0)
     for _ in range(cycles):
         distance(robot, cycle)
@@ -85,8 +86,8 @@ def test_for_the_same_inputs_prepared_and_in_line_give_the_same_bytes(
     parameters: Parameters, task: Task
 ) -> None:
     robot = Robot(task)
-    codec = RsiCodec(parse_config(XML))
-    inline, prepared, driven = (Cycle(parameters, codec) for _ in range(3))
+    link = RsiLink(RsiCodec(parse_config(XML)), on_rail=True)
+    inline, prepared, driven = (Cycle(parameters, link) for _ in range(3))
     for cycle in (inline, prepared, driven):
         cycle.listen(0)
     for k in range(300):

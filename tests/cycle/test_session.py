@@ -4,7 +4,12 @@ import pytest
 
 from linemate.daemon.cycle.correction_reference import Proof
 from linemate.daemon.cycle.session import Axes, Session
+from linemate.protocol.controller_link import ExchangeRules, SetpointKind
 from linemate.protocol.stamped_samples import RobotSample
+
+OFFSETS = ExchangeRules()
+INCREMENTS = ExchangeRules(SetpointKind.INCREMENTS)
+POSITIONS = ExchangeRules(SetpointKind.POSITIONS, accounted_s=0.12)
 
 CYCLE_S, STEP = 0.012, 12
 START: Axes = (0.0, -1.4, 1.6, 0.0, 1.3, 0.0, 0.0)
@@ -17,9 +22,9 @@ def telegram(ipoc: int, at_s: float, delay: int | None, axes: Axes) -> RobotSamp
     return RobotSample(round(at_s * 1e9), ipoc, axes[:6], (axes[6],), delay)  # type: ignore[arg-type]
 
 
-def running(*, absolute: bool = True) -> Session:
+def running(rules: ExchangeRules = OFFSETS) -> Session:
     """Served up to counter 1200 at 12 s with Delay 4, the reply to it still open."""
-    session = Session(CYCLE_S, absolute=absolute)
+    session = Session(CYCLE_S, rules)
     session.listen(0)
     first = telegram(1188, 11.988, 0, BEFORE)
     session.hear(first.stamp_ns)
@@ -125,5 +130,42 @@ def test_a_programmed_position_elsewhere_refutes_a_program_that_seems_to_go_on()
 
 
 def test_increments_need_no_reference() -> None:
-    session = Session(CYCLE_S, absolute=False)
+    session = Session(CYCLE_S, INCREMENTS)
     assert proven(session, telegram(9, 1.0, 40, THERE)) == (THERE, THERE)
+
+
+def test_the_first_position_is_the_reported_one() -> None:
+    session = Session(CYCLE_S, POSITIONS)
+    assert proven(session, telegram(1, 12.0, None, THERE)) == (THERE, THERE)
+    assert session.proof is Proof.REPORTED
+
+
+def test_positions_need_a_proof_after_a_silence_that_the_rules_do_not_account_for() -> None:
+    session = running(POSITIONS)
+    assert not session.needs_proof(telegram(1308, 12.108, None, SENT), 8)
+    assert session.needs_proof(telegram(1320, 12.12, None, SENT), 0)
+    assert session.needs_proof(telegram(1320, 12.05, None, SENT), 10)
+
+
+def test_a_moved_robot_gets_no_position_after_a_gap_before_it_rests() -> None:
+    session = running(POSITIONS)
+    rested = 0
+    for k in range(40):
+        moving = (0.001 * min(k, 20), *THERE[1:])
+        robot = telegram(1400 + 12 * k, 12.2 + 0.012 * k, None, moving)
+        found = session.prove(robot, moving, None, "robot")
+        if found is not None:
+            assert found == (moving, moving)
+            break
+        assert session.unproven is not None
+        assert "still moves" in session.unproven
+        rested = k
+    assert rested == 20 + 9 - 1
+
+
+def test_a_controller_that_takes_no_setpoint_needs_a_proof_once_it_does() -> None:
+    session = running(POSITIONS)
+    session.decline("the controller takes no setpoints: E-stop.", "robot")
+    assert session.unproven == "the controller takes no setpoints: E-stop."
+    assert session.is_interrupted
+    assert session.needs_proof(telegram(1212, 12.012, None, SENT), 0)

@@ -12,7 +12,7 @@ from pathlib import Path
 from loops import run, until
 
 from linemate import protocol
-from linemate.drivers.rsi_udp import RsiLink
+from linemate.drivers.robot_udp import RobotLink
 from linemate.protocol.rsi.codec import RsiCodec, SensorTelegram, parse_config
 from linemate.simulators.devices.links.controller_udp import ControllerUdp
 from linemate.simulators.devices.rsi_controller import (
@@ -63,7 +63,7 @@ def _run(
     async def main() -> ControllerUdp:
         schedule = DeviceSchedule()
         schedule.open()
-        daemon = RsiLink(lambda data, *_, **__: reply(data), port=0)
+        daemon = RobotLink(lambda data, *_, **__: reply(data), port=0)
         daemon.open()
         assert daemon.address is not None
         link = ControllerUdp(controller, plant, schedule, daemon.address)
@@ -161,7 +161,7 @@ def test_mute_and_deaf_are_counted_as_the_controller_would() -> None:
     async def main() -> None:
         schedule = DeviceSchedule()
         schedule.open()
-        daemon = RsiLink(lambda data, *_, **__: answer(data), port=0)
+        daemon = RobotLink(lambda data, *_, **__: answer(data), port=0)
         daemon.open()
         assert daemon.address is not None
         link = ControllerUdp(_controller(0.01), plant, schedule, daemon.address)
@@ -187,7 +187,7 @@ def test_a_burst_of_junk_does_not_stop_the_cycle() -> None:
     async def main() -> None:
         schedule = DeviceSchedule()
         schedule.open()
-        daemon = RsiLink(lambda data, *_, **__: answer(data), port=0)
+        daemon = RobotLink(lambda data, *_, **__: answer(data), port=0)
         daemon.open()
         assert daemon.address is not None
         link = ControllerUdp(_controller(0.02), plant, schedule, daemon.address)

@@ -11,7 +11,7 @@ from loops import run, until
 
 from linemate.drivers.camera_udp import CameraLink
 from linemate.drivers.can_bus import CanLink
-from linemate.drivers.rsi_udp import RsiLink
+from linemate.drivers.robot_udp import RobotLink
 from linemate.drivers.serial_port import SerialLink
 from linemate.protocol.rsi.codec import RsiCodec, RsiError, SensorTelegram, parse_config
 from linemate.protocol.sensors.camera_codec import CameraDecoder
@@ -53,7 +53,7 @@ class Station:
         self.distances: list[DistanceSample] = []
         self.poses: list[CameraSample] = []
         self.wrenches: list[WrenchSample] = []
-        self.robot = RsiLink(_hold, port=0)
+        self.robot = RobotLink(_hold, port=0)
         self.camera = CameraLink(CameraDecoder(), self.poses.append)
         self.can = CanLink(
             {"interface": "slcan", "channel": str(folder / "can")},
@@ -68,7 +68,7 @@ class Station:
         )
 
     @property
-    def links(self) -> tuple[RsiLink, CameraLink, CanLink, SerialLink]:
+    def links(self) -> tuple[RobotLink, CameraLink, CanLink, SerialLink]:
         return self.robot, self.camera, self.can, self.force_torque
 
     def open(self) -> None:

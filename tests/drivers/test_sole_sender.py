@@ -9,10 +9,10 @@ from contextlib import ExitStack, closing
 import pytest
 from loops import run, until
 
-from linemate.drivers import camera_udp, rsi_udp, sole_sender
+from linemate.drivers import camera_udp, robot_udp, sole_sender
 from linemate.drivers.camera_udp import CameraLink
 from linemate.drivers.datagrams import DatagramSocket
-from linemate.drivers.rsi_udp import RsiLink
+from linemate.drivers.robot_udp import RobotLink
 from linemate.drivers.sole_sender import SoleSender, keep_only, only_from
 from linemate.protocol.sensors.camera_codec import CameraDecoder
 from linemate.protocol.stamped_samples import CameraSample
@@ -94,7 +94,7 @@ def test_a_controller_that_is_answered_has_the_port_for_itself(
     two: tuple[Sender, Sender],
 ) -> None:
     async def main() -> None:
-        link = RsiLink(lambda data, *_, **__: data, port=0)
+        link = RobotLink(lambda data, *_, **__: data, port=0)
         link.open()
         assert link.address is not None
         assert link.kept is None
@@ -117,7 +117,7 @@ def test_another_controller_may_come_after_the_first_ones_silence(
     two: tuple[Sender, Sender],
 ) -> None:
     async def main() -> None:
-        link = RsiLink(lambda data, *_, **__: data, port=0)
+        link = RobotLink(lambda data, *_, **__: data, port=0)
         link.open()
         assert link.address is not None
         first, second = two
@@ -128,7 +128,7 @@ def test_another_controller_may_come_after_the_first_ones_silence(
             second.sendto(b"2", link.address)
             await asyncio.sleep(0.005)
             assert time.monotonic() - begun < 5.0
-        assert time.monotonic() - begun >= 0.8 * rsi_udp.SILENCE_S
+        assert time.monotonic() - begun >= 0.8 * robot_udp.SILENCE_S
         assert link.kept == second.getsockname()
         link.close()
 
@@ -137,7 +137,7 @@ def test_another_controller_may_come_after_the_first_ones_silence(
 
 def test_telegrams_without_an_answer_keep_no_sender_out(two: tuple[Sender, Sender]) -> None:
     async def main() -> None:
-        link = RsiLink(lambda data, *_, **__: data if data == b"robot" else None, port=0)
+        link = RobotLink(lambda data, *_, **__: data if data == b"robot" else None, port=0)
         link.open()
         assert link.address is not None
         first, second = two

@@ -571,7 +571,7 @@ def test_a_reply_comes_back_as_it_was_written(reply: SensorTelegram) -> None:
 def test_a_prepared_reply_is_the_reply(reply: SensorTelegram) -> None:
     prepared = ROUND_TRIP.prepare_sensor(reply)
     assert isinstance(prepared, PreparedReply)
-    assert prepared.with_ipoc(reply.ipoc_text) == ROUND_TRIP.format_sensor(reply)
+    assert prepared.with_counter(reply.ipoc_text) == ROUND_TRIP.format_sensor(reply)
 
 
 @given(st.floats(allow_nan=True, allow_infinity=True), st.integers(0, 5))
@@ -856,7 +856,7 @@ def test_a_constant_is_in_every_reply_and_alone_in_a_bare_one() -> None:
     assert reply == (
         b'<Sen Type="ImFree"><AK A1="0.00000000"/>' + constants + b"<IPOC>7</IPOC></Sen>"
     )
-    assert codec.bare_sensor().with_ipoc(b"7") == (
+    assert codec.bare_sensor().with_counter(b"7") == (
         b'<Sen Type="ImFree">' + constants + b"<IPOC>7</IPOC></Sen>"
     )
 

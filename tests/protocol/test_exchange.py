@@ -766,7 +766,7 @@ class ExchangePair:
             return []
         self.answers += 1
         reply = SensorTelegram(telegram.ipoc, joints=(0.0,) * 6, external=(0.0,))
-        return [self.sensor.prepare_sensor(reply).with_ipoc(telegram.ipoc_text)]
+        return [self.sensor.prepare_sensor(reply).with_counter(telegram.ipoc_text)]
 
     def judge(self, data: bytes) -> None:
         try:

@@ -116,7 +116,7 @@ def test_telegrams_are_written_and_read_as_they_always_were(layout: str, digest:
         data = answered(codec.format_sensor, reply)
         transcript.say(data)
         if isinstance(data, bytes):
-            transcript.say(codec.prepare_sensor(reply).with_ipoc(b"123"))
+            transcript.say(codec.prepare_sensor(reply).with_counter(b"123"))
             transcript.say(answered(codec.parse_sensor, data))
     assert transcript.digest == digest
 

@@ -19,6 +19,7 @@ from linemate.daemon.cycle.cycle import Cycle
 from linemate.daemon.cycle.states import Machine, State
 from linemate.daemon.service.parameter_service import ParameterService
 from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec
+from linemate.protocol.rsi.rsi_link import RsiLink
 from linemate.protocol.stamped_samples import DistanceSample
 
 CYCLE_NS = 12_000_000
@@ -35,7 +36,9 @@ class Standing:
         if not self.path.exists():
             self.path.write_text(TEXT)
         self.station = config.load(self.path)
-        self.cycle = Cycle(parameters, RsiCodec(self.station.rsi))
+        assert self.station.rsi is not None
+        self._codec = RsiCodec(self.station.rsi)
+        self.cycle = Cycle(parameters, RsiLink(self._codec, on_rail=True))
         self.cycle.listen(0)
         self.changes: list[tuple[Parameters, str, Any]] = []
         self.lines: list[str] = []
@@ -58,7 +61,7 @@ class Standing:
                 delay=0,
                 channels={"DiL": 0},
             )
-            assert self.cycle.on_telegram(self.cycle.codec.format_robot(telegram), stamp)
+            assert self.cycle.on_telegram(self._codec.format_robot(telegram), stamp)
 
     def set(self, **values: Any) -> dict[str, Any]:
         """Set, and wait for the promise if there is one."""

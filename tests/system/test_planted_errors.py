@@ -13,12 +13,12 @@ from linemate.daemon.core import step as stepping
 from linemate.daemon.cycle import following_error, states, watch
 from linemate.daemon.cycle.following_error import FollowingCheck
 from linemate.daemon.cycle.operating import Operating
-from linemate.daemon.cycle.replies import Replies
 from linemate.daemon.cycle.samples import SensorQueues
 from linemate.daemon.cycle.session import Session
 from linemate.daemon.cycle.step_log import StepLog
 from linemate.protocol.exchange import Exchange
 from linemate.protocol.rsi.codec import RsiCodec
+from linemate.protocol.rsi.rsi_link import RsiLink
 from linemate.simulators.lab.faults.dst_plan import FaultPlan
 from linemate.simulators.lab.faults.dst_run import Simulation
 
@@ -31,7 +31,7 @@ CALLED: tuple[tuple[Any, str], ...] = (
     (SensorQueues, "drain"),
     (FollowingCheck, "check_moving"),
     (FollowingCheck, "add_command"),
-    (Replies, "prepare"),
+    (RsiLink, "prepare"),
     (StepLog, "push"),
     (Operating, "_facts"),
     (watch, "observe"),

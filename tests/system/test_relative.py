@@ -13,6 +13,7 @@ import pytest
 from linemate.daemon.config.files import PROTOCOL_DATA
 from linemate.daemon.cycle.cycle import Cycle
 from linemate.protocol.rsi.codec import RsiCodec, parse_config
+from linemate.protocol.rsi.rsi_link import RsiLink
 from linemate.simulators.devices.rsi_controller import ControllerConfig, RsiController
 from linemate.simulators.harness import setup
 from linemate.simulators.harness.lockstep import Lockstep
@@ -36,7 +37,8 @@ class Relative(Lockstep):
         rsi = parse_config(SHIPPED.replace(b'HOLDON="1"', b'HOLDON="' + holdon + b'"'))
         settings = ControllerConfig(cycle_s=truth.cycle_s, mode="relative")
         self.controller = RsiController(rsi, self._plant.read, self._plant.start, settings)
-        self.cycle = Cycle(self.cycle.parameters, RsiCodec(rsi), absolute=False)
+        link = RsiLink(RsiCodec(rsi), absolute=False, on_rail=True)
+        self.cycle = Cycle(self.cycle.parameters, link)
         self.links = SensorLinks(
             self.world, self.cycle, self._faults, made.task.conveyor.start_position
         )

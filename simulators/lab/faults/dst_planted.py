@@ -21,12 +21,12 @@ from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.tracking import task_clock
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
 from linemate.daemon.cycle import states, watch
-from linemate.daemon.cycle.replies import Replies
 from linemate.daemon.cycle.samples import SensorQueues, StepSamples
 from linemate.daemon.cycle.sensor_health import CameraHealth, DistanceHealth, WrenchHealth
 from linemate.daemon.cycle.session import Session
 from linemate.daemon.cycle.states import Link, Machine, State
 from linemate.daemon.cycle.watch import Facts
+from linemate.protocol.rsi.rsi_link import RsiLink
 from linemate.protocol.sensors.camera_codec import CameraDecoder
 from linemate.protocol.sensors.distance import DistanceDecoder
 from linemate.protocol.sensors.wrench_stream import WrenchDecoder
@@ -209,12 +209,12 @@ def _not_predicted() -> list[Patch]:
 
 
 def _clamp_never_opens() -> list[Patch]:
-    whole = Replies.prepare
+    whole = RsiLink.prepare
 
-    def prepare(self: Replies, command: Any, origin: Any, digital_out: int) -> Any:
+    def prepare(self: RsiLink, command: Any, origin: Any, digital_out: int) -> Any:
         return whole(self, command, origin, digital_out & ~RELEASE_WHEEL)
 
-    return [(Replies, "prepare", prepare)]
+    return [(RsiLink, "prepare", prepare)]
 
 
 def _hold_goes_on() -> list[Patch]:

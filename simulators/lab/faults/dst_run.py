@@ -117,6 +117,8 @@ class Simulation:
         """Begin at the lead-in, daemon and controller just started."""
         self.plan = plan
         scenario, files = scenario_of(plan), station(plan.cell)
+        if files.rsi is None:
+            raise ValueError(f"the fault campaign runs over RSI: {plan.cell} has none")
         cell = CELLS[plan.cell]
         self.world = World(scenario)
         self.plant = RobotPlant(self.world)

@@ -11,8 +11,9 @@ import pytest
 from loops import run, until
 
 from linemate.drivers.backoff import Backoff
-from linemate.drivers.rsi_udp import RsiLink
-from linemate.protocol.rsi.expected_telegram import ExpectedTelegram, ReadyReply
+from linemate.drivers.robot_udp import RobotLink
+from linemate.protocol.controller_link import ReadyReply
+from linemate.protocol.rsi.expected_telegram import ExpectedTelegram
 
 
 class Anything(ExpectedTelegram):
@@ -54,7 +55,7 @@ async def _receive(endpoint: socket.socket) -> bytes:
 
 def test_each_telegram_gets_one_reply_at_its_source(controller: socket.socket) -> None:
     async def main() -> None:
-        link = RsiLink(_echo, port=0)
+        link = RobotLink(_echo, port=0)
         link.open()
         assert link.address is not None
         for number in range(5):
@@ -71,7 +72,7 @@ def test_each_telegram_gets_one_reply_at_its_source(controller: socket.socket) -
 
 def test_after_a_stall_only_the_newest_telegram_is_answered(controller: socket.socket) -> None:
     async def main() -> None:
-        link = RsiLink(_echo, port=0)
+        link = RobotLink(_echo, port=0)
         link.open()
         assert link.address is not None
         for number in range(20):
@@ -86,7 +87,7 @@ def test_after_a_stall_only_the_newest_telegram_is_answered(controller: socket.s
 
 def test_a_stranger_does_not_displace_the_controller(controller: socket.socket) -> None:
     async def main() -> None:
-        link = RsiLink(_echo, port=0)
+        link = RobotLink(_echo, port=0)
         link.open()
         assert link.address is not None
         with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as stranger:
@@ -100,7 +101,7 @@ def test_a_stranger_does_not_displace_the_controller(controller: socket.socket) 
 
 def test_junk_behind_a_telegram_does_not_push_it_aside(controller: socket.socket) -> None:
     async def main() -> None:
-        link = RsiLink(lambda data, *_, is_answered: None if data == b"junk" else data, port=0)
+        link = RobotLink(lambda data, *_, is_answered: None if data == b"junk" else data, port=0)
         link.open()
         assert link.address is not None
         for data in (b"old", b"newest", b"junk", b"junk"):
@@ -115,7 +116,7 @@ def test_junk_behind_a_telegram_does_not_push_it_aside(controller: socket.socket
 
 def test_more_than_two_kilobytes_are_refused_unread(controller: socket.socket) -> None:
     async def main() -> None:
-        link = RsiLink(_echo, port=0)
+        link = RobotLink(_echo, port=0)
         link.open()
         assert link.address is not None
         controller.sendto(b"x" * 2049, link.address)
@@ -129,13 +130,27 @@ def test_more_than_two_kilobytes_are_refused_unread(controller: socket.socket) -
 
 def test_no_reply_is_sent_when_the_cycle_gives_none(controller: socket.socket) -> None:
     async def main() -> None:
-        link = RsiLink(lambda *_, is_answered: None, port=0)
+        link = RobotLink(lambda *_, is_answered: None, port=0)
         link.open()
         assert link.address is not None
         controller.sendto(b"x", link.address)
         await until(lambda: link.counters["unanswered"] == 1)
         link.close()
         assert link.counters["answered"] == 0
+
+    run(main())
+
+
+def test_a_telegram_that_counts_may_get_no_reply(controller: socket.socket) -> None:
+    async def main() -> None:
+        link = RobotLink(lambda *_, is_answered: b"", port=0)
+        link.open()
+        assert link.address is not None
+        controller.sendto(b"x", link.address)
+        await until(lambda: link.counters["silent"] == 1)
+        link.close()
+        assert (link.counters["answered"], link.counters["unanswered"]) == (0, 0)
+        assert link.status.last_sample_stamp_ns is not None
 
     run(main())
 
@@ -156,7 +171,7 @@ def test_a_ready_reply_goes_out_before_its_telegram_is_judged(
             return b"re:" + data
 
         ready = _ready(controller, b"re:1")
-        link = RsiLink(judge, port=0, ready_reply=lambda: ready)
+        link = RobotLink(judge, port=0, ready_reply=lambda: ready)
         link.open()
         assert link.address is not None
         controller.sendto(b"1", link.address)
@@ -189,7 +204,7 @@ def test_a_telegram_that_nothing_is_ready_for_goes_the_ordinary_way(
     size = 2048 if wrong == "too long" else 1
 
     async def main() -> None:
-        link = RsiLink(_echo, port=0, ready_reply=lambda: ready)
+        link = RobotLink(_echo, port=0, ready_reply=lambda: ready)
         link.open()
         assert link.address is not None
         for number in range(3):
@@ -206,7 +221,7 @@ def test_a_telegram_that_nothing_is_ready_for_goes_the_ordinary_way(
 
 def test_waiting_for_a_telegram_ends_at_its_time(controller: socket.socket) -> None:
     async def main() -> None:
-        link = RsiLink(_echo, port=0)
+        link = RobotLink(_echo, port=0)
         assert not link.attend(time.monotonic_ns() + 1_000_000_000)
         link.open()
         until_ns = time.monotonic_ns() + 3_000_000
@@ -222,7 +237,7 @@ def test_a_ready_reply_that_the_ordinary_way_would_not_give_is_counted(
 ) -> None:
     async def main() -> None:
         ready = _ready(controller, b"rash")
-        link = RsiLink(lambda *_, is_answered: None, port=0, ready_reply=lambda: ready)
+        link = RobotLink(lambda *_, is_answered: None, port=0, ready_reply=lambda: ready)
         link.open()
         assert link.address is not None
         controller.sendto(b"1", link.address)
@@ -242,7 +257,7 @@ def test_a_fault_in_the_cycle_is_counted_and_the_link_lives(controller: socket.s
         return data
 
     async def main() -> None:
-        link = RsiLink(fault, port=0)
+        link = RobotLink(fault, port=0)
         link.open()
         assert link.address is not None
         controller.sendto(b"bad", link.address)
@@ -259,7 +274,7 @@ def test_a_port_that_is_taken_is_tried_again_until_it_is_free() -> None:
         with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as squatter:
             squatter.bind(("127.0.0.1", 0))
             port = squatter.getsockname()[1]
-            link = RsiLink(_echo, port=port, backoff=Backoff(0.01, 0.02))
+            link = RobotLink(_echo, port=port, backoff=Backoff(0.01, 0.02))
             link.open()
             assert not link.status.up
             assert "in use" in link.status.reason
@@ -272,7 +287,7 @@ def test_a_port_that_is_taken_is_tried_again_until_it_is_free() -> None:
 
 def test_a_socket_that_breaks_is_bound_again(controller: socket.socket) -> None:
     async def main() -> None:
-        link = RsiLink(_echo, port=0, backoff=Backoff(0.01, 0.02))
+        link = RobotLink(_echo, port=0, backoff=Backoff(0.01, 0.02))
         link.open()
         assert link._socket is not None
         link._down("pulled")

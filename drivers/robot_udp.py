@@ -1,4 +1,4 @@
-"""RSI link: a UDP socket that answers the robot controller's telegrams.
+"""Robot link: a UDP socket that answers the robot controller's telegrams.
 
 One reply path: a telegram that equals the expected one gets the ready reply at once. Then every
 telegram goes the ordinary way, ``on_telegram``, which returns the reply to those that got none.
@@ -20,7 +20,7 @@ from linemate.drivers.backoff import Backoff
 from linemate.drivers.datagrams import Address, Datagram, DatagramLink, DatagramSocket
 from linemate.drivers.link import describe_error
 from linemate.drivers.sole_sender import SoleSender
-from linemate.protocol.rsi.expected_telegram import ReadyReply
+from linemate.protocol.controller_link import ReadyReply
 
 BUDGET = 64  # datagrams read at once
 SENDERS = 4  # distinguished in one read
@@ -38,7 +38,7 @@ class OnTelegram(Protocol):
     def __call__(
         self, data: bytes, stamp_ns: int, source: Address, /, *, is_answered: bool
     ) -> bytes | None:
-        """Return the reply, None if there is none.
+        """Return the reply; empty: the telegram counts and gets none; None: it does not count.
 
         Args:
             data: bytes of the telegram.
@@ -48,7 +48,7 @@ class OnTelegram(Protocol):
         """
 
 
-class RsiLink(DatagramLink):
+class RobotLink(DatagramLink):
     """Answers telegrams.
 
     Attributes:
@@ -56,8 +56,8 @@ class RsiLink(DatagramLink):
             (no reply), ``stale`` (a newer one waited), ``oversize``, ``crowded`` (too many
             senders at once), ``send_errors``, ``callback_errors``, ``express`` (answered with
             the ready reply), ``hasty`` (of these, those with another reply in the ordinary way),
-            ``kernel_drops`` (queue full, or other senders while a controller was answered),
-            ``stamps_refused``.
+            ``silent`` (they count, and nothing was to be sent), ``kernel_drops`` (queue full, or
+            other senders while a controller was answered), ``stamps_refused``.
         turnaround_ns: from the arrival of the last answered telegram to its reply [ns].
     """
 
@@ -180,8 +180,11 @@ class RsiLink(DatagramLink):
         elif reply is None:
             self.counters["unanswered"] += 1
             return False
-        else:
+        elif reply:
             self._send(transport, reply, source)
+        else:
+            self.counters["silent"] += 1
+            self._sent_ns = datagram.stamp_ns
         self._last = datagram.data
         self.status.last_sample_stamp_ns = datagram.stamp_ns
         self.turnaround_ns = self._sent_ns - datagram.stamp_ns

@@ -1,0 +1,157 @@
+"""Controller link: what the daemon needs of a robot controller's wire, whatever the family.
+
+A family is one package with one class that satisfies ``ControllerLink``: a codec between bytes and
+values, and the rules of its exchange. The counter's rules are in ``exchange``.
+
+Invariants:
+    Pure: bytes and stamps are arguments, values and bytes are return values.
+    Joints and linear axes are in SI units, in the order A1..A6, E1.
+    A reply is written before its telegram comes, but for the counter.
+"""
+
+from collections.abc import Hashable
+from enum import StrEnum
+from typing import NamedTuple, Protocol
+
+from msgspec import Struct
+
+from linemate.protocol.errors import ProtocolError
+from linemate.protocol.stamped_samples import RobotSample, Vector6
+
+# Jitter and a controller that was stalled for a moment leave less unaccounted than this [s].
+ACCOUNTED_S = 0.08
+
+
+class SetpointKind(StrEnum):
+    """What the setpoint in a reply counts from."""
+
+    OFFSETS = "the position at which the controller's program started"
+    INCREMENTS = "the setpoint before"
+    POSITIONS = "zero of each axis: setpoints are positions"
+
+
+class ExchangeRules(Struct, frozen=True):
+    """Rules of a family's exchange.
+
+    Attributes:
+        setpoints: what a setpoint counts from.
+        accounted_s: after a longer silence it is unknown which setpoint is in force [s].
+    """
+
+    setpoints: SetpointKind = SetpointKind.OFFSETS
+    accounted_s: float = ACCOUNTED_S
+
+
+class ControllerError(ProtocolError):
+    """Bytes that are no telegram of this controller, or a reply that it cannot be sent."""
+
+    @property
+    def counter(self) -> tuple[int, bytes] | None:
+        """The telegram's counter and its bytes, if it could be read."""
+        return None
+
+
+class ControllerTelegram(NamedTuple):
+    """One telegram of a controller.
+
+    Attributes:
+        counter: number of the cycle.
+        echo: the counter's bytes as a reply repeats them.
+        robot: what it says of the robot.
+        programmed: position of the axes without corrections [rad, m], None if not in the telegram.
+        unready: why the controller takes no setpoint now and what to do, None if it takes them.
+    """
+
+    counter: int
+    echo: bytes
+    robot: RobotSample
+    programmed: tuple[float, ...] | None = None
+    unready: str | None = None
+
+
+class PreparedReply(Struct, frozen=True):
+    """Reply without its counter, made before its telegram arrives."""
+
+    head: bytes
+    tail: bytes
+
+    def with_counter(self, echo: bytes) -> bytes:
+        """Return the reply's bytes with the counter of the telegram that it answers."""
+        return self.head + echo + self.tail
+
+
+class TelegramPattern(Protocol):
+    """The one telegram that is expected next."""
+
+    def matches(self, data: bytes) -> bool:
+        """Return whether a datagram is the telegram."""
+
+
+class ReadyReply(NamedTuple):
+    """A reply that is made before its telegram.
+
+    Attributes:
+        telegram: the only one that it answers.
+        peer: the controller that must send it.
+        until_ns: latest arrival [ns]. A later telegram needs a proof in the ordinary way.
+        data: bytes of the reply.
+    """
+
+    telegram: TelegramPattern
+    peer: Hashable
+    until_ns: int
+    data: bytes
+
+
+class ControllerLink(Protocol):
+    """Codec of a family and the rules of its exchange.
+
+    Attributes:
+        rules: of the exchange.
+    """
+
+    rules: ExchangeRules
+
+    def read(self, data: bytes, stamp_ns: int) -> ControllerTelegram:
+        """Return the telegram in a datagram.
+
+        Args:
+            stamp_ns: its arrival on the monotonic clock [ns].
+
+        Raises:
+            ControllerError: it is none of this controller, or lacks an axis of the arm.
+        """
+
+    def expect(
+        self, counter: int, delay: int | None, joints: Vector6, reach: float
+    ) -> tuple[TelegramPattern, bytes] | None:
+        """Return the telegram to expect next and the echo of its counter, None if unknown.
+
+        Every telegram that the pattern accepts, ``read`` accepts as well, and it is not unready.
+
+        Args:
+            delay: bad cycles that it will have counted, None if it counts none.
+            joints: the last measured joints [rad].
+            reach: how far from there a joint may be [rad].
+        """
+
+    def prepare(
+        self, command: tuple[float, ...], origin: tuple[float, ...], digital_out: int
+    ) -> PreparedReply:
+        """Return the reply with a setpoint, but for the counter.
+
+        Args:
+            command: where the axes shall be [rad, m].
+            origin: where offsets or increments count from [rad, m].
+            digital_out: signals to the tool.
+
+        Raises:
+            ControllerError: the wire cannot carry it.
+        """
+
+    def without_setpoint(self, digital_out: int) -> PreparedReply | None:
+        """Return the reply that leaves the robot as it is, None if silence does so.
+
+        Args:
+            digital_out: signals to the tool; 0 is not written, they stay as they were.
+        """
