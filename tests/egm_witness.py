@@ -1,4 +1,4 @@
-"""EgmRobot and EgmSensor by Google's protobuf runtime: a codec that nobody here wrote.
+"""EgmRobot and EgmSensor by Google's protobuf runtime: a codec of its own.
 
 The schema is described here as data, in a descriptor pool of its own. The two public clients
 register a file of the same name, so neither of them can be imported next to another.

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from linemate.protocol.command import frame_codec, payloads, requests
-from linemate.protocol.egm.codec import (
+from linemate.protocol.egm.egm_codec import (
     CorrectionMessage,
     EgmCodec,
     EgmPosition,

@@ -29,7 +29,7 @@ _shtab_linemate_sim_run___world_choices=(own mujoco)
 _shtab_linemate_sim_run___variant_choices=(oracle default bank imm rule no-classes no-prediction no-feedforward no-damping no-swing no-blend)
 _shtab_linemate_sim_campaign___world_choices=(own mujoco)
 _shtab_linemate_sim_world___world_choices=(own mujoco)
-_shtab_linemate_sim_schema_pos_0_choices=(scenario task)
+_shtab_linemate_sim_schema_pos_0_choices=(scenario task emulator)
 _shtab_linemate_sim_pos_0_choices=(demo run campaign world emulator bench schema)
 
 _shtab_linemate_sim_demo__h_nargs=0

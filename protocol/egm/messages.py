@@ -69,7 +69,6 @@ class RobotMessage(Struct, frozen=True):
     """Message of the controller in one cycle: EgmRobot.
 
     Attributes:
-        sequence: the controller's counter.
         time_ms: the controller's time stamp [ms].
         is_converged: the position is within the ranges of EGMRunJoint; None without.
         utilization: of the speed and acceleration that EGM allows [%], None without.
@@ -96,7 +95,6 @@ class CorrectionMessage(Struct, frozen=True):
     """Message of the daemon in one cycle: EgmSensor in joint mode.
 
     Attributes:
-        sequence: the sender's own counter.
         time_ms: the sender's time stamp [ms].
         joints: setpoints of axes 1 to 6 [rad]; None: a message without setpoints.
         external: setpoints of the external axes [rad, m].

@@ -30,6 +30,7 @@ from linemate.simulators.devices.worlds import OWN, require
 from linemate.simulators.harness import host, scenario_file
 from linemate.simulators.harness import identified_overlay as overlay
 from linemate.simulators.harness import terminal_view as live
+from linemate.simulators.harness.emulator_command import EX_BROKEN
 from linemate.simulators.harness.processes import (
     START_S,
     Child,
@@ -356,7 +357,7 @@ def _watch(
             )
         time.sleep(LOOK_S)
     emulated.look()
-    if emulated.child.ended() != 0 or emulated.end is None:
+    if emulated.child.ended() not in {0, EX_BROKEN} or emulated.end is None:
         raise ChildError("emulator", "did not end well", emulated.child.tail())
     return status
 

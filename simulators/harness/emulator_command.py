@@ -2,7 +2,7 @@
 
 Invariants:
     Keys are those of ``EmulatorConfig``; a scenario is a name or a path.
-    Relative paths are relative to the file.
+    Relative paths are relative to the file. A bare name that is not there may be a shipped file.
     Standard output has one JSON line a state; the rest goes to standard error.
 """
 
@@ -12,7 +12,7 @@ from dataclasses import MISSING, Field, dataclass, field, fields, make_dataclass
 from pathlib import Path
 from typing import Any
 
-from linemate.daemon.config import documents
+from linemate.daemon.config import documents, files
 from linemate.daemon.config.documents import Complaint, FileError
 from linemate.protocol.errors import ProtocolError
 from linemate.simulators.devices.faults import REAL, Faults
@@ -22,6 +22,8 @@ from linemate.simulators.harness import host, scenario_file
 from linemate.simulators.harness.world import world_rows
 
 OWN = ("scenario", "seed", "cycle_ms", "priority", "cpus")
+SHIPPED = ("rsi_xml", "dbc")  # keys whose bare name may be a shipped file
+EX_BROKEN = 1
 EX_UNAVAILABLE = 69
 
 
@@ -43,8 +45,16 @@ EmulatorFile = make_dataclass(
     ],
     frozen=True,
 )
-"""What a file may say: EmulatorConfig's fields, and of the scenario its name, its seed (instead of
-its own), its cycle, the priority of SCHED_FIFO to ask for and the only cores to use."""
+"""A file's keys: EmulatorConfig's fields and the ones of ``OWN``."""
+
+_OWN_MEANINGS = """
+        scenario: a shipped scenario's name, or a path.
+        seed: of the run instead of the scenario's.
+        cycle_ms: period of the controller instead of the scenario's [ms].
+        priority: of SCHED_FIFO to ask the host for; None: none.
+        cpus: the only cores to use; empty: all.
+"""
+EmulatorFile.__doc__ = (EmulatorConfig.__doc__ or "").rstrip() + _OWN_MEANINGS
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,19 +89,23 @@ def load(path: Path) -> tuple[EmulatorConfig, Wishes]:
         Faults(scenario.faults, REAL)
         values = {f.name: getattr(wanted, f.name) for f in fields(wanted) if f.name not in OWN}
         placed: dict[str, Any] = {
-            name: path.parent / value if isinstance(value, Path) else value
-            for name, value in values.items()
+            name: _placed(document, name, value, path.parent) for name, value in values.items()
         }
         return EmulatorConfig(scenario=scenario, **placed), Wishes(wanted.priority, wanted.cpus)
     except ValueError as error:
         raise FileError([document.line(Complaint((), str(error)))]) from error
 
 
+def schema() -> dict[str, Any]:
+    """JSON schema of an emulator's file."""
+    return documents.schema(EmulatorFile, "linemate emulator")
+
+
 def main(args: Namespace) -> int:
     """Run a station to its end, or until it is ended.
 
     Returns:
-        0; 69 when a port or device cannot be had.
+        0; 1 when the controller broke the exchange off; 69 when a port or device cannot be had.
 
     Raises:
         FileError: what is wrong with the file.
@@ -100,11 +114,35 @@ def main(args: Namespace) -> int:
     for refused in host.grant(wishes.priority, wishes.cpus):
         print(f"linemate-sim emulator: {refused}", file=sys.stderr)
     try:
-        serve(config)
+        result = serve(config)
     except (OSError, ProtocolError) as error:
         print(f"linemate-sim emulator: {error}", file=sys.stderr)
         return EX_UNAVAILABLE
-    return 0
+    broken = result.facts["broken"]
+    if broken is None:
+        return 0
+    print(
+        f"linemate-sim emulator: the controller broke the exchange off: {broken}. "
+        "Check that the daemon answers each telegram.",
+        file=sys.stderr,
+    )
+    return EX_BROKEN
+
+
+def _placed(document: documents.YamlDocument, key: str, value: Any, base: Path) -> Any:
+    """Return a value of the file with its path resolved.
+
+    Raises:
+        FileError: a file to read that is not there.
+    """
+    if not isinstance(value, Path):
+        return value
+    if key not in SHIPPED:
+        return base / value
+    try:
+        return files.find(str(value), base, files.PROTOCOL_DATA)
+    except files.UnreadableError as error:
+        raise FileError([document.line(Complaint((key,), str(error)))]) from error
 
 
 def _scenario_name(name: str, base: Path) -> str:

@@ -91,10 +91,11 @@ def _check_outputs(args: argparse.Namespace) -> None:
 
 
 def _schema(kind: str) -> int:
-    from linemate.simulators.harness import scenario_file
+    from linemate.simulators.harness import emulator_command, scenario_file
     from linemate.simulators.judge import report_json
 
-    print(report_json.text(scenario_file.schema(kind)))
+    whole = emulator_command.schema() if kind == "emulator" else scenario_file.schema(kind)
+    print(report_json.text(whole))
     return 0
 
 
@@ -165,7 +166,7 @@ def _parser() -> argparse.ArgumentParser:
     emulator.add_argument("--config", type=Path, required=True, metavar="FILE")
     _add_bench(commands)
     schema = commands.add_parser("schema", help="JSON schema of a file")
-    schema.add_argument("kind", choices=("scenario", "task"))
+    schema.add_argument("kind", choices=("scenario", "task", "emulator"))
     return parser
 
 

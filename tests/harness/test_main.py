@@ -28,7 +28,7 @@ def test_unknown_variants_are_refused(text: str) -> None:
         command_line.variants(text)
 
 
-@pytest.mark.parametrize("kind", ["scenario", "task"])
+@pytest.mark.parametrize("kind", ["scenario", "task", "emulator"])
 def test_a_schema_is_json(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["schema", kind]) == 0
     assert json.loads(capsys.readouterr().out)["type"] == "object"

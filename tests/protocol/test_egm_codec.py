@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from linemate.protocol.egm.codec import (
+from linemate.protocol.egm.egm_codec import (
     CorrectionMessage,
     EgmCodec,
     EgmError,

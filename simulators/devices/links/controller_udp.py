@@ -1,4 +1,4 @@
-"""Emulated RSI controller on a UDP socket, in real time.
+"""Emulated controller on a UDP socket, in real time.
 
 Invariants:
     One telegram a cycle on an absolute schedule, never two at once.
@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from linemate.protocol.exchange_controller import Judgement
+from linemate.simulators.devices.links.controllers import EmulatedController
 from linemate.simulators.devices.links.endpoint import Address, Endpoint
-from linemate.simulators.devices.rsi_controller import Applied, RsiController
+from linemate.simulators.devices.rsi_controller import Applied
 from linemate.simulators.devices.schedule import DeviceSchedule, Entry
 from linemate.simulators.devices.turnaround import TurnAround
 
@@ -79,7 +80,7 @@ class ControllerUdp:
 
     def __init__(
         self,
-        controller: RsiController,
+        controller: EmulatedController,
         plant: Plant,
         schedule: DeviceSchedule,
         target: Address,

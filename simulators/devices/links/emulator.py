@@ -16,13 +16,12 @@ import sys
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from queue import SimpleQueue
 from threading import Thread
 from typing import Any, TextIO, cast
 
-from linemate.protocol.rsi.codec import parse_config
 from linemate.protocol.sensors.distance import DistanceEncoder
 from linemate.simulators.devices.camera_sender import CameraSender
 from linemate.simulators.devices.can_sensor import CanSensor
@@ -31,13 +30,14 @@ from linemate.simulators.devices.faults import GARBAGE_BYTES, REAL, Faults
 from linemate.simulators.devices.force_torque import ForceTorqueSensor
 from linemate.simulators.devices.links.camera_sender_udp import CameraUdp
 from linemate.simulators.devices.links.controller_udp import ControllerUdp
+from linemate.simulators.devices.links.controllers import build_controller
 from linemate.simulators.devices.links.emulator_config import SHIPPED_RSI, EmulatorConfig
 from linemate.simulators.devices.links.pty_port import PtyPort
 from linemate.simulators.devices.links.serial_pty import SerialPty
 from linemate.simulators.devices.links.slcan_pty import SlcanPty
 from linemate.simulators.devices.links.tcp_port import TcpPort
 from linemate.simulators.devices.robot_plant import RobotPlant
-from linemate.simulators.devices.rsi_controller import Applied, RsiController
+from linemate.simulators.devices.rsi_controller import Applied
 from linemate.simulators.devices.schedule import DeviceSchedule
 from linemate.simulators.devices.truth import TruthLog
 from linemate.simulators.devices.worlds import build_world
@@ -103,21 +103,10 @@ class Emulator:
         self.world = build_world(config.world, config.scenario, config.mujoco)
         self.truth = TruthLog(_rows(config.scenario))
         self._plant = RobotPlant(self.world)
-        rsi = parse_config(config.rsi_xml.read_bytes())
-        controller = RsiController(
-            rsi,
-            self._plant.read,
-            self._plant.start,
-            replace(
-                config.controller,
-                cycle_s=config.scenario.cycle_s,
-                patient=config.controller.patient or config.wait_answered > 0,
-            ),
-        )
+        controller, target = build_controller(config, self._plant)
         self._schedule = DeviceSchedule()
         self._faults = Faults(config.scenario.faults, REAL)
         self._junk = random.Random(config.scenario.seed)  # noqa: S311 - noise, not a secret
-        target = config.robot_target or (rsi.ip, rsi.port)
         self.link = ControllerUdp(controller, self, self._schedule, target, config.robot_bind)
         encoder = DistanceEncoder(config.dbc, config.dbc_message, config.dbc_signal)
         self.can = SlcanPty(

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from linemate import protocol
 from linemate.protocol.sensors.distance import SHIPPED_DBC
+from linemate.simulators.devices.egm.egm_controller import EgmConfig
 from linemate.simulators.devices.links.endpoint import Address
 from linemate.simulators.devices.rsi_controller import ControllerConfig
 from linemate.simulators.devices.worlds import OWN
@@ -27,9 +28,11 @@ class EmulatorConfig:
         scenario: the world and its sensors.
         world: what solves it: "own" or "mujoco".
         mujoco: sizes of the MuJoCo station.
-        controller: how the controller is set up; its cycle is the scenario's.
+        controller: how a controller with RSI is set up; its cycle is the scenario's.
+        egm: how a controller with ABB's EGM is set up instead, None for RSI.
         rsi_xml: path of the site's RSI_EthernetConfig.xml.
-        robot_target: where telegrams go; None: to IP_NUMBER and PORT of the configuration.
+        robot_target: where telegrams go; None: to IP_NUMBER and PORT of the configuration, with EGM
+            to port 6510 of this host.
         robot_bind: where the controller sends from, port 0 for any.
         camera_target: address and port that poses are sent to.
         camera_source: camera id in each pose.
@@ -57,6 +60,7 @@ class EmulatorConfig:
     world: str = OWN
     mujoco: MujocoCell = field(default_factory=MujocoCell)
     controller: ControllerConfig = field(default_factory=ControllerConfig)
+    egm: EgmConfig | None = None
     rsi_xml: Path = SHIPPED_RSI
     robot_target: Address | None = None
     robot_bind: Address = ("127.0.0.1", 0)

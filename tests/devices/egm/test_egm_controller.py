@@ -2,7 +2,7 @@ from typing import Any, cast
 
 import pytest
 
-from linemate.protocol.egm.codec import (
+from linemate.protocol.egm.egm_codec import (
     CorrectionMessage,
     EgmCodec,
     GuidanceState,
@@ -13,7 +13,7 @@ from linemate.protocol.egm.codec import (
 from linemate.protocol.egm.protobuf_wire import bytes_field, number_field
 from linemate.protocol.exchange_controller import Judgement
 from linemate.protocol.stamped_samples import Vector6
-from linemate.simulators.devices.egm.controller import EgmConfig, EgmController
+from linemate.simulators.devices.egm.egm_controller import EgmConfig, EgmController
 from linemate.simulators.devices.rsi_controller import Applied, RobotReading, Seven
 
 START: Seven = (0.0, -1.5, 1.5, 0.0, 0.0, 0.0, 1.0)
@@ -127,10 +127,10 @@ def test_before_the_first_message_a_patient_controller_waits() -> None:
     for _ in range(100):
         cell.cycle()
     assert cell.controller.broken is None
-    hasty = Cell(comm_timeout_s=0.1)
+    strict = Cell(comm_timeout_s=0.1)
     for _ in range(26):
-        hasty.cycle()
-    assert hasty.controller.broken is not None
+        strict.cycle()
+    assert strict.controller.broken is not None
 
 
 def test_a_restart_guides_from_where_the_robot_stands() -> None:

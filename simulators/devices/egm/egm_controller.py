@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, cast
 
-from linemate.protocol.egm.codec import (
+from linemate.protocol.egm.egm_codec import (
     CorrectionMessage,
     EgmCodec,
     EgmError,
@@ -45,7 +45,6 @@ class EgmConfig:
         comm_timeout_s: silence after which the instruction ends [s].
         patient: silence before the first good correction is not charged.
         robotware: generation of the message, 6 or 7.
-        guidance: filter and gains.
         converge_range: of EGMRunJoint: deviation that counts as converged [rad, m].
         limits: of each axis, for the judge and for the setpoints.
     """
@@ -67,7 +66,7 @@ class EgmConfig:
 
 @dataclass(slots=True)
 class _Run:
-    """What EGMRunJoint begins anew.
+    """What EGMRunJoint begins again.
 
     Attributes:
         silent: cycles since the last good correction.
@@ -106,8 +105,6 @@ class EgmController:
         clamped: cycles in which MaxSpeedDeviation held something back.
         messages: the newest texts for the pendant.
         delay: cycles without a good correction; no message of EGM says so.
-        is_motors_on: motors are on.
-        is_rapid_running: the RAPID program executes.
     """
 
     def __init__(
@@ -179,7 +176,6 @@ class EgmController:
         """Judge a correction; the newest good one of a cycle is applied.
 
         Args:
-            stamp_ns: its arrival [ns].
             deadline_ns: end of the open cycle [ns]. EGM knows no late message: it is applied when
                 it comes.
 
