@@ -45,6 +45,7 @@ class WatchSettings:
         cycles_astray: cycles in a row with a following error before it is a fault (drives off).
         longest_hold_s: longest HOLD before a fault [s].
         longest_retreat_s: longest RETREAT before a fault [s].
+        longest_home_s: longest way home before a fault [s].
     """
 
     link_lost_s: Duration = 0.1
@@ -65,6 +66,7 @@ class WatchSettings:
     cycles_astray: Count = 5
     longest_hold_s: Annotated[float, Gt(0.0), Le(3600.0)] = 60.0
     longest_retreat_s: Annotated[float, Gt(0.0), Le(600.0)] = 20.0
+    longest_home_s: Annotated[float, Gt(0.0), Le(600.0)] = 60.0
 
 
 def timeout_error(settings: WatchSettings, cycle_s: float) -> tuple[str, str] | None:

@@ -23,6 +23,7 @@ class MotionOrder(StrEnum):
     HOLD = "hold"
     TRACK = "track"
     RETREAT = "retreat"
+    HOME = "home"
 
 
 class Inputs(Struct, frozen=True):

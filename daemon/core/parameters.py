@@ -12,12 +12,18 @@ from linemate.daemon.core import rotations
 from linemate.daemon.core.control import controller as control
 from linemate.daemon.core.control import kinematics, urdf_limits
 from linemate.daemon.core.control.settings import ControlSettings
+from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking import linear_axis, merge
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
 from linemate.daemon.core.tracking.conveyor import Classifier
 from linemate.daemon.core.tracking.damping import damped_until, free_table
 from linemate.daemon.core.tracking.go_no_go import prediction_error
-from linemate.daemon.core.tracking.reference import compile_reference, last_step, tabulated
+from linemate.daemon.core.tracking.reference import (
+    Reference,
+    compile_reference,
+    last_step,
+    tabulated,
+)
 from linemate.daemon.core.tracking.settings import ClassifierKind, TrackingSettings
 from linemate.daemon.core.tracking.task import Phase, TaskFile
 from linemate.daemon.core.tracking.touch import compliance, contact
@@ -38,12 +44,14 @@ class Parameters:
 
     Attributes:
         settings: of the controller; the tracker keeps its own.
+        home: joints (axes,) at the first pose.
     """
 
     tracker: Tracker
     controller: control.Controller
     cycle_s: float
     settings: ControlSettings
+    home: Array
 
 
 def _classifier(task: TaskFile, settings: TrackingSettings) -> Classifier:
@@ -165,7 +173,29 @@ def build(
         press=reference.press,
         damped_until=damped_until(reference, control_settings.filters.contact_blend),
     )
-    return Parameters(tracker, controller, cycle_s, control_settings)
+    home, _, _ = joints_at_rest(arm, task, reference)
+    return Parameters(tracker, controller, cycle_s, control_settings, home)
+
+
+def joints_at_rest(
+    arm: kinematics.Arm, task: TaskFile, reference: Reference
+) -> tuple[Array, float, float]:
+    """Return the joints at rest, the linear axis where it brings the tcp to the first pose.
+
+    Returns:
+        Joints (axes,), and how far the tcp is away from the first pose with them [m], [rad].
+    """
+    position = reference.nominal @ reference.rest[:3]
+    rotation = reference.nominal @ rotations.exp(reference.rest[3:])
+    joints = np.array((*task.arm.rest_joints, 0.0)[: arm.axes])
+    there, turned = arm.tcp_in_base(joints)
+    off = position - there
+    if arm.linear_axis:
+        rail = turned @ arm.tcp_jacobian(joints)[:, 6]
+        joints[6] = float(off @ rail)
+        off = off - joints[6] * rail
+    angle = float(np.linalg.norm(rotations.log(turned.T @ rotation)))
+    return joints, float(np.linalg.norm(off)), angle
 
 
 def retuned(parameters: Parameters, tracking: TrackingSettings) -> Parameters:

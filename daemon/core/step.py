@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from linemate.daemon.core import rotations
+from linemate.daemon.core import rotations, way_home
 from linemate.daemon.core.control import command_limiter, windup
 from linemate.daemon.core.control import controller as control
 from linemate.daemon.core.control.windup import WindupState
@@ -28,6 +28,7 @@ from linemate.daemon.core.tracking.estimation import elastic
 from linemate.daemon.core.tracking.go_no_go import evidence
 from linemate.daemon.core.tracking.reference import Reference
 from linemate.daemon.core.tracking.task import Phase
+from linemate.daemon.core.way_home import HomePath
 from linemate.protocol.stamped_samples import RobotSample
 
 # Position [m] and unit quaternion, w first, in base.
@@ -47,6 +48,7 @@ class StepState(Struct, frozen=True, eq=False):
         applied: (axes,) the last command that was sent.
         moving: the robot has not come to rest since it last tracked.
         windup: of the measured axes, None for an arm without.
+        path: the way home, None if the robot is not on it.
     """
 
     tracker: tracker_state.TrackerState
@@ -54,6 +56,7 @@ class StepState(Struct, frozen=True, eq=False):
     applied: Array
     moving: bool = False
     windup: WindupState | None = None
+    path: HomePath | None = None
 
 
 class Outputs(Struct, frozen=True, eq=False):
@@ -76,13 +79,14 @@ class Outputs(Struct, frozen=True, eq=False):
         clamped: a retreat waits for the clamp, which is closed on the object or may be.
         overdue: the clamp was not reported open in time, or no contact was found.
         overload: the force exceeds the tool's limit.
-        finished: the task is over, or the retraction is.
+        finished: the task is over, or the retraction or the way home is.
         held: why the command is not the desired one, None if it is.
         ready: why the task cannot start, None if it can.
         refused: number of pose measurements that the gate rejected.
         object_left: the object is tracked and out of reach, or about to be.
         waiting: why the tool waits before contact, None if it does not.
         waited_s: how long it has waited before contact, in all [s]; None if it has not.
+        home: why the robot cannot go home from where it is, None if it can.
     """
 
     k: int
@@ -111,6 +115,7 @@ class Outputs(Struct, frozen=True, eq=False):
     object_left: bool = False
     waiting: str | None = None
     waited_s: float | None = None
+    home: str | None = None
 
 
 def _joints(parameters: Parameters, robot: RobotSample) -> Array:
@@ -200,6 +205,7 @@ class StepPlan(Struct, frozen=True, eq=False):
         horizon: x_t, None where the robot is to stand.
         desired: command, None where the robot is to stand.
         windup: of the measured axes.
+        path: the way home, None if the robot is not on it.
     """
 
     tracker: tracker_state.TrackerState
@@ -207,6 +213,7 @@ class StepPlan(Struct, frozen=True, eq=False):
     horizon: Horizon | None = None
     desired: control.DesiredCommand | None = None
     windup: WindupState | None = None
+    path: HomePath | None = None
 
 
 def step(state: StepState, inputs: Inputs, parameters: Parameters) -> tuple[StepState, Outputs]:
@@ -231,12 +238,40 @@ def plan(state: StepState, inputs: Inputs, parameters: Parameters) -> StepPlan:
     if inputs.order is MotionOrder.HOLD:
         observed = tracking.observe(parameters.tracker, state.tracker, samples)
         return StepPlan(*observed, windup=wound)
+    if inputs.order is MotionOrder.HOME:
+        return _plan_home(state, samples, parameters, wound)
     retreat = inputs.order is MotionOrder.RETREAT
     tracker, horizon, report = tracking.track(
         parameters.tracker, state.tracker, samples, start=inputs.start, retreat=retreat
     )
     desired = control.desire_command(parameters.controller, state.control, horizon)
     return StepPlan(tracker, report, horizon, desired, wound)
+
+
+def _plan_home(
+    state: StepState,
+    samples: tracker_state.StepSamples,
+    parameters: Parameters,
+    wound: WindupState | None,
+) -> StepPlan:
+    """Return the plan of a robot that goes home. The object is observed and not followed."""
+    tracker, report = tracking.observe(parameters.tracker, state.tracker, samples)
+    settings, cycle_s = parameters.tracker, parameters.cycle_s
+    path = state.path
+    if path is None:
+        rail = _axis(parameters, state.control.limiter.position), _axis(parameters, parameters.home)
+        commit = max(settings.commit, settings.axis_steps)
+        path = way_home.plan_path(
+            state.tracker.poses[0], settings.reference.rest, rail, settings.task.home, commit
+        )
+    path = replace(path, steps=path.steps + 1)
+    poses = way_home.poses_ahead(path, cycle_s, settings.steps)
+    rail_plan = way_home.rail_ahead(path, cycle_s, settings.axis_steps)
+    tracker = replace(tracker, poses=poses)
+    free = np.ones(len(poses))
+    horizon = Horizon(poses, rail_plan, free, settings.reference.nominal, settings.commit)
+    desired = control.desire_command(parameters.controller, state.control, horizon)
+    return StepPlan(tracker, report, horizon, desired, wound, path)
 
 
 def finish(
@@ -255,18 +290,22 @@ def finish(
         delivered = replace(delivered, windup=planned.windup)
         state = _brake(delivered, planned.tracker, parameters)
         return state, _outputs(state, inputs, planned.report, None, "hold", parameters)
-    tracker = tracking.update_contact(
-        parameters.tracker,
-        state.tracker,
-        planned.tracker,
-        planned.report,
-        held=not inputs.sent and inputs.pace is None,
-        is_open=inputs.robot is None or bool(inputs.robot.digital_in & task_clock.CLAMP_OPEN),
-    )
+    tracker = planned.tracker
+    if planned.path is None:
+        tracker = tracking.update_contact(
+            parameters.tracker,
+            state.tracker,
+            planned.tracker,
+            planned.report,
+            held=not inputs.sent and inputs.pace is None,
+            is_open=inputs.robot is None or bool(inputs.robot.digital_in & task_clock.CLAMP_OPEN),
+        )
     after, held = control.limit_command(
         parameters.controller, desired, delivered.control.limiter, clamped=state.tracker.contact
     )
-    state = StepState(tracker, after, delivered.applied, moving=True, windup=planned.windup)
+    state = StepState(
+        tracker, after, delivered.applied, moving=True, windup=planned.windup, path=planned.path
+    )
     outputs = _outputs(state, inputs, planned.report, horizon.poses, held, parameters)
     if planned.report.object_left or desired.command is None:
         outputs = replace(outputs, object_left=True)
@@ -295,7 +334,7 @@ def _brake(
 ) -> StepState:
     """Return the state of a robot on hold: it brakes; at rest its plan is reset."""
     if not state.moving:
-        return replace(state, tracker=tracker)
+        return replace(state, tracker=tracker, path=None)
     braked = control.stop(parameters.controller, state.control)
     is_standing = command_limiter.is_standing(braked.limiter)
     joints, wound = braked.limiter.position, state.windup
@@ -333,9 +372,24 @@ def _ready(state: StepState, parameters: Parameters) -> str | None:
     if float(np.abs(off[:3]).max()) > REST_DISTANCE or float(np.abs(off[3:]).max()) > REST_ANGLE:
         return (
             f"the tcp is {1e3 * float(np.linalg.norm(off[:3])):.0f} mm and "
-            f"{1e3 * float(np.linalg.norm(off[3:])):.0f} mrad away from the task's first pose"
+            f"{1e3 * float(np.linalg.norm(off[3:])):.0f} mrad away from the task's first pose. "
+            "Order home"
         )
     return None
+
+
+def _home_refusal(
+    state: StepState, report: tracker_state.Report, parameters: Parameters
+) -> str | None:
+    """Return why the robot cannot go home from where it is, None if it can."""
+    tracker, reference = state.tracker, parameters.tracker.reference
+    if state.moving:
+        return "the robot still moves"
+    if tracker.contact or tracker.clamped:
+        return "the tool is on the object. Order retreat"
+    nominal = float(reference.origin[way_home.AWAY])
+    seen = nominal if report.part is None else float(report.part[way_home.AWAY])
+    return way_home.refusal(tracker.poses[0], (nominal, seen), parameters.tracker.task.home)
 
 
 def _outputs(
@@ -353,7 +407,6 @@ def _outputs(
         signals |= FIX_SCREWS
     if tracker.releasing is not None:
         signals |= RELEASE_WHEEL
-    withdrawn = tracker.withdrawn is not None and tracker.withdrawn > 1.2 * tracking.WITHDRAW_S
     return Outputs(
         k=inputs.k,
         stamp_ns=inputs.stamp_ns,
@@ -374,10 +427,20 @@ def _outputs(
         clamped=tracker.clamped,
         overdue=task_clock.is_overdue(parameters.tracker, tracker),
         overload=report.overload,
-        finished=report.phase is Phase.DONE or withdrawn,
+        finished=_is_finished(state, report, parameters),
         held=held,
         ready="under way" if state.moving else _ready(state, parameters),
         refused=report.rejected,
         waiting=evidence.waiting(parameters.tracker, tracker),
         waited_s=tracker.go.waited_s or None,
+        home=_home_refusal(state, report, parameters),
     )
+
+
+def _is_finished(state: StepState, report: tracker_state.Report, parameters: Parameters) -> bool:
+    """Return whether the task, the retraction or the way home is over."""
+    if state.path is not None:
+        return way_home.is_over(state.path, parameters.cycle_s)
+    withdrawn = state.tracker.withdrawn
+    is_withdrawn = withdrawn is not None and withdrawn > 1.2 * tracking.WITHDRAW_S
+    return report.phase is Phase.DONE or is_withdrawn

@@ -218,8 +218,16 @@ def _ready(_: Signals, evidence: Evidence) -> Explanation:
     return evidence.unready or "the estimate of the object is not ready", ""
 
 
-def _object_left(_signals: Signals, _evidence: Evidence) -> Explanation:
+def _object_left(_signals: Signals, evidence: Evidence) -> Explanation:
+    if evidence.counts.state is State.HOME:
+        return "the arm does not reach a pose of the way", "Drive the robot home by hand."
     return "the object leaves the reach of the linear axis or the arm", "Wait for the next object."
+
+
+def _clear(_: Signals, evidence: Evidence) -> Explanation:
+    if evidence.counts.state is State.HOME:
+        return "the way home is over", ""
+    return "the tool is free, away and at rest", ""
 
 
 def _contact(_: Signals, evidence: Evidence) -> Explanation:
@@ -243,8 +251,8 @@ def _overload(_: Signals, evidence: Evidence) -> Explanation:
 
 def _expired(_: Signals, evidence: Evidence) -> Explanation:
     counts, settings = evidence.counts, evidence.settings
-    is_hold = counts.state is State.HOLD
-    limit = settings.longest_hold_s if is_hold else settings.longest_retreat_s
+    limits = {State.HOLD: settings.longest_hold_s, State.HOME: settings.longest_home_s}
+    limit = limits.get(counts.state, settings.longest_retreat_s)
     lasted = _age_s(counts.since_ns, evidence.facts.stamp_ns)
     return f"in {counts.state} for {lasted:.1f} s, limit {limit:.1f} s", "Acknowledge the fault."
 
@@ -285,7 +293,7 @@ EXPLAINED: Final[Mapping[str, Callable[[Signals, Evidence], Explanation]]] = {
     "overload": _overload,
     "outwaited": _outwaited,
     "done": lambda _signals, _evidence: ("the task's retreat has begun", ""),
-    "clear": lambda _signals, _evidence: ("the tool is free, away and at rest", ""),
+    "clear": _clear,
     "expired": _expired,
     "fault": _fault,
     **{op: _ordered(op) for op in watch.OPERATIONS},

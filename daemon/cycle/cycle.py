@@ -49,6 +49,7 @@ _SHOWN = (
     "held",
     "waiting",
     "ready",
+    "home",
     "target",
     "sensed",
     "part",

@@ -98,19 +98,21 @@ class Operating:
         """Return why an operator's order is refused now, None if it is not.
 
         Args:
-            op: arm, start, stop, retreat or ack.
+            op: arm, start, stop, retreat, ack or home.
             situation: what keeps a robot from being armed is named before what follows from it.
         """
         reason = states.refusal(self.machine, self.signals, op)
         if reason is not None and op == "arm" and situation.last is not None:
             reason = situation.last.ready or (SETTLING if situation.settling else reason)
+        if reason is None and op == "home":
+            reason = _home_refusal(situation)
         return reason
 
     def order(self, op: str, situation: Situation, who: str = "") -> str | None:
         """Take an operator's order for the next decision.
 
         Args:
-            op: arm, start, stop, retreat or ack.
+            op: arm, start, stop, retreat, ack or home.
             situation: the robot and the task.
 
         Returns:
@@ -254,9 +256,17 @@ class Operating:
             overload=samples.overloaded,
             done=last.phase is Phase.RETREAT,
             fault=self.has_failed,
+            home_blocked=_home_refusal(situation) is not None,
             clear=last.finished and following_error.max_axis_speed(before, last, period) < SETTLED,
             orders=frozenset(self._orders),
         )
+
+
+def _home_refusal(situation: Situation) -> str | None:
+    """Return why the robot cannot go home from where it is, None if it can."""
+    if situation.last is None:
+        return "no step was made yet"
+    return SETTLING if situation.settling else situation.last.home
 
 
 def _slower_ns(samples: SensorQueues, last: Outputs, *, last_approach: bool) -> int | None:

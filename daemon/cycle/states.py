@@ -26,6 +26,7 @@ class State(StrEnum):
     RETREAT = "retreat"
     HOLD = "hold"
     FAULT = "fault"
+    HOME = "home"
 
 
 class Link(StrEnum):
@@ -36,31 +37,32 @@ class Link(StrEnum):
     HEALTHY = "healthy"
 
 
-MOVING = frozenset({State.TRACK, State.CONTACT, State.RETREAT})
+MOVING = frozenset({State.TRACK, State.CONTACT, State.RETREAT, State.HOME})
 """States whose order to the step is not to hold."""
 
 
 @dataclass(frozen=True, slots=True)
 class Signals:
-    """What the machine sees in one cycle, debounced; the last five are operators' edges.
+    """What the machine sees in one cycle, debounced; the last six are operators' edges.
 
     Attributes:
         link: the robot link; a new session of the controller shows as LOST for one cycle.
         position_fresh: distance sensor or camera are young enough for the present state.
         wrench_fresh: the force-torque sensor too, or there is none.
         ready: the estimate is consistent and the object may be tracked.
-        object_left: the object is out of the robot's reach, or about to be, while it is tracked.
+        object_left: the object is out of the robot's reach, or about to be, while it is tracked;
+            on the way home, the way is.
         contact: the tool touches the object, or is so near that to stop would end there.
         overload: the force is beyond what the tool bears.
         outwaited: the tool has waited before contact for longer than the task allows.
         overdue: the tool has not done in its time what the programme needs: in contact and in a
             retreat the clamp has not opened; in TRACK no contact was found.
         done: the task has come to its own retreat, or to its end.
-        clear: a retreat is over: free, away and at rest.
+        clear: a retreat is over: free, away and at rest; or the way home, at the first pose.
         expired: the present state has lasted too long; in FAULT for the tool to be withdrawn from
             the object without an operator, or it may not be yet.
         fault: anything that must be acknowledged.
-        arm, start, stop, retreat, ack: accepted orders that arrived since the last cycle.
+        arm, start, stop, retreat, ack, home: accepted orders that arrived since the last cycle.
     """
 
     link: Link = Link.LOST
@@ -81,6 +83,7 @@ class Signals:
     stop: bool = False
     retreat: bool = False
     ack: bool = False
+    home: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +133,11 @@ def fit(s: Signals) -> bool:
     """Everything is as it must be for a motion to begin."""
     healthy = s.link is Link.HEALTHY
     return healthy and _fresh(s) and s.ready and not (s.contact or s.overload or s.fault)
+
+
+def may_go_home(s: Signals) -> bool:
+    """Everything is as it must be for the way home; it needs no sight of an object."""
+    return s.link is Link.HEALTHY and s.wrench_fresh and not (s.contact or s.overload or s.fault)
 
 
 def _lost(s: Signals, _: Machine) -> bool:
@@ -186,6 +194,7 @@ def _may_start(s: Signals, _: Machine) -> bool:
 
 INIT, IDLE, ARMED, TRACK = State.INIT, State.IDLE, State.ARMED, State.TRACK
 CONTACT, RETREAT, HOLD, FAULT = State.CONTACT, State.RETREAT, State.HOLD, State.FAULT
+HOME = State.HOME
 
 CLAMP_CLOSED = "the clamp is not reported open (open it by hand)"
 """The tool follows the object then, and withdraws as soon as the clamp is reported open."""
@@ -196,9 +205,15 @@ TABLE: tuple[Row, ...] = (
     Row(IDLE, FAULT, "fault", _latched),
     Row(IDLE, INIT, "robot link lost", _lost),
     Row(IDLE, ARMED, "armed", lambda s, _: s.arm and fit(s) and not (s.stop or s.retreat)),
+    Row(
+        IDLE,
+        HOME,
+        "ordered home",
+        lambda s, _: s.home and may_go_home(s) and not (s.stop or s.retreat or s.arm),
+    ),
     Row(ARMED, FAULT, "fault", _latched),
     Row(ARMED, INIT, "robot link lost", _lost),
-    Row(ARMED, IDLE, "another order", lambda s, _: s.retreat or s.stop or s.ack or s.arm),
+    Row(ARMED, IDLE, "another order", lambda s, _: s.retreat or s.stop or s.ack or s.arm or s.home),
     Row(ARMED, IDLE, "no longer fit to start", lambda s, _: not fit(s)),
     Row(ARMED, TRACK, "started", lambda s, _: s.start),
     Row(TRACK, FAULT, "robot link lost in motion", _lost, latches=True),
@@ -273,6 +288,16 @@ TABLE: tuple[Row, ...] = (
     Row(HOLD, FAULT, "held too long", _expired, latches=True),
     Row(HOLD, IDLE, "stopped", _stop),
     Row(HOLD, TRACK, "started again", _may_start),
+    Row(HOME, FAULT, "robot link lost in motion", _lost, latches=True),
+    Row(HOME, FAULT, "overload on the way home", _overload, latches=True),
+    Row(HOME, FAULT, "contact on the way home", _contact, latches=True),
+    Row(HOME, FAULT, "fault", _latched),
+    Row(HOME, FAULT, "the way home is out of reach", _left, latches=True),
+    Row(HOME, FAULT, "the way home takes too long", _expired, latches=True),
+    Row(HOME, IDLE, "stopped on the way home", lambda s, _: s.stop or s.retreat),
+    Row(HOME, IDLE, "no fresh force on the way home", lambda s, _: not s.wrench_fresh),
+    Row(HOME, IDLE, "telegrams missing on the way home", _shaky),
+    Row(HOME, IDLE, "at the first pose", lambda s, _: s.clear),
     Row(
         FAULT,
         RETREAT,
@@ -331,6 +356,8 @@ def order(machine: Machine) -> MotionOrder:
     """
     if machine.state is RETREAT and not machine.programmed:
         return MotionOrder.RETREAT
+    if machine.state is HOME:
+        return MotionOrder.HOME
     return MotionOrder.TRACK if machine.state in MOVING else MotionOrder.HOLD
 
 
@@ -338,8 +365,9 @@ _EXPECTED: dict[str, frozenset[State]] = {
     "arm": frozenset({IDLE}),
     "start": frozenset({ARMED, HOLD}),
     "stop": frozenset(State),
-    "retreat": frozenset({TRACK, CONTACT, RETREAT, HOLD}),
+    "retreat": frozenset({TRACK, CONTACT, RETREAT, HOLD, HOME}),
     "ack": frozenset({FAULT}),
+    "home": frozenset({IDLE}),
 }
 """In which states an order means something; stop is always taken."""
 
@@ -352,7 +380,7 @@ def refusal(machine: Machine, signals: Signals, op: str) -> str | None:
     Args:
         machine: where the machine stands.
         signals: what it saw last.
-        op: arm, start, stop, retreat or ack.
+        op: arm, start, stop, retreat, ack or home.
 
     Returns:
         A reason for the operator, None if the order may be passed on.
@@ -366,6 +394,8 @@ def refusal(machine: Machine, signals: Signals, op: str) -> str | None:
         return unfit(signals)
     if op == "ack":
         return _still_faulty(signals)
+    if op == "home":
+        return _missing(signals, ("link", "wrench_fresh", "contact", "overload", "fault"))
     return None
 
 
@@ -378,16 +408,23 @@ def unfit(s: Signals) -> str | None:
     Returns:
         Everything that is missing, None if nothing is.
     """
-    wants = (
-        (s.link is Link.HEALTHY, f"the robot link is {s.link}"),
-        (s.position_fresh, "no fresh position of the object"),
-        (s.wrench_fresh, "no fresh force"),
-        (s.ready, "the estimate of the object is not ready"),
-        (not s.contact, "the tool is in contact"),
-        (not s.overload, "overload"),
-        (not s.fault, "a fault is present"),
+    return _missing(
+        s, ("link", "position_fresh", "wrench_fresh", "ready", "contact", "overload", "fault")
     )
-    missing = [what for holds, what in wants if not holds]
+
+
+def _missing(s: Signals, names: tuple[str, ...]) -> str | None:
+    """Return in words which of some signals are not as a motion needs them, None if all are."""
+    wants = {
+        "link": (s.link is Link.HEALTHY, f"the robot link is {s.link}"),
+        "position_fresh": (s.position_fresh, "no fresh position of the object"),
+        "wrench_fresh": (s.wrench_fresh, "no fresh force"),
+        "ready": (s.ready, "the estimate of the object is not ready"),
+        "contact": (not s.contact, "the tool is in contact"),
+        "overload": (not s.overload, "overload"),
+        "fault": (not s.fault, "a fault is present"),
+    }
+    missing = [what for holds, what in map(wants.__getitem__, names) if not holds]
     return "; ".join(missing) or None
 
 

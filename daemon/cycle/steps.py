@@ -29,7 +29,7 @@ from linemate.protocol.stamped_samples import RobotSample
 PROGRAMMED_S = 1000.0  # a blend this long lets the program alone lead the motion [s]
 CATCH_UP_S = 0.3  # steps made at once after a gap, at most [s]
 
-_MOVES = frozenset({"arm", "start"})
+_MOVES = frozenset({"arm", "start", "home"})
 
 
 class PreparedStep(Struct, frozen=True):
@@ -87,7 +87,7 @@ class Stepper:
         """Return why an operator's order is refused now, None if it is not.
 
         Args:
-            op: arm, start, stop, retreat or ack.
+            op: arm, start, stop, retreat, ack or home.
         """
         if op in _MOVES and self.session.unproven is not None:
             return self.session.unproven
@@ -97,7 +97,7 @@ class Stepper:
         """Accept an operator's order for the next step; return why it is refused, or None.
 
         Args:
-            op: arm, start, stop, retreat or ack.
+            op: arm, start, stop, retreat, ack or home.
         """
         if op in _MOVES and self.session.unproven is not None:
             return self.session.unproven

@@ -13,7 +13,7 @@ from msgspec import Struct
 from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.cycle.states import Link, Machine, Signals, State
 
-OPERATIONS = ("arm", "start", "stop", "retreat", "ack")
+OPERATIONS = ("arm", "start", "stop", "retreat", "ack", "home")
 """An operator's orders, as ``Signals`` has them."""
 
 IN_CONTACT = frozenset({State.CONTACT, State.RETREAT})
@@ -40,6 +40,7 @@ class Facts(Struct, frozen=True):
         settling: the robot may still move although it was not sent anywhere yet.
         ready, object_left, contact, overload, outwaited, overdue, done, clear, fault: as in
             ``Signals``, raw.
+        home_blocked: the robot cannot go home from where it is.
         orders: accepted orders that came since the last cycle.
     """
 
@@ -66,6 +67,7 @@ class Facts(Struct, frozen=True):
     done: bool = False
     clear: bool = False
     fault: bool = False
+    home_blocked: bool = True
     orders: frozenset[str] = frozenset()
 
 
@@ -185,8 +187,13 @@ def _signals(watch: Watch, facts: Facts, settings: WatchSettings) -> Signals:
         facts.clear,
         _expired(watch, facts, settings),
         fault,
-        *(_ordered(facts.orders) if facts.orders else _NO_ORDER),
+        *(_ordered(_possible(facts)) if facts.orders else _NO_ORDER),
     )
+
+
+def _possible(facts: Facts) -> frozenset[str]:
+    """Return the orders without a way home that has become impossible since it was ordered."""
+    return facts.orders - {"home"} if facts.home_blocked else facts.orders
 
 
 def _ordered(orders: frozenset[str]) -> tuple[bool, ...]:
@@ -210,6 +217,8 @@ def _expired(watch: Watch, facts: Facts, settings: WatchSettings) -> bool:
         # A tool may be withdrawn by itself only soon after the fault, and from where it rests.
         late = lasted_s > settings.longest_retreat_s
         return facts.settling or late or (facts.overdue and _is_blind(facts, settings))
+    if watch.state is State.HOME:
+        return lasted_s > settings.longest_home_s
     if watch.state is not State.RETREAT:
         return False
     if facts.clamped:

@@ -30,6 +30,7 @@ ORDERS: Final = {
     "stop": "come to rest; in contact: retreat",
     "retreat": "leave the part along the tool's axis",
     "ack": "acknowledge a fault",
+    "home": "go back to the task's first pose",
 }
 
 

@@ -56,6 +56,7 @@ _PARTS = {
     "tracking.task:Gate": "tracking.task:Gate",
     "tracking.tracker:TrackerState": "tracking.tracker_state:TrackerState",
     "tracking.transverse:TransverseState": "tracking.transverse:TransverseState",
+    "way_home:HomePath": "way_home:HomePath",
 }
 
 # By name in a recording: fields whose name in a recording is not the present one.

@@ -246,7 +246,7 @@ class App:
 
     def _at_rest(self) -> bool:
         state = self.cycle.machine.state
-        if state is State.HOLD:
+        if state in {State.HOLD, State.IDLE}:
             return self._resting >= 2
         return state not in states.MOVING
 

@@ -15,7 +15,11 @@ from linemate.daemon.cycle.states import MOVING, State, unfit
 CYCLES: Final = 4
 """Cycles that an answer waits for a decision at most."""
 
-REACHED: Final[dict[str, frozenset[State]]] = {"arm": MOVING | {State.ARMED}, "start": MOVING}
+REACHED: Final[dict[str, frozenset[State]]] = {
+    "arm": MOVING | {State.ARMED},
+    "start": MOVING,
+    "home": MOVING,
+}
 """States of which one must be reached, by order; the other orders are good in any."""
 
 Answer = dict[str, Any]

@@ -14,13 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from linemate.daemon.config.documents import Complaint
-from linemate.daemon.core import rotations
+from linemate.daemon.core import rotations, way_home
 from linemate.daemon.core.control.kinematics import UnreachableError
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.core.parameters import Parameters, joints_at_rest
 from linemate.daemon.core.step import REST_ANGLE, REST_DISTANCE
 from linemate.daemon.core.tracking import linear_axis
-from linemate.daemon.core.tracking.task import Phase
+from linemate.daemon.core.tracking.reference import Reference
+from linemate.daemon.core.tracking.task import Phase, WayHome
 from linemate.protocol.stamped_samples import AXES
 
 STEP_S = 0.02
@@ -93,25 +94,26 @@ def _placed(parameters: Parameters, pose: Array) -> tuple[Array, Array]:
 
 def _start(parameters: Parameters) -> Array | Complaint:
     """Return the joints at rest, the linear axis where it brings the tcp to the first pose."""
-    arm, file = parameters.controller.arm, parameters.tracker.task.arm
-    position, rotation = _placed(parameters, parameters.tracker.reference.rest)
-    joints = np.array((*file.rest_joints, 0.0)[: arm.axes])
-    there, turned = arm.tcp_in_base(joints)
-    off = position - there
-    if arm.linear_axis:
-        rail = turned @ arm.tcp_jacobian(joints)[:, 6]
-        joints[6] = float(off @ rail)
-        off = off - joints[6] * rail
-    way = float(np.linalg.norm(off))
-    angle = float(np.linalg.norm(rotations.log(turned.T @ rotation)))
+    tracker = parameters.tracker
+    joints, way, angle = joints_at_rest(parameters.controller.arm, tracker.task, tracker.reference)
     if way <= REST_DISTANCE and angle <= REST_ANGLE:
-        return joints
+        return _cleared(tracker.reference, tracker.task.home) or joints
     what = (
         f"with these joints the tcp is {1e3 * way:.0f} mm and {1e3 * angle:.0f} mrad away from "
         f"waypoints[0], at most {1e3 * REST_DISTANCE:.0f} mm and {1e3 * REST_ANGLE:.0f} mrad. "
         "Check rest_joints, tcp_in_flange, the URDF and the first waypoint."
     )
     return Complaint(("arm", "rest_joints"), what)
+
+
+def _cleared(reference: Reference, settings: WayHome) -> Complaint | None:
+    """Return that the way home would lead too near to the objects, None if it would not."""
+    if not reference.travels.any():
+        return None  # an exercise goes to no object
+    refused = way_home.refusal(reference.rest, (float(reference.origin[way_home.AWAY]),), settings)
+    if refused is None:
+        return None
+    return Complaint(("waypoints", 0), f"{refused}. Move the first pose, or set home.clearance.")
 
 
 def _solved(parameters: Parameters, times: Array, start: Array) -> Array | Complaint:

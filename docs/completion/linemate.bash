@@ -6,7 +6,7 @@
 # See also: https://github.com/scop/bash-completion/blob/main/doc/configuration.md
 
 _shtab_linemate_param_subparsers=(list get set save describe diff)
-_shtab_linemate_subparsers=(status param arm start stop retreat ack record identify replay export recover view metrics bridge doctor keygen)
+_shtab_linemate_subparsers=(status param arm start stop retreat ack home record identify replay export recover view metrics bridge doctor keygen)
 
 _shtab_linemate_status_option_strings=(-h --help --socket --udp --key --key-name --timeout --json --watch --all --interval --for)
 _shtab_linemate_param_list_option_strings=(-h --help --socket --udp --key --key-name --timeout --json)
@@ -21,6 +21,7 @@ _shtab_linemate_start_option_strings=(-h --help --socket --udp --key --key-name 
 _shtab_linemate_stop_option_strings=(-h --help --socket --udp --key --key-name --timeout --json)
 _shtab_linemate_retreat_option_strings=(-h --help --socket --udp --key --key-name --timeout --json)
 _shtab_linemate_ack_option_strings=(-h --help --socket --udp --key --key-name --timeout --json)
+_shtab_linemate_home_option_strings=(-h --help --socket --udp --key --key-name --timeout --json)
 _shtab_linemate_record_option_strings=(-h --help --socket --udp --key --key-name --timeout --json)
 _shtab_linemate_identify_option_strings=(-h --help --out --json)
 _shtab_linemate_replay_option_strings=(-h --help --config --set --tolerance --json)
@@ -57,6 +58,8 @@ _shtab_linemate_retreat___socket_COMPGEN=_shtab_compgen_files
 _shtab_linemate_retreat___key_COMPGEN=_shtab_compgen_files
 _shtab_linemate_ack___socket_COMPGEN=_shtab_compgen_files
 _shtab_linemate_ack___key_COMPGEN=_shtab_compgen_files
+_shtab_linemate_home___socket_COMPGEN=_shtab_compgen_files
+_shtab_linemate_home___key_COMPGEN=_shtab_compgen_files
 _shtab_linemate_record___socket_COMPGEN=_shtab_compgen_files
 _shtab_linemate_record___key_COMPGEN=_shtab_compgen_files
 _shtab_linemate_identify_pos_0_COMPGEN=_shtab_compgen_files
@@ -75,7 +78,7 @@ _shtab_linemate_keygen___out_COMPGEN=_shtab_compgen_files
 _shtab_linemate_param_pos_0_choices=(list get set save describe diff)
 _shtab_linemate_record_pos_0_choices=(start stop)
 _shtab_linemate_keygen_pos_1_choices=(view operate)
-_shtab_linemate_pos_0_choices=(status param arm start stop retreat ack record identify replay export recover view metrics bridge doctor keygen)
+_shtab_linemate_pos_0_choices=(status param arm start stop retreat ack home record identify replay export recover view metrics bridge doctor keygen)
 
 _shtab_linemate_status__h_nargs=0
 _shtab_linemate_status___help_nargs=0
@@ -120,6 +123,9 @@ _shtab_linemate_retreat___json_nargs=0
 _shtab_linemate_ack__h_nargs=0
 _shtab_linemate_ack___help_nargs=0
 _shtab_linemate_ack___json_nargs=0
+_shtab_linemate_home__h_nargs=0
+_shtab_linemate_home___help_nargs=0
+_shtab_linemate_home___json_nargs=0
 _shtab_linemate_record__h_nargs=0
 _shtab_linemate_record___help_nargs=0
 _shtab_linemate_record___json_nargs=0

@@ -15,7 +15,9 @@ import msgpack
 from linemate.protocol.command.frame_codec import MAX_PAGES, MAX_RESULT_BYTES, CommandError
 
 # Operations without parameters.
-BARE: Final = frozenset({"status", "scene", "save", "arm", "start", "ack", "stop", "retreat"})
+BARE: Final = frozenset(
+    {"status", "scene", "save", "arm", "start", "ack", "home", "stop", "retreat"}
+)
 
 MAX_TIME_MS: Final = 2**63 - 1
 

@@ -91,6 +91,7 @@ OPERATIONS: Final[Mapping[str, OperationRule]] = {
     "arm": OperationRule(Empty, Role.OPERATE, lease=True, ordered=True),
     "start": OperationRule(Empty, Role.OPERATE, lease=True, ordered=True),
     "ack": OperationRule(Empty, Role.OPERATE, lease=True, ordered=True),
+    "home": OperationRule(Empty, Role.OPERATE, lease=True, ordered=True),
     # An operator can always stop the robot, in any order.
     "stop": OperationRule(Empty, Role.OPERATE),
     "retreat": OperationRule(Empty, Role.OPERATE),

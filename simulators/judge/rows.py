@@ -35,7 +35,7 @@ PHASES = ("", "wait", "approach", "contact", "screws", "retreat", "done")
 CLASSES = ("", "running", "stopping", "standing", "starting")
 """Codes of the column ``scenario``."""
 
-STATES = ("", "init", "idle", "armed", "track", "contact", "retreat", "hold", "fault")
+STATES = ("", "init", "idle", "armed", "track", "contact", "retreat", "hold", "fault", "home")
 """Codes of the column ``state``."""
 
 

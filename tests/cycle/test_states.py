@@ -17,6 +17,7 @@ from linemate.daemon.cycle.states import (
     Signals,
     State,
     fit,
+    may_go_home,
     order,
     refusal,
     transition,
@@ -26,7 +27,7 @@ from linemate.daemon.cycle.states import (
 NAMES = [field.name for field in fields(Signals)]
 GOOD = Signals(link=Link.HEALTHY, position_fresh=True, wrench_fresh=True, ready=True)
 QUIET = {State.INIT, State.IDLE, State.ARMED, State.FAULT}
-EDGES = ("arm", "start", "stop", "retreat", "ack")
+EDGES = ("arm", "start", "stop", "retreat", "ack", "home")
 
 
 def with_order(name: str) -> Signals:
@@ -106,6 +107,9 @@ def test_the_modes_lead_to_each_other_as_the_design_draws_them(edges: Edges) -> 
         ("HOLD", "FAULT"),
         ("FAULT", "IDLE"),
         ("FAULT", "RETREAT"),
+        ("IDLE", "HOME"),
+        ("HOME", "IDLE"),
+        ("HOME", "FAULT"),
     }
 
 
@@ -137,7 +141,7 @@ def test_without_an_order_motion_begins_only_to_get_out_of_contact(edges: Edges)
     for (before, after), causes in edges.items():
         if after.state in MOVING and before.state not in MOVING:
             for s in causes:
-                ordered = s.start or s.retreat
+                ordered = s.start or s.retreat or s.home
                 assert ordered or (after.state is State.RETREAT and (s.contact or s.overload))
 
 
@@ -218,16 +222,39 @@ def test_i13_an_operators_stop_and_retreat_are_never_lost(edges: Edges) -> None:
     for (before, after), causes in edges.items():
         if any(s.retreat for s in causes):
             assert after.state not in {State.TRACK, State.CONTACT, State.ARMED, State.HOLD}
+            assert after.state is not State.HOME
             assert not (after.state is State.RETREAT and after.programmed)
         if any(s.stop for s in causes):
-            assert after.state not in {State.TRACK, State.CONTACT, State.ARMED}
+            assert after.state not in {State.TRACK, State.CONTACT, State.ARMED, State.HOME}
             assert not (after.state is State.RETREAT and after.programmed)
         if before.state is State.HOLD and any(s.stop for s in causes):
             assert after.state in {State.IDLE, State.RETREAT, State.FAULT}
 
 
+def test_i15_the_way_home_begins_by_its_order_from_idle_with_force_and_link(edges: Edges) -> None:
+    for (before, after), causes in edges.items():
+        if after.state is State.HOME and before.state is not State.HOME:
+            assert before.state is State.IDLE
+            assert not before.latched
+            for s in causes:
+                assert s.home
+                assert s.link is Link.HEALTHY
+                assert s.wrench_fresh
+                assert not any((s.contact, s.overload, s.fault, s.stop, s.retreat, s.arm))
+
+
+def test_i16_the_way_home_ends_at_once_with_any_trouble(edges: Edges) -> None:
+    stays = [
+        s for (a, b), causes in edges.items() if a.state is b.state is State.HOME for s in causes
+    ]
+    for s in stays:
+        assert may_go_home(s)
+        assert not any((s.stop, s.retreat, s.clear, s.expired, s.object_left))
+    assert stays
+
+
 def test_a_start_together_with_another_order_does_not_start() -> None:
-    for other in ("stop", "retreat", "ack", "arm"):
+    for other in ("stop", "retreat", "ack", "arm", "home"):
         signals = replace(with_order(other), start=True)
         assert transition(Machine(State.ARMED), signals).state is State.IDLE
 
@@ -278,6 +305,7 @@ def test_an_order_that_would_change_nothing_is_refused_with_a_reason(machine: Ma
             not in {
                 (State.ARMED, "arm"),
                 (State.ARMED, "ack"),
+                (State.ARMED, "home"),
             }
         )
 

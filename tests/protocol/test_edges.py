@@ -488,6 +488,6 @@ def test_only_stop_and_retreat_are_taken_in_any_order_and_without_the_lease() ->
         ("status", "params", "get", "scene", "subscribe", "page"), ("view", False, False)
     )
     setting = dict.fromkeys(("set", "save", "record"), ("operate", False, True))
-    moving = dict.fromkeys(("arm", "start", "ack"), ("operate", True, True))
+    moving = dict.fromkeys(("arm", "start", "ack", "home"), ("operate", True, True))
     resting = dict.fromkeys(("stop", "retreat"), ("operate", False, False))
     assert table == viewing | setting | moving | resting

@@ -220,6 +220,26 @@ class LinearAxisFile:
 
 
 @dataclass(frozen=True, slots=True)
+class WayHome:
+    """How the robot goes home to the first pose after a task.
+
+    Attributes:
+        clearance: least distance of the tool before the object's plane to begin, and of the first
+            pose [m]. It must cover what protrudes from the object.
+        speed: largest speed of the tcp, and of the linear axis [m/s].
+        acceleration: the same [m/s^2].
+        turn_speed: largest angular speed of the tcp [rad/s].
+        turn_acceleration: the same [rad/s^2].
+    """
+
+    clearance: Annotated[float, Ge(0.02), Le(2.0)] = 0.08
+    speed: Annotated[float, Ge(0.01), Le(1.0)] = 0.25
+    acceleration: Annotated[float, Ge(0.01), Le(2.0)] = 0.5
+    turn_speed: Annotated[float, Ge(0.01), Le(1.0)] = 0.2
+    turn_acceleration: Annotated[float, Ge(0.01), Le(2.0)] = 0.4
+
+
+@dataclass(frozen=True, slots=True)
 class TaskFile:
     """One assembly task, whole."""
 
@@ -231,4 +251,5 @@ class TaskFile:
     tool: ToolTimes = ToolTimes()
     guard: GuardedApproach = GuardedApproach()
     linear_axis: LinearAxisFile = LinearAxisFile()
+    home: WayHome = WayHome()
     version: Annotated[int, Ge(1), Lt(2)] = 1

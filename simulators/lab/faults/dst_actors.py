@@ -20,6 +20,8 @@ HOMING_S = 0.5
 HOMING_SPEED = 0.8
 """How the programme drives the robot to its rest pose, without RSI: for so long at least [s], an
 axis at so much in the mean at most [rad/s, m/s]; it is not charged to the daemon's time."""
+HOME_EVERY = 3
+"""In one seed of so many the daemon brings the robot home by corrections."""
 HARMLESS: tuple[dict[str, Any], ...] = (
     {"tracking.gate_probability": 0.998},
     {"control.damping": True},
@@ -145,13 +147,18 @@ class Programme:
 
 
 class Operator:
-    """Arms and starts once; when the trouble is over, or at once if eager, again and again."""
+    """Arms and starts once; when the trouble is over, or at once if eager, again and again.
+
+    Attributes:
+        homing_s: time that the daemon brought the robot home [s].
+    """
 
     def __init__(self, simulation: "Simulation") -> None:
         self._simulation = simulation
         self._started = False
         self._waited_s = 0.0
         self._wire = CommandWire()
+        self.homing_s = 0.0
         self.refusal = ""
 
     def order(self, op: str, *, is_colleague: bool = False) -> bool:
@@ -210,7 +217,9 @@ class Operator:
         match state:
             case State.IDLE:
                 if not self.order("arm") and "away from the task's first pose" in self.refusal:
-                    simulation.robot.home(now_s)
+                    self._go_home(now_s)
+            case State.HOME:
+                self.homing_s += simulation.plan.cycle_s
             case State.ARMED:
                 self._started = self.order("start") or self._started
             case State.HOLD:
@@ -222,6 +231,12 @@ class Operator:
                 # A robot that stands pulls at a hub that moved on: it is driven off by hand.
                 if self._waited_s > DITHERING_S:
                     self._drive_home(now_s)
+
+    def _go_home(self, now_s: float) -> None:
+        """Let the daemon bring the robot home in some plans, and the programme in the others."""
+        simulation = self._simulation
+        if simulation.plan.seed % HOME_EVERY or not self.order("home"):
+            simulation.robot.home(now_s)
 
     def _drive_home(self, now_s: float) -> None:
         """Drive the robot off by hand, and wait again before doing so once more."""

@@ -199,7 +199,8 @@ class FaultOracle:
     def _take_orders(self, signals: Signals) -> None:
         """Every accepted order is in the very next decision."""
         for op in self._open_orders:
-            if not getattr(signals, op):
+            # A way home that has become impossible since is refused by the answer to its order.
+            if not getattr(signals, op) and op != "home":
                 self.blame(f"order: {op} was accepted and lost")
         self._open_orders.clear()
 
@@ -247,9 +248,12 @@ def invariants(before: Machine, s: Signals, after: Machine) -> tuple[tuple[str, 
             "I11",
             b is not State.CONTACT or not entered or (a is State.TRACK and s.contact and fresh),
         ),
+        ("I15", b is not State.HOME or entered <= (a is State.IDLE and s.home)),
+        ("I15", b is not State.HOME or (s.link is Link.HEALTHY and s.wrench_fresh)),
+        ("I15", b is not State.HOME or not (s.contact or s.overload or s.fault)),
         ("I12", b is not State.ARMED or not entered or (a is State.IDLE and s.arm and fit)),
-        ("I13", not s.stop or b not in {*RUNNING, State.ARMED}),
-        ("I13", not s.retreat or b not in {*RUNNING, State.ARMED, State.HOLD}),
+        ("I13", not s.stop or b not in {*RUNNING, State.ARMED, State.HOME}),
+        ("I13", not s.retreat or b not in {*RUNNING, State.ARMED, State.HOLD, State.HOME}),
         ("I13", not (s.stop or s.retreat) or b is not State.RETREAT or not after.programmed),
     )
 

@@ -396,6 +396,7 @@ class Simulation:
         if self.tracked_s >= quiet_s:
             return False
         timeout_s = min(TIMEOUT_S + self.robot.homing_s, LAST_TIMEOUT_S)
+        timeout_s += self.operator.homing_s
         if self.now_s - max(quiet_s, 0.0) > timeout_s or self.robot.breaks > MOST_BREAKS:
             machine = app.cycle.machine
             self.oracle.blame(
