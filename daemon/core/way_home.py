@@ -25,7 +25,7 @@ SETTLE_S = 0.3  # time that the axes lag behind the path at its end [s]
 
 
 class HomePath(Struct, frozen=True, eq=False):
-    """A path that is under way.
+    """A planned path, and how far the robot is on it.
 
     Attributes:
         begin, corner, end: (6,) poses of the tcp in c; the corner ends the first stretch.
@@ -97,7 +97,7 @@ def refusal(tcp: Array, planes: tuple[float, ...], settings: WayHome) -> str | N
     """Return why the tool is too near to the objects to go home, None if it is not.
 
     Args:
-        tcp: (6,) in c.
+        tcp: pose (6,) in c; its axis points at the objects.
         planes: positions of the object along z of c [m]: nominal, and as estimated.
     """
     gap = min(planes) - float(tcp[AWAY])

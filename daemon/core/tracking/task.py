@@ -227,9 +227,9 @@ class WayHome:
         clearance: least distance of the tool before the object's plane to begin, and of the first
             pose [m]. It must cover what protrudes from the object.
         speed: largest speed of the tcp, and of the linear axis [m/s].
-        acceleration: the same [m/s^2].
+        acceleration: largest acceleration of both [m/s^2].
         turn_speed: largest angular speed of the tcp [rad/s].
-        turn_acceleration: the same [rad/s^2].
+        turn_acceleration: largest angular acceleration of the tcp [rad/s^2].
     """
 
     clearance: Annotated[float, Ge(0.02), Le(2.0)] = 0.08
