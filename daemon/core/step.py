@@ -86,7 +86,6 @@ class Outputs(Struct, frozen=True, eq=False):
         object_left: the object is tracked and out of reach, or about to be.
         waiting: why the tool waits before contact, None if it does not.
         waited_s: how long it has waited before contact, in all [s]; None if it has not.
-        home: why the robot cannot go home from where it is, None if it can.
     """
 
     k: int
@@ -115,7 +114,6 @@ class Outputs(Struct, frozen=True, eq=False):
     object_left: bool = False
     waiting: str | None = None
     waited_s: float | None = None
-    home: str | None = None
 
 
 def _joints(parameters: Parameters, robot: RobotSample) -> Array:
@@ -378,18 +376,22 @@ def _ready(state: StepState, parameters: Parameters) -> str | None:
     return None
 
 
-def _home_refusal(
-    state: StepState, report: tracker_state.Report, parameters: Parameters
-) -> str | None:
-    """Return why the robot cannot go home from where it is, None if it can."""
+def home_refusal(state: StepState, outputs: Outputs, parameters: Parameters) -> str | None:
+    """Return why the robot cannot go home from where it is, None if it can.
+
+    Args:
+        state: after the last step.
+        outputs: results of the last step.
+    """
     tracker, reference = state.tracker, parameters.tracker.reference
     if state.moving:
         return "the robot still moves"
     if tracker.contact or tracker.clamped:
         return "the tool is on the object. Order retreat"
-    nominal = float(reference.origin[way_home.AWAY])
-    seen = nominal if report.part is None else float(report.part[way_home.AWAY])
-    return way_home.refusal(tracker.poses[0], (nominal, seen), parameters.tracker.task.home)
+    planes = [float(reference.origin[way_home.AWAY])]
+    if outputs.part is not None:
+        planes.append(float(reference.nominal[:, way_home.AWAY] @ np.array(outputs.part[:3])))
+    return way_home.refusal(tracker.poses[0], planes, parameters.tracker.task.home)
 
 
 def _outputs(
@@ -433,7 +435,6 @@ def _outputs(
         refused=report.rejected,
         waiting=evidence.waiting(parameters.tracker, tracker),
         waited_s=tracker.go.waited_s or None,
-        home=_home_refusal(state, report, parameters),
     )
 
 

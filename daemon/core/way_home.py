@@ -10,6 +10,7 @@ Invariants:
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from msgspec import Struct
@@ -93,7 +94,7 @@ def is_over(path: HomePath, cycle_s: float) -> bool:
     return path.steps * cycle_s >= sum(path.times) + SETTLE_S
 
 
-def refusal(tcp: Array, planes: tuple[float, ...], settings: WayHome) -> str | None:
+def refusal(tcp: Array, planes: Sequence[float], settings: WayHome) -> str | None:
     """Return why the tool is too near to the objects to go home, None if it is not.
 
     Args:

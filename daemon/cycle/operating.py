@@ -44,6 +44,7 @@ class Situation(Struct, frozen=True, eq=False):
         longest_wait_s: that the task allows before contact [s].
         last_approach: the tool has left its last waypoint before contact; the camera, which soon
             sees nothing any more, is not waited for.
+        home: why the robot cannot go home from where it is, None if it can.
     """
 
     last: Outputs | None
@@ -53,6 +54,7 @@ class Situation(Struct, frozen=True, eq=False):
     sensed: bool
     longest_wait_s: float = math.inf
     last_approach: bool = False
+    home: str | None = "not looked at"
 
 
 class Operating:
@@ -266,7 +268,7 @@ def _home_refusal(situation: Situation) -> str | None:
     """Return why the robot cannot go home from where it is, None if it can."""
     if situation.last is None:
         return "no step was made yet"
-    return SETTLING if situation.settling else situation.last.home
+    return SETTLING if situation.settling else situation.home
 
 
 def _slower_ns(samples: SensorQueues, last: Outputs, *, last_approach: bool) -> int | None:

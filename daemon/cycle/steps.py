@@ -314,7 +314,14 @@ class Stepper:
             sensed=settings.merge.blend < PROGRAMMED_S,
             longest_wait_s=self.parameters.tracker.task.guard.wait,
             last_approach=self._in_last_approach,
+            home=self._home_refusal(),
         )
+
+    def _home_refusal(self) -> str | None:
+        """Return why the robot cannot go home from where it is; only IDLE asks."""
+        if self._state is None or self.last is None or self.machine.state is not State.IDLE:
+            return "the robot does not stand idle"
+        return stepping.home_refusal(self._state, self.last.outputs, self.parameters)
 
     @property
     def _in_last_approach(self) -> bool:

@@ -14,7 +14,7 @@ from linemate.daemon.core import way_home
 from linemate.daemon.core.control.settings import ControlSettings
 from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.parameters import build
-from linemate.daemon.core.step import REST_DISTANCE
+from linemate.daemon.core.step import REST_DISTANCE, home_refusal
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.task import WayHome
 from linemate.daemon.service.rehearsal import rehearse
@@ -44,6 +44,11 @@ def stood() -> World:
     return retreated()
 
 
+def blocked(world: World) -> str | None:
+    assert world.outputs is not None
+    return home_refusal(world.state, world.outputs, P)
+
+
 def go_home(world: World, most_s: float = 30.0) -> list[Any]:
     outputs = []
     for _ in range(round(most_s / T0)):
@@ -64,7 +69,7 @@ def test_a_robot_that_has_retreated_comes_home_and_may_be_armed_again(stood: Wor
     before = world.run(0.1)
     assert before.ready is not None
     assert "Order home" in before.ready
-    assert before.home is None
+    assert blocked(world) is None
     go_home(world)
     after = world.run(0.5)
     assert after.ready is None
@@ -98,9 +103,8 @@ def test_a_tool_before_the_object_is_refused_the_way_home() -> None:
     world.step(MotionOrder.TRACK, start=True)
     while (world.outputs is None) or (world.outputs.task_time or 0.0) < 4.6:
         world.step(MotionOrder.TRACK)
-    held = world.run(1.0)
-    assert held.home is not None
-    assert "before the object's plane" in held.home
+    world.run(1.0)
+    assert "before the object's plane" in str(blocked(world))
 
 
 def test_a_robot_in_motion_or_on_the_object_is_refused_the_way_home() -> None:
@@ -108,8 +112,8 @@ def test_a_robot_in_motion_or_on_the_object_is_refused_the_way_home() -> None:
     world.run(1.2)
     world.step(MotionOrder.TRACK, start=True)
     for _ in range(150):
-        outputs = world.step(MotionOrder.TRACK)
-    assert outputs.home == "the robot still moves"
+        world.step(MotionOrder.TRACK)
+    assert blocked(world) == "the robot still moves"
 
 
 def test_an_object_that_is_nearer_than_the_nominal_one_counts() -> None:
@@ -124,7 +128,7 @@ def test_a_stop_on_the_way_brakes_and_a_second_way_begins_from_there(stood: Worl
     for _ in range(150):
         world.step(MotionOrder.HOME)
     stopped = world.run(1.5)
-    assert stopped.home is None
+    assert blocked(world) is None
     assert stopped.ready is not None
     assert not world.state.moving
     go_home(world)
@@ -142,7 +146,8 @@ def test_a_task_after_the_way_home_runs_as_the_first_one(stood: World) -> None:
 
 def poses(low: float, high: float) -> st.SearchStrategy[np.ndarray]:
     numbers = st.floats(low, high, allow_nan=False)
-    return st.tuples(*[numbers] * 3, *[st.floats(-0.5, 0.5)] * 3).map(np.array)
+    rounded = st.tuples(*[numbers] * 3, *[st.floats(-0.5, 0.5)] * 3).map(np.array)
+    return rounded.map(lambda pose: np.round(pose, 9))
 
 
 @settings(max_examples=60, deadline=None)
