@@ -40,8 +40,10 @@ SIX = (0.1, -0.2, 0.3, -0.4, 0.5, -0.6)
 INTERESTING = (
     b"nan", b"inf", b"1e999", b"-0", b"<!", b"&#0;", b"]]>", b"\x00", b"\xff" * 8, b"\x7f" * 8,
     b"\xc1", b"\xdf\xff\xff\xff\xff", b"\xdd\xff\xff\xff\xff", b"\xcb\x7f\xf8" + b"\0" * 6,
-    b"\x0a\x00", b"\x12\xff\xff\x03", b"\x09" + b"\0" * 6 + b"\xf8\x7f", b"\x80" * 10 + b"\x01",
     b"99999999999999999999", b"\r", b"\xaa", b"\x20\x4e", b"<IPOC>", b'="',
+)  # fmt: skip
+EGM_WORDS = (
+    b"\x0a\x00", b"\x12\xff\xff\x03", b"\x09" + b"\0" * 6 + b"\xf8\x7f", b"\x80" * 10 + b"\x01",
 )  # fmt: skip
 LONGEST = 4096
 
@@ -52,10 +54,12 @@ class Wire:
 
     Attributes:
         parse: takes bytes; raises ``ProtocolError`` or nothing.
+        words: pieces that are put in.
     """
 
     examples: tuple[bytes, ...]
     parse: Callable[[bytes], Any]
+    words: tuple[bytes, ...] = INTERESTING
 
 
 def _rsi() -> tuple[Wire, Wire, Wire]:
@@ -81,13 +85,14 @@ def _egm() -> tuple[Wire, Wire]:
     position = EgmPosition(SIX, (0.1,), SIX[:3], (1.0, 0.0, 0.0, 0.0), 10**15)
     states = (MotorState.ON, GuidanceState.RUNNING, RapidState.RUNNING)
     robots = (
-        RobotMessage(12, 48, position, position, *states, True, 20.0, SIX, True, robotware)
+        RobotMessage(12, 48, position, position, *states, True, 20.0, SIX, True, robotware, (3.0,))
         for robotware in (6, 7)
     )
-    correction = CorrectionMessage(12, 48, SIX, (0.1,), SIX, (0.1,))
+    correction = CorrectionMessage(12, 48, SIX, (0.1,), SIX, (0.1,), (2.0,))
+    words = INTERESTING + EGM_WORDS
     return (
-        Wire(tuple(map(codec.format_robot, robots)), codec.parse_robot),
-        Wire((codec.format_correction(correction),), codec.parse_correction),
+        Wire(tuple(map(codec.format_robot, robots)), codec.parse_robot, words),
+        Wire((codec.format_correction(correction),), codec.parse_correction, words),
     )
 
 
@@ -169,7 +174,9 @@ def wires() -> dict[str, Wire]:
     }
 
 
-def mutated(chance: random.Random, examples: Sequence[bytes]) -> bytes:
+def mutated(
+    chance: random.Random, examples: Sequence[bytes], words: Sequence[bytes] = INTERESTING
+) -> bytes:
     """A message that somebody was at."""
     data = bytearray(chance.choice(examples))
     for _ in range(chance.choice((1, 1, 2, 4, 8))):
@@ -178,7 +185,7 @@ def mutated(chance: random.Random, examples: Sequence[bytes]) -> bytes:
             case 0:
                 del data[at : at + chance.randint(1, 8)]
             case 1:
-                data[at:at] = chance.choice(INTERESTING)
+                data[at:at] = chance.choice(words)
             case 2 if data:
                 data[at % len(data)] ^= 1 << chance.randrange(8)
             case 3:
@@ -186,7 +193,7 @@ def mutated(chance: random.Random, examples: Sequence[bytes]) -> bytes:
             case 4:
                 data[at:at] = chance.choice(examples)[: chance.randint(0, 64)]
             case 5:
-                word = chance.choice(INTERESTING)
+                word = chance.choice(words)
                 data[at : at + len(word)] = word
             case _:
                 data = bytearray(chance.randbytes(chance.randint(0, 256)))
@@ -207,7 +214,7 @@ def run(name: str, inputs: int, seed: int = 0) -> int:
     wire, chance = wires()[name], random.Random(f"{seed}/{name}")
     taken = 0
     for n in range(inputs):
-        data = mutated(chance, wire.examples)
+        data = mutated(chance, wire.examples, wire.words)
         try:
             wire.parse(data)
         except ProtocolError:

@@ -13,7 +13,7 @@ from linemate.daemon.config import documents, files, overlays
 from linemate.daemon.config.documents import Complaint, FileError, YamlDocument
 from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.named_files import NamedFiles
-from linemate.daemon.config.settings import Config, ControllerKind
+from linemate.daemon.config.settings import Config, ControllerKind, EgmSettings, RsiSettings
 from linemate.daemon.config.settings_tree import Settings
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.core.control import urdf_limits
@@ -62,16 +62,22 @@ class LoadedConfig:
     @property
     def cycle_s(self) -> float:
         """Period of the controller [s]."""
-        return self.config.rsi.cycle_ms * 1e-3
+        return self._link.cycle_ms * 1e-3
 
     @property
     def robot(self) -> "RobotEndpoint":
         """Where the robot's telegrams arrive."""
-        rsi = self.config.rsi
-        port = rsi.port
+        link = self._link
+        port = link.port
         if port is None:
             port = 0 if self.rsi is None else self.rsi.port
-        return RobotEndpoint(rsi.bind, port, rsi.peer)
+        return RobotEndpoint(link.bind, port, link.peer)
+
+    @property
+    def _link(self) -> RsiSettings | EgmSettings:
+        """Section of the controller's family."""
+        is_egm = self.config.controller.kind is ControllerKind.EGM
+        return self.config.egm if is_egm else self.config.rsi
 
 
 def load(path: Path) -> LoadedConfig:

@@ -13,7 +13,7 @@ from linemate.daemon.config.documents import Complaint, FileError
 from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.key_file import key_path, read_keys
 from linemate.daemon.config.section_checks import PlainValues
-from linemate.daemon.config.settings import Corrections
+from linemate.daemon.config.settings import EGM_PORT, ControllerKind, Corrections
 from linemate.daemon.config.task_file import Task
 from linemate.protocol.command.preshared_keys import PresharedKey
 from linemate.protocol.rsi.codec import RsiCodec
@@ -46,6 +46,8 @@ class NamedFiles:
         self._decoder: tuple[str, str, str] | None = None
         self._base = base
         self._values = PlainValues(value)
+        kind = self._values.get("controller", "kind", kind=str, default=ControllerKind.RSI.value)
+        self._kind = kind if kind in list(ControllerKind) else ControllerKind.RSI.value
 
     def complaints(self, _: Any) -> Iterator[Complaint]:
         """Read all files and check them against the configuration."""
@@ -53,7 +55,7 @@ class NamedFiles:
             (("task",), self._read_task),
             (("rsi", "config"), self._read_rsi),
             (("rsi", "config"), self._check_axes),
-            (("rsi", "linear_axes"), self._check_linear_axes),
+            ((self._kind, "linear_axes"), self._check_linear_axes),
             (("distance", "dbc"), self._read_dbc),
             (("distance", "message"), self._check_message),
             (("distance", "strength"), self._check_strength),
@@ -61,8 +63,12 @@ class NamedFiles:
         ):
             yield from self._attempt(path, read)
         yield from self._rsi_complaints()
-        rsi_port = None if self.rsi is None else self.rsi.port
-        yield from section_checks.complaints(self._values, self._base, rsi_port)
+        if self._kind == ControllerKind.EGM and self.task is not None:
+            yield from section_checks.egm_complaints(self._values, self.task.file)
+        port = EGM_PORT if self._kind == ControllerKind.EGM else None
+        if self.rsi is not None:
+            port = self.rsi.port
+        yield from section_checks.complaints(self._values, self._base, (self._kind, port))
         yield from timeouts.complaints(self._values.value)
 
     def _attempt(self, path: tuple[str, ...], read: Callable[[], None]) -> Iterator[Complaint]:
@@ -81,6 +87,8 @@ class NamedFiles:
             self.texts |= {"task": self.task.text, "urdf": self.task.urdf}
 
     def _read_rsi(self) -> None:
+        if self._kind != ControllerKind.RSI:
+            return
         name = self._values.get("rsi", "config", kind=str, default=DEFAULT_RSI)
         if not self._values.has("rsi"):
             name = DEFAULT_RSI
@@ -126,7 +134,7 @@ class NamedFiles:
 
     def _check_linear_axes(self) -> None:
         """Refuse a rotating E1: millimetres would be read as degrees."""
-        linear = self._values.get("rsi", "linear_axes", kind=list)
+        linear = self._values.get(self._kind, "linear_axes", kind=list)
         if linear is None or self.task is None or not self.task.file.arm.linear_axis:
             return
         if "E1" not in linear:

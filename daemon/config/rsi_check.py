@@ -6,8 +6,9 @@ Each error names the element and what to change.
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from linemate.daemon.config.section_checks import waiting_gates
 from linemate.daemon.config.settings import Corrections
-from linemate.daemon.core.tracking.task import Gate, TaskFile
+from linemate.daemon.core.tracking.task import TaskFile
 from linemate.protocol.rsi.ethernet_config import PLACEHOLDER, Element, RsiConfig
 
 JOINT_WORDS = frozenset({"AK", "AKorr"})
@@ -103,13 +104,8 @@ def gate_errors(rsi: RsiConfig, task: TaskFile) -> Iterator[str]:
         return
     missing = [f"SEND {SIGNALS_IN}"] if not has_signals else []
     missing += [f"RECEIVE {SIGNALS_OUT}"] if not has_orders else []
-    for i, waypoint in enumerate(task.waypoints):
-        instead = {
-            Gate.SCREWS_FIXED: ("fixed_after", task.tool.fixed_after),
-            Gate.WHEEL_RELEASED: ("released_after", task.tool.released_after),
-        }.get(waypoint.gate)
-        if instead is not None and instead[1] is None:
-            yield (
-                f"waypoints[{i}] waits for {waypoint.gate}, and the file has no "
-                f"{' and no '.join(missing)}. Add the channel, or set tool.{instead[0]}."
-            )
+    for waits, key in waiting_gates(task):
+        yield (
+            f"{waits}, and the file has no {' and no '.join(missing)}. "
+            f"Add the channel, or set {key}."
+        )

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from linemate.daemon.config.documents import Complaint
+from linemate.daemon.core.tracking.task import Gate, TaskFile
 from linemate.drivers.camera_peer import parse_peer
 
 T = TypeVar("T")
@@ -23,6 +24,8 @@ LONGEST_SOCKET_PATH = 107  # bytes, of sockaddr_un
 _ADDRESSES: tuple[tuple[str, ...], ...] = (
     ("rsi", "bind"),
     ("rsi", "peer"),
+    ("egm", "bind"),
+    ("egm", "peer"),
     ("camera", "bind"),
     ("command", "udp", "bind"),
 )
@@ -56,12 +59,39 @@ class PlainValues:
         return self.get(*section, kind=dict) is not None
 
 
-def complaints(values: PlainValues, base: Path, rsi_port: int | None) -> Iterator[Complaint]:
+def waiting_gates(task: TaskFile) -> Iterator[tuple[str, str]]:
+    """Yield each gate that waits for a signal: what waits for what, and the key to set instead."""
+    for i, waypoint in enumerate(task.waypoints):
+        instead = {
+            Gate.SCREWS_FIXED: ("fixed_after", task.tool.fixed_after),
+            Gate.WHEEL_RELEASED: ("released_after", task.tool.released_after),
+        }.get(waypoint.gate)
+        if instead is not None and instead[1] is None:
+            yield f"waypoints[{i}] waits for {waypoint.gate}", f"tool.{instead[0]}"
+
+
+def egm_complaints(values: PlainValues, task: TaskFile) -> Iterator[Complaint]:
+    """Yield gates that wait for a signal which an ABB controller does not carry."""
+    robotware = values.get("egm", "robotware", kind=int, default=7)
+    carries = values.get("egm", "signals", kind=bool, default=True)
+    if robotware != 6 and carries:
+        return
+    for waits, key in waiting_gates(task):
+        yield Complaint(
+            ("egm", "robotware" if carries else "signals"),
+            f"{waits}: signals need RobotWare 7 and signals: true. Set them, or set {key}.",
+        )
+
+
+def complaints(
+    values: PlainValues, base: Path, robot: tuple[str, int | None]
+) -> Iterator[Complaint]:
     """Yield what is wrong with addresses, ports, directories and groups.
 
     Args:
         base: directory of the configuration file.
-        rsi_port: port of the controller's own file, None if that cannot be read.
+        robot: section of the controller's family, and its port if the section names none; None
+            if that cannot be read.
     """
     for path in _DIRECTORIES:
         yield from _complaint(path, _check_directory, base, values.get(*path, kind=str))
@@ -85,7 +115,7 @@ def complaints(values: PlainValues, base: Path, rsi_port: int | None) -> Iterato
     remote = values.get("command", "udp", "allow_remote", kind=bool, default=False)
     if bind and not remote:
         yield from _complaint(("command", "udp", "bind"), _check_consent, bind)
-    yield from _shared_ports(values, rsi_port)
+    yield from _shared_ports(values, *robot)
 
 
 def _complaint(
@@ -133,14 +163,15 @@ def _check_consent(bind: str) -> None:
         )
 
 
-def _shared_ports(values: PlainValues, rsi_port: int | None) -> Iterator[Complaint]:
+def _shared_ports(values: PlainValues, kind: str, own_port: int | None) -> Iterator[Complaint]:
     """Yield a port that two sockets would share: the second could not be opened."""
     used: dict[int, list[tuple[str, str]]] = {}
-    for path, default in ((("rsi",), rsi_port), (("camera",), 49153), (("command", "udp"), 49160)):
-        if path != ("rsi",) and not values.has(*path):
+    robot = (kind,)
+    for path, default in ((robot, own_port), (("camera",), 49153), (("command", "udp"), 49160)):
+        if path != robot and not values.has(*path):
             continue
         port = values.get(*path, "port", kind=int, default=default)
-        port = default if port is None and path == ("rsi",) else port
+        port = default if port is None and path == robot else port
         bind = values.get(*path, "bind", kind=str, default=_LOOPBACK) or _LOOPBACK
         if not port:
             continue

@@ -21,6 +21,7 @@ Text = Annotated[str, Len(1, 4096)]
 Count = Annotated[int, Ge(1), Le(1_000_000)]
 Constant = bool | int | float | str
 Groups = Annotated[tuple[Text, ...], Len(0, 32)]
+EGM_PORT = 6510  # of the UdpUc device in ABB's examples
 ExternalAxis = Literal["E1", "E2", "E3", "E4", "E5", "E6"]
 
 
@@ -28,6 +29,7 @@ class ControllerKind(StrEnum):
     """Family of the robot's controller."""
 
     RSI = "rsi"
+    EGM = "egm"
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +37,8 @@ class ControllerSettings:
     """The robot's controller.
 
     Attributes:
-        kind: family. The section of the same name has its settings: ``rsi`` for KUKA RSI.
+        kind: family. The section of the same name has its settings: ``rsi`` for KUKA RSI, ``egm``
+            for ABB's Externally Guided Motion.
     """
 
     kind: ControllerKind = ControllerKind.RSI
@@ -73,6 +76,31 @@ class RsiSettings:
     linear_axes: Annotated[tuple[ExternalAxis, ...], Len(0, 6)] = ("E1",)
     peer: Text | None = None
     constants: Annotated[dict[Text, Constant], Len(0, 64)] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class EgmSettings:
+    """The link to an ABB controller with Externally Guided Motion.
+
+    Attributes:
+        bind: numeric address to listen on.
+        port: UDP port that the controller sends to (UdpUc device of EGMSetupUC); 0 any free port.
+        cycle_ms: period of the controller, SampleRate of EGMActJoint [ms]. ABB has multiples of
+            4, the others are for measurements.
+        robotware: generation of the controller; a message of the other one is refused.
+        signals: the tool's signals are the first number of RAPIDtoRobot and RAPIDfromRobot, which
+            RobotWare 7 has.
+        linear_axes: external axes that are linear; the others rotate.
+        peer: the only address that is answered. None: any address.
+    """
+
+    bind: Text = "127.0.0.1"
+    port: Port = EGM_PORT
+    cycle_ms: Literal[1, 2, 4, 8, 12, 16, 20, 24] = 4
+    robotware: Literal[6, 7] = 7
+    signals: bool = True
+    linear_axes: Annotated[tuple[ExternalAxis, ...], Len(0, 6)] = ("E1",)
+    peer: Text | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,6 +278,7 @@ class Config:
     state: Text | None = None
     controller: ControllerSettings = ControllerSettings()
     rsi: RsiSettings = RsiSettings()
+    egm: EgmSettings = EgmSettings()
     distance: DistanceSettings | None = None
     camera: CameraSettings | None = None
     force_torque: ForceTorqueSettings | None = None

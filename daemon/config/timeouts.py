@@ -9,10 +9,12 @@ from dataclasses import fields
 from typing import Any
 
 from linemate.daemon.config.documents import Complaint
+from linemate.daemon.config.settings import EgmSettings, RsiSettings
 from linemate.daemon.config.watch_settings import WatchSettings, timeout_error
 
 _KNOWN = frozenset(field.name for field in fields(WatchSettings))
 _NUMBERS = (int, float)
+_CYCLES_MS = {"rsi": RsiSettings().cycle_ms, "egm": EgmSettings().cycle_ms}
 
 
 def complaints(value: Any) -> Iterator[Complaint]:
@@ -22,9 +24,10 @@ def complaints(value: Any) -> Iterator[Complaint]:
         value: plain values of a configuration file, with its overlays.
     """
     whole = value if isinstance(value, dict) else {}
-    own, rsi = _section(whole, "watch"), _section(whole, "rsi")
+    own, kind = _section(whole, "watch"), _section(whole, "controller").get("kind", "rsi")
+    link = _section(whole, kind) if isinstance(kind, str) else {}
     given = {name: number for name, number in own.items() if name in _KNOWN}
-    cycle_ms = rsi.get("cycle_ms", 12)
+    cycle_ms = link.get("cycle_ms", _CYCLES_MS["egm" if kind == "egm" else "rsi"])
     if any(type(number) not in _NUMBERS for number in (*given.values(), cycle_ms)):
         return
     error = timeout_error(WatchSettings(**given), 1e-3 * cycle_ms)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from linemate.daemon.config.config import LoadedConfig
 from linemate.daemon.config.section_checks import group_ids
-from linemate.daemon.config.settings import Corrections
+from linemate.daemon.config.settings import ControllerKind, Corrections
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle.cycle import Cycle
 from linemate.daemon.cycle.learning import Learner
@@ -18,6 +18,8 @@ from linemate.drivers.camera_udp import CameraLink
 from linemate.drivers.can_bus import CanLink
 from linemate.drivers.serial_port import SerialLink
 from linemate.protocol.controller_link import ControllerLink
+from linemate.protocol.egm.egm_codec import EgmCodec
+from linemate.protocol.egm.egm_link import EgmLink
 from linemate.protocol.rsi.codec import RsiCodec
 from linemate.protocol.rsi.rsi_link import RsiLink
 from linemate.protocol.sensors.camera_codec import CameraDecoder
@@ -27,12 +29,24 @@ from linemate.protocol.sensors.wrench import BAUD_RATES, make_decoder, make_host
 
 def build_link(station: LoadedConfig, parameters: Parameters) -> ControllerLink:
     """Return the codec and the rules of the robot's controller."""
+    if station.config.controller.kind is ControllerKind.EGM:
+        return _build_egm(station, parameters)
     settings, file = station.config.rsi, station.rsi
     assert file is not None  # noqa: S101 - ``config.load`` refuses RSI without its file
     return RsiLink(
         RsiCodec(file, settings.linear_axes, constants=settings.constants),
         absolute=settings.corrections is Corrections.ABSOLUTE,
         on_rail=parameters.controller.arm.linear_axis,
+    )
+
+
+def _build_egm(station: LoadedConfig, parameters: Parameters) -> EgmLink:
+    settings = station.config.egm
+    return EgmLink(
+        EgmCodec(settings.linear_axes, settings.robotware),
+        station.cycle_s,
+        on_rail=parameters.controller.arm.linear_axis,
+        signals=settings.signals and settings.robotware == 7,
     )
 
 

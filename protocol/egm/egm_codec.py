@@ -17,6 +17,7 @@ from linemate.protocol.egm.message_fields import (
     Fields,
     enumerated,
     external_scales,
+    finite,
     part,
     read_external,
     read_header,
@@ -65,6 +66,7 @@ __all__ = [
 
 ROBOTWARE_VERSIONS = (6, 7)
 MAX_FORCES = 6  # Fx Fy Fz [N], Mx My Mz [Nm]
+MAX_RAPID_DATA = 40  # numbers to or from the RAPID program
 
 Robotware = Literal[6, 7]
 
@@ -130,6 +132,7 @@ class EgmCodec:
             force,
             active,
             self._generation(fields, robotware),
+            _rapid_data(part(fields, 13), "RAPIDfromRobot"),
         )
 
     def parse_correction(self, data: bytes) -> CorrectionMessage:
@@ -152,6 +155,7 @@ class EgmCodec:
             read_external(part(planned, 3), "planned.externalJoints", self._scales),
             read_joints(part(speeds, 1), "speedRef.joints"),
             read_external(part(speeds, 3), "speedRef.externalJoints", self._scales),
+            _rapid_data(part(fields, 4), "RAPIDtoRobot"),
         )
 
     def format_robot(self, message: RobotMessage) -> bytes:
@@ -171,10 +175,29 @@ class EgmCodec:
         out += _force_field(message)
         if message.utilization is not None:
             out += double_field(10, message.utilization)
-        return out
+        return out + _rapid_field(13, message.rapid_data, "RAPIDfromRobot")
 
     def format_correction(self, message: CorrectionMessage) -> bytes:
         """Write the sensor's message.
+
+        Raises:
+            EgmError: a value that the wire cannot carry, or a speed without its position.
+        """
+        return self.correction_header(message.sequence, message.time_ms) + self.correction_body(
+            message
+        )
+
+    @staticmethod
+    def correction_header(sequence: int, time_ms: int = 0) -> bytes:
+        """Write the first field of the sensor's message.
+
+        Raises:
+            EgmError: a number beyond 32 bits.
+        """
+        return write_header(sequence, time_ms, MessageType.CORRECTION)
+
+    def correction_body(self, message: CorrectionMessage) -> bytes:
+        """Write the sensor's message without its header.
 
         Raises:
             EgmError: a value that the wire cannot carry, or a speed without its position.
@@ -184,11 +207,11 @@ class EgmCodec:
         ):
             raise EgmError("EgmSensor with a speed without its setpoint. Send both.")
         planned = EgmPosition(message.joints, message.external)
-        out = write_header(message.sequence, message.time_ms, MessageType.CORRECTION)
-        out += write_position(2, planned, "planned", self._scales)
+        out = write_position(2, planned, "planned", self._scales)
         speeds = write_axes(1, message.joint_speeds or (), JOINT_SCALES, "speedRef.joints")
         speeds += write_axes(3, message.external_speeds, self._scales, "speedRef.externalJoints")
-        return out + (bytes_field(3, speeds) if speeds else b"")
+        out += bytes_field(3, speeds) if speeds else b""
+        return out + _rapid_field(4, message.rapid_data, "RAPIDtoRobot")
 
     def _generation(self, fields: Fields, robotware: int | None) -> int | None:
         """Return the RobotWare generation that the message shows."""
@@ -236,3 +259,15 @@ def _force_field(message: RobotMessage) -> bytes:
     active = message.is_force_active
     head = b"" if active is None else number_field(1, int(active))
     return bytes_field(9, head + doubles_field(2, message.force or ()))
+
+
+def _rapid_data(data: bytes | None, name: str) -> Axes:
+    """Return the numbers of an EgmRAPIDdata message; its digital value is skipped."""
+    return () if data is None else reals(data, f"{name}.dnum", 2, MAX_RAPID_DATA)
+
+
+def _rapid_field(number: int, values: Axes, name: str) -> bytes:
+    if len(values) > MAX_RAPID_DATA:
+        raise EgmError(f"{name} has {len(values)} values: limit {MAX_RAPID_DATA}. Send fewer.")
+    body = doubles_field(2, [finite(value, f"{name}.dnum") for value in values])
+    return bytes_field(number, body) if values else b""

@@ -75,6 +75,7 @@ class RobotMessage(Struct, frozen=True):
         force: measured force [N] and torque [Nm], None without.
         is_force_active: force control is active, None without (RobotWare 6 never has it).
         robotware: 6 or 7 where a field tells, None where both write the same bytes.
+        rapid_data: numbers of the RAPID program (RAPIDfromRobot.dnum, RobotWare 7).
     """
 
     sequence: int
@@ -89,6 +90,7 @@ class RobotMessage(Struct, frozen=True):
     force: Axes | None = None
     is_force_active: bool | None = None
     robotware: int | None = None
+    rapid_data: Axes = ()
 
 
 class CorrectionMessage(Struct, frozen=True):
@@ -100,6 +102,7 @@ class CorrectionMessage(Struct, frozen=True):
         external: setpoints of the external axes [rad, m].
         joint_speeds: feed-forward [rad/s], None without.
         external_speeds: feed-forward of the external axes [rad/s, m/s].
+        rapid_data: numbers for the RAPID program (RAPIDtoRobot.dnum, RobotWare 7).
     """
 
     sequence: int
@@ -108,3 +111,4 @@ class CorrectionMessage(Struct, frozen=True):
     external: Axes = ()
     joint_speeds: Vector6 | None = None
     external_speeds: Axes = ()
+    rapid_data: Axes = ()

@@ -10,7 +10,7 @@ Reference: Protocol Buffers documentation, "Encoding".
 import struct
 from collections.abc import Sequence
 
-from linemate.protocol.errors import ProtocolError
+from linemate.protocol.controller_link import ControllerError
 
 VARINT, FIXED64, LENGTH, FIXED32 = 0, 1, 2, 5  # wire types; 3 and 4 are groups
 
@@ -23,7 +23,7 @@ _DOUBLE = struct.Struct("<d")
 _FIXED_BYTES = {FIXED64: 8, FIXED32: 4}
 
 
-class EgmError(ProtocolError):
+class EgmError(ControllerError):
     """Bytes that are no EGM message, or a value that none can carry."""
 
 

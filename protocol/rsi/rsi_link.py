@@ -8,6 +8,7 @@ Invariants:
 
 from typing import cast
 
+from linemate.protocol.controller_family import wrong_family
 from linemate.protocol.controller_link import (
     ControllerTelegram,
     ExchangeRules,
@@ -51,10 +52,16 @@ class RsiLink:
         """Return the telegram in a datagram.
 
         Raises:
-            RsiError: it is none, or the configuration sends no joints, or no linear axis that the
-                arm has.
+            ControllerError: it is none, or the configuration sends no joints, or no linear axis
+                that the arm has.
         """
-        telegram = self._codec.parse_robot(data)
+        try:
+            telegram = self._codec.parse_robot(data)
+        except RsiError as error:
+            other = wrong_family(data, "rsi")
+            if other is None:
+                raise
+            raise other from error
         if telegram.joints is None:
             raise RsiError(
                 "the telegram has no AIPos: the daemon needs the joints",

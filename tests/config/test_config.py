@@ -312,3 +312,31 @@ def test_limits_wider_than_the_urdfs_are_reported_at_their_place(write: Write) -
     first, second = errors(write(f"task: wheel.yaml\ncontrol: {{limits: [{', '.join(rows)}]}}\n"))
     assert "control.limits[1].upper: -0.08 is wider than the URDF's for A2: -0.08726" in first
     assert "control.limits[6].speed: 1.6 is wider than the URDF's for E1: 1.5" in second
+
+
+def test_an_abb_controller_needs_no_file_and_has_its_own_period_and_port(write: Write) -> None:
+    loaded = config.load(write("task: wheel.yaml\ncontroller: {kind: egm}\n"))
+    assert loaded.rsi is None
+    assert loaded.cycle_s == 0.004
+    assert (loaded.robot.bind, loaded.robot.port, loaded.robot.peer) == ("127.0.0.1", 6510, None)
+    assert "rsi" not in loaded.texts
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("egm: {robotware: 6}", "egm.robotware: waypoints[5] waits for screws_fixed: signals need"),
+        ("egm: {signals: false}", "egm.signals: waypoints[5] waits for screws_fixed"),
+        ("egm: {bind: here}", "egm.bind"),
+        ("egm: {cycle_ms: 5}", "egm.cycle_ms"),
+        ("egm: {robotware: 5}", "egm.robotware"),
+        ("egm: {linear_axes: [E2]}", "egm.linear_axes: the task's arm stands on E1"),
+        ("camera: {port: 6510}", "camera.port: 6510 is egm.port's already"),
+        ("egm: {cycle_ms: 24}\nwatch: {missed_s: 0.02}", "watch.missed_s"),
+    ],
+)
+def test_what_an_abb_controller_cannot_do_is_refused_with_its_place(
+    write: Write, text: str, complaint: str
+) -> None:
+    lines = errors(write(f"task: wheel.yaml\ncontroller: {{kind: egm}}\n{text}\n"))
+    assert any(complaint in line for line in lines), lines

@@ -1,0 +1,180 @@
+"""ABB's EGM behind the seam of controllers: setpoints are positions, speeds are fed forward.
+
+Invariants:
+    Pure. Everything but the header is written beforehand.
+    The reply's sequence number is that of the message that it answers.
+    Silence leaves the robot as it is: the last setpoint holds until CommTimeout.
+    Motors off, RAPID stopped or EGM not running: no setpoint.
+"""
+
+from typing import cast
+
+from linemate.protocol.controller_family import wrong_family
+from linemate.protocol.controller_link import (
+    ControllerError,
+    ControllerTelegram,
+    ExchangeRules,
+    PreparedReply,
+    SetpointKind,
+)
+from linemate.protocol.egm.egm_codec import (
+    CorrectionMessage,
+    EgmCodec,
+    EgmError,
+    GuidanceState,
+    MotorState,
+    RapidState,
+    RobotMessage,
+)
+from linemate.protocol.stamped_samples import RobotSample, Vector6
+
+MAX_SIGNALS = 255
+
+
+class EgmLink:
+    """Reads messages and writes corrections of one robot.
+
+    Attributes:
+        rules: of the exchange.
+    """
+
+    __slots__ = ("_codec", "_cycle_s", "_has_signals", "_is_on_rail", "rules")
+
+    def __init__(
+        self, codec: EgmCodec, cycle_s: float, *, on_rail: bool = False, signals: bool = True
+    ) -> None:
+        """Keep what the replies need.
+
+        Args:
+            cycle_s: period of the controller [s].
+            on_rail: the arm stands on a linear axis, E1.
+            signals: the tool's signals are the first number of RAPIDtoRobot and RAPIDfromRobot.
+        """
+        self._codec = codec
+        self._cycle_s = cycle_s
+        self._is_on_rail = on_rail
+        self._has_signals = signals
+        self.rules = ExchangeRules(SetpointKind.POSITIONS)
+
+    def read(self, data: bytes, stamp_ns: int) -> ControllerTelegram:
+        """Return the telegram in a datagram.
+
+        Raises:
+            ControllerError: it is none, or has no linear axis that the arm has.
+        """
+        try:
+            message = self._codec.parse_robot(data)
+        except EgmError as error:
+            other = wrong_family(data, "egm")
+            if other is None:
+                raise
+            raise other from error
+        feedback = message.feedback
+        if self._is_on_rail and not feedback.external:
+            raise EgmError(
+                "EgmRobot without feedBack.externalJoints: the task's arm has a linear axis. "
+                "Add the axis to the robot's EGM set-up."
+            )
+        robot = RobotSample(
+            stamp_ns=stamp_ns,
+            ipoc=message.sequence,
+            joints=cast(Vector6, feedback.joints),
+            external=feedback.external,
+            digital_in=self._signals(message),
+        )
+        return ControllerTelegram(
+            message.sequence,
+            self._codec.correction_header(message.sequence),
+            robot,
+            unready=unready(message),
+        )
+
+    def expect(
+        self, counter: int, delay: int | None, joints: Vector6, reach: float
+    ) -> "tuple[ExpectedMessage, bytes] | None":
+        """Return the message to expect next and its reply's header; EGM counts no bad cycles."""
+        del delay
+        if not 0 <= counter < 2**32:
+            return None
+        return ExpectedMessage(self, counter, joints, reach), self._codec.correction_header(counter)
+
+    def prepare(
+        self, command: tuple[float, ...], origin: tuple[float, ...], digital_out: int
+    ) -> PreparedReply:
+        """Return the reply with a setpoint, but for the header.
+
+        Args:
+            command: where the axes shall be [rad, m].
+            origin: setpoint of the cycle before [rad, m]; the difference gives the speed.
+            digital_out: signals to the tool.
+
+        Raises:
+            EgmError: the wire cannot carry it.
+        """
+        speeds: tuple[float, ...] = (0.0,) * len(command)
+        if len(origin) == len(command):
+            speeds = tuple([(c - o) / self._cycle_s for c, o in zip(command, origin, strict=True)])
+        message = CorrectionMessage(
+            0,
+            joints=cast(Vector6, command[:6]),
+            external=command[6:],
+            joint_speeds=cast(Vector6, speeds[:6]),
+            external_speeds=speeds[6:],
+            rapid_data=(float(digital_out),) if self._has_signals else (),
+        )
+        return PreparedReply(b"", self._codec.correction_body(message))
+
+    def without_setpoint(self, digital_out: int) -> None:
+        """Return None: the last setpoint holds, and silence leaves it."""
+
+    def _signals(self, message: RobotMessage) -> int:
+        if not self._has_signals or not message.rapid_data:
+            return 0
+        value = message.rapid_data[0]
+        if value != int(value) or not 0 <= value <= MAX_SIGNALS:
+            raise EgmError(
+                f"RAPIDfromRobot.dnum 1 is {value:g}: the tool's signals are 0..{MAX_SIGNALS}. "
+                "Check the RAPID program, or set egm.signals to false."
+            )
+        return int(value)
+
+
+class ExpectedMessage:
+    """The one message that is expected next.
+
+    It is read whole: a controller may write a number in more bytes than before.
+    """
+
+    __slots__ = ("_counter", "_joints", "_link", "_reach")
+
+    def __init__(self, link: EgmLink, counter: int, joints: Vector6, reach: float) -> None:
+        """Keep what it must be.
+
+        Args:
+            joints: the last measured joints [rad].
+            reach: how far from there a joint may be [rad].
+        """
+        self._link, self._counter = link, counter
+        self._joints, self._reach = joints, reach
+
+    def matches(self, data: bytes) -> bool:
+        """Return whether a datagram is the message."""
+        try:
+            telegram = self._link.read(data, 0)
+        except ControllerError:
+            return False
+        if telegram.counter != self._counter or telegram.unready is not None:
+            return False
+        ways = zip(telegram.robot.joints, self._joints, strict=True)
+        return all(abs(now - before) <= self._reach for now, before in ways)
+
+
+def unready(message: RobotMessage) -> str | None:
+    """Return why the controller takes no setpoint now, None if it takes them."""
+    if message.motors is not MotorState.ON:
+        return f"the motors are not on: motorState {message.motors.name}. Switch the motors on."
+    if message.rapid is not RapidState.RUNNING:
+        return f"RAPID does not run: rapidExecState {message.rapid.name}. Start the program."
+    if message.guidance is not GuidanceState.RUNNING:
+        return f"EGM does not run: mciState {message.guidance.name}. Execute EGMRunJoint."
+    return None
