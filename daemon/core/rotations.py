@@ -21,23 +21,33 @@ def skew(v: Array) -> Array:
     return np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
 
 
-def _combined(x: float, y: float, z: float, one: float, cross: float, outer: float) -> Array:
-    """Return ``one I + cross skew(r) + outer r r'`` (3, 3), the form of all functions here.
+Rows = tuple[float, float, float, float, float, float, float, float, float]
+"""Matrix (3, 3) as plain floats, row by row."""
+
+
+def _combined(x: float, y: float, z: float, one: float, cross: float, outer: float) -> Rows:
+    """Return ``one I + cross skew(r) + outer r r'``, the form of all functions here.
 
     Plain floats cost a third of small arrays; a flat tuple becomes an array twice as fast.
     """
     ox, oy, oz = outer * x, outer * y, outer * z
     xy, xz, yz = ox * y, ox * z, oy * z
     cx, cy, cz = cross * x, cross * y, cross * z
-    first = (one + ox * x, xy - cz, xz + cy)
-    second = (xy + cz, one + oy * y, yz - cx)
-    third = (xz - cy, yz + cx, one + oz * z)
-    return np.array(first + second + third).reshape(3, 3)
+    return (
+        one + ox * x, xy - cz, xz + cy,
+        xy + cz, one + oy * y, yz - cx,
+        xz - cy, yz + cx, one + oz * z,
+    )  # fmt: skip
 
 
 def exp(r: Array) -> Array:
     """Return the rotation matrix (3, 3) of a rotation vector (3,) [rad] (Rodrigues)."""
     x, y, z = r.tolist()
+    return np.array(exp_rows(x, y, z)).reshape(3, 3)
+
+
+def exp_rows(x: float, y: float, z: float) -> Rows:
+    """Return the rotation matrix of a rotation vector's components [rad] (Rodrigues)."""
     angle2 = x * x + y * y + z * z
     if angle2 < SMALL * SMALL:
         a, b = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0
@@ -96,6 +106,10 @@ def matrix(q: Quaternion) -> Array:
 def left_jacobian_inverse(r: Array) -> Array:
     """Return J_l^-1(r), so that ``log(exp(d) @ exp(r)) = r + J_l^-1(r) d`` for small d."""
     x, y, z = r.tolist()
+    return np.array(_left_jacobian_inverse(x, y, z)).reshape(3, 3)
+
+
+def _left_jacobian_inverse(x: float, y: float, z: float) -> Rows:
     angle2 = x * x + y * y + z * z
     if angle2 < 1e-8:
         c = 1.0 / 12.0
@@ -108,6 +122,10 @@ def left_jacobian_inverse(r: Array) -> Array:
 def left_jacobian(r: Array) -> Array:
     """Return J_l(r), so that ``exp(r + e) = exp(J_l(r) e) @ exp(r)`` for small e."""
     x, y, z = r.tolist()
+    return np.array(_left_jacobian(x, y, z)).reshape(3, 3)
+
+
+def _left_jacobian(x: float, y: float, z: float) -> Rows:
     angle2 = x * x + y * y + z * z
     if angle2 < 1e-8:
         a, b = 0.5, 1.0 / 6.0
@@ -123,16 +141,26 @@ def in_own_axes(r: Array) -> Array:
     A change ``c`` of position and rotation vector is the twist ``c @ T`` in the pose's own axes:
     ``T = diag(Exp(r), J_l(r))``, since the right Jacobian is the transpose of the left one.
     """
-    T = np.zeros((6, 6))
-    T[:3, :3], T[3:, 3:] = exp(r), left_jacobian(r)
-    return T
+    x, y, z = r.tolist()
+    return _block_diagonal(exp_rows(x, y, z), _left_jacobian(x, y, z))
+
+
+def _block_diagonal(upper: Rows, lower: Rows) -> Array:
+    """Return the matrix (6, 6) of two blocks; one array costs less than its parts."""
+    a, b, c, d, e, f, g, h, i = upper
+    k, m, n, o, p, q, r, s, t = lower
+    return np.array((
+        a, b, c, 0.0, 0.0, 0.0, d, e, f, 0.0, 0.0, 0.0, g, h, i, 0.0, 0.0, 0.0,
+        0.0, 0.0, 0.0, k, m, n, 0.0, 0.0, 0.0, o, p, q, 0.0, 0.0, 0.0, r, s, t,
+    )).reshape(6, 6)  # fmt: skip
 
 
 def in_own_axes_and_back(r: Array) -> tuple[Array, Array]:
     """Return T of ``in_own_axes`` and its inverse ``diag(Exp(r)', J_l^-1(r))``."""
-    T, back = in_own_axes(r), np.zeros((6, 6))
-    back[:3, :3], back[3:, 3:] = T[:3, :3].T, left_jacobian_inverse(r)
-    return T, back
+    x, y, z = r.tolist()
+    turned = a, b, c, d, e, f, g, h, i = exp_rows(x, y, z)
+    into = _block_diagonal(turned, _left_jacobian(x, y, z))
+    return into, _block_diagonal((a, d, g, b, e, h, c, f, i), _left_jacobian_inverse(x, y, z))
 
 
 def exp_many(r: Array) -> Array:

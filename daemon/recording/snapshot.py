@@ -59,6 +59,9 @@ _PARTS = {
     "way_home:HomePath": "way_home:HomePath",
 }
 
+# By name in a recording: fields of older recordings that a state has no more.
+_DROPPED = {"tracking.go_no_go:LeadMonitor": {"lateral", "depth", "angle"}}
+
 # By name in a recording: fields whose name in a recording is not the present one.
 _FIELDS = {
     "tracking.tracker:TrackerState": {
@@ -203,8 +206,8 @@ def _made_object(name: str, own: dict[str, Any]) -> Any:
     kind = _kind(name)
     if not issubclass(kind, Struct):
         raise TypeError(f"{name} is no part of a state")
-    current = _FIELDS.get(name, {})
-    return kind(**{current.get(key, key): _made(item) for key, item in own.items()})
+    current, dropped = _FIELDS.get(name, {}), _DROPPED.get(name, ())
+    return kind(**{current.get(key, key): _made(own[key]) for key in own if key not in dropped})
 
 
 def _made_member(name: str, member: str) -> Any:

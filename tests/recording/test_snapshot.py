@@ -109,3 +109,15 @@ def test_a_renamed_field_keeps_its_name_in_a_recording() -> None:
     assert "pushes" in stored
     assert "impulses" not in stored
     assert snapshot.encode(snapshot.decode(snapshot.encode(state))) == snapshot.encode(state)
+
+
+def test_a_field_that_a_state_has_no_more_is_left_out() -> None:
+    state = recorded_steps()[-1][0]
+    version, tree = msgpack.unpackb(snapshot.encode(state))
+    _, _, leads = tree[2]["tracker"][2]["monitor"][2]["leads"]
+    leads[2]["depth"] = 0.001
+    again = snapshot.decode(msgpack.packb([version, tree]))
+    assert again.tracker.monitor.leads[1].errors == state.tracker.monitor.leads[1].errors
+    leads[2]["width"] = 0.001
+    with pytest.raises(SnapshotError):
+        snapshot.decode(msgpack.packb([version, tree]))

@@ -132,6 +132,12 @@ def smoothstep(s: Array) -> Array:
     return step
 
 
+def smoothstep_at(s: float) -> float:
+    """Return ``smoothstep`` of one value."""
+    s = min(max(s, 0.0), 1.0)
+    return s**4 * (35.0 + s * (-84.0 + s * (70.0 - 20.0 * s)))
+
+
 def blend(programmed: Array, goal: Array, share: Array) -> Array:
     """Return the blend (m, 6) of programmed and sensed motion; share (m,) in [0, 1]."""
     between: Array = programmed + share[:, None] * (goal - programmed)

@@ -146,7 +146,9 @@ def _weighed(tracker: Tracker, state: TrackerState, raw: Wrench | None) -> Track
     if raw is None or not is_free or state.withdrawn is not None or state.stood > 0.0:
         return state
     # Gravity is along -z of base.
-    down = -rotations.exp(state.poses[0, 3:]).T.dot(tracker.reference.nominal[2])
+    a, b, c, d, e, f, g, h, i = rotations.exp_rows(*state.poses[0, 3:].tolist())
+    x, y, z = tracker.reference.axes[2]
+    down = (-a * x - d * y - g * z, -b * x - e * y - h * z, -c * x - f * y - i * z)
     settings = tracker.settings
     later = tare.updated(state.tare, raw, down, settings.payload, settings.tactile, tracker.cycle_s)
     return replace(state, tare=later)

@@ -142,9 +142,7 @@ def track(
         if not tracker.settings.predict:
             along[: len(span)] = along[0]
     if state.transverse is not None and along is not None:
-        steady = along[: len(span)]
-        target, part = _sensed_poses(tracker, state, samples.stamp_ns, steady, span, relative)
-        state = _record_prediction(tracker, state, samples.stamp_ns, along)
+        state, target, part = _predict_object(tracker, state, samples.stamp_ns, along, relative)
         state = comply(tracker, state, samples, view, wrench, part)
         target[:, :3] += state.compliance.offset
         if state.blended is not None and state.blended >= tracker.settings.merge.blend:
@@ -262,7 +260,9 @@ def observe(
         _, relative = tracker.table.ahead(state.time, math.inf, 0)
         now = np.zeros(1)
         along = tracker.classifier.predict_positions(state.conveyor, now)
-        target, part = _sensed_poses(tracker, state, samples.stamp_ns, along, now, relative)
+        target, part = _sensed_poses(
+            tracker, state.transverse, samples.stamp_ns, along, now, relative
+        )
     return state, report(tracker, state, view, wrench, rejected, target, part)
 
 
@@ -302,64 +302,70 @@ def _with_oscillation(report: Report, *, was_soft: bool, state: TrackerState) ->
     return replace(report, events=(*report.events, event))
 
 
-def _sensed_poses(
-    tracker: Tracker,
-    state: TrackerState,
-    stamp_ns: int,
-    along: Array,
-    span: Array,
-    relative: Array,
-) -> tuple[Array, Array]:
-    """Return x_f over the horizon, (9) under the class, and the object now.
+def _predict_object(
+    tracker: Tracker, state: TrackerState, now_ns: int, along: Array, relative: Array
+) -> tuple[TrackerState, Array, Array]:
+    """Return the state, x_f over the horizon (m, 6), (9) under the class, and the object now (6,).
 
-    Args:
-        state: with the object's estimate across the conveyor.
-        along: (m,) predicted positions along the conveyor [m].
-        span: (m,) their times from now [s].
-        relative: (m, 6) the programmed tcp in the object.
-    """
-    assert state.transverse is not None  # noqa: S101 - callers have checked
-    ahead = span if tracker.settings.predict else 0.0 * span
-    if tracker.foresight is not None:
-        positions, vectors = tracker.foresight(stamp_ns, ahead)
-        return approach.known(positions, vectors, relative, turned=tracker.reference.turned)
-    part = _part(tracker, state.transverse, along, ahead)
-    swing, turned = tracker.transverse.swing, tracker.reference.turned
-    return approach.sensed(part, swing, relative, turned=turned)
-
-
-def _part(tracker: Tracker, estimate: TransverseState, along: Array, ahead: Array) -> approach.Part:
-    """Return the object at some times from now [s], of which the first is 0."""
-    estimate = tracker.transverse.believed(estimate)
-    return approach.Part(
-        x=float(estimate.x[0]),
-        z=float(estimate.x[1]),
-        along=along,
-        rotation=estimate.rotation,
-        swing=tracker.transverse.swing_angles(estimate, ahead),
-        slopes=tracker.transverse.slopes(estimate),
-    )
-
-
-def _record_prediction(
-    tracker: Tracker, state: TrackerState, now_ns: int, along: Array
-) -> TrackerState:
-    """Return the state with the predictions of this step kept for their check, if they are due.
+    Predictions whose check is due are kept in the state: the object at the leads, two rows more.
 
     Args:
         state: with the object's estimate across the conveyor.
         along: positions of the conveyor at ``Tracker.ahead`` [m].
+        relative: (m, 6) the programmed tcp in the object.
     """
-    if state.contact or not prediction_error.is_due(state.monitor, now_ns):
-        return state
-    assert state.transverse is not None  # noqa: S101 - callers have checked
-    times = np.array((0.0, *prediction_error.LEADS_S))
-    along = np.concatenate((along[:1], along[1 - len(times) :]))
-    part = _part(tracker, state.transverse, along, times)
-    relative = np.zeros((len(times), 6))
-    poses, _ = approach.sensed(part, tracker.transverse.swing, relative, turned=False)
-    unit = along[1:] - tracker.classifier.predict_sway(state.conveyor, times[1:])
-    return replace(state, monitor=prediction_error.record(state.monitor, now_ns, poses[1:], unit))
+    transverse, ahead = state.transverse, tracker.span
+    assert transverse is not None  # noqa: S101 - the caller has checked
+    count, leads = len(ahead), len(prediction_error.LEADS_S)
+    steady = along[:count]
+    if not tracker.settings.predict:
+        ahead = 0.0 * ahead
+    is_due = not state.contact and prediction_error.is_due(state.monitor, now_ns)
+    if not is_due or tracker.foresight is not None:
+        return state, *_sensed_poses(tracker, transverse, now_ns, steady, ahead, relative)
+    later, times = along[-leads:], tracker.ahead[-leads:]
+    poses, part = _sensed_poses(
+        tracker,
+        transverse,
+        now_ns,
+        np.concatenate((steady, later)),
+        np.concatenate((ahead, times)),
+        np.concatenate((relative, np.zeros((leads, 6)))),
+    )
+    unit = later - tracker.classifier.predict_sway(state.conveyor, times)
+    monitor = prediction_error.record(state.monitor, now_ns, poses[count:].copy(), unit)
+    return replace(state, monitor=monitor), poses[:count], part
+
+
+def _sensed_poses(
+    tracker: Tracker,
+    estimate: TransverseState,
+    stamp_ns: int,
+    along: Array,
+    ahead: Array,
+    relative: Array,
+) -> tuple[Array, Array]:
+    """Return x_f at some times (m, 6), (9) under the class, and the object now (6,).
+
+    Args:
+        along: (m,) predicted positions along the conveyor [m].
+        ahead: (m,) the times from now [s], of which the first is 0.
+        relative: (m, 6) the programmed tcp in the object.
+    """
+    if tracker.foresight is not None:
+        positions, vectors = tracker.foresight(stamp_ns, ahead)
+        return approach.known(positions, vectors, relative, turned=tracker.reference.turned)
+    filtered = tracker.transverse
+    estimate = filtered.believed(estimate)
+    part = approach.Part(
+        x=float(estimate.x[0]),
+        z=float(estimate.x[1]),
+        along=along,
+        rotation=estimate.rotation,
+        swing=filtered.swing_angles(estimate, ahead),
+        slopes=filtered.slopes(estimate),
+    )
+    return approach.sensed(part, filtered.swing, relative, turned=tracker.reference.turned)
 
 
 def update_contact(
@@ -421,9 +427,10 @@ def update_contact(
 
 def _planned_acceleration(tracker: Tracker, poses: Array) -> float:
     """Return the acceleration along the tool's axis at the second of some poses [m/s^2]."""
-    axis = rotations.exp(poses[1, 3:])[:, 2]
-    bend = poses[0, :3] - 2.0 * poses[1, :3] + poses[2, :3]
-    return float(axis @ bend) / tracker.cycle_s**2
+    (a, b, c, *_), (x, y, z, *turned), (d, e, f, *_) = poses[:3].tolist()
+    _, _, i, _, _, j, _, _, k = rotations.exp_rows(*turned)
+    bend = i * (a - 2.0 * x + d) + j * (b - 2.0 * y + e) + k * (c - 2.0 * z + f)
+    return float(bend) / tracker.cycle_s**2
 
 
 def _touched_reach(
@@ -453,9 +460,9 @@ def _advance_axis(
         begun, unit = departure
         # A conveyor that runs is caught up with gradually: a ramp long.
         step = len(tracker.span)
-        share = approach.smoothstep((state.time + tracker.ahead[step : step + 1]) / file.ramp)
+        share = approach.smoothstep_at((state.time + float(tracker.ahead[step])) / file.ramp)
         travelled = float(along[step]) + view.offset - unit
-        wanted = begun + file.travel * float(share[0]) * travelled
+        wanted = begun + file.travel * share * travelled
         low, high = tracker.axis_range
         goal = min(max(wanted, low), high)
         # The goal is ahead of the axis by the plan's length and lag: time to hold or to retreat.

@@ -201,7 +201,7 @@ class Transverse:
         Args:
             speed: of the conveyor since the last step [m/s].
         """
-        F, Q = _matrices(self.fusion, self.swing, self.camera, dt, seating)
+        F, Q = self._matrices(dt, seating)
         F = self._set_frequencies(F, state, dt)
         F[X, self._slope] = F[Z, self._slope + 1] = speed * dt
         P = F.dot(state.P).dot(F.T)
@@ -221,8 +221,20 @@ class Transverse:
                 F[k, i], F[k, k], F[k, j] = -s, c, -way * (c * angle + s * quadrature)
         return F
 
+    @cached_property
+    def _compiled(self) -> dict[tuple[float, bool], tuple[Array, Array]]:
+        """Matrices by cycle time and seating; a cell has one cycle time."""
+        return {}
+
     def _matrices(self, dt: float, seating: bool) -> tuple[Array, Array]:
         """Return A of (5) at the identified frequencies, and Q."""
+        found = self._compiled.get((dt, seating))
+        if found is None:
+            # Settings as a key of a common cache would be hashed in each step.
+            found = self._compiled[dt, seating] = self._make_matrices(dt, seating)
+        return found
+
+    def _make_matrices(self, dt: float, seating: bool) -> tuple[Array, Array]:
         turning = self.fusion.seating if seating else self.fusion.angle
         F = np.eye(self.size)
         noise = np.empty(self.size)
@@ -350,13 +362,15 @@ class Transverse:
             factor, gain, failed = _solve(rows[:, where], rows)
             if failed:
                 continue
-            shift = error.dot(gain)
-            shares = factor.diagonal() / math.sqrt(prior)
+            shift, sigma = error.dot(gain), math.sqrt(prior)
+            shares = math.prod([share / sigma for share in factor.diagonal().tolist()])
             nothing = -0.5 * float(shift[where].dot(_solve(rows[:, where], error)[1]))
-            odds = NONE_ODDS * math.exp(max(nothing, -50.0)) / float(shares.prod())
+            odds = NONE_ODDS * math.exp(max(nothing, -50.0)) / shares
             none = odds / (1.0 + odds)
             x -= none * shift
-            P = P - none * rows.T.dot(gain) + (none * (1.0 - none)) * np.outer(shift, shift)
+            # One product for both terms: the gain's rows, and what the shift adds to the spread.
+            left = np.concatenate((rows, shift[None])).T
+            P = P - left.dot(np.concatenate((none * gain, (none * (none - 1.0) * shift)[None])))
         c = slice(self._camera, self._camera + CAMERA - 1)
         return replace(state, shrinkage=x - state.x, errors=P[c, c])
 
@@ -480,18 +494,6 @@ class Transverse:
             grown = math.exp(swing.mode.damping * w * delay)
             angles.append(grown * (c * math.cos(phase) - s * math.sin(phase)))
         return tuple(angles)
-
-
-@lru_cache(maxsize=16)
-def _matrices(
-    fusion: FusionSettings,
-    swing: tuple[SwingMode, ...],
-    camera: CameraNoise | None,
-    dt: float,
-    seating: bool,
-) -> tuple[Array, Array]:
-    """Return A of (5) at the identified frequencies, and Q, by the values of the settings."""
-    return Transverse(fusion, swing, camera)._matrices(dt, seating)  # noqa: SLF001
 
 
 # A step reads an estimate up to four times, the next step once more.

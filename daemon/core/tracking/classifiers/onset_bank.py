@@ -35,7 +35,7 @@ class OnsetBank(Struct, frozen=True, eq=False):
     sums: Array
 
     def __len__(self) -> int:
-        return len(self.sums[0])
+        return int(self.sums.shape[1])
 
     @property
     def A(self) -> Array:

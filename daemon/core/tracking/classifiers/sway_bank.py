@@ -127,11 +127,12 @@ def response(
 def empty(settings: SwaySettings) -> SwayBank:
     """Return the bank before the first reading."""
     count = len(grid(settings).omegas)
+    # Frequencies are next to each other in memory: loops over them are longer than over terms.
     return SwayBank(
         forced=np.zeros(count, dtype=complex),
         free=np.ones(count, dtype=complex),
-        information=np.zeros((count, TERMS, TERMS)),
-        weighted=np.zeros((count, TERMS)),
+        information=np.zeros((count, TERMS, TERMS), order="F"),
+        weighted=np.zeros((count, TERMS), order="F"),
     )
 
 
@@ -281,12 +282,13 @@ def is_due(bank: SwayBank) -> bool:
 
 
 def evaluate(
-    settings: SwaySettings, bank: SwayBank, near: float | None = None
-) -> tuple[SwayBank, SwayFit, SwayFit]:
-    """Return the bank, the likeliest sway, and the one at a frequency of the grid next to ``near``.
+    settings: SwaySettings, bank: SwayBank, near: float = 0.0, better: float = -math.inf
+) -> tuple[SwayBank, SwayFit | None]:
+    """Return the bank and the likeliest sway, None if it is not certain or not another one.
 
     Args:
-        near: [rad/s]; None takes the likeliest.
+        near: frequency of the sway that is known [rad/s], 0 for none.
+        better: log odds by which another frequency must be likelier than that one.
     """
     frequencies = grid(settings)
     prior, mean = _prior(settings)
@@ -298,11 +300,14 @@ def evaluate(
     left = (bank.energy - float(steady[best] + explained[best])) / max(bank.count, 1.0)
     left = max(left, 1.0)
     scores = scores / left + _likeliness(settings)
-    best = int(scores.argmax())
-    at = best if near is None else int(np.abs(np.log(frequencies.omegas / near)).argmin())
-    fit = _fit(bank, frequencies, A, weighted, scores, best, left)
-    there = fit if at == best else _fit(bank, frequencies, A, weighted, scores, at, left)
-    return replace(bank, since_evaluation=0.0), fit, there
+    best, bank = int(scores.argmax()), replace(bank, since_evaluation=0.0)
+    if not float(scores[best]) > settings.found:
+        return bank, None
+    if near:
+        at = int(np.abs(np.log(frequencies.omegas / near)).argmin())
+        if float(scores[best]) < float(scores[at]) + better:
+            return bank, None
+    return bank, _fit(bank, frequencies, A, weighted, scores, best, left)
 
 
 def _eliminated(A: Array, weighted: Array) -> tuple[Array, Array, Array]:

@@ -78,8 +78,9 @@ def follow(
         sways = sway_bank.count_push(sways)
     if not sway_bank.is_due(sways):
         return replace(state, sways=sways)
-    sways, best, near = sway_bank.evaluate(model.sway, sways, state.sway_omega or None)
-    return _adopt(model, state, sways, best, near)
+    sways, best = sway_bank.evaluate(model.sway, sways, state.sway_omega, BETTER)
+    state = replace(state, sways=sways)
+    return state if best is None else _adopt(model, state, sways, best)
 
 
 def unseen_deviation(model: BankModel, state: BankState) -> float:
@@ -156,25 +157,20 @@ def _changed_class(
     return sway_bank.change_class(model.sway, sways, now - was, state.class_age)
 
 
-def _adopt(
-    model: BankModel, state: BankState, sways: SwayBank, best: SwayFit, near: SwayFit
-) -> BankState:
-    """Return the state with a sway that is found, or another than the one that it follows."""
-    state = replace(state, sways=sways)
-    if sway_bank.is_pushed(sways) or not _is_found(model, state, best):
+def _adopt(model: BankModel, state: BankState, sways: SwayBank, best: SwayFit) -> BankState:
+    """Return the state with a sway that is certain, or another than the one that it follows."""
+    if sway_bank.is_pushed(sways) or not _is_large(model, state, best):
         return state
-    if state.sway_omega:
-        is_other = abs(math.log(best.omega / state.sway_omega)) > OTHER
-        if not is_other or best.score < near.score + BETTER:
-            return state
+    if state.sway_omega and abs(math.log(best.omega / state.sway_omega)) <= OTHER:
+        return state
     return _with_sway(state, sways, best)
 
 
-def _is_found(model: BankModel, state: BankState, fit: SwayFit) -> bool:
-    """Return whether a sway is certain and large enough to be followed."""
+def _is_large(model: BankModel, state: BankState, fit: SwayFit) -> bool:
+    """Return whether a sway is large enough to be followed."""
     deviation = math.sqrt(float(np.trace(fit.covariance[:2, :2])))
     least = model.sway.contact_least if state.contact else model.sway.least
-    return fit.score > model.sway.found and fit.amplitude > max(least, 2.0 * deviation)
+    return fit.amplitude > max(least, 2.0 * deviation)
 
 
 def _with_sway(state: BankState, sways: SwayBank, fit: SwayFit) -> BankState:

@@ -212,8 +212,13 @@ def _note_following(tracker: Tracker, state: TrackerState) -> TrackerState:
     """Return the state with the mean following error, in the tool's axes [m]."""
     if state.history is None:
         return state
-    tcp, plan = state.history.poses[-1], state.poses[0]
-    off = rotations.exp(plan[3:]).T.dot(tcp[:3] - plan[:3]).tolist()
-    gain = 1.0 - math.exp(-tracker.cycle_s / FOLLOWING_S)
-    x, y, z = (mean + gain * (each - mean) for mean, each in zip(state.following, off, strict=True))
-    return replace(state, following=(x, y, z))
+    (u, v, w, *_), (p, q, r, *turned) = state.history.poses[-1].tolist(), state.poses[0].tolist()
+    a, b, c, d, e, f, g, h, i = rotations.exp_rows(*turned)
+    u, v, w = u - p, v - q, w - r
+    gain, (x, y, z) = 1.0 - math.exp(-tracker.cycle_s / FOLLOWING_S), state.following
+    following = (
+        x + gain * (a * u + d * v + g * w - x),
+        y + gain * (b * u + e * v + h * w - y),
+        z + gain * (c * u + f * v + i * w - z),
+    )
+    return replace(state, following=following)

@@ -12,6 +12,7 @@ Invariants:
 import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
+from functools import lru_cache
 
 from msgspec import Struct
 
@@ -44,18 +45,28 @@ class LeadMonitor(Struct, frozen=True, eq=False):
         along: positions of the conveyor at these times [m].
         errors: of each image, newest last, with its stamp [ns].
         medians: sizes of the medians of each three errors in a row, newest last.
-        lateral, depth: error of the last second across and along the object's axis [m].
-        angle: the same of its orientation [rad].
     """
 
     stamps_ns: tuple[int, ...] = ()
     poses: tuple[Array, ...] = ()
     along: tuple[float, ...] = ()
     errors: tuple[tuple[int, Errors], ...] = ()
-    lateral: float = 0.0
-    depth: float = 0.0
-    angle: float = 0.0
     medians: tuple[Sizes, ...] = ()
+
+    @property
+    def lateral(self) -> float:
+        """Error of the last second across the object's axis [m]."""
+        return _error_sizes(self)[0]
+
+    @property
+    def depth(self) -> float:
+        """The same along the object's axis [m]."""
+        return _error_sizes(self)[1]
+
+    @property
+    def angle(self) -> float:
+        """The same of the orientation [rad]."""
+        return _error_sizes(self)[2]
 
     @property
     def checked_s(self) -> float:
@@ -149,9 +160,7 @@ def _with(
     lead: LeadMonitor, stamps: tuple[int, ...], poses: tuple[Array, ...], along: tuple[float, ...]
 ) -> LeadMonitor:
     """Return a lead's monitor with other predictions."""
-    return LeadMonitor(
-        stamps, poses, along, lead.errors, lead.lateral, lead.depth, lead.angle, lead.medians
-    )
+    return LeadMonitor(stamps, poses, along, lead.errors, lead.medians)
 
 
 def _place(stamps: tuple[int, ...], stamp_ns: int) -> tuple[int, float]:
@@ -191,10 +200,7 @@ def _compared(
     oldest = bisect_left(lead.errors, (stamp_ns - round(WINDOW_S * 1e9),))
     errors = (*lead.errors[oldest:], (stamp_ns, (x, y, z, turned)))
     medians = _medians(lead.medians, errors)
-    lateral, depth, angle = _quantile(medians or tuple([_size(error) for _, error in errors]))
-    return LeadMonitor(
-        lead.stamps_ns, lead.poses, lead.along, errors, lateral, depth, angle, medians
-    )
+    return LeadMonitor(lead.stamps_ns, lead.poses, lead.along, errors, medians)
 
 
 def _medians(
@@ -225,12 +231,17 @@ def _size(error: Errors) -> Sizes:
     return x * x + y * y, abs(z), abs(turned)
 
 
-def _quantile(sizes: tuple[Sizes, ...]) -> tuple[float, float, float]:
+# The two leads of a step, each read several times while the decision is due.
+@lru_cache(maxsize=4)
+def _error_sizes(lead: LeadMonitor) -> tuple[float, float, float]:
     """Return the size of the errors of the window: across, along [m], orientation [rad].
 
     The quantile of medians counts noise less than a deviation that lasts. Plain floats: numpy's
     median alone cost 50 us.
     """
+    sizes = lead.medians or tuple([_size(error) for _, error in lead.errors])
+    if not sizes:
+        return 0.0, 0.0, 0.0
     place = min(round(QUANTILE * len(sizes)), len(sizes) - 1)
     lateral, depth, angle = [sorted(column)[place] for column in zip(*sizes, strict=True)]
     return math.sqrt(lateral), depth, angle

@@ -11,7 +11,7 @@ Invariants:
 """
 
 import math
-from functools import lru_cache
+from collections.abc import Sequence
 
 import numpy as np
 from msgspec import Struct
@@ -49,7 +49,7 @@ NO_TARE = Tare()
 def updated(
     tare: Tare,
     wrench: Wrench,
-    down: Array,
+    down: Vector3,
     payload: PayloadSettings,
     mount: TactileNoise,
     dt: float,
@@ -58,37 +58,33 @@ def updated(
 
     Args:
         wrench: raw, of this step.
-        down: (3,) unit vector of gravity in the tcp.
+        down: unit vector of gravity in the tcp.
     """
-    stiffness = _stiffness(mount)
-    raw = np.concatenate((wrench.force, wrench.torque))
-    # NaN is not smaller.
-    if not float(np.abs(raw / stiffness).max()) < LARGEST_SAG:
-        return tare
-    mean = raw if tare.wrench is None else tare.wrench + (dt / MEAN_S) * (raw - tare.wrench)
-    return Tare(mean, _sag(mean, down, payload, mount))
+    raw = (*wrench.force.tolist(), *wrench.torque.tolist())
+    stiffness = (*mount.stiffness, *mount.rotational_stiffness)
+    for each, stiff in zip(raw, stiffness, strict=True):
+        if not abs(each) < LARGEST_SAG * stiff:
+            return tare
+    mean = np.array(raw)
+    if tare.wrench is not None:
+        mean = tare.wrench + (dt / MEAN_S) * (mean - tare.wrench)
+    return Tare(mean, _sag(mean, down, payload, stiffness))
 
 
-def _sag(mean: Array, down: Array, payload: PayloadSettings, mount: TactileNoise) -> Array | None:
+def _sag(
+    mean: Array, down: Vector3, payload: PayloadSettings, stiffness: Sequence[float]
+) -> Array | None:
     """Return the static deflection (6,) [m, rad], None without a weight."""
-    stiffness = _stiffness(mount)
     if payload.mass > 0.0:
-        weight = payload.mass * GRAVITY * down
+        weight = payload.mass * GRAVITY * np.array(down)
         turning = np.cross(np.array(payload.centre), weight)
-        sag: Array = np.concatenate((weight, turning)) / stiffness
+        sag: Array = np.concatenate((weight, turning)) / np.array(stiffness)
         return sag
-    along = float(mean[:3].dot(down))
-    if along < WEIGHT_N or along < SHARE * math.hypot(*mean[:3].tolist()):
+    x, y, z = mean[:3].tolist()
+    along = x * down[0] + y * down[1] + z * down[2]
+    if along < WEIGHT_N or along < SHARE * math.hypot(x, y, z):
         return None
-    return np.asarray(mean / stiffness)
-
-
-@lru_cache(maxsize=4)
-def _stiffness(mount: TactileNoise) -> Array:
-    """Return the mount's stiffness (6,) [N/m, Nm/rad]."""
-    stiffness = np.array((*mount.stiffness, *mount.rotational_stiffness))
-    stiffness.setflags(write=False)
-    return stiffness
+    return np.asarray(mean / np.array(stiffness))
 
 
 def carried(tare: Tare, mount: TactileNoise) -> Vector3:
