@@ -5,6 +5,7 @@ python-can's Notifier is not used: it spins on a broken bus and loses exceptions
 Invariants:
     A bus is opened and shut down in a thread, because both may block.
     The loop reads a bus that has a descriptor. A thread with a bounded queue reads any other.
+    An slcan adapter with a descriptor is read by ``SlcanReader``.
     An exception of a plug-in ends the bus, not the loop. The bus is opened again with back-off.
 """
 
@@ -15,6 +16,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, Literal, Protocol, TypeVar
 
 import can
@@ -23,6 +25,7 @@ from linemate.drivers.backoff import Backoff
 from linemate.drivers.kept_link import KeptLink
 from linemate.drivers.link import describe_error
 from linemate.drivers.read_ahead import ReadAhead
+from linemate.drivers.slcan_reader import SlcanReader
 from linemate.drivers.stamps import ArrivalClock, paired_clocks
 from linemate.protocol.errors import ProtocolError
 from linemate.protocol.stamped_samples import DistanceSample
@@ -102,16 +105,19 @@ class CanLink(KeptLink):
     async def _watch(self, bus: can.BusABC, descriptor: int) -> str:
         loop = asyncio.get_running_loop()
         broken: asyncio.Future[str] = loop.create_future()
-        loop.add_reader(descriptor, self._readable, bus, broken)
+        drain = partial(self._drain, bus)
+        if hasattr(bus, SERIAL_PORT):
+            drain = partial(self._drain_lines, SlcanReader(descriptor))
+        loop.add_reader(descriptor, self._readable, drain, broken)
         try:
             return await broken
         finally:
             loop.remove_reader(descriptor)
 
-    def _readable(self, bus: can.BusABC, broken: "asyncio.Future[str]") -> None:
+    def _readable(self, drain: Callable[[], str | None], broken: "asyncio.Future[str]") -> None:
         if broken.done():
             return
-        reason = self._drain(bus)
+        reason = drain()
         if reason is not None:
             broken.set_result(reason)
 
@@ -134,6 +140,26 @@ class CanLink(KeptLink):
         self.counters["stamps_refused"] = self._clock.refused
         return None if self._empty_wakes < WAKES_WITHOUT_FRAME else NO_FRAMES
 
+    def _drain_lines(self, reader: SlcanReader) -> str | None:
+        """Read what waits, at most 32 frames; return why the adapter has ended, None if not."""
+        self._empty_wakes += 1
+        garbage, others = reader.garbage, reader.others
+        try:
+            frames = reader.read()
+        except OSError as error:
+            return describe_error(error)
+        stamp_ns = time.monotonic_ns()
+        if frames or reader.others > others:
+            self._empty_wakes = 0
+        for frame in frames:
+            self._handle_frame(frame.can_id, frame.data, stamp_ns, frame.extended, frame.remote)
+        if reader.garbage > garbage:
+            self.counters["garbage"] += reader.garbage - garbage
+        if reader.others > others:
+            self.counters["frames"] += reader.others - others
+            self.counters["other"] += reader.others - others
+        return None if self._empty_wakes < WAKES_WITHOUT_FRAME else NO_FRAMES
+
     async def _read_in_thread(self, bus: can.BusABC) -> str:
         loop = asyncio.get_running_loop()
         pump = _Pump(bus, loop, self._handle_queued)
@@ -152,21 +178,24 @@ class CanLink(KeptLink):
         self.counters["garbage"] += pump.drain_garbage()
 
     def _handle(self, message: can.Message, stamp_ns: int) -> None:
+        if message.is_error_frame:
+            self.counters["frames"] += 1
+            self.counters["error_frames"] += 1
+            self._backoff.reset()
+            return
+        can_id, data, extended = message.arbitration_id, message.data, message.is_extended_id
+        self._handle_frame(can_id, bytes(data or b""), stamp_ns, extended, message.is_remote_frame)
+
+    def _handle_frame(
+        self, can_id: int, data: bytes, stamp_ns: int, is_extended: bool, is_remote: bool
+    ) -> None:
         self.counters["frames"] += 1
         self._backoff.reset()
-        if message.is_error_frame:
-            self.counters["error_frames"] += 1
-            return
-        if message.is_remote_frame:
+        if is_remote:
             self.counters["remote_frames"] += 1
             return
         try:
-            sample = self._decoder.decode(
-                message.arbitration_id,
-                bytes(message.data),
-                stamp_ns,
-                extended=message.is_extended_id,
-            )
+            sample = self._decoder.decode(can_id, data, stamp_ns, extended=is_extended)
         except ProtocolError as error:
             self.counters["refused"] += 1
             log.debug("%s: %s", self.status.name, error)
