@@ -134,7 +134,8 @@ def build(
     along_tool = control_settings.effector[TOOL_AXIS]
     span = np.arange(controller.steps + 1) * cycle_s
     lag = linear_axis.delay(task.linear_axis.ramp, cycle_s)
-    ahead = np.append(span, (controller.preview * cycle_s + lag, *prediction_error.LEADS_S))
+    leads = prediction_error.lead_times(reference.contact_time - reference.sight_time)
+    ahead = np.append(span, (controller.preview * cycle_s + lag, *leads))
     tracker = Tracker(
         task=task,
         settings=tracking,
@@ -153,6 +154,7 @@ def build(
         axis_steps=controller.preview,
         axis_range=_axis_range(controller),
         ahead=ahead,
+        leads=leads,
         free=free_table(reference, leave, control_settings.filters.contact_blend, clock),
         vibration=contact.tool_vibration(
             along_tool.frequency_hz,

@@ -119,7 +119,9 @@ def identify(recordings: Sequence[Recorded]) -> Identified:
     start = cell.task.conveyor.start_position
     offset = identify_offset(fit, seen, bodies, start, float(origin[1]))
     delay = cell.tracking.distance.delay
-    swayed = sway.identify_sway(fit, seen, bodies, traces, camera, delay)
+    swayed = sway.identify_sway(
+        fit, seen, bodies, traces, camera, delay, cell.tracking.sway.range_hz[0]
+    )
     overlay, kept = _overlay(cell, servos, modes, swings, vision, noise)
     if swayed.settings:
         found = {name: _digits(value) for name, value in swayed.settings.items()}

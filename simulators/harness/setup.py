@@ -119,12 +119,6 @@ def make(
     known = _commissioned(scenario) if world == OWN else identified(world)
     tracking, control = variants.apply(variant, known.tracking, known.control)
     setup = replace(known, scenario=truth, tracking=tracking, control=control, variant=variant)
-    whole = override(setup, overrides) if overrides else setup
-    if whole.scenario.body.is_stiff:
-        return whole
-    # What was stated of a stiff hanger does not hold here; the overrides have the last word.
-    sway = replace(tracking.sway, look=TrackingSettings().sway.look)
-    setup = replace(setup, tracking=replace(tracking, sway=sway))
     return override(setup, overrides) if overrides else setup
 
 

@@ -154,12 +154,6 @@ class Body:
     jerks: tuple[Jerk, ...] = ()
     carrier: tuple[CarrierMode, ...] = ()
 
-    @property
-    def is_stiff(self) -> bool:
-        """Whether the body does not sway along the conveyor, y."""
-        across = all(swing.axis[0] == swing.axis[2] == 0.0 for swing in self.swings)
-        return across and not self.carrier
-
 
 @dataclass(frozen=True, slots=True)
 class DistanceSensor:

@@ -148,7 +148,7 @@ def test_a_silent_robot_ends_the_exchange() -> None:
 
 
 def test_a_collision_ends_the_run() -> None:
-    evidence = lockstep.run(setup.make("wheel", ("scenario.contact.capture_lateral=1e-5",)), 0)
+    evidence = lockstep.run(setup.make("wheel", variant="no-feedforward"), 0)
     assert evidence.collision is not None
     assert evidence.rows.t[-1] < 17.0
     assert judge(evidence)["outcome"] == "collision"

@@ -62,7 +62,8 @@ class ConveyorEstimate(Struct, frozen=True):
         deviation: one sigma of the position [m].
         speed_deviation: one sigma of the speed [m/s].
         sway: of the object against the conveyor unit, in the position [m].
-        sway_known: the sway is predicted, as it was set or found.
+        unknown_sway: one sigma of the sway that a change of class excites beyond its prediction,
+            for each m/s^2 of its acceleration [s^2].
         tentative: a change of class is tentative.
         confidence: log odds of the change that was last evaluated.
         events: of this step, for example ``("stop", "confirmed")``.
@@ -78,7 +79,7 @@ class ConveyorEstimate(Struct, frozen=True):
     confidence: float = 0.0
     events: tuple[tuple[str, str], ...] = ()
     sway: float = 0.0
-    sway_known: bool = False
+    unknown_sway: float = 0.0
 
 
 def has_changed_class(events: tuple[tuple[str, str], ...]) -> bool:

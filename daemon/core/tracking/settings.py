@@ -306,15 +306,15 @@ class SwaySettings:
         spread: one sigma of that frequency, as a share.
         gain: share of the conveyor's acceleration that excites it, as identified: 1 for a
             pendulum, 0 if unknown.
-        gain_deviation: one sigma of that gain.
+        gain_deviation: one sigma of that gain, as identified. With an unknown frequency it is that
+            of the slowest sway of ``range_hz``, and a faster one moves the body no farther. 1:
+            nothing is known, so that each stop that no image has shown is looked at.
         damping: damping ratio, share of critical.
         range_hz: lowest and highest frequency at which it is looked for.
         step: of the frequencies that are tried, as a share.
         memory: time constant of what is remembered of it [s].
         unseen: one sigma of the gain of a sway that is not known, while no sensor sees the body
             after a stop or a start; go or no-go counts it. 0: an unknown sway is no reason to wait.
-        look: after a stop or a start that the camera has not seen, the tool backs off and looks at
-            the object before it goes on, unless its sway is known. False: its hanger is stiff.
         found: log odds at which a sway counts as found.
         least: amplitude from which it is followed [m].
         contact_least: the same in contact, where the force-torque sensor sees it [m].
@@ -326,13 +326,12 @@ class SwaySettings:
     frequency_hz: Annotated[float, Ge(0.0), Le(10.0)] = 0.0
     spread: Annotated[float, Ge(0.001), Le(0.2)] = 0.02
     gain: Annotated[float, Ge(0.0), Le(2.0)] = 0.0
-    gain_deviation: Annotated[float, Ge(0.01), Le(1.0)] = 0.05
+    gain_deviation: Annotated[float, Ge(0.0001), Le(1.0)] = 1.0
     damping: Annotated[float, Ge(0.0), Lt(0.5)] = 0.01
     range_hz: tuple[Frequency, Frequency] = (0.35, 5.5)
     step: Annotated[float, Ge(0.01), Le(0.5)] = 0.1
     memory: Constant = 4.0
     unseen: Annotated[float, Ge(0.0), Le(2.0)] = 0.0
-    look: bool = True
     found: LogOdds = 8.0
     least: Length = 0.0003
     contact_least: Length = 0.0001

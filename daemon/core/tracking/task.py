@@ -166,7 +166,8 @@ class GuardedApproach:
         sight: greatest age of the camera's last accepted pose with which the approach goes on,
             down to ``camera.blind_below`` [s]. An older one makes the tool wait.
         checked: for how long images must have checked past predictions before the approach goes
-            on [s]. The checks begin 1.5 s after the first image. 0 needs none.
+            on [s]. The checks begin after a first time as long as the last approach, 1.5 s at most.
+            0 needs none.
         tolerance: largest error across the tool's axis that the touch tolerates [m]: about half of
             what the tool catches. A larger expected error makes the tool wait next to the object.
         angle_tolerance: the same of the orientation [rad].

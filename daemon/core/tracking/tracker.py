@@ -19,7 +19,7 @@ from linemate.daemon.core.tracking.damping import damping_time, free_shares
 from linemate.daemon.core.tracking.estimation import comply, elastic, estimate, is_seated, sagging
 from linemate.daemon.core.tracking.go_no_go import prediction_error
 from linemate.daemon.core.tracking.go_no_go.decision import GO
-from linemate.daemon.core.tracking.go_no_go.evidence import decide
+from linemate.daemon.core.tracking.go_no_go.evidence import decide, is_certain, note
 from linemate.daemon.core.tracking.observation import (
     History,
     Wrench,
@@ -142,7 +142,9 @@ def track(
         if not tracker.settings.predict:
             along[: len(span)] = along[0]
     if state.transverse is not None and along is not None:
-        state, target, part = _predict_object(tracker, state, samples.stamp_ns, along, relative)
+        state, target, part = _predict_object(
+            tracker, state, view, samples.stamp_ns, along, relative
+        )
         state = comply(tracker, state, samples, view, wrench, part)
         target[:, :3] += state.compliance.offset
         if state.blended is not None and state.blended >= tracker.settings.merge.blend:
@@ -250,6 +252,7 @@ def observe(
     A tool on the object is asked to release it: the object may go on.
     """
     state, view, rejected, wrench = estimate(tracker, state, samples)
+    state = note(tracker, state, view)
     if state.contact:
         passed = open_gates(tracker, state, view, samples)
         releasing = elapsed(state.releasing, True, tracker.cycle_s)
@@ -258,11 +261,15 @@ def observe(
     target = part = None
     if state.transverse is not None and state.conveyor is not None:
         _, relative = tracker.table.ahead(state.time, math.inf, 0)
-        now = np.zeros(1)
-        along = tracker.classifier.predict_positions(state.conveyor, now)
+        # As one that tracks: what is checked before the start counts.
+        times = np.array((0.0, *tracker.leads))
+        along = tracker.classifier.predict_positions(state.conveyor, times)
+        rows = np.concatenate((relative, np.zeros((len(tracker.leads), 6))))
         target, part = _sensed_poses(
-            tracker, state.transverse, samples.stamp_ns, along, now, relative
+            tracker, state.transverse, samples.stamp_ns, along, times, rows
         )
+        if _is_prediction_due(tracker, state, view, samples.stamp_ns):
+            state = _kept_prediction(tracker, state, view, samples.stamp_ns, target[1:], along[1:])
     return state, report(tracker, state, view, wrench, rejected, target, part)
 
 
@@ -302,8 +309,49 @@ def _with_oscillation(report: Report, *, was_soft: bool, state: TrackerState) ->
     return replace(report, events=(*report.events, event))
 
 
+def _is_prediction_due(
+    tracker: Tracker, state: TrackerState, view: ConveyorEstimate | None, now_ns: int
+) -> bool:
+    """Return whether predictions of this step are kept for their check.
+
+    Args:
+        state: with the object's estimate across the conveyor.
+    """
+    is_due = not state.contact and prediction_error.is_due(state.monitor, now_ns)
+    if view is None or not is_due or tracker.foresight is not None:
+        return False
+    return is_certain(tracker, state, view, tracker.leads[-1])
+
+
+def _kept_prediction(
+    tracker: Tracker,
+    state: TrackerState,
+    view: ConveyorEstimate | None,
+    now_ns: int,
+    poses: Array,
+    along: Array,
+) -> TrackerState:
+    """Return the state with the predictions of this step kept for their check.
+
+    Args:
+        poses: (leads, 6) of the object at ``Tracker.leads`` in c.
+        along: (leads,) of the conveyor then [m].
+    """
+    offset = 0.0 if view is None else view.offset
+    # The distance sensor sees the conveyor unit, without the object's sway.
+    sway = tracker.classifier.predict_sway(state.conveyor, np.array(tracker.leads))
+    unit = along - sway + offset
+    monitor = prediction_error.record(state.monitor, now_ns, tracker.leads, poses.copy(), unit)
+    return replace(state, monitor=monitor)
+
+
 def _predict_object(
-    tracker: Tracker, state: TrackerState, now_ns: int, along: Array, relative: Array
+    tracker: Tracker,
+    state: TrackerState,
+    view: ConveyorEstimate | None,
+    now_ns: int,
+    along: Array,
+    relative: Array,
 ) -> tuple[TrackerState, Array, Array]:
     """Return the state, x_f over the horizon (m, 6), (9) under the class, and the object now (6,).
 
@@ -316,12 +364,11 @@ def _predict_object(
     """
     transverse, ahead = state.transverse, tracker.span
     assert transverse is not None  # noqa: S101 - the caller has checked
-    count, leads = len(ahead), len(prediction_error.LEADS_S)
+    count, leads = len(ahead), len(tracker.leads)
     steady = along[:count]
     if not tracker.settings.predict:
         ahead = 0.0 * ahead
-    is_due = not state.contact and prediction_error.is_due(state.monitor, now_ns)
-    if not is_due or tracker.foresight is not None:
+    if not _is_prediction_due(tracker, state, view, now_ns):
         return state, *_sensed_poses(tracker, transverse, now_ns, steady, ahead, relative)
     later, times = along[-leads:], tracker.ahead[-leads:]
     poses, part = _sensed_poses(
@@ -332,9 +379,8 @@ def _predict_object(
         np.concatenate((ahead, times)),
         np.concatenate((relative, np.zeros((leads, 6)))),
     )
-    unit = later - tracker.classifier.predict_sway(state.conveyor, times)
-    monitor = prediction_error.record(state.monitor, now_ns, poses[count:].copy(), unit)
-    return replace(state, monitor=monitor), poses[:count], part
+    state = _kept_prediction(tracker, state, view, now_ns, poses[count:], later)
+    return state, poses[:count], part
 
 
 def _sensed_poses(

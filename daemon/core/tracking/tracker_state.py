@@ -55,6 +55,7 @@ class Tracker:
         axis_range: positions that the linear axis can take [m]; unbounded without one.
         ahead: times from now at which the conveyor's position is predicted [s]: the span, the
             time of the linear axis' goal, and the leads whose predictions are checked.
+        leads: how far ahead predictions are checked [s].
         free: (t,) share of the damping at every step of the task's clock.
         vibration: of the tool along its axis.
         compliance: of a clamped tool.
@@ -85,6 +86,7 @@ class Tracker:
     axis_steps: int
     axis_range: tuple[float, float]
     ahead: Array
+    leads: tuple[float, float]
     free: Array
     vibration: contact.ToolVibration
     compliance: ComplianceModel

@@ -26,6 +26,7 @@ from scipy.signal import lfilter
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.settings import SwaySettings
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal, ReportLine
 from linemate.daemon.identification.scene_fit import Camera, SceneFit, Views
 from linemate.daemon.identification.stops.conveyor_ramps import (
@@ -37,6 +38,7 @@ from linemate.daemon.identification.stops.conveyor_ramps import (
 from linemate.daemon.identification.trace import Trace
 
 SEARCH_HZ = (0.4, 4.0)
+LOWEST_HZ = SwaySettings().range_hz[0]  # of the slowest sway of which a daemon takes account
 GRID = 0.03  # of the frequencies that are tried, as a share
 DAMPINGS = (0.005, 0.02, 0.06)  # that are tried
 MOST_DAMPING = 0.3
@@ -51,6 +53,7 @@ FREQUENCY_SHARE = 0.05  # largest deviation of an accepted frequency, as a share
 GAIN_DEVIATION = 0.25  # largest deviation of an accepted gain
 DAMPING_DEVIATION = 0.02  # largest deviation of an accepted damping
 MODEL = 0.005, 0.002, 0.04  # frequency (share), damping, gain: what a fitted ramp leaves
+LEAST = 0.0001  # smallest deviation of a gain that a setting may have
 CARS = 0.02, 0.05  # least spread of frequency and gain: cars differ
 NEAR = (0.6, 1.6)  # frequencies around the sway whose noise counts, as shares
 
@@ -60,7 +63,7 @@ class SwayResult:
     """Sway along the line.
 
     Attributes:
-        settings: what goes into an overlay; empty if there is none, or it is refused.
+        settings: what goes into an overlay; empty if it is refused.
     """
 
     settings: dict[str, float]
@@ -95,6 +98,7 @@ def identify_sway(
     traces: Sequence[Trace],
     camera: Camera,
     delay: float,
+    lowest_hz: float = LOWEST_HZ,
 ) -> SwayResult:
     """Return the sway.
 
@@ -103,6 +107,7 @@ def identify_sway(
         seen: images of stretches of free space.
         bodies: index of the recording of each.
         delay: from measuring to arrival of a distance [s].
+        lowest_hz: frequency of the slowest sway of ``tracking.sway``.
     """
     if scene is None:
         return _refused("too few images of the object in free space")
@@ -123,15 +128,15 @@ def identify_sway(
         for window, kept in _inliers(windows, omega, zeta)
     ]
     omega, zeta = _refined(windows, omega, zeta)
-    return _judged(windows, omega, zeta)
+    return _judged(windows, omega, zeta, lowest_hz)
 
 
 def findings(result: SwayResult) -> list[ReportLine]:
     """Return the lines of the report."""
-    there = bool(result.settings)
-    lines = [ReportLine("sway frequency", "Hz", 1.0, result.frequency_hz, there)]
-    if isinstance(result.frequency_hz, Estimate) or isinstance(result.gain, Estimate):
-        lines += [ReportLine("sway gain", "", 1.0, result.gain, there)]
+    is_found = isinstance(result.frequency_hz, Estimate)
+    lines = [ReportLine("sway frequency", "Hz", 1.0, result.frequency_hz, is_found)]
+    if is_found or isinstance(result.gain, Estimate):
+        lines += [ReportLine("sway gain", "", 1.0, result.gain, bool(result.settings))]
     if isinstance(result.frequency_hz, Estimate):
         in_overlay = "damping" in result.settings
         lines += [ReportLine("sway damping", "", 1.0, result.damping, in_overlay)]
@@ -308,13 +313,13 @@ def _deviations(
     return share, damping, gain
 
 
-def _judged(windows: Sequence[_Window], omega: float, zeta: float) -> SwayResult:
+def _judged(windows: Sequence[_Window], omega: float, zeta: float, lowest_hz: float) -> SwayResult:
     fit = _fitted(windows, omega, zeta)
     noise = _noise(windows, fit.left, omega)
     none = _fitted(windows, omega, zeta, forced=False)
     better = float(none.left @ none.left - fit.left @ fit.left) / noise
     if better < CHANCE:
-        return _none(windows)
+        return _none(windows, lowest_hz)
     share, damping, deviation = _deviations(windows, fit, omega, zeta, noise)
     frequency, gain = omega / (2.0 * math.pi), float(fit.terms[0])
     images = sum(len(window.times) for window in windows)
@@ -345,18 +350,22 @@ def _judged(windows: Sequence[_Window], omega: float, zeta: float) -> SwayResult
     )
 
 
-def _none(windows: Sequence[_Window]) -> SwayResult:
-    """Return the result that stops show no sway, with the largest gain that may hide."""
-    hidden, lowest, highest = 0.0, 0.0, 0.0
-    for f in np.geomspace(*SEARCH_HZ, 24).tolist():
-        omega = 2.0 * math.pi * f
-        fit = _fitted(windows, omega, DAMPINGS[1])
-        noise = _noise(windows, fit.left, omega)
+def _none(windows: Sequence[_Window], lowest_hz: float) -> SwayResult:
+    """Return the result that stops show no sway, with the largest gain that may hide.
+
+    It is the gain of the slowest sway that displaces the body as far as any that may hide: for each
+    m/s^2 of a ramp that is ``g / w^2``. A gain above 1 is none of a body.
+    """
+    hidden = 0.0
+    for f in np.geomspace(lowest_hz, SEARCH_HZ[1], 24).tolist():
+        fit = _fitted(windows, 2.0 * math.pi * f, DAMPINGS[1])
+        noise = _noise(windows, fit.left, 2.0 * math.pi * f)
         gain = math.hypot(float(fit.terms[0]), math.sqrt(float(fit.covariance[0, 0]) * noise))
-        if gain < GAIN_DEVIATION:
-            hidden, lowest, highest = max(hidden, gain), lowest or f, f
-    if not lowest:
+        hidden = max(hidden, min(gain, 1.0) * (lowest_hz / f) ** 2)
+    if hidden > GAIN_DEVIATION:
         return _refused("neither a sway nor its absence: the stops are too gentle for the camera")
-    none = Refusal(f"none from {lowest:.2g} to {highest:.2g} Hz in {len(windows)} stops and starts")
-    found = Estimate(0.0, hidden, f"{lowest:.2g} to {highest:.2g} Hz")
-    return SwayResult({}, none, found, none)
+    stops = f"{len(windows)} stops and starts"
+    none = Refusal(f"none from {lowest_hz:.2g} to {SEARCH_HZ[1]:.2g} Hz in {stops}")
+    found = Estimate(0.0, hidden, f"{stops}: at {lowest_hz:.2g} Hz, or as far if faster")
+    settings = {"frequency_hz": 0.0, "gain": 0.0, "gain_deviation": max(hidden, LEAST)}
+    return SwayResult(settings, none, found, none)

@@ -18,10 +18,12 @@ from linemate.daemon.config.documents import FileError, YamlDocument
 
 DATA = Path(__file__).parents[1] / "data"
 ROWS = DATA / "world" / "rows.yaml"
+PARAMETERS = DATA / "parameters"
 PREFIX = "world/"
 
 TRUTH, DAEMON = "truth", "daemon"
-_KEYS = {"what", "base", TRUTH, DAEMON}
+COMMISSIONED = "commissioned"
+_KEYS = {"what", "base", COMMISSIONED, TRUTH, DAEMON}
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,12 +33,14 @@ class WorldRow:
     Attributes:
         what: what the plant does, in one line.
         truth: plain values of the scenario file.
-        daemon: overlay of the daemon's settings.
+        commissioned: name of the overlay that the cell was commissioned with.
+        daemon: overlay of the daemon's settings over it.
     """
 
     name: str
     what: str
     truth: Mapping[str, Any]
+    commissioned: str
     daemon: Mapping[str, Any]
 
 
@@ -55,7 +59,8 @@ def rows() -> dict[str, WorldRow]:
         lines += [f"{ROWS}:1:1: rows.{name}.{key}: unknown key" for key in row if key not in _KEYS]
         below = _read(row["base"]) if "base" in row else base
         truth = laid_over(below, row.get(TRUTH) or {})
-        found[name] = WorldRow(name, row["what"], truth, row.get(DAEMON) or {})
+        commissioned = row.get(COMMISSIONED, document.value[COMMISSIONED])
+        found[name] = WorldRow(name, row["what"], truth, commissioned, row.get(DAEMON) or {})
     if lines:
         raise FileError(lines)
     return found
@@ -79,10 +84,15 @@ def daemon_settings(scenario: str) -> Mapping[str, Any]:
     """
     if scenario.startswith(PREFIX):
         row = rows().get(scenario.removeprefix(PREFIX))
-        return {} if row is None else row.daemon
-    path = DATA / "parameters" / f"{scenario}.yaml"
+        return {} if row is None else laid_over(_overlay(row.commissioned), row.daemon)
+    path = PARAMETERS / f"{scenario}.yaml"
     # A path of somebody's own file names no settings of ours.
-    return _read(scenario, path) if path.parent == DATA / "parameters" and path.exists() else {}
+    return _overlay(scenario) if path.parent == PARAMETERS and path.exists() else {}
+
+
+def _overlay(name: str) -> dict[str, Any]:
+    """Return an overlay of ``data/parameters``."""
+    return _read(name, PARAMETERS / f"{name}.yaml")
 
 
 def laid_over(below: Any, above: Any) -> Any:

@@ -81,7 +81,7 @@ def test_an_unknown_pendulum_is_followed_after_its_first_stop(frequency_hz: floa
 
 
 def test_a_known_pendulum_is_right_while_nothing_sees_it() -> None:
-    known = replace(BANK, sway=SwaySettings(frequency_hz=0.62, gain=1.0))
+    known = replace(BANK, sway=SwaySettings(frequency_hz=0.62, gain=1.0, gain_deviation=0.05))
     truth = Truth(1.4, ((0.2, -STOP),), ripple=1e-5)
     sway = sway_of(truth, 0.62, 1.0, 0.0)
     blind = replace(truth)
@@ -141,7 +141,7 @@ def test_without_a_sway_nothing_is_followed() -> None:
 
 def test_a_start_is_confirmed_though_the_body_lags_behind() -> None:
     truth = Truth(6.0, ((0.0, 0.013),), speed=0.0, ripple=0.0)
-    known = replace(BANK, sway=SwaySettings(frequency_hz=0.62, gain=1.0))
+    known = replace(BANK, sway=SwaySettings(frequency_hz=0.62, gain=1.0, gain_deviation=0.05))
     sway = sway_of(truth, 0.62, 1.0, 0.0)
     state, events, _ = run(truth, sway, 2.5, bank=known, contact_from=-1.5)
     starts = [t for t, what, how in events if (what, how) == ("start", "confirmed")]

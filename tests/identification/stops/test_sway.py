@@ -116,13 +116,26 @@ def test_another_sway_than_the_planted_one_is_noticed() -> None:
 
 def test_a_stop_that_shows_no_sway_bounds_its_gain() -> None:
     result = identified(recorded(Body(gain=0.0)))
-    assert not result.settings
     assert isinstance(result.frequency_hz, Refusal)
     assert "none from" in result.frequency_hz.reason
     assert isinstance(result.gain, Estimate)
     assert result.gain.value == 0.0
     assert 0.0 < result.gain.deviation <= sway.GAIN_DEVIATION
+    deviation = result.gain.deviation
+    assert result.settings == {"frequency_hz": 0.0, "gain": 0.0, "gain_deviation": deviation}
     assert [line.name for line in findings(result)] == ["sway frequency", "sway gain"]
+    assert [line.in_overlay for line in findings(result)] == [False, True]
+
+
+@pytest.mark.parametrize("frequency_hz", [0.4, 0.7, 1.5, 3.0])
+def test_a_sway_too_small_to_be_found_moves_the_body_within_what_is_bounded(
+    frequency_hz: float,
+) -> None:
+    small = 0.005 * (frequency_hz / 0.4) ** 2
+    result = identified(recorded(Body(frequency_hz=frequency_hz, gain=small, lateral=2e-3)))
+    assert result.settings["frequency_hz"] == 0.0
+    displacement = small / frequency_hz**2
+    assert displacement < 3.0 * result.settings["gain_deviation"] / sway.LOWEST_HZ**2
 
 
 def test_a_conveyor_that_never_stops_tells_of_no_sway() -> None:
@@ -141,5 +154,9 @@ def test_a_stop_that_the_camera_does_not_see_is_refused() -> None:
     assert "while the camera sees" in result.gain.reason
 
 
-def test_a_camera_too_noisy_for_the_sway_gives_no_settings() -> None:
-    assert not identified(recorded(Body(gain=0.05, lateral=3e-3))).settings
+def test_a_camera_too_noisy_for_the_sway_bounds_it_widely() -> None:
+    good, noisy = (
+        identified(recorded(Body(gain=0.0, lateral=lateral))).settings["gain_deviation"]
+        for lateral in (0.5e-3, 3e-3)
+    )
+    assert noisy > 2.5 * good

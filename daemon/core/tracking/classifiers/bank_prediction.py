@@ -40,7 +40,6 @@ LEAST_WEIGHT = 1e-4  # of a hypothesis in the prediction
 LEAST_RIPPLE = 1e-7  # amplitude of a ripple in the prediction [m]
 CONTRADICTED = 2  # readings of the distance sensor rejected in a row; one may be an outlier
 DENIED = 4.0  # log odds of a change in contact beyond what the distance sensor says
-KNOWN_GAIN = 0.2  # one sigma of a known sway's gain
 LEAST_SWING = 1e-6  # amplitude of a swing in the prediction [m]
 
 
@@ -251,5 +250,5 @@ def estimate(model: BankModel, state: BankState) -> ConveyorEstimate:
         confidence=state.change_odds,
         events=state.events,
         sway=x[SWAY],
-        sway_known=bool(state.sway_omega) and variance[GAIN] < KNOWN_GAIN**2,
+        unknown_sway=sway_filter.unknown_sway(model, state),
     )

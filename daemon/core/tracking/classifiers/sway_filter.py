@@ -83,6 +83,21 @@ def follow(
     return state if best is None else _adopt(model, state, sways, best)
 
 
+def unknown_sway(model: BankModel, state: BankState) -> float:
+    """Return one sigma of the sway that a change of class excites beyond its prediction [s^2].
+
+    It is for each m/s^2 of the conveyor's acceleration a: a body on a hanger of frequency w is
+    displaced by ``g a (1 - cos w t) / w^2``, at most twice ``g a / w^2``.
+    """
+    settings, omega = model.sway, state.sway_omega
+    if omega:
+        return 2.0 * math.sqrt(max(float(state.P[GAIN, GAIN]), 0.0)) / omega**2
+    if settings.frequency_hz:  # known, but not followed
+        omega = 2.0 * math.pi * settings.frequency_hz
+        return 2.0 * math.hypot(settings.gain, settings.gain_deviation) / omega**2
+    return 2.0 * settings.gain_deviation / (2.0 * math.pi * settings.range_hz[0]) ** 2
+
+
 def unseen_deviation(model: BankModel, state: BankState) -> float:
     """Return one sigma of a sway that no one knows and no sensor has seen yet [m].
 

@@ -2,7 +2,8 @@
 
 Invariants:
 - Pure. Reasons and zone alone decide; values only enter the reasons.
-- After a no-go the way is free only when no reason has held for ``CLEAR_S``.
+- After a no-go the way is free only when no reason has held for ``CLEAR_S``. A check that is only
+  missing yet needs no such time: it does not come and go.
 - Where a clamp may have closed the tool stands and does not back off.
 - A tool that backs off does so up to the far gate: turning back midway excites it, and a force of
   its own inertia looks like a touch.
@@ -93,7 +94,7 @@ TODO: dict[Reason, str] = {
     Reason.INNOVATION: "Check the camera's noise settings and calibration.",
     Reason.FOLLOWING: "Check the drives and the servo models.",
     Reason.CHANGE: "Wait for the conveyor.",
-    Reason.UNSEEN: "Wait, or identify tracking.sway; tracking.sway.look is for a stiff hanger.",
+    Reason.UNSEEN: "Wait, or identify the sway: record stops that the camera sees.",
 }
 
 
@@ -112,10 +113,11 @@ class GoEvidence(Struct, frozen=True):
         nis: average normalised innovation squared of the camera.
         rejected: poses rejected in a row.
         following: mean distance of the tcp from its plan [m].
-        tentative: a change of the conveyor's class is tentative.
+        tentative: a change of the conveyor's class is tentative that moves the object by more than
+            is tolerated before the tool follows it.
         steady_s: time since the last change of class was confirmed [s].
-        looked_s: for how long the camera has seen the object since a change of class whose sway
-            is not known; infinity without one [s].
+        looked_s: for how long the camera has seen the object since a change of class that can make
+            it sway by more than is known; infinity without one [s].
     """
 
     sight_s: float
@@ -139,7 +141,7 @@ class GoState(Struct, frozen=True):
     Attributes:
         reasons: that count now or did less than ``CLEAR_S`` ago.
         text: the first of them in words, with value and limit; None without a reason.
-        clear_s: time without a reason [s].
+        clear_s: time without a reason but a missing check [s].
         lasted_s: time since the no-go began [s].
         waited_s: time that the task's clock has stood or gone back for it, in all [s].
     """
@@ -174,9 +176,11 @@ def next_state(
     counted = tuple(reason for reason in reasons if reason in COUNTED[zone])
     if zone is Zone.FINAL or (not counted and state.order is GoOrder.GO):
         return _gone(state)
-    clear_s = 0.0 if counted else state.clear_s + dt
+    clear_s = CLEAR_S if state.order is GoOrder.GO else state.clear_s + dt
+    if any(reason is not Reason.UNCHECKED for reason in counted):
+        clear_s = 0.0
     is_returning = state.order is GoOrder.BACK and zone is not Zone.FAR and may_back
-    if clear_s >= CLEAR_S and not is_returning:
+    if not counted and clear_s >= CLEAR_S and not is_returning:
         return _gone(state)
     lasted_s = 0.0 if state.order is GoOrder.GO else state.lasted_s + dt
     order = GoOrder.STAND

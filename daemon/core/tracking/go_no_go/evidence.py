@@ -20,6 +20,8 @@ from linemate.daemon.core.tracking.transverse import STATIC, TURN, X
 EVALUATED_S = 0.6  # before the far gate the decision begins: longer than the horizon [s]
 FOLLOWING_S = 0.2  # time constant of the mean following error [s]
 LONGEST_SPACING_S = 0.1  # between two images of a camera that sees the object [s]
+FOLLOWED_S = 0.5  # a change of class is confirmed and the tool follows it after this time [s]
+MIXED = 0.5  # of the log odds of a tentative change, from which it moves a prediction
 NEAREST_BACK = 0.005  # a tool that feels nothing backs off only from farther away [m]
 _ENDS = {Motion.STANDING: Motion.STOPPING, Motion.RUNNING: Motion.STARTING}
 
@@ -49,31 +51,35 @@ def is_evaluated(tracker: Tracker, state: TrackerState) -> bool:
     return state.started and state.time > tracker.sight_time - EVALUATED_S
 
 
-def _compare_distances(
-    tracker: Tracker, state: TrackerState, view: ConveyorEstimate, samples: StepSamples
-) -> TrackerState:
+def _compare_distances(tracker: Tracker, state: TrackerState, samples: StepSamples) -> TrackerState:
     """Return the state with its past predictions compared with the readings of one step."""
     monitor = state.monitor
     for sample in samples.distance:
         row = distance_measurement(tracker, samples.stamp_ns, sample)
         stamp_ns = samples.stamp_ns - round(row.delay * 1e9)
-        # The sensor sees the conveyor unit, and the prediction is kept without the object's sway.
-        position = row.value - view.offset
-        monitor = prediction_error.compare_distance(monitor, stamp_ns, position, tracker.cycle_s)
+        monitor = prediction_error.compare_distance(monitor, stamp_ns, row.value, tracker.cycle_s)
     return state if monitor is state.monitor else replace(state, monitor=monitor)
+
+
+def note(tracker: Tracker, state: TrackerState, view: ConveyorEstimate | None) -> TrackerState:
+    """Return the state with what one step has shown of the conveyor's class and of its effect.
+
+    It belongs into each step, also of a robot that does not track: what was seen before the start
+    counts.
+    """
+    return _note_look(tracker, _note_class(tracker, state, view), state)
 
 
 def decide(
     tracker: Tracker, state: TrackerState, view: ConveyorEstimate | None, samples: StepSamples
 ) -> TrackerState:
     """Return the state with go or no-go decided for this step."""
-    state = _note_look(tracker, _note_class(tracker, state, view), state)
-    state = _note_following(tracker, state)
+    state = _note_following(tracker, note(tracker, state, view))
     if not is_evaluated(tracker, state):
         return state if state.go is decision.GO else replace(state, go=decision.GO)
     if view is None or state.transverse is None:
         return state
-    state = _compare_distances(tracker, state, view, samples)
+    state = _compare_distances(tracker, state, samples)
     where, before = zone(tracker, state), state.go
     if where is Zone.FINAL:
         go = decision.next_state(before, (), where, tracker.cycle_s, stands=False, may_back=False)
@@ -128,7 +134,7 @@ def gather(
         nis=transverse.nis,
         rejected=transverse.rejected,
         following=math.hypot(x, y),
-        tentative=view.tentative,
+        tentative=view.tentative and _moves(tracker, view) > tracker.task.guard.tolerance,
         steady_s=state.steady_s,
         looked_s=state.looked_s if is_look_due(tracker, state, view) else math.inf,
     )
@@ -141,14 +147,46 @@ def contact_deviation(
 
     The covariance is carried on to the contact without further images.
     """
+    ahead = max(tracker.reference.contact_time - state.time, 0.0)
+    return _deviation(tracker, state, view.deviation, ahead)
+
+
+def is_certain(tracker: Tracker, state: TrackerState, view: ConveyorEstimate, ahead: float) -> bool:
+    """Return whether a prediction is good enough for a touch by what the estimate knows of itself.
+
+    Neither is its covariance too large, nor does it mix in a change of class that may be none.
+
+    Args:
+        ahead: how far ahead it is [s].
+    """
+    guard = tracker.task.guard
+    if view.tentative or view.confidence > MIXED * tracker.settings.bank.perceived:
+        return False
+    # The conveyor's way beyond the short lead is measured again before the touch.
+    along = math.hypot(view.deviation, view.speed_deviation * prediction_error.SHORT_LEAD_S)
+    deviation, angle = _deviation(tracker, state, along, ahead)
+    return (
+        decision.DEVIATIONS * deviation <= guard.tolerance
+        and decision.DEVIATIONS * angle <= guard.angle_tolerance
+    )
+
+
+def _deviation(
+    tracker: Tracker, state: TrackerState, along: float, ahead: float
+) -> tuple[float, float]:
+    """Return one sigma of the object across the tool's axis [m] and of its angle [rad].
+
+    Args:
+        along: one sigma along the conveyor [m].
+        ahead: time from now without further images [s].
+    """
     transverse = state.transverse
     assert transverse is not None  # noqa: S101 - callers have checked
-    ahead = max(tracker.reference.contact_time - state.time, 0.0)
     H = tracker.transverse.observation_rows(transverse, -ahead)
     variance = np.einsum("ij,jk,ik->i", H, transverse.P, H)
     across = float(variance[X]) + tracker.settings.fusion.position**2 * ahead
     turned = float(variance[TURN:STATIC].sum()) + 3.0 * tracker.settings.fusion.angle**2 * ahead
-    return math.sqrt(max(across + view.deviation**2, 0.0)), math.sqrt(max(turned, 0.0))
+    return math.sqrt(max(across + along**2, 0.0)), math.sqrt(max(turned, 0.0))
 
 
 def _sight(tracker: Tracker, state: TrackerState, now_ns: int) -> float:
@@ -201,11 +239,25 @@ def _acceleration(tracker: Tracker, state: TrackerState) -> float:
     return conveyor.deceleration if stops else conveyor.acceleration
 
 
+def _moves(tracker: Tracker, view: ConveyorEstimate) -> float:
+    """Return how far a change out of the class moves the object before the tool can follow [m]."""
+    conveyor = tracker.task.conveyor
+    change = {
+        Motion.RUNNING: conveyor.deceleration,
+        Motion.STANDING: conveyor.acceleration,
+    }.get(view.motion, conveyor.deceleration + conveyor.acceleration)
+    return 0.5 * change * FOLLOWED_S**2
+
+
 def is_look_due(tracker: Tracker, state: TrackerState, view: ConveyorEstimate) -> bool:
-    """Return whether a change of class has to be seen: what it does to the object is not known."""
-    if view.sway_known or not tracker.settings.sway.look:
-        return False
-    return _acceleration(tracker, state) > state.look_seen
+    """Return whether a change of class has to be seen: what it does to the object is not known.
+
+    It is if the sway that is not known can move the object beyond what the touch tolerates, and no
+    change at least as strong has been seen in this run.
+    """
+    acceleration = _acceleration(tracker, state)
+    moved = decision.DEVIATIONS * view.unknown_sway * acceleration
+    return moved > tracker.task.guard.tolerance and acceleration > state.look_seen
 
 
 def _note_following(tracker: Tracker, state: TrackerState) -> TrackerState:

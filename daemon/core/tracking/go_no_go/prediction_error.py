@@ -6,6 +6,7 @@ and a conveyor that runs askew all show in it.
 Invariants:
 - A prediction is compared with measurements as they came, not with an estimate made from them.
 - A prediction made before a change of the conveyor's class is no evidence after it.
+- Nor is one that was uncertain by the estimate's own covariance: it may be young, not wrong.
 - Memory is bounded.
 """
 
@@ -20,10 +21,13 @@ from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.observation import PoseMeasurement
 
-# How far ahead predictions are checked [s]: over the delay of robot and camera together, and over
-# the time that the camera is blind before contact.
-LEADS_S = (0.25, 1.5)
+SHORT_LEAD_S = 0.25  # delay of robot and camera together [s]
+LONGEST_LEAD_S = 1.5  # bound of the time from the last waypoint before contact to the contact [s]
+LEADS = 2  # short and long
 SPACING_S = 0.036  # time between two predictions that are kept [s]
+LARGEST_GAP_NS = 120_000_000  # between two of them that an image may lie between
+FORGOTTEN_NS = 3_000_000_000  # without a compared image, after which the errors before are too old
+MOST_ERRORS = 256  # that are kept
 WINDOW_S = 1.0  # errors of this time count [s]
 QUANTILE = 0.9  # of their sizes: a single outlier does not count
 DISTANCE_S = 0.15  # time constant of the distance sensor's mean error [s]
@@ -43,8 +47,9 @@ class LeadMonitor(Struct, frozen=True, eq=False):
         stamps_ns: times that the object is predicted for, oldest first.
         poses: (6,) of the object in c at these times.
         along: positions of the conveyor at these times [m].
-        errors: of each image, newest last, with its stamp [ns].
+        errors: of each image, newest last, with the time for which images have been compared [ns].
         medians: sizes of the medians of each three errors in a row, newest last.
+        seen_ns: exposure of the last image that was compared [ns].
     """
 
     stamps_ns: tuple[int, ...] = ()
@@ -52,6 +57,7 @@ class LeadMonitor(Struct, frozen=True, eq=False):
     along: tuple[float, ...] = ()
     errors: tuple[tuple[int, Errors], ...] = ()
     medians: tuple[Sizes, ...] = ()
+    seen_ns: int = -(10**18)
 
     @property
     def lateral(self) -> float:
@@ -80,17 +86,27 @@ class PredictionMonitor(Struct, frozen=True, eq=False):
     """Predictions with several leads, and their errors.
 
     Attributes:
-        leads: one for each of ``LEADS_S``.
+        leads: one for each lead, the short one first.
         distance: mean error of the conveyor's position with the shortest lead [m].
         recorded_ns: time of the newest prediction that is kept [ns].
     """
 
-    leads: tuple[LeadMonitor, ...] = (LeadMonitor(),) * len(LEADS_S)
+    leads: tuple[LeadMonitor, ...] = (LeadMonitor(),) * LEADS
     distance: float = 0.0
     recorded_ns: int = -(10**18)
 
 
 NO_PREDICTIONS = PredictionMonitor()
+
+
+def lead_times(blind_s: float) -> tuple[float, float]:
+    """Return how far ahead predictions are checked [s].
+
+    Args:
+        blind_s: time from the last waypoint before contact to the contact; not finite without one.
+    """
+    longest = blind_s if math.isfinite(blind_s) else LONGEST_LEAD_S
+    return SHORT_LEAD_S, min(max(longest, SHORT_LEAD_S), LONGEST_LEAD_S)
 
 
 def is_due(monitor: PredictionMonitor, now_ns: int) -> bool:
@@ -99,16 +115,17 @@ def is_due(monitor: PredictionMonitor, now_ns: int) -> bool:
 
 
 def record(
-    monitor: PredictionMonitor, now_ns: int, poses: Array, along: Array
+    monitor: PredictionMonitor, now_ns: int, times: Sequence[float], poses: Array, along: Array
 ) -> PredictionMonitor:
     """Return the monitor with the predictions of one step.
 
     Args:
+        times: (leads,) how far ahead they are [s].
         poses: (leads, 6) of the object in c.
-        along: (leads,) of the conveyor without the body's sway [m].
+        along: (leads,) of the conveyor unit [m].
     """
     leads = []
-    for lead, ahead_s, pose, y in zip(monitor.leads, LEADS_S, poses, along.tolist(), strict=True):
+    for lead, ahead_s, pose, y in zip(monitor.leads, times, poses, along.tolist(), strict=True):
         keep = slice(-math.ceil((ahead_s + WINDOW_S) / SPACING_S), None)
         stamps = (*lead.stamps_ns, now_ns + round(ahead_s * 1e9))[keep]
         leads.append(_with(lead, stamps, (*lead.poses, pose)[keep], (*lead.along, y)[keep]))
@@ -142,12 +159,13 @@ def compare_distance(
     """Return the monitor with the error of its shortest prediction for one reading.
 
     Args:
-        position: of the conveyor, measured [m].
+        position: of the conveyor unit, measured [m].
         dt: time between readings [s].
     """
     expected = _along(monitor.leads[0], stamp_ns)
     if expected is None:
-        return monitor
+        # The error of a prediction before the gap is no evidence after it.
+        return PredictionMonitor(monitor.leads, 0.0, monitor.recorded_ns)
     off = position - expected
     if abs(off) > LARGEST_DISTANCE_ERROR:
         return monitor
@@ -160,7 +178,7 @@ def _with(
     lead: LeadMonitor, stamps: tuple[int, ...], poses: tuple[Array, ...], along: tuple[float, ...]
 ) -> LeadMonitor:
     """Return a lead's monitor with other predictions."""
-    return LeadMonitor(stamps, poses, along, lead.errors, lead.medians)
+    return LeadMonitor(stamps, poses, along, lead.errors, lead.medians, lead.seen_ns)
 
 
 def _place(stamps: tuple[int, ...], stamp_ns: int) -> tuple[int, float]:
@@ -168,7 +186,8 @@ def _place(stamps: tuple[int, ...], stamp_ns: int) -> tuple[int, float]:
     i = bisect_right(stamps, stamp_ns) - 1
     if i < 0 or i + 1 >= len(stamps):
         return -1, 0.0
-    return i, (stamp_ns - stamps[i]) / (stamps[i + 1] - stamps[i])
+    gap_ns = stamps[i + 1] - stamps[i]
+    return (i, (stamp_ns - stamps[i]) / gap_ns) if gap_ns <= LARGEST_GAP_NS else (-1, 0.0)
 
 
 def _along(lead: LeadMonitor, stamp_ns: int) -> float | None:
@@ -197,10 +216,15 @@ def _compared(
     R = rotations.exp(pose[3:])
     x, y, z = R.T.dot(measured.position - pose[:3]).tolist()
     turned = math.hypot(*rotations.log(R.T.dot(measured.rotation)).tolist())
-    oldest = bisect_left(lead.errors, (stamp_ns - round(WINDOW_S * 1e9),))
-    errors = (*lead.errors[oldest:], (stamp_ns, (x, y, z, turned)))
-    medians = _medians(lead.medians, errors)
-    return LeadMonitor(lead.stamps_ns, lead.poses, lead.along, errors, medians)
+    gap_ns = stamp_ns - lead.seen_ns
+    is_old = gap_ns > FORGOTTEN_NS
+    before, medians = ((), ()) if is_old else (lead.errors[-MOST_ERRORS:], lead.medians)
+    # A time without comparison does not make what was checked before it unchecked.
+    time_ns = before[-1][0] + min(max(gap_ns, 0), LARGEST_GAP_NS) if before else 0
+    oldest = bisect_left(before, (time_ns - round(WINDOW_S * 1e9),))
+    errors = (*before[oldest:], (time_ns, (x, y, z, turned)))
+    medians = _medians(medians, errors)
+    return LeadMonitor(lead.stamps_ns, lead.poses, lead.along, errors, medians, stamp_ns)
 
 
 def _medians(

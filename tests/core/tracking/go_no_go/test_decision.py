@@ -105,7 +105,8 @@ def test_the_whole_table_decides(
         backs = zone is not Zone.FAR and may_back
         assert new.order is (GoOrder.BACK if backs else GoOrder.STAND)
         assert new.waited_s == pytest.approx(1.0 + T0)
-        assert new.clear_s == pytest.approx(0.0 if counts else T0)
+        is_clear = not counts or reasons == (Reason.UNCHECKED,)
+        assert new.clear_s == pytest.approx(T0 if is_clear else 0.0)
 
 
 def test_no_reason_counts_in_the_final_zone_and_every_one_before_the_far_gate() -> None:
@@ -122,6 +123,16 @@ def test_a_waiting_tool_goes_on_only_after_a_time_without_a_reason() -> None:
     again = after(almost, (Reason.PREDICTION,), Zone.FAR, T0)
     assert after(again, (), Zone.FAR, CLEAR_S - 2 * T0).order is GoOrder.STAND
     assert after(again, (), Zone.FAR, CLEAR_S + 2 * T0).order is GoOrder.GO
+
+
+def test_a_check_that_was_only_missing_frees_the_way_at_once() -> None:
+    waiting = after(GO, (Reason.UNCHECKED,), Zone.FAR, 0.5)
+    assert waiting.order is GoOrder.STAND
+    assert after(waiting, (), Zone.FAR, T0).order is GoOrder.GO
+    noisy = after(waiting, (Reason.UNCHECKED, Reason.PREDICTION), Zone.FAR, T0)
+    noisy = after(noisy, (Reason.UNCHECKED,), Zone.FAR, 0.5 * CLEAR_S)
+    assert after(noisy, (), Zone.FAR, T0).order is GoOrder.STAND
+    assert after(noisy, (), Zone.FAR, CLEAR_S).order is GoOrder.GO
 
 
 def test_a_waiting_tool_needs_clearly_better_values() -> None:

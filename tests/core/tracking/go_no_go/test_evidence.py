@@ -1,7 +1,6 @@
 """Evidence of go or no-go: what the camera has seen since a change of the conveyor's class."""
 
 import math
-from dataclasses import replace as other
 
 import numpy as np
 import pytest
@@ -10,7 +9,8 @@ from msgspec.structs import replace
 from linemate.daemon.core import parameters
 from linemate.daemon.core.tracking.conveyor import ConveyorEstimate, Motion
 from linemate.daemon.core.tracking.go_no_go import evidence
-from linemate.daemon.core.tracking.go_no_go.decision import LOOK_S
+from linemate.daemon.core.tracking.go_no_go.decision import DEVIATIONS, LOOK_S
+from linemate.daemon.core.tracking.observation import PoseMeasurement
 from linemate.daemon.core.tracking.touch.contact import ContactState
 from linemate.daemon.core.tracking.tracker import at_rest
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
@@ -19,7 +19,8 @@ from linemate.simulators.plants.scenario import Scenario
 
 T0_NS = 12_000_000
 IMAGE_NS = 36_000_000
-RUNS = ConveyorEstimate(0.0, 0.1, 0.0, 1e-4, 1e-3, Motion.RUNNING)
+UNKNOWN = 0.4  # of a sway that was not identified [s^2]
+RUNS = ConveyorEstimate(0.0, 0.1, 0.0, 1e-4, 1e-3, Motion.RUNNING, unknown_sway=UNKNOWN)
 STOPS = replace(RUNS, motion=Motion.STOPPING)
 STARTS = replace(RUNS, motion=Motion.STARTING)
 
@@ -79,12 +80,60 @@ def test_what_was_seen_of_a_stop_tells_of_a_start_but_not_the_reverse(tracker: T
     assert evidence.is_look_due(tracker, stopped, STOPS)
 
 
-def test_a_known_sway_or_a_stiff_hanger_needs_no_look(tracker: Tracker) -> None:
+def test_a_look_is_due_only_if_the_unknown_sway_can_be_larger_than_tolerated(
+    tracker: Tracker,
+) -> None:
     state = stepped(tracker, seen_running(tracker), STOPS, 0.1, sees=False)
-    assert not evidence.is_look_due(tracker, state, replace(STOPS, sway_known=True))
-    sway = other(tracker.settings.sway, look=False)
-    stiff = other(tracker, settings=other(tracker.settings, sway=sway))
-    assert not evidence.is_look_due(stiff, state, STOPS)
+    limit = tracker.task.guard.tolerance / DEVIATIONS / tracker.task.conveyor.deceleration
+    assert evidence.is_look_due(tracker, state, replace(STOPS, unknown_sway=1.01 * limit))
+    assert not evidence.is_look_due(tracker, state, replace(STOPS, unknown_sway=0.99 * limit))
+    # A start is gentler.
+    state = stepped(tracker, seen_running(tracker), STARTS, 0.1, sees=False)
+    assert not evidence.is_look_due(tracker, state, replace(STARTS, unknown_sway=1.01 * limit))
+
+
+@pytest.mark.parametrize(
+    ("motion", "counts"),
+    [
+        (Motion.RUNNING, True),
+        (Motion.STANDING, False),  # a start moves the object by 1.6 mm in the time
+        (Motion.STOPPING, True),
+        (Motion.STARTING, True),
+    ],
+)
+def test_a_tentative_change_counts_if_it_moves_the_object_beyond_the_tolerance(
+    tracker: Tracker, motion: Motion, counts: bool
+) -> None:
+    pose = PoseMeasurement(np.array((2.2, 0.0, 1.1)), np.eye(3), 0.0, np.full(6, 1e-8))
+    young = tracker.transverse.initial([pose])
+    state = replace(at_rest(tracker, np.zeros(6), 0.0), transverse=young)
+    view = replace(RUNS, motion=motion, tentative=True)
+    assert evidence.gather(tracker, state, view, 0).tentative is counts
+
+
+def test_what_is_seen_of_a_robot_that_does_not_track_counts(tracker: Tracker) -> None:
+    state = at_rest(tracker, np.zeros(6), 0.0)
+    for k in range(1, 100):
+        now_ns = k * T0_NS
+        state = evidence.note(tracker, replace(state, pose_ns=now_ns), STOPS)
+    assert state.steady_s > 1.0
+    assert not evidence.is_look_due(tracker, state, STOPS)
+
+
+def test_a_prediction_is_certain_if_neither_covariance_nor_a_change_speaks_against_it(
+    tracker: Tracker,
+) -> None:
+    pose = PoseMeasurement(np.array((2.2, 0.0, 1.1)), np.eye(3), 0.0, np.full(6, 1e-8))
+    young = tracker.transverse.initial([pose])
+    state = replace(at_rest(tracker, np.zeros(6), 0.0), transverse=young)
+    assert not evidence.is_certain(tracker, state, RUNS, 1.5)
+    sure = replace(state, transverse=replace(young, P=1e-4 * young.P))
+    assert evidence.is_certain(tracker, sure, RUNS, 1.5)
+    assert not evidence.is_certain(tracker, sure, replace(RUNS, deviation=0.0011), 1.5)
+    assert not evidence.is_certain(tracker, sure, replace(RUNS, speed_deviation=0.005), 1.5)
+    assert not evidence.is_certain(tracker, sure, replace(RUNS, tentative=True), 1.5)
+    assert not evidence.is_certain(tracker, sure, replace(RUNS, confidence=3.5), 1.5)
+    assert evidence.is_certain(tracker, sure, replace(RUNS, confidence=2.5), 1.5)
 
 
 @pytest.mark.parametrize(

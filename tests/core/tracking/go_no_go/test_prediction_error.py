@@ -11,14 +11,17 @@ from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.go_no_go import prediction_error
 from linemate.daemon.core.tracking.go_no_go.prediction_error import (
-    LEADS_S,
+    LARGEST_GAP_NS,
+    LONGEST_LEAD_S,
     NO_PREDICTIONS,
+    SHORT_LEAD_S,
     SPACING_S,
     WINDOW_S,
     PredictionMonitor,
 )
 from linemate.daemon.core.tracking.observation import PoseMeasurement
 
+LEADS_S = prediction_error.lead_times(LONGEST_LEAD_S)
 T0, FRAME, SPEED, DELAY = 0.012, 0.024, 0.1, 0.1
 Motion = Callable[[float], tuple[float, float, float, float]]
 
@@ -53,7 +56,7 @@ def run(
             # A prediction takes the conveyor to go on as it does now.
             along = np.array([conveyor(now) + SPEED * lead for lead in LEADS_S])
             poses[:, 1] += along - np.array([conveyor(t) for t in times])
-            monitor = prediction_error.record(monitor, now_ns, poses, along)
+            monitor = prediction_error.record(monitor, now_ns, LEADS_S, poses, along)
         if k % 2 == 0:
             t = now - DELAY
             at = pose(seen(t), t)
@@ -146,6 +149,54 @@ def test_the_distance_sensor_is_compared_with_the_shortest_prediction() -> None:
     assert monitor.distance == pytest.approx(0.004, rel=0.01)
     same = prediction_error.compare_distance(monitor, now_ns, 5.0, T0)
     assert same.distance == monitor.distance
+
+
+def test_an_error_of_the_distance_from_before_a_gap_is_no_evidence() -> None:
+    monitor, late_ns = replace(run(4.0), distance=0.004), round(20e9)
+    assert prediction_error.compare_distance(monitor, late_ns, 2.0, T0).distance == 0.0
+
+
+@pytest.mark.parametrize(
+    ("blind_s", "long_s"),
+    [(0.4, 0.4), (1.81, LONGEST_LEAD_S), (0.1, SHORT_LEAD_S), (math.inf, LONGEST_LEAD_S)],
+)
+def test_the_long_lead_is_the_time_from_the_last_waypoint_to_the_contact(
+    blind_s: float, long_s: float
+) -> None:
+    assert prediction_error.lead_times(blind_s) == (SHORT_LEAD_S, long_s)
+
+
+def test_an_image_in_a_gap_between_predictions_is_not_compared() -> None:
+    pose, along = np.zeros((2, 6)), np.zeros(2)
+    image = PoseMeasurement(np.array((0.1, 0.0, 0.0)), np.eye(3), 0.0, np.ones(6))
+    for gap_ns, count in ((LARGEST_GAP_NS, 1), (LARGEST_GAP_NS + 1_000_000, 0)):
+        monitor = prediction_error.record(NO_PREDICTIONS, 0, (0.25, 0.25), pose, along)
+        monitor = prediction_error.record(monitor, gap_ns, (0.25, 0.25), pose, along)
+        now_ns = 250_000_000 + gap_ns // 2
+        after = prediction_error.compare_poses(monitor, now_ns, [image])
+        assert [len(lead.errors) for lead in after.leads] == [count, count]
+
+
+def test_a_time_without_images_leaves_what_was_checked_before_for_a_while() -> None:
+    monitor = run(4.0, seen=lambda _: (0.004, 0.0, 0.0, 0.0))
+    seen_ns = monitor.leads[0].seen_ns
+    pose, along = np.zeros((2, 6)), np.zeros(2)
+    image = PoseMeasurement(np.zeros(3), np.eye(3), 0.0, np.ones(6))
+    for gap_ns, kept in ((2_900_000_000, True), (3_100_000_000, False)):
+        now_ns = seen_ns + gap_ns
+        later = prediction_error.record(monitor, now_ns - 10, (0.0, 0.0), pose, along)
+        later = prediction_error.record(later, now_ns + 10, (0.0, 0.0), pose, along)
+        lead = prediction_error.compare_poses(later, now_ns, [image]).leads[0]
+        assert (lead.checked_s > 0.8) is kept
+        assert (lead.lateral > 0.003) is kept
+
+
+def test_images_whose_stamps_stand_still_fill_no_memory() -> None:
+    monitor, now_ns = run(4.0), round(4e9)
+    image = PoseMeasurement(np.zeros(3), np.eye(3), 0.1, np.ones(6))
+    for _ in range(2 * prediction_error.MOST_ERRORS):
+        monitor = prediction_error.compare_poses(monitor, now_ns, [image])
+    assert len(monitor.leads[0].errors) <= prediction_error.MOST_ERRORS + 1
 
 
 def test_the_error_of_a_window_is_the_quantile_of_its_medians_computed_at_once() -> None:
