@@ -11,7 +11,7 @@ from linemate.simulators.plants.scenario import Fault
 
 HELD_S = 1.45
 PLANS: dict[str, FaultPlan] = {
-    "camera-30-mm-off": FaultPlan(4, duration_s=2.6),
+    "camera-30-mm-off": FaultPlan(4),
     "coasting-3-s": FaultPlan(4, faults=(Fault(HELD_S, "force_torque", "silence", 0.5),)),
     "wrench-never-stale": FaultPlan(4, faults=(Fault(HELD_S, "force_torque", "silence", 0.5),)),
     "position-never-stale": FaultPlan(
@@ -23,7 +23,7 @@ PLANS: dict[str, FaultPlan] = {
     ),
     "overload-never": FaultPlan(4, faults=(Fault(0.5, "force_torque", "offset", 0.5, 600.0, 1),)),
     "clamp-never-opens": FaultPlan(
-        4, duration_s=3.6, faults=(Fault(2.0, "force_torque", "silence", 0.4),)
+        4, duration_s=3.0, faults=(Fault(HELD_S, "force_torque", "silence", 0.4),)
     ),
     "wrench-crc-unchecked": FaultPlan(4, faults=(Fault(0.6, "force_torque", "flip", 0.6, 1.0, 2),)),
     "following-error-never": FaultPlan(4, faults=(Fault(0.5, "robot", "drives_off", 0.9),)),

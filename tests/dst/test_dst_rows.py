@@ -26,8 +26,6 @@ def open_case(*values: Any, reason: str) -> Any:
 
 FREE_S, TOUCH_S, HELD_S = 0.6, 1.05, 1.45
 """In the approach, at the touch, in contact: scenario time [s]."""
-WITH_WAIT_S = 3.6
-"""Of a whole assembly whose tool waits up to 1.2 s before contact [s]."""
 ALWAYS = (-0.4, 2.6)
 NO_FORCE = "no-force"
 STOP, START = 0.104, 0.013
@@ -226,7 +224,7 @@ def test_x16_a_controller_of_another_cycle_is_not_tracked_for(off: float) -> Non
 def test_x16_a_controller_whose_cycle_drifts_by_up_to_3_percent_is_followed(
     drift: float, lead_ms: float
 ) -> None:
-    simulation = lived(cycle_drift=drift, lead_ms=lead_ms, duration_s=WITH_WAIT_S)
+    simulation = lived(cycle_drift=drift, lead_ms=lead_ms, duration_s=2.4)
     counts = simulation.controller.counts
     assert counts.sent - 1 <= counts.answered <= counts.sent  # the last reply may still travel
     assert counts.answered > 200
@@ -248,7 +246,7 @@ def test_x17_a_telegram_with_an_unreadable_value_is_answered(
 
 @pytest.mark.parametrize("cell", sorted(set(CELLS) - {""}))
 def test_other_cells_assemble_the_wheel(cell: str) -> None:
-    simulation = lived(cell=cell, duration_s=WITH_WAIT_S)
+    simulation = lived(cell=cell, duration_s=2.6)
     assert simulation.world.released_s is not None
 
 
@@ -257,7 +255,7 @@ def test_other_cells_assemble_the_wheel(cell: str) -> None:
 def test_a_cell_without_a_force_sensor_assembles_the_wheel_below_200_n(
     seed: int, cycle_ms: int
 ) -> None:
-    simulation = lived(seed=seed, cell=NO_FORCE, cycle_ms=cycle_ms, duration_s=WITH_WAIT_S)
+    simulation = lived(seed=seed, cell=NO_FORCE, cycle_ms=cycle_ms, duration_s=2.6)
     assert "contact" in simulation.oracle.states
     assert simulation.world.released_s is not None
 
