@@ -13,6 +13,7 @@ from linemate.daemon.config import documents, files, overlays
 from linemate.daemon.config.documents import Complaint, FileError, YamlDocument
 from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.named_files import NamedFiles
+from linemate.daemon.config.production_settings import window_error
 from linemate.daemon.config.settings import Config, ControllerKind, EgmSettings, RsiSettings
 from linemate.daemon.config.settings_tree import Settings
 from linemate.daemon.config.task_file import Task
@@ -47,6 +48,7 @@ class LoadedConfig:
         texts: files for recordings, by name: config, task, urdf, rsi, dbc.
         written: the parameters without what operators saved.
         state: directory for what operators save, None if there is none.
+        variants: tasks of the production's variants, by name.
     """
 
     path: Path
@@ -58,6 +60,7 @@ class LoadedConfig:
     texts: dict[str, str] = field(repr=False)
     written: Settings
     state: Path | None = None
+    variants: dict[str, Task] = field(default_factory=dict, repr=False)
 
     @property
     def cycle_s(self) -> float:
@@ -99,6 +102,7 @@ def load(path: Path) -> LoadedConfig:
     lacks_rsi = config.controller.kind is ControllerKind.RSI and named.rsi is None
     if named.lines or named.task is None or lacks_rsi:
         raise FileError(named.lines)
+    _refuse_disordered_window(document, config)
     texts = {"config": data.decode("utf-8-sig"), **named.texts}
     base = path.parent
     written = overlays.apply(document, config, base, saved=False)
@@ -114,6 +118,7 @@ def load(path: Path) -> LoadedConfig:
         texts,
         overlays.settings_of(_with_urdf_limits(written, named.task)),
         overlays.directory(config, base),
+        named.variants,
     )
 
 
@@ -131,6 +136,21 @@ def _with_urdf_limits(config: Config, task: Task) -> Config:
     except urdf_limits.UrdfLimitsError as error:
         raise FileError([f"{arm.urdf}:1:1: (file): {error}"]) from error
     return replace(config, control=control)
+
+
+def _refuse_disordered_window(document: YamlDocument, config: Config) -> None:
+    """Refuse a tracking window whose positions are out of order.
+
+    Raises:
+        FileError: the first of them.
+    """
+    production = config.production
+    if production is None:
+        return
+    error = window_error(production.window, production.announced_at)
+    if error is not None:
+        path = ("production", *error[0].split("."))
+        raise FileError(document.lines([Complaint(path, error[1])]))
 
 
 def _refuse_wider_limits(document: YamlDocument, config: Config, task: Task) -> None:

@@ -5,6 +5,7 @@ Invariants:
 """
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,8 @@ class NamedFiles:
     Attributes:
         task, rsi, dbc, keys: contents, None or empty where a file is absent or wrong.
         texts: files for recordings, by name: task, urdf, rsi, dbc.
-        lines: errors of the task file, as ``file:line:col: key: what``.
+        variants: tasks of the production's variants, by name.
+        lines: errors of the task files, as ``file:line:col: key: what``.
     """
 
     def __init__(self, base: Path, value: Any) -> None:
@@ -42,6 +44,7 @@ class NamedFiles:
         self.dbc: str | None = None
         self.keys: tuple[PresharedKey, ...] = ()
         self.texts: dict[str, str] = {}
+        self.variants: dict[str, Task] = {}
         self.lines: list[str] = []
         self._decoder: tuple[str, str, str] | None = None
         self._base = base
@@ -62,6 +65,7 @@ class NamedFiles:
             (("command", "udp", "keys"), self._read_keys),
         ):
             yield from self._attempt(path, read)
+        yield from self._variant_complaints()
         yield from self._rsi_complaints()
         if self._kind == ControllerKind.EGM and self.task is not None:
             yield from section_checks.egm_complaints(self._values, self.task.file)
@@ -85,6 +89,20 @@ class NamedFiles:
         if name:
             self.task = task_file.load(files.find(name, self._base, files.DAEMON_DATA))
             self.texts |= {"task": self.task.text, "urdf": self.task.urdf}
+
+    def _variant_complaints(self) -> Iterator[Complaint]:
+        """Read the variants' tasks, and yield what is wrong with them."""
+        names: dict[Any, Any] = self._values.get("production", "variants", kind=dict) or {}
+        for variant, name in names.items():
+            if isinstance(variant, str) and isinstance(name, str) and name:
+                path = ("production", "variants", variant)
+                yield from self._attempt(path, partial(self._read_variant, variant, name))
+
+    def _read_variant(self, variant: str, name: str) -> None:
+        task = task_file.load(files.find(name, self._base, files.DAEMON_DATA))
+        if self.task is not None and task.file.arm != self.task.file.arm:
+            raise ValueError(f"{name}: its arm differs from that of the configured task")
+        self.variants[variant] = task
 
     def _read_rsi(self) -> None:
         if self._kind != ControllerKind.RSI:

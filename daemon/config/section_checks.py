@@ -32,6 +32,7 @@ _ADDRESSES: tuple[tuple[str, ...], ...] = (
 _DIRECTORIES: tuple[tuple[str, ...], ...] = (
     ("recording", "directory"),
     ("realtime", "incidents"),
+    ("production", "records"),
     ("state",),
 )
 _LOOPBACK = "127.0.0.1"

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Gt, Le, Len
 
+from linemate.daemon.config.production_settings import ProductionSettings
 from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core.control.adaptation import AdaptationSettings
 from linemate.daemon.core.control.settings import ControlSettings
@@ -270,6 +271,8 @@ class Config:
         state: directory for what operators save. None takes StateDirectory= of the unit.
         learning: limits for the servo models that each motion estimates again, for use once the
             robot stands. None keeps the models.
+        production: parts one after the other, by their variants. None: each task is armed and
+            started by hand.
         version: of the file's layout.
     """
 
@@ -289,4 +292,5 @@ class Config:
     tracking: TrackingSettings = field(default_factory=TrackingSettings)
     control: ControlSettings = field(default_factory=ControlSettings)
     learning: AdaptationSettings | None = None
+    production: ProductionSettings | None = None
     version: Annotated[int, Ge(1), Le(1)] = 1

@@ -366,14 +366,27 @@ def _ready(state: StepState, parameters: Parameters) -> str | None:
     """Return why the task cannot start, None if it can."""
     if state.tracker.conveyor is None:
         return "no distance has been measured yet"
-    off = state.tracker.poses[0] - parameters.tracker.reference.rest
-    if float(np.abs(off[:3]).max()) > REST_DISTANCE or float(np.abs(off[3:]).max()) > REST_ANGLE:
+    if not is_home(state, parameters):
+        off = _off_rest(state, parameters)
         return (
             f"the tcp is {1e3 * float(np.linalg.norm(off[:3])):.0f} mm and "
             f"{1e3 * float(np.linalg.norm(off[3:])):.0f} mrad away from the task's first pose. "
             "Order home"
         )
     return None
+
+
+def _off_rest(state: StepState, parameters: Parameters) -> Array:
+    """Return how far the tcp is off the task's first pose (6,) in c."""
+    off: Array = state.tracker.poses[0] - parameters.tracker.reference.rest
+    return off
+
+
+def is_home(state: StepState, parameters: Parameters) -> bool:
+    """Return whether a robot that stands is at the task's first pose."""
+    off = _off_rest(state, parameters)
+    is_near = float(np.abs(off[:3]).max()) <= REST_DISTANCE
+    return not state.moving and is_near and float(np.abs(off[3:]).max()) <= REST_ANGLE
 
 
 def home_refusal(state: StepState, outputs: Outputs, parameters: Parameters) -> str | None:

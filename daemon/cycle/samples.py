@@ -12,6 +12,7 @@ from math import sqrt
 from typing import Any, Generic
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from linemate.daemon.cycle.sensor_health import (
     CameraHealth,
@@ -113,6 +114,9 @@ class SensorQueues:
 
     Attributes:
         overloaded: of the forces drained last, two in a row were beyond the limit.
+        distance_offset: added to each reading of the distance sensor, so that it counts for the
+            present object [m].
+        reading: newest accepted reading of the distance sensor as it came [m], None before one.
         overload_n: the last force beyond the limit, without the weight, and the limit [N]; None
             before one.
     """
@@ -124,8 +128,10 @@ class SensorQueues:
         "camera_health",
         "distance",
         "distance_health",
+        "distance_offset",
         "overload_n",
         "overloaded",
+        "reading",
         "wrench",
         "wrench_health",
     )
@@ -140,6 +146,8 @@ class SensorQueues:
         )
         self.camera = SampleQueue(POSES, self.camera_health)
         self.wrench = SampleQueue(WRENCHES, self.wrench_health, date=WrenchClock().date)
+        self.distance_offset = 0.0
+        self.reading: float | None = None
         self.overloaded = False
         self.overload_n: tuple[float, float] | None = None
         self._was_beyond = False
@@ -153,13 +161,24 @@ class SensorQueues:
             force_limit: that the tool bears in addition to the weight [N].
             weight: that the mount carries, in the sensor's axes [N].
         """
-        distance = self.distance.drain(conditions)
+        distance = self._count_from_object(self.distance.drain(conditions))
         camera = self.camera.drain(conditions)
         wrench = self.wrench.drain(conditions)
         self.overloaded = False
         for sample in wrench:
             self._check_overload(sample, force_limit, weight)
         return StepSamples(distance, camera, wrench)
+
+    def _count_from_object(
+        self, distance: tuple[DistanceSample, ...]
+    ) -> tuple[DistanceSample, ...]:
+        """Return readings as they count for the present object."""
+        if distance:
+            self.reading = distance[-1].position
+        offset = self.distance_offset
+        if not offset:
+            return distance
+        return tuple([replace(sample, position=sample.position + offset) for sample in distance])
 
     def _check_overload(self, sample: WrenchSample, limit: float, weight: Vector3) -> None:
         x, y, z = (f - w for f, w in zip(sample.force, weight, strict=True))

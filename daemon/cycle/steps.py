@@ -127,6 +127,21 @@ class Stepper:
         self._new_parameters = parameters
         self._restarts_state |= restarts
 
+    def begin_object(self, parameters: Parameters, distance_offset: float) -> None:
+        """Forget the last object and expect another one; only for a robot that stands.
+
+        Args:
+            parameters: of the task for it, of the same arm and cycle time.
+            distance_offset: added to each reading of the distance sensor from now on [m].
+        """
+        self.swap(parameters, restarts=True)
+        self.samples.distance_offset = distance_offset
+
+    @property
+    def is_home(self) -> bool:
+        """Whether the robot stands at the task's first pose."""
+        return self._state is not None and stepping.is_home(self._state, self.parameters)
+
     def set_watch(self, settings: WatchSettings) -> None:
         """Use other time-outs and debounce from the next step on."""
         self.operating.settings = settings

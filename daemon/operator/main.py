@@ -142,6 +142,7 @@ COMMANDS: Final[dict[str, str | AddParser]] = {
     "param": "param_command",
     **dict.fromkeys(ORDERS, _add_orders),
     "record": _add_record,
+    **dict.fromkeys(("announce", "skip", "next", "hold", "queue"), "production.orders"),
     "identify": "identify_command",
     "replay": "replay_command",
     "export": "export_command",

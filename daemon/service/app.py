@@ -50,6 +50,8 @@ from linemate.daemon.service.incidents import IncidentFiles
 from linemate.daemon.service.live_telemetry import LiveTelemetry
 from linemate.daemon.service.order_answers import Answers
 from linemate.daemon.service.parameter_service import Answer, ParameterService
+from linemate.daemon.service.production.build import build_production
+from linemate.daemon.service.production.cell import ProductionCell
 from linemate.daemon.service.status import DaemonSnapshot, LinkView, Rates, status, telemetry
 from linemate.drivers import port_holder
 from linemate.drivers.camera_udp import CameraLink
@@ -82,6 +84,7 @@ class App:
 
     Args:
         host: what the host granted.
+        variants: compiled tasks of the production's variants.
 
     Attributes:
         counters: faults and foreign telegrams.
@@ -93,6 +96,7 @@ class App:
         parameters: Parameters,
         host: realtime.RealtimeHost,
         notifier: Notifier,
+        variants: Mapping[str, Parameters] | None = None,
     ) -> None:
         self.counters: Counter[str] = Counter()
         self._station = station
@@ -152,6 +156,7 @@ class App:
         self._events = EventLog(self.cycle, self._recorder, self._live)
         self._cycled = asyncio.Event()
         self._end: asyncio.Event | None = None
+        self._production: ProductionCell | None = None
         self._parameters = ParameterService(
             station, self.cycle, self._note_parameters, self._events.add
         )
@@ -164,6 +169,17 @@ class App:
             "save": lambda _params, who: self._parameters.save(who),
             "scene": lambda _params, _who: self._scene,
         }
+        self._production = build_production(
+            station,
+            self.cycle,
+            variants or {},
+            self._parameters,
+            self._events,
+            self._recorder,
+            lambda op: self._period_refusal() if op == "arm" else None,
+        )
+        if self._production is not None:
+            self._operations |= self._production.operations
 
     async def run(self, on_ready: Callable[[dict[str, Any]], None] = lambda _: None) -> None:
         """Open everything, serve until SIGTERM, bring the robot to rest, close everything.
@@ -373,6 +389,8 @@ class App:
         self._live.record(entries, times)
         if self._learner is not None:
             self._learn(self._learner, entries)
+        if self._production is not None:
+            self._production.look(entries, now_ns)
         self._serve_operators()
         if self._failing_ns is None:
             self._notifier.alive(now_ns)
@@ -426,6 +444,8 @@ class App:
     ) -> None:
         if self._recorder is not None:
             self._recorder.note_change(parameters, who, changed)
+        if self._production is not None:
+            self._production.retune(parameters)
 
     def _failed(self, error: Exception) -> None:
         """Count a fault of the cycle, and log one in LOG_EVERY."""
@@ -440,6 +460,8 @@ class App:
         del role  # the protocol has checked it
         if op in ORDERS:
             reason = self._period_refusal() if op == "arm" else None
+            if self._production is not None:
+                reason = reason or self._production.intercept(op, who)
             reason = reason or self.cycle.order(op, who)
             outcome = f", refused: {reason}" if reason else ""
             self._events.add(f"{who} ordered {op}{outcome}")
@@ -469,7 +491,10 @@ class App:
 
     def status(self) -> dict[str, Any]:
         """Return the status as plain values."""
-        return status(self._snapshot())
+        whole = status(self._snapshot())
+        if self._production is not None:
+            whole["production"] = self._production.status()
+        return whole
 
     def _telemetry(self) -> dict[str, Any]:
         nominal = self.cycle.parameters.tracker.reference.nominal

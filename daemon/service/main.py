@@ -47,19 +47,22 @@ def _main(arguments: argparse.Namespace) -> int:
         return OK
     try:
         station = config.load(arguments.config)
-        parameters = _compiled(station)
-        peaks = _rehearsed(station, parameters)
+        parameters = _compiled(station, station.task)
+        peaks = _rehearsed(station.task, parameters)
+        variants = {name: _compiled(station, task) for name, task in station.variants.items()}
+        for name, task in station.variants.items():
+            _rehearsed(task, variants[name])
     except FileError as error:
         print("\n".join(error.lines), file=sys.stderr)
         return BAD_CONFIGURATION
     if arguments.check:
         print(f"{arguments.config}: good", *peaks, sep="\n")
         return OK
-    return _serve(station, parameters, arguments.ready_fd)
+    return _serve(station, parameters, variants, arguments.ready_fd)
 
 
-def _compiled(station: Any) -> Any:
-    """Compile the step's parameters.
+def _compiled(station: Any, task: Any) -> Any:
+    """Compile the step's parameters of a task.
 
     Raises:
         FileError: settings, task and arm do not fit together.
@@ -70,13 +73,13 @@ def _compiled(station: Any) -> Any:
     config = station.config
     try:
         return parameters.build(
-            station.task.file, station.task.urdf, config.tracking, config.control, station.cycle_s
+            task.file, task.urdf, config.tracking, config.control, station.cycle_s
         )
     except ValueError as error:
         raise FileError([f"{station.path}:1:1: (file): {error}"]) from error
 
 
-def _rehearsed(station: Any, parameters: Any) -> tuple[Any, ...]:
+def _rehearsed(task: Any, parameters: Any) -> tuple[Any, ...]:
     """Run the task once through the kinematics.
 
     Raises:
@@ -87,11 +90,11 @@ def _rehearsed(station: Any, parameters: Any) -> tuple[Any, ...]:
 
     rehearsal = rehearse(parameters)
     if rehearsal.complaints:
-        raise FileError(station.task.lines(rehearsal.complaints))
+        raise FileError(task.lines(rehearsal.complaints))
     return rehearsal.peaks
 
 
-def _serve(station: Any, parameters: Any, ready_fd: int | None) -> int:
+def _serve(station: Any, parameters: Any, variants: Any, ready_fd: int | None) -> int:
     from linemate.daemon.service.app import App, StartError
     from linemate.daemon.service.host import realtime
     from linemate.daemon.service.host.notify import Notifier
@@ -99,7 +102,7 @@ def _serve(station: Any, parameters: Any, ready_fd: int | None) -> int:
     host = realtime.request_all(station.config.realtime)
     for refusal in host.refusals():
         log.warning("%s", refusal)
-    app = App(station, parameters, host, Notifier.from_environment())
+    app = App(station, parameters, host, Notifier.from_environment(), variants)
     try:
         asyncio.run(app.run(lambda listening: _report_ready(listening, ready_fd)))
     except StartError as error:

@@ -116,6 +116,10 @@ class ParameterService:
             return self._compile(wanted, changed, who)
         return self._change_live(wanted, changed, who)
 
+    def follow(self, parameters: Parameters) -> None:
+        """Take the parameters of another task as those that changes begin from."""
+        self._newest = parameters
+
     def save(self, who: str) -> Answer | asyncio.Future[Answer]:
         """Answer the operation ``save``: keep the settings in force for the next start."""
         folder = self.station.state
@@ -176,6 +180,8 @@ class ParameterService:
             rule = parameter_list.change_rule(name)
             if state in IN_CONTACT and not rule.in_contact:
                 return f"{name} does not change in contact"
+            if rule.change is ChangeTime.IDLE and self.station.variants:
+                return f"{name} changes only with a restart: each variant is compiled at start"
             if rule.change is ChangeTime.IDLE and not self.cycle.stands:
                 return f"{name} changes only while the robot stands idle, not in {state.upper()}"
         if self._compiling is not None:

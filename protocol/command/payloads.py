@@ -17,6 +17,7 @@ from linemate.protocol.command.frame_codec import MAX_PAGES, MAX_RESULT_BYTES, C
 # Operations without parameters.
 BARE: Final = frozenset(
     {"status", "scene", "save", "arm", "start", "ack", "home", "stop", "retreat"}
+    | {"queue", "next", "hold"}
 )
 
 MAX_TIME_MS: Final = 2**63 - 1

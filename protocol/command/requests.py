@@ -57,6 +57,23 @@ class SubscribeOf(Struct, frozen=True, forbid_unknown_fields=True):
     duration_s: Annotated[float, Meta(gt=0.0, le=30.0)] | UnsetType = UNSET
 
 
+class AnnounceOf(Struct, frozen=True, forbid_unknown_fields=True):
+    """Parameters of ``announce``: a part, and the distance sensor's reading as it was announced.
+
+    Without ``distance`` the newest reading counts.
+    """
+
+    part: Annotated[str, Meta(min_length=1, max_length=64)]
+    variant: Annotated[str, Meta(min_length=1, max_length=32)]
+    distance: float | UnsetType = UNSET
+
+
+class SkipOf(Struct, frozen=True, forbid_unknown_fields=True):
+    """Parameters of ``skip``: the part that is let go, or the next one."""
+
+    part: Annotated[str, Meta(min_length=1, max_length=64)] | UnsetType = UNSET
+
+
 class PageOf(Struct, frozen=True, forbid_unknown_fields=True):
     """Parameters of ``page``: a further part of a long answer."""
 
@@ -92,6 +109,11 @@ OPERATIONS: Final[Mapping[str, OperationRule]] = {
     "start": OperationRule(Empty, Role.OPERATE, lease=True, ordered=True),
     "ack": OperationRule(Empty, Role.OPERATE, lease=True, ordered=True),
     "home": OperationRule(Empty, Role.OPERATE, lease=True, ordered=True),
+    "queue": OperationRule(Empty, Role.VIEW),
+    "announce": OperationRule(AnnounceOf, Role.OPERATE, ordered=True),
+    "skip": OperationRule(SkipOf, Role.OPERATE, ordered=True),
+    "next": OperationRule(Empty, Role.OPERATE, lease=True, ordered=True),
+    "hold": OperationRule(Empty, Role.OPERATE),
     # An operator can always stop the robot, in any order.
     "stop": OperationRule(Empty, Role.OPERATE),
     "retreat": OperationRule(Empty, Role.OPERATE),

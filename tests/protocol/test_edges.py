@@ -425,6 +425,7 @@ def test_a_deadline_before_the_servers_beginning_is_its_beginning(op: str) -> No
         "record": {"action": "start"},
         "subscribe": {"rate_hz": 1.0},
         "page": {"of": 1, "page": 1},
+        "announce": {"part": "P1", "variant": "sedan"},
     }.get(op, {})  # type: ignore[assignment]
     for asked_ms, deadline_ms in ((-5, 0), (0, 0), (7, 7)):
         payload = requests.encode_request(op, params, asked_ms)
@@ -485,9 +486,9 @@ def test_only_stop_and_retreat_are_taken_in_any_order_and_without_the_lease() ->
         op: (str(rule.role), rule.lease, rule.ordered) for op, rule in requests.OPERATIONS.items()
     }
     viewing = dict.fromkeys(
-        ("status", "params", "get", "scene", "subscribe", "page"), ("view", False, False)
+        ("status", "params", "get", "scene", "subscribe", "page", "queue"), ("view", False, False)
     )
-    setting = dict.fromkeys(("set", "save", "record"), ("operate", False, True))
-    moving = dict.fromkeys(("arm", "start", "ack", "home"), ("operate", True, True))
-    resting = dict.fromkeys(("stop", "retreat"), ("operate", False, False))
+    setting = dict.fromkeys(("set", "save", "record", "announce", "skip"), ("operate", False, True))
+    moving = dict.fromkeys(("arm", "start", "ack", "home", "next"), ("operate", True, True))
+    resting = dict.fromkeys(("stop", "retreat", "hold"), ("operate", False, False))
     assert table == viewing | setting | moving | resting

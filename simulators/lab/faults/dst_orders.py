@@ -41,6 +41,19 @@ class CommandWire:
         Returns:
             None, or why it was refused.
         """
+        answer = self.ask(app, name, op, params, now_ns)
+        if answer is None:
+            return "no answer"
+        return None if answer.ok else answer.reason or answer.code
+
+    def ask(
+        self, app: App, name: str, op: str, params: Mapping[str, Any], now_ns: int
+    ) -> Answer | None:
+        """Return the answer to a request in a client's name, None without one.
+
+        Args:
+            now_ns: the monotonic clock of client and daemon [ns].
+        """
         if app is not self._app:
             app._commands.replace_keys(KEYS)  # noqa: SLF001 - a daemon with a key file
             self._app, self._clients = app, {}
@@ -52,8 +65,7 @@ class CommandWire:
         )
         if answer is None:
             del self._clients[name]  # the session has ended: another one next time
-            return "no answer"
-        return None if answer.ok else answer.reason or answer.code
+        return answer
 
     def _shake_hands(self, name: str, now_ns: int) -> CommandClient:
         self._sessions += 1

@@ -1,0 +1,1 @@
+"""Commands of `linemate` for production: parts, records and their report."""

@@ -1,0 +1,1 @@
+"""The production cycle in the process: operations, variants and record files."""

@@ -1,0 +1,378 @@
+"""Run a shift in virtual time: the whole service, one robot, car after car.
+
+Invariants:
+- No socket and no clock.
+- The daemon gets telegrams, samples, and requests of the command protocol, and nothing else.
+- What became of a car is judged by its world's truth; what was reported, by the record files.
+"""
+
+import asyncio
+import contextlib
+import json
+import math
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from linemate.daemon.config import config
+from linemate.daemon.config.config import LoadedConfig
+from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.service.app import App
+from linemate.daemon.service.host import realtime
+from linemate.daemon.service.host.notify import Notifier
+from linemate.drivers.datagrams import Address
+from linemate.protocol.sensors.distance import DistanceEncoder
+from linemate.simulators import harness
+from linemate.simulators.devices.faults import Faults
+from linemate.simulators.devices.robot_plant import RobotPlant
+from linemate.simulators.devices.rsi_controller import ControllerConfig, RsiController
+from linemate.simulators.harness import scenario_file
+from linemate.simulators.harness.lockstep import parameters
+from linemate.simulators.harness.sensor_links import Emitters
+from linemate.simulators.harness.virtual import EPOCH_NS, VirtualLoop, VirtualTime, inhabited
+from linemate.simulators.lab.faults.dst_oracles import weigh
+from linemate.simulators.lab.shift.car_line import CarLine
+from linemate.simulators.lab.shift.line_controller import LineController
+from linemate.simulators.lab.shift.plan import Car, CarFault
+from linemate.simulators.plants.scenario import Scenario
+
+STATION = Path(harness.__path__[0]) / "data" / "shift" / "station.yaml"
+TRANSIT_NS = 60_000  # one way on the wire [ns]
+TALKING_NS = 1_000_000  # from the host's bytes to the answer of a serial device [ns]
+LISTENING_NS = 300_000_000  # the daemon listens so long before the robot's program starts [ns]
+AHEAD_S = 1e-6
+FIRST_CAR_S = 2.0  # from the beginning to the first car [s]
+STANDS_S = 0.5  # time without a new setpoint after which the robot stands [s]
+PAUSE_S = 0.5  # from the end of a robot program to its restart [s]
+LAST_CAR_S = 45.0  # from the last car's entry to the end of the shift [s]
+STUCK_S = 180.0  # the shift ends if the robot does not stand for so long after the takt [s]
+
+RSI_PORT, CAMERA_PORT = 49152, 49153
+ROBOT: Address = ("127.0.0.1", 50_001)
+CAMERA: Address = ("127.0.0.1", 50_002)
+
+
+@dataclass(frozen=True, slots=True)
+class CarTruth:
+    """What became of a car in its world.
+
+    Attributes:
+        mounted: the wheel is screwed on and released, without a collision.
+        impact_mm: distance of tcp and hub across the tool's axis at the touch; None without one.
+        force_n: largest force that the sensor sent [N].
+    """
+
+    mounted: bool
+    collision: str | None
+    impact_mm: float | None
+    force_n: float
+
+
+@dataclass(frozen=True, slots=True)
+class ShiftOutcome:
+    """What became of a shift.
+
+    Attributes:
+        records: quality records in their order.
+        growth: bytes that the cycle remembers after the first car and at the end.
+        files: bytes of the record files.
+        duration_s: virtual time [s].
+        requests: of the line's controller, by operation.
+    """
+
+    cars: tuple[Car, ...]
+    truths: tuple[CarTruth, ...]
+    records: tuple[dict[str, Any], ...]
+    growth: tuple[int, int]
+    files: int
+    duration_s: float
+    requests: dict[str, int]
+    complaints: tuple[str, ...]
+
+
+@cache
+def station() -> LoadedConfig:
+    """Return the configuration of the station."""
+    return config.load(STATION)
+
+
+def compiled(task: Any, cycle_s: float) -> Parameters:
+    """Return the parameters of a variant's task, compiled once a process."""
+    settings = station().config
+    return parameters(task.file, task.urdf, settings.tracking, settings.control, cycle_s)
+
+
+def template(seed: int) -> Scenario:
+    """Return what the cars have in common: the shipped cell without stops."""
+    plain = scenario_file.load("wheel")
+    conveyor = replace(plain.conveyor, events=())
+    return replace(plain, seed=seed, conveyor=conveyor, cycle_s=0.012)
+
+
+class ShiftRun:
+    """One shift that runs."""
+
+    def __init__(
+        self,
+        cars: list[Car],
+        takt_s: float,
+        folder: Path,
+        on_car: Callable[[Car, CarTruth], None] = lambda _car, _truth: None,
+    ) -> None:
+        """Stand ready before the first cycle.
+
+        Args:
+            takt_s: from one car to the next at least [s].
+            folder: for the record files.
+            on_car: called with each car that has left.
+        """
+        files = station()
+        production = files.config.production
+        assert production is not None  # noqa: S101 - the shipped file
+        assert files.rsi is not None  # noqa: S101 - the shipped file
+        self._station = replace(
+            files, config=replace(files.config, production=replace(production, records=str(folder)))
+        )
+        hubs = {n: task.file.object.nominal.position for n, task in files.variants.items()}
+        self.line = CarLine(template(cars[0].seed if cars else 0), hubs)
+        self.plant = RobotPlant(self.line)
+        self.controller = RsiController(
+            files.rsi, self.plant.read, self.plant.start, ControllerConfig(timeout_rule="row")
+        )
+        self._emitters = Emitters(
+            self.line, Faults(()), files.task.file.conveyor.start_position, _ns, DistanceEncoder()
+        )
+        self.plc = LineController()
+        self._cars, self._takt_s, self._folder, self._on_car = cars, takt_s, folder, on_car
+        self._truths: list[CarTruth] = []
+        self._next = 0
+        self._due_s = FIRST_CAR_S
+        self._cycle = 0
+        self._is_open = False
+        self._paused_until_s: float | None = None
+        self._has_restarted = False
+        self._standing = 0
+        self._force = 0.0
+        self._impact_mm: float | None = None
+        self._growth = [0, 0]
+        self._complaints: list[str] = []
+        self._time = VirtualTime(EPOCH_NS - LISTENING_NS)
+        self._time.on_datagram = self._replied
+        self._time.on_line = self._talk
+        self.app: App | None = None
+
+    def run(self) -> ShiftOutcome:
+        """Run it to its end."""
+        with inhabited(self._time):
+            loop = VirtualLoop(self._time)
+            try:
+                self._time.at(EPOCH_NS, self._begin_cycle)
+                loop.run_until_complete(self._main())
+            finally:
+                loop.close()
+        files = sorted(self._folder.iterdir())
+        records = [
+            json.loads(line)
+            for path in files
+            if path.suffix == ".jsonl"
+            for line in path.read_text().splitlines()
+        ]
+        return ShiftOutcome(
+            tuple(self._cars),
+            tuple(self._truths),
+            tuple(records),
+            (self._growth[0], self._growth[1]),
+            sum(path.stat().st_size for path in files),
+            self.line.time_s,
+            dict(self.plc.orders),
+            tuple(self._complaints),
+        )
+
+    async def _main(self) -> None:
+        self._over = asyncio.Event()
+        variants = {n: compiled(task, 0.012) for n, task in self._station.variants.items()}
+        app = App(
+            self._station,
+            compiled(self._station.task, 0.012),
+            realtime.RealtimeHost(),
+            Notifier(),
+            variants,
+        )
+        self.app = app
+        process = asyncio.get_running_loop().create_task(app.run())
+        await self._over.wait()
+        if process.done():
+            process.result()
+        if app.counters["faults"]:
+            self._complaints.append(f"{app.counters['faults']} faults in the cycle")
+        process.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await process
+
+    @property
+    def now_s(self) -> float:
+        """Time at which the open cycle began [s]."""
+        return self.line.cycle_start(self._cycle)
+
+    def _begin_cycle(self) -> None:
+        """Close a cycle of the controller and open the next one."""
+        if self._is_open:
+            self._close_cycle()
+        if self._over.is_set():
+            return
+        self._bring_cars()
+        app = self.app
+        if app is not None:
+            self.plc.poll(app, self.now_s, self._time.host_ns)
+        self._restart_robot()
+        self._exchange()
+        self._is_open = True
+        self._time.at(_ns(self.line.cycle_start(self._cycle + 1)), self._begin_cycle)
+
+    def _close_cycle(self) -> None:
+        before = self.controller.setpoints
+        if self._paused_until_s is None:
+            applied = self.controller.end_of_cycle()
+            self.plant.apply(applied)
+        else:
+            self.line.command(before)
+            self.plant.cycle += 1
+            self.line.advance(self.line.cycle_start(self.plant.cycle))
+        moved = self.controller.setpoints != before
+        self._standing = 0 if moved else self._standing + 1
+        self._cycle += 1
+        self._judge()
+
+    def _judge(self) -> None:
+        """Look at the present car's truth."""
+        self._force = max(self._force, self._emitters.wrench_n)
+        if self.line.impact is not None and self._impact_mm is None:
+            off = np.linalg.inv(self.line.hub_pose()) @ self.line.tcp_pose()
+            self._impact_mm = 1e3 * math.hypot(*off[:2, 3].tolist())
+        if self.controller.broken is not None and not self._complaints:
+            self._complaints.append(self.controller.broken)
+            self._over.set()
+
+    def _bring_cars(self) -> None:
+        """Let the next car enter once it is due and the robot stands."""
+        now_s = self.now_s
+        if now_s < self._due_s:
+            return
+        if self._standing * self.controller.config.cycle_s < STANDS_S:
+            if now_s - self._due_s > STUCK_S:
+                self._complaints.append(f"the robot does not stand at {now_s:.1f} s")
+                self._over.set()
+            return
+        self._end_car()
+        if self._next >= len(self._cars):
+            self._over.set()
+            return
+        car = self._cars[self._next]
+        self._next += 1
+        is_last = self._next == len(self._cars)
+        self._due_s = now_s + (min(self._takt_s, LAST_CAR_S) if is_last else self._takt_s)
+        self.line.enter(car, self.controller.setpoints, self._cycle)
+        self._has_restarted = False
+        if self.app is not None:
+            mount = self._station.task.file.conveyor.start_position
+            reading = self.line.reading + mount
+            self.plc.announce(self.app, car.part, car.variant, reading, self._time.host_ns)
+
+    def _end_car(self) -> None:
+        """Note what became of the present car."""
+        if not self._next:
+            return
+        world = self.line.world
+        collision = None if world.collision is None else world.collision.reason
+        is_done = world.screws_fixed_s is not None and world.released_s is not None
+        truth = CarTruth(is_done and collision is None, collision, self._impact_mm, self._force)
+        self._truths.append(truth)
+        self._on_car(self.line.car, truth)
+        self._impact_mm, self._force = None, 0.0
+        if self.app is not None:
+            size = weigh(self.app.cycle) + weigh(self.app._production)  # noqa: SLF001
+            self._growth = [self._growth[0] or size, size]
+
+    def _restart_robot(self) -> None:
+        """End the robot's program and start it again where it stands, if that is the fault."""
+        now_s = self.now_s
+        if self._paused_until_s is not None and now_s >= self._paused_until_s:
+            self._paused_until_s = None
+            self.controller.restart()
+        is_due = self.line.car.fault is CarFault.ROBOT_RESTARTED and self.line.is_faulty_now
+        if is_due and not self._has_restarted:
+            self._has_restarted = True
+            self._paused_until_s = now_s + PAUSE_S
+
+    def _exchange(self) -> None:
+        """Send the telegram, and let the sensors see the cycle."""
+        if self._paused_until_s is None:
+            data = self.controller.telegram()
+            if data is not None:
+                self._send(_ns(self.now_s) + TRANSIT_NS, data, ROBOT, RSI_PORT)
+        self.line.advance(self.line.cycle_start(self._cycle + 1) - AHEAD_S)
+        for at_s, link, piece in self._emitters.collect():
+            if link == "camera":
+                self._send(_ns(at_s), piece, CAMERA, CAMERA_PORT)
+            else:
+                bring = self._frame if link == "distance" else self._bytes
+                self._time.at(_ns(at_s), partial(bring, piece))
+
+    def _send(self, at_ns: int, data: bytes, source: Address, port: int) -> None:
+        self._time.at(at_ns, partial(self._arrive, data, source, port))
+
+    def _arrive(self, data: bytes, source: Address, port: int) -> None:
+        socket = self._time.sockets.get(port)
+        if socket is not None:
+            socket.put(data, source)
+
+    def _replied(self, data: bytes, _source: Address, target: Address) -> None:
+        if target == ROBOT and self._paused_until_s is None:
+            at_ns = self._time.now_ns + TRANSIT_NS
+            self._time.at(at_ns, partial(self._hear, data))
+
+    def _hear(self, data: bytes) -> None:
+        self.controller.on_reply(data, self._time.now_ns)
+
+    def _frame(self, data: bytes) -> None:
+        can_id, extended = self._emitters.frame
+        for bus in self._time.buses:
+            bus.put(can_id, data, extended=extended)
+
+    def _bytes(self, data: bytes) -> None:
+        for line in self._time.lines:
+            line.put(data)
+
+    def _talk(self, data: bytes | None) -> None:
+        device = self._emitters.force_torque
+        answer = device.boot() if data is None else device.feed(data)
+        if answer:
+            self._time.at(self._time.now_ns + TALKING_NS, partial(self._bytes, answer))
+
+
+def run(
+    cars: list[Car],
+    takt_s: float,
+    folder: Path | None = None,
+    on_car: Callable[[Car, CarTruth], None] = lambda _car, _truth: None,
+) -> ShiftOutcome:
+    """Run a shift.
+
+    Args:
+        takt_s: from one car to the next at least [s].
+        folder: for the record files; None: a temporary one.
+        on_car: called with each car that has left.
+    """
+    if folder is not None:
+        return ShiftRun(cars, takt_s, folder, on_car).run()
+    with tempfile.TemporaryDirectory(prefix="linemate-") as name:
+        return ShiftRun(cars, takt_s, Path(name), on_car).run()
+
+
+def _ns(time_s: float) -> int:
+    return EPOCH_NS + round(time_s * 1e9)
