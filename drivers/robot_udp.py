@@ -92,6 +92,9 @@ class RobotLink(DatagramLink):
         if self._socket is not None:
             self._on_open(self.opened_ns)
 
+    async def end_stream(self) -> None:
+        """End a stream that the daemon has asked for; here it has not."""
+
     def attend(self, until_ns: int) -> bool:
         """Sleep until a telegram comes, answer it, and return whether one came.
 

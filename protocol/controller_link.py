@@ -36,10 +36,13 @@ class ExchangeRules(Struct, frozen=True):
     Attributes:
         setpoints: what a setpoint counts from.
         accounted_s: after a longer silence it is unknown which setpoint is in force [s].
+        coasts: in a cycle without a reply the controller goes on at the speed of its last two
+            setpoints. Else it holds the last one.
     """
 
     setpoints: SetpointKind = SetpointKind.OFFSETS
     accounted_s: float = ACCOUNTED_S
+    coasts: bool = False
 
 
 class ControllerError(ProtocolError):
@@ -101,6 +104,35 @@ class ReadyReply(NamedTuple):
     peer: Hashable
     until_ns: int
     data: bytes
+
+
+class Handshake(Protocol):
+    """Start and stop of a stream that the daemon must ask for, on the telegrams' socket.
+
+    Attributes:
+        refusal: why there can be no stream and what to do, None if there can.
+        starts: streams that began.
+        is_ended: the last reply of the stream is out, or there is none.
+    """
+
+    refusal: str | None
+    starts: int
+    is_ended: bool
+
+    def due(self, now_ns: int) -> list[bytes]:
+        """Return the datagrams to send now [ns]."""
+
+    def on_datagram(self, data: bytes, now_ns: int) -> bool:
+        """Note a datagram of the controller, and return whether it is no telegram [ns]."""
+
+    def outgoing(self, reply: bytes) -> bytes:
+        """Return a reply as it goes out: the last one of a stream may be marked."""
+
+    def end(self) -> None:
+        """End the stream with the next reply."""
+
+    def farewell(self) -> list[bytes]:
+        """Return the datagrams that end the stream."""
 
 
 class ControllerLink(Protocol):

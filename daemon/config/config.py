@@ -14,7 +14,13 @@ from linemate.daemon.config.documents import Complaint, FileError, YamlDocument
 from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.named_files import NamedFiles
 from linemate.daemon.config.production_settings import window_error
-from linemate.daemon.config.settings import Config, ControllerKind, EgmSettings, RsiSettings
+from linemate.daemon.config.settings import (
+    Config,
+    ControllerKind,
+    EgmSettings,
+    FanucSettings,
+    RsiSettings,
+)
 from linemate.daemon.config.settings_tree import Settings
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.core.control import urdf_limits
@@ -77,10 +83,15 @@ class LoadedConfig:
         return RobotEndpoint(link.bind, port, link.peer)
 
     @property
-    def _link(self) -> RsiSettings | EgmSettings:
+    def _link(self) -> RsiSettings | EgmSettings | FanucSettings:
         """Section of the controller's family."""
-        is_egm = self.config.controller.kind is ControllerKind.EGM
-        return self.config.egm if is_egm else self.config.rsi
+        config = self.config
+        sections: dict[ControllerKind, RsiSettings | EgmSettings | FanucSettings] = {
+            ControllerKind.RSI: config.rsi,
+            ControllerKind.EGM: config.egm,
+            ControllerKind.FANUC: config.fanuc,
+        }
+        return sections[config.controller.kind]
 
 
 def load(path: Path) -> LoadedConfig:

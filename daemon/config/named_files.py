@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from linemate.daemon.config import files, rsi_check, section_checks, task_file, timeouts
+from linemate.daemon.config.controllers import fanuc_check
 from linemate.daemon.config.documents import Complaint, FileError
 from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.key_file import key_path, read_keys
@@ -25,6 +26,7 @@ from linemate.protocol.sensors.distance import DistanceDecoder, DistanceError, m
 MAX_LINK_BYTES = 1_048_576
 DEFAULT_RSI = "rsi_joints.xml"
 
+_PORTS = {ControllerKind.EGM.value: EGM_PORT, ControllerKind.FANUC.value: 0}
 _CORRECTION = {"A": "AK", "E": "EK"}
 
 
@@ -67,9 +69,12 @@ class NamedFiles:
             yield from self._attempt(path, read)
         yield from self._variant_complaints()
         yield from self._rsi_complaints()
-        if self._kind == ControllerKind.EGM and self.task is not None:
-            yield from section_checks.egm_complaints(self._values, self.task.file)
-        port = EGM_PORT if self._kind == ControllerKind.EGM else None
+        task = None if self.task is None else self.task.file
+        if self._kind == ControllerKind.EGM and task is not None:
+            yield from section_checks.egm_complaints(self._values, task)
+        if self._kind == ControllerKind.FANUC:
+            yield from fanuc_check.complaints(self._values, task)
+        port = _PORTS.get(self._kind)
         if self.rsi is not None:
             port = self.rsi.port
         yield from section_checks.complaints(self._values, self._base, (self._kind, port))

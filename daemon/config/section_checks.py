@@ -26,6 +26,8 @@ _ADDRESSES: tuple[tuple[str, ...], ...] = (
     ("rsi", "peer"),
     ("egm", "bind"),
     ("egm", "peer"),
+    ("fanuc", "peer"),
+    ("fanuc", "bind"),
     ("camera", "bind"),
     ("command", "udp", "bind"),
 )

@@ -31,6 +31,7 @@ class ControllerKind(StrEnum):
 
     RSI = "rsi"
     EGM = "egm"
+    FANUC = "fanuc"
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +40,7 @@ class ControllerSettings:
 
     Attributes:
         kind: family. The section of the same name has its settings: ``rsi`` for KUKA RSI, ``egm``
-            for ABB's Externally Guided Motion.
+            for ABB's Externally Guided Motion, ``fanuc`` for FANUC Stream Motion.
     """
 
     kind: ControllerKind = ControllerKind.RSI
@@ -102,6 +103,35 @@ class EgmSettings:
     signals: bool = True
     linear_axes: Annotated[tuple[ExternalAxis, ...], Len(0, 6)] = ("E1",)
     peer: Text | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FanucSettings:
+    """The link to a FANUC controller with Stream Motion (J519).
+
+    Attributes:
+        peer: numeric address of the controller, which the daemon asks for its packets.
+        peer_port: UDP port of the controller.
+        bind: numeric address of this host's interface to the controller.
+        port: UDP port of this host; 0 takes any free one.
+        version: of the protocol that the controller speaks.
+        cycle_ms: period of the controller [ms]: 8 on an R-30iB.
+        coupled: the controller's J3 is relative to the horizontal: q3 = J3 + J2. False if it is
+            relative to J2, as in the URDF.
+        rail: J7 is the linear axis that the task's arm stands on.
+        signals_byte: place of the tool's signals in the controller's inputs and outputs, 0..255.
+            None: the task has times instead of signals.
+    """
+
+    peer: Text | None = None
+    peer_port: Port = 60015
+    bind: Text = "127.0.0.1"
+    port: Port = 0
+    version: Literal[3, 4] = 3
+    cycle_ms: Literal[1, 2, 4, 8] = 8
+    coupled: bool = False
+    rail: bool = False
+    signals_byte: Annotated[int, Ge(0), Le(255)] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,6 +312,7 @@ class Config:
     controller: ControllerSettings = ControllerSettings()
     rsi: RsiSettings = RsiSettings()
     egm: EgmSettings = EgmSettings()
+    fanuc: FanucSettings = FanucSettings()
     distance: DistanceSettings | None = None
     camera: CameraSettings | None = None
     force_torque: ForceTorqueSettings | None = None

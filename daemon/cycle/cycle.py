@@ -132,6 +132,10 @@ class Cycle(Stepper):
         """
         self.session.listen(now_ns)
 
+    def restart_exchange(self) -> None:
+        """Note that the controller's counter begins again, as after a new start of its stream."""
+        self.exchange.reset()
+
     def prepare(self, stamp_ns: int) -> bool:
         """Make the step of a telegram that is expected at ``stamp_ns``; True if it is ready."""
         if self._state is None or self._ready is not None:
@@ -216,6 +220,7 @@ class Cycle(Stepper):
         self._owes_reply = decision.answer
         if not decision.answer:
             return None
+        self.session.cycles_since_command += decision.missed + 1
         if telegram.unready is not None:
             self.session.decline(telegram.unready, peer)
             return self._reply_bare(telegram.echo, stamp_ns, decision.steps)
@@ -248,6 +253,7 @@ class Cycle(Stepper):
         decision = self.decision = self.exchange.on_telegram(number, stamp_ns, peer)
         if not decision.answer:
             return None
+        self.session.cycles_since_command += decision.missed + 1
         self.session.refuse(peer)
         return self._reply_bare(echo, stamp_ns, decision.steps)
 

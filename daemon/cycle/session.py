@@ -40,6 +40,7 @@ class Session:
         applied: the last command that the controller applied.
         was_lost: the last reply was not applied.
         was_sent: the last step's command went out in a reply.
+        cycles_since_command: of the controller since the last command went out.
         moves: the controller got a command in its last cycle, as far as is known.
         proof: why the correction in force is known.
         unproven: why it is not, and what to do; None while it is, and before any telegram.
@@ -65,6 +66,7 @@ class Session:
         "_silent_until_ns",
         "_telegrams",
         "applied",
+        "cycles_since_command",
         "moves",
         "openings",
         "pending",
@@ -91,6 +93,7 @@ class Session:
         self.was_lost = False
         self.was_sent = True
         self.moves = False
+        self.cycles_since_command = 0
         self.proof = Proof.NONE
         self.unproven: str | None = None
         self.stalled_s = 0.0
@@ -169,12 +172,16 @@ class Session:
         """
         if self._rules.setpoints is SetpointKind.INCREMENTS:
             return False
-        if not self.is_proven or self._program is None or self._is_interrupted:
+        if not self.is_proven or self._program is None:
+            return True
+        # A setpoint that is a position is known without the replies that were left out.
+        is_position = self._rules.setpoints is SetpointKind.POSITIONS
+        if self._is_interrupted and not is_position:
             return True
         passed_s = (robot.stamp_ns - self._program.stamp_ns) * 1e-9
         if max(passed_s, missed * self._cycle_s) >= self._rules.accounted_s:
             return True
-        if self._rules.setpoints is SetpointKind.POSITIONS:
+        if is_position:
             return False
         # Missed cycles got no reply. If Delay says otherwise, the counter has jumped.
         bad = 0 if robot.delay is None or self._delay is None else robot.delay - self._delay
@@ -388,11 +395,11 @@ class Session:
     def give(self, command: Axes) -> None:
         """A reply goes to the wire; its delivery status is open."""
         self.was_sent, self.was_lost, self.moves = True, False, True
-        self.pending = command
+        self.pending, self.cycles_since_command = command, 0
 
     def give_unread(self, command: Axes) -> None:
         """Note a reply that went out to a telegram that could not be judged afterwards."""
-        self.pending = command
+        self.pending, self.cycles_since_command = command, 0
         program = self._program
         if program is not None:
             self._program = program._replace(pending=command, replies=program.replies + 1)

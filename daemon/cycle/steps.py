@@ -11,6 +11,7 @@ from msgspec.structs import replace
 
 from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core import step as stepping
+from linemate.daemon.core.control.command_limiter import LimiterState
 from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.tracking.touch import tare
@@ -176,7 +177,7 @@ class Stepper:
         else:
             self._state = stepping.initial(self.parameters, position)
         self._robot = robot
-        self._ready = self._plan = None
+        self._ready = self._plan = self._given = None
 
     def _finish_again(self, last: LogEntry, plan: stepping.StepPlan, ipoc: int) -> LogEntry:
         """Finish the last step again, with the robot's position from the telegram.
@@ -184,7 +185,7 @@ class Stepper:
         The timer has made the step of this telegram, or of a later one. One more step than the
         controller has cycles would predict the object too far ahead.
         """
-        sent, applied, pace = self._delivery(answering=True)
+        sent, applied, pace = self._delivery(last.inputs.k, answering=True)
         before, made_with = last.before, last.parameters
         assert before is not None and made_with is not None and last.after is not None  # noqa: PT018, S101
         if sent:
@@ -223,8 +224,8 @@ class Stepper:
 
     def _confirmed(self, ready: PreparedStep, *, answering: bool = False) -> PreparedStep:
         """Return a prepared step, finished again if the robot did not get the last command."""
-        sent, applied, pace = self._delivery(answering=answering)
         inputs = ready.entry.inputs
+        sent, applied, pace = self._delivery(inputs.k, answering=answering)
         if (inputs.sent, inputs.applied, inputs.pace) == (sent, applied, pace):
             return ready
         self.remade += 1
@@ -235,12 +236,15 @@ class Stepper:
         entry = replace(ready.entry, inputs=inputs, outputs=outputs, after=self._state)
         return PreparedStep(self._reply(entry), entry, ready.plan)
 
-    def _delivery(self, *, answering: bool) -> tuple[bool, Axes | None, tuple[Axes, Axes] | None]:
+    def _delivery(
+        self, k: int, *, answering: bool
+    ) -> tuple[bool, Axes | None, tuple[Axes, Axes] | None]:
         """Return the delivery status of the last step's command.
 
         Args:
+            k: number of the step that asks.
             answering: a telegram shows that no cycle has passed. Without one, a robot that got no
-                command holds.
+                command holds, or coasts if its controller does so.
 
         Returns:
             Whether the robot has the command; else where it is, and its speed and acceleration.
@@ -248,10 +252,24 @@ class Stepper:
         session, given = self.session, self._given
         if session.arrived:
             return True, None, None
-        if not (answering and session.moves) or given is None or given.after is None:
+        if given is None or given.after is None:
             return False, session.held, None
         gate = given.after.control.limiter
+        if not (answering and session.moves):
+            if not self._link.rules.coasts:
+                return False, session.held, None
+            cycles = session.cycles_since_command if answering else k - given.inputs.k
+            return False, *self._coasted(gate, cycles - 1)
         return False, session.held, (tuple(gate.speed.tolist()), tuple(gate.acceleration.tolist()))
+
+    def _coasted(self, gate: LimiterState, cycles: int) -> tuple[Axes, tuple[Axes, Axes]]:
+        """Return setpoint, speed and acceleration of a controller that goes on by itself.
+
+        q + n T0 q', for n cycles without a command.
+        """
+        position = gate.position + max(0, cycles) * self.parameters.cycle_s * gate.speed
+        rest = (0.0,) * len(position)
+        return tuple(position.tolist()), (tuple(gate.speed.tolist()), rest)
 
     def _catch_up(self, stamp_ns: int, steps: int) -> None:
         """Make the steps of cycles whose telegrams did not come, unless the timer made them."""
@@ -290,7 +308,7 @@ class Stepper:
         before = self.machine
         self.operating.decide(stamp_ns, self.samples, self._situation(), telegram=telegram)
         started = self.machine is not before and self.machine.state is State.TRACK
-        sent, applied, pace = self._delivery(answering=answering)
+        sent, applied, pace = self._delivery(self.steps, answering=answering)
         inputs = Inputs(
             self.steps,
             stamp_ns,

@@ -14,10 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from linemate.daemon.config import documents, task_file
+from linemate.daemon.config import documents, task_file, timeouts
 from linemate.daemon.config import settings_tree as tree
 from linemate.daemon.config.documents import FileError
-from linemate.daemon.config.settings import RsiSettings
 from linemate.daemon.config.settings_tree import SettingError, Settings
 from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core import parameters as compiling
@@ -305,10 +304,8 @@ class _Replayer:
         except (FileError, SettingError) as error:
             raise ReplayError(str(error)) from error
         self._cell = (task, texts["urdf"])
-        rsi = value.get("rsi")
-        written = rsi.get("cycle_ms") if isinstance(rsi, dict) else None
-        if isinstance(rsi, dict) or "task" in value:
-            self._build({"cycle_s": 1e-3 * (written or RsiSettings().cycle_ms)})
+        if "task" in value or isinstance(value.get("rsi"), dict):
+            self._build({"cycle_s": 1e-3 * timeouts.cycle_ms(value)})
 
     def _build(self, recorded: Mapping[str, Any]) -> None:
         """Compile parameters, unless they are those in force."""

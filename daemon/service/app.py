@@ -15,7 +15,6 @@ import signal
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from typing import Any
 
 from linemate.daemon.config.config import LoadedConfig
@@ -38,6 +37,7 @@ from linemate.daemon.service.assembly import (
     build_learner,
     build_link,
     build_recorder,
+    build_robot,
     build_sensors,
     incident_directory,
 )
@@ -109,14 +109,7 @@ class App:
             config.watch,
             wrench_expected=config.force_torque is not None,
         )
-        self._robot = RobotLink(
-            self._on_telegram,
-            station.robot.bind,
-            station.robot.port,
-            # Not a function of ours: it is called between a telegram and its reply.
-            ready_reply=partial(getattr, self.cycle, "ready_reply"),
-            on_open=self.cycle.listen,
-        )
+        self._robot = build_robot(station, self._on_telegram, self.cycle)
         self._peer = station.robot.peer
         self._sensors = tuple(build_sensors(station, self.cycle))
         self._links: tuple[Link, ...] = (self._robot, *self._sensors)
@@ -203,6 +196,7 @@ class App:
             await self._end.wait()
             self._notifier.stopping()
             await self._come_to_rest()
+            await self._robot.end_stream()
         finally:
             await self._close()
 

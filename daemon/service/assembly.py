@@ -16,10 +16,14 @@ from linemate.daemon.service.endpoints import LocalEndpoint, UdpEndpoint
 from linemate.drivers.camera_peer import parse_peer
 from linemate.drivers.camera_udp import CameraLink
 from linemate.drivers.can_bus import CanLink
+from linemate.drivers.robot_udp import OnTelegram, RobotLink
 from linemate.drivers.serial_port import SerialLink
+from linemate.drivers.stream_udp import StreamLink
 from linemate.protocol.controller_link import ControllerLink
 from linemate.protocol.egm.egm_codec import EgmCodec
 from linemate.protocol.egm.egm_link import EgmLink
+from linemate.protocol.fanuc.fanuc_link import FanucLink
+from linemate.protocol.fanuc.handshake import FanucHandshake
 from linemate.protocol.rsi.codec import RsiCodec
 from linemate.protocol.rsi.rsi_link import RsiLink
 from linemate.protocol.sensors.camera_codec import CameraDecoder
@@ -31,12 +35,42 @@ def build_link(station: LoadedConfig, parameters: Parameters) -> ControllerLink:
     """Return the codec and the rules of the robot's controller."""
     if station.config.controller.kind is ControllerKind.EGM:
         return _build_egm(station, parameters)
+    on_rail = parameters.controller.arm.linear_axis
+    fanuc = station.config.fanuc
+    if station.config.controller.kind is ControllerKind.FANUC:
+        return FanucLink(
+            fanuc.version,
+            is_coupled=fanuc.coupled,
+            on_rail=on_rail,
+            signals_byte=fanuc.signals_byte,
+        )
     settings, file = station.config.rsi, station.rsi
     assert file is not None  # noqa: S101 - ``config.load`` refuses RSI without its file
     return RsiLink(
         RsiCodec(file, settings.linear_axes, constants=settings.constants),
         absolute=settings.corrections is Corrections.ABSOLUTE,
-        on_rail=parameters.controller.arm.linear_axis,
+        on_rail=on_rail,
+    )
+
+
+def build_robot(station: LoadedConfig, on_telegram: OnTelegram, cycle: Cycle) -> RobotLink:
+    """Return the link that answers the robot's controller."""
+    fanuc, endpoint = station.config.fanuc, station.robot
+    # Not a function of ours: it is called between a telegram and its reply.
+    ready_reply = partial(getattr, cycle, "ready_reply")
+    if station.config.controller.kind is ControllerKind.FANUC and endpoint.peer is not None:
+        return StreamLink(
+            on_telegram,
+            endpoint.bind,
+            endpoint.port,
+            (endpoint.peer, fanuc.peer_port),
+            FanucHandshake(fanuc.version, fanuc.cycle_ms),
+            ready_reply=ready_reply,
+            on_open=cycle.listen,
+            on_start=cycle.restart_exchange,
+        )
+    return RobotLink(
+        on_telegram, endpoint.bind, endpoint.port, ready_reply=ready_reply, on_open=cycle.listen
     )
 
 

@@ -1,0 +1,1 @@
+"""FANUC Stream Motion: packets, link and start of the stream."""
