@@ -112,12 +112,14 @@ class Handshake(Protocol):
     Attributes:
         refusal: why there can be no stream and what to do, None if there can.
         starts: streams that began.
-        is_ended: the last reply of the stream is out, or there is none.
     """
 
     refusal: str | None
     starts: int
-    is_ended: bool
+
+    @property
+    def is_ended(self) -> bool:
+        """The last reply of the stream is out, or there is none."""
 
     def due(self, now_ns: int) -> list[bytes]:
         """Return the datagrams to send now [ns]."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from linemate.protocol.exchange_controller import Judgement
+from linemate.simulators.devices.fanuc.fanuc_controller import FanucController
 from linemate.simulators.devices.links.controllers import EmulatedController
 from linemate.simulators.devices.links.endpoint import Address, Endpoint
 from linemate.simulators.devices.rsi_controller import Applied
@@ -98,6 +99,7 @@ class ControllerUdp:
         self._cycle_ns = round(controller.config.cycle_s * 1e9)
         self._endpoint: Endpoint | None = None
         self._grace_ns = min(GRACE_NS, self._cycle_ns // 4)
+        self._asked = controller if isinstance(controller, FanucController) else None
         self._due_ns = 0
         self._begun_ns = 0
         self._sent_ns = 0
@@ -138,13 +140,13 @@ class ControllerUdp:
         self.turnaround.clear()
         self.pace = SendPace()
 
-    def put(self, data: bytes) -> bool:
-        """Send any datagram to the daemon.
+    def put(self, data: bytes, target: Address | None = None) -> bool:
+        """Send any datagram to the daemon, or to another address.
 
         Returns:
             Whether the kernel took it.
         """
-        return self._endpoint is not None and self._endpoint.send(data, self._target)
+        return self._endpoint is not None and self._endpoint.send(data, target or self._target)
 
     def stop(self) -> None:
         """Open no further cycle."""
@@ -215,15 +217,23 @@ class ControllerUdp:
         received = None if self._endpoint is None else self._endpoint.receive()
         if received is None:
             return False
-        data, stamp_ns = received
+        data, stamp_ns, source = received
         if self.is_deaf:
             return True
         judgement = self.controller.on_reply(data, stamp_ns, self._due_ns)
+        if self._asked is not None:
+            self._answer(self._asked, source)
         if judgement is Judgement.ACCEPTED:
             self._elapsed_ns = max(stamp_ns - self._sent_ns, 0)
             self.turnaround.add(self._elapsed_ns)
             self._begin()
         return True
+
+    def _answer(self, asked: FanucController, source: Address) -> None:
+        """Answer a client's requests; packets go to it from now on."""
+        for data in asked.take_answers():
+            self.put(data, source)
+        self._target = source
 
     def _finish(self) -> None:
         if self._is_open:

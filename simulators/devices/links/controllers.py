@@ -7,12 +7,14 @@ from typing import Protocol
 from linemate.protocol.exchange_controller import ControllerCounts, Judgement
 from linemate.protocol.rsi.codec import parse_config
 from linemate.simulators.devices.egm.egm_controller import EgmController
+from linemate.simulators.devices.fanuc.fanuc_controller import FanucController
 from linemate.simulators.devices.limit_judge import AxisLimit, LimitJudge
 from linemate.simulators.devices.links.emulator_config import EmulatorConfig
 from linemate.simulators.devices.links.endpoint import Address
 from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.devices.rsi_controller import Applied, RsiController
 
+FANUC_TARGET = ("127.0.0.1", 60015)
 EGM_TARGET = ("127.0.0.1", 6510)  # port that EGM's sensor listens on in ABB's examples
 
 
@@ -86,6 +88,10 @@ def build_controller(
     if config.egm is not None:
         egm = replace(config.egm, cycle_s=cycle_s, patient=config.egm.patient or waits)
         return EgmController(plant.read, plant.start, egm), config.robot_target or EGM_TARGET
+    if config.fanuc is not None:
+        fanuc = replace(config.fanuc, cycle_s=cycle_s, patient=config.fanuc.patient or waits)
+        # Packets go to the client that asks.
+        return FanucController(plant.read, plant.start, fanuc), config.robot_target or FANUC_TARGET
     rsi = parse_config(config.rsi_xml.read_bytes())
     own = config.controller
     controller = RsiController(

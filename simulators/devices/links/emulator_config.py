@@ -10,6 +10,7 @@ from pathlib import Path
 from linemate import protocol
 from linemate.protocol.sensors.distance import SHIPPED_DBC
 from linemate.simulators.devices.egm.egm_controller import EgmConfig
+from linemate.simulators.devices.fanuc.fanuc_controller import FanucConfig
 from linemate.simulators.devices.links.endpoint import Address
 from linemate.simulators.devices.rsi_controller import ControllerConfig
 from linemate.simulators.devices.worlds import OWN
@@ -30,6 +31,7 @@ class EmulatorConfig:
         mujoco: sizes of the MuJoCo station.
         controller: how a controller with RSI is set up; its cycle is the scenario's.
         egm: how a controller with ABB's EGM is set up instead, None for RSI.
+        fanuc: how a controller with FANUC's Stream Motion is set up instead, None for RSI.
         rsi_xml: path of the site's RSI_EthernetConfig.xml.
         robot_target: where telegrams go; None: to IP_NUMBER and PORT of the configuration, with EGM
             to port 6510 of this host.
@@ -61,6 +63,7 @@ class EmulatorConfig:
     mujoco: MujocoCell = field(default_factory=MujocoCell)
     controller: ControllerConfig = field(default_factory=ControllerConfig)
     egm: EgmConfig | None = None
+    fanuc: FanucConfig | None = None
     rsi_xml: Path = SHIPPED_RSI
     robot_target: Address | None = None
     robot_bind: Address = ("127.0.0.1", 0)

@@ -75,17 +75,17 @@ class Endpoint:
             return False
         return True
 
-    def receive(self) -> tuple[bytes, int] | None:
+    def receive(self) -> tuple[bytes, int, Address] | None:
         """Take one datagram.
 
         Returns:
-            Its bytes and its monotonic arrival [ns]; None if nothing waits.
+            Its bytes, its monotonic arrival [ns] and its source; None if nothing waits.
         """
         try:
-            data, ancillary, _, _ = self.link.recvmsg(_READ_BYTES, _SPACE)
+            data, ancillary, _, source = self.link.recvmsg(_READ_BYTES, _SPACE)
         except OSError:
             return None
-        return data, _arrival(ancillary)
+        return data, _arrival(ancillary), source
 
     def close(self) -> None:
         """Close the socket."""

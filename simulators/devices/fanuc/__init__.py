@@ -1,0 +1,1 @@
+"""Emulated FANUC controller with Stream Motion."""
