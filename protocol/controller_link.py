@@ -111,7 +111,6 @@ class Handshake(Protocol):
 
     Attributes:
         refusal: why there can be no stream and what to do, None if there can.
-        starts: streams that began.
     """
 
     refusal: str | None
@@ -141,7 +140,7 @@ class ControllerLink(Protocol):
     """Codec of a family and the rules of its exchange.
 
     Attributes:
-        rules: of the exchange.
+        rules: what a setpoint counts from, and how long a silence may be.
     """
 
     rules: ExchangeRules

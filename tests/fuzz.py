@@ -26,6 +26,9 @@ from linemate.protocol.egm.egm_codec import (
     RobotMessage,
 )
 from linemate.protocol.errors import ProtocolError
+from linemate.protocol.fanuc import packets
+from linemate.protocol.fanuc.fanuc_link import FanucLink
+from linemate.protocol.fanuc.packets import CapabilityPacket, CommandPacket, StatusPacket
 from linemate.protocol.rsi import ethernet_config
 from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, SensorTelegram, parse_config
 from linemate.protocol.sensors import camera_codec, slcan
@@ -96,6 +99,30 @@ def _egm() -> tuple[Wire, Wire]:
     )
 
 
+def _fanuc() -> tuple[Wire, Wire, Wire]:
+    joints = (*SIX, 100.0, 0.0, 0.0)
+    links = {version: FanucLink(version, on_rail=True) for version in (3, 4)}
+    statuses = tuple(
+        packets.write_status(StatusPacket(version, 12, 9, 0, joints)) for version in links
+    )
+
+    def parse(data: bytes) -> object:
+        link = links[4 if len(data) > 400 else 3]
+        telegram = link.read(data, 1)
+        assert all(abs(q) < 1e39 for q in telegram.robot.joints)
+        pattern, echo = link.expect(telegram.counter, None, telegram.robot.joints, 0.05)
+        assert echo == telegram.echo
+        # What is expected is read, and it is not unready.
+        assert pattern.matches(data) <= (telegram.unready is None)
+        return telegram
+
+    return (
+        Wire(statuses, parse),
+        Wire((packets.write_command(CommandPacket(3, 12, joints)),), packets.read_command),
+        Wire((packets.write_capability(CapabilityPacket(3, 8, 1, 3)),), packets.read_capability),
+    )
+
+
 def _camera() -> Wire:
     message = CameraMessage(
         v=1, src="c", seq=1, t_exp=10**9, t_tx=10**9, frame="camera", obj="hub",
@@ -156,6 +183,7 @@ def wires() -> dict[str, Wire]:
     """Every wire by name."""
     robot, reply, config = _rsi()
     egm_robot, egm_sensor = _egm()
+    status, command, capability = _fanuc()
     frame, request, answer = _command()
     return {
         "robot": robot,
@@ -163,6 +191,9 @@ def wires() -> dict[str, Wire]:
         "config": config,
         "egm_robot": egm_robot,
         "egm_sensor": egm_sensor,
+        "fanuc_status": status,
+        "fanuc_command": command,
+        "fanuc_capability": capability,
         "camera": _camera(),
         "distance": _distance(),
         "bota": _stream("bota", bota_frame((1.0, 2.0, 3.0), (0.1, 0.2, 0.3))),

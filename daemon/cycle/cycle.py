@@ -222,7 +222,7 @@ class Cycle(Stepper):
             return None
         self.session.cycles_since_command += decision.missed + 1
         if telegram.unready is not None:
-            self.session.decline(telegram.unready, peer)
+            self.session.decline(telegram.unready, self._axes(robot), peer)
             return self._reply_bare(telegram.echo, stamp_ns, decision.steps)
         is_unproven = decision.kind in _OPENS or self.session.needs_proof(robot, decision.missed)
         if is_unproven and not self._prove(telegram, peer, decision):

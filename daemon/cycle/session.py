@@ -252,6 +252,7 @@ class Session:
         ):
             start = Start.NOT_SEEN
         confirmations = self._follow_candidate(robot, axes, peer, start)
+        at_rest = self._has_rested(axes)
         self._lately.append(axes)
         return Evidence(
             known=known,
@@ -261,31 +262,37 @@ class Session:
             confirmed=confirmations >= CONFIRMATIONS,
             programmed=proving.compare(axes, programmed),
             refuted=program is not None and proving.refutes(program, programmed),
-            at_rest=self._has_rested(),
+            at_rest=at_rest,
         )
 
-    def _has_rested(self) -> bool:
-        """Return whether the axes have not moved for some time."""
-        spread = max(max(way) - min(way) for way in zip(*self._lately, strict=True))
-        return len(self._lately) == self._lately.maxlen and spread < STILL
+    def _has_rested(self, axes: Axes) -> bool:
+        """Return whether the axes have not moved for some time until now."""
+        way = [*self._lately, axes][-(self._lately.maxlen or 0) :]
+        spread = max(max(places) - min(places) for places in zip(*way, strict=True))
+        return len(way) == self._lately.maxlen and spread < STILL
 
     def _prove_position(self, axes: Axes, peer: Hashable) -> tuple[Axes, Axes] | None:
         """Return the reported position as the setpoint in force, None while the robot moves.
 
         A robot that was moved may coast to a stop. Its position then is not its setpoint.
         """
-        self._lately.append(axes)
         program = self._program
-        if program is not None and program.moved and not self._has_rested():
-            self.decline("the setpoint in force is unknown: the robot still moves. Wait.", peer)
+        if program is not None and program.moved and not self._has_rested(axes):
+            why = "the setpoint in force is unknown: the robot still moves. Wait."
+            self.decline(why, axes, peer)
             self.proof = Proof.PENDING
             return None
         self._lately.clear()
         self.proof, self.unproven = Proof.REPORTED, None
         return axes, axes
 
-    def decline(self, reason: str, peer: Hashable) -> None:
-        """Note a telegram that gets no setpoint; the next one that may needs a proof."""
+    def decline(self, reason: str, axes: Axes, peer: Hashable) -> None:
+        """Note a telegram that gets no setpoint; the next one that may needs a proof.
+
+        Args:
+            axes: where it says the axes are.
+        """
+        self._lately.append(axes)
         self.proof, self.unproven = Proof.NONE, reason
         self.refuse(peer)
 

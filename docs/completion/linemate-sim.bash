@@ -7,9 +7,9 @@
 
 _shtab_linemate_sim_subparsers=(demo run campaign world emulator bench schema)
 
-_shtab_linemate_sim_demo_option_strings=(-h --help --scenario --world --out --json --cycle-ms --seed --strict --view)
-_shtab_linemate_sim_run_option_strings=(-h --help --scenario --world --out --json --set --workers --cycle-ms --seed --variant --timing)
-_shtab_linemate_sim_campaign_option_strings=(-h --help --scenario --world --out --json --set --workers --cycle-ms --seeds --first-seed --scheduler --detection --variants)
+_shtab_linemate_sim_demo_option_strings=(-h --help --scenario --world --controller --out --json --cycle-ms --seed --strict --view)
+_shtab_linemate_sim_run_option_strings=(-h --help --scenario --world --controller --out --json --set --workers --cycle-ms --seed --variant --timing)
+_shtab_linemate_sim_campaign_option_strings=(-h --help --scenario --world --controller --out --json --set --workers --cycle-ms --seeds --first-seed --scheduler --detection --variants)
 _shtab_linemate_sim_world_option_strings=(-h --help --world --rows --seeds --cycle-ms --json --check --list --kept --set --workers)
 _shtab_linemate_sim_emulator_option_strings=(-h --help --config)
 _shtab_linemate_sim_bench_option_strings=(-h --help --json --rounds --round-s --cycles --parts --awake --no-awake --plot)
@@ -24,10 +24,13 @@ _shtab_linemate_sim_emulator___config_COMPGEN=_shtab_compgen_files
 _shtab_linemate_sim_bench___plot_COMPGEN=_shtab_compgen_files
 
 _shtab_linemate_sim_demo___world_choices=(own mujoco)
-_shtab_linemate_sim_demo___cycle_ms_choices=(4 12)
+_shtab_linemate_sim_demo___controller_choices=(rsi fanuc)
+_shtab_linemate_sim_demo___cycle_ms_choices=(4 8 12)
 _shtab_linemate_sim_run___world_choices=(own mujoco)
+_shtab_linemate_sim_run___controller_choices=(rsi fanuc)
 _shtab_linemate_sim_run___variant_choices=(oracle default bank imm rule no-classes no-prediction no-feedforward no-damping no-swing no-blend)
 _shtab_linemate_sim_campaign___world_choices=(own mujoco)
+_shtab_linemate_sim_campaign___controller_choices=(rsi fanuc)
 _shtab_linemate_sim_world___world_choices=(own mujoco)
 _shtab_linemate_sim_schema_pos_0_choices=(scenario task emulator)
 _shtab_linemate_sim_pos_0_choices=(demo run campaign world emulator bench schema)

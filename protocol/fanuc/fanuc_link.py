@@ -75,7 +75,7 @@ class FanucLink:
     """Reads status packets and writes commands.
 
     Attributes:
-        rules: of the exchange.
+        rules: setpoints are positions, and the controller coasts.
     """
 
     def __init__(
@@ -184,11 +184,7 @@ class FanucLink:
         return PreparedReply(data[: _COUNTER.start], data[_COUNTER.stop :])
 
     def without_setpoint(self, digital_out: int) -> None:
-        """Return None: without a command the controller keeps to its own program.
-
-        Args:
-            digital_out: not sent.
-        """
+        """Return None: without a command the controller keeps to its own program."""
         del digital_out
 
     def _positions(self, wire: tuple[float, ...]) -> tuple[float, ...]:

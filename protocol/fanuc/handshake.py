@@ -2,7 +2,7 @@
 
 Invariants:
     Pure: stamps and bytes in, bytes out.
-    STOP, then CAPABILITY, then START. A stream that falls silent begins anew.
+    STOP, then CAPABILITY, then START. A stream that falls silent is asked for again.
     A controller of another version or period gets no START, and ``refusal`` names both.
 """
 
@@ -21,7 +21,7 @@ from linemate.protocol.fanuc.packets import (
 )
 
 ASK_EVERY_NS: Final = 500_000_000
-REFUSED_EVERY_NS: Final = 2_000_000_000  # a refused controller may be set up meanwhile
+REFUSED_EVERY_NS: Final = 2_000_000_000  # a refused controller may be set up in the meantime
 SILENT_NS: Final = 500_000_000  # a stream without a packet for so long has ended
 
 _LAST_AT = 12  # offset of is_last in a command
@@ -43,9 +43,7 @@ class FanucHandshake:
     """The daemon's side.
 
     Attributes:
-        state: of the stream.
         refusal: why the controller gets no START, None if it fits or is not known.
-        starts: streams that began.
     """
 
     def __init__(self, version: int, cycle_ms: float) -> None:
@@ -53,7 +51,7 @@ class FanucHandshake:
 
         Args:
             version: configured version of the protocol.
-            cycle_ms: configured period [ms].
+            cycle_ms: period that the controller should have [ms].
         """
         self.state = StreamState.CLOSED
         self.refusal: str | None = None

@@ -78,7 +78,6 @@ class StatusPacket(Struct, frozen=True):
         time_ms: the controller's clock [ms].
         pose: x, y, z [mm], w, p, r [deg], external axes.
         joints: J1..J9 [deg], linear axes [mm].
-        current: motor currents.
         safety_scale: share of the speed that a safety function leaves.
         wrench: force [N] and torque [Nm], None in version 3.
         force_sensor: type of the force sensor, None in version 3.
@@ -214,9 +213,9 @@ def read_status(data: bytes) -> StatusPacket:
     if len(data) != layout.size:
         raise FanucError(f"status packet of type {kind}: {len(data)} bytes, not {layout.size}")
     values = layout.unpack(data)
-    said, sequence = values[1], values[2]
-    if said != version:
-        raise FanucError(f"version {said} in a packet of type {kind}, not {version}", sequence)
+    written, sequence = values[1], values[2]
+    if written != version:
+        raise FanucError(f"version {written} in a packet of type {kind}, not {version}", sequence)
     joints = values[8 + AXES : 8 + 2 * AXES]
     if not all(map(math.isfinite, joints)):
         raise FanucError("a joint is not finite", sequence)

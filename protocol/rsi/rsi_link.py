@@ -25,7 +25,7 @@ class RsiLink:
     """Reads telegrams and writes replies of one configuration.
 
     Attributes:
-        rules: of the exchange.
+        rules: setpoints are offsets or increments, and the controller holds.
         bare: a reply of the constants alone: the controller keeps the corrections that it has.
     """
 

@@ -27,7 +27,7 @@ from linemate.daemon.service.host.idle_spinner import IdleSpinner
 from linemate.daemon.transport.client import Client, NoAnswerError, RefusedError
 from linemate.simulators.devices import truth
 from linemate.simulators.devices.worlds import OWN, require
-from linemate.simulators.harness import host, scenario_file
+from linemate.simulators.harness import families, host, scenario_file
 from linemate.simulators.harness import identified_overlay as overlay
 from linemate.simulators.harness import terminal_view as live
 from linemate.simulators.harness.emulator_command import EX_BROKEN
@@ -42,6 +42,7 @@ from linemate.simulators.harness.processes import (
 )
 from linemate.simulators.harness.setup import shipped_task
 from linemate.simulators.harness.terminal_view import Glimpse, LinkGlimpse, TerminalView
+from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.harness.world import world_rows
 from linemate.simulators.judge import joined, report_json, table
 from linemate.simulators.judge.judge import judge, unanswered
@@ -77,6 +78,8 @@ class DemoStation:
         folder: temporary, for ports, logs and configurations.
         cores: the daemon's and the emulators'; empty leaves them to the scheduler.
         world: name, one of ``worlds.WORLDS``.
+        controller: family, one of ``families.FAMILIES``.
+        robot_port: UDP port of a controller that the daemon must ask.
         ports: TCP ports of the slcan adapter and of the force-torque sensor.
     """
 
@@ -84,6 +87,8 @@ class DemoStation:
     scenario: Scenario
     cores: tuple[tuple[int, ...], tuple[int, ...]] = ((), ())
     world: str = OWN
+    controller: str = families.RSI
+    robot_port: int = field(default_factory=lambda: _free_port(socket.SOCK_DGRAM))
     ports: tuple[int, int] = field(default_factory=lambda: (_free_port(), _free_port()))
 
     @property
@@ -100,7 +105,7 @@ class DemoStation:
         """Return the daemon's configuration, which has nothing of the emulator's plant."""
         return {
             "task": "wheel.yaml",
-            "rsi": {"port": 0, "cycle_ms": round(1e3 * self.scenario.cycle_s)},
+            **families.daemon_sections(self.controller, self.scenario.cycle_s, self.robot_port),
             "distance": {"can": {"interface": "slcan", "channel": _url(self.ports[0])}},
             "camera": {"port": 0},
             "force_torque": {"url": _url(self.ports[1])},
@@ -133,6 +138,7 @@ class DemoStation:
             "priority": EMULATOR_PRIORITY,
             "cpus": list(self.cores[1]),
             "robot_target": listening["robot"],
+            **families.emulator_sections(self.controller, self.robot_port),
             "camera_target": listening["camera"],
             # Where the task's own distance sensor stands.
             "distance_mount": shipped_task().file.conveyor.start_position,
@@ -153,9 +159,9 @@ class DemoStation:
         return path
 
 
-def _free_port() -> int:
-    """Return a free TCP port of the loopback."""
-    with socket.socket() as probe:
+def _free_port(kind: int = socket.SOCK_STREAM) -> int:
+    """Return a free port of the loopback."""
+    with socket.socket(type=kind) as probe:
         probe.bind((LOOPBACK, 0))
         return int(probe.getsockname()[1])
 
@@ -202,7 +208,7 @@ def main(args: Namespace) -> int:
     """Run the demonstration.
 
     Args:
-        args: scenario, world, cycle_ms, seed, out, view, strict, json.
+        args: scenario, world, controller, cycle_ms, seed, out, view, strict, json.
 
     Returns:
         0 assembled within limits with no more late replies than the controller tolerates, none
@@ -210,10 +216,15 @@ def main(args: Namespace) -> int:
 
     Raises:
         FileError: what is wrong with the scenario's file.
+        SetupError: a cycle that the controller does not have.
     """
     require(args.world)
+    cycle_ms = args.cycle_ms or families.CYCLE_MS[args.controller]
+    if cycle_ms not in families.CYCLES_MS[args.controller]:
+        known = " or ".join(f"{ms:g}" for ms in families.CYCLES_MS[args.controller])
+        raise SetupError(f"--cycle-ms {cycle_ms:g}: {args.controller} has {known}")
     scenario = scenario_file.load(args.scenario)
-    scenario = replace(scenario, seed=args.seed, cycle_s=round(args.cycle_ms * 1e-3, 9))
+    scenario = replace(scenario, seed=args.seed, cycle_s=round(cycle_ms * 1e-3, 9))
     out = args.out or Path("out/demo")
     refused = host.missing_rights()
     if refused is not None:
@@ -221,7 +232,12 @@ def main(args: Namespace) -> int:
     try:
         with interruptible():
             result = perform(
-                scenario, out, is_viewed=args.view, strict=args.strict, world=args.world
+                scenario,
+                out,
+                is_viewed=args.view,
+                strict=args.strict,
+                world=args.world,
+                controller=args.controller,
             )
     except (DemoError, ChildError, TimeoutError, NoAnswerError, RefusedError) as error:
         print(f"linemate-sim demo: {error}", file=sys.stderr)
@@ -237,6 +253,7 @@ def perform(
     is_viewed: bool = False,
     strict: bool = False,
     world: str = OWN,
+    controller: str = families.RSI,
 ) -> dict[str, Any]:
     """Run a scenario with everything in its place, judge it, and leave the results.
 
@@ -246,6 +263,7 @@ def perform(
         is_viewed: a page shows it as it goes.
         strict: one late reply is too many.
         world: name, one of ``worlds.WORLDS``.
+        controller: family, one of ``families.FAMILIES``.
 
     Returns:
         The result, as in result.json.
@@ -257,7 +275,7 @@ def perform(
     with tempfile.TemporaryDirectory(prefix="linemate-") as folder:
         # A core of one's own is a gift to a real-time process, and a cage to any other.
         cores = host.shared_out() if host.missing_rights() is None else ((), ())
-        station = DemoStation(Path(folder), scenario, cores, world)
+        station = DemoStation(Path(folder), scenario, cores, world, controller)
         began_s, stolen_s = time.monotonic(), host.stolen_s()
         status = _run(station, is_viewed=is_viewed)
         withheld = _withheld(stolen_s, host.stolen_s(), time.monotonic() - began_s)

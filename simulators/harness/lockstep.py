@@ -23,15 +23,13 @@ from linemate.daemon.core.tracking.task import TaskFile
 from linemate.daemon.cycle.cycle import Cycle
 from linemate.daemon.cycle.states import State
 from linemate.daemon.cycle.step_log import LogEntry
-from linemate.protocol.rsi.codec import RsiCodec, parse_config
-from linemate.protocol.rsi.rsi_link import RsiLink
 from linemate.simulators.devices.emulated_world import EmulatedWorld
 from linemate.simulators.devices.faults import KINDS, Faults
 from linemate.simulators.devices.faulty_link import FaultyLink
 from linemate.simulators.devices.robot_plant import RobotPlant
-from linemate.simulators.devices.rsi_controller import ControllerConfig, RsiController
 from linemate.simulators.devices.truth import TruthLog
 from linemate.simulators.devices.worlds import build_world
+from linemate.simulators.harness import families
 from linemate.simulators.harness.sensor_links import SensorLinks
 from linemate.simulators.harness.setup import Setup
 from linemate.simulators.harness.variants import ORACLE, SetupError
@@ -41,8 +39,6 @@ from linemate.simulators.judge.oracle import Oracle
 from linemate.simulators.judge.rows import DaemonEvent, Rows
 from linemate.simulators.plants.scenario import sample
 from linemate.simulators.plants.world import World
-
-RSI_CONFIG = "rsi_joints.xml"
 
 TIMELESS: dict[str, tuple[str, ...]] = {
     **{link: KINDS[link] for link in ("distance", "camera", "force_torque")},
@@ -104,7 +100,7 @@ class Lockstep:
     """One run, a telegram at a time.
 
     Attributes:
-        controller: the pure RSI controller.
+        controller: the pure emulated controller.
         links: sensor links to the daemon, in virtual time.
     """
 
@@ -116,10 +112,6 @@ class Lockstep:
         self._setup, self._scenario = setup, scenario
         self.world: EmulatedWorld = build_world(setup.world, scenario, setup.mujoco)
         self._plant = RobotPlant(self.world)
-        rsi = parse_config(_shipped(RSI_CONFIG))
-        self.controller = RsiController(
-            rsi, self._plant.read, self._plant.start, ControllerConfig(cycle_s=scenario.cycle_s)
-        )
         compiled = parameters(
             setup.task, setup.urdf, setup.tracking, setup.control, scenario.cycle_s
         )
@@ -129,7 +121,10 @@ class Lockstep:
             oracle = Oracle(self.world, compiled.tracker.reference.nominal, scenario.cycle_s)
             compiled = with_foresight(compiled, oracle)
         on_rail = compiled.controller.arm.linear_axis
-        self.cycle = Cycle(compiled, RsiLink(RsiCodec(rsi), on_rail=on_rail))
+        self.controller, link = families.pair(
+            setup.controller, self._plant, scenario.cycle_s, on_rail=on_rail
+        )
+        self.cycle = Cycle(compiled, link)
         self.cycle.listen(0)
         self._faults = Faults(scenario.faults, TIMELESS)
         self._ways = tuple(
@@ -201,7 +196,7 @@ class Lockstep:
             self._daemon.step_us = (time.perf_counter_ns() - begun) * 1e-3
         if reply is None:
             self.cycle.on_missing(stamp_ns)
-        elif self._faults.in_force("robot", "deafness", t) is None:
+        elif reply and self._faults.in_force("robot", "deafness", t) is None:
             for _, piece in back.carry(reply, t):
                 self.controller.on_reply(piece, stamp_ns)
 
@@ -318,9 +313,3 @@ def _joined(truth: TruthLog, daemon: _DaemonLog) -> Rows:
 def _count(length_s: float, cycle_s: float) -> int:
     """Telegrams of a run; both ends may be a rounding error away from a whole number."""
     return max(1, round(length_s / cycle_s - 1e-6))
-
-
-def _shipped(name: str) -> bytes:
-    from linemate.daemon.config.files import PROTOCOL_DATA
-
-    return (PROTOCOL_DATA / name).read_bytes()

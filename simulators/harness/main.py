@@ -209,6 +209,10 @@ def _add_which_world(parser: argparse.ArgumentParser) -> None:
 def _add_common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scenario", default="wheel", metavar="NAME|FILE")
     _add_which_world(parser)
+    parser.add_argument(
+        "--controller", choices=("rsi", "fanuc"), default="rsi",
+        help="the robot controller: KUKA RSI, or FANUC Stream Motion; rsi",
+    )  # fmt: skip
     parser.add_argument("--out", type=Path, metavar="DIR", help="leave results there")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
 
@@ -246,7 +250,9 @@ def _add_plan(parser: argparse.ArgumentParser) -> None:
 def _add_demo(commands: "Commands[CommandLine]") -> None:
     demo = commands.add_parser("demo", help="daemon and emulators in real time, over real links")
     _add_common(demo)
-    demo.add_argument("--cycle-ms", type=float, choices=(4, 12), default=12)
+    demo.add_argument(
+        "--cycle-ms", type=float, choices=(4, 8, 12), help="12 or 4 with rsi, 8 or 4 with fanuc"
+    )
     demo.add_argument("--seed", type=int, default=0, metavar="N")
     demo.add_argument("--strict", action="store_true", help="end with 1 if a single reply was late")
     demo.add_argument("--view", action="store_true", help="show it in the browser as it goes")

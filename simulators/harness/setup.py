@@ -23,7 +23,7 @@ from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.task import TaskFile
 from linemate.daemon.near_names import near_names
 from linemate.simulators.devices.worlds import OWN, UNUSED
-from linemate.simulators.harness import scenario_file, variants
+from linemate.simulators.harness import families, scenario_file, variants
 from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.harness.world import world_rows
 from linemate.simulators.mujoco_world.mujoco_cell import MujocoCell
@@ -67,6 +67,7 @@ class Setup:
         variant: which transformation has been applied to tracking and control.
         world: what solves the truth, one of ``worlds.WORLDS``.
         mujoco: sizes of the MuJoCo station.
+        controller: family of the controller, one of ``families.FAMILIES``.
     """
 
     scenario: Scenario
@@ -77,6 +78,7 @@ class Setup:
     variant: str = "default"
     world: str = OWN
     mujoco: MujocoCell = field(default_factory=MujocoCell)
+    controller: str = families.RSI
 
 
 class _Plain(BaseModel):
@@ -98,6 +100,7 @@ def make(
     variant: str = "default",
     cycle_ms: float | None = None,
     world: str = OWN,
+    controller: str = families.RSI,
 ) -> Setup:
     """Put a run together.
 
@@ -107,18 +110,22 @@ def make(
         variant: applied before the overrides, which have the last word.
         cycle_ms: instead of the scenario's cycle.
         world: one of ``worlds.WORLDS``; the daemon believes what was identified of that station.
+        controller: one of ``families.FAMILIES``; with its period unless one is given.
 
     Raises:
         FileError, OverrideError, UnknownVariantError: what is wrong.
     """
     truth = scenario_file.load(scenario)
+    if cycle_ms is None and controller != families.RSI:
+        cycle_ms = families.CYCLE_MS[controller]
     if cycle_ms is not None:
         truth = replace(truth, cycle_s=round(cycle_ms * 1e-3, 9))
     if world != OWN:
         _refuse_unused(truth, overrides)
     known = _commissioned(scenario) if world == OWN else identified(world)
     tracking, control = variants.apply(variant, known.tracking, known.control)
-    setup = replace(known, scenario=truth, tracking=tracking, control=control, variant=variant)
+    known = replace(known, variant=variant, controller=controller)
+    setup = replace(known, scenario=truth, tracking=tracking, control=control)
     return override(setup, overrides) if overrides else setup
 
 

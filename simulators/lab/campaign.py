@@ -192,6 +192,7 @@ def main(args: Namespace) -> int:
                 variant=variant,
                 cycle_ms=args.cycle_ms,
                 world=args.world,
+                controller=args.controller,
             )
             for variant in args.variants
         )

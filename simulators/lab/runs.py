@@ -18,7 +18,8 @@ def main(args: Namespace) -> int:
     """Run what the arguments say.
 
     Args:
-        args: scenario, seeds, variant, overrides, cycle_ms, out, json, timing, workers.
+        args: scenario, seeds, variant, overrides, cycle_ms, out, json, timing, workers, world,
+            controller.
 
     Returns:
         0 assembled within limits, 1 not.
@@ -29,6 +30,7 @@ def main(args: Namespace) -> int:
         variant=args.variant,
         cycle_ms=args.cycle_ms,
         world=args.world,
+        controller=args.controller,
     )
     single = len(args.seeds) == 1
     jobs = [

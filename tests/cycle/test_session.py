@@ -165,7 +165,7 @@ def test_a_moved_robot_gets_no_position_after_a_gap_before_it_rests() -> None:
 
 def test_a_controller_that_takes_no_setpoint_needs_a_proof_once_it_does() -> None:
     session = running(POSITIONS)
-    session.decline("the controller takes no setpoints: E-stop.", "robot")
+    session.decline("the controller takes no setpoints: E-stop.", SENT, "robot")
     assert session.unproven == "the controller takes no setpoints: E-stop."
     assert session.is_interrupted
     assert session.needs_proof(telegram(1212, 12.012, None, SENT), 0)

@@ -42,7 +42,7 @@ def test_a_stream_starts_once() -> None:
     assert (handshake.due(5 * MS), handshake.starts) == ([], 1)
 
 
-def test_a_stream_that_falls_silent_begins_anew() -> None:
+def test_a_stream_that_falls_silent_is_asked_for_again() -> None:
     handshake = streaming()
     assert handshake.due(501 * MS) == []
     assert kinds(handshake.due(503 * MS)) == [PacketKind.STOP, PacketKind.CAPABILITY]
@@ -67,7 +67,7 @@ def test_a_controller_that_does_not_fit_gets_no_start(
     assert handshake.refusal is not None
     assert says in handshake.refusal
     assert handshake.due(2 * MS) == []
-    # It may be set up meanwhile.
+    # It may be set up in the meantime.
     assert kinds(handshake.due(2600 * MS)) == [PacketKind.STOP, PacketKind.CAPABILITY]
     handshake.on_datagram(answer(), 2601 * MS)
     assert handshake.refusal is None

@@ -17,7 +17,7 @@ READY = 0x01
 
 
 @dataclass
-class Said:
+class Packet:
     """A status packet with a few values of its own."""
 
     version: int = 3
@@ -38,7 +38,7 @@ class Said:
 
 
 def test_positions_are_read_in_si_with_their_number() -> None:
-    telegram = FanucLink(3, on_rail=True).read(Said(rail=1250.0).data(), 99)
+    telegram = FanucLink(3, on_rail=True).read(Packet(rail=1250.0).data(), 99)
     assert (telegram.counter, telegram.echo) == (7, b"\0\0\0\x07")
     assert telegram.robot.joints == pytest.approx([math.radians(q) for q in JOINTS])
     assert telegram.robot.external == pytest.approx((1.25,))
@@ -49,7 +49,7 @@ def test_positions_are_read_in_si_with_their_number() -> None:
 @pytest.mark.parametrize("is_coupled", [False, True])
 def test_a_reported_position_commands_itself(is_coupled: bool) -> None:
     link = FanucLink(3, is_coupled=is_coupled, on_rail=True)
-    telegram = link.read(Said(rail=-300.0).data(), 0)
+    telegram = link.read(Packet(rail=-300.0).data(), 0)
     axes = (*telegram.robot.joints, *telegram.robot.external)
     reply = link.prepare(axes, (), 0).with_counter(telegram.echo)
     command = packets.read_command(reply)
@@ -58,7 +58,7 @@ def test_a_reported_position_commands_itself(is_coupled: bool) -> None:
 
 
 def test_a_coupled_elbow_counts_from_the_horizontal() -> None:
-    telegram = FanucLink(3, is_coupled=True).read(Said().data(), 0)
+    telegram = FanucLink(3, is_coupled=True).read(Packet().data(), 0)
     assert telegram.robot.joints[2] == pytest.approx(math.radians(30.0 - 20.0))
 
 
@@ -75,7 +75,7 @@ def test_a_coupled_elbow_counts_from_the_horizontal() -> None:
 )
 def test_a_controller_that_takes_no_commands_says_why(changes: dict[str, Any], says: str) -> None:
     link = FanucLink(3)
-    data = Said(**changes).data()
+    data = Packet(**changes).data()
     telegram = link.read(data, 0)
     assert telegram.unready is not None
     assert says in telegram.unready
@@ -88,18 +88,18 @@ def test_a_controller_that_takes_no_commands_says_why(changes: dict[str, Any], s
 @pytest.mark.parametrize("is_coupled", [False, True])
 def test_the_expected_packet_is_the_next_one_near_the_last(version: int, is_coupled: bool) -> None:
     link = FanucLink(version, is_coupled=is_coupled, on_rail=True)
-    said = Said(version=version, rail=100.0)
-    robot = link.read(said.data(), 0).robot
+    packet = Packet(version=version, rail=100.0)
+    robot = link.read(packet.data(), 0).robot
     pattern, echo = link.expect(7, None, robot.joints, 0.05)
     assert echo == b"\0\0\0\x07"
-    assert pattern.matches(said.data())
-    assert pattern.matches(Said(version, motion_bits=9, rail=-900.0).data())
-    assert not pattern.matches(Said(version, sequence=8, rail=100.0).data())
+    assert pattern.matches(packet.data())
+    assert pattern.matches(Packet(version, motion_bits=9, rail=-900.0).data())
+    assert not pattern.matches(Packet(version, sequence=8, rail=100.0).data())
     for n in range(6):
         off = tuple(q + 10.0 * (i == n) for i, q in enumerate(JOINTS))
-        assert not pattern.matches(Said(version, joints=off).data())
-    assert not pattern.matches(said.data()[:-1])
-    not_a_number = bytearray(said.data())
+        assert not pattern.matches(Packet(version, joints=off).data())
+    assert not pattern.matches(packet.data()[:-1])
+    not_a_number = bytearray(packet.data())
     struct.pack_into(">f", not_a_number, 56, math.nan)
     assert not pattern.matches(bytes(not_a_number))
 
@@ -107,7 +107,7 @@ def test_the_expected_packet_is_the_next_one_near_the_last(version: int, is_coup
 def test_the_tools_signals_ride_on_one_byte() -> None:
     link = FanucLink(3, signals_byte=5)
     io = bytes((0, 0, 0, 0, 0, 3)) + bytes(250)
-    assert link.read(Said(io=io).data(), 0).robot.digital_in == 3
+    assert link.read(Packet(io=io).data(), 0).robot.digital_in == 3
     reply = packets.read_command(link.prepare((0.0,) * 6, (), 2).with_counter(b"\0\0\0\1"))
     assert reply.io == bytes((0, 0, 0, 0, 0, 2)) + bytes(250)
     silent = FanucLink(3).prepare((0.0,) * 6, (), 2).with_counter(b"\0\0\0\1")
@@ -116,7 +116,7 @@ def test_the_tools_signals_ride_on_one_byte() -> None:
 
 def test_another_version_is_refused_with_both_named() -> None:
     with pytest.raises(FanucError, match="version 4, configured 3") as caught:
-        FanucLink(3).read(Said(version=4).data(), 0)
+        FanucLink(3).read(Packet(version=4).data(), 0)
     assert caught.value.counter == (7, b"\0\0\0\x07")
     with pytest.raises(FanucError, match="there are 3 and 4"):
         FanucLink(5)

@@ -71,7 +71,7 @@ class FanucConfig:
 
 @dataclass(slots=True)
 class _Stream:
-    """What START begins anew.
+    """What START resets.
 
     Attributes:
         sequence: of the last status packet.
@@ -81,7 +81,7 @@ class _Stream:
         accepted: good command of the open cycle.
         late: the open cycle got the command of an earlier one.
         faulty: the open cycle got a command that was refused.
-        is_last: the client has said that no command follows.
+        is_last: the client sent its last command.
     """
 
     is_open: bool = False
@@ -104,7 +104,7 @@ class FanucController:
         counts: status packets sent, and what became of the cycles.
         refusals: packets refused, by reason.
         clamped: always 0: a command beyond a limit raises an alarm.
-        messages: the newest alarms.
+        messages: texts of the newest alarms.
         delay: cycles of the stream without a good command; no packet says so.
         alarm: what stopped the motion, None without one.
         is_program_running: the program that starts Stream Motion waits for commands.
@@ -194,7 +194,6 @@ class FanucController:
         """Judge a packet of the client.
 
         Args:
-            stamp_ns: its arrival [ns].
             deadline_ns: end of the open cycle [ns], None if the caller closes it in time.
 
         Returns:
@@ -227,7 +226,9 @@ class FanucController:
         """
         stream, gate = self._stream, self._gate
         outcome = self._close(stream) if stream.is_open else None
-        if self.alarm is not None or not stream.is_open or not self.takes_commands:
+        if not self.takes_commands:
+            # The program that is started again waits for its first command.
+            stream.is_answered, stream.silent = False, 0
             gate.stop()
             self.judge.hold(gate.position)
         elif stream.accepted is not None:
