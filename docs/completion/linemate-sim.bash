@@ -24,13 +24,13 @@ _shtab_linemate_sim_emulator___config_COMPGEN=_shtab_compgen_files
 _shtab_linemate_sim_bench___plot_COMPGEN=_shtab_compgen_files
 
 _shtab_linemate_sim_demo___world_choices=(own mujoco)
-_shtab_linemate_sim_demo___controller_choices=(rsi fanuc)
-_shtab_linemate_sim_demo___cycle_ms_choices=(4 8 12)
+_shtab_linemate_sim_demo___controller_choices=(rsi fanuc egm)
+_shtab_linemate_sim_demo___cycle_ms_choices=(4 8 12 24)
 _shtab_linemate_sim_run___world_choices=(own mujoco)
-_shtab_linemate_sim_run___controller_choices=(rsi fanuc)
+_shtab_linemate_sim_run___controller_choices=(rsi fanuc egm)
 _shtab_linemate_sim_run___variant_choices=(oracle default bank imm rule no-classes no-prediction no-feedforward no-damping no-swing no-blend)
 _shtab_linemate_sim_campaign___world_choices=(own mujoco)
-_shtab_linemate_sim_campaign___controller_choices=(rsi fanuc)
+_shtab_linemate_sim_campaign___controller_choices=(rsi fanuc egm)
 _shtab_linemate_sim_world___world_choices=(own mujoco)
 _shtab_linemate_sim_schema_pos_0_choices=(scenario task emulator)
 _shtab_linemate_sim_pos_0_choices=(demo run campaign world emulator bench schema)

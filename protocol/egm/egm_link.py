@@ -32,11 +32,7 @@ MAX_SIGNALS = 255
 
 
 class EgmLink:
-    """Reads messages and writes corrections of one robot.
-
-    Attributes:
-        rules: of the exchange.
-    """
+    """Reads messages and writes corrections of one robot."""
 
     __slots__ = ("_codec", "_cycle_s", "_has_signals", "_is_on_rail", "rules")
 

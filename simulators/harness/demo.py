@@ -120,11 +120,18 @@ class DemoStation:
                 "keep_awake": doctor.is_virtual(doctor.Host()),
             },
             # What was identified of the cell, as after its commissioning.
-            **world_rows.laid_over(
-                overlay.load(overlay.SHIPPED[self.world]),
-                world_rows.daemon_settings(self.scenario.name),
-            ),
+            **self._identified(),
         }
+
+    def _identified(self) -> dict[str, Any]:
+        known: dict[str, Any] = world_rows.laid_over(
+            overlay.load(overlay.SHIPPED[self.world]),
+            world_rows.daemon_settings(self.scenario.name),
+        )
+        servos = overlay.BEHIND.get(self.controller)
+        if servos is not None:
+            known = world_rows.laid_over(known, overlay.load(servos))
+        return known
 
     def emulator_file(self, listening: Mapping[str, Any]) -> dict[str, Any]:
         """Return the emulator's configuration, which has the daemon's addresses only.
@@ -223,7 +230,7 @@ def main(args: Namespace) -> int:
     if cycle_ms not in families.CYCLES_MS[args.controller]:
         known = " or ".join(f"{ms:g}" for ms in families.CYCLES_MS[args.controller])
         raise SetupError(f"--cycle-ms {cycle_ms:g}: {args.controller} has {known}")
-    scenario = scenario_file.load(args.scenario)
+    scenario = families.truth(args.controller, scenario_file.load(args.scenario))
     scenario = replace(scenario, seed=args.seed, cycle_s=round(cycle_ms * 1e-3, 9))
     out = args.out or Path("out/demo")
     refused = host.missing_rights()

@@ -15,12 +15,16 @@ from linemate.daemon.config import documents, files
 from linemate.daemon.config.documents import FileError
 from linemate.daemon.config.files import UnreadableError
 from linemate.simulators.devices.worlds import MUJOCO, OWN
+from linemate.simulators.harness.families import EGM
 from linemate.simulators.harness.setup import Setup, override
 from linemate.simulators.harness.variants import SetupError
 
 _FOLDER = Path(__file__).with_name("data") / "parameters"
 SHIPPED = {OWN: _FOLDER / "identified.yaml", MUJOCO: _FOLDER / "mujoco.yaml"}
 """What was identified of the default cell of each world, by `identify_run`, from recordings."""
+
+BEHIND = {EGM: _FOLDER / "egm.yaml"}
+"""What was identified of the servos behind a family's controller, not the default."""
 
 SECTIONS = ("tracking", "control", "task")
 

@@ -210,8 +210,8 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scenario", default="wheel", metavar="NAME|FILE")
     _add_which_world(parser)
     parser.add_argument(
-        "--controller", choices=("rsi", "fanuc"), default="rsi",
-        help="the robot controller: KUKA RSI, or FANUC Stream Motion; rsi",
+        "--controller", choices=("rsi", "fanuc", "egm"), default="rsi",
+        help="the robot controller: KUKA RSI, FANUC Stream Motion or ABB EGM; rsi",
     )  # fmt: skip
     parser.add_argument("--out", type=Path, metavar="DIR", help="leave results there")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
@@ -251,8 +251,9 @@ def _add_demo(commands: "Commands[CommandLine]") -> None:
     demo = commands.add_parser("demo", help="daemon and emulators in real time, over real links")
     _add_common(demo)
     demo.add_argument(
-        "--cycle-ms", type=float, choices=(4, 8, 12), help="12 or 4 with rsi, 8 or 4 with fanuc"
-    )
+        "--cycle-ms", type=float, choices=(4, 8, 12, 24),
+        help="rsi: 12 or 4, fanuc: 8 or 4, egm: 4, 8, 12 or 24",
+    )  # fmt: skip
     demo.add_argument("--seed", type=int, default=0, metavar="N")
     demo.add_argument("--strict", action="store_true", help="end with 1 if a single reply was late")
     demo.add_argument("--view", action="store_true", help="show it in the browser as it goes")

@@ -123,7 +123,9 @@ def make(
     if world != OWN:
         _refuse_unused(truth, overrides)
     known = _commissioned(scenario) if world == OWN else identified(world)
+    known = _behind(controller, known)
     tracking, control = variants.apply(variant, known.tracking, known.control)
+    truth = families.truth(controller, truth)
     known = replace(known, variant=variant, controller=controller)
     setup = replace(known, scenario=truth, tracking=tracking, control=control)
     return override(setup, overrides) if overrides else setup
@@ -162,6 +164,14 @@ def _commissioned(scenario: str) -> Setup:
 
     known, own = identified(), world_rows.daemon_settings(scenario)
     return overlay.laid_over(known, own) if own else known
+
+
+def _behind(controller: str, known: Setup) -> Setup:
+    """Return settings with what was identified of the servos behind a family's controller."""
+    from linemate.simulators.harness import identified_overlay as overlay
+
+    servos = overlay.BEHIND.get(controller)
+    return known if servos is None else overlay.laid_over(known, overlay.load(servos))
 
 
 def override(setup: Setup, overrides: Sequence[str]) -> Setup:

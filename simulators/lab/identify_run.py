@@ -27,7 +27,7 @@ from linemate.daemon.recording.step_codec import encode
 from linemate.daemon.recording.step_file import StepFile
 from linemate.daemon.recording.step_items import metadata_of
 from linemate.simulators.devices.worlds import OWN, WORLDS
-from linemate.simulators.harness import lockstep, scenario_file
+from linemate.simulators.harness import families, lockstep, scenario_file
 from linemate.simulators.harness.identified_overlay import laid_over
 from linemate.simulators.harness.setup import Setup, override, shipped_task
 from linemate.simulators.plants.scenario import Scenario
@@ -57,6 +57,7 @@ class IdentificationPlan:
         cycle_ms: instead of the scenarios' cycle.
         overrides: ``KEY=VALUE`` of the plant, as for a run; for a cell that is not the default one.
         world: name, one of ``worlds.WORLDS``.
+        controller: family, one of ``families.FAMILIES``.
     """
 
     exercises: int = 2
@@ -65,6 +66,7 @@ class IdentificationPlan:
     cycle_ms: float | None = None
     overrides: tuple[str, ...] = ()
     world: str = OWN
+    controller: str = families.RSI
 
 
 def identified(plan: IdentificationPlan, folder: Path) -> Identified:
@@ -126,7 +128,14 @@ def _initial_setup(plan: IdentificationPlan, name: str) -> Setup:
     truth: Scenario = scenario_file.load(name)
     if plan.cycle_ms is not None:
         truth = replace(truth, cycle_s=round(plan.cycle_ms * 1e-3, 9))
-    setup = Setup(truth, tracking=STRANGE_TRACKING, control=STRANGER, world=plan.world)
+    truth = families.truth(plan.controller, truth)
+    setup = Setup(
+        truth,
+        tracking=STRANGE_TRACKING,
+        control=STRANGER,
+        world=plan.world,
+        controller=plan.controller,
+    )
     return override(setup, plan.overrides) if plan.overrides else setup
 
 
@@ -152,6 +161,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED, metavar="M")
     parser.add_argument("--cycle-ms", type=float, metavar="MS")
     parser.add_argument("--world", choices=WORLDS, default=OWN)
+    parser.add_argument("--controller", choices=families.FAMILIES, default=families.RSI)
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
     args = parser.parse_args(argv)
     plan = IdentificationPlan(
@@ -161,6 +171,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         args.cycle_ms,
         tuple(args.overrides),
         args.world,
+        args.controller,
     )
     found = identified(plan, args.out)
     print(identify_command.table(found.findings))

@@ -5,6 +5,7 @@ Invariants:
     The controller sends one message a cycle. The newest good correction is in force.
     The sender's sequence number grows. A repeated or an older one is refused.
     Without a correction the last one holds; after CommTimeout the instruction ends.
+    The first number of RAPIDtoRobot and RAPIDfromRobot is the tool's signals (RobotWare 7).
     With motors off, or without a running RAPID program, nothing moves.
 """
 
@@ -78,6 +79,7 @@ class _Run:
     guidance: Guidance
     setpoints: Seven
     speeds: tuple[float, ...] = _REST
+    digital_out: int = 0
     cycle: int = -1
     sequence: int = 0
     silent: int = 0
@@ -224,7 +226,7 @@ class EgmController:
             run.cycle,
             run.sequence,
             run.setpoints,
-            0,
+            run.digital_out,
             outcome,
             run.guidance.is_clamped,
             cast(Seven, motion),
@@ -252,6 +254,7 @@ class EgmController:
             deviation <= self.config.converge_range,
             0.0,
             robotware=self.config.robotware,
+            rapid_data=(float(reading.digital_in),) if self.config.robotware == 7 else (),
         )
 
     def _refuse(self, kind: str, why: str) -> Judgement:
@@ -302,6 +305,8 @@ class EgmController:
         a, b, c, d, e, f = joints
         rail = message.external[0] if message.external else run.setpoints[6]
         run.setpoints = (a, b, c, d, e, f, rail)
+        if message.rapid_data:
+            run.digital_out = round(message.rapid_data[0])
         rail_speed = message.external_speeds[0] if message.external_speeds else 0.0
         run.speeds = (*(message.joint_speeds or (0.0,) * 6), rail_speed)
 

@@ -2,11 +2,11 @@
 
 The controller does not send a setpoint to the servos as it is:
 
-    y' = 2 pi f (u - y)          LpFilter f [Hz] on the setpoint u
-    v  = g k (y - x) + w         PosCorrGain g, proportional position gain k [1/s], speedRef w
-    x' = clamp(v)                MaxSpeedDeviation on both sides of w
+    y' = 2 pi f (u - y)          LpFilter f [Hz] on the setpoint u, and alike on speedRef: w
+    x' = w + clamp(g k (y - x))  PosCorrGain g, position gain k [1/s], MaxSpeedDeviation
 
-Without speedRef, x lags a ramp by 1/(2 pi f) + 1/(g k).
+Without speedRef, x lags a ramp by 1/(2 pi f) + 1/(g k); with it, by 1/(2 pi f). ABB says that
+LpFilter filters the sensor's data; that it takes the speed as well is assumed.
 
 Invariants:
     Pure. Both filters are exact for an input that is constant over a cycle.
@@ -69,6 +69,7 @@ class Guidance:
         self.position = start
         self.is_clamped = False
         self._filtered = start
+        self._speeds = (0.0,) * len(start)
         self._cycle_s = cycle_s
         filter_rate = 2.0 * math.pi * config.lp_filter_hz * cycle_s
         self._filter_share = -math.expm1(-filter_rate) if config.lp_filter_hz else 1.0
@@ -89,7 +90,10 @@ class Guidance:
         self._filtered = tuple(
             [y + share * (u - y) for u, y in zip(setpoints, self._filtered, strict=True)]
         )
-        led = [x + speed * self._cycle_s for x, speed in zip(self.position, speeds, strict=True)]
+        self._speeds = tuple(
+            [w + share * (given - w) for given, w in zip(speeds, self._speeds, strict=True)]
+        )
+        led = [x + w * self._cycle_s for x, w in zip(self.position, self._speeds, strict=True)]
         corrections = [self._loop_share * (y - x) for y, x in zip(self._filtered, led, strict=True)]
         clamped = [min(max(value, -limit), limit) for value in corrections]
         self.is_clamped = clamped != corrections
@@ -98,6 +102,6 @@ class Guidance:
 
     def hold(self) -> Axes:
         """Stand still where the servos were sent last."""
-        self._filtered = self.position
+        self._filtered, self._speeds = self.position, (0.0,) * len(self.position)
         self.is_clamped = False
         return self.position

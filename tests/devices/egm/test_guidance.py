@@ -36,7 +36,7 @@ def test_the_speed_reference_takes_the_position_loops_lag_away() -> None:
 
 
 def test_without_position_gain_only_the_speed_reference_moves_the_robot() -> None:
-    guidance = Guidance(GuidanceConfig(pos_corr_gain=0.0), CYCLE_S, (0.5,))
+    guidance = Guidance(GuidanceConfig(0.0, pos_corr_gain=0.0), CYCLE_S, (0.5,))
     for _ in range(100):
         guidance.advance((1.0,), (0.25,))
     assert guidance.position[0] == pytest.approx(0.5 + 100 * CYCLE_S * 0.25)
