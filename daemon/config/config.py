@@ -13,13 +13,13 @@ from linemate.daemon.config import documents, files, overlays
 from linemate.daemon.config.documents import Complaint, FileError, YamlDocument
 from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.named_files import NamedFiles
-from linemate.daemon.config.production_settings import window_error
 from linemate.daemon.config.settings import (
     Config,
     ControllerKind,
     EgmSettings,
     FanucSettings,
     RsiSettings,
+    window_error,
 )
 from linemate.daemon.config.settings_tree import Settings
 from linemate.daemon.config.task_file import Task

@@ -143,6 +143,7 @@ COMMANDS: Final[dict[str, str | AddParser]] = {
     **dict.fromkeys(ORDERS, _add_orders),
     "record": _add_record,
     **dict.fromkeys(("announce", "skip", "next", "hold", "queue"), "production.orders"),
+    "report": "production.report_command",
     "identify": "identify_command",
     "replay": "replay_command",
     "export": "export_command",

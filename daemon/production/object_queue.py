@@ -19,7 +19,6 @@ class AnnouncedPart(Struct, frozen=True):
     """A part on the conveyor.
 
     Attributes:
-        part: its identifier.
         variant: name of the variant, which chooses the task.
         distance: reading of the distance sensor as the part was announced [m].
     """

@@ -88,6 +88,7 @@ class PartRecord:
             replies_lost: replies to the robot that were lost or late since the beginning.
             recording: file that has the part's steps, None without one.
         """
+        touched = self._contact_ns is not None
         return {
             "version": VERSION,
             "at": self._at,
@@ -105,8 +106,8 @@ class PartRecord:
             "estimates": dict(self._estimates),
             "reach_mm": round(1e3 * self._reach, 3),
             "force": {
-                "impact_n": round(self._impact, 2),
-                "largest_n": round(self._force, 2),
+                "impact_n": round(self._impact, 2) if touched else None,
+                "largest_n": round(self._force, 2) if touched else None,
                 "course_s": COURSE_S,
                 "course_n": list(self._course),
             },

@@ -16,7 +16,7 @@ from typing import Final, Protocol
 
 from msgspec import Struct
 
-from linemate.daemon.config.production_settings import ProductionSettings
+from linemate.daemon.config.settings import ProductionSettings
 from linemate.daemon.cycle.states import Machine, State
 from linemate.daemon.production.object_queue import AnnouncedPart, ObjectQueue
 
@@ -42,7 +42,6 @@ class CellView(Struct, frozen=True):
 
     Attributes:
         stamp_ns: of the cycle [ns].
-        machine: the operating state.
         cause: why the state was entered.
         decisions: of the operating state so far.
         reading: newest reading of the distance sensor [m], None before one.
@@ -95,7 +94,6 @@ class Supervisor:
     """Brings one part after the other through the cell.
 
     Attributes:
-        queue: parts that wait.
         held: why no further part is begun, None while production runs.
         part: the present part, None between two.
         counts: results by ``good`` and ``bad``.

@@ -51,7 +51,7 @@ from linemate.daemon.service.live_telemetry import LiveTelemetry
 from linemate.daemon.service.order_answers import Answers
 from linemate.daemon.service.parameter_service import Answer, ParameterService
 from linemate.daemon.service.production.build import build_production
-from linemate.daemon.service.production.cell import ProductionCell
+from linemate.daemon.service.production.production_cell import ProductionCell
 from linemate.daemon.service.status import DaemonSnapshot, LinkView, Rates, status, telemetry
 from linemate.drivers import port_holder
 from linemate.drivers.camera_udp import CameraLink

@@ -5,11 +5,12 @@
 #    source ~/.local/share/bash_completion/linemate-sim
 # See also: https://github.com/scop/bash-completion/blob/main/doc/configuration.md
 
-_shtab_linemate_sim_subparsers=(demo run campaign world emulator bench schema)
+_shtab_linemate_sim_subparsers=(demo run campaign shift world emulator bench schema)
 
 _shtab_linemate_sim_demo_option_strings=(-h --help --scenario --world --controller --out --json --cycle-ms --seed --strict --view)
 _shtab_linemate_sim_run_option_strings=(-h --help --scenario --world --controller --out --json --set --workers --cycle-ms --seed --variant --timing)
 _shtab_linemate_sim_campaign_option_strings=(-h --help --scenario --world --controller --out --json --set --workers --cycle-ms --seeds --first-seed --scheduler --detection --variants)
+_shtab_linemate_sim_shift_option_strings=(-h --help --cars --seed --takt --faulty --workers --json)
 _shtab_linemate_sim_world_option_strings=(-h --help --world --rows --seeds --cycle-ms --json --check --list --kept --set --workers)
 _shtab_linemate_sim_emulator_option_strings=(-h --help --config)
 _shtab_linemate_sim_bench_option_strings=(-h --help --json --rounds --round-s --cycles --parts --awake --no-awake --plot)
@@ -33,7 +34,7 @@ _shtab_linemate_sim_campaign___world_choices=(own mujoco)
 _shtab_linemate_sim_campaign___controller_choices=(rsi fanuc egm)
 _shtab_linemate_sim_world___world_choices=(own mujoco)
 _shtab_linemate_sim_schema_pos_0_choices=(scenario task emulator)
-_shtab_linemate_sim_pos_0_choices=(demo run campaign world emulator bench schema)
+_shtab_linemate_sim_pos_0_choices=(demo run campaign shift world emulator bench schema)
 
 _shtab_linemate_sim_demo__h_nargs=0
 _shtab_linemate_sim_demo___help_nargs=0
@@ -47,6 +48,9 @@ _shtab_linemate_sim_run___timing_nargs=0
 _shtab_linemate_sim_campaign__h_nargs=0
 _shtab_linemate_sim_campaign___help_nargs=0
 _shtab_linemate_sim_campaign___json_nargs=0
+_shtab_linemate_sim_shift__h_nargs=0
+_shtab_linemate_sim_shift___help_nargs=0
+_shtab_linemate_sim_shift___json_nargs=0
 _shtab_linemate_sim_world__h_nargs=0
 _shtab_linemate_sim_world___help_nargs=0
 _shtab_linemate_sim_world___json_nargs=0

@@ -32,6 +32,7 @@ MODULES = {
     "demo": "harness.demo",
     "run": "lab.runs",
     "campaign": "lab.campaign",
+    "shift": "lab.shift.shift",
     "world": "lab.world.measure",
     "emulator": "harness.emulator_command",
     "bench": "lab.bench.bench",
@@ -161,6 +162,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_demo(commands)
     _add_run(commands)
     _add_campaign(commands)
+    _add_shift(commands)
     _add_world(commands)
     emulator = commands.add_parser("emulator", help="the emulators alone, in real time")
     emulator.add_argument("--config", type=Path, required=True, metavar="FILE")
@@ -285,6 +287,30 @@ def _add_campaign(commands: "Commands[CommandLine]") -> None:
         help="conveyor, sensors and classifier alone: latencies, false alarms, jerks",
     )  # fmt: skip
     campaign.add_argument("--variants", type=variants, default=("default",), metavar="A,B,...")
+
+
+def _add_shift(commands: "Commands[CommandLine]") -> None:
+    shift = commands.add_parser("shift", help="car after car in virtual time, by a PLC's requests")
+    shift.add_argument("--cars", type=_count, default=20, metavar="N", help="20")
+    shift.add_argument("--seed", type=int, default=0, metavar="N")
+    shift.add_argument(
+        "--takt", type=_seconds, default=57.6, metavar="S", help="from car to car at least; 57.6"
+    )
+    shift.add_argument(
+        "--faulty", type=_share, default=0.02, metavar="SHARE", help="of cars with a fault; 0.02"
+    )
+    shift.add_argument("--workers", type=_count, metavar="N", help="daemons to split it over; 1")
+    shift.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
+def _share(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value <= 1.0:
+        raise argparse.ArgumentTypeError(f"{text!r} should be a share, 0..1")
+    return value
 
 
 def _add_world(commands: "Commands[CommandLine]") -> None:

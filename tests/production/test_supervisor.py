@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from linemate.daemon.config.production_settings import ProductionSettings, TrackingWindow
+from linemate.daemon.config.settings import ProductionSettings, TrackingWindow
 from linemate.daemon.cycle.states import Machine, State
 from linemate.daemon.production.object_queue import AnnouncedPart
 from linemate.daemon.production.supervisor import (

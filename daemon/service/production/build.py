@@ -8,7 +8,7 @@ from linemate.daemon.cycle.cycle import Cycle
 from linemate.daemon.recording.recorder import Recorder
 from linemate.daemon.service.event_log import EventLog
 from linemate.daemon.service.parameter_service import ParameterService
-from linemate.daemon.service.production.cell import ProductionCell
+from linemate.daemon.service.production.production_cell import ProductionCell
 from linemate.daemon.service.production.record_files import RecordFiles
 
 

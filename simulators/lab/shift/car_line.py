@@ -19,7 +19,6 @@ from linemate.simulators.plants.scenario import Scenario
 from linemate.simulators.plants.sensors import CameraEmission, DistanceEmission, WrenchEmission
 from linemate.simulators.plants.world import World
 
-ENTRY_S = 6.0  # a car enters this long before the start position [s]
 LONGEST_S = 240.0  # that a car may be in front of the robot [s]
 COVERED_S = 12.0  # time that a covered camera stays covered [s]
 SILENT_S = 6.0  # time that a silent force sensor stays silent [s]
@@ -39,10 +38,11 @@ class CarLine:
         """Begin with an empty place.
 
         Args:
-            template: what the cars have in common.
+            template: what the cars have in common; a car enters its lead-in before the start
+                position.
             hubs: nominal hub by variant, in base [m].
         """
-        self._template = replace(template, lead_in_s=ENTRY_S, duration_s=LONGEST_S)
+        self._template = replace(template, duration_s=LONGEST_S)
         self._hubs = hubs
         self.car = NEVER
         self.entered_s = 0.0
@@ -129,7 +129,7 @@ class CarLine:
     @property
     def _ahead_s(self) -> float:
         """What a time of the line is ahead of that of the car [s]."""
-        return self.entered_s + ENTRY_S
+        return self.entered_s + self._template.lead_in_s
 
     @property
     def time_s(self) -> float:

@@ -49,7 +49,7 @@ def draw(cars: int, seed: int, variants: tuple[str, ...], faulty: float = FAULTY
 
     Args:
         variants: names to draw from.
-        faulty: share of cars with a fault; at least one of each kind if there are 4 or more.
+        faulty: share of cars with a fault, of each kind in turn.
     """
     chance = random.Random(seed)  # noqa: S311 - a plan, not a secret
     count = round(faulty * cars)

@@ -11,7 +11,7 @@ import contextlib
 import json
 import math
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
@@ -21,6 +21,7 @@ import numpy as np
 
 from linemate.daemon.config import config
 from linemate.daemon.config.config import LoadedConfig
+from linemate.daemon.config.task_file import Task
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.service.app import App
 from linemate.daemon.service.host import realtime
@@ -42,6 +43,7 @@ from linemate.simulators.lab.shift.plan import Car, CarFault
 from linemate.simulators.plants.scenario import Scenario
 
 STATION = Path(harness.__path__[0]) / "data" / "shift" / "station.yaml"
+ENTRY_S = 6.0  # a car enters this long before the start position [s]
 TRANSIT_NS = 60_000  # one way on the wire [ns]
 TALKING_NS = 1_000_000  # from the host's bytes to the answer of a serial device [ns]
 LISTENING_NS = 300_000_000  # the daemon listens so long before the robot's program starts [ns]
@@ -81,7 +83,6 @@ class ShiftOutcome:
         records: quality records in their order.
         growth: bytes that the cycle remembers after the first car and at the end.
         files: bytes of the record files.
-        duration_s: virtual time [s].
         requests: of the line's controller, by operation.
     """
 
@@ -95,23 +96,47 @@ class ShiftOutcome:
     complaints: tuple[str, ...]
 
 
-@cache
-def station() -> LoadedConfig:
-    """Return the configuration of the station."""
-    return config.load(STATION)
+@dataclass(frozen=True, slots=True)
+class ShiftStation:
+    """Where a shift is run.
+
+    Attributes:
+        file: configuration of the daemon.
+        scenario: what the cars have in common: the plant, without stops.
+        takt_s: from one car to the next at least [s].
+    """
+
+    file: Path
+    scenario: Scenario
+    takt_s: float
+
+    def loaded(self) -> LoadedConfig:
+        """Return the daemon's configuration."""
+        return _loaded(self.file)
+
+    def variants(self) -> tuple[str, ...]:
+        """Return the names of the variants."""
+        return tuple(self.loaded().variants)
 
 
-def compiled(task: Any, cycle_s: float) -> Parameters:
-    """Return the parameters of a variant's task, compiled once a process."""
-    settings = station().config
-    return parameters(task.file, task.urdf, settings.tracking, settings.control, cycle_s)
-
-
-def template(seed: int) -> Scenario:
-    """Return what the cars have in common: the shipped cell without stops."""
+def shipped_station(takt_s: float) -> ShiftStation:
+    """Return the station of the shipped cell, with five variants."""
     plain = scenario_file.load("wheel")
     conveyor = replace(plain.conveyor, events=())
-    return replace(plain, seed=seed, conveyor=conveyor, cycle_s=0.012)
+    scenario = replace(plain, conveyor=conveyor, cycle_s=0.012, lead_in_s=ENTRY_S)
+    return ShiftStation(STATION, scenario, takt_s)
+
+
+@cache
+def _loaded(file: Path) -> LoadedConfig:
+    return config.load(file)
+
+
+def _compiled(files: LoadedConfig, task: Task) -> Parameters:
+    """Return the parameters of a variant's task, compiled once a process."""
+    settings = files.config
+    cycle_s = settings.rsi.cycle_ms * 1e-3
+    return parameters(task.file, task.urdf, settings.tracking, settings.control, cycle_s)
 
 
 class ShiftRun:
@@ -119,19 +144,18 @@ class ShiftRun:
 
     def __init__(
         self,
-        cars: list[Car],
-        takt_s: float,
+        station: ShiftStation,
+        cars: Sequence[Car],
         folder: Path,
         on_car: Callable[[Car, CarTruth], None] = lambda _car, _truth: None,
     ) -> None:
         """Stand ready before the first cycle.
 
         Args:
-            takt_s: from one car to the next at least [s].
             folder: for the record files.
             on_car: called with each car that has left.
         """
-        files = station()
+        files = station.loaded()
         production = files.config.production
         assert production is not None  # noqa: S101 - the shipped file
         assert files.rsi is not None  # noqa: S101 - the shipped file
@@ -139,7 +163,7 @@ class ShiftRun:
             files, config=replace(files.config, production=replace(production, records=str(folder)))
         )
         hubs = {n: task.file.object.nominal.position for n, task in files.variants.items()}
-        self.line = CarLine(template(cars[0].seed if cars else 0), hubs)
+        self.line = CarLine(station.scenario, hubs)
         self.plant = RobotPlant(self.line)
         self.controller = RsiController(
             files.rsi, self.plant.read, self.plant.start, ControllerConfig(timeout_rule="row")
@@ -148,7 +172,8 @@ class ShiftRun:
             self.line, Faults(()), files.task.file.conveyor.start_position, _ns, DistanceEncoder()
         )
         self.plc = LineController()
-        self._cars, self._takt_s, self._folder, self._on_car = cars, takt_s, folder, on_car
+        self._cars, self._takt_s = tuple(cars), station.takt_s
+        self._folder, self._on_car = folder, on_car
         self._truths: list[CarTruth] = []
         self._next = 0
         self._due_s = FIRST_CAR_S
@@ -183,7 +208,7 @@ class ShiftRun:
             for line in path.read_text().splitlines()
         ]
         return ShiftOutcome(
-            tuple(self._cars),
+            self._cars,
             tuple(self._truths),
             tuple(records),
             (self._growth[0], self._growth[1]),
@@ -195,10 +220,11 @@ class ShiftRun:
 
     async def _main(self) -> None:
         self._over = asyncio.Event()
-        variants = {n: compiled(task, 0.012) for n, task in self._station.variants.items()}
+        files = self._station
+        variants = {name: _compiled(files, task) for name, task in files.variants.items()}
         app = App(
-            self._station,
-            compiled(self._station.task, 0.012),
+            files,
+            _compiled(files, files.task),
             realtime.RealtimeHost(),
             Notifier(),
             variants,
@@ -356,22 +382,21 @@ class ShiftRun:
 
 
 def run(
-    cars: list[Car],
-    takt_s: float,
+    station: ShiftStation,
+    cars: Sequence[Car],
     folder: Path | None = None,
     on_car: Callable[[Car, CarTruth], None] = lambda _car, _truth: None,
 ) -> ShiftOutcome:
     """Run a shift.
 
     Args:
-        takt_s: from one car to the next at least [s].
         folder: for the record files; None: a temporary one.
         on_car: called with each car that has left.
     """
     if folder is not None:
-        return ShiftRun(cars, takt_s, folder, on_car).run()
+        return ShiftRun(station, cars, folder, on_car).run()
     with tempfile.TemporaryDirectory(prefix="linemate-") as name:
-        return ShiftRun(cars, takt_s, Path(name), on_car).run()
+        return ShiftRun(station, cars, Path(name), on_car).run()
 
 
 def _ns(time_s: float) -> int:

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
-from linemate.daemon.config.production_settings import ProductionSettings
+from linemate.daemon.config.settings import ProductionSettings
 from linemate.daemon.core import parameters as compiling
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle.cycle import Cycle

@@ -1,0 +1,154 @@
+"""``linemate-sim shift``: a shift in virtual time, its table and its JSON.
+
+Invariants:
+- A split shift has one daemon a worker; the cars are those of the whole shift.
+"""
+
+import sys
+from argparse import Namespace
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from typing import Any, Final
+
+from linemate.simulators.judge import report_json
+from linemate.simulators.lab.shift import plan
+from linemate.simulators.lab.shift.plan import Car, CarFault
+from linemate.simulators.lab.shift.run import CarTruth, ShiftOutcome, run, shipped_station
+
+VERSION: Final = 1
+CAUSES: Final[Mapping[CarFault, tuple[str, ...]]] = {
+    CarFault.CAMERA_COVERED: ("camera",),
+    CarFault.ROBOT_RESTARTED: ("programme began again", "no answered telegram"),
+    CarFault.FORCE_SILENT: ("force_torque",),
+    CarFault.PART_MISSING: ("the part was not seen",),
+}
+"""What a report must name, by fault."""
+
+GROWTH: Final = 1.1  # of what the daemon remembers, from the first car to the last
+BYTES_A_CAR: Final = 8192  # of the record files
+
+
+def main(args: Namespace) -> int:
+    """Run a shift and print what became of it.
+
+    Args:
+        args: cars, seed, takt, faulty, workers, json.
+
+    Returns:
+        0 if every good car was mounted and every other one reported with its cause; else 1.
+    """
+    station = shipped_station(args.takt)
+    cars = plan.draw(args.cars, args.seed, station.variants(), args.faulty)
+    workers = min(args.workers or 1, len(cars))
+    if workers == 1:
+        outcomes = [run(station, cars, on_car=_tell)]
+    else:
+        shares = [
+            cars[i * len(cars) // workers : (i + 1) * len(cars) // workers] for i in range(workers)
+        ]
+        with ProcessPoolExecutor(workers) as pool:
+            outcomes = list(pool.map(partial(run, station), shares))
+    result = judge(outcomes, args.seed)
+    print(report_json.text(result) if args.json else table(result))
+    return 0 if result["good"] else 1
+
+
+def _tell(car: Car, truth: CarTruth) -> None:
+    """Print a line a car on standard error, as it leaves."""
+    outcome = "mounted" if truth.mounted else truth.collision or "not mounted"
+    print(f"{car.part} {car.variant}: {outcome} {car.fault or ''}", file=sys.stderr, flush=True)
+
+
+def judge(outcomes: Sequence[ShiftOutcome], seed: int) -> dict[str, Any]:
+    """Return what became of a shift, split or not, as plain values."""
+    rows = [row for outcome in outcomes for row in _rows(outcome)]
+    complaints = [complaint for outcome in outcomes for complaint in outcome.complaints]
+    complaints += [text for outcome in outcomes for text in _growth(outcome)]
+    counts = {
+        "unmounted_good": sum(row["fault"] is None and not row["mounted"] for row in rows),
+        "mounted_bad": sum(row["outcome"] == "ok" and not row["mounted"] for row in rows),
+        "unreported": sum(row["outcome"] == "unreported" for row in rows),
+        "wrong_cause": sum(not row["cause_named"] for row in rows),
+        "collisions": sum(row["collision"] is not None for row in rows),
+    }
+    typed = dict.fromkeys(("arm", "start", "home", "retreat", "stop"), 0)
+    for outcome in outcomes:
+        for op, count in outcome.requests.items():
+            typed[op] = typed.get(op, 0) + count
+    return {
+        "version": VERSION,
+        "seed": seed,
+        "good": not any(counts.values()) and not complaints,
+        **counts,
+        "complaints": complaints,
+        "duration_s": sum(outcome.duration_s for outcome in outcomes),
+        "requests": typed,
+        "remembered_bytes": [list(outcome.growth) for outcome in outcomes],
+        "record_bytes": sum(outcome.files for outcome in outcomes),
+        "cars": rows,
+    }
+
+
+def _rows(outcome: ShiftOutcome) -> list[dict[str, Any]]:
+    """Return a row for each car of one daemon."""
+    records = {record["part"]: record for record in outcome.records}
+    rows = []
+    for i, car in enumerate(outcome.cars):
+        truth = outcome.truths[i] if i < len(outcome.truths) else CarTruth(False, None, None, 0.0)
+        record = records.get(car.part)
+        reason = "" if record is None else record["reason"]
+        said = "unreported" if record is None else "ok" if record["ok"] else "nok"
+        rows.append(
+            {
+                "id": car.part,
+                "variant": car.variant,
+                "fault": None if car.fault is None else str(car.fault),
+                "outcome": said,
+                "reason": reason,
+                "mounted": truth.mounted,
+                "collision": truth.collision,
+                "impact_mm": truth.impact_mm,
+                "force_n": truth.force_n,
+                "cause_named": car.fault is None or any(c in reason for c in CAUSES[car.fault]),
+                "duration_s": None if record is None else record["duration_s"],
+            }
+        )
+    return rows
+
+
+def _growth(outcome: ShiftOutcome) -> list[str]:
+    """Return where memory or files grew beyond their bounds."""
+    first, last = outcome.growth
+    found = []
+    if last > GROWTH * first:
+        found.append(f"the daemon remembers {last} bytes at the end, {first} after the first car")
+    most = BYTES_A_CAR * len(outcome.cars)
+    if outcome.files > most:
+        found.append(f"the record files have {outcome.files} bytes, limit {most}")
+    return found
+
+
+def table(result: Mapping[str, Any]) -> str:
+    """Return a shift as text: its counts, and each car that is not plainly good."""
+    cars = result["cars"]
+    mounted = [car for car in cars if car["mounted"]]
+    impacts = sorted(car["impact_mm"] for car in mounted if car["impact_mm"] is not None)
+    lines = [
+        f"{len(cars)} cars in {result['duration_s'] / 3600.0:.2f} h, {len(mounted)} mounted, "
+        f"{sum(car['fault'] is not None for car in cars)} with a fault",
+        ", ".join(
+            f"{name} {result[name]}"
+            for name in ("unmounted_good", "mounted_bad", "unreported", "wrong_cause", "collisions")
+        ),
+    ]
+    if impacts:
+        median = impacts[len(impacts) // 2]
+        lines.append(f"error at the touch: median {median:.2f} mm, largest {impacts[-1]:.2f} mm")
+    lines += [
+        f"{car['id']} {car['variant']}, {car['fault'] or 'no fault'}: {car['outcome']}. "
+        f"{car['reason']}"
+        for car in cars
+        if car["fault"] is not None or not car["mounted"]
+    ]
+    return "\n".join([*lines, *result["complaints"]])

@@ -1,0 +1,148 @@
+"""A short share of a shift: quick assemblies of two variants, one car with each fault.
+
+The whole service runs in virtual time, driven through the command protocol alone.
+"""
+
+from pathlib import Path
+
+import pytest
+
+from linemate.daemon.operator.render import as_json
+from linemate.simulators import harness
+from linemate.simulators.lab.shift import plan, shift
+from linemate.simulators.lab.shift.plan import Car, CarFault
+from linemate.simulators.lab.shift.run import CarTruth, ShiftOutcome, ShiftStation, run
+from linemate.simulators.plants.scenario import (
+    Body,
+    Contact,
+    Conveyor,
+    ConveyorEvent,
+    Robot,
+    Scenario,
+    Swing,
+)
+
+TASK = Path(harness.__path__[0]) / "data" / "tasks" / "dst.yaml"
+REST = (0.0, -1.3829204815564327, 1.5925020939891852, 0.0, 1.3612147143621445, 0.0, 0.0)
+ENTRY_S = 1.5
+HUBS = {"low": 1.09, "high": 1.11}
+STATION = f"""
+task: low.yaml
+rsi: {{config: rsi_joints.xml, port: 49152}}
+distance: {{can: {{interface: virtual}}}}
+camera: {{port: 49153}}
+force_torque: {{url: virtual}}
+realtime: {{freeze_collector: false}}
+watch: {{healthy_cycles: 20}}
+tracking: {{merge: {{blend: 0.5}}}}
+production:
+  variants: {{low: low.yaml, high: high.yaml}}
+  window: {{start: -0.15, latest_start: -0.02, abort: 0.8}}
+  announced_at: {-ENTRY_S * 0.106}
+"""
+CARS = (
+    Car("P1", "low", 11),
+    Car("P2", "high", 12, fault=CarFault.CAMERA_COVERED, fault_s=0.0),
+    Car("P3", "low", 13, fault=CarFault.ROBOT_RESTARTED, fault_s=0.4),
+    Car("P4", "high", 14, events=(ConveyorEvent("stop", 0.9, 0.104),)),
+    Car("P5", "high", 15),
+)
+GOOD = ("P1", "P5")
+
+
+def station(folder: Path) -> ShiftStation:
+    text = TASK.read_text().replace("start_position: 0.0", "start_position: 1.0")
+    for name, height in HUBS.items():
+        placed = text.replace(
+            "nominal: {position: [2.20, 0.0, 1.10]", f"nominal: {{position: [2.20, 0.0, {height:g}]"
+        )
+        (folder / f"{name}.yaml").write_text(placed)
+    (folder / "station.yaml").write_text(STATION)
+    scenario = Scenario(
+        name="shift",
+        seed=1,
+        lead_in_s=ENTRY_S,
+        conveyor=Conveyor(events=()),
+        body=Body(
+            offset_range=(0.008, 0.008, 0.008), tilt=0.05, swings=(Swing(amplitude_max=3e-3),)
+        ),
+        robot=Robot(start=REST),
+        contact=Contact(nutrunner_s=0.2),
+    )
+    return ShiftStation(folder / "station.yaml", scenario, 7.0)
+
+
+@pytest.fixture(scope="module")
+def outcome(tmp_path_factory: pytest.TempPathFactory) -> ShiftOutcome:
+    """About 6 s: 40 s of virtual time."""
+    folder = tmp_path_factory.mktemp("shift")
+    records = folder / "records"
+    records.mkdir()
+    return run(station(folder), CARS, records)
+
+
+def test_every_good_car_is_mounted_and_every_other_one_reported_with_its_cause(
+    outcome: ShiftOutcome,
+) -> None:
+    result = shift.judge([outcome], 1)
+    assert result["good"], as_json(result)
+    assert {row["id"] for row in result["cars"] if row["mounted"]} >= set(GOOD)
+    assert [record["part"] for record in outcome.records] == [car.part for car in CARS]
+
+
+def test_the_lines_controller_types_no_order(outcome: ShiftOutcome) -> None:
+    assert set(outcome.requests) <= {"announce", "queue", "next", "ack"}
+    assert outcome.requests["announce"] == len(CARS)
+
+
+def test_a_record_has_the_times_and_the_force_of_the_part(outcome: ShiftOutcome) -> None:
+    record = outcome.records[0]
+    times = record["times_s"]
+    order = ["armed", "track", "seen", "contact", "screws_fixed", "release", "released"]
+    assert [times[name] for name in order] == sorted(times[name] for name in order)
+    assert 0.0 < record["force"]["impact_n"] <= record["force"]["largest_n"]
+    assert record["variant"] == "low"
+
+
+def rows(**changes: object) -> dict[str, object]:
+    truth = CarTruth(mounted=True, collision=None, impact_mm=0.1, force_n=50.0)
+    record = {"part": "P1", "ok": True, "reason": "", "duration_s": 3.0}
+    given = {
+        "cars": (Car("P1", "low", 1),),
+        "truths": (truth,),
+        "records": (record,),
+        "growth": (100, 100),
+        "files": 100,
+        "duration_s": 10.0,
+        "requests": {},
+        "complaints": (),
+    } | changes
+    return shift.judge([ShiftOutcome(**given)], 1)  # type: ignore[arg-type]
+
+
+def test_the_judge_sees_a_good_car_that_was_not_mounted() -> None:
+    assert rows()["good"]
+    missed = rows(truths=(CarTruth(False, None, None, 0.0),))
+    assert (missed["good"], missed["unmounted_good"], missed["mounted_bad"]) == (False, 1, 1)
+
+
+def test_the_judge_sees_a_car_without_a_record_or_with_another_cause() -> None:
+    assert rows(records=())["unreported"] == 1
+    covered = (Car("P1", "low", 1, fault=CarFault.CAMERA_COVERED),)
+    wrong = {"part": "P1", "ok": False, "reason": "overload", "duration_s": 3.0}
+    assert rows(cars=covered, records=(wrong,))["wrong_cause"] == 1
+
+
+def test_the_judge_sees_growth() -> None:
+    assert "remembers" in str(rows(growth=(100, 120))["complaints"])
+    assert "record files" in str(rows(files=100_000)["complaints"])
+
+
+def test_a_plan_has_its_share_of_faults_and_is_the_same_for_a_seed() -> None:
+    drawn = plan.draw(400, 3, ("a", "b"))
+    assert drawn == plan.draw(400, 3, ("a", "b"))
+    faults = [car.fault for car in drawn if car.fault is not None]
+    assert len(faults) == 8
+    assert {faults.count(kind) for kind in CarFault} == {2}
+    assert len({car.part for car in drawn}) == 400
+    assert drawn != plan.draw(400, 4, ("a", "b"))
