@@ -42,6 +42,7 @@ _PARTS = {
     "tracking.go_no_go:Order": "tracking.go_no_go.decision:GoOrder",
     "tracking.go_no_go:PredictionMonitor": "tracking.go_no_go.prediction_error:PredictionMonitor",
     "tracking.go_no_go:Reason": "tracking.go_no_go.decision:Reason",
+    "tracking.go_no_go:TargetShift": "tracking.go_no_go.target_shift:TargetShift",
     "tracking.guide:Guide": "tracking.classifiers.bank_model:Guide",
     "tracking.guard:Search": "tracking.touch.guard:ContactSearch",
     "tracking.hypotheses:Bank": "tracking.classifiers.onset_bank:OnsetBank",

@@ -17,7 +17,7 @@ from linemate.daemon.core.tracking.conveyor import (
 )
 from linemate.daemon.core.tracking.damping import damping_time, free_shares
 from linemate.daemon.core.tracking.estimation import comply, elastic, estimate, is_seated, sagging
-from linemate.daemon.core.tracking.go_no_go import prediction_error
+from linemate.daemon.core.tracking.go_no_go import prediction_error, target_shift
 from linemate.daemon.core.tracking.go_no_go.decision import GO
 from linemate.daemon.core.tracking.go_no_go.evidence import decide, is_certain, note
 from linemate.daemon.core.tracking.observation import (
@@ -145,6 +145,7 @@ def track(
         state, target, part = _predict_object(
             tracker, state, view, samples.stamp_ns, along, relative
         )
+        state = _ease(tracker, state, view, samples.stamp_ns, target, part)
         state = comply(tracker, state, samples, view, wrench, part)
         target[:, :3] += state.compliance.offset
         if state.blended is not None and state.blended >= tracker.settings.merge.blend:
@@ -381,6 +382,22 @@ def _predict_object(
     )
     state = _kept_prediction(tracker, state, view, now_ns, poses[count:], later)
     return state, poses[:count], part
+
+
+def _ease(
+    tracker: Tracker,
+    state: TrackerState,
+    view: ConveyorEstimate | None,
+    now_ns: int,
+    target: Array,
+    part: Array,
+) -> TrackerState:
+    """Return the state with the shift of the target, which it adds to the target (m, 6)."""
+    speed, eases = 0.0 if view is None else view.speed, not state.contact
+    shift = target_shift.advanced(state.shift, now_ns, float(part[1]), speed, eases=eases)
+    if shift.begun:
+        target[:, merge.ALONG] += target_shift.remaining(shift, tracker.span)
+    return replace(state, shift=shift)
 
 
 def _sensed_poses(

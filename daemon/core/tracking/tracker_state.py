@@ -18,6 +18,7 @@ from linemate.daemon.core.tracking.go_no_go.prediction_error import (
     NO_PREDICTIONS,
     PredictionMonitor,
 )
+from linemate.daemon.core.tracking.go_no_go.target_shift import NO_SHIFT, TargetShift
 from linemate.daemon.core.tracking.observation import (
     History,
     PoseMeasurement,
@@ -145,6 +146,7 @@ class TrackerState(Struct, frozen=True, eq=False):
         look_seen: acceleration of the strongest change whose effect on the object the camera has
             seen for long enough [m/s^2].
         following: mean of the tcp off its plan, in the tool's axes [m].
+        shift: of the target after a jump of the estimate.
         compliance: of a clamped tool: the offset by force from the feed-forward target.
         tare: wrench of the free tool, and the mount's sag under it.
         digital_in: of the last telegram; before it all set, so that a bit that is set from the
@@ -189,6 +191,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     look_ns: int | None = None
     look_seen: float = 0.0
     following: Vector3 = (0.0, 0.0, 0.0)
+    shift: TargetShift = NO_SHIFT
     compliance: Compliance = NO_COMPLIANCE
     tare: Tare = NO_TARE
     digital_in: int = -1

@@ -112,7 +112,7 @@ class GoEvidence(Struct, frozen=True):
         angle_deviation: the same of its orientation [rad].
         nis: average normalised innovation squared of the camera.
         rejected: poses rejected in a row.
-        following: mean distance of the tcp from its plan [m].
+        following: mean distance of the tcp from its plan, and of the plan from the estimate [m].
         tentative: a change of the conveyor's class is tentative that moves the object by more than
             is tolerated before the tool follows it.
         steady_s: time since the last change of class was confirmed [s].

@@ -11,12 +11,13 @@ from linemate.daemon.core.tracking.conveyor import (
     Motion,
 )
 from linemate.daemon.core.tracking.estimation import distance_measurement
-from linemate.daemon.core.tracking.go_no_go import decision, prediction_error
+from linemate.daemon.core.tracking.go_no_go import decision, prediction_error, target_shift
 from linemate.daemon.core.tracking.go_no_go.decision import GoEvidence, GoOrder, Zone
 from linemate.daemon.core.tracking.reference import last_step
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
 from linemate.daemon.core.tracking.transverse import STATIC, TURN, X
 
+NOW = np.zeros(1)
 EVALUATED_S = 0.6  # before the far gate the decision begins: longer than the horizon [s]
 FOLLOWING_S = 0.2  # time constant of the mean following error [s]
 LONGEST_SPACING_S = 0.1  # between two images of a camera that sees the object [s]
@@ -133,7 +134,7 @@ def gather(
         angle_deviation=angle_deviation,
         nis=transverse.nis,
         rejected=transverse.rejected,
-        following=math.hypot(x, y),
+        following=math.hypot(x, y) + abs(float(target_shift.remaining(state.shift, NOW)[0])),
         tentative=view.tentative and _moves(tracker, view) > tracker.task.guard.tolerance,
         steady_s=state.steady_s,
         looked_s=state.looked_s if is_look_due(tracker, state, view) else math.inf,

@@ -10,6 +10,7 @@ from linemate.daemon.core import parameters
 from linemate.daemon.core.tracking.conveyor import ConveyorEstimate, Motion
 from linemate.daemon.core.tracking.go_no_go import evidence
 from linemate.daemon.core.tracking.go_no_go.decision import DEVIATIONS, LOOK_S
+from linemate.daemon.core.tracking.go_no_go.target_shift import TargetShift
 from linemate.daemon.core.tracking.observation import PoseMeasurement
 from linemate.daemon.core.tracking.touch.contact import ContactState
 from linemate.daemon.core.tracking.tracker import at_rest
@@ -109,6 +110,15 @@ def test_a_tentative_change_counts_if_it_moves_the_object_beyond_the_tolerance(
     state = replace(at_rest(tracker, np.zeros(6), 0.0), transverse=young)
     view = replace(RUNS, motion=motion, tentative=True)
     assert evidence.gather(tracker, state, view, 0).tentative is counts
+
+
+def test_a_target_that_is_not_yet_at_the_estimate_counts_as_off(tracker: Tracker) -> None:
+    pose = PoseMeasurement(np.array((2.2, 0.0, 1.1)), np.eye(3), 0.0, np.full(6, 1e-8))
+    young = tracker.transverse.initial([pose])
+    state = replace(at_rest(tracker, np.zeros(6), 0.0), transverse=young)
+    shifted = replace(state, shift=TargetShift(-0.02, 0.0))
+    assert evidence.gather(tracker, shifted, RUNS, 0).following == pytest.approx(0.02)
+    assert evidence.gather(tracker, state, RUNS, 0).following == 0.0
 
 
 def test_what_is_seen_of_a_robot_that_does_not_track_counts(tracker: Tracker) -> None:
