@@ -146,12 +146,16 @@ class Cycle(Stepper):
         self._end()
         return True
 
-    def on_missing(self, stamp_ns: int) -> None:
-        """Make the step of a cycle whose telegram did not come, as its deadline passes."""
+    def on_missing(self, stamp_ns: int, *, may_rest: bool = False) -> None:
+        """Make the step of a cycle whose telegram did not come, as its deadline passes.
+
+        Args:
+            may_rest: the robot has been gone for long, and no one looks.
+        """
         if self._has_failed_after_step(stamp_ns):
             return
         self.exchange.on_missing()
-        if self._state is None:
+        if self._state is None or (may_rest and self._rest()):
             return
         self._begin()
         ready, self._ready = self._ready, None
@@ -224,7 +228,8 @@ class Cycle(Stepper):
         if telegram.unready is not None:
             self.session.decline(telegram.unready, self._axes(robot), peer)
             return self._reply_bare(telegram.echo, stamp_ns, decision.steps)
-        is_unproven = decision.kind in _OPENS or self.session.needs_proof(robot, decision.missed)
+        is_unproven = self._state is None or decision.kind in _OPENS
+        is_unproven = is_unproven or self.session.needs_proof(robot, decision.missed)
         if is_unproven and not self._prove(telegram, peer, decision):
             return self._reply_bare(telegram.echo, stamp_ns, decision.steps)
         if self.session.settle(robot.delay, decision.missed + 1, stamp_ns):
@@ -270,7 +275,8 @@ class Cycle(Stepper):
             return False
         reference, held = found
         # After an unnoticed stall of this process, its estimate of the object is too old.
-        if session.proof is not Proof.CONTINUED or session.stalled_s >= RESTART_S:
+        is_old = session.stalled_s >= RESTART_S or self._state is None
+        if session.proof is not Proof.CONTINUED or is_old:
             self._open_session(robot, reference, held)
         elif is_resumed:
             self.operating.is_reply_lost |= session.resume(held, robot.delay)

@@ -179,6 +179,21 @@ class Stepper:
         self._robot = robot
         self._ready = self._plan = self._given = None
 
+    def _rest(self) -> bool:
+        """Forget the state of a robot that has gone, unless its task has begun.
+
+        The next session begins with a new state, as the first one does.
+        """
+        state, last = self._state, self.last
+        if state is None or last is None or self.machine.state is not State.INIT:
+            return False
+        tracker = state.tracker
+        is_engaged = tracker.started or tracker.contact or tracker.clamped
+        if state.moving or is_engaged or last.outputs.digital_out:
+            return False
+        self._state = self._plan = self._ready = None
+        return True
+
     def _finish_again(self, last: LogEntry, plan: stepping.StepPlan, ipoc: int) -> LogEntry:
         """Finish the last step again, with the robot's position from the telegram.
 

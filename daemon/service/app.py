@@ -67,6 +67,10 @@ STATUS_EVERY_NS = 1_000_000_000
 WAIT_NS = 1_000_000  # longest wait for a late telegram whose reply is ready [ns]
 WINDOW_MARGIN_NS = 1_000_000  # from the end of the operators' window to the next step [ns]
 
+# Without a robot for so long and without a viewer, no steps are made [s].
+REST_AFTER_S = 5.0
+REST_S = 0.05  # between two wakes of the clock then [s]
+
 LOG_EVERY = 1000  # a fault of the cycle is logged once in so many
 
 log = logging.getLogger(__name__)
@@ -337,16 +341,24 @@ class App:
                 late_ns = self._timer.lateness.last_ns
                 self._times.note_prepared(late_ns, time.monotonic_ns() - began_ns)
             return
-        lost_s = self._station.config.watch.link_lost_s
+        lost_s, may_rest = self._station.config.watch.link_lost_s, False
         if self._telegram_ns is None or due.stamp_ns - self._telegram_ns > lost_s * 1e9:
-            self._timer.lock.run_free()
+            may_rest = self._may_rest(due.stamp_ns)
+            self._timer.lock.run_free(REST_S if may_rest else 0.0)
             if self._failing_ns is not None and due.stamp_ns - self._failing_ns > lost_s * 1e9:
                 self._failing_ns = None
         elif self._timer.lock.is_locked:
             self._times.note_missing(due.stamp_ns)
         self._times.note_schedule(self._timer.lock)
-        self.cycle.on_missing(due.stamp_ns)
+        self.cycle.on_missing(due.stamp_ns, may_rest=may_rest)
         self._call_after_reply()
+
+    def _may_rest(self, now_ns: int) -> bool:
+        """Return whether the robot has been gone for long, and no one looks."""
+        since_ns = self._began_ns if self._telegram_ns is None else self._telegram_ns
+        if self.cycle.machine.state is not State.INIT or self._commands.is_watched:
+            return False
+        return now_ns - since_ns > REST_AFTER_S * 1e9
 
     def _call_after_reply(self) -> None:
         """Call ``_after`` in the loop's next turn: the link sends the reply in this one."""
@@ -430,7 +442,7 @@ class App:
             until_ns = lock.next_ns - lock.lead_ns - WINDOW_MARGIN_NS
         else:
             # Without a robot, operators delay no one.
-            until_ns = time.monotonic_ns() + lock.period_ns
+            until_ns = max(lock.wake_ns, time.monotonic_ns() + lock.period_ns)
         self._commands.open_window(asyncio.get_running_loop(), until_ns, budget)
 
     def _note_parameters(

@@ -135,6 +135,12 @@ class CommandPort:
         """Use a new set of keys (SIGHUP); sessions of removed keys end at once."""
         self._server.replace_keys(keys)
 
+    @property
+    def is_watched(self) -> bool:
+        """Whether anyone has subscribed to telemetry."""
+        connections = self._connections.values()
+        return bool(self._server.subscribed) or any(c.server.subscribed for c in connections)
+
     def open_window(self, loop: asyncio.AbstractEventLoop, until_ns: int, budget: int) -> None:
         """Let the loop handle messages between two cycles.
 

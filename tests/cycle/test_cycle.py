@@ -916,3 +916,58 @@ def test_increments_add_up_to_the_corrections(parameters: Parameters, task: Task
     assert np.abs(np.array(absolute.axes) - absolute.start).max() > 0.001
     # Each increment is rounded by the wire, and the sum of roundings is not.
     assert np.allclose(absolute.axes, relative.axes, atol=170 * np.radians(0.5e-8))
+
+
+# Without a robot.
+
+
+def gone(station: Station, cycles: int, *, may_rest: bool = True) -> None:
+    """Cycles without a telegram."""
+    for _ in range(cycles):
+        station.feed()
+        station.cycle.on_missing(station.stamp_ns, may_rest=may_rest)
+        station.next()
+
+
+@pytest.mark.parametrize("restarted", [False, True])
+def test_no_steps_are_made_for_a_robot_that_is_gone_and_the_next_session_is_new(
+    station: Station, *, restarted: bool
+) -> None:
+    station.run(90)
+    gone(station, 100)
+    assert station.cycle.machine.state is State.INIT
+    made = station.cycle.steps
+    gone(station, 5000)
+    assert station.cycle.steps == made
+    if restarted:
+        station.ipoc = 77
+    station.delay = 0 if restarted else 5100
+    while bare(station):
+        assert station.cycle.steps == made
+    station.run(1)
+    first = station.cycle.last
+    assert first is not None
+    assert first.before is not None
+    # The estimate of an object that has gone on for a minute would be wrong by metres.
+    history = first.before.tracker.history
+    assert history is not None
+    assert len(history.poses) <= 2
+    station.run(120)
+    assert station.cycle.last.outputs.speed == pytest.approx(SPEED, abs=0.01)
+    assert station.cycle.order("arm") is None
+
+
+def test_steps_are_made_for_a_robot_that_is_gone_while_someone_looks(station: Station) -> None:
+    station.run(90)
+    made = station.cycle.steps
+    gone(station, 300, may_rest=False)
+    assert station.cycle.machine.state is State.INIT
+    assert station.cycle.steps == made + 300
+
+
+def test_steps_are_made_for_a_robot_that_was_lost_in_its_task(station: Station) -> None:
+    station.track(80)
+    made = station.cycle.steps
+    gone(station, 300)
+    assert station.cycle.machine.state is not State.INIT
+    assert station.cycle.steps == made + 300

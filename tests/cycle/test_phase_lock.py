@@ -342,6 +342,21 @@ def test_after_the_robot_was_gone_its_next_telegram_sets_the_phase() -> None:
     assert lock.next_ns == START + 41 * T + T // 3
 
 
+def test_a_clock_that_rests_wakes_later_counts_every_cycle_and_follows_at_once() -> None:
+    lock = locked()
+    lock.run_free(1e-9 * 8 * T)
+    begun, wake = lock.next_ns, lock.wake_ns
+    assert wake == begun + T // 2 + 8 * T
+    dues = lock.take_due(wake)
+    assert [due.stamp_ns for due in dues] == [begun + k * T for k in range(9)]
+    assert lock.skipped == 0
+    lock.run_free(1.0)
+    assert len(lock.take_due(lock.wake_ns)) == MAX_STEPS_AT_ONCE - 4
+    assert lock.skipped == 0
+    lock.follow(lock.next_ns)
+    assert lock.wake_ns <= lock.next_ns + T // 2
+
+
 def test_a_step_is_prepared_once_ahead_of_its_telegram() -> None:
     lead = 3 * MS
     lock = locked(lead)

@@ -22,6 +22,7 @@ from linemate.daemon.config.task_file import Task
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.recording.format import STEP
 from linemate.daemon.recording.step_codec import decode
+from linemate.daemon.service import app as app_module
 from linemate.daemon.service.app import App, StartError
 from linemate.daemon.service.host import realtime
 from linemate.daemon.service.host.notify import Notifier
@@ -234,6 +235,54 @@ def test_every_telegram_is_answered_at_rest_and_recorded(
     # A step that the clock made before its late telegram is recorded without it.
     assert 20 - overdue[0] <= len(answered) <= 20
     assert [record.inputs.k for record in records] == list(range(len(records)))
+
+
+@repeated_when_delayed
+def test_without_a_robot_and_a_viewer_the_daemon_rests_and_is_back_at_the_first_telegram(
+    serve: Serve, task: Task, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(app_module, "REST_AFTER_S", 0.1)
+
+    async def main() -> None:
+        async with serve() as running:
+            controller, app = running.controller(task), running.app
+            await controller.cycles(20)
+            silent_s = time.monotonic()
+            await until(lambda: app.status()["state"] == "init", 2.0)
+            await asyncio.sleep(0.2)
+            steps, wakes = app.status()["steps"], app._timer.lateness.wakes
+            await asyncio.sleep(0.6)
+            assert app.status()["steps"] == steps
+            assert app._timer.lateness.wakes - wakes < 0.5 * 0.6 / CYCLE_S
+            assert (await running.ask("status"))["state"] == "init"
+            for _ in range(round((time.monotonic() - silent_s) / CYCLE_S)):
+                controller.skip()
+            await controller.cycles(30)
+            await until(lambda: app.status()["state"] == "idle", 2.0)
+            # The exchange confirms a counter that does not fit the time by some telegrams.
+            assert [reply.ipoc for reply in controller.replies[-20:]] == controller.sent[-20:]
+            assert app.status()["steps"] - steps >= 20
+
+    run(main())
+
+
+@repeated_when_delayed
+def test_a_viewer_keeps_the_daemon_at_full_rate_without_a_robot(
+    serve: Serve, task: Task, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(app_module, "REST_AFTER_S", 0.1)
+
+    async def main() -> None:
+        async with serve() as running:
+            controller, app = running.controller(task), running.app
+            monkeypatch.setattr(type(app._commands), "is_watched", True)
+            await controller.cycles(20)
+            await until(lambda: app.status()["state"] == "init", 2.0)
+            steps = app.status()["steps"]
+            await asyncio.sleep(0.6)
+            assert app.status()["steps"] - steps > 0.5 * 0.6 / CYCLE_S
+
+    run(main())
 
 
 @repeated_when_delayed

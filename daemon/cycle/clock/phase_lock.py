@@ -300,7 +300,7 @@ class PhaseLock:
         self.lead_ns = lead_ns
         self.next_ns = now_ns + period_ns
         self.is_locked = self._is_prepared = self._is_attended = False
-        self.skipped = 0
+        self.skipped = self._rest_ns = 0
         self._set_period(period_ns)
 
     def follow(self, stamp_ns: int, cycles: int = 1, *, restarts: bool = False) -> None:
@@ -322,7 +322,7 @@ class PhaseLock:
         if self._lead is not None:
             self.lead_ns = self._lead.lead_ns
         self._is_prepared = self._is_attended = False
-        self.is_locked = True
+        self.is_locked, self._rest_ns = True, 0
 
     def date(self, stamp_ns: int, cycles: int) -> int:
         """Return when the controller's cycle began whose telegram has come [ns].
@@ -338,9 +338,15 @@ class PhaseLock:
             return stamp_ns
         return expected_ns if 0 < stamp_ns - expected_ns <= LATEST_NS else stamp_ns
 
-    def run_free(self) -> None:
-        """Keep the configured period. The next telegram sets the phase, however late it is."""
+    def run_free(self, rest_s: float = 0.0) -> None:
+        """Keep the configured period. The next telegram sets the phase, however late it is.
+
+        Args:
+            rest_s: by how much later the clock may wake, for some steps at once [s]. It is bounded
+                by the steps that are made at once after a stall.
+        """
         self.is_locked = False
+        self._rest_ns = min(round(rest_s * 1e9), (MAX_STEPS_AT_ONCE - 5) * self.period_ns)
         self.estimate.restart()
         self._set_period(self.estimate.nominal_ns)
 
@@ -351,7 +357,7 @@ class PhaseLock:
             return self.next_ns - self.lead_ns
         if self._can_attend:
             return self.next_ns - ATTEND_NS
-        return self.next_ns + self.grace_ns
+        return self.next_ns + self.grace_ns + self._rest_ns
 
     def take_due(self, now_ns: int) -> tuple[Due, ...]:
         """Return the steps that are due now [ns], in order."""
