@@ -7,7 +7,7 @@
 
 _shtab_linemate_sim_subparsers=(demo run campaign shift world emulator bench schema)
 
-_shtab_linemate_sim_demo_option_strings=(-h --help --scenario --world --controller --out --json --cycle-ms --seed --strict --view)
+_shtab_linemate_sim_demo_option_strings=(-h --help --scenario --world --controller --out --json --cycle-ms --seed --cars --strict --view)
 _shtab_linemate_sim_run_option_strings=(-h --help --scenario --world --controller --out --json --set --workers --cycle-ms --seed --variant --timing)
 _shtab_linemate_sim_campaign_option_strings=(-h --help --scenario --world --controller --out --json --set --workers --cycle-ms --seeds --first-seed --scheduler --detection --variants)
 _shtab_linemate_sim_shift_option_strings=(-h --help --cars --seed --takt --faulty --workers --json)

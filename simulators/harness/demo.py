@@ -14,6 +14,7 @@ import sys
 import tempfile
 import time
 from argparse import Namespace
+from collections import deque
 from collections.abc import Mapping
 from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
@@ -178,13 +179,18 @@ def _url(port: int) -> str:
 
 
 class Emulated:
-    """The emulator as this process sees it: the lines it prints."""
+    """The emulator as this process sees it: the lines it prints.
+
+    Attributes:
+        cars: changes at a line of cars that were not read yet.
+    """
 
     def __init__(self, child: Child) -> None:
         self.child = child
         self.ready: dict[str, Any] | None = None
         self.state: dict[str, Any] = {}
         self.end: dict[str, Any] | None = None
+        self.cars: deque[dict[str, Any]] = deque(maxlen=64)
         self._stream = child.log.open(encoding="utf-8", errors="replace")
         self._rest = ""
 
@@ -203,6 +209,8 @@ class Emulated:
                 self.state = message
             case {"event": "end"}:
                 self.end = message
+            case {"event": "car"}:
+                self.cars.append(message)
             case _:  # a complaint on standard error that happens to be JSON
                 pass
 
@@ -225,6 +233,10 @@ def main(args: Namespace) -> int:
         FileError: what is wrong with the scenario's file.
         SetupError: a cycle that the controller does not have.
     """
+    if args.cars > 1:
+        from linemate.simulators.harness.line import demo_line
+
+        return demo_line.main(args)
     require(args.world)
     cycle_ms = args.cycle_ms or families.CYCLE_MS[args.controller]
     if cycle_ms not in families.CYCLES_MS[args.controller]:
@@ -514,6 +526,11 @@ def _summary(result: dict[str, Any], out: Path) -> str:
     return f"{table.plain(result)}\n\n{out}/: " + ", ".join(
         sorted(path.name for path in out.iterdir() if path.is_file())
     )
+
+
+def sim_command(*words: str) -> list[str]:
+    """Return the command line of ``linemate-sim`` with some words."""
+    return _command("simulators.harness.main", *words)
 
 
 def _command(module: str, *words: str) -> list[str]:

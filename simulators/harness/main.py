@@ -257,6 +257,9 @@ def _add_demo(commands: "Commands[CommandLine]") -> None:
         help="rsi: 12 or 4, fanuc: 8 or 4, egm: 4, 8, 12 or 24",
     )  # fmt: skip
     demo.add_argument("--seed", type=int, default=0, metavar="N")
+    demo.add_argument(
+        "--cars", type=_count, default=1, metavar="N", help="car after car, of five variants; 1"
+    )
     demo.add_argument("--strict", action="store_true", help="end with 1 if a single reply was late")
     demo.add_argument("--view", action="store_true", help="show it in the browser as it goes")
 

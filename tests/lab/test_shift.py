@@ -9,9 +9,9 @@ import pytest
 
 from linemate.daemon.operator.render import as_json
 from linemate.simulators import harness
+from linemate.simulators.devices.line.cars import Car, CarFault, CarTruth
 from linemate.simulators.lab.shift import plan, shift
-from linemate.simulators.lab.shift.plan import Car, CarFault
-from linemate.simulators.lab.shift.run import CarTruth, ShiftOutcome, ShiftStation, run
+from linemate.simulators.lab.shift.run import ShiftOutcome, ShiftStation, run
 from linemate.simulators.plants.scenario import (
     Body,
     Contact,
@@ -105,8 +105,14 @@ def test_a_record_has_the_times_and_the_force_of_the_part(outcome: ShiftOutcome)
 
 
 def rows(**changes: object) -> dict[str, object]:
-    truth = CarTruth(mounted=True, collision=None, impact_mm=0.1, force_n=50.0)
-    record = {"part": "P1", "ok": True, "reason": "", "duration_s": 3.0}
+    truth = CarTruth(mounted=True, collision=None, impact_mm=0.1)
+    record = {
+        "part": "P1",
+        "ok": True,
+        "reason": "",
+        "duration_s": 3.0,
+        "force": {"largest_n": 50.0},
+    }
     given = {
         "cars": (Car("P1", "low", 1),),
         "truths": (truth,),
@@ -122,14 +128,20 @@ def rows(**changes: object) -> dict[str, object]:
 
 def test_the_judge_sees_a_good_car_that_was_not_mounted() -> None:
     assert rows()["good"]
-    missed = rows(truths=(CarTruth(False, None, None, 0.0),))
+    missed = rows(truths=(CarTruth(False, None, None),))
     assert (missed["good"], missed["unmounted_good"], missed["mounted_bad"]) == (False, 1, 1)
 
 
 def test_the_judge_sees_a_car_without_a_record_or_with_another_cause() -> None:
     assert rows(records=())["unreported"] == 1
     covered = (Car("P1", "low", 1, fault=CarFault.CAMERA_COVERED),)
-    wrong = {"part": "P1", "ok": False, "reason": "overload", "duration_s": 3.0}
+    wrong = {
+        "part": "P1",
+        "ok": False,
+        "reason": "overload",
+        "duration_s": 3.0,
+        "force": {"largest_n": None},
+    }
     assert rows(cars=covered, records=(wrong,))["wrong_cause"] == 1
 
 

@@ -28,7 +28,9 @@ def test_a_page_is_made_and_damaged_lines_are_counted(
     assert "P3" in out.read_text()
 
 
-def test_a_day_without_records_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_day_without_records_is_an_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["report", "2026-11-24", "--records", str(tmp_path)]) == 1
     assert "parts-2026-11-24.jsonl" in capsys.readouterr().err
 

@@ -34,7 +34,7 @@ def _day(text: str) -> str:
 
 
 def _run(args: argparse.Namespace) -> int:
-    from linemate.daemon.production import report
+    from linemate.daemon.production import day_report
 
     path = args.records / f"parts-{args.day}.jsonl"
     try:
@@ -48,7 +48,7 @@ def _run(args: argparse.Namespace) -> int:
     records, damaged = read(lines)
     out = args.out or Path(f"report-{args.day}.html")
     try:
-        out.write_text(report.page(records, args.day), encoding="utf-8")
+        out.write_text(day_report.page(records, args.day), encoding="utf-8")
     except OSError as error:
         console.complain(f"{out}: {error}")
         return USAGE

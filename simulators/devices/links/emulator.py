@@ -28,6 +28,7 @@ from linemate.simulators.devices.can_sensor import CanSensor
 from linemate.simulators.devices.emulated_world import CollisionRecord, ImpactRecord
 from linemate.simulators.devices.faults import GARBAGE_BYTES, REAL, Faults
 from linemate.simulators.devices.force_torque import ForceTorqueSensor
+from linemate.simulators.devices.line.car_feeder import CarFeeder
 from linemate.simulators.devices.links.camera_sender_udp import CameraUdp
 from linemate.simulators.devices.links.controller_udp import ControllerUdp
 from linemate.simulators.devices.links.controllers import build_controller
@@ -100,7 +101,12 @@ class Emulator:
             ValueError: a scenario or controller that makes no sense.
         """
         self.config = config
-        self.world = build_world(config.world, config.scenario, config.mujoco)
+        self._feeder = None if config.line is None else CarFeeder(config.scenario, config.line)
+        self.world = (
+            build_world(config.world, config.scenario, config.mujoco)
+            if self._feeder is None
+            else self._feeder.line
+        )
         self.truth = TruthLog(_rows(config.scenario))
         self._plant = RobotPlant(self.world)
         controller, target = build_controller(config, self._plant)
@@ -160,7 +166,7 @@ class Emulator:
         finally:
             self._close()
             facts = self.facts(reason)
-            if self.config.truth is not None:
+            if self.config.truth is not None and self._feeder is None:
                 self.truth.save(self.config.truth, facts)
             self._tell({"event": "end", **facts})
         return EmulatorResult(facts, self.truth)
@@ -177,8 +183,10 @@ class Emulator:
             return
         self._begun_ns, self._begun_s = at_ns, self.world.time_s
         if not self._origin_ns:
-            self._origin_ns = at_ns - round(self.config.scenario.lead_in_s * 1e9)
-        self.truth.begin(self.world, self._plant.axes)
+            lead_in_s = 0.0 if self._feeder is not None else self.config.scenario.lead_in_s
+            self._origin_ns = at_ns - round(lead_in_s * 1e9)
+        if self._feeder is None:
+            self.truth.begin(self.world, self._plant.axes)
         # No axis moves on this cycle's setpoints before the shortest dead time has passed: the
         # world goes ahead now, so that the next telegram finds it there.
         if self._look_ahead_s >= self._cycle_s:
@@ -206,11 +214,30 @@ class Emulator:
                 self._suffer(self.world.time_s)
                 self.link.begin_counting()
             return
-        self.truth.end(applied, turnaround_ns)
+        if self._feeder is None:
+            self.truth.end(applied, turnaround_ns)
         self._plant.apply(applied)
+        self._feed(applied.setpoints)
         self._lay_out()
         self._suffer(self.world.time_s)
         self._look_for_end()
+
+    def _feed(self, setpoints: tuple[float, ...]) -> None:
+        """Let the next car enter if it is due, and tell of it."""
+        feeder = self._feeder
+        event = None if feeder is None else feeder.look(setpoints, self._plant.cycle)
+        if event is None:
+            return
+        left, entered = event.left, event.entered
+        self._tell(
+            {
+                "event": "car",
+                "part": None if entered is None else entered.part,
+                "variant": None if entered is None else entered.variant,
+                "distance": event.reading + self.config.distance_mount,
+                "left": None if left is None else {"part": left[0].part, **asdict(left[1])},
+            }
+        )
 
     def ready(self) -> dict[str, Any]:
         """Where everything is to be found."""
@@ -390,6 +417,10 @@ class Emulator:
 
     def _look_for_end(self) -> None:
         now_s, config = self.world.time_s, self.config
+        if self._feeder is not None:
+            if self._feeder.is_over:
+                self._end_with(self._feeder.complaint or "the last car has left")
+            return
         hit = self.world.collision
         hit_s = None if hit is None else hit.time_s
         if now_s >= config.scenario.duration_s:

@@ -11,6 +11,7 @@ from linemate import protocol
 from linemate.protocol.sensors.distance import SHIPPED_DBC
 from linemate.simulators.devices.egm.egm_controller import EgmConfig
 from linemate.simulators.devices.fanuc.fanuc_controller import FanucConfig
+from linemate.simulators.devices.line.cars import LinePlan
 from linemate.simulators.devices.links.endpoint import Address
 from linemate.simulators.devices.rsi_controller import ControllerConfig
 from linemate.simulators.devices.worlds import OWN
@@ -29,6 +30,8 @@ class EmulatorConfig:
         scenario: the world and its sensors.
         world: what solves it: "own" or "mujoco".
         mujoco: sizes of the MuJoCo station.
+        line: cars that come one after the other; the scenario has what they have in common. No
+            truth is kept of them. None: the one car of the scenario.
         controller: how a controller with RSI is set up; its cycle is the scenario's.
         egm: how a controller with ABB's EGM is set up instead, None for RSI.
         fanuc: how a controller with FANUC's Stream Motion is set up instead, None for RSI.
@@ -61,6 +64,7 @@ class EmulatorConfig:
     scenario: Scenario = field(default_factory=Scenario)
     world: str = OWN
     mujoco: MujocoCell = field(default_factory=MujocoCell)
+    line: LinePlan | None = None
     controller: ControllerConfig = field(default_factory=ControllerConfig)
     egm: EgmConfig | None = None
     fanuc: FanucConfig | None = None

@@ -6,42 +6,13 @@ Invariants:
 """
 
 import random
-from dataclasses import dataclass
-from enum import StrEnum
 
+from linemate.simulators.devices.line.cars import Car, CarFault
 from linemate.simulators.plants.scenario import ConveyorEvent
 
 STOPS = 0.4  # share of cars during whose assembly the line stops
 FAULTY = 0.02  # share of cars with a fault
 DECELERATION, ACCELERATION = 0.104, 0.013  # of the line's drive [m/s^2]
-
-
-class CarFault(StrEnum):
-    """What goes wrong with a car."""
-
-    CAMERA_COVERED = "camera covered"
-    ROBOT_RESTARTED = "robot restarted"
-    FORCE_SILENT = "force sensor silent"
-    PART_MISSING = "part missing"
-
-
-@dataclass(frozen=True, slots=True)
-class Car:
-    """One car of a shift.
-
-    Attributes:
-        part: identifier that the line's controller announces.
-        seed: of the plant's draws.
-        events: stops and starts of the line, in time of the car [s].
-        fault_s: when the fault begins, in time of the car [s].
-    """
-
-    part: str
-    variant: str
-    seed: int
-    events: tuple[ConveyorEvent, ...] = ()
-    fault: CarFault | None = None
-    fault_s: float = 0.0
 
 
 def draw(cars: int, seed: int, variants: tuple[str, ...], faulty: float = FAULTY) -> list[Car]:

@@ -9,15 +9,12 @@ Invariants:
 import asyncio
 import contextlib
 import json
-import math
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from linemate.daemon.config import config
 from linemate.daemon.config.config import LoadedConfig
@@ -30,6 +27,8 @@ from linemate.drivers.datagrams import Address
 from linemate.protocol.sensors.distance import DistanceEncoder
 from linemate.simulators import harness
 from linemate.simulators.devices.faults import Faults
+from linemate.simulators.devices.line.car_feeder import CarFeeder
+from linemate.simulators.devices.line.cars import Car, CarFault, CarTruth, LinePlan
 from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.devices.rsi_controller import ControllerConfig, RsiController
 from linemate.simulators.harness import scenario_file
@@ -37,9 +36,7 @@ from linemate.simulators.harness.lockstep import parameters
 from linemate.simulators.harness.sensor_links import Emitters
 from linemate.simulators.harness.virtual import EPOCH_NS, VirtualLoop, VirtualTime, inhabited
 from linemate.simulators.lab.faults.dst_oracles import weigh
-from linemate.simulators.lab.shift.car_line import CarLine
 from linemate.simulators.lab.shift.line_controller import LineController
-from linemate.simulators.lab.shift.plan import Car, CarFault
 from linemate.simulators.plants.scenario import Scenario
 
 STATION = Path(harness.__path__[0]) / "data" / "shift" / "station.yaml"
@@ -49,30 +46,12 @@ TALKING_NS = 1_000_000  # from the host's bytes to the answer of a serial device
 LISTENING_NS = 300_000_000  # the daemon listens so long before the robot's program starts [ns]
 AHEAD_S = 1e-6
 FIRST_CAR_S = 2.0  # from the beginning to the first car [s]
-STANDS_S = 0.5  # time without a new setpoint after which the robot stands [s]
 PAUSE_S = 0.5  # from the end of a robot program to its restart [s]
 LAST_CAR_S = 45.0  # from the last car's entry to the end of the shift [s]
-STUCK_S = 180.0  # the shift ends if the robot does not stand for so long after the takt [s]
 
 RSI_PORT, CAMERA_PORT = 49152, 49153
 ROBOT: Address = ("127.0.0.1", 50_001)
 CAMERA: Address = ("127.0.0.1", 50_002)
-
-
-@dataclass(frozen=True, slots=True)
-class CarTruth:
-    """What became of a car in its world.
-
-    Attributes:
-        mounted: the wheel is screwed on and released, without a collision.
-        impact_mm: distance of tcp and hub across the tool's axis at the touch; None without one.
-        force_n: largest force that the sensor sent [N].
-    """
-
-    mounted: bool
-    collision: str | None
-    impact_mm: float | None
-    force_n: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +142,10 @@ class ShiftRun:
             files, config=replace(files.config, production=replace(production, records=str(folder)))
         )
         hubs = {n: task.file.object.nominal.position for n, task in files.variants.items()}
-        self.line = CarLine(station.scenario, hubs)
+        entry_s = station.scenario.lead_in_s
+        line_plan = LinePlan(tuple(cars), hubs, station.takt_s, entry_s, FIRST_CAR_S, LAST_CAR_S)
+        self._feeder = CarFeeder(station.scenario, line_plan)
+        self.line = self._feeder.line
         self.plant = RobotPlant(self.line)
         self.controller = RsiController(
             files.rsi, self.plant.read, self.plant.start, ControllerConfig(timeout_rule="row")
@@ -172,18 +154,13 @@ class ShiftRun:
             self.line, Faults(()), files.task.file.conveyor.start_position, _ns, DistanceEncoder()
         )
         self.plc = LineController()
-        self._cars, self._takt_s = tuple(cars), station.takt_s
+        self._cars = tuple(cars)
         self._folder, self._on_car = folder, on_car
         self._truths: list[CarTruth] = []
-        self._next = 0
-        self._due_s = FIRST_CAR_S
         self._cycle = 0
         self._is_open = False
         self._paused_until_s: float | None = None
         self._has_restarted = False
-        self._standing = 0
-        self._force = 0.0
-        self._impact_mm: float | None = None
         self._growth = [0, 0]
         self._complaints: list[str] = []
         self._time = VirtualTime(EPOCH_NS - LISTENING_NS)
@@ -261,65 +238,44 @@ class ShiftRun:
         self._time.at(_ns(self.line.cycle_start(self._cycle + 1)), self._begin_cycle)
 
     def _close_cycle(self) -> None:
-        before = self.controller.setpoints
         if self._paused_until_s is None:
             applied = self.controller.end_of_cycle()
             self.plant.apply(applied)
         else:
-            self.line.command(before)
+            self.line.command(self.controller.setpoints)
             self.plant.cycle += 1
             self.line.advance(self.line.cycle_start(self.plant.cycle))
-        moved = self.controller.setpoints != before
-        self._standing = 0 if moved else self._standing + 1
         self._cycle += 1
         self._judge()
 
     def _judge(self) -> None:
-        """Look at the present car's truth."""
-        self._force = max(self._force, self._emitters.wrench_n)
-        if self.line.impact is not None and self._impact_mm is None:
-            off = np.linalg.inv(self.line.hub_pose()) @ self.line.tcp_pose()
-            self._impact_mm = 1e3 * math.hypot(*off[:2, 3].tolist())
+        """End the shift if the controller has broken the exchange off."""
         if self.controller.broken is not None and not self._complaints:
             self._complaints.append(self.controller.broken)
             self._over.set()
 
     def _bring_cars(self) -> None:
         """Let the next car enter once it is due and the robot stands."""
-        now_s = self.now_s
-        if now_s < self._due_s:
-            return
-        if self._standing * self.controller.config.cycle_s < STANDS_S:
-            if now_s - self._due_s > STUCK_S:
-                self._complaints.append(f"the robot does not stand at {now_s:.1f} s")
-                self._over.set()
-            return
-        self._end_car()
-        if self._next >= len(self._cars):
+        event = self._feeder.look(self.controller.setpoints, self._cycle)
+        if self._feeder.complaint is not None:
+            self._complaints.append(self._feeder.complaint)
+        if self._feeder.is_over:
             self._over.set()
+        if event is None:
             return
-        car = self._cars[self._next]
-        self._next += 1
-        is_last = self._next == len(self._cars)
-        self._due_s = now_s + (min(self._takt_s, LAST_CAR_S) if is_last else self._takt_s)
-        self.line.enter(car, self.controller.setpoints, self._cycle)
+        if event.left is not None:
+            self._end_car(*event.left)
+        car = event.entered
         self._has_restarted = False
-        if self.app is not None:
+        if self.app is not None and car is not None:
             mount = self._station.task.file.conveyor.start_position
-            reading = self.line.reading + mount
+            reading = event.reading + mount
             self.plc.announce(self.app, car.part, car.variant, reading, self._time.host_ns)
 
-    def _end_car(self) -> None:
-        """Note what became of the present car."""
-        if not self._next:
-            return
-        world = self.line.world
-        collision = None if world.collision is None else world.collision.reason
-        is_done = world.screws_fixed_s is not None and world.released_s is not None
-        truth = CarTruth(is_done and collision is None, collision, self._impact_mm, self._force)
+    def _end_car(self, car: Car, truth: CarTruth) -> None:
+        """Note what became of a car."""
         self._truths.append(truth)
-        self._on_car(self.line.car, truth)
-        self._impact_mm, self._force = None, 0.0
+        self._on_car(car, truth)
         if self.app is not None:
             size = weigh(self.app.cycle) + weigh(self.app._production)  # noqa: SLF001
             self._growth = [self._growth[0] or size, size]

@@ -11,10 +11,10 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from typing import Any, Final
 
+from linemate.simulators.devices.line.cars import Car, CarFault, CarTruth
 from linemate.simulators.judge import report_json
 from linemate.simulators.lab.shift import plan
-from linemate.simulators.lab.shift.plan import Car, CarFault
-from linemate.simulators.lab.shift.run import CarTruth, ShiftOutcome, run, shipped_station
+from linemate.simulators.lab.shift.run import ShiftOutcome, run, shipped_station
 
 VERSION: Final = 1
 CAUSES: Final[Mapping[CarFault, tuple[str, ...]]] = {
@@ -95,21 +95,21 @@ def _rows(outcome: ShiftOutcome) -> list[dict[str, Any]]:
     records = {record["part"]: record for record in outcome.records}
     rows = []
     for i, car in enumerate(outcome.cars):
-        truth = outcome.truths[i] if i < len(outcome.truths) else CarTruth(False, None, None, 0.0)
+        truth = outcome.truths[i] if i < len(outcome.truths) else CarTruth(False, None, None)
         record = records.get(car.part)
         reason = "" if record is None else record["reason"]
-        said = "unreported" if record is None else "ok" if record["ok"] else "nok"
+        result = "unreported" if record is None else "ok" if record["ok"] else "nok"
         rows.append(
             {
                 "id": car.part,
                 "variant": car.variant,
                 "fault": None if car.fault is None else str(car.fault),
-                "outcome": said,
+                "outcome": result,
                 "reason": reason,
                 "mounted": truth.mounted,
                 "collision": truth.collision,
                 "impact_mm": truth.impact_mm,
-                "force_n": truth.force_n,
+                "force_n": None if record is None else record["force"]["largest_n"],
                 "cause_named": car.fault is None or any(c in reason for c in CAUSES[car.fault]),
                 "duration_s": None if record is None else record["duration_s"],
             }

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from linemate.daemon.production import report
+from linemate.daemon.production import day_report
 
 
 def record(number: int, **changes: Any) -> dict[str, Any]:
@@ -45,7 +45,7 @@ class Reader(HTMLParser):
 
 def read(records: list[dict[str, Any]]) -> Reader:
     reader = Reader()
-    reader.feed(report.page(records, "2026-11-23"))
+    reader.feed(day_report.page(records, "2026-11-23"))
     return reader
 
 
@@ -69,10 +69,10 @@ def test_a_drift_is_marked_only_if_it_is_larger_than_its_deviation() -> None:
 
 
 def test_the_slope_of_a_line_is_found_with_its_deviation() -> None:
-    slope, deviation = report.drift([2.0 + 0.5 * i for i in range(10)]) or (0.0, 1.0)
+    slope, deviation = day_report.drift([2.0 + 0.5 * i for i in range(10)]) or (0.0, 1.0)
     assert slope == pytest.approx(0.5)
     assert deviation == pytest.approx(0.0, abs=1e-12)
-    assert report.drift([1.0] * 7) is None
+    assert day_report.drift([1.0] * 7) is None
 
 
 def test_the_worst_good_part_is_linked_to_its_recording() -> None:
@@ -94,5 +94,5 @@ def test_a_day_without_parts_and_records_without_figures_make_a_page() -> None:
     assert "0 parts" in read([]).text
     bare = record(1, estimates={}, force={"impact_n": None, "largest_n": None}, recording=None)
     assert "1 parts" in read([bare]).text
-    assert report.value({"a": {"b": float("nan")}}, ("a", "b")) is None
-    assert report.value({"a": True}, ("a",)) is None
+    assert day_report.value({"a": {"b": float("nan")}}, ("a", "b")) is None
+    assert day_report.value({"a": True}, ("a",)) is None

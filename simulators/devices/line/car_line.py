@@ -13,13 +13,13 @@ from dataclasses import replace
 from typing import Any
 
 from linemate.simulators.devices.emulated_world import Floats, Pose, Six
+from linemate.simulators.devices.line.cars import Car, CarFault, LinePlan
 from linemate.simulators.devices.robot_plant import seven
-from linemate.simulators.lab.shift.plan import Car, CarFault
 from linemate.simulators.plants.scenario import Scenario
 from linemate.simulators.plants.sensors import CameraEmission, DistanceEmission, WrenchEmission
 from linemate.simulators.plants.world import World
 
-LONGEST_S = 240.0  # that a car may be in front of the robot [s]
+AHEAD_S = 1.0  # of a car that is computed as it enters; the rest as it goes on [s]
 COVERED_S = 12.0  # time that a covered camera stays covered [s]
 SILENT_S = 6.0  # time that a silent force sensor stays silent [s]
 NEVER = Car("", "", 0)
@@ -34,16 +34,14 @@ class CarLine:
         reading: what the distance sensor would read without error [m], less its mount.
     """
 
-    def __init__(self, template: Scenario, hubs: dict[str, tuple[float, float, float]]) -> None:
+    def __init__(self, template: Scenario, plan: LinePlan) -> None:
         """Begin with an empty place.
 
         Args:
-            template: what the cars have in common; a car enters its lead-in before the start
-                position.
-            hubs: nominal hub by variant, in base [m].
+            template: what the cars have in common.
         """
-        self._template = replace(template, duration_s=LONGEST_S)
-        self._hubs = hubs
+        self._template = replace(template, lead_in_s=plan.entry_s, duration_s=AHEAD_S)
+        self._hubs = plan.hubs
         self.car = NEVER
         self.entered_s = 0.0
         self._way = 0.0

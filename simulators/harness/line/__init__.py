@@ -1,0 +1,1 @@
+"""The demonstration of car after car in real time."""
