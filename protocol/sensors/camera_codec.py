@@ -144,6 +144,7 @@ class _Source:
 
     __slots__ = (
         "arrival_ns",
+        "backs",
         "candidate",
         "candidates",
         "clock",
@@ -162,6 +163,7 @@ class _Source:
         self.candidate = -1
         self.candidates = 0
         self.jumps = 0
+        self.backs = 0
 
 
 MAX_GAP = 1_000  # lost messages that one gap counts at most
@@ -301,7 +303,9 @@ class CameraDecoder:
             self.gaps += 1
             self.lost += min(message.seq - source.seq - 1, MAX_GAP)
         source.seq, source.reset = message.seq, message.reset
-        source.t_tx, source.arrival_ns = message.t_tx, stamp_ns
+        if not source.backs:
+            source.t_tx = message.t_tx
+        source.arrival_ns = stamp_ns
         source.candidates = 0
         return offset_ns
 
@@ -338,7 +342,22 @@ class CameraDecoder:
                 raise CameraError("clock_jumps", what, data)
             source.clock.clear()
         source.jumps = 0
+        self._notice_clock_set_back(source, message)
         return source.clock.learn(transit_ns, stamp_ns)
+
+    def _notice_clock_set_back(self, source: _Source, message: CameraMessage) -> None:
+        """Drop the offset of a clock that was set back: its exposures would all be stale.
+
+        No delay makes a later message an earlier one: it has a later number and was sent earlier.
+        The newest message before that is kept as what the next ones are compared with.
+        """
+        if source.seq < 0 or message.t_tx >= source.t_tx - self._max_age_ns:
+            source.backs = 0
+            return
+        source.backs += 1
+        if source.backs >= RESTART_MESSAGES:
+            source.backs = 0
+            source.clock.clear()
 
     def _exposure(self, exposure_ns: int, stamp_ns: int, data: bytes) -> int:
         age_ns = stamp_ns - exposure_ns

@@ -309,20 +309,39 @@ def test_a_clock_set_forward_is_believed_after_three_messages() -> None:
     assert sample.exposure_ns == 4 * S - EXPOSED_NS
 
 
-def test_a_clock_set_back_is_stale_until_the_window_has_forgotten_it() -> None:
-    decoder = CameraDecoder(window_s=3.2)
+def test_a_clock_set_back_is_believed_after_three_messages() -> None:
+    decoder = CameraDecoder()
     decoder.feed(message(400), 10 * S)
     outcomes: list[int | str] = []
-    for seq in range(401, 600):
+    for seq in range(401, 440):
         arrival_ns = 10 * S + (seq - 400) * PERIOD_NS
         data = message(seq, t_tx=(seq - 400) * PERIOD_NS)
         try:
             outcomes.append(decoder.feed(data, arrival_ns).exposure_ns - arrival_ns)
         except CameraError as error:
             outcomes.append(error.reason)
-    stale = outcomes.count("stale")
-    assert 3.0 <= stale * 0.025 <= 3.4
-    assert outcomes[stale:] == [-EXPOSED_NS] * (199 - stale)
+    assert outcomes == ["stale", "stale"] + [-EXPOSED_NS] * 37
+
+
+def test_messages_that_were_held_up_are_no_clock_set_back() -> None:
+    decoder = CameraDecoder()
+    decoder.feed(message(0), 3 * S)
+    for seq in range(1, 6):
+        assert refused(decoder, message(seq), 5 * S + seq * PERIOD_NS) == "stale"
+    later = decoder.feed(message(80), 5 * S)
+    assert later.exposure_ns == 5 * S - EXPOSED_NS
+
+
+def test_one_message_with_an_old_time_of_sending_does_not_spoil_the_clock() -> None:
+    decoder = CameraDecoder()
+    decoder.feed(message(400), 10 * S)
+    for seq in (401, 402, 404, 405, 407):
+        wild = {"t_tx": 0} if seq != 404 else {}
+        arrival_ns = 10 * S + (seq - 400) * PERIOD_NS
+        if wild:
+            assert refused(decoder, message(seq, **wild), arrival_ns) == "stale"
+        else:
+            assert decoder.feed(message(seq), arrival_ns).exposure_ns == arrival_ns - EXPOSED_NS
 
 
 def test_missing_numbers_are_counted_as_gaps_and_messages() -> None:
