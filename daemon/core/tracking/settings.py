@@ -313,8 +313,6 @@ class SwaySettings:
         range_hz: lowest and highest frequency at which it is looked for.
         step: of the frequencies that are tried, as a share.
         memory: time constant of what is remembered of it [s].
-        unseen: one sigma of the gain of a sway that is not known, while no sensor sees the body
-            after a stop or a start; go or no-go counts it. 0: an unknown sway is no reason to wait.
         found: log odds at which a sway counts as found.
         least: amplitude from which it is followed [m].
         contact_least: the same in contact, where the force-torque sensor sees it [m].
@@ -331,7 +329,6 @@ class SwaySettings:
     range_hz: tuple[Frequency, Frequency] = (0.35, 5.5)
     step: Annotated[float, Ge(0.01), Le(0.5)] = 0.1
     memory: Constant = 4.0
-    unseen: Annotated[float, Ge(0.0), Le(2.0)] = 0.0
     found: LogOdds = 8.0
     least: Length = 0.0003
     contact_least: Length = 0.0001

@@ -151,30 +151,24 @@ def test_a_start_is_confirmed_though_the_body_lags_behind() -> None:
     assert NOMINAL > float(state.x[1]) > 0.02
 
 
-@pytest.mark.parametrize(("unseen", "least", "most"), [(0.0, 0.0, 0.001), (0.5, 0.004, 0.02)])
-def test_an_unknown_sway_that_no_one_sees_widens_the_estimate(
-    unseen: float, least: float, most: float
+@pytest.mark.parametrize(
+    ("sway", "gain", "frequency_hz"),
+    [
+        (SwaySettings(), 1.0, 0.35),
+        (SwaySettings(gain_deviation=0.004), 0.004, 0.35),
+        (SwaySettings(gain_deviation=0.1, range_hz=(0.5, 3.0)), 0.1, 0.5),
+        (SwaySettings(frequency_hz=0.62, gain=1.0, gain_deviation=0.05), 0.05, 0.62),
+        (SwaySettings(is_on=False, frequency_hz=0.62, gain=0.8, gain_deviation=0.6), 1.0, 0.62),
+    ],
+)
+def test_the_sway_that_is_not_known_follows_from_the_deviation_of_the_gain(
+    sway: SwaySettings, gain: float, frequency_hz: float
 ) -> None:
-    bank = replace(BANK, sway=SwaySettings(unseen=unseen))
-    truth = Truth(1.6, ((0.2, -STOP),), ripple=1e-5)
-    readings = Sensor(seed=3).read(truth, np.arange(round(3.0 / T0)) * T0 - 2.0)
-    state = bank.initial(float(readings[0]))
-    for k, reading in enumerate(readings[1:], 1):
-        t = -2.0 + k * T0
-        rows = [PositionMeasurement(Source.DISTANCE, float(reading), 0.001, DEVIATION**2, 4.0)]
-        if t < 0.1:
-            seen = float(np.interp(t, truth.times, truth.positions))
-            rows.append(PositionMeasurement(Source.CAMERA, seen, 0.0, 25e-8, 5.0))
-        state = bank.advance(state, rows, T0)
-    assert state.motion is Motion.STOPPING
-    assert least <= bank.estimate(state).deviation - math.sqrt(float(state.P[0, 0])) <= most
-
-
-def test_the_estimate_tells_the_sway_that_the_distance_sensor_does_not_see() -> None:
-    truth = Truth(3.0, ripple=1e-5)
-    sway = sway_of(truth, 1.2, 0.0, 0.0036)
-    state, _, _ = run(truth, sway, 3.0)
-    view = BANK.estimate(state)
-    now = float(np.interp(3.0 - T0, truth.times, sway))
-    assert view.sway == pytest.approx(now, abs=6e-4)
-    assert view.position - view.sway == pytest.approx(float(truth.at(3.0 - T0)), abs=1e-3)
+    """The largest displacement of an undamped body is ``2 g a / w^2``, here with a = 1 m/s^2."""
+    bank = replace(BANK, sway=sway)
+    unknown = bank.estimate(bank.initial(0.0)).unknown_sway
+    times = np.linspace(0.0, 4.0, 4001)
+    omega = math.tau * frequency_hz
+    response = gain * (1.0 - np.cos(omega * times)) / omega**2
+    known = sway.is_on and sway.frequency_hz > 0.0
+    assert unknown == pytest.approx(response.max(), rel=0.01 if known else 1e-3)

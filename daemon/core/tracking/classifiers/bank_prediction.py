@@ -240,10 +240,7 @@ def estimate(model: BankModel, state: BankState) -> ConveyorEstimate:
         position=x[Y] + x[IMPULSE] + x[SWAY] + share * x[RIPPLE],
         speed=v + random + share * x[RIPPLE_QUADRATURE] * model.ripple_omega(state),
         offset=x[OFFSET],
-        deviation=math.hypot(
-            math.sqrt(max(variance[Y] + variance[IMPULSE] + variance[SWAY], 0.0)),
-            sway_filter.unseen_deviation(model, state),
-        ),
+        deviation=math.sqrt(max(variance[Y] + variance[IMPULSE] + variance[SWAY], 0.0)),
         speed_deviation=math.sqrt(max(variance[V] + variance[RANDOM], 0.0)),
         motion=state.motion,
         tentative=state.tentative,

@@ -38,7 +38,6 @@ from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, 
 
 WIDENING = 4.0  # of the regression's covariance: neighbouring readings are not independent
 TOUCHED = 0.001  # one sigma of what the body has moved unseen when the tool touches it [m]
-UNSEEN_S = 0.2  # between two readings of the body, after which it is not seen [s]
 SETTLED_S = 0.6  # after which the speed is estimated [s]
 LEAST_SPREAD = 0.01  # of the frequency, as a share
 JUMP = 0.1  # of the logarithm of the frequency in a step, which only another sway makes
@@ -96,30 +95,6 @@ def unknown_sway(model: BankModel, state: BankState) -> float:
         omega = 2.0 * math.pi * settings.frequency_hz
         return 2.0 * math.hypot(settings.gain, settings.gain_deviation) / omega**2
     return 2.0 * settings.gain_deviation / (2.0 * math.pi * settings.range_hz[0]) ** 2
-
-
-def unseen_deviation(model: BankModel, state: BankState) -> float:
-    """Return one sigma of a sway that no one knows and no sensor has seen yet [m].
-
-    A ramp that began after the body was last seen moves a pendulum by ``a t^2 / 2`` against the
-    conveyor, and the slowest one by ``a / w^2`` in the mean.
-    """
-    sways = state.sways
-    if not model.sway.unseen or sways is None or state.sway_omega:
-        return 0.0
-    unseen = sways.since_reading
-    if unseen < UNSEEN_S:
-        return 0.0
-    if state.motion not in RAMPS:
-        if state.class_age > unseen:
-            return 0.0
-        acted = unseen
-    else:
-        acted = min(state.class_age, unseen)
-    stops = state.motion in {Motion.STOPPING, Motion.STANDING}
-    a = model.conveyor.deceleration if stops else model.conveyor.acceleration
-    slowest = float(sway_bank.grid(model.sway).omegas[0])
-    return float(model.sway.unseen * a * min(0.5 * acted * acted, slowest**-2.0))
 
 
 def has_taken_over(before: BankState, state: BankState) -> bool:
