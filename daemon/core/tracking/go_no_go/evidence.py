@@ -22,6 +22,7 @@ EVALUATED_S = 0.6  # before the far gate the decision begins: longer than the ho
 FOLLOWING_S = 0.2  # time constant of the mean following error [s]
 LONGEST_SPACING_S = 0.1  # between two images of a camera that sees the object [s]
 FOLLOWED_S = 0.5  # a change of class is confirmed and the tool follows it after this time [s]
+MIXED = 1.0  # log odds below even ones from which a change of class moves a prediction by 1 mm
 NEAREST_BACK = 0.005  # a tool that feels nothing backs off only from farther away [m]
 _ENDS = {Motion.STANDING: Motion.STOPPING, Motion.RUNNING: Motion.STARTING}
 
@@ -160,8 +161,8 @@ def is_certain(tracker: Tracker, state: TrackerState, view: ConveyorEstimate, ah
         ahead: how far ahead it is [s].
     """
     guard = tracker.task.guard
-    if view.confidence > tracker.settings.bank.penalty:
-        return False  # it has more than half of the weight in the prediction
+    if view.confidence > tracker.settings.bank.penalty - MIXED:
+        return False
     # The conveyor's way beyond the short lead is measured again before the touch.
     along = math.hypot(view.deviation, view.speed_deviation * prediction_error.SHORT_LEAD_S)
     deviation, angle = _deviation(tracker, state, along, ahead)

@@ -141,8 +141,8 @@ def test_a_prediction_is_certain_if_neither_covariance_nor_a_change_speaks_again
     assert evidence.is_certain(tracker, sure, RUNS, 1.5)
     assert not evidence.is_certain(tracker, sure, replace(RUNS, deviation=0.0011), 1.5)
     assert not evidence.is_certain(tracker, sure, replace(RUNS, speed_deviation=0.005), 1.5)
-    assert not evidence.is_certain(tracker, sure, replace(RUNS, confidence=4.1), 1.5)
-    assert evidence.is_certain(tracker, sure, replace(RUNS, confidence=3.9), 1.5)
+    assert not evidence.is_certain(tracker, sure, replace(RUNS, confidence=3.1), 1.5)
+    assert evidence.is_certain(tracker, sure, replace(RUNS, confidence=2.9), 1.5)
 
 
 @pytest.mark.parametrize(
