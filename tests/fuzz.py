@@ -26,7 +26,7 @@ from linemate.protocol.egm.egm_codec import (
     RobotMessage,
 )
 from linemate.protocol.errors import ProtocolError
-from linemate.protocol.fanuc import packets
+from linemate.protocol.fanuc import classic_packets, packets
 from linemate.protocol.fanuc.fanuc_link import FanucLink
 from linemate.protocol.fanuc.packets import CapabilityPacket, CommandPacket, StatusPacket
 from linemate.protocol.rsi import ethernet_config
@@ -123,6 +123,18 @@ def _fanuc() -> tuple[Wire, Wire, Wire]:
     )
 
 
+def _fanuc_classic() -> tuple[Wire, Wire]:
+    joints = (*SIX, 100.0, 0.0, 0.0)
+    commands = tuple(
+        classic_packets.write_command(CommandPacket(version, 12, joints)) for version in (1, 2)
+    )
+    status = classic_packets.write_status(StatusPacket(2, 12, 9, 0, joints))
+    return (
+        Wire((status,), classic_packets.read_status),
+        Wire(commands, classic_packets.read_command),
+    )
+
+
 def _camera() -> Wire:
     message = CameraMessage(
         v=1, src="c", seq=1, t_exp=10**9, t_tx=10**9, frame="camera", obj="hub",
@@ -184,6 +196,7 @@ def wires() -> dict[str, Wire]:
     robot, reply, config = _rsi()
     egm_robot, egm_sensor = _egm()
     status, command, capability = _fanuc()
+    classic_status, classic_command = _fanuc_classic()
     frame, request, answer = _command()
     return {
         "robot": robot,
@@ -192,6 +205,8 @@ def wires() -> dict[str, Wire]:
         "egm_robot": egm_robot,
         "egm_sensor": egm_sensor,
         "fanuc_status": status,
+        "fanuc_classic_status": classic_status,
+        "fanuc_classic_command": classic_command,
         "fanuc_command": command,
         "fanuc_capability": capability,
         "camera": _camera(),

@@ -16,13 +16,8 @@ from typing import Literal, cast
 
 from linemate.protocol.exchange_controller import ControllerCounts, Judgement
 from linemate.protocol.fanuc import packets
-from linemate.protocol.fanuc.packets import (
-    CapabilityPacket,
-    CommandPacket,
-    FanucError,
-    PacketKind,
-    StatusPacket,
-)
+from linemate.protocol.fanuc.packets import CommandPacket, FanucError, StatusPacket
+from linemate.simulators.devices.fanuc.dialects import RequestKind, dialect
 from linemate.simulators.devices.fanuc.setpoint_gate import SetpointGate
 from linemate.simulators.devices.limit_judge import LIMITS, AxisLimit, LimitJudge
 from linemate.simulators.devices.rsi_controller import Applied, RobotReading, Seven
@@ -45,7 +40,7 @@ class FanucConfig:
 
     Attributes:
         cycle_s: 0.008 on an R-30iB, down to 0.001 on an R-50iA [s].
-        version: of the protocol, 3 or 4.
+        version: of the protocol: 3 and 4, or 1 and 2 of the older generation.
         is_coupled: J3 on the wire is relative to the horizontal.
         has_rail: J7 is a linear axis. Without it, J7 has to stay at 0.
         signals_byte: place of the tool's signals in the inputs and outputs, None without.
@@ -55,7 +50,7 @@ class FanucConfig:
     """
 
     cycle_s: float = 0.008
-    version: Literal[3, 4] = 3
+    version: Literal[1, 2, 3, 4] = 3
     is_coupled: bool = False
     has_rail: bool = True
     signals_byte: int | None = 0
@@ -135,6 +130,7 @@ class FanucController:
         self.is_program_running = True
         self.is_emergency_stop = self.is_pendant_enabled = False
         self._read = read
+        self._dialect = dialect(config.version, config.cycle_s, config.limits)
         self._gate = SetpointGate(setpoints, config.limits, config.cycle_s)
         self._stream = _Stream()
         self._answers: deque[bytes] = deque(maxlen=ANSWERS)
@@ -188,7 +184,7 @@ class FanucController:
             return None
         stream.sequence = (stream.sequence + 1) % _U32
         self.counts.sent += 1
-        return packets.write_status(self._describe(self._read()))
+        return self._dialect.write_status(self._describe(self._read()))
 
     def on_reply(self, data: bytes, stamp_ns: int = 0, deadline_ns: int | None = None) -> Judgement:
         """Judge a packet of the client.
@@ -199,23 +195,22 @@ class FanucController:
         Returns:
             What a command is. A request is no reply: MISSING.
         """
-        kind = packets.kind_of(data)
         try:
-            if kind == PacketKind.COMMAND:
+            if packets.kind_of(data) in self._dialect.command_kinds:
                 is_late = deadline_ns is not None and stamp_ns >= deadline_ns
-                return self._on_command(packets.read_command(data), is_late=is_late)
-            if kind == PacketKind.CAPABILITY:
-                packets.read_capability(data)
-                self._answers.append(self._capability())
-            elif kind == PacketKind.START:
-                self._on_start(packets.read_short(data, PacketKind.START))
-            elif kind == PacketKind.STOP:
-                packets.read_short(data, PacketKind.STOP)
-                self._on_stop()
-            else:
-                return self._refuse("malformed")
+                return self._on_command(self._dialect.read_command(data), is_late=is_late)
+            request = self._dialect.request(data)
         except FanucError:
             return self._refuse("malformed")
+        if request.answer is not None:
+            self._answers.append(request.answer)
+        if request.kind is RequestKind.START:
+            self._on_start(request.version)
+        elif request.kind is RequestKind.STOP:
+            self._on_stop()
+        elif request.kind is RequestKind.POSITION:
+            commanded = self._describe(RobotReading(self.setpoints, self._read().tcp))
+            self._answers.append(self._dialect.write_position(commanded))
         return Judgement.MISSING
 
     def end_of_cycle(self) -> Applied:
@@ -244,19 +239,16 @@ class FanucController:
             self._cycle, stream.sequence, self.setpoints, self._signals, outcome, clamped=False
         )
 
-    def _capability(self) -> bytes:
-        version, cycle_ms = self.config.version, round(self.config.cycle_s * 1e3)
-        return packets.write_capability(CapabilityPacket(version, cycle_ms, 1, version))
-
-    def _on_start(self, version: int) -> None:
-        if version != self.config.version:
+    def _on_start(self, version: int | None) -> None:
+        if version not in {None, self.config.version}:
             self._raise("version", f"START of version {version}, not {self.config.version}")
             return
         self._stream = _Stream(is_open=True)
 
     def _on_stop(self) -> None:
         stream = self._stream
-        if stream.is_open and stream.is_answered and not stream.is_last:
+        is_last = stream.is_last or (stream.accepted is not None and stream.accepted.is_last)
+        if stream.is_open and stream.is_answered and not is_last:
             self.refusals["unclean_stop"] += 1
         stream.is_open = False
 

@@ -190,6 +190,10 @@ def test_a_stop_without_a_last_command_is_unclean() -> None:
     assert robot.controller.refusals["unclean_stop"] == 1
     robot = Robot().start()
     robot.cycle(is_last=True)
+    robot.controller.on_reply(packets.write_short(PacketKind.STOP, 3))
+    assert not robot.controller.refusals
+    robot = Robot().start()
+    robot.cycle(is_last=True)
     robot.end()
     assert not robot.controller.takes_commands
     robot.controller.on_reply(packets.write_short(PacketKind.STOP, 3))
