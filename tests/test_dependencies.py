@@ -51,7 +51,9 @@ def declared(*extras: str) -> set[str]:
 
 @pytest.mark.parametrize("folder", FOLDERS)
 def test_every_package_that_is_imported_is_declared(folder: str) -> None:
-    extras = {"daemon": ["fleet"], "simulators": ["cluster", "demo", "mujoco"]}.get(folder, [])
+    extras = {"daemon": ["fleet", "plc"], "simulators": ["cluster", "demo", "mujoco"]}.get(
+        folder, []
+    )
     known = declared(*extras)
     missing = [(package, path) for package, path in imported(folder) if package not in known]
     assert not missing

@@ -144,6 +144,7 @@ COMMANDS: Final[dict[str, str | AddParser]] = {
     "record": _add_record,
     **dict.fromkeys(("announce", "skip", "next", "hold", "queue"), "production.orders"),
     "report": "production.report_command",
+    **dict.fromkeys(("plc", "plc-user"), "plc.plc_command"),
     "identify": "identify_command",
     "replay": "replay_command",
     "export": "export_command",

@@ -6,7 +6,7 @@
 # See also: https://github.com/scop/bash-completion/blob/main/doc/configuration.md
 
 _shtab_linemate_param_subparsers=(list get set save describe diff)
-_shtab_linemate_subparsers=(status param arm start stop retreat ack home record announce skip next hold queue report identify replay export recover view metrics bridge doctor keygen)
+_shtab_linemate_subparsers=(status param arm start stop retreat ack home record announce skip next hold queue report plc plc-user identify replay export recover view metrics bridge doctor keygen)
 
 _shtab_linemate_status_option_strings=(-h --help --socket --udp --key --key-name --timeout --json --watch --all --interval --for)
 _shtab_linemate_param_list_option_strings=(-h --help --socket --udp --key --key-name --timeout --json)
@@ -29,6 +29,8 @@ _shtab_linemate_next_option_strings=(-h --help --socket --udp --key --key-name -
 _shtab_linemate_hold_option_strings=(-h --help --socket --udp --key --key-name --timeout --json)
 _shtab_linemate_queue_option_strings=(-h --help --socket --udp --key --key-name --timeout --json)
 _shtab_linemate_report_option_strings=(-h --help --records --out)
+_shtab_linemate_plc_option_strings=(-h --help --socket --udp --key --key-name --timeout --json --users --bind --port --certificate --private-key --allow-remote)
+_shtab_linemate_plc_user_option_strings=(-h --help)
 _shtab_linemate_identify_option_strings=(-h --help --out --json)
 _shtab_linemate_replay_option_strings=(-h --help --config --set --tolerance --json)
 _shtab_linemate_export_option_strings=(-h --help --out)
@@ -80,6 +82,11 @@ _shtab_linemate_queue___socket_COMPGEN=_shtab_compgen_files
 _shtab_linemate_queue___key_COMPGEN=_shtab_compgen_files
 _shtab_linemate_report___records_COMPGEN=_shtab_compgen_dirs
 _shtab_linemate_report___out_COMPGEN=_shtab_compgen_files
+_shtab_linemate_plc___socket_COMPGEN=_shtab_compgen_files
+_shtab_linemate_plc___key_COMPGEN=_shtab_compgen_files
+_shtab_linemate_plc___users_COMPGEN=_shtab_compgen_files
+_shtab_linemate_plc___certificate_COMPGEN=_shtab_compgen_files
+_shtab_linemate_plc___private_key_COMPGEN=_shtab_compgen_files
 _shtab_linemate_identify_pos_0_COMPGEN=_shtab_compgen_files
 _shtab_linemate_identify___out_COMPGEN=_shtab_compgen_files
 _shtab_linemate_replay_pos_0_COMPGEN=_shtab_compgen_files
@@ -95,8 +102,9 @@ _shtab_linemate_keygen___out_COMPGEN=_shtab_compgen_files
 
 _shtab_linemate_param_pos_0_choices=(list get set save describe diff)
 _shtab_linemate_record_pos_0_choices=(start stop)
+_shtab_linemate_plc_user_pos_1_choices=(view operate)
 _shtab_linemate_keygen_pos_1_choices=(view operate)
-_shtab_linemate_pos_0_choices=(status param arm start stop retreat ack home record announce skip next hold queue report identify replay export recover view metrics bridge doctor keygen)
+_shtab_linemate_pos_0_choices=(status param arm start stop retreat ack home record announce skip next hold queue report plc plc-user identify replay export recover view metrics bridge doctor keygen)
 
 _shtab_linemate_status__h_nargs=0
 _shtab_linemate_status___help_nargs=0
@@ -164,6 +172,12 @@ _shtab_linemate_queue___help_nargs=0
 _shtab_linemate_queue___json_nargs=0
 _shtab_linemate_report__h_nargs=0
 _shtab_linemate_report___help_nargs=0
+_shtab_linemate_plc__h_nargs=0
+_shtab_linemate_plc___help_nargs=0
+_shtab_linemate_plc___json_nargs=0
+_shtab_linemate_plc___allow_remote_nargs=0
+_shtab_linemate_plc_user__h_nargs=0
+_shtab_linemate_plc_user___help_nargs=0
 _shtab_linemate_identify_pos_0_nargs=+
 _shtab_linemate_identify__h_nargs=0
 _shtab_linemate_identify___help_nargs=0

@@ -1,0 +1,1 @@
+"""``linemate plc``: an OPC UA server beside the daemon, a client of the command protocol."""
