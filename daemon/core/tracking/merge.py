@@ -100,6 +100,7 @@ def merge(old: Array, goal: Array, matrices: Array, commit: int) -> Array:
     merged[: commit + 1] = old[1 : commit + 2]
     first = commit + 1 - ORDER
     history = (merged[first : commit + 1] - goal[first : commit + 1])[::-1]  # (5, d)
-    late = matrices @ history.T[:, :, None]
+    # In order in memory the product costs a quarter less.
+    late = matrices @ np.ascontiguousarray(history.T)[:, :, None]
     np.add(goal[commit + 1 :], late[:, :, 0].T, out=merged[commit + 1 :])
     return merged
