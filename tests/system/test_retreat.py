@@ -33,10 +33,7 @@ def test_a_retreat_without_force_waits_until_the_clamp_is_open(release_s: float)
         pytest.param((), ((7.0, "retreat"),), id="ordered to retreat"),
         pytest.param((), ((5.82, "stop"),), id="stopped at the first touch"),
         pytest.param(
-            (Fault(7.0, "force_torque", "offset", 0.05, 600.0, 3),),
-            (),
-            id="force beyond the limit",
-            marks=pytest.mark.xfail(reason="167 N: force moves the target slowly", strict=False),
+            (Fault(7.0, "force_torque", "offset", 0.05, 600.0, 3),), (), id="force beyond the limit"
         ),
     ],
 )

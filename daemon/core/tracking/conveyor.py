@@ -44,6 +44,9 @@ class PositionMeasurement(Struct, frozen=True):
         delay: tau, from the measurement to now [s]; any real number.
         variance: sigma_i of (3) [m^2].
         gate: reject an innovation beyond this many sigma.
+        is_firm: of the force-torque sensor: the object does not give way, so that a target may
+            follow a deflection at once.
+        complied: of the force-torque sensor: what an offset of the target has taken up of it [m].
     """
 
     source: Source
@@ -51,6 +54,8 @@ class PositionMeasurement(Struct, frozen=True):
     delay: float
     variance: float
     gate: float
+    is_firm: bool = False
+    complied: float = 0.0
 
 
 class ConveyorEstimate(Struct, frozen=True):

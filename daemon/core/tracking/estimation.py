@@ -82,7 +82,7 @@ def estimate(
                 transverse = tracker.transverse.initial(list(waiting))
         else:
             is_camera = source is Source.CAMERA
-            across = measured if is_camera else _yielding(tracker, measured, oscillation)
+            across = measured if is_camera else _yielding(tracker, state, measured, oscillation)
             transverse, is_accepted = _correct(
                 tracker, state, transverse, source, across, gate, samples.stamp_ns
             )
@@ -92,8 +92,7 @@ def estimate(
         if source is Source.CAMERA:
             pose_ns = samples.stamp_ns - round(measured.delay * 1e9)
         row = _along_measurement(tracker, transverse, source, measured, gate)
-        more = oscillation if source is Source.TACTILE else 0.0
-        rows.append(replace(row, variance=row.variance + more))
+        rows.append(row if source is Source.CAMERA else _felt_row(state, row, oscillation))
     conveyor, readings = state.conveyor, state.readings
     if conveyor is None:
         recent = (*readings, *(row.value for row in rows if row.source is Source.DISTANCE))
@@ -150,8 +149,21 @@ def _weighed(tracker: Tracker, state: TrackerState, raw: Wrench | None) -> Track
     x, y, z = tracker.reference.axes[2]
     down = (-a * x - d * y - g * z, -b * x - e * y - h * z, -c * x - f * y - i * z)
     settings = tracker.settings
-    later = tare.updated(state.tare, raw, down, settings.payload, settings.tactile, tracker.cycle_s)
+    # The force that brakes the tool on its way is no weight.
+    inertia = tracker.vibration.mass * planned_acceleration(tracker, state.poses)
+    still = replace(raw, force=raw.force + np.array((0.0, 0.0, inertia)))
+    later = tare.updated(
+        state.tare, still, down, settings.payload, settings.tactile, tracker.cycle_s
+    )
     return replace(state, tare=later)
+
+
+def planned_acceleration(tracker: Tracker, poses: Array) -> float:
+    """Return the acceleration along the tool's axis at the second of some poses [m/s^2]."""
+    (a, b, c, *_), (x, y, z, *turned), (d, e, f, *_) = poses[:3].tolist()
+    _, _, i, _, _, j, _, _, k = rotations.exp_rows(*turned)
+    bend = i * (a - 2.0 * x + d) + j * (b - 2.0 * y + e) + k * (c - 2.0 * z + f)
+    return float(bend) / tracker.cycle_s**2
 
 
 def elastic(state: TrackerState, pose: Array) -> Array:
@@ -180,17 +192,38 @@ def sagging(state: TrackerState, target: Array) -> Array:
     return rigid
 
 
-def _yielding(tracker: Tracker, measured: PoseMeasurement, oscillation: float) -> PoseMeasurement:
+def _felt_row(state: TrackerState, row: PositionMeasurement, more: float) -> PositionMeasurement:
+    """Return a deflection along the conveyor with what is known of the object in contact.
+
+    Args:
+        more: variance that an oscillation adds [m^2].
+    """
+    complied = state.compliance
+    return replace(
+        row,
+        variance=row.variance + more,
+        is_firm=complied.is_firm,
+        complied=complied.offset[ALONG],
+    )
+
+
+def _yielding(
+    tracker: Tracker, state: TrackerState, measured: PoseMeasurement, oscillation: float
+) -> PoseMeasurement:
     """Return a deflection as the filter across the conveyor takes it: slowly.
 
-    A target that followed it at once would drive a body that gives way.
+    A target that followed it at once would drive a body that gives way. What the offset of the
+    compliance has taken up is no error of the estimate: else the target moved by it twice.
 
     Args:
         oscillation: variance that it adds to a deflection [m^2].
     """
+    position = measured.position - np.array(state.compliance.offset)
+    if state.compliance.is_firm:
+        return replace(measured, position=position)
     factor = tracker.settings.tactile.compliance**2
     variance = factor * (_SLOWER * measured.variance + _TRANSLATIONS * oscillation)
-    return replace(measured, variance=variance)
+    return replace(measured, position=position, variance=variance)
 
 
 def comply(
@@ -222,11 +255,27 @@ def comply(
     off = tcp[:3] + shift + late * rate_now(history)[:3] - part[:3]
     fx, fy, fz = R.dot(wrench.force).tolist()
     x, y, z = off.tolist()
-    before = state.compliance
-    if view is not None and has_changed_class(view.events):
+    before, events = state.compliance, () if view is None else view.events
+    if before.press is None:
+        before = compliance.displaced((x, y, z))
+    elif before.is_firm or has_changed_class(events):
         before = compliance.taken_over(before, ALONG)
-    later = compliance.advance(before, tracker.compliance, (fx, fy, fz), (x, y, z), state.touching)
+    later = compliance.advance(
+        before,
+        tracker.compliance,
+        (fx, fy, fz),
+        (x, y, z),
+        state.touching,
+        is_pushed=("push", "confirmed") in events,
+    )
     return replace(state, compliance=later)
+
+
+def felt_part(state: TrackerState, part: Array) -> Array:
+    """Return the object (6,) in c where it is felt: at its estimate and the compliance's offset."""
+    x, y, z = state.compliance.offset
+    felt: Array = part + np.array((x, y, z, 0.0, 0.0, 0.0))
+    return felt
 
 
 def _correct(

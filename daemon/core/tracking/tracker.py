@@ -16,7 +16,15 @@ from linemate.daemon.core.tracking.conveyor import (
     Motion,
 )
 from linemate.daemon.core.tracking.damping import damping_time, free_shares
-from linemate.daemon.core.tracking.estimation import comply, elastic, estimate, is_seated, sagging
+from linemate.daemon.core.tracking.estimation import (
+    comply,
+    elastic,
+    estimate,
+    felt_part,
+    is_seated,
+    planned_acceleration,
+    sagging,
+)
 from linemate.daemon.core.tracking.go_no_go import prediction_error, target_shift
 from linemate.daemon.core.tracking.go_no_go.decision import GO
 from linemate.daemon.core.tracking.go_no_go.evidence import decide, is_certain, note
@@ -148,6 +156,7 @@ def track(
         state = _ease(tracker, state, view, samples.stamp_ns, target, part)
         state = comply(tracker, state, samples, view, wrench, part)
         target[:, :3] += state.compliance.offset
+        part = felt_part(state, part)
         if state.blended is not None and state.blended >= tracker.settings.merge.blend:
             goal = sagging(state, target)
         elif state.blended is not None:
@@ -187,8 +196,8 @@ def _programmed_poses(
 def _pressing_poses(tracker: Tracker, state: TrackerState, relative: Array) -> Array:
     """Return the programmed tcp in the object (m, 6) of a tool in contact."""
     before = math.ceil((tracker.search_time - state.time) / tracker.cycle_s - 1e-6)
-    share = approach.smoothstep((state.touching + tracker.span) / guard.PRESSING_S)
-    return guard.pressing(relative, tracker.press, before, share)
+    times = state.touching + tracker.span, tracker.commit * tracker.cycle_s
+    return guard.pressing(relative, tracker.press, before, times, state.touched)
 
 
 def _waiting_poses(state: TrackerState, relative: Array) -> Array:
@@ -271,6 +280,8 @@ def observe(
         )
         if _is_prediction_due(tracker, state, view, samples.stamp_ns):
             state = _kept_prediction(tracker, state, view, samples.stamp_ns, target[1:], along[1:])
+        target[:, :3] += state.compliance.offset
+        part = felt_part(state, part)
     return state, report(tracker, state, view, wrench, rejected, target, part)
 
 
@@ -459,7 +470,7 @@ def update_contact(
         # A retreat waits for the clamp already, and its own motion feels like a touch.
         return after
     force = None if report.force is None else float(report.force[2])
-    acceleration = _planned_acceleration(tracker, before.poses)
+    acceleration = planned_acceleration(tracker, before.poses)
     contact_state = contact.record_force(
         before.contact_state, tracker.vibration, force, acceleration, held=held
     )
@@ -474,9 +485,10 @@ def update_contact(
         contact_state = contact.assume_touch(contact_state, before.distance, is_due=is_due)
     made = contact_state.touches >= contact.TOUCHES
     assumed = made and not contact_state.forces
-    search = after.search
+    search, touched = after.search, guard.UNTOUCHED
     if made and force is not None and report.part is not None and after.history is not None:
         reach = _touched_reach(tracker, after, after.history, report.part, force)
+        touched = _touched_programme(tracker, before, after, reach)
         search = guard.ContactSearch(reach, search.lasted)
     return replace(
         after,
@@ -484,16 +496,9 @@ def update_contact(
         contact=made,
         assumed=assumed,
         touching=0.0,
+        touched=touched,
         search=search,
     )
-
-
-def _planned_acceleration(tracker: Tracker, poses: Array) -> float:
-    """Return the acceleration along the tool's axis at the second of some poses [m/s^2]."""
-    (a, b, c, *_), (x, y, z, *turned), (d, e, f, *_) = poses[:3].tolist()
-    _, _, i, _, _, j, _, _, k = rotations.exp_rows(*turned)
-    bend = i * (a - 2.0 * x + d) + j * (b - 2.0 * y + e) + k * (c - 2.0 * z + f)
-    return float(bend) / tracker.cycle_s**2
 
 
 def _touched_reach(
@@ -504,6 +509,22 @@ def _touched_reach(
     limit = max(guarded.clearance, guarded.overrun, contact.NEAR)
     tcp = elastic(state, history.poses[-1])
     return guard.touched_reach(tcp, part, force, stiffness, limit)
+
+
+def _touched_programme(
+    tracker: Tracker, before: TrackerState, after: TrackerState, reach: float
+) -> guard.TouchedProgramme:
+    """Return where the programme was as the tool touched the object.
+
+    Args:
+        reach: how far beyond its estimate the object was touched [m].
+    """
+    search = after.search
+    speed = tracker.task.guard.speed if search.lasted > 0.0 else 0.0
+    # What is commanded already leads the tool on for so many steps.
+    led = after.distance + tracker.commit * (after.distance - before.distance) - reach
+    duration = guard.pressing_time(led - tracker.press)
+    return guard.TouchedProgramme(search.reach - reach, speed, duration)
 
 
 def _advance_axis(

@@ -121,6 +121,7 @@ class TrackerState(Struct, frozen=True, eq=False):
         contact: the tool is clamped to the object.
         assumed: contact is assumed: the cell has no force-torque sensor.
         touching: time since the contact began [s].
+        touched: where the programme was as the contact began.
         fixing: time since the tool was ordered to fix [s]; None before.
         releasing: time since the tool was ordered to release [s]; None before.
         withdrawn: time since an emergency retraction began [s]; None without.
@@ -170,6 +171,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     contact: bool = False
     assumed: bool = False
     touching: float = 0.0
+    touched: guard.TouchedProgramme = guard.UNTOUCHED
     fixing: float | None = None
     releasing: float | None = None
     withdrawn: float | None = None

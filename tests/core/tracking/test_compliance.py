@@ -13,16 +13,23 @@ from linemate.daemon.core.tracking.touch.compliance import (
     Compliance,
     ComplianceModel,
 )
+from linemate.daemon.core.tracking.touch.firmness import Firmness
 
+GIVES_WAY = Compliance(firmness=Firmness(is_firm=False))
+FIRM = Compliance(firmness=Firmness(is_firm=True))
 MODEL = ComplianceModel(stiffness=50e3, delays=(12, 10, 12), dt=0.012)
 SEATED = 2.0 * SEATED_S
 
 
 def followed(
-    seconds: float, force: float, off: float, touching: float = SEATED, frequency_hz: float = 0.0
+    seconds: float,
+    force: float,
+    off: float,
+    touching: float = SEATED,
+    frequency_hz: float = 0.0,
+    state: Compliance = GIVES_WAY,
 ) -> Compliance:
     """The state after a force, and an object off its estimate, along y."""
-    state = NO_COMPLIANCE
     for k in range(round(seconds / MODEL.dt)):
         ripple = math.cos(math.tau * frequency_hz * k * MODEL.dt)
         state = compliance.advance(
@@ -103,3 +110,24 @@ def test_an_oscillation_makes_a_deflection_uncertain_after_a_while() -> None:
 def test_a_class_that_takes_over_clears_the_offset_along_the_conveyor() -> None:
     state = Compliance(offset=(0.001, 0.002, 0.003))
     assert compliance.taken_over(state, 1).offset == (0.001, 0.0, 0.003)
+
+
+def test_an_object_that_lies_still_is_proved_firm_and_moves_no_offset() -> None:
+    assert followed(0.9, 0.0, 0.0, state=NO_COMPLIANCE).firmness.is_firm is None
+    proved = followed(1.2, 0.0, 0.0, state=NO_COMPLIANCE)
+    assert proved.is_firm
+    assert followed(1.0, 0.0, 0.001, state=proved).offset == proved.offset
+
+
+def test_nothing_is_proved_before_the_tool_has_seated() -> None:
+    assert followed(3.0, 0.0, 0.0, touching=0.5, state=NO_COMPLIANCE).firmness.is_firm is None
+
+
+def test_a_push_shows_that_an_object_is_not_firm() -> None:
+    force = (0.0, 0.0, 0.0)
+    after = compliance.advance(FIRM, MODEL, force, force, SEATED, is_pushed=True)
+    assert after.firmness.is_firm is False
+
+
+def test_an_oscillation_shows_that_an_object_is_not_firm() -> None:
+    assert followed(1.0, 30.0, 0.0, frequency_hz=4.0, state=FIRM).firmness.is_firm is False

@@ -58,20 +58,58 @@ def test_the_horizon_goes_on_at_the_speed_of_the_search_and_ends_at_its_bound() 
     assert not relative.any()
 
 
+LONG_AGO = np.full(4, 1.0), 0.1
+
+
 def test_a_tool_that_has_touched_presses_wherever_the_programme_is() -> None:
     relative = np.zeros((4, 6))
     relative[:, 2] = (-0.009, -0.008, 0.0005, 0.001)
-    pressed = guard.pressing(relative, 0.001, 3, np.ones(4))
-    assert pressed[:, 2].tolist() == [0.001] * 4
+    pressed = guard.pressing(relative, 0.001, 3, LONG_AGO, guard.UNTOUCHED)
+    assert pressed[:, 2].tolist() == pytest.approx([0.001] * 4)
     assert relative[0, 2] == -0.009
 
 
-def test_the_press_grows_with_its_share_and_a_way_back_does_not() -> None:
+def test_a_press_that_is_reached_leaves_the_programme_as_it_is() -> None:
+    relative = np.full((4, 6), 0.001)
+    assert guard.pressing(relative, 0.001, 0, LONG_AGO, guard.UNTOUCHED) is relative
+
+
+def test_a_way_back_does_not_press() -> None:
     relative = np.zeros((3, 6))
     relative[:, 2] = (0.001, 0.001, -0.1)
-    pressed = guard.pressing(relative, 0.001, 0, np.array([0.0, 0.5, 0.9]))
-    assert pressed[:, 2].tolist() == [0.0, 0.0005, -0.1]
-    assert guard.pressing(relative, 0.001, 0, np.ones(3)) is relative
+    times = np.array((0.0, 0.01, 0.02)), 0.1
+    pressed = guard.pressing(relative, 0.001, 0, times, guard.UNTOUCHED)
+    assert pressed[2, 2] == -0.1
+
+
+def test_the_programme_goes_over_into_the_press_without_a_jump() -> None:
+    """Touched 3 mm before the estimated object, at 9 mm/s; 0.1 s of motion is commanded."""
+    dt, speed, commanded = 0.004, 0.009, 0.1
+    since = np.arange(200) * dt
+    relative = np.zeros((200, 6))
+    relative[:, 2] = -0.003 + speed * since
+    duration = guard.pressing_time(speed * commanded - 0.001)
+    touched = guard.TouchedProgramme(0.003, 0.0, duration)
+    z = guard.pressing(relative, 0.001, 200, (since, commanded), touched)[:, 2]
+    early = since <= commanded
+    assert z[early] == pytest.approx(speed * since[early])
+    assert np.abs(np.diff(z, 2)).max() / dt**2 < guard.ACCELERATION
+    assert z[since > commanded + duration] == pytest.approx(0.001)
+    assert z.max() < speed * commanded + 0.0005
+
+
+def test_a_press_takes_longer_from_farther_away() -> None:
+    assert guard.pressing_time(0.0) == guard.PRESSING_S
+    assert guard.pressing_time(-0.004) == guard.pressing_time(0.004) > 2.0 * guard.PRESSING_S
+
+
+def test_a_search_goes_on_at_its_speed_until_the_press_takes_over() -> None:
+    since = np.array((0.0, 0.05, 0.1))
+    touched = guard.TouchedProgramme(0.0002, 0.005)
+    relative = np.zeros((3, 6))
+    relative[:, 2] = 0.001
+    pressed = guard.pressing(relative, 0.001, 0, (since, 0.1), touched)
+    assert pressed[:, 2].tolist() == pytest.approx([0.0012, 0.00145, 0.0017])
 
 
 @pytest.mark.parametrize(

@@ -3,10 +3,11 @@
 import math
 
 import numpy as np
+import pytest
 from msgspec import structs
 
 from linemate.daemon.core.tracking.classifiers import guide
-from linemate.daemon.core.tracking.classifiers.bank_model import STATES, SWAY, BankState
+from linemate.daemon.core.tracking.classifiers.bank_model import IMPULSE, STATES, SWAY, BankState
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
 from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, Source
 from linemate.daemon.core.tracking.settings import BankSettings, FusionSettings
@@ -41,12 +42,37 @@ def in_contact(
     return state, ahead
 
 
+def unfelt(state: BankState, seconds: float) -> BankState:
+    """The bank later, with the distance sensor alone."""
+    way = float(BANK.predict_positions(state, np.zeros(1))[0])
+    for k in range(round(seconds / DT)):
+        at = way + SPEED * (k + 1) * DT
+        row = PositionMeasurement(Source.DISTANCE, at, 0.001, 0.00038**2, 4.0)
+        state = BANK.advance(state, [row], DT)
+    return state
+
+
 def test_there_is_a_guide_in_contact_only() -> None:
     assert in_contact(1.5, 0.0)[0].guide is None
     state, _ = in_contact(3.0, 0.0)
     assert state.guide is not None
-    row = PositionMeasurement(Source.DISTANCE, SPEED * 3.0, 0.001, 0.00038**2, 4.0)
-    assert BANK.advance(state, [row], DT).guide is None
+    assert unfelt(state, guide.HELD_S + 0.1).guide is None
+
+
+def test_a_guide_leads_on_when_the_force_is_lost() -> None:
+    state, _ = in_contact(3.0, 0.0)
+    assert unfelt(state, guide.HELD_S - 0.1).guide is not None
+
+
+def test_an_impulse_of_a_false_force_moves_no_target_when_the_force_is_lost() -> None:
+    for firm in (False, True):
+        state, _ = in_contact(3.0, 0.0)
+        x = state.x.copy()
+        x[IMPULSE] = 0.003
+        held = None if firm else state.guide
+        lost = unfelt(structs.replace(state, x=x, guide=held, is_firm=firm), DT)
+        assert lost.guide is not None
+        assert lost.guide.x[IMPULSE] == 0.0
 
 
 def test_a_swinging_body_moves_the_target_by_a_fifth_of_its_swing() -> None:
@@ -63,6 +89,27 @@ def test_without_a_guide_the_target_would_follow_the_swing() -> None:
         fast = BANK.predict_positions(structs.replace(state, guide=None), np.zeros(1))
         later.append(float(fast[0] - led[0]))
     assert max(later) - min(later) > 2e-5
+
+
+def test_there_is_no_guide_on_an_object_that_does_not_give_way() -> None:
+    state, _ = in_contact(3.0, 0.0)
+    felt = PositionMeasurement(Source.TACTILE, SPEED * 3.0, 0.005, 3e-5**2, 20.0, is_firm=True)
+    assert BANK.advance(state, [felt], DT).guide is None
+
+
+def test_what_an_offset_has_taken_up_of_a_deflection_does_not_move_the_guide() -> None:
+    state, _ = in_contact(3.0, 0.0)
+    way = float(BANK.predict_positions(state, np.array((DT,)))[0])
+    ahead = []
+    for complied in (0.001, 0.0):
+        felt = PositionMeasurement(
+            Source.TACTILE, way + 0.001, 0.0, 3e-5**2, 20.0, complied=complied
+        )
+        led = BANK.advance(state, [felt], DT).guide
+        assert led is not None
+        ahead.append(float(led.x[0]))
+    assert ahead[0] == pytest.approx(way, abs=1e-5)
+    assert ahead[1] > way + 2e-5
 
 
 def test_a_confirmed_stop_moves_the_target_at_once() -> None:

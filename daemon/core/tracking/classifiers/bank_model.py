@@ -105,6 +105,8 @@ class BankState(Struct, frozen=True, eq=False):
         start_check: of a start against the readings, or None.
         contact: the force-torque sensor took part in the last step.
         is_keen: it measured the object better than the distance sensor: nothing oscillates.
+        is_firm: the object in contact does not give way.
+        unfelt_s: time since the last deflection [s].
         guide: leads the target in contact; None without contact.
         announced_s: time since the line announced a stop [s].
         events: of the last step.
@@ -136,6 +138,8 @@ class BankState(Struct, frozen=True, eq=False):
     start_check: StartCheck | None = None
     contact: bool = False
     is_keen: bool = False
+    is_firm: bool = False
+    unfelt_s: float = math.inf
     guide: Guide | None = None
     announced_s: float = math.inf
     events: tuple[tuple[str, str], ...] = ()

@@ -164,7 +164,7 @@ def hypothesis_weights(model: BankModel, state: BankState) -> tuple[float, float
     else:
         return 0.0, 0.0
     odds = state.change.odds
-    if state.distance_odds is not None:
+    if state.distance_odds is not None and not state.is_firm:
         # What the distance sensor denies is a body that swings.
         odds = min(odds, state.distance_odds + DENIED)
     change = caution * (odds - penalty)
@@ -174,7 +174,8 @@ def hypothesis_weights(model: BankModel, state: BankState) -> tuple[float, float
     total = math.exp(-largest) + change + impulse
     # A body that is pushed begins to move as on a conveyor that stops.
     shared = 1.0 / (1.0 + math.exp(-min(max(state.change_odds, -30.0), 30.0)))
-    return (shared if state.is_keen else 1.0) * change / total, impulse / total
+    may_swing = state.is_keen and not state.is_firm
+    return (shared if may_swing else 1.0) * change / total, impulse / total
 
 
 def _nonlinear_part(

@@ -80,8 +80,10 @@ class BankClassifier(BankModel):
         readings = distance_check.keep(state.readings, measurements, dt)
         is_keen = bool(felt) and min(felt) < self.distance_deviation**2
         state = replace(state, readings=readings)
-        if bool(felt) is not state.contact or is_keen is not state.is_keen:
-            state = replace(state, contact=bool(felt), is_keen=is_keen)
+        is_firm = is_keen and any(each.is_firm for each in measurements)
+        now = bool(felt), is_keen, is_firm
+        if now != (state.contact, state.is_keen, state.is_firm):
+            state = replace(state, contact=now[0], is_keen=is_keen, is_firm=is_firm)
         state = _bound_tentative(self._decide(state), before, dt)
         state = self._settle(self._check_start(before, state, measurements, dt), dt)
         state = sway_filter.follow(self, predicted, state, measurements)

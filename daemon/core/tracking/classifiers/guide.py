@@ -6,7 +6,8 @@ The guide is a second filter of the same model. It takes the class from the bank
 deflection slowly.
 
 Invariants:
-- There is a guide in contact only.
+- There is a guide in contact only, and not on an object that does not give way.
+- It leads on when the force is lost or wrong: what that made of the null filter moves no target.
 - An impulse disturbance does not move it; of the sways a slow one that was known before the contact
   does. One that is found in contact may be what the clamped tool itself drives.
 """
@@ -42,6 +43,7 @@ from linemate.daemon.core.tracking.conveyor import (
 
 _SWING = slice(IMPULSE, RIPPLE)
 _SWAY = slice(SWAY, STATES)
+HELD_S = 1.5  # for which it leads on without a deflection: a retreat needs 1 s [s]
 FASTEST = 2.0 * math.pi * 2.5  # sway that is led [rad/s]: a faster one would be driven by its delay
 
 
@@ -52,13 +54,19 @@ def advance(
     measurements: Sequence[PositionMeasurement],
     dt: float,
 ) -> BankState:
-    """Return the state with its guide one step later; None out of contact.
+    """Return the state with its guide one step later.
+
+    None out of contact, and on an object that does not give way while it is felt.
 
     Args:
         before: of the step before.
         state: one step later, its class decided.
     """
-    if not state.contact:
+    unfelt_s = 0.0 if state.contact else before.unfelt_s + dt
+    if unfelt_s != state.unfelt_s:
+        state = replace(state, unfelt_s=unfelt_s)
+    is_held = not state.contact and unfelt_s < HELD_S
+    if not is_held and (not state.contact or state.is_firm):
         return state if state.guide is None else replace(state, guide=None)
     guide = before.guide
     if guide is None or state.age < before.age:
@@ -117,7 +125,8 @@ def _corrected(model: BankModel, led: BankState, measurement: PositionMeasuremen
         variance = variance * model.compliance**2
     Ph = led.P.dot(h)
     S = float(Ph.dot(h)) + variance
-    nu = measurement.value - float(h.dot(led.x)) + float(h[GAIN] * led.x[GAIN])
+    value = measurement.value - measurement.complied
+    nu = value - float(h.dot(led.x)) + float(h[GAIN] * led.x[GAIN])
     if not nu * nu <= measurement.gate**2 * S:
         return led
     K: Array = Ph / S

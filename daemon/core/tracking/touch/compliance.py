@@ -14,6 +14,7 @@ Transactions on Robotics and Automation 18(1), 2002):
     E += -F_ac . v_o dt - P dt, E >= 0     v_o the offset's speed a delay ago
 
 The gain a falls from 1 to 0 as E reaches its bound: no body gets more than that, and P a second.
+An object that does not give way needs none of this: the estimate follows it, the offset stays.
 
 Invariants:
 - The offset has no lead: it is constant over the horizon.
@@ -27,6 +28,8 @@ from itertools import pairwise
 from msgspec import Struct
 from msgspec.structs import replace
 
+from linemate.daemon.core.tracking.touch import firmness
+from linemate.daemon.core.tracking.touch.firmness import UNKNOWN, Firmness
 from linemate.protocol.stamped_samples import Vector3
 
 RATE = 0.7  # w: of the offset [1/s], far below a quarter of one over the delay
@@ -82,6 +85,7 @@ class Compliance(Struct, frozen=True):
         moves: of the offset that the tool has not made yet, oldest first [m].
         energy: that the offset has given [J].
         soft: the oscillation stops the offset.
+        firmness: whether the object gives way.
     """
 
     offset: Vector3 = (0.0, 0.0, 0.0)
@@ -94,13 +98,25 @@ class Compliance(Struct, frozen=True):
     moves: tuple[Vector3, ...] = ()
     energy: float = 0.0
     soft: bool = False
+    firmness: Firmness = UNKNOWN
+
+    @property
+    def is_firm(self) -> bool:
+        """Whether the object is known not to give way."""
+        return bool(self.firmness.is_firm)
 
 
 NO_COMPLIANCE = Compliance()
 
 
 def advance(
-    state: Compliance, model: ComplianceModel, force: Vector3, off: Vector3, touching: float
+    state: Compliance,
+    model: ComplianceModel,
+    force: Vector3,
+    off: Vector3,
+    touching: float,
+    *,
+    is_pushed: bool = False,
 ) -> Compliance:
     """Return the state one step later.
 
@@ -108,6 +124,7 @@ def advance(
         force: on the clamped tool, in c [N].
         off: measured object, seen from the object of the target without its offset [m].
         touching: time since the contact began [s].
+        is_pushed: an impulse disturbance of the object was confirmed.
     """
     dt = model.dt
     if state.press is None:
@@ -116,24 +133,28 @@ def advance(
     mean = _toward(state.mean, force, dt / QUICK_S)
     swung = _minus(force, mean)
     power, past, age, energy, soft = 0.0, state.past, state.age, 0.0, False
+    firm = state.firmness
     if touching > SEATED_S:
         power = state.power + dt / MEMORY_S * (_dot(swung, swung) - state.power)
         age += dt
         if age >= GRAIN_S:
             past, age = (*past, power)[-PAST:], 0.0
         soft = is_growing(power, past, was=state.soft)
+        is_calm = power < QUIET_N**2
+        firm = firmness.advance(firm, swung, dt, is_calm=is_calm, gives_way=soft or is_pushed)
         moved = _delayed(state.moves, model.delays)
         given = state.energy - _dot(_minus(force, press), moved) - LEAK_W * dt
         energy = max(given, 0.0)
     smooth = _toward(state.smooth, _minus(off, state.offset), dt / SMOOTHING_S)
     rate = RATE + SEATING_RATE * math.exp(-touching / SEATING_S)
     length = math.hypot(*smooth)
-    share = max(1.0 - DEAD_BAND / length, 0.0) if length > 0.0 and not soft else 0.0
+    moves_on = length > DEAD_BAND and not soft and not firm.is_firm
+    share = 1.0 - DEAD_BAND / length if moves_on else 0.0
     step = rate * dt * share * max(1.0 - energy / ENERGY_J, 0.0)
     x, y, z = (o + step * r for o, r in zip(state.offset, smooth, strict=True))
     offset = _bounded((x, y, z))
     moves = (*state.moves, _minus(offset, state.offset))[-max(model.delays) :]
-    return Compliance(offset, smooth, press, mean, power, past, age, moves, energy, soft)
+    return Compliance(offset, smooth, press, mean, power, past, age, moves, energy, soft, firm)
 
 
 def _delayed(moves: tuple[Vector3, ...], delays: tuple[int, int, int]) -> Vector3:

@@ -13,10 +13,13 @@ from msgspec import Struct
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.approach import smoothstep
 from linemate.daemon.core.tracking.task import GuardedApproach
 from linemate.daemon.core.tracking.touch.contact import ContactState, ToolVibration, is_observable
 
-PRESSING_S = 0.5  # time from the contact to the full press [s]
+PRESSING_S = 0.06  # least time in which the programme goes over into the press [s]
+ACCELERATION = 1.5  # largest one of that, from which a longer time follows [m/s^2]
+PEAK = 7.52  # largest second derivative of the step from 0 to 1 in unit time
 TIMEOUT_FACTOR = 2.0  # a search that cannot advance ends after so many times its duration
 
 
@@ -34,6 +37,23 @@ class ContactSearch(Struct, frozen=True):
 
 
 NO_SEARCH = ContactSearch()
+
+
+class TouchedProgramme(Struct, frozen=True):
+    """Where the programme was as the tool touched the object, and where it went on to.
+
+    Attributes:
+        beyond: programme, beyond the touched object along the tool's axis [m].
+        speed: of the search that it went on at [m/s].
+        pressing_s: time in which it goes over into the press [s].
+    """
+
+    beyond: float = 0.0
+    speed: float = 0.0
+    pressing_s: float = PRESSING_S
+
+
+UNTOUCHED = TouchedProgramme()
 
 
 def advanced(
@@ -82,23 +102,42 @@ def reached(
     return changed
 
 
-def pressing(relative: Array, press: float, steps: int, share: Array) -> Array:
+def pressing_time(way: float) -> float:
+    """Return the time in which the programme goes over into the press [s].
+
+    Short, because the tool moves on until then.
+
+    Args:
+        way: to the press, from where the programme leads the tool until it changes [m].
+    """
+    return max(PRESSING_S, math.sqrt(PEAK * abs(way) / ACCELERATION))
+
+
+def pressing(
+    relative: Array, press: float, steps: int, times: tuple[Array, float], touched: TouchedProgramme
+) -> Array:
     """Return the programmed tcp in the object (m, 6) of a tool that has touched it.
 
-    A tool that touches early would move on or back with the programme: it presses instead. The
-    press grows from 0, for a tool that has just touched still moves into the object.
+    A tool that touches early would move on or back with the programme: it presses instead. What is
+    commanded already moves it into the object. So the programme goes over into the press behind
+    that: a goal that stopped at once would throw it back, or deeper.
 
     Args:
         relative: (m, 6) programmed; not written to.
         press: programmed at the waypoint of contact, along the tool's axis [m].
         steps: of them that are before the waypoint of contact.
-        share: (m,) of the press, from 0 to 1.
+        times: (m,) since the contact began [s], and until when it was commanded already.
     """
+    since, commanded = times
+    share = smoothstep((since - commanded) / touched.pressing_s)
     if steps <= 0 and share[0] >= 1.0:
         return relative
     changed = relative.copy()
     changed[: max(steps, 0), 2] = press
-    changed[:, 2] = np.where(changed[:, 2] > 0.0, share * changed[:, 2], changed[:, 2])
+    wanted = changed[:, 2]
+    going_on = relative[:, 2] + touched.beyond + touched.speed * since
+    pressed = going_on + share * (wanted - going_on)
+    changed[:, 2] = np.where(wanted > 0.0, pressed, wanted)
     return changed
 
 

@@ -1,0 +1,87 @@
+"""Proof whether an object in contact gives way to the force of the tool.
+
+An object that does not give way shows where it is by a deflection, and a target may follow it at
+once. One that gives way would be driven by that. The tool presses on the object as it seats: one
+that then lies still is firm. A force that swings to and fro later shows that it is not, as does a
+body that is pushed. A stop or a start bends the mount to one side and back, which is no swing.
+
+Invariants:
+- An object is firm only after the tool has seated and the force has been calm for ``PROOF_S``.
+- An object that has given way is not firm again in the same contact.
+"""
+
+from msgspec import Struct
+
+from linemate.protocol.stamped_samples import Vector3
+
+PROOF_S = 1.0  # for which a calm force proves an object firm [s]
+SWING_N = 8.0  # to each side; the force is noisy by 1.4 N
+TURNS = 4  # changes of side in a row: a bend to one side and back makes two
+LASTING_S = 1.0  # a swing has to the other side for so long: 0.5 Hz [s]
+
+
+class Swing(Struct, frozen=True):
+    """Force along one axis that swings to and fro.
+
+    Attributes:
+        side: of the last force beyond ``SWING_N``: 1 or -1, 0 before the first one.
+        turns: changes of side in a row.
+        age: since the last of them [s].
+    """
+
+    side: int = 0
+    turns: int = 0
+    age: float = 0.0
+
+
+STILL = Swing()
+
+
+class Firmness(Struct, frozen=True):
+    """What is known of an object in contact.
+
+    Attributes:
+        is_firm: the object does not give way; None before that is known.
+        calm_s: for how long the force has been calm since the tool seated [s].
+        swings: of the force along x, y, z of c.
+    """
+
+    is_firm: bool | None = None
+    calm_s: float = 0.0
+    swings: tuple[Swing, Swing, Swing] = (STILL, STILL, STILL)
+
+
+UNKNOWN = Firmness()
+
+
+def advance(
+    state: Firmness, swung: Vector3, dt: float, *, is_calm: bool, gives_way: bool
+) -> Firmness:
+    """Return the state of a seated tool one step later.
+
+    Args:
+        swung: force off its mean, in c [N].
+        is_calm: no force oscillates more than is normal in contact.
+        gives_way: the object was pushed, or an oscillation grows.
+    """
+    x, y, z = (_swung(swing, f, dt) for swing, f in zip(state.swings, swung, strict=True))
+    if state.is_firm is False or gives_way or max(x.turns, y.turns, z.turns) >= TURNS:
+        return Firmness(False, 0.0, (x, y, z))
+    calm_s = state.calm_s + dt if is_calm else 0.0
+    is_firm = True if calm_s >= PROOF_S else state.is_firm
+    return Firmness(is_firm, calm_s, (x, y, z))
+
+
+def _swung(swing: Swing, force: float, dt: float) -> Swing:
+    """Return a swing one step later.
+
+    Args:
+        force: off its mean [N].
+    """
+    age = swing.age + dt
+    if abs(force) < SWING_N:
+        return STILL if age > LASTING_S else Swing(swing.side, swing.turns, age)
+    side = 1 if force > 0.0 else -1
+    if side == swing.side:
+        return Swing(side, swing.turns, age)
+    return Swing(side, swing.turns + 1 if swing.side else 0, 0.0)
