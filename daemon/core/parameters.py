@@ -119,8 +119,9 @@ def build(
         control_settings, arm, cycle_s, task.conveyor.nominal_speed
     )
     dead_time = max(model.dead_time for model in control_settings.servos[: arm.axes])
-    # The merge reads five committed steps, also without dead time.
-    commit = max(merge.commit_steps(dead_time, cycle_s), merge.ORDER)
+    # The merge reads committed steps alone, also without dead time.
+    stride = merge.spacing(cycle_s)
+    commit = max(merge.commit_steps(dead_time, cycle_s), (merge.ORDER - 1) * stride + 1)
     along = merge.merge_matrix(tracking.merge.along, cycle_s, controller.steps - commit)
     across = merge.merge_matrix(tracking.merge.across, cycle_s, controller.steps - commit)
     matrices = np.stack([along if axis == merge.ALONG else across for axis in range(6)])
@@ -148,6 +149,7 @@ def build(
         steps=controller.steps,
         commit=commit,
         matrices=matrices,
+        merge_stride=stride,
         corner=merge.rounding(cycle_s, commit),
         history_length=math.ceil(HISTORY_S / cycle_s),
         span=span,

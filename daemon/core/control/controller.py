@@ -6,7 +6,7 @@ Invariants:
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from msgspec import Struct, structs
@@ -38,6 +38,7 @@ class Controller:
             taps as rows of a matrix.
         servo: taps (past + 1 + n_rob, axes) of (12).
         servo_past: steps of (12) in the past.
+        spreading: (m,) weights of the last commands, newest first; one of them from 4 ms on.
         windup: of the axes, None for an arm whose links are where its motors are.
         limits: of the command limiter.
         gentle: with which a hold comes to rest.
@@ -59,6 +60,7 @@ class Controller:
     steps: int
     contact_steps: int
     windup: Windup | None = None
+    spreading: Array = field(default_factory=lambda: np.ones(1))
 
     @property
     def preview(self) -> int:
@@ -75,6 +77,7 @@ class ControlState(Struct, frozen=True, eq=False):
         joints: (n_rob + 1, axes) q_d of the last step, the next guess of the inverse kinematics.
         poses: (n_rob + 1, 6) the x_d of ``joints``.
         windup: of the oldest of ``past_joints``, which are positions of the links.
+        commands: (m - 1, axes) the last ones before they were spread, newest first.
     """
 
     past_poses: Array
@@ -83,6 +86,7 @@ class ControlState(Struct, frozen=True, eq=False):
     poses: Array
     limiter: LimiterState
     windup: WindupState | None = None
+    commands: Array | None = None
 
 
 def compile_controller(
@@ -146,6 +150,7 @@ def compile_controller(
         steps=max(needed, math.ceil(settings.horizon_s / cycle_s)),
         contact_steps=max(round(filters.contact_blend / cycle_s), 1),
         windup=windup.compile_windup(settings.windup, arm.axes),
+        spreading=inverse_filter.spreading(cycle_s) if settings.feed_forward else np.ones(1),
     )
 
 
@@ -191,6 +196,7 @@ def at_rest(
         poses=np.tile(pose, (controller.preview + 1, 1)),
         limiter=command_limiter.at_rest(joints),
         windup=wound,
+        commands=np.tile(joints, (len(controller.spreading) - 1, 1)),
     )
 
 
@@ -268,6 +274,11 @@ def desire_command(controller: Controller, state: ControlState, horizon: Horizon
     wound = state.windup
     if controller.windup is not None and wound is not None:
         motors, wound = windup.motors(controller.windup, wound, window)
+    command = np.add.reduce(controller.servo * motors)
+    commands = state.commands
+    if commands is not None and len(commands):
+        recent = np.vstack((command, commands))
+        command, commands = controller.spreading @ recent, recent[:-1]
     later = ControlState(
         past_poses=smoothed[1 : past + 1],
         past_joints=window[1 : controller.servo_past + 1],
@@ -275,8 +286,9 @@ def desire_command(controller: Controller, state: ControlState, horizon: Horizon
         poses=np.concatenate((state.poses[1 : kept + 1], fresh)),
         limiter=state.limiter,
         windup=wound,
+        commands=commands,
     )
-    return DesiredCommand(later, np.add.reduce(controller.servo * motors))
+    return DesiredCommand(later, command)
 
 
 def limit_command(

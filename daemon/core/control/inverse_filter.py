@@ -15,6 +15,9 @@ import numpy as np
 from linemate.daemon.core.control.settings import EffectorMode, FilterSettings, ServoModel
 from linemate.daemon.core.horizon import Array
 
+SPREAD_S = 0.004  # length of one of the three means over the last commands [s]
+LEAST_PAST, LEAST_FUTURE = 3, 1  # steps of a filter, however long the cycle
+
 
 def ramp_response(t: Array, omega: float, damping: float) -> Array:
     """Return the response of ``w^2 / (s^2 + 2 z w s + w^2)`` to a unit ramp from t = 0."""
@@ -102,15 +105,39 @@ def _band(settings: FilterSettings) -> tuple[Array, Array]:
 
 
 def tap_steps(past_s: float, future_s: float, cycle_s: float) -> Array:
-    """Return the steps (m,) that an inverse filter reads, from past to future."""
-    past, future = round(past_s / cycle_s), round(future_s / cycle_s)
+    """Return the steps (m,) that an inverse filter reads, from past to future.
+
+    However long the cycle is, three are of the past and one is of the future: an elastic mode
+    needs them. With one step of 24 ms and none of the future nothing was damped.
+    """
+    past = max(math.ceil(past_s / cycle_s - 1e-6), LEAST_PAST) if past_s > 0.0 else 0
+    future = max(math.ceil(future_s / cycle_s - 1e-6), LEAST_FUTURE) if future_s > 0.0 else 0
     return np.arange(-past, future + 1, dtype=np.float64)
 
 
+def spreading(cycle_s: float) -> Array:
+    """Return the weights (m,) of the last commands, newest first, that are sent as their mean.
+
+    (12) reads a plan that may still change. A change of d in one cycle asks for an acceleration of
+    d / T0^2 and a jerk of d / T0^3. Below 4 ms it is spread over three times 4 ms: both stay as
+    they are at 4 ms. From 4 ms on the command is sent as it is.
+    """
+    steps = max(round(SPREAD_S / cycle_s), 1)
+    box = np.full(steps, 1.0 / steps)
+    weights: Array = np.convolve(np.convolve(box, box), box)
+    return weights
+
+
 def servo_inverse(model: ServoModel, settings: FilterSettings, cycle_s: float) -> Array:
-    """Return the taps of (12) for one axis, over ``tap_steps`` of the servo's reach."""
+    """Return the taps of (12) for one axis, over ``tap_steps`` of the servo's reach.
+
+    They invert the servo and the spreading of the commands.
+    """
     omega, weight = _band(settings)
     pulse = servo_pulse(model, cycle_s)
+    weights = spreading(cycle_s)
+    if len(weights) > 1:
+        pulse = np.convolve(pulse, weights)
     response = _response(pulse, omega, cycle_s)
     delay = float(np.arange(len(pulse)) @ pulse)
     taps = tap_steps(settings.servo_past_s, settings.servo_future_s, cycle_s)

@@ -168,7 +168,7 @@ def track(
         s = approach.smoothstep((state.withdrawn + span) / WITHDRAW_S)
         goal = approach.withdraw(goal, WITHDRAW_WAY * s)
     goal = merge.rounded(goal, tracker.corner)
-    poses = merge.merge(state.poses, goal, tracker.matrices, tracker.commit)
+    poses = merge.merge(state.poses, goal, tracker.matrices, tracker.commit, tracker.merge_stride)
     state = _advance_axis(tracker, state, view, along)
     state = replace(state, poses=poses, distance=float(relative[0, 2]))
     free = free_shares(tracker, damping_time(tracker, state), limit)

@@ -49,6 +49,7 @@ class Tracker:
         steps: n, length of the horizon.
         commit: nc, the last step that a merge keeps.
         matrices: (6, n - nc, 5) of the merge.
+        merge_stride: distance of the steps that the merge reads [steps].
         corner: (2 h + 1,) kernel that rounds the goal's corners along the conveyor.
         history_length: number of robot poses in the history.
         span: (n+1,) times of the horizon from now [s].
@@ -81,6 +82,7 @@ class Tracker:
     steps: int
     commit: int
     matrices: Array
+    merge_stride: int
     corner: Array
     history_length: int
     span: Array

@@ -210,3 +210,38 @@ def test_a_goal_that_flickers_every_step_is_followed_without_growing() -> None:
         poses = merge.merge(poses, goal, MATRICES, COMMIT)
         largest = max(largest, float(np.abs(poses[: COMMIT + 1]).max()))
     assert largest < 0.003
+
+
+@pytest.mark.parametrize("cycle_s", [0.001, 0.002, 0.004, 0.008, 0.024])
+@pytest.mark.parametrize("tau", [0.025, 0.04])
+def test_a_merge_at_every_cycle_dies_out_as_at_4_ms(tau: float, cycle_s: float) -> None:
+    """Each step is merged again: the step behind the commit point must not swing up."""
+    stride = merge.spacing(cycle_s)
+    row = merge.merge_matrix(tau, cycle_s, 5)[0]
+    polynomial = np.zeros((ORDER - 1) * stride + 2)
+    polynomial[0] = 1.0
+    polynomial[1::stride][:ORDER] -= row
+    slowest = np.abs(np.roots(polynomial)).max()
+    # The slowest of five poles on a circle of 1/tau decays with sin(18 deg)/tau.
+    known = math.exp(-math.sin(math.radians(18.0)) * cycle_s / tau)
+    assert slowest == pytest.approx(known, abs=0.05 * cycle_s / 0.004)
+
+
+def test_below_2_ms_every_second_step_is_read_and_the_rest_lies_between() -> None:
+    assert [merge.spacing(c) for c in (0.001, 0.002, 0.004, 0.024)] == [2, 1, 1, 1]
+    fine = merge.merge_matrix(0.025, 0.001, 200)
+    coarse = merge.merge_matrix(0.025, 0.002, 100)
+    assert np.allclose(fine[1::2], coarse, atol=1e-9)
+    motion = np.concatenate((np.ones(9), fine @ np.ones(ORDER)))
+    assert np.abs(np.diff(motion, n=4)).max() < 1e-4
+
+
+@pytest.mark.parametrize("cycle_s", [0.001, 0.002, 0.004, 0.012])
+def test_a_corner_is_rounded_alike_and_never_where_the_merge_reads(cycle_s: float) -> None:
+    commit = max(merge.commit_steps(0.036, cycle_s), ORDER)
+    kernel = merge.rounding(cycle_s, commit)
+    half = len(kernel) // 2
+    assert kernel.sum() == pytest.approx(1.0)
+    assert half <= merge.first_read(commit, cycle_s)
+    deviation = math.sqrt(float(kernel @ np.arange(-half, half + 1) ** 2)) * cycle_s
+    assert deviation == pytest.approx(0.0057, rel=0.1) or (cycle_s == 0.012 and half == 0)
