@@ -1,6 +1,7 @@
 """Packets of the older Stream Motion: sizes, fields, refusals."""
 
 import struct
+from collections.abc import Callable
 
 import pytest
 
@@ -75,3 +76,24 @@ def test_short_packets_and_the_commanded_position_are_written_as_documented() ->
         classic.read_short(data + b"\0")
     answer = classic.write_position(StatusPacket(2, 9, 1, 0, JOINTS, (1.0,) * 9, time_ms=77))
     assert answer == struct.pack(">III9f9f", 4, 2, 77, *(1.0,) * 9, *JOINTS)
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        lambda: classic.write_status(StatusPacket(2, -1, 1, 0, JOINTS)),
+        lambda: classic.write_position(StatusPacket(2, 1, 1, 0, (1e300,) * 9)),
+        lambda: classic.write_command(CommandPacket(1, 1, (1e300,) * 9)),
+        lambda: classic.write_limits(LimitRequest(2, 1, LimitKind.SPEED), -1, 8, [0.0] * 20),
+    ],
+    ids=["status", "position", "command", "limits"],
+)
+def test_a_value_that_the_wire_cannot_carry_is_refused(write: Callable[[], bytes]) -> None:
+    with pytest.raises(FanucError):
+        write()
+
+
+@pytest.mark.parametrize("size", [0, 131, 132])
+def test_what_is_no_status_is_refused(size: int) -> None:
+    with pytest.raises(FanucError):
+        classic.read_status(b"\xff" * size)

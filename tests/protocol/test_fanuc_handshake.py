@@ -96,3 +96,11 @@ def test_the_end_without_a_stream_is_immediate() -> None:
 
 def test_bytes_that_are_no_packet_go_to_the_codec() -> None:
     assert not streaming().on_datagram(b"<Rob Type='KUKA'/>", MS)
+
+
+def test_an_answer_that_cannot_be_read_is_named() -> None:
+    handshake = FanucHandshake(3, 8.0)
+    handshake.due(0)
+    assert handshake.on_datagram(answer()[:12], MS)
+    assert handshake.refusal == "CAPABILITY packet: 12 bytes, not 28"
+    assert handshake.starts == 0

@@ -120,6 +120,8 @@ def test_another_version_is_refused_with_both_named() -> None:
     assert caught.value.counter == (7, b"\0\0\0\x07")
     with pytest.raises(FanucError, match="there are 3 and 4"):
         FanucLink(5)
+    with pytest.raises(FanucError, match="byte 256 of the inputs"):
+        FanucLink(3, signals_byte=256)
 
 
 def test_a_command_of_another_number_of_axes_is_refused() -> None:

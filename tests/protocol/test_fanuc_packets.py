@@ -1,9 +1,11 @@
 """Packets of Stream Motion: sizes, fields, refusals."""
 
 import struct
+from collections.abc import Callable
 
 import pytest
 
+from linemate.protocol.controller_link import ControllerError
 from linemate.protocol.fanuc import packets
 from linemate.protocol.fanuc.packets import (
     CapabilityPacket,
@@ -97,3 +99,40 @@ def test_capability_start_and_stop_are_read_as_written() -> None:
         assert (short, packets.read_short(short, kind)) == (struct.pack(">II", kind, 4), 4)
     with pytest.raises(FanucError, match="not 200"):
         packets.read_short(packets.write_short(PacketKind.STOP, 3), PacketKind.START)
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        lambda: packets.write_capability(CapabilityPacket(-1)),
+        lambda: packets.write_status(status(5)),
+        lambda: packets.write_status(status(3, sequence=2**32)),
+        lambda: packets.write_status(status(3, joints=(1e300,) * 9)),
+        lambda: packets.write_command(CommandPacket(3, -1, JOINTS)),
+    ],
+    ids=["capability", "version", "sequence", "joint", "command"],
+)
+def test_a_value_that_the_wire_cannot_carry_is_refused(write: Callable[[], bytes]) -> None:
+    with pytest.raises(FanucError):
+        write()
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        packets.read_capability,
+        packets.read_command,
+        packets.read_status,
+        lambda data: packets.read_short(data, PacketKind.START),
+    ],
+    ids=["capability", "command", "status", "short"],
+)
+@pytest.mark.parametrize("size", [0, 8, 28, 344, 388, 416])
+def test_a_packet_of_another_kind_is_refused(read: Callable[[bytes], object], size: int) -> None:
+    with pytest.raises(FanucError):
+        read(b"\xff" * size)
+
+
+def test_an_error_without_a_number_answers_nothing() -> None:
+    assert FanucError("nothing").counter is None
+    assert ControllerError("nothing").counter is None

@@ -1,13 +1,16 @@
 """The strict FANUC controller: who gets packets, what raises an alarm, what silence does."""
 
 import math
+import struct
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 
 from linemate.protocol.exchange_controller import Judgement
+from linemate.protocol.fanuc import classic_packets as classic
 from linemate.protocol.fanuc import packets
+from linemate.protocol.fanuc.classic_packets import ClassicKind
 from linemate.protocol.fanuc.packets import CapabilityPacket, CommandPacket, PacketKind
 from linemate.simulators.devices.fanuc.fanuc_controller import FanucConfig, FanucController
 from linemate.simulators.devices.rsi_controller import RobotReading, Seven
@@ -212,3 +215,27 @@ def test_what_is_no_packet_is_refused(data: bytes) -> None:
     robot = Robot().start()
     assert robot.controller.on_reply(data) is Judgement.REFUSED
     assert robot.controller.refusals["malformed"] == 1
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_the_older_generation_starts_answers_and_stops(version: Literal[1, 2]) -> None:
+    robot = Robot(replace(CONFIG, version=version))
+    controller = robot.controller
+    for kind in (ClassicKind.START, ClassicKind.VERSION, ClassicKind.POSITION):
+        assert controller.on_reply(classic.write_short(kind, 3)) is Judgement.MISSING
+    controller.on_reply(struct.pack(">IIII", ClassicKind.LIMITS, 3, 1, 2))
+    told, position, limits = controller.take_answers()
+    assert classic.read_short(told) == (ClassicKind.VERSION, version)
+    assert struct.unpack_from(">f", position, 12 + 36)[0] == pytest.approx(math.degrees(START[0]))
+    jerk = math.degrees(CONFIG.limits[0].jerk)
+    assert struct.unpack_from(">20f", limits, 24) == pytest.approx((jerk,) * 20)
+    data = controller.telegram()
+    assert data is not None
+    status = classic.read_status(data)
+    assert status.motion_bits == 0x05
+    command = CommandPacket(version, status.sequence, status.joints, is_last=True)
+    assert controller.on_reply(classic.write_command(command)) is Judgement.ACCEPTED
+    controller.on_reply(classic.write_short(ClassicKind.STOP, version))
+    assert controller.telegram() is None
+    assert not controller.refusals
+    assert controller.on_reply(struct.pack(">II", 9, version)) is Judgement.REFUSED
