@@ -151,7 +151,7 @@ def test_an_operator_writes_no_value_either(endpoint: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("user", "password"), [("operater", "wrong horse"), ("nobody", PASSWORD), ("", "")]
+    ("user", "password"), [("operater", "wrong horse"), ("stranger", PASSWORD), ("", "")]
 )
 def test_a_session_without_the_right_password_is_refused(
     endpoint: str, user: str, password: str

@@ -1,1 +1,1 @@
-"""``linemate plc``: an OPC UA server beside the daemon, a client of the command protocol."""
+"""``linemate plc``: an OPC UA server next to the daemon, a client of the command protocol."""

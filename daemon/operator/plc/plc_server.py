@@ -102,7 +102,7 @@ class PlcServer:
         """Open no port yet.
 
         Args:
-            endpoint: such as ``opc.tcp://127.0.0.1:4840/linemate``.
+            endpoint: URL to serve at, such as ``opc.tcp://127.0.0.1:4840/linemate``.
             connect: returns a client of the daemon.
         """
         self.values = PlcValues()

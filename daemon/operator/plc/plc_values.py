@@ -17,7 +17,6 @@ class PlcValues(NamedTuple):
     """Variables of the server, in the order and with the names that it shows.
 
     Attributes:
-        Connected: the daemon answers.
         InSync: the tool follows the part, and is off its sensed target by 2 mm at most.
         Ready: production runs and the robot waits at the first pose.
         Busy: the robot is in motion, or a part is being assembled.
