@@ -120,8 +120,10 @@ class EgmLink:
         )
         return PreparedReply(b"", self._codec.correction_body(message))
 
-    def without_setpoint(self, digital_out: int) -> None:
+    def without_setpoint(self, digital_out: int) -> PreparedReply | None:
         """Return None: the last setpoint holds, and silence leaves it."""
+        del digital_out
+        return None
 
     def _signals(self, message: RobotMessage) -> int:
         if not self._has_signals or not message.rapid_data:

@@ -309,3 +309,13 @@ def test_any_bytes_are_a_message_or_refused(data: bytes) -> None:
     for parse in (CODEC.parse_robot, CODEC.parse_correction):
         with contextlib.suppress(EgmError):
             parse(HEADER + data)
+
+
+def test_numbers_of_the_rapid_program_come_back_and_are_bounded() -> None:
+    message = CorrectionMessage(1, 0, (0.0,) * 6, rapid_data=(3.0, -1.5))
+    data = CODEC.format_correction(message)
+    assert CODEC.parse_correction(data).rapid_data == (3.0, -1.5)
+    with pytest.raises(EgmError, match="RAPIDtoRobot has 41 values: limit 40"):
+        CODEC.format_correction(msgspec.structs.replace(message, rapid_data=(0.0,) * 41))
+    with pytest.raises(EgmError, match=r"RAPIDfromRobot\.dnum has 41 values: limit 40"):
+        CODEC.parse_robot(LEAST + bytes_field(13, doubles_field(2, (0.0,) * 41)))

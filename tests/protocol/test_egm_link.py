@@ -95,6 +95,11 @@ def test_a_robot_without_the_linear_axis_of_the_task_is_refused() -> None:
     assert link(on_rail=False).read(data, 0).robot.external == ()
 
 
+def test_what_is_no_message_of_any_family_is_refused_as_it_is() -> None:
+    with pytest.raises(EgmError, match="field number out of range"):
+        link().read(b"\x00\x01", 0)
+
+
 @pytest.mark.parametrize("value", [0.5, -1.0, 256.0])
 def test_a_number_that_is_no_signal_is_refused(value: float) -> None:
     with pytest.raises(EgmError, match=r"signals are 0\.\.255"):
