@@ -62,11 +62,7 @@ class LimitKind(IntEnum):
 
 
 class LimitRequest(Struct, frozen=True):
-    """Request for the limits of one axis.
-
-    Attributes:
-        axis: 1 for J1.
-    """
+    """Request for the limits of one axis: 1 for J1."""
 
     version: int
     axis: int

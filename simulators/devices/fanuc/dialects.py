@@ -48,7 +48,6 @@ class Dialect(NamedTuple):
 
     Attributes:
         request: reads what is no command; raises FanucError at anything else.
-        command_kinds: types of commands.
     """
 
     command_kinds: frozenset[int]
@@ -63,7 +62,7 @@ def dialect(version: int, cycle_s: float, limits: tuple[AxisLimit, ...]) -> Dial
 
     Args:
         cycle_s: period of the controller [s].
-        limits: of each axis, told by the older generation on request.
+        limits: of each axis, which the older generation answers with.
     """
     if version in classic.VERSIONS:
         return Dialect(

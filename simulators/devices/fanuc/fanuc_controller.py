@@ -44,6 +44,8 @@ class FanucConfig:
         is_coupled: J3 on the wire is relative to the horizontal.
         has_rail: J7 is a linear axis. Without it, J7 has to stay at 0.
         signals_byte: place of the tool's signals in the inputs and outputs, None without.
+        is_echoed: a command repeats the number of the packet that it answers. False: its numbers
+            have to grow, and the newest command of a cycle counts.
         silence_s: without a command for so long, an alarm stops the motion [s].
         patient: silence before the first good command is not charged.
         limits: of each axis; a setpoint beyond one raises an alarm.
@@ -54,6 +56,7 @@ class FanucConfig:
     is_coupled: bool = False
     has_rail: bool = True
     signals_byte: int | None = 0
+    is_echoed: bool = True
     silence_s: float = 0.12
     patient: bool = False
     limits: tuple[AxisLimit, ...] = LIMITS
@@ -279,7 +282,7 @@ class FanucController:
             return self._refuse("not_ready" if stream.is_open else "no_stream")
         fault = self._fault(command) or self._wrong_number(command)
         behind = (stream.sequence - command.sequence) % _U32
-        if fault is None and (behind or is_late):
+        if fault is None and self.config.is_echoed and (behind or is_late):
             stream.late = True
             return Judgement.LATE
         if fault is None:
@@ -300,7 +303,7 @@ class FanucController:
         if stream.answered is not None and (stream.answered - number) % _U32 < HISTORY:
             self.counts.duplicate += 1
             return "double", f"command {number} although {stream.answered} has one"
-        if (stream.sequence - number) % _U32 >= HISTORY:
+        if self.config.is_echoed and (stream.sequence - number) % _U32 >= HISTORY:
             return "sequence", f"command {number}, not {stream.sequence}"
         return None
 

@@ -224,8 +224,8 @@ def test_the_older_generation_starts_answers_and_stops(version: Literal[1, 2]) -
     for kind in (ClassicKind.START, ClassicKind.VERSION, ClassicKind.POSITION):
         assert controller.on_reply(classic.write_short(kind, 3)) is Judgement.MISSING
     controller.on_reply(struct.pack(">IIII", ClassicKind.LIMITS, 3, 1, 2))
-    told, position, limits = controller.take_answers()
-    assert classic.read_short(told) == (ClassicKind.VERSION, version)
+    version_answer, position, limits = controller.take_answers()
+    assert classic.read_short(version_answer) == (ClassicKind.VERSION, version)
     assert struct.unpack_from(">f", position, 12 + 36)[0] == pytest.approx(math.degrees(START[0]))
     jerk = math.degrees(CONFIG.limits[0].jerk)
     assert struct.unpack_from(">20f", limits, 24) == pytest.approx((jerk,) * 20)
@@ -239,3 +239,12 @@ def test_the_older_generation_starts_answers_and_stops(version: Literal[1, 2]) -
     assert controller.telegram() is None
     assert not controller.refusals
     assert controller.on_reply(struct.pack(">II", 9, version)) is Judgement.REFUSED
+
+
+def test_a_client_that_counts_by_itself_needs_only_growing_numbers() -> None:
+    robot = Robot(replace(CONFIG, is_echoed=False)).start()
+    for number, offset in ((500, 0.001), (501, 0.002), (700, 0.003)):
+        assert robot.cycle(offset, sequence=number) is Judgement.ACCEPTED
+        robot.end()
+    assert robot.cycle(0.0, sequence=700) is Judgement.REFUSED
+    assert robot.controller.refusals["double"] == 1

@@ -1,0 +1,57 @@
+"""Our emulated FANUC controller driven by airo-fanuc's compiled client.
+
+The client numbers its commands by a counter of its own and keeps a clock of its own. A cycle
+without a command is possible, a refused command is not.
+"""
+
+import importlib.util
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PEER = Path(__file__).with_name("airo_client.py")
+ADDRESS = "127.60.15.9"
+LOST_SHARE = 0.05  # of all cycles: two clocks drift, and a shared host loses some
+
+
+@pytest.mark.skipif(
+    importlib.util.find_spec("airo_fanuc") is None,
+    reason="the test-only package airo-fanuc is not installed",
+)
+def test_a_compiled_client_holds_and_moves_the_emulated_robot(tmp_path: Path) -> None:
+    idle, motion = 60, 250
+    path = tmp_path / "emulator.yaml"
+    path.write_text(
+        "scenario: quiet\ncycle_ms: 8\n"
+        "fanuc: {is_echoed: false, has_rail: false, signals_byte: null, patient: true}\n"
+        f"robot_bind: [{ADDRESS}, 60015]\n"
+    )
+    command = [sys.executable, "-m", "linemate.simulators.harness.main", "emulator"]
+    station = subprocess.Popen([*command, "--config", str(path)], stdout=subprocess.PIPE, text=True)
+    assert station.stdout is not None
+    try:
+        assert '"ready"' in station.stdout.readline()
+        words = [ADDRESS, "60015", "--idle", str(idle), "--motion", str(motion)]
+        peer = subprocess.run(
+            [sys.executable, str(PEER), *words],
+            stdout=subprocess.PIPE,
+            text=True,
+            timeout=60.0,
+            check=True,
+        )
+        station.send_signal(signal.SIGTERM)
+        lines, _ = station.communicate(timeout=30.0)
+    finally:
+        station.kill()
+        station.wait()
+    seen, facts = json.loads(peer.stdout.splitlines()[-1]), json.loads(lines.splitlines()[-1])
+    assert seen["fault"] == "FaultReason.NONE"
+    assert seen["motion"] == "MotionStatus.DONE"
+    assert seen["farthest_deg"] == pytest.approx(1.5, rel=0.05)
+    assert facts["refusals"] == {}
+    assert facts["broken"] is None
+    assert facts["telegrams"]["answered"] >= (idle + motion) * (1.0 - LOST_SHARE)
