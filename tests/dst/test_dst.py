@@ -23,11 +23,7 @@ from linemate.simulators.plants.scenario import ConveyorEvent, Fault
 REGRESSIONS = Path(__file__).parent / "regressions.txt"
 FIT = Signals(link=Link.HEALTHY, position_fresh=True, wrench_fresh=True, ready=True)
 OPEN_REGRESSIONS = {
-    103: "the servo of axis 6 is jerked: 215, limit 200",
-    60758: "jitter in contact: mount overloaded, 8.1 mm",
-    414903: "jitter in contact: 216 N",
-    640151: "a distance that comes 20 ms late: 7.5 mm off the hub in TRACK",
-    700211: "jitter in contact: 203 N",
+    414903: "jitter in contact: 222 N",
 }
 """What the plant's oracles found and that is not fixed yet, by the seed of its plan."""
 LOSSY = FaultPlan(1, faults=(Fault(0.3, "reply", "loss", 0.9, 0.3),))

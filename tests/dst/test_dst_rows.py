@@ -165,11 +165,11 @@ def test_x12_a_camera_that_is_covered_or_wrong_before_contact_leads_into_no_coll
     ("kind", "value", "at_s"),
     [
         ("offset", 0.03, FREE_S),
-        open_case("offset", 0.03, TOUCH_S, reason="201 N since force moves the target slowly"),
+        ("offset", 0.03, TOUCH_S),
         ("delay", 0.02, FREE_S),
-        open_case("delay", 0.02, TOUCH_S, reason="220 N, likewise"),
+        open_case("delay", 0.02, TOUCH_S, reason="219 N"),
         ("stuck", 0.0, FREE_S),
-        open_case("stuck", 0.0, TOUCH_S, reason="206 N, likewise"),
+        open_case("stuck", 0.0, TOUCH_S, reason="211 N"),
     ],
 )
 def test_x13_a_distance_that_is_off_late_or_frozen_leads_into_no_collision(
@@ -182,7 +182,7 @@ def test_x13_a_distance_that_is_off_late_or_frozen_leads_into_no_collision(
     ("kind", "value"),
     [
         ("offset", 20.0),
-        open_case("scale", -1.0, reason="205 N"),
+        open_case("scale", -1.0, reason="206 N"),
         ("flip", 0.3),
         ("stuck", 0.0),
         ("clock_frozen", 0.0),
@@ -195,8 +195,8 @@ def test_x14_a_wrench_that_is_wrong_costs_no_mount(kind: str, value: float) -> N
 @pytest.mark.parametrize(
     "off_m",
     [
-        open_case(-0.01, reason="contact is detected 10.8 mm before the hub"),
-        open_case(-0.005, reason="219 N"),
+        -0.01,
+        -0.005,
         -0.002,
         0.002,
         open_case(0.005, reason="208 N"),
@@ -213,14 +213,8 @@ def test_x16_a_controller_of_another_cycle_is_not_tracked_for(off: float) -> Non
     assert ("track" in simulation.oracle.states) == (abs(off) < 0.05)
 
 
-@pytest.mark.parametrize(
-    ("drift", "lead_ms"),
-    [
-        *((drift, lead_ms) for drift in (-0.01, -0.002, 0.002) for lead_ms in (0.0, 5.0)),
-        (0.01, 0.0),
-        open_case(0.01, 5.0, reason="229 N since force moves the target slowly"),
-    ],
-)
+@pytest.mark.parametrize("lead_ms", [0.0, 5.0])
+@pytest.mark.parametrize("drift", [-0.01, -0.002, 0.002, 0.01])
 def test_x16_a_controller_whose_cycle_drifts_by_up_to_3_percent_is_followed(
     drift: float, lead_ms: float
 ) -> None:
