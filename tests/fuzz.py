@@ -88,8 +88,8 @@ def _egm() -> tuple[Wire, Wire]:
     position = EgmPosition(SIX, (0.1,), SIX[:3], (1.0, 0.0, 0.0, 0.0), 10**15)
     states = (MotorState.ON, GuidanceState.RUNNING, RapidState.RUNNING)
     robots = (
-        RobotMessage(12, 48, position, position, *states, True, 20.0, SIX, True, robotware, (3.0,))
-        for robotware in (6, 7)
+        RobotMessage(12, 48, position, position, *states, True, 20.0, SIX, True, robotware, numbers)
+        for robotware, numbers in ((6, ()), (7, (3.0,)))
     )
     correction = CorrectionMessage(12, 48, SIX, (0.1,), SIX, (0.1,), (2.0,))
     words = INTERESTING + EGM_WORDS
