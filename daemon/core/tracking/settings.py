@@ -126,10 +126,13 @@ class PayloadSettings:
         mass: on the mount [kg]. 0: the mean force before contact counts as weight if it is along
             gravity and larger than a bias.
         centre: its centre of gravity in the tcp [m].
+        bolts: length of bolts or pins that enter before the face touches [m]. A force felt over
+            that way is contact only if it is as large as a face's.
     """
 
     mass: Annotated[float, Ge(0.0), Le(2000.0)] = 0.0
     centre: tuple[Lever, Lever, Lever] = (0.0, 0.0, 0.0)
+    bolts: Annotated[float, Ge(0.0), Le(0.3)] = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -488,8 +488,11 @@ def update_contact(
     search, touched = after.search, guard.UNTOUCHED
     if made and force is not None and report.part is not None and after.history is not None:
         reach = _touched_reach(tracker, after, after.history, report.part, force)
-        touched = _touched_programme(tracker, before, after, reach)
-        search = guard.ContactSearch(reach, search.lasted)
+        bolts = tracker.settings.payload.bolts
+        made = not contact.may_rub(reach, bolts) or _is_face(tracker, contact_state)
+        if made:
+            touched = _touched_programme(tracker, before, after, reach)
+            search = guard.ContactSearch(reach, search.lasted)
     return replace(
         after,
         contact_state=contact_state,
@@ -499,6 +502,13 @@ def update_contact(
         touched=touched,
         search=search,
     )
+
+
+def _is_face(tracker: Tracker, state: contact.ContactState) -> bool:
+    """Return whether an early touch is the face of an object that is nearer than estimated."""
+    least = guard.face_force(tracker.task.guard, tracker.settings.tactile.stiffness[2])
+    least = max(least, tracker.vibration.force)
+    return contact.is_contact(state, tracker.vibration, least)
 
 
 def _touched_reach(

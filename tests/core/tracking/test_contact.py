@@ -14,6 +14,8 @@ from linemate.daemon.core.tracking.touch.contact import (
     ToolVibration,
     assume_touch,
     count_touches,
+    is_contact,
+    may_rub,
     record_force,
     tool_vibration,
 )
@@ -208,3 +210,22 @@ def test_without_a_force_sensor_a_touch_is_assumed_at_the_place_when_it_is_due()
 @pytest.mark.parametrize("distance", [-0.02, math.inf])
 def test_without_a_force_sensor_no_touch_is_assumed_far_from_the_object(distance: float) -> None:
     assert assume_touch(NO_CONTACT, distance, is_due=True).touches == 0
+
+
+@pytest.mark.parametrize(
+    ("reach", "rubs"), [(-0.002, False), (-0.004, True), (-0.024, True), (-0.026, False)]
+)
+def test_bolts_may_rub_between_their_length_and_the_face(reach: float, rubs: bool) -> None:
+    assert may_rub(reach, 0.025) is rubs
+    assert not may_rub(reach, 0.0)
+
+
+@pytest.mark.parametrize(("pushed", "felt"), [(18.0, False), (26.0, True)])
+def test_a_contact_can_be_asked_for_with_another_least_force(pushed: float, felt: bool) -> None:
+    cycle_s = 0.012
+    mode = tool_vibration(FREQUENCY, DAMPING, STIFFNESS, FORCE, cycle_s)
+    state = NO_CONTACT
+    for k in range(60):
+        state = record_force(state, mode, -pushed if k > 58 else 0.0, 0.0, held=False)
+    assert is_contact(state, mode)
+    assert is_contact(state, mode, 22.0) is felt

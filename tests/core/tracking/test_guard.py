@@ -122,3 +122,8 @@ def test_the_object_is_where_the_tool_touched_less_what_the_mount_gave_way(
     tcp, part = np.zeros(6), np.zeros(6)
     tcp[2] = depth
     assert guard.touched_reach(tcp, part, force, 50e3, 0.02) == pytest.approx(reach)
+
+
+def test_the_force_of_a_face_is_a_part_of_what_the_mount_gives_over_the_way_on() -> None:
+    whole = 50e3 * GuardedApproach().touch_speed * guard.GOES_ON_S
+    assert 0.2 * whole < guard.face_force(GuardedApproach(), 50e3) < 0.5 * whole

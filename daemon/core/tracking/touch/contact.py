@@ -17,6 +17,7 @@ from msgspec import Struct
 
 TOUCHES = 2  # steps in a row that make a contact
 NEAR = 0.008  # least distance before the object from which a force may be a contact [m]
+EARLY = 0.003  # a touch this far before the estimated object is early [m]
 MARGIN = 0.003  # or this much before the approach is slow: an object that is nearer still [m]
 
 # An object pushes a tool back. So many times the force the other way is a contact too: the sensor's
@@ -31,6 +32,16 @@ def reach(clearance: float) -> float:
         clearance: of the guarded approach [m].
     """
     return max(NEAR, clearance + MARGIN)
+
+
+def may_rub(reach: float, bolts: float) -> bool:
+    """Return whether bolts may rub in their holes where a touch is felt.
+
+    Args:
+        reach: how far beyond its estimate the object was touched [m].
+        bolts: their length [m].
+    """
+    return -bolts < reach < -EARLY
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,11 +138,15 @@ def is_observable(state: ContactState, vibration: ToolVibration) -> bool:
     return len(state.forces) >= vibration.memory and state.calm >= vibration.memory
 
 
-def is_contact(state: ContactState, vibration: ToolVibration) -> bool:
+def is_contact(state: ContactState, vibration: ToolVibration, least: float | None = None) -> bool:
     """Return whether the force of the tool is a contact.
 
     Not decided while the forces reach back beyond a hold: the tool did not vibrate before it.
+
+    Args:
+        least: what counts as contact instead of the force in ``vibration`` [N].
     """
+    least = vibration.force if least is None else least
     forces = state.forces
     if not is_observable(state, vibration):
         return False
@@ -144,7 +159,7 @@ def is_contact(state: ContactState, vibration: ToolVibration) -> bool:
     # free tool for one that was kicked then. A contact shows against both.
     means = (before,) if state.free is None else (before, state.free)
     pushes = [pair - (1.0 + vibration.kept) * mean for mean in means]
-    return max(pushes) < -vibration.force or min(pushes) > PULL * vibration.force
+    return max(pushes) < -least or min(pushes) > PULL * least
 
 
 def is_lasting_contact(state: ContactState, vibration: ToolVibration) -> bool:

@@ -20,6 +20,8 @@ from linemate.daemon.core.tracking.touch.contact import ContactState, ToolVibrat
 PRESSING_S = 0.06  # least time in which the programme goes over into the press [s]
 ACCELERATION = 1.5  # largest one of that, from which a longer time follows [m/s^2]
 PEAK = 7.52  # largest second derivative of the step from 0 to 1 in unit time
+GOES_ON_S = 0.15  # for which the motion goes on after a touch [s]
+FACE_SHARE = 0.33  # of the force that a face gives over that way
 TIMEOUT_FACTOR = 2.0  # a search that cannot advance ends after so many times its duration
 
 
@@ -54,6 +56,18 @@ class TouchedProgramme(Struct, frozen=True):
 
 
 UNTOUCHED = TouchedProgramme()
+
+
+def face_force(guard: GuardedApproach, stiffness: float) -> float:
+    """Return the force along the tool's axis from which an early touch is the object's face [N].
+
+    The face stops the tool, and the force grows with the way on. Bolts that rub in their holes
+    resist less, however far the tool goes.
+
+    Args:
+        stiffness: of the mount along that axis [N/m].
+    """
+    return FACE_SHARE * guard.touch_speed * GOES_ON_S * stiffness
 
 
 def advanced(
