@@ -323,7 +323,7 @@ def test_a_clock_set_back_is_believed_after_three_messages() -> None:
     assert outcomes == ["stale", "stale"] + [-EXPOSED_NS] * 37
 
 
-def test_messages_that_were_held_up_are_no_clock_set_back() -> None:
+def test_delayed_messages_are_no_clock_set_back() -> None:
     decoder = CameraDecoder()
     decoder.feed(message(0), 3 * S)
     for seq in range(1, 6):

@@ -39,7 +39,7 @@ def may_rub(reach: float, bolts: float) -> bool:
 
     Args:
         reach: how far beyond its estimate the object was touched [m].
-        bolts: their length [m].
+        bolts: their length from the face [m].
     """
     return -bolts < reach < -EARLY
 
