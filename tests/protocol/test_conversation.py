@@ -27,6 +27,7 @@ SAMPLES: dict[str, dict[str, Any]] = {
     "set": {"values": {"a": 1}},
     "record": {"action": "start"},
     "subscribe": {"rate_hz": 1.0},
+    "announce": {"part": "1", "variant": "left"},
     "page": {"of": 1, "page": 1},
 }
 

@@ -63,7 +63,11 @@ def test_a_client_believes_nothing_that_a_client_sends(kind: FrameType) -> None:
 
 
 OPERATING = [op for op, rule in OPERATIONS.items() if rule.role is Role.OPERATE]
-PARAMS: dict[str, dict[str, Any]] = {"set": {"values": {"a": 1}}, "record": {"action": "stop"}}
+PARAMS: dict[str, dict[str, Any]] = {
+    "set": {"values": {"a": 1}},
+    "record": {"action": "stop"},
+    "announce": {"part": "1", "variant": "left"},
+}
 
 
 @pytest.mark.parametrize("op", OPERATING)
