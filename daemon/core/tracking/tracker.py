@@ -155,8 +155,7 @@ def track(
         )
         state = _ease(tracker, state, view, samples.stamp_ns, target, part)
         state = comply(tracker, state, samples, view, wrench, part)
-        target[:, :3] += state.compliance.offset
-        part = felt_part(state, part)
+        target, part = _complied(tracker, state, target, part)
         if state.blended is not None and state.blended >= tracker.settings.merge.blend:
             goal = sagging(state, target)
         elif state.blended is not None:
@@ -235,6 +234,20 @@ def _end_search(state: TrackerState) -> TrackerState:
     return replace(state, compliance=complied, search=guard.NO_SEARCH)
 
 
+def _complied(
+    tracker: Tracker, state: TrackerState, target: Array, part: Array
+) -> tuple[Array, Array]:
+    """Return the target (m, 6) and the object (6,) moved by the compliance's offset.
+
+    An object whose future is known needs none.
+    """
+    if tracker.foresight is not None:
+        return target, part
+    moved = target.copy()
+    moved[:, :3] += state.compliance.offset
+    return moved, felt_part(state, part)
+
+
 def _anchor(state: TrackerState, goal: Array) -> tuple[TrackerState, Array]:
     """Return the state and the goal (m, 6) of a retraction that began from a robot at rest."""
     anchor = state.anchor
@@ -280,8 +293,7 @@ def observe(
         )
         if _is_prediction_due(tracker, state, view, samples.stamp_ns):
             state = _kept_prediction(tracker, state, view, samples.stamp_ns, target[1:], along[1:])
-        target[:, :3] += state.compliance.offset
-        part = felt_part(state, part)
+        target, part = _complied(tracker, state, target, part)
     return state, report(tracker, state, view, wrench, rejected, target, part)
 
 
