@@ -143,7 +143,7 @@ class CanLink(KeptLink):
     def _drain_lines(self, reader: SlcanReader) -> str | None:
         """Read what waits, at most 32 frames; return why the adapter has ended, None if not."""
         self._empty_wakes += 1
-        garbage, others = reader.garbage, reader.others
+        garbage, refused, others = reader.garbage, reader.refused, reader.others
         try:
             frames = reader.read()
         except OSError as error:
@@ -155,6 +155,8 @@ class CanLink(KeptLink):
             self._handle_frame(frame.can_id, frame.data, stamp_ns, frame.extended, frame.remote)
         if reader.garbage > garbage:
             self.counters["garbage"] += reader.garbage - garbage
+        if reader.refused > refused:
+            self.counters["refused"] += reader.refused - refused
         if reader.others > others:
             self.counters["frames"] += reader.others - others
             self.counters["other"] += reader.others - others

@@ -10,7 +10,13 @@ Invariants:
 
 import os
 
-from linemate.protocol.sensors.slcan import CanFrame, LineDecoder, SlcanError, parse_frame
+from linemate.protocol.sensors.slcan import (
+    CanFrame,
+    LineDecoder,
+    SlcanError,
+    SlcanLengthError,
+    parse_frame,
+)
 
 READ_BYTES = 768  # of one wake: 32 frames of 24 bytes
 ENDED = "Could not read from serial device: the line ended"
@@ -24,11 +30,13 @@ class SlcanReader:
 
     Attributes:
         garbage: lines that are no frame and no answer.
+        refused: frames with more or less data than they say.
         others: frames of CAN FD, which no sensor here sends.
     """
 
     def __init__(self, descriptor: int) -> None:
         self.garbage = 0
+        self.refused = 0
         self.others = 0
         self._descriptor = descriptor
         self._lines = LineDecoder()
@@ -61,6 +69,8 @@ class SlcanReader:
             # CANDapter writes an extended frame as x.
             try:
                 return parse_frame(b"T" + line[1:] if kind == ord("x") else line)
+            except SlcanLengthError:
+                self.refused += 1
             except SlcanError:
                 self.garbage += 1
         elif kind in _OF_OTHERS:

@@ -40,6 +40,10 @@ class SlcanError(ProtocolError):
         self.line = line
 
 
+class SlcanLengthError(SlcanError):
+    """A frame with more or less data than it says."""
+
+
 class CanFrame(Struct, frozen=True):
     """One classic CAN frame.
 
@@ -100,7 +104,7 @@ def parse_frame(line: bytes) -> CanFrame:
     rest = digits[start + 1 :]
     size = 0 if remote else 2 * length
     if len(rest) not in (size, size + 4):
-        raise SlcanError(f"{len(rest)} digits of data instead of {size}", line)
+        raise SlcanLengthError(f"{len(rest)} digits of data instead of {size}", line)
     data = bytes.fromhex(rest[:size].decode())
     return CanFrame(int(digits[:start], 16), data, extended, remote, length)
 

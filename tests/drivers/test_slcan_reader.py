@@ -62,26 +62,27 @@ def test_no_frame_is_lost_to_the_limit_of_a_wake(line: Line) -> None:
 
 
 @pytest.mark.parametrize(
-    ("junk", "garbage", "others"),
+    ("junk", "garbage", "refused", "others"),
     [
-        (b"\xff\xfe\r", 1, 0),
-        (b"t183\xff\r", 1, 0),
-        (b"tXYZ4zz\r", 1, 0),
-        (b"t18340102\r", 1, 0),
-        (b"x\r", 1, 0),
-        (b"t1832" + 60 * b"0" + b"\r", 1, 0),
-        (b"d1832010200\r", 0, 1),
-        (b"\a", 0, 0),
-        (b"z\r\r\nV1013\r", 0, 0),
+        (b"\xff\xfe\r", 1, 0, 0),
+        (b"t183\xff\r", 1, 0, 0),
+        (b"tXYZ4zz\r", 1, 0, 0),
+        (b"t18340102\r", 0, 1, 0),
+        (b"x\r", 1, 0, 0),
+        (b"t1832" + 60 * b"0" + b"\r", 0, 1, 0),
+        (b"d1832010200\r", 0, 0, 1),
+        (b"\a", 0, 0, 0),
+        (b"z\r\r\nV1013\r", 0, 0, 0),
     ],
 )
 def test_a_line_that_is_no_frame_costs_itself_alone(
-    line: Line, junk: bytes, garbage: int, others: int
+    line: Line, junk: bytes, garbage: int, refused: int, others: int
 ) -> None:
     frame = CanFrame(0x183, b"\x01")
     os.write(line.far, junk + format_frame(frame))
     assert line.reader.read() == [frame]
-    assert (line.reader.garbage, line.reader.others) == (garbage, others)
+    reader = line.reader
+    assert (reader.garbage, reader.refused, reader.others) == (garbage, refused, others)
 
 
 def test_the_extended_frame_of_a_candapter_is_read(line: Line) -> None:

@@ -204,7 +204,7 @@ def checked(path: Path) -> LoadedConfig:
         FileError: what it refuses.
     """
     station = load(path)
-    service._rehearsed(station, service._compiled(station))
+    service._rehearsed(station.task, service._compiled(station, station.task))
     return station
 
 
