@@ -20,6 +20,7 @@ from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.inputs import Inputs, MotionOrder
 from linemate.daemon.core.parameters import Parameters, build
 from linemate.daemon.core.step import Outputs, StepState, initial, step
+from linemate.daemon.core.tracking.task import Phase, TaskFile
 from linemate.protocol.stamped_samples import (
     CameraSample,
     DistanceSample,
@@ -35,6 +36,7 @@ WRENCH_S = 0.004
 CAMERA_S = 0.025
 CAMERA_DELAY_S = 0.1
 CAMERA_BLIND = 0.03  # distance below which the camera sees nothing [m]
+HELD_S = 2.0  # the press lasts so much longer than in the task, beyond the end of a case [s]
 TOOL_MASS = 25.0  # of tool and wheel, which move with the hub [kg]
 OFF = np.array((0.03, -0.02, 0.04))  # of the object from its nominal place, in c [m]
 GRAIN = 0.001  # quantisation of the distance sensor [m]
@@ -102,7 +104,18 @@ def _parameters(cell: TwoBodyCell, made: Setup) -> Parameters:
     ahead = max(filters.servo_future_s, cell.dead_time + 0.06)
     filters = replace(filters, servo_future_s=ahead)
     control = replace(made.control, servos=servos, filters=filters)
-    return build(made.task, made.urdf, tracking, control, cell.cycle_s)
+    return build(_held(made.task), made.urdf, tracking, control, cell.cycle_s)
+
+
+def _held(task: TaskFile) -> TaskFile:
+    """Return a task that presses for longer, so that no motion of its own is in a case."""
+    screws = next(point.time for point in task.waypoints if point.phase is Phase.SCREWS)
+    waypoints = tuple(
+        replace(point, time=point.time + HELD_S) if point.time > screws else point
+        for point in task.waypoints
+    )
+    tool = replace(task.tool, release_wheel=task.tool.release_wheel + HELD_S)
+    return replace(task, waypoints=waypoints, tool=tool)
 
 
 class Servos:

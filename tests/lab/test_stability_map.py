@@ -50,6 +50,14 @@ def test_a_body_that_is_kicked_in_contact_comes_to_rest(cell: TwoBodyCell, mode:
     assert is_calm(figures, cell), figures
 
 
+def test_the_tool_presses_until_a_case_ends() -> None:
+    loop = begun(SOFT).fork()
+    for _ in range(round(stability_map.WINDOWS * stability_map.WINDOW_S / SOFT.cycle_s)):
+        outputs = loop.turn()
+    assert outputs.contact
+    assert abs(loop.force[2]) > 0.5e-3 * SOFT.mount  # of the 1 mm that the task presses
+
+
 def test_a_target_that_follows_force_at_once_drives_the_body(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
