@@ -109,11 +109,15 @@ def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> Tra
 
 
 def _is_engaged(state: TrackerState) -> bool:
-    """Return whether the tool is clamped to the object, or was and has not cleared it."""
+    """Return whether the tool is clamped to the object, or was and has not cleared it.
+
+    A tool that may be clamped counts: a clamp closes before the contact is felt.
+    """
     is_released = state.started and Gate.WHEEL_RELEASED in state.passed
     if state.withdrawn is not None:
         return (state.contact or is_released) and state.withdrawn <= WITHDRAW_S
-    return state.contact or (is_released and state.distance > -CLEAR_WAY)
+    is_near = is_released and state.distance > -CLEAR_WAY
+    return state.contact or state.clamped or is_near
 
 
 def track(
