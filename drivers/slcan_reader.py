@@ -10,13 +10,7 @@ Invariants:
 
 import os
 
-from linemate.protocol.sensors.slcan import (
-    CanFrame,
-    LineDecoder,
-    SlcanError,
-    SlcanLengthError,
-    parse_frame,
-)
+from linemate.protocol.sensors.slcan import CanFrame, LineDecoder, SlcanError, parse_frame
 
 READ_BYTES = 768  # of one wake: 32 frames of 24 bytes
 ENDED = "Could not read from serial device: the line ended"
@@ -69,10 +63,9 @@ class SlcanReader:
             # CANDapter writes an extended frame as x.
             try:
                 return parse_frame(b"T" + line[1:] if kind == ord("x") else line)
-            except SlcanLengthError:
-                self.refused += 1
-            except SlcanError:
-                self.garbage += 1
+            except SlcanError as error:
+                self.refused += error.has_wrong_length
+                self.garbage += not error.has_wrong_length
         elif kind in _OF_OTHERS:
             self.others += 1
         elif not line.isascii():

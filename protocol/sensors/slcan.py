@@ -32,16 +32,17 @@ _EXTENDED_LIMIT = 1 << 29
 
 
 class SlcanError(ProtocolError):
-    """A line that is no frame, or a frame that is out of range."""
+    """A line that is no frame, or a frame that is out of range.
 
-    def __init__(self, what: str, line: bytes = b"") -> None:
+    Attributes:
+        has_wrong_length: a frame with more or less data than it says.
+    """
+
+    def __init__(self, what: str, line: bytes = b"", *, has_wrong_length: bool = False) -> None:
         """Make the message from the first bytes of the line."""
         super().__init__(f"slcan: {what}: {line[:32]!r}")
         self.line = line
-
-
-class SlcanLengthError(SlcanError):
-    """A frame with more or less data than it says."""
+        self.has_wrong_length = has_wrong_length
 
 
 class CanFrame(Struct, frozen=True):
@@ -104,7 +105,8 @@ def parse_frame(line: bytes) -> CanFrame:
     rest = digits[start + 1 :]
     size = 0 if remote else 2 * length
     if len(rest) not in (size, size + 4):
-        raise SlcanLengthError(f"{len(rest)} digits of data instead of {size}", line)
+        what = f"{len(rest)} digits of data instead of {size}"
+        raise SlcanError(what, line, has_wrong_length=True)
     data = bytes.fromhex(rest[:size].decode())
     return CanFrame(int(digits[:start], 16), data, extended, remote, length)
 
