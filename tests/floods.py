@@ -19,7 +19,7 @@ from pathlib import Path
 from daemon_process import DaemonProcess
 from plain_robot import CYCLE_S, PlainRobot
 
-from linemate.simulators.devices.camera_sender import CameraSender
+from linemate.simulators.devices.sensing.camera_sender import CameraSender
 
 MOST_RATE, MOST_SECONDS = 60_000, 10.0
 BATCH_S = 0.002

@@ -13,12 +13,12 @@ from linemate.daemon.cycle.learning import Learner
 from linemate.daemon.recording.recorder import MIB, Recorder, Rotation
 from linemate.daemon.service.command_server import CommandPort, Handler, Snapshot
 from linemate.daemon.service.endpoints import LocalEndpoint, UdpEndpoint
-from linemate.drivers.camera_peer import parse_peer
-from linemate.drivers.camera_udp import CameraLink
 from linemate.drivers.can_bus import CanLink
-from linemate.drivers.robot_udp import OnTelegram, RobotLink
 from linemate.drivers.serial_port import SerialLink
-from linemate.drivers.stream_udp import StreamLink
+from linemate.drivers.udp.camera_peer import parse_peer
+from linemate.drivers.udp.camera_udp import CameraLink
+from linemate.drivers.udp.robot_udp import OnTelegram, RobotLink
+from linemate.drivers.udp.stream_udp import StreamLink
 from linemate.protocol.controller_link import ControllerLink
 from linemate.protocol.egm.egm_codec import EgmCodec
 from linemate.protocol.egm.egm_link import EgmLink

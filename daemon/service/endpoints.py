@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from linemate.drivers import port_holder
-from linemate.drivers.sole_sender import attach
+from linemate.drivers.udp import port_holder
+from linemate.drivers.udp.sole_sender import attach
 from linemate.protocol.command.frame_codec import MAGIC, MAX_FRAME_BYTES
 from linemate.protocol.command.local_server import LocalAccess
 from linemate.protocol.command.preshared_keys import PresharedKey

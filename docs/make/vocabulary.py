@@ -83,8 +83,8 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "tests/operator/test_identify_command.py": ("told",),
     "tests/operator/test_doctor.py": ("awake",),
     # The counters express and hasty of the robot link.
-    "drivers/robot_udp.py": ("express", "hasty"),
-    "tests/drivers/test_robot_udp.py": ("express", "hasty"),
+    "drivers/udp/robot_udp.py": ("express", "hasty"),
+    "tests/drivers/udp/test_robot_udp.py": ("express", "hasty"),
     # The name of an object.
     "tests/protocol/test_wires_transcript.py": ("door",),
     # Keys on a wire: of the status and of the configuration.

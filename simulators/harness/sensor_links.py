@@ -18,8 +18,6 @@ from linemate.protocol.errors import ProtocolError
 from linemate.protocol.sensors.camera_codec import CameraDecoder
 from linemate.protocol.sensors.distance import DistanceDecoder, DistanceEncoder
 from linemate.protocol.sensors.wrench import make_decoder, make_host
-from linemate.simulators.devices.camera_sender import CameraSender
-from linemate.simulators.devices.can_sensor import CanSensor
 from linemate.simulators.devices.emulated_world import (
     CameraReading,
     EmulatedWorld,
@@ -27,8 +25,10 @@ from linemate.simulators.devices.emulated_world import (
 )
 from linemate.simulators.devices.faults import GARBAGE_BYTES, Faults
 from linemate.simulators.devices.faulty_link import FaultyLink
-from linemate.simulators.devices.faulty_sensor import FaultySensor
-from linemate.simulators.devices.force_torque import ForceTorqueSensor
+from linemate.simulators.devices.sensing.camera_sender import CameraSender
+from linemate.simulators.devices.sensing.can_sensor import CanSensor
+from linemate.simulators.devices.sensing.faulty_sensor import FaultySensor
+from linemate.simulators.devices.sensing.force_torque import ForceTorqueSensor
 from linemate.simulators.judge.rows import EPOCH_NS
 
 DEVICE = "bota"

@@ -27,9 +27,9 @@ import can
 import serialx
 
 from linemate.daemon.cycle.clock import timer as daemon_timer
-from linemate.drivers import sole_sender
-from linemate.drivers.datagrams import Address, DatagramSocket
 from linemate.drivers.stamps import SO_TIMESTAMPNS
+from linemate.drivers.udp import sole_sender
+from linemate.drivers.udp.datagrams import Address, DatagramSocket
 from linemate.protocol.sensors import distance as distance_codec
 
 T = TypeVar("T")

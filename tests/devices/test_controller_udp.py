@@ -12,7 +12,7 @@ from pathlib import Path
 from loops import run, until
 
 from linemate import protocol
-from linemate.drivers.robot_udp import RobotLink
+from linemate.drivers.udp.robot_udp import RobotLink
 from linemate.protocol.rsi.codec import RsiCodec, SensorTelegram, parse_config
 from linemate.simulators.devices.links.controller_udp import ControllerUdp
 from linemate.simulators.devices.rsi_controller import (

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from loops import run, until
 
-from linemate.drivers.camera_udp import CameraLink
 from linemate.drivers.can_bus import CanLink
-from linemate.drivers.robot_udp import RobotLink
 from linemate.drivers.serial_port import SerialLink
+from linemate.drivers.udp.camera_udp import CameraLink
+from linemate.drivers.udp.robot_udp import RobotLink
 from linemate.protocol.rsi.codec import RsiCodec, RsiError, SensorTelegram, parse_config
 from linemate.protocol.sensors.camera_codec import CameraDecoder
 from linemate.protocol.sensors.distance import DistanceDecoder

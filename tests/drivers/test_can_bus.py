@@ -12,8 +12,8 @@ from linemate.drivers.can_bus import CanLink
 from linemate.protocol.sensors.distance import DistanceDecoder, DistanceEncoder
 from linemate.protocol.sensors.slcan import CanFrame
 from linemate.protocol.stamped_samples import DistanceSample
-from linemate.simulators.devices.can_sensor import CanSensor
 from linemate.simulators.devices.links.slcan_pty import SlcanPty
+from linemate.simulators.devices.sensing.can_sensor import CanSensor
 
 QUICK = (0.02, 0.1)
 

@@ -11,8 +11,8 @@ from linemate.drivers.backoff import Backoff
 from linemate.drivers.serial_port import SerialLink
 from linemate.protocol.sensors.wrench import bota_frame, make_decoder, make_host
 from linemate.protocol.stamped_samples import WrenchSample
-from linemate.simulators.devices.force_torque import ForceTorqueSensor
 from linemate.simulators.devices.links.serial_pty import SerialPty
+from linemate.simulators.devices.sensing.force_torque import ForceTorqueSensor
 
 FORCE, TORQUE = (1.0, -2.0, 3.0), (0.1, 0.2, -0.3)
 

@@ -2,7 +2,7 @@
 
 import re
 
-from linemate.drivers.datagrams import Address
+from linemate.drivers.udp.datagrams import Address
 from linemate.simulators.lab.faults.dst_cells import rest_pose, station
 from linemate.simulators.lab.faults.dst_strangers import (
     FIRST,

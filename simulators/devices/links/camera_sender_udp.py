@@ -8,8 +8,8 @@ Invariants:
 import time
 from collections.abc import Sequence
 
-from linemate.simulators.devices.camera_sender import CameraSender
 from linemate.simulators.devices.links.endpoint import Address, Endpoint
+from linemate.simulators.devices.sensing.camera_sender import CameraSender
 
 
 class CameraUdp:

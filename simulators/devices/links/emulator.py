@@ -23,11 +23,8 @@ from threading import Thread
 from typing import Any, TextIO, cast
 
 from linemate.protocol.sensors.distance import DistanceEncoder
-from linemate.simulators.devices.camera_sender import CameraSender
-from linemate.simulators.devices.can_sensor import CanSensor
 from linemate.simulators.devices.emulated_world import CollisionRecord, ImpactRecord
 from linemate.simulators.devices.faults import GARBAGE_BYTES, REAL, Faults
-from linemate.simulators.devices.force_torque import ForceTorqueSensor
 from linemate.simulators.devices.line.car_feeder import CarFeeder
 from linemate.simulators.devices.links.camera_sender_udp import CameraUdp
 from linemate.simulators.devices.links.controller_udp import ControllerUdp
@@ -40,6 +37,9 @@ from linemate.simulators.devices.links.tcp_port import TcpPort
 from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.devices.rsi_controller import Applied
 from linemate.simulators.devices.schedule import DeviceSchedule
+from linemate.simulators.devices.sensing.camera_sender import CameraSender
+from linemate.simulators.devices.sensing.can_sensor import CanSensor
+from linemate.simulators.devices.sensing.force_torque import ForceTorqueSensor
 from linemate.simulators.devices.truth import TruthLog
 from linemate.simulators.devices.worlds import build_world
 from linemate.simulators.plants.scenario import Scenario

@@ -8,10 +8,10 @@ Invariants:
 from collections.abc import Sequence
 from pathlib import Path
 
-from linemate.simulators.devices.force_torque import ForceTorqueSensor
 from linemate.simulators.devices.links.endpoint import Address
 from linemate.simulators.devices.links.pty_port import PtyPort
 from linemate.simulators.devices.links.tcp_port import TcpPort
+from linemate.simulators.devices.sensing.force_torque import ForceTorqueSensor
 
 
 class SerialPty:

@@ -7,11 +7,11 @@ Invariants:
 from pathlib import Path
 
 from linemate.protocol.sensors.slcan import CanFrame
-from linemate.simulators.devices.can_sensor import CanSensor
 from linemate.simulators.devices.links.endpoint import Address
 from linemate.simulators.devices.links.pty_port import PtyPort
 from linemate.simulators.devices.links.tcp_port import TcpPort
-from linemate.simulators.devices.slcan_adapter import SlcanAdapter
+from linemate.simulators.devices.sensing.can_sensor import CanSensor
+from linemate.simulators.devices.sensing.slcan_adapter import SlcanAdapter
 
 
 class SlcanPty:

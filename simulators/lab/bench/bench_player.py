@@ -31,10 +31,10 @@ from typing import Any, Final
 from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, parse_config
 from linemate.protocol.sensors.distance import DistanceEncoder
 from linemate.protocol.sensors.slcan import CanFrame
-from linemate.simulators.devices.camera_sender import CameraSender
-from linemate.simulators.devices.can_sensor import CanSensor
-from linemate.simulators.devices.force_torque import ForceTorqueSensor
-from linemate.simulators.devices.slcan_adapter import SlcanAdapter
+from linemate.simulators.devices.sensing.camera_sender import CameraSender
+from linemate.simulators.devices.sensing.can_sensor import CanSensor
+from linemate.simulators.devices.sensing.force_torque import ForceTorqueSensor
+from linemate.simulators.devices.sensing.slcan_adapter import SlcanAdapter
 from linemate.simulators.lab.bench.bench_trace import StationTrace
 
 SO_TIMESTAMPNS: Final = 35

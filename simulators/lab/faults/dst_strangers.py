@@ -8,7 +8,7 @@ import re
 from collections import deque
 from collections.abc import Callable
 
-from linemate.drivers.datagrams import Address
+from linemate.drivers.udp.datagrams import Address
 from linemate.protocol.rsi.codec import RsiConfig
 from linemate.simulators.devices.rsi_controller import ControllerConfig, RobotReading, RsiController
 from linemate.simulators.plants.scenario import Fault, Vector7

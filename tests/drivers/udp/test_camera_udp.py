@@ -9,12 +9,12 @@ from functools import partial
 import pytest
 from loops import run, until
 
-from linemate.drivers import camera_udp
-from linemate.drivers.camera_peer import CameraPeer
-from linemate.drivers.camera_udp import BUDGET, IN_A_ROW, SILENCE_S, CameraLink
+from linemate.drivers.udp import camera_udp
+from linemate.drivers.udp.camera_peer import CameraPeer
+from linemate.drivers.udp.camera_udp import BUDGET, IN_A_ROW, SILENCE_S, CameraLink
 from linemate.protocol.sensors.camera_codec import CameraDecoder
 from linemate.protocol.stamped_samples import CameraSample
-from linemate.simulators.devices.camera_sender import CameraSender
+from linemate.simulators.devices.sensing.camera_sender import CameraSender
 
 POSE = ((0.1, 0.2, 0.3), (1.0, 0.0, 0.0, 0.0))
 

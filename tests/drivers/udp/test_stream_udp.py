@@ -7,7 +7,7 @@ from contextlib import closing
 
 import pytest
 
-from linemate.drivers.stream_udp import StreamLink
+from linemate.drivers.udp.stream_udp import StreamLink
 from linemate.protocol.fanuc import packets
 from linemate.protocol.fanuc.handshake import FanucHandshake
 from linemate.protocol.fanuc.packets import (

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from linemate.drivers import port_holder
+from linemate.drivers.udp import port_holder
 
 TAKEN = OSError(errno.EADDRINUSE, "Address already in use")
 HEADER = "  sl  local_address rem_address   st"

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from linemate.simulators.devices.faults import Faults
-from linemate.simulators.devices.faulty_sensor import ODD, FaultySensor
+from linemate.simulators.devices.sensing.faulty_sensor import ODD, FaultySensor
 from linemate.simulators.plants.scenario import Fault
 
 POSE = (0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0)

@@ -5,9 +5,9 @@ import pytest
 from linemate.protocol.sensors.camera_codec import CameraDecoder
 from linemate.protocol.sensors.distance import DistanceDecoder, DistanceEncoder
 from linemate.protocol.sensors.wrench import WrenchError, make_decoder, make_host
-from linemate.simulators.devices.camera_sender import CameraSender
-from linemate.simulators.devices.can_sensor import CanSensor
-from linemate.simulators.devices.force_torque import ForceTorqueSensor
+from linemate.simulators.devices.sensing.camera_sender import CameraSender
+from linemate.simulators.devices.sensing.can_sensor import CanSensor
+from linemate.simulators.devices.sensing.force_torque import ForceTorqueSensor
 
 
 def test_a_mounted_distance_sensor_reads_its_distance_to_the_unit() -> None:

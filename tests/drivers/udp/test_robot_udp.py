@@ -11,7 +11,7 @@ import pytest
 from loops import run, until
 
 from linemate.drivers.backoff import Backoff
-from linemate.drivers.robot_udp import RobotLink
+from linemate.drivers.udp.robot_udp import RobotLink
 from linemate.protocol.controller_link import ReadyReply
 from linemate.protocol.rsi.expected_telegram import ExpectedTelegram
 

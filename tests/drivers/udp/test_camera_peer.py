@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from linemate.drivers.camera_peer import TAKEOVER_S, CameraPeer, SenderRole, parse_peer
+from linemate.drivers.udp.camera_peer import TAKEOVER_S, CameraPeer, SenderRole, parse_peer
 
 A, B, C = ("10.0.0.1", 5), ("10.0.0.1", 6), ("10.0.0.2", 5)
 SECOND = 1_000_000_000

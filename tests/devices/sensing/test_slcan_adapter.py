@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linemate.protocol.sensors.slcan import CanFrame
-from linemate.simulators.devices.slcan_adapter import SlcanAdapter
+from linemate.simulators.devices.sensing.slcan_adapter import SlcanAdapter
 
 FRAME = CanFrame(0x183, b"\x01\x02\x03\x04")
 

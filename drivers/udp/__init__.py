@@ -1,0 +1,1 @@
+"""UDP ports: the robot controller's and the camera's."""

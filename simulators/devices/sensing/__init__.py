@@ -1,0 +1,1 @@
+"""Sensors as the daemon sees them: distance, camera, force and torque."""
