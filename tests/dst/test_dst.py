@@ -15,7 +15,7 @@ from linemate.daemon.cycle.cycle import Cycle
 from linemate.daemon.cycle.operating import Operating
 from linemate.daemon.cycle.session import Session
 from linemate.daemon.cycle.states import Link, Machine, Signals, State
-from linemate.simulators.harness.virtual import VirtualTime
+from linemate.simulators.harness.virtual.virtual_time import VirtualTime
 from linemate.simulators.lab.faults import dst, dst_oracles, dst_plan, dst_run
 from linemate.simulators.lab.faults.dst_plan import FaultPlan, draw
 from linemate.simulators.plants.scenario import ConveyorEvent, Fault

@@ -11,7 +11,7 @@ from linemate.daemon.cycle.clock import phase_lock
 from linemate.daemon.service.app import App
 from linemate.daemon.service.host.notify import Notifier
 from linemate.daemon.service.host.realtime import RealtimeHost
-from linemate.simulators.harness.virtual import EPOCH_NS
+from linemate.simulators.harness.virtual.virtual_time import EPOCH_NS
 from linemate.simulators.lab.faults import dst_run
 from linemate.simulators.lab.faults.dst_plan import FaultPlan
 from linemate.simulators.plants.scenario import Fault

@@ -29,7 +29,9 @@ from linemate.simulators.devices.faulty_link import FaultyLink
 from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.devices.rsi_controller import ControllerConfig, RsiController
 from linemate.simulators.harness.sensor_links import Emitters
-from linemate.simulators.harness.virtual import EPOCH_NS, VirtualLoop, VirtualTime, inhabited
+from linemate.simulators.harness.virtual.inhabited import inhabited
+from linemate.simulators.harness.virtual.virtual_loop import VirtualLoop
+from linemate.simulators.harness.virtual.virtual_time import EPOCH_NS, VirtualTime
 from linemate.simulators.lab.faults.dst_actors import Operator, Programme
 from linemate.simulators.lab.faults.dst_cells import (
     CELLS,

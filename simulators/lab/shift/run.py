@@ -34,7 +34,9 @@ from linemate.simulators.devices.rsi_controller import ControllerConfig, RsiCont
 from linemate.simulators.harness import scenario_file
 from linemate.simulators.harness.lockstep import parameters
 from linemate.simulators.harness.sensor_links import Emitters
-from linemate.simulators.harness.virtual import EPOCH_NS, VirtualLoop, VirtualTime, inhabited
+from linemate.simulators.harness.virtual.inhabited import inhabited
+from linemate.simulators.harness.virtual.virtual_loop import VirtualLoop
+from linemate.simulators.harness.virtual.virtual_time import EPOCH_NS, VirtualTime
 from linemate.simulators.lab.faults.dst_oracles import weigh
 from linemate.simulators.lab.shift.line_controller import LineController
 from linemate.simulators.plants.scenario import Scenario

@@ -5,13 +5,10 @@ import time
 
 import pytest
 
-from linemate.simulators.harness.virtual import (
-    EPOCH_NS,
-    VirtualLoop,
-    VirtualTime,
-    VirtualTimer,
-    inhabited,
-)
+from linemate.simulators.harness.virtual.inhabited import inhabited
+from linemate.simulators.harness.virtual.virtual_loop import VirtualLoop
+from linemate.simulators.harness.virtual.virtual_ports import VirtualTimer
+from linemate.simulators.harness.virtual.virtual_time import EPOCH_NS, VirtualTime
 
 MS = 1_000_000
 
