@@ -37,7 +37,7 @@ from linemate.simulators.judge import rows as columns
 from linemate.simulators.judge.judge import RunEvidence, StateChange, Telegrams
 from linemate.simulators.judge.oracle import Oracle
 from linemate.simulators.judge.rows import DaemonEvent, Rows
-from linemate.simulators.plants.scenario import sample
+from linemate.simulators.plants.scenario_draw import sample
 from linemate.simulators.plants.world import World
 
 TIMELESS: dict[str, tuple[str, ...]] = {

@@ -22,7 +22,8 @@ from linemate.simulators.devices import truth
 from linemate.simulators.judge import rows as columns
 from linemate.simulators.judge.judge import RunEvidence, StateChange, Telegrams
 from linemate.simulators.judge.rows import DaemonEvent, Rows
-from linemate.simulators.plants.scenario import Scenario, sample
+from linemate.simulators.plants.scenario import Scenario
+from linemate.simulators.plants.scenario_draw import sample
 
 _PHASES = {name: i for i, name in enumerate(columns.PHASES)}
 _CLASSES = {name: i for i, name in enumerate(columns.CLASSES)}

@@ -30,7 +30,7 @@ from linemate.simulators.judge.rows import (
     Floats,
     Rows,
 )
-from linemate.simulators.plants.scenario import AppliedEvent
+from linemate.simulators.plants.conveyor_plan import AppliedEvent
 
 APPROACH_S = 1.0
 STOP_S = 1.3

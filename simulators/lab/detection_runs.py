@@ -22,16 +22,10 @@ from linemate.simulators.harness.setup import Setup
 from linemate.simulators.judge.judge import attribute
 from linemate.simulators.judge.rows import DaemonEvent
 from linemate.simulators.plants.body import BodyPlant
+from linemate.simulators.plants.conveyor_plan import AppliedEvent, ConveyorEvent, applied_events
 from linemate.simulators.plants.conveyor_plant import ConveyorPlant
-from linemate.simulators.plants.scenario import (
-    AppliedEvent,
-    Body,
-    ConveyorEvent,
-    Jerk,
-    Scenario,
-    applied_events,
-    sample,
-)
+from linemate.simulators.plants.scenario import Body, Jerk, Scenario
+from linemate.simulators.plants.scenario_draw import sample
 from linemate.simulators.plants.sensors import DistanceSensorPlant, ForceTorquePlant
 from linemate.simulators.plants.streams import stream
 

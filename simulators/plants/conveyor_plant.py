@@ -13,8 +13,8 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import NDArray
 
+from linemate.simulators.plants.conveyor_plan import Conveyor, applied_events, shaped_ramps
 from linemate.simulators.plants.effects.conveyor_effects import ChainErrors, off_line
-from linemate.simulators.plants.scenario import Conveyor, applied_events, shaped_ramps
 from linemate.simulators.plants.streams import stream
 
 RIPPLE_STEP_S = 0.004

@@ -2,93 +2,23 @@
 
 Invariants:
     Nested frozen dataclasses in SI (m, rad, s, N, Nm); frequencies in Hz.
-    ``sample`` draws a value that is None, with one named random stream a value.
+    A value that is None is drawn by ``scenario_draw.sample``.
     Defaults are the parameters of the study, see docs/method.md.
     Nothing here knows the daemon's settings.
 """
 
 import math
-from dataclasses import dataclass, field, fields, is_dataclass, replace
-from typing import Any, Literal
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Any
 
 from linemate.simulators.plants.bending.effects_arm import ArmEffects
-from linemate.simulators.plants.effects.conveyor_effects import ConveyorEffects, Order, ShapedRamps
+from linemate.simulators.plants.conveyor_plan import AppliedEvent, Conveyor, applied_events
 from linemate.simulators.plants.effects.sensor_errors import CameraEffects, DistanceEffects
 from linemate.simulators.plants.forces.switches import CarrierMode, ForceTorqueEffects, Load, Mating
-from linemate.simulators.plants.streams import stream
 
 Vector3 = tuple[float, float, float]
 Vector6 = tuple[float, float, float, float, float, float]
 Vector7 = tuple[float, float, float, float, float, float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class ConveyorEvent:
-    """An order to the conveyor's drive.
-
-    Attributes:
-        kind: what the conveyor does, "stop" or "start".
-        onset_s: scenario time at which the speed begins to change [s].
-        acceleration: magnitude of the deceleration or acceleration [m/s^2].
-    """
-
-    kind: Literal["stop", "start"]
-    onset_s: float
-    acceleration: float
-
-
-@dataclass(frozen=True, slots=True)
-class Ripple:
-    """Irregularity of the running conveyor; it fades with the speed.
-
-    Attributes:
-        speed_sigma: standard deviation of the Ornstein-Uhlenbeck speed [m/s].
-        correlation_s: its correlation time [s].
-        amplitude: amplitude of the periodic part [m].
-        frequency_hz: frequency of the periodic part.
-        phase: phase of the periodic part at t = 0 [rad]; None draws it.
-    """
-
-    speed_sigma: float = 0.3e-3
-    correlation_s: float = 1.0
-    amplitude: float = 0.1e-3
-    frequency_hz: float = 1.2
-    phase: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class StopSignal:
-    """The signal with which the line's controller announces a stop; it may lie.
-
-    A controller of a cycle of 10 to 50 ms sends it; what drive and brake need comes on top.
-
-    Attributes:
-        bit: of the robot controller's inputs; None for a line without the signal.
-        lead_s: time from the signal to the onset of the stop, negative for a late one [s].
-        false_s: scenario times at which it rises without a stop, for 0.5 s [s].
-        stuck: it is always set.
-        silent: it does not announce the stops that take place.
-    """
-
-    bit: int | None = None
-    lead_s: float = 0.0
-    false_s: tuple[float, ...] = ()
-    stuck: bool = False
-    silent: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Conveyor:
-    """The conveyor unit: nominal speed [m/s], stops and starts, ripple, announced stops."""
-
-    nominal_speed: float = 0.106
-    events: tuple[ConveyorEvent, ...] = (
-        ConveyorEvent("stop", 5.0, 0.104),
-        ConveyorEvent("start", 9.0, 0.013),
-    )
-    ripple: Ripple = field(default_factory=Ripple)
-    effects: ConveyorEffects = field(default_factory=ConveyorEffects)
-    stop_signal: StopSignal = field(default_factory=StopSignal)
 
 
 @dataclass(frozen=True, slots=True)
@@ -410,25 +340,6 @@ class Fault:
 
 
 @dataclass(frozen=True, slots=True)
-class AppliedEvent:
-    """A stop or start that really changed the motion, for judging.
-
-    Attributes:
-        kind: what the conveyor does, "stop" or "start".
-        onset_s: scenario time of the onset [s].
-        speed: speed of the drive at the onset, without ripple [m/s].
-        acceleration: signed acceleration of the conveyor [m/s^2].
-        settled_s: when the new speed was (or would have been) reached [s].
-    """
-
-    kind: Literal["stop", "start"]
-    onset_s: float
-    speed: float
-    acceleration: float
-    settled_s: float
-
-
-@dataclass(frozen=True, slots=True)
 class Scenario:
     """One run: t = 0 is when the nominal conveyor unit passes s = 0.
 
@@ -459,134 +370,6 @@ class Scenario:
     def events(self) -> tuple[AppliedEvent, ...]:
         """Stops and starts that really took place, in order of time."""
         return applied_events(self.conveyor)
-
-
-def applied_events(conveyor: Conveyor) -> tuple[AppliedEvent, ...]:
-    """Walk through the orders: an order for what is already going on changes nothing.
-
-    Args:
-        conveyor: nominal speed and orders; the unit runs before the first order.
-
-    Returns:
-        What took place, in order of time, each with the speed at its onset.
-    """
-    if conveyor.effects.shapes_ramps:
-        return shaped_ramps(conveyor)[1]
-    running, speed, acceleration, since = True, conveyor.nominal_speed, 0.0, -math.inf
-    applied: list[AppliedEvent] = []
-    for event in sorted(conveyor.events, key=lambda e: e.onset_s):
-        if (event.kind == "start") == running:
-            continue
-        if applied:
-            speed = _clamped_speed(conveyor, speed, acceleration, event.onset_s - since)
-        running, since = event.kind == "start", event.onset_s
-        acceleration = event.acceleration if running else -event.acceleration
-        goal = conveyor.nominal_speed if running else 0.0
-        settled = since + (goal - speed) / acceleration
-        applied.append(AppliedEvent(event.kind, since, speed, acceleration, settled))
-    return tuple(applied)
-
-
-def shaped_ramps(conveyor: Conveyor) -> tuple[ShapedRamps, tuple[AppliedEvent, ...]]:
-    """Return the drive's motion of a conveyor whose ramps are shaped, and what took place."""
-    orders: list[Order] = []
-    running = True
-    for event in sorted(conveyor.events, key=lambda e: e.onset_s):
-        if (event.kind == "start") != running:
-            running = not running
-            orders.append(Order(running, event.onset_s, event.acceleration))
-    ramps = ShapedRamps(conveyor.nominal_speed, orders, conveyor.effects)
-    applied = tuple(
-        AppliedEvent(
-            "start" if order.starts else "stop",
-            order.onset_s,
-            speed,
-            order.acceleration if order.starts else -order.acceleration,
-            settled,
-        )
-        for order, speed, settled in zip(orders, ramps.speeds, ramps.settled, strict=True)
-    )
-    return ramps, applied
-
-
-def _clamped_speed(conveyor: Conveyor, speed: float, acceleration: float, age: float) -> float:
-    return min(max(speed + acceleration * age, 0.0), conveyor.nominal_speed)
-
-
-def sample(seed: int, scenario: Scenario | None = None) -> Scenario:
-    """Draw what the scenario leaves open (None), each value from its own stream.
-
-    Args:
-        seed: of the run; it replaces the scenario's.
-        scenario: what is given; the default is the study's.
-
-    Returns:
-        A scenario without open values. Sampling it again with the same seed changes nothing.
-    """
-    scenario = replace(scenario or Scenario(), seed=seed)
-    ripple = scenario.conveyor.ripple
-    if ripple.phase is None:
-        ripple = replace(ripple, phase=float(stream(seed, "ripple.phase").uniform(0, math.tau)))
-    conveyor = replace(scenario.conveyor, ripple=ripple)
-    effector = _sample_effector(seed, scenario.effector)
-    body = _sample_body(seed, scenario.body)
-    contact = _sample_contact(seed, scenario.contact)
-    return replace(scenario, conveyor=conveyor, body=body, effector=effector, contact=contact)
-
-
-def _sample_contact(seed: int, contact: Contact) -> Contact:
-    mating = contact.mating
-    if mating.angle is not None:
-        return contact
-    share = float(stream(seed, "mating.angle").uniform(-1, 1))
-    return replace(contact, mating=replace(mating, angle=share * mating.angle_range))
-
-
-def _sample_effector(seed: int, effector: Effector) -> Effector:
-    load = effector.load
-    mass = _spread(seed, "load.wheel_mass", load.wheel_mass, load.wheel_mass_spread)
-    return replace(effector, load=replace(load, wheel_mass=mass, wheel_mass_spread=0.0))
-
-
-def _sample_body(seed: int, body: Body) -> Body:
-    if body.offset is None:
-        x, y, z = stream(seed, "body.offset").uniform(-1, 1, 3).tolist()
-        range_x, range_y, range_z = body.offset_range
-        body = replace(body, offset=(x * range_x, y * range_y, z * range_z))
-    if body.rotation is None:
-        # Mostly a turn about z and y; about x it would be a body that hangs askew.
-        axis = stream(seed, "body.rotation").standard_normal(3) * (0.3, 1.0, 1.0)
-        x, y, z = (axis * (body.tilt / math.sqrt(float(axis @ axis)))).tolist()
-        body = replace(body, rotation=(x, y, z))
-    swings = tuple(_sample_swing(seed, i, swing) for i, swing in enumerate(body.swings))
-    carrier = tuple(_sample_mode(seed, i, mode) for i, mode in enumerate(body.carrier))
-    return replace(body, swings=swings, carrier=carrier)
-
-
-def _sample_swing(seed: int, index: int, swing: Swing) -> Swing:
-    if swing.amplitude is None:
-        share = float(stream(seed, f"swing.{index}.amplitude").uniform(0.5, 1.0))
-        swing = replace(swing, amplitude=share * swing.amplitude_max)
-    if swing.phase is None:
-        phase = float(stream(seed, f"swing.{index}.phase").uniform(0, math.tau))
-        swing = replace(swing, phase=phase)
-    return swing
-
-
-def _sample_mode(seed: int, index: int, mode: CarrierMode) -> CarrierMode:
-    return replace(
-        mode,
-        frequency_hz=_spread(
-            seed, f"carrier.{index}.frequency", mode.frequency_hz, mode.frequency_spread
-        ),
-        mass=_spread(seed, f"carrier.{index}.mass", mode.mass, mode.mass_spread),
-        frequency_spread=0.0,
-        mass_spread=0.0,
-    )
-
-
-def _spread(seed: int, name: str, value: float, share: float) -> float:
-    return value * (1.0 + share * float(stream(seed, name).uniform(-1, 1))) if share else value
 
 
 def to_dict(value: Any) -> Any:

@@ -25,7 +25,8 @@ from linemate.simulators.plants.conveyor_plant import ConveyorPlant
 from linemate.simulators.plants.effector import ZERO, EffectorPlant, Six, deflected
 from linemate.simulators.plants.forces.carried import CarriedBody
 from linemate.simulators.plants.rotation import Pose
-from linemate.simulators.plants.scenario import Scenario, sample
+from linemate.simulators.plants.scenario import Scenario
+from linemate.simulators.plants.scenario_draw import sample
 from linemate.simulators.plants.sensors import (
     CameraEmission,
     CameraPlant,

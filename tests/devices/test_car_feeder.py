@@ -4,7 +4,8 @@ import pytest
 
 from linemate.simulators.devices.line.car_feeder import STANDS_S, CarEvent, CarFeeder
 from linemate.simulators.devices.line.cars import Car, CarFault, LinePlan
-from linemate.simulators.plants.scenario import Body, Conveyor, Scenario
+from linemate.simulators.plants.conveyor_plan import Conveyor
+from linemate.simulators.plants.scenario import Body, Scenario
 
 T0 = 0.012
 TAKT_S = 3.0

@@ -18,7 +18,8 @@ from linemate.daemon.cycle.states import Link, Machine, Signals, State
 from linemate.simulators.harness.virtual.virtual_time import VirtualTime
 from linemate.simulators.lab.faults import dst, dst_oracles, dst_plan, dst_run
 from linemate.simulators.lab.faults.dst_plan import FaultPlan, draw
-from linemate.simulators.plants.scenario import ConveyorEvent, Fault
+from linemate.simulators.plants.conveyor_plan import ConveyorEvent
+from linemate.simulators.plants.scenario import Fault
 
 REGRESSIONS = Path(__file__).parent / "regressions.txt"
 FIT = Signals(link=Link.HEALTHY, position_fresh=True, wrench_fresh=True, ready=True)

@@ -16,7 +16,8 @@ from linemate.simulators.lab.faults.dst_cells import CELLS, TASKS
 from linemate.simulators.lab.faults.dst_plan import FaultPlan
 from linemate.simulators.lab.faults.dst_run import Simulation
 from linemate.simulators.plants.contact_plant import WHEEL_RELEASED, ContactPlant
-from linemate.simulators.plants.scenario import ConveyorEvent, Fault
+from linemate.simulators.plants.conveyor_plan import ConveyorEvent
+from linemate.simulators.plants.scenario import Fault
 
 
 def open_case(*values: Any, reason: str) -> Any:

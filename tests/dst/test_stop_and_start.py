@@ -4,7 +4,7 @@ import pytest
 
 from linemate.simulators.lab.faults import dst_run
 from linemate.simulators.lab.faults.dst_plan import FaultPlan
-from linemate.simulators.plants.scenario import ConveyorEvent
+from linemate.simulators.plants.conveyor_plan import ConveyorEvent
 
 STOP, START = 0.104, 0.013  # as the task sets them [m/s^2]
 

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from linemate.daemon.config.documents import FileError
 from linemate.simulators.harness import scenario_file
-from linemate.simulators.plants.scenario import Scenario, sample
+from linemate.simulators.plants.scenario import Scenario
+from linemate.simulators.plants.scenario_draw import sample
 
 
 def complaints(text: str) -> list[str]:

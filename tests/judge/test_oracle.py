@@ -12,7 +12,8 @@ from linemate.simulators.judge.judge import compute_errors, judge
 from linemate.simulators.judge.oracle import Oracle
 from linemate.simulators.judge.rows import CLAMPED, EPOCH_NS
 from linemate.simulators.plants.body import C_IN_BASE
-from linemate.simulators.plants.scenario import Scenario, sample
+from linemate.simulators.plants.scenario import Scenario
+from linemate.simulators.plants.scenario_draw import sample
 from linemate.simulators.plants.world import World
 
 NOMINAL = np.array(C_IN_BASE).reshape(3, 3)

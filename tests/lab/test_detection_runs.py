@@ -12,17 +12,15 @@ from linemate.simulators.harness import setup
 from linemate.simulators.judge.rows import DaemonEvent
 from linemate.simulators.lab import detection_runs
 from linemate.simulators.lab.detection_runs import DetectionRun, Kind, Push, Tally
-from linemate.simulators.plants.conveyor_plant import ConveyorPlant
-from linemate.simulators.plants.scenario import (
+from linemate.simulators.plants.conveyor_plan import (
     AppliedEvent,
     Conveyor,
     ConveyorEvent,
-    DistanceSensor,
-    ForceTorque,
-    Scenario,
     applied_events,
-    sample,
 )
+from linemate.simulators.plants.conveyor_plant import ConveyorPlant
+from linemate.simulators.plants.scenario import DistanceSensor, ForceTorque, Scenario
+from linemate.simulators.plants.scenario_draw import sample
 
 EVENTS = (ConveyorEvent("stop", 10.0, 0.104), ConveyorEvent("start", 20.0, 0.013))
 

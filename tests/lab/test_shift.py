@@ -12,15 +12,8 @@ from linemate.simulators import harness
 from linemate.simulators.devices.line.cars import Car, CarFault, CarTruth
 from linemate.simulators.lab.shift import plan, shift
 from linemate.simulators.lab.shift.run import ShiftOutcome, ShiftStation, run
-from linemate.simulators.plants.scenario import (
-    Body,
-    Contact,
-    Conveyor,
-    ConveyorEvent,
-    Robot,
-    Scenario,
-    Swing,
-)
+from linemate.simulators.plants.conveyor_plan import Conveyor, ConveyorEvent
+from linemate.simulators.plants.scenario import Body, Contact, Robot, Scenario, Swing
 
 TASK = Path(harness.__path__[0]) / "data" / "tasks" / "dst.yaml"
 REST = (0.0, -1.3829204815564327, 1.5925020939891852, 0.0, 1.3612147143621445, 0.0, 0.0)

@@ -7,7 +7,8 @@ import pytest
 
 from linemate.simulators.plants import rotation
 from linemate.simulators.plants.body import C_IN_BASE, BodyPlant
-from linemate.simulators.plants.scenario import Body, Jerk, Scenario, Swing, sample
+from linemate.simulators.plants.scenario import Body, Jerk, Scenario, Swing
+from linemate.simulators.plants.scenario_draw import sample
 
 STILL = Swing(amplitude=0.0, phase=0.0)
 

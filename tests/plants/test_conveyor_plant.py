@@ -5,15 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from linemate.simulators.plants.conveyor_plant import ConveyorPlant
-from linemate.simulators.plants.scenario import (
+from linemate.simulators.plants.conveyor_plan import (
     Conveyor,
     ConveyorEvent,
     Ripple,
-    Scenario,
     StopSignal,
     applied_events,
 )
+from linemate.simulators.plants.conveyor_plant import ConveyorPlant
+from linemate.simulators.plants.scenario import Scenario
 
 SMOOTH = Ripple(speed_sigma=0.0, amplitude=0.0, phase=0.0)
 

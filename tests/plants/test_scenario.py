@@ -6,7 +6,9 @@ from dataclasses import replace
 import pytest
 
 from linemate.simulators.plants import rotation
-from linemate.simulators.plants.scenario import Body, Conveyor, Scenario, Swing, sample, to_dict
+from linemate.simulators.plants.conveyor_plan import Conveyor
+from linemate.simulators.plants.scenario import Body, Scenario, Swing, to_dict
+from linemate.simulators.plants.scenario_draw import sample
 from linemate.simulators.plants.streams import Draws, stream
 
 

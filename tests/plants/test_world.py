@@ -7,22 +7,20 @@ import numpy as np
 import pytest
 
 from linemate.simulators.plants.bending.effects_arm import ArmEffects, WindupEffect
+from linemate.simulators.plants.conveyor_plan import Conveyor, ConveyorEvent, Ripple
 from linemate.simulators.plants.forces.switches import CarrierMode
 from linemate.simulators.plants.scenario import (
     Axis,
     Body,
     Camera,
-    Conveyor,
-    ConveyorEvent,
     DistanceSensor,
     Effector,
     ForceTorque,
-    Ripple,
     Robot,
     Scenario,
     Swing,
-    sample,
 )
+from linemate.simulators.plants.scenario_draw import sample
 from linemate.simulators.plants.world import World
 
 

@@ -14,7 +14,8 @@ from linemate.daemon.cycle.states import State
 from linemate.simulators.lab.faults.dst_actors import SHORTEST_PAUSE_S
 from linemate.simulators.lab.faults.dst_plan import CycleMs, FaultPlan
 from linemate.simulators.lab.faults.dst_run import Simulation
-from linemate.simulators.plants.scenario import ConveyorEvent, Fault
+from linemate.simulators.plants.conveyor_plan import ConveyorEvent
+from linemate.simulators.plants.scenario import Fault
 
 SENSORS = ("distance", "camera", "force_torque")
 ALWAYS = -0.4, 4.0

@@ -13,7 +13,8 @@ from linemate.simulators.harness import setup
 from linemate.simulators.harness.lockstep import Lockstep
 from linemate.simulators.lab.faults.dst_plan import CycleMs, FaultPlan
 from linemate.simulators.lab.faults.dst_run import Simulation
-from linemate.simulators.plants.scenario import ConveyorEvent, Fault
+from linemate.simulators.plants.conveyor_plan import ConveyorEvent
+from linemate.simulators.plants.scenario import Fault
 from linemate.simulators.plants.world import World
 
 LED = frozenset({State.TRACK, State.CONTACT})

@@ -7,7 +7,8 @@ Invariants:
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from linemate.simulators.plants.scenario import ConveyorEvent, Vector3
+from linemate.simulators.plants.conveyor_plan import ConveyorEvent
+from linemate.simulators.plants.scenario import Vector3
 
 
 class CarFault(StrEnum):

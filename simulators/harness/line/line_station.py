@@ -13,7 +13,8 @@ from typing import Any, Final
 from linemate.daemon.config import task_file
 from linemate.simulators import harness
 from linemate.simulators.devices.line.cars import Car, LinePlan
-from linemate.simulators.plants.scenario import ConveyorEvent, Vector3
+from linemate.simulators.plants.conveyor_plan import ConveyorEvent
+from linemate.simulators.plants.scenario import Vector3
 
 FOLDER: Final = Path(harness.__path__[0]) / "data" / "shift"
 STATION: Final = FOLDER / "station.yaml"

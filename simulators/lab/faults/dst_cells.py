@@ -16,10 +16,10 @@ from linemate.simulators.devices.limit_judge import LIMITS, AxisLimit
 from linemate.simulators.devices.robot_plant import seven
 from linemate.simulators.harness.lockstep import parameters
 from linemate.simulators.lab.faults.dst_plan import CycleMs, FaultPlan
+from linemate.simulators.plants.conveyor_plan import Conveyor
 from linemate.simulators.plants.scenario import (
     Body,
     Contact,
-    Conveyor,
     DistanceSensor,
     ForceTorque,
     Robot,

@@ -17,7 +17,8 @@ from typing import Any, Literal
 
 from linemate.simulators.devices.faults import KINDS
 from linemate.simulators.lab.faults import dst_plan_rows
-from linemate.simulators.plants.scenario import Conveyor, ConveyorEvent, Fault
+from linemate.simulators.plants.conveyor_plan import Conveyor, ConveyorEvent
+from linemate.simulators.plants.scenario import Fault
 
 CycleMs = Literal[4, 12]
 """The controller's cycles: KUKA has these."""

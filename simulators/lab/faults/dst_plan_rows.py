@@ -7,7 +7,8 @@ import random
 from collections.abc import Callable
 from typing import Any
 
-from linemate.simulators.plants.scenario import Conveyor, ConveyorEvent, Fault
+from linemate.simulators.plants.conveyor_plan import Conveyor, ConveyorEvent
+from linemate.simulators.plants.scenario import Fault
 
 Changes = dict[str, Any]
 """Fields of the plan that a row sets, ``faults`` among them."""

@@ -8,7 +8,7 @@ Invariants:
 import random
 
 from linemate.simulators.devices.line.cars import Car, CarFault
-from linemate.simulators.plants.scenario import ConveyorEvent
+from linemate.simulators.plants.conveyor_plan import ConveyorEvent
 
 STOPS = 0.4  # share of cars during whose assembly the line stops
 FAULTY = 0.02  # share of cars with a fault

@@ -9,7 +9,7 @@ from linemate.daemon.core.tracking import linear_axis
 from linemate.simulators.harness import lockstep
 from linemate.simulators.harness.setup import make
 from linemate.simulators.judge.rows import STATES, Rows
-from linemate.simulators.plants.scenario import ConveyorEvent
+from linemate.simulators.plants.conveyor_plan import ConveyorEvent
 
 STEPS = 8
 SPEED, RAMP = 0.106, 1.0

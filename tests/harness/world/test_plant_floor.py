@@ -8,7 +8,8 @@ import pytest
 
 from docs.make import world_results
 from linemate.simulators.harness import scenario_file, setup
-from linemate.simulators.plants.scenario import Scenario, sample
+from linemate.simulators.plants.scenario import Scenario
+from linemate.simulators.plants.scenario_draw import sample
 from linemate.simulators.plants.world import World
 
 WHEEL = scenario_file.to_plain(scenario_file.load("wheel"))

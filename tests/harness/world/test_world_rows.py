@@ -5,7 +5,8 @@ import pytest
 from linemate.simulators.harness import scenario_file, setup
 from linemate.simulators.harness.identified_overlay import laid_over
 from linemate.simulators.harness.world import world_rows
-from linemate.simulators.plants.scenario import Scenario, sample
+from linemate.simulators.plants.scenario import Scenario
+from linemate.simulators.plants.scenario_draw import sample
 
 NOMINAL = scenario_file.load("wheel")
 

@@ -5,19 +5,14 @@ import math
 import numpy as np
 import pytest
 
+from linemate.simulators.plants.conveyor_plan import Conveyor, ConveyorEvent, Ripple, applied_events
 from linemate.simulators.plants.conveyor_plant import ConveyorPlant
 from linemate.simulators.plants.effects.conveyor_effects import (
     REST_SPEED,
     ConveyorEffects,
     off_line,
 )
-from linemate.simulators.plants.scenario import (
-    Conveyor,
-    ConveyorEvent,
-    Ripple,
-    Scenario,
-    applied_events,
-)
+from linemate.simulators.plants.scenario import Scenario
 from linemate.simulators.plants.world import World
 
 SMOOTH = Ripple(speed_sigma=0.0, amplitude=0.0, phase=0.0)

@@ -13,7 +13,8 @@ from linemate.simulators.plants.forces.carried import CarriedBody
 from linemate.simulators.plants.forces.carrier import swayed
 from linemate.simulators.plants.forces.switches import CarrierMode, Mating
 from linemate.simulators.plants.rotation import Pose
-from linemate.simulators.plants.scenario import Body, Contact, Effector, Scenario, sample
+from linemate.simulators.plants.scenario import Body, Contact, Effector, Scenario
+from linemate.simulators.plants.scenario_draw import sample
 from linemate.simulators.plants.world import World
 
 STEP = 0.004

@@ -10,7 +10,8 @@ from linemate.simulators.plants.effector import ZERO, EffectorPlant
 from linemate.simulators.plants.forces.switches import Load
 from linemate.simulators.plants.forces.weight import GRAVITY, Weight, new_weight
 from linemate.simulators.plants.rotation import Pose
-from linemate.simulators.plants.scenario import Effector, Scenario, sample
+from linemate.simulators.plants.scenario import Effector, Scenario
+from linemate.simulators.plants.scenario_draw import sample
 from linemate.simulators.plants.world import World
 
 STEP = 0.004
