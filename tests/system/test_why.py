@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 
 from linemate.daemon.service.app import App
+from linemate.simulators.lab.faults.dst_log import MOST_LINES
 from linemate.simulators.lab.faults.dst_plan import FaultPlan
-from linemate.simulators.lab.faults.dst_run import MOST_LINES, Simulation
+from linemate.simulators.lab.faults.dst_run import Simulation
 from linemate.simulators.plants.scenario import Fault
 
 Line = tuple[int, str, str]

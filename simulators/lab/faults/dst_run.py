@@ -8,7 +8,6 @@ Invariants:
 
 import asyncio
 import contextlib
-import logging
 import struct
 import traceback
 from collections import Counter
@@ -32,6 +31,7 @@ from linemate.simulators.harness.sensor_links import Emitters
 from linemate.simulators.harness.virtual.inhabited import inhabited
 from linemate.simulators.harness.virtual.virtual_loop import VirtualLoop
 from linemate.simulators.harness.virtual.virtual_time import EPOCH_NS, VirtualTime
+from linemate.simulators.harness.virtual.virtual_wires import RSI_PORT, TRANSIT_NS, VirtualWires
 from linemate.simulators.lab.faults.dst_actors import Operator, Programme
 from linemate.simulators.lab.faults.dst_cells import (
     CELLS,
@@ -42,6 +42,7 @@ from linemate.simulators.lab.faults.dst_cells import (
     station,
     station_of,
 )
+from linemate.simulators.lab.faults.dst_log import MOST_LINES, LogCounter
 from linemate.simulators.lab.faults.dst_oracles import FaultOracle
 from linemate.simulators.lab.faults.dst_plan import MOST_DRIFT, FaultPlan
 from linemate.simulators.lab.faults.dst_plant_oracles import PlantOracle, Seen
@@ -50,12 +51,8 @@ from linemate.simulators.plants.contact_plant import FIX_SCREWS
 from linemate.simulators.plants.scenario import Fault
 from linemate.simulators.plants.world import World
 
-TRANSIT_NS = 60_000
-"""One way on the wire."""
 THINKING_NS = 400_000
 """From a telegram to its reply, for a daemon whose steps take no time."""
-TALKING_NS = 1_000_000
-"""From a host's bytes to the answer of a device on a serial line."""
 AHEAD_S = 1e-6
 """The world advances up to so long before a cycle's end while its reply is open; no axis
 moves on it before its dead time is over [s]."""
@@ -73,9 +70,6 @@ ENDING_EVERY = 8
 """One seed in so many is ended as by SIGTERM and has to come to rest."""
 ENDING_S = 5.0
 
-RSI_PORT, CAMERA_PORT = 49152, 49153
-DAEMON: Address = ("127.0.0.1", RSI_PORT)
-CAMERA: Address = ("127.0.0.1", 50_002)
 _SEVEN = struct.Struct("<7d")
 
 
@@ -174,10 +168,10 @@ class Simulation:
         self._hash = blake2b(digest_size=16)
         self._time = VirtualTime(EPOCH_NS - LISTENING_NS)
         self._time.on_datagram = self._replied
-        self._time.on_line = self._talk
+        self._wires = VirtualWires(self._time, self._emitters)
         self._loop: VirtualLoop | None = None
         self._process: asyncio.Task[None] | None = None
-        self._log = _LogCounter(self._time)
+        self._log = LogCounter(self._time)
 
     # The life of a run.
 
@@ -330,21 +324,16 @@ class Simulation:
             self._telegram = data
             self._strangers.passed(data)
             for at_s, piece in self._there.carry(data, now_s):
-                self._send(_ns(at_s) + TRANSIT_NS, piece, self._strangers.source, RSI_PORT)
+                self._wires.send(_ns(at_s) + TRANSIT_NS, piece, self._strangers.source, RSI_PORT)
         is_there = self._faults.in_force("robot", "second", now_s) is not None
         self._strangers.second(now_s, is_there=is_there, send=self._send_to_robot_port)
         self.world.advance(self.world.cycle_start(self._cycle + 1) - AHEAD_S)
         self._plug(now_s)
         for at_s, link, piece in self._emitters.collect():
-            match link:
-                case "camera":
-                    self._send(_ns(at_s), piece, CAMERA, CAMERA_PORT)
-                case "robot":
-                    self._send(_ns(at_s), piece, self._strangers.source, RSI_PORT)
-                case "distance":
-                    self._time.at(_ns(at_s), partial(self._frame, piece))
-                case _:
-                    self._time.at(_ns(at_s), partial(self._line, piece))
+            if link == "robot":
+                self._wires.send(_ns(at_s), piece, self._strangers.source, RSI_PORT)
+            else:
+                self._wires.send_sensor(_ns(at_s), link, piece)
 
     def _look(self) -> None:
         """Judge the cycle that was closed."""
@@ -459,15 +448,7 @@ class Simulation:
     # The network.
 
     def _send_to_robot_port(self, at_s: float, data: bytes, source: Address) -> None:
-        self._send(_ns(at_s), data, source, RSI_PORT)
-
-    def _send(self, at_ns: int, data: bytes, source: Address, port: int) -> None:
-        self._time.at(at_ns, partial(self._arrive, data, source, port))
-
-    def _arrive(self, data: bytes, source: Address, port: int) -> None:
-        socket = self._time.sockets.get(port)
-        if socket is not None:
-            socket.put(data, source)
+        self._wires.send(_ns(at_s), data, source, RSI_PORT)
 
     def _replied(self, data: bytes, source: Address, target: Address) -> None:
         """The daemon has sent a datagram."""
@@ -487,22 +468,6 @@ class Simulation:
     def _hear(self, data: bytes) -> None:
         self.controller.on_reply(data, self._time.now_ns)
 
-    def _frame(self, data: bytes) -> None:
-        can_id, extended = self._emitters.frame
-        for bus in self._time.buses:
-            bus.put(can_id, data, extended=extended)
-
-    def _line(self, data: bytes) -> None:
-        for line in self._time.lines:
-            line.put(data)
-
-    def _talk(self, data: bytes | None) -> None:
-        """The host has written to the force-torque sensor, or opened its port."""
-        device = self._emitters.force_torque
-        answer = device.boot() if data is None else device.feed(data)
-        if answer:
-            self._time.at(self._time.now_ns + TALKING_NS, partial(self._line, answer))
-
     def _plug(self, now_s: float) -> None:
         for link in ("distance", "force_torque"):
             if self._faults.in_force(link, "unplug", now_s) is None:
@@ -513,53 +478,6 @@ class Simulation:
 
 LISTENING_NS = 300_000_000
 """The daemon listens for so long before the controller's program starts [ns]."""
-
-MOST_LINES = 10
-"""Of the daemon's log in any second, but for"""
-STARTING_NS = 1_000_000_000
-"""the first second after a start, which has 12: links, sensors and states."""
-
-
-class _LogCounter(logging.Handler):
-    """Counts the daemon's lines, second by second of virtual time."""
-
-    def __init__(self, time: VirtualTime) -> None:
-        super().__init__(logging.INFO)
-        self.example = ""
-        self._time = time
-        self._started_ns = 0
-        self._lines: Counter[int] = Counter()
-
-    def note_start(self) -> None:
-        """Note that the daemon starts now."""
-        self._started_ns = self._time.now_ns
-
-    @property
-    def worst(self) -> int:
-        """Most lines in a second."""
-        return max(self._lines.values(), default=0)
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Count a line."""
-        if self._time.now_ns - self._started_ns >= STARTING_NS:
-            self._lines[self._time.now_ns // 10**9] += 1
-        error = record.exc_info[1] if record.exc_info else None
-        self.example = f"{record.getMessage()} {error!r}"[:300] if error else record.getMessage()
-
-    @contextlib.contextmanager
-    def listening(self) -> Any:
-        """Listen to the daemon and to its drivers."""
-        logger = logging.getLogger("linemate")
-        level, propagate = logger.level, logger.propagate
-        logger.addHandler(self)
-        logger.setLevel(logging.INFO)
-        logger.propagate = False
-        try:
-            yield
-        finally:
-            logger.removeHandler(self)
-            logger.setLevel(level)
-            logger.propagate = propagate
 
 
 def _ns(time_s: float) -> int:

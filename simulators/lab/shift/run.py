@@ -37,23 +37,20 @@ from linemate.simulators.harness.sensor_links import Emitters
 from linemate.simulators.harness.virtual.inhabited import inhabited
 from linemate.simulators.harness.virtual.virtual_loop import VirtualLoop
 from linemate.simulators.harness.virtual.virtual_time import EPOCH_NS, VirtualTime
+from linemate.simulators.harness.virtual.virtual_wires import RSI_PORT, TRANSIT_NS, VirtualWires
 from linemate.simulators.lab.faults.dst_oracles import weigh
 from linemate.simulators.lab.shift.line_controller import LineController
 from linemate.simulators.plants.scenario import Scenario
 
 STATION = Path(harness.__path__[0]) / "data" / "shift" / "station.yaml"
 ENTRY_S = 6.0  # a car enters this long before the start position [s]
-TRANSIT_NS = 60_000  # one way on the wire [ns]
-TALKING_NS = 1_000_000  # from the host's bytes to the answer of a serial device [ns]
 LISTENING_NS = 300_000_000  # the daemon listens so long before the robot's program starts [ns]
 AHEAD_S = 1e-6
 FIRST_CAR_S = 2.0  # from the beginning to the first car [s]
 PAUSE_S = 0.5  # from the end of a robot program to its restart [s]
 LAST_CAR_S = 45.0  # from the last car's entry to the end of the shift [s]
 
-RSI_PORT, CAMERA_PORT = 49152, 49153
 ROBOT: Address = ("127.0.0.1", 50_001)
-CAMERA: Address = ("127.0.0.1", 50_002)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +164,7 @@ class ShiftRun:
         self._complaints: list[str] = []
         self._time = VirtualTime(EPOCH_NS - LISTENING_NS)
         self._time.on_datagram = self._replied
-        self._time.on_line = self._talk
+        self._wires = VirtualWires(self._time, self._emitters)
         self.app: App | None = None
 
     def run(self) -> ShiftOutcome:
@@ -298,22 +295,10 @@ class ShiftRun:
         if self._paused_until_s is None:
             data = self.controller.telegram()
             if data is not None:
-                self._send(_ns(self.now_s) + TRANSIT_NS, data, ROBOT, RSI_PORT)
+                self._wires.send(_ns(self.now_s) + TRANSIT_NS, data, ROBOT, RSI_PORT)
         self.line.advance(self.line.cycle_start(self._cycle + 1) - AHEAD_S)
         for at_s, link, piece in self._emitters.collect():
-            if link == "camera":
-                self._send(_ns(at_s), piece, CAMERA, CAMERA_PORT)
-            else:
-                bring = self._frame if link == "distance" else self._bytes
-                self._time.at(_ns(at_s), partial(bring, piece))
-
-    def _send(self, at_ns: int, data: bytes, source: Address, port: int) -> None:
-        self._time.at(at_ns, partial(self._arrive, data, source, port))
-
-    def _arrive(self, data: bytes, source: Address, port: int) -> None:
-        socket = self._time.sockets.get(port)
-        if socket is not None:
-            socket.put(data, source)
+            self._wires.send_sensor(_ns(at_s), link, piece)
 
     def _replied(self, data: bytes, _source: Address, target: Address) -> None:
         if target == ROBOT and self._paused_until_s is None:
@@ -322,21 +307,6 @@ class ShiftRun:
 
     def _hear(self, data: bytes) -> None:
         self.controller.on_reply(data, self._time.now_ns)
-
-    def _frame(self, data: bytes) -> None:
-        can_id, extended = self._emitters.frame
-        for bus in self._time.buses:
-            bus.put(can_id, data, extended=extended)
-
-    def _bytes(self, data: bytes) -> None:
-        for line in self._time.lines:
-            line.put(data)
-
-    def _talk(self, data: bytes | None) -> None:
-        device = self._emitters.force_torque
-        answer = device.boot() if data is None else device.feed(data)
-        if answer:
-            self._time.at(self._time.now_ns + TALKING_NS, partial(self._bytes, answer))
 
 
 def run(
