@@ -24,6 +24,9 @@ from linemate.protocol.fanuc.packets import (
     CommandPacket,
     FanucError,
     StatusPacket,
+    packed,
+    require_joints,
+    require_size,
 )
 
 LIMITS: Final = 20  # entries of a table: at 1/20, 2/20 .. of the greatest speed of the tcp
@@ -92,20 +95,19 @@ def write_status(packet: StatusPacket) -> bytes:
     Raises:
         FanucError: a value is out of range.
     """
-    try:
-        return _STATUS.pack(
-            ClassicKind.START,
-            packet.version,
-            packet.sequence,
-            packet.motion_bits,
-            *(0, 0, 0, 0),
-            packet.time_ms,
-            *packet.pose,
-            *packet.joints,
-            *packet.current,
-        )
-    except (struct.error, OverflowError) as error:
-        raise FanucError(f"status packet: {error}") from error
+    return packed(
+        _STATUS,
+        "status",
+        ClassicKind.START,
+        packet.version,
+        packet.sequence,
+        packet.motion_bits,
+        *(0, 0, 0, 0),
+        packet.time_ms,
+        *packet.pose,
+        *packet.joints,
+        *packet.current,
+    )
 
 
 def write_position(packet: StatusPacket) -> bytes:
@@ -115,10 +117,9 @@ def write_position(packet: StatusPacket) -> bytes:
         FanucError: a value is out of range.
     """
     kind, version = ClassicKind.POSITION, packet.version
-    try:
-        return _POSITION.pack(kind, version, packet.time_ms, *packet.pose, *packet.joints)
-    except (struct.error, OverflowError) as error:
-        raise FanucError(f"POSITION packet: {error}") from error
+    return packed(
+        _POSITION, "POSITION", kind, version, packet.time_ms, *packet.pose, *packet.joints
+    )
 
 
 def read_status(data: bytes) -> StatusPacket:
@@ -127,8 +128,7 @@ def read_status(data: bytes) -> StatusPacket:
     Raises:
         FanucError: it is none, or a joint is not finite.
     """
-    if len(data) != _STATUS.size:
-        raise FanucError(f"status packet: {len(data)} bytes, not {_STATUS.size}")
+    require_size(data, _STATUS, "status")
     kind, version, sequence, bits, _, _, _, _, time_ms, *values = _STATUS.unpack(data)
     if kind != ClassicKind.START:
         raise FanucError(f"packet type {kind}, not {ClassicKind.START.value} (status)")
@@ -144,26 +144,22 @@ def write_command(packet: CommandPacket) -> bytes:
     Raises:
         FanucError: another style, a joint that is not finite, a value that is out of range.
     """
-    if packet.style != JOINT_STYLE:
-        raise FanucError(f"data style {packet.style:#06x}: only {JOINT_STYLE:#06x} (joints)")
-    if not all(map(math.isfinite, packet.joints)):
-        raise FanucError("a commanded joint is not finite")
+    require_joints(packet)
     single = packet.version < 2
     kind = ClassicKind.COMMAND_SINGLE if single else ClassicKind.COMMAND_DOUBLE
-    try:
-        return _COMMANDS[kind].pack(
-            kind,
-            packet.version,
-            packet.sequence,
-            packet.is_last,
-            *(0, 0, 0),
-            True,
-            *(0, 0, 0, 0),
-            *_FILL[kind],
-            *packet.joints,
-        )
-    except (struct.error, OverflowError) as error:
-        raise FanucError(f"COMMAND packet: {error}") from error
+    return packed(
+        _COMMANDS[kind],
+        "COMMAND",
+        kind,
+        packet.version,
+        packet.sequence,
+        packet.is_last,
+        *(0, 0, 0),
+        True,
+        *(0, 0, 0, 0),
+        *_FILL[kind],
+        *packet.joints,
+    )
 
 
 def read_command(data: bytes) -> CommandPacket:
@@ -187,8 +183,7 @@ def read_limit_request(data: bytes) -> LimitRequest:
     Raises:
         FanucError: it is none.
     """
-    if len(data) != _ASKED.size:
-        raise FanucError(f"LIMITS packet: {len(data)} bytes, not {_ASKED.size}")
+    require_size(data, _ASKED, "LIMITS")
     kind, version, axis, limit = _ASKED.unpack(data)
     if kind != ClassicKind.LIMITS or limit not in list(LimitKind) or not 1 <= axis <= AXES:
         raise FanucError(f"LIMITS packet: type {kind}, axis {axis}, limit {limit}")
@@ -208,16 +203,15 @@ def write_limits(
     Raises:
         FanucError: a value is out of range.
     """
-    try:
-        return _TABLE.pack(
-            ClassicKind.LIMITS,
-            request.version,
-            request.axis,
-            request.kind,
-            fastest_mm_s,
-            check_ms,
-            *values,
-            *values,
-        )
-    except (struct.error, OverflowError) as error:
-        raise FanucError(f"LIMITS packet: {error}") from error
+    return packed(
+        _TABLE,
+        "LIMITS",
+        ClassicKind.LIMITS,
+        request.version,
+        request.axis,
+        request.kind,
+        fastest_mm_s,
+        check_ms,
+        *values,
+        *values,
+    )

@@ -136,6 +136,43 @@ class CapabilityPacket(Struct, frozen=True):
     uses_tcp: int = 0
 
 
+def packed(layout: struct.Struct, name: str, *values: object) -> bytes:
+    """Return the bytes of a packet.
+
+    Args:
+        name: of the packet, for the error.
+
+    Raises:
+        FanucError: a value that the wire cannot carry.
+    """
+    try:
+        return layout.pack(*values)
+    except (struct.error, OverflowError) as error:
+        raise FanucError(f"{name} packet: {error}") from error
+
+
+def require_size(data: bytes, layout: struct.Struct, name: str) -> None:
+    """Refuse a packet of another size.
+
+    Raises:
+        FanucError: it has another size.
+    """
+    if len(data) != layout.size:
+        raise FanucError(f"{name} packet: {len(data)} bytes, not {layout.size}")
+
+
+def require_joints(packet: CommandPacket) -> None:
+    """Refuse a command that is not one of finite joints.
+
+    Raises:
+        FanucError: another style, or a joint that is not finite.
+    """
+    if packet.style != JOINT_STYLE:
+        raise FanucError(f"data style {packet.style:#06x}: only {JOINT_STYLE:#06x} (joints)")
+    if not all(map(math.isfinite, packet.joints)):
+        raise FanucError("a commanded joint is not finite")
+
+
 def echo(sequence: int) -> bytes:
     """Return a sequence number as it stands in a packet."""
     return _SEQUENCE.pack(sequence & 0xFFFFFFFF)
@@ -157,8 +194,7 @@ def read_short(data: bytes, kind: PacketKind) -> int:
     Raises:
         FanucError: it is none.
     """
-    if len(data) != _COMMON.size:
-        raise FanucError(f"{kind.name} packet: {len(data)} bytes, not {_COMMON.size}")
+    require_size(data, _COMMON, kind.name)
     found, version = _COMMON.unpack(data)
     if found != kind:
         raise FanucError(f"packet type {found}, not {kind.value} ({kind.name})")
@@ -171,18 +207,17 @@ def write_capability(packet: CapabilityPacket) -> bytes:
     Raises:
         FanucError: a value is out of range.
     """
-    try:
-        return _CAPABILITY.pack(
-            PacketKind.CAPABILITY,
-            packet.version,
-            1,
-            packet.sampling_rate_ms,
-            packet.start_move,
-            packet.available_version,
-            packet.uses_tcp,
-        )
-    except struct.error as error:
-        raise FanucError(f"CAPABILITY packet: {error}") from error
+    return packed(
+        _CAPABILITY,
+        "CAPABILITY",
+        PacketKind.CAPABILITY,
+        packet.version,
+        1,
+        packet.sampling_rate_ms,
+        packet.start_move,
+        packet.available_version,
+        packet.uses_tcp,
+    )
 
 
 def read_capability(data: bytes) -> CapabilityPacket:
@@ -191,8 +226,7 @@ def read_capability(data: bytes) -> CapabilityPacket:
     Raises:
         FanucError: it is none.
     """
-    if len(data) != _CAPABILITY.size:
-        raise FanucError(f"CAPABILITY packet: {len(data)} bytes, not {_CAPABILITY.size}")
+    require_size(data, _CAPABILITY, "CAPABILITY")
     kind, version, _, rate, start, available, uses_tcp = _CAPABILITY.unpack(data)
     if kind != PacketKind.CAPABILITY:
         raise FanucError(f"packet type {kind}, not {PacketKind.CAPABILITY.value} (CAPABILITY)")
@@ -247,25 +281,24 @@ def write_status(packet: StatusPacket) -> bytes:
     if layout is None:
         raise FanucError(f"version {packet.version}: there are 3 and 4")
     force = (*(packet.wrench or (0.0,) * 6), packet.force_sensor or 0)
-    try:
-        return layout.pack(
-            _KIND_OF[packet.version],
-            packet.version,
-            packet.sequence,
-            packet.motion_bits,
-            packet.fault_bits,
-            packet.contact_stop,
-            0,
-            packet.time_ms,
-            *packet.pose,
-            *packet.joints,
-            *packet.current,
-            packet.safety_scale,
-            *(force if packet.version > 3 else ()),
-            packet.io,
-        )
-    except (struct.error, OverflowError) as error:
-        raise FanucError(f"status packet: {error}") from error
+    return packed(
+        layout,
+        "status",
+        _KIND_OF[packet.version],
+        packet.version,
+        packet.sequence,
+        packet.motion_bits,
+        packet.fault_bits,
+        packet.contact_stop,
+        0,
+        packet.time_ms,
+        *packet.pose,
+        *packet.joints,
+        *packet.current,
+        packet.safety_scale,
+        *(force if packet.version > 3 else ()),
+        packet.io,
+    )
 
 
 def write_command(packet: CommandPacket) -> bytes:
@@ -274,23 +307,19 @@ def write_command(packet: CommandPacket) -> bytes:
     Raises:
         FanucError: another style, a joint that is not finite, a value that is out of range.
     """
-    if packet.style != JOINT_STYLE:
-        raise FanucError(f"data style {packet.style:#06x}: only {JOINT_STYLE:#06x} (joints)")
-    if not all(map(math.isfinite, packet.joints)):
-        raise FanucError("a commanded joint is not finite")
-    try:
-        return _COMMAND.pack(
-            PacketKind.COMMAND,
-            packet.version,
-            packet.sequence,
-            packet.is_last,
-            packet.moves,
-            packet.style,
-            *packet.joints,
-            packet.io,
-        )
-    except struct.error as error:
-        raise FanucError(f"COMMAND packet: {error}") from error
+    require_joints(packet)
+    return packed(
+        _COMMAND,
+        "COMMAND",
+        PacketKind.COMMAND,
+        packet.version,
+        packet.sequence,
+        packet.is_last,
+        packet.moves,
+        packet.style,
+        *packet.joints,
+        packet.io,
+    )
 
 
 def read_command(data: bytes) -> CommandPacket:
@@ -299,8 +328,7 @@ def read_command(data: bytes) -> CommandPacket:
     Raises:
         FanucError: it is none.
     """
-    if len(data) != _COMMAND.size:
-        raise FanucError(f"COMMAND packet: {len(data)} bytes, not {_COMMAND.size}")
+    require_size(data, _COMMAND, "COMMAND")
     kind, version, sequence, is_last, moves, style, *rest = _COMMAND.unpack(data)
     if kind != PacketKind.COMMAND:
         raise FanucError(f"packet type {kind}, not {PacketKind.COMMAND.value} (COMMAND)")
