@@ -24,6 +24,7 @@ from linemate.daemon.recording.format import STEP
 from linemate.daemon.recording.step_codec import decode
 from linemate.daemon.service import app as app_module
 from linemate.daemon.service.app import App, StartError
+from linemate.daemon.service.command_server import CommandPort
 from linemate.daemon.service.host import realtime
 from linemate.daemon.service.host.notify import Notifier
 from linemate.daemon.transport.client import Client, RefusedError
@@ -237,6 +238,19 @@ def test_every_telegram_is_answered_at_rest_and_recorded(
     assert [record.inputs.k for record in records] == list(range(len(records)))
 
 
+@contextlib.asynccontextmanager
+async def silent_robot(
+    serve: Serve, task: Task
+) -> AsyncIterator[tuple[Running, Controller, float]]:
+    """A daemon whose robot has fallen silent, its controller, and since when it is [s]."""
+    async with serve() as running:
+        controller = running.controller(task)
+        await controller.cycles(20)
+        silent_s = time.monotonic()
+        await until(lambda: running.app.status()["state"] == "init", 2.0)
+        yield running, controller, silent_s
+
+
 @repeated_when_delayed
 def test_without_a_robot_and_a_viewer_the_daemon_rests_and_is_back_at_the_first_telegram(
     serve: Serve, task: Task, monkeypatch: pytest.MonkeyPatch
@@ -244,11 +258,8 @@ def test_without_a_robot_and_a_viewer_the_daemon_rests_and_is_back_at_the_first_
     monkeypatch.setattr(app_module, "REST_AFTER_S", 0.1)
 
     async def main() -> None:
-        async with serve() as running:
-            controller, app = running.controller(task), running.app
-            await controller.cycles(20)
-            silent_s = time.monotonic()
-            await until(lambda: app.status()["state"] == "init", 2.0)
+        async with silent_robot(serve, task) as (running, controller, silent_s):
+            app = running.app
             await asyncio.sleep(0.2)
             steps, wakes = app.status()["steps"], app._timer.lateness.wakes
             await asyncio.sleep(0.6)
@@ -271,16 +282,13 @@ def test_a_viewer_keeps_the_daemon_at_full_rate_without_a_robot(
     serve: Serve, task: Task, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(app_module, "REST_AFTER_S", 0.1)
+    monkeypatch.setattr(CommandPort, "is_watched", True)
 
     async def main() -> None:
-        async with serve() as running:
-            controller, app = running.controller(task), running.app
-            monkeypatch.setattr(type(app._commands), "is_watched", True)
-            await controller.cycles(20)
-            await until(lambda: app.status()["state"] == "init", 2.0)
-            steps = app.status()["steps"]
+        async with silent_robot(serve, task) as (running, _, _):
+            steps = running.app.status()["steps"]
             await asyncio.sleep(0.6)
-            assert app.status()["steps"] - steps > 0.5 * 0.6 / CYCLE_S
+            assert running.app.status()["steps"] - steps > 0.5 * 0.6 / CYCLE_S
 
     run(main())
 

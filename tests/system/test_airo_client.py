@@ -5,13 +5,11 @@ without a command is possible, a refused command is not.
 """
 
 import importlib.util
-import json
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from tests.system.emulator_peer import driven
 
 PEER = Path(__file__).with_name("airo_client.py")
 ADDRESS = "127.60.15.9"
@@ -30,25 +28,8 @@ def test_a_compiled_client_holds_and_moves_the_emulated_robot(tmp_path: Path) ->
         "fanuc: {is_echoed: false, has_rail: false, signals_byte: null, patient: true}\n"
         f"robot_bind: [{ADDRESS}, 60015]\n"
     )
-    command = [sys.executable, "-m", "linemate.simulators.harness.main", "emulator"]
-    station = subprocess.Popen([*command, "--config", str(path)], stdout=subprocess.PIPE, text=True)
-    assert station.stdout is not None
-    try:
-        assert '"ready"' in station.stdout.readline()
-        words = [ADDRESS, "60015", "--idle", str(idle), "--motion", str(motion)]
-        peer = subprocess.run(
-            [sys.executable, str(PEER), *words],
-            stdout=subprocess.PIPE,
-            text=True,
-            timeout=60.0,
-            check=True,
-        )
-        station.send_signal(signal.SIGTERM)
-        lines, _ = station.communicate(timeout=30.0)
-    finally:
-        station.kill()
-        station.wait()
-    seen, facts = json.loads(peer.stdout.splitlines()[-1]), json.loads(lines.splitlines()[-1])
+    words = [ADDRESS, "60015", "--idle", str(idle), "--motion", str(motion)]
+    seen, facts = driven(path, PEER, words, 60.0)
     assert seen["fault"] == "FaultReason.NONE"
     assert seen["motion"] == "MotionStatus.DONE"
     assert seen["farthest_deg"] == pytest.approx(1.5, rel=0.05)

@@ -5,20 +5,18 @@ waiting, so a few are allowed. ``ucl_peer.py`` drives more cycles.
 """
 
 import importlib.util
-import json
-import signal
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.system.emulator_peer import driven
+
 PEER = Path(__file__).with_name("ucl_peer.py")
 LOST_SHARE = 0.02  # of all cycles: what a shared host loses
 
 
-def driven(folder: Path, version: int, idle: int, motion: int) -> tuple[Any, Any]:
+def drive_client(folder: Path, version: int, idle: int, motion: int) -> tuple[Any, Any]:
     """Return what the client saw, and the emulator's facts at the end."""
     address = f"127.60.15.{version}"  # the client has the port built in
     path = folder / "emulator.yaml"
@@ -28,24 +26,8 @@ def driven(folder: Path, version: int, idle: int, motion: int) -> tuple[Any, Any
         f"fanuc: {{version: {version}, has_rail: false, patient: true}}\n"
         f"robot_bind: [{address}, 60015]\n"
     )
-    command = [sys.executable, "-m", "linemate.simulators.harness.main", "emulator"]
-    station = subprocess.Popen([*command, "--config", str(path)], stdout=subprocess.PIPE, text=True)
-    assert station.stdout is not None
-    try:
-        assert '"ready"' in station.stdout.readline()
-        peer = subprocess.run(
-            [sys.executable, str(PEER), address, "--idle", str(idle), "--motion", str(motion)],
-            stdout=subprocess.PIPE,
-            text=True,
-            timeout=150.0,
-            check=True,
-        )
-        station.send_signal(signal.SIGTERM)
-        lines, _ = station.communicate(timeout=30.0)
-    finally:
-        station.kill()
-        station.wait()
-    return json.loads(peer.stdout.splitlines()[-1]), json.loads(lines.splitlines()[-1])
+    words = [address, "--idle", str(idle), "--motion", str(motion)]
+    return driven(path, PEER, words, 150.0)
 
 
 @pytest.mark.skipif(
@@ -55,7 +37,7 @@ def driven(folder: Path, version: int, idle: int, motion: int) -> tuple[Any, Any
 @pytest.mark.parametrize("version", [1, 2])
 def test_a_public_client_holds_and_moves_the_emulated_robot(tmp_path: Path, version: int) -> None:
     idle, motion = 100, 250
-    seen, facts = driven(tmp_path, version, idle, motion)
+    seen, facts = drive_client(tmp_path, version, idle, motion)
     assert seen["done"]
     assert seen["farthest_deg"] == pytest.approx(1.5, rel=0.02)
     assert seen["stats"]["tx_errors"] == 0
