@@ -16,15 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from linemate.protocol.command import frame_codec, payloads, requests
-from linemate.protocol.egm.egm_codec import (
-    CorrectionMessage,
-    EgmCodec,
-    EgmPosition,
-    GuidanceState,
-    MotorState,
-    RapidState,
-    RobotMessage,
-)
+from linemate.protocol.egm import messages
+from linemate.protocol.egm.egm_codec import EgmCodec
 from linemate.protocol.errors import ProtocolError
 from linemate.protocol.fanuc import classic_packets, packets
 from linemate.protocol.fanuc.fanuc_link import FanucLink
@@ -85,13 +78,15 @@ def _rsi() -> tuple[Wire, Wire, Wire]:
 
 def _egm() -> tuple[Wire, Wire]:
     codec = EgmCodec()
-    position = EgmPosition(SIX, (0.1,), SIX[:3], (1.0, 0.0, 0.0, 0.0), 10**15)
-    states = (MotorState.ON, GuidanceState.RUNNING, RapidState.RUNNING)
+    position = messages.EgmPosition(SIX, (0.1,), SIX[:3], (1.0, 0.0, 0.0, 0.0), 10**15)
+    states = (messages.MotorState.ON, messages.GuidanceState.RUNNING, messages.RapidState.RUNNING)
     robots = (
-        RobotMessage(12, 48, position, position, *states, True, 20.0, SIX, True, robotware, numbers)
+        messages.RobotMessage(
+            12, 48, position, position, *states, True, 20.0, SIX, True, robotware, numbers
+        )
         for robotware, numbers in ((6, ()), (7, (3.0,)))
     )
-    correction = CorrectionMessage(12, 48, SIX, (0.1,), SIX, (0.1,), (2.0,))
+    correction = messages.CorrectionMessage(12, 48, SIX, (0.1,), SIX, (0.1,), (2.0,))
     words = INTERESTING + EGM_WORDS
     return (
         Wire(tuple(map(codec.format_robot, robots)), codec.parse_robot, words),

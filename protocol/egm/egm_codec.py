@@ -53,17 +53,6 @@ from linemate.protocol.egm.protobuf_wire import (
     read_fields,
 )
 
-__all__ = [
-    "CorrectionMessage",
-    "EgmCodec",
-    "EgmError",
-    "EgmPosition",
-    "GuidanceState",
-    "MotorState",
-    "RapidState",
-    "RobotMessage",
-]
-
 ROBOTWARE_VERSIONS = (6, 7)
 MAX_FORCES = 6  # Fx Fy Fz [N], Mx My Mz [Nm]
 MAX_RAPID_DATA = 40  # numbers to or from the RAPID program

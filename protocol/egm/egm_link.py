@@ -9,7 +9,7 @@ Invariants:
 
 from typing import cast
 
-from linemate.protocol.controller_family import wrong_family
+from linemate.protocol.controller_family import read_own
 from linemate.protocol.controller_link import (
     ControllerError,
     ControllerTelegram,
@@ -17,15 +17,9 @@ from linemate.protocol.controller_link import (
     PreparedReply,
     SetpointKind,
 )
-from linemate.protocol.egm.egm_codec import (
-    CorrectionMessage,
-    EgmCodec,
-    EgmError,
-    GuidanceState,
-    MotorState,
-    RapidState,
-    RobotMessage,
-)
+from linemate.protocol.egm import messages
+from linemate.protocol.egm.egm_codec import EgmCodec
+from linemate.protocol.egm.protobuf_wire import EgmError
 from linemate.protocol.stamped_samples import RobotSample, Vector6
 
 MAX_SIGNALS = 255
@@ -58,13 +52,7 @@ class EgmLink:
         Raises:
             ControllerError: it is none, or has no linear axis that the arm has.
         """
-        try:
-            message = self._codec.parse_robot(data)
-        except EgmError as error:
-            other = wrong_family(data, "egm")
-            if other is None:
-                raise
-            raise other from error
+        message = read_own(self._codec.parse_robot, data, "egm")
         feedback = message.feedback
         if self._is_on_rail and not feedback.external:
             raise EgmError(
@@ -110,7 +98,7 @@ class EgmLink:
         speeds: tuple[float, ...] = (0.0,) * len(command)
         if len(origin) == len(command):
             speeds = tuple([(c - o) / self._cycle_s for c, o in zip(command, origin, strict=True)])
-        message = CorrectionMessage(
+        message = messages.CorrectionMessage(
             0,
             joints=cast(Vector6, command[:6]),
             external=command[6:],
@@ -125,7 +113,7 @@ class EgmLink:
         del digital_out
         return None
 
-    def _signals(self, message: RobotMessage) -> int:
+    def _signals(self, message: messages.RobotMessage) -> int:
         if not self._has_signals or not message.rapid_data:
             return 0
         value = message.rapid_data[0]
@@ -167,12 +155,12 @@ class ExpectedMessage:
         return all(abs(now - before) <= self._reach for now, before in ways)
 
 
-def unready(message: RobotMessage) -> str | None:
+def unready(message: messages.RobotMessage) -> str | None:
     """Return why the controller takes no setpoint now, None if it takes them."""
-    if message.motors is not MotorState.ON:
+    if message.motors is not messages.MotorState.ON:
         return f"the motors are not on: motorState {message.motors.name}. Switch the motors on."
-    if message.rapid is not RapidState.RUNNING:
+    if message.rapid is not messages.RapidState.RUNNING:
         return f"RAPID does not run: rapidExecState {message.rapid.name}. Start the program."
-    if message.guidance is not GuidanceState.RUNNING:
+    if message.guidance is not messages.GuidanceState.RUNNING:
         return f"EGM does not run: mciState {message.guidance.name}. Execute EGMRunJoint."
     return None

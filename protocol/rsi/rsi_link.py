@@ -8,7 +8,7 @@ Invariants:
 
 from typing import cast
 
-from linemate.protocol.controller_family import wrong_family
+from linemate.protocol.controller_family import read_own
 from linemate.protocol.controller_link import (
     ControllerTelegram,
     ExchangeRules,
@@ -55,13 +55,7 @@ class RsiLink:
             ControllerError: it is none, or the configuration sends no joints, or no linear axis
                 that the arm has.
         """
-        try:
-            telegram = self._codec.parse_robot(data)
-        except RsiError as error:
-            other = wrong_family(data, "rsi")
-            if other is None:
-                raise
-            raise other from error
+        telegram = read_own(self._codec.parse_robot, data, "rsi")
         if telegram.joints is None:
             raise RsiError(
                 "the telegram has no AIPos: the daemon needs the joints",

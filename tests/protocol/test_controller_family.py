@@ -5,8 +5,9 @@ import pytest
 from linemate.daemon.config.files import PROTOCOL_DATA
 from linemate.protocol.controller_family import family, wrong_family
 from linemate.protocol.controller_link import ControllerError
-from linemate.protocol.egm.egm_codec import EgmCodec, EgmPosition, RobotMessage
+from linemate.protocol.egm.egm_codec import EgmCodec
 from linemate.protocol.egm.egm_link import EgmLink
+from linemate.protocol.egm.messages import EgmPosition, RobotMessage
 from linemate.protocol.rsi.codec import RsiCodec, parse_config
 from linemate.protocol.rsi.rsi_link import RsiLink
 

@@ -10,18 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from linemate.protocol.egm.egm_codec import (
-    CorrectionMessage,
-    EgmCodec,
-    EgmError,
-    EgmPosition,
-    GuidanceState,
-    MotorState,
-    RapidState,
-    RobotMessage,
-)
+from linemate.protocol.egm import messages
+from linemate.protocol.egm.egm_codec import EgmCodec
 from linemate.protocol.egm.message_fields import MAX_MESSAGE_BYTES
 from linemate.protocol.egm.protobuf_wire import (
+    EgmError,
     bytes_field,
     double_field,
     doubles_field,
@@ -65,9 +58,9 @@ def test_a_message_of_the_protobuf_runtime_is_read_in_si_units(robotware: int) -
     assert feedback.clock_us == 1_700_000_000_250_000
     assert message.planned.joints is not None
     assert message.planned.joints[0] == pytest.approx(math.radians(0.5))
-    assert message.motors is MotorState.ON
-    assert message.guidance is GuidanceState.RUNNING
-    assert message.rapid is RapidState.RUNNING
+    assert message.motors is messages.MotorState.ON
+    assert message.guidance is messages.GuidanceState.RUNNING
+    assert message.rapid is messages.RapidState.RUNNING
     assert message.is_converged is True
     assert message.utilization == 42.0
 
@@ -128,8 +121,8 @@ def test_the_protobuf_runtime_reads_a_written_robot_message(robotware: int) -> N
 
 
 def test_a_force_without_values_is_written_and_read_as_such() -> None:
-    feedback = EgmPosition((0.0,) * 6)
-    message = RobotMessage(1, 2, feedback, is_force_active=False, robotware=7)
+    feedback = messages.EgmPosition((0.0,) * 6)
+    message = messages.RobotMessage(1, 2, feedback, is_force_active=False, robotware=7)
     back = CODEC.parse_robot(CODEC.format_robot(message))
     assert (back.force, back.is_force_active, back.robotware) == (None, False, 7)
     forces = msgspec.structs.replace(message, force=(1.0,), is_force_active=None, robotware=None)
@@ -140,7 +133,7 @@ def test_a_force_without_values_is_written_and_read_as_such() -> None:
 def test_a_correction_comes_back_from_its_bytes(
     joints: Any, external: tuple[float, ...], sequence: int, speeds: Any
 ) -> None:
-    message = CorrectionMessage(sequence, 3, joints, external, speeds, external)
+    message = messages.CorrectionMessage(sequence, 3, joints, external, speeds, external)
     back = CODEC.parse_correction(CODEC.format_correction(message))
     assert back.sequence == sequence
     assert back.joints == pytest.approx(joints, abs=1e-12)
@@ -149,12 +142,23 @@ def test_a_correction_comes_back_from_its_bytes(
     assert witness.parse_sensor(CODEC.format_correction(message)).header.seqno == sequence
 
 
-@given(sixes, axes, sixes, st.sampled_from(MotorState), st.sampled_from(RapidState))
+@given(
+    sixes, axes, sixes, st.sampled_from(messages.MotorState), st.sampled_from(messages.RapidState)
+)
 def test_a_robot_message_comes_back_from_its_bytes(
-    joints: Any, external: tuple[float, ...], planned: Any, motors: MotorState, rapid: RapidState
+    joints: Any,
+    external: tuple[float, ...],
+    planned: Any,
+    motors: messages.MotorState,
+    rapid: messages.RapidState,
 ) -> None:
-    message = RobotMessage(
-        1, 2, EgmPosition(joints, external), EgmPosition(planned), motors, rapid=rapid
+    message = messages.RobotMessage(
+        1,
+        2,
+        messages.EgmPosition(joints, external),
+        messages.EgmPosition(planned),
+        motors,
+        rapid=rapid,
     )
     back = CODEC.parse_robot(CODEC.format_robot(message))
     assert back.feedback.joints == pytest.approx(joints, abs=1e-12)
@@ -191,9 +195,9 @@ def test_packed_doubles_are_read_like_unpacked_ones() -> None:
 
 
 def test_an_unknown_state_is_undefined_and_a_missing_one_too() -> None:
-    assert CODEC.parse_robot(LEAST).motors is MotorState.UNDEFINED
+    assert CODEC.parse_robot(LEAST).motors is messages.MotorState.UNDEFINED
     message = CODEC.parse_robot(LEAST + bytes_field(4, number_field(1, 9)))
-    assert message.motors is MotorState.UNDEFINED
+    assert message.motors is messages.MotorState.UNDEFINED
 
 
 def test_external_axes_are_read_in_the_units_of_the_set_up() -> None:
@@ -282,7 +286,7 @@ def test_a_cartesian_setpoint_is_refused() -> None:
     ],
 )
 def test_a_value_that_the_wire_cannot_carry_is_refused(change: Any, why: str) -> None:
-    good = CorrectionMessage(1, 2, (0.0,) * 6, (0.0,), (0.0,) * 6)
+    good = messages.CorrectionMessage(1, 2, (0.0,) * 6, (0.0,), (0.0,) * 6)
     with pytest.raises(EgmError, match=why):
         CODEC.format_correction(msgspec.structs.replace(good, **change))
 
@@ -312,7 +316,7 @@ def test_any_bytes_are_a_message_or_refused(data: bytes) -> None:
 
 
 def test_numbers_of_the_rapid_program_come_back_and_are_bounded() -> None:
-    message = CorrectionMessage(1, 0, (0.0,) * 6, rapid_data=(3.0, -1.5))
+    message = messages.CorrectionMessage(1, 0, (0.0,) * 6, rapid_data=(3.0, -1.5))
     data = CODEC.format_correction(message)
     assert CODEC.parse_correction(data).rapid_data == (3.0, -1.5)
     with pytest.raises(EgmError, match="RAPIDtoRobot has 41 values: limit 40"):

@@ -4,26 +4,20 @@ import msgspec
 import pytest
 
 from linemate.protocol.controller_link import SetpointKind
-from linemate.protocol.egm.egm_codec import (
-    EgmCodec,
-    EgmError,
-    EgmPosition,
-    GuidanceState,
-    MotorState,
-    RapidState,
-    RobotMessage,
-)
+from linemate.protocol.egm import messages
+from linemate.protocol.egm.egm_codec import EgmCodec
 from linemate.protocol.egm.egm_link import EgmLink, unready
+from linemate.protocol.egm.protobuf_wire import EgmError
 
 CYCLE_S = 0.004
 JOINTS = (0.0, -1.5, 1.5, 0.0, 0.5, 0.0)
-READY = RobotMessage(
+READY = messages.RobotMessage(
     41,
     164,
-    EgmPosition(JOINTS, (0.25,)),
-    motors=MotorState.ON,
-    guidance=GuidanceState.RUNNING,
-    rapid=RapidState.RUNNING,
+    messages.EgmPosition(JOINTS, (0.25,)),
+    motors=messages.MotorState.ON,
+    guidance=messages.GuidanceState.RUNNING,
+    rapid=messages.RapidState.RUNNING,
     robotware=7,
     rapid_data=(2.0,),
 )
@@ -74,11 +68,11 @@ def test_silence_leaves_the_robot_as_it_is() -> None:
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        ({"motors": MotorState.OFF}, "motors are not on: motorState OFF"),
-        ({"motors": MotorState.UNDEFINED}, "motorState UNDEFINED"),
-        ({"rapid": RapidState.STOPPED}, "RAPID does not run: rapidExecState STOPPED"),
-        ({"guidance": GuidanceState.STOPPED}, "EGM does not run: mciState STOPPED"),
-        ({"guidance": GuidanceState.ERROR}, "mciState ERROR"),
+        ({"motors": messages.MotorState.OFF}, "motors are not on: motorState OFF"),
+        ({"motors": messages.MotorState.UNDEFINED}, "motorState UNDEFINED"),
+        ({"rapid": messages.RapidState.STOPPED}, "RAPID does not run: rapidExecState STOPPED"),
+        ({"guidance": messages.GuidanceState.STOPPED}, "EGM does not run: mciState STOPPED"),
+        ({"guidance": messages.GuidanceState.ERROR}, "mciState ERROR"),
     ],
 )
 def test_a_controller_that_is_not_ready_says_why(change: dict[str, object], why: str) -> None:
@@ -89,7 +83,7 @@ def test_a_controller_that_is_not_ready_says_why(change: dict[str, object], why:
 
 
 def test_a_robot_without_the_linear_axis_of_the_task_is_refused() -> None:
-    data = telegram(feedback=EgmPosition(JOINTS))
+    data = telegram(feedback=messages.EgmPosition(JOINTS))
     with pytest.raises(EgmError, match=r"without feedBack\.externalJoints"):
         link().read(data, 0)
     assert link(on_rail=False).read(data, 0).robot.external == ()
@@ -113,10 +107,10 @@ def test_a_number_that_is_no_signal_is_refused(value: float) -> None:
         ({}, True),
         ({"time_ms": 2**31}, True),
         ({"sequence": 42}, False),
-        ({"motors": MotorState.OFF}, False),
-        ({"feedback": EgmPosition((0.06, *JOINTS[1:]), (0.25,))}, False),
-        ({"feedback": EgmPosition((0.04, *JOINTS[1:]), (0.25,))}, True),
-        ({"feedback": EgmPosition(JOINTS)}, False),
+        ({"motors": messages.MotorState.OFF}, False),
+        ({"feedback": messages.EgmPosition((0.06, *JOINTS[1:]), (0.25,))}, False),
+        ({"feedback": messages.EgmPosition((0.04, *JOINTS[1:]), (0.25,))}, True),
+        ({"feedback": messages.EgmPosition(JOINTS)}, False),
     ],
 )
 def test_the_expected_message_is_the_next_one_of_a_ready_robot_nearby(

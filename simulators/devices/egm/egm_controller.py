@@ -14,16 +14,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, cast
 
-from linemate.protocol.egm.egm_codec import (
-    CorrectionMessage,
-    EgmCodec,
-    EgmError,
-    EgmPosition,
-    GuidanceState,
-    MotorState,
-    RapidState,
-    RobotMessage,
-)
+from linemate.protocol.egm import messages
+from linemate.protocol.egm.egm_codec import EgmCodec
+from linemate.protocol.egm.protobuf_wire import EgmError
 from linemate.protocol.exchange_controller import ControllerCounts, Judgement
 from linemate.protocol.stamped_samples import Vector6
 from linemate.simulators.devices.egm.guidance import Guidance, GuidanceConfig
@@ -85,7 +78,7 @@ class _Run:
     silent: int = 0
     is_answered: bool = False
     last_sequence: int | None = None
-    accepted: CorrectionMessage | None = None
+    accepted: messages.CorrectionMessage | None = None
     faulty: bool = False
     ended: str | None = None
 
@@ -237,20 +230,20 @@ class EgmController:
         guidance = Guidance(self.config.guidance, self.config.cycle_s, standing)
         return _Run(guidance, standing, sequence=sequence)
 
-    def _describe(self, run: _Run, reading: RobotReading) -> RobotMessage:
+    def _describe(self, run: _Run, reading: RobotReading) -> messages.RobotMessage:
         """Return the message's values at a cycle's start."""
         time_us = round(self.counts.sent * self.config.cycle_s * 1e6)
         planned = run.guidance.position
         deviation = max(abs(a - b) for a, b in zip(planned, reading.axes, strict=True))
         is_guided = self.is_motors_on and self.is_rapid_running
-        return RobotMessage(
+        return messages.RobotMessage(
             run.sequence,
             time_us // 1000 % _U32,
             _position(reading.axes, time_us),
             _position(planned, time_us),
-            MotorState.ON if self.is_motors_on else MotorState.OFF,
-            GuidanceState.RUNNING if is_guided else GuidanceState.STOPPED,
-            RapidState.RUNNING if self.is_rapid_running else RapidState.STOPPED,
+            messages.MotorState.ON if self.is_motors_on else messages.MotorState.OFF,
+            messages.GuidanceState.RUNNING if is_guided else messages.GuidanceState.STOPPED,
+            messages.RapidState.RUNNING if self.is_rapid_running else messages.RapidState.STOPPED,
             deviation <= self.config.converge_range,
             0.0,
             robotware=self.config.robotware,
@@ -264,7 +257,7 @@ class EgmController:
         self._run.faulty = True
         return Judgement.REFUSED
 
-    def _beyond(self, message: CorrectionMessage) -> str | None:
+    def _beyond(self, message: messages.CorrectionMessage) -> str | None:
         """Return which software limit a setpoint exceeds."""
         axes = (*(message.joints or ()), *message.external[:1])
         for n, (value, limit) in enumerate(zip(axes, self.config.limits, strict=False), 1):
@@ -311,8 +304,8 @@ class EgmController:
         run.speeds = (*(message.joint_speeds or (0.0,) * 6), rail_speed)
 
 
-def _position(axes: tuple[float, ...], time_us: int) -> EgmPosition:
-    return EgmPosition(cast(Vector6, axes[:6]), axes[6:], clock_us=time_us)
+def _position(axes: tuple[float, ...], time_us: int) -> messages.EgmPosition:
+    return messages.EgmPosition(cast(Vector6, axes[:6]), axes[6:], clock_us=time_us)
 
 
 def _is_newer(sequence: int, last: int) -> bool:

@@ -223,7 +223,7 @@ class Emulator:
         self._look_for_end()
 
     def _feed(self, setpoints: tuple[float, ...]) -> None:
-        """Let the next car enter if it is due, and tell of it."""
+        """Let the next car enter if it is due, and report it."""
         feeder = self._feeder
         event = None if feeder is None else feeder.look(setpoints, self._plant.cycle)
         if event is None:

@@ -2,14 +2,8 @@ from typing import Any, cast
 
 import pytest
 
-from linemate.protocol.egm.egm_codec import (
-    CorrectionMessage,
-    EgmCodec,
-    GuidanceState,
-    MotorState,
-    RapidState,
-    RobotMessage,
-)
+from linemate.protocol.egm import messages
+from linemate.protocol.egm.egm_codec import EgmCodec
 from linemate.protocol.egm.protobuf_wire import bytes_field, number_field
 from linemate.protocol.exchange_controller import Judgement
 from linemate.protocol.stamped_samples import Vector6
@@ -31,7 +25,7 @@ class Cell:
     def read(self) -> RobotReading:
         return RobotReading(self.axes, (0.0,) * 6)
 
-    def cycle(self, message: CorrectionMessage | bytes | None = None) -> Applied:
+    def cycle(self, message: messages.CorrectionMessage | bytes | None = None) -> Applied:
         """Play one cycle with one reply."""
         assert self.telegram() is not None
         if message is not None:
@@ -42,15 +36,15 @@ class Cell:
         self.axes = applied.motion
         return applied
 
-    def telegram(self) -> RobotMessage | None:
+    def telegram(self) -> messages.RobotMessage | None:
         data = self.controller.telegram()
         return None if data is None else CODEC.parse_robot(data)
 
-    def setpoint(self, axes: Seven, speeds: tuple[float, ...] = ()) -> CorrectionMessage:
+    def setpoint(self, axes: Seven, speeds: tuple[float, ...] = ()) -> messages.CorrectionMessage:
         """Return a correction with the sender's next sequence number."""
         self.sequence += 1
         six = cast("Vector6", speeds[:6]) if speeds else None
-        return CorrectionMessage(self.sequence, 0, axes[:6], axes[6:], six, speeds[6:])
+        return messages.CorrectionMessage(self.sequence, 0, axes[:6], axes[6:], six, speeds[6:])
 
 
 def moved(by: float) -> Seven:
@@ -63,9 +57,9 @@ def test_a_message_says_where_the_robot_is_and_that_it_is_ready() -> None:
     assert message.feedback.joints == pytest.approx(START[:6])
     assert message.feedback.external == pytest.approx(START[6:])
     assert (message.sequence, message.time_ms) == (0, 4)
-    assert message.motors is MotorState.ON
-    assert message.guidance is GuidanceState.RUNNING
-    assert message.rapid is RapidState.RUNNING
+    assert message.motors is messages.MotorState.ON
+    assert message.guidance is messages.GuidanceState.RUNNING
+    assert message.rapid is messages.RapidState.RUNNING
     assert message.is_converged is True
 
 
@@ -83,9 +77,9 @@ def test_the_robot_reaches_a_setpoint_and_says_when() -> None:
 
 def test_the_external_axis_stays_where_it_is_if_a_message_does_not_name_it() -> None:
     cell = Cell()
-    applied = cell.cycle(CorrectionMessage(1, 0, moved(0.01)[:6]))
+    applied = cell.cycle(messages.CorrectionMessage(1, 0, moved(0.01)[:6]))
     assert applied.setpoints[6] == START[6]
-    applied = cell.cycle(CorrectionMessage(2, 0, moved(0.01)[:6], (1.1,)))
+    applied = cell.cycle(messages.CorrectionMessage(2, 0, moved(0.01)[:6], (1.1,)))
     assert applied.setpoints[6] == pytest.approx(1.1)
 
 
@@ -152,7 +146,7 @@ def test_a_restart_guides_from_where_the_robot_stands() -> None:
     [
         (b"", "malformed"),
         (b"<Sen Type='ImFree'></Sen>", "malformed"),
-        (CODEC.format_correction(CorrectionMessage(1)), "setpoint"),
+        (CODEC.format_correction(messages.CorrectionMessage(1)), "setpoint"),
         (bytes_field(1, number_field(1, 1) + number_field(3, 4)), "malformed"),
     ],
 )
@@ -170,8 +164,10 @@ def test_a_repeated_sequence_number_is_refused_and_the_counter_may_wrap() -> Non
     cell.sequence = 2**32 - 3
     for _ in range(2):
         assert cell.cycle(cell.setpoint(START)).answered
-    assert cell.cycle(CorrectionMessage(2**32 - 1, 0, START[:6])).outcome is Judgement.MISSING
-    assert cell.cycle(CorrectionMessage(3, 0, START[:6])).answered
+    assert (
+        cell.cycle(messages.CorrectionMessage(2**32 - 1, 0, START[:6])).outcome is Judgement.MISSING
+    )
+    assert cell.cycle(messages.CorrectionMessage(3, 0, START[:6])).answered
     assert cell.controller.counts.duplicate == 1
 
 
@@ -203,7 +199,7 @@ def test_nothing_moves_while_the_controller_is_not_ready(name: str) -> None:
     assert applied.motion == before
     message = cell.telegram()
     assert message is not None
-    assert message.guidance is GuidanceState.STOPPED
+    assert message.guidance is messages.GuidanceState.STOPPED
     cell.controller.end_of_cycle()
     setattr(cell.controller, name, True)
     assert cell.cycle().motion == before
