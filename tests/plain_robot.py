@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, parse_config
-from linemate.simulators.harness.setup import shipped_task
+from linemate.simulators.harness.cell.cell_truth import shipped_task
 
 ROOT = Path(__file__).resolve().parents[1]
 CYCLE_S = 0.012

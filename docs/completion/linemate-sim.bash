@@ -8,8 +8,8 @@
 _shtab_linemate_sim_subparsers=(demo run campaign shift world emulator bench schema)
 
 _shtab_linemate_sim_demo_option_strings=(-h --help --scenario --world --controller --out --json --cycle-ms --seed --cars --strict --view)
-_shtab_linemate_sim_run_option_strings=(-h --help --scenario --world --controller --out --json --set --workers --cycle-ms --seed --variant --timing)
-_shtab_linemate_sim_campaign_option_strings=(-h --help --scenario --world --controller --out --json --set --workers --cycle-ms --seeds --first-seed --scheduler --detection --variants)
+_shtab_linemate_sim_run_option_strings=(-h --help --scenario --world --controller --out --json --cell --config --task --set --workers --cycle-ms --seed --variant --timing)
+_shtab_linemate_sim_campaign_option_strings=(-h --help --scenario --world --controller --out --json --cell --config --task --set --workers --cycle-ms --seeds --first-seed --scheduler --detection --variants)
 _shtab_linemate_sim_shift_option_strings=(-h --help --cars --seed --takt --faulty --workers --json)
 _shtab_linemate_sim_world_option_strings=(-h --help --world --rows --seeds --cycle-ms --json --check --list --kept --set --workers)
 _shtab_linemate_sim_emulator_option_strings=(-h --help --config)
@@ -19,7 +19,11 @@ _shtab_linemate_sim_option_strings=(-h --help --version)
 
 _shtab_linemate_sim_demo___out_COMPGEN=_shtab_compgen_dirs
 _shtab_linemate_sim_run___out_COMPGEN=_shtab_compgen_dirs
+_shtab_linemate_sim_run___config_COMPGEN=_shtab_compgen_files
+_shtab_linemate_sim_run___task_COMPGEN=_shtab_compgen_files
 _shtab_linemate_sim_campaign___out_COMPGEN=_shtab_compgen_dirs
+_shtab_linemate_sim_campaign___config_COMPGEN=_shtab_compgen_files
+_shtab_linemate_sim_campaign___task_COMPGEN=_shtab_compgen_files
 _shtab_linemate_sim_world___kept_COMPGEN=_shtab_compgen_dirs
 _shtab_linemate_sim_emulator___config_COMPGEN=_shtab_compgen_files
 _shtab_linemate_sim_bench___plot_COMPGEN=_shtab_compgen_files

@@ -31,6 +31,7 @@ from linemate.simulators.devices.worlds import OWN, require
 from linemate.simulators.harness import families, host, scenario_file
 from linemate.simulators.harness import identified_overlay as overlay
 from linemate.simulators.harness import terminal_view as live
+from linemate.simulators.harness.cell.cell_truth import shipped_task
 from linemate.simulators.harness.emulator_command import EX_BROKEN
 from linemate.simulators.harness.processes import (
     START_S,
@@ -41,7 +42,6 @@ from linemate.simulators.harness.processes import (
     start_daemon,
     wait_until,
 )
-from linemate.simulators.harness.setup import shipped_task
 from linemate.simulators.harness.terminal_view import Glimpse, LinkGlimpse, TerminalView
 from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.harness.world import world_rows
@@ -238,11 +238,13 @@ def main(args: Namespace) -> int:
 
         return demo_line.main(args)
     require(args.world)
-    cycle_ms = args.cycle_ms or families.CYCLE_MS[args.controller]
-    if cycle_ms not in families.CYCLES_MS[args.controller]:
-        known = " or ".join(f"{ms:g}" for ms in families.CYCLES_MS[args.controller])
-        raise SetupError(f"--cycle-ms {cycle_ms:g}: {args.controller} has {known}")
-    scenario = families.truth(args.controller, scenario_file.load(args.scenario))
+    controller = args.controller or families.RSI
+    cycle_ms = args.cycle_ms or families.CYCLE_MS[controller]
+    if cycle_ms not in families.CYCLES_MS[controller]:
+        known = " or ".join(f"{ms:g}" for ms in families.CYCLES_MS[controller])
+        raise SetupError(f"--cycle-ms {cycle_ms:g}: {controller} has {known}")
+    plain = scenario_file.load(args.scenario or scenario_file.DEFAULT)
+    scenario = families.truth(controller, plain)
     scenario = replace(scenario, seed=args.seed, cycle_s=round(cycle_ms * 1e-3, 9))
     out = args.out or Path("out/demo")
     refused = host.missing_rights()
@@ -256,7 +258,7 @@ def main(args: Namespace) -> int:
                 is_viewed=args.view,
                 strict=args.strict,
                 world=args.world,
-                controller=args.controller,
+                controller=controller,
             )
     except (DemoError, ChildError, TimeoutError, NoAnswerError, RefusedError) as error:
         print(f"linemate-sim demo: {error}", file=sys.stderr)

@@ -18,6 +18,7 @@ from linemate.protocol.rsi.codec import RsiCodec, parse_config
 from linemate.protocol.rsi.rsi_link import RsiLink
 from linemate.simulators.devices.egm.egm_controller import EgmConfig, EgmController
 from linemate.simulators.devices.fanuc.fanuc_controller import FanucConfig, FanucController
+from linemate.simulators.devices.limit_judge import LIMITS, AxisLimit
 from linemate.simulators.devices.links.controllers import EmulatedController
 from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.devices.rsi_controller import ControllerConfig, RsiController
@@ -57,24 +58,34 @@ def truth(family: str, scenario: Scenario) -> Scenario:
 
 
 def pair(
-    family: str, plant: RobotPlant, cycle_s: float, *, on_rail: bool
+    family: str,
+    plant: RobotPlant,
+    cycle_s: float,
+    *,
+    on_rail: bool,
+    limits: tuple[AxisLimit, ...] = LIMITS,
 ) -> tuple[EmulatedController, ControllerLink]:
     """Return the two ends of the exchange in virtual time, the stream begun.
 
     Args:
         on_rail: the arm stands on a linear axis.
+        limits: of the emulated controller, A1..A6 and E1.
     """
     if family == FANUC:
-        config = FanucConfig(cycle_s=cycle_s, signals_byte=SIGNALS_BYTE)
+        config = FanucConfig(
+            cycle_s=cycle_s, has_rail=on_rail, signals_byte=SIGNALS_BYTE, limits=limits
+        )
         fanuc = FanucController(plant.read, plant.start, config)
         fanuc.on_reply(packets.write_short(PacketKind.START, config.version))
         link = FanucLink(config.version, on_rail=on_rail, signals_byte=SIGNALS_BYTE)
         return fanuc, link
     if family == EGM:
-        egm = EgmController(plant.read, plant.start, EgmConfig(cycle_s, robotware=ROBOTWARE))
+        guided = EgmConfig(cycle_s, robotware=ROBOTWARE, limits=limits)
+        egm = EgmController(plant.read, plant.start, guided)
         return egm, EgmLink(EgmCodec(robotware=ROBOTWARE), cycle_s, on_rail=on_rail)
     rsi = parse_config(_shipped(RSI_CONFIG))
-    controller = RsiController(rsi, plant.read, plant.start, ControllerConfig(cycle_s=cycle_s))
+    own = ControllerConfig(cycle_s=cycle_s, limits=limits)
+    controller = RsiController(rsi, plant.read, plant.start, own)
     return controller, RsiLink(RsiCodec(rsi), on_rail=on_rail)
 
 

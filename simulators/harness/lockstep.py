@@ -29,7 +29,7 @@ from linemate.simulators.devices.faulty_link import FaultyLink
 from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.devices.truth import TruthLog
 from linemate.simulators.devices.worlds import build_world
-from linemate.simulators.harness import families
+from linemate.simulators.harness.cell import cell_links
 from linemate.simulators.harness.sensor_links import SensorLinks
 from linemate.simulators.harness.setup import Setup
 from linemate.simulators.harness.variants import ORACLE, SetupError
@@ -120,18 +120,16 @@ class Lockstep:
                 raise SetupError("the variant oracle needs a world whose future is known")
             oracle = Oracle(self.world, compiled.tracker.reference.nominal, scenario.cycle_s)
             compiled = with_foresight(compiled, oracle)
-        on_rail = compiled.controller.arm.linear_axis
-        self.controller, link = families.pair(
-            setup.controller, self._plant, scenario.cycle_s, on_rail=on_rail
-        )
-        self.cycle = Cycle(compiled, link)
+        links = cell_links.of(setup)
+        self.controller, link = cell_links.pair(setup, self._plant, compiled)
+        self.cycle = Cycle(compiled, link, links.watch, wrench_expected=links.device is not None)
         self.cycle.listen(0)
         self._faults = Faults(scenario.faults, TIMELESS)
         self._ways = tuple(
             FaultyLink(name, self._faults, scenario.seed) for name in ("robot", "reply")
         )
         mount = setup.task.conveyor.start_position
-        self.links = SensorLinks(self.world, self.cycle, self._faults, mount)
+        self.links = SensorLinks(self.world, self.cycle, self._faults, mount, links)
         self._operator = _Operator(self.cycle)
         n = _count(scenario.lead_in_s + scenario.duration_s, scenario.cycle_s)
         self._truth = TruthLog(n)
@@ -259,6 +257,7 @@ class _DaemonLog:
         sensed, part = outputs.sensed, outputs.part
         self._values[self._row] = (
             *outputs.command,
+            *_NO_RAIL[len(outputs.command) :],
             *outputs.target,
             *(_UNKNOWN if sensed is None else sensed),
             *(_UNKNOWN if part is None else part),
@@ -297,6 +296,8 @@ _CODES = ("phase", "scenario", "tentative", "state", "contact_seen")
 _FLAGS = ("tentative", "contact_seen")
 _WIDTH = columns.AXES * len(_POSES) + len(_NUMBERS)
 _UNKNOWN = (math.nan,) * columns.AXES
+_NO_RAIL = (0.0,) * columns.AXES
+"""Command of an axis that the arm does not have: E1 stays where it is."""
 _PHASES = {name: i for i, name in enumerate(columns.PHASES)}
 _CLASSES = {name: i for i, name in enumerate(columns.CLASSES)}
 _STATES = {name: i for i, name in enumerate(columns.STATES)}

@@ -209,14 +209,30 @@ def _add_which_world(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_common(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--scenario", default="wheel", metavar="NAME|FILE")
+    parser.add_argument(
+        "--scenario", metavar="NAME|FILE", help="the emulated truth; that of the cell, else wheel"
+    )
     _add_which_world(parser)
     parser.add_argument(
-        "--controller", choices=("rsi", "fanuc", "egm"), default="rsi",
-        help="the robot controller: KUKA RSI, FANUC Stream Motion or ABB EGM; rsi",
+        "--controller", choices=("rsi", "fanuc", "egm"),
+        help="the robot controller: KUKA RSI, FANUC Stream Motion or ABB EGM; that of --config, "
+        "else rsi",
     )  # fmt: skip
     parser.add_argument("--out", type=Path, metavar="DIR", help="leave results there")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
+def _add_cell(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--cell", metavar="NAME|DIR",
+        help="a shipped cell, or a folder with linemated.yaml and scenario.yaml",
+    )  # fmt: skip
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="the daemon's configuration, instead"
+    )
+    parser.add_argument(
+        "--task", type=Path, metavar="FILE", help="the task file, instead of the configuration's"
+    )
 
 
 def _add_bench(commands: "Commands[CommandLine]") -> None:
@@ -267,6 +283,7 @@ def _add_demo(commands: "Commands[CommandLine]") -> None:
 def _add_run(commands: "Commands[CommandLine]") -> None:
     run = commands.add_parser("run", help="the same chain in virtual time")
     _add_common(run)
+    _add_cell(run)
     _add_plan(run)
     run.add_argument("--cycle-ms", type=float, metavar="MS", help="instead of the scenario's")
     run.add_argument("--seed", type=seeds, default=(0,), dest="seeds", metavar="N|A..B")
@@ -277,6 +294,7 @@ def _add_run(commands: "Commands[CommandLine]") -> None:
 def _add_campaign(commands: "Commands[CommandLine]") -> None:
     campaign = commands.add_parser("campaign", help="many runs, a table of variants")
     _add_common(campaign)
+    _add_cell(campaign)
     _add_plan(campaign)
     campaign.add_argument("--cycle-ms", type=float, metavar="MS", help="instead of the scenario's")
     campaign.add_argument("--seeds", type=_count, default=40, metavar="N")

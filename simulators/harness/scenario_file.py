@@ -15,6 +15,7 @@ from typing import Any
 from linemate.daemon.config import documents, task_file
 from linemate.daemon.config.documents import Complaint, FileError
 from linemate.simulators.devices.faults import KINDS
+from linemate.simulators.harness.cell import cell_truth
 from linemate.simulators.harness.world import world_rows
 from linemate.simulators.plants.scenario import Scenario
 
@@ -97,14 +98,27 @@ def shipped() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in DATA.glob("*.yaml")))
 
 
-def load(name: str) -> Scenario:
+def load(name: str, task: task_file.Task | None = None) -> Scenario:
     """Load a scenario by name, or by the path of its file.
+
+    Args:
+        task: of the emulated cell, for what the file leaves out; None: the shipped one.
 
     Raises:
         FileError: there is no such file, or everything that is wrong in it.
+        SetupError: the emulated cell cannot be of this task.
     """
+    document = _document(name)
+    scenario = documents.fill(document, Scenario, complaints)
+    if "name" not in document.value:
+        scenario = replace(scenario, name=Path(name).stem)
+    return cell_truth.placed(scenario, document.value, task or cell_truth.shipped_task())
+
+
+def _document(name: str) -> documents.YamlDocument:
+    """Read a scenario file, shipped or not, or a row of the world."""
     if name in world_rows.names():
-        return documents.fill(world_rows.document(name), Scenario, complaints)
+        return world_rows.document(name)
     known = shipped()
     path = DATA / f"{name}.yaml" if name in known else Path(name)
     try:
@@ -112,7 +126,7 @@ def load(name: str) -> Scenario:
     except (OSError, ValueError) as error:
         what = f"{error}; shipped are {', '.join(known)}"
         raise FileError([f"{name}:1:1: (file): {what}"]) from error
-    return parse(data, str(path))
+    return documents.read(data, str(path))
 
 
 def parse(data: bytes, name: str) -> Scenario:

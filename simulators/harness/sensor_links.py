@@ -11,8 +11,10 @@ import math
 import random
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from operator import itemgetter
 
+from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.cycle.cycle import Cycle
 from linemate.protocol.errors import ProtocolError
 from linemate.protocol.sensors.camera_codec import CameraDecoder
@@ -104,6 +106,7 @@ class Emitters:
         stamp: Callable[[float], int],
         distance: DistanceEncoder | None = None,
         device: str | None = DEVICE,
+        camera: CameraSender | None = None,
     ) -> None:
         """Switch everything on.
 
@@ -112,6 +115,7 @@ class Emitters:
             stamp: the monotonic stamp of a scenario time [ns].
             distance: the distance sensor's message; None: CIA 406.
             device: the force-torque sensor; None: there is none.
+            camera: names and clock of the camera; None: the shipped ones.
         """
         seed = world.seed
         self.links = {
@@ -125,7 +129,7 @@ class Emitters:
         self._begin_s = -world.lead_in_s
         self._junk = random.Random(seed)  # noqa: S311 -- noise, not a secret
         self._can = CanSensor(encoder, mount)
-        self._camera = CameraSender(clock_offset_ns=CAMERA_CLOCK_NS)
+        self._camera = camera or CameraSender(clock_offset_ns=CAMERA_CLOCK_NS)
         self._hearing = {name: Hearing() for name in SENSORS}
         self.has_wrench = device is not None
         self.wrench_n = 0.0
@@ -229,6 +233,27 @@ class Emitters:
         return self.force_torque.frame(force, torque, round((taken_s - self._begin_s) * 1e6))
 
 
+@dataclass(slots=True)
+class SensorEnds:
+    """Both ends of the sensors' links.
+
+    Attributes:
+        encoder, decoder: of the distance sensor's frames.
+        sender, poses: camera and its decoder.
+        device: the force-torque sensor, None for none.
+        watch: time-outs of the daemon, None for the defaults.
+    """
+
+    encoder: DistanceEncoder = field(default_factory=DistanceEncoder)
+    decoder: DistanceDecoder = field(default_factory=DistanceDecoder)
+    sender: CameraSender = field(
+        default_factory=lambda: CameraSender(clock_offset_ns=CAMERA_CLOCK_NS)
+    )
+    poses: CameraDecoder = field(default_factory=CameraDecoder)
+    device: str | None = DEVICE
+    watch: WatchSettings | None = None
+
+
 class SensorLinks:
     """The three sensors' links to a cycle, and junk on any of the four.
 
@@ -236,19 +261,30 @@ class SensorLinks:
         refused: what a decoder did not accept, by link.
     """
 
-    def __init__(self, world: EmulatedWorld, cycle: Cycle, faults: Faults, mount: float) -> None:
+    def __init__(
+        self,
+        world: EmulatedWorld,
+        cycle: Cycle,
+        faults: Faults,
+        mount: float,
+        cell: "SensorEnds | None" = None,
+    ) -> None:
         """Plug everything in; the force-torque sensor has been talked to and streams.
 
         Args:
             mount: what the distance sensor reads when the conveyor unit is at s = 0 [m].
+            cell: both ends of the links; None: those of the shipped cell.
         """
+        cell = cell or SensorEnds()
         self.refused: Counter[str] = Counter()
-        self.emitters = Emitters(world, faults, mount, self.stamp)
+        self.emitters = Emitters(
+            world, faults, mount, self.stamp, cell.encoder, cell.device, cell.sender
+        )
         self._world, self._cycle = world, cycle
         self._begin_s = -world.lead_in_s
-        self._can_decoder = DistanceDecoder()
-        self._camera_decoder = CameraDecoder()
-        self._wrench_decoder = make_decoder(DEVICE)
+        self._can_decoder = cell.decoder
+        self._camera_decoder = cell.poses
+        self._wrench_decoder = make_decoder(cell.device or DEVICE)
         self._receivers: dict[str, Callable[[bytes, int], object]] = {
             "distance": self._distance,
             "camera": self._pose,
@@ -257,7 +293,8 @@ class SensorLinks:
         }
         self._in_transit: list[Arrival] = []
         self._count = 0
-        _talk(self.emitters.force_torque)
+        if cell.device is not None:
+            _talk(self.emitters.force_torque)
 
     def stamp(self, t: float) -> int:
         """The monotonic stamp of a scenario time [ns]."""

@@ -14,9 +14,9 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from linemate.daemon.config import documents, task_file
+from linemate.daemon.config import documents
+from linemate.daemon.config.config import LoadedConfig
 from linemate.daemon.config.documents import FileError
-from linemate.daemon.config.files import DAEMON_DATA
 from linemate.daemon.core.control import urdf_limits
 from linemate.daemon.core.control.settings import ControlSettings
 from linemate.daemon.core.tracking.settings import TrackingSettings
@@ -24,12 +24,13 @@ from linemate.daemon.core.tracking.task import TaskFile
 from linemate.daemon.near_names import near_names
 from linemate.simulators.devices.worlds import OWN, UNUSED
 from linemate.simulators.harness import families, scenario_file, variants
+from linemate.simulators.harness.cell.cell_files import CellFiles
+from linemate.simulators.harness.cell.cell_truth import shipped_task
 from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.harness.world import world_rows
 from linemate.simulators.mujoco_world.mujoco_cell import MujocoCell
 from linemate.simulators.plants.scenario import Scenario
 
-TASK = "wheel.yaml"
 _OWN_TRUTH = tuple(f"scenario.{part}" for part in UNUSED)
 
 
@@ -40,12 +41,6 @@ class OverrideError(SetupError):
         """Keep the key and print it."""
         super().__init__(f"--set {key}: {what}")
         self.key = key
-
-
-@cache
-def shipped_task() -> task_file.Task:
-    """The task that comes with the daemon: the wheel onto the hub."""
-    return task_file.load(DAEMON_DATA / TASK)
 
 
 @cache
@@ -68,6 +63,7 @@ class Setup:
         world: what solves the truth, one of ``worlds.WORLDS``.
         mujoco: sizes of the MuJoCo station.
         controller: family of the controller, one of ``families.FAMILIES``.
+        station: the daemon's configuration, for its links; None: those of the shipped cell.
     """
 
     scenario: Scenario
@@ -79,6 +75,7 @@ class Setup:
     world: str = OWN
     mujoco: MujocoCell = field(default_factory=MujocoCell)
     controller: str = families.RSI
+    station: LoadedConfig | None = field(default=None, repr=False)
 
 
 class _Plain(BaseModel):
@@ -100,7 +97,8 @@ def make(
     variant: str = "default",
     cycle_ms: float | None = None,
     world: str = OWN,
-    controller: str = families.RSI,
+    controller: str | None = None,
+    cell: CellFiles | None = None,
 ) -> Setup:
     """Put a run together.
 
@@ -110,25 +108,78 @@ def make(
         variant: applied before the overrides, which have the last word.
         cycle_ms: instead of the scenario's cycle.
         world: one of ``worlds.WORLDS``; the daemon believes what was identified of that station.
-        controller: one of ``families.FAMILIES``; with its period unless one is given.
+        controller: one of ``families.FAMILIES``; with its period unless one is given. None: that
+            of the cell.
+        cell: files of another cell than the shipped one.
 
     Raises:
         FileError, OverrideError, UnknownVariantError: what is wrong.
     """
-    truth = scenario_file.load(scenario)
-    if cycle_ms is None and controller != families.RSI:
-        cycle_ms = families.CYCLE_MS[controller]
+    truth = scenario_file.load(scenario, None if cell is None else cell.task)
+    controller, cycle_ms = _exchange(cell, controller, cycle_ms)
     if cycle_ms is not None:
         truth = replace(truth, cycle_s=round(cycle_ms * 1e-3, 9))
     if world != OWN:
         _refuse_unused(truth, overrides)
-    known = _commissioned(scenario) if world == OWN else identified(world)
-    known = _behind(controller, known)
+    behind = families.truth(controller, truth)
+    if cell is not None:
+        known = _of_cell(cell, world)
+    else:
+        known = _commissioned(scenario) if world == OWN else identified(world)
+    if cell is None or behind is not truth:
+        known = _behind(controller, known)
     tracking, control = variants.apply(variant, known.tracking, known.control)
-    truth = families.truth(controller, truth)
+    truth = behind
     known = replace(known, variant=variant, controller=controller)
     setup = replace(known, scenario=truth, tracking=tracking, control=control)
     return override(setup, overrides) if overrides else setup
+
+
+def _exchange(
+    cell: CellFiles | None, controller: str | None, cycle_ms: float | None
+) -> tuple[str, float | None]:
+    """Return family and period of the controller: as asked for, else the cell's, else RSI's."""
+    own = None if cell is None else cell.family
+    family = controller or own or families.RSI
+    if cycle_ms is None and cell is not None and family == own:
+        cycle_ms = cell.cycle_ms
+    if cycle_ms is None and family != families.RSI:
+        cycle_ms = families.CYCLE_MS[family]
+    return family, cycle_ms
+
+
+def _of_cell(cell: CellFiles, world: str) -> Setup:
+    """Return the settings of a cell's configuration, without a truth of its own.
+
+    Raises:
+        SetupError: a world that has the shipped cell alone.
+    """
+    if world != OWN:
+        raise SetupError(
+            f"--world {world} has the shipped cell alone. Leave --cell and --task out."
+        )
+    task = cell.task
+    if cell.station is None:
+        arm = task.file.arm
+        try:
+            control = urdf_limits.completed(
+                replace(identified().control, limits=()),
+                task.urdf,
+                arm.flange,
+                linear_axis=arm.linear_axis,
+            )
+        except urdf_limits.UrdfLimitsError as error:
+            raise SetupError(f"{arm.urdf}: {error}") from error
+        return replace(identified(), control=control, task=task.file, urdf=task.urdf)
+    config = cell.station.config
+    return Setup(
+        scenario_file.load(scenario_file.DEFAULT),
+        config.tracking,
+        config.control,
+        task.file,
+        task.urdf,
+        station=cell.station,
+    )
 
 
 def _refuse_unused(scenario: Scenario, overrides: Sequence[str]) -> None:

@@ -177,22 +177,26 @@ def main(args: Namespace) -> int:
         The exit code: 0 when every run was made, whatever came of it.
     """
     from linemate.simulators.harness import setup
+    from linemate.simulators.harness.cell import cell_files
 
     if args.detection is not None:
         from linemate.simulators.lab import detection
 
         return detection.main(args)
     seeds = range(args.first_seed, args.first_seed + args.seeds)
+    cell = cell_files.chosen(args)
+    scenario = cell_files.scenario(args.scenario, cell)
     jobs = [
         CampaignJob(made, seed)
         for made in (
             setup.make(
-                args.scenario,
+                scenario,
                 args.overrides,
                 variant=variant,
                 cycle_ms=args.cycle_ms,
                 world=args.world,
                 controller=args.controller,
+                cell=cell,
             )
             for variant in args.variants
         )

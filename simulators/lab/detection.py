@@ -64,11 +64,14 @@ def main(args: Namespace) -> int:
             scheduler, json, out.
     """
     from linemate.simulators.harness import setup
+    from linemate.simulators.harness.cell import cell_files
     from linemate.simulators.judge import report_json
     from linemate.simulators.lab.campaign import progress_bar
 
+    cell = cell_files.chosen(args)
+    scenario = cell_files.scenario(args.scenario, cell)
     setups = [
-        setup.make(args.scenario, args.overrides, variant=variant, cycle_ms=args.cycle_ms)
+        setup.make(scenario, args.overrides, variant=variant, cycle_ms=args.cycle_ms, cell=cell)
         for variant in args.variants
     ]
     plan = DetectionPlan(setups, args.detection, args.first_seed)

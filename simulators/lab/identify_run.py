@@ -28,8 +28,9 @@ from linemate.daemon.recording.step_file import StepFile
 from linemate.daemon.recording.step_items import metadata_of
 from linemate.simulators.devices.worlds import OWN, WORLDS
 from linemate.simulators.harness import families, lockstep, scenario_file
+from linemate.simulators.harness.cell.cell_truth import shipped_task
 from linemate.simulators.harness.identified_overlay import laid_over
-from linemate.simulators.harness.setup import Setup, override, shipped_task
+from linemate.simulators.harness.setup import Setup, override
 from linemate.simulators.plants.scenario import Scenario
 
 EXERCISE = "exercise.yaml"

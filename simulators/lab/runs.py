@@ -9,6 +9,7 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
+from linemate.simulators.harness.cell import cell_files
 from linemate.simulators.harness.setup import make
 from linemate.simulators.judge import report_json
 from linemate.simulators.lab.campaign import CampaignJob, collect, execute, progress_bar
@@ -18,19 +19,21 @@ def main(args: Namespace) -> int:
     """Run what the arguments say.
 
     Args:
-        args: scenario, seeds, variant, overrides, cycle_ms, out, json, timing, workers, world,
-            controller.
+        args: scenario, cell, config, task, seeds, variant, overrides, cycle_ms, out, json, timing,
+            workers, world, controller.
 
     Returns:
         0 assembled within limits, 1 not.
     """
+    cell = cell_files.chosen(args)
     setup = make(
-        args.scenario,
+        cell_files.scenario(args.scenario, cell),
         args.overrides,
         variant=args.variant,
         cycle_ms=args.cycle_ms,
         world=args.world,
         controller=args.controller,
+        cell=cell,
     )
     single = len(args.seeds) == 1
     jobs = [

@@ -32,7 +32,9 @@ class ArmPlant:
 
     def __init__(self, robot: Robot) -> None:
         self._links = robot.links
-        self.tcp = _compiled(robot.links, (robot.tcp_position, rotation.exp(robot.tcp_rotation)))
+        self._root = (robot.root_position, rotation.exp(robot.root_rotation))
+        tool = (robot.tcp_position, rotation.exp(robot.tcp_rotation))
+        self.tcp = _compiled(self._links, tool, self._root)
 
     def flange(self, joints: tuple[float, ...]) -> Pose:
         """Flange in base.
@@ -43,31 +45,32 @@ class ArmPlant:
         Returns:
             Pose of the flange in base.
         """
-        return _compiled(self._links, _BARE)(joints)
+        return _compiled(self._links, _BARE, self._root)(joints)
 
 
 @lru_cache(maxsize=16)
 def _compiled(
-    links: tuple[DenavitHartenbergLink, ...], tool: Pose
+    links: tuple[DenavitHartenbergLink, ...], tool: Pose, root: Pose
 ) -> Callable[[tuple[float, ...]], Pose]:
     """Make the function of the written out chain; many runs have one arm."""
-    body = "\n    ".join(_chain(links, tool))
+    body = "\n    ".join(_chain(links, tool, root))
     space: dict[str, Callable[..., object]] = {"cos": math.cos, "sin": math.sin}
     exec(f"def tcp(joints, cos=cos, sin=sin):\n    {body}\n", space)  # noqa: S102 - our own text
     return space["tcp"]  # type: ignore[return-value]
 
 
-def _chain(links: tuple[DenavitHartenbergLink, ...], tool: Pose) -> list[str]:
+def _chain(links: tuple[DenavitHartenbergLink, ...], tool: Pose, root: Pose) -> list[str]:
     """Write the chain out.
 
     Returns:
         Lines of a function of ``joints``.
     """
     lines = [f"{', '.join(f'q{n}' for n in range(len(links) + 1))} = joints"]
-    place: list[Number] = [0.0, f"q{len(links)}", 0.0]
-    x: list[Number] = [1.0, 0.0, 0.0]
-    y: list[Number] = [0.0, 1.0, 0.0]
-    z: list[Number] = [0.0, 0.0, 1.0]
+    (px, py, pz), turned = root
+    place: list[Number] = [px, _sum(f"q{len(links)}", py), pz]
+    x: list[Number] = list(turned[0::3])
+    y: list[Number] = list(turned[1::3])
+    z: list[Number] = list(turned[2::3])
     for n, link in enumerate(links):
         # Columns of the rotation: Rx(alpha) turns y and z, Tx(a) moves along x, and so on.
         ca, sa = _clean(math.cos(link.alpha)), _clean(math.sin(link.alpha))
@@ -76,8 +79,8 @@ def _chain(links: tuple[DenavitHartenbergLink, ...], tool: Pose) -> list[str]:
             _named(lines, f"w{n}", _mixed((ca, z), (-sa, y))),
         )
         place = _named(lines, f"p{n}", _mixed((1.0, place), (link.a, x), (link.d, z)))
-        turned = f"q{n} + {link.theta!r}" if link.theta else f"q{n}"
-        lines.append(f"a{n} = {turned}; c{n} = cos(a{n}); s{n} = sin(a{n}); m{n} = -s{n}")
+        angle = f"q{n} + {link.theta!r}" if link.theta else f"q{n}"
+        lines.append(f"a{n} = {angle}; c{n} = cos(a{n}); s{n} = sin(a{n}); m{n} = -s{n}")
         x, y = (
             _named(lines, f"x{n}", _mixed((f"c{n}", x), (f"s{n}", y))),
             _named(lines, f"y{n}", _mixed((f"c{n}", y), (f"m{n}", x))),

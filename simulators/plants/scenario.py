@@ -244,6 +244,8 @@ class Robot:
     Attributes:
         axes: servos in the order A1..A6, E1.
         start: setpoints and positions at the start, A1..A6 [rad], E1 [m].
+        root_position: first frame of the table in base, with E1 at 0 [m].
+        root_rotation: the same, rotation vector [rad].
         links: Denavit-Hartenberg table; a half turn about x follows the last row (flange).
         tcp_position: tcp in the flange [m].
         tcp_rotation: tcp in the flange, rotation vector [rad].
@@ -260,6 +262,8 @@ class Robot:
         Axis(4.0, 0.80, 0.036, 2.0),
     )
     start: Vector7 = (0.0, -_QUARTER, _QUARTER, 0.0, _QUARTER, 0.0, 0.0)
+    root_position: Vector3 = (0.0, 0.0, 0.0)
+    root_rotation: Vector3 = (0.0, 0.0, 0.0)
     links: tuple[DenavitHartenbergLink, ...] = ARM
     tcp_position: Vector3 = (-0.35, 0.0, 0.20)
     tcp_rotation: Vector3 = (0.0, -_QUARTER, 0.0)

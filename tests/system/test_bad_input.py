@@ -34,7 +34,8 @@ from linemate.simulators.devices.limit_judge import LIMITS
 from linemate.simulators.devices.links.emulator import Emulator, EmulatorConfig, EmulatorResult
 from linemate.simulators.devices.rsi_controller import ControllerConfig, RsiController
 from linemate.simulators.harness import scenario_file
-from linemate.simulators.harness.setup import shipped_control, shipped_task
+from linemate.simulators.harness.cell.cell_truth import shipped_task
+from linemate.simulators.harness.setup import shipped_control
 from linemate.simulators.plants.scenario import Camera, Scenario
 
 T = TypeVar("T")

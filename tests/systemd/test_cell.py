@@ -17,7 +17,7 @@ import yaml
 from systemd_machine import CHECKOUT, OUT, PROGRAM, Machine, lacking
 
 from linemate.simulators.harness import identified_overlay as overlay
-from linemate.simulators.harness.setup import shipped_task
+from linemate.simulators.harness.cell.cell_truth import shipped_task
 
 REASON = lacking()
 pytestmark = pytest.mark.skipif(REASON is not None, reason=f"no systemd to be booted: {REASON}")

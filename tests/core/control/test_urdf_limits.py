@@ -9,7 +9,8 @@ from linemate.daemon.core.control import urdf_limits
 from linemate.daemon.core.control.settings import ControlSettings
 from linemate.daemon.core.control.urdf_limits import UrdfLimitsError, completed, read, wider
 from linemate.simulators.devices.limit_judge import LIMITS
-from linemate.simulators.harness.setup import shipped_control, shipped_task
+from linemate.simulators.harness.cell.cell_truth import shipped_task
+from linemate.simulators.harness.setup import shipped_control
 
 URDF = shipped_task().urdf
 

@@ -8,7 +8,7 @@ import pytest
 from linemate.daemon.core.tracking.reference import compile_reference
 from linemate.daemon.core.tracking.task import Phase, TaskFile, WaypointFrame
 from linemate.daemon.core.tracking.touch import touch_profile
-from linemate.simulators.harness.setup import shipped_task
+from linemate.simulators.harness.cell.cell_truth import shipped_task
 
 TASK = shipped_task().file
 STEP_S = 1e-3

@@ -1,0 +1,1 @@
+"""A run's cell from files: arm, task, configuration and scenario."""
