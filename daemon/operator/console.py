@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from linemate.daemon.command_line import CommandLine
 from linemate.daemon.operator import render
 from linemate.daemon.transport.client import (
     DEFAULT_PORT,
@@ -55,7 +56,7 @@ def print_answer(args: argparse.Namespace, answer: Mapping[str, Any]) -> None:
 
 def common_options() -> argparse.ArgumentParser:
     """Return the parent parser of commands that ask a daemon."""
-    common = argparse.ArgumentParser(add_help=False, argument_default=argparse.SUPPRESS)
+    common = CommandLine(add_help=False, argument_default=argparse.SUPPRESS)
     where = common.add_argument_group("where the daemon is")
     where.add_argument("--socket", type=Path, metavar="PATH", help="its local socket")
     where.add_argument(

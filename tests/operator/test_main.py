@@ -311,5 +311,6 @@ def test_a_status_loads_nothing_that_it_does_not_need() -> None:
         "json",
         "msgspec",
         "difflib",
+        "shutil",
     ]
     assert not loaded & {*unwanted, *heavy}

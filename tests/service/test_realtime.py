@@ -10,7 +10,12 @@ from typing import Any
 import pytest
 
 from linemate.daemon.config.settings import RealtimeSettings
-from linemate.daemon.service.host.realtime import Collector, HelperThreads, request_all
+from linemate.daemon.service.host.realtime import (
+    Collector,
+    HelperThreads,
+    request_all,
+    without_reserves,
+)
 
 ASK = """
 import ctypes, json, os, sys, threading
@@ -61,6 +66,67 @@ def test_every_request_is_granted_or_refused_with_its_cost() -> None:
     if by_name["priority"][0]:
         assert answer["policy"] == os.SCHED_FIFO
         assert answer["thread"] == os.SCHED_OTHER
+
+
+LOCKED = """
+import ctypes, json, mmap
+from linemate.daemon.service.host.realtime import request_all
+from linemate.daemon.config.settings import RealtimeSettings
+PAGE, MIB, libc = mmap.PAGESIZE, 1 << 20, ctypes.CDLL(None)
+def mapped():
+    return mmap.mmap(-1, 128 * MIB, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+def address(space, mib):
+    return ctypes.c_void_p(ctypes.addressof(ctypes.c_char.from_buffer(space)) + mib * MIB)
+def share(space, begin, end):
+    size = (end - begin) * MIB - PAGE
+    pages = (ctypes.c_ubyte * (size // PAGE))()
+    assert not libc.mincore(address(space, begin), ctypes.c_size_t(size), pages)
+    return sum(page & 1 for page in pages) / len(pages)
+space = mapped()
+# The last page before each of these may not be touched: they are mappings of their own.
+for mib in (1, 71, 75, 107):
+    assert not libc.mprotect(
+        ctypes.c_void_p(address(space, mib).value - PAGE), ctypes.c_size_t(PAGE), 0
+    )
+space[75 * MIB : 107 * MIB - PAGE] = bytes(32 * MIB - PAGE)
+granted = request_all(RealtimeSettings(lock_memory=True)).outcomes[0].granted
+shares = [share(space, *each) for each in ((1, 71), (71, 75), (75, 107))]
+print(json.dumps([granted, shares, share(mapped(), 0, 4)]))
+"""
+
+
+def test_memory_is_locked_and_faulted_in_but_for_large_reserves() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", LOCKED], capture_output=True, text=True, check=True
+    )
+    granted, (reserve, small, used), later = json.loads(done.stdout)
+    if not granted:
+        pytest.skip("this host grants no locked memory")
+    assert (reserve, small, used, later) == (0.0, 1.0, 1.0, 1.0)
+
+
+SMAPS = """\
+1000-2000 r-xp 00000000 08:01 7 /lib/libopenblas.so
+Rss:                   4 kB
+10000000-12000000 rw-p 00000000 00:00 0
+Rss:                   8 kB
+20000000-22000000 rw-p 00000000 00:00 0
+Rss:               20000 kB
+30000000-32000000 rw-p 00000000 00:00 0                          [heap]
+Rss:                   8 kB
+40000000-40001000 ---p 00000000 00:00 0
+Rss:                   0 kB
+50000000-50001000 r--p 00000000 00:00 0                          [vvar]
+Rss:                   0 kB
+"""
+
+
+def test_a_reserve_is_a_large_nameless_mapping_of_which_little_is_in_use() -> None:
+    assert without_reserves(SMAPS) == [
+        (0x1000, 0x2000),
+        (0x20000000, 0x22000000),
+        (0x30000000, 0x32000000),
+    ]
 
 
 def test_the_timer_slack_of_an_ordinary_process_is_as_configured() -> None:

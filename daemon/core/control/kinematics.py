@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from scipy.linalg.lapack import dgesv as _solve
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.lapack import dgesv as _solve
 
 _LOCAL = pin.ReferenceFrame.LOCAL
 _RAIL_FIRST = np.array((6, 0, 1, 2, 3, 4, 5))

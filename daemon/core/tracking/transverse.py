@@ -15,10 +15,10 @@ from functools import cached_property, lru_cache
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
-from scipy.linalg.lapack import dposv as _solve
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.lapack import dposv as _solve
 from linemate.daemon.core.tracking.observation import PoseMeasurement
 from linemate.daemon.core.tracking.settings import CameraNoise, FusionSettings, SwingMode
 

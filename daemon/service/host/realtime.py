@@ -4,6 +4,7 @@ Invariants:
 - A refusal is a text with its cost and how to allow the request. It never ends the daemon.
 """
 
+import contextlib
 import ctypes
 import gc
 import os
@@ -20,6 +21,9 @@ from linemate.daemon.service.host.idle_spinner import IdleSpinner
 
 MCL_CURRENT: Final = 1
 MCL_FUTURE: Final = 2
+MCL_ONFAULT: Final = 4
+LEAST_RESERVE: Final = 16 << 20  # of a mapping that may stay empty [bytes]
+MOST_USED: Final = 8  # such a mapping is a reserve while less than an eighth of it is in use
 PR_SET_TIMERSLACK: Final = 29
 CAP_IPC_LOCK: Final = 14
 DMA_LATENCY: Final = Path("/dev/cpu_dma_latency")
@@ -149,7 +153,40 @@ def _lock_memory() -> None:
         resource.setrlimit(resource.RLIMIT_MEMLOCK, (hard, hard))
     # Under a finite limit MCL_FUTURE would make a later allocation fail, which kills the daemon.
     unlimited = hard == resource.RLIM_INFINITY or _may_lock_all()
-    _libc("mlockall", MCL_CURRENT | (MCL_FUTURE if unlimited else 0))
+    if not unlimited:
+        _libc("mlockall", MCL_CURRENT)
+        return
+    # Two libraries of BLAS reserve 64 MiB each for products of large matrices. None is computed.
+    # All of it is locked as it is touched; what is no reserve is faulted in now.
+    touched = without_reserves(Path("/proc/self/smaps").read_text(encoding="utf-8"))
+    _libc("mlockall", MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT)
+    for begin, end in touched:
+        # A mapping that is gone by now needs no lock.
+        with contextlib.suppress(OSError):
+            _libc("mlock", begin, end - begin)
+    _libc("mlockall", MCL_FUTURE)
+
+
+def without_reserves(smaps: str) -> list[tuple[int, int]]:
+    """Return begin and end of each mapping of an ``smaps``, but for large reserves.
+
+    A reserve is a nameless mapping of 16 MiB or more, of which less than an eighth is in use.
+    """
+    found: list[tuple[int, int]] = []
+    is_anonymous = False
+    for line in smaps.splitlines():
+        words = line.split()
+        if not words[0].endswith(":"):
+            begin, end = (int(address, 16) for address in words[0].split("-"))
+            is_anonymous = len(words) == 5
+            # The kernel's own pages and guard pages cannot be locked.
+            if "r" in words[1] and not words[-1].startswith("[v"):
+                found.append((begin, end))
+        elif words[0] == "Rss:" and is_anonymous and found and found[-1] == (begin, end):
+            size = end - begin
+            if size >= LEAST_RESERVE and int(words[1]) * 1024 * MOST_USED < size:
+                found.pop()
+    return found
 
 
 def _may_lock_all() -> bool:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import solve_discrete_are
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking import merge
@@ -126,6 +127,20 @@ def test_the_matrix_is_the_optimum_of_the_whole_sum(tau: float, cycle_s: float) 
     found = merge.merge_matrix(tau, cycle_s, n) @ history
     near = round(10 * tau / cycle_s)
     assert np.allclose(found[:near], best[:near], atol=2e-4 * np.abs(best).max())
+
+
+@pytest.mark.parametrize(("tau", "cycle_s"), [(0.027, 0.012), (0.04, 0.012), (0.01, 0.004)])
+def test_the_closed_loop_is_that_of_the_riccati_equation(tau: float, cycle_s: float) -> None:
+    A = np.zeros((ORDER, ORDER))
+    A[0] = [-math.comb(ORDER, j) * (-1.0) ** j for j in range(1, ORDER + 1)]
+    A[1:, :-1] = np.eye(ORDER - 1)
+    B, Q = np.eye(ORDER)[:, :1], np.diag(np.eye(ORDER)[0])
+    R = np.array([[(tau / cycle_s) ** (2 * ORDER)]])
+    P = solve_discrete_are(A, B, Q, R)
+    loop = A - B @ np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
+    matrix = merge.merge_matrix(tau, cycle_s, 30)
+    expected = np.stack([np.linalg.matrix_power(loop, i)[0] for i in range(1, 31)])
+    assert matrix == pytest.approx(expected, rel=1e-6, abs=1e-7 * np.abs(expected).max())
 
 
 def test_merging_again_under_the_same_goal_goes_on_along_the_closed_loop() -> None:
