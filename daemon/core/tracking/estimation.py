@@ -2,6 +2,7 @@
 
 import math
 from bisect import bisect_right
+from collections.abc import Sequence
 
 import numpy as np
 from msgspec.structs import replace
@@ -44,6 +45,7 @@ FIRST_SPREAD = 0.015  # largest range of these readings: none is an outlier [m]
 # The offset of the compliance follows across; the screws turn the object by a milliradian at once.
 _SLOWER = np.array((4.0, 4.0, 4.0, 0.0625, 0.0625, 0.0625))
 _TRANSLATIONS = np.array((4.0, 4.0, 4.0, 0.0, 0.0, 0.0))
+WRENCH_S = 0.05  # a wrench may be so old; health excludes an older one [s]
 SEATING_S = 0.012  # a clamp closes in 0.04 s; contact is detected 0.03 s after it or later [s]
 
 
@@ -62,6 +64,7 @@ def estimate(
         )
     state = _announced(tracker, state, samples)
     raw = mean_wrench(samples.wrench)
+    state = _accelerated(tracker, state, raw, samples)
     state = _weighed(tracker, state, raw)
     wrench = tare.tared(state.tare, raw)
     pull = release.averaged(state.pull, wrench, tracker.cycle_s) if state.contact else state.pull
@@ -150,12 +153,44 @@ def _weighed(tracker: Tracker, state: TrackerState, raw: Wrench | None) -> Track
     down = (-a * x - d * y - g * z, -b * x - e * y - h * z, -c * x - f * y - i * z)
     settings = tracker.settings
     # The force that brakes the tool on its way is no weight.
-    inertia = tracker.vibration.mass * planned_acceleration(tracker, state.poses)
+    inertia = tracker.vibration.mass * state.acceleration
     still = replace(raw, force=raw.force + np.array((0.0, 0.0, inertia)))
     later = tare.updated(
         state.tare, still, down, settings.payload, settings.tactile, tracker.cycle_s
     )
     return replace(state, tare=later)
+
+
+def _accelerated(
+    tracker: Tracker, state: TrackerState, raw: Wrench | None, samples: StepSamples
+) -> TrackerState:
+    """Return the state with the samples of the wrench, and the tool's acceleration at its time.
+
+    The wrench is older than the step: by its transfer, and by half a cycle of samples. A plan of
+    the step itself would be ahead of the force that accelerates the tool.
+    """
+    count = math.ceil(WRENCH_S / tracker.cycle_s) + 1
+    planned = (*state.accelerations, planned_acceleration(tracker, state.poses))[-count:]
+    if raw is None:
+        return replace(state, accelerations=planned, sampled=())
+    late = (samples.stamp_ns - raw.stamp_ns) * 1e-9 / tracker.cycle_s
+    mean = float(raw.force[2])
+    sampled = tuple([each.force[2] - mean for each in samples.wrench])
+    acceleration = at_delay(planned, late)
+    return replace(state, accelerations=planned, acceleration=acceleration, sampled=sampled)
+
+
+def at_delay(values: Sequence[float], late: float) -> float:
+    """Return a value some steps ago, between two of them linearly.
+
+    Args:
+        values: one a step, newest last.
+        late: steps; one beyond the oldest value gives the oldest.
+    """
+    late = min(max(late, 0.0), len(values) - 1.0)
+    whole = int(late)
+    newer, older = values[-1 - whole], values[max(-2 - whole, -len(values))]
+    return newer + (late - whole) * (older - newer)
 
 
 def planned_acceleration(tracker: Tracker, poses: Array) -> float:

@@ -22,7 +22,6 @@ from linemate.daemon.core.tracking.estimation import (
     estimate,
     felt_part,
     is_seated,
-    planned_acceleration,
     sagging,
 )
 from linemate.daemon.core.tracking.go_no_go import prediction_error, target_shift
@@ -486,9 +485,13 @@ def update_contact(
         # A retreat waits for the clamp already, and its own motion feels like a touch.
         return after
     force = None if report.force is None else float(report.force[2])
-    acceleration = planned_acceleration(tracker, before.poses)
     contact_state = contact.record_force(
-        before.contact_state, tracker.vibration, force, acceleration, held=held
+        before.contact_state,
+        tracker.vibration,
+        force,
+        after.acceleration,
+        held=held,
+        samples=after.sampled,
     )
     if contact_state.forces:
         near = contact.reach(tracker.task.guard.clearance)

@@ -155,6 +155,9 @@ class TrackerState(Struct, frozen=True, eq=False):
         digital_in: of the last telegram; before it all set, so that a bit that is set from the
             beginning has no edge.
         announced_s: time since the line announced a stop [s].
+        accelerations: planned along the tool's axis, one a step, newest last [m/s^2].
+        acceleration: of them as the last wrench was measured [m/s^2].
+        sampled: forces of its samples along the tool's axis, off their mean [N].
     """
 
     history: History | None
@@ -200,6 +203,9 @@ class TrackerState(Struct, frozen=True, eq=False):
     tare: Tare = NO_TARE
     digital_in: int = -1
     announced_s: float = math.inf
+    accelerations: tuple[float, ...] = ()
+    acceleration: float = 0.0
+    sampled: tuple[float, ...] = ()
 
 
 class Report(Struct, frozen=True, eq=False):

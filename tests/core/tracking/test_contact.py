@@ -229,3 +229,19 @@ def test_a_contact_can_be_asked_for_with_another_least_force(pushed: float, felt
         state = record_force(state, mode, -pushed if k > 58 else 0.0, 0.0, held=False)
     assert is_contact(state, mode)
     assert is_contact(state, mode, 22.0) is felt
+
+
+@pytest.mark.parametrize(
+    ("samples", "touches"), [((), 1), ((0.0,), 1), ((-3.0, 0.0, 3.0), 3), ((-40.0, 20.0, 20.0), 1)]
+)
+def test_a_step_whose_samples_all_show_the_contact_needs_no_second_step(
+    samples: tuple[float, ...], touches: int
+) -> None:
+    mode = tool_vibration(FREQUENCY, DAMPING, STIFFNESS, FORCE, 0.012)
+    state = NO_CONTACT
+    for _ in range(60):
+        state = record_force(state, mode, 0.0, 0.0, held=False, samples=(-30.0, 30.0))
+        state = count_touches(state, mode, 0.0, NEAR)
+    assert state.touches == 0
+    state = record_force(state, mode, -25.0, 0.0, held=False, samples=samples)
+    assert count_touches(state, mode, 0.0, NEAR).touches == touches

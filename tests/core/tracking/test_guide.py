@@ -7,7 +7,13 @@ import pytest
 from msgspec import structs
 
 from linemate.daemon.core.tracking.classifiers import guide
-from linemate.daemon.core.tracking.classifiers.bank_model import IMPULSE, STATES, SWAY, BankState
+from linemate.daemon.core.tracking.classifiers.bank_model import (
+    IMPULSE,
+    STATES,
+    SWAY,
+    BankState,
+    V,
+)
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
 from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, Source
 from linemate.daemon.core.tracking.settings import BankSettings, FusionSettings
@@ -144,3 +150,44 @@ def test_a_sway_that_was_known_before_the_contact_leads_the_target() -> None:
     led = guide.advance(BANK, state, state, (), DT)
     assert led.guide is not None
     assert led.guide.x[SWAY] == 0.003
+
+
+def frozen_distance(state: BankState, seconds: float) -> tuple[BankState, list[float]]:
+    """The bank in contact with a running body next to a frozen sensor; positions off the body."""
+    way = float(BANK.predict_positions(state, np.zeros(1))[0])
+    off = []
+    for k in range(round(seconds / DT)):
+        at = way + SPEED * (k + 1) * DT
+        rows = [
+            PositionMeasurement(Source.DISTANCE, way, 0.001, 0.00038**2, 4.0),
+            PositionMeasurement(Source.TACTILE, at, 0.0, 3e-5**2, 20.0),
+        ]
+        state = BANK.advance(state, rows, DT)
+        off.append(float(BANK.predict_positions(state, np.array((0.12,)))[0]) - at - 0.12 * SPEED)
+    return state, off
+
+
+def test_a_frozen_distance_that_widens_the_filter_in_contact_brakes_no_target() -> None:
+    state, _ = in_contact(3.0, 0.0)
+    lost, off = frozen_distance(state, 0.24)
+    assert lost.age < state.age
+    assert lost.motion is Motion.RUNNING
+    assert max(map(abs, off)) < 0.001
+
+
+def test_a_guide_takes_the_speed_over_once_a_widened_filter_knows_it() -> None:
+    state, _ = in_contact(3.0, 0.0)
+    assert state.guide is not None
+    wide, x = state.P.copy(), state.x.copy()
+    wide[V, V], x[V] = 0.05**2, 0.08
+    before = structs.replace(state, guide=structs.replace(state.guide, waits=True))
+    waiting = guide.advance(BANK, before, structs.replace(before, P=wide, x=x), (), DT).guide
+    assert waiting is not None
+    assert waiting.waits
+    assert waiting.x[V] == pytest.approx(SPEED, abs=0.002)
+    known = wide.copy()
+    known[V, V] = 1e-6
+    led = guide.advance(BANK, before, structs.replace(before, P=known, x=x), (), DT).guide
+    assert led is not None
+    assert not led.waits
+    assert led.x[V] == 0.08

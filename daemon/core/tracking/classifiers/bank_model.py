@@ -64,12 +64,14 @@ class Guide(Struct, frozen=True, eq=False):
     Attributes:
         x, P, ripple_factor: as of ``BankState``, without an impulse disturbance.
         sways: a sway leads that was known before the contact.
+        waits: the null filter was widened, and does not know the speed again yet.
     """
 
     x: Array
     P: Array
     ripple_factor: float
     sways: bool = True
+    waits: bool = False
 
 
 class BankState(Struct, frozen=True, eq=False):

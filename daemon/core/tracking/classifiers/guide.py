@@ -8,6 +8,8 @@ deflection slowly.
 Invariants:
 - There is a guide in contact only, and not on an object that does not give way.
 - It leads on when the force is lost or wrong: what that made of the null filter moves no target.
+- A null filter that was widened moves it only once that knows the speed again. Until then readings
+  of a wrong sensor, which widened it, would lead the target.
 - An impulse disturbance does not move it; of the sways a slow one that was known before the contact
   does. One that is found in contact may be what the clamped tool itself drives.
 """
@@ -43,6 +45,7 @@ from linemate.daemon.core.tracking.conveyor import (
 
 _SWING = slice(IMPULSE, RIPPLE)
 _SWAY = slice(SWAY, STATES)
+KNOWN = 0.003  # deviation of a speed that is known again [m/s]
 HELD_S = 1.5  # for which it leads on without a deflection: a retreat needs 1 s [s]
 FASTEST = 2.0 * math.pi * 2.5  # sway that is led [rad/s]: a faster one would be driven by its delay
 
@@ -69,7 +72,8 @@ def advance(
     if not is_held and (not state.contact or state.is_firm):
         return state if state.guide is None else replace(state, guide=None)
     guide = before.guide
-    if guide is None or state.age < before.age:
+    waits = guide is not None and (guide.waits or state.age < before.age)
+    if guide is None or (waits and float(state.P[V, V]) < KNOWN**2):
         return replace(state, guide=synchronised(state))
     led = _predicted(model, state, guide, dt)
     for measurement in measurements:
@@ -78,7 +82,7 @@ def advance(
         led = _in_class(model, state, led)
     sways = guide.sways and not sway_filter.has_taken_over(before, state)
     led = led if sways else _without_sway(led)
-    return replace(state, guide=Guide(led.x, led.P, led.ripple_factor, sways))
+    return replace(state, guide=Guide(led.x, led.P, led.ripple_factor, sways, waits))
 
 
 def led_state(state: BankState) -> BankState:

@@ -14,8 +14,9 @@ import math
 from dataclasses import dataclass
 
 from msgspec import Struct
+from msgspec.structs import replace
 
-TOUCHES = 2  # steps in a row that make a contact
+TOUCHES = 2  # in a row that make a contact: steps, or samples of one step
 NEAR = 0.008  # least distance before the object from which a force may be a contact [m]
 EARLY = 0.003  # a touch this far before the estimated object is early [m]
 MARGIN = 0.003  # or this much before the approach is slow: an object that is nearer still [m]
@@ -93,15 +94,18 @@ class ContactState(Struct, frozen=True):
     Attributes:
         forces: along its axis, the newest last, one a step, without those that accelerate it [N].
         calm: steps since the robot last held against its command, as far as memory goes.
-        touches: steps in a row with a contact's force.
+        touches: steps in a row with a contact's force; one in whose samples each shows it counts
+            as a touch a sample.
         free: mean force of the last full period before the tool came near the object [N]; None
             while less is known.
+        samples: of the newest of ``forces``, off it [N].
     """
 
     forces: tuple[float, ...] = ()
     calm: int = 0
     touches: int = 0
     free: float | None = None
+    samples: tuple[float, ...] = ()
 
 
 NO_CONTACT = ContactState()
@@ -114,6 +118,7 @@ def record_force(
     acceleration: float,
     *,
     held: bool,
+    samples: tuple[float, ...] = (),
 ) -> ContactState:
     """Return the state with the force of one step.
 
@@ -122,6 +127,7 @@ def record_force(
         acceleration: planned, along its axis [m/s^2]. The force that accelerates the tool is
             no contact.
         held: the robot did not get the last command and held.
+        samples: of which the force is the mean, off it [N].
     """
     forces = state.forces
     newest = forces[-1] if forces else None
@@ -130,7 +136,7 @@ def record_force(
     if newest is not None:
         forces = (*forces, newest)[-vibration.memory :]
     calm = 0 if held else min(state.calm + 1, vibration.memory)
-    return ContactState(forces, calm, state.touches, state.free)
+    return ContactState(forces, calm, state.touches, state.free, samples)
 
 
 def is_observable(state: ContactState, vibration: ToolVibration) -> bool:
@@ -162,6 +168,19 @@ def is_contact(state: ContactState, vibration: ToolVibration, least: float | Non
     return max(pushes) < -least or min(pushes) > PULL * least
 
 
+def touches_felt(state: ContactState, vibration: ToolVibration) -> int:
+    """Return how many touches the newest step shows: its samples, if each is a contact by itself.
+
+    A slow cycle has several samples. To wait for a second one costs a fast touch 2 mm.
+    """
+    if not is_contact(state, vibration):
+        return 1 if is_lasting_contact(state, vibration) else 0
+    *past, newest = state.forces
+    each = (replace(state, forces=(*past, newest + off)) for off in state.samples)
+    alike = len(state.samples) > 1 and all(is_contact(sample, vibration) for sample in each)
+    return len(state.samples) if alike else 1
+
+
 def is_lasting_contact(state: ContactState, vibration: ToolVibration) -> bool:
     """Return whether a contact's force has been on one side for a full period."""
     free, newest = state.free, state.forces[-vibration.period :]
@@ -184,9 +203,9 @@ def count_touches(
     if not -near < distance < math.inf:
         if len(forces) >= vibration.period:
             free = sum(forces[-vibration.period :]) / vibration.period
-        return ContactState(forces, state.calm, 0, free)
-    is_pressed = is_contact(state, vibration) or is_lasting_contact(state, vibration)
-    return ContactState(forces, state.calm, state.touches + 1 if is_pressed else 0, free)
+        return replace(state, touches=0, free=free)
+    felt = touches_felt(state, vibration)
+    return replace(state, touches=state.touches + felt if felt else 0)
 
 
 def assume_touch(state: ContactState, distance: float, *, is_due: bool) -> ContactState:
@@ -197,4 +216,4 @@ def assume_touch(state: ContactState, distance: float, *, is_due: bool) -> Conta
         is_due: the programme has reached its waypoint of contact and the clamp may be closed.
     """
     near = is_due and -NEAR < distance < math.inf
-    return ContactState(state.forces, state.calm, state.touches + 1 if near else 0, state.free)
+    return replace(state, touches=state.touches + 1 if near else 0)
