@@ -101,7 +101,7 @@ def test_a_command_of_the_demo_names_the_extra_that_is_missing(
 
 def test_every_folder_with_code_is_installed() -> None:
     listed = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
-    folders = {
+    folders = {"linemate"} | {
         ".".join(("linemate", *path.parent.relative_to(ROOT).parts))
         for folder in FOLDERS
         for path in (ROOT / folder).rglob("__init__.py")

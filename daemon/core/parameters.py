@@ -223,3 +223,8 @@ def retuned(parameters: Parameters, tracking: TrackingSettings) -> Parameters:
 def with_foresight(parameters: Parameters, foresight: Foresight) -> Parameters:
     """Return the parameters with an oracle instead of an estimate (variant of a campaign)."""
     return replace(parameters, tracker=replace(parameters.tracker, foresight=foresight))
+
+
+def with_classifier(parameters: Parameters, classifier: Classifier) -> Parameters:
+    """Return the parameters with another conveyor classifier (simulated runs and replays)."""
+    return replace(parameters, tracker=replace(parameters.tracker, classifier=classifier))

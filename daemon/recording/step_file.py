@@ -97,6 +97,11 @@ class StepFile:
             text, *level_and_name = payload
             self._add(LOG, stamp_ns, viewer_messages.encode_line(text, wall_ns, *level_and_name))
 
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """Attach bytes of another format under a name."""
+        now_ns = max(self._offset_ns, 0)
+        self._writer.add_attachment(now_ns, now_ns, name, media_type, data)
+
     def flush(self) -> None:
         """Give everything written so far to the operating system, as a chunk of its own."""
         # The package ends a chunk by its size only and has no other call for it.

@@ -7,7 +7,7 @@ Invariants:
 
 import math
 import statistics
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import chain, islice, pairwise
 from typing import Any
@@ -128,15 +128,20 @@ def replay(pieces: Iterable[Piece], overrides: Overrides | None = None) -> Itera
 
 def replay_outputs(
     pieces: Iterable[Piece],
+    overrides: Overrides | None = None,
+    change: Callable[[Parameters], Parameters] | None = None,
 ) -> Iterator[tuple[StepRecord, stepping.Outputs, Parameters]]:
     """Yield each step that can be replayed, its outputs and parameters.
 
     The outputs have what a recording has not: the horizon.
 
+    Args:
+        change: of the compiled parameters, for example another classifier.
+
     Raises:
         ReplayError: as ``replay``.
     """
-    replayer = _Replayer(Overrides())
+    replayer = _Replayer(overrides or Overrides(), change)
     for piece in pieces:
         if not isinstance(piece, StepRecord):
             replayer.read(piece)
@@ -209,10 +214,13 @@ class _Replayer:
         parameters: the parameters in force, None before they are known.
     """
 
-    def __init__(self, overrides: Overrides) -> None:
+    def __init__(
+        self, overrides: Overrides, change: Callable[[Parameters], Parameters] | None = None
+    ) -> None:
         self.outputs: stepping.Outputs | None = None
         self.parameters: Parameters | None = None
         self._overrides = overrides
+        self._change = change
         self._cell: tuple[TaskFile, str] | None = None
         self._written: Settings | None = None
         self._built_from: tuple[Settings, float] | None = None
@@ -271,7 +279,8 @@ class _Replayer:
         except snapshot.SnapshotError as error:
             self._state = None
             return self._begin_at(record.inputs.robot, str(error))
-        if not self._overrides or _fits(state, parameters):
+        is_own = not self._overrides and self._change is None
+        if is_own or _fits(state, parameters):
             self._state = state
             return None
         held = tuple(state.control.limiter.position.tolist())
@@ -325,6 +334,8 @@ class _Replayer:
             self.parameters = compiling.build(
                 task, urdf, settings.tracking, settings.control, source[1]
             )
+            if self._change is not None:
+                self.parameters = self._change(self.parameters)
         except (ValueError, KeyError, TypeError) as error:
             raise ReplayError(f"parameters: {error}") from error
         self._built_from = source

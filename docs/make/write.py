@@ -12,7 +12,7 @@ from pathlib import Path
 
 import shtab
 
-from docs.make import manual, programs, reference, results, sbom, states
+from docs.make import manual, programs, python_reference, reference, results, sbom, states
 from linemate.daemon.config import config
 
 DOCS = Path(__file__).resolve().parents[1]
@@ -33,6 +33,7 @@ def pages() -> Iterator[tuple[Path, str]]:
         ("parameters.md", reference.parameters_page()),
         ("scenarios.md", reference.scenarios_page()),
         ("task.md", reference.task_page()),
+        ("python.md", python_reference.page()),
     ):
         path = DOCS / name
         kept = path.read_text(encoding="utf-8").partition(reference.MADE)[0]

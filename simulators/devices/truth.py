@@ -12,7 +12,7 @@ import math
 import struct
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -189,13 +189,17 @@ class TruthLog:
         """
         fresh = path.with_name(f".{path.name}.part")
         with fresh.open("wb") as file:
-            np.savez_compressed(
-                file, allow_pickle=False, facts=np.array(json.dumps(facts)), **self.columns()
-            )
+            self.write(file, facts)
         fresh.replace(path)
 
+    def write(self, stream: BinaryIO, facts: Mapping[str, Any]) -> None:
+        """Write the archive of ``save`` to a binary stream."""
+        np.savez_compressed(
+            stream, allow_pickle=False, facts=np.array(json.dumps(facts)), **self.columns()
+        )
 
-def load(path: Path) -> tuple[dict[str, Column], dict[str, Any]]:
+
+def load(path: Path | BinaryIO) -> tuple[dict[str, Column], dict[str, Any]]:
     """Read what ``TruthLog.save`` wrote.
 
     Returns:

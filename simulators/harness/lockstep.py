@@ -30,9 +30,10 @@ from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.devices.truth import TruthLog
 from linemate.simulators.devices.worlds import build_world
 from linemate.simulators.harness.cell import cell_links
+from linemate.simulators.harness.research.plugins import PluginError
 from linemate.simulators.harness.sensor_links import SensorLinks
 from linemate.simulators.harness.setup import Setup
-from linemate.simulators.harness.variants import ORACLE, SetupError
+from linemate.simulators.harness.variants import ORACLE, SetupError, change_of
 from linemate.simulators.judge import rows as columns
 from linemate.simulators.judge.judge import RunEvidence, StateChange, Telegrams
 from linemate.simulators.judge.oracle import Oracle
@@ -52,6 +53,7 @@ CHANGES = 1000
 """Changes of the operating state that are kept, the newest."""
 
 OnStep = Callable[[LogEntry], None]
+Change = Callable[[Parameters], Parameters]
 
 
 @lru_cache(maxsize=8)
@@ -71,6 +73,16 @@ def parameters(
         return build(task, urdf, tracking, control, cycle_s)
     except ValueError as error:
         raise SetupError(str(error)) from error
+
+
+def parameters_of(setup: Setup, cycle_s: float) -> Parameters:
+    """The daemon's parameters of a setup, with the classifier of its variant.
+
+    Raises:
+        SetupError: settings, task and arm do not fit together, or the classifier cannot be used.
+    """
+    compiled = parameters(setup.task, setup.urdf, setup.tracking, setup.control, cycle_s)
+    return _changed(compiled, change_of(setup.variant))
 
 
 def run(
@@ -102,24 +114,34 @@ class Lockstep:
     Attributes:
         controller: the pure emulated controller.
         links: sensor links to the daemon, in virtual time.
+        truth: the plant's truth, a row a telegram.
     """
 
     def __init__(
-        self, setup: Setup, seed: int, *, timing: bool = False, on_step: OnStep | None = None
+        self,
+        setup: Setup,
+        seed: int,
+        *,
+        timing: bool = False,
+        on_step: OnStep | None = None,
+        change: Change | None = None,
     ) -> None:
-        """Set everything up at the beginning of the lead-in."""
+        """Set everything up at the beginning of the lead-in.
+
+        Args:
+            change: of the compiled parameters, after that of the setup's variant.
+        """
         scenario = sample(seed, setup.scenario)
         self._setup, self._scenario = setup, scenario
         self.world: EmulatedWorld = build_world(setup.world, scenario, setup.mujoco)
         self._plant = RobotPlant(self.world)
-        compiled = parameters(
-            setup.task, setup.urdf, setup.tracking, setup.control, scenario.cycle_s
-        )
+        compiled = parameters_of(setup, scenario.cycle_s)
         if setup.variant == ORACLE:
             if not isinstance(self.world, World):
                 raise SetupError("the variant oracle needs a world whose future is known")
             oracle = Oracle(self.world, compiled.tracker.reference.nominal, scenario.cycle_s)
             compiled = with_foresight(compiled, oracle)
+        compiled = _changed(compiled, change)
         links = cell_links.of(setup)
         self.controller, link = cell_links.pair(setup, self._plant, compiled)
         self.cycle = Cycle(compiled, link, links.watch, wrench_expected=links.device is not None)
@@ -132,7 +154,7 @@ class Lockstep:
         self.links = SensorLinks(self.world, self.cycle, self._faults, mount, links)
         self._operator = _Operator(self.cycle)
         n = _count(scenario.lead_in_s + scenario.duration_s, scenario.cycle_s)
-        self._truth = TruthLog(n)
+        self.truth = TruthLog(n)
         self._daemon = _DaemonLog(n)
         self._left = n
         self._timing, self._on_step = timing, on_step
@@ -147,12 +169,12 @@ class Lockstep:
         self.links.carry()
         self._operator.look()
         data = self.controller.telegram()
-        self._truth.begin(self.world, self._plant.axes)
+        self.truth.begin(self.world, self._plant.axes)
         t = self.world.time_s
         if data is not None:
             self._exchange(data, t)
         applied = self.controller.end_of_cycle()
-        self._truth.end(applied)
+        self.truth.end(applied)
         self._log(t)
         self._plant.apply(applied)
         self._left -= 1
@@ -162,7 +184,7 @@ class Lockstep:
         """What the judge wants to know of the run so far."""
         counts, collision = self.controller.counts, self.world.collision
         return RunEvidence(
-            rows=_joined(self._truth, self._daemon),
+            rows=_joined(self.truth, self._daemon),
             scenario=self._scenario.name,
             seed=self._scenario.seed,
             cycle_s=self._scenario.cycle_s,
@@ -211,6 +233,20 @@ class Lockstep:
     def _is_over(self) -> bool:
         collision = self.world.collision
         return collision is not None and self.world.time_s > collision.time_s + AFTER_COLLISION_S
+
+
+def _changed(compiled: Parameters, change: Change | None) -> Parameters:
+    """Return changed parameters.
+
+    Raises:
+        SetupError: a classifier or predictor of another package cannot be used.
+    """
+    if change is None:
+        return compiled
+    try:
+        return change(compiled)
+    except PluginError as error:
+        raise SetupError(str(error)) from error
 
 
 class _Operator:

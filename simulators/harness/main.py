@@ -22,7 +22,7 @@ from linemate.daemon.command_line import (
     check_output_folder,
 )
 from linemate.daemon.near_names import near_names
-from linemate.simulators.harness.variants import VARIANTS, SetupError
+from linemate.simulators.harness.variants import SetupError, is_known, known
 
 MAX_SEEDS = 100_000
 MAX_ROUND_S = 3600.0
@@ -115,12 +115,20 @@ def seeds(text: str) -> tuple[int, ...]:
 def variants(text: str) -> tuple[str, ...]:
     """Names of variants, separated by commas."""
     names = tuple(name.strip() for name in text.split(",") if name.strip())
-    unknown = [name for name in names if name not in VARIANTS]
+    unknown = [name for name in names if not is_known(name)]
     if unknown or not names:
-        near = near_names(unknown[0], VARIANTS) if unknown else ""
-        known = near or f"; there are {', '.join(VARIANTS)}"
-        raise argparse.ArgumentTypeError(f"no variant {', '.join(unknown) or text!r}{known}")
+        near = near_names(unknown[0], known()) if unknown else ""
+        others = near or f"; there are {', '.join(known())}"
+        raise argparse.ArgumentTypeError(f"no variant {', '.join(unknown) or text!r}{others}")
     return names
+
+
+def variant(text: str) -> str:
+    """Name of one variant."""
+    names = variants(text)
+    if len(names) != 1:
+        raise argparse.ArgumentTypeError(f"{text!r} should be one variant")
+    return names[0]
 
 
 def scheduler(text: str) -> str:
@@ -287,7 +295,10 @@ def _add_run(commands: "Commands[CommandLine]") -> None:
     _add_plan(run)
     run.add_argument("--cycle-ms", type=float, metavar="MS", help="instead of the scenario's")
     run.add_argument("--seed", type=seeds, default=(0,), dest="seeds", metavar="N|A..B")
-    run.add_argument("--variant", choices=tuple(VARIANTS), default="default")
+    run.add_argument("--variant", type=variant, default="default", metavar="NAME", help="default")
+    run.add_argument(
+        "--record", action="store_true", help="leave a recording with the truth; needs --out"
+    )
     run.add_argument("--timing", action="store_true", help="measure computing times as well")
 
 

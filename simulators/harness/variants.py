@@ -2,14 +2,20 @@
 
 Invariants:
     A variant changes the daemon's settings and nothing else.
+    A variant of another package changes the classifier or the prediction and nothing else.
     ``oracle`` also gives the tracker the true future: the bound of prediction.
 """
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from linemate.daemon.core.control.settings import ControlSettings
 from linemate.daemon.core.tracking.settings import ClassifierKind, MergeSettings, TrackingSettings
+from linemate.simulators.harness.research.plugin_names import is_plugin, names
+
+if TYPE_CHECKING:
+    from linemate.simulators.harness.research.plugins import Change
 
 Settings = tuple[TrackingSettings, ControlSettings]
 Transformation = Callable[[TrackingSettings, ControlSettings], Settings]
@@ -31,7 +37,7 @@ class UnknownVariantError(SetupError):
 
     def __init__(self, name: str) -> None:
         """Name those that there are."""
-        super().__init__(f"no variant {name!r}; there are {', '.join(VARIANTS)}")
+        super().__init__(f"no variant {name!r}; there are {', '.join(known())}")
         self.name = name
 
 
@@ -86,13 +92,40 @@ VARIANTS: dict[str, Transformation] = {
 
 
 def apply(name: str, tracking: TrackingSettings, control: ControlSettings) -> Settings:
-    """The settings of a variant.
+    """The settings of a variant; a classifier of another package keeps them.
 
     Raises:
         UnknownVariantError: no such variant.
     """
+    transform = VARIANTS.get(name)
+    if transform is not None:
+        return transform(tracking, control)
+    if not is_plugin(name):
+        raise UnknownVariantError(name)
+    return tracking, control
+
+
+def change_of(name: str) -> "Change | None":
+    """Return what a variant changes in compiled parameters, None if nothing.
+
+    Raises:
+        SetupError: the classifier or predictor of another package cannot be used.
+    """
+    if name in VARIANTS:
+        return None
+    from linemate.simulators.harness.research import plugins  # numpy is not for every command
+
     try:
-        transform = VARIANTS[name]
-    except KeyError:
-        raise UnknownVariantError(name) from None
-    return transform(tracking, control)
+        return plugins.change_of(name)
+    except plugins.PluginError as error:
+        raise SetupError(str(error)) from error
+
+
+def known() -> tuple[str, ...]:
+    """Return the names of all variants, those of other packages last."""
+    return (*VARIANTS, *(name for name in names() if name not in VARIANTS))
+
+
+def is_known(name: str) -> bool:
+    """Return whether a name is a variant, shipped or of another package."""
+    return name in VARIANTS or is_plugin(name)

@@ -115,7 +115,7 @@ def join(found: Mapping[str, Any], steps: Iterator[StepRecord]) -> Rows:
         stamp_ns = record.inputs.stamp_ns
         if row is not None:
             last = (float(found["t"][row]), stamp_ns)
-            _fill(rows, row, record)
+            fill_row(rows, row, record)
         if last is not None:
             t = last[0] + (stamp_ns - last[1]) * 1e-9
             events += [DaemonEvent(t, kind, what) for kind, what in record.outputs["events"]]
@@ -123,7 +123,8 @@ def join(found: Mapping[str, Any], steps: Iterator[StepRecord]) -> Rows:
     return replace(joined, **{name: found[name] for name in columns.TRUTH})
 
 
-def _fill(rows: Rows, row: int, record: StepRecord) -> None:
+def fill_row(rows: Rows, row: int, record: StepRecord) -> None:
+    """Fill the daemon's columns of a row with those of a step."""
     outputs = record.outputs
     for name in _POSES:
         if outputs[name] is not None:

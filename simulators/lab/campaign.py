@@ -51,21 +51,28 @@ class CampaignJob:
         seed: of the plant's draws.
         out: where its report goes, None for nowhere.
         timing: measure computing times, which are no function of the seed.
+        is_recorded: leave a recording with the truth in ``out``.
     """
 
     setup: Setup
     seed: int
     out: Path | None = None
     timing: bool = False
+    is_recorded: bool = False
 
 
 def perform(job: CampaignJob) -> dict[str, Any]:
     """Run one job in this process and judge it."""
     from linemate.simulators.harness import lockstep
+    from linemate.simulators.harness.research import recorded_run
     from linemate.simulators.judge.judge import judge
 
-    evidence = lockstep.run(job.setup, job.seed, timing=job.timing)
-    result = judge(evidence)
+    if job.is_recorded and job.out is not None:
+        path = job.out / recorded_run.FILE
+        evidence, result = recorded_run.record(job.setup, job.seed, path, timing=job.timing)
+    else:
+        evidence = lockstep.run(job.setup, job.seed, timing=job.timing)
+        result = judge(evidence)
     if job.out is not None:
         report_json.write_results(job.out, result, evidence.rows)
     return result

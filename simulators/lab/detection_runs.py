@@ -107,7 +107,7 @@ def run(spec: DetectionRun) -> Tally:
     Raises:
         SetupError: settings and task do not fit together.
     """
-    from linemate.simulators.harness.lockstep import parameters
+    from linemate.simulators.harness.lockstep import parameters_of
 
     setup = spec.setup
     scenario = sample(spec.seed, setup.scenario)
@@ -119,7 +119,7 @@ def run(spec: DetectionRun) -> Tally:
         events = tuple(_orders(spec, scenario))
     conveyor = replace(scenario.conveyor, events=events)
     scenario = replace(scenario, conveyor=conveyor)
-    compiled = parameters(setup.task, setup.urdf, setup.tracking, setup.control, scenario.cycle_s)
+    compiled = parameters_of(setup, scenario.cycle_s)
     station = _Station(scenario, setup.tracking, pushes, touched=spec.kind in TOUCHED)
     events_seen = list(_watch(compiled.tracker.classifier, station, spec.duration_s))
     return _tally(events_seen, applied_events(conveyor), pushes, spec.duration_s)

@@ -11,6 +11,7 @@ from typing import Any
 
 from linemate.simulators.harness.cell import cell_files
 from linemate.simulators.harness.setup import make
+from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.judge import report_json
 from linemate.simulators.lab.campaign import CampaignJob, collect, execute, progress_bar
 
@@ -20,11 +21,16 @@ def main(args: Namespace) -> int:
 
     Args:
         args: scenario, cell, config, task, seeds, variant, overrides, cycle_ms, out, json, timing,
-            workers, world, controller.
+            record, workers, world, controller.
 
     Returns:
         0 assembled within limits, 1 not.
+
+    Raises:
+        SetupError: what was asked for cannot be run.
     """
+    if args.record and args.out is None:
+        raise SetupError("--record needs a folder: --out DIR")
     cell = cell_files.chosen(args)
     setup = make(
         cell_files.scenario(args.scenario, cell),
@@ -37,7 +43,13 @@ def main(args: Namespace) -> int:
     )
     single = len(args.seeds) == 1
     jobs = [
-        CampaignJob(setup, seed, _folder(args.out, seed, single), timing=args.timing)
+        CampaignJob(
+            setup,
+            seed,
+            _folder(args.out, seed, single),
+            timing=args.timing,
+            is_recorded=args.record,
+        )
         for seed in args.seeds
     ]
     with progress_bar(len(jobs), "run") as progress:

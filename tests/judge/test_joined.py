@@ -50,7 +50,7 @@ def assert_same(found: Rows, wanted: Rows, but: tuple[str, ...] = ()) -> None:
 
 
 def columns(lockstep: Lockstep) -> dict[str, Any]:
-    return lockstep._truth.columns()
+    return lockstep.truth.columns()
 
 
 def test_joined_rows_are_those_of_virtual_time(

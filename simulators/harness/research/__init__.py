@@ -1,0 +1,1 @@
+"""Python interface for researchers: own classifiers, runs as arrays, recordings with the truth."""
