@@ -8,7 +8,7 @@
 _shtab_linemate_sim_subparsers=(demo run campaign shift world emulator bench schema)
 
 _shtab_linemate_sim_demo_option_strings=(-h --help --scenario --world --controller --out --json --cycle-ms --seed --cars --strict --view)
-_shtab_linemate_sim_run_option_strings=(-h --help --scenario --world --controller --out --json --cell --config --task --set --workers --cycle-ms --seed --variant --timing)
+_shtab_linemate_sim_run_option_strings=(-h --help --scenario --world --controller --out --json --cell --config --task --set --workers --cycle-ms --seed --variant --record --timing)
 _shtab_linemate_sim_campaign_option_strings=(-h --help --scenario --world --controller --out --json --cell --config --task --set --workers --cycle-ms --seeds --first-seed --scheduler --detection --variants)
 _shtab_linemate_sim_shift_option_strings=(-h --help --cars --seed --takt --faulty --workers --json)
 _shtab_linemate_sim_world_option_strings=(-h --help --world --rows --seeds --cycle-ms --json --check --list --kept --set --workers)
@@ -33,7 +33,6 @@ _shtab_linemate_sim_demo___controller_choices=(rsi fanuc egm)
 _shtab_linemate_sim_demo___cycle_ms_choices=(4 8 12 24)
 _shtab_linemate_sim_run___world_choices=(own mujoco)
 _shtab_linemate_sim_run___controller_choices=(rsi fanuc egm)
-_shtab_linemate_sim_run___variant_choices=(oracle default bank imm rule no-classes no-prediction no-feedforward no-damping no-swing no-blend)
 _shtab_linemate_sim_campaign___world_choices=(own mujoco)
 _shtab_linemate_sim_campaign___controller_choices=(rsi fanuc egm)
 _shtab_linemate_sim_world___world_choices=(own mujoco)
@@ -48,6 +47,7 @@ _shtab_linemate_sim_demo___view_nargs=0
 _shtab_linemate_sim_run__h_nargs=0
 _shtab_linemate_sim_run___help_nargs=0
 _shtab_linemate_sim_run___json_nargs=0
+_shtab_linemate_sim_run___record_nargs=0
 _shtab_linemate_sim_run___timing_nargs=0
 _shtab_linemate_sim_campaign__h_nargs=0
 _shtab_linemate_sim_campaign___help_nargs=0
