@@ -64,12 +64,12 @@ class CampaignJob:
 def perform(job: CampaignJob) -> dict[str, Any]:
     """Run one job in this process and judge it."""
     from linemate.simulators.harness import lockstep
-    from linemate.simulators.harness.research import recorded_run
+    from linemate.simulators.harness.research import truth_recording
     from linemate.simulators.judge.judge import judge
 
     if job.is_recorded and job.out is not None:
-        path = job.out / recorded_run.FILE
-        evidence, result = recorded_run.record(job.setup, job.seed, path, timing=job.timing)
+        path = job.out / truth_recording.FILE
+        evidence, result = truth_recording.record(job.setup, job.seed, path, timing=job.timing)
     else:
         evidence = lockstep.run(job.setup, job.seed, timing=job.timing)
         result = judge(evidence)

@@ -16,7 +16,7 @@ from linemate.daemon.recording.step_codec import StepRecord
 from linemate.daemon.recording.step_replay import Overrides
 from linemate.simulators.harness import lockstep, setup, variants
 from linemate.simulators.harness.cell import cell_files
-from linemate.simulators.harness.research import plugins, recorded_run
+from linemate.simulators.harness.research import plugins, truth_recording
 from linemate.simulators.harness.research.run_arrays import Run
 from linemate.simulators.judge import joined
 from linemate.simulators.judge import rows as columns
@@ -54,7 +54,7 @@ def simulate(
             factory called with the conveyor's classes and the tracking settings.
         parameters: values by key as of ``--set``, e.g. ``{"tracking.rule.tentative": 2e-3}``.
         cycle_ms: cycle of the controller [ms]; that of the cell or the scenario without one.
-        world: ``own`` or ``mujoco``.
+        world: what emulates the station, ``own`` plants or ``mujoco``.
         controller: ``rsi``, ``fanuc`` or ``egm``; that of the cell without one.
         record: leave a recording with the truth there.
 
@@ -82,7 +82,7 @@ def simulate(
     )
     if record is not None:
         path = Path(record)
-        evidence, result = recorded_run.record(made, seed, path, change=change)
+        evidence, result = truth_recording.record(made, seed, path, change=change)
         return Run(evidence.rows, result=_named(result, classifier), recording=path)
     run = lockstep.Lockstep(made, seed, change=change)
     while run.turn():
@@ -118,7 +118,7 @@ def replay(
     differ: list[bool] = []
     outputs = step_replay.replay_outputs(step_replay.with_cycle(_undamaged(path)), changes, change)
     steps = list(_replayed(outputs, differ))
-    truth = recorded_run.read_truth(path)
+    truth = truth_recording.read_truth(path)
     rows = _rows_of(steps) if truth is None else joined.join(truth[0], iter(steps))
     is_plain = classifier is None and not parameters
     result = truth[1] if truth is not None and is_plain else None

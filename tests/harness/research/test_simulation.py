@@ -11,7 +11,7 @@ import pytest
 import linemate
 from linemate.daemon.operator.main import main as operator
 from linemate.daemon.recording.format import UnreadableRecordingError
-from linemate.simulators.harness.research import recorded_run
+from linemate.simulators.harness.research import truth_recording
 from linemate.simulators.harness.variants import SetupError
 
 SHORT = {"scenario.lead_in_s": 1.5, "scenario.duration_s": 0.6}
@@ -41,7 +41,7 @@ def test_a_run_has_the_truth_and_the_estimate_in_rows_of_the_same_telegrams(
     assert np.array_equal(columns["truth.setpoints.e1"], recorded.truth["setpoints"][:, 6])
 
 
-def test_a_recorded_run_replays_to_the_same_bits_with_its_truth(recorded: linemate.Run) -> None:
+def test_a_truth_recording_replays_to_the_same_bits_with_its_truth(recorded: linemate.Run) -> None:
     assert recorded.recording is not None
     replayed = linemate.replay(recorded.recording)
     assert replayed.is_identical
@@ -53,7 +53,7 @@ def test_a_recorded_run_replays_to_the_same_bits_with_its_truth(recorded: linema
             assert np.array_equal(before[name], after[name], equal_nan=True), name
 
 
-def test_a_recorded_run_is_the_run(recorded: linemate.Run) -> None:
+def test_a_truth_recording_is_the_run(recorded: linemate.Run) -> None:
     plain = linemate.simulate(parameters=SHORT, seed=3)
     assert plain.result == recorded.result
     assert np.array_equal(plain.truth["tcp"], recorded.truth["tcp"])
@@ -79,7 +79,7 @@ def test_a_recording_of_a_daemon_has_no_truth(
     recorded: linemate.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert recorded.recording is not None
-    monkeypatch.setattr(recorded_run, "TRUTH", "another")
+    monkeypatch.setattr(truth_recording, "TRUTH", "another")
     bare = linemate.replay(recorded.recording)
     assert bare.is_identical
     assert not bare.truth
