@@ -16,8 +16,7 @@ from typing import Any
 
 import yaml
 
-from linemate.daemon.config import task_file
-from linemate.daemon.config.files import DAEMON_DATA
+from linemate.daemon.core.control import urdf_limits
 from linemate.daemon.core.control.settings import ControlSettings, EffectorMode, ServoModel
 from linemate.daemon.core.tracking.settings import SwingMode, TrackingSettings
 from linemate.daemon.cycle.step_log import LogEntry
@@ -28,12 +27,14 @@ from linemate.daemon.recording.step_file import StepFile
 from linemate.daemon.recording.step_items import metadata_of
 from linemate.simulators.devices.worlds import OWN, WORLDS
 from linemate.simulators.harness import families, lockstep, scenario_file
+from linemate.simulators.harness.cell import cell_files
+from linemate.simulators.harness.cell.cell_files import CellFiles
 from linemate.simulators.harness.cell.cell_truth import shipped_task
 from linemate.simulators.harness.identified_overlay import laid_over
 from linemate.simulators.harness.setup import Setup, override
+from linemate.simulators.lab import exercise
 from linemate.simulators.plants.scenario import Scenario
 
-EXERCISE = "exercise.yaml"
 EXERCISE_SCENARIO = "identify"
 FIRST_SEED = 5000  # of recordings: neither tuned on nor verified with
 NEVER_S = 1e6
@@ -59,6 +60,7 @@ class IdentificationPlan:
         overrides: ``KEY=VALUE`` of the plant, as for a run; for a cell that is not the default one.
         world: name, one of ``worlds.WORLDS``.
         controller: family, one of ``families.FAMILIES``.
+        cell: name or folder of a cell that is not the default one.
     """
 
     exercises: int = 2
@@ -68,6 +70,7 @@ class IdentificationPlan:
     overrides: tuple[str, ...] = ()
     world: str = OWN
     controller: str = families.RSI
+    cell: str | None = None
 
 
 def identified(plan: IdentificationPlan, folder: Path) -> Identified:
@@ -93,10 +96,9 @@ def record(setup: Setup, seed: int, path: Path) -> Path:
         "tracking": _plain(setup.tracking),
         "control": _plain(setup.control),
     }
-    text = (DAEMON_DATA / EXERCISE).read_text() if setup.task.name == "exercise" else None
     texts = {
         "config": yaml.safe_dump(config),
-        "task": text or shipped_task().text,
+        "task": exercise.text(setup.task),
         "urdf": setup.urdf,
     }
     file = StepFile(path.open("wb"), metadata_of(texts))
@@ -115,7 +117,8 @@ def record(setup: Setup, seed: int, path: Path) -> Path:
 def _exercise(plan: IdentificationPlan) -> Setup:
     """Return the exercise: programmed motion alone, undamped, so that the tool rings."""
     setup = _initial_setup(plan, EXERCISE_SCENARIO)
-    task = task_file.load(DAEMON_DATA / EXERCISE)
+    cell = _cell(plan)
+    task = exercise.of_cell(shipped_task() if cell is None else cell.task)
     return replace(
         setup,
         task=task.file,
@@ -125,8 +128,26 @@ def _exercise(plan: IdentificationPlan) -> Setup:
     )
 
 
+def _cell(plan: IdentificationPlan) -> CellFiles | None:
+    """Return the files of the plan's cell, None for the default one."""
+    return None if plan.cell is None else cell_files.named(plan.cell)
+
+
+def _truth(name: str, cell: CellFiles | None) -> Scenario:
+    """Return a scenario; in a cell of its own, the exercise has the cell's plant."""
+    if cell is None or cell.scenario is None:
+        return scenario_file.load(name, None if cell is None else cell.task)
+    own = scenario_file.load(cell.scenario, cell.task)
+    if name != EXERCISE_SCENARIO:
+        return own
+    order = scenario_file.load(name, cell.task)
+    conveyor = replace(own.conveyor, events=order.conveyor.events)
+    return replace(own, conveyor=conveyor, lead_in_s=order.lead_in_s, duration_s=order.duration_s)
+
+
 def _initial_setup(plan: IdentificationPlan, name: str) -> Setup:
-    truth: Scenario = scenario_file.load(name)
+    cell = _cell(plan)
+    truth = _truth(name, cell)
     if plan.cycle_ms is not None:
         truth = replace(truth, cycle_s=round(plan.cycle_ms * 1e-3, 9))
     truth = families.truth(plan.controller, truth)
@@ -137,7 +158,33 @@ def _initial_setup(plan: IdentificationPlan, name: str) -> Setup:
         world=plan.world,
         controller=plan.controller,
     )
+    if cell is not None:
+        setup = _of_stranger(setup, cell)
     return override(setup, plan.overrides) if plan.overrides else setup
+
+
+def _of_stranger(setup: Setup, cell: CellFiles) -> Setup:
+    """Return the set-up of a cell whose servos, tool and object were not measured.
+
+    Its links, and what its data sheets say of mount and camera, are configured.
+    """
+    arm = cell.task.file.arm
+    limits = urdf_limits.read(cell.task.urdf, arm.flange, linear_axis=arm.linear_axis)
+    tracking = setup.tracking
+    if cell.station is not None:
+        known = cell.station.config.tracking
+        tactile = replace(known.tactile, deflection=tracking.tactile.deflection)
+        tactile = replace(tactile, angle=tracking.tactile.angle)
+        camera = replace(tracking.camera, blind_below=known.camera.blind_below)
+        tracking = replace(tracking, tactile=tactile, camera=camera)
+    return replace(
+        setup,
+        tracking=tracking,
+        control=replace(setup.control, limits=limits),
+        task=cell.task.file,
+        urdf=cell.task.urdf,
+        station=cell.station,
+    )
 
 
 def _plain(settings: TrackingSettings | ControlSettings) -> dict[str, Any]:
@@ -163,6 +210,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--cycle-ms", type=float, metavar="MS")
     parser.add_argument("--world", choices=WORLDS, default=OWN)
     parser.add_argument("--controller", choices=families.FAMILIES, default=families.RSI)
+    parser.add_argument("--cell", metavar="NAME|DIR")
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
     args = parser.parse_args(argv)
     plan = IdentificationPlan(
@@ -173,6 +221,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         tuple(args.overrides),
         args.world,
         args.controller,
+        args.cell,
     )
     found = identified(plan, args.out)
     print(identify_command.table(found.findings))

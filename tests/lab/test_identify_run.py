@@ -13,7 +13,7 @@ from linemate.daemon.identification.pipeline import Identified
 from linemate.daemon.operator import identify_command
 from linemate.simulators.harness import identified_overlay as overlay
 from linemate.simulators.harness import setup
-from linemate.simulators.lab import identify_run
+from linemate.simulators.lab import exercise, identify_run
 from linemate.simulators.lab.identify_run import IdentificationPlan
 from linemate.simulators.plants.scenario import Effector, Robot
 
@@ -81,7 +81,7 @@ def test_the_overlay_is_what_the_command_line_writes_and_a_run_accepts(
 
 
 def test_the_exercise_is_a_valid_task_that_turns_and_touches_nothing() -> None:
-    task = task_file.load(DAEMON_DATA / identify_run.EXERCISE).file
+    task = task_file.load(DAEMON_DATA / exercise.EXERCISE).file
     assert task.arm == setup.shipped_task().file.arm
     assert replace(task.conveyor) == setup.shipped_task().file.conveyor
     assert {w.phase.value for w in task.waypoints} == {"approach", "done"}

@@ -1,4 +1,4 @@
-"""Cell of a run by files: the daemon's configuration, the task, and the scenario beside them.
+"""Cell of a run by files: the daemon's configuration, the task, and the scenario in its folder.
 
 Invariants:
     A cell's folder has ``linemated.yaml`` and ``scenario.yaml``; a shipped one goes by its name.
@@ -28,7 +28,7 @@ class CellFiles:
     Attributes:
         task: what is assembled, by which arm.
         station: the daemon's configuration; None: that of the shipped cell.
-        scenario: path of the scenario beside it, None if there is none.
+        scenario: path of the scenario in its folder, None if there is none.
     """
 
     task: Task
@@ -47,8 +47,19 @@ class CellFiles:
 
 
 def shipped() -> tuple[str, ...]:
-    """Names of the cells that come with the package, beside the one of the defaults."""
+    """Names of the cells that come with the package; the default one has no name."""
     return tuple(sorted(file.parent.name for file in DATA.glob(f"*/{CONFIG}")))
+
+
+def named(cell: str) -> CellFiles:
+    """Return a shipped cell, or that of a folder.
+
+    Raises:
+        FileError, SetupError: as ``chosen``.
+    """
+    found = chosen(Namespace(cell=cell, config=None, task=None))
+    assert found is not None  # noqa: S101 - it has a configuration
+    return found
 
 
 def chosen(args: Namespace) -> CellFiles | None:
@@ -62,8 +73,8 @@ def chosen(args: Namespace) -> CellFiles | None:
     if args.cell is not None:
         folder = _folder(args.cell)
         file = folder / CONFIG if file is None else file
-        beside = folder / SCENARIO
-        scenario = str(beside) if beside.is_file() else None
+        truth = folder / SCENARIO
+        scenario = str(truth) if truth.is_file() else None
     station = None if file is None else config.load(file)
     if task is None:
         return None if station is None else CellFiles(station.task, station, scenario)

@@ -78,3 +78,11 @@ def test_errors_of_a_file_are_those_of_the_daemon(tmp_path: Path) -> None:
     file.write_text("task: nowhere.yaml\n")
     with pytest.raises(FileError, match=r"task: no such file"):
         chosen(config=file)
+
+
+def test_a_shipped_cell_goes_by_its_name() -> None:
+    assert cell_files.shipped() == ("kr10",)
+    cell = cell_files.named("kr10")
+    assert cell.task.file.name == "mirror"
+    with pytest.raises(SetupError, match="near is kr10"):
+        chosen(cell="kr1")

@@ -47,10 +47,10 @@ def test_the_device_and_the_message_are_those_of_the_configuration() -> None:
 def test_the_camera_sends_the_names_that_are_expected() -> None:
     made_setup = made("dst_six_axes.yaml")
     assert made_setup.station is not None
-    config = replace(made_setup.station.config, camera=CameraSettings(object="door", source="c2"))
+    config = replace(made_setup.station.config, camera=CameraSettings(object="panel", source="c2"))
     station = replace(made_setup.station, config=config)
     sender = cell_links.of(replace(made_setup, station=station)).sender
-    assert (sender.source, sender.frame, sender.object_id) == ("c2", "camera", "door")
+    assert (sender.source, sender.frame, sender.object_id) == ("c2", "camera", "panel")
 
 
 def test_a_sensor_that_the_cell_needs_is_named() -> None:
