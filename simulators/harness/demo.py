@@ -34,6 +34,7 @@ from linemate.simulators.harness import terminal_view as live
 from linemate.simulators.harness.cell.cell_truth import shipped_task
 from linemate.simulators.harness.emulator_command import EX_BROKEN
 from linemate.simulators.harness.processes import (
+    DAEMON,
     START_S,
     Child,
     ChildError,
@@ -82,6 +83,7 @@ class DemoStation:
         controller: family, one of ``families.FAMILIES``.
         robot_port: UDP port of a controller that the daemon must ask.
         ports: TCP ports of the slcan adapter and of the force-torque sensor.
+        daemon: module that is run as the daemon.
     """
 
     folder: Path
@@ -91,6 +93,7 @@ class DemoStation:
     controller: str = families.RSI
     robot_port: int = field(default_factory=lambda: _free_port(socket.SOCK_DGRAM))
     ports: tuple[int, int] = field(default_factory=lambda: (_free_port(), _free_port()))
+    daemon: str = DAEMON
 
     @property
     def truth(self) -> Path:
@@ -298,7 +301,7 @@ def perform(
         cores = host.shared_out() if host.missing_rights() is None else ((), ())
         station = DemoStation(Path(folder), scenario, cores, world, controller)
         began_s, stolen_s = time.monotonic(), host.stolen_s()
-        status = _run(station, is_viewed=is_viewed)
+        status = run_station(station, is_viewed=is_viewed)
         withheld = _withheld(stolen_s, host.stolen_s(), time.monotonic() - began_s)
         recording = _only_recording(station.folder)
         evidence = joined.evidence(station.truth, recording, scenario)
@@ -315,7 +318,7 @@ def perform(
     return result
 
 
-def _run(station: DemoStation, *, is_viewed: bool = False) -> dict[str, Any]:
+def run_station(station: DemoStation, *, is_viewed: bool = False) -> dict[str, Any]:
     """Start both processes, see the run through, end both; return the daemon's last status."""
     scenario, folder = station.scenario, station.folder
     title = f"{scenario.name}, seed {scenario.seed}, {1e3 * scenario.cycle_s:g} ms"
@@ -359,7 +362,7 @@ def _open_view(station: DemoStation, children: Children) -> None:
 def _start_daemon(station: DemoStation, children: Children) -> tuple[Child, dict[str, Any]]:
     """Start the daemon, and wait for its word of where it listens."""
     file = station.write("daemon", station.daemon_file())
-    return start_daemon(children, file, station.folder / "daemon.log")
+    return start_daemon(children, file, station.folder / "daemon.log", station.daemon)
 
 
 def _stalled(emulated: Emulated, status: Mapping[str, Any], operator: "_Operator") -> str:

@@ -27,6 +27,7 @@ from linemate.simulators.harness.variants import SetupError, is_known, known
 MAX_SEEDS = 100_000
 MAX_ROUND_S = 3600.0
 BENCH_PARTS = ("turnaround", "wakeup", "step", "virtual")
+ALL_PARTS = (*BENCH_PARTS, "cpu")
 MAX_HOURS = 10_000.0
 MODULES = {
     "demo": "harness.demo",
@@ -191,8 +192,8 @@ def _cycles(text: str) -> tuple[int, ...]:
 def _parts(text: str) -> tuple[str, ...]:
     """Parts of the bench, separated by commas."""
     names = tuple(dict.fromkeys(text.split(",")))
-    if not set(names) <= set(BENCH_PARTS):
-        raise argparse.ArgumentTypeError(f"{text!r} should be of {', '.join(BENCH_PARTS)}")
+    if not set(names) <= set(ALL_PARTS):
+        raise argparse.ArgumentTypeError(f"{text!r} should be of {', '.join(ALL_PARTS)}")
     return names
 
 
@@ -254,7 +255,11 @@ def _add_bench(commands: "Commands[CommandLine]") -> None:
         "--cycles", type=_cycles, default=(12, 4, 2, 1), metavar="MS,...", help="of 12, 4, 2, 1"
     )
     bench.add_argument(
-        "--parts", type=_parts, default=BENCH_PARTS, metavar="A,...", help=", ".join(BENCH_PARTS)
+        "--parts",
+        type=_parts,
+        default=BENCH_PARTS,
+        metavar="A,...",
+        help=", ".join(BENCH_PARTS) + "; cpu: an assembly at each cycle, by part",
     )
     bench.add_argument(
         "--awake",

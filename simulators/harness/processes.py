@@ -31,6 +31,9 @@ LOG_TAIL: Final = 12
 LEAST_URGENT: Final = 19
 """The greatest niceness."""
 
+DAEMON: Final = "linemate.daemon.service.main"
+"""Module of the daemon."""
+
 _libc = ctypes.CDLL(None, use_errno=True)
 
 
@@ -246,8 +249,13 @@ def die_with(parent: int) -> None:
         os._exit(1)
 
 
-def start_daemon(children: Children, config: Path, log: Path) -> tuple[Child, dict[str, Any]]:
+def start_daemon(
+    children: Children, config: Path, log: Path, module: str = DAEMON
+) -> tuple[Child, dict[str, Any]]:
     """Start a daemon, and return it with the addresses on which it listens.
+
+    Args:
+        module: that is run as the daemon.
 
     Raises:
         ChildError: it ended without a message.
@@ -257,7 +265,7 @@ def start_daemon(children: Children, config: Path, log: Path) -> tuple[Child, di
     with os.fdopen(reading, encoding="utf-8") as pipe:
         try:
             command = [
-                sys.executable, "-m", "linemate.daemon.service.main",
+                sys.executable, "-m", module,
                 "--config", str(config), "--ready-fd", str(writing),
             ]  # fmt: skip
             daemon = children.start("daemon", command, log, keep=[writing])

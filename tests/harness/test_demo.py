@@ -207,7 +207,7 @@ def test_a_daemon_that_does_not_start_is_reported_with_its_own_words(
         demo.DemoStation, "daemon_file", lambda station: {**sound(station), "bogus": 1}
     )
     with pytest.raises(ChildError, match=r"(?s)daemon did not start.*bogus: unknown key"):
-        demo._run(demo.DemoStation(tmp_path, Scenario()))
+        demo.run_station(demo.DemoStation(tmp_path, Scenario()))
     assert children_of(tmp_path) == {}
 
 

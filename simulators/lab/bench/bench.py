@@ -30,11 +30,12 @@ from linemate.daemon.operator import doctor
 from linemate.daemon.service.host.idle_spinner import IdleSpinner
 from linemate.daemon.transport.client import NoAnswerError, RefusedError
 from linemate.simulators.harness import host, setup
+from linemate.simulators.harness.demo import DemoError
 from linemate.simulators.harness.lockstep import Lockstep
 from linemate.simulators.harness.processes import ChildError, interruptible
 from linemate.simulators.judge import report_json
 from linemate.simulators.judge.table import DASH, aligned, number
-from linemate.simulators.lab.bench import bench_floor, bench_trace, bench_turnaround
+from linemate.simulators.lab.bench import bench_cpu, bench_floor, bench_trace, bench_turnaround
 from linemate.simulators.lab.bench.bench_trace import StationTrace
 from linemate.simulators.lab.bench.bench_turnaround import MOVING, Bench, Measured
 
@@ -199,6 +200,8 @@ def measure_all(options: Options) -> dict[str, Any]:
         jobs.append(virtual_job(VIRTUAL))
     gc.collect()
     figures = interleaved(jobs, options.rounds)
+    if "cpu" in options.parts:
+        result["cpu"] = bench_cpu.measure(options.cycles_ms)
     if "step" in options.parts:
         result["step_us"] = {str(n): round(figures[str(n)], 1) for n in HORIZONS}
     if "virtual" in options.parts:
@@ -286,6 +289,9 @@ def plain(result: Mapping[str, Any]) -> str:
     rows = list(_rows(result))
     if rows:
         lines += ["", *aligned(("figure", "here"), rows)]
+    if "cpu" in result:
+        lines += ["", "Processor time and memory of the daemon in a live assembly"]
+        lines += aligned(bench_cpu.HEAD, list(bench_cpu.rows(result["cpu"])))
     return "\n".join(lines)
 
 
@@ -333,7 +339,7 @@ def main(args: argparse.Namespace) -> int:
     try:
         with interruptible():
             result = measure_all(options)
-    except (ChildError, NoAnswerError, RefusedError, TimeoutError) as error:
+    except (ChildError, DemoError, NoAnswerError, RefusedError, TimeoutError) as error:
         print(f"linemate-sim bench: {error}", file=sys.stderr)
         return EX_UNAVAILABLE
     if args.plot is not None:
