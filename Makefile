@@ -69,6 +69,7 @@ OWN_TESTS := tests/protocol tests/cycle/test_states.py tests/cycle/test_states_t
 	tests/core/control/test_command_limiter.py tests/core/control/test_command_limiter_transcript.py
 JUDGED := daemon/cycle/states.py,daemon/cycle/watch.py,daemon/core/control/axis_limits.py,protocol/exchange*.py
 JUDGED := $(JUDGED),daemon/core/control/command_limiter.py,protocol/rsi/*.py,protocol/command/*.py,protocol/sensors/*.py,protocol/units.py
+JUDGED := $(JUDGED),protocol/controller_*.py,protocol/egm/*.py,protocol/fanuc/*.py
 
 coverage: .venv/.ok
 	COVERAGE_FILE=.coverage.judged .venv/bin/python -m coverage run -m pytest -q $(OWN_TESTS) $(ARGS)

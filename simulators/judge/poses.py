@@ -62,27 +62,3 @@ def distance(a: Floats, b: Floats) -> tuple[Floats, Floats]:
     # atan2 keeps its precision for the microradians that arccos(w) would lose.
     angle = 2.0 * np.arctan2(np.linalg.norm(turn[:, 1:], axis=1), np.abs(turn[:, 0]))
     return np.linalg.norm(a[:, :3] - b[:, :3], axis=1), angle
-
-
-def from_matrices(matrices: Floats) -> Floats:
-    """Homogeneous transforms (n, 4, 4) as seven numbers (n, 7), w >= 0; NaN rows stay NaN."""
-    m = matrices[:, :3, :3]
-    poses = np.full((len(matrices), 7), np.nan)
-    poses[:, :3] = matrices[:, :3, 3]
-    known = np.isfinite(m).all(axis=(1, 2))
-    m = m[known]
-    # Each column is the quaternion scaled by one of its own components: the largest is used.
-    diagonal = np.diagonal(m, axis1=1, axis2=2)
-    trace = diagonal.sum(axis=1)
-    q = np.empty((len(m), 4, 4))
-    q[:, 0, 0] = 1.0 + trace
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        q[:, i + 1, i + 1] = 1.0 + 2.0 * diagonal[:, i] - trace
-        q[:, 0, i + 1] = q[:, i + 1, 0] = m[:, k, j] - m[:, j, k]
-        q[:, j + 1, k + 1] = q[:, k + 1, j + 1] = m[:, j, k] + m[:, k, j]
-    largest = np.argmax(np.diagonal(q, axis1=1, axis2=2), axis=1)
-    chosen = q[np.arange(len(m)), largest]
-    chosen /= np.linalg.norm(chosen, axis=1, keepdims=True)
-    poses[known, 3:] = np.where(chosen[:, :1] < 0.0, -chosen, chosen)
-    return poses

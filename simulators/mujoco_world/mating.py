@@ -85,7 +85,6 @@ class BoltMating:
         self.collision: MatingCollision | None = None
         self.fixed_s: float | None = None
         self.released_s: float | None = None
-        self.peak_n = 0.0
         self._orders = 0
         self._screwing_s: float | None = None
         self._releasing_s: float | None = None
@@ -115,7 +114,6 @@ class BoltMating:
 
     def advance(self, t: float, dt: float, now: MatingPoses) -> None:
         """Judge one time step that ends at t."""
-        self.peak_n = max(self.peak_n, now.touch_n)
         depth = now.wheel[2]
         if self.phase == "free" and now.touch_n > TOUCH_N:
             self.phase = "clamped"

@@ -239,11 +239,6 @@ class MujocoWorld:
         """When the gripper let go of the wheel [s]."""
         return self._mating.released_s
 
-    @property
-    def peak_force(self) -> float:
-        """Largest force between wheel and hub so far [N]."""
-        return self._mating.peak_n
-
     # Sensors
 
     def take_distance(self) -> list[MujocoDistance]:

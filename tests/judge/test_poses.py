@@ -39,20 +39,6 @@ def test_a_relative_pose_leads_back(seed: int) -> None:
     assert max(shift.max(), turn.max()) < 1e-12
 
 
-@given(seeds)
-def test_matrices_come_back_as_the_same_poses(seed: int) -> None:
-    a = random_poses(seed)
-    assert np.allclose(poses.from_matrices(matrices(a)), a)
-
-
-def test_half_turns_come_back_and_the_unknown_stays_unknown() -> None:
-    turns = np.stack([np.diag([*signs, 1.0]) for signs in ((1, -1, -1), (-1, 1, -1), (-1, -1, 1))])
-    turns = np.concatenate((turns, np.full((1, 4, 4), np.nan)))
-    found = poses.from_matrices(turns)
-    assert np.allclose(np.abs(found[:3, 3:]), np.eye(4)[1:])
-    assert np.isnan(found[3]).all()
-
-
 @given(seeds, st.floats(1e-7, 3.1))
 def test_the_distance_of_poses_is_their_shift_and_their_turn(seed: int, angle: float) -> None:
     a = random_poses(seed)
