@@ -182,9 +182,12 @@ class ControllerLink(Protocol):
             ControllerError: the wire cannot carry it.
         """
 
-    def without_setpoint(self, digital_out: int) -> PreparedReply | None:
+    def without_setpoint(
+        self, digital_out: int, *, writes_zero: bool = False
+    ) -> PreparedReply | None:
         """Return the reply that leaves the robot as it is, None if silence does so.
 
         Args:
             digital_out: signals to the tool; 0 is not written, they stay as they were.
+            writes_zero: 0 is written too.
         """

@@ -46,6 +46,10 @@ class WatchSettings:
         longest_hold_s: longest HOLD before a fault [s].
         longest_retreat_s: longest RETREAT before a fault [s].
         longest_home_s: longest way home before a fault [s].
+        in_sync_tolerance: largest distance of the commanded tcp from the sensed one at which the
+            cell is in sync [m].
+        in_sync_bit: bit of the tool's signals (DiO of RSI) that reports it, 2..7; bits 0 and 1 are
+            the tool's. None: no bit.
     """
 
     link_lost_s: Duration = 0.1
@@ -67,6 +71,8 @@ class WatchSettings:
     longest_hold_s: Annotated[float, Gt(0.0), Le(3600.0)] = 60.0
     longest_retreat_s: Annotated[float, Gt(0.0), Le(600.0)] = 20.0
     longest_home_s: Annotated[float, Gt(0.0), Le(600.0)] = 60.0
+    in_sync_tolerance: Annotated[float, Gt(0.0), Le(0.1)] = 0.002
+    in_sync_bit: Annotated[int, Ge(2), Le(7)] | None = None
 
 
 def timeout_error(settings: WatchSettings, cycle_s: float) -> tuple[str, str] | None:

@@ -22,6 +22,7 @@ from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle import states
 from linemate.daemon.cycle.correction_reference import RESTART_S, Proof
+from linemate.daemon.cycle.in_sync import is_in_sync
 from linemate.daemon.cycle.session import Axes
 from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.cycle.steps import PreparedStep, Stepper
@@ -314,7 +315,9 @@ class Cycle(Stepper):
             self._step_unsent(self._state, stamp_ns)
         self.session.refrain()
         signals = 0 if self.last is None or self._state is None else self.last.outputs.digital_out
-        reply = self._link.without_setpoint(signals)
+        # A bit that says in sync must not stay set while the robot is not led.
+        has_bit = self.operating.settings.in_sync_bit is not None
+        reply = self._link.without_setpoint(signals, writes_zero=has_bit)
         return b"" if reply is None else reply.with_counter(echo)
 
     def _answer(
@@ -413,5 +416,14 @@ class Cycle(Stepper):
         if self.last is not None:
             outputs = self.last.outputs
             status["phase"] = outputs.phase.value
+            tolerance = self.operating.settings.in_sync_tolerance
+            status["measured"] = _measured(self.last)
+            status["in_sync"] = is_in_sync(self.machine.state.value, outputs, tolerance)
             status |= {name: getattr(outputs, name) for name in _SHOWN}
         return status
+
+
+def _measured(entry: LogEntry) -> tuple[float, ...] | None:
+    """Return A1..A6 [rad] and E1 [m] of the telegram before a step, None if it was missing."""
+    robot = entry.inputs.robot
+    return None if robot is None else (*robot.joints, *robot.external[:1])

@@ -18,6 +18,7 @@ from linemate.daemon.core.tracking.touch import tare
 from linemate.daemon.cycle import states
 from linemate.daemon.cycle.causes import Change
 from linemate.daemon.cycle.following_error import FollowingCheck
+from linemate.daemon.cycle.in_sync import is_in_sync
 from linemate.daemon.cycle.operating import Operating, Situation
 from linemate.daemon.cycle.samples import SensorQueues
 from linemate.daemon.cycle.sensor_health import Conditions
@@ -381,8 +382,12 @@ class Stepper:
         """Return the reply to a step without its counter."""
         is_offset = self._link.rules.setpoints is SetpointKind.OFFSETS
         origin = self.session.reference if is_offset else self.session.held
-        outputs = entry.outputs
-        return self._link.prepare(outputs.command, origin, outputs.digital_out)
+        outputs, watch = entry.outputs, self.operating.settings
+        signals = outputs.digital_out
+        if watch.in_sync_bit is not None:
+            is_set = is_in_sync(entry.state, outputs, watch.in_sync_tolerance)
+            signals |= is_set << watch.in_sync_bit
+        return self._link.prepare(outputs.command, origin, signals)
 
     def _add(self, entry: LogEntry, plan: stepping.StepPlan) -> None:
         """Remember a step, for the next decision and for the log."""

@@ -108,9 +108,11 @@ class EgmLink:
         )
         return PreparedReply(b"", self._codec.correction_body(message))
 
-    def without_setpoint(self, digital_out: int) -> PreparedReply | None:
+    def without_setpoint(
+        self, digital_out: int, *, writes_zero: bool = False
+    ) -> PreparedReply | None:
         """Return None: the last setpoint holds, and silence leaves it."""
-        del digital_out
+        del digital_out, writes_zero
         return None
 
     def _signals(self, message: messages.RobotMessage) -> int:

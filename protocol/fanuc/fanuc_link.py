@@ -183,9 +183,9 @@ class FanucLink:
         )
         return PreparedReply(data[: _COUNTER.start], data[_COUNTER.stop :])
 
-    def without_setpoint(self, digital_out: int) -> None:
+    def without_setpoint(self, digital_out: int, *, writes_zero: bool = False) -> None:
         """Return None: without a command the controller keeps to its own program."""
-        del digital_out
+        del digital_out, writes_zero
 
     def _positions(self, wire: tuple[float, ...]) -> tuple[float, ...]:
         """Return the axes of the arm [rad, m] of J1..J9 [deg, mm]."""

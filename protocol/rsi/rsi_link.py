@@ -96,13 +96,14 @@ class RsiLink:
         telegram = self._codec.expect_robot(counter, delay, joints, reach)
         return None if telegram is None else (telegram, b"%d" % counter)
 
-    def without_setpoint(self, digital_out: int) -> PreparedReply:
+    def without_setpoint(self, digital_out: int, *, writes_zero: bool = False) -> PreparedReply:
         """Return a reply that leaves the robot where it is and tells the tool what to do.
 
         Args:
             digital_out: the tool's signals; 0 is not written, they stay as they were.
+            writes_zero: 0 is written too.
         """
-        if not digital_out or not self._writes_signals:
+        if not (digital_out or writes_zero) or not self._writes_signals:
             return self.bare
         signals = f"<DiO>{digital_out}</DiO><IPOC>".encode()
         return PreparedReply(self.bare.head.replace(b"<IPOC>", signals), self.bare.tail)

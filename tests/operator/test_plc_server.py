@@ -1,6 +1,7 @@
 """The OPC UA server as a PLC sees it: asyncua's client against the server's own process."""
 
 import asyncio
+import math
 import subprocess
 import sys
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
@@ -110,6 +111,40 @@ def test_a_plc_announces_starts_and_reads_the_results(endpoint: str) -> None:
 
             await until(runs)
             assert await call(station, "Hold") == (True, "")
+
+    asyncio.run(body())
+
+
+def test_the_names_of_opc_40010_lead_to_task_and_axes(endpoint: str) -> None:
+    async def body() -> None:
+        async with session(endpoint, "viewr") as station:
+            client = Client(endpoint)
+            client.set_user("viewr")
+            client.set_password(PASSWORD)
+            async with client:
+                own = station.nodeid.NamespaceIndex
+                di = await client.get_namespace_index("http://opcfoundation.org/UA/DI/")
+                names = await client.get_namespace_index("http://opcfoundation.org/UA/Robotics/")
+                root = [f"{di}:DeviceSet", f"{own}:linemate"]
+
+                async def value(*path: str) -> Any:
+                    node = await client.nodes.objects.get_child([*root, *path])
+                    return await node.read_value()
+
+                task = [f"{names}:Controllers", f"{own}:Daemon", f"{names}:TaskControls"]
+                task += [f"{own}:Task", f"{di}:ParameterSet"]
+                await until(lambda: read(station, "Connected"))
+                assert await value(*task, f"{names}:TaskProgramName") == "wheel"
+                assert await value(*task, f"{names}:TaskProgramLoaded") is True
+                assert await value(*task, f"{names}:ExecutionMode") == 1
+                robot = [f"{names}:MotionDevices", f"{own}:Robot"]
+                # No robot has sent a telegram.
+                assert await value(*robot, f"{di}:ParameterSet", f"{names}:OnPath") is False
+                axis = [*robot, f"{names}:Axes", f"{own}:A1", f"{di}:ParameterSet"]
+                assert math.isnan(await value(*axis, f"{names}:ActualPosition"))
+                unit = await value(*axis, f"{names}:ActualPosition", "0:EngineeringUnits")
+                assert unit.DisplayName.Text == "rad"
+                assert await client.nodes.objects.get_child([*root, f"{names}:SafetyStates"])
 
     asyncio.run(body())
 

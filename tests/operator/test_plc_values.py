@@ -6,8 +6,6 @@ import pytest
 
 from linemate.daemon.operator.plc.plc_values import PlcValues, values_of
 
-POSE = [1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0]
-
 
 def status(state: str, **changes: Any) -> dict[str, Any]:
     production = {"held": None, "part": None, "queue": [], "at_home": True}
@@ -41,21 +39,9 @@ def test_ready_and_busy_follow_state_and_part(
     assert values.Fault == (state == "fault")
 
 
-@pytest.mark.parametrize(
-    ("state", "off_m", "held", "in_sync"),
-    [
-        ("track", 0.0019, None, True),
-        ("track", 0.0021, None, False),
-        ("contact", 0.0, None, True),
-        ("contact", 0.0, "limited: A1", False),
-        ("idle", 0.0, None, False),
-    ],
-)
-def test_in_sync_needs_a_robot_that_follows_within_the_tolerance(
-    state: str, off_m: float, held: str | None, in_sync: bool
-) -> None:
-    sensed = [POSE[0] + off_m, *POSE[1:]]
-    values = values_of(status(state) | {"target": POSE, "sensed": sensed, "held": held})
+@pytest.mark.parametrize(("shown", "in_sync"), [(True, True), (False, False), (None, False)])
+def test_in_sync_is_what_the_daemon_shows(shown: bool | None, in_sync: bool) -> None:
+    values = values_of(status("track") | ({} if shown is None else {"in_sync": shown}))
     assert values.InSync == in_sync
 
 

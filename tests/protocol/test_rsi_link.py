@@ -64,6 +64,8 @@ def test_a_reply_without_corrections_tells_the_tool_what_to_do_and_nothing_else(
     assert b"<DiO>2</DiO><IPOC>7</IPOC>" in data
     assert b"<AK" not in data
     assert with_signals.without_setpoint(0) == with_signals.bare
+    cleared = with_signals.without_setpoint(0, writes_zero=True).with_counter(b"7")
+    assert b"<DiO>0</DiO><IPOC>7</IPOC>" in cleared
     assert replies(*AXES).without_setpoint(2) == replies(*AXES).bare
 
 

@@ -19,6 +19,8 @@ from asyncua.server.user_managers import UserManager
 from linemate.daemon.operator.plc import plc_users
 from linemate.daemon.operator.plc.plc_users import PlcUser
 from linemate.daemon.operator.plc.plc_values import PlcValues, values_of
+from linemate.daemon.operator.plc.robotics_nodes import RoboticsNodes
+from linemate.daemon.operator.plc.robotics_values import robotics_values
 from linemate.daemon.transport.client import Client, NoAnswerError, RefusedError
 from linemate.protocol.command.frame_codec import CommandError, Role
 
@@ -110,6 +112,7 @@ class PlcServer:
         self._client: Client | None = None
         self._lock = asyncio.Lock()
         self._nodes: dict[str, Any] = {}
+        self._robotics = RoboticsNodes()
 
     async def run(
         self,
@@ -163,6 +166,7 @@ class PlcServer:
                 [_argument(*argument) for argument in arguments],
                 [_argument("ok", ua.VariantType.Boolean), _argument("why", ua.VariantType.String)],
             )
+        await self._robotics.make(server, index)
 
     def _method(self, op: str, names: tuple[str, ...]) -> Callable[..., Any]:
         """Return what asyncua calls for a method: it returns whether it was done, and why not."""
@@ -210,6 +214,7 @@ class PlcServer:
             if value != getattr(self.values, name):
                 await self._nodes[name].write_value(ua.Variant(value, _TYPES[type(value)]))
         self.values = values
+        await self._robotics.write(robotics_values(status))
 
 
 def _argument(name: str, kind: ua.VariantType) -> ua.Argument:

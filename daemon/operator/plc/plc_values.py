@@ -4,12 +4,9 @@ Invariants:
 - Pure: a status in, plain values out. Without a status the cell is neither ready nor in sync.
 """
 
-import math
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
-IN_SYNC_M: Final = 0.002  # distance of the tcp from its target below which the cell is in sync [m]
-FOLLOWING: Final = frozenset({"track", "contact"})
 MOVING: Final = frozenset({"track", "contact", "retreat", "home"})
 
 
@@ -17,7 +14,7 @@ class PlcValues(NamedTuple):
     """Variables of the server, in the order and with the names that it shows.
 
     Attributes:
-        InSync: the tool follows the part, and is off its sensed target by 2 mm at most.
+        InSync: the tool follows the part, within ``watch.in_sync_tolerance``.
         Ready: production runs and the robot waits at the first pose.
         Busy: the robot is in motion, or a part is being assembled.
         Done: the last part has its result, and no other one is begun.
@@ -63,7 +60,7 @@ def values_of(status: Mapping[str, Any] | None) -> PlcValues:
     return PlcValues(
         Connected=True,
         State=state,
-        InSync=_is_in_sync(status, state),
+        InSync=status.get("in_sync") is True,
         Ready=is_running and state == "idle" and not part and bool(production.get("at_home")),
         Busy=is_busy,
         Done=bool(last) and not part,
@@ -80,11 +77,3 @@ def values_of(status: Mapping[str, Any] | None) -> PlcValues:
         Good=int(counts.get("good", 0)),
         Bad=int(counts.get("bad", 0)),
     )
-
-
-def _is_in_sync(status: Mapping[str, Any], state: str) -> bool:
-    """Return whether the tool follows the part within the tolerance."""
-    target, sensed = status.get("target"), status.get("sensed")
-    if state not in FOLLOWING or status.get("held") is not None or not target or not sensed:
-        return False
-    return math.dist(target[:3], sensed[:3]) <= IN_SYNC_M
