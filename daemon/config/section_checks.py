@@ -114,11 +114,23 @@ def complaints(
     peer = values.get("camera", "peer", kind=str)
     if peer is not None:
         yield from _complaint(("camera", "peer"), parse_peer, peer)
+    yield from _drift_and_learning(values)
     bind = values.get("command", "udp", "bind", kind=str, default=_LOOPBACK)
     remote = values.get("command", "udp", "allow_remote", kind=bool, default=False)
     if bind and not remote:
         yield from _complaint(("command", "udp", "bind"), _check_consent, bind)
     yield from _shared_ports(values, *robot)
+
+
+def _drift_and_learning(values: PlainValues) -> Iterator[Complaint]:
+    """Yield the contradiction of a dead time that drifts and servos that are learned."""
+    drifts = any(values.get("control", "drift", key, kind=float) for key in ("shorter", "longer"))
+    if drifts and values.has("learning"):
+        yield Complaint(
+            ("learning",),
+            "control.drift is set: a longer dead time would be learned as a slower servo. "
+            "Remove one of them.",
+        )
 
 
 def _complaint(

@@ -10,7 +10,7 @@ import numpy as np
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.control import controller as control
-from linemate.daemon.core.control import kinematics, urdf_limits
+from linemate.daemon.core.control import dead_time, kinematics, urdf_limits
 from linemate.daemon.core.control.settings import ControlSettings
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking import linear_axis, merge
@@ -118,10 +118,11 @@ def build(
     controller = control.compile_controller(
         control_settings, arm, cycle_s, task.conveyor.nominal_speed
     )
-    dead_time = max(model.dead_time for model in control_settings.servos[: arm.axes])
+    longest = max(model.dead_time for model in control_settings.servos[: arm.axes])
+    longest += dead_time.bounds(control_settings)[1]
     # The merge reads committed steps alone, also without dead time.
     stride = merge.spacing(cycle_s)
-    commit = max(merge.commit_steps(dead_time, cycle_s), (merge.ORDER - 1) * stride + 1)
+    commit = max(merge.commit_steps(longest, cycle_s), (merge.ORDER - 1) * stride + 1)
     along = merge.merge_matrix(tracking.merge.along, cycle_s, controller.steps - commit)
     across = merge.merge_matrix(tracking.merge.across, cycle_s, controller.steps - commit)
     matrices = np.stack([along if axis == merge.ALONG else across for axis in range(6)])

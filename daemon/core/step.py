@@ -158,14 +158,21 @@ def _in_base(reference: Reference, pose: Array) -> Pose:
     )
 
 
-def initial(parameters: Parameters, robot: RobotSample) -> StepState:
-    """Return the state of a robot at rest where a telegram reports it."""
+def initial(
+    parameters: Parameters, robot: RobotSample, before: StepState | None = None
+) -> StepState:
+    """Return the state of a robot at rest where a telegram reports it.
+
+    Args:
+        before: of an earlier session, of which the drift of the dead times is kept.
+    """
     joints = _joints(parameters, robot)
     wound = _wound(parameters, None, robot)
     pose = _tcp(parameters, joints, wound)
+    drift = None if before is None else before.control.drift
     return StepState(
         tracker=tracking.at_rest(parameters.tracker, pose, _axis(parameters, joints)),
-        control=control.at_rest(parameters.controller, joints, pose, wound),
+        control=control.at_rest(parameters.controller, joints, pose, wound, drift),
         applied=joints,
         windup=wound,
     )
@@ -180,7 +187,8 @@ def resumed(parameters: Parameters, state: StepState, robot: RobotSample) -> Ste
     wound = _wound(parameters, state.windup, robot)
     pose = _tcp(parameters, joints, wound)
     tracker = tracking.rest(parameters.tracker, state.tracker, pose, _axis(parameters, joints))
-    rest = control.at_rest(parameters.controller, joints, pose, wound)
+    drift = state.control.drift
+    rest = control.at_rest(parameters.controller, joints, pose, wound, drift)
     return StepState(tracker, rest, joints, windup=wound)
 
 
@@ -282,7 +290,7 @@ def finish(
         planned: by ``plan`` from the same state, inputs and parameters.
         inputs: ``sent``, ``applied`` and ``pace`` may differ from those of ``plan``.
     """
-    delivered = _apply_delivery(state, inputs)
+    delivered = _follow_drift(_apply_delivery(state, inputs), inputs, parameters)
     horizon, desired = planned.horizon, planned.desired
     if horizon is None or desired is None:
         delivered = replace(delivered, windup=planned.windup)
@@ -301,6 +309,7 @@ def finish(
     after, held = control.limit_command(
         parameters.controller, desired, delivered.control.limiter, clamped=state.tracker.contact
     )
+    after = replace(after, drift=delivered.control.drift)
     state = StepState(
         tracker, after, delivered.applied, moving=True, windup=planned.windup, path=planned.path
     )
@@ -327,6 +336,15 @@ def _apply_delivery(state: StepState, inputs: Inputs) -> StepState:
     )
 
 
+def _follow_drift(state: StepState, inputs: Inputs, parameters: Parameters) -> StepState:
+    """Return the state with the drift of the dead times after the last telegram."""
+    if parameters.controller.drift is None:
+        return state
+    reported = None if inputs.robot is None else _joints(parameters, inputs.robot)
+    after = control.follow_drift(parameters.controller, state.control, state.applied, reported)
+    return replace(state, control=after)
+
+
 def _brake(
     state: StepState, tracker: tracker_state.TrackerState, parameters: Parameters
 ) -> StepState:
@@ -338,7 +356,7 @@ def _brake(
     joints, wound = braked.limiter.position, state.windup
     pose = _tcp(parameters, joints, wound)
     if is_standing:
-        braked = control.at_rest(parameters.controller, joints, pose, wound)
+        braked = control.at_rest(parameters.controller, joints, pose, wound, state.control.drift)
     tracker = tracking.rest(parameters.tracker, tracker, pose, _axis(parameters, joints))
     return StepState(tracker, braked, state.applied, moving=not is_standing, windup=wound)
 

@@ -164,7 +164,7 @@ class Stepper:
         if self._restarts_state and self._state is not None:
             held = tuple(self._state.control.limiter.position.tolist())
             robot = RobotSample(self._stamp_ns, 0, held[:6], held[6:])
-            self._state = stepping.initial(self.parameters, robot)
+            self._state = stepping.initial(self.parameters, robot, self._state)
             self._plan = None
         self._restarts_state = False
 
@@ -176,7 +176,7 @@ class Stepper:
         if before is not None and stepping.is_engaged(before, self.parameters, position):
             self._state = stepping.resumed(self.parameters, before, position)
         else:
-            self._state = stepping.initial(self.parameters, position)
+            self._state = stepping.initial(self.parameters, position, before)
         self._robot = robot
         self._ready = self._plan = self._given = None
 

@@ -26,6 +26,7 @@ _ROOT = "linemate.daemon.core."
 # Name in a recording: module below ``_ROOT`` and class. A name in a recording never changes.
 _PARTS = {
     "control.controller:ControlState": "control.controller:ControlState",
+    "control.dead_time:DriftState": "control.dead_time:DriftState",
     "control.limits:GateState": "control.command_limiter:LimiterState",
     "control.windup:WindupState": "control.windup:WindupState",
     "step:State": "step:StepState",

@@ -357,6 +357,10 @@ def _fits(state: stepping.StepState, parameters: Parameters) -> bool:
     )
     if any(np.shape(a) != np.shape(b) for a, b in pairs):
         return False
+    if (control.drift is None) is not (fresh.control.drift is None):
+        return False
+    if control.drift is not None and not _same_shapes(fresh.control.drift, control.drift):
+        return False
     estimate = tracker.conveyor
     if estimate is not None:
         initial = parameters.tracker.classifier.initial(0.0)

@@ -22,7 +22,7 @@ from linemate.simulators.plants.scenario import Scenario
 DATA = Path(__file__).parent / "data"
 DEFAULT = "wheel"
 
-CYCLES_S = (0.001, 0.002, 0.004, 0.008, 0.012)
+CYCLES_S = (0.001, 0.002, 0.004, 0.008, 0.012, 0.024)
 """Cycles whose substeps are the same for every one of them, or shorter."""
 
 RANGES: dict[str, tuple[float | None, float | None]] = {
@@ -45,6 +45,7 @@ RANGES: dict[str, tuple[float | None, float | None]] = {
     "dead_time_period_s": (0.1, 1e6),
     "frequency_share": (0.0, 0.3),
     "dead_time_amplitude": (0.0, 0.01),
+    "growth_s": (0.0, 0.3),
     "balanced": (0.0, 1.0),
     "mass": (0.0, 1e6),
     "bolts": (0, 20),

@@ -214,18 +214,19 @@ class VaryingServoBank(ServoBank):
         cycle_s: float,
         substeps: int,
         vary: Callable[[float, tuple[float, ...]], tuple[Axis, ...]],
-        dead_time_amplitude: float,
+        dead_time_range: tuple[float, float],
     ) -> None:
         """Begin at rest.
 
         Args:
             vary: the axes at a time [s] and positions.
-            dead_time_amplitude: largest change of a dead time [s].
+            dead_time_range: amplitude by which dead times go up and down, and their growth [s].
         """
-        longest = [replace(a, dead_time_s=a.dead_time_s + dead_time_amplitude) for a in axes]
+        amplitude, growth = dead_time_range
+        longest = [replace(a, dead_time_s=a.dead_time_s + amplitude + growth) for a in axes]
         super().__init__(tuple(longest), start, cycle_s, substeps)
         self._vary = vary
-        self._least_dead_time_s = min(axis.dead_time_s for axis in axes) - dead_time_amplitude
+        self._least_dead_time_s = min(axis.dead_time_s for axis in axes) - amplitude
 
     def begin_cycle(self, cycle: int) -> None:
         """Arrive at a cycle's start, with the axes as they are now."""

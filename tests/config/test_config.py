@@ -340,3 +340,12 @@ def test_what_an_abb_controller_cannot_do_is_refused_with_its_place(
 ) -> None:
     lines = errors(write(f"task: wheel.yaml\ncontroller: {{kind: egm}}\n{text}\n"))
     assert any(complaint in line for line in lines), lines
+
+
+def test_a_dead_time_that_drifts_and_servos_that_are_learned_contradict_each_other(
+    write: Write,
+) -> None:
+    drift = "task: wheel.yaml\ncontrol: {drift: {longer: 0.1}}\n"
+    assert config.load(write(drift)).config.control.drift.longer == 0.1
+    lines = errors(write(f"{drift}learning: {{}}\n"))
+    assert any("learning: control.drift is set" in line for line in lines), lines

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from linemate.simulators.plants.bending.drives import RoughServos, drives
-from linemate.simulators.plants.bending.effects_arm import ArmEffects, Friction, Posture
+from linemate.simulators.plants.bending.effects_arm import (
+    ArmEffects,
+    Friction,
+    Posture,
+    WarmingController,
+)
 from linemate.simulators.plants.scenario import Robot
 from linemate.simulators.plants.servo_plant import ServoBank
 
@@ -95,3 +100,10 @@ def test_a_longer_dead_time_lets_the_axes_follow_later() -> None:
     arm = robot(posture=Posture(dead_time_amplitude=0.01, dead_time_period_s=2.0))
     behind = driven(Robot()) - driven(arm)
     assert at(behind, 0.6) == pytest.approx(0.03 * 0.01, rel=0.1)
+
+
+def test_a_controller_that_warms_up_answers_later_and_stays_so() -> None:
+    warm = WarmingController(growth_s=0.03, begin_s=0.1, duration_s=0.2)
+    behind = driven(Robot()) - driven(robot(warming=warm))
+    assert at(behind, 0.1) == pytest.approx(0.0, abs=1e-12)
+    assert at(behind, 0.6) == pytest.approx(0.03 * 0.03, rel=0.1)

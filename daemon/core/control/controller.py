@@ -12,9 +12,16 @@ import numpy as np
 from msgspec import Struct, structs
 
 from linemate.daemon.core import rotations
-from linemate.daemon.core.control import command_limiter, inverse_filter, tcp_limit, windup
+from linemate.daemon.core.control import (
+    command_limiter,
+    dead_time,
+    inverse_filter,
+    tcp_limit,
+    windup,
+)
 from linemate.daemon.core.control.axis_limits import Limits
 from linemate.daemon.core.control.command_limiter import LimiterState
+from linemate.daemon.core.control.dead_time import DriftModel, DriftState
 from linemate.daemon.core.control.kinematics import Arm, UnreachableError
 from linemate.daemon.core.control.settings import BrakeSettings, ControlSettings
 from linemate.daemon.core.control.smoothing import smoothing_taps
@@ -40,6 +47,7 @@ class Controller:
         servo_past: steps of (12) in the past.
         spreading: (m,) weights of the last commands, newest first; one of them from 4 ms on.
         windup: of the axes, None for an arm whose links are where its motors are.
+        drift: of the dead times; None if they are fixed.
         limits: of the command limiter.
         gentle: with which a hold comes to rest.
         steps: n, the horizon that control reads.
@@ -60,6 +68,7 @@ class Controller:
     steps: int
     contact_steps: int
     windup: Windup | None = None
+    drift: DriftModel | None = None
     spreading: Array = field(default_factory=lambda: np.ones(1))
 
     @property
@@ -78,6 +87,7 @@ class ControlState(Struct, frozen=True, eq=False):
         poses: (n_rob + 1, 6) the x_d of ``joints``.
         windup: of the oldest of ``past_joints``, which are positions of the links.
         commands: (m - 1, axes) the last ones before they were spread, newest first.
+        drift: of the dead times; None if they are fixed.
     """
 
     past_poses: Array
@@ -87,6 +97,7 @@ class ControlState(Struct, frozen=True, eq=False):
     limiter: LimiterState
     windup: WindupState | None = None
     commands: Array | None = None
+    drift: DriftState | None = None
 
 
 def compile_controller(
@@ -102,7 +113,7 @@ def compile_controller(
     """
     if len(settings.servos) < arm.axes or len(settings.limits) < arm.axes:
         raise ValueError(f"the arm has {arm.axes} axes: as many servos and limits are needed")
-    filters = settings.filters
+    filters = replace(settings.filters, servo_future_s=dead_time.future_reach(settings))
     taps = inverse_filter.tap_steps(filters.servo_past_s, filters.servo_future_s, cycle_s)
     servo = np.stack(
         [
@@ -150,6 +161,7 @@ def compile_controller(
         steps=max(needed, math.ceil(settings.horizon_s / cycle_s)),
         contact_steps=max(round(filters.contact_blend / cycle_s), 1),
         windup=windup.compile_windup(settings.windup, arm.axes),
+        drift=dead_time.compile_drift(settings, arm.axes, cycle_s),
         spreading=inverse_filter.spreading(cycle_s) if settings.feed_forward else np.ones(1),
     )
 
@@ -177,7 +189,11 @@ def _gentle(brake: BrakeSettings, bounds: Limits) -> Limits:
 
 
 def at_rest(
-    controller: Controller, joints: Array, pose: Array, wound: WindupState | None = None
+    controller: Controller,
+    joints: Array,
+    pose: Array,
+    wound: WindupState | None = None,
+    drift: DriftState | None = None,
 ) -> ControlState:
     """Return the state of a robot that stands.
 
@@ -185,10 +201,13 @@ def at_rest(
         joints: (axes,) of the motors.
         pose: (6,) of the tcp.
         wound: windup there, None without.
+        drift: of the dead times, as far as it is known; None at first.
     """
     placed = joints
     if controller.windup is not None and wound is not None:
         placed = windup.links(controller.windup, wound, joints)
+    if controller.drift is not None:
+        drift = dead_time.begin(controller.drift, joints, 0.0 if drift is None else drift.drift)
     return ControlState(
         past_poses=np.tile(pose, (controller.effector_past, 1)),
         past_joints=np.tile(placed, (controller.servo_past, 1)),
@@ -197,6 +216,7 @@ def at_rest(
         limiter=command_limiter.at_rest(joints),
         windup=wound,
         commands=np.tile(joints, (len(controller.spreading) - 1, 1)),
+        drift=drift,
     )
 
 
@@ -274,7 +294,10 @@ def desire_command(controller: Controller, state: ControlState, horizon: Horizon
     wound = state.windup
     if controller.windup is not None and wound is not None:
         motors, wound = windup.motors(controller.windup, wound, window)
-    command = np.add.reduce(controller.servo * motors)
+    taps = controller.servo
+    if controller.drift is not None and state.drift is not None:
+        taps = dead_time.servo_taps(controller.drift, state.drift)
+    command = np.add.reduce(taps * motors)
     commands = state.commands
     if commands is not None and len(commands):
         recent = np.vstack((command, commands))
@@ -287,6 +310,7 @@ def desire_command(controller: Controller, state: ControlState, horizon: Horizon
         limiter=state.limiter,
         windup=wound,
         commands=commands,
+        drift=state.drift,
     )
     return DesiredCommand(later, command)
 
@@ -341,6 +365,21 @@ def _add_stand_in(controller: Controller, command: Array, rail: float) -> Array:
     extended = command.copy()
     extended[:6] += change
     return extended
+
+
+def follow_drift(
+    controller: Controller, state: ControlState, setpoint: Array, reported: Array | None
+) -> ControlState:
+    """Return the state with the drift of the dead times one cycle later.
+
+    Args:
+        setpoint: (axes,) in force since the last telegram.
+        reported: (axes,) positions in it, None without one.
+    """
+    if controller.drift is None or state.drift is None:
+        return state
+    after = dead_time.follow(controller.drift, state.drift, setpoint, reported)
+    return structs.replace(state, drift=after)
 
 
 def stop(controller: Controller, state: ControlState) -> ControlState:

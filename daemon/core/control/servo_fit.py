@@ -20,13 +20,13 @@ Residuals = Callable[[Array], Array]  # from free parameters (3,) to residuals (
 
 FREQUENCY_HZ = (0.5, 25.0)
 DAMPING = (0.2, 2.0)
-DEAD_TIME = (0.0, 0.15)
+DEAD_TIME = (0.0, 0.25)
 ITERATIONS = 40
 OUTLIER = 6.0  # standard deviations of the residual beyond which an answer is excluded
 STARTS = tuple(
     ServoModel(frequency_hz, 0.8, dead_time)
     for frequency_hz in (2.5, 4.0, 6.5, 10.0)
-    for dead_time in (0.005, 0.030, 0.060)
+    for dead_time in (0.005, 0.030, 0.060, 0.110, 0.170)
 )
 _STEPS = np.array((1e-4, 1e-4, 1e-5))  # of the numeric derivatives: ln Hz, ln 1, s
 

@@ -32,6 +32,23 @@ class ServoModel:
 
 
 @dataclass(frozen=True, slots=True)
+class DeadTimeDrift:
+    """Drift of all dead times that is followed while the robot moves.
+
+    The horizon is as long as the longest dead time needs.
+
+    Attributes:
+        shorter: how far dead times may fall below the identified ones [s].
+        longer: how far they may rise above them [s]; both 0: they are fixed.
+        rate: largest change of the dead time, seconds a second.
+    """
+
+    shorter: Annotated[float, Ge(0.0), Le(0.2)] = 0.0
+    longer: Annotated[float, Ge(0.0), Le(0.2)] = 0.0
+    rate: Annotated[float, Gt(0.0), Le(0.05)] = 0.01
+
+
+@dataclass(frozen=True, slots=True)
 class AxisWindup:
     """Identified windup of one axis: the link lags behind the motor by its direction of motion.
 
@@ -150,6 +167,7 @@ class ControlSettings:
     """All that can be set of control. Axes are A1..A6, then E1.
 
     Attributes:
+        drift: of the dead times; left out: they are fixed.
         windup: of each axis; left out: the links are where the motors are.
         limits: of each axis, within those of the URDF; left out: those of the URDF.
         tcp_speed: limit of the tcp's speed relative to the object; the conveyor's nominal speed
@@ -161,6 +179,7 @@ class ControlSettings:
 
     servos: Annotated[tuple[ServoModel, ...], Len(6, 7)] = _SERVOS
     effector: Annotated[tuple[EffectorMode, ...], Len(6, 6)] = _MODES
+    drift: DeadTimeDrift = DeadTimeDrift()
     windup: Annotated[tuple[AxisWindup, ...], Len(0, 7)] = ()
     limits: Annotated[tuple[AxisLimits, ...], Len(0, 7)] = ()
     smoothing: SmoothingSettings = SmoothingSettings()

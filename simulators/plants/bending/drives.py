@@ -1,4 +1,4 @@
-"""Drives of a real arm: friction on top of the servos, and servos that vary with the posture.
+"""Drives of a real arm: friction on top of the servos, servos that vary, a controller that warms.
 
 Invariants:
     Friction adds to the linear servo's motion: both are solved by themselves and summed.
@@ -90,17 +90,19 @@ class RoughServos:
 
 def _varied(robot: Robot) -> Callable[[float, Values], tuple[Axis, ...]]:
     """Make the axes for a time and positions."""
-    posture = robot.effects.posture
+    posture, warming = robot.effects.posture, robot.effects.warming
 
     def vary(time_s: float, positions: Values) -> tuple[Axis, ...]:
         x, y, _ = frames(robot.links, positions)[0][-1]
         share = 1.0 - posture.frequency_share * (math.hypot(x, y) - posture.reach)
-        drift = math.sin(math.tau * time_s / posture.dead_time_period_s)
+        sine = math.sin(math.tau * time_s / posture.dead_time_period_s)
+        warm = min(max((time_s - warming.begin_s) / warming.duration_s, 0.0), 1.0)
+        later = posture.dead_time_amplitude * sine + warming.growth_s * warm
         return tuple(
             replace(
                 axis,
                 frequency_hz=share * axis.frequency_hz,
-                dead_time_s=axis.dead_time_s + posture.dead_time_amplitude * drift,
+                dead_time_s=axis.dead_time_s + later,
             )
             for axis in robot.axes
         )
@@ -111,10 +113,10 @@ def _varied(robot: Robot) -> Callable[[float, Values], tuple[Axis, ...]]:
 def drives(robot: Robot, cycle_s: float, substeps: int) -> "ServoBank | RoughServos":
     """Make the servos of a robot that stands at its start."""
     effects = robot.effects
-    if effects.posture.frequency_share or effects.posture.dead_time_amplitude:
-        vary, amplitude = _varied(robot), effects.posture.dead_time_amplitude
+    amplitude, growth = effects.posture.dead_time_amplitude, effects.warming.growth_s
+    if effects.posture.frequency_share or amplitude or growth:
         bank: ServoBank = VaryingServoBank(
-            robot.axes, robot.start, cycle_s, substeps, vary, amplitude
+            robot.axes, robot.start, cycle_s, substeps, _varied(robot), (amplitude, growth)
         )
     else:
         bank = ServoBank(robot.axes, robot.start, cycle_s, substeps)

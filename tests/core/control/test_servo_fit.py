@@ -1,6 +1,7 @@
 """The servo's forward fit against the plant's servos, an independent model."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,6 +27,15 @@ def test_a_clean_answer_gives_the_plants_own_servo(axis: int) -> None:
     assert found.model.damping == pytest.approx(true.damping, abs=1e-3)
     assert found.model.dead_time == pytest.approx(true.dead_time_s, abs=1e-4)
     assert found.residual < 1e-3 * found.motion
+
+
+@pytest.mark.parametrize("dead_time_s", [0.084, 0.180, 0.200])
+def test_a_controller_that_lags_by_up_to_200_ms_is_identified(dead_time_s: float) -> None:
+    late = tuple(replace(axis, dead_time_s=dead_time_s) for axis in AXES)
+    found = servo_fit.fit([Passage(COMMANDS[:, 2], answers(late, COMMANDS)[:, 2])], CYCLE_S)
+    assert found is not None
+    assert found.model.dead_time == pytest.approx(dead_time_s, abs=1e-4)
+    assert found.model.frequency_hz == pytest.approx(AXES[2].frequency_hz, rel=2e-3)
 
 
 def test_simulation_is_what_the_plant_does() -> None:

@@ -214,6 +214,21 @@ def test_the_bank_never_grows_beyond_its_oldest_onset() -> None:
     assert (np.diff(state.changes.age) > 0.0).all()
 
 
+@pytest.mark.parametrize("dt", [0.001, 0.002, 0.004, 0.012])
+def test_a_shorter_cycle_has_no_more_hypotheses_than_one_of_4_ms(dt: float) -> None:
+    onsets = onset_bank.begin(np.zeros(STATES), (0.0,))
+    bank, longest = onset_bank.empty(STATES), 0.4
+    for _ in range(round(2.0 * longest / dt)):
+        bank = onset_bank.propagate(bank, onsets, np.eye(STATES), dt, longest)
+    spacing = max(dt, 0.004)
+    assert np.diff(bank.age) == pytest.approx(np.full(len(bank) - 1, spacing))
+    assert len(bank) == round(longest / spacing)
+    assert bank.age[0] <= spacing + 1e-9
+    # Too young for evidence, each has the likelihood 1: what the odds are then.
+    odds = onset_bank.posterior(bank, onset_bank.AmplitudePrior(1.0, 1e-12)).odds
+    assert odds == pytest.approx(math.log(len(bank)), abs=1e-6)
+
+
 def measured_row(value: float) -> list[PositionMeasurement]:
     return [PositionMeasurement(Source.DISTANCE, value, 0.0, DEVIATION**2, NEVER)]
 

@@ -21,6 +21,10 @@ from msgspec import Struct
 
 from linemate.daemon.core.horizon import Array
 
+# Time between two onsets [s], or a cycle. Each adds its likelihood to the odds, 1 while it is too
+# young for evidence: with one a millisecond the odds of a steady conveyor were 4.8 instead of 2.8.
+SPACING_S = 0.004
+
 
 class OnsetBank(Struct, frozen=True, eq=False):
     """Hypotheses, youngest first.
@@ -108,13 +112,17 @@ def propagate(bank: OnsetBank, onsets: OnsetBank, F: Array, dt: float, longest: 
     """Return the bank one step later: new onsets before the step, without the oldest.
 
     Args:
-        onsets: hypotheses that are added.
+        onsets: hypotheses that are added once the youngest are ``SPACING_S`` old.
         F: the null filter's transition (n, n).
         longest: age of the oldest onset [s].
     """
-    keep = min(len(bank), len(onsets) * (round(longest / dt) - 1))
-    error = F.dot(np.concatenate((onsets.error, bank.error[:, :keep]), axis=1))
-    sums = np.concatenate((onsets.sums, bank.sums[:, :keep]), axis=1)
+    stride = max(1, round(SPACING_S / dt))
+    keep = min(len(bank), len(onsets) * (round(longest / (stride * dt)) - 1))
+    if len(bank) and bank.sums[2, 0] < (stride - 0.5) * dt:
+        error, sums = F.dot(bank.error), bank.sums.copy()
+    else:
+        error = F.dot(np.concatenate((onsets.error, bank.error[:, :keep]), axis=1))
+        sums = np.concatenate((onsets.sums, bank.sums[:, :keep]), axis=1)
     age = sums[2]
     age += dt
     return OnsetBank(error, sums)
