@@ -7,7 +7,7 @@
 
 _shtab_linemate_sim_subparsers=(demo run campaign shift world emulator bench schema)
 
-_shtab_linemate_sim_demo_option_strings=(-h --help --scenario --world --controller --out --json --cycle-ms --seed --cars --strict --view)
+_shtab_linemate_sim_demo_option_strings=(-h --help --scenario --world --controller --out --json --cell --config --task --cycle-ms --seed --cars --strict --view)
 _shtab_linemate_sim_run_option_strings=(-h --help --scenario --world --controller --out --json --cell --config --task --set --workers --cycle-ms --seed --variant --record --timing)
 _shtab_linemate_sim_campaign_option_strings=(-h --help --scenario --world --controller --out --json --cell --config --task --set --workers --cycle-ms --seeds --first-seed --scheduler --detection --variants)
 _shtab_linemate_sim_shift_option_strings=(-h --help --cars --seed --takt --faulty --workers --json)
@@ -18,6 +18,8 @@ _shtab_linemate_sim_schema_option_strings=(-h --help)
 _shtab_linemate_sim_option_strings=(-h --help --version)
 
 _shtab_linemate_sim_demo___out_COMPGEN=_shtab_compgen_dirs
+_shtab_linemate_sim_demo___config_COMPGEN=_shtab_compgen_files
+_shtab_linemate_sim_demo___task_COMPGEN=_shtab_compgen_files
 _shtab_linemate_sim_run___out_COMPGEN=_shtab_compgen_dirs
 _shtab_linemate_sim_run___config_COMPGEN=_shtab_compgen_files
 _shtab_linemate_sim_run___task_COMPGEN=_shtab_compgen_files

@@ -23,6 +23,7 @@ from typing import Any
 
 import yaml
 
+from linemate.daemon.config.task_file import Task
 from linemate.daemon.operator import doctor
 from linemate.daemon.service.host.idle_spinner import IdleSpinner
 from linemate.daemon.transport.client import Client, NoAnswerError, RefusedError
@@ -31,6 +32,8 @@ from linemate.simulators.devices.worlds import OWN, require
 from linemate.simulators.harness import families, host, scenario_file
 from linemate.simulators.harness import identified_overlay as overlay
 from linemate.simulators.harness import terminal_view as live
+from linemate.simulators.harness.cell import cell_files, cell_station, cell_truth
+from linemate.simulators.harness.cell.cell_files import CellFiles
 from linemate.simulators.harness.cell.cell_truth import shipped_task
 from linemate.simulators.harness.emulator_command import EX_BROKEN
 from linemate.simulators.harness.processes import (
@@ -43,6 +46,7 @@ from linemate.simulators.harness.processes import (
     start_daemon,
     wait_until,
 )
+from linemate.simulators.harness.setup import exchange
 from linemate.simulators.harness.terminal_view import Glimpse, LinkGlimpse, TerminalView
 from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.harness.world import world_rows
@@ -84,6 +88,7 @@ class DemoStation:
         robot_port: UDP port of a controller that the daemon must ask.
         ports: TCP ports of the slcan adapter and of the force-torque sensor.
         daemon: module that is run as the daemon.
+        cell: files of another cell than the shipped one.
     """
 
     folder: Path
@@ -94,6 +99,7 @@ class DemoStation:
     robot_port: int = field(default_factory=lambda: _free_port(socket.SOCK_DGRAM))
     ports: tuple[int, int] = field(default_factory=lambda: (_free_port(), _free_port()))
     daemon: str = DAEMON
+    cell: CellFiles | None = None
 
     @property
     def truth(self) -> Path:
@@ -107,12 +113,14 @@ class DemoStation:
 
     def daemon_file(self) -> dict[str, Any]:
         """Return the daemon's configuration, which has nothing of the emulator's plant."""
+        on_rail = self.task.file.arm.linear_axis
+        controller = families.daemon_sections(
+            self.controller, self.scenario.cycle_s, self.robot_port, on_rail=on_rail
+        )
+        can, wrench = {"interface": "slcan", "channel": _url(self.ports[0])}, _url(self.ports[1])
+        plain = {"task": "wheel.yaml"} if self.cell is None else cell_station.daemon_file(self.cell)
         return {
-            "task": "wheel.yaml",
-            **families.daemon_sections(self.controller, self.scenario.cycle_s, self.robot_port),
-            "distance": {"can": {"interface": "slcan", "channel": _url(self.ports[0])}},
-            "camera": {"port": 0},
-            "force_torque": {"url": _url(self.ports[1])},
+            **cell_station.with_links(plain, controller, can, wrench),
             "command": {"socket": str(self.command_socket)},
             "recording": {"directory": str(self.folder), "at_start": True},
             # A user may try `param save` during the demo; the folder is deleted at the end.
@@ -124,8 +132,13 @@ class DemoStation:
                 "keep_awake": doctor.is_virtual(doctor.Host()),
             },
             # What was identified of the cell, as after its commissioning.
-            **self._identified(),
+            **({} if self.cell is not None else self._identified()),
         }
+
+    @property
+    def task(self) -> Task:
+        """The task of the cell."""
+        return shipped_task() if self.cell is None else self.cell.task
 
     def _identified(self) -> dict[str, Any]:
         known: dict[str, Any] = world_rows.laid_over(
@@ -149,10 +162,8 @@ class DemoStation:
             "priority": EMULATOR_PRIORITY,
             "cpus": list(self.cores[1]),
             "robot_target": listening["robot"],
-            **families.emulator_sections(self.controller, self.robot_port),
+            **self._emulated(),
             "camera_target": listening["camera"],
-            # Where the task's own distance sensor stands.
-            "distance_mount": shipped_task().file.conveyor.start_position,
             # Not ptys: the kernel's worker that hands on their bytes has an ordinary priority.
             # With a browser and 8 busy processes sensors were silent for 36 ms by it, not for 12.
             "can_bind": [LOOPBACK, self.ports[0]],
@@ -162,6 +173,15 @@ class DemoStation:
             "end_after_collision_s": 0.2,
             "truth": str(self.truth),
         }
+
+    def _emulated(self) -> dict[str, Any]:
+        """Return the emulated ends of the cell's links."""
+        family = families.emulator_sections(self.controller, self.robot_port)
+        if self.cell is None:
+            # Where the task's own distance sensor stands.
+            return {**family, "distance_mount": self.task.file.conveyor.start_position}
+        own = cell_station.emulator_file(self.cell, self.controller, self.folder)
+        return {**own, **{k: {**own.get(k, {}), **v} if k in own else v for k, v in family.items()}}
 
     def write(self, name: str, value: Mapping[str, Any]) -> Path:
         """Write one of the files that the processes read."""
@@ -226,7 +246,8 @@ def main(args: Namespace) -> int:
     """Run the demonstration.
 
     Args:
-        args: scenario, world, controller, cycle_ms, seed, out, view, strict, json.
+        args: scenario, cell, config, task, world, controller, cycle_ms, seed, out, view, strict,
+            json.
 
     Returns:
         0 assembled within limits with no more late replies than the controller tolerates, none
@@ -236,17 +257,23 @@ def main(args: Namespace) -> int:
         FileError: what is wrong with the scenario's file.
         SetupError: a cycle that the controller does not have.
     """
+    cell = cell_files.chosen(args)
     if args.cars > 1:
+        if cell is not None:
+            raise SetupError("--cars has the variants of the shipped cell: leave --cell out")
         from linemate.simulators.harness.line import demo_line
 
         return demo_line.main(args)
     require(args.world)
-    controller = args.controller or families.RSI
-    cycle_ms = args.cycle_ms or families.CYCLE_MS[controller]
+    controller, cycle_ms = exchange(cell, args.controller, args.cycle_ms)
+    cycle_ms = cycle_ms or families.CYCLE_MS[controller]
+    if cell is not None and args.world != OWN:
+        raise SetupError(f"--world {args.world} has the shipped cell alone: leave --cell out")
     if cycle_ms not in families.CYCLES_MS[controller]:
         known = " or ".join(f"{ms:g}" for ms in families.CYCLES_MS[controller])
         raise SetupError(f"--cycle-ms {cycle_ms:g}: {controller} has {known}")
-    plain = scenario_file.load(args.scenario or scenario_file.DEFAULT)
+    name, task = cell_files.scenario(args.scenario, cell), None if cell is None else cell.task
+    plain = scenario_file.load(name, task)
     scenario = families.truth(controller, plain)
     scenario = replace(scenario, seed=args.seed, cycle_s=round(cycle_ms * 1e-3, 9))
     out = args.out or Path("out/demo")
@@ -262,6 +289,7 @@ def main(args: Namespace) -> int:
                 strict=args.strict,
                 world=args.world,
                 controller=controller,
+                cell=cell,
             )
     except (DemoError, ChildError, TimeoutError, NoAnswerError, RefusedError) as error:
         print(f"linemate-sim demo: {error}", file=sys.stderr)
@@ -278,6 +306,7 @@ def perform(
     strict: bool = False,
     world: str = OWN,
     controller: str = families.RSI,
+    cell: CellFiles | None = None,
 ) -> dict[str, Any]:
     """Run a scenario with everything in its place, judge it, and leave the results.
 
@@ -288,6 +317,7 @@ def perform(
         strict: one late reply is too many.
         world: name, one of ``worlds.WORLDS``.
         controller: family, one of ``families.FAMILIES``.
+        cell: files of another cell than the shipped one.
 
     Returns:
         The result, as in result.json.
@@ -299,13 +329,14 @@ def perform(
     with tempfile.TemporaryDirectory(prefix="linemate-") as folder:
         # A core of one's own is a gift to a real-time process, and a cage to any other.
         cores = host.shared_out() if host.missing_rights() is None else ((), ())
-        station = DemoStation(Path(folder), scenario, cores, world, controller)
+        station = DemoStation(Path(folder), scenario, cores, world, controller, cell=cell)
         began_s, stolen_s = time.monotonic(), host.stolen_s()
         status = run_station(station, is_viewed=is_viewed)
         withheld = _withheld(stolen_s, host.stolen_s(), time.monotonic() - began_s)
         recording = _only_recording(station.folder)
         evidence = joined.evidence(station.truth, recording, scenario)
-        evidence = replace(evidence, refusal=status.get("unfit"))
+        limits = cell_truth.axis_limits(station.task.urdf, station.task.file)
+        evidence = replace(evidence, refusal=status.get("unfit"), limits=limits)
         result = judge(evidence, strict=strict)
         result["step_us"] = _step_us(status) or result["step_us"]
         facts = truth.load(station.truth)[1]
@@ -457,8 +488,16 @@ def _glimpse(cycle_s: float, state: Mapping[str, Any], status: Mapping[str, Any]
         cycle_us=1e6 * cycle_s,
         missed=None if waiting else unanswered(telegrams),
         tolerated=state.get("tolerated"),
-        held="the world waits until the links stand" if waiting else status.get("held"),
+        held="the world waits until the links stand" if waiting else _held(status),
     )
+
+
+def _held(status: Mapping[str, Any]) -> str | None:
+    """Return why the robot is held, None if it is not; at rest it is the state's cause."""
+    held = status.get("held")
+    if held != "hold":
+        return None if held is None else str(held)
+    return str(status.get("cause") or held)
 
 
 def _links(status: Mapping[str, Any]) -> tuple[LinkGlimpse, ...]:

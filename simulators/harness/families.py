@@ -89,10 +89,13 @@ def pair(
     return controller, RsiLink(RsiCodec(rsi), on_rail=on_rail)
 
 
-def daemon_sections(family: str, cycle_s: float, port: int) -> dict[str, Any]:
+def daemon_sections(
+    family: str, cycle_s: float, port: int, *, on_rail: bool = True
+) -> dict[str, Any]:
     """Return the daemon's sections of the controller.
 
     Args:
+        on_rail: the arm stands on a linear axis.
         port: UDP port that the controller listens on, if it must be asked.
     """
     cycle_ms = round(1e3 * cycle_s)
@@ -101,7 +104,7 @@ def daemon_sections(family: str, cycle_s: float, port: int) -> dict[str, Any]:
             "peer": LOOPBACK,
             "peer_port": port,
             "cycle_ms": cycle_ms,
-            "rail": True,
+            "rail": on_rail,
             "signals_byte": SIGNALS_BYTE,
         }
         return {"controller": {"kind": FANUC}, "fanuc": section}

@@ -281,6 +281,7 @@ def _add_plan(parser: argparse.ArgumentParser) -> None:
 def _add_demo(commands: "Commands[CommandLine]") -> None:
     demo = commands.add_parser("demo", help="daemon and emulators in real time, over real links")
     _add_common(demo)
+    _add_cell(demo)
     demo.add_argument(
         "--cycle-ms", type=float, choices=(4, 8, 12, 24),
         help="rsi: 12 or 4, fanuc: 8 or 4, egm: 4, 8, 12 or 24",

@@ -116,7 +116,7 @@ def make(
         FileError, OverrideError, UnknownVariantError: what is wrong.
     """
     truth = scenario_file.load(scenario, None if cell is None else cell.task)
-    controller, cycle_ms = _exchange(cell, controller, cycle_ms)
+    controller, cycle_ms = exchange(cell, controller, cycle_ms)
     if cycle_ms is not None:
         truth = replace(truth, cycle_s=round(cycle_ms * 1e-3, 9))
     if world != OWN:
@@ -135,7 +135,7 @@ def make(
     return override(setup, overrides) if overrides else setup
 
 
-def _exchange(
+def exchange(
     cell: CellFiles | None, controller: str | None, cycle_ms: float | None
 ) -> tuple[str, float | None]:
     """Return family and period of the controller: as asked for, else the cell's, else RSI's."""

@@ -239,3 +239,11 @@ def test_a_broken_scenario_is_refused_before_anything_starts(tmp_path: Path) -> 
     assert "broken.yaml:1:13: duration_s" in done.stderr
     assert "broken.yaml:2:1: bogus" in done.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_a_robot_on_hold_has_its_reason_on_the_screen() -> None:
+    cause = "track -> idle: the task is over"
+    glimpse = demo._glimpse(0.012, {"waiting": False}, {"held": "hold", "cause": cause})
+    assert glimpse.held == cause
+    limited = demo._glimpse(0.012, {"waiting": False}, {"held": "limited: tcp", "cause": cause})
+    assert limited.held == "limited: tcp"

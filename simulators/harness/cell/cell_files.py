@@ -29,11 +29,13 @@ class CellFiles:
         task: what is assembled, by which arm.
         station: the daemon's configuration; None: that of the shipped cell.
         scenario: path of the scenario in its folder, None if there is none.
+        task_path: the task file, if it is not the configuration's.
     """
 
     task: Task
     station: LoadedConfig | None = None
     scenario: str | None = None
+    task_path: Path | None = None
 
     @property
     def family(self) -> str | None:
@@ -83,7 +85,7 @@ def chosen(args: Namespace) -> CellFiles | None:
         texts = {**station.texts, "task": own.text, "urdf": own.urdf}
         station = replace(station, task=own, texts=texts)
         _refuse_missing_axis(station)
-    return CellFiles(own, station, scenario)
+    return CellFiles(own, station, scenario, task)
 
 
 def scenario(named: str | None, cell: CellFiles | None) -> str:
