@@ -27,7 +27,7 @@ from linemate.daemon.core.tracking.reference import (
 from linemate.daemon.core.tracking.settings import ClassifierKind, TrackingSettings
 from linemate.daemon.core.tracking.task import Phase, TaskFile
 from linemate.daemon.core.tracking.touch import compliance, contact
-from linemate.daemon.core.tracking.touch.touch_profile import lengthened, sighted
+from linemate.daemon.core.tracking.touch.touch_profile import bolt_tips, lengthened, sighted
 from linemate.daemon.core.tracking.tracker_state import Foresight, Tracker
 from linemate.daemon.core.tracking.transverse import Transverse
 
@@ -128,8 +128,10 @@ def build(
     matrices = np.stack([along if axis == merge.ALONG else across for axis in range(6)])
     delay_along, delay_across = (commit + merge.delay(rows) for rows in (along, across))
     camera = task.arm.camera_in_tcp
-    task = lengthened(sighted(task, tracking.camera.blind_below + SIGHT_MARGIN))
-    reference = compile_reference(task)
+    mount = tracking.tactile
+    tips = bolt_tips(tracking.payload.bolts, mount.stiffness[TOOL_AXIS], mount.overload_force)
+    task = lengthened(sighted(task, tracking.camera.blind_below + SIGHT_MARGIN), tips)
+    reference = compile_reference(task, tips)
     table = tabulated(reference, cycle_s, controller.steps)
     clock = np.arange(len(table.poses)) * cycle_s
     leave = reference.time_of(Phase.RETREAT)

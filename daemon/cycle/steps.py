@@ -15,6 +15,7 @@ from linemate.daemon.core.control.command_limiter import LimiterState
 from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.tracking.touch import tare
+from linemate.daemon.core.tracking.touch.touch_profile import force_limit
 from linemate.daemon.cycle import states
 from linemate.daemon.cycle.causes import Change
 from linemate.daemon.cycle.following_error import FollowingCheck
@@ -317,7 +318,10 @@ class Stepper:
         moving = self.machine.state in states.MOVING
         conditions = Conditions(moving, settings.distance.deviation, self._in_last_approach)
         weight = tare.carried(state.tracker.tare, settings.tactile)
-        samples = self.samples.drain(conditions, settings.tactile.overload_force, weight)
+        limit = settings.tactile.overload_force
+        if self.machine.state is State.TRACK:
+            limit = force_limit(settings.payload.bolts, state.tracker.distance, limit)
+        samples = self.samples.drain(conditions, limit, weight)
         if self._new_parameters is not None:
             self._apply_swap(self._new_parameters)
             state = self._opened()

@@ -14,6 +14,8 @@ from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.task import Gate, Phase, TaskFile, WaypointFrame
 from linemate.daemon.core.tracking.touch.touch_profile import (
+    NO_TIPS,
+    BoltTips,
     TouchProfile,
     contact_stretch,
     lengthened,
@@ -150,8 +152,11 @@ class Reference:
         return poses, relative
 
 
-def compile_reference(task: TaskFile) -> Reference:
+def compile_reference(task: TaskFile, tips: BoltTips = NO_TIPS) -> Reference:
     """Return a task's reference, of the task ``lengthened``.
+
+    Args:
+        tips: bolts that the tool meets before the object's face.
 
     Raises:
         ValueError: waypoint times that do not rise, or a nominal pose whose y axis is not the
@@ -164,9 +169,9 @@ def compile_reference(task: TaskFile) -> Reference:
     times = np.array([point.time for point in task.waypoints])
     if bool((np.diff(times) <= 0.0).any()):
         raise ValueError("waypoints: their times must rise")
-    task = lengthened(task)
+    task = lengthened(task, tips)
     times = np.array([point.time for point in task.waypoints])
-    profile = touch_profile(task)
+    profile = touch_profile(task, tips)
     points = np.zeros((len(times), 6))
     for row, point in zip(points, task.waypoints, strict=True):
         R = rotations.matrix(point.pose.quaternion)

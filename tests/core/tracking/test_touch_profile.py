@@ -104,3 +104,44 @@ def test_the_tool_waits_where_the_camera_still_sees_the_object() -> None:
 
 def test_a_waypoint_is_not_moved_behind_the_one_before_it() -> None:
     assert touch_profile.sighted(TASK, 0.4) == TASK
+
+
+TIPS = touch_profile.bolt_tips(0.025, 50e3, 350.0)
+
+
+def test_the_speed_near_the_bolts_tips_is_at_most_theirs() -> None:
+    """A tool that came to tips that did not enter at 200 mm/s overloaded its mount by 8 mm."""
+    for lasting in (0.3, 2.0, 20.0):
+        task = stretched(far=-0.11, lasting=lasting)
+        reference = compile_reference(task, TIPS)
+        begin, end = reference.times[2], reference.times[3]
+        times = np.linspace(begin, end, round((end - begin) / STEP_S) + 1)
+        z = reference.poses(times)[1][:, 2]
+        speed = np.gradient(z, times)
+        assert (z[0], z[-1]) == pytest.approx((-0.11, 0.001), abs=ROUNDING)
+        near = z >= -TIPS.length - touch_profile.TIPS_RESERVE
+        assert float(speed[near].max()) <= TIPS.speed * 1.01 + ROUNDING
+        slow = z >= -task.guard.clearance
+        assert float(speed[slow].max()) <= task.guard.touch_speed * 1.01 + ROUNDING
+        assert float(speed.min()) >= -ROUNDING
+
+
+def test_the_force_on_tips_that_do_not_enter_stays_below_the_overload() -> None:
+    limit = touch_profile.force_limit(TIPS.length, -TIPS.length, 350.0)
+    assert limit + TIPS.speed * touch_profile.LED_S * 50e3 < 350.0
+
+
+def test_bolts_within_the_clearance_change_nothing() -> None:
+    task, short = stretched(), touch_profile.bolt_tips(0.006, 50e3, 350.0)
+    assert touch_profile.touch_profile(task, short) == touch_profile.touch_profile(task)
+    assert touch_profile.lengthened(TASK, short) == TASK
+
+
+@pytest.mark.parametrize(
+    ("length", "distance", "limit"),
+    [(0.0, -0.01, 350.0), (0.025, -0.05, 350.0), (0.025, -0.024, 175.0), (0.025, np.inf, 350.0)],
+)
+def test_less_force_withdraws_a_tool_that_only_tips_can_stop(
+    length: float, distance: float, limit: float
+) -> None:
+    assert touch_profile.force_limit(length, distance, 350.0) == limit

@@ -15,6 +15,7 @@ from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.classifiers import (
     bank_filter,
     bank_prediction,
+    distance_change,
     distance_check,
     guide,
     onset_bank,
@@ -32,12 +33,17 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     IMPULSE,
     IMPULSE_QUADRATURE,
     NEXT,
+    OFFSET,
     RAMPS,
+    RANDOM,
     STATES,
     BankModel,
     BankState,
+    Guide,
     V,
+    Y,
 )
+from linemate.daemon.core.tracking.classifiers.distance_change import DistanceChange
 from linemate.daemon.core.tracking.classifiers.distance_check import Ramp
 from linemate.daemon.core.tracking.classifiers.start_check import StartCheck, StartRejection
 from linemate.daemon.core.tracking.conveyor import (
@@ -55,6 +61,9 @@ SUPPORT = {"stop": 0.0, "start": 1.5}
 MOVED = 1.5  # log odds of a change by the distance sensor alone above which no impulse is accepted
 RUNNING_DEVIATION = 0.003  # of the steady speed of a running conveyor, for the distance check [m/s]
 STANDING_DEVIATION = 0.0003  # the same of one that stands [m/s]
+ASKING_S = 0.012  # the distance sensor alone is asked for a change once in this time [s]
+SURE_STOP = 100.0  # log odds of a stop by the sensor alone; a chain's ripple looks like its begin
+HELD_DEVIATION = 0.001  # one sigma of where the tool holds an object that gives way [m]
 LEFT_S = 0.2  # in which the speed that is left when a stop ends dies out [s]
 
 
@@ -84,7 +93,9 @@ class BankClassifier(BankModel):
         now = bool(felt), is_keen, is_firm
         if now != (state.contact, state.is_keen, state.is_firm):
             state = replace(state, contact=now[0], is_keen=is_keen, is_firm=is_firm)
-        state = _bound_tentative(self._decide(state), before, dt)
+        complied = sum(each.complied for each in measurements if each.source is Source.TACTILE)
+        changed = self._by_distance(state, complied, dt)
+        state = _bound_tentative(changed or self._decide(state), before, dt)
         state = self._settle(self._check_start(before, state, measurements, dt), dt)
         state = sway_filter.follow(self, predicted, state, measurements)
         return guide.advance(self, before, state, measurements, dt)
@@ -189,6 +200,57 @@ class BankClassifier(BankModel):
         if state.tentative and change_odds < CALM:
             return replace(state, tentative=False, events=(*state.events, (event, "cancelled")))
         return state
+
+    def _by_distance(self, state: BankState, complied: float, dt: float) -> BankState | None:
+        """Return the state after a change that the distance sensor alone shows; None without one.
+
+        For an object that gives way: what it does in contact hides a start or is taken for one.
+
+        Args:
+            complied: offset of the target from its estimate in contact [m].
+        """
+        is_due = int(state.age / ASKING_S) != int((state.age - dt) / ASKING_S)
+        if state.guide is None or not is_due or state.motion in RAMPS:
+            return None
+        stands = state.motion is Motion.STANDING
+        found = distance_change.find(
+            distance_check.since(state.readings, state.class_age) if stands else state.readings,
+            self.changes[state.motion],
+            0.0 if stands else state.cruise,
+            STANDING_DEVIATION if stands else RUNNING_DEVIATION,
+            self.distance_deviation,
+        )
+        limit = self.bank.start_confirmed if stands else SURE_STOP
+        if found is None or found.odds <= limit:
+            return None
+        return self._accept_by_distance(state, found, state.guide, complied)
+
+    def _accept_by_distance(
+        self, state: BankState, found: DistanceChange, led: Guide, complied: float
+    ) -> BankState:
+        """Return the state in the class that the distance sensor shows, the banks cleared.
+
+        The object is where the tool holds it. What the conveyor has moved against it is an offset.
+        """
+        motion, event = NEXT[state.motion]
+        change, onset = found.share * self.changes[state.motion], found.onset
+        events = [*state.events, (event, "tentative"), (event, "confirmed")]
+        if state.tentative:
+            events.remove((event, "tentative"))
+        x, P = state.x.copy(), state.P.copy()
+        x[Y], x[V] = float(led.x[Y]) + complied, max(found.speed + change * onset, 0.0)
+        x[RANDOM], x[ACCELERATION] = 0.0, change
+        x[OFFSET] = found.reading - float(x[Y])
+        known = [Y, V, RANDOM, OFFSET, ACCELERATION]
+        P[known, :] = P[:, known] = 0.0
+        unsure = self.bank.amplitude_deviation * change
+        P[ACCELERATION, ACCELERATION], P[V, ACCELERATION] = unsure**2, unsure**2 * onset
+        P[ACCELERATION, V], P[V, V] = unsure**2 * onset, (unsure * onset) ** 2 + REST_DEVIATION**2
+        P[Y, Y], P[OFFSET, OFFSET] = HELD_DEVIATION**2, HELD_DEVIATION**2
+        P[RANDOM, RANDOM] = self.fusion.contact_ripple**2
+        return replace(
+            clear_banks(state), x=x, P=P, motion=motion, class_age=onset, events=tuple(events)
+        )
 
     def _distance_odds(self, state: BankState) -> float | None:
         """Return the log odds of a change by the distance sensor alone, None if it has no say."""

@@ -1,7 +1,11 @@
 """Distance profile of the last approach: fast to the clearance, then at the touch speed.
 
+Bolts that stand out farther than the clearance meet the tool first. From before their tips on it
+comes at a speed at which a bolt that does not enter its hole stops it without an overload.
+
 Invariants:
     * Within the clearance the speed never exceeds the touch speed.
+    * Within reach of the bolts' tips it never exceeds theirs.
     * The profile rests at both ends and never goes back.
 """
 
@@ -11,37 +15,86 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.task import Phase, TaskFile, WaypointFrame
+from linemate.daemon.core.tracking.task import GuardedApproach, Phase, TaskFile, WaypointFrame
 
 BRAKING_S = 0.16  # duration of the last part, from the touch speed to rest [s]
 ACCELERATION = 0.85  # largest one of the first part, from which its shortest time follows [m/s^2]
 PEAK = 5.78  # largest acceleration of a quintic from rest to rest over 1 m in 1 s [1/s^2]
+TIPS_RESERVE = 0.005  # before the bolts' tips, for the error of the estimate [m]
+LED_S = 0.2  # for which the motion goes on after the tips touch, until the tool withdraws [s]
+TIPS_SHARE = 0.3  # of the overload's force that the mount gets in that time
+TIPS_LIMIT = 0.5  # of the overload's force, at which the tool withdraws from the tips
+
+
+@dataclass(frozen=True, slots=True)
+class BoltTips:
+    """Bolts that the tool meets before the object's face.
+
+    Attributes:
+        length: of the bolts from the face [m].
+        speed: largest speed with which the tool comes to their tips [m/s].
+    """
+
+    length: float = 0.0
+    speed: float = 0.0
+
+
+NO_TIPS = BoltTips()
+
+
+def bolt_tips(length: float, stiffness: float, overload: float) -> BoltTips:
+    """Return the bolts with the speed that keeps a tool on their tips below the overload.
+
+    Args:
+        length: from the face [m]; 0 for none.
+        stiffness: of the mount along the tool's axis [N/m].
+        overload: force beyond which the tool is withdrawn [N].
+    """
+    return BoltTips(length, TIPS_SHARE * overload / (stiffness * LED_S))
+
+
+def force_limit(length: float, distance: float, overload: float) -> float:
+    """Return the force beyond which a tool that has not touched the face is withdrawn [N].
+
+    Less than the overload where only the bolts' tips can stop it: it moves on for a while.
+
+    Args:
+        length: of the bolts from the face [m]; 0 for none.
+        distance: programmed, from the tcp to the object along its z [m].
+        overload: force beyond which the tool is withdrawn elsewhere [N].
+    """
+    is_near = length > 0.0 and -length - TIPS_RESERVE < distance < math.inf
+    return TIPS_LIMIT * overload if is_near else overload
 
 
 @dataclass(frozen=True, slots=True)
 class TouchProfile:
-    """Share of a straight stretch over time, in three parts.
+    """Share of a straight stretch over time, in parts.
+
+    Each part but the last ends at the speed at which the next begins. The last one ends at rest.
 
     Attributes:
         begin: task time at which the first part starts [s].
-        times: durations of the three parts [s].
+        times: durations of the parts [s].
         ways: their shares of the stretch; they add up to 1.
-        speed: touch speed, in shares of the stretch [1/s].
+        speeds: at the ends of the parts, in shares of the stretch [1/s].
     """
 
     begin: float
-    times: tuple[float, float, float]
-    ways: tuple[float, float, float]
-    speed: float
+    times: tuple[float, ...]
+    ways: tuple[float, ...]
+    speeds: tuple[float, ...]
 
     def share(self, times: Array) -> Array:
         """Return the share (m,) of the stretch at task times (m,) [s]."""
-        first, second, third = self.times
-        t = times - self.begin
-        share = _quintic(t / first, self.ways[0], 0.0, self.speed * first)
-        share += self.speed * np.minimum(np.maximum(t - first, 0.0), second)
-        s = (t - first - second) / third
-        share += _quintic(s, self.ways[2], self.speed * third, 0.0)
+        t, before = times - self.begin, 0.0
+        share = np.zeros_like(t)
+        for lasting, way, speed in zip(self.times, self.ways, self.speeds, strict=True):
+            if speed == before:
+                share += speed * np.minimum(np.maximum(t, 0.0), lasting)
+            else:
+                share += _quintic(t / lasting, way, before * lasting, speed * lasting)
+            t, before = t - lasting, speed
         return share
 
 
@@ -57,10 +110,11 @@ def _quintic(s: Array, way: float, first: float, last: float) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class _Parts:
-    """Lengths [m] and durations [s] of the parts, the first as short as it may be."""
+    """Lengths [m], durations [s] and last speeds [m/s] of the parts, the first part shortest."""
 
-    ways: tuple[float, float, float]
-    times: tuple[float, float, float]
+    ways: tuple[float, ...]
+    times: tuple[float, ...]
+    speeds: tuple[float, ...]
 
 
 def contact_stretch(task: TaskFile) -> int | None:
@@ -75,7 +129,7 @@ def contact_stretch(task: TaskFile) -> int | None:
     return None
 
 
-def _parts(task: TaskFile, stretch: int) -> _Parts | None:
+def _parts(task: TaskFile, stretch: int, tips: BoltTips) -> _Parts | None:
     """Return the parts of the stretch to contact; None if it needs no bound."""
     guard = task.guard
     here, there = task.waypoints[stretch], task.waypoints[stretch + 1]
@@ -89,8 +143,26 @@ def _parts(task: TaskFile, stretch: int) -> _Parts | None:
     second = way - first - third
     if second <= 0.0:
         return None
+    last = _Parts((second, third), (second / speed, BRAKING_S), (speed, 0.0))
+    before = _tip_parts(guard, tips)
+    to_tips = first - sum(before.ways)
+    if before.ways and to_tips > 0.5 * tips.speed * BRAKING_S:
+        first, speed = to_tips, tips.speed
+        last = _Parts(
+            before.ways + last.ways, before.times + last.times, before.speeds + last.speeds
+        )
     shortest = max(math.sqrt(PEAK * first / ACCELERATION), BRAKING_S)
-    return _Parts((first, second, third), (shortest, second / speed, BRAKING_S))
+    return _Parts((first, *last.ways), (shortest, *last.times), (speed, *last.speeds))
+
+
+def _tip_parts(guard: GuardedApproach, tips: BoltTips) -> _Parts:
+    """Return the parts from before the bolts' tips to the clearance; none without such bolts."""
+    braking = 0.5 * (tips.speed + guard.touch_speed) * BRAKING_S
+    steady = tips.length + TIPS_RESERVE - guard.clearance - braking
+    if tips.length <= 0.0 or steady <= 0.0 or tips.speed <= guard.touch_speed:
+        return _Parts((), (), ())
+    times = steady / tips.speed, BRAKING_S
+    return _Parts((steady, braking), times, (tips.speed, guard.touch_speed))
 
 
 def sighted(task: TaskFile, distance: float) -> TaskFile:
@@ -112,13 +184,13 @@ def sighted(task: TaskFile, distance: float) -> TaskFile:
     return replace(task, waypoints=points)
 
 
-def lengthened(task: TaskFile) -> TaskFile:
+def lengthened(task: TaskFile, tips: BoltTips = NO_TIPS) -> TaskFile:
     """Return the task with enough time for the stretch to contact.
 
     All later times move by as much.
     """
     stretch = contact_stretch(task)
-    parts = None if stretch is None else _parts(task, stretch)
+    parts = None if stretch is None else _parts(task, stretch, tips)
     if stretch is None or parts is None:
         return task
     here, there = task.waypoints[stretch], task.waypoints[stretch + 1]
@@ -142,24 +214,25 @@ def _moved(time: float, after: float, by: float) -> float:
     return time + by if time > after else time
 
 
-def touch_profile(task: TaskFile) -> TouchProfile | None:
+def touch_profile(task: TaskFile, tips: BoltTips = NO_TIPS) -> TouchProfile | None:
     """Return the profile of a lengthened task's stretch to contact; None if it needs no bound.
 
     The first part takes what time is left, but waits at the beginning rather than creep: slower
-    than half the touch speed the quintic would go back.
+    than half its last speed the quintic would go back.
     """
     stretch = contact_stretch(task)
-    parts = None if stretch is None else _parts(task, stretch)
+    parts = None if stretch is None else _parts(task, stretch, tips)
     if stretch is None or parts is None:
         return None
     here, there = task.waypoints[stretch], task.waypoints[stretch + 1]
-    (first, second, third), speed = parts.ways, task.guard.touch_speed
-    way = first + second + third
-    left = there.time - here.time - parts.times[1] - parts.times[2]
-    taken = min(left, max(2.0 * first / speed, parts.times[0]))
+    first, way = parts.ways[0], sum(parts.ways)
+    left = there.time - here.time
+    for lasting in parts.times[1:]:
+        left -= lasting
+    taken = min(left, max(2.0 * first / parts.speeds[0], parts.times[0]))
     return TouchProfile(
         begin=here.time + left - taken,
-        times=(taken, parts.times[1], parts.times[2]),
-        ways=(first / way, second / way, third / way),
-        speed=speed / way,
+        times=(taken, *parts.times[1:]),
+        ways=tuple(part / way for part in parts.ways),
+        speeds=tuple(speed / way for speed in parts.speeds),
     )

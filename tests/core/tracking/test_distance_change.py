@@ -1,0 +1,120 @@
+"""A change of class that the distance sensor alone shows."""
+
+import numpy as np
+import pytest
+
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.classifiers import distance_change, distance_check
+from linemate.daemon.core.tracking.classifiers.classifier_bank import SURE_STOP, BankClassifier
+from linemate.daemon.core.tracking.classifiers.distance_check import NO_READINGS
+from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, Source
+from linemate.daemon.core.tracking.settings import BankSettings, FusionSettings
+from linemate.daemon.core.tracking.task import ConveyorClasses
+
+T0, SIGMA, START, STOP, SPEED = 0.012, 0.38e-3, 0.013, -0.104, 0.106
+SURE = 17.0
+BANK = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), SIGMA, compliance=12.0)
+
+
+def kept(motion: Array, seed: int) -> Array:
+    """The readings of a second of a motion (84,), newest last."""
+    rng = np.random.default_rng(seed)
+    rows = NO_READINGS
+    for way in motion.tolist():
+        measured = PositionMeasurement(
+            Source.DISTANCE, way + rng.normal(0.0, SIGMA), 0.001, SIGMA**2, 4.0
+        )
+        rows = distance_check.keep(rows, [measured], T0)
+    return rows
+
+
+def ramp(acceleration: float, lasting: float, speed: float = 0.0) -> Array:
+    ages = T0 * np.arange(83.0, -1.0, -1.0)
+    return 0.5 * acceleration * np.maximum(lasting - ages, 0.0) ** 2 - speed * ages
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_start_is_certain_after_half_a_second_with_its_onset_and_speed(seed: int) -> None:
+    found = distance_change.find(kept(ramp(START, 0.5), seed), START, 0.0, 3e-4, SIGMA)
+    assert found is not None
+    assert found.odds > SURE
+    assert found.onset == pytest.approx(0.5, abs=0.13)
+    assert found.speed + found.share * START * found.onset == pytest.approx(START * 0.5, abs=2e-3)
+    assert found.reading == pytest.approx(0.5 * START * 0.5**2, abs=3e-4)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_stop_is_certain_after_a_third_of_a_second(seed: int) -> None:
+    found = distance_change.find(kept(ramp(STOP, 0.33, SPEED), seed), STOP, SPEED, 3e-3, SIGMA)
+    assert found is not None
+    assert found.odds > SURE_STOP
+
+
+def test_a_steady_motion_is_no_change() -> None:
+    for seed in range(40):
+        stands = distance_change.find(kept(ramp(0.0, 0.5), seed), START, 0.0, 3e-4, SIGMA)
+        runs = distance_change.find(kept(ramp(0.0, 0.5, SPEED), seed), STOP, SPEED, 3e-3, SIGMA)
+        assert all(each is None or each.odds < 6.0 for each in (stands, runs))
+
+
+@pytest.mark.parametrize("ago", [0.04, 0.06, 0.08, 0.1, 0.2, 0.3, 0.6])
+def test_a_frozen_or_stepping_reading_is_no_change(ago: float) -> None:
+    ages = T0 * np.arange(83.0, -1.0, -1.0)
+    frozen = -SPEED * np.maximum(ages, ago)
+    stepped = np.where(ages < ago, 0.006, 0.0)
+    assert distance_change.find(kept(frozen, 1), STOP, SPEED, 3e-3, SIGMA) is None
+    assert distance_change.find(kept(stepped, 1), START, 0.0, 3e-4, SIGMA) is None
+
+
+@pytest.mark.parametrize("phase", np.linspace(0.0, 5.5, 12))
+def test_the_ripple_of_a_chain_is_no_stop(phase: float) -> None:
+    ages = T0 * np.arange(83.0, -1.0, -1.0)
+    chain = -SPEED * ages + 0.75e-3 * np.sin(2.0 * np.pi * 1.06 * ages + phase)
+    found = distance_change.find(kept(chain, 1), STOP, SPEED, 3e-3, SIGMA)
+    assert found is None or found.odds < SURE_STOP
+
+
+def test_too_few_readings_show_nothing() -> None:
+    few = kept(ramp(START, 0.5), 1)[:, -5:]
+    assert distance_change.find(few, START, 0.0, 3e-4, SIGMA) is None
+
+
+def started(*, gives_way: bool) -> float | None:
+    """Time until a start is confirmed [s] of an object that the tool holds; None if it is not.
+
+    The object swings with the tool by 1.5 mm, and does not follow the conveyor.
+    """
+    rng = np.random.default_rng(3)
+    state = BANK.initial(0.0)
+    for k in range(round(6.5 / T0)):
+        t = k * T0
+        late = max(t - 5.0, 0.0)
+        way = 0.5 * START * late * late
+        rows = [
+            PositionMeasurement(Source.DISTANCE, way + rng.normal(0.0, SIGMA), 0.001, SIGMA**2, 4.0)
+        ]
+        if t > 3.0:
+            swing = 0.0015 * np.sin(2.0 * np.pi * 3.6 * t) * (1.0 - np.exp(-(t - 3.0) / 0.3))
+            rows.append(
+                PositionMeasurement(
+                    Source.TACTILE, float(swing), 0.005, 3e-5**2, 20.0, is_firm=not gives_way
+                )
+            )
+        state = BANK.advance(state, rows, T0)
+        if state.motion is Motion.STARTING and t > 5.0:
+            assert state.x[0] == pytest.approx(0.0, abs=2e-3)
+            assert float(state.x[1]) == pytest.approx(START * late, abs=3e-3)
+            return late
+    return None
+
+
+def test_a_start_is_confirmed_although_the_held_object_swings() -> None:
+    """It was hidden for 1.6 s, and the filter then jumped by 2 mm and 25 mm/s."""
+    late = started(gives_way=True)
+    assert late is not None
+    assert late < 0.6
+
+
+def test_the_force_counts_where_the_object_is_firm() -> None:
+    late = started(gives_way=False)
+    assert late is None or late > 0.6
