@@ -117,19 +117,26 @@ def load(path: Path) -> LoadedConfig:
     texts = {"config": data.decode("utf-8-sig"), **named.texts}
     base = path.parent
     written = overlays.apply(document, config, base, saved=False)
-    config = _with_urdf_limits(overlays.apply(document, config, base), named.task)
-    _refuse_wider_limits(document, config, named.task)
+    config = overlays.apply(document, config, base)
+    task = overlays.apply_to_task(named.task, config, base)
+    variants = {
+        name: overlays.apply_to_task(variant, config, base, is_variant=True)
+        for name, variant in named.variants.items()
+    }
+    texts["task"] = task.text
+    config = _with_urdf_limits(config, task)
+    _refuse_wider_limits(document, config, task)
     return LoadedConfig(
         path,
         config,
-        named.task,
+        task,
         named.rsi,
         named.dbc,
         named.keys,
         texts,
-        overlays.settings_of(_with_urdf_limits(written, named.task)),
+        overlays.settings_of(_with_urdf_limits(written, task)),
         overlays.directory(config, base),
-        named.variants,
+        variants,
     )
 
 

@@ -2,6 +2,7 @@
 
 Invariants:
 - The user's file is never written.
+- The section ``task`` goes over the task file: frames of the tool, and the conveyor as measured.
 - An overlay holds only what differs. A list is replaced whole.
 - A power cut leaves the old overlay or the new one, never half of one.
 """
@@ -16,16 +17,18 @@ from typing import Any, Final
 
 import yaml
 
-from linemate.daemon.config import documents, files, timeouts
+from linemate.daemon.config import documents, files, task_file, timeouts
 from linemate.daemon.config import settings_tree as tree
 from linemate.daemon.config.documents import Complaint, FileError, YamlDocument
 from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.settings import Config
 from linemate.daemon.config.settings_tree import Settings
+from linemate.daemon.config.task_file import Task
 
 NAME: Final = "parameters.yaml"
 JOURNAL: Final = "parameters.log"
 JOURNAL_BYTES: Final = 1_048_576
+_SECTIONS: Final = (*tree.SECTIONS, task_file.SECTION)
 HEAD: Final = "# Saved by `linemate param save`; laid over the configuration. Delete to undo.\n"
 
 
@@ -55,16 +58,12 @@ def apply(document: YamlDocument, config: Config, base: Path, *, saved: bool = T
     Raises:
         FileError: everything that is wrong with the overlays.
     """
-    paths = [base / name for name in config.overlays]
-    folder = directory(config, base)
-    if saved and folder is not None and (folder / NAME).exists():
-        paths.append(folder / NAME)
     value = document.value
     wrong: list[str] = []
-    for path in paths:
+    for path in _paths(config, base, saved=saved):
         try:
             over = _read(path)
-            merged_value = tree.merge(value, over.value)
+            merged_value = tree.merge(value, _without_task(over.value))
             merged = YamlDocument(over.name, merged_value, over.values, over.keys, over.complaints)
             config = documents.fill(merged, Config, partial(_complaints, over))
         except FileError as error:  # the next overlays are read without it
@@ -74,6 +73,30 @@ def apply(document: YamlDocument, config: Config, base: Path, *, saved: bool = T
     if wrong:
         raise FileError(wrong)
     return config
+
+
+def apply_to_task(task: Task, config: Config, base: Path, *, is_variant: bool = False) -> Task:
+    """Return a task with what the overlays say of the cell.
+
+    Args:
+        is_variant: its own object stays.
+
+    Raises:
+        FileError: everything that does not fit.
+    """
+    wrong: list[str] = []
+    for path in _paths(config, base, saved=True):
+        over = _read(path)
+        value = over.value if isinstance(over.value, dict) else {}
+        if task_file.SECTION not in value:
+            continue
+        try:
+            task = task_file.laid_over(task, over, is_variant=is_variant)
+        except FileError as error:
+            wrong.extend(error.lines)
+    if wrong:
+        raise FileError(wrong)
+    return task
 
 
 def save(folder: Path, settings: Settings, written: Settings) -> Path:
@@ -111,6 +134,22 @@ def append_change(folder: Path, change: Mapping[str, Any]) -> None:
         file.write(json.dumps(change) + "\n")
 
 
+def _paths(config: Config, base: Path, *, saved: bool) -> list[Path]:
+    """Return the overlays in their order, what operators saved last."""
+    paths = [base / name for name in config.overlays]
+    folder = directory(config, base)
+    if saved and folder is not None and (folder / NAME).exists():
+        paths.append(folder / NAME)
+    return paths
+
+
+def _without_task(value: Any) -> Any:
+    """Return an overlay's values for the configuration, whose key ``task`` names a file."""
+    if not isinstance(value, dict):
+        return value
+    return {key: part for key, part in value.items() if key != task_file.SECTION}
+
+
 def _read(path: Path) -> YamlDocument:
     try:
         data = files.read(path, documents.MAX_BYTES)
@@ -123,9 +162,9 @@ def _complaints(over: YamlDocument, merged: Any) -> list[Complaint]:
     """Return sections that are not parameters, and time-outs out of order."""
     value = over.value if isinstance(over.value, dict) else {}
     return [
-        Complaint((key,), f"an overlay may hold {', '.join(tree.SECTIONS)}", at_key=True)
+        Complaint((key,), f"an overlay may hold {', '.join(_SECTIONS)}", at_key=True)
         for key in value
-        if key not in tree.SECTIONS
+        if key not in _SECTIONS
     ] + list(timeouts.complaints(merged))
 
 

@@ -11,10 +11,15 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
+import yaml
+
 from linemate.daemon.config import documents, files
+from linemate.daemon.config import settings_tree as tree
 from linemate.daemon.config.documents import Complaint, FileError, YamlDocument
 from linemate.daemon.config.files import UnreadableError
+from linemate.daemon.core import rotations
 from linemate.daemon.core.tracking.task import ConveyorClasses, Gate, PoseFile, TaskFile, ToolTimes
+from linemate.protocol.stamped_samples import Vector3
 
 Vector = TypeVar("Vector", bound=tuple[float, ...])
 
@@ -22,6 +27,14 @@ DEFAULT_URDF = "arm.urdf"
 UNIT_TOLERANCE = 1e-3
 ALONG_TOLERANCE = 1e-6
 MAX_URDF_BYTES = 8_388_608
+
+SECTION = "task"  # of an overlay
+OVERLAID: dict[str, tuple[str, ...]] = {
+    "arm": ("tcp_in_flange", "camera_in_tcp", "sensor_in_tcp", "sensor_sign"),
+    "conveyor": ("axis", "nominal_speed", "deceleration", "acceleration"),
+    "object": ("nominal",),
+}
+"""What commissioning measures of a cell, by section of the task file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +83,62 @@ def load(path: Path) -> Task:
     return Task(exact(file), urdf[0], data.decode("utf-8-sig"), document)
 
 
+def laid_over(task: Task, over: YamlDocument, *, is_variant: bool = False) -> Task:
+    """Return a task with an overlay's section ``task``: frames of the tool, conveyor, object.
+
+    A measured direction of the conveyor turns the nominal object with it, unless the overlay has
+    the object too.
+
+    Args:
+        is_variant: the overlay's object is another one's and is left out.
+
+    Raises:
+        FileError: a key that an overlay may not hold, or values that do not fit.
+    """
+    section = _at(over.value, SECTION)
+    places = {path[1:]: place for path, place in over.values.items() if path[:1] == (SECTION,)}
+    keys = {path[1:]: place for path, place in over.keys.items() if path[:1] == (SECTION,)}
+    document = YamlDocument(over.name, section, places, keys)
+    if not isinstance(section, dict):
+        raise FileError(document.lines([Complaint((), "should hold arm, conveyor or object")]))
+    foreign = [*_foreign(section)]
+    if foreign:
+        raise FileError(document.lines(foreign))
+    section = {key: part for key, part in section.items() if not (is_variant and key == "object")}
+    merged = tree.merge(task.document.value, section)
+    if _at(section, "conveyor", "axis") is not None and "object" not in section:
+        merged = _turned_with_conveyor(merged, task.file)
+    document = replace(document, value=merged)
+    file = documents.fill(document, TaskFile, complaints)
+    text = yaml.safe_dump(merged, sort_keys=False, default_flow_style=None, width=100)
+    return Task(exact(file), task.urdf, str(text), document)
+
+
+def _foreign(section: dict[Any, Any]) -> Iterator[Complaint]:
+    """Yield keys that commissioning does not measure."""
+    for name, part in section.items():
+        known = OVERLAID.get(name)
+        if known is None:
+            what = f"an overlay of a task may hold {', '.join(OVERLAID)}"
+            yield Complaint((name,), what, at_key=True)
+            continue
+        for key in part if isinstance(part, dict) else ():
+            if key not in known:
+                what = f"an overlay of a task may hold {', '.join(known)} here"
+                yield Complaint((name, key), what, at_key=True)
+
+
+def _turned_with_conveyor(merged: Any, before: TaskFile) -> Any:
+    """Return the plain values with the nominal object turned as the conveyor's direction is."""
+    axis = _vector(_at(merged, "conveyor", "axis"), 3)
+    if axis is None or not _is_unit(axis):
+        return merged  # the conditions complain
+    turn = rotations.between(before.conveyor.axis, cast("Vector3", _unit(axis)))
+    old = before.object.nominal.quaternion
+    nominal = {**merged["object"]["nominal"], "quaternion": [*rotations.multiply(turn, old)]}
+    return {**merged, "object": {**merged["object"], "nominal": nominal}}
+
+
 def parse(data: bytes, name: str) -> TaskFile:
     """Read a task from bytes, without its URDF.
 
@@ -97,6 +166,7 @@ def complaints(value: Any) -> Iterator[Complaint]:
         ("object", "nominal", "quaternion"),
         ("arm", "tcp_in_flange", "quaternion"),
         ("arm", "camera_in_tcp", "quaternion"),
+        ("arm", "sensor_in_tcp", "quaternion"),
         ("conveyor", "axis"),
         *(("waypoints", i, "pose", "quaternion") for i in range(len(points))),
     ):
@@ -173,6 +243,7 @@ def exact(task: TaskFile) -> TaskFile:
         task.arm,
         tcp_in_flange=_exact_pose(task.arm.tcp_in_flange),
         camera_in_tcp=_exact_pose(task.arm.camera_in_tcp),
+        sensor_in_tcp=_exact_pose(task.arm.sensor_in_tcp),
     )
     return replace(
         task,

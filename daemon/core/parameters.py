@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linemate.daemon.core import rotations
+from linemate.daemon.core import rotations, wrench_frame
 from linemate.daemon.core.control import controller as control
 from linemate.daemon.core.control import dead_time, kinematics, urdf_limits
 from linemate.daemon.core.control.settings import ControlSettings
@@ -30,6 +30,7 @@ from linemate.daemon.core.tracking.touch import compliance, contact
 from linemate.daemon.core.tracking.touch.touch_profile import bolt_tips, lengthened, sighted
 from linemate.daemon.core.tracking.tracker_state import Foresight, Tracker
 from linemate.daemon.core.tracking.transverse import Transverse
+from linemate.daemon.core.wrench_frame import WrenchFrame
 
 TOOL_AXIS = 2  # of the tcp
 SIGHT_MARGIN = 0.02  # of the last waypoint before contact to where the camera goes blind [m]
@@ -45,6 +46,7 @@ class Parameters:
     Attributes:
         settings: of the controller; the tracker keeps its own.
         home: joints (axes,) at the first pose.
+        wrench_frame: from the sensor's wrench to that of the tcp, None if they are the same.
     """
 
     tracker: Tracker
@@ -52,6 +54,7 @@ class Parameters:
     cycle_s: float
     settings: ControlSettings
     home: Array
+    wrench_frame: WrenchFrame | None = None
 
 
 def _classifier(task: TaskFile, settings: TrackingSettings) -> Classifier:
@@ -181,7 +184,8 @@ def build(
         damped_until=damped_until(reference, control_settings.filters.contact_blend),
     )
     home, _, _ = joints_at_rest(arm, task, reference)
-    return Parameters(tracker, controller, cycle_s, control_settings, home)
+    frame = wrench_frame.of_arm(task.arm)
+    return Parameters(tracker, controller, cycle_s, control_settings, home, frame)
 
 
 def joints_at_rest(

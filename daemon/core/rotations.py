@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from linemate.daemon.core.horizon import Array
-from linemate.protocol.stamped_samples import Quaternion
+from linemate.protocol.stamped_samples import Quaternion, Vector3
 
 SMALL = 1e-6
 EYE = np.eye(3)
@@ -188,6 +188,17 @@ def exp_quaternion(x: float, y: float, z: float) -> Quaternion:
     angle = math.sqrt(x * x + y * y + z * z)
     scale = 0.5 - angle * angle / 48.0 if angle < SMALL else math.sin(0.5 * angle) / angle
     return (math.cos(0.5 * angle), scale * x, scale * y, scale * z)
+
+
+def between(a: Vector3, b: Vector3) -> Quaternion:
+    """Return the shortest rotation from a unit vector to another; none for opposite ones."""
+    (ax, ay, az), (bx, by, bz) = a, b
+    w = 1.0 + ax * bx + ay * by + az * bz
+    if w < SMALL:
+        return (1.0, 0.0, 0.0, 0.0)
+    x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    n = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
+    return (w * n, x * n, y * n, z * n)
 
 
 def multiply(p: Quaternion, q: Quaternion) -> Quaternion:

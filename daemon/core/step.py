@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from linemate.daemon.core import rotations, way_home
+from linemate.daemon.core import rotations, way_home, wrench_frame
 from linemate.daemon.core.control import command_limiter, windup
 from linemate.daemon.core.control import controller as control
 from linemate.daemon.core.control.windup import WindupState
@@ -369,13 +369,16 @@ def _samples(
     if inputs.robot is not None:
         tcp = _tcp(parameters, _joints(parameters, inputs.robot), wound)
         stamp = inputs.robot.stamp_ns
+    wrench = inputs.wrench
+    if parameters.wrench_frame is not None:
+        wrench = tuple(wrench_frame.at_tcp(parameters.wrench_frame, sample) for sample in wrench)
     return tracker_state.StepSamples(
         stamp_ns=inputs.stamp_ns,
         tcp=tcp,
         tcp_stamp_ns=stamp or 0,
         distance=inputs.distance,
         camera=inputs.camera,
-        wrench=inputs.wrench,
+        wrench=wrench,
         digital_in=0 if inputs.robot is None else inputs.robot.digital_in,
     )
 

@@ -11,6 +11,7 @@ from msgspec.structs import replace
 
 from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core import step as stepping
+from linemate.daemon.core import wrench_frame
 from linemate.daemon.core.control.command_limiter import LimiterState
 from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.core.parameters import Parameters
@@ -318,6 +319,8 @@ class Stepper:
         moving = self.machine.state in states.MOVING
         conditions = Conditions(moving, settings.distance.deviation, self._in_last_approach)
         weight = tare.carried(state.tracker.tare, settings.tactile)
+        if self.parameters.wrench_frame is not None:
+            weight = wrench_frame.force_in_sensor(self.parameters.wrench_frame, weight)
         limit = settings.tactile.overload_force
         if self.machine.state is State.TRACK:
             limit = force_limit(settings.payload.bolts, state.tracker.distance, limit)

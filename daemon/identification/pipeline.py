@@ -14,7 +14,7 @@ import numpy as np
 
 from linemate.daemon.config import documents, task_file
 from linemate.daemon.config.documents import FileError, YamlDocument
-from linemate.daemon.core import rotations
+from linemate.daemon.core import rotations, wrench_frame
 from linemate.daemon.core.control import kinematics
 from linemate.daemon.core.control.settings import ControlSettings
 from linemate.daemon.core.horizon import Array
@@ -202,6 +202,7 @@ def _arm(cell: _Cell) -> kinematics.Arm:
 
 def _traces(recordings: Sequence[Recorded], cell: _Cell, arm: kinematics.Arm) -> list[Trace]:
     nominal, traces = _nominal(cell), []
+    frame = wrench_frame.of_arm(cell.task.arm)
     for recorded in recordings:
         steps = [
             TraceStep(
@@ -214,7 +215,7 @@ def _traces(recordings: Sequence[Recorded], cell: _Cell, arm: kinematics.Arm) ->
             for s in recorded.steps
         ]
         try:
-            traces.append(build_trace(steps, arm.tcp_in_base, nominal))
+            traces.append(build_trace(steps, arm.tcp_in_base, nominal, frame))
         except ValueError as error:
             raise IdentifyError(f"{recorded.name}: {error}") from error
     cycles = [trace.cycle_s for trace in traces]

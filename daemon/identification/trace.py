@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from linemate.daemon.core import rotations
+from linemate.daemon.core import rotations, wrench_frame
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.inputs import Inputs
+from linemate.daemon.core.wrench_frame import WrenchFrame
 
 Mask = NDArray[np.bool_]
 
@@ -72,7 +73,7 @@ class Trace:
         robot_times: (m,) of the robot's telegrams [s].
         tcp: (m, 6) undeflected tcp in c, position [m] and rotation vector [rad].
         distances: (d, 2) arrival [s] and reading [m].
-        wrenches: (w, 7) arrival [s], force [N], torque [Nm].
+        wrenches: (w, 7) arrival [s], force [N], torque [Nm] of the tcp.
         contact: (c, 2) begin and end of each contact [s].
         motors: (m, axes) positions in the robot's telegrams [rad, m].
     """
@@ -96,12 +97,18 @@ class Trace:
         return inside
 
 
-def build_trace(steps: Iterable[TraceStep], kinematics: Kinematics, nominal: Array) -> Trace:
+def build_trace(
+    steps: Iterable[TraceStep],
+    kinematics: Kinematics,
+    nominal: Array,
+    frame: WrenchFrame | None = None,
+) -> Trace:
     """Return the trace of recorded steps.
 
     Args:
         kinematics: of the arm with its tool.
         nominal: (3, 3) C, the nominal object's axes in base.
+        frame: of the force-torque sensor in the tcp; None: it states the tcp's wrench.
 
     Raises:
         ValueError: the steps are too few, or without telegrams of a robot.
@@ -133,7 +140,7 @@ def build_trace(steps: Iterable[TraceStep], kinematics: Kinematics, nominal: Arr
         tcp=tcp_poses(joints, kinematics, nominal),
         distances=_distances(rows, epoch),
         images=_images(rows, epoch),
-        wrenches=_wrenches(rows, epoch),
+        wrenches=_wrenches(rows, epoch, frame),
         contact=_contacts(rows, epoch),
         motors=joints,
     )
@@ -204,8 +211,10 @@ def _images(rows: list[TraceStep], epoch: int) -> Images:
     )
 
 
-def _wrenches(rows: list[TraceStep], epoch: int) -> Array:
+def _wrenches(rows: list[TraceStep], epoch: int, frame: WrenchFrame | None) -> Array:
     samples = [sample for step in rows for sample in step.inputs.wrench]
+    if frame is not None:
+        samples = [wrench_frame.at_tcp(frame, sample) for sample in samples]
     stamps = _seconds([sample.stamp_ns for sample in samples], epoch)
     wrenches = np.array([(*sample.force, *sample.torque) for sample in samples], dtype=float)
     return np.column_stack((stamps, wrenches.reshape(-1, 6))).reshape(-1, 7)

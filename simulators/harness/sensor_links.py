@@ -13,9 +13,10 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from operator import itemgetter
+from typing import Protocol
 
 from linemate.daemon.config.watch_settings import WatchSettings
-from linemate.daemon.cycle.cycle import Cycle
+from linemate.daemon.cycle.samples import SensorQueues
 from linemate.protocol.errors import ProtocolError
 from linemate.protocol.sensors.camera_codec import CameraDecoder
 from linemate.protocol.sensors.distance import DistanceDecoder, DistanceEncoder
@@ -254,6 +255,17 @@ class SensorEnds:
     watch: WatchSettings | None = None
 
 
+class Receiver(Protocol):
+    """Who takes what arrives: the daemon's cycle, or what stands for it."""
+
+    @property
+    def samples(self) -> SensorQueues:
+        """Queues of the three sensors."""
+
+    def on_telegram(self, data: bytes, stamp_ns: int) -> object:
+        """Take a datagram on the robot's link."""
+
+
 class SensorLinks:
     """The three sensors' links to a cycle, and junk on any of the four.
 
@@ -264,7 +276,7 @@ class SensorLinks:
     def __init__(
         self,
         world: EmulatedWorld,
-        cycle: Cycle,
+        cycle: Receiver,
         faults: Faults,
         mount: float,
         cell: "SensorEnds | None" = None,

@@ -175,6 +175,9 @@ class ForceTorque:
         bias: constant error, as deflection [m, rad].
         dropout_rate: probability that a reading is missing.
         effects: bias after mounting and drift.
+        position_in_tcp: sensor in the rigid tcp frame [m].
+        rotation_in_tcp: sensor in the rigid tcp frame, rotation vector [rad].
+        sign: -1 for a sensor that states the opposite wrench.
     """
 
     period_s: float = 0.004
@@ -186,6 +189,9 @@ class ForceTorque:
     bias: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     dropout_rate: float = 0.0
     effects: ForceTorqueEffects = field(default_factory=ForceTorqueEffects)
+    position_in_tcp: Vector3 = (0.0, 0.0, 0.0)
+    rotation_in_tcp: Vector3 = (0.0, 0.0, 0.0)
+    sign: Literal[1, -1] = 1
 
 
 @dataclass(frozen=True, slots=True)

@@ -237,6 +237,9 @@ class ForceTorquePlant:
         self._noise_gain = spread * effector.stiffness
         self._bias = np.array(sensor.bias) * effector.stiffness
         self._gauge = new_gauge(sensor.effects, seed, start_s)
+        place, turn = sensor.position_in_tcp, sensor.rotation_in_tcp
+        self._is_elsewhere = any(place) or any(turn) or sensor.sign != 1
+        self._place, self._turn = place, rotation.exp(turn)
         self._errors: list[list[float]] = []
         self.clock = _Clock(
             Draws.uniform(seed, "force_torque.delay"),
@@ -269,9 +272,21 @@ class ForceTorquePlant:
         if self._gauge is not None:
             g0, g1, g2, g3, g4, g5 = self._gauge.at(exposure)
             e0, e1, e2, e3, e4, e5 = e0 + g0, e1 + g1, e2 + g2, e3 + g3, e4 + g4, e5 + g5
-        force = (k0 * d0 + e0, k1 * d1 + e1, k2 * d2 + e2)
-        torque = (k3 * d3 + e3, k4 * d4 + e4, k5 * d5 + e5)
+        force, torque = (k0 * d0, k1 * d1, k2 * d2), (k3 * d3, k4 * d4, k5 * d5)
+        if self._is_elsewhere:
+            force, torque = self._in_sensor(force, torque)
+        force = (force[0] + e0, force[1] + e1, force[2] + e2)
+        torque = (torque[0] + e3, torque[1] + e4, torque[2] + e5)
         self.due.append(WrenchEmission(due, exposure, force, torque))
+
+    def _in_sensor(self, force: Vec, torque: Vec) -> tuple[Vec, Vec]:
+        """Wrench of the mount in and about the sensor's own frame, with its sign."""
+        (x, y, z), (fx, fy, fz), sign = self._place, force, self._sensor.sign
+        lever = (y * fz - z * fy, z * fx - x * fz, x * fy - y * fx)
+        about = (torque[0] - lever[0], torque[1] - lever[1], torque[2] - lever[2])
+        a, b, c = rotation.unapply(self._turn, force)
+        d, e, f = rotation.unapply(self._turn, about)
+        return (sign * a, sign * b, sign * c), (sign * d, sign * e, sign * f)
 
     def _draw_errors(self) -> list[list[float]]:
         """Bias and noise of the next readings as wrenches, the last one first."""

@@ -349,3 +349,24 @@ def test_a_dead_time_that_drifts_and_servos_that_are_learned_contradict_each_oth
     assert config.load(write(drift)).config.control.drift.longer == 0.1
     lines = errors(write(f"{drift}learning: {{}}\n"))
     assert any("learning: control.drift is set" in line for line in lines), lines
+
+
+def test_an_overlay_says_where_camera_and_sensor_are(write: Write, tmp_path: Path) -> None:
+    (tmp_path / "tool.yaml").write_text(
+        "task: {arm: {camera_in_tcp: {position: [0.1, 0.2, 0.3]}, sensor_sign: -1}}\n"
+        "tracking: {distance: {deviation: 0.002}}\n"
+    )
+    station = config.load(write("task: wheel.yaml\noverlays: [tool.yaml]\n"))
+    assert station.task.file.arm.camera_in_tcp.position == (0.1, 0.2, 0.3)
+    assert station.config.tracking.distance.deviation == 0.002
+    assert station.config.task == "wheel.yaml"
+    assert "sensor_sign: -1" in station.texts["task"]
+
+
+def test_an_overlay_that_names_another_arm_is_refused_at_its_place(
+    write: Write, tmp_path: Path
+) -> None:
+    (tmp_path / "tool.yaml").write_text("task:\n  arm: {urdf: other.urdf}\n")
+    with pytest.raises(FileError) as caught:
+        config.load(write("task: wheel.yaml\noverlays: [tool.yaml]\n"))
+    assert caught.value.lines[0].startswith(f"{tmp_path}/tool.yaml:2:9: arm.urdf: an overlay")

@@ -4,11 +4,13 @@ import math
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from linemate.daemon.config import task_file
+from linemate.daemon.config import documents, task_file
 from linemate.daemon.config.documents import FileError
 from linemate.daemon.config.files import DAEMON_DATA
+from linemate.daemon.core import rotations
 
 WHEEL = DAEMON_DATA / "wheel.yaml"
 
@@ -136,3 +138,52 @@ def test_a_gate_on_a_signal_that_is_ordered_later_is_reported() -> None:
     assert "tool.fix_screws: 14.1 s is after waypoints[5] at 14 s, which waits for it" in line
     (line,) = errors(edited("release_wheel: 14.5", "release_wheel: 850"))
     assert "tool.release_wheel: 850 s is after waypoints[7] at 15 s" in line
+
+
+def overlaid(text: str, *, is_variant: bool = False) -> task_file.Task:
+    over = documents.read(text.encode(), "o.yaml")
+    return task_file.laid_over(task_file.load(WHEEL), over, is_variant=is_variant)
+
+
+def test_an_overlay_replaces_a_frame_of_the_tool_and_its_text_says_so() -> None:
+    made = overlaid("task: {arm: {camera_in_tcp: {position: [0.1, 0.2, 0.3]}, sensor_sign: -1}}")
+    assert made.file.arm.camera_in_tcp.position == (0.1, 0.2, 0.3)
+    assert made.file.arm.sensor_sign == -1
+    assert made.file.arm.tcp_in_flange == task_file.load(WHEEL).file.arm.tcp_in_flange
+    assert task_file.parse(made.text.encode(), "text") == made.file
+
+
+def test_a_measured_direction_of_the_conveyor_turns_the_nominal_object_with_it() -> None:
+    c, s = math.cos(0.01), math.sin(0.01)
+    made = overlaid(f"task: {{conveyor: {{axis: [{-s}, {c}, 0.0]}}}}")
+    before = rotations.matrix(task_file.load(WHEEL).file.object.nominal.quaternion)
+    after = rotations.matrix(made.file.object.nominal.quaternion)
+    assert after[:, 1] == pytest.approx((-s, c, 0.0), abs=1e-9)
+    assert float(np.linalg.norm(rotations.log(before.T @ after))) == pytest.approx(0.01, abs=1e-6)
+    assert made.file.object.nominal.position == (2.2, 0.0, 1.1)
+
+
+def test_the_object_of_an_overlay_is_not_that_of_a_variant() -> None:
+    text = "task: {object: {nominal: {position: [2.0, 0.0, 1.0], quaternion: [0.70710678, 0.0, "
+    text += "0.70710678, 0.0]}}, arm: {sensor_sign: -1}}"
+    assert overlaid(text).file.object.nominal.position == (2.0, 0.0, 1.0)
+    variant = overlaid(text, is_variant=True)
+    assert variant.file.object.nominal.position == (2.2, 0.0, 1.1)
+    assert variant.file.arm.sensor_sign == -1
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ("task: {arm: {urdf: other.urdf}}", "arm.urdf: an overlay of a task may hold tcp_in"),
+        ("task: {waypoints: []}", "waypoints: an overlay of a task may hold arm, conveyor, object"),
+        ("task: wheel.yaml", "should hold arm, conveyor or object"),
+        ("task: {conveyor: {nominal_speed: 9.0}}", "conveyor.nominal_speed: should be less"),
+        ("task: {conveyor: {axis: [0.0, -1.0, 0.0]}}", "its y axis should lie along conveyor.axis"),
+        ("task: {arm: {sensor_in_tcp: {position: [0, 0, 0], quaternion: [2, 0, 0, 0]}}}", "length"),
+    ],
+)
+def test_what_an_overlay_of_a_task_may_not_hold_is_refused(text: str, what: str) -> None:
+    with pytest.raises(FileError) as caught:
+        overlaid(text)
+    assert any(what in line and line.startswith("o.yaml:1:") for line in caught.value.lines)

@@ -7,7 +7,7 @@ Invariants:
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le, Len, Lt
 
@@ -196,6 +196,9 @@ class ArmFile:
         linear_axis: the URDF's first joint is the linear axis E1.
         tcp_in_flange: of the undeflected tool.
         camera_in_tcp: hand-eye calibration, of the undeflected tool.
+        sensor_in_tcp: frame in which the force-torque sensor states its wrench, of the undeflected
+            tool. A sensor on the flange has its place and turn here.
+        sensor_sign: -1 for a sensor that states the opposite force.
         rest_joints: A1..A6 at rest [rad].
     """
 
@@ -205,6 +208,8 @@ class ArmFile:
     linear_axis: bool = True
     tcp_in_flange: PoseFile = PoseFile((0.0, 0.0, 0.0))
     camera_in_tcp: PoseFile = PoseFile((0.0, 0.0, 0.0))
+    sensor_in_tcp: PoseFile = PoseFile((0.0, 0.0, 0.0))
+    sensor_sign: Literal[1, -1] = 1
 
 
 @dataclass(frozen=True, slots=True)

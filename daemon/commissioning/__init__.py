@@ -1,0 +1,1 @@
+"""Commissioning: steps from an installed daemon to a measured cell."""

@@ -1,0 +1,247 @@
+"""Recordings for commissioning in virtual time: a robot guided through postures, a passing object.
+
+Invariants:
+    The daemon listens and is given no order; the controller's own programme moves the robot.
+    What is mounted wrongly is in the scenario alone; recordings come through the links.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from linemate.daemon.core import rotations
+from linemate.daemon.core.control import kinematics
+from linemate.daemon.core.inputs import Inputs
+from linemate.daemon.cycle.cycle import Cycle
+from linemate.daemon.cycle.samples import SensorQueues
+from linemate.daemon.cycle.sensor_health import Conditions
+from linemate.daemon.recording.step_codec import encode
+from linemate.daemon.recording.step_file import StepFile
+from linemate.daemon.recording.step_items import metadata_of
+from linemate.protocol.controller_link import ControllerLink
+from linemate.simulators.devices.faults import Faults
+from linemate.simulators.devices.guided_robot import FORWARD, GuidedRobot, Programme
+from linemate.simulators.devices.robot_plant import seven
+from linemate.simulators.devices.rsi_controller import Seven
+from linemate.simulators.devices.worlds import build_world
+from linemate.simulators.harness import families
+from linemate.simulators.harness.lockstep import parameters
+from linemate.simulators.harness.sensor_links import SensorLinks
+from linemate.simulators.harness.setup import Setup, shipped_task
+from linemate.simulators.plants.scenario import ConveyorEvent, Scenario, sample
+
+START: Seven = (0.0, -1.6233553393476978, 1.848973829348316, 0.0, 1.3451778367942788, 0.0, 0.0)
+LEAD_IN_S = 1.0
+TILT = 0.35  # of the tool in postures before the object [rad]
+SEED = 5200
+
+
+@dataclass(frozen=True, slots=True)
+class CommissioningRun:
+    """One recording.
+
+    Attributes:
+        programme: of the controller.
+        signs: of the axes as the controller counts.
+        cycle_ms: period of the controller [ms].
+    """
+
+    programme: Programme
+    signs: Seven = FORWARD
+    cycle_ms: float = 12.0
+
+
+def resting_scenario() -> Scenario:
+    """Return a cell with a part that stands still in front of the robot, without sway."""
+    plain = Scenario()
+    return replace(
+        plain,
+        name="postures",
+        lead_in_s=LEAD_IN_S,
+        robot=replace(plain.robot, start=START),
+        conveyor=replace(plain.conveyor, events=(ConveyorEvent("stop", -LEAD_IN_S + 0.01, 2.0),)),
+        body=replace(plain.body, swings=(), offset=(0.0, 0.0, 0.0), rotation=(0.0, 0.0, 0.0)),
+    )
+
+
+def looking_postures(count: int = 18, tilt: float = TILT) -> list[Seven]:
+    """Return postures before the object that turn the tool about all axes."""
+    turns = [
+        (tilt * math.cos(2.4 * i), tilt * math.sin(2.4 * i), tilt * math.sin(1.1 * i + 0.3))
+        for i in range(count)
+    ]
+    places = [
+        (0.10 * math.sin(1.7 * i), 0.12 * math.cos(1.3 * i), -0.45 - 0.15 * math.cos(0.9 * i))
+        for i in range(count)
+    ]
+    return _solved([np.array((*p, *r)) for p, r in zip(places, turns, strict=True)])
+
+
+def weighing_postures() -> list[Seven]:
+    """Return postures in which gravity comes from all sides of the tool."""
+    shifts = (
+        (0.0, 0.0, 0.0),
+        (0.0, 0.9, 0.0),
+        (0.0, -0.9, 0.0),
+        (0.0, 0.0, 1.5),
+        (0.0, 0.8, 1.5),
+        (0.0, -0.8, -1.5),
+        (0.9, -1.0, 0.0),
+        (-0.9, -1.0, 0.0),
+        (0.6, 0.6, -1.2),
+        (-0.6, -1.4, 1.2),
+    )
+    a1, a2, a3, a4, a5, a6, e1 = START
+    return [seven((a1, a2, a3, a4 + d4, a5 + d5, a6 + d6, e1)) for d4, d5, d6 in shifts]
+
+
+def _solved(poses: Sequence[Any]) -> list[Seven]:
+    """Return the joints for poses (6,) of the tcp about the nominal object."""
+    task = shipped_task()
+    file, tool = task.file, task.file.arm.tcp_in_flange
+    arm = kinematics.load(
+        task.urdf,
+        file.arm.flange,
+        np.array(tool.position),
+        rotations.matrix(tool.quaternion),
+        linear_axis=True,
+    )
+    nominal = file.object.nominal
+    turn, place = rotations.matrix(nominal.quaternion), np.array(nominal.position)
+    joints, rows = np.array(START), []
+    for pose in poses:
+        target = turn @ rotations.exp(pose[3:])
+        joints = arm.solve(joints, place + turn @ pose[:3], target, tolerance=1e-6)
+        rows.append(seven(tuple(joints.tolist())))
+    return rows
+
+
+def listen(setup: Setup, plan: CommissioningRun, seed: int = SEED) -> list[Inputs]:
+    """Return what arrives at the daemon; it makes no steps, which saves most of the time."""
+    station = _Station(setup, plan, seed)
+    listener = Listener(station.link)
+    station.run(listener)
+    return listener.inputs
+
+
+def record(setup: Setup, plan: CommissioningRun, path: Path, seed: int = SEED) -> Path:
+    """Leave the recording of a daemon next to a guided robot; return where.
+
+    Args:
+        setup: what the daemon believes, and the truth.
+    """
+    station = _Station(setup, plan, seed)
+    cycle_s = station.scenario.cycle_s
+    compiled = parameters(setup.task, setup.urdf, setup.tracking, setup.control, cycle_s)
+    cycle = Cycle(compiled, station.link)
+    cycle.listen(0)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    file = StepFile(path.open("wb"), metadata_of(texts(setup)))
+
+    def keep() -> None:
+        for entry in cycle.take_log():
+            step = encode(entry.ipoc, entry.state, entry.inputs, entry.outputs)
+            file.write(entry.inputs.stamp_ns, step)
+
+    try:
+        station.run(cycle, keep)
+    finally:
+        file.close()
+    return path
+
+
+class Listener:
+    """Decoders and sample queues of the daemon, and replies without a setpoint.
+
+    Attributes:
+        inputs: of all telegrams so far.
+    """
+
+    def __init__(self, link: ControllerLink) -> None:
+        self.samples = SensorQueues()
+        self.inputs: list[Inputs] = []
+        self._link = link
+
+    def on_telegram(self, data: bytes, stamp_ns: int) -> bytes | None:
+        """Keep a telegram and everything that came before it; return the reply."""
+        telegram = self._link.read(data, stamp_ns)
+        drained = self.samples.drain(Conditions(moving=True, deviation=1e-3), 1e6)
+        self.inputs.append(
+            Inputs(
+                len(self.inputs),
+                stamp_ns,
+                telegram.robot,
+                drained.distance,
+                drained.camera,
+                drained.wrench,
+            )
+        )
+        reply = self._link.without_setpoint(0)
+        return None if reply is None else reply.with_counter(telegram.echo)
+
+
+class _Station:
+    """World, guided robot and both ends of the exchange.
+
+    Attributes:
+        link: the daemon's end.
+        scenario: the truth, drawn.
+    """
+
+    def __init__(self, setup: Setup, plan: CommissioningRun, seed: int) -> None:
+        duration_s = max(plan.programme.end_s, setup.scenario.duration_s)
+        cycle_s = round(plan.cycle_ms * 1e-3, 9)
+        truth = replace(setup.scenario, cycle_s=cycle_s, duration_s=duration_s)
+        self.scenario = sample(seed, truth)
+        self._world = build_world(setup.world, self.scenario, setup.mujoco)
+        self._robot = GuidedRobot(self._world, plan.programme, plan.signs)
+        self._controller, self.link = families.pair(
+            setup.controller, self._robot, cycle_s, on_rail=True
+        )
+        self._mount = setup.task.conveyor.start_position
+
+    def run(self, receiver: Cycle | Listener, after: Callable[[], None] = lambda: None) -> None:
+        """Exchange telegrams to the end, with a call after each."""
+        world, controller = self._world, self._controller
+        links = SensorLinks(world, receiver, Faults(self.scenario.faults, {}), self._mount)
+        while world.time_s < self.scenario.duration_s:
+            links.carry()
+            data = controller.telegram()
+            if data is None:
+                return
+            stamp_ns = links.stamp(world.time_s)
+            reply = receiver.on_telegram(data, stamp_ns)
+            if reply:
+                controller.on_reply(reply, stamp_ns)
+            after()
+            self._robot.apply(controller.end_of_cycle())
+
+
+def texts(setup: Setup) -> dict[str, str]:
+    """Return the texts of a recording of the cell that the daemon believes."""
+    from pydantic import TypeAdapter
+
+    def plain(value: Any) -> Any:
+        return TypeAdapter(type(value)).dump_python(value, mode="json")
+
+    config = {"tracking": plain(setup.tracking), "control": plain(setup.control)}
+    return {
+        "config": yaml.safe_dump(config),
+        "task": yaml.safe_dump(plain(setup.task)),
+        "urdf": setup.urdf,
+    }
+
+
+def line_direction(setup: Setup) -> Any:
+    """Return the true direction of travel in base, unit vector (3,)."""
+    aside, upwards = setup.scenario.conveyor.effects.askew
+    return np.array((
+        math.sin(aside) * math.cos(upwards),
+        math.cos(aside) * math.cos(upwards),
+        math.sin(upwards),
+    ))  # fmt: skip
