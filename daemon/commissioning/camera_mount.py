@@ -12,7 +12,7 @@ Invariants:
   are refused.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +21,8 @@ from scipy.optimize import least_squares
 from linemate.daemon.commissioning.postures import Posture, SeenObject
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.identification.outcome import Refusal
+from linemate.daemon.core.inputs import Inputs
+from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
 from linemate.daemon.identification.trace import Kinematics
 from linemate.protocol.stamped_samples import AXES
 
@@ -33,6 +34,9 @@ POSITION_DEVIATION = 0.0015  # of an accepted position [m]
 ANGLE_DEVIATION = 0.003  # [rad]
 DROPPED = 0.2  # largest share of postures left out as outliers
 GATE = 4.0  # of an outlier, in robust deviations
+LEAST_MOVING = 40  # images while the tool moves
+LEAST_SPEED = 0.03  # of the object in the camera in such an image [m/s]
+SPAN_S = 0.03  # to either side of a time, for the speed
 BETTER = 4.0  # misfit over that with an axis mirrored, to name the axis
 
 
@@ -237,3 +241,60 @@ def _closed_form(p: Array, R: Array, z: Array, Z: Array) -> Array:
     there = p + np.einsum("nij,nj->ni", R, t + z @ X.T)
     Y = R[0] @ X @ Z[0]
     return np.concatenate((t, rotations.log(X), np.median(there, axis=0), rotations.log(Y)))
+
+
+def stamp_error(
+    recordings: Sequence[Sequence[Inputs]], mount: CameraMount, kinematics: Kinematics, axes: int
+) -> Outcome:
+    """Return by how much exposure stamps are late [s], from images of a moving tool.
+
+    A stamp that is late by d shows the fixed object off its place by d times its speed in base.
+
+    Args:
+        recordings: inputs of all steps, one sequence a recording.
+    """
+    errors, speeds = [], []
+    for inputs in recordings:
+        for off, speed in _moving_images(inputs, mount, kinematics, axes):
+            errors.append(off)
+            speeds.append(speed)
+    if len(errors) < LEAST_MOVING:
+        return Refusal(
+            f"{len(errors)} images while the tool moves, at least {LEAST_MOVING} are needed"
+        )
+    e, v = np.array(errors), np.array(speeds)
+    kept = np.ones(len(e), dtype=bool)
+    late = 0.0
+    for _ in range(4):
+        late = float(np.sum(v[kept] * e[kept]) / np.sum(v[kept] ** 2))
+        left = np.linalg.norm(e - late * v, axis=1)
+        kept = left <= GATE * max(1.4826 * float(np.median(left)), 1e-6)
+    spread = float((left[kept] ** 2).mean() / 3.0) ** 0.5
+    sigma = spread / float(np.sum(v[kept] ** 2)) ** 0.5
+    return Estimate(late, sigma, f"{int(kept.sum())} images of a moving tool")
+
+
+def _moving_images(
+    inputs: Sequence[Inputs], mount: CameraMount, kinematics: Kinematics, axes: int
+) -> Iterator[tuple[Array, Array]]:
+    """Yield where the object seems to be off its place [m], and its speed there [m/s]."""
+    robots = [each.robot for each in inputs if each.robot is not None]
+    if len(robots) < 3:
+        return
+    epoch = inputs[0].stamp_ns
+    times = np.array([robot.stamp_ns - epoch for robot in robots]) * 1e-9
+    joints = np.array([(*robot.joints, *robot.external)[:axes] for robot in robots])
+
+    def shown(t: float, seen: Array) -> Array:
+        q = np.array([np.interp(t, times, column) for column in joints.T])
+        position, rotation = kinematics(q)
+        return position + rotation @ (mount.position + mount.rotation @ seen)
+
+    for each in inputs:
+        for image in each.camera:
+            t, seen = (image.exposure_ns - epoch) * 1e-9, np.array(image.position)
+            if not times[0] + SPAN_S < t < times[-1] - SPAN_S:
+                continue
+            speed = (shown(t + SPAN_S, seen) - shown(t - SPAN_S, seen)) / (2.0 * SPAN_S)
+            if float(np.linalg.norm(speed)) > LEAST_SPEED:
+                yield shown(t, seen) - mount.object_position, speed

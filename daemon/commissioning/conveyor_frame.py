@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import minimum_filter1d
 
 from linemate.daemon.commissioning.postures import Posture
 from linemate.daemon.core import rotations
@@ -31,7 +32,8 @@ MOST_SINES = 2
 FREQUENCIES_HZ = (0.2, 4.0)
 GATE = 4.0
 EVERY_S = 0.02  # of the speeds between which a running conveyor is judged
-RUNNING = 0.8  # share of the largest speed
+RUNNING = 0.9  # share of the largest speed
+RAMP_S = 0.4  # left out at both ends of a running stretch [s]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,12 +44,10 @@ class ConveyorFrame:
         axis: direction of travel in base, unit vector (3,).
         deviation: of the direction [rad].
         scale: way of the object for 1 m of the distance sensor.
-        scale_deviation: of the scale.
         way: of the object in the images [m].
         residual: root mean square of the images off the line [m].
         speed: of the running conveyor [m/s], by the distance sensor.
         ripple: root mean square of that speed about its mean [m/s].
-        images: used.
     """
 
     axis: Array
@@ -80,9 +80,6 @@ def find_frame(
     """Return the conveyor's frame, or why the recording does not give it.
 
     Args:
-        inputs: of all steps.
-        postures: of the recording.
-        camera: in the tcp.
         expected: configured direction of travel in base.
         delay_s: of the distance sensor [s].
     """
@@ -216,5 +213,8 @@ def _running(readings: Array) -> tuple[float, float]:
     speeds = speeds[known]
     if not len(speeds):
         return 0.0, 0.0
-    running = speeds[speeds > RUNNING * float(np.percentile(speeds, 95))]
+    fast = speeds > RUNNING * float(np.percentile(speeds, 95))
+    # Ramps at both ends of a running stretch are no part of its speed.
+    steady = minimum_filter1d(fast.astype(int), 2 * round(RAMP_S / EVERY_S) + 1, mode="constant")
+    running = speeds[steady > 0] if steady.any() else speeds[fast]
     return float(running.mean()), float(running.std())

@@ -31,7 +31,6 @@ class SeenObject:
     """Mean pose of the object in the camera over a posture.
 
     Attributes:
-        rotation: (3, 3).
         spread: (6,) deviation of a single image along and about the camera's axes [m, rad].
     """
 
@@ -48,7 +47,7 @@ class Posture:
     Attributes:
         begin_s, end_s: since the first step [s].
         joints: (axes,) mean [rad, m].
-        position, rotation: undeflected tcp in base.
+        position, rotation: undeflected tcp in base (3,) [m], (3, 3).
         seen: object in the camera, None with too few images.
         wrench: (6,) mean in the sensor's frame [N, Nm], None with too few readings.
         wrench_spread: (6,) deviation of a single reading.
@@ -75,9 +74,7 @@ def find_postures(inputs: Sequence[Inputs], kinematics: Kinematics, axes: int) -
     """Return the postures of a recording in their order.
 
     Args:
-        inputs: of all steps.
         kinematics: from joints to the undeflected tcp in base.
-        axes: number of joints.
     """
     rests = _rests(inputs, axes)
     if not rests:

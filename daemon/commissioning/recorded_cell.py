@@ -11,6 +11,7 @@ from linemate.daemon.core import rotations
 from linemate.daemon.core.control import kinematics
 from linemate.daemon.core.control.kinematics import Arm
 from linemate.daemon.core.tracking.task import TaskFile
+from linemate.protocol.stamped_samples import Vector3
 
 
 class CellError(ValueError):
@@ -51,3 +52,14 @@ def read_cell(texts: Mapping[str, str], name: str) -> RecordedCell:
     except (FileError, ValueError) as error:
         raise CellError(f"{name}: {error}") from error
     return RecordedCell(task, arm)
+
+
+def flange_in_tcp(texts: Mapping[str, str], name: str) -> Vector3:
+    """Return the place of the flange in the tcp [m].
+
+    Raises:
+        CellError: a text is missing or wrong.
+    """
+    tool = read_cell(texts, name).task.arm.tcp_in_flange
+    x, y, z = (-rotations.matrix(tool.quaternion).T @ np.array(tool.position)).tolist()
+    return (x, y, z)

@@ -47,7 +47,6 @@ class SensorMount:
         force_bias, torque_bias: of the sensor (3,) [N], (3,) [Nm].
         deviations: of rotation (3) [rad], mass, centre (3), force bias (3), torque bias (3).
         misfit: root mean square of the residuals [N], [Nm].
-        postures: used.
     """
 
     rotation: Array

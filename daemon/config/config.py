@@ -5,6 +5,7 @@ Invariants:
 - No port is opened and no file is written.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -94,8 +95,11 @@ class LoadedConfig:
         return sections[config.controller.kind]
 
 
-def load(path: Path) -> LoadedConfig:
+def load(path: Path, extra_overlays: Sequence[Path] = ()) -> LoadedConfig:
     """Load a configuration file and everything that it names.
+
+    Args:
+        extra_overlays: laid over those that it names, as if it named them last.
 
     Raises:
         FileError: every error at once.
@@ -116,15 +120,17 @@ def load(path: Path) -> LoadedConfig:
     _refuse_disordered_window(document, config)
     texts = {"config": data.decode("utf-8-sig"), **named.texts}
     base = path.parent
+    if extra_overlays:
+        extra = tuple(str(each.absolute()) for each in extra_overlays)
+        config = replace(config, overlays=(*config.overlays, *extra))
     written = overlays.apply(document, config, base, saved=False)
-    config = overlays.apply(document, config, base)
     task = overlays.apply_to_task(named.task, config, base)
     variants = {
         name: overlays.apply_to_task(variant, config, base, is_variant=True)
         for name, variant in named.variants.items()
     }
     texts["task"] = task.text
-    config = _with_urdf_limits(config, task)
+    config = _with_urdf_limits(overlays.apply(document, config, base), task)
     _refuse_wider_limits(document, config, task)
     return LoadedConfig(
         path,

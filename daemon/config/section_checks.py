@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 from linemate.daemon.config.documents import Complaint
 from linemate.daemon.core.tracking.task import Gate, TaskFile
-from linemate.drivers.udp.camera_peer import parse_peer
+from linemate.protocol.numeric_peer import parse_peer
 
 T = TypeVar("T")
 

@@ -146,6 +146,7 @@ COMMANDS: Final[dict[str, str | AddParser]] = {
     "report": "production.report_command",
     **dict.fromkeys(("plc", "plc-user"), "plc.plc_command"),
     "identify": "identify_command",
+    "commission": "commissioning.commission_command",
     "replay": "replay_command",
     "export": "export_command",
     "recover": "export_command",

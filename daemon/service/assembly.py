@@ -15,7 +15,6 @@ from linemate.daemon.service.command_server import CommandPort, Handler, Snapsho
 from linemate.daemon.service.endpoints import LocalEndpoint, UdpEndpoint
 from linemate.drivers.can_bus import CanLink
 from linemate.drivers.serial_port import SerialLink
-from linemate.drivers.udp.camera_peer import parse_peer
 from linemate.drivers.udp.camera_udp import CameraLink
 from linemate.drivers.udp.robot_udp import OnTelegram, RobotLink
 from linemate.drivers.udp.stream_udp import StreamLink
@@ -24,6 +23,7 @@ from linemate.protocol.egm.egm_codec import EgmCodec
 from linemate.protocol.egm.egm_link import EgmLink
 from linemate.protocol.fanuc.fanuc_link import FanucLink
 from linemate.protocol.fanuc.handshake import FanucHandshake
+from linemate.protocol.numeric_peer import parse_peer
 from linemate.protocol.rsi.codec import RsiCodec
 from linemate.protocol.rsi.rsi_link import RsiLink
 from linemate.protocol.sensors.camera_codec import CameraDecoder

@@ -45,53 +45,17 @@ def _main(arguments: argparse.Namespace) -> int:
     if arguments.schema:
         print(json.dumps(config.schema(), indent=2))
         return OK
+    from linemate.daemon.commissioning import whole_check
+
     try:
-        station = config.load(arguments.config)
-        parameters = _compiled(station, station.task)
-        peaks = _rehearsed(station.task, parameters)
-        variants = {name: _compiled(station, task) for name, task in station.variants.items()}
-        for name, task in station.variants.items():
-            _rehearsed(task, variants[name])
+        checked = whole_check.check(arguments.config)
     except FileError as error:
         print("\n".join(error.lines), file=sys.stderr)
         return BAD_CONFIGURATION
     if arguments.check:
-        print(f"{arguments.config}: good", *peaks, sep="\n")
+        print(f"{arguments.config}: good", *checked.peaks, sep="\n")
         return OK
-    return _serve(station, parameters, variants, arguments.ready_fd)
-
-
-def _compiled(station: Any, task: Any) -> Any:
-    """Compile the step's parameters of a task.
-
-    Raises:
-        FileError: settings, task and arm do not fit together.
-    """
-    from linemate.daemon.config.documents import FileError
-    from linemate.daemon.core import parameters
-
-    config = station.config
-    try:
-        return parameters.build(
-            task.file, task.urdf, config.tracking, config.control, station.cycle_s
-        )
-    except ValueError as error:
-        raise FileError([f"{station.path}:1:1: (file): {error}"]) from error
-
-
-def _rehearsed(task: Any, parameters: Any) -> tuple[Any, ...]:
-    """Run the task once through the kinematics.
-
-    Raises:
-        FileError: it asks for what the robot cannot or must not do.
-    """
-    from linemate.daemon.config.documents import FileError
-    from linemate.daemon.service.rehearsal import rehearse
-
-    rehearsal = rehearse(parameters)
-    if rehearsal.complaints:
-        raise FileError(task.lines(rehearsal.complaints))
-    return rehearsal.peaks
+    return _serve(checked.station, checked.parameters, checked.variants, arguments.ready_fd)
 
 
 def _serve(station: Any, parameters: Any, variants: Any, ready_fd: int | None) -> int:

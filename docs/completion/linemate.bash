@@ -6,7 +6,7 @@
 # See also: https://github.com/scop/bash-completion/blob/main/doc/configuration.md
 
 _shtab_linemate_param_subparsers=(list get set save describe diff)
-_shtab_linemate_subparsers=(status param arm start stop retreat ack home record announce skip next hold queue report plc plc-user identify replay export recover view metrics bridge doctor keygen)
+_shtab_linemate_subparsers=(status param arm start stop retreat ack home record announce skip next hold queue report plc plc-user identify commission replay export recover view metrics bridge doctor keygen)
 
 _shtab_linemate_status_option_strings=(-h --help --socket --udp --key --key-name --timeout --json --watch --all --interval --for)
 _shtab_linemate_param_list_option_strings=(-h --help --socket --udp --key --key-name --timeout --json)
@@ -32,6 +32,7 @@ _shtab_linemate_report_option_strings=(-h --help --records --out)
 _shtab_linemate_plc_option_strings=(-h --help --socket --udp --key --key-name --timeout --json --users --bind --port --certificate --private-key --allow-remote)
 _shtab_linemate_plc_user_option_strings=(-h --help)
 _shtab_linemate_identify_option_strings=(-h --help --out --json)
+_shtab_linemate_commission_option_strings=(-h --help --socket --udp --key --key-name --timeout --json --step --list --from --record --skip --config --sensor-at)
 _shtab_linemate_replay_option_strings=(-h --help --config --set --tolerance --json)
 _shtab_linemate_export_option_strings=(-h --help --out)
 _shtab_linemate_recover_option_strings=(-h --help --out)
@@ -89,6 +90,9 @@ _shtab_linemate_plc___certificate_COMPGEN=_shtab_compgen_files
 _shtab_linemate_plc___private_key_COMPGEN=_shtab_compgen_files
 _shtab_linemate_identify_pos_0_COMPGEN=_shtab_compgen_files
 _shtab_linemate_identify___out_COMPGEN=_shtab_compgen_files
+_shtab_linemate_commission___socket_COMPGEN=_shtab_compgen_files
+_shtab_linemate_commission___key_COMPGEN=_shtab_compgen_files
+_shtab_linemate_commission___from_COMPGEN=_shtab_compgen_files
 _shtab_linemate_replay_pos_0_COMPGEN=_shtab_compgen_files
 _shtab_linemate_replay___config_COMPGEN=_shtab_compgen_files
 _shtab_linemate_export_pos_0_COMPGEN=_shtab_compgen_files
@@ -103,8 +107,9 @@ _shtab_linemate_keygen___out_COMPGEN=_shtab_compgen_files
 _shtab_linemate_param_pos_0_choices=(list get set save describe diff)
 _shtab_linemate_record_pos_0_choices=(start stop)
 _shtab_linemate_plc_user_pos_1_choices=(view operate)
+_shtab_linemate_commission___step_choices=(links limits force camera conveyor servos object dry-run page)
 _shtab_linemate_keygen_pos_1_choices=(view operate)
-_shtab_linemate_pos_0_choices=(status param arm start stop retreat ack home record announce skip next hold queue report plc plc-user identify replay export recover view metrics bridge doctor keygen)
+_shtab_linemate_pos_0_choices=(status param arm start stop retreat ack home record announce skip next hold queue report plc plc-user identify commission replay export recover view metrics bridge doctor keygen)
 
 _shtab_linemate_status__h_nargs=0
 _shtab_linemate_status___help_nargs=0
@@ -182,6 +187,11 @@ _shtab_linemate_identify_pos_0_nargs=+
 _shtab_linemate_identify__h_nargs=0
 _shtab_linemate_identify___help_nargs=0
 _shtab_linemate_identify___json_nargs=0
+_shtab_linemate_commission__h_nargs=0
+_shtab_linemate_commission___help_nargs=0
+_shtab_linemate_commission___json_nargs=0
+_shtab_linemate_commission___list_nargs=0
+_shtab_linemate_commission___from_nargs=+
 _shtab_linemate_replay__h_nargs=0
 _shtab_linemate_replay___help_nargs=0
 _shtab_linemate_replay___json_nargs=0

@@ -17,9 +17,12 @@ import yaml
 from linemate.daemon.core import rotations
 from linemate.daemon.core.control import kinematics
 from linemate.daemon.core.inputs import Inputs
+from linemate.daemon.core.step import Outputs
+from linemate.daemon.core.tracking.task import Phase
 from linemate.daemon.cycle.cycle import Cycle
 from linemate.daemon.cycle.samples import SensorQueues
 from linemate.daemon.cycle.sensor_health import Conditions
+from linemate.daemon.cycle.states import State
 from linemate.daemon.recording.step_codec import encode
 from linemate.daemon.recording.step_file import StepFile
 from linemate.daemon.recording.step_items import metadata_of
@@ -46,7 +49,6 @@ class CommissioningRun:
     """One recording.
 
     Attributes:
-        programme: of the controller.
         signs: of the axes as the controller counts.
         cycle_ms: period of the controller [ms].
     """
@@ -155,6 +157,48 @@ def record(setup: Setup, plan: CommissioningRun, path: Path, seed: int = SEED) -
     return path
 
 
+def write(setup: Setup, inputs: Sequence[Inputs], path: Path) -> Path:
+    """Write what arrived as a daemon in IDLE records it: it holds and decides nothing."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    file = StepFile(path.open("wb"), metadata_of(texts(setup)))
+    for each in inputs:
+        robot = each.robot
+        joints = () if robot is None else (*robot.joints, *robot.external[:1])
+        step = encode(each.k, State.IDLE.value, each, _holding(each, joints))
+        file.write(each.stamp_ns, step)
+    file.close()
+    return path
+
+
+def _holding(inputs: Inputs, joints: tuple[float, ...]) -> Outputs:
+    """Return the outputs of a step that holds."""
+    return Outputs(
+        k=inputs.k,
+        stamp_ns=inputs.stamp_ns,
+        command=joints,
+        digital_out=0,
+        phase=Phase.WAIT,
+        task_time=None,
+        scenario="running",
+        scenario_state="confirmed",
+        confidence=1.0,
+        events=(),
+        target=(0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0),
+        sensed=None,
+        part=None,
+        speed=None,
+        horizon=None,
+        contact=False,
+        clamped=False,
+        overdue=False,
+        overload=False,
+        finished=False,
+        held="hold",
+        ready=None,
+        refused=0,
+    )
+
+
 class Listener:
     """Decoders and sample queues of the daemon, and replies without a setpoint.
 
@@ -186,12 +230,7 @@ class Listener:
 
 
 class _Station:
-    """World, guided robot and both ends of the exchange.
-
-    Attributes:
-        link: the daemon's end.
-        scenario: the truth, drawn.
-    """
+    """World, guided robot and both ends of the exchange."""
 
     def __init__(self, setup: Setup, plan: CommissioningRun, seed: int) -> None:
         duration_s = max(plan.programme.end_s, setup.scenario.duration_s)

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
 
+from linemate.daemon.commissioning.rehearsal import rehearse
 from linemate.daemon.core import way_home
 from linemate.daemon.core.control.settings import ControlSettings
 from linemate.daemon.core.inputs import MotionOrder
@@ -17,7 +18,6 @@ from linemate.daemon.core.parameters import build
 from linemate.daemon.core.step import REST_DISTANCE, home_refusal
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.task import WayHome
-from linemate.daemon.service.rehearsal import rehearse
 
 P = parameters()
 T0 = P.cycle_s

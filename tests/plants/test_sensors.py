@@ -170,3 +170,22 @@ def test_bias_and_dropouts_of_the_wrench() -> None:
     assert wrenches(silent, 1)[0].force == pytest.approx((100.0, 0.0, 0.0))
     assert wrenches(silent, 1)[0].torque == pytest.approx((0.0, 4.0, 2.0))
     assert len(wrenches(ForceTorque(dropout_rate=0.5), 2000)) == pytest.approx(1000, abs=100)
+
+
+def test_a_force_sensor_elsewhere_in_the_tool_states_the_same_wrench_in_its_own_frame() -> None:
+    place, turn = (0.1, -0.2, 0.3), (0.3, -1.2, 0.5)
+    quiet = ForceTorque(sigma_translation=0.0, sigma_rotation=0.0)
+    deflection = (0.001, -0.002, 0.0005, 0.002, 0.001, -0.003)
+
+    def felt(sensor: ForceTorque) -> WrenchEmission:
+        plant = ForceTorquePlant(sensor, Effector(), 0, 0.0)
+        plant.measure(deflection)
+        return plant.due[0]
+
+    plain = felt(quiet)
+    moved = felt(replace(quiet, position_in_tcp=place, rotation_in_tcp=turn, sign=-1))
+    R = Rotation.from_rotvec(turn)
+    force = -R.apply(moved.force)
+    assert force == pytest.approx(plain.force)
+    torque = -R.apply(moved.torque) + np.cross(place, force)
+    assert torque == pytest.approx(plain.torque)

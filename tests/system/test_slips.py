@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 import yaml
 
+from linemate.daemon.commissioning import whole_check
 from linemate.daemon.config.config import LoadedConfig, load
 from linemate.daemon.config.documents import FileError
 from linemate.daemon.config.files import DAEMON_DATA
-from linemate.daemon.service import main as service
 from linemate.simulators.harness import lockstep, setup
 from linemate.simulators.harness.variants import SetupError
 
@@ -204,7 +204,7 @@ def checked(path: Path) -> LoadedConfig:
         FileError: what it refuses.
     """
     station = load(path)
-    service._rehearsed(station.task, service._compiled(station, station.task))
+    whole_check.rehearsed(station.task, whole_check.compile_task(station, station.task))
     return station
 
 

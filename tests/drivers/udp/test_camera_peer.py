@@ -4,7 +4,8 @@ import random
 
 import pytest
 
-from linemate.drivers.udp.camera_peer import TAKEOVER_S, CameraPeer, SenderRole, parse_peer
+from linemate.drivers.udp.camera_peer import TAKEOVER_S, CameraPeer, SenderRole
+from linemate.protocol.numeric_peer import parse_peer
 
 A, B, C = ("10.0.0.1", 5), ("10.0.0.1", 6), ("10.0.0.2", 5)
 SECOND = 1_000_000_000
@@ -76,10 +77,3 @@ def test_in_any_order_the_camera_is_used_and_no_other_sender_while_it_sends() ->
 def test_with_a_peer_no_other_sender_is_ever_used(text: str, heard: set[tuple[str, int]]) -> None:
     found = {one for one in (A, B, C) if CameraPeer(parse_peer(text)).role(one, 0) is not FOREIGN}
     assert found == heard
-
-
-def test_addresses_are_read_with_and_without_a_port() -> None:
-    assert parse_peer("10.0.0.1") == ("10.0.0.1", None)
-    assert parse_peer("10.0.0.1:7") == ("10.0.0.1", 7)
-    assert parse_peer("::1") == ("::1", None)
-    assert parse_peer("[0:0::1]:7") == ("::1", 7)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 from cell import TASK
 
+from linemate.daemon.commissioning.rehearsal import MOST_STEPS, rehearse
 from linemate.daemon.config import task_file
 from linemate.daemon.config.documents import spelled
 from linemate.daemon.config.files import DAEMON_DATA
@@ -13,7 +14,6 @@ from linemate.daemon.config.task_file import Task
 from linemate.daemon.core.parameters import Parameters, build
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.task import PoseFile, TaskFile
-from linemate.daemon.service.rehearsal import MOST_STEPS, rehearse
 from linemate.simulators.harness.setup import shipped_control
 
 

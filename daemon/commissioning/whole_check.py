@@ -1,0 +1,78 @@
+"""The check of a configuration with everything that it names: what ``linemated --check`` does.
+
+Invariants:
+- No port is opened and no file is written. The daemon starts from the same functions.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from linemate.daemon.commissioning.rehearsal import Peak, rehearse
+from linemate.daemon.config import config
+from linemate.daemon.config.config import LoadedConfig
+from linemate.daemon.config.documents import FileError
+from linemate.daemon.config.task_file import Task
+from linemate.daemon.core import parameters
+from linemate.daemon.core.parameters import Parameters
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedConfig:
+    """A configuration without an error.
+
+    Attributes:
+        parameters: of the configured task.
+        peaks: of that task: largest speeds, and margins to the limits.
+        variants: parameters of the production's variants, by name.
+    """
+
+    station: LoadedConfig
+    parameters: Parameters
+    peaks: tuple[Peak, ...]
+    variants: dict[str, Parameters]
+
+
+def check(path: Path, overlays: Sequence[Path] = ()) -> CheckedConfig:
+    """Check a configuration file and everything that it names.
+
+    Args:
+        overlays: laid over those that it names, as if it named them last.
+
+    Raises:
+        FileError: what is wrong.
+    """
+    station = config.load(path, overlays)
+    compiled = compile_task(station, station.task)
+    peaks = rehearsed(station.task, compiled)
+    variants = {name: compile_task(station, task) for name, task in station.variants.items()}
+    for name, task in station.variants.items():
+        rehearsed(task, variants[name])
+    return CheckedConfig(station, compiled, peaks, variants)
+
+
+def compile_task(station: LoadedConfig, task: Task) -> Parameters:
+    """Compile the step's parameters of a task.
+
+    Raises:
+        FileError: settings, task and arm do not fit together.
+    """
+    settings = station.config
+    try:
+        return parameters.build(
+            task.file, task.urdf, settings.tracking, settings.control, station.cycle_s
+        )
+    except ValueError as error:
+        raise FileError([f"{station.path}:1:1: (file): {error}"]) from error
+
+
+def rehearsed(task: Task, compiled: Parameters) -> tuple[Peak, ...]:
+    """Run a task once through the kinematics.
+
+    Raises:
+        FileError: it asks for what the robot cannot or must not do.
+    """
+    rehearsal = rehearse(compiled)
+    if rehearsal.complaints:
+        raise FileError(task.lines(rehearsal.complaints))
+    return rehearsal.peaks

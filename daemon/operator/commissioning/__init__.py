@@ -1,0 +1,1 @@
+"""``linemate commission``: the walk through a site's commissioning."""

@@ -1,0 +1,175 @@
+"""Commissioning of a cell whose sensors are mounted wrongly, judged by the plant's truth.
+
+The controller's own programme moves the robot, the daemon listens. Recordings go through the
+command line. What it writes is compared with the scenario, which the daemon never sees.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from linemate.daemon.commissioning import walk
+from linemate.daemon.commissioning.walk import StepName, Verdict
+from linemate.daemon.config import config
+from linemate.daemon.core import rotations
+from linemate.daemon.core.inputs import Inputs
+from linemate.daemon.operator import main as tool
+from linemate.daemon.recording.reader import read
+from linemate.simulators.devices.guided_robot import Programme
+from linemate.simulators.devices.rsi_controller import Seven
+from linemate.simulators.harness.setup import Setup
+from linemate.simulators.lab import commission_run
+from linemate.simulators.lab.commission_run import CommissioningRun
+from linemate.simulators.plants.scenario import Conveyor, ConveyorEvent, Scenario
+
+TURNED_CAMERA = (0.2, 0.3, -1.5)
+SENSOR_ON_FLANGE = (-0.2, 0.0, -0.35)
+SENSOR_TURN = (0.0, 1.5, 0.6)
+MIRRORED: Seven = (1.0, 1.0, 1.0, 1.0, -1.0, 1.0, 1.0)
+MOVE_S, DWELL_S = 0.8, 1.6
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Path:
+    (tmp_path / "linemated.yaml").write_text("task: wheel.yaml\n")
+    return tmp_path
+
+
+def commission(site: Path, step: str, *words: object) -> int:
+    return tool.main(["commission", str(site), "--step", step, *map(str, words)])
+
+
+def guided(
+    scenario: Scenario,
+    postures: list[Seven],
+    signs: Seven | None = None,
+    move_s: float = MOVE_S,
+) -> tuple[Setup, list[Inputs]]:
+    programme = Programme(postures, 0.5, move_s, DWELL_S)
+    plan = CommissioningRun(programme) if signs is None else CommissioningRun(programme, signs)
+    setup = Setup(scenario)
+    return setup, commission_run.listen(setup, plan)
+
+
+def recorded(path: Path, guided: tuple[Setup, list[Inputs]]) -> Path:
+    return commission_run.write(*guided, path)
+
+
+def overlay(site: Path, step: str) -> dict[str, Any]:
+    found: dict[str, Any] = yaml.safe_load((site / "commission" / f"{step}.yaml").read_text())
+    return found
+
+
+def turn_between(quaternion: list[float], truth: tuple[float, float, float]) -> float:
+    w, x, y, z = quaternion
+    off = rotations.exp(np.array(truth)).T @ rotations.matrix((w, x, y, z))
+    return float(np.linalg.norm(rotations.log(off)))
+
+
+def test_a_camera_that_is_turned_in_the_tool_is_found(site: Path) -> None:
+    scenario = commission_run.resting_scenario()
+    scenario = replace(
+        scenario,
+        camera=replace(
+            scenario.camera, position_in_tcp=(-0.05, 0.08, -0.2), rotation_in_tcp=TURNED_CAMERA
+        ),
+    )
+    file = recorded(site / "camera.mcap", guided(scenario, commission_run.looking_postures()))
+    assert commission(site, "camera", "--from", file) == 0
+    place = overlay(site, "camera")["task"]["arm"]["camera_in_tcp"]
+    assert place["position"] == pytest.approx((-0.05, 0.08, -0.2), abs=5e-4)
+    assert turn_between(place["quaternion"], TURNED_CAMERA) < 1e-3
+    # What was written is what the daemon starts with.
+    (site / "linemated.yaml").write_text("task: wheel.yaml\noverlays: [commission/camera.yaml]\n")
+    arm = config.load(site / "linemated.yaml").task.file.arm
+    assert arm.camera_in_tcp.position == tuple(place["position"])
+
+
+def test_an_axis_that_counts_the_other_way_is_named_and_nothing_is_written(
+    site: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenario = commission_run.resting_scenario()
+    postures = commission_run.looking_postures()
+    file = recorded(site / "camera.mcap", guided(scenario, postures, MIRRORED))
+    assert commission(site, "camera", "--from", file) == 1
+    assert "They agree if A5 turns the other way than in the URDF" in capsys.readouterr().err
+    assert not (site / "commission" / "camera.yaml").exists()
+    state = walk.from_text((site / "commission" / "progress.json").read_text())
+    assert state.of(StepName.CAMERA).verdict is Verdict.REFUSED
+
+
+def test_a_sensor_on_the_flange_that_states_the_opposite_force_is_found(
+    site: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plain = commission_run.resting_scenario()
+    scenario = replace(
+        plain,
+        force_torque=replace(
+            plain.force_torque,
+            position_in_tcp=SENSOR_ON_FLANGE,
+            rotation_in_tcp=SENSOR_TURN,
+            sign=-1,
+            effects=replace(plain.force_torque.effects, bias_force=10.0, bias_torque=1.0),
+        ),
+        effector=replace(plain.effector, load=replace(plain.effector.load, tool_mass=40.0)),
+    )
+    guide = guided(scenario, commission_run.weighing_postures(), move_s=1.8)
+    file = recorded(site / "force.mcap", guide)
+    assert commission(site, "force", "--from", file, "--sensor-at", "flange") == 0
+    arm = overlay(site, "force")["task"]["arm"]
+    assert arm["sensor_sign"] == -1
+    assert turn_between(arm["sensor_in_tcp"]["quaternion"], SENSOR_TURN) < 5e-3
+    assert arm["sensor_in_tcp"]["position"] == pytest.approx(SENSOR_ON_FLANGE, abs=1e-6)
+    state = walk.from_text((site / "commission" / "progress.json").read_text())
+    shown = {f["name"]: f["value"] for f in state.of(StepName.FORCE).figures}
+    assert shown["payload mass"] == pytest.approx(40.0, abs=0.2)
+    centre = [shown[f"centre of gravity in the tcp {axis}"] for axis in "xyz"]
+    assert centre == pytest.approx((0.0, 0.0, -150.0), abs=3.0)
+    assert "payload mass" in capsys.readouterr().out
+
+
+def test_a_conveyor_that_runs_10_mrad_off_is_found(site: Path) -> None:
+    plain = commission_run.resting_scenario()
+    events = (
+        ConveyorEvent("stop", -3.0, 0.104),
+        ConveyorEvent("start", 0.0, 0.104),
+        ConveyorEvent("stop", 3.5, 0.104),
+        ConveyorEvent("start", 6.0, 0.104),
+        ConveyorEvent("stop", 9.0, 0.104),
+    )
+    scenario = replace(
+        plain,
+        lead_in_s=6.0,
+        duration_s=12.0,
+        conveyor=Conveyor(events=events, effects=replace(Conveyor().effects, askew=(0.01, 0.0))),
+        body=replace(Scenario().body, offset=(0.0, 0.0, 0.0), rotation=(0.0, 0.0, 0.0)),
+    )
+    setup, inputs = guided(scenario, [])
+    file = commission_run.write(setup, inputs, site / "conveyor.mcap")
+    assert commission(site, "conveyor", "--from", file) == 0
+    found = overlay(site, "conveyor")["task"]["conveyor"]
+    truth = commission_run.line_direction(setup)
+    assert float(np.linalg.norm(np.array(found["axis"]) - truth)) < 1e-3
+    assert found["nominal_speed"] == pytest.approx(0.106, abs=5e-4)
+    assert found["deceleration"] == pytest.approx(0.104, rel=0.05)
+    (site / "linemated.yaml").write_text("task: wheel.yaml\noverlays: [commission/conveyor.yaml]\n")
+    task = config.load(site / "linemated.yaml").task.file
+    along = rotations.matrix(task.object.nominal.quaternion)[:, 1]
+    assert along == pytest.approx(truth, abs=1e-3)
+
+
+def test_a_listening_daemon_records_the_same_inputs_as_one_that_makes_steps(site: Path) -> None:
+    setup = Setup(commission_run.resting_scenario())
+    plan = CommissioningRun(Programme(commission_run.looking_postures()[:1], 0.2, 0.4, 0.4))
+    listened = commission_run.listen(setup, plan)
+    file = commission_run.record(setup, plan, site / "steps.mcap")
+    steps = read(file).steps
+    stepped = {step.ipoc: step.inputs for step in steps}
+    moved = [s.inputs for s in steps if s.inputs.robot is not None]
+    assert len(stepped) > 50
+    assert [x.camera for x in listened if x.camera] == [x.camera for x in moved if x.camera]
+    assert {step.state for step in steps} <= {"init", "idle"}
