@@ -23,7 +23,6 @@ def find_links(
     """Return what a recording says of each link.
 
     Args:
-        inputs: of all steps.
         settings: time-outs of the sensors.
         expected: configured sensors: distance, camera, force_torque.
     """

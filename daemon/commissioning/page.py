@@ -12,8 +12,8 @@ from linemate.daemon.commissioning.walk import (
     STEPS,
     SiteState,
     StepName,
+    StepOutcome,
     StepRecordOfSite,
-    Verdict,
     WalkStep,
 )
 
@@ -34,10 +34,10 @@ class PageFacts:
 
 
 _WORDS = {
-    Verdict.MEASURED: "measured",
-    Verdict.REFUSED: "NOT measured: refused",
-    Verdict.SKIPPED: "NOT measured: skipped",
-    Verdict.DUE: "NOT measured",
+    StepOutcome.MEASURED: "measured",
+    StepOutcome.REFUSED: "NOT measured: refused",
+    StepOutcome.SKIPPED: "NOT measured: skipped",
+    StepOutcome.DUE: "NOT measured",
 }
 
 
@@ -78,13 +78,15 @@ def _measured_steps() -> Iterator[WalkStep]:
 
 def _summary(step: WalkStep, record: StepRecordOfSite) -> str:
     rests = ", ".join(record.recordings) or "-"
-    cells = (step.name.value, _WORDS[record.verdict], record.when or "-", rests)
+    cells = (step.name.value, _WORDS[record.outcome], record.when or "-", rests)
     return f"| {' | '.join(map(_cell, cells))} |"
 
 
 def _not_measured(state: SiteState) -> Iterator[str]:
     """Yield what has no result, and why."""
-    open_steps = [s for s in _measured_steps() if state.of(s.name).verdict is not Verdict.MEASURED]
+    open_steps = [
+        s for s in _measured_steps() if state.of(s.name).outcome is not StepOutcome.MEASURED
+    ]
     yield "## Not measured"
     yield ""
     if not open_steps:

@@ -32,7 +32,7 @@ class StepName(StrEnum):
     PAGE = "page"
 
 
-class Verdict(StrEnum):
+class StepOutcome(StrEnum):
     """Outcome of a step."""
 
     DUE = "due"
@@ -46,7 +46,6 @@ class WalkStep:
     """One step.
 
     Attributes:
-        about: what is measured.
         do: what the engineer does while the daemon records.
         record_s: usual length of the recording [s], 0 for a step without one.
         needs: steps on whose results it builds.
@@ -136,7 +135,7 @@ class StepRecordOfSite:
         reason: why it was refused or skipped.
     """
 
-    verdict: Verdict = Verdict.DUE
+    outcome: StepOutcome = StepOutcome.DUE
     when: str = ""
     figures: tuple[Mapping[str, Any], ...] = ()
     overlay: str | None = None
@@ -165,13 +164,15 @@ class SiteState:
 
     def next_due(self) -> WalkStep | None:
         """Return the first step that is due, None if all are done."""
-        done = {Verdict.MEASURED, Verdict.SKIPPED}
-        return next((step for step in STEPS if self.of(step.name).verdict not in done), None)
+        done = {StepOutcome.MEASURED, StepOutcome.SKIPPED}
+        return next((step for step in STEPS if self.of(step.name).outcome not in done), None)
 
     def missing(self, name: StepName) -> tuple[StepName, ...]:
         """Return the steps that a step builds on and that have no result."""
         return tuple(
-            need for need in BY_NAME[name].needs if self.of(need).verdict is not Verdict.MEASURED
+            need
+            for need in BY_NAME[name].needs
+            if self.of(need).outcome is not StepOutcome.MEASURED
         )
 
     def with_result(self, name: StepName, result: StepRecordOfSite) -> "SiteState":
@@ -179,9 +180,9 @@ class SiteState:
         steps = {**self.steps, name: result}
         for later in STEPS:
             old = steps.get(later.name)
-            if name in later.needs and old is not None and old.verdict is Verdict.MEASURED:
+            if name in later.needs and old is not None and old.outcome is StepOutcome.MEASURED:
                 reason = f"{name} was measured again"
-                steps[later.name] = replace(old, verdict=Verdict.DUE, reason=reason)
+                steps[later.name] = replace(old, outcome=StepOutcome.DUE, reason=reason)
         return SiteState(steps)
 
 
@@ -207,7 +208,7 @@ def as_text(state: SiteState) -> str:
     """Return the state as the text of its file."""
     steps = {
         name.value: {
-            "verdict": record.verdict.value,
+            "outcome": record.outcome.value,
             "when": record.when,
             "figures": [dict(figure) for figure in record.figures],
             "overlay": record.overlay,
@@ -239,15 +240,15 @@ def from_text(text: str) -> SiteState:
 
 
 def _record(name: str, value: Any) -> StepRecordOfSite:
-    if not isinstance(value, dict) or value.get("verdict") not in list(Verdict):
-        raise ValueError(f"steps.{name}: no verdict")
+    if not isinstance(value, dict) or value.get("outcome") not in list(StepOutcome):
+        raise ValueError(f"steps.{name}: no outcome")
     figures, overlay = value.get("figures", []), value.get("overlay")
     if not isinstance(figures, list) or not all(isinstance(each, dict) for each in figures):
         raise ValueError(f"steps.{name}.figures should be a list of mappings")
     if overlay is not None and (not isinstance(overlay, str) or "/" in overlay):
         raise ValueError(f"steps.{name}.overlay should be a file's name")
     return StepRecordOfSite(
-        Verdict(value["verdict"]),
+        StepOutcome(value["outcome"]),
         str(value.get("when", ""))[:MOST_TEXT],
         tuple(figures[:MOST_LINES]),
         overlay,

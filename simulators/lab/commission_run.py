@@ -33,10 +33,13 @@ from linemate.simulators.devices.robot_plant import seven
 from linemate.simulators.devices.rsi_controller import Seven
 from linemate.simulators.devices.worlds import build_world
 from linemate.simulators.harness import families
+from linemate.simulators.harness.cell.cell_truth import shipped_task
 from linemate.simulators.harness.lockstep import parameters
 from linemate.simulators.harness.sensor_links import SensorLinks
-from linemate.simulators.harness.setup import Setup, shipped_task
-from linemate.simulators.plants.scenario import ConveyorEvent, Scenario, sample
+from linemate.simulators.harness.setup import Setup
+from linemate.simulators.plants.conveyor_plan import ConveyorEvent
+from linemate.simulators.plants.scenario import Scenario
+from linemate.simulators.plants.scenario_draw import sample
 
 START: Seven = (0.0, -1.6233553393476978, 1.848973829348316, 0.0, 1.3451778367942788, 0.0, 0.0)
 LEAD_IN_S = 1.0

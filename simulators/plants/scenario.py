@@ -9,7 +9,7 @@ Invariants:
 
 import math
 from dataclasses import dataclass, field, fields, is_dataclass
-from typing import Any
+from typing import Any, Literal
 
 from linemate.simulators.plants.bending.effects_arm import ArmEffects
 from linemate.simulators.plants.conveyor_plan import AppliedEvent, Conveyor, applied_events

@@ -1,7 +1,7 @@
 """The page to sign: what was measured, and what was not."""
 
 from linemate.daemon.commissioning.page import PageFacts, page
-from linemate.daemon.commissioning.walk import SiteState, StepName, StepRecordOfSite, Verdict
+from linemate.daemon.commissioning.walk import SiteState, StepName, StepOutcome, StepRecordOfSite
 
 FACTS = PageFacts("cell 3", "linemated.yaml", "linemate 1", "2026-01-01", {"camera.yaml": "ab12"})
 FIGURE = {"name": "camera x", "unit": "mm", "value": 100.1234, "deviation": 0.06,
@@ -12,11 +12,11 @@ def test_the_page_has_every_figure_and_every_step_without_one() -> None:
     state = SiteState(
         {
             StepName.CAMERA: StepRecordOfSite(
-                Verdict.MEASURED, "2026-01-01", (FIGURE,), "camera.yaml", ("a.mcap",)
+                StepOutcome.MEASURED, "2026-01-01", (FIGURE,), "camera.yaml", ("a.mcap",)
             ),
-            StepName.FORCE: StepRecordOfSite(Verdict.SKIPPED, reason="no sensor"),
+            StepName.FORCE: StepRecordOfSite(StepOutcome.SKIPPED, reason="no sensor"),
             StepName.CONVEYOR: StepRecordOfSite(
-                Verdict.REFUSED,
+                StepOutcome.REFUSED,
                 figures=({"name": "direction", "unit": "mrad", "refused": "too short"},),
                 reason="too short",
             ),

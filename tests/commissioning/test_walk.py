@@ -3,11 +3,11 @@
 import pytest
 
 from linemate.daemon.commissioning import walk
-from linemate.daemon.commissioning.walk import SiteState, StepName, StepRecordOfSite, Verdict
+from linemate.daemon.commissioning.walk import SiteState, StepName, StepOutcome, StepRecordOfSite
 from linemate.daemon.identification.outcome import Estimate, Refusal, ReportLine
 
 DONE = StepRecordOfSite(
-    Verdict.MEASURED,
+    StepOutcome.MEASURED,
     "2026-01-01",
     walk.plain_figures(
         [
@@ -32,17 +32,17 @@ def test_steps_come_in_their_order_and_a_skipped_one_is_not_asked_again() -> Non
     names = []
     while (step := state.next_due()) is not None:
         names.append(step.name)
-        verdict = Verdict.SKIPPED if step.name is StepName.FORCE else Verdict.MEASURED
-        state = state.with_result(step.name, StepRecordOfSite(verdict))
+        outcome = StepOutcome.SKIPPED if step.name is StepName.FORCE else StepOutcome.MEASURED
+        state = state.with_result(step.name, StepRecordOfSite(outcome))
     assert names == list(walk.BY_NAME)
 
 
 def test_a_step_that_is_repeated_makes_those_due_that_build_on_it() -> None:
     state = SiteState({StepName.CAMERA: DONE, StepName.CONVEYOR: DONE, StepName.LIMITS: DONE})
     state = state.with_result(StepName.CAMERA, DONE)
-    assert state.of(StepName.CONVEYOR).verdict is Verdict.DUE
+    assert state.of(StepName.CONVEYOR).outcome is StepOutcome.DUE
     assert "camera was measured again" in state.of(StepName.CONVEYOR).reason
-    assert state.of(StepName.LIMITS).verdict is Verdict.MEASURED
+    assert state.of(StepName.LIMITS).outcome is StepOutcome.MEASURED
     assert state.missing(StepName.OBJECT) == (StepName.CONVEYOR,)
 
 
@@ -54,8 +54,8 @@ def test_a_step_that_is_repeated_makes_those_due_that_build_on_it() -> None:
         '{"version": 2, "steps": {}}',
         '{"version": 1, "steps": []}',
         '{"version": 1, "steps": {"camera": {}}}',
-        '{"version": 1, "steps": {"camera": {"verdict": "measured", "overlay": "../x.yaml"}}}',
-        '{"version": 1, "steps": {"camera": {"verdict": "measured", "figures": [1]}}}',
+        '{"version": 1, "steps": {"camera": {"outcome": "measured", "overlay": "../x.yaml"}}}',
+        '{"version": 1, "steps": {"camera": {"outcome": "measured", "figures": [1]}}}',
     ],
 )
 def test_a_damaged_file_is_refused(text: str) -> None:
@@ -64,5 +64,5 @@ def test_a_damaged_file_is_refused(text: str) -> None:
 
 
 def test_a_step_of_a_later_version_is_kept_out() -> None:
-    text = '{"version": 1, "steps": {"dance": {"verdict": "measured"}}}'
+    text = '{"version": 1, "steps": {"dance": {"outcome": "measured"}}}'
     assert walk.from_text(text) == SiteState()

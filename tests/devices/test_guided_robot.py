@@ -7,7 +7,8 @@ import pytest
 
 from linemate.simulators.devices.guided_robot import GuidedRobot, Programme
 from linemate.simulators.devices.rsi_controller import Applied, Seven
-from linemate.simulators.plants.scenario import Scenario, sample
+from linemate.simulators.plants.scenario import Scenario
+from linemate.simulators.plants.scenario_draw import sample
 from linemate.simulators.plants.world import World
 
 THERE: Seven = (0.1, -math.pi / 2, math.pi / 2, 0.2, math.pi / 2, 0.0, 0.05)

@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from linemate.daemon.commissioning import walk
-from linemate.daemon.commissioning.walk import SiteState, StepName, StepRecordOfSite, Verdict
+from linemate.daemon.commissioning.walk import SiteState, StepName, StepOutcome, StepRecordOfSite
 from linemate.daemon.config.documents import FileError
 from linemate.daemon.operator import main as tool
 from linemate.daemon.operator.commissioning import site_files
@@ -37,7 +37,7 @@ def test_the_limits_need_no_recording_and_show_the_margins(
     assert "A2 margin" in shown
     assert "tcp speed" in shown
     state = walk.from_text((site / "commission" / "progress.json").read_text())
-    assert state.of(StepName.LIMITS).verdict is Verdict.MEASURED
+    assert state.of(StepName.LIMITS).outcome is StepOutcome.MEASURED
 
 
 def test_a_configuration_that_the_daemon_refuses_is_refused_here(
@@ -77,7 +77,7 @@ def test_an_overlay_is_checked_with_those_of_the_other_steps(site: Path) -> None
     opened = site_files.open_site(site, "linemated.yaml")
     camera = {"task": {"arm": {"camera_in_tcp": {"position": [0.1, 0.0, 0.0]}}}}
     name = site_files.write_overlay(opened, SiteState(), StepName.CAMERA, camera)
-    record = StepRecordOfSite(Verdict.MEASURED, overlay=name)
+    record = StepRecordOfSite(StepOutcome.MEASURED, overlay=name)
     state = SiteState({StepName.CAMERA: record})
     assert yaml.safe_load(opened.overlay(name).read_text()) == camera
     checked = site_files.checked(opened, state)

@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from linemate.daemon.commissioning import walk
-from linemate.daemon.commissioning.walk import StepName, Verdict
+from linemate.daemon.commissioning.walk import StepName, StepOutcome
 from linemate.daemon.config import config
 from linemate.daemon.core import rotations
 from linemate.daemon.core.inputs import Inputs
@@ -24,7 +24,8 @@ from linemate.simulators.devices.rsi_controller import Seven
 from linemate.simulators.harness.setup import Setup
 from linemate.simulators.lab import commission_run
 from linemate.simulators.lab.commission_run import CommissioningRun
-from linemate.simulators.plants.scenario import Conveyor, ConveyorEvent, Scenario
+from linemate.simulators.plants.conveyor_plan import Conveyor, ConveyorEvent
+from linemate.simulators.plants.scenario import Scenario
 
 TURNED_CAMERA = (0.2, 0.3, -1.5)
 SENSOR_ON_FLANGE = (-0.2, 0.0, -0.35)
@@ -99,7 +100,7 @@ def test_an_axis_that_counts_the_other_way_is_named_and_nothing_is_written(
     assert "They agree if A5 turns the other way than in the URDF" in capsys.readouterr().err
     assert not (site / "commission" / "camera.yaml").exists()
     state = walk.from_text((site / "commission" / "progress.json").read_text())
-    assert state.of(StepName.CAMERA).verdict is Verdict.REFUSED
+    assert state.of(StepName.CAMERA).outcome is StepOutcome.REFUSED
 
 
 def test_a_sensor_on_the_flange_that_states_the_opposite_force_is_found(

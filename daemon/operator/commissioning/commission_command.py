@@ -65,7 +65,6 @@ class StepResult:
     """What a step gave.
 
     Attributes:
-        lines: figures.
         overlay: sections of a configuration.
         refused: why there is no result, None if there is one.
         notes: lines for the engineer.
@@ -112,7 +111,7 @@ def listing(state: "SiteState") -> str:
     for step in walk.STEPS:
         record = state.of(step.name)
         what = record.overlay or record.reason or ""
-        rows.append((step.name.value, record.verdict.value, record.when, what, step.about))
+        rows.append((step.name.value, record.outcome.value, record.when, what, step.about))
     return render.table(("step", "result", "when", "overlay or reason", "measures"), rows)
 
 
@@ -120,7 +119,7 @@ def _perform(
     site: "Site", state: "SiteState", step: "WalkStep", args: argparse.Namespace
 ) -> "tuple[SiteState, bool]":
     """Do a step, keep its result, and return whether it has one."""
-    from linemate.daemon.commissioning.walk import StepRecordOfSite, Verdict
+    from linemate.daemon.commissioning.walk import StepOutcome, StepRecordOfSite
     from linemate.daemon.operator.commissioning import site_files
 
     print(f"\n{step.name.value}: {step.about}")
@@ -128,16 +127,16 @@ def _perform(
         console.complain(f"{step.name.value} builds on {need.value}, which has no result yet")
     when = datetime.now().astimezone().isoformat(timespec="seconds")
     if args.skip is not None:
-        record = StepRecordOfSite(Verdict.SKIPPED, when, reason=args.skip)
+        record = StepRecordOfSite(StepOutcome.SKIPPED, when, reason=args.skip)
     else:
         result = _result(site, state, step, args)
         record = _kept(site, state, step, result, when)
     state = state.with_result(step.name, record)
     site_files.write_state(site, state)
-    if record.verdict is Verdict.REFUSED:
+    if record.outcome is StepOutcome.REFUSED:
         console.complain(f"{step.name.value} refused: {record.reason}")
     _remind(site, state)
-    return state, record.verdict is not Verdict.REFUSED
+    return state, record.outcome is not StepOutcome.REFUSED
 
 
 def _result(
@@ -156,7 +155,7 @@ def _result(
 
 def _kept(site: "Site", state: "SiteState", step: "WalkStep", result: StepResult, when: str) -> Any:
     """Print a result, write its overlay, and return what is kept of it."""
-    from linemate.daemon.commissioning.walk import StepRecordOfSite, Verdict, plain_figures
+    from linemate.daemon.commissioning.walk import StepOutcome, StepRecordOfSite, plain_figures
     from linemate.daemon.config.documents import FileError
     from linemate.daemon.operator import identify_command
     from linemate.daemon.operator.commissioning import site_files
@@ -166,17 +165,17 @@ def _kept(site: "Site", state: "SiteState", step: "WalkStep", result: StepResult
     for note in result.notes:
         print(note)
     record = StepRecordOfSite(
-        Verdict.MEASURED, when, plain_figures(result.lines), None, result.recordings
+        StepOutcome.MEASURED, when, plain_figures(result.lines), None, result.recordings
     )
     if result.refused is not None:
-        return replace(record, verdict=Verdict.REFUSED, reason=result.refused)
+        return replace(record, outcome=StepOutcome.REFUSED, reason=result.refused)
     if not result.overlay:
         return record
     try:
         file = site_files.write_overlay(site, state, step.name, result.overlay)
     except FileError as error:
         reason = f"the configuration is refused with the result: {'; '.join(error.lines)}"
-        return replace(record, verdict=Verdict.REFUSED, reason=reason)
+        return replace(record, outcome=StepOutcome.REFUSED, reason=reason)
     except OSError as error:
         raise UsageError(f"{site.folder}: {error.strerror}") from error
     print(f"overlay: {site.overlay(file)}")
@@ -221,14 +220,14 @@ def _page(site: "Site", state: "SiteState") -> StepResult:
 
 def _measured(site: "Site", step: "WalkStep", args: argparse.Namespace) -> StepResult:
     """Measure from recordings: those that are given, or a new one."""
-    from linemate.daemon.commissioning import measure
+    from linemate.daemon.commissioning import measurements
     from linemate.daemon.commissioning.recorded_cell import CellError
 
     files = list(args.files) or [_record(step, args)]
     recordings = read_recordings(files)
     names = tuple(path.name for path in files)
     try:
-        found = measure.measure(step.name, recordings, _options(recordings, args, site))
+        found = measurements.measure(step.name, recordings, _options(recordings, args, site))
     except CellError as error:
         return StepResult(recordings=names, refused=str(error))
     return StepResult(found.lines, dict(found.overlay), names, found.refused)
@@ -236,7 +235,7 @@ def _measured(site: "Site", step: "WalkStep", args: argparse.Namespace) -> StepR
 
 def _options(recordings: "Sequence[Recorded]", args: argparse.Namespace, site: "Site") -> Any:
     """Return what the engineer states, and which sensors are configured."""
-    from linemate.daemon.commissioning import measure
+    from linemate.daemon.commissioning import measurements
     from linemate.daemon.commissioning.recorded_cell import flange_in_tcp
     from linemate.daemon.config import documents
 
@@ -249,7 +248,7 @@ def _options(recordings: "Sequence[Recorded]", args: argparse.Namespace, site: "
         place = flange_in_tcp(recordings[0].texts, recordings[0].name)
     elif isinstance(place, str):
         place = (0.0, 0.0, 0.0)
-    return measure.Options(place, sensors)
+    return measurements.Options(place, sensors)
 
 
 def read_recordings(files: Sequence[Path]) -> "list[Recorded]":

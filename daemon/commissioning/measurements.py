@@ -46,7 +46,6 @@ class Measurement:
     """Result of a step.
 
     Attributes:
-        lines: figures and refusals.
         overlay: sections of a configuration.
         refused: why the step has no result, None if it has one.
     """
