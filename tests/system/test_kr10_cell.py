@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
+from linemate.daemon.commissioning.rehearsal import rehearse
 from linemate.daemon.config.config import LoadedConfig
 from linemate.daemon.config.documents import FileError
 from linemate.daemon.core.parameters import build
 from linemate.daemon.core.tracking.task import TaskFile
-from linemate.daemon.service.rehearsal import rehearse
 from linemate.simulators.harness import lockstep, setup
 from linemate.simulators.harness.cell import cell_files
 from linemate.simulators.judge.judge import judge
