@@ -66,7 +66,7 @@ def estimate(
     raw = mean_wrench(samples.wrench)
     state = _accelerated(tracker, state, raw, samples)
     state = _weighed(tracker, state, raw)
-    wrench = tare.tared(state.tare, raw)
+    wrench = tare.tared(state.tare, raw, tracker.settings.tactile)
     pull = release.averaged(state.pull, wrench, tracker.cycle_s) if state.contact else state.pull
     felt = wrench if is_force_used(tracker, state, wrench) else None
     felt = tare.bending(state.tare, felt, tracker.settings.tactile)
@@ -143,6 +143,10 @@ def _weighed(tracker: Tracker, state: TrackerState, raw: Wrench | None) -> Track
     if Gate.WHEEL_RELEASED in state.passed:
         later = tare.released(state.tare, tracker.cycle_s)
         return state if later is state.tare else replace(state, tare=later)
+    if state.contact and release.is_held_by_hub(tracker.reference.gated, state.passed, state.time):
+        delay = tracker.compliance.delays[0] * tracker.cycle_s
+        later = tare.unloaded(state.tare, tracker.cycle_s, delay)
+        return state if later is state.tare else replace(state, tare=later)
     near = contact.reach(tracker.task.guard.clearance)
     is_free = state.started and not state.contact and -math.inf < state.distance < -near
     if raw is None or not is_free or state.withdrawn is not None or state.stood > 0.0:
@@ -203,9 +207,9 @@ def planned_acceleration(tracker: Tracker, poses: Array) -> float:
 
 def elastic(state: TrackerState, pose: Array) -> Array:
     """Return the elastic tcp (6,) of a rigid one that hangs still."""
-    sag = state.tare.sag
-    if sag is None:
+    if state.tare.sag is None:
         return pose
+    sag = state.tare.borne * state.tare.sag
     R = rotations.exp(pose[3:])
     turned = rotations.log(R @ rotations.exp(sag[3:]))
     return np.concatenate((pose[:3] + R @ sag[:3], turned))
@@ -217,9 +221,9 @@ def sagging(state: TrackerState, target: Array) -> Array:
     Args:
         target: (m, 6), stays as it is.
     """
-    sag = state.tare.sag
-    if sag is None:
+    if state.tare.sag is None:
         return target
+    sag = state.tare.share * state.tare.sag
     R = rotations.exp_many(target[:, 3:]) @ rotations.exp(-sag[3:])
     rigid = np.empty_like(target)
     rigid[:, :3] = target[:, :3] - R @ sag[:3]

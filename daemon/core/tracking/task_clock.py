@@ -14,6 +14,7 @@ from linemate.daemon.core.tracking.touch import guard, release
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
 
 LARGEST_BEND = 0.008  # of the mount; a tool farther off is not on the object any more [m]
+CALMING_S = 0.5  # before the wheel is released the contact is watched [s]
 CLAMP_OPEN = 2  # bit of the tool's signals: the wheel is released
 
 
@@ -22,6 +23,8 @@ def standing_time(tracker: Tracker, state: TrackerState, retreat: bool) -> float
     if retreat and is_before_contact(state):
         return state.time
     closed = barrier(tracker.reference, state.time, state.passed)
+    if state.oscillated is not None and not retreat:
+        closed = min(closed, tracker.task.tool.release_wheel - 0.01 * tracker.cycle_s)
     if state.go.order is not GoOrder.GO and not retreat:
         if state.time > tracker.sight_time:
             return state.time
@@ -65,6 +68,7 @@ def advance_clock(
     if not state.started:
         return state
     # Counted in steps: a sum of many periods is no multiple of one.
+    state = replace(state, oscillated=_oscillated(tracker, state, retreat))
     steps = round(state.time / T0) + 1
     stand = standing_time(tracker, replace(state, passed=passed), retreat)
     time = min(steps * T0, stand)
@@ -85,6 +89,20 @@ def advance_clock(
         fixing=elapsed(state.fixing, screwing, T0),
         releasing=state.releasing if retreat else elapsed(state.releasing, releasing, T0),
     )
+
+
+def _oscillated(tracker: Tracker, state: TrackerState, retreat: bool) -> float | None:
+    """Return for how long the release waits for a calm contact [s]; None if it does not."""
+    at = tracker.task.tool.release_wheel
+    is_due = state.contact and not retreat and state.releasing is None
+    if not is_due or not at - CALMING_S <= state.time < at:
+        return None
+    waited = 0.0 if state.oscillated is None else state.oscillated
+    if waited >= release.LONGEST_WAIT_S:
+        return None
+    if release.is_calm(state.compliance.power, state.pull):
+        return None
+    return waited + tracker.cycle_s if state.time >= at - 1.5 * tracker.cycle_s else waited
 
 
 def _set_back(tracker: Tracker, state: TrackerState) -> TrackerState:

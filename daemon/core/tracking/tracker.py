@@ -176,7 +176,7 @@ def track(
     free = free_shares(tracker, damping_time(tracker, state), limit)
     horizon = Horizon(poses, state.axis.positions, free, tracker.reference.nominal, tracker.commit)
     outcome = report(tracker, state, view, wrench, rejected, target, part)
-    return state, horizon, _with_oscillation(outcome, was_soft=was_soft, state=state)
+    return state, horizon, _with_oscillation(tracker, outcome, was_soft=was_soft, state=state)
 
 
 def _programmed_poses(
@@ -328,12 +328,19 @@ def report(
     )
 
 
-def _with_oscillation(report: Report, *, was_soft: bool, state: TrackerState) -> Report:
-    """Return the report with the begin or the end of an oscillation that softens the contact."""
-    if state.compliance.soft is was_soft:
-        return report
-    event = ("oscillation", "over" if was_soft else "perceived")
-    return replace(report, events=(*report.events, event))
+def _with_oscillation(
+    tracker: Tracker, report: Report, *, was_soft: bool, state: TrackerState
+) -> Report:
+    """Return the report with the begin or the end of an oscillation that softens the contact.
+
+    And with the begin of a wait for a calm contact, before the wheel is released.
+    """
+    events = report.events
+    if state.compliance.soft is not was_soft:
+        events = (*events, ("oscillation", "over" if was_soft else "perceived"))
+    if state.oscillated is not None and 0.0 < state.oscillated < 1.5 * tracker.cycle_s:
+        events = (*events, ("release", "delayed"))
+    return report if events is report.events else replace(report, events=events)
 
 
 def _is_prediction_due(

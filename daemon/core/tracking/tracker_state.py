@@ -155,6 +155,8 @@ class TrackerState(Struct, frozen=True, eq=False):
         digital_in: of the last telegram; before it all set, so that a bit that is set from the
             beginning has no edge.
         announced_s: time since the line announced a stop [s].
+        oscillated: for how long the wheel's release has waited for a calm contact [s]; None if it
+            does not wait.
         accelerations: planned along the tool's axis, one a step, newest last [m/s^2].
         acceleration: of them as the last wrench was measured [m/s^2].
         sampled: forces of its samples along the tool's axis, off their mean [N].
@@ -203,6 +205,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     tare: Tare = NO_TARE
     digital_in: int = -1
     announced_s: float = math.inf
+    oscillated: float | None = None
     accelerations: tuple[float, ...] = ()
     acceleration: float = 0.0
     sampled: tuple[float, ...] = ()

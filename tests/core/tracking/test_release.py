@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from linemate.daemon.core.tracking.observation import Wrench
+from linemate.daemon.core.tracking.task import Gate
 from linemate.daemon.core.tracking.touch import release
 
 NEAR, FAR = 0.0, -0.05
@@ -66,3 +67,29 @@ def test_a_mean_force_follows_a_pull_and_not_a_tool_that_rings() -> None:
     assert pulled[0] == pytest.approx(60.0, rel=0.01)
     assert highest < 45.0
     assert release.averaged(pulled, None, dt) == pulled
+
+
+@pytest.mark.parametrize(
+    ("power", "pull", "calm"),
+    [
+        (29.0**2, (20.0, 20.0, -50.0), True),
+        (31.0**2, (0.0, 0.0, 0.0), False),
+        (0.0, (22.0, 22.0, 0.0), False),
+        (0.0, (0.0, 0.0, -200.0), True),
+    ],
+)
+def test_a_clamp_opens_on_an_object_that_neither_swings_nor_pulls_across(
+    power: float, pull: tuple[float, float, float], calm: bool
+) -> None:
+    assert release.is_calm(power, pull) == calm
+
+
+GATED = ((2.0, Gate.OBJECT_SEEN), (14.0, Gate.SCREWS_FIXED), (15.0, Gate.WHEEL_RELEASED))
+
+
+def test_the_hub_holds_the_wheel_once_the_programme_has_passed_the_screws() -> None:
+    fixed = frozenset({Gate.SCREWS_FIXED})
+    assert release.is_held_by_hub(GATED, fixed, 14.1)
+    assert not release.is_held_by_hub(GATED, fixed, 14.0)
+    assert not release.is_held_by_hub(GATED, frozenset(), 14.1)
+    assert not release.is_held_by_hub(GATED[:1], fixed, 14.1)

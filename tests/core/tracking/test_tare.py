@@ -25,7 +25,7 @@ def hung(free: Wrench, payload: PayloadSettings = NO_PAYLOAD) -> Tare:
 
 
 def test_the_force_of_the_free_tool_is_no_contact() -> None:
-    contact = tare.tared(hung(wrench(8.0, 6.0)), wrench(8.0, 36.0))
+    contact = tare.tared(hung(wrench(8.0, 6.0)), wrench(8.0, 36.0), MOUNT)
     assert contact is not None
     assert contact.force == pytest.approx((0.0, 30.0, 0.0), abs=1e-6)
 
@@ -59,7 +59,7 @@ def test_a_configured_payload_tells_weight_from_bias() -> None:
 
 def test_contact_and_weight_bend_the_mount_together() -> None:
     state = hung(wrench(WEIGHT))
-    contact = tare.tared(state, wrench(WEIGHT, 50.0))
+    contact = tare.tared(state, wrench(WEIGHT, 50.0), MOUNT)
     bent = tare.bending(state, contact, MOUNT)
     assert bent is not None
     assert bent.force == pytest.approx((WEIGHT, 50.0, 0.0), abs=1e-6)
@@ -67,7 +67,7 @@ def test_contact_and_weight_bend_the_mount_together() -> None:
 
 def test_a_small_tare_is_left_alone() -> None:
     read = wrench(20.0)
-    assert tare.tared(hung(wrench(1.0)), read) is read
+    assert tare.tared(hung(wrench(1.0)), read, MOUNT) is read
 
 
 def test_a_released_wheel_weighs_nothing_any_more() -> None:
@@ -86,3 +86,52 @@ def test_only_a_known_weight_is_carried_and_none_without_the_wheel() -> None:
     assert tare.carried(state, MOUNT) == pytest.approx((WEIGHT, 3.0, 0.0), abs=1e-6)
     assert tare.carried(hung(wrench(-60.0)), MOUNT) == (0.0, 0.0, 0.0)
     assert tare.carried(tare.released(state, DT), MOUNT) == (0.0, 0.0, 0.0)
+
+
+HEAVY = 294.0
+
+
+def test_a_hub_takes_over_the_weight_that_would_throw_the_released_tool() -> None:
+    """A wheel of 30 kg threw the tool 12 mm up along the hub."""
+    state, steps = hung(wrench(HEAVY)), round((tare.UNLOADING_S + 0.15) / DT)
+    for _ in range(steps):
+        state = tare.unloaded(state, DT, 0.1)
+    assert state.sag is not None
+    left = float(np.linalg.norm(state.share * state.sag[:3]))
+    assert left == pytest.approx(tare.LARGEST_SPRING, rel=1e-3)
+    assert state.borne == pytest.approx(state.share, abs=1e-3)
+
+
+def test_the_weight_that_the_hub_has_taken_over_is_no_force_of_the_contact() -> None:
+    state = hung(wrench(HEAVY))
+    for _ in range(20):
+        state = tare.unloaded(state, DT, 0.1)
+    borne = state.borne * HEAVY
+    assert 0.0 < borne < HEAVY
+    assert tare.carried(state, MOUNT)[0] == pytest.approx(borne, rel=1e-6)
+    contact = tare.tared(state, wrench(borne, 20.0), MOUNT)
+    assert contact is not None
+    assert contact.force == pytest.approx((0.0, 20.0, 0.0), abs=1e-6)
+    bent = tare.bending(state, contact, MOUNT)
+    assert bent is not None
+    assert bent.force == pytest.approx((borne, 20.0, 0.0), abs=1e-6)
+
+
+def test_the_mount_is_unloaded_after_the_target() -> None:
+    state = hung(wrench(HEAVY))
+    for _ in range(16):
+        state = tare.unloaded(state, DT, 0.1)
+        assert state.share <= state.borne
+
+
+def test_a_small_weight_stays_on_the_mount_and_a_released_one_goes_on_from_there() -> None:
+    light = hung(wrench(190.0))
+    assert tare.unloaded(light, DT, 0.1) is light
+    state = hung(wrench(HEAVY))
+    for _ in range(60):
+        state = tare.unloaded(state, DT, 0.1)
+    assert state.sag is not None
+    off = tare.released(state, DT)
+    assert off.sag is not None
+    step = state.share * state.sag - off.share * off.sag
+    assert float(np.abs(step).max()) < 0.05 * tare.LARGEST_SPRING

@@ -1,16 +1,19 @@
-"""Opening of the clamp before a retreat: when the tool may withdraw, and that it does not press.
+"""Opening of the clamp: when it may be ordered, when the tool may withdraw, and that it lets go.
 
 Invariants:
+    * The programme orders the opening of a tool that oscillates with the object only after a wait.
     * The tool does not withdraw while the clamp is closed on the object, or may be.
     * An unreported opening ends: the tool is overdue after ``tool.release_timeout``.
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.observation import Wrench
+from linemate.daemon.core.tracking.task import Gate
 from linemate.protocol.stamped_samples import Vector3
 
 LEADING_S = 0.15  # commanded motion goes on for this long, whatever is decided now
@@ -18,6 +21,9 @@ STANDING_S = 0.1  # the last command leads a robot on for this long: servos, and
 TOUCHING = 0.005  # within this distance the object may have been touched without a force [m]
 STAND_OFF = 0.003  # a closed clamp bears the pull at this distance, 150 N by the shipped mount [m]
 PULLING = 3.0  # times the force of a contact, as a mean: only a closed clamp feels so much
+CALM_N = 30.0  # rms of an oscillation's force with which the clamp may open: 0.6 mm on 50 N/mm
+LATERAL_N = 30.0  # mean force across the tool's axis with which it may: the object springs back
+LONGEST_WAIT_S = 10.0  # for both; the object may leave the robot's reach
 PULL_S = 0.2  # time constant of that mean [s]; an open tool rings at 4 Hz or more
 
 
@@ -44,6 +50,31 @@ def may_be_clamped(
 def is_overdue(opening: float | None, timeout: float, *, contact: bool) -> bool:
     """Return whether a clamp that was felt to close should have been reported open by now."""
     return contact and opening is not None and opening >= timeout
+
+
+def is_calm(power: float, pull: Vector3) -> bool:
+    """Return whether tool and object stay together as the clamp opens.
+
+    Args:
+        power: mean square of the oscillation's force [N^2].
+        pull: mean force on the tool, in its axes [N].
+    """
+    return power < CALM_N**2 and math.hypot(pull[0], pull[1]) < LATERAL_N
+
+
+def is_held_by_hub(
+    gated: Sequence[tuple[float, Gate]], passed: frozenset[Gate], time: float
+) -> bool:
+    """Return whether the object holds the wheel, and the programme has gone on to its release.
+
+    Args:
+        gated: task times of the gates [s].
+        passed: gates that are open.
+        time: of the task's clock [s].
+    """
+    if Gate.SCREWS_FIXED not in passed:
+        return False
+    return any(gate is Gate.SCREWS_FIXED and time > at for at, gate in gated)
 
 
 def averaged(pull: Vector3, wrench: Wrench | None, dt: float) -> Vector3:

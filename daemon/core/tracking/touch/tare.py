@@ -6,7 +6,8 @@ weight bends the mount as well: the elastic tcp is the rigid one and the sag.
 Invariants:
 - The tare is taken in the approach only, and frozen before the tool can touch.
 - Without a configured payload a wrench that is no bias is a weight: it is along gravity and large.
-- What the wheel weighed is gone when it is released.
+- What the wheel weighed is gone when it is released. A hub that holds it takes over what would bend
+  the mount by more than ``LARGEST_SPRING``: a tool springs up by twice the sag as a clamp opens.
 - A wrench that no free tool has does not enter.
 """
 
@@ -18,6 +19,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.approach import smoothstep_at
 from linemate.daemon.core.tracking.observation import Wrench
 from linemate.daemon.core.tracking.settings import PayloadSettings, TactileNoise
 from linemate.protocol.stamped_samples import Vector3
@@ -28,6 +30,8 @@ LEAST_N = 1.5  # a smaller tare is noise, and is not taken off [N]
 WEIGHT_N = 30.0  # along gravity: less may be a bias of the sensor [N]
 SHARE = 0.8  # of a weight's force that is along gravity; a bias has any direction
 LARGEST_SAG = 0.1  # of the mount under a free tool: more is no weight [m, rad]
+UNLOADING_S = 0.4  # in which the hub takes weight over from the mount [s]
+LARGEST_SPRING = 0.004  # sag with which the clamp may open: the tool springs up by twice that [m]
 RELEASED_S = 0.5  # time constant with which a released wheel's sag leaves the target [s]
 
 
@@ -37,10 +41,16 @@ class Tare(Struct, frozen=True, eq=False):
     Attributes:
         wrench: (6,) mean of the free tool [N, Nm], None before the first one.
         sag: (6,) static deflection of the mount [m, rad].
+        unloading: time since the hub began to take the weight over [s]; None before.
+        share: of the sag that the target still has.
+        borne: share of the weight that the mount still carries; the motion is late.
     """
 
     wrench: Array | None = None
     sag: Array | None = None
+    unloading: float | None = None
+    share: float = 1.0
+    borne: float = 1.0
 
 
 NO_TARE = Tare()
@@ -91,23 +101,45 @@ def carried(tare: Tare, mount: TactileNoise) -> Vector3:
     """Return the weight that the mount carries, in the tcp [N]; nothing while it is not known."""
     if tare.wrench is None or tare.sag is None:
         return (0.0, 0.0, 0.0)
-    x, y, z = (float(bend) * k for bend, k in zip(tare.sag[:3], mount.stiffness, strict=True))
+    bent = (tare.borne * tare.sag[:3]).tolist()
+    x, y, z = (bend * k for bend, k in zip(bent, mount.stiffness, strict=True))
     return (x, y, z)
+
+
+def unloaded(tare: Tare, dt: float, delay: float) -> Tare:
+    """Return the tare one step later, while the hub takes over a part of a large weight.
+
+    Args:
+        delay: from the target to the tool's motion [s].
+    """
+    if tare.sag is None:
+        return tare
+    size = float(np.linalg.norm(tare.sag[:3]))
+    if size <= LARGEST_SPRING:
+        return tare
+    given = 1.0 - LARGEST_SPRING / size
+    lasted = 0.0 if tare.unloading is None else tare.unloading + dt
+    share = 1.0 - given * smoothstep_at(lasted / UNLOADING_S)
+    borne = 1.0 - given * smoothstep_at((lasted - delay) / UNLOADING_S)
+    return replace(tare, unloading=lasted, share=share, borne=borne)
 
 
 def released(tare: Tare, dt: float) -> Tare:
     """Return the tare of a tool without its wheel: the sag leaves the target slowly."""
     if tare.sag is None:
         return tare if tare.wrench is None else NO_TARE
-    sag = (1.0 - dt / RELEASED_S) * tare.sag
+    sag = (1.0 - dt / RELEASED_S) * tare.share * tare.sag
     return Tare(None, sag if float(np.abs(sag).max()) > 1e-6 else None)
 
 
-def tared(tare: Tare, wrench: Wrench | None) -> Wrench | None:
+def tared(tare: Tare, wrench: Wrench | None, mount: TactileNoise) -> Wrench | None:
     """Return the wrench of the contact alone."""
     mean = tare.wrench
     if wrench is None or mean is None or math.hypot(*mean[:3].tolist()) < LEAST_N:
         return wrench
+    if tare.sag is not None and tare.unloading is not None:
+        stiffness = np.array((*mount.stiffness, *mount.rotational_stiffness))
+        mean = mean - (1.0 - tare.borne) * tare.sag * stiffness
     return replace(wrench, force=wrench.force - mean[:3], torque=wrench.torque - mean[3:])
 
 
@@ -117,9 +149,9 @@ def bending(tare: Tare, wrench: Wrench | None, mount: TactileNoise) -> Wrench | 
     Args:
         wrench: of the contact alone.
     """
-    sag = tare.sag
-    if wrench is None or sag is None:
+    if wrench is None or tare.sag is None:
         return wrench
+    sag = tare.borne * tare.sag
     force = wrench.force + sag[:3] * np.array(mount.stiffness)
     torque = wrench.torque + sag[3:] * np.array(mount.rotational_stiffness)
     return replace(wrench, force=force, torque=torque)
