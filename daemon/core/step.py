@@ -86,6 +86,8 @@ class Outputs(Struct, frozen=True, eq=False):
         object_left: the object is tracked and out of reach, or about to be.
         waiting: why the tool waits before contact, None if it does not.
         waited_s: how long it has waited before contact, in all [s]; None if it has not.
+        swinging_n: rms force of an oscillation in contact that softening does not make smaller [N];
+            None if there is none.
     """
 
     k: int
@@ -114,6 +116,7 @@ class Outputs(Struct, frozen=True, eq=False):
     object_left: bool = False
     waiting: str | None = None
     waited_s: float | None = None
+    swinging_n: float | None = None
 
 
 def _joints(parameters: Parameters, robot: RobotSample) -> Array:
@@ -469,6 +472,7 @@ def _outputs(
         refused=report.rejected,
         waiting=evidence.waiting(parameters.tracker, tracker),
         waited_s=tracker.go.waited_s or None,
+        swinging_n=tracker.compliance.unending if tracker.contact else None,
     )
 
 

@@ -44,6 +44,7 @@ class Evidence(Struct, frozen=True, eq=False):
         overload_n: the last force beyond the limit, and the limit [N].
         fault: the cause of the latched fault.
         waiting: why the tool waits before contact, None if it does not.
+        swinging_n: rms force of an oscillation that softening does not end [N], None if none.
     """
 
     facts: watch.Facts
@@ -56,6 +57,7 @@ class Evidence(Struct, frozen=True, eq=False):
     ordered_by: Mapping[str, str]
     fault: str | None
     waiting: str | None = None
+    swinging_n: float | None = None
 
 
 class Change(Struct, frozen=True):
@@ -242,6 +244,9 @@ def _outwaited(_: Signals, evidence: Evidence) -> Explanation:
 
 
 def _overload(_: Signals, evidence: Evidence) -> Explanation:
+    if evidence.swinging_n is not None:
+        swing = f"an oscillation of {evidence.swinging_n:.0f} N rms does not fall in contact"
+        return swing, "Check the mount's stiffness and the hanger."
     todo = "Check that nothing is jammed."
     if evidence.overload_n is None:
         return "force beyond the limit", todo

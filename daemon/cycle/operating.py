@@ -201,6 +201,7 @@ class Operating:
             unready=SETTLING if situation.settling else None if last is None else last.ready,
             following_error=situation.following_error,
             overload_n=samples.overload_n,
+            swinging_n=None if last is None else last.swinging_n,
             ordered_by=orders,
             fault=self.fault,
         )
@@ -255,7 +256,7 @@ class Operating:
             settling=situation.settling,
             outwaited=situation.longest_wait_s < (last.waited_s or 0.0),
             overdue=last.overdue,
-            overload=samples.overloaded,
+            overload=samples.overloaded or last.swinging_n is not None,
             done=last.phase is Phase.RETREAT,
             fault=self.has_failed,
             home_blocked=_home_refusal(situation) is not None,

@@ -131,3 +131,31 @@ def test_a_push_shows_that_an_object_is_not_firm() -> None:
 
 def test_an_oscillation_shows_that_an_object_is_not_firm() -> None:
     assert followed(1.0, 30.0, 0.0, frequency_hz=4.0, state=FIRM).firmness.is_firm is False
+
+
+def swung(amplitudes: list[float], frequency_hz: float = 0.9) -> Compliance:
+    """The state after a force that swings along y, a second with each amplitude."""
+    state, model = GIVES_WAY, MODEL
+    for k in range(round(len(amplitudes) / model.dt)):
+        seconds = k * model.dt
+        force = amplitudes[int(seconds)] * math.sin(math.tau * frequency_hz * seconds)
+        state = compliance.advance(state, model, (0.0, force, 0.0), (0.0, 0.0, 0.0), SEATED)
+    return state
+
+
+@pytest.mark.parametrize("frequency_hz", [0.9, 2.0, 4.7])
+def test_a_large_oscillation_that_softening_does_not_end_is_told(frequency_hz: float) -> None:
+    told = swung([200.0, 200.0, 210.0, 210.0], frequency_hz).unending
+    assert told is not None
+    assert 60.0 < told < 210.0
+
+
+@pytest.mark.parametrize(
+    "amplitudes",
+    [[40.0] * 4, [250.0, 200.0, 150.0, 100.0], [200.0, 200.0]],
+    ids=["small", "falls", "has not lasted"],
+)
+def test_an_oscillation_that_is_small_or_falls_or_is_young_is_not_told(
+    amplitudes: list[float],
+) -> None:
+    assert swung(amplitudes).unending is None

@@ -19,6 +19,8 @@ An object that does not give way needs none of this: the estimate follows it, th
 Invariants:
 - The offset has no lead: it is constant over the horizon.
 - A growing oscillation stops it altogether until the oscillation is small again.
+- An oscillation that is large and does not fall while the offset is stopped is told: the contact
+  itself drives it, and only an end of the contact ends it.
 """
 
 import math
@@ -54,6 +56,8 @@ LARGEST_N = 60.0  # rms of an oscillation's force that softens [N]
 GROWN_N = 20.0  # rms that softens while it grows by
 GROWTH = 1.5  # this factor in a second
 CALM = 0.5  # share of these at which the softening ends
+FALLS = 0.9  # of its mean square: what is left more after a second does not fall
+SOFTENED_S = 1.0  # by then an oscillation that only the offset drives falls [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +89,7 @@ class Compliance(Struct, frozen=True):
         moves: of the offset that the tool has not made yet, oldest first [m].
         energy: that the offset has given [J].
         soft: the oscillation stops the offset.
+        softened: for so long [s].
         firmness: whether the object gives way.
     """
 
@@ -98,12 +103,26 @@ class Compliance(Struct, frozen=True):
     moves: tuple[Vector3, ...] = ()
     energy: float = 0.0
     soft: bool = False
+    softened: float = 0.0
     firmness: Firmness = UNKNOWN
 
     @property
     def is_firm(self) -> bool:
         """Whether the object is known not to give way."""
         return bool(self.firmness.is_firm)
+
+    @property
+    def unending(self) -> float | None:
+        """Rms force of an oscillation that softening does not make smaller [N], None if none.
+
+        The largest of the last second is compared with that of the second before: one second is
+        longer than a period of the slowest sway that a contact is known to drive.
+        """
+        if self.softened < SOFTENED_S or len(self.past) < 2 * SECOND:
+            return None
+        largest = max(self.past[-SECOND:])
+        before = max(self.past[-2 * SECOND : -SECOND])
+        return math.sqrt(largest) if largest >= max(FALLS * before, LARGEST_N**2) else None
 
 
 NO_COMPLIANCE = Compliance()
@@ -154,7 +173,10 @@ def advance(
     x, y, z = (o + step * r for o, r in zip(state.offset, smooth, strict=True))
     offset = _bounded((x, y, z))
     moves = (*state.moves, _minus(offset, state.offset))[-max(model.delays) :]
-    return Compliance(offset, smooth, press, mean, power, past, age, moves, energy, soft, firm)
+    softened = state.softened + dt if soft else 0.0
+    return Compliance(
+        offset, smooth, press, mean, power, past, age, moves, energy, soft, softened, firm
+    )
 
 
 def _delayed(moves: tuple[Vector3, ...], delays: tuple[int, int, int]) -> Vector3:
