@@ -133,6 +133,23 @@ def _admit_axis(axis: _Axis, bounds: AxisBounds) -> tuple[float, bool]:
     return clip(_catch_up(axis, bounds), low, high), False
 
 
+def _is_free(p: float, v: float, a: float, wanted: float, bounds: AxisBounds) -> bool:
+    """Return whether an acceleration is allowed by acceleration and jerk, and nothing else limits.
+
+    It is sufficient for ``_admit_axis`` to return it, and costs a third: 20 us a step.
+    """
+    change, most, margin = bounds.change, bounds.acceleration, bounds.margin
+    period, way = bounds.period, bounds.braking_way
+    return (
+        -most <= a <= most
+        and a - change - margin <= wanted <= a + change + margin
+        and -most - margin <= wanted <= most + margin
+        and -bounds.free_speed < v < bounds.free_speed
+        and bounds.upper - p - (v if v > 0.0 else 0.0) * period > way
+        and p - bounds.lower + (v if v < 0.0 else 0.0) * period > way
+    )
+
+
 def admit(state: LimiterState, desired: Array, limits: Limits) -> tuple[LimiterState, str | None]:
     """Return the state after the command that is nearest to ``desired`` within the limits.
 
@@ -146,28 +163,29 @@ def admit(state: LimiterState, desired: Array, limits: Limits) -> tuple[LimiterS
     positions, accelerations, desired_speeds = [], [], []
     speeds: list[float] = []
     limited: list[str] = []
-    for name, bounds, axis in zip(
+    for name, bounds, p, v, a, last, last_speed, wanted_position in zip(
         limits.names,
         limits.axes,
-        map(
-            _Axis,
-            state.position.tolist(),
-            state.speed.tolist(),
-            state.acceleration.tolist(),
-            state.desired.tolist(),
-            state.desired_speed.tolist(),
-            desired.tolist(),
-        ),
+        state.position.tolist(),
+        state.speed.tolist(),
+        state.acceleration.tolist(),
+        state.desired.tolist(),
+        state.desired_speed.tolist(),
+        desired.tolist(),
         strict=True,
     ):
-        if not abs(axis.desired) < _FINITE:
+        if not abs(wanted_position) < _FINITE:
             return brake(state, limits), "the command was not finite"
-        acceleration, is_reached = _admit_axis(axis, bounds)
-        speed = axis.v + acceleration * period
-        positions.append(axis.desired if is_reached else axis.p + speed * period)
+        acceleration = ((wanted_position - p) / period - v) / period
+        is_reached = p == last and _is_free(p, v, a, acceleration, bounds)
+        if not is_reached:
+            axis = _Axis(p, v, a, last, last_speed, wanted_position)
+            acceleration, is_reached = _admit_axis(axis, bounds)
+        speed = v + acceleration * period
+        positions.append(wanted_position if is_reached else p + speed * period)
         speeds.append(speed)
         accelerations.append(acceleration)
-        desired_speeds.append((axis.desired - axis.last) / period)
+        desired_speeds.append((wanted_position - last) / period)
         if not is_reached:
             limited.append(name)
     speeds_now = np.array(speeds)

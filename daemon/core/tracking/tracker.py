@@ -244,7 +244,7 @@ def _complied(
 
     An object whose future is known needs none.
     """
-    if tracker.foresight is not None:
+    if tracker.foresight is not None or not any(state.compliance.offset):
         return target, part
     moved = target.copy()
     moved[:, :3] += state.compliance.offset

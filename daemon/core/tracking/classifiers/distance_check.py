@@ -87,7 +87,7 @@ def log_odds(
     if abs(float(changed[-1])) < LEAST_WAY:
         return 0.0
     # A vague share of the change keeps the matrix regular.
-    rows, information = [np.ones_like(times), times, changed], [1e-4]
+    rows, information = [np.ones(len(times)), times, changed], [1e-4]
     if ramp is not None:
         ramped = _ramp_way(ages, ramp)
         way = way - ramped
@@ -95,8 +95,7 @@ def log_odds(
         information.append(RAMP_DEVIATION**-2)
         speed_deviation = RAMP_SPEED_DEVIATION
     known = (LEVEL_DEVIATION**-2, speed_deviation**-2, *information)
-    prior = np.diag(known) * deviation**2
-    fit, covariance = _fit(np.stack(rows), way, prior, deviation)
+    fit, covariance = _fit(np.array(rows), way, _diagonal(known, deviation), deviation)
     return (float(fit[2]) - 0.5) / (deviation**2 * float(covariance[2, 2]))
 
 
@@ -109,7 +108,7 @@ def speed_now(readings: Array, ramp: Ramp, deviation: float) -> float | None:
     basis = np.stack((np.ones_like(ages), -ages, ramped))
     known = (LEVEL_DEVIATION**-2, RAMP_SPEED_DEVIATION**-2, RAMP_DEVIATION**-2)
     way = values - values[-1] - ramped
-    fit, _ = _fit(basis, way, np.diag(known) * deviation**2, deviation)
+    fit, _ = _fit(basis, way, _diagonal(known, deviation), deviation)
     return float(fit[1] + (1.0 + fit[2]) * ramp.acceleration * ramp.age)
 
 
@@ -124,6 +123,15 @@ def _ramp_way(ages: Array, ramp: Ramp) -> Array:
     acted = np.maximum(ramp.age - ages, 0.0)
     way: Array = 0.5 * ramp.acceleration * acted * acted
     return way
+
+
+def _diagonal(information: Sequence[float], deviation: float) -> Array:
+    """Return the prior's information as a matrix, times ``deviation`` squared."""
+    count = len(information)
+    matrix = np.zeros((count, count))
+    # numpy's diag costs six times as much.
+    matrix.reshape(-1)[:: count + 1] = [each * deviation**2 for each in information]
+    return matrix
 
 
 def _fit(basis: Array, way: Array, prior: Array, deviation: float) -> tuple[Array, Array]:
