@@ -144,7 +144,7 @@ class App:
         self._began_ns = time.monotonic_ns()
         self._status_ns = 0
         self._telegram_ns: int | None = None
-        self._after_waits = False
+        self._after_waits = self._is_attending = False
         # Time of a fault at the last telegram: the watchdog is not fed then.
         self._failing_ns: int | None = None
         self._command: tuple[float, ...] = ()
@@ -305,9 +305,17 @@ class App:
 
     def _attend(self, expected_ns: int) -> None:
         """Sleep until the expected telegram comes; nothing else is to be done before it."""
-        if self.cycle.ready_reply is not None:
-            wait_ns = min(WAIT_NS, self._timer.lock.period_ns // 4)
+        if self.cycle.ready_reply is None:
+            return
+        wait_ns = min(WAIT_NS, self._timer.lock.period_ns // 4)
+        self._is_attending = True
+        try:
             self._robot.attend(expected_ns + wait_ns)
+        finally:
+            self._is_attending = False
+        if self._after_waits:
+            # The link has sent the reply: a turn of the loop would cost 20 us.
+            self._after()
 
     def _look(self) -> None:
         """Answer telegrams that have come, so that none of them counts as missing."""
@@ -361,12 +369,16 @@ class App:
         return now_ns - since_ns > REST_AFTER_S * 1e9
 
     def _call_after_reply(self) -> None:
-        """Call ``_after`` in the loop's next turn: the link sends the reply in this one."""
-        if not self._after_waits:
-            self._after_waits = True
+        """Call ``_after`` once the reply is sent: in the loop's next turn at the latest."""
+        if self._after_waits:
+            return
+        self._after_waits = True
+        if not self._is_attending:
             asyncio.get_running_loop().call_soon(self._after)
 
     def _after(self) -> None:
+        if not self._after_waits:
+            return
         self._after_waits = False
         try:
             self._follow()

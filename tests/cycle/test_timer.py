@@ -153,3 +153,34 @@ def test_what_a_step_raises_is_reported_and_the_timer_goes_on() -> None:
         timer.close()
 
     run(main())
+
+
+def test_a_wake_that_stays_is_armed_once() -> None:
+    armed: list[int] = []
+
+    class Fake(TimerFd):
+        def __init__(self) -> None:
+            pass
+
+        def arm(self, at_ns: int) -> None:
+            armed.append(at_ns)
+
+        def read(self) -> int:
+            return 1
+
+    lock = PhaseLock(T, time.monotonic_ns())
+    timer = CycleTimer(lambda _: None, errors_of_nobody, lambda: None, lock, _timer=Fake())
+    timer.arm()
+    timer.arm()
+    assert armed == [lock.wake_ns]
+    timer._wake()  # it has expired: the same wake is armed again
+    timer.arm()
+    assert armed == [lock.wake_ns] * 2
+    lock.follow(time.monotonic_ns())
+    timer.arm()
+    assert armed[2:] == [lock.wake_ns]
+    assert armed[2] != armed[1]
+
+
+def errors_of_nobody(error: Exception) -> None:
+    raise error

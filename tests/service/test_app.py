@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -520,3 +521,30 @@ def test_an_end_while_the_robot_moves_brings_it_to_rest_first(serve: Serve, task
             assert len(controller.replies) < 50
 
     run(main())
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_a_telegram_that_was_attended_is_followed_up_without_a_turn_of_the_loop(
+    *, fails: bool
+) -> None:
+    done: list[str] = []
+
+    def attend(_: int) -> None:
+        app._call_after_reply(station)
+        done.append("sent")
+        if fails:
+            raise OSError
+
+    app: Any = App
+    station: Any = SimpleNamespace(
+        cycle=SimpleNamespace(ready_reply=object()),
+        _timer=SimpleNamespace(lock=SimpleNamespace(period_ns=4_000_000)),
+        _robot=SimpleNamespace(attend=attend),
+        _after=lambda: done.append("after"),
+        _after_waits=False,
+        _is_attending=False,
+    )
+    with contextlib.suppress(OSError):
+        app._attend(station, 0)
+    assert done == (["sent"] if fails else ["sent", "after"])
+    assert not station._is_attending

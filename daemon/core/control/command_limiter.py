@@ -145,8 +145,8 @@ def _is_free(p: float, v: float, a: float, wanted: float, bounds: AxisBounds) ->
         and a - change - margin <= wanted <= a + change + margin
         and -most - margin <= wanted <= most + margin
         and -bounds.free_speed < v < bounds.free_speed
-        and bounds.upper - p - (v if v > 0.0 else 0.0) * period > way
-        and p - bounds.lower + (v if v < 0.0 else 0.0) * period > way
+        and bounds.upper - p - max(v, 0.0) * period > way
+        and p - bounds.lower + min(v, 0.0) * period > way
     )
 
 

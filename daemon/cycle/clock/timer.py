@@ -115,6 +115,7 @@ class CycleTimer:
     _timer: TimerFd | None = None
     _loop: asyncio.AbstractEventLoop | None = None
     _armed_ns: int = 0
+    _is_armed: bool = False
 
     def open(self) -> None:
         """Run on the running loop."""
@@ -128,19 +129,23 @@ class CycleTimer:
         if self._timer is not None and self._loop is not None:
             self._loop.remove_reader(self._timer.fileno())
             self._timer.close()
-            self._timer = None
+            self._timer, self._is_armed = None, False
 
     def arm(self) -> None:
         """Wake when the phase lock says so; to be called when a telegram has moved it."""
-        self._armed_ns = self.lock.wake_ns
+        wake_ns = self.lock.wake_ns
+        if self._is_armed and wake_ns == self._armed_ns:
+            return
+        self._armed_ns = wake_ns
         if self._timer is not None:
-            self._timer.arm(self._armed_ns)
+            self._timer.arm(wake_ns)
+            self._is_armed = True
 
     def _wake(self) -> None:
         now_ns = time.monotonic_ns()
         if self._timer is None or self._timer.read() == 0:
             return
-        armed_ns, lock = self._armed_ns, self.lock
+        armed_ns, lock, self._is_armed = self._armed_ns, self.lock, False
         # A telegram in the same turn of the loop may have moved the wake into the future.
         if now_ns >= armed_ns:
             self.lateness.add(now_ns - armed_ns, lock.period_ns // 4)
