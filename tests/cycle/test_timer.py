@@ -169,7 +169,7 @@ def test_a_wake_that_stays_is_armed_once() -> None:
             return 1
 
     lock = PhaseLock(T, time.monotonic_ns())
-    timer = CycleTimer(lambda _: None, errors_of_nobody, lambda: None, lock, _timer=Fake())
+    timer = CycleTimer(lambda _: None, raise_error, lambda: None, lock, _timer=Fake())
     timer.arm()
     timer.arm()
     assert armed == [lock.wake_ns]
@@ -182,5 +182,5 @@ def test_a_wake_that_stays_is_armed_once() -> None:
     assert armed[2] != armed[1]
 
 
-def errors_of_nobody(error: Exception) -> None:
+def raise_error(error: Exception) -> None:
     raise error

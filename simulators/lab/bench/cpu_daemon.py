@@ -74,7 +74,6 @@ class Account:
         spent: since the last ``close_cycle``, by part.
         total: of all cycles that counted.
         calls: of wrapped functions in these cycles.
-        cycles: that counted.
     """
 
     clock: Callable[[], int] = time.thread_time_ns
