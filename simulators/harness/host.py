@@ -47,6 +47,14 @@ def stolen_s(stat: Path = Path("/proc/stat")) -> float | None:
         return None
 
 
+def resident_bytes(statm: Path = Path("/proc/self/statm")) -> int:
+    """Return the memory of this process that is in use [bytes], 0 if it is not known."""
+    try:
+        return int(statm.read_text(encoding="ascii").split()[1]) * resource.getpagesize()
+    except (OSError, ValueError, IndexError):
+        return 0
+
+
 def missing_rights() -> str | None:
     """Say why a process started here gets no real-time priority; None when it does.
 

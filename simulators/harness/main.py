@@ -316,15 +316,19 @@ def _add_campaign(commands: "Commands[CommandLine]") -> None:
     campaign.add_argument("--cycle-ms", type=float, metavar="MS", help="instead of the scenario's")
     campaign.add_argument("--seeds", type=_count, default=40, metavar="N")
     campaign.add_argument("--first-seed", type=int, default=0, metavar="M")
-    campaign.add_argument(
-        "--scheduler", type=scheduler, default="local", metavar="local|ADDRESS",
-        help="local cores, or a dask scheduler such as tcp://127.0.0.1:8786 (extra 'cluster')",
-    )  # fmt: skip
+    _add_scheduler(campaign)
     campaign.add_argument(
         "--detection", type=_hours, metavar="HOURS",
         help="conveyor, sensors and classifier alone: latencies, false alarms, jerks",
     )  # fmt: skip
     campaign.add_argument("--variants", type=variants, default=("default",), metavar="A,B,...")
+
+
+def _add_scheduler(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--scheduler", type=scheduler, default="local", metavar="local|ADDRESS",
+        help="local cores, or a dask scheduler such as tcp://127.0.0.1:8786 (extra 'cluster')",
+    )  # fmt: skip
 
 
 def _add_shift(commands: "Commands[CommandLine]") -> None:
@@ -338,6 +342,7 @@ def _add_shift(commands: "Commands[CommandLine]") -> None:
         "--faulty", type=_share, default=0.02, metavar="SHARE", help="of cars with a fault; 0.02"
     )
     shift.add_argument("--workers", type=_count, metavar="N", help="daemons to split it over; 1")
+    _add_scheduler(shift)
     shift.add_argument("--json", action="store_true", help="print JSON instead of a table")
 
 

@@ -41,6 +41,7 @@ CAMERA_CLOCK_NS = 86_400_000_000_123
 """The camera's clock minus the host's: the daemon has to learn it."""
 
 CAN_BYTES = 8
+MOST_COMING = 256  # samples that are kept until a look at what has arrived
 DIALOGUE_TURNS = 100
 _TINY = 1e-9
 _arrival = itemgetter(0)
@@ -74,6 +75,11 @@ class Hearing:
     def sends(self, at_s: float, *, is_whole: bool) -> None:
         """Note a sample that arrives at a time [s], whole or damaged on its way."""
         self._coming.append((at_s, is_whole and not self.is_wrong, self.is_frozen))
+
+    @property
+    def is_long(self) -> bool:
+        """Whether so many samples are on their way, or arrived, that a look at them is due."""
+        return len(self._coming) >= MOST_COMING
 
     def arrive(self, now_s: float) -> None:
         """Note what has arrived by now [s]."""
@@ -189,6 +195,8 @@ class Emitters:
         self, name: str, data: bytes, time_s: float, left: list[tuple[float, str, bytes]]
     ) -> None:
         link, hearing = self.links[name], self._hearing[name]
+        if hearing.is_long:  # in a shift no one asks what has arrived
+            hearing.arrive(time_s)
         if link.is_sound:
             left.append((time_s, name, data))
             hearing.sends(time_s, is_whole=True)

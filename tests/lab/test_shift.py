@@ -8,10 +8,11 @@ from pathlib import Path
 import pytest
 
 from linemate.daemon.operator.render import as_json
+from linemate.protocol.sensors.distance import DistanceDecoder, DistanceEncoder, DistanceError
 from linemate.simulators import harness
 from linemate.simulators.devices.line.cars import Car, CarFault, CarTruth
 from linemate.simulators.lab.shift import plan, shift
-from linemate.simulators.lab.shift.run import ShiftOutcome, ShiftStation, run
+from linemate.simulators.lab.shift.run import ShiftOutcome, ShiftStation, run, shipped_station
 from linemate.simulators.plants.conveyor_plan import Conveyor, ConveyorEvent
 from linemate.simulators.plants.scenario import Body, Contact, Robot, Scenario, Swing
 
@@ -111,6 +112,7 @@ def rows(**changes: object) -> dict[str, object]:
         "truths": (truth,),
         "records": (record,),
         "growth": (100, 100),
+        "resident": (10**8, 10**8),
         "files": 100,
         "duration_s": 10.0,
         "requests": {},
@@ -141,6 +143,29 @@ def test_the_judge_sees_a_car_without_a_record_or_with_another_cause() -> None:
 def test_the_judge_sees_growth() -> None:
     assert "remembers" in str(rows(growth=(100, 120))["complaints"])
     assert "record files" in str(rows(files=100_000)["complaints"])
+    assert rows(resident=(10**8, 10**8 + shift.RESIDENT_GROWTH))["good"]
+    grown = rows(resident=(10**8, 10**8 + shift.RESIDENT_GROWTH + 1))
+    assert "has grown by 33554433 bytes, limit 33554432" in str(grown["complaints"])
+
+
+def test_the_memory_of_a_shift_is_measured(outcome: ShiftOutcome) -> None:
+    first, last = outcome.resident
+    assert 10**7 < first <= last + 2**20
+    assert last - first < shift.RESIDENT_GROWTH
+
+
+def test_a_split_has_each_car_once_in_order_and_no_empty_share() -> None:
+    cars = plan.draw(7, 3, ("a",))
+    shares = shift.split(cars, 3, 57.6)
+    assert [len(share.cars) for share in shares] == [2, 2, 3]
+    assert [car for share in shares for car in share.cars] == cars
+    assert len(shift.split(cars, 100, 57.6)) == 7
+
+
+def test_a_split_shift_is_judged_as_one(outcome: ShiftOutcome) -> None:
+    here = shift.judge([outcome, outcome], 1)
+    assert here["resident_bytes"] == [list(outcome.resident)] * 2
+    assert len(here["cars"]) == 2 * len(CARS)
 
 
 def test_a_plan_has_its_share_of_faults_and_is_the_same_for_a_seed() -> None:
@@ -151,3 +176,16 @@ def test_a_plan_has_its_share_of_faults_and_is_the_same_for_a_seed() -> None:
     assert {faults.count(kind) for kind in CarFault} == {2}
     assert len({car.part for car in drawn}) == 400
     assert drawn != plan.draw(400, 4, ("a", "b"))
+
+
+def test_the_encoder_of_the_shipped_station_counts_for_a_whole_shift() -> None:
+    shipped = shipped_station(57.6)
+    text = shipped.loaded().dbc
+    assert text is not None
+    way_m = 8 * 3600 * shipped.scenario.conveyor.nominal_speed
+    can_id, data = DistanceEncoder(text).encode(way_m)
+    sample = DistanceDecoder(text).decode(can_id, data, 0)
+    assert sample is not None
+    assert sample.position == pytest.approx(way_m, abs=1e-4)
+    with pytest.raises(DistanceError):  # the shipped message of a laser does not
+        DistanceEncoder().encode(way_m)

@@ -31,7 +31,7 @@ from linemate.simulators.devices.line.car_feeder import CarFeeder
 from linemate.simulators.devices.line.cars import Car, CarFault, CarTruth, LinePlan
 from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.devices.rsi_controller import ControllerConfig, RsiController
-from linemate.simulators.harness import scenario_file
+from linemate.simulators.harness import host, scenario_file
 from linemate.simulators.harness.lockstep import parameters
 from linemate.simulators.harness.sensor_links import Emitters
 from linemate.simulators.harness.virtual.inhabited import inhabited
@@ -60,6 +60,7 @@ class ShiftOutcome:
     Attributes:
         records: quality records in their order.
         growth: bytes that the cycle remembers after the first car and at the end.
+        resident: memory of the whole process after the first car and at the end [bytes].
         files: bytes of the record files.
         requests: of the line's controller, by operation.
     """
@@ -68,6 +69,7 @@ class ShiftOutcome:
     truths: tuple[CarTruth, ...]
     records: tuple[dict[str, Any], ...]
     growth: tuple[int, int]
+    resident: tuple[int, int]
     files: int
     duration_s: float
     requests: dict[str, int]
@@ -149,9 +151,10 @@ class ShiftRun:
         self.controller = RsiController(
             files.rsi, self.plant.read, self.plant.start, ControllerConfig(timeout_rule="row")
         )
-        self._emitters = Emitters(
-            self.line, Faults(()), files.task.file.conveyor.start_position, _ns, DistanceEncoder()
-        )
+        assert files.dbc is not None  # noqa: S101 - the shipped file
+        mount = files.task.file.conveyor.start_position
+        encoder = DistanceEncoder(files.dbc)
+        self._emitters = Emitters(self.line, Faults(()), mount, _ns, encoder)
         self.plc = LineController()
         self._cars = tuple(cars)
         self._folder, self._on_car = folder, on_car
@@ -161,6 +164,7 @@ class ShiftRun:
         self._paused_until_s: float | None = None
         self._has_restarted = False
         self._growth = [0, 0]
+        self._resident = [0, 0]
         self._complaints: list[str] = []
         self._time = VirtualTime(EPOCH_NS - LISTENING_NS)
         self._time.on_datagram = self._replied
@@ -188,6 +192,7 @@ class ShiftRun:
             tuple(self._truths),
             tuple(records),
             (self._growth[0], self._growth[1]),
+            (self._resident[0], self._resident[1]),
             sum(path.stat().st_size for path in files),
             self.line.time_s,
             dict(self.plc.orders),
@@ -278,6 +283,8 @@ class ShiftRun:
         if self.app is not None:
             size = weigh(self.app.cycle) + weigh(self.app._production)  # noqa: SLF001
             self._growth = [self._growth[0] or size, size]
+            resident = host.resident_bytes()
+            self._resident = [self._resident[0] or resident, resident]
 
     def _restart_robot(self) -> None:
         """End the robot's program and start it again where it stands, if that is the fault."""

@@ -1,18 +1,20 @@
 """``linemate-sim shift``: a shift in virtual time, its table and its JSON.
 
 Invariants:
-- A split shift has one daemon a worker; the cars are those of the whole shift.
+- A split shift has one daemon a share; the cars are those of the whole shift.
+- Shares are run where the runs of a campaign are: on local cores, or on a dask cluster.
 """
 
+import itertools
 import sys
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from functools import partial
+from dataclasses import dataclass
 from typing import Any, Final
 
 from linemate.simulators.devices.line.cars import Car, CarFault, CarTruth
 from linemate.simulators.judge import report_json
+from linemate.simulators.lab import campaign
 from linemate.simulators.lab.shift import plan
 from linemate.simulators.lab.shift.run import ShiftOutcome, run, shipped_station
 
@@ -26,32 +28,50 @@ CAUSES: Final[Mapping[CarFault, tuple[str, ...]]] = {
 """What a report must name, by fault."""
 
 GROWTH: Final = 1.1  # of what the daemon remembers, from the first car to the last
+RESIDENT_GROWTH: Final = 32 << 20  # of the process' memory, from the first car to the last [bytes]
 BYTES_A_CAR: Final = 8192  # of the record files
+
+
+@dataclass(frozen=True, slots=True)
+class ShiftShare:
+    """Cars of one daemon, as a worker gets them."""
+
+    takt_s: float
+    cars: tuple[Car, ...]
 
 
 def main(args: Namespace) -> int:
     """Run a shift and print what became of it.
 
     Args:
-        args: cars, seed, takt, faulty, workers, json.
+        args: cars, seed, takt, faulty, workers, scheduler, json.
 
     Returns:
         0 if every good car was mounted and every other one reported with its cause; else 1.
     """
     station = shipped_station(args.takt)
     cars = plan.draw(args.cars, args.seed, station.variants(), args.faulty)
-    workers = min(args.workers or 1, len(cars))
-    if workers == 1:
+    shares = split(cars, args.workers or 1, args.takt)
+    if len(shares) == 1 and args.scheduler == campaign.LOCAL:
         outcomes = [run(station, cars, on_car=_tell)]
     else:
-        shares = [
-            cars[i * len(cars) // workers : (i + 1) * len(cars) // workers] for i in range(workers)
-        ]
-        with ProcessPoolExecutor(workers) as pool:
-            outcomes = list(pool.map(partial(run, station), shares))
+        with campaign.progress_bar(len(shares), "shift") as progress:
+            outcomes = campaign.spread(perform, shares, args.workers, progress, args.scheduler)
     result = judge(outcomes, args.seed)
     print(report_json.text(result) if args.json else table(result))
     return 0 if result["good"] else 1
+
+
+def split(cars: Sequence[Car], count: int, takt_s: float) -> list[ShiftShare]:
+    """Return shares of consecutive cars, as many as asked for, none of them empty."""
+    count = min(count, len(cars))
+    ends = [i * len(cars) // count for i in range(count + 1)]
+    return [ShiftShare(takt_s, tuple(cars[a:b])) for a, b in itertools.pairwise(ends)]
+
+
+def perform(share: ShiftShare) -> ShiftOutcome:
+    """Run a share in this process, at the station that is shipped with it."""
+    return run(shipped_station(share.takt_s), share.cars)
 
 
 def _tell(car: Car, truth: CarTruth) -> None:
@@ -85,7 +105,13 @@ def judge(outcomes: Sequence[ShiftOutcome], seed: int) -> dict[str, Any]:
         "duration_s": sum(outcome.duration_s for outcome in outcomes),
         "requests": typed,
         "remembered_bytes": [list(outcome.growth) for outcome in outcomes],
+        "resident_bytes": [list(outcome.resident) for outcome in outcomes],
         "record_bytes": sum(outcome.files for outcome in outcomes),
+        "limits": {
+            "remembered_growth": GROWTH,
+            "resident_growth_bytes": RESIDENT_GROWTH,
+            "record_bytes_a_car": BYTES_A_CAR,
+        },
         "cars": rows,
     }
 
@@ -123,6 +149,9 @@ def _growth(outcome: ShiftOutcome) -> list[str]:
     found = []
     if last > GROWTH * first:
         found.append(f"the daemon remembers {last} bytes at the end, {first} after the first car")
+    grown = outcome.resident[1] - outcome.resident[0]
+    if grown > RESIDENT_GROWTH:
+        found.append(f"the process has grown by {grown} bytes, limit {RESIDENT_GROWTH}")
     most = BYTES_A_CAR * len(outcome.cars)
     if outcome.files > most:
         found.append(f"the record files have {outcome.files} bytes, limit {most}")
