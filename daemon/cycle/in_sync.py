@@ -17,7 +17,7 @@ def is_in_sync(state: str, outputs: Outputs, tolerance: float) -> bool:
 
     Args:
         state: operating state of the step.
-        tolerance: largest error [m].
+        tolerance: largest error that counts as in sync [m].
     """
     if state not in _FOLLOWING or outputs.held is not None or outputs.sensed is None:
         return False

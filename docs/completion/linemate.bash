@@ -6,7 +6,7 @@
 # See also: https://github.com/scop/bash-completion/blob/main/doc/configuration.md
 
 _shtab_linemate_param_subparsers=(list get set save describe diff)
-_shtab_linemate_subparsers=(status param arm start stop retreat ack home record announce skip next hold queue report plc plc-user identify commission replay export recover view metrics bridge doctor keygen)
+_shtab_linemate_subparsers=(status param arm start stop retreat ack home record announce skip next hold queue report plc plc-user identify commission replay export recover view metrics bridge fleet doctor keygen)
 
 _shtab_linemate_status_option_strings=(-h --help --socket --udp --key --key-name --timeout --json --watch --all --interval --for)
 _shtab_linemate_param_list_option_strings=(-h --help --socket --udp --key --key-name --timeout --json)
@@ -39,6 +39,7 @@ _shtab_linemate_recover_option_strings=(-h --help --out)
 _shtab_linemate_view_option_strings=(-h --help --socket --udp --key --key-name --timeout --json --port --bind --no-browser)
 _shtab_linemate_metrics_option_strings=(-h --help --listen --station --allow-remote --host --once)
 _shtab_linemate_bridge_option_strings=(-h --help --station --allow-remote --listen --connect --rate)
+_shtab_linemate_fleet_option_strings=(-h --help --connect --json)
 _shtab_linemate_doctor_option_strings=(-h --help --json)
 _shtab_linemate_keygen_option_strings=(-h --help --out)
 _shtab_linemate_option_strings=(-h --help --version)
@@ -109,7 +110,7 @@ _shtab_linemate_record_pos_0_choices=(start stop)
 _shtab_linemate_plc_user_pos_1_choices=(view operate)
 _shtab_linemate_commission___step_choices=(links limits force camera conveyor servos object dry-run page)
 _shtab_linemate_keygen_pos_1_choices=(view operate)
-_shtab_linemate_pos_0_choices=(status param arm start stop retreat ack home record announce skip next hold queue report plc plc-user identify commission replay export recover view metrics bridge doctor keygen)
+_shtab_linemate_pos_0_choices=(status param arm start stop retreat ack home record announce skip next hold queue report plc plc-user identify commission replay export recover view metrics bridge fleet doctor keygen)
 
 _shtab_linemate_status__h_nargs=0
 _shtab_linemate_status___help_nargs=0
@@ -211,6 +212,9 @@ _shtab_linemate_metrics___once_nargs=0
 _shtab_linemate_bridge__h_nargs=0
 _shtab_linemate_bridge___help_nargs=0
 _shtab_linemate_bridge___allow_remote_nargs=0
+_shtab_linemate_fleet__h_nargs=0
+_shtab_linemate_fleet___help_nargs=0
+_shtab_linemate_fleet___json_nargs=0
 _shtab_linemate_doctor__h_nargs=0
 _shtab_linemate_doctor___help_nargs=0
 _shtab_linemate_doctor___json_nargs=0

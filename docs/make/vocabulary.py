@@ -107,6 +107,8 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "docs/decisions/0006-ripple-as-a-state.md": ("wave",),
     "docs/decisions/0011-idle-spinners.md": ("awake",),
     "docs/json.md": ("astray",),
+    "daemon/operator/plc/robotics_values.py": ("astray",),
+    "tests/operator/test_robotics_values.py": ("astray",),
     "docs/parameters.md": (
         "astray",
         "wave",

@@ -35,6 +35,7 @@ class Fleet:
     daemons: dict[str, DaemonProcess]
     bridge: subprocess.Popen[str]
     session: Any
+    endpoint: str
     heard: list[tuple[str, dict[str, Any]]] = field(default_factory=list)
 
     def until(self, found: Callable[[], bool]) -> None:
@@ -84,7 +85,7 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
         from linemate.daemon.operator.bridge_command import open_session
 
         session = stack.enter_context(open_session([], [endpoint]))
-        fleet = Fleet(daemons, bridge, session)
+        fleet = Fleet(daemons, bridge, session, endpoint)
 
         def hear(sample: Any) -> None:
             message = json.loads(sample.payload.to_string())
@@ -104,6 +105,30 @@ def test_status_and_telemetry_of_every_station_come_by_themselves(fleet: Fleet) 
         assert key.split("/")[1] == message["station"]
     pids = {message["data"]["pid"] for key, message in fleet.heard if key.endswith("/status")}
     assert pids == {daemon.process.pid for daemon in fleet.daemons.values()}
+
+
+def test_the_fleet_stands_in_one_table(fleet: Fleet) -> None:
+    words = [*LINEMATE, "fleet", "--connect", fleet.endpoint]
+    shown = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert shown.returncode == 1, shown.stderr  # without a robot no station is healthy
+    head, *lines = shown.stdout.splitlines()
+    assert head.startswith("station  health    state")
+    assert [line.split()[:4] for line in lines] == [
+        [name, "degraded", "init", "wheel"] for name in ("east", "west")
+    ]
+    shown = subprocess.run([*words, "--json"], capture_output=True, text=True, check=False)
+    stations = json.loads(shown.stdout)["stations"]
+    assert [(one["station"], one["in_sync"]) for one in stations] == [
+        ("east", None),
+        ("west", None),
+    ]
+
+
+def test_an_endpoint_without_a_station_gives_no_table() -> None:
+    words = [*LINEMATE, "fleet", "--connect", f"tcp/127.0.0.1:{free_port()}"]
+    shown = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert shown.returncode != 0
+    assert not shown.stdout
 
 
 def test_a_query_is_answered_by_each_station_itself(fleet: Fleet) -> None:

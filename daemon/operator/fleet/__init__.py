@@ -1,0 +1,1 @@
+"""``linemate fleet``: several stations in one table, over zenoh."""
