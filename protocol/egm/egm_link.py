@@ -163,6 +163,11 @@ def unready(message: messages.RobotMessage) -> str | None:
         return f"the motors are not on: motorState {message.motors.name}. Switch the motors on."
     if message.rapid is not messages.RapidState.RUNNING:
         return f"RAPID does not run: rapidExecState {message.rapid.name}. Start the program."
+    if message.guidance is messages.GuidanceState.STOPPED and message.is_converged:
+        return (
+            "EGM does not run: mciState STOPPED, mciConvergenceMet. EGMRunJoint ended because the "
+            "robot stood within its ranges. Give it a longer CondTime and execute it again."
+        )
     if message.guidance is not messages.GuidanceState.RUNNING:
         return f"EGM does not run: mciState {message.guidance.name}. Execute EGMRunJoint."
     return None

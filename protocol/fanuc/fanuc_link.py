@@ -11,6 +11,7 @@ import math
 import struct
 from typing import Final
 
+from linemate.protocol.controller_family import read_own
 from linemate.protocol.controller_link import (
     ControllerTelegram,
     ExchangeRules,
@@ -116,9 +117,9 @@ class FanucLink:
         """Return the status packet in a datagram.
 
         Raises:
-            FanucError: it is none, or of another version.
+            ControllerError: it is none, of another version, or of another family.
         """
-        status = read_status(data)
+        status = read_own(read_status, data, "fanuc")
         if status.version != self._version:
             raise FanucError(
                 f"status packet of version {status.version}, configured {self._version}. "

@@ -8,6 +8,7 @@ from linemate.protocol.controller_link import ControllerError
 from linemate.protocol.egm.egm_codec import EgmCodec
 from linemate.protocol.egm.egm_link import EgmLink
 from linemate.protocol.egm.messages import EgmPosition, RobotMessage
+from linemate.protocol.fanuc.fanuc_link import FanucLink
 from linemate.protocol.rsi.codec import RsiCodec, parse_config
 from linemate.protocol.rsi.rsi_link import RsiLink
 
@@ -44,5 +45,10 @@ def test_a_controller_of_another_family_is_named_with_both() -> None:
     rsi = RsiLink(RsiCodec(parse_config((PROTOCOL_DATA / "rsi_joints.xml").read_bytes())))
     with pytest.raises(ControllerError, match="the telegram is ABB EGM: configured is KUKA RSI"):
         rsi.read(EGM, 0)
+    for data, name in ((RSI, "KUKA RSI"), (EGM, "ABB EGM")):
+        with pytest.raises(
+            ControllerError, match=f"the telegram is {name}: configured is FANUC Stream Motion"
+        ):
+            FanucLink(3).read(data, 0)
     assert wrong_family(EGM, "egm") is None
     assert wrong_family(b"?", "egm") is None

@@ -132,3 +132,12 @@ def test_a_counter_beyond_32_bits_is_not_expected() -> None:
     expected = link().expect(41, None, JOINTS, 0.05)
     assert expected is not None
     assert not expected[0].matches(b"<Rob/>")
+
+
+def test_a_run_that_ended_by_convergence_says_how_to_keep_it() -> None:
+    stopped = {"guidance": messages.GuidanceState.STOPPED}
+    for is_converged, word in ((True, "CondTime"), (False, "Execute EGMRunJoint")):
+        read = link().read(telegram(is_converged=is_converged, **stopped), 0)
+        assert read.unready is not None
+        assert word in read.unready
+    assert link().read(telegram(is_converged=True), 0).unready is None

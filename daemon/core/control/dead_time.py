@@ -35,10 +35,9 @@ class DriftModel:
     """Compiled parameters of the tracking.
 
     Attributes:
-        dead_times: identified (axes,) [s].
+        dead_times: (axes,) without drift [s].
         bounds: least and largest drift [s].
         rate: largest change of the drift in a cycle [s].
-        cycle_s: T0 [s].
         recursion: (5, axes) y(k) of y(k-1), y(k-2), q_c(k-1), q_c(k-2), q_c(k-3).
         drifts: (g,) for which the taps are designed [s].
         taps: (g, m, axes) of (12) for each of them.
