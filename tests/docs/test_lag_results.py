@@ -1,0 +1,26 @@
+"""Tables by lag, cycle and controller: what was measured is shown, what was not is not claimed."""
+
+from typing import Any
+
+from docs.make import lag_results
+
+
+def row(control: float) -> dict[str, Any]:
+    figure = {"median": control, "worst": 2.0 * control, "n": 4, "ci95": [0.0, 1.0]}
+    return {"runs": 4, "assembled": 3, lag_results.CONTROL: figure}
+
+
+def test_a_row_has_medians_and_worst_runs_and_a_dash_for_what_is_missing() -> None:
+    text = lag_results.by_lag(lambda _: {"84": row(0.15)}, lambda _: True)
+    assert text.splitlines()[2] == "| 84 | 3 of 4 | 0.15 (0.3) | - | - | - | - |"
+
+
+def test_a_cycle_is_compared_with_the_one_of_4_ms() -> None:
+    text = lag_results.by_cycle(lambda _: {"4": row(0.1), "24": row(0.11)}, lambda _: True)
+    assert [line.rsplit("|", 2)[1].strip() for line in text.splitlines()[2:]] == ["1.00", "1.10"]
+
+
+def test_what_was_not_measured_says_so() -> None:
+    for table in (lag_results.by_lag, lag_results.by_cycle):
+        assert "Not measured yet" in table(lambda _: {}, lambda _: False)
+    assert len(lag_results.by_family(lambda _: {}, lambda _: False).splitlines()) == 2
