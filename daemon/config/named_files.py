@@ -27,7 +27,6 @@ MAX_LINK_BYTES = 1_048_576
 DEFAULT_RSI = "rsi_joints.xml"
 
 _PORTS = {ControllerKind.EGM.value: EGM_PORT, ControllerKind.FANUC.value: 0}
-_CORRECTION = {"A": "AK", "E": "EK"}
 
 
 class NamedFiles:
@@ -125,16 +124,8 @@ class NamedFiles:
         """Refuse a controller file without the position and correction of an axis."""
         if self.rsi is None or self.task is None:
             return
-        sends, axes = ["DEF_AIPos"], [f"A{i}" for i in range(1, 7)]
-        if self.task.file.arm.linear_axis:
-            sends, axes = [*sends, "DEF_EIPos"], [*axes, "E1"]
-        sent = {element.tag for element in self.rsi.send}
-        parts = [element.tag.partition(".") for element in self.rsi.receive]
-        corrected = {axis for word, _, axis in parts if word in {"AK", "AKorr", "EK", "EKorr"}}
-        missing = [f"SEND {tag}" for tag in sends if tag not in sent]
-        missing += [
-            f"RECEIVE {_CORRECTION[axis[0]]}.{axis}" for axis in axes if axis not in corrected
-        ]
+        arm = self.task.file.arm
+        missing = rsi_check.missing_axes(self.rsi, linear_axis=arm.linear_axis)
         if missing:
             raise ValueError(f"the task's arm needs {', '.join(missing)}")
 

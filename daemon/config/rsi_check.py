@@ -6,7 +6,7 @@ Each error names the element and what to change.
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from linemate.daemon.config.section_checks import waiting_gates
+from linemate.daemon.config.controllers.signal_gates import waiting_gates
 from linemate.daemon.config.settings import Corrections
 from linemate.daemon.core.tracking.task import TaskFile
 from linemate.protocol.rsi.ethernet_config import PLACEHOLDER, Element, RsiConfig
@@ -52,6 +52,22 @@ def exchange_errors(rsi: RsiConfig, corrections: Corrections) -> Iterator[str]:
             f'RECEIVE {", ".join(wrong)}: HOLDON="{int(not wanted)}" with {corrections} '
             f'corrections: a lost reply {effect}. Set HOLDON="{int(wanted)}".'
         )
+
+
+def missing_axes(rsi: RsiConfig, *, linear_axis: bool) -> list[str]:
+    """Return the positions and corrections of axes that the file lacks, or empty.
+
+    Args:
+        linear_axis: the arm stands on E1.
+    """
+    sends, axes = ["DEF_AIPos"], [f"A{i}" for i in range(1, 7)]
+    if linear_axis:
+        sends, axes = [*sends, "DEF_EIPos"], [*axes, "E1"]
+    sent = {element.tag for element in rsi.send}
+    corrected = {e.tag.partition(".")[2] for e in rsi.receive if is_correction(e)}
+    missing = [f"SEND {tag}" for tag in sends if tag not in sent]
+    word = {"A": "AK", "E": "EK"}
+    return missing + [f"RECEIVE {word[a[0]]}.{a}" for a in axes if a not in corrected]
 
 
 def unfilled(rsi: RsiConfig, constants: Mapping[str, Any]) -> Iterator[str]:

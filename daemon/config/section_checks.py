@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+from linemate.daemon.config.controllers.signal_gates import waiting_gates
 from linemate.daemon.config.documents import Complaint
-from linemate.daemon.core.tracking.task import Gate, TaskFile
+from linemate.daemon.core.tracking.task import TaskFile
 from linemate.protocol.numeric_peer import parse_peer
 
 T = TypeVar("T")
@@ -60,17 +61,6 @@ class PlainValues:
     def has(self, *section: str) -> bool:
         """Return whether a section is given."""
         return self.get(*section, kind=dict) is not None
-
-
-def waiting_gates(task: TaskFile) -> Iterator[tuple[str, str]]:
-    """Yield each gate that waits for a signal: what waits for what, and the key to set instead."""
-    for i, waypoint in enumerate(task.waypoints):
-        instead = {
-            Gate.SCREWS_FIXED: ("fixed_after", task.tool.fixed_after),
-            Gate.WHEEL_RELEASED: ("released_after", task.tool.released_after),
-        }.get(waypoint.gate)
-        if instead is not None and instead[1] is None:
-            yield f"waypoints[{i}] waits for {waypoint.gate}", f"tool.{instead[0]}"
 
 
 def egm_complaints(values: PlainValues, task: TaskFile) -> Iterator[Complaint]:

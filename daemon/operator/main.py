@@ -156,6 +156,7 @@ COMMANDS: Final[dict[str, str | AddParser]] = {
     "fleet": "fleet.fleet_command",
     "doctor": "doctor",
     "keygen": _add_keygen,
+    "rsi": "robot.rsi_command",
 }
 
 

@@ -6,7 +6,8 @@
 # See also: https://github.com/scop/bash-completion/blob/main/doc/configuration.md
 
 _shtab_linemate_param_subparsers=(list get set save describe diff)
-_shtab_linemate_subparsers=(status param arm start stop retreat ack home record announce skip next hold queue report plc plc-user identify commission replay export recover view metrics bridge fleet doctor keygen)
+_shtab_linemate_rsi_subparsers=(lint files)
+_shtab_linemate_subparsers=(status param arm start stop retreat ack home record announce skip next hold queue report plc plc-user identify commission replay export recover view metrics bridge fleet doctor keygen rsi)
 
 _shtab_linemate_status_option_strings=(-h --help --socket --udp --key --key-name --timeout --json --watch --all --interval --for)
 _shtab_linemate_param_list_option_strings=(-h --help --socket --udp --key --key-name --timeout --json)
@@ -42,6 +43,9 @@ _shtab_linemate_bridge_option_strings=(-h --help --station --allow-remote --list
 _shtab_linemate_fleet_option_strings=(-h --help --connect --json)
 _shtab_linemate_doctor_option_strings=(-h --help --json)
 _shtab_linemate_keygen_option_strings=(-h --help --out)
+_shtab_linemate_rsi_lint_option_strings=(-h --help --config --task --json)
+_shtab_linemate_rsi_files_option_strings=(-h --help)
+_shtab_linemate_rsi_option_strings=(-h --help)
 _shtab_linemate_option_strings=(-h --help --version)
 
 _shtab_linemate_status___socket_COMPGEN=_shtab_compgen_files
@@ -104,13 +108,19 @@ _shtab_linemate_view_pos_0_COMPGEN=_shtab_compgen_files
 _shtab_linemate_view___socket_COMPGEN=_shtab_compgen_files
 _shtab_linemate_view___key_COMPGEN=_shtab_compgen_files
 _shtab_linemate_keygen___out_COMPGEN=_shtab_compgen_files
+_shtab_linemate_rsi_lint_pos_0_COMPGEN=_shtab_compgen_files
+_shtab_linemate_rsi_lint___config_COMPGEN=_shtab_compgen_files
+_shtab_linemate_rsi_lint___task_COMPGEN=_shtab_compgen_files
+_shtab_linemate_rsi_files_pos_1_COMPGEN=_shtab_compgen_dirs
 
 _shtab_linemate_param_pos_0_choices=(list get set save describe diff)
 _shtab_linemate_record_pos_0_choices=(start stop)
 _shtab_linemate_plc_user_pos_1_choices=(view operate)
 _shtab_linemate_commission___step_choices=(links limits force camera conveyor servos object dry-run page)
 _shtab_linemate_keygen_pos_1_choices=(view operate)
-_shtab_linemate_pos_0_choices=(status param arm start stop retreat ack home record announce skip next hold queue report plc plc-user identify commission replay export recover view metrics bridge fleet doctor keygen)
+_shtab_linemate_rsi_files_pos_0_choices=(kss-8.2 kss-8.5 iiqka-os2)
+_shtab_linemate_rsi_pos_0_choices=(lint files)
+_shtab_linemate_pos_0_choices=(status param arm start stop retreat ack home record announce skip next hold queue report plc plc-user identify commission replay export recover view metrics bridge fleet doctor keygen rsi)
 
 _shtab_linemate_status__h_nargs=0
 _shtab_linemate_status___help_nargs=0
@@ -220,6 +230,14 @@ _shtab_linemate_doctor___help_nargs=0
 _shtab_linemate_doctor___json_nargs=0
 _shtab_linemate_keygen__h_nargs=0
 _shtab_linemate_keygen___help_nargs=0
+_shtab_linemate_rsi_lint__h_nargs=0
+_shtab_linemate_rsi_lint___help_nargs=0
+_shtab_linemate_rsi_lint___json_nargs=0
+_shtab_linemate_rsi_files__h_nargs=0
+_shtab_linemate_rsi_files___help_nargs=0
+_shtab_linemate_rsi_pos_0_nargs=A...
+_shtab_linemate_rsi__h_nargs=0
+_shtab_linemate_rsi___help_nargs=0
 _shtab_linemate_pos_0_nargs=A...
 _shtab_linemate__h_nargs=0
 _shtab_linemate___help_nargs=0

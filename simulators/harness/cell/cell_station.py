@@ -48,7 +48,7 @@ def with_links(
 
     Args:
         controller: sections of the controller's family.
-        can: arguments of ``can.Bus``.
+        can: ``interface`` and ``channel`` of the distance sensor's bus.
         wrench: URL of the force-torque sensor.
     """
     linked = dict(plain)

@@ -1,4 +1,4 @@
-"""A cell's files for one host: what daemon and emulator are told."""
+"""A cell's files for one host: the configurations of daemon and emulator."""
 
 from argparse import Namespace
 from dataclasses import replace
