@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from linemate.daemon.core.horizon import Array
 from linemate.simulators.judge.table import aligned
 from linemate.simulators.lab.campaign import progress_bar, spread
 from linemate.simulators.lab.two_bodies import (
@@ -39,6 +40,8 @@ KICK = 0.001  # amplitude of the body's motion after the kick [m]
 WINDOW_S = 2.0  # holds a period of the slowest body on the softest mount
 WINDOWS = 4
 LARGEST_GROWTH = 1.05  # of an amplitude; less is noise
+CALM_S = 3.0  # in which the daemon may prove a body firm [s]
+SPEED = 0.106  # of the conveyor [m/s]
 LEAST_AMPLITUDE = 0.0003  # in the last window; below it, it is noise [m]
 
 GROWS, RISES, STABLE = "grows", "rises", "stable"
@@ -46,10 +49,15 @@ GROWS, RISES, STABLE = "grows", "rises", "stable"
 
 @dataclass(frozen=True, slots=True)
 class BodyCase:
-    """One body on one mount."""
+    """One body on one mount.
+
+    Attributes:
+        calm_s: for which the body gives way before the kick, and nothing excites it [s].
+    """
 
     cell: TwoBodyCell
     mode: CarMode
+    calm_s: float = 0.0
 
 
 def cases(
@@ -59,14 +67,23 @@ def cases(
     dampings: Sequence[float] = DAMPINGS,
     masses: Sequence[float] = MASSES,
     frequencies_hz: Sequence[float] = FREQUENCIES_HZ,
+    line: tuple[float, float] = (SPEED, 0.0),
 ) -> list[BodyCase]:
-    """Return the cases of one cycle, mount by mount."""
-    cells = [TwoBodyCell(1e-3 * cycle_ms, mount, dead_time=1e-3 * dead_time_ms) for mount in mounts]
+    """Return the cases of one cycle, mount by mount.
+
+    Args:
+        line: speed of the conveyor [m/s], and for how long nothing excites a body [s].
+    """
+    speed, calm_s = line
+    cells = [
+        TwoBodyCell(1e-3 * cycle_ms, mount, dead_time=1e-3 * dead_time_ms, speed=speed)
+        for mount in mounts
+    ]
     modes = [
         CarMode(mass, frequency_hz, damping)
         for damping, mass, frequency_hz in product(dampings, masses, frequencies_hz)
     ]
-    return [BodyCase(cell, mode) for cell in cells for mode in modes]
+    return [BodyCase(cell, mode, calm_s) for cell in cells for mode in modes]
 
 
 _approached = lru_cache(maxsize=1)(approached)
@@ -75,7 +92,7 @@ _approached = lru_cache(maxsize=1)(approached)
 def measured(case: BodyCase) -> dict[str, Any]:
     """Return what a case is and what it shows."""
     begun: TwoBodies = _approached(case.cell)
-    trace = kicked(begun, case.mode, WINDOWS * WINDOW_S, KICK)
+    trace = kicked(begun, case.mode, WINDOWS * WINDOW_S, KICK, case.calm_s)
     return {
         "mount": case.cell.mount,
         "damping": case.mode.damping,
@@ -86,20 +103,34 @@ def measured(case: BodyCase) -> dict[str, Any]:
 
 
 def figures(trace: ContactTrace, cycle_s: float) -> dict[str, Any]:
-    """Return amplitudes window by window, largest force and energy, and how it ends."""
-    length = round(WINDOW_S / cycle_s)
+    """Return amplitudes window by window, largest force and energy, and how it ends.
+
+    ``calm_mm`` and ``calm_n`` are amplitude and force before the kick.
+    """
+    length, calm = round(WINDOW_S / cycle_s), trace.calm
     amplitudes = [
-        1e3 * float(np.ptp(trace.moved[begin : begin + length], axis=0).max() / 2.0)
-        for begin in range(0, len(trace.times) - length // 2, length)
+        _amplitude_mm(trace.moved[begin : begin + length])
+        for begin in range(calm, len(trace.times) - length // 2, length)
     ]
-    broke = len(trace.times) < round(WINDOWS * WINDOW_S / cycle_s)
-    return {
+    broke = len(trace.times) < calm + round(WINDOWS * WINDOW_S / cycle_s)
+    unkicked = {}
+    if calm:
+        unkicked = {
+            "calm_mm": round(_amplitude_mm(trace.moved[:calm]), 3),
+            "calm_n": round(float(np.linalg.norm(trace.forces[:calm], axis=1).max()), 1),
+        }
+    return unkicked | {
         "amplitudes_mm": [round(amplitude, 3) for amplitude in amplitudes],
         "force_n": round(float(np.linalg.norm(trace.forces, axis=1).max()), 1),
         "energy_j": round(float(trace.energies.max()), 4),
         "broke": broke,
         "ends": GROWS if broke else _ending(amplitudes),
     }
+
+
+def _amplitude_mm(moved: Array) -> float:
+    """Return half of the largest side of the box that the hub's motion (n, 3) fills [mm]."""
+    return 1e3 * float(np.ptp(moved, axis=0).max() / 2.0)
 
 
 def _ending(amplitudes_mm: Sequence[float]) -> str:
@@ -148,13 +179,15 @@ def grouped(
 
 
 def is_unstable(case: Mapping[str, Any]) -> bool:
-    """Tell whether a case grows or rises."""
-    return bool(case["ends"] != STABLE)
+    """Tell whether a case grows or rises, or swings before it is kicked."""
+    return bool(case["ends"] != STABLE or case.get("calm_mm", 0.0) > 1e3 * LEAST_AMPLITUDE)
 
 
 def line(case: Mapping[str, Any]) -> str:
     """Return a case in one line."""
     amplitudes = " ".join(f"{amplitude:.2f}" for amplitude in case["amplitudes_mm"])
+    if "calm_mm" in case:
+        amplitudes = f"{case['calm_mm']:.2f} mm, {case['calm_n']:.0f} N unkicked, then {amplitudes}"
     return (
         f"{case['ends']}: {case['mass']:g} kg, {case['frequency_hz']:g} Hz,"
         f" {100.0 * case['damping']:g} %, {case['mount'] / 1e3:g} N/mm: {amplitudes} mm,"
@@ -177,6 +210,10 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--dampings", type=_numbers, default=DAMPINGS, help="shares of critical")
     parser.add_argument("--masses", type=_numbers, default=MASSES, help="kg")
     parser.add_argument("--frequencies", type=_numbers, default=FREQUENCIES_HZ, help="Hz")
+    parser.add_argument("--speed", type=float, default=SPEED, help="of the conveyor, m/s")
+    parser.add_argument(
+        "--calm-s", type=float, default=0.0, help=f"before the kick; {CALM_S:g} s after the touch"
+    )
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--json", action="store_true", help="print every case")
     args = parser.parse_args(words)
@@ -187,6 +224,7 @@ def main(words: Sequence[str] | None = None) -> int:
         args.dampings,
         args.masses,
         args.frequencies,
+        (args.speed, args.calm_s),
     )
     with progress_bar(len(chosen), "cases") as progress:
         found = spread(measured, chosen, args.workers, progress)
@@ -194,6 +232,8 @@ def main(words: Sequence[str] | None = None) -> int:
         "cycle_ms": args.cycle_ms,
         "dead_time_ms": args.dead_time_ms,
         "kick_mm": 1e3 * KICK,
+        "speed": args.speed,
+        "calm_s": args.calm_s,
         "window_s": WINDOW_S,
         "cases": found,
     }

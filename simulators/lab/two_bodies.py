@@ -36,7 +36,7 @@ WRENCH_S = 0.004
 CAMERA_S = 0.025
 CAMERA_DELAY_S = 0.1
 CAMERA_BLIND = 0.03  # distance below which the camera sees nothing [m]
-HELD_S = 2.0  # the press lasts so much longer than in the task, beyond the end of a case [s]
+HELD_S = 6.0  # the press lasts so much longer than in the task, beyond the end of a case [s]
 TOOL_MASS = 25.0  # of tool and wheel, which move with the hub [kg]
 OFF = np.array((0.03, -0.02, 0.04))  # of the object from its nominal place, in c [m]
 GRAIN = 0.001  # quantisation of the distance sensor [m]
@@ -78,14 +78,15 @@ class CarMode:
 
 @dataclass(frozen=True, slots=True)
 class ContactTrace:
-    """One case after its kick, a row a cycle.
+    """One case around its kick, a row a cycle.
 
     Attributes:
-        times: (n,) from the kick [s].
+        times: (n,) from the kick [s]; less than 0 before it.
         moved: (n, 3) of the hub from its undisturbed place, in c [m].
         forces: (n, 3) on the tool, in c [N].
-        energies: (n,) that the tool has given to the body since the kick [J].
+        energies: (n,) that the tool has given to the body since it was freed, or kicked [J].
         events: what happened, with its time.
+        calm: rows before the kick.
     """
 
     times: Array
@@ -93,6 +94,7 @@ class ContactTrace:
     forces: Array
     energies: Array
     events: tuple[tuple[float, str], ...]
+    calm: int = 0
 
 
 def _parameters(cell: TwoBodyCell, made: Setup) -> Parameters:
@@ -195,19 +197,24 @@ class TwoBodies:
         other.noise = np.random.default_rng(1)
         return other
 
-    def kick(self, mode: CarMode, amplitude: float) -> None:
-        """Let the body give way from now on, and move it along the conveyor and into the tool.
+    def free(self, mode: CarMode) -> None:
+        """Let the body give way from now on; it is at rest where the press holds it."""
+        self.mode, self._energy = mode, 0.0
+        self._load = self._pull(self._tcp)
+
+    def kick(self, amplitude: float) -> None:
+        """Move the body along the conveyor and into the tool, and count the energy from now on.
 
         Args:
             amplitude: of the motion on the mount [m].
         """
-        self.mode, self._energy = mode, 0.0
+        mode = self.mode
+        assert mode is not None  # noqa: S101 - the caller has freed it
+        self._energy = 0.0
         mass = mode.mass + TOOL_MASS
         body = mode.mass * (math.tau * mode.frequency_hz) ** 2
         omega = math.sqrt((body + self.cell.mount) / mass)
-        self._velocity = amplitude * omega * np.array((0.4, 1.0, 0.4))
-        # The body is at rest where the force of the press holds it.
-        self._load = self._pull(self._tcp)
+        self._velocity = self._velocity + amplitude * omega * np.array((0.4, 1.0, 0.4))
 
     def _hub(self, time: float) -> Array:
         """Return the undisturbed hub (3,) in c."""
@@ -335,18 +342,23 @@ def approached(cell: TwoBodyCell, settled_s: float = 1.2, limit_s: float = 20.0)
 
 
 def kicked(
-    begun: TwoBodies, mode: CarMode, seconds: float, amplitude: float = 0.001
+    begun: TwoBodies, mode: CarMode, seconds: float, amplitude: float = 0.001, calm_s: float = 0.0
 ) -> ContactTrace:
     """Return what follows a kick of a body that gives way.
 
     Args:
         begun: by ``approached``; it is not changed.
         amplitude: of the kick's motion on the mount [m].
+        calm_s: for which the body gives way before the kick, and nothing excites it [s].
     """
     loop = begun.fork()
-    loop.kick(mode, amplitude)
-    start, rows, events = loop.time, [], []
-    for _ in range(round(seconds / loop.cell.cycle_s)):
+    loop.free(mode)
+    rows, events = [], []
+    calm = round(calm_s / loop.cell.cycle_s)
+    start = loop.time + calm * loop.cell.cycle_s
+    for k in range(calm + round(seconds / loop.cell.cycle_s)):
+        if k == calm:
+            loop.kick(amplitude)
         outputs = loop.turn()
         at = loop.time - start
         rows.append((at, *loop.moved.tolist(), *loop.force.tolist(), loop.energy))
@@ -354,4 +366,4 @@ def kicked(
         if math.hypot(*loop.force.tolist()) > 2000.0:
             break
     table = np.array(rows)
-    return ContactTrace(table[:, 0], table[:, 1:4], table[:, 4:7], table[:, 7], tuple(events))
+    return ContactTrace(table[:, 0], table[:, 1:4], table[:, 4:7], table[:, 7], tuple(events), calm)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from linemate.daemon.core.tracking.touch import compliance
 from linemate.simulators.lab import stability_map, two_bodies
 from linemate.simulators.lab.two_bodies import CarMode, ContactTrace, TwoBodies, TwoBodyCell
 
@@ -23,7 +24,7 @@ CALM = (
 )
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=3)
 def begun(cell: TwoBodyCell) -> TwoBodies:
     return two_bodies.approached(cell)
 
@@ -67,6 +68,46 @@ def test_a_target_that_follows_force_at_once_drives_the_body(
     monkeypatch.setattr(two_bodies, "identified", lambda: planted)
     loop = two_bodies.approached(SOFT)
     assert [is_calm(shown(loop, mode), SOFT) for _, mode in CALM[:2]] == [False, False]
+
+
+RUNNING, STANDING = SOFT, replace(SOFT, speed=0.0)
+UNKICKED = (
+    (RUNNING, CarMode(300.0, 3.0, 0.009)),
+    (RUNNING, CarMode(1000.0, 4.7, 0.009)),
+    (STANDING, CarMode(300.0, 3.0, 0.009)),
+    (STANDING, CarMode(1000.0, 4.7, 0.009)),
+)
+CALM_N = 60.0
+PROVED = {"is_at_rest": True}
+
+
+def around_a_late_kick(cell: TwoBodyCell, mode: CarMode) -> dict[str, Any]:
+    seconds = stability_map.WINDOWS * stability_map.WINDOW_S
+    trace = two_bodies.kicked(
+        begun(cell), mode, seconds, stability_map.KICK, calm_s=stability_map.CALM_S
+    )
+    return stability_map.figures(trace, cell.cycle_s)
+
+
+@pytest.mark.parametrize(("cell", "mode"), UNKICKED, ids=str)
+def test_a_body_that_nothing_excites_is_not_driven_and_comes_to_rest_after_a_late_kick(
+    cell: TwoBodyCell, mode: CarMode
+) -> None:
+    figures = around_a_late_kick(cell, mode)
+    assert figures["calm_n"] < CALM_N, figures
+    assert not stability_map.is_unstable(figures), figures
+
+
+def test_a_proof_next_to_a_running_line_drives_a_body_that_nothing_excites(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    advance = compliance.advance
+    monkeypatch.setattr(
+        compliance, "advance", lambda *given, **named: advance(*given, **named | PROVED)
+    )
+    figures = around_a_late_kick(*UNKICKED[0])
+    assert figures["calm_n"] > CALM_N
+    assert stability_map.is_unstable(figures)
 
 
 def trace(*amplitudes_mm: float, cycle_s: float = 0.012) -> ContactTrace:

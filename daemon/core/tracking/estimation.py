@@ -12,6 +12,7 @@ from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.classifiers import stop_input
 from linemate.daemon.core.tracking.conveyor import (
     ConveyorEstimate,
+    Motion,
     PositionMeasurement,
     Source,
     has_changed_class,
@@ -306,6 +307,7 @@ def comply(
         (x, y, z),
         state.touching,
         is_pushed=("push", "confirmed") in events,
+        is_at_rest=view is not None and view.motion in {Motion.STANDING, Motion.STARTING},
     )
     return replace(state, compliance=later)
 

@@ -28,12 +28,19 @@ def followed(
     touching: float = SEATED,
     frequency_hz: float = 0.0,
     state: Compliance = GIVES_WAY,
+    *,
+    is_at_rest: bool = True,
 ) -> Compliance:
     """The state after a force, and an object off its estimate, along y."""
     for k in range(round(seconds / MODEL.dt)):
         ripple = math.cos(math.tau * frequency_hz * k * MODEL.dt)
         state = compliance.advance(
-            state, MODEL, (0.0, force * ripple, 0.0), (0.0, off * ripple, 0.0), touching
+            state,
+            MODEL,
+            (0.0, force * ripple, 0.0),
+            (0.0, off * ripple, 0.0),
+            touching,
+            is_at_rest=is_at_rest,
         )
     return state
 
@@ -117,6 +124,14 @@ def test_an_object_that_lies_still_is_proved_firm_and_moves_no_offset() -> None:
     proved = followed(1.2, 0.0, 0.0, state=NO_COMPLIANCE)
     assert proved.is_firm
     assert followed(1.0, 0.0, 0.001, state=proved).offset == proved.offset
+
+
+def test_next_to_a_running_line_nothing_is_proved_and_a_proof_ends() -> None:
+    still = followed(5.0, 0.0, 0.0, state=NO_COMPLIANCE, is_at_rest=False)
+    assert still.firmness.is_firm is None
+    later = followed(MODEL.dt, 0.0, 0.0, state=FIRM, is_at_rest=False)
+    assert later.firmness.is_firm is None
+    assert not followed(0.9, 0.0, 0.0, state=later).is_firm
 
 
 def test_nothing_is_proved_before_the_tool_has_seated() -> None:

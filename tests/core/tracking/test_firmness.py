@@ -56,3 +56,9 @@ def test_a_push_or_a_growing_oscillation_shows_that_an_object_gives_way() -> Non
 
 def test_an_object_that_has_given_way_is_not_firm_again() -> None:
     assert after(5.0, 0.0, 1.0, Firmness(is_firm=False)).is_firm is False
+
+
+def test_next_to_a_running_line_no_object_is_firm_and_one_that_gave_way_stays_so() -> None:
+    assert firmness.without_proof(FIRM).is_firm is None
+    assert after(PROOF_S - 0.05, 0.0, 1.0, firmness.without_proof(FIRM)).is_firm is None
+    assert firmness.without_proof(Firmness(is_firm=False)).is_firm is False

@@ -75,8 +75,7 @@ def test_an_impulse_of_a_false_force_moves_no_target_when_the_force_is_lost() ->
         state, _ = in_contact(3.0, 0.0)
         x = state.x.copy()
         x[IMPULSE] = 0.003
-        held = None if firm else state.guide
-        lost = unfelt(structs.replace(state, x=x, guide=held, is_firm=firm), DT)
+        lost = unfelt(structs.replace(state, x=x, is_firm=firm), DT)
         assert lost.guide is not None
         assert lost.guide.x[IMPULSE] == 0.0
 
@@ -97,10 +96,16 @@ def test_without_a_guide_the_target_would_follow_the_swing() -> None:
     assert max(later) - min(later) > 2e-5
 
 
-def test_there_is_no_guide_on_an_object_that_does_not_give_way() -> None:
+def test_a_guide_follows_but_leads_no_target_on_an_object_that_does_not_give_way() -> None:
     state, _ = in_contact(3.0, 0.0)
-    felt = PositionMeasurement(Source.TACTILE, SPEED * 3.0, 0.005, 3e-5**2, 20.0, is_firm=True)
-    assert BANK.advance(state, [felt], DT).guide is None
+    way = float(BANK.predict_positions(state, np.array((DT,)))[0])
+    felt = PositionMeasurement(Source.TACTILE, way + 0.0005, 0.0, 3e-5**2, 20.0, is_firm=True)
+    firm = BANK.advance(state, [felt], DT)
+    assert firm.guide is not None
+    now = float(BANK.predict_positions(firm, np.zeros(1))[0])
+    assert now == float(BANK.predict_positions(structs.replace(firm, guide=None), np.zeros(1))[0])
+    led = structs.replace(firm, is_firm=False)
+    assert float(BANK.predict_positions(led, np.zeros(1))[0]) < now - 2e-4
 
 
 def test_what_an_offset_has_taken_up_of_a_deflection_does_not_move_the_guide() -> None:

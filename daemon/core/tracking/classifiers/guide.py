@@ -6,7 +6,8 @@ The guide is a second filter of the same model. It takes the class from the bank
 deflection slowly.
 
 Invariants:
-- There is a guide in contact only, and not on an object that does not give way.
+- There is a guide in contact only. On an object that does not give way it follows, but leads no
+  target: the null filter does, which may swing with the object as that turns out to give way.
 - It leads on when the force is lost or wrong: what that made of the null filter moves no target.
 - A null filter that was widened moves it only once that knows the speed again. Until then readings
   of a wrong sensor, which widened it, would lead the target.
@@ -59,7 +60,7 @@ def advance(
 ) -> BankState:
     """Return the state with its guide one step later.
 
-    None out of contact, and on an object that does not give way while it is felt.
+    None out of contact.
 
     Args:
         before: of the step before.
@@ -69,7 +70,7 @@ def advance(
     if unfelt_s != state.unfelt_s:
         state = replace(state, unfelt_s=unfelt_s)
     is_held = not state.contact and unfelt_s < HELD_S
-    if not is_held and (not state.contact or state.is_firm):
+    if not is_held and not state.contact:
         return state if state.guide is None else replace(state, guide=None)
     guide = before.guide
     waits = guide is not None and (guide.waits or state.age < before.age)
@@ -88,7 +89,7 @@ def advance(
 def led_state(state: BankState) -> BankState:
     """Return the state with the guide's estimate in place of the null filter's."""
     guide = state.guide
-    if guide is None:
+    if guide is None or state.is_firm:
         return state
     return replace(state, x=guide.x, P=guide.P, ripple_factor=guide.ripple_factor)
 

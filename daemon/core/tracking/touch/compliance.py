@@ -15,6 +15,7 @@ Transactions on Robotics and Automation 18(1), 2002):
 
 The gain a falls from 1 to 0 as E reaches its bound: no body gets more than that, and P a second.
 An object that does not give way needs none of this: the estimate follows it, the offset stays.
+That is proved on a conveyor at rest alone: a body that nothing excites is calm as well.
 
 Invariants:
 - The offset has no lead: it is constant over the horizon.
@@ -136,6 +137,7 @@ def advance(
     touching: float,
     *,
     is_pushed: bool = False,
+    is_at_rest: bool = False,
 ) -> Compliance:
     """Return the state one step later.
 
@@ -144,6 +146,7 @@ def advance(
         off: measured object, seen from the object of the target without its offset [m].
         touching: time since the contact began [s].
         is_pushed: an impulse disturbance of the object was confirmed.
+        is_at_rest: the conveyor stands or starts: an object can be proved firm.
     """
     dt = model.dt
     if state.press is None:
@@ -160,7 +163,11 @@ def advance(
             past, age = (*past, power)[-PAST:], 0.0
         soft = is_growing(power, past, was=state.soft)
         is_calm = power < QUIET_N**2
-        firm = firmness.advance(firm, swung, dt, is_calm=is_calm, gives_way=soft or is_pushed)
+        firm = firmness.advance(
+            firm, swung, dt, is_calm=is_calm and is_at_rest, gives_way=soft or is_pushed
+        )
+        if not is_at_rest:
+            firm = firmness.without_proof(firm)
         moved = _delayed(state.moves, model.delays)
         given = state.energy - _dot(_minus(force, press), moved) - LEAK_W * dt
         energy = max(given, 0.0)

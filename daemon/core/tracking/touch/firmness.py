@@ -5,9 +5,14 @@ once. One that gives way would be driven by that. The tool presses on the object
 that then lies still is firm. A force that swings to and fro later shows that it is not, as does a
 body that is pushed. A stop or a start bends the mount to one side and back, which is no swing.
 
+A calm force is a weak proof: a body that nothing excites is calm too. So it counts only while the
+conveyor stands or starts, where a target that follows at once gains most: it follows the start.
+Next to a running line a body of 300 kg at 3 Hz was driven to 1.1 mm and 119 N by it.
+
 Invariants:
 - An object is firm only after the tool has seated and the force has been calm for ``PROOF_S``.
 - An object that has given way is not firm again in the same contact.
+- Next to a conveyor that runs or stops no object is firm.
 """
 
 from msgspec import Struct
@@ -70,6 +75,13 @@ def advance(
     calm_s = state.calm_s + dt if is_calm else 0.0
     is_firm = True if calm_s >= PROOF_S else state.is_firm
     return Firmness(is_firm, calm_s, (x, y, z))
+
+
+def without_proof(state: Firmness) -> Firmness:
+    """Return the state of an object that is not proved firm any more; one that gave way stays."""
+    if state.is_firm is False:
+        return state
+    return Firmness(None, 0.0, state.swings)
 
 
 def _swung(swing: Swing, force: float, dt: float) -> Swing:
