@@ -14,18 +14,23 @@ if TYPE_CHECKING:
         Motion,
         PositionMeasurement,
     )
+    from linemate.daemon.transport.client import Client
+    from linemate.daemon.transport.follow import Follower, follow
     from linemate.simulators.harness.research.plugins import PluginError, Predictor
     from linemate.simulators.harness.research.run_arrays import Run
     from linemate.simulators.harness.research.simulation import replay, simulate
 
 __all__ = [
     "Classifier",
+    "Client",
     "ConveyorEstimate",
+    "Follower",
     "Motion",
     "PluginError",
     "PositionMeasurement",
     "Predictor",
     "Run",
+    "follow",
     "replay",
     "simulate",
 ]
@@ -37,6 +42,9 @@ _MODULES = {
     "ConveyorEstimate": _CONVEYOR,
     "Motion": _CONVEYOR,
     "PositionMeasurement": _CONVEYOR,
+    "Client": "linemate.daemon.transport.client",
+    "Follower": "linemate.daemon.transport.follow",
+    "follow": "linemate.daemon.transport.follow",
     "PluginError": f"{_RESEARCH}.plugins",
     "Predictor": f"{_RESEARCH}.plugins",
     "Run": f"{_RESEARCH}.run_arrays",

@@ -24,6 +24,7 @@ class MotionOrder(StrEnum):
     TRACK = "track"
     RETREAT = "retreat"
     HOME = "home"
+    FOLLOW = "follow"
 
 
 class Inputs(Struct, frozen=True):
@@ -41,6 +42,8 @@ class Inputs(Struct, frozen=True):
             None: at the last command that was sent.
         pace: speed and acceleration of its setpoints if it goes on from ``applied``: the steps
             since were made while a delayed controller counted no cycles. None: it holds.
+        chunks: target poses handed in since the step before, oldest first, bounded; see
+            ``followed_poses.Chunk``.
     """
 
     k: int
@@ -54,3 +57,4 @@ class Inputs(Struct, frozen=True):
     sent: bool = True
     applied: tuple[float, ...] | None = None
     pace: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    chunks: tuple[tuple[tuple[float, ...], ...], ...] = ()

@@ -15,10 +15,11 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from linemate.daemon.core import rotations, way_home, wrench_frame
+from linemate.daemon.core import followed_poses, rotations, way_home, wrench_frame
 from linemate.daemon.core.control import command_limiter, windup
 from linemate.daemon.core.control import controller as control
 from linemate.daemon.core.control.windup import WindupState
+from linemate.daemon.core.followed_poses import ChunkError, FollowedPoses
 from linemate.daemon.core.horizon import Array, Horizon
 from linemate.daemon.core.inputs import Inputs, MotionOrder
 from linemate.daemon.core.parameters import Parameters
@@ -49,6 +50,7 @@ class StepState(Struct, frozen=True, eq=False):
         moving: the robot has not come to rest since it last tracked.
         windup: of the measured axes, None for an arm without.
         path: the way home, None if the robot is not on it.
+        follow: poses handed in, None if the robot does not follow them.
     """
 
     tracker: tracker_state.TrackerState
@@ -57,6 +59,7 @@ class StepState(Struct, frozen=True, eq=False):
     moving: bool = False
     windup: WindupState | None = None
     path: HomePath | None = None
+    follow: FollowedPoses | None = None
 
 
 class Outputs(Struct, frozen=True, eq=False):
@@ -215,6 +218,7 @@ class StepPlan(Struct, frozen=True, eq=False):
         desired: command, None where the robot is to stand.
         windup: of the measured axes.
         path: the way home, None if the robot is not on it.
+        follow: poses handed in, None if the robot does not follow them.
     """
 
     tracker: tracker_state.TrackerState
@@ -223,6 +227,7 @@ class StepPlan(Struct, frozen=True, eq=False):
     desired: control.DesiredCommand | None = None
     windup: WindupState | None = None
     path: HomePath | None = None
+    follow: FollowedPoses | None = None
 
 
 def step(state: StepState, inputs: Inputs, parameters: Parameters) -> tuple[StepState, Outputs]:
@@ -249,6 +254,8 @@ def plan(state: StepState, inputs: Inputs, parameters: Parameters) -> StepPlan:
         return StepPlan(*observed, windup=wound)
     if inputs.order is MotionOrder.HOME:
         return _plan_home(state, samples, parameters, wound)
+    if inputs.order is MotionOrder.FOLLOW:
+        return _plan_follow(state, inputs, samples, parameters, wound)
     retreat = inputs.order is MotionOrder.RETREAT
     tracker, horizon, report = tracking.track(
         parameters.tracker, state.tracker, samples, start=inputs.start, retreat=retreat
@@ -283,6 +290,58 @@ def _plan_home(
     return StepPlan(tracker, report, horizon, desired, wound, path)
 
 
+def _plan_follow(
+    state: StepState,
+    inputs: Inputs,
+    samples: tracker_state.StepSamples,
+    parameters: Parameters,
+    wound: WindupState | None,
+) -> StepPlan:
+    """Return the plan of a robot that follows poses handed in. The linear axis stands."""
+    tracker, report = tracking.observe(parameters.tracker, state.tracker, samples)
+    settings, cycle_s = parameters.tracker, parameters.cycle_s
+    follow = followed(state)
+    follow = replace(follow, steps=follow.steps + 1)
+    for chunk in inputs.chunks:
+        try:
+            follow = extended(follow, chunk, inputs.stamp_ns, parameters)
+        except ChunkError:
+            follow = replace(follow, refused=follow.refused + 1)
+    poses = followed_poses.poses_ahead(follow, state.tracker.poses, settings.commit, cycle_s)
+    tracker = replace(tracker, poses=poses)
+    free = np.ones(len(poses))
+    rail = state.tracker.axis.positions
+    horizon = Horizon(poses, rail, free, settings.reference.nominal, settings.commit)
+    desired = control.desire_command(parameters.controller, state.control, horizon)
+    return StepPlan(tracker, report, horizon, desired, wound, follow=follow)
+
+
+def followed(state: StepState) -> FollowedPoses:
+    """Return the curve that the robot follows, or that of a robot at rest."""
+    return state.follow or followed_poses.begin(state.tracker.poses[0])
+
+
+def extended(
+    follow: FollowedPoses, chunk: followed_poses.Chunk, stamp_ns: int, parameters: Parameters
+) -> FollowedPoses:
+    """Return a curve with one more chunk of poses.
+
+    Raises:
+        ChunkError: why it is refused.
+    """
+    tracker = parameters.tracker
+    return followed_poses.extend(
+        follow,
+        chunk,
+        stamp_ns,
+        nominal=tracker.reference.nominal,
+        plane=float(tracker.reference.origin[way_home.AWAY]),
+        limits=tracker.task.follow,
+        cycle_s=parameters.cycle_s,
+        commit=tracker.commit,
+    )
+
+
 def finish(
     state: StepState, planned: StepPlan, inputs: Inputs, parameters: Parameters
 ) -> tuple[StepState, Outputs]:
@@ -300,7 +359,7 @@ def finish(
         state = _brake(delivered, planned.tracker, parameters)
         return state, _outputs(state, inputs, planned.report, None, "hold", parameters)
     tracker = planned.tracker
-    if planned.path is None:
+    if planned.path is None and planned.follow is None:
         tracker = tracking.update_contact(
             parameters.tracker,
             state.tracker,
@@ -314,7 +373,13 @@ def finish(
     )
     after = replace(after, drift=delivered.control.drift)
     state = StepState(
-        tracker, after, delivered.applied, moving=True, windup=planned.windup, path=planned.path
+        tracker,
+        after,
+        delivered.applied,
+        moving=True,
+        windup=planned.windup,
+        path=planned.path,
+        follow=planned.follow,
     )
     outputs = _outputs(state, inputs, planned.report, horizon.poses, held, parameters)
     if planned.report.object_left or desired.command is None:
@@ -353,7 +418,7 @@ def _brake(
 ) -> StepState:
     """Return the state of a robot on hold: it brakes; at rest its plan is reset."""
     if not state.moving:
-        return replace(state, tracker=tracker, path=None)
+        return replace(state, tracker=tracker, path=None, follow=None)
     braked = control.stop(parameters.controller, state.control)
     is_standing = command_limiter.is_standing(braked.limiter)
     joints, wound = braked.limiter.position, state.windup
@@ -480,6 +545,8 @@ def _is_finished(state: StepState, report: tracker_state.Report, parameters: Par
     """Return whether the task, the retraction or the way home is over."""
     if state.path is not None:
         return way_home.is_over(state.path, parameters.cycle_s)
+    if state.follow is not None:
+        return followed_poses.is_over(state.follow, parameters.cycle_s)
     withdrawn = state.tracker.withdrawn
     is_withdrawn = withdrawn is not None and withdrawn > 1.2 * tracking.WITHDRAW_S
     return report.phase is Phase.DONE or is_withdrawn

@@ -223,12 +223,16 @@ def _ready(_: Signals, evidence: Evidence) -> Explanation:
 def _object_left(_signals: Signals, evidence: Evidence) -> Explanation:
     if evidence.counts.state is State.HOME:
         return "the arm does not reach a pose of the way", "Drive the robot home by hand."
+    if evidence.counts.state is State.FOLLOW:
+        return "the arm does not reach a pose handed in", "Hand in poses within its reach."
     return "the object leaves the reach of the linear axis or the arm", "Wait for the next object."
 
 
 def _clear(_: Signals, evidence: Evidence) -> Explanation:
     if evidence.counts.state is State.HOME:
         return "the way home is over", ""
+    if evidence.counts.state is State.FOLLOW:
+        return "no pose is left, and the robot stands behind the last one", ""
     return "the tool is free, away and at rest", ""
 
 

@@ -108,6 +108,8 @@ class Operating:
             reason = situation.last.ready or (SETTLING if situation.settling else reason)
         if reason is None and op == "home":
             reason = _home_refusal(situation)
+        if reason is None and op == "follow" and situation.settling:
+            reason = SETTLING
         return reason
 
     def order(self, op: str, situation: Situation, who: str = "") -> str | None:

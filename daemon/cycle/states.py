@@ -27,6 +27,7 @@ class State(StrEnum):
     HOLD = "hold"
     FAULT = "fault"
     HOME = "home"
+    FOLLOW = "follow"
 
 
 class Link(StrEnum):
@@ -37,13 +38,13 @@ class Link(StrEnum):
     HEALTHY = "healthy"
 
 
-MOVING = frozenset({State.TRACK, State.CONTACT, State.RETREAT, State.HOME})
+MOVING = frozenset({State.TRACK, State.CONTACT, State.RETREAT, State.HOME, State.FOLLOW})
 """States whose order to the step is not to hold."""
 
 
 @dataclass(frozen=True, slots=True)
 class Signals:
-    """What the machine sees in one cycle, debounced; the last six are operators' edges.
+    """What the machine sees in one cycle, debounced; the last seven are operators' edges.
 
     Attributes:
         link: the robot link; a new session of the controller shows as LOST for one cycle.
@@ -59,11 +60,12 @@ class Signals:
         overdue: the tool has not done in its time what the programme needs: in contact and in a
             retreat the clamp has not opened; in TRACK no contact was found.
         done: the task has come to its own retreat, or to its end.
-        clear: a retreat is over: free, away and at rest; or the way home, at the first pose.
+        clear: a retreat is over: free, away and at rest; or the way home, at the first pose; or
+            the poses handed in have run out, at rest behind the last one.
         expired: the present state has lasted too long; in FAULT for the tool to be withdrawn from
             the object without an operator, or it may not be yet.
         fault: anything that must be acknowledged.
-        arm, start, stop, retreat, ack, home: accepted orders that arrived since the last cycle.
+        arm, start, stop, retreat, ack, home, follow: accepted orders since the last cycle.
     """
 
     link: Link = Link.LOST
@@ -85,6 +87,7 @@ class Signals:
     retreat: bool = False
     ack: bool = False
     home: bool = False
+    follow: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +140,7 @@ def fit(s: Signals) -> bool:
 
 
 def may_go_home(s: Signals) -> bool:
-    """Everything is as it must be for the way home; it needs no sight of an object."""
+    """Everything is as it must be for a motion that needs no sight of an object."""
     return s.link is Link.HEALTHY and s.wrench_fresh and not (s.contact or s.overload or s.fault)
 
 
@@ -195,7 +198,7 @@ def _may_start(s: Signals, _: Machine) -> bool:
 
 INIT, IDLE, ARMED, TRACK = State.INIT, State.IDLE, State.ARMED, State.TRACK
 CONTACT, RETREAT, HOLD, FAULT = State.CONTACT, State.RETREAT, State.HOLD, State.FAULT
-HOME = State.HOME
+HOME, FOLLOW = State.HOME, State.FOLLOW
 
 CLAMP_CLOSED = "the clamp is not reported open (open it by hand)"
 """The tool follows the object then, and withdraws as soon as the clamp is reported open."""
@@ -212,9 +215,20 @@ TABLE: tuple[Row, ...] = (
         "ordered home",
         lambda s, _: s.home and may_go_home(s) and not (s.stop or s.retreat or s.arm),
     ),
+    Row(
+        IDLE,
+        FOLLOW,
+        "ordered to follow poses",
+        lambda s, _: s.follow and may_go_home(s) and not (s.stop or s.retreat or s.arm or s.home),
+    ),
     Row(ARMED, FAULT, "fault", _latched),
     Row(ARMED, INIT, "robot link lost", _lost),
-    Row(ARMED, IDLE, "another order", lambda s, _: s.retreat or s.stop or s.ack or s.arm or s.home),
+    Row(
+        ARMED,
+        IDLE,
+        "another order",
+        lambda s, _: s.retreat or s.stop or s.ack or s.arm or s.home or s.follow,
+    ),
     Row(ARMED, IDLE, "no longer fit to start", lambda s, _: not fit(s)),
     Row(ARMED, TRACK, "started", lambda s, _: s.start),
     Row(TRACK, FAULT, "robot link lost in motion", _lost, latches=True),
@@ -299,6 +313,15 @@ TABLE: tuple[Row, ...] = (
     Row(HOME, IDLE, "no fresh force on the way home", lambda s, _: not s.wrench_fresh),
     Row(HOME, IDLE, "telegrams missing on the way home", _shaky),
     Row(HOME, IDLE, "at the first pose", lambda s, _: s.clear),
+    Row(FOLLOW, FAULT, "robot link lost in motion", _lost, latches=True),
+    Row(FOLLOW, FAULT, "overload on the way of the poses", _overload, latches=True),
+    Row(FOLLOW, FAULT, "contact on the way of the poses", _contact, latches=True),
+    Row(FOLLOW, FAULT, "fault", _latched),
+    Row(FOLLOW, FAULT, "a pose is out of reach", _left, latches=True),
+    Row(FOLLOW, IDLE, "stopped while following poses", lambda s, _: s.stop or s.retreat),
+    Row(FOLLOW, IDLE, "no fresh force while following poses", lambda s, _: not s.wrench_fresh),
+    Row(FOLLOW, IDLE, "telegrams missing while following poses", _shaky),
+    Row(FOLLOW, IDLE, "the poses have run out", lambda s, _: s.clear),
     Row(
         FAULT,
         RETREAT,
@@ -359,6 +382,8 @@ def order(machine: Machine) -> MotionOrder:
         return MotionOrder.RETREAT
     if machine.state is HOME:
         return MotionOrder.HOME
+    if machine.state is FOLLOW:
+        return MotionOrder.FOLLOW
     return MotionOrder.TRACK if machine.state in MOVING else MotionOrder.HOLD
 
 
@@ -366,9 +391,10 @@ _EXPECTED: dict[str, frozenset[State]] = {
     "arm": frozenset({IDLE}),
     "start": frozenset({ARMED, HOLD}),
     "stop": frozenset(State),
-    "retreat": frozenset({TRACK, CONTACT, RETREAT, HOLD, HOME}),
+    "retreat": frozenset({TRACK, CONTACT, RETREAT, HOLD, HOME, FOLLOW}),
     "ack": frozenset({FAULT}),
     "home": frozenset({IDLE}),
+    "follow": frozenset({IDLE}),
 }
 """In which states an order means something; stop is always taken."""
 
@@ -381,7 +407,7 @@ def refusal(machine: Machine, signals: Signals, op: str) -> str | None:
     Args:
         machine: where the machine stands.
         signals: what it saw last.
-        op: arm, start, stop, retreat, ack or home.
+        op: arm, start, stop, retreat, ack, home or follow.
 
     Returns:
         A reason for the operator, None if the order may be passed on.
@@ -395,7 +421,7 @@ def refusal(machine: Machine, signals: Signals, op: str) -> str | None:
         return unfit(signals)
     if op == "ack":
         return _still_faulty(signals)
-    if op == "home":
+    if op in {"home", "follow"}:
         return _missing(signals, ("link", "wrench_fresh", "contact", "overload", "fault"))
     return None
 

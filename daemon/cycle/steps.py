@@ -13,6 +13,7 @@ from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core import step as stepping
 from linemate.daemon.core import wrench_frame
 from linemate.daemon.core.control.command_limiter import LimiterState
+from linemate.daemon.core.followed_poses import Chunk
 from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.tracking.touch import tare
@@ -20,6 +21,7 @@ from linemate.daemon.core.tracking.touch.touch_profile import force_limit
 from linemate.daemon.cycle import states
 from linemate.daemon.cycle.causes import Change
 from linemate.daemon.cycle.following_error import FollowingCheck
+from linemate.daemon.cycle.handed_poses import HandedPoses
 from linemate.daemon.cycle.in_sync import is_in_sync
 from linemate.daemon.cycle.operating import Operating, Situation
 from linemate.daemon.cycle.samples import SensorQueues
@@ -33,7 +35,7 @@ from linemate.protocol.stamped_samples import RobotSample
 PROGRAMMED_S = 1000.0  # a blend this long lets the program alone lead the motion [s]
 CATCH_UP_S = 0.3  # steps made at once after a gap, at most [s]
 
-_MOVES = frozenset({"arm", "start", "home"})
+_MOVES = frozenset({"arm", "start", "home", "follow"})
 
 
 class PreparedStep(Struct, frozen=True):
@@ -70,6 +72,7 @@ class Stepper:
         self.following = FollowingCheck(settings.follow_s, parameters.cycle_s)
         self.last: LogEntry | None = None
         self.steps = self.remade = self.repeated = 0
+        self._poses = HandedPoses()
         self._link = link
         self._log = StepLog()
         self._state: stepping.StepState | None = None
@@ -106,6 +109,23 @@ class Stepper:
         if op in _MOVES and self.session.unproven is not None:
             return self.session.unproven
         return self.operating.order(op, self._situation(), who)
+
+    def hand_in(self, chunk: Chunk, who: str = "") -> str | None:
+        """Accept target poses for the next step; return why they are refused, or None.
+
+        The first chunk orders a robot that stands idle to follow.
+
+        Args:
+            chunk: monotonic time [ns], position [m] and quaternion of each pose, in base.
+        """
+        state, begins = self._state, self.machine.state is not State.FOLLOW
+        reason = self.refusal("follow") if begins else self.session.unproven
+        if reason is not None or state is None:
+            return reason or "no telegram has come yet"
+        if begins and (state.moving or state.tracker.contact or state.tracker.clamped):
+            return "the robot still moves" if state.moving else "the tool is on the object"
+        reason = self._poses.add(state, chunk, self._stamp_ns, self.parameters)
+        return self.order("follow", who) if reason is None and begins else reason
 
     def take_changes(self) -> list[Change]:
         """Return the changes of the operating state since the last call, oldest first."""
@@ -344,6 +364,7 @@ class Stepper:
             sent,
             applied,
             pace,
+            self._poses.drain(follows=self.machine.state is State.FOLLOW),
         )
         self._robot = None
         made_with = self.parameters

@@ -13,7 +13,7 @@ from msgspec import Struct
 from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.cycle.states import Link, Machine, Signals, State
 
-OPERATIONS = ("arm", "start", "stop", "retreat", "ack", "home")
+OPERATIONS = ("arm", "start", "stop", "retreat", "ack", "home", "follow")
 """An operator's orders, as ``Signals`` has them."""
 
 IN_CONTACT = frozenset({State.CONTACT, State.RETREAT})

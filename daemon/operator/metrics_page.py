@@ -11,7 +11,9 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 HEALTH: Final = ("healthy", "degraded", "fault")
-STATES: Final = ("init", "idle", "armed", "track", "contact", "retreat", "hold", "fault", "home")
+STATES: Final = (
+    "init", "idle", "armed", "track", "contact", "retreat", "hold", "fault", "home", "follow",
+)  # fmt: skip
 QUANTILES: Final = {"p50": "0.5", "p99": "0.99", "p999": "0.999", "max": "1"}
 TIMES: Final = {
     "turnaround_us": "From a telegram's arrival to its reply",

@@ -29,6 +29,7 @@ _PARTS = {
     "control.dead_time:DriftState": "control.dead_time:DriftState",
     "control.limits:GateState": "control.command_limiter:LimiterState",
     "control.windup:WindupState": "control.windup:WindupState",
+    "followed_poses:FollowedPoses": "followed_poses:FollowedPoses",
     "step:State": "step:StepState",
     "tracking.classifier_bank:BankState": "tracking.classifiers.bank_model:BankState",
     "tracking.classifier_imm:ImmState": "tracking.classifiers.classifier_imm:ImmState",

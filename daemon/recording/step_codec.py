@@ -182,6 +182,7 @@ def _inputs(values: tuple[Any, ...], layout: Mapping[str, tuple[str, ...]]) -> I
             "camera": samples("camera", CameraSample),
             "wrench": samples("wrench", WrenchSample),
             "order": MotionOrder(fields["order"]),
+            "chunks": fields.get("chunks", ()),
         }
     )
 

@@ -62,6 +62,7 @@ from linemate.drivers.udp.robot_udp import RobotLink
 from linemate.protocol.exchange import TelegramKind as Telegram
 
 ORDERS = frozenset(watch.OPERATIONS)
+LONGEST_CHUNK_S = 60.0  # between begin_ns and a target pose handed in [s]
 REST_TIMEOUT_S = 4.0
 STATUS_EVERY_NS = 1_000_000_000
 WAIT_NS = 1_000_000  # longest wait for a late telegram whose reply is ready [ns]
@@ -162,6 +163,7 @@ class App:
             "params": lambda params, _who: self._parameters.describe(params),
             "get": lambda params, _who: self._parameters.get(params),
             "record": lambda params, _who: self._record(params["action"]),
+            "follow": self._follow_poses,
             "set": lambda params, who: self._parameters.set(params["values"], who),
             "save": lambda _params, who: self._parameters.save(who),
             "scene": lambda _params, _who: self._scene,
@@ -476,7 +478,7 @@ class App:
         self, op: str, params: dict[str, Any], role: str, who: str
     ) -> Answer | asyncio.Future[Answer]:
         del role  # the protocol has checked it
-        if op in ORDERS:
+        if op in ORDERS and op != "follow":
             reason = self._period_refusal() if op == "arm" else None
             if self._production is not None:
                 reason = reason or self._production.intercept(op, who)
@@ -486,6 +488,25 @@ class App:
             return self._answers.promise(op) if reason is None else {"refused": reason}
         handler = self._operations.get(op)
         return {"refused": f"no such operation: {op}"} if handler is None else handler(params, who)
+
+    def _follow_poses(self, params: Mapping[str, Any], who: str) -> Answer | asyncio.Future[Answer]:
+        """Hand target poses in; without any, answer the time of their clock."""
+        if not params["poses"]:
+            return {"now_ns": time.monotonic_ns(), "state": self.cycle.machine.state.value}
+        if any(abs(row[0]) > LONGEST_CHUNK_S for row in params["poses"]):
+            return {"refused": f"times beyond {LONGEST_CHUNK_S:g} s from begin_ns. Begin later."}
+        follows = self.cycle.machine.state is State.FOLLOW
+        begin_ns: int = params["begin_ns"]
+        chunk = tuple(
+            (begin_ns + round(1e9 * row[0]), *map(float, row[1:])) for row in params["poses"]
+        )
+        reason = self._production.intercept("follow", who) if self._production else None
+        reason = reason or self.cycle.hand_in(chunk, who)
+        if reason is None and follows:
+            return {"state": State.FOLLOW.value}
+        outcome = f", refused: {reason}" if reason else ""
+        self._events.add(f"{who} handed in poses{outcome}")
+        return self._answers.promise("follow") if reason is None else {"refused": reason}
 
     def _period_refusal(self) -> str | None:
         """Return why the controller's period forbids to arm, None if it does not.

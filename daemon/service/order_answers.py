@@ -19,6 +19,7 @@ REACHED: Final[dict[str, frozenset[State]]] = {
     "arm": MOVING | {State.ARMED},
     "start": MOVING,
     "home": MOVING,
+    "follow": MOVING,
 }
 """States of which one must be reached, by order; the other orders are good in any."""
 

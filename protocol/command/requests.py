@@ -74,6 +74,20 @@ class SkipOf(Struct, frozen=True, forbid_unknown_fields=True):
     part: Annotated[str, Meta(min_length=1, max_length=64)] | UnsetType = UNSET
 
 
+PoseRow: TypeAlias = Annotated[list[float], Meta(min_length=8, max_length=8)]
+
+
+class FollowOf(Struct, frozen=True, forbid_unknown_fields=True):
+    """Parameters of ``follow``: target poses of the tcp with times.
+
+    ``begin_ns`` is on the daemon's monotonic clock. A row is the time from there [s], the position
+    in base [m], and the unit quaternion, w first. Without rows the daemon answers its time.
+    """
+
+    begin_ns: Annotated[int, Meta(ge=0, le=2**63 - 1)]
+    poses: Annotated[list[PoseRow], Meta(max_length=12)]
+
+
 class PageOf(Struct, frozen=True, forbid_unknown_fields=True):
     """Parameters of ``page``: a further part of a long answer."""
 
@@ -109,6 +123,7 @@ OPERATIONS: Final[Mapping[str, OperationRule]] = {
     "start": OperationRule(Empty, Role.OPERATE, lease=True, ordered=True),
     "ack": OperationRule(Empty, Role.OPERATE, lease=True, ordered=True),
     "home": OperationRule(Empty, Role.OPERATE, lease=True, ordered=True),
+    "follow": OperationRule(FollowOf, Role.OPERATE, lease=True, ordered=True),
     "queue": OperationRule(Empty, Role.VIEW),
     "announce": OperationRule(AnnounceOf, Role.OPERATE, ordered=True),
     "skip": OperationRule(SkipOf, Role.OPERATE, ordered=True),
@@ -171,6 +186,8 @@ def _refuse_duplicates(data: bytes, message: Struct) -> None:
 def _refuse_non_finite(value: object) -> None:
     items = value if isinstance(value, list) else [value]
     for item in items:
+        if isinstance(item, list):
+            _refuse_non_finite(item)
         if isinstance(item, float) and not math.isfinite(item):
             raise CommandError("malformed", f"{item} is not a finite number")
 

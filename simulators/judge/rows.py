@@ -35,7 +35,10 @@ PHASES = ("", "wait", "approach", "contact", "screws", "retreat", "done")
 CLASSES = ("", "running", "stopping", "standing", "starting")
 """Codes of the column ``scenario``."""
 
-STATES = ("", "init", "idle", "armed", "track", "contact", "retreat", "hold", "fault", "home")
+STATES = (
+    "", "init", "idle", "armed", "track", "contact", "retreat", "hold", "fault", "home",
+    "follow",
+)  # fmt: skip
 """Codes of the column ``state``."""
 
 

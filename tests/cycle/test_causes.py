@@ -45,6 +45,10 @@ FACTS = {
 }
 """What the journal must say of each signal; of the link see below."""
 
+FOLLOWING = {
+    "object_left": r"the arm does not reach a pose handed in\. Hand in poses within its reach",
+    "clear": "no pose is left, and the robot stands behind the last one",
+}
 ON_THE_WAY_HOME = {
     "object_left": r"the arm does not reach a pose of the way\. Drive the robot home by hand",
     "clear": "the way home is over",
@@ -133,7 +137,8 @@ def test_the_journal_alone_names_the_cause_of_every_row(
     assert {record.levelname for record in records} == {"INFO"}
     assert line.startswith(f"{row.source} -> {row.target}: {row.because}")
     for name in loud:
-        facts = FACTS | ON_THE_WAY_HOME if row.source is State.HOME else FACTS
+        own = {State.HOME: ON_THE_WAY_HOME, State.FOLLOW: FOLLOWING}
+        facts = FACTS | own.get(row.source, {})
         expected = LINKS[signals.link] if name == "link" else facts.get(name, name)
         assert re.search(expected, line), (name, line)
     if not loud:

@@ -27,7 +27,7 @@ from linemate.daemon.cycle.states import (
 NAMES = [field.name for field in fields(Signals)]
 GOOD = Signals(link=Link.HEALTHY, position_fresh=True, wrench_fresh=True, ready=True)
 QUIET = {State.INIT, State.IDLE, State.ARMED, State.FAULT}
-EDGES = ("arm", "start", "stop", "retreat", "ack", "home")
+EDGES = ("arm", "start", "stop", "retreat", "ack", "home", "follow")
 
 
 def with_order(name: str) -> Signals:
@@ -35,16 +35,16 @@ def with_order(name: str) -> Signals:
     return replace(GOOD, **flags)
 
 
-def all_signals(*, home: bool) -> Iterator[Signals]:
-    """Every combination of signals with the order home, the last flag, given or not."""
+def all_signals(*, home: bool = False, follow: bool = False) -> Iterator[Signals]:
+    """Every combination of signals with the orders home and follow, the last flags, or not."""
     for link in Link:
-        for bits in itertools.product((False, True), repeat=len(NAMES) - 2):
-            yield Signals(link, *bits, home)
+        for bits in itertools.product((False, True), repeat=len(NAMES) - 3):
+            yield Signals(link, *bits, home, follow)
 
 
-WITHOUT_HOME = tuple(all_signals(home=False))
+WITHOUT_HOME = tuple(all_signals())
 HEEDS_HOME = {State.IDLE, State.ARMED}
-"""The only states whose rows read the order home: the others are not tried twice."""
+"""The only states whose rows read the orders home and follow: the others are not tried twice."""
 
 
 Edges = dict[tuple[Machine, Machine], list[Signals]]
@@ -73,8 +73,9 @@ def all_transitions(machine: Machine) -> Iterator[tuple[Machine, list[Signals]]]
     causes: dict[tuple[str, bool], list[Signals]] = {}
     after: dict[tuple[str, bool], Machine] = {}
     heeds = machine.state in HEEDS_HOME
-    ordered = all_signals(home=True) if heeds else ()
-    for signals in itertools.chain(WITHOUT_HOME, ordered):
+    home = all_signals(home=True) if heeds else ()
+    follow = all_signals(follow=True) if heeds else ()
+    for signals in itertools.chain(WITHOUT_HOME, home, follow):
         reached = transition(machine, signals)
         key = (reached.because, reached.latched)
         if key not in causes:
@@ -115,6 +116,9 @@ def test_the_modes_lead_to_each_other_as_the_design_draws_them(edges: Edges) -> 
         ("IDLE", "HOME"),
         ("HOME", "IDLE"),
         ("HOME", "FAULT"),
+        ("IDLE", "FOLLOW"),
+        ("FOLLOW", "IDLE"),
+        ("FOLLOW", "FAULT"),
     }
 
 
@@ -146,7 +150,7 @@ def test_without_an_order_motion_begins_only_to_get_out_of_contact(edges: Edges)
     for (before, after), causes in edges.items():
         if after.state in MOVING and before.state not in MOVING:
             for s in causes:
-                ordered = s.start or s.retreat or s.home
+                ordered = s.start or s.retreat or s.home or s.follow
                 assert ordered or (after.state is State.RETREAT and (s.contact or s.overload))
 
 
@@ -227,10 +231,11 @@ def test_i13_an_operators_stop_and_retreat_are_never_lost(edges: Edges) -> None:
     for (before, after), causes in edges.items():
         if any(s.retreat for s in causes):
             assert after.state not in {State.TRACK, State.CONTACT, State.ARMED, State.HOLD}
-            assert after.state is not State.HOME
+            assert after.state not in {State.HOME, State.FOLLOW}
             assert not (after.state is State.RETREAT and after.programmed)
         if any(s.stop for s in causes):
             assert after.state not in {State.TRACK, State.CONTACT, State.ARMED, State.HOME}
+            assert after.state is not State.FOLLOW
             assert not (after.state is State.RETREAT and after.programmed)
         if before.state is State.HOLD and any(s.stop for s in causes):
             assert after.state in {State.IDLE, State.RETREAT, State.FAULT}
@@ -249,12 +254,12 @@ def test_i15_the_way_home_begins_by_its_order_from_idle_with_force_and_link(edge
 
 
 @pytest.mark.parametrize("state", [state for state in State if state not in HEEDS_HOME])
-def test_the_order_home_changes_nothing_in_any_other_state(state: State) -> None:
+def test_the_orders_home_and_follow_change_nothing_in_any_other_state(state: State) -> None:
     machines = [Machine(state, *bits) for bits in itertools.product((False, True), repeat=2)]
     for signals in itertools.islice(WITHOUT_HOME, 0, None, 61):
-        ordered = replace(signals, home=True)
-        for machine in machines:
-            assert transition(machine, ordered) == transition(machine, signals)
+        for ordered in (replace(signals, home=True), replace(signals, follow=True)):
+            for machine in machines:
+                assert transition(machine, ordered) == transition(machine, signals)
 
 
 def test_i16_the_way_home_ends_at_once_with_any_trouble(edges: Edges) -> None:
@@ -267,8 +272,29 @@ def test_i16_the_way_home_ends_at_once_with_any_trouble(edges: Edges) -> None:
     assert stays
 
 
+def test_i17_poses_are_followed_by_an_order_from_idle_with_force_and_link(edges: Edges) -> None:
+    for (before, after), causes in edges.items():
+        if after.state is State.FOLLOW and before.state is not State.FOLLOW:
+            assert before.state is State.IDLE
+            assert not before.latched
+            for s in causes:
+                assert s.follow
+                assert may_go_home(s)
+                assert not any((s.stop, s.retreat, s.arm, s.home))
+
+
+def test_i18_following_poses_ends_at_once_with_any_trouble(edges: Edges) -> None:
+    stays = [
+        s for (a, b), causes in edges.items() if a.state is b.state is State.FOLLOW for s in causes
+    ]
+    for s in stays:
+        assert may_go_home(s)
+        assert not any((s.stop, s.retreat, s.clear, s.object_left))
+    assert stays
+
+
 def test_a_start_together_with_another_order_does_not_start() -> None:
-    for other in ("stop", "retreat", "ack", "arm", "home"):
+    for other in ("stop", "retreat", "ack", "arm", "home", "follow"):
         signals = replace(with_order(other), start=True)
         assert transition(Machine(State.ARMED), signals).state is State.IDLE
 
@@ -320,6 +346,7 @@ def test_an_order_that_would_change_nothing_is_refused_with_a_reason(machine: Ma
                 (State.ARMED, "arm"),
                 (State.ARMED, "ack"),
                 (State.ARMED, "home"),
+                (State.ARMED, "follow"),
             }
         )
 

@@ -24,9 +24,9 @@ from linemate.daemon.cycle.states import (
 )
 from linemate.daemon.cycle.watch import Facts, Watch, observe
 
-# Younger than the transcripts: the order home, which is the last flag, and its state.
-FLAGS = len(fields(Signals)) - 2
-STATES = tuple(state for state in State if state is not State.HOME)
+# Younger than the transcripts: the orders home and follow, the last flags, and their states.
+FLAGS = len(fields(Signals)) - 3
+STATES = tuple(state for state in State if state not in {State.HOME, State.FOLLOW})
 OPS = ("arm", "start", "stop", "retreat", "ack", "status")
 MS = 1_000_000
 EDGES = (0.0, 0.0999, 0.1, 0.1001, 0.14, 0.16, 0.161, 0.25, 0.3, 0.301, 0.999, 1.0, 1.001, 60.0)
@@ -37,8 +37,10 @@ def _text(machine: Machine) -> tuple[object, ...]:
 
 
 def _without_home(reason: str | None) -> str | None:
-    """A refusal as it was before a retreat was taken on the way home."""
-    return None if reason is None else reason.replace("HOLD, HOME, RETREAT", "HOLD, RETREAT")
+    """A refusal as it was before a retreat was taken on the way home and while following."""
+    if reason is None:
+        return None
+    return reason.replace("FOLLOW, HOLD, HOME, RETREAT", "HOLD, RETREAT")
 
 
 @pytest.mark.parametrize(
@@ -116,7 +118,7 @@ def _day(settings: WatchSettings, chance: Chance, transcript: Transcript) -> Non
         )
         watch, signals = observe(watch, facts, machine, settings)
         transcript.say(str(watch.link), str(watch.state), [str(v) for v in structs.astuple(watch)])
-        transcript.say([str(v) for v in astuple(signals)[:-1]])
+        transcript.say([str(v) for v in astuple(signals)[:-2]])
 
 
 @pytest.mark.parametrize(

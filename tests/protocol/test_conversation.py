@@ -28,6 +28,7 @@ SAMPLES: dict[str, dict[str, Any]] = {
     "record": {"action": "start"},
     "subscribe": {"rate_hz": 1.0},
     "announce": {"part": "1", "variant": "left"},
+    "follow": {"begin_ns": 7, "poses": [[0.0, 1.0, 2.0, 0.5, 1.0, 0.0, 0.0, 0.0]]},
     "page": {"of": 1, "page": 1},
 }
 

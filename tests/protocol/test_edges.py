@@ -417,6 +417,10 @@ def test_a_time_is_a_whole_number_of_63_bits(time_ms: float, is_one: bool) -> No
                 decode(payload)
 
 
+ROW = [0.5, 1.0, 2.0, 0.5, 1.0, 0.0, 0.0, 0.0]
+NAN = float("nan")
+
+
 @pytest.mark.parametrize("op", sorted(requests.OPERATIONS))
 def test_a_deadline_before_the_servers_beginning_is_its_beginning(op: str) -> None:
     params: dict[str, object] = {
@@ -426,6 +430,7 @@ def test_a_deadline_before_the_servers_beginning_is_its_beginning(op: str) -> No
         "subscribe": {"rate_hz": 1.0},
         "page": {"of": 1, "page": 1},
         "announce": {"part": "P1", "variant": "sedan"},
+        "follow": {"begin_ns": 7, "poses": []},
     }.get(op, {})  # type: ignore[assignment]
     for asked_ms, deadline_ms in ((-5, 0), (0, 0), (7, 7)):
         payload = requests.encode_request(op, params, asked_ms)
@@ -442,6 +447,11 @@ def test_a_deadline_before_the_servers_beginning_is_its_beginning(op: str) -> No
         ("get", {"names": ["a" * 96]}, {"names": ["a" * 97]}),
         ("get", {"names": ["a"]}, {"names": [""]}),
         ("get", {"names": ["a"]}, {"names": ["a"], "more": 1}),
+        ("follow", {"begin_ns": 0, "poses": [ROW] * 12}, {"begin_ns": 0, "poses": [ROW] * 13}),
+        ("follow", {"begin_ns": 0, "poses": [ROW]}, {"begin_ns": 0, "poses": [ROW[1:]]}),
+        ("follow", {"begin_ns": 0, "poses": [ROW]}, {"begin_ns": 0, "poses": [[*ROW, 1.0]]}),
+        ("follow", {"begin_ns": 2**63 - 1, "poses": []}, {"begin_ns": -1, "poses": []}),
+        ("follow", {"begin_ns": 0, "poses": [ROW]}, {"begin_ns": 0, "poses": [[*ROW[1:], NAN]]}),
         ("set", {"values": {"a": "x" * 512}}, {"values": {"a": "x" * 513}}),
         ("set", {"values": {"a": [1] * 64}}, {"values": {"a": [1] * 65}}),
         ("set", {"values": {"a" * 96: 1}}, {"values": {"a" * 97: 1}}),
@@ -489,6 +499,8 @@ def test_only_stop_and_retreat_are_taken_in_any_order_and_without_the_lease() ->
         ("status", "params", "get", "scene", "subscribe", "page", "queue"), ("view", False, False)
     )
     setting = dict.fromkeys(("set", "save", "record", "announce", "skip"), ("operate", False, True))
-    moving = dict.fromkeys(("arm", "start", "ack", "home", "next"), ("operate", True, True))
+    moving = dict.fromkeys(
+        ("arm", "start", "ack", "home", "next", "follow"), ("operate", True, True)
+    )
     resting = dict.fromkeys(("stop", "retreat", "hold"), ("operate", False, False))
     assert table == viewing | setting | moving | resting

@@ -67,6 +67,7 @@ PARAMS: dict[str, dict[str, Any]] = {
     "set": {"values": {"a": 1}},
     "record": {"action": "stop"},
     "announce": {"part": "1", "variant": "left"},
+    "follow": {"begin_ns": 7, "poses": [[0.0, 1.0, 2.0, 0.5, 1.0, 0.0, 0.0, 0.0]]},
 }
 
 

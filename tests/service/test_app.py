@@ -21,6 +21,7 @@ from linemate.daemon.config import config
 from linemate.daemon.config.files import PROTOCOL_DATA
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.cycle.states import State
 from linemate.daemon.recording.format import STEP
 from linemate.daemon.recording.step_codec import decode
 from linemate.daemon.service import app as app_module
@@ -548,3 +549,32 @@ def test_a_telegram_that_was_attended_is_followed_up_without_a_turn_of_the_loop(
         app._attend(station, 0)
     assert done == (["sent"] if fails else ["sent", "after"])
     assert not station._is_attending
+
+
+def test_poses_are_handed_in_over_the_socket_and_followed_until_a_stop(
+    serve: Serve, task: Task
+) -> None:
+    async def main() -> None:
+        async with serve() as running:
+            controller = running.controller(task)
+            exchange = asyncio.create_task(controller.cycles(150))
+            await until(lambda: running.app.cycle.machine.state is State.IDLE, 5.0)
+            await until(lambda: running.app.cycle.refusal("follow") is None, 5.0)
+            now_ns = (await running.ask("follow", {"begin_ns": 0, "poses": []}))["now_ns"]
+            assert abs(now_ns - time.monotonic_ns()) < 5e9
+            last = running.app.cycle.last
+            assert last is not None
+            pose = [*last.outputs.target]
+            rows = [[0.1 * i, *pose] for i in range(5)]
+            away = [[row[0], row[1] + 0.05, *row[2:]] for row in rows]
+            with pytest.raises(RefusedError, match=r"first pose is 50\.0 mm"):
+                await running.ask("follow", {"begin_ns": now_ns + 10**8, "poses": away})
+            with pytest.raises(RefusedError, match=r"beyond 60 s"):
+                await running.ask("follow", {"begin_ns": now_ns, "poses": [[1e300, *pose]]})
+            params = {"begin_ns": now_ns + 10**8, "poses": rows}
+            assert (await running.ask("follow", params))["state"] == "follow"
+            assert (await running.ask("follow", params))["state"] == "follow"
+            assert (await running.ask("stop"))["state"] == "idle"
+            await exchange
+
+    run(main())

@@ -246,6 +246,26 @@ class WayHome:
 
 
 @dataclass(frozen=True, slots=True)
+class FollowLimits:
+    """Limits of target poses that a client hands in to be followed.
+
+    Attributes:
+        clearance: least distance of the tcp before the object's plane [m]. It must cover what
+            protrudes from the object.
+        speed: largest speed of the tcp along the poses [m/s].
+        acceleration: largest acceleration of the tcp along them [m/s^2].
+        turn_speed: largest angular speed of the tcp [rad/s].
+        turn_acceleration: largest angular acceleration of the tcp [rad/s^2].
+    """
+
+    clearance: Annotated[float, Ge(-1.0), Le(2.0)] = 0.08
+    speed: Annotated[float, Ge(0.01), Le(1.0)] = 0.25
+    acceleration: Annotated[float, Ge(0.01), Le(2.0)] = 0.5
+    turn_speed: Annotated[float, Ge(0.01), Le(1.0)] = 0.2
+    turn_acceleration: Annotated[float, Ge(0.01), Le(2.0)] = 0.4
+
+
+@dataclass(frozen=True, slots=True)
 class TaskFile:
     """One assembly task, whole."""
 
@@ -258,4 +278,5 @@ class TaskFile:
     guard: GuardedApproach = GuardedApproach()
     linear_axis: LinearAxisFile = LinearAxisFile()
     home: WayHome = WayHome()
+    follow: FollowLimits = FollowLimits()
     version: Annotated[int, Ge(1), Lt(2)] = 1

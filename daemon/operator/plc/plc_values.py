@@ -7,7 +7,7 @@ Invariants:
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
-MOVING: Final = frozenset({"track", "contact", "retreat", "home"})
+MOVING: Final = frozenset({"track", "contact", "retreat", "home", "follow"})
 
 
 class PlcValues(NamedTuple):

@@ -22,7 +22,7 @@ from linemate.daemon.production.supervisor import WHO, CellView, PartResult, Sup
 from linemate.daemon.service.production.record_files import RecordFiles
 
 STOPS: Final = frozenset({"stop", "retreat"})
-BY_HAND: Final = frozenset({"arm", "start", "home"})
+BY_HAND: Final = frozenset({"arm", "start", "home", "follow"})
 
 Answer = dict[str, Any]
 
