@@ -16,6 +16,7 @@ from linemate.daemon.commissioning import camera_mount, dry_run, sensor_mount
 from linemate.daemon.commissioning.camera_mount import CameraMount
 from linemate.daemon.commissioning.conveyor_frame import SCALE_ERROR, ConveyorFrame, find_frame
 from linemate.daemon.commissioning.link_figures import find_links
+from linemate.daemon.commissioning.motion.axis_signs import find_signs
 from linemate.daemon.commissioning.postures import Posture, distinct, find_postures
 from linemate.daemon.commissioning.recorded_cell import CellError, RecordedCell, read_cell
 from linemate.daemon.commissioning.sensor_mount import SensorMount
@@ -125,6 +126,13 @@ def _links(data: _Data, options: Options) -> Measurement:
         for line in find_links(data.inputs(recorded), data.watch, options.sensors)
     ]
     refused = [f"{x.name}: {x.outcome.reason}" for x in lines if isinstance(x.outcome, Refusal)]
+    return Measurement(tuple(lines), {}, "; ".join(refused) or None)
+
+
+def _signs(data: _Data, _: Options) -> Measurement:
+    steps = [step for recorded in data.recordings for step in recorded.steps]
+    lines = find_signs(steps)
+    refused = [x.outcome.reason for x in lines if isinstance(x.outcome, Refusal)]
     return Measurement(tuple(lines), {}, "; ".join(refused) or None)
 
 
@@ -408,6 +416,7 @@ def _pose(position: Array, rotation: Array) -> dict[str, Any]:
 
 _MEASURES: dict[StepName, Callable[[_Data, Options], Measurement]] = {
     StepName.LINKS: _links,
+    StepName.SIGNS: _signs,
     StepName.FORCE: _force,
     StepName.CAMERA: _camera,
     StepName.CONVEYOR: _conveyor,

@@ -22,6 +22,7 @@ class StepName(StrEnum):
     """A step, by the name that the command line has for it."""
 
     LINKS = "links"
+    SIGNS = "signs"
     LIMITS = "limits"
     SERVOS = "servos"
     FORCE = "force"
@@ -66,6 +67,13 @@ STEPS: tuple[WalkStep, ...] = (
         10.0,
     ),
     WalkStep(
+        StepName.SIGNS,
+        "sign and size of each axis' motion for a command",
+        "Run the task that this step writes: each axis turns by 0.2 degrees and back.",
+        60.0,
+        (StepName.LINKS,),
+    ),
+    WalkStep(
         StepName.LIMITS,
         "limits of the axes and margins along the task",
         "Nothing moves: the task runs once through the kinematics.",
@@ -96,9 +104,9 @@ STEPS: tuple[WalkStep, ...] = (
     WalkStep(
         StepName.SERVOS,
         "servos, windup and tool modes",
-        "Run the exercise with the conveyor at rest (docs/commission-steps.md).",
+        "Run the exercise that this step writes, with the conveyor at rest.",
         60.0,
-        (StepName.LIMITS,),
+        (StepName.SIGNS, StepName.LIMITS),
     ),
     WalkStep(
         StepName.OBJECT,

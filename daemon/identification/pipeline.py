@@ -5,9 +5,10 @@ Invariants:
 - A refused parameter keeps its configured value and has a line in the report.
 """
 
+import copy
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,7 @@ from linemate.daemon.identification.arm_windup import ArmWindup, bent_trace, ide
 from linemate.daemon.identification.hand_eye import CameraResult, identify_camera
 from linemate.daemon.identification.noise import NoiseResult, identify_noise
 from linemate.daemon.identification.offset import OffsetResult, identify_offset
-from linemate.daemon.identification.outcome import Estimate, Outcome, ReportLine
+from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal, ReportLine
 from linemate.daemon.identification.ring_down import ModeResult, identify_modes
 from linemate.daemon.identification.scene_fit import Views
 from linemate.daemon.identification.servo_models import ServoResult, identify_servos
@@ -37,6 +38,7 @@ from linemate.daemon.recording.step_codec import StepRecord
 from linemate.protocol.stamped_samples import AXES
 
 SIGNIFICANT = 4.0  # least offset of a corrected hand-eye pose, in deviations
+MOST_UNFIT = 20  # rounds in which values that do not fit are left out
 SAME_CYCLE = 0.01  # largest difference of cycle times that count as the same
 
 
@@ -139,7 +141,74 @@ def identify(recordings: Sequence[Recorded]) -> Identified:
         *_noise_findings(noise, cell.tracking),
         *_offset_findings(offset, labels),
     )
-    return Identified(findings, overlay, kept)
+    overlay, unfit = fitting(overlay)
+    findings = (*_without(findings, unfit), *unfit.values())
+    return Identified(findings, overlay, (*kept, *unfit))
+
+
+def fitting(overlay: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, ReportLine]]:
+    """Return an overlay without the values that a configuration refuses.
+
+    Returns:
+        The rest, and a refusal for each value left out, by its path.
+    """
+    kept = copy.deepcopy(dict(overlay))
+    unfit: dict[str, ReportLine] = {}
+    for section, kind in (("tracking", TrackingSettings), ("control", ControlSettings)):
+        for _ in range(MOST_UNFIT):
+            try:
+                documents.fill(YamlDocument(section, kept.get(section, {})), kind)
+                break
+            except FileError as error:
+                for line in error.lines:
+                    path, _, what = line.split(": ", 1)[1].partition(": ")
+                    name = f"{section}.{path}"
+                    if not _remove(kept[section], path):
+                        raise IdentifyError(f"{name}: {what}") from error
+                    reason = f"{what}; it stays as configured"
+                    unfit[name] = ReportLine(name, "", 1.0, Refusal(reason))
+        if section in kept and not kept[section]:
+            del kept[section]
+    return kept, unfit
+
+
+def _remove(tree: dict[str, Any], path: str) -> bool:
+    """Remove the value at a path, the whole list if it is in one; return whether it was there."""
+    parts = path.partition("[")[0].split(".")
+    branches = [tree]
+    for part in parts[:-1]:
+        below = branches[-1].get(part)
+        if not isinstance(below, dict):
+            return False
+        branches.append(below)
+    if branches[-1].pop(parts[-1], None) is None:
+        return False
+    if len(branches) > 1 and not branches[-1]:
+        branches[-2].pop(parts[-2])
+    return True
+
+
+def _without(
+    findings: Sequence[ReportLine], unfit: Mapping[str, ReportLine]
+) -> tuple[ReportLine, ...]:
+    """Return report lines of which none claims to be in the overlay that is left out of it."""
+    names = {_LINES.get(path, path) for path in unfit}
+    return tuple(
+        replace(line, in_overlay=False) if line.name in names else line for line in findings
+    )
+
+
+_LINES = {
+    "tracking.distance.deviation": "distance noise",
+    "tracking.camera.lateral": "camera noise at 0 m",
+    "tracking.camera.lateral_slope": "camera noise slope",
+    "tracking.camera.depth_factor": "camera depth factor",
+    "tracking.camera.angle": "camera angle noise at 0 m",
+    "tracking.camera.angle_slope": "camera angle noise slope",
+    "tracking.tactile.deflection": "force noise",
+    "tracking.tactile.angle": "torque noise",
+}
+"""Lines of the report by the path of their value."""
 
 
 def _cell(recordings: Sequence[Recorded]) -> _Cell:

@@ -2,6 +2,7 @@
 
 Invariants:
 - Only stretches are used in which the robot stands and the tool has no contact.
+- Readings count at their own stamps, whatever the cycle. Too few a second are refused.
 - There is one mode along or about each tool axis. Its frequency is the undamped one.
 - Amplitudes and offsets of each stretch are linear and are projected out.
 """
@@ -25,6 +26,7 @@ SHORTEST = 0.5  # of a stretch [s]
 LONGEST = 4.0  # of a stretch; the rest of it is noise [s]
 AFTER_CONTACT = 0.5  # [s]
 SEARCH_HZ = (1.5, 20.0)
+LEAST_RATE_HZ = 2.5 * SEARCH_HZ[1]  # of readings: below, a fast mode appears as a slow one
 DAMPING = (1e-4, 0.5)
 PERIODS = 3.0  # least periods in a stretch
 CLEAR = 12.0  # least amplitude, in its deviations
@@ -84,7 +86,22 @@ def stretches(trace: Trace) -> list[Stretch]:
 def identify_modes(traces: Sequence[Trace]) -> tuple[ModeResult, ...]:
     """Return the elastic mode of each of the tool's six axes."""
     found = [stretch for trace in traces for stretch in stretches(trace)]
-    return tuple(_mode(axis, found) for axis in range(6))
+    rate_hz = reading_rate(found)
+    if found and rate_hz < LEAST_RATE_HZ:
+        reason = (
+            f"readings come at {rate_hz:.1f} Hz, at least {LEAST_RATE_HZ:.0f} Hz are needed: a "
+            f"mode above {0.5 * rate_hz:.1f} Hz would appear as a slower one. Raise the sensor's "
+            "rate"
+        )
+        return tuple(_refused(axis, reason) for axis in range(6))
+    return tuple(_mode(axis, found, rate_hz) for axis in range(6))
+
+
+def reading_rate(found: Sequence[Stretch]) -> float:
+    """Return the usual rate of readings with stamps of their own [Hz], 0 without any."""
+    gaps = np.concatenate([np.diff(stretch.times) for stretch in found] or [np.zeros(0)])
+    gaps = gaps[gaps > 0.0]
+    return 1.0 / float(np.median(gaps)) if len(gaps) else 0.0
 
 
 def _refused(axis: int, reason: str) -> ModeResult:
@@ -92,7 +109,7 @@ def _refused(axis: int, reason: str) -> ModeResult:
     return ModeResult(axis, None, refusal, refusal, None)
 
 
-def _mode(axis: int, found: list[Stretch]) -> ModeResult:
+def _mode(axis: int, found: list[Stretch], rate_hz: float) -> ModeResult:
     if not found:
         return _refused(axis, "the robot never stands still in free space while a wrench is read")
     fitted = _fit(axis, found, _search(axis, found))
@@ -108,7 +125,8 @@ def _mode(axis: int, found: list[Stretch]) -> ModeResult:
         return _refused(axis, f"its frequency is known only to +-{fitted.deviations[0]:.2g} Hz")
     if not fitted.deviations[1] < DAMPING_DEVIATION or not DAMPING[0] < z < 0.95 * DAMPING[1]:
         return _refused(axis, f"its damping is known only to +-{fitted.deviations[1]:.2g}")
-    basis = f"{len(found)} stretches of rest, ringing {fitted.clear:.0f} times its deviation"
+    basis = f"{len(found)} stretches of rest, ringing {fitted.clear:.0f} times its deviation, "
+    basis += f"{rate_hz:.0f} readings a second"
     return ModeResult(
         axis,
         EffectorMode(f, z),

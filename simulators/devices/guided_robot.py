@@ -55,13 +55,21 @@ class Programme:
 class GuidedRobot(RobotPlant):
     """A robot plant with a programme, whose axes may count the other way."""
 
-    def __init__(self, world: EmulatedWorld, programme: Programme, signs: Seven = FORWARD) -> None:
+    def __init__(
+        self,
+        world: EmulatedWorld,
+        programme: Programme,
+        signs: Seven = FORWARD,
+        corrected: Seven = FORWARD,
+    ) -> None:
         """Stand ready.
 
         Args:
             signs: 1, or -1 for an axis that the controller counts the other way.
+            corrected: share of a correction by which each axis moves, as the controller counts.
         """
         self._signs, self._programme = signs, programme
+        self._moves = tuple(a * b for a, b in zip(signs, corrected, strict=True))
         super().__init__(world)
         self._origin = super().start
 
@@ -82,8 +90,8 @@ class GuidedRobot(RobotPlant):
         sent = applied.motion or applied.setpoints
         ahead = self._programme.at(world.cycle_start(self.cycle + 1), self._origin)
         corrected = tuple(
-            place + sign * (value - begin)
-            for place, sign, value, begin in zip(ahead, self._signs, sent, start, strict=True)
+            place + share * (value - begin)
+            for place, share, value, begin in zip(ahead, self._moves, sent, start, strict=True)
         )
         world.command(corrected, self.cycle)
         world.digital_out(applied.digital_out)

@@ -53,11 +53,15 @@ class CommissioningRun:
 
     Attributes:
         signs: of the axes as the controller counts.
+        corrected: share of a correction by which each axis moves.
+        starts: an operator arms and starts the daemon's task.
         cycle_ms: period of the controller [ms].
     """
 
     programme: Programme
     signs: Seven = FORWARD
+    corrected: Seven = FORWARD
+    starts: bool = False
     cycle_ms: float = 12.0
 
 
@@ -147,8 +151,15 @@ def record(setup: Setup, plan: CommissioningRun, path: Path, seed: int = SEED) -
     cycle.listen(0)
     path.parent.mkdir(parents=True, exist_ok=True)
     file = StepFile(path.open("wb"), metadata_of(texts(setup)))
+    started: list[str] = []
 
     def keep() -> None:
+        if plan.starts:
+            order = {State.IDLE: "arm", State.ARMED: "start"}.get(cycle.machine.state)
+            if order is not None and not started:
+                refused = cycle.order(order, "the engineer")
+                if order == "start" and refused is None:
+                    started.append(order)
         for entry in cycle.take_log():
             step = encode(entry.ipoc, entry.state, entry.inputs, entry.outputs)
             file.write(entry.inputs.stamp_ns, step)
@@ -241,7 +252,7 @@ class _Station:
         truth = replace(setup.scenario, cycle_s=cycle_s, duration_s=duration_s)
         self.scenario = sample(seed, truth)
         self._world = build_world(setup.world, self.scenario, setup.mujoco)
-        self._robot = GuidedRobot(self._world, plan.programme, plan.signs)
+        self._robot = GuidedRobot(self._world, plan.programme, plan.signs, plan.corrected)
         self._controller, self.link = families.pair(
             setup.controller, self._robot, cycle_s, on_rail=True
         )

@@ -7,7 +7,7 @@ import pytest
 from traces import ringing, trace, without
 
 from linemate.daemon.identification.outcome import Estimate, Refusal
-from linemate.daemon.identification.ring_down import identify_modes, stretches
+from linemate.daemon.identification.ring_down import identify_modes, reading_rate, stretches
 from linemate.simulators.plants.scenario import Effector
 
 EFFECTOR = Effector()
@@ -56,3 +56,13 @@ def test_what_is_clamped_does_not_ring() -> None:
 
 def test_a_recording_without_a_sensor_is_refused() -> None:
     assert isinstance(identify_modes([trace()])[0].frequency_hz, Refusal)
+
+
+def test_readings_too_rare_for_a_fast_mode_are_refused_and_not_folded() -> None:
+    assert reading_rate(stretches(RUNG)) == pytest.approx(250.0, rel=0.01)
+    rare = without(RUNG, wrenches=RUNG.wrenches[::14])  # a mode of 11.1 Hz would look like 6.76 Hz
+    for result in identify_modes([rare]):
+        assert result.mode is None
+        assert isinstance(result.frequency_hz, Refusal)
+        assert "readings come at 17.9 Hz, at least 50 Hz are needed" in result.frequency_hz.reason
+        assert "a mode above 8.9 Hz would appear as a slower one" in result.frequency_hz.reason

@@ -18,6 +18,7 @@ from linemate.daemon.config import config
 from linemate.daemon.core import rotations
 from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.operator import main as tool
+from linemate.daemon.operator.commissioning import motion_files, site_files
 from linemate.daemon.recording.reader import read
 from linemate.simulators.devices.guided_robot import Programme
 from linemate.simulators.devices.rsi_controller import Seven
@@ -161,6 +162,33 @@ def test_a_conveyor_that_runs_10_mrad_off_is_found(site: Path) -> None:
     task = config.load(site / "linemated.yaml").task.file
     along = rotations.matrix(task.object.nominal.quaternion)[:, 1]
     assert along == pytest.approx(truth, abs=1e-3)
+
+
+def test_a_correction_that_moves_an_axis_the_other_way_is_named_before_anything_is_tracked(
+    site: Path,
+) -> None:
+    """The daemon's own motion; two of the six axes, for each takes 6 s."""
+    opened = site_files.open_site(site, "linemated.yaml")
+    path = motion_files.write_motion(opened, walk.SiteState(), StepName.SIGNS)
+    station = config.load(path)
+    scenario = replace(commission_run.resting_scenario(), duration_s=15.0)
+    setup = Setup(
+        scenario, station.config.tracking, station.config.control, station.task.file,
+        station.task.urdf,
+    )  # fmt: skip
+    plan = CommissioningRun(
+        Programme((), 0.0), corrected=(-1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0), starts=True
+    )
+    file = commission_run.record(setup, plan, site / "signs.mcap")
+    assert commission(site, "signs", "--from", file) == 1
+    state = walk.from_text((site / "commission" / "progress.json").read_text())
+    figures = {figure["name"]: figure for figure in state.of(StepName.SIGNS).figures}
+    assert figures["A1 moved for commanded"]["refused"].startswith("A1 moves the other way: -1.0")
+    assert figures["A2 moved for commanded"]["value"] == pytest.approx(1.0, abs=0.01)
+    joints = np.array([s.inputs.robot.joints for s in read(file).steps if s.inputs.robot])
+    moved = np.degrees(np.abs(joints - joints[0]).max(axis=0))
+    assert moved[:2] == pytest.approx((0.2, 0.2), abs=0.02)
+    assert moved.max() < 0.22
 
 
 def test_a_listening_daemon_records_the_same_inputs_as_one_that_makes_steps(site: Path) -> None:

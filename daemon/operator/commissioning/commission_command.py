@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 DEFAULT_CONFIG = "linemated.yaml"
 STEPS = (
-    "links", "limits", "force", "camera", "conveyor", "servos", "object", "dry-run", "page",
+    "links", "signs", "limits", "force", "camera",
+    "conveyor", "servos", "object", "dry-run", "page",
 )  # fmt: skip
 
 
@@ -150,7 +151,25 @@ def _result(
     }
     if step.name in special:
         return special[step.name]()
+    if step.name in {StepName.SIGNS, StepName.SERVOS} and not args.files:
+        _write_motion(site, state, step)
     return _measured(site, step, args)
+
+
+def _write_motion(site: "Site", state: "SiteState", step: "WalkStep") -> None:
+    """Write the task of a step's motion and a configuration that runs it.
+
+    Raises:
+        NegativeError: the configuration, or the motion in it, is refused.
+    """
+    from linemate.daemon.config.documents import FileError
+    from linemate.daemon.operator.commissioning import motion_files
+
+    try:
+        path = motion_files.write_motion(site, state, step.name)
+    except FileError as error:
+        raise NegativeError("\n".join(error.lines)) from error
+    print(f"  motion: linemated --config {path}, then arm and start. Stop it afterwards")
 
 
 def _kept(site: "Site", state: "SiteState", step: "WalkStep", result: StepResult, when: str) -> Any:

@@ -1,0 +1,1 @@
+"""Motions for commissioning, and what they show."""
