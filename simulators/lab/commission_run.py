@@ -72,6 +72,7 @@ def resting_scenario() -> Scenario:
         plain,
         name="postures",
         lead_in_s=LEAD_IN_S,
+        duration_s=1.0,
         robot=replace(plain.robot, start=START),
         conveyor=replace(plain.conveyor, events=(ConveyorEvent("stop", -LEAD_IN_S + 0.01, 2.0),)),
         body=replace(plain.body, swings=(), offset=(0.0, 0.0, 0.0), rotation=(0.0, 0.0, 0.0)),

@@ -22,12 +22,16 @@ from linemate.daemon.operator.commissioning import motion_files, site_files
 from linemate.daemon.recording.reader import read
 from linemate.simulators.devices.guided_robot import Programme
 from linemate.simulators.devices.rsi_controller import Seven
-from linemate.simulators.harness.setup import Setup
+from linemate.simulators.harness import lockstep
+from linemate.simulators.harness.identified_overlay import laid_over
+from linemate.simulators.harness.setup import Setup, make
+from linemate.simulators.judge.judge import RunEvidence, judge
 from linemate.simulators.lab import commission_run
 from linemate.simulators.lab.commission_run import CommissioningRun
 from linemate.simulators.plants.conveyor_plan import Conveyor, ConveyorEvent
 from linemate.simulators.plants.scenario import Scenario
 
+CAMERA_PLACE = (-0.05, 0.08, -0.2)
 TURNED_CAMERA = (0.2, 0.3, -1.5)
 SENSOR_ON_FLANGE = (-0.2, 0.0, -0.35)
 SENSOR_TURN = (0.0, 1.5, 0.6)
@@ -72,23 +76,81 @@ def turn_between(quaternion: list[float], truth: tuple[float, float, float]) -> 
     return float(np.linalg.norm(rotations.log(off)))
 
 
-def test_a_camera_that_is_turned_in_the_tool_is_found(site: Path) -> None:
-    scenario = commission_run.resting_scenario()
-    scenario = replace(
-        scenario,
-        camera=replace(
-            scenario.camera, position_in_tcp=(-0.05, 0.08, -0.2), rotation_in_tcp=TURNED_CAMERA
+def wrong_cell(plain: Scenario) -> Scenario:
+    """The camera is turned and shifted; the sensor on the flange is turned, biased, inverted."""
+    return replace(
+        plain,
+        camera=replace(plain.camera, position_in_tcp=CAMERA_PLACE, rotation_in_tcp=TURNED_CAMERA),
+        force_torque=replace(
+            plain.force_torque,
+            position_in_tcp=SENSOR_ON_FLANGE,
+            rotation_in_tcp=SENSOR_TURN,
+            sign=-1,
+            effects=replace(plain.force_torque.effects, bias_force=10.0, bias_torque=1.0),
         ),
     )
-    file = recorded(site / "camera.mcap", guided(scenario, commission_run.looking_postures()))
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A site with a wrong cell after the steps camera and force, from one recording."""
+    site = tmp_path_factory.mktemp("site")
+    (site / "linemated.yaml").write_text("task: wheel.yaml\n")
+    scenario = wrong_cell(commission_run.resting_scenario())
+    load = replace(scenario.effector.load, tool_mass=40.0)
+    scenario = replace(scenario, effector=replace(scenario.effector, load=load))
+    postures = commission_run.looking_postures(15) + commission_run.weighing_postures()
+    file = recorded(site / "postures.mcap", guided(scenario, postures, move_s=1.8))
     assert commission(site, "camera", "--from", file) == 0
-    place = overlay(site, "camera")["task"]["arm"]["camera_in_tcp"]
-    assert place["position"] == pytest.approx((-0.05, 0.08, -0.2), abs=5e-4)
+    assert commission(site, "force", "--from", file, "--sensor-at", "flange") == 0
+    return site
+
+
+def test_a_camera_that_is_turned_in_the_tool_is_found(measured: Path) -> None:
+    place = overlay(measured, "camera")["task"]["arm"]["camera_in_tcp"]
+    assert place["position"] == pytest.approx(CAMERA_PLACE, abs=5e-4)
     assert turn_between(place["quaternion"], TURNED_CAMERA) < 1e-3
     # What was written is what the daemon starts with.
-    (site / "linemated.yaml").write_text("task: wheel.yaml\noverlays: [commission/camera.yaml]\n")
-    arm = config.load(site / "linemated.yaml").task.file.arm
+    config_file = measured / "linemated.yaml"
+    config_file.write_text("task: wheel.yaml\noverlays: [commission/camera.yaml]\n")
+    arm = config.load(config_file).task.file.arm
     assert arm.camera_in_tcp.position == tuple(place["position"])
+
+
+def test_a_sensor_on_the_flange_that_states_the_opposite_force_is_found(measured: Path) -> None:
+    arm = overlay(measured, "force")["task"]["arm"]
+    assert arm["sensor_sign"] == -1
+    assert turn_between(arm["sensor_in_tcp"]["quaternion"], SENSOR_TURN) < 5e-3
+    assert arm["sensor_in_tcp"]["position"] == pytest.approx(SENSOR_ON_FLANGE, abs=1e-6)
+    payload = overlay(measured, "force")["tracking"]["payload"]
+    assert payload["mass"] == pytest.approx(40.0, abs=0.2)
+    assert payload["centre"] == pytest.approx((0.0, 0.0, -0.15), abs=3e-3)
+    state = walk.from_text((measured / "commission" / "progress.json").read_text())
+    assert state.overlays() == ("force.yaml", "camera.yaml")
+
+
+def assembly(measured: Path | None) -> RunEvidence:
+    """Run the wrong cell, its conveyor 10 mrad off, with the overlays of a site or without."""
+    shipped = make("wheel")
+    scenario = wrong_cell(shipped.scenario)
+    effects = replace(scenario.conveyor.effects, askew=(0.01, 0.0))
+    scenario = replace(scenario, conveyor=replace(scenario.conveyor, effects=effects))
+    setup = replace(shipped, scenario=scenario)
+    for step in () if measured is None else ("camera", "force"):
+        # The wheel of this run weighs nothing.
+        setup = laid_over(setup, {"task": overlay(measured, step)["task"]})
+    return lockstep.run(setup, 1)
+
+
+def test_a_wrong_cell_is_not_approached_and_assembles_once_it_is_measured(measured: Path) -> None:
+    """Two whole runs, judged by the plant."""
+    before = assembly(None)
+    assert before.collision is None
+    assert not judge(before)["assembled"]
+    assert before.changes[-1].cause.startswith("no fresh position: camera and distance contradict")
+    after = assembly(measured)
+    assert after.collision is None
+    assert judge(after)["assembled"]
 
 
 def test_an_axis_that_counts_the_other_way_is_named_and_nothing_is_written(
@@ -102,36 +164,6 @@ def test_an_axis_that_counts_the_other_way_is_named_and_nothing_is_written(
     assert not (site / "commission" / "camera.yaml").exists()
     state = walk.from_text((site / "commission" / "progress.json").read_text())
     assert state.of(StepName.CAMERA).outcome is StepOutcome.REFUSED
-
-
-def test_a_sensor_on_the_flange_that_states_the_opposite_force_is_found(
-    site: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    plain = commission_run.resting_scenario()
-    scenario = replace(
-        plain,
-        force_torque=replace(
-            plain.force_torque,
-            position_in_tcp=SENSOR_ON_FLANGE,
-            rotation_in_tcp=SENSOR_TURN,
-            sign=-1,
-            effects=replace(plain.force_torque.effects, bias_force=10.0, bias_torque=1.0),
-        ),
-        effector=replace(plain.effector, load=replace(plain.effector.load, tool_mass=40.0)),
-    )
-    guide = guided(scenario, commission_run.weighing_postures(), move_s=1.8)
-    file = recorded(site / "force.mcap", guide)
-    assert commission(site, "force", "--from", file, "--sensor-at", "flange") == 0
-    arm = overlay(site, "force")["task"]["arm"]
-    assert arm["sensor_sign"] == -1
-    assert turn_between(arm["sensor_in_tcp"]["quaternion"], SENSOR_TURN) < 5e-3
-    assert arm["sensor_in_tcp"]["position"] == pytest.approx(SENSOR_ON_FLANGE, abs=1e-6)
-    state = walk.from_text((site / "commission" / "progress.json").read_text())
-    shown = {f["name"]: f["value"] for f in state.of(StepName.FORCE).figures}
-    assert shown["payload mass"] == pytest.approx(40.0, abs=0.2)
-    centre = [shown[f"centre of gravity in the tcp {axis}"] for axis in "xyz"]
-    assert centre == pytest.approx((0.0, 0.0, -150.0), abs=3.0)
-    assert "payload mass" in capsys.readouterr().out
 
 
 def test_a_conveyor_that_runs_10_mrad_off_is_found(site: Path) -> None:
