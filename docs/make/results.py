@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from docs.make import contact_results, lag_results, world_results
+from docs.make import contact_results, lag_results, shift_results, world_results
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs/results"
@@ -91,6 +91,7 @@ COMMANDS: dict[str, tuple[str, Callable[[Result], Result]]] = {
     ),
     "bench": ("linemate-sim bench --parts virtual,step --json", bench),
     **{name: (text, world_results.condensed) for name, text in world_results.COMMANDS.items()},
+    **{name: (text, shift_results.condensed) for name, text in shift_results.COMMANDS.items()},
     **{name: (text, contact_results.whole) for name, text in contact_results.COMMANDS.items()},
     **{name: (text, lag_results.rows) for name, text in lag_results.COMMANDS.items()},
     **{name: (text, campaign) for name, text in lag_results.CAMPAIGNS.items()},
@@ -318,6 +319,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "world-sizes": world_results.sizes,
     "world": lambda: world_results.rows(load, is_stored),
     "plant-floor": lambda: world_results.floor(load, is_stored),
+    "shift": lambda: shift_results.table(load, is_stored),
     "contact": lambda: contact_results.table(load, is_stored),
     "lag": lambda: lag_results.by_lag(load, is_stored),
     "cycles": lambda: lag_results.by_cycle(load, is_stored),

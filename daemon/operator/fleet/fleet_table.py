@@ -29,8 +29,8 @@ def fleet_rows(messages: Iterable[bytes], now_s: float) -> tuple[list[Row], int]
     Of several messages of one station the newest counts.
 
     Args:
-        messages: JSON of ``linemate/STATION/status``.
-        now_s: Unix time [s].
+        messages: JSON that bridges answer to ``linemate/STATION/status``, newest or not.
+        now_s: Unix time that ages count from [s].
     """
     newest: dict[str, Mapping[str, Any]] = {}
     unreadable = 0
