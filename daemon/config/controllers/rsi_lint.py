@@ -26,7 +26,7 @@ _SETTING = re.compile(r"^(ONLYSEND|SEND|RECEIVE)\b")
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class LintFinding:
     """One thing that the daemon would refuse.
 
     Attributes:
@@ -42,7 +42,7 @@ def lint(
     corrections: Corrections = Corrections.ABSOLUTE,
     constants: Mapping[str, Any] | None = None,
     task: TaskFile | None = None,
-) -> list[Finding]:
+) -> list[LintFinding]:
     """Return what the daemon would refuse, in the order of the lines.
 
     Args:
@@ -58,7 +58,7 @@ def lint(
         rsi = parse_config(shown)
         RsiCodec(rsi)
     except RsiError as error:
-        return [Finding(_line_of_error(text, error), str(error))]
+        return [LintFinding(_line_of_error(text, error), str(error))]
     whats = [*rsi_check.unfilled(rsi, constants or {})]
     whats += rsi_check.exchange_errors(rsi, corrections)
     whats += [f"{tag}: {what}" for tag, what in rsi_check.constant_errors(rsi, constants or {})]
@@ -67,7 +67,7 @@ def lint(
         whats.append(f"the arm needs {', '.join(missing)}")
     if task is not None:
         whats += rsi_check.gate_errors(rsi, task)
-    found = [Finding(_line_of(text, what), what) for what in whats]
+    found = [LintFinding(_line_of(text, what), what) for what in whats]
     return sorted(found, key=lambda finding: finding.line or 0)
 
 

@@ -23,7 +23,9 @@ class ServoModel:
     Attributes:
         frequency_hz: natural frequency of the second-order response.
         damping: damping ratio, share of critical.
-        dead_time: from a setpoint's cycle to its first effect [s].
+        dead_time: from the telegram that a setpoint answers to its first effect [s]; the
+            controller is assumed to interpolate over the next cycle. ``linemate identify`` finds
+            it.
     """
 
     frequency_hz: Annotated[float, Ge(0.1), Le(100.0)]
