@@ -11,6 +11,7 @@ from msgspec.structs import replace
 from linemate.daemon.cycle.states import State
 from linemate.daemon.service.app import App
 from linemate.simulators.lab.faults.dst_orders import NAMES, CommandWire
+from linemate.simulators.plants.contact_plant import RELEASE_WHEEL
 from linemate.simulators.plants.scenario import Vector7
 
 if TYPE_CHECKING:
@@ -20,10 +21,12 @@ HOMING_S = 0.5
 HOMING_SPEED = 0.8
 """How the programme drives the robot to its rest pose, without RSI: for so long at least [s], an
 axis at so much in the mean at most [rad/s, m/s]; it is not charged to the daemon's time."""
+OPENING_S = 0.5
+"""For which it stands before that while its clamp opens [s]; the clamp needs 0.3 s."""
 HOME_EVERY = 3
 """In one seed of so many the daemon brings the robot home by corrections."""
 HARMLESS: tuple[dict[str, Any], ...] = (
-    {"tracking.gate_probability": 0.998},
+    {"tracking.camera.gate": 5.5},
     {"control.damping": True},
     {"control.feed_forward": True},
     {"tracking.mixture": False},
@@ -80,12 +83,19 @@ class Programme:
             self._pose = self._controller.setpoints
 
     def home(self, now_s: float) -> None:
-        """Drive to the rest pose without RSI; the program starts again there."""
+        """Drive to the rest pose without RSI; the program starts again there.
+
+        A closed clamp is opened before: no programme drives off with the object.
+        """
+        world, opening_s = self._simulation.world, 0.0
+        if world.contact == "clamped":
+            world.digital_out(RELEASE_WHEEL)
+            opening_s = OPENING_S
         self._from, self._pose = self._controller.setpoints, self._plant.start
         way = max(abs(a - b) for a, b in zip(self._from, self._pose, strict=True))
         self._took_s = max(HOMING_S, way / HOMING_SPEED)
-        self._paused_until_s = now_s + self._took_s
-        self.homing_s += self._took_s
+        self._paused_until_s = now_s + opening_s + self._took_s
+        self.homing_s += opening_s + self._took_s
 
     @property
     def is_open(self) -> bool:

@@ -493,6 +493,35 @@ def test_a_conveyor_that_has_stood_keeps_its_learnt_ripple_frequency() -> None:
     assert state.P[FREQUENCY, FREQUENCY] < RippleSettings().spread ** 2
 
 
+def widened_after(reading: Callable[[float], float], seconds: float = 0.6) -> float | None:
+    """Time after 2 s until a filter whose readings then change is widened [s]; None if never."""
+    bank = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), DEVIATION)
+    rng = np.random.default_rng(2)
+    state, begun = bank.initial(0.0), 2.0
+    for k in range(round((begun + seconds) / T0)):
+        t = k * T0
+        value = NOMINAL * t + rng.normal(0.0, 2e-4) if t < begun else reading(t - begun)
+        row = PositionMeasurement(Source.DISTANCE, value, 0.001, DEVIATION**2, 4.0)
+        later = bank.advance(state, [row], T0)
+        if later.age < state.age:
+            return t - begun
+        state = later
+    return None
+
+
+def test_a_frozen_sensor_widens_no_filter_before_its_health_excludes_it() -> None:
+    """The widened filter braked a tool that was about to touch: 239 N at the clamp."""
+    lasting = widened_after(lambda _: NOMINAL * 2.0)
+    assert lasting is not None
+    assert 0.2 < lasting < 0.4
+
+
+def test_readings_that_have_jumped_and_go_on_widen_the_filter_at_once() -> None:
+    lasting = widened_after(lambda later: NOMINAL * (2.0 + later) - 0.02)
+    assert lasting is not None
+    assert lasting < 0.15
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_frozen_distance_sensor_is_not_predicted_as_a_stop(seed: int) -> None:
     bank = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), DEVIATION)

@@ -72,8 +72,8 @@ def test_a_mean_force_follows_a_pull_and_not_a_tool_that_rings() -> None:
 @pytest.mark.parametrize(
     ("power", "pull", "calm"),
     [
-        (29.0**2, (20.0, 20.0, -50.0), True),
-        (31.0**2, (0.0, 0.0, 0.0), False),
+        (59.0**2, (20.0, 20.0, -50.0), True),
+        (61.0**2, (0.0, 0.0, 0.0), False),
         (0.0, (22.0, 22.0, 0.0), False),
         (0.0, (0.0, 0.0, -200.0), True),
     ],

@@ -34,6 +34,8 @@ SWAY_DEVIATION = 0.001  # of the amplitude of a known sway when the estimate beg
 OFFSET_DEVIATION = 0.1  # of x10 before anything but the distance sensor saw the object [m]
 SETTLING = 0.6  # the banks are empty until the speed is estimated [s]
 MOST_REJECTED = 8  # measurements of one sensor rejected in a row, after which the filter widens
+FROZEN_WAY = 0.004  # that a running conveyor makes while a frozen sensor repeats itself [m]
+FROZEN_S = 0.25  # in which the sensor's health excludes a frozen sensor [s]
 REST_DEVIATION = 0.002  # of the speed when a stop ends [m/s]
 CREEP_DEVIATION = 0.0005  # of the lasting speed of a conveyor that stands [m/s]
 SLOW = 0.004  # speed below which a stop whose deceleration fades is over [m/s]
@@ -209,7 +211,7 @@ def correct(
         if not abs(nu) <= gate and not _is_plausible(model, state, nu, -off[_FIRST:middle], gate):
             rejections = rejected.get(measurement.source, 0) + 1
             rejected = {**rejected, measurement.source: rejections}
-            if rejections >= MOST_REJECTED:
+            if rejections >= MOST_REJECTED and not _is_frozen(state, measurement):
                 state = replace(state, x=J[:, STATES], P=J[:, :STATES])
                 return _widened(model, state, nu, measurement.source)
             continue
@@ -233,6 +235,21 @@ def correct(
         ripple_factor=factor,
         sway_omega=omega,
     )
+
+
+def _is_frozen(state: BankState, measurement: PositionMeasurement) -> bool:
+    """Return whether the distance sensor repeats itself while the conveyor runs.
+
+    No conveyor stands from one reading to the next. The sensor's health needs longer to exclude it
+    than the filter to be widened, which then brakes a tool that is about to touch. In contact a
+    guide leads the target meanwhile.
+    """
+    ages, values = state.readings
+    speed = float(state.x[V])
+    if measurement.source is not Source.DISTANCE or state.contact:
+        return False
+    since = float(ages[values != measurement.value].min(initial=math.inf))
+    return abs(speed) * since > FROZEN_WAY and since < FROZEN_S
 
 
 def _widened(model: BankModel, state: BankState, nu: float, source: Source) -> BankState:
