@@ -242,7 +242,7 @@ def _is_frozen(state: BankState, measurement: PositionMeasurement) -> bool:
 
     No conveyor stands from one reading to the next. The sensor's health needs longer to exclude it
     than the filter to be widened, which then brakes a tool that is about to touch. In contact a
-    guide leads the target meanwhile.
+    guide leads the target in that time.
     """
     ages, values = state.readings
     speed = float(state.x[V])

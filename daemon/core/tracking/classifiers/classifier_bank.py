@@ -63,6 +63,7 @@ RUNNING_DEVIATION = 0.003  # of the steady speed of a running conveyor, for the 
 STANDING_DEVIATION = 0.0003  # the same of one that stands [m/s]
 ASKING_S = 0.012  # the distance sensor alone is asked for a change once in this time [s]
 SURE_STOP = 100.0  # log odds of a stop by the sensor alone; a chain's ripple looks like its begin
+LED_DEVIATION = 0.03  # one sigma of the guide's speed, which a stop has slowed already [m/s]
 HELD_DEVIATION = 0.001  # one sigma of where the tool holds an object that gives way [m]
 LEFT_S = 0.2  # in which the speed that is left when a stop ends dies out [s]
 
@@ -213,11 +214,13 @@ class BankClassifier(BankModel):
         if state.guide is None or not is_due or state.motion in RAMPS:
             return None
         stands = state.motion is Motion.STANDING
+        left = REST_DEVIATION * math.exp(-state.class_age / LEFT_S)
+        # Readings of the class before show a change that was decided already.
         found = distance_change.find(
-            distance_check.since(state.readings, state.class_age) if stands else state.readings,
+            distance_check.since(state.readings, state.class_age),
             self.changes[state.motion],
-            0.0 if stands else state.cruise,
-            STANDING_DEVIATION if stands else RUNNING_DEVIATION,
+            0.0 if stands else float(state.guide.x[V]),
+            math.hypot(STANDING_DEVIATION, left) if stands else LED_DEVIATION,
             self.distance_deviation,
         )
         limit = self.bank.start_confirmed if stands else SURE_STOP
