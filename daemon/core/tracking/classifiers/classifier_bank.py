@@ -211,7 +211,7 @@ class BankClassifier(BankModel):
             complied: offset of the target from its estimate in contact [m].
         """
         is_due = int(state.age / ASKING_S) != int((state.age - dt) / ASKING_S)
-        if state.guide is None or not is_due or state.motion in RAMPS:
+        if state.guide is None or state.is_firm or not is_due or state.motion in RAMPS:
             return None
         stands = state.motion is Motion.STANDING
         left = REST_DEVIATION * math.exp(-state.class_age / LEFT_S)
