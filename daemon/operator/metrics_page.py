@@ -2,7 +2,7 @@
 
 Invariants:
     * Pure: statuses in, text out. A number that a status does not have is left out.
-    * Metric names are only added, never renamed. Their units are in the names.
+    * Metric names are only added, never renamed. Their units are in the names, without prefixes.
 """
 
 import math
@@ -34,7 +34,6 @@ NUMBERS: Final = (
     ("faults", "faults_total", "counter", "Internal faults in the cycle"),
     ("clock.late_wakes", "late_wakes_total", "counter", "Wakes later than a quarter cycle"),
     ("clock.relocks", "clock_relocks_total", "counter", "Losses of the phase lock to telegrams"),
-    ("clock.period_ms", "period_milliseconds", "gauge", "Measured cycle of the controller"),
     ("recording.recording", "recording", "gauge", "A recording is being written"),
     ("recording.written", "recording_steps_total", "counter", "Steps recorded"),
     ("recording.dropped", "recording_dropped_total", "counter", "Steps not recorded"),
@@ -63,6 +62,7 @@ class Sample:
         name: Metric without the prefix ``linemate_``.
         what: Help text, without its full stop.
         labels: All but the station.
+        end: Of the name of this number of a summary or a histogram.
     """
 
     name: str
@@ -70,6 +70,7 @@ class Sample:
     what: str
     labels: tuple[tuple[str, str], ...]
     value: float
+    end: str = ""
 
 
 def text(stations: Mapping[str, Mapping[str, Any] | None]) -> str:
@@ -81,7 +82,7 @@ def text(stations: Mapping[str, Mapping[str, Any] | None]) -> str:
             head += f"# TYPE linemate_{sample.name} {sample.kind}"
             labels = (("station", station), *sample.labels)
             listed = ",".join(f'{name}="{_escaped(value)}"' for name, value in labels)
-            line = f"linemate_{sample.name}{{{listed}}} {sample.value:.12g}"
+            line = f"linemate_{sample.name}{sample.end}{{{listed}}} {sample.value:.12g}"
             page.setdefault(head, []).append(line)
     return "".join(f"{head}\n" + "\n".join(lines) + "\n" for head, lines in page.items())
 
@@ -102,13 +103,36 @@ def samples(status: Mapping[str, Any] | None) -> Iterator[Sample]:
     for path, name, label, what in COUNTED:
         for key, value in _items(_at(status, path)):
             yield from _number(name, "counter", what, ((label, key),), value)
+    period_s = _scaled(_at(status, "clock.period_ms"), 1e-3)
+    yield from _number("period_seconds", "gauge", "Measured cycle of the controller", (), period_s)
     for path, what in TIMES.items():
-        name = path.removesuffix("_us") + "_seconds"
-        for key, value in _items(_at(status, path)):
-            labels = (("quantile", QUANTILES.get(key, key)),)
-            yield from _number(name, "gauge", what, labels, _scaled(value, 1e-6))
+        yield from _times(status, path.removesuffix("_us"), what)
     yield from _sensors(status)
     yield from _links(status)
+
+
+def _times(status: Mapping[str, Any], name: str, what: str) -> Iterator[Sample]:
+    """Yield a summary with the quantiles since the start, and a histogram of the same durations."""
+    histogram = _at(status, f"histograms.{name}")
+    count, total = _at(status, f"histograms.{name}.count"), _at(status, f"histograms.{name}.sum_s")
+    summary = f"{name}_seconds"
+    for key, value in _items(_at(status, f"{name}_us")):
+        labels = (("quantile", QUANTILES.get(key, key)),)
+        yield from _number(summary, "summary", what, labels, _scaled(value, 1e-6))
+    if not isinstance(histogram, Mapping):
+        return
+    ends = (("_sum", total), ("_count", count))
+    for end, value in ends:
+        yield from _number(summary, "summary", what, (), value, end)
+    family, text = f"{name}_time_seconds", f"{what}, as a histogram"
+    edges = _at(status, "histograms.edges_s") or ()
+    for edge, below in zip(edges, histogram.get("buckets", ()), strict=False):
+        # Durations are whole nanoseconds: what is below an edge is at most 1 ns less.
+        labels = (("le", f"{edge - 1e-9:.9g}"),)
+        yield from _number(family, "histogram", text, labels, below, "_bucket")
+    yield from _number(family, "histogram", text, (("le", "+Inf"),), count, "_bucket")
+    for end, value in ends:
+        yield from _number(family, "histogram", text, (), value, end)
 
 
 def _sensors(status: Mapping[str, Any]) -> Iterator[Sample]:
@@ -139,10 +163,15 @@ def _one_hot(name: str, what: str, values: Iterable[str], now: object) -> Iterat
 
 
 def _number(
-    name: str, kind: str, what: str, labels: tuple[tuple[str, str], ...], value: object
+    name: str,
+    kind: str,
+    what: str,
+    labels: tuple[tuple[str, str], ...],
+    value: object,
+    end: str = "",
 ) -> Iterator[Sample]:
     if isinstance(value, bool | int | float) and math.isfinite(value):
-        yield Sample(name, kind, what, labels, float(value))
+        yield Sample(name, kind, what, labels, float(value), end)
 
 
 def _scaled(value: object, factor: float) -> object:

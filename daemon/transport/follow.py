@@ -101,7 +101,7 @@ def follow(
     Args:
         poses: (time from the begin [s], (x, y, z, qw, qx, qy, qz)) in base, with rising times;
             may be a generator that computes them as it goes.
-        client: as of ``Follower``.
+        client: connection to the daemon; one on this host without it.
         lead_s: how long before its time a pose is handed in at most [s]; with less than the
             delay of the link the robot stops and goes on.
         sleep: waits for some seconds.

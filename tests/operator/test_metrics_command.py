@@ -4,6 +4,7 @@ import contextlib
 import http.client
 import itertools
 import math
+import re
 import socket
 import subprocess
 import time
@@ -14,6 +15,7 @@ from typing import Any
 import pytest
 from daemon_process import LINEMATE, DaemonProcess
 
+from linemate.daemon.cycle.clock.timing import Timing
 from linemate.daemon.operator import metrics_page
 from linemate.daemon.operator.metrics_command import REQUEST_S, Stations
 
@@ -182,6 +184,76 @@ def test_what_is_no_number_is_left_out_and_odd_names_are_escaped() -> None:
     names = {name for name, _ in found}
     unwanted = {"linemate_steps_total", "linemate_late_total", "linemate_faults_total"}
     assert not names & (unwanted | {"linemate_link_age_seconds"})
+
+
+ABBREVIATED = {"s", "ms", "us", "ns", "sec", "min", "h", "d", "m", "mm", "hz", "b", "kb", "mb"}
+SCALED = re.compile(r"(milli|micro|nano|kilo|mega|minute|hour|day|percent)")
+TYPES = {"counter", "gauge", "histogram", "summary"}
+
+
+def complaints_of(page: str) -> list[str]:
+    """What ``promtool check metrics`` would say, by the rules of its documentation."""
+    found = []
+    kinds = dict(re.findall(r"^# TYPE (\S+) (\S+)$", page, re.MULTILINE))
+    helped = set(re.findall(r"^# HELP (\S+) \S", page, re.MULTILINE))
+    for name, kind in kinds.items():
+        words = set(name.split("_"))
+        found += [f"{name}: no help"] if name not in helped else []
+        found += (
+            [f"{name}: counter without _total"]
+            if ((kind == "counter") != name.endswith("_total"))
+            else []
+        )
+        found += [f"{name}: unit"] if words & ABBREVIATED or SCALED.search(name) else []
+        found += [f"{name}: type in its name"] if words & TYPES else []
+        found += [f"{name}: no snake case"] if not re.fullmatch("[a-z][a-z0-9_]*", name) else []
+    for name, label in re.findall(r"^(\w+)\{[^}]*\b(quantile|le)=", page, re.MULTILINE):
+        kind = kinds.get(name.removesuffix("_bucket"))
+        if kind != {"quantile": "summary", "le": "histogram"}[label]:
+            found.append(f"{name}: {label}")
+    return found
+
+
+def timed_status() -> dict[str, Any]:
+    timing = Timing(12_000_000)
+    for i in range(1, 1001):
+        timing.turnaround.add(1_000 * i)
+        timing.step.add(16_384 if i % 2 else 16_383)
+    return {**timing.summary(), "clock": {"period_ms": 11.98}}
+
+
+def test_the_page_keeps_prometheus_rules_for_names_units_and_types(daemon: DaemonProcess) -> None:
+    for status in (timed_status(), daemon.status()):
+        assert not complaints_of(metrics_page.text({"west": status}))
+    old = "# HELP linemate_x_milliseconds X.\n# TYPE linemate_x_milliseconds gauge\n"
+    old += 'linemate_x_milliseconds{quantile="1"} 2\n'
+    assert len(complaints_of(old)) == 2
+
+
+def test_histograms_count_every_duration_once_and_never_fall() -> None:
+    found = parsed(metrics_page.text({"west": timed_status()}))
+    west = ("station", "west")
+    for name in ("turnaround", "step", "wakeup", "lead"):
+        family = f"linemate_{name}_time_seconds"
+        buckets = {
+            float(dict(labels)["le"]): value
+            for (each, labels), value in found.items()
+            if each == f"{family}_bucket"
+        }
+        counts = [buckets[edge] for edge in sorted(buckets)]
+        assert counts == sorted(counts)
+        assert buckets[math.inf] == found[f"{family}_count", frozenset({west})]
+        assert len(buckets) == 15
+    turnaround = "linemate_turnaround_time_seconds"
+    assert found[f"{turnaround}_count", frozenset({west})] == 1000.0
+    assert found[f"{turnaround}_sum", frozenset({west})] == pytest.approx(0.5005)
+    # 65 of the durations are at most 65.535 us, and half of the steps at most 16.383 us.
+    assert found[f"{turnaround}_bucket", frozenset({west, ("le", "6.5535e-05")})] == 65.0
+    step = "linemate_step_time_seconds_bucket"
+    assert found[step, frozenset({west, ("le", "1.6383e-05")})] == 500.0
+    summary = found["linemate_turnaround_seconds", frozenset({west, ("quantile", "1")})]
+    assert summary == pytest.approx(0.001)
+    assert found["linemate_period_seconds", frozenset({west})] == pytest.approx(0.01198)
 
 
 def test_the_tool_prints_a_page_and_refuses_to_be_reached_by_others(daemon: DaemonProcess) -> None:

@@ -5,9 +5,13 @@ Invariants:
 """
 
 from dataclasses import dataclass, field
+from itertools import accumulate
+from typing import Any
 
 PER_OCTAVE = 8
 OCTAVES = 40  # of nanoseconds: up to 18 minutes
+EDGE_OCTAVES = range(14, 28)  # of a status' histograms: 16 us to 134 ms
+EDGES_NS = tuple(1 << octave for octave in EDGE_OCTAVES)
 
 
 @dataclass(slots=True)
@@ -16,6 +20,7 @@ class Histogram:
 
     count: int = 0
     greatest_ns: int = 0
+    sum_ns: int = 0
     _buckets: list[int] = field(default_factory=lambda: [0] * (PER_OCTAVE * OCTAVES))
 
     def add(self, duration_ns: int) -> None:
@@ -23,6 +28,7 @@ class Histogram:
         value = max(0, duration_ns)
         self.count += 1
         self.greatest_ns = max(self.greatest_ns, value)
+        self.sum_ns += value
         self._buckets[min(_bucket(value), len(self._buckets) - 1)] += 1
 
     def percentile(self, share: float) -> float | None:
@@ -40,6 +46,15 @@ class Histogram:
             if seen >= wanted and count:
                 return min(_edge(index + 1), self.greatest_ns) / 1e9
         return self.greatest_ns / 1e9
+
+    def cumulative(self) -> dict[str, Any]:
+        """Return what a status has for histograms: ``count``, ``sum_s`` and ``buckets``.
+
+        ``buckets`` counts the durations below each of ``EDGES_NS``.
+        """
+        counted = list(accumulate(self._buckets))
+        below = [counted[octave * PER_OCTAVE - 1] for octave in EDGE_OCTAVES]
+        return {"count": self.count, "sum_s": self.sum_ns / 1e9, "buckets": below}
 
     def summary_us(self) -> dict[str, float | None]:
         """What a status shows [us]."""

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from msgspec import Struct
 
-from linemate.daemon.cycle.clock.histogram import Histogram
+from linemate.daemon.cycle.clock.histogram import EDGES_NS, Histogram
 
 KEPT_S: Final = 2.0  # length of the ring [s]
 PAUSE_S: Final = 10.0  # between two rings that are written, so that no disk is filled [s]
@@ -146,6 +146,13 @@ class Timing:
             "wakeup_us": self.lateness.summary_us(),
             "step_us": self.step.summary_us(),
             "lead_us": self.lead.summary_us(),
+            "histograms": {
+                "edges_s": [edge / 1e9 for edge in EDGES_NS],
+                "turnaround": self.turnaround.cumulative(),
+                "wakeup": self.lateness.cumulative(),
+                "step": self.step.cumulative(),
+                "lead": self.lead.cumulative(),
+            },
             "age_us": {name: ages.summary_us() for name, ages in self.ages.items()},
             "late": self.late,
             "missing": self.missing,
