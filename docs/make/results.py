@@ -12,7 +12,7 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +75,11 @@ def bench(raw: Result) -> Result:
     return {key: raw[key] for key in ("machine", "step_us", "virtual_times_realtime")}
 
 
+def processor_time(raw: Result) -> Result:
+    """Return the daemon's processor time and memory by part, with the machine."""
+    return {key: raw[key] for key in ("machine", "cpu")}
+
+
 COMMANDS: dict[str, tuple[str, Callable[[Result], Result]]] = {
     "demo": ("linemate-sim demo --json", demo),
     "demo-busy": ("linemate-sim demo --seed SEED --json", busy),
@@ -90,6 +95,7 @@ COMMANDS: dict[str, tuple[str, Callable[[Result], Result]]] = {
         campaign,
     ),
     "bench": ("linemate-sim bench --parts virtual,step --json", bench),
+    "cpu": ("linemate-sim bench --parts cpu --cycles 12,4 --json", processor_time),
     **{name: (text, world_results.condensed) for name, text in world_results.COMMANDS.items()},
     **{name: (text, shift_results.condensed) for name, text in shift_results.COMMANDS.items()},
     **{name: (text, contact_results.whole) for name, text in contact_results.COMMANDS.items()},
@@ -315,6 +321,36 @@ def step() -> str:
     return "\n".join([*lines, f"| a run in virtual time | {speed} times real time |"])
 
 
+def by_part() -> str:
+    """Return the table of processor time and memory by part of docs/performance.md."""
+    timed = load("cpu")
+    runs = {cycle: run for cycle, run in timed["cpu"].items() if "failed" not in run}
+    parts = {part for run in runs.values() for part in run["parts_us"]}
+    first = next(iter(runs.values()))
+
+    def line(name: str, values: Iterable[float | None]) -> str:
+        cells = " | ".join("" if value is None else f"{value:.0f}" for value in values)
+        return f"| {name} | {cells} |"
+
+    load_1min = number(timed["machine"]["load_1min"])
+    lines = [
+        f"| part, load {load_1min} | {' | '.join(cycle.replace('ms', ' ms') for cycle in runs)} |",
+        "|---|" + "---|" * len(runs),
+        line("processor time a cycle [us]", (run["all_us"] for run in runs.values())),
+    ]
+    lines += [
+        line(part, (run["parts_us"].get(part) for run in runs.values()))
+        for part in sorted(parts, key=lambda part: -first["parts_us"].get(part, 0.0))
+    ]
+    memory = "resident memory [MiB]"
+    lines.append(line(memory, (sum(run["memory_mib"].values()) for run in runs.values())))
+    lines += [
+        line(part, (run["memory_mib"].get(part) for run in runs.values()))
+        for part in sorted(first["memory_mib"], key=lambda part: -first["memory_mib"][part])
+    ]
+    return "\n".join(lines)
+
+
 TABLES: dict[str, Callable[[], str]] = {
     "world-sizes": world_results.sizes,
     "world": lambda: world_results.rows(load, is_stored),
@@ -330,6 +366,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "accuracy": accuracy,
     "without": without,
     "step": step,
+    "cpu": by_part,
 }
 
 

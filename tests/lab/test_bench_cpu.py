@@ -38,3 +38,20 @@ def test_each_cycle_is_assembled_by_the_daemon_with_an_account(
         ("12ms: all of 4000 cycles", "770"), ("  tracking", "600"), ("  control", "170"),
     ]  # fmt: skip
     assert ("4ms: resident memory [MiB]", "76") in table
+
+
+def test_a_run_that_does_not_end_well_is_a_row_and_the_others_count(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def run(station: demo.DemoStation) -> dict[str, Any]:
+        if station.scenario.cycle_s < 0.004:
+            raise demo.DemoError("nothing has moved for 30 s")
+        Path(station.folder, cpu_daemon.FILE).write_text(json.dumps(TAKEN), encoding="utf-8")
+        return {"state": "idle"}
+
+    monkeypatch.setattr(demo, "run_station", run)
+    measured = bench_cpu.measure((4, 2))
+    assert measured["2ms"] == {"failed": "nothing has moved for 30 s"}
+    table = [name for name, _ in bench_cpu.rows(measured)]
+    assert table[0] == "4ms: all of 4000 cycles"
+    assert table[-1] == "2ms: nothing has moved for 30 s"

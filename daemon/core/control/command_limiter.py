@@ -136,7 +136,7 @@ def _admit_axis(axis: _Axis, bounds: AxisBounds) -> tuple[float, bool]:
 def _is_free(p: float, v: float, a: float, wanted: float, bounds: AxisBounds) -> bool:
     """Return whether an acceleration is allowed by acceleration and jerk, and nothing else limits.
 
-    It is sufficient for ``_admit_axis`` to return it, and costs a third: 20 us a step.
+    It is sufficient for ``_admit_axis`` to return it. With it ``admit`` takes 0.6 of the time.
     """
     change, most, margin = bounds.change, bounds.acceleration, bounds.margin
     period, way = bounds.period, bounds.braking_way

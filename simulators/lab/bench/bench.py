@@ -30,7 +30,6 @@ from linemate.daemon.operator import doctor
 from linemate.daemon.service.host.idle_spinner import IdleSpinner
 from linemate.daemon.transport.client import NoAnswerError, RefusedError
 from linemate.simulators.harness import host, setup
-from linemate.simulators.harness.demo import DemoError
 from linemate.simulators.harness.lockstep import Lockstep
 from linemate.simulators.harness.processes import ChildError, interruptible
 from linemate.simulators.judge import report_json
@@ -339,7 +338,7 @@ def main(args: argparse.Namespace) -> int:
     try:
         with interruptible():
             result = measure_all(options)
-    except (ChildError, DemoError, NoAnswerError, RefusedError, TimeoutError) as error:
+    except (ChildError, NoAnswerError, RefusedError, TimeoutError) as error:
         print(f"linemate-sim bench: {error}", file=sys.stderr)
         return EX_UNAVAILABLE
     if args.plot is not None:

@@ -13,8 +13,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
+from linemate.daemon.transport.client import NoAnswerError, RefusedError
 from linemate.simulators.harness import demo, host, setup
-from linemate.simulators.judge.table import number
+from linemate.simulators.harness.processes import ChildError
+from linemate.simulators.judge.table import DASH, number
 from linemate.simulators.lab.bench import cpu_daemon
 
 DAEMON: Final = "linemate.simulators.lab.bench.cpu_daemon"
@@ -22,15 +24,12 @@ HEAD: Final = ("part", "us a cycle")
 
 
 def measure(cycles_ms: Iterable[int], seed: int = 0) -> dict[str, Any]:
-    """Assemble once at each cycle, and return the figures of each.
+    """Assemble once at each cycle, and return the figures of each, or why there are none.
 
     Args:
         cycles_ms: [ms]; at 1 ms the shipped task is not assembled.
-
-    Raises:
-        ChildError, DemoError, NoAnswerError, RefusedError, TimeoutError: a run did not end well.
     """
-    return {f"{cycle_ms}ms": _measure(cycle_ms, seed) for cycle_ms in cycles_ms if cycle_ms > 1}
+    return {f"{cycle_ms}ms": _tried(cycle_ms, seed) for cycle_ms in cycles_ms if cycle_ms > 1}
 
 
 def _measure(cycle_ms: int, seed: int) -> dict[str, Any]:
@@ -44,9 +43,19 @@ def _measure(cycle_ms: int, seed: int) -> dict[str, Any]:
     return figures | {"state": status.get("state")}
 
 
+def _tried(cycle_ms: int, seed: int) -> dict[str, Any]:
+    try:
+        return _measure(cycle_ms, seed)
+    except (ChildError, demo.DemoError, NoAnswerError, RefusedError, TimeoutError) as error:
+        return {"failed": str(error).partition("\n")[0]}
+
+
 def rows(measured: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the rows of the table ``HEAD``, the largest part of each cycle first."""
     for cycle, figures in measured.items():
+        if "failed" in figures:
+            yield f"{cycle}: {figures['failed']}", DASH
+            continue
         yield f"{cycle}: all of {figures['cycles']} cycles", number(figures["all_us"], 0)
         parts = sorted(figures["parts_us"].items(), key=lambda item: -item[1])
         for part, us in parts:
