@@ -329,7 +329,7 @@ def by_part() -> str:
     first = next(iter(runs.values()))
 
     def line(name: str, values: Iterable[float | None]) -> str:
-        cells = " | ".join("" if value is None else f"{value:.0f}" for value in values)
+        cells = " | ".join("" if value is None else str(round(value)) for value in values)
         return f"| {name} | {cells} |"
 
     load_1min = number(timed["machine"]["load_1min"])
