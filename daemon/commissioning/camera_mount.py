@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from linemate.daemon.commissioning.postures import Posture, SeenObject
+from linemate.daemon.commissioning.postures import SeenObject, StandingPosture
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.inputs import Inputs
@@ -71,7 +71,7 @@ class CameraMount:
 
 
 def find_mount(
-    postures: Sequence[Posture], kinematics: Kinematics | None = None
+    postures: Sequence[StandingPosture], kinematics: Kinematics | None = None
 ) -> CameraMount | Refusal:
     """Return the camera's pose in the tcp, or why the postures do not give it.
 
@@ -134,7 +134,7 @@ def _judged(mount: CameraMount) -> CameraMount | Refusal:
 
 
 def _mirrored_axis(
-    seen: Sequence[Posture], kinematics: Kinematics, mount: CameraMount
+    seen: Sequence[StandingPosture], kinematics: Kinematics, mount: CameraMount
 ) -> int | None:
     """Return the axis whose mirrored reading makes the postures agree."""
     best: tuple[float, int] | None = None
@@ -156,7 +156,7 @@ def _badness(mount: CameraMount) -> float:
 
 
 def _fitted(
-    seen: Sequence[Posture],
+    seen: Sequence[StandingPosture],
     positions: Sequence[Array] | None = None,
     turns: Sequence[Array] | None = None,
 ) -> CameraMount:

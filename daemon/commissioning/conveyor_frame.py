@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import minimum_filter1d
 
-from linemate.daemon.commissioning.postures import Posture
+from linemate.daemon.commissioning.postures import StandingPosture
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.inputs import Inputs
@@ -72,7 +72,7 @@ class _Track:
 
 def find_frame(
     inputs: Sequence[Inputs],
-    postures: Sequence[Posture],
+    postures: Sequence[StandingPosture],
     camera: PoseFile,
     expected: Sequence[float],
     delay_s: float,
@@ -142,7 +142,7 @@ def _readings(inputs: Sequence[Inputs], delay_s: float) -> Array:
 
 
 def _track(
-    inputs: Sequence[Inputs], posture: Posture, camera: PoseFile, readings: Array
+    inputs: Sequence[Inputs], posture: StandingPosture, camera: PoseFile, readings: Array
 ) -> _Track | None:
     """Return the object in base over a posture, None with too few images."""
     epoch = inputs[0].stamp_ns

@@ -17,7 +17,7 @@ from linemate.daemon.commissioning.camera_mount import CameraMount
 from linemate.daemon.commissioning.conveyor_frame import SCALE_ERROR, ConveyorFrame, find_frame
 from linemate.daemon.commissioning.link_figures import find_links
 from linemate.daemon.commissioning.motion.axis_signs import find_signs
-from linemate.daemon.commissioning.postures import Posture, distinct, find_postures
+from linemate.daemon.commissioning.postures import StandingPosture, distinct, find_postures
 from linemate.daemon.commissioning.recorded_cell import CellError, RecordedCell, read_cell
 from linemate.daemon.commissioning.sensor_mount import SensorMount
 from linemate.daemon.commissioning.walk import StepName
@@ -57,7 +57,7 @@ class Measurement:
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
+class StatedFacts:
     """What the engineer states.
 
     Attributes:
@@ -79,16 +79,16 @@ class _Data:
     def inputs(self, recorded: Recorded) -> list[Inputs]:
         return [step.inputs for step in recorded.steps]
 
-    def postures(self, recorded: Recorded) -> list[Posture]:
+    def postures(self, recorded: Recorded) -> list[StandingPosture]:
         arm = self.cell.arm
         return find_postures(self.inputs(recorded), arm.tcp_in_base, arm.axes)
 
-    def all_postures(self) -> list[Posture]:
+    def all_postures(self) -> list[StandingPosture]:
         return distinct([p for recorded in self.recordings for p in self.postures(recorded)])
 
 
 def measure(
-    name: StepName, recordings: Sequence[Recorded], options: Options = Options()
+    name: StepName, recordings: Sequence[Recorded], options: StatedFacts = StatedFacts()
 ) -> Measurement:
     """Return what recordings say for a step.
 
@@ -119,7 +119,7 @@ def _read(recordings: Sequence[Recorded]) -> _Data:
     return _Data(recordings, cell, tracking, watch)
 
 
-def _links(data: _Data, options: Options) -> Measurement:
+def _links(data: _Data, options: StatedFacts) -> Measurement:
     lines = [
         line
         for recorded in data.recordings
@@ -129,14 +129,14 @@ def _links(data: _Data, options: Options) -> Measurement:
     return Measurement(tuple(lines), {}, "; ".join(refused) or None)
 
 
-def _signs(data: _Data, _: Options) -> Measurement:
+def _signs(data: _Data, _: StatedFacts) -> Measurement:
     steps = [step for recorded in data.recordings for step in recorded.steps]
     lines = find_signs(steps)
     refused = [x.outcome.reason for x in lines if isinstance(x.outcome, Refusal)]
     return Measurement(tuple(lines), {}, "; ".join(refused) or None)
 
 
-def _camera(data: _Data, _: Options) -> Measurement:
+def _camera(data: _Data, _: StatedFacts) -> Measurement:
     arm = data.cell.arm
     mount = camera_mount.find_mount(data.all_postures(), arm.tcp_in_base)
     if isinstance(mount, Refusal):
@@ -203,7 +203,7 @@ def _frames(data: _Data) -> list[ReportLine]:
     ]
 
 
-def _force(data: _Data, options: Options) -> Measurement:
+def _force(data: _Data, options: StatedFacts) -> Measurement:
     found = sensor_mount.find_sensor(data.all_postures())
     if isinstance(found, Refusal):
         return Measurement((ReportLine("sensor in the tcp", "mrad", 1e3, found),), {}, found.reason)
@@ -247,7 +247,7 @@ def _sensor_lines(found: SensorMount, place: Array, *, stated: bool) -> list[Rep
     return [*lines, ReportLine("sensor distance from the tcp", "mm", 1e3, where, True)]
 
 
-def _conveyor(data: _Data, _: Options) -> Measurement:
+def _conveyor(data: _Data, _: StatedFacts) -> Measurement:
     task, delay = data.cell.task, data.tracking.distance.delay
     outcomes = [
         find_frame(
@@ -358,7 +358,7 @@ def _trace(data: _Data, recorded: Recorded) -> Trace:
         raise CellError(f"{recorded.name}: {error}") from error
 
 
-def _servos(data: _Data, _: Options) -> Measurement:
+def _servos(data: _Data, _: StatedFacts) -> Measurement:
     return _identified(data, SERVO_LINES, _servo_overlay)
 
 
@@ -368,7 +368,7 @@ def _servo_overlay(overlay: Mapping[str, Any]) -> dict[str, Any]:
     return {**({"tracking": noise} if noise else {}), **_only(overlay, "control")}
 
 
-def _object(data: _Data, _: Options) -> Measurement:
+def _object(data: _Data, _: StatedFacts) -> Measurement:
     return _identified(data, OBJECT_LINES, _object_overlay)
 
 
@@ -398,7 +398,7 @@ def _identified(
     return Measurement(lines, {}, f"{reason}: {refusals[0]}" if refusals else reason)
 
 
-def _dry_run(data: _Data, _: Options) -> Measurement:
+def _dry_run(data: _Data, _: StatedFacts) -> Measurement:
     lines: list[ReportLine] = []
     for recorded in data.recordings:
         lines += dry_run.find_errors(recorded.steps, data.cell)
@@ -414,7 +414,7 @@ def _pose(position: Array, rotation: Array) -> dict[str, Any]:
     }
 
 
-_MEASURES: dict[StepName, Callable[[_Data, Options], Measurement]] = {
+_MEASURES: dict[StepName, Callable[[_Data, StatedFacts], Measurement]] = {
     StepName.LINKS: _links,
     StepName.SIGNS: _signs,
     StepName.FORCE: _force,

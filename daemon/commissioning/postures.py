@@ -41,7 +41,7 @@ class SeenObject:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Posture:
+class StandingPosture:
     """A robot at rest.
 
     Attributes:
@@ -70,7 +70,9 @@ class _Rest:
     joints: Array
 
 
-def find_postures(inputs: Sequence[Inputs], kinematics: Kinematics, axes: int) -> list[Posture]:
+def find_postures(
+    inputs: Sequence[Inputs], kinematics: Kinematics, axes: int
+) -> list[StandingPosture]:
     """Return the postures of a recording in their order.
 
     Args:
@@ -93,7 +95,7 @@ def find_postures(inputs: Sequence[Inputs], kinematics: Kinematics, axes: int) -
         position, rotation = kinematics(rest.joints)
         is_felt = len(felt) >= LEAST_WRENCHES
         postures.append(
-            Posture(
+            StandingPosture(
                 rest.begin_s,
                 rest.end_s,
                 rest.joints,
@@ -107,9 +109,9 @@ def find_postures(inputs: Sequence[Inputs], kinematics: Kinematics, axes: int) -
     return postures
 
 
-def distinct(postures: Sequence[Posture], limit: float = SAME) -> list[Posture]:
+def distinct(postures: Sequence[StandingPosture], limit: float = SAME) -> list[StandingPosture]:
     """Return the postures without those at which the robot stood before."""
-    kept: list[Posture] = []
+    kept: list[StandingPosture] = []
     for posture in postures:
         if all(float(np.abs(posture.joints - other.joints).max()) > limit for other in kept):
             kept.append(posture)

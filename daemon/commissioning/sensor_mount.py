@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from linemate.daemon.commissioning.postures import Posture
+from linemate.daemon.commissioning.postures import StandingPosture
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.identification.outcome import Refusal
@@ -60,7 +60,7 @@ class SensorMount:
     postures: int
 
 
-def find_sensor(postures: Sequence[Posture]) -> SensorMount | Refusal:
+def find_sensor(postures: Sequence[StandingPosture]) -> SensorMount | Refusal:
     """Return the sensor's frame and payload, or why the postures do not give them.
 
     Args:
@@ -105,7 +105,7 @@ def _linear(g: Array, forces: Array) -> tuple[Array, Array]:
     return np.asarray(solved[:3].T), np.asarray(solved[3])
 
 
-def _noise(felt: Sequence[Posture]) -> tuple[float, float]:
+def _noise(felt: Sequence[StandingPosture]) -> tuple[float, float]:
     """Return the typical deviation of a mean force [N] and torque [Nm].
 
     A tenth of a single reading's: the mean of a hundred; a slow swing of the tool is in it.

@@ -16,7 +16,7 @@ FORWARD: Seven = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Programme:
+class PostureProgramme:
     """Point-to-point motions of a controller's own programme.
 
     Attributes:
@@ -58,7 +58,7 @@ class GuidedRobot(RobotPlant):
     def __init__(
         self,
         world: EmulatedWorld,
-        programme: Programme,
+        programme: PostureProgramme,
         signs: Seven = FORWARD,
         corrected: Seven = FORWARD,
     ) -> None:

@@ -28,7 +28,7 @@ from linemate.daemon.recording.step_file import StepFile
 from linemate.daemon.recording.step_items import metadata_of
 from linemate.protocol.controller_link import ControllerLink
 from linemate.simulators.devices.faults import Faults
-from linemate.simulators.devices.guided_robot import FORWARD, GuidedRobot, Programme
+from linemate.simulators.devices.guided_robot import FORWARD, GuidedRobot, PostureProgramme
 from linemate.simulators.devices.robot_plant import seven
 from linemate.simulators.devices.rsi_controller import Seven
 from linemate.simulators.devices.worlds import build_world
@@ -58,7 +58,7 @@ class CommissioningRun:
         cycle_ms: period of the controller [ms].
     """
 
-    programme: Programme
+    programme: PostureProgramme
     signs: Seven = FORWARD
     corrected: Seven = FORWARD
     starts: bool = False

@@ -7,7 +7,7 @@ import pytest
 
 from linemate.daemon.commissioning import camera_mount
 from linemate.daemon.commissioning.camera_mount import CameraMount, find_mount
-from linemate.daemon.commissioning.postures import Posture, SeenObject
+from linemate.daemon.commissioning.postures import SeenObject, StandingPosture
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.identification.outcome import Refusal
@@ -18,7 +18,7 @@ SIGMA = (0.3e-3, 1.0e-3)
 IMAGES = 50
 
 
-def postures(count: int, turns: Array, seed: int = 1, noise: float = 1.0) -> list[Posture]:
+def postures(count: int, turns: Array, seed: int = 1, noise: float = 1.0) -> list[StandingPosture]:
     """Postures with exact tcp poses and noisy mean images."""
     rng = np.random.default_rng(seed)
     made = []
@@ -35,7 +35,7 @@ def postures(count: int, turns: Array, seed: int = 1, noise: float = 1.0) -> lis
             np.repeat(SIGMA, 3),
             IMAGES,
         )
-        made.append(Posture(0.0, 1.0, np.full(7, float(i)), p, R, view, None, None))
+        made.append(StandingPosture(0.0, 1.0, np.full(7, float(i)), p, R, view, None, None))
     return made
 
 
@@ -71,7 +71,7 @@ def test_a_posture_with_a_wrong_image_is_left_out() -> None:
     view = made[4].seen
     assert view is not None
     wrong = SeenObject(view.position + 0.05, view.rotation, view.spread, view.images)
-    made[4] = Posture(
+    made[4] = StandingPosture(
         0.0, 1.0, made[4].joints, made[4].position, made[4].rotation, wrong, None, None
     )
     mount = find_mount(made)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from linemate.daemon.commissioning.conveyor_frame import ConveyorFrame, find_frame
-from linemate.daemon.commissioning.postures import Posture
+from linemate.daemon.commissioning.postures import StandingPosture
 from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.core.tracking.task import PoseFile
 from linemate.daemon.identification.outcome import Refusal
@@ -18,7 +18,7 @@ SPEED = 0.1
 
 def passing(
     *, length_s: float = 9.0, scale: float = 1.0, sign: float = 1.0, swing: float = 0.006
-) -> tuple[list[Inputs], list[Posture]]:
+) -> tuple[list[Inputs], list[StandingPosture]]:
     """An object that passes a tcp at the origin, whose camera is the tcp."""
     rng = np.random.default_rng(2)
     inputs = []
@@ -34,11 +34,11 @@ def passing(
                 CameraSample(stamp, stamp, "c", "camera", "hub", k, (x, y, z), (1.0, 0.0, 0.0, 0.0))
             )
         inputs.append(Inputs(k, stamp, None, (DistanceSample(stamp, reading),), tuple(images)))
-    rest = Posture(0.0, length_s, np.zeros(7), np.zeros(3), np.eye(3), None, None, None)
+    rest = StandingPosture(0.0, length_s, np.zeros(7), np.zeros(3), np.eye(3), None, None, None)
     return inputs, [rest]
 
 
-def frame(inputs: list[Inputs], rests: list[Posture]) -> ConveyorFrame | Refusal:
+def frame(inputs: list[Inputs], rests: list[StandingPosture]) -> ConveyorFrame | Refusal:
     return find_frame(inputs, rests, PoseFile((0.0, 0.0, 0.0)), (0.0, 1.0, 0.0), 0.0)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from linemate.daemon.commissioning.postures import Posture
+from linemate.daemon.commissioning.postures import StandingPosture
 from linemate.daemon.commissioning.sensor_mount import GRAVITY, SensorMount, find_sensor
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
@@ -18,7 +18,7 @@ SPREAD = np.array((1.0, 1.0, 1.0, 0.1, 0.1, 0.1))
 
 def postures(
     turns: Array, *, sign: int = 1, mass: float = MASS, skewed: float = 1.0, seed: int = 1
-) -> list[Posture]:
+) -> list[StandingPosture]:
     rng = np.random.default_rng(seed)
     made = []
     for turn in turns:
@@ -27,7 +27,7 @@ def postures(
         weight = weight * np.array((skewed, 1.0, 1.0))
         wrench = np.concatenate((weight, np.cross(CENTRE, weight))) + BIAS
         wrench += 0.1 * SPREAD * rng.standard_normal(6)
-        made.append(Posture(0.0, 1.0, np.zeros(7), np.zeros(3), R, None, wrench, SPREAD))
+        made.append(StandingPosture(0.0, 1.0, np.zeros(7), np.zeros(3), R, None, wrench, SPREAD))
     return made
 
 

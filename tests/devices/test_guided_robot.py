@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from linemate.simulators.devices.guided_robot import GuidedRobot, Programme
+from linemate.simulators.devices.guided_robot import GuidedRobot, PostureProgramme
 from linemate.simulators.devices.rsi_controller import Applied, Seven
 from linemate.simulators.plants.scenario import Scenario
 from linemate.simulators.plants.scenario_draw import sample
@@ -18,7 +18,7 @@ MIRRORED: Seven = (-1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 def robot(signs: Seven) -> GuidedRobot:
     scenario = replace(Scenario(), lead_in_s=0.5, duration_s=4.0)
     world = World(sample(1, scenario))
-    return GuidedRobot(world, Programme([THERE], 0.0, 1.0, 1.0), signs)
+    return GuidedRobot(world, PostureProgramme([THERE], 0.0, 1.0, 1.0), signs)
 
 
 def run(guided: GuidedRobot, correction: float = 0.0) -> Seven:
@@ -33,7 +33,7 @@ def run(guided: GuidedRobot, correction: float = 0.0) -> Seven:
 def test_the_programme_takes_the_robot_to_its_posture() -> None:
     guided = robot((1.0,) * 7)
     assert run(guided) == pytest.approx(THERE, abs=1e-3)
-    assert Programme([THERE], 0.0, 1.0, 1.0).end_s == 2.0
+    assert PostureProgramme([THERE], 0.0, 1.0, 1.0).end_s == 2.0
 
 
 def test_a_correction_is_added_in_the_sense_in_which_the_controller_counts() -> None:

@@ -8,8 +8,12 @@ import yaml
 from linemate.daemon.commissioning import walk
 from linemate.daemon.commissioning.walk import SiteState, StepName, StepOutcome, StepRecordOfSite
 from linemate.daemon.config.documents import FileError
+from linemate.daemon.config.files import DAEMON_DATA
+from linemate.daemon.operator import console
 from linemate.daemon.operator import main as tool
 from linemate.daemon.operator.commissioning import site_files
+from linemate.daemon.recording.step_file import StepFile
+from linemate.daemon.recording.step_items import metadata_of
 
 
 @pytest.fixture
@@ -110,3 +114,42 @@ def test_recordings_need_a_step_and_must_be_recordings(
 
 def test_without_a_daemon_there_is_no_recording(site: Path) -> None:
     assert run(site, "--step", "camera", "--socket", site / "none.sock", "--record", "0.1") == 3
+
+
+class RecordingDaemon:
+    """A daemon whose writer needs a moment to end the file."""
+
+    def __init__(self, file: Path) -> None:
+        self.file, self.writes = file, 2
+        self.calls: list[tuple[str, str | None]] = []
+
+    def __enter__(self) -> "RecordingDaemon":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def call(self, op: str, params: dict[str, str], _: float) -> dict[str, object]:
+        self.calls.append((op, params.get("action")))
+        if op != "status":
+            return {}
+        self.writes -= 1
+        return {"recording": {"file": str(self.file), "recording": self.writes > 0}}
+
+
+def test_the_daemon_records_for_a_step_and_its_file_is_read_when_it_is_whole(
+    site: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    task = (DAEMON_DATA / "wheel.yaml").read_text()
+    urdf = (DAEMON_DATA / "arm.urdf").read_text()
+    with (site / "live.mcap").open("wb") as stream:
+        StepFile(stream, metadata_of({"task": task, "urdf": urdf})).close()
+    daemon = RecordingDaemon(site / "live.mcap")
+    monkeypatch.setattr(console, "connect", lambda _: daemon)
+    assert run(site, "--step", "camera", "--record", "0.01") == 1
+    assert daemon.calls == [
+        ("record", "start"), ("record", "stop"), ("status", None), ("status", None),
+    ]  # fmt: skip
+    assert "0 postures with images, at least 15 are needed" in capsys.readouterr().err
+    state = walk.from_text((site / "commission" / "progress.json").read_text())
+    assert state.of(StepName.CAMERA).recordings == ("live.mcap",)

@@ -20,7 +20,7 @@ from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.operator import main as tool
 from linemate.daemon.operator.commissioning import motion_files, site_files
 from linemate.daemon.recording.reader import read
-from linemate.simulators.devices.guided_robot import Programme
+from linemate.simulators.devices.guided_robot import PostureProgramme
 from linemate.simulators.devices.rsi_controller import Seven
 from linemate.simulators.harness import lockstep
 from linemate.simulators.harness.identified_overlay import laid_over
@@ -55,7 +55,7 @@ def guided(
     signs: Seven | None = None,
     move_s: float = MOVE_S,
 ) -> tuple[Setup, list[Inputs]]:
-    programme = Programme(postures, 0.5, move_s, DWELL_S)
+    programme = PostureProgramme(postures, 0.5, move_s, DWELL_S)
     plan = CommissioningRun(programme) if signs is None else CommissioningRun(programme, signs)
     setup = Setup(scenario)
     return setup, commission_run.listen(setup, plan)
@@ -209,7 +209,7 @@ def test_a_correction_that_moves_an_axis_the_other_way_is_named_before_anything_
         station.task.urdf,
     )  # fmt: skip
     plan = CommissioningRun(
-        Programme((), 0.0), corrected=(-1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0), starts=True
+        PostureProgramme((), 0.0), corrected=(-1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0), starts=True
     )
     file = commission_run.record(setup, plan, site / "signs.mcap")
     assert commission(site, "signs", "--from", file) == 1
@@ -225,7 +225,7 @@ def test_a_correction_that_moves_an_axis_the_other_way_is_named_before_anything_
 
 def test_a_listening_daemon_records_the_same_inputs_as_one_that_makes_steps(site: Path) -> None:
     setup = Setup(commission_run.resting_scenario())
-    plan = CommissioningRun(Programme(commission_run.looking_postures()[:1], 0.2, 0.4, 0.4))
+    plan = CommissioningRun(PostureProgramme(commission_run.looking_postures()[:1], 0.2, 0.4, 0.4))
     listened = commission_run.listen(setup, plan)
     file = commission_run.record(setup, plan, site / "steps.mcap")
     steps = read(file).steps

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from linemate.daemon.operator.commissioning.site_files import Site
 
 DEFAULT_CONFIG = "linemated.yaml"
+WRITER_WAITS, WRITER_WAIT_S = 20, 0.25  # for the end of a recording's file
 STEPS = (
     "links", "signs", "limits", "force", "camera",
     "conveyor", "servos", "object", "dry-run", "page",
@@ -267,7 +268,7 @@ def _options(recordings: "Sequence[Recorded]", args: argparse.Namespace, site: "
         place = flange_in_tcp(recordings[0].texts, recordings[0].name)
     elif isinstance(place, str):
         place = (0.0, 0.0, 0.0)
-    return measurements.Options(place, sensors)
+    return measurements.StatedFacts(place, sensors)
 
 
 def read_recordings(files: Sequence[Path]) -> "list[Recorded]":
@@ -306,11 +307,22 @@ def _record(step: "WalkStep", args: argparse.Namespace) -> Path:
             time.sleep(length_s)
         finally:
             client.call("record", {"action": "stop"}, console.COMPILE_S)
-        status = client.call("status", {}, console.COMPILE_S)
-    recording = status.get("recording") or {}
+        recording = _ended(client)
     if not recording.get("file"):
         raise NegativeError("the daemon recorded nothing. Check the section recording")
     return Path(recording["file"])
+
+
+def _ended(client: Any) -> dict[str, Any]:
+    """Return the status of a recording once its writer has ended the file."""
+    recording: dict[str, Any] = {}
+    for _ in range(WRITER_WAITS):
+        status = client.call("status", {}, console.COMPILE_S)
+        recording = dict(status.get("recording") or {})
+        if not recording.get("recording"):
+            break
+        time.sleep(WRITER_WAIT_S)
+    return recording
 
 
 def _remind(site: "Site", state: "SiteState") -> None:

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import yaml
 
-from linemate.daemon.commissioning.motion.exercise import axis_task, exercise_task
+from linemate.daemon.commissioning.motion.measuring_motion import axis_task, exercise_task
 from linemate.daemon.commissioning.walk import SiteState, StepName
 from linemate.daemon.commissioning.whole_check import check
 from linemate.daemon.config import documents

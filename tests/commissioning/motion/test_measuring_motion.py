@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from linemate.daemon.commissioning.motion.exercise import (
+from linemate.daemon.commissioning.motion.measuring_motion import (
     AXIS_ANGLE,
     MARGIN,
     axis_task,
