@@ -120,10 +120,11 @@ def make(
     if cycle_ms is not None:
         truth = replace(truth, cycle_s=round(cycle_ms * 1e-3, 9))
     if world != OWN:
+        _refuse_cell(cell, world)
         _refuse_unused(truth, overrides)
     behind = families.truth(controller, truth)
     if cell is not None:
-        known = _of_cell(cell, world)
+        known = _of_cell(cell)
     else:
         known = _commissioned(scenario) if world == OWN else identified(world)
     if cell is None or behind is not truth:
@@ -148,16 +149,20 @@ def exchange(
     return family, cycle_ms
 
 
-def _of_cell(cell: CellFiles, world: str) -> Setup:
-    """Return the settings of a cell's configuration, without a truth of its own.
+def _refuse_cell(cell: CellFiles | None, world: str) -> None:
+    """Refuse a cell of its own in a world that has the shipped cell alone.
 
     Raises:
-        SetupError: a world that has the shipped cell alone.
+        SetupError: there is one.
     """
-    if world != OWN:
+    if cell is not None:
         raise SetupError(
-            f"--world {world} has the shipped cell alone. Leave --cell and --task out."
+            f"--world {world} has the shipped cell alone. Leave --cell, --config and --task out."
         )
+
+
+def _of_cell(cell: CellFiles) -> Setup:
+    """Return the settings of a cell's configuration, without a truth of its own."""
     task = cell.task
     if cell.station is None:
         arm = task.file.arm

@@ -63,6 +63,7 @@ def placed(scenario: Scenario, given: Mapping[str, Any], task: Task) -> Scenario
         }
         camera = replace(camera, **_silent(values, _part(given, "camera")))
     _refuse_other_frame(file)
+    _refuse_other_sensor(file)
     body, conveyor = scenario.body, scenario.conveyor
     if "nominal" not in _part(given, "body"):
         body = replace(body, nominal=file.object.nominal.position)
@@ -134,6 +135,19 @@ def _refuse_other_frame(task: TaskFile) -> None:
             f"object.nominal.quaternion is {list(task.object.nominal.quaternion)}: the emulated "
             "conveyor runs along y of base and its object's z lies along x. Give "
             "[0.7071067811865476, 0, 0.7071067811865476, 0], or turn the base."
+        )
+
+
+def _refuse_other_sensor(task: TaskFile) -> None:
+    """Refuse a force-torque sensor that the emulated tool does not have.
+
+    Raises:
+        SetupError: it is not in the tcp, or has the other sign.
+    """
+    if task.arm.sensor_in_tcp != PoseFile((0.0, 0.0, 0.0)) or task.arm.sensor_sign != 1:
+        raise SetupError(
+            "arm.sensor_in_tcp and sensor_sign: the emulated sensor states its wrench in the tcp "
+            "with sign 1. Leave both out of the task of an emulated run."
         )
 
 

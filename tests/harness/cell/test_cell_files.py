@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from linemate.daemon.config.documents import FileError
+from linemate.simulators.harness import setup
 from linemate.simulators.harness.cell import cell_files
 from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.lab.faults.dst_cells import TASKS
@@ -86,3 +87,8 @@ def test_a_shipped_cell_goes_by_its_name() -> None:
     assert cell.task.file.name == "mirror"
     with pytest.raises(SetupError, match="near is kr10"):
         chosen(cell="kr1")
+
+
+def test_another_world_names_the_cell_as_the_reason() -> None:
+    with pytest.raises(SetupError, match="--world mujoco has the shipped cell alone"):
+        setup.make("wheel", cell=cell_files.named("kr10"), world="mujoco")

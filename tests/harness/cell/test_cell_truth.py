@@ -87,3 +87,9 @@ def test_a_urdf_that_is_no_arm_of_the_cell_names_the_file() -> None:
     broken = SIX_AXES.urdf.replace('"A6" type="revolute"', '"A6" type="fixed"')
     with pytest.raises(SetupError, match=r"dst_six_axes\.urdf: 5 revolute joints"):
         cell_truth.axis_limits(broken, SIX_AXES.file)
+
+
+def test_a_sensor_mounted_otherwise_is_refused() -> None:
+    arm = replace(SIX_AXES.file.arm, sensor_sign=-1)
+    with pytest.raises(SetupError, match="sensor_sign"):
+        cell_truth.placed(Scenario(), {}, replace(SIX_AXES, file=replace(SIX_AXES.file, arm=arm)))
