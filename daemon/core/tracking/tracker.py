@@ -198,8 +198,12 @@ def _programmed_poses(
 def _pressing_poses(tracker: Tracker, state: TrackerState, relative: Array) -> Array:
     """Return the programmed tcp in the object (m, 6) of a tool in contact."""
     before = math.ceil((tracker.search_time - state.time) / tracker.cycle_s - 1e-6)
-    times = state.touching + tracker.span, tracker.commit * tracker.cycle_s
-    return guard.pressing(relative, tracker.press, before, times, state.touched)
+    commanded = tracker.commit * tracker.cycle_s
+    times = state.touching + tracker.span, commanded
+    relative = guard.pressing(relative, tracker.press, before, times, state.touched)
+    if state.releasing is None:
+        return relative
+    return release.unloading(relative, state.releasing + tracker.span, commanded)
 
 
 def _waiting_poses(state: TrackerState, relative: Array) -> Array:

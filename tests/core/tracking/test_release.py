@@ -93,3 +93,19 @@ def test_the_hub_holds_the_wheel_once_the_programme_has_passed_the_screws() -> N
     assert not release.is_held_by_hub(GATED, fixed, 14.0)
     assert not release.is_held_by_hub(GATED, frozenset(), 14.1)
     assert not release.is_held_by_hub(GATED[:1], fixed, 14.1)
+
+
+def test_the_press_goes_once_the_opening_is_ordered_behind_what_is_commanded() -> None:
+    relative = np.zeros((40, 6))
+    relative[:, 2] = 0.001
+    span = 0.012 * np.arange(40)
+    depth = release.unloading(relative, span, 0.1)[:, 2]
+    assert (depth[span <= 0.1] == 0.001).all()
+    assert (np.diff(depth) <= 0.0).all()
+    assert (np.abs(depth[span >= 0.1 + release.UNLOADING_S]) < 1e-12).all()
+    assert (relative[:, 2] == 0.001).all()
+
+
+def test_a_tool_that_does_not_press_is_not_unloaded() -> None:
+    relative = np.full((5, 6), -0.002)
+    assert release.unloading(relative, np.full(5, 1.0), 0.1) is relative

@@ -2,6 +2,7 @@
 
 Invariants:
     * The programme orders the opening of a tool that oscillates with the object only after a wait.
+    * The press goes as the opening is ordered, before the clamp is open.
     * The tool does not withdraw while the clamp is closed on the object, or may be.
     * An unreported opening ends: the tool is overdue after ``tool.release_timeout``.
 """
@@ -12,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.approach import smoothstep
 from linemate.daemon.core.tracking.observation import Wrench
 from linemate.daemon.core.tracking.task import Gate
 from linemate.protocol.stamped_samples import Vector3
@@ -24,6 +26,7 @@ PULLING = 3.0  # times the force of a contact, as a mean: only a closed clamp fe
 CALM_N = 60.0  # rms of a force with which the clamp may open: 1.7 mm of swing on 50 N/mm
 LATERAL_N = 30.0  # mean force across the tool's axis with which it may: the object springs back
 LONGEST_WAIT_S = 10.0  # for both; the object may leave the robot's reach
+UNLOADING_S = 0.12  # in which the press goes, once the clamp is ordered to open [s]
 PULL_S = 0.2  # time constant of that mean [s]; an open tool rings at 4 Hz or more
 
 
@@ -98,6 +101,24 @@ def without_press(relative: Array) -> Array:
         return relative
     changed = relative.copy()
     changed[:, 2] = np.minimum(relative[:, 2], 0.0)
+    return changed
+
+
+def unloading(relative: Array, since: Array, commanded: float) -> Array:
+    """Return the programmed tcp in the object (m, 6) of a tool whose clamp was ordered to open.
+
+    The press goes before the clamp opens: a loaded mount would throw the tool, and push the object.
+
+    Args:
+        relative: (m, 6) programmed tcp in the object; not written to.
+        since: (m,) times since the order [s].
+        commanded: time for which the motion is commanded already [s].
+    """
+    if float(relative[:, 2].max()) <= 0.0:
+        return relative
+    changed = relative.copy()
+    left = 1.0 - smoothstep((since - commanded) / UNLOADING_S)
+    changed[:, 2] = np.where(relative[:, 2] > 0.0, left * relative[:, 2], relative[:, 2])
     return changed
 
 
