@@ -159,10 +159,10 @@ def swung(amplitudes: list[float], frequency_hz: float = 0.9) -> Compliance:
 
 
 @pytest.mark.parametrize("frequency_hz", [0.9, 2.0, 4.7])
-def test_a_large_oscillation_that_softening_does_not_end_is_told(frequency_hz: float) -> None:
-    told = swung([200.0, 200.0, 210.0, 210.0], frequency_hz).unending
-    assert told is not None
-    assert 60.0 < told < 210.0
+def test_a_large_oscillation_that_softening_does_not_end_is_unending(frequency_hz: float) -> None:
+    rms = swung([200.0, 200.0, 210.0, 210.0], frequency_hz).unending
+    assert rms is not None
+    assert 60.0 < rms < 210.0
 
 
 @pytest.mark.parametrize(
@@ -170,7 +170,7 @@ def test_a_large_oscillation_that_softening_does_not_end_is_told(frequency_hz: f
     [[40.0] * 4, [250.0, 200.0, 150.0, 100.0], [200.0, 200.0]],
     ids=["small", "falls", "has not lasted"],
 )
-def test_an_oscillation_that_is_small_or_falls_or_is_young_is_not_told(
+def test_an_oscillation_that_is_small_or_falls_or_is_young_is_not_unending(
     amplitudes: list[float],
 ) -> None:
     assert swung(amplitudes).unending is None

@@ -20,8 +20,8 @@ That is proved on a conveyor at rest alone: a body that nothing excites is calm 
 Invariants:
 - The offset has no lead: it is constant over the horizon.
 - A growing oscillation stops it altogether until the oscillation is small again.
-- An oscillation that is large and does not fall while the offset is stopped is told: the contact
-  itself drives it, and only an end of the contact ends it.
+- An oscillation that is large and does not fall while the offset is stopped is `unending`: the
+  contact itself drives it, and only an end of the contact ends it.
 """
 
 import math
