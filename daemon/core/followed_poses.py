@@ -79,6 +79,7 @@ class FollowedPoses(Struct, frozen=True, eq=False):
         offset: (6, 6) coefficients of the decaying difference, the highest power first.
         offset_s: begin and duration of that decay.
         refused: chunks that the step refused.
+        begins_at_rest: the first of ``times`` is the begin of the following, where the robot stood.
     """
 
     steps: int
@@ -90,6 +91,7 @@ class FollowedPoses(Struct, frozen=True, eq=False):
     offset: Array
     offset_s: tuple[float, float]
     refused: int = 0
+    begins_at_rest: bool = True
 
 
 def begin(pose: Array) -> FollowedPoses:
@@ -162,7 +164,15 @@ def extend(
     spline = CubicSpline(knots, through, bc_type=(starts, (2, np.zeros(6))))
     _refuse_fast(spline, knots, limits)
     breaks, curve, rest_s = _with_stop(spline, knots, limits)
-    fresh = replace(state, times=knots, poses=through, breaks=breaks, curve=curve, rest_s=rest_s)
+    fresh = replace(
+        state,
+        times=knots,
+        poses=through,
+        breaks=breaks,
+        curve=curve,
+        rest_s=rest_s,
+        begins_at_rest=begins,
+    )
     return _eased(state, fresh, at, limits)
 
 
@@ -187,7 +197,8 @@ def _joined(
     knots = np.concatenate((known[first:last], times))
     if len(knots) > MOST_KNOTS:
         raise ChunkError(f"{len(knots)} poses lie ahead, limit {MOST_KNOTS}. Hand in later.")
-    return knots, np.concatenate((through[first:last], poses)), first == 0
+    begins = first == 0 and state.begins_at_rest
+    return knots, np.concatenate((through[first:last], poses)), begins
 
 
 def _times(chunk: Chunk, stamp_ns: int) -> Array:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cell import World, parameters
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from msgspec import structs
 
@@ -160,6 +160,7 @@ def test_a_refused_chunk_in_a_step_changes_nothing(stood: World) -> None:
 
 
 @settings(max_examples=25)
+@example(delays=[0.0, 0.0, 0.0, 0.375, 0.0], lead=0.5)
 @given(
     delays=st.lists(st.floats(0.0, 0.8), min_size=5, max_size=5),
     lead=st.floats(-0.3, 0.6),
