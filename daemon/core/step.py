@@ -537,7 +537,7 @@ def _outputs(
         refused=report.rejected,
         waiting=evidence.waiting(parameters.tracker, tracker),
         waited_s=tracker.go.waited_s or None,
-        swinging_n=tracker.compliance.unending if tracker.contact else None,
+        swinging_n=tracking.swinging(parameters.tracker, tracker),
     )
 
 

@@ -332,6 +332,13 @@ def report(
     )
 
 
+def swinging(tracker: Tracker, state: TrackerState) -> float | None:
+    """Return the rms force [N] of an oscillation in contact that goes on though softened."""
+    if not state.contact:
+        return None
+    return compliance.unending(state.compliance, tracker.settings.tactile.overload_force)
+
+
 def _with_oscillation(
     tracker: Tracker, report: Report, *, was_soft: bool, state: TrackerState
 ) -> Report:

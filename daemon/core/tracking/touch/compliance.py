@@ -58,6 +58,7 @@ GROWN_N = 20.0  # rms that softens while it grows by
 GROWTH = 1.5  # this factor in a second
 CALM = 0.5  # share of these at which the softening ends
 FALLS = 0.9  # of its mean square: what is left more after a second does not fall
+UNENDING = 0.25  # share of the overload, as rms, from which an oscillation must fall
 SOFTENED_S = 1.0  # by then an oscillation that only the offset drives falls [s]
 
 
@@ -111,19 +112,6 @@ class Compliance(Struct, frozen=True):
     def is_firm(self) -> bool:
         """Whether the object is known not to give way."""
         return bool(self.firmness.is_firm)
-
-    @property
-    def unending(self) -> float | None:
-        """Rms force of an oscillation that softening does not make smaller [N], None if none.
-
-        The largest of the last second is compared with that of the second before: one second is
-        longer than a period of the slowest sway that a contact is known to drive.
-        """
-        if self.softened < SOFTENED_S or len(self.past) < 2 * SECOND:
-            return None
-        largest = max(self.past[-SECOND:])
-        before = max(self.past[-2 * SECOND : -SECOND])
-        return math.sqrt(largest) if largest >= max(FALLS * before, LARGEST_N**2) else None
 
 
 NO_COMPLIANCE = Compliance()
@@ -209,6 +197,22 @@ def is_growing(power: float, past: tuple[float, ...], *, was: bool) -> bool:
     recent = past[-SECOND:]
     has_grown = len(recent) == SECOND and power > GROWTH**2 * recent[0]
     return has_grown and power > GROWN_N**2 and all(a <= b for a, b in pairwise(recent))
+
+
+def unending(state: Compliance, overload: float) -> float | None:
+    """Return the rms force of an oscillation that softening does not make smaller [N], or None.
+
+    The largest of the last second is compared with that of the second before: one second is longer
+    than a period of the slowest sway that a contact is known to drive.
+
+    Args:
+        overload: force that the tool bears [N].
+    """
+    if state.softened < SOFTENED_S or len(state.past) < 2 * SECOND:
+        return None
+    largest = max(state.past[-SECOND:])
+    least = max(FALLS * max(state.past[-2 * SECOND : -SECOND]), (UNENDING * overload) ** 2)
+    return math.sqrt(largest) if largest >= least else None
 
 
 def uncertainty(state: Compliance, model: ComplianceModel) -> float:
