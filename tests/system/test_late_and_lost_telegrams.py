@@ -212,5 +212,15 @@ def test_a_fault_after_the_clamp_closed_and_before_it_is_felt_lets_go_and_withdr
 ) -> None:
     """A tool that stayed was dragged along by the line with 204 to 397 N."""
     clamped_s, felt_s = touch_times(12, seed)
-    run = judged(trouble, 0.5 * (clamped_s + felt_s), 12, seed)
+    run = judged(trouble, clamped_s + 0.1 * (felt_s - clamped_s), 12, seed)
     assert [state for state, _ in run.seen] == MAY_BE_CLAMPED
+
+
+@pytest.mark.parametrize("seed", [4, 6])
+@pytest.mark.parametrize("trouble", ["silence", "restart"])
+def test_a_fault_as_the_contact_is_about_to_be_felt_lets_go_and_withdraws(
+    trouble: str, seed: int
+) -> None:
+    clamped_s, felt_s = touch_times(12, seed)
+    run = judged(trouble, 0.5 * (clamped_s + felt_s), 12, seed)
+    assert [state for state, _ in run.seen] == ["track", "contact", *MAY_BE_CLAMPED[1:]]
