@@ -109,11 +109,12 @@ class Machine:
         site = self.tree / PROGRAM[1:] / "lib"
         project = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))
         for package, folder in project["tool"]["setuptools"]["package-dir"].items():
-            shutil.copytree(
-                CHECKOUT / folder,
-                site / package.replace(".", "/"),
-                ignore=shutil.ignore_patterns("__pycache__"),
-            )
+            target = site / package.replace(".", "/")
+            if folder == ".":
+                target.mkdir(parents=True)
+                shutil.copy(CHECKOUT / "__init__.py", target)
+                continue
+            shutil.copytree(CHECKOUT / folder, target, ignore=shutil.ignore_patterns("__pycache__"))
         bin_ = self.tree / PROGRAM[1:] / "bin"
         bin_.mkdir()
         for name, entry in project["project"]["scripts"].items():
