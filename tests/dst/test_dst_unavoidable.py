@@ -82,21 +82,3 @@ def test_a_hub_that_moved_4_mm_excuses_a_force_and_one_that_moved_8_mm_a_collisi
     losses = [replace(loss, travel_m=travel_m)]
     assert (excuse("force", 1.2, losses) is not None) is force
     assert (excuse("collision", 1.2, losses) is not None) is collision
-
-
-@pytest.mark.parametrize(
-    ("travel_m", "bent_m", "is_excused"),
-    [
-        (0.0032, 0.0, False),
-        (0.0032, 0.0009, True),
-        (0.0032, 0.0007, False),
-        (0.0024, 0.004, False),
-        (0.0026, 0.004, True),
-    ],
-)
-def test_a_mount_that_the_press_has_bent_needs_less_of_the_hubs_way(
-    travel_m: float, bent_m: float, is_excused: bool
-) -> None:
-    loss = replace(PROGRAMME, travel_m=travel_m, bent_m=bent_m)
-    assert (excuse("force", 1.5, [loss]) is not None) is is_excused
-    assert excuse("collision", 1.5, [loss]) is None

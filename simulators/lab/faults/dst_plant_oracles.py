@@ -164,8 +164,7 @@ class PlantOracle:
         self._forces.append(force)
         if seen.answered:
             self._answered_s = seen.now_s
-        bent_m = math.hypot(*bent[:3]) if clamped else 0.0
-        self._track_losses(seen, hub[0], bent_m, at_hub=at_hub, clamped=clamped)
+        self._track_losses(seen, hub[0], at_hub=at_hub, clamped=clamped)
         self._judge_contact(seen, force if clamped else 0.0)
         self._judge_place(seen, lateral, depth, clamped=clamped)
         self._judge_silence(seen, clamped=clamped)
@@ -178,13 +177,7 @@ class PlantOracle:
     # What was taken away.
 
     def _track_losses(
-        self,
-        seen: Seen,
-        hub: tuple[float, float, float],
-        bent_m: float,
-        *,
-        at_hub: bool,
-        clamped: bool,
+        self, seen: Seen, hub: tuple[float, float, float], *, at_hub: bool, clamped: bool
     ) -> None:
         now_s = seen.now_s
         was_moved = (
@@ -206,15 +199,7 @@ class PlantOracle:
             opened = self._open.get(what)
             if is_lost and opened is None:
                 self._open[what] = _OpenLoss(
-                    Loss(
-                        what,  # type: ignore[arg-type]
-                        now_s,
-                        math.inf,
-                        at_hub,
-                        0.0,
-                        0.0,
-                        bent_m=bent_m,
-                    ),
+                    Loss(what, now_s, math.inf, at_hub, 0.0, 0.0),  # type: ignore[arg-type]
                     hub,
                     self._world.unit_speed(),
                 )

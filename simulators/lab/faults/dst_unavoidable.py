@@ -19,8 +19,6 @@ POSITION_LOSS_S = 0.5
 """So long without a true position sample a prediction may be wrong [s]."""
 FORCE_TRAVEL_M, COLLISION_TRAVEL_M = 0.004, 0.008
 """A hub that moved less bends no mount to 200 N, and overloads none [m]."""
-MOST_PRESS_M = 0.0015
-"""So far the press of the task bends the mount before a loss [m]: 50 N are 1 mm."""
 SMALLEST_SPEED_CHANGE = 0.01
 """A line whose speed changed by less is where a prediction says it is [m/s]."""
 COMMAND_RECOVERY_S = 0.15
@@ -45,7 +43,6 @@ class Loss:
         travel_m: how far the hub has moved since it began [m].
         speed_change: largest change of the line's speed since it began [m/s].
         was_moved: a reply moved the robot since it began.
-        bent_m: how far the clamped tool's mount was bent when it began [m].
     """
 
     what: Lost
@@ -55,7 +52,6 @@ class Loss:
     travel_m: float
     speed_change: float
     was_moved: bool = False
-    bent_m: float = 0.0
 
 
 def excuse(harm: Harm, now_s: float, losses: Iterable[Loss]) -> Loss | None:
@@ -72,14 +68,11 @@ def _excuses(loss: Loss, harm: Harm, now_s: float) -> bool:
     if not loss.at_hub or now_s < loss.begin_s:
         return False
     lasted_s = min(loss.end_s, now_s) - loss.begin_s
-    needed_m = FORCE_TRAVEL_M if harm == "force" else COLLISION_TRAVEL_M
+    moved_on = loss.travel_m > (FORCE_TRAVEL_M if harm == "force" else COLLISION_TRAVEL_M)
     match loss.what:
         case "programme":
-            # A mount that the press has bent already bears that much less.
-            moved_on = loss.travel_m + min(loss.bent_m, MOST_PRESS_M) > needed_m
             return moved_on and not loss.was_moved and now_s <= loss.end_s
         case "commands":
-            moved_on = loss.travel_m > needed_m
             shortest_s = FORCE_LOSS_S if harm == "force" else COLLISION_LOSS_S
             over_s = loss.end_s + COMMAND_RECOVERY_S
             return moved_on and lasted_s > shortest_s and now_s <= over_s
