@@ -189,4 +189,4 @@ sbom: .venv/.ok
 	.venv/bin/python -m docs.make.write sbom.cdx.json requirements.txt
 
 clean:
-	rm -rf out build .coverage .coverage.* .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf out build .coverage* .mypy_cache .pytest_cache .ruff_cache .hypothesis
