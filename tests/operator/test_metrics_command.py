@@ -5,6 +5,7 @@ import http.client
 import itertools
 import math
 import re
+import shutil
 import socket
 import subprocess
 import time
@@ -228,6 +229,28 @@ def test_the_page_keeps_prometheus_rules_for_names_units_and_types(daemon: Daemo
     old = "# HELP linemate_x_milliseconds X.\n# TYPE linemate_x_milliseconds gauge\n"
     old += 'linemate_x_milliseconds{quantile="1"} 2\n'
     assert len(complaints_of(old)) == 2
+
+
+def promtool_complaints(page: str) -> list[str]:
+    """What Prometheus' own linter says of a page."""
+    tool = shutil.which("promtool")
+    if tool is None:
+        pytest.skip("no promtool here; Debian has it in the package prometheus")
+    command = [tool, "check", "metrics"]
+    answer = subprocess.run(command, input=page, capture_output=True, text=True, check=False)
+    complaints = answer.stderr.splitlines()
+    assert answer.returncode == (3 if complaints else 0)
+    return complaints
+
+
+def test_prometheus_own_linter_has_no_complaint(daemon: DaemonProcess) -> None:
+    sensors = {"camera": {"out": "frozen", "refused": 3}}
+    recording = {"recording": True, "written": 7, "dropped": 0, "restarts": 1}
+    whole = {**daemon.status(), **timed_status(), "sensors": sensors, "recording": recording}
+    assert not promtool_complaints(metrics_page.text({"west": whole, "east": daemon.status()}))
+    old = "# HELP linemate_x_milliseconds X.\n# TYPE linemate_x_milliseconds gauge\n"
+    old += 'linemate_x_milliseconds{quantile="1"} 2\n'
+    assert len(promtool_complaints(old)) == 2
 
 
 def test_histograms_count_every_duration_once_and_never_fall() -> None:
