@@ -18,6 +18,8 @@ FOLDERS = ("protocol", "drivers", "daemon", "simulators")
 # Import names that are not the package's name.
 PACKAGES = {
     "can": "python-can",
+    "foxglove": "foxglove-sdk",
+    "google": "protobuf",
     "mujoco": "mujoco-core",
     "pinocchio": "pin",
     "yaml": "pyyaml",
@@ -51,9 +53,10 @@ def declared(*extras: str) -> set[str]:
 
 @pytest.mark.parametrize("folder", FOLDERS)
 def test_every_package_that_is_imported_is_declared(folder: str) -> None:
-    extras = {"daemon": ["fleet", "plc"], "simulators": ["cluster", "demo", "mujoco"]}.get(
-        folder, []
-    )
+    extras = {
+        "daemon": ["fleet", "foxglove", "plc"],
+        "simulators": ["cluster", "demo", "mujoco"],
+    }.get(folder, [])
     known = declared(*extras)
     missing = [(package, path) for package, path in imported(folder) if package not in known]
     assert not missing

@@ -1,4 +1,4 @@
-"""``linemate export`` and ``linemate recover``: recordings as CSV, damaged ones repaired.
+"""``linemate export`` and ``linemate recover``: recordings in other formats, damaged ones repaired.
 
 Invariants:
     * A table for each channel, a row for each sample, numbers with all their digits.
@@ -63,11 +63,16 @@ Cells = dict[str, Any]
 
 def add_parser(commands: Any, _: argparse.ArgumentParser) -> None:
     """Add the two commands."""
-    export = commands.add_parser("export", help="a recording as CSV, a file a channel")
+    export = commands.add_parser("export", help="a recording as CSV, or for Foxglove")
     export.add_argument("file", type=Path, metavar="FILE")
     export.add_argument(
         "--out", type=Path, metavar="DIR", help="where; a directory named as the recording"
     )
+    export.add_argument(
+        "--foxglove", type=Path, metavar="FILE",
+        help="no CSV, but standard channels in one MCAP file, for Foxglove and PlotJuggler "
+        "(extra 'foxglove')",
+    )  # fmt: skip
     export.set_defaults(run=main_export)
     recover = commands.add_parser("recover", help="finish a recording that was cut short")
     recover.add_argument("file", type=Path, metavar="FILE")
@@ -80,6 +85,8 @@ def add_parser(commands: Any, _: argparse.ArgumentParser) -> None:
 def main_export(args: argparse.Namespace) -> int:
     """Write a recording's tables; the exit code says whether the recording was complete."""
     path: Path = args.file
+    if args.foxglove is not None:
+        return _main_channels(path, args.foxglove)
     folder: Path = args.out or path.with_suffix("")
     if args.out is not None:
         make_folder(folder)
@@ -91,6 +98,30 @@ def main_export(args: argparse.Namespace) -> int:
         raise UsageError(f"{error.filename}: {error.strerror}") from error
     for name, rows in sorted(written.items()):
         print(f"{folder / name}  {rows} rows")
+    if damage is not None:
+        console.complain(f"{path}: {damage}")
+        return NO
+    return OK
+
+
+def _main_channels(path: Path, out: Path) -> int:
+    """Write a recording's standard channels, and name the layout that shows them."""
+    check_output_file(out, "--foxglove")
+    try:
+        from linemate.daemon.view.channels.channel_export import LAYOUT_FILE, export_channels
+    except ImportError as error:
+        raise UsageError(
+            f"{error.name} is not installed; pip install linemate[foxglove]"
+        ) from error
+    try:
+        written, damage = export_channels(path, out)
+    except UnreadableRecordingError as error:
+        raise NegativeError(str(error)) from error
+    except OSError as error:
+        raise UsageError(f"{error.filename}: {error.strerror}") from error
+    for topic, messages in sorted(written.items()):
+        print(f"{topic}  {messages} messages")
+    print(f"layout: {LAYOUT_FILE}")
     if damage is not None:
         console.complain(f"{path}: {damage}")
         return NO

@@ -1,0 +1,1 @@
+"""Standard channels for viewers: Foxglove, PlotJuggler, Rerun."""
