@@ -11,14 +11,13 @@ Invariants:
 """
 
 import math
-from typing import Literal
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
-from scipy.interpolate import CubicSpline
 
-from linemate.daemon.core import rotations
+from linemate.daemon.core import cubic_spline, rotations
+from linemate.daemon.core.cubic_spline import CubicSpline
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.task import FollowLimits
 
@@ -58,7 +57,6 @@ _QUINTIC_ACCELERATION = 10.0 / math.sqrt(3.0)
 _PEAK = 1.5  # acceleration of a smooth stop from speed 1 m/s in 1 s
 _AWAY = 2  # z of c points from the robot to the objects
 
-Ends = tuple[Literal[1, 2], Array]  # order and value of a spline's derivative at its end
 Chunk = tuple[tuple[float, ...], ...]
 """Poses of a chunk: monotonic time [ns], position [m] and quaternion, w first, in base."""
 
@@ -160,8 +158,7 @@ def extend(
         _refuse_elsewhere(state, poses[0])
     at = now_s + commit * cycle_s
     knots, through, begins = _joined(state, times, poses, at)
-    starts: Ends = (1 if begins else 2, np.zeros(6))
-    spline = CubicSpline(knots, through, bc_type=(starts, (2, np.zeros(6))))
+    spline = cubic_spline.through(knots, through, begins_at_rest=begins)
     _refuse_fast(spline, knots, limits)
     breaks, curve, rest_s = _with_stop(spline, knots, limits)
     fresh = replace(
@@ -309,7 +306,7 @@ def _with_stop(
     )
     # v (1 - 3 s² + 2 s³), s = t/duration: it begins with the spline's speed, ends at rest.
     curve = np.zeros((5, len(knots), 6))
-    curve[1:, :-1] = spline.c
+    curve[1:, :-1] = spline.coefficients
     curve[0, -1] = 0.5 * speed / duration**3
     curve[1, -1] = -speed / duration**2
     curve[3, -1], curve[4, -1] = speed, pose

@@ -1,4 +1,6 @@
-"""LAPACK's solvers ``dgesv`` and ``dposv``, from scipy's build, without ``scipy.linalg``.
+"""LAPACK's solvers ``dgesv``, ``dgtsv`` and ``dposv``, without ``scipy.linalg``.
+
+They are those of scipy's build.
 
 ``scipy.linalg`` imports 150 modules, numpy's Fortran parser among them: 0.15 s of every start, and
 20 MiB that stay locked. Its compiled module needs none of them.
@@ -38,4 +40,5 @@ def load() -> Any:
 
 _flapack = load()
 dgesv = _flapack.dgesv
+dgtsv = _flapack.dgtsv
 dposv = _flapack.dposv

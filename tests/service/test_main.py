@@ -1,5 +1,6 @@
 """``linemated`` as a process: exit codes, the line of JSON, a clean end."""
 
+import ast
 import json
 import os
 import signal
@@ -109,3 +110,14 @@ def test_the_algebra_runs_in_one_thread() -> None:
         env={k: v for k, v in os.environ.items() if "NUM_THREADS" not in k},
     )
     assert done.stdout.split() == ["1", "False"]
+
+
+def test_the_start_imports_no_package_of_scipy() -> None:
+    code = (
+        "import linemate.daemon.commissioning.whole_check, linemate.daemon.service.app, sys;"
+        "print([name for name in sys.modules if name.startswith('scipy.')])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    names = set(ast.literal_eval(done.stdout))
+    # Imports of linalg, special or interpolate cost 0.3 s and 60 MiB that stay locked.
+    assert names & {"scipy.linalg", "scipy.special", "scipy.optimize", "scipy.interpolate"} == set()
