@@ -11,7 +11,6 @@ Load = Callable[[str], Result]
 Has = Callable[[str], bool]
 
 COMMANDS = {"shift": "linemate-sim shift --cars 500 --seed 5 --takt 30 --faulty 0.08 --json"}
-PLANNED = 500
 ORDERS = ("arm", "start", "home", "retreat", "stop")
 NOT_MEASURED = "Not measured yet: `make results NAME=shift`."
 
@@ -32,7 +31,7 @@ def condensed(raw: Result) -> Result:
     impacts = [car["impact_mm"] for car in mounted]
     forces = [car["force_n"] for car in mounted]
     return {
-        "planned": PLANNED,
+        "planned": raw["planned"],
         "cars": len(cars),
         "good_cars": len(good),
         "good_mounted": len(mounted),

@@ -26,6 +26,7 @@ from linemate.simulators.harness.variants import SetupError, is_known, known
 
 MAX_SEEDS = 100_000
 MAX_ROUND_S = 3600.0
+MAX_MINUTES = 1440.0
 BENCH_PARTS = ("turnaround", "wakeup", "step", "virtual")
 ALL_PARTS = (*BENCH_PARTS, "cpu")
 MAX_HOURS = 10_000.0
@@ -342,8 +343,21 @@ def _add_shift(commands: "Commands[CommandLine]") -> None:
         "--faulty", type=_share, default=0.02, metavar="SHARE", help="of cars with a fault; 0.02"
     )
     shift.add_argument("--workers", type=_count, metavar="N", help="daemons to split it over; 1")
+    shift.add_argument(
+        "--minutes", type=_minutes, metavar="M", help="of computing, after which no car enters"
+    )
     _add_scheduler(shift)
     shift.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
+def _minutes(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value <= MAX_MINUTES:
+        raise argparse.ArgumentTypeError(f"{text!r} should be 0..{MAX_MINUTES:g} minutes")
+    return value
 
 
 def _share(text: str) -> float:

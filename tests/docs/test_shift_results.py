@@ -27,7 +27,7 @@ def raw() -> dict[str, Any]:
         "collisions": 0, "mounted_bad": 0, "unreported": 0, "complaints": [],
         "duration_s": 7200.0, "requests": {"arm": 0, "announce": 5},
         "remembered_bytes": [[2_000_000, 2_100_000]], "resident_bytes": [[0, 0], [10**8, 10**8]],
-        "record_bytes": 5000,
+        "record_bytes": 5000, "planned": 9,
     }  # fmt: skip
 
 
@@ -43,6 +43,7 @@ def test_good_and_faulty_cars_are_counted_apart() -> None:
 def test_the_table_has_a_row_for_each_car_that_was_not_mounted() -> None:
     figures = shift_results.condensed(raw())
     text = shift_results.table(lambda _: figures, lambda _: True)
+    assert "| cars | 5 of 9 planned, " in text
     assert "| good cars mounted | 2 of 3 |" in text
     assert "| part missing: cause reported | 0 of 1 |" in text
     assert "| P5 suv | none | drifted |" in text

@@ -117,6 +117,7 @@ def rows(**changes: object) -> dict[str, object]:
         "duration_s": 10.0,
         "requests": {},
         "complaints": (),
+        "planned": 1,
     } | changes
     return shift.judge([ShiftOutcome(**given)], 1)  # type: ignore[arg-type]
 
@@ -160,6 +161,16 @@ def test_a_split_has_each_car_once_in_order_and_no_empty_share() -> None:
     assert [len(share.cars) for share in shares] == [2, 2, 3]
     assert [car for share in shares for car in share.cars] == cars
     assert len(shift.split(cars, 100, 57.6)) == 7
+
+
+def test_a_shift_whose_time_is_over_ends_with_its_present_car(tmp_path: Path) -> None:
+    (tmp_path / "records").mkdir()
+    ended = run(station(tmp_path), CARS, tmp_path / "records", longest_s=0.0)
+    result = shift.judge([ended], 1)
+    assert result["good"], as_json(result)
+    assert [row["id"] for row in result["cars"]] == ["P1"]
+    assert (result["planned"], result["unreported"]) == (len(CARS), 0)
+    assert f"1 of {len(CARS)} cars" in shift.table(result)
 
 
 def test_a_split_shift_is_judged_as_one(outcome: ShiftOutcome) -> None:

@@ -6,6 +6,7 @@ Invariants:
 """
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -56,6 +57,15 @@ class CarFeeder:
         self._setpoints: tuple[float, ...] = ()
         self._standing = 0
         self._impact_mm: float | None = None
+
+    @property
+    def cars(self) -> tuple[Car, ...]:
+        """Cars that have entered or will enter."""
+        return self._plan.cars
+
+    def close(self) -> None:
+        """Let no further car enter, but the first; the shift ends as the present one leaves."""
+        self._plan = replace(self._plan, cars=self._plan.cars[: max(self._next, 1)])
 
     def look(self, setpoints: tuple[float, ...], cycle: int) -> CarEvent | None:
         """Return what changes at the beginning of a cycle, None if nothing does.

@@ -9,7 +9,9 @@ Invariants:
 import asyncio
 import contextlib
 import json
+import math
 import tempfile
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -58,6 +60,8 @@ class ShiftOutcome:
     """What became of a shift.
 
     Attributes:
+        cars: that entered, in their order.
+        planned: number of cars of the plan.
         records: quality records in their order.
         growth: bytes that the cycle remembers after the first car and at the end.
         resident: memory of the whole process after the first car and at the end [bytes].
@@ -74,6 +78,7 @@ class ShiftOutcome:
     duration_s: float
     requests: dict[str, int]
     complaints: tuple[str, ...]
+    planned: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,12 +133,14 @@ class ShiftRun:
         cars: Sequence[Car],
         folder: Path,
         on_car: Callable[[Car, CarTruth], None] = lambda _car, _truth: None,
+        longest_s: float = math.inf,
     ) -> None:
         """Stand ready before the first cycle.
 
         Args:
             folder: for the record files.
             on_car: called with each car that has left.
+            longest_s: time of the host after which no further car enters [s].
         """
         files = station.loaded()
         production = files.config.production
@@ -156,7 +163,7 @@ class ShiftRun:
         encoder = DistanceEncoder(files.dbc)
         self._emitters = Emitters(self.line, Faults(()), mount, _ns, encoder)
         self.plc = LineController()
-        self._cars = tuple(cars)
+        self._planned, self._last_entry_s = len(cars), time.monotonic() + longest_s
         self._folder, self._on_car = folder, on_car
         self._truths: list[CarTruth] = []
         self._cycle = 0
@@ -188,7 +195,7 @@ class ShiftRun:
             for line in path.read_text().splitlines()
         ]
         return ShiftOutcome(
-            self._cars,
+            self._feeder.cars,
             tuple(self._truths),
             tuple(records),
             (self._growth[0], self._growth[1]),
@@ -197,6 +204,7 @@ class ShiftRun:
             self.line.time_s,
             dict(self.plc.orders),
             tuple(self._complaints),
+            self._planned,
         )
 
     async def _main(self) -> None:
@@ -260,6 +268,8 @@ class ShiftRun:
 
     def _bring_cars(self) -> None:
         """Let the next car enter once it is due and the robot stands."""
+        if time.monotonic() > self._last_entry_s:
+            self._feeder.close()
         event = self._feeder.look(self.controller.setpoints, self._cycle)
         if self._feeder.complaint is not None:
             self._complaints.append(self._feeder.complaint)
@@ -321,17 +331,19 @@ def run(
     cars: Sequence[Car],
     folder: Path | None = None,
     on_car: Callable[[Car, CarTruth], None] = lambda _car, _truth: None,
+    longest_s: float = math.inf,
 ) -> ShiftOutcome:
     """Run a shift.
 
     Args:
         folder: for the record files; None: a temporary one.
         on_car: called with each car that has left.
+        longest_s: time of the host after which no further car enters [s].
     """
     if folder is not None:
-        return ShiftRun(station, cars, folder, on_car).run()
+        return ShiftRun(station, cars, folder, on_car, longest_s).run()
     with tempfile.TemporaryDirectory(prefix="linemate-") as name:
-        return ShiftRun(station, cars, Path(name), on_car).run()
+        return ShiftRun(station, cars, Path(name), on_car, longest_s).run()
 
 
 def _ns(time_s: float) -> int:

@@ -6,6 +6,7 @@ Invariants:
 """
 
 import itertools
+import math
 import sys
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
@@ -34,44 +35,49 @@ BYTES_A_CAR: Final = 8192  # of the record files
 
 @dataclass(frozen=True, slots=True)
 class ShiftShare:
-    """Cars of one daemon, as a worker gets them."""
+    """Cars of one daemon, as a worker gets them.
+
+    Attributes:
+        longest_s: time of the host after which no further car enters [s].
+    """
 
     takt_s: float
     cars: tuple[Car, ...]
+    longest_s: float = math.inf
 
 
 def main(args: Namespace) -> int:
     """Run a shift and print what became of it.
 
     Args:
-        args: cars, seed, takt, faulty, workers, scheduler, json.
+        args: cars, seed, takt, faulty, workers, minutes, scheduler, json.
 
     Returns:
         0 if every good car was mounted and every other one reported with its cause; else 1.
     """
     station = shipped_station(args.takt)
     cars = plan.draw(args.cars, args.seed, station.variants(), args.faulty)
-    shares = split(cars, args.workers or 1, args.takt)
-    if len(shares) == 1 and args.scheduler == campaign.LOCAL:
-        outcomes = [run(station, cars, on_car=_tell)]
-    else:
-        with campaign.progress_bar(len(shares), "shift") as progress:
-            outcomes = campaign.spread(perform, shares, args.workers, progress, args.scheduler)
+    longest_s = math.inf if args.minutes is None else 60.0 * args.minutes
+    shares = split(cars, args.workers or 1, args.takt, longest_s)
+    outcomes = campaign.spread(perform, shares, len(shares), scheduler=args.scheduler)
     result = judge(outcomes, args.seed)
     print(report_json.text(result) if args.json else table(result))
     return 0 if result["good"] else 1
 
 
-def split(cars: Sequence[Car], count: int, takt_s: float) -> list[ShiftShare]:
+def split(
+    cars: Sequence[Car], count: int, takt_s: float, longest_s: float = math.inf
+) -> list[ShiftShare]:
     """Return shares of consecutive cars, as many as asked for, none of them empty."""
     count = min(count, len(cars))
     ends = [i * len(cars) // count for i in range(count + 1)]
-    return [ShiftShare(takt_s, tuple(cars[a:b])) for a, b in itertools.pairwise(ends)]
+    return [ShiftShare(takt_s, tuple(cars[a:b]), longest_s) for a, b in itertools.pairwise(ends)]
 
 
 def perform(share: ShiftShare) -> ShiftOutcome:
     """Run a share in this process, at the station that is shipped with it."""
-    return run(shipped_station(share.takt_s), share.cars)
+    station = shipped_station(share.takt_s)
+    return run(station, share.cars, on_car=_tell, longest_s=share.longest_s)
 
 
 def _tell(car: Car, truth: CarTruth) -> None:
@@ -99,6 +105,7 @@ def judge(outcomes: Sequence[ShiftOutcome], seed: int) -> dict[str, Any]:
     return {
         "version": VERSION,
         "seed": seed,
+        "planned": sum(outcome.planned for outcome in outcomes),
         "good": not any(counts.values()) and not complaints,
         **counts,
         "complaints": complaints,
@@ -164,7 +171,8 @@ def table(result: Mapping[str, Any]) -> str:
     mounted = [car for car in cars if car["mounted"]]
     impacts = sorted(car["impact_mm"] for car in mounted if car["impact_mm"] is not None)
     lines = [
-        f"{len(cars)} cars in {result['duration_s'] / 3600.0:.2f} h, {len(mounted)} mounted, "
+        f"{len(cars)} of {result['planned']} cars in {result['duration_s'] / 3600.0:.2f} h, "
+        f"{len(mounted)} mounted, "
         f"{sum(car['fault'] is not None for car in cars)} with a fault",
         ", ".join(
             f"{name} {result[name]}"
