@@ -137,7 +137,7 @@ class _TelegramLine:
         known: of these, in a row, those that are the last one, or were missed before it.
     """
 
-    ipoc: int = 0
+    counter: int = 0
     step: int = 0
     length: int = 0
     stamp_ns: int = 0
@@ -150,29 +150,29 @@ class _TelegramLine:
         return self.paced >= CONSISTENT > self.known
 
     def extend(
-        self, ipoc: int, stamp_ns: int, reach: int, cycle_ns: int, *, known: bool = False
+        self, counter: int, stamp_ns: int, reach: int, cycle_ns: int, *, known: bool = False
     ) -> bool:
         """Add a telegram; return whether the line is long enough."""
         passed_ns = stamp_ns - self.stamp_ns
-        if self.length and ipoc == self.ipoc:
+        if self.length and counter == self.counter:
             if passed_ns >= cycle_ns // 2:  # else the network has duplicated it
                 self.paced, self.stamp_ns = 1, stamp_ns
             return False
-        in_line = self._extend(ipoc, reach)
+        in_line = self._extend(counter, reach)
         is_paced = self.length > 1 and cycle_ns // 2 <= passed_ns <= TOLERANCE * cycle_ns
         self.paced = self.paced + 1 if is_paced else 1
         self.known = self.known + 1 if known else 0
         self.stamp_ns = stamp_ns
         return in_line
 
-    def _extend(self, ipoc: int, reach: int) -> bool:
-        delta = ipoc - self.ipoc
+    def _extend(self, counter: int, reach: int) -> bool:
+        delta = counter - self.counter
         if self.length and 0 < delta <= reach:
             self.length = self.length + 1 if delta == self.step else 2
             self.step = delta
         else:
             self.length, self.step = 1, 0
-        self.ipoc = ipoc
+        self.counter = counter
         return self.length >= CONSISTENT
 
 
@@ -195,7 +195,7 @@ class Exchange:
         self._cycle_ns = max(1, round(cycle_s * 1e9))
         self._session_gap_ns = round(session_gap_s * 1e9)
         self._peer_gap_ns = round(peer_gap_s * 1e9)
-        # An IPOC counts milliseconds on a real controller and cycles in some simulators.
+        # A counter counts milliseconds on a real controller and cycles in some simulators.
         self._reach = WINDOW * max(1, round(cycle_s * 1e3))
         self._counts = dict.fromkeys(TelegramKind, 0)
         self._missed_total = 0
@@ -208,11 +208,11 @@ class Exchange:
         self._state = ExchangeState.IDLE
         self._peer: Hashable = None
         self._step: int | None = None
-        self._last_ipoc = 0
+        self._last_counter = 0
         self._last_ns = 0
         self._peer_ns = 0
         # The last telegram that a later one confirmed, and the steps made since.
-        self._anchor_ipoc = 0
+        self._anchor_counter = 0
         self._anchor_ns = 0
         self._made = 0
         self._delta: int | None = None
@@ -270,7 +270,7 @@ class Exchange:
         """
         if self._state is not ExchangeState.RUNNING or self._made or self._step is None:
             return None
-        return self._last_ipoc + self._step, self._peer
+        return self._last_counter + self._step, self._peer
 
     def on_missing(self) -> None:
         """Note that the clock made a step because no telegram came in time."""
@@ -278,15 +278,15 @@ class Exchange:
             self._overdue_total += 1
             self._made = min(self._made + 1, WINDOW)
 
-    def on_telegram(self, ipoc: int, stamp_ns: int, peer: Hashable = None) -> TelegramDecision:
+    def on_telegram(self, counter: int, stamp_ns: int, peer: Hashable = None) -> TelegramDecision:
         """Return the decision on one telegram that arrived at ``stamp_ns``.
 
         Args:
             peer: its sender; another value is another controller.
         """
-        event = self._classify(ipoc, stamp_ns, peer)
+        event = self._classify(counter, stamp_ns, peer)
         transition = TABLE[self._state][event]
-        missed, steps = self._apply(event, ipoc, stamp_ns, peer)
+        missed, steps = self._apply(event, counter, stamp_ns, peer)
         self._state = transition.state
         self._counts[transition.kind] += 1
         self._missed_total += missed
@@ -294,7 +294,7 @@ class Exchange:
             transition.kind, transition.answer, missed, steps, self._session, self._step
         )
 
-    def _classify(self, ipoc: int, stamp_ns: int, peer: Hashable) -> TelegramEvent:
+    def _classify(self, counter: int, stamp_ns: int, peer: Hashable) -> TelegramEvent:
         if self._state is ExchangeState.IDLE:
             return TelegramEvent.OPENING
         if peer != self._peer:
@@ -303,30 +303,30 @@ class Exchange:
         self._peer_ns = stamp_ns
         if stamp_ns - self._last_ns >= self._session_gap_ns:
             return TelegramEvent.OPENING
-        event = self._place(ipoc, stamp_ns)
+        event = self._place(counter, stamp_ns)
         known = event in _KNOWN and stamp_ns - self._last_ns < self._peer_gap_ns
-        in_line = self._line.extend(ipoc, stamp_ns, self._reach, self._cycle_ns, known=known)
+        in_line = self._line.extend(counter, stamp_ns, self._reach, self._cycle_ns, known=known)
         if event not in _UNCONFIRMED or not in_line:
             return event
-        if self._goes_on(ipoc, stamp_ns):
+        if self._goes_on(counter, stamp_ns):
             return TelegramEvent.RESUME
         # Missed telegrams that arrive late are in one line too, up to the one accepted before
         # them. No session begins with those, unless all has been silent for longer.
         return TelegramEvent.RESYNC if self._line.is_new else event
 
-    def _place(self, ipoc: int, stamp_ns: int) -> TelegramEvent:
-        delta = ipoc - self._last_ipoc
+    def _place(self, counter: int, stamp_ns: int) -> TelegramEvent:
+        delta = counter - self._last_counter
         if delta == 0:
             return TelegramEvent.SAME
         if delta < 0:
-            return TelegramEvent.MISSED if ipoc in self._missed else TelegramEvent.OLDER
+            return TelegramEvent.MISSED if counter in self._missed else TelegramEvent.OLDER
         passed = (stamp_ns - self._last_ns) // self._cycle_ns
         if self._state is ExchangeState.LEARNING or self._step is None:
             return self._place_learning(delta, passed)
         cycles, rest = divmod(delta, self._step)
         if rest or cycles > min(WINDOW, passed + TOLERANCE):
             return TelegramEvent.STRAY
-        if (ipoc - self._anchor_ipoc) // self._step <= self._made:
+        if (counter - self._anchor_counter) // self._step <= self._made:
             return TelegramEvent.OVERDUE
         return TelegramEvent.NEXT if cycles == 1 else TelegramEvent.AHEAD
 
@@ -340,31 +340,31 @@ class Exchange:
             return TelegramEvent.NEXT
         return TelegramEvent.AHEAD
 
-    def _goes_on(self, ipoc: int, stamp_ns: int) -> bool:
+    def _goes_on(self, counter: int, stamp_ns: int) -> bool:
         """Whether the line continues the telegram that was confirmed last."""
         if self._state is not ExchangeState.RUNNING or self._line.step != self._step:
             return False
-        cycles, rest = divmod(ipoc - self._anchor_ipoc, self._line.step)
+        cycles, rest = divmod(counter - self._anchor_counter, self._line.step)
         if rest or not 0 < cycles <= WINDOW:
             return False
-        off, last = self._off(ipoc, stamp_ns), self._off(self._last_ipoc, self._last_ns)
+        off, last = self._off(counter, stamp_ns), self._off(self._last_counter, self._last_ns)
         # Delayed telegrams are a line too, but the telegram before them agrees better with the
         # clock than they do. A flipped counter agrees less. A counter that is ahead by less is
         # reached by the line before it could be overruled.
         return off <= min(TOLERANCE, last) and last >= CONSISTENT
 
-    def _off(self, ipoc: int, stamp_ns: int) -> float:
+    def _off(self, counter: int, stamp_ns: int) -> float:
         """Return by how many cycles counter and clock differ since the anchor."""
         passed = (stamp_ns - self._anchor_ns) / self._cycle_ns
-        return abs(passed - (ipoc - self._anchor_ipoc) / self._line.step)
+        return abs(passed - (counter - self._anchor_counter) / self._line.step)
 
     def _apply(
-        self, event: TelegramEvent, ipoc: int, stamp_ns: int, peer: Hashable
+        self, event: TelegramEvent, counter: int, stamp_ns: int, peer: Hashable
     ) -> tuple[int, int]:
         """Remember the telegram; return the missed cycles before it and the steps to make."""
         match event:
             case TelegramEvent.OPENING | TelegramEvent.RESYNC:
-                self._open(event, ipoc, stamp_ns, peer)
+                self._open(event, counter, stamp_ns, peer)
                 return 0, 1
             case (
                 TelegramEvent.NEXT
@@ -372,30 +372,30 @@ class Exchange:
                 | TelegramEvent.AHEAD
                 | TelegramEvent.OVERDUE
             ):
-                return self._accept(event, ipoc, stamp_ns)
+                return self._accept(event, counter, stamp_ns)
             case TelegramEvent.RESUME:
-                return self._resume(ipoc, stamp_ns)
+                return self._resume(counter, stamp_ns)
             case TelegramEvent.MISSED:
-                self._missed -= {ipoc}
+                self._missed -= {counter}
         return 0, 0
 
-    def _open(self, event: TelegramEvent, ipoc: int, stamp_ns: int, peer: Hashable) -> None:
-        line = self._line if event is TelegramEvent.RESYNC else _TelegramLine(ipoc, 0, 1)
+    def _open(self, event: TelegramEvent, counter: int, stamp_ns: int, peer: Hashable) -> None:
+        line = self._line if event is TelegramEvent.RESYNC else _TelegramLine(counter, 0, 1)
         self.reset()
         self._line = line
         self._session += 1
         self._peer = peer
         self._step = self._delta = line.step or None
         self._peer_ns = stamp_ns
-        self._trust(ipoc, stamp_ns)
+        self._trust(counter, stamp_ns)
 
-    def _trust(self, ipoc: int, stamp_ns: int) -> None:
+    def _trust(self, counter: int, stamp_ns: int) -> None:
         """Make a confirmed telegram the last one and the anchor."""
-        self._last_ipoc = self._anchor_ipoc = ipoc
+        self._last_counter = self._anchor_counter = counter
         self._last_ns = self._anchor_ns = stamp_ns
 
-    def _accept(self, event: TelegramEvent, ipoc: int, stamp_ns: int) -> tuple[int, int]:
-        delta = ipoc - self._last_ipoc
+    def _accept(self, event: TelegramEvent, counter: int, stamp_ns: int) -> tuple[int, int]:
+        delta = counter - self._last_counter
         if self._state is ExchangeState.LEARNING:
             if event is not TelegramEvent.AHEAD:
                 self._step = delta
@@ -403,26 +403,26 @@ class Exchange:
         step = self._step or delta
         cycles = delta // step
         # Accepting relative to the last telegram confirms that one, so it is the new anchor.
-        self._made -= (self._last_ipoc - self._anchor_ipoc) // step
+        self._made -= (self._last_counter - self._anchor_counter) // step
         steps = max(0, cycles - self._made)
         self._made += steps
         if cycles == 1 or self._state is ExchangeState.LEARNING:
             self._made -= cycles
-            self._trust(ipoc, stamp_ns)
+            self._trust(counter, stamp_ns)
         else:
-            self._anchor_ipoc, self._anchor_ns = self._last_ipoc, self._last_ns
-            self._remember_missed(ipoc, step)
-            self._last_ipoc, self._last_ns = ipoc, stamp_ns
+            self._anchor_counter, self._anchor_ns = self._last_counter, self._last_ns
+            self._remember_missed(counter, step)
+            self._last_counter, self._last_ns = counter, stamp_ns
         return cycles - 1, steps
 
-    def _remember_missed(self, ipoc: int, step: int) -> None:
-        kept = (old for old in self._missed if old > ipoc - WINDOW * step)
-        self._missed = frozenset((*kept, *range(self._last_ipoc + step, ipoc, step)))
+    def _remember_missed(self, counter: int, step: int) -> None:
+        kept = (old for old in self._missed if old > counter - WINDOW * step)
+        self._missed = frozenset((*kept, *range(self._last_counter + step, counter, step)))
 
-    def _resume(self, ipoc: int, stamp_ns: int) -> tuple[int, int]:
-        cycles = (ipoc - self._anchor_ipoc) // self._line.step
+    def _resume(self, counter: int, stamp_ns: int) -> tuple[int, int]:
+        cycles = (counter - self._anchor_counter) // self._line.step
         steps = max(0, cycles - self._made)
         self._made = max(0, self._made - cycles)
         self._missed = frozenset()
-        self._trust(ipoc, stamp_ns)
+        self._trust(counter, stamp_ns)
         return cycles - 1, steps

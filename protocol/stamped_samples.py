@@ -83,7 +83,7 @@ class RobotSample(Struct, frozen=True):
     """
 
     stamp_ns: int
-    ipoc: int
+    counter: int
     joints: Vector6
     external: tuple[float, ...]
     delay: int | None = None

@@ -343,7 +343,7 @@ def _ramps(data: _Data, delay: float) -> list[ReportLine]:
 def _trace(data: _Data, recorded: Recorded) -> Trace:
     steps = [
         TraceStep(
-            step.ipoc,
+            step.counter,
             step.inputs,
             tuple(step.outputs["command"]),
             bool(step.outputs["contact"]),

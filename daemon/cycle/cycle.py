@@ -21,9 +21,9 @@ from linemate.daemon.core import step as stepping
 from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle import states
-from linemate.daemon.cycle.correction_reference import RESTART_S, Proof
 from linemate.daemon.cycle.in_sync import is_in_sync
 from linemate.daemon.cycle.session import Axes
+from linemate.daemon.cycle.setpoint_reference import RESTART_S, Proof
 from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.cycle.steps import PreparedStep, Stepper
 from linemate.protocol.controller_link import (
@@ -330,7 +330,7 @@ class Cycle(Stepper):
         ahead = steps == 0 and not session.was_sent and not session.was_lost
         if ahead and last is not None and last.inputs.sent == session.moves:
             # The timer made the step of this late telegram, but did not send it.
-            self.last = replace(last, ipoc=telegram.counter)
+            self.last = replace(last, counter=telegram.counter)
             return self._give(last, self._reply(last), telegram)
         if decision.missed:
             # The robot has held, even if the timer had no step left to make for it: a controller
@@ -350,12 +350,12 @@ class Cycle(Stepper):
         if ready is not None:
             self.prepared += 1
             ready = self._confirmed(ready, answering=True)
-            entry, plan = replace(ready.entry, ipoc=telegram.counter), ready.plan
+            entry, plan = replace(ready.entry, counter=telegram.counter), ready.plan
             reply = ready.reply
         else:
             self.inline += 1
             entry, plan = self._step(
-                self._opened(), stamp_ns, telegram=True, answering=True, ipoc=telegram.counter
+                self._opened(), stamp_ns, telegram=True, answering=True, counter=telegram.counter
             )
             reply = self._reply(entry)
         self._add(entry, plan)

@@ -1,6 +1,6 @@
 """A controller's program: where its corrections count from, and which command it applied last.
 
-The controller tells in its Delay that it threw replies away. ``correction_reference`` decides
+The controller's delay count shows the replies that it threw away. ``setpoint_reference`` decides
 whether a program may get corrections at all. No step is made here and no byte is read.
 """
 
@@ -9,8 +9,8 @@ from collections.abc import Hashable
 
 from msgspec.structs import replace
 
-from linemate.daemon.cycle import correction_reference as proving
-from linemate.daemon.cycle.correction_reference import (
+from linemate.daemon.cycle import setpoint_reference as proving
+from linemate.daemon.cycle.setpoint_reference import (
     CONFIRMATIONS,
     Axes,
     Continuation,
@@ -25,7 +25,7 @@ from linemate.protocol.stamped_samples import RobotSample
 
 __all__ = ["RESTART_PROGRAM", "Axes", "Session", "standing"]
 
-RESTART_PROGRAM = "Restart the KRL program: it must start while the daemon listens."
+RESTART_PROGRAM = "Restart the controller's program: it must start while the daemon listens."
 _OFFSETS = ExchangeRules()
 REST_S = 0.12  # the axes are at rest if all telegrams of so long are ...
 STILL = 2e-4  # ... so near to each other [rad, m]
@@ -183,7 +183,7 @@ class Session:
             return True
         if is_position:
             return False
-        # Missed cycles got no reply. If Delay says otherwise, the counter has jumped.
+        # Missed cycles got no reply. If the delay count differs, the counter has jumped.
         bad = 0 if robot.delay is None or self._delay is None else robot.delay - self._delay
         return missed > 0 and bad not in {missed, missed + 1}
 
@@ -308,9 +308,9 @@ class Session:
         else:
             self._candidate = None
             return 0
-        step = None if candidate is None or count == 1 else robot.ipoc - candidate.ipoc
+        step = None if candidate is None or count == 1 else robot.counter - candidate.counter
         self._candidate = Program(
-            robot.ipoc, step, robot.stamp_ns, robot.delay, peer, axes, axes, axes, False, count
+            robot.counter, step, robot.stamp_ns, robot.delay, peer, axes, axes, axes, False, count
         )
         return count
 
@@ -322,14 +322,14 @@ class Session:
             # Later telegrams cannot tell any more which of the bare replies were applied.
             self._is_refuted = True
         if self.proof is Proof.PENDING:
-            self.unproven = "a KRL program has started: waiting for telegrams that confirm it"
+            self.unproven = "a program has started: waiting for telegrams that confirm it"
             return
-        what = "no start of its KRL program was seen"
+        what = "no start of its program was seen"
         if program is not None:
             passed_s = (robot.stamp_ns - program.stamp_ns) * 1e-9
             what = f"{passed_s:.2f} s since the last proven telegram are not accounted for"
         self.unproven = (
-            f"the correction in force is unknown: {what} (Delay is {robot.delay}). "
+            f"the correction in force is unknown: {what} (its delay count is {robot.delay}). "
             f"{RESTART_PROGRAM}"
         )
 
@@ -416,12 +416,12 @@ class Session:
         self.was_sent = self.moves = False
 
     def remember(self, robot: RobotSample, peer: Hashable, step: int | None) -> None:
-        """Remember the program as of a telegram that was answered; ``step`` is its IPOC's."""
+        """Remember the program as of a telegram that was answered; ``step`` is its counter's."""
         moved = self._program is not None and self._program.moved
         self._telegrams, self._silence_s, self._longest_s = 0, None, 0.0
         self._is_interrupted = self._is_refuted = False
         self._program = Program(
-            robot.ipoc,
+            robot.counter,
             step,
             robot.stamp_ns,
             robot.delay,
@@ -436,7 +436,7 @@ class Session:
 def _agrees(candidate: Program, robot: RobotSample, cycle_s: float) -> bool:
     """Return whether a telegram follows those of a start that is likely, answered all."""
     passed_s = (robot.stamp_ns - candidate.stamp_ns) * 1e-9
-    step = robot.ipoc - candidate.ipoc
+    step = robot.counter - candidate.counter
     if step <= 0 or (candidate.step is not None and step % candidate.step):
         return False
     if robot.delay is None or candidate.delay is None:

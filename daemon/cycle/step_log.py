@@ -20,14 +20,14 @@ class LogEntry(Struct, frozen=True):
     """One step, with what it was made from.
 
     Attributes:
-        ipoc: the one it answered, None if it answered none.
+        counter: the one it answered, None if it answered none.
         inputs, outputs: in and out.
         before, after: the step's own state; where ``before`` is not the ``after`` of the entry
             before, a session began, or steps are missing.
         parameters: it was made with.
     """
 
-    ipoc: int | None
+    counter: int | None
     state: str
     inputs: Inputs
     outputs: stepping.Outputs

@@ -217,7 +217,7 @@ class Stepper:
         self._state = self._plan = self._ready = None
         return True
 
-    def _finish_again(self, last: LogEntry, plan: stepping.StepPlan, ipoc: int) -> LogEntry:
+    def _finish_again(self, last: LogEntry, plan: stepping.StepPlan, counter: int) -> LogEntry:
         """Finish the last step again, with the robot's position from the telegram.
 
         The timer has made the step of this telegram, or of a later one. One more step than the
@@ -233,7 +233,7 @@ class Stepper:
         inputs = replace(last.inputs, sent=sent, applied=applied, pace=pace)
         self._state, outputs = stepping.finish(before, plan, inputs, made_with)
         entry = replace(
-            last, ipoc=ipoc, inputs=inputs, outputs=outputs, before=before, after=self._state
+            last, counter=counter, inputs=inputs, outputs=outputs, before=before, after=self._state
         )
         self.repeated += 1
         self._replan_ready()
@@ -332,7 +332,7 @@ class Stepper:
         *,
         telegram: bool,
         answering: bool = False,
-        ipoc: int | None = None,
+        counter: int | None = None,
     ) -> tuple[LogEntry, stepping.StepPlan]:
         """Make one sampling step: operating state first, then the pure step."""
         settings = self.parameters.tracker.settings
@@ -375,7 +375,7 @@ class Stepper:
         self.steps += 1
         self._stamp_ns = stamp_ns
         shown = self.machine.state.value
-        entry = LogEntry(ipoc, shown, inputs, outputs, state, self._state, made_with)
+        entry = LogEntry(counter, shown, inputs, outputs, state, self._state, made_with)
         return entry, plan
 
     def _situation(self) -> Situation:

@@ -275,7 +275,7 @@ def _traces(recordings: Sequence[Recorded], cell: _Cell, arm: kinematics.Arm) ->
     for recorded in recordings:
         steps = [
             TraceStep(
-                s.ipoc,
+                s.counter,
                 s.inputs,
                 tuple(s.outputs["command"]),
                 bool(s.outputs["contact"]),

@@ -32,13 +32,13 @@ class TraceStep:
     """What a trace needs of a recorded step.
 
     Attributes:
-        ipoc: counter of the answered telegram, None without one.
+        counter: counter of the answered telegram, None without one.
         command: setpoints (axes,) [rad, m].
         contact: the tool is clamped to the object.
         limited: the command limiter or the brake changed the setpoints.
     """
 
-    ipoc: int | None
+    counter: int | None
     inputs: Inputs
     command: tuple[float, ...]
     contact: bool
@@ -124,11 +124,11 @@ def build_trace(
     joints = np.array([(*robot.joints, *robot.external)[:axes] for robot in robots])
     if joints.shape[1] != axes:
         raise ValueError(f"the robot sent {joints.shape[1]} axes, {axes} were commanded")
-    row_of = {step.ipoc: i for i, step in enumerate(rows) if step.ipoc is not None}
+    row_of = {step.counter: i for i, step in enumerate(rows) if step.counter is not None}
     answers = np.full((len(rows), axes), np.nan)
     for robot, measured in zip(robots, joints, strict=True):
-        if robot.ipoc in row_of:
-            answers[row_of[robot.ipoc]] = measured
+        if robot.counter in row_of:
+            answers[row_of[robot.counter]] = measured
     cycle_s = _cycle(rows)
     answers[_after_limited(rows, round(LIMITED_S / cycle_s))] = np.nan
     times = _seconds([robot.stamp_ns for robot in robots], epoch)
@@ -170,7 +170,7 @@ def _in_force(rows: list[TraceStep], at_first: Array) -> Array:
     held = tuple(at_first.tolist())
     commands = []
     for step in rows:
-        if step.ipoc is not None:
+        if step.counter is not None:
             held = step.command
         commands.append(held)
     return np.array(commands)

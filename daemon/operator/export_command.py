@@ -44,12 +44,14 @@ TABLES = {
 
 COLUMNS = {
     "timing": (
-        "ipoc", "arrival_ns", "expected_ns", "woken_late_ns", "lead_ns", "step_ns",
+        "counter", "arrival_ns", "expected_ns", "woken_late_ns", "lead_ns", "step_ns",
         "turnaround_ns", "prepared", "state",
     ),
     "parameters": ("k", "who", "changed", "settings"),
     "log": ("message", "level"),
 }  # fmt: skip
+# Names of columns in recordings of earlier versions.
+_FORMER_COLUMNS = {"counter": "ipoc"}
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 SAMPLES = ("robot", "distance", "camera", "wrench")
 _PARTS: dict[str, tuple[str, ...]] = {
@@ -192,7 +194,7 @@ def _add_step(tables: "_Tables", record: "StepRecord") -> None:
     head = {"k": inputs.k, "stamp_ns": inputs.stamp_ns}
     cells: Cells = {
         **head,
-        "ipoc": record.ipoc,
+        "counter": record.counter,
         "state": record.state,
         "order": str(inputs.order),
         "start": inputs.start,
@@ -218,7 +220,7 @@ def _add_json(tables: "_Tables", name: str, message: "Message") -> None:
     data = json.loads(message.data)
     cells: Cells = {"log_time_ns": message.log_time, "stamp_ns": message.publish_time}
     for column in COLUMNS[name]:
-        value = data.get(column)
+        value = data.get(column, data.get(_FORMER_COLUMNS.get(column, column)))
         cells[column] = json.dumps(value) if isinstance(value, (list, dict)) else value
     tables.add(name, cells)
 

@@ -61,7 +61,7 @@ class PartRecord:
         outputs, inputs = entry.outputs, entry.inputs
         since_s = (inputs.stamp_ns - self._began_ns) * 1e-9
         self._times.setdefault(entry.state, round(since_s, 3))
-        self._missing += entry.ipoc is None
+        self._missing += entry.counter is None
         self._waited_s = outputs.waited_s or self._waited_s
         if outputs.part is not None and not self.seen:
             self.seen = True

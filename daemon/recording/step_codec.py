@@ -35,6 +35,8 @@ _VALUES: dict[type[Any], Callable[[Any], Any]] = {
     kind: attrgetter(*LAYOUT[kind.__name__]) for kind in _KINDS
 }
 _OF_INPUTS, _OF_OUTPUTS, _OF_ROBOT = _VALUES[Inputs], _VALUES[Outputs], _VALUES[RobotSample]
+# Fields under their names in recordings of earlier versions.
+_FORMER_NAMES = {"ipoc": "counter"}
 _ROBOT = LAYOUT["Inputs"].index("robot")
 _HORIZON = LAYOUT["Outputs"].index("horizon")
 _OF_SAMPLES = tuple(
@@ -56,24 +58,24 @@ class StepRecord:
     """One recorded step.
 
     Attributes:
-        ipoc: counter of the answered telegram, None without one.
+        counter: of the answered telegram, None without one.
         outputs: plain values by name; the horizon as a digest.
     """
 
-    ipoc: int | None
+    counter: int | None
     state: str
     inputs: Inputs
     outputs: dict[str, Any]
 
 
-def encode(ipoc: int | None, state: str, inputs: Inputs, outputs: Outputs) -> bytes:
+def encode(counter: int | None, state: str, inputs: Inputs, outputs: Outputs) -> bytes:
     """Encode one step as a msgpack array.
 
     Args:
-        ipoc: counter of the answered telegram, None without one.
+        counter: of the answered telegram, None without one.
     """
-    # An IPOC may be longer than msgpack's integers.
-    counter = ipoc if ipoc is None or -(2**63) <= ipoc < 2**64 else str(ipoc)
+    # A counter may be longer than msgpack's integers.
+    is_plain = counter is None or -(2**63) <= counter < 2**64
     # Known objects are flattened here: msgpack calls back for each object that it meets.
     entered, results = list(_OF_INPUTS(inputs)), list(_OF_OUTPUTS(outputs))
     if inputs.robot is not None:
@@ -82,7 +84,7 @@ def encode(ipoc: int | None, state: str, inputs: Inputs, outputs: Outputs) -> by
         entered[place] = [values(sample) for sample in entered[place]]
     if outputs.horizon is not None:
         results[_HORIZON] = digest(outputs.horizon)
-    return _pack((VERSION, counter, state, entered, results))
+    return _pack((VERSION, counter if is_plain else str(counter), state, entered, results))
 
 
 def decode(data: bytes, layout: Mapping[str, tuple[str, ...]] = LAYOUT) -> StepRecord:
@@ -102,9 +104,9 @@ def decode(data: bytes, layout: Mapping[str, tuple[str, ...]] = LAYOUT) -> StepR
     if version != VERSION:
         raise RecordingError(f"version {version!r} of a step is not known")
     try:
-        ipoc, state, inputs, outputs = rest
+        counter, state, inputs, outputs = rest
         return StepRecord(
-            ipoc=None if ipoc is None else int(ipoc),
+            counter=None if counter is None else int(counter),
             state=state,
             inputs=_inputs(inputs, layout),
             outputs=dict(zip(layout["Outputs"], outputs, strict=True)),
@@ -188,4 +190,5 @@ def _inputs(values: tuple[Any, ...], layout: Mapping[str, tuple[str, ...]]) -> I
 
 
 def _sample(kind: type[Any], values: tuple[Any, ...], layout: Mapping[str, tuple[str, ...]]) -> Any:
-    return kind(**dict(zip(layout[kind.__name__], values, strict=True)))
+    names = (_FORMER_NAMES.get(name, name) for name in layout[kind.__name__])
+    return kind(**dict(zip(names, values, strict=True)))

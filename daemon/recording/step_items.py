@@ -69,7 +69,7 @@ class StepItems:
         """
         inputs, outputs = entry.inputs, entry.outputs
         stamp_ns = inputs.stamp_ns
-        data = step_codec.encode(entry.ipoc, entry.state, inputs, outputs)
+        data = step_codec.encode(entry.counter, entry.state, inputs, outputs)
         if entry.parameters is not None and entry.parameters is not self._parameters:
             change = self._change_message(inputs.k, entry.parameters)
             yield Item(ItemKind.PARAMETERS, stamp_ns, viewer_messages.as_json(change))

@@ -80,9 +80,9 @@ class CycleTiming:
     def _times(
         self, entry: LogEntry, turnaround_ns: int | None, *, is_measured: bool
     ) -> CycleTimes:
-        has_telegram = entry.ipoc is not None
+        has_telegram = entry.counter is not None
         return CycleTimes(
-            ipoc=entry.ipoc,
+            counter=entry.counter,
             arrival_ns=entry.inputs.stamp_ns,
             expected_ns=self._expected_ns if is_measured else None,
             woken_late_ns=self._woken_late_ns if is_measured else None,

@@ -61,7 +61,7 @@ class EgmLink:
             )
         robot = RobotSample(
             stamp_ns=stamp_ns,
-            ipoc=message.sequence,
+            counter=message.sequence,
             joints=cast(Vector6, feedback.joints),
             external=feedback.external,
             digital_in=self._signals(message),

@@ -70,7 +70,7 @@ class RsiLink:
         signals = telegram.channels.get("DiL", 0)
         robot = RobotSample(
             stamp_ns=stamp_ns,
-            ipoc=telegram.ipoc,
+            counter=telegram.ipoc,
             joints=telegram.joints,
             external=external,
             delay=telegram.delay,

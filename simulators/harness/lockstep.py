@@ -288,7 +288,7 @@ class _DaemonLog:
             self.waiting = outputs.waiting
         if outputs.events:
             self.events += [DaemonEvent(t, kind, what) for kind, what in outputs.events]
-        if entry.ipoc is None:
+        if entry.counter is None:
             return
         sensed, part = outputs.sensed, outputs.part
         self._values[self._row] = (

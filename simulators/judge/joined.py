@@ -111,7 +111,7 @@ def join(found: Mapping[str, Any], steps: Iterator[StepRecord]) -> Rows:
     events: list[DaemonEvent] = []
     last: tuple[float, int] | None = None
     for record in steps:
-        row = None if record.ipoc is None else row_of.get(record.ipoc)
+        row = None if record.counter is None else row_of.get(record.counter)
         stamp_ns = record.inputs.stamp_ns
         if row is not None:
             last = (float(found["t"][row]), stamp_ns)

@@ -162,7 +162,7 @@ def record(setup: Setup, plan: CommissioningRun, path: Path, seed: int = SEED) -
                 if order == "start" and refused is None:
                     started.append(order)
         for entry in cycle.take_log():
-            step = encode(entry.ipoc, entry.state, entry.inputs, entry.outputs)
+            step = encode(entry.counter, entry.state, entry.inputs, entry.outputs)
             file.write(entry.inputs.stamp_ns, step)
 
     try:

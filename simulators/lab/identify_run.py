@@ -104,7 +104,7 @@ def record(setup: Setup, seed: int, path: Path) -> Path:
     file = StepFile(path.open("wb"), metadata_of(texts))
 
     def keep(entry: LogEntry) -> None:
-        data = encode(entry.ipoc, entry.state, entry.inputs, entry.outputs)
+        data = encode(entry.counter, entry.state, entry.inputs, entry.outputs)
         file.write(entry.inputs.stamp_ns, data)
 
     try:

@@ -18,9 +18,9 @@ from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.tracking.task import Phase
 from linemate.daemon.core.tracking.touch.compliance import Compliance
-from linemate.daemon.cycle.correction_reference import CONFIRMATIONS, Proof
 from linemate.daemon.cycle.cycle import Cycle
 from linemate.daemon.cycle.operating import SETTLING
+from linemate.daemon.cycle.setpoint_reference import CONFIRMATIONS, Proof
 from linemate.daemon.cycle.states import State
 from linemate.daemon.cycle.step_log import LONGEST_LOG
 from linemate.daemon.cycle.steps import CATCH_UP_S
@@ -163,7 +163,7 @@ def test_every_telegram_gets_one_reply_with_its_ipoc_to_the_digit(
         assert re.findall(rb"<IPOC>(.*?)</IPOC>", reply) == [digits]
         station.next()
     assert station.cycle.steps == 8
-    assert [entry.ipoc for entry in station.cycle.take_log()] == [
+    assert [entry.counter for entry in station.cycle.take_log()] == [
         int(first) + k * step for k in range(8)
     ]
 
@@ -197,8 +197,8 @@ def test_the_step_sees_the_robot_of_the_telegram_before(station: Station) -> Non
     station.run(4)
     for entry in station.cycle.take_log()[1:]:
         assert entry.inputs.robot is not None
-        assert entry.ipoc is not None
-        assert entry.inputs.robot.ipoc == entry.ipoc - station.step
+        assert entry.counter is not None
+        assert entry.inputs.robot.counter == entry.counter - station.step
         assert entry.inputs.robot.stamp_ns == entry.inputs.stamp_ns - PERIOD
 
 
@@ -212,7 +212,7 @@ def test_a_gap_makes_the_steps_that_were_missed(station: Station, missing: int) 
     station.next(missing)
     station.exchange()
     log = station.cycle.take_log()
-    assert [entry.ipoc is None for entry in log] == [True] * missing + [False]
+    assert [entry.counter is None for entry in log] == [True] * missing + [False]
     assert [entry.inputs.k for entry in log] == list(range(20, 21 + missing))
     stamps = [entry.inputs.stamp_ns for entry in log]
     assert np.diff(stamps).tolist() == [PERIOD] * missing
@@ -311,8 +311,8 @@ def test_a_program_that_ran_before_the_daemon_gets_bare_replies_until_it_is_rest
     assert all(bare(station) for _ in range(120))
     status = station.cycle.status()
     assert status["state"] == "init"
-    assert "Restart the KRL program" in status["correction"]["unproven"]
-    assert "Restart the KRL program" in str(station.cycle.order("arm"))
+    assert "Restart the controller's program" in status["correction"]["unproven"]
+    assert "Restart the controller's program" in str(station.cycle.order("arm"))
     # Started again: its corrections count from where it stands now.
     station.next(20)
     station.ipoc, station.delay, station.start = 5_000, 0, station.axes
@@ -907,7 +907,7 @@ def test_a_log_that_is_not_read_is_bounded_and_counted(station: Station) -> None
     assert station.cycle.log_dropped == 30
     log = station.cycle.take_log()
     assert len(log) == LONGEST_LOG
-    assert log[-1].ipoc == station.ipoc - station.step
+    assert log[-1].counter == station.ipoc - station.step
     assert station.cycle.take_log() == []
 
 

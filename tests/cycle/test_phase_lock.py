@@ -251,7 +251,7 @@ def test_a_robot_is_armed_only_at_a_measured_period_near_the_configured_one(cycl
         assert (estimate.arm_refusal is None) is good
         if not good:
             assert f"{cycle_ms * share:.3f} ms" in str(estimate.arm_refusal)
-            assert f"the {cycle_ms} ms configured, limit 5 %. Set rsi.cycle_ms and" in str(
+            assert f"the {cycle_ms} ms configured, limit 5 %. Set the same cycle in" in str(
                 estimate.arm_refusal
             )
 

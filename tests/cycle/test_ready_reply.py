@@ -9,8 +9,8 @@ from msgspec.structs import replace
 
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.core.parameters import Parameters
-from linemate.daemon.cycle.correction_reference import UNACCOUNTED_S
 from linemate.daemon.cycle.cycle import LONGEST_JUMP, Cycle
+from linemate.daemon.cycle.setpoint_reference import UNACCOUNTED_S
 from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, parse_config
 from linemate.protocol.rsi.rsi_link import RsiLink
 from linemate.protocol.stamped_samples import DistanceSample

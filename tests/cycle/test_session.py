@@ -2,8 +2,8 @@
 
 import pytest
 
-from linemate.daemon.cycle.correction_reference import Proof
 from linemate.daemon.cycle.session import Axes, Session
+from linemate.daemon.cycle.setpoint_reference import Proof
 from linemate.protocol.controller_link import ExchangeRules, SetpointKind
 from linemate.protocol.stamped_samples import RobotSample
 
@@ -86,7 +86,7 @@ def test_a_program_that_cannot_be_proven_to_go_on_is_refused_with_what_to_do(
     session = running()
     assert proven(session, telegram(ipoc, at_s, delay, THERE)) is None
     assert session.unproven is not None
-    assert "Restart the KRL program" in session.unproven
+    assert "Restart the controller's program" in session.unproven
     # The same stays so: bare replies may have been applied since, or not.
     assert proven(session, telegram(ipoc + STEP, at_s + CYCLE_S, delay, THERE)) is None
 

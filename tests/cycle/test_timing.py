@@ -8,13 +8,13 @@ from linemate.daemon.cycle.clock.timing import COLUMNS, PAUSE_S, CycleTimes, Tim
 
 MS = 1_000_000
 CYCLE = CycleTimes(
-    ipoc=1, arrival_ns=0, expected_ns=0, woken_late_ns=20_000, lead_ns=400_000, step_ns=250_000,
+    counter=1, arrival_ns=0, expected_ns=0, woken_late_ns=20_000, lead_ns=400_000, step_ns=250_000,
     turnaround_ns=60_000, prepared=True, state="track",
 )  # fmt: skip
 
 
 def at(n: int, **changed: object) -> CycleTimes:
-    return replace(CYCLE, ipoc=n, arrival_ns=n * 4 * MS, **changed)  # type: ignore[arg-type]
+    return replace(CYCLE, counter=n, arrival_ns=n * 4 * MS, **changed)  # type: ignore[arg-type]
 
 
 def test_the_ring_holds_two_seconds_and_no_more() -> None:
@@ -23,7 +23,7 @@ def test_the_ring_holds_two_seconds_and_no_more() -> None:
         timing.note(at(n))
     ring = timing.last()
     assert len(ring) == 500
-    assert (ring[0].ipoc, ring[-1].ipoc) == (4500, 4999)
+    assert (ring[0].counter, ring[-1].counter) == (4500, 4999)
 
 
 def test_a_late_reply_takes_the_ring_with_itself_as_its_last_cycle() -> None:
@@ -35,7 +35,7 @@ def test_a_late_reply_takes_the_ring_with_itself_as_its_last_cycle() -> None:
     incident = timing.take_incident()
     assert incident is not None
     assert incident.why == "a reply was late"
-    assert incident.cycles[-1].ipoc == 1000
+    assert incident.cycles[-1].counter == 1000
     assert len(incident.cycles) == 500
     assert timing.take_incident() is None
     assert timing.late == 1
@@ -55,7 +55,7 @@ def test_a_bad_hour_does_not_write_a_ring_for_every_cycle() -> None:
 def test_a_ring_reads_back_as_comma_separated_values() -> None:
     timing = Timing(4 * MS)
     timing.note(at(1))
-    timing.note(replace(at(2), ipoc=None, turnaround_ns=None))
+    timing.note(replace(at(2), counter=None, turnaround_ns=None))
     timing.incident("fault: the robot link is lost", 8 * MS)
     incident = timing.take_incident()
     assert incident is not None
@@ -63,14 +63,14 @@ def test_a_ring_reads_back_as_comma_separated_values() -> None:
     assert "the robot link is lost" in head
     read = list(csv.DictReader(rows))
     assert tuple(read[0]) == COLUMNS
-    assert [row["ipoc"] for row in read] == ["1", ""]
+    assert [row["counter"] for row in read] == ["1", ""]
     assert read[1]["turnaround_ns"] == ""
     assert read[0]["state"] == "track"
 
 
 def test_a_missing_telegram_has_no_turn_around() -> None:
     timing = Timing(4 * MS)
-    timing.note(replace(CYCLE, ipoc=None, turnaround_ns=None))
+    timing.note(replace(CYCLE, counter=None, turnaround_ns=None))
     assert timing.missing == 1
     assert timing.turnaround.count == 0
     assert timing.step.count == 1

@@ -150,7 +150,7 @@ def test_the_controller_counted_every_telegram(ended: Ended) -> None:
 
 def test_both_sides_tell_of_the_same_run(ended: Ended) -> None:
     steps = list(joined.read_steps(ended.out / "short-seed5-12ms.mcap"))
-    answered = {step.ipoc for step in steps if step.ipoc is not None}
+    answered = {step.counter for step in steps if step.counter is not None}
     counts = ended.result["telegrams"]
     # The daemon answered before the counting began, and may have been late as well.
     assert len(answered) >= counts["answered"]

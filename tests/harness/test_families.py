@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from linemate.daemon.cycle.correction_reference import Proof
+from linemate.daemon.cycle.setpoint_reference import Proof
 from linemate.daemon.cycle.states import State
 from linemate.simulators.devices.fanuc.fanuc_controller import FanucController
 from linemate.simulators.harness import families, setup

@@ -23,7 +23,7 @@ NOMINAL = rotations.matrix((0.7071067811865476, 0.0, 0.7071067811865476, 0.0))
 
 @dataclass(frozen=True)
 class Step:
-    ipoc: int | None
+    counter: int | None
     inputs: Inputs
     command: tuple[float, ...]
     contact: bool = False
@@ -61,8 +61,8 @@ def steps(n: int = 60, silent: tuple[int, ...] = (), touching: range = range(0))
             wrench=(WrenchSample(stamp - 2, (float(k), 0.0, 0.0), (0.0, 0.0, 1.0)),),
         )  # fmt: skip
         command = (0.02 * k, *[0.0] * 6)
-        ipoc = None if k in silent else 1000 + k
-        made.append(Step(ipoc, inputs, command, k in touching))
+        counter = None if k in silent else 1000 + k
+        made.append(Step(counter, inputs, command, k in touching))
     return made
 
 

@@ -35,7 +35,7 @@ def run() -> tuple[Lockstep, list[LogEntry]]:
 def recorded(entries: list[LogEntry], path: Path) -> Path:
     file = StepFile(path.open("xb"), metadata_of({"task": "wheel"}))
     for entry in entries:
-        data = step_codec.encode(entry.ipoc, entry.state, entry.inputs, entry.outputs)
+        data = step_codec.encode(entry.counter, entry.state, entry.inputs, entry.outputs)
         file.write(entry.inputs.stamp_ns, data)
     file.close()
     return path
@@ -80,7 +80,7 @@ def test_order_does_not_matter_and_foreign_telegrams_fill_no_row(
     run: tuple[Lockstep, list[LogEntry]], tmp_path: Path
 ) -> None:
     lockstep, entries = run
-    foreign = structs.replace(entries[0], ipoc=1)
+    foreign = structs.replace(entries[0], counter=1)
     path = recorded([foreign, *entries], tmp_path / "run.mcap")
     found = joined.join(columns(lockstep), joined.read_steps(path))
     assert_same(found, lockstep.evidence().rows)

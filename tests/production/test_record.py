@@ -66,7 +66,7 @@ def test_a_record_stays_bounded_however_long_a_part_takes() -> None:
     record = PartRecord(PART, 0, "2026-11-23T08:00:00Z", "left")
     for k in range(5000):
         inputs = replace(step.inputs, stamp_ns=k * 12_000_000)
-        record.add(replace(step, inputs=inputs, outputs=outputs, ipoc=None))
+        record.add(replace(step, inputs=inputs, outputs=outputs, counter=None))
     plain = finished(record, 60_000_000_000)
     assert len(plain["classes"]) == MOST_EVENTS
     assert len(plain["force"]["course_n"]) == COURSE

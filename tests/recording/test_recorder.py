@@ -367,7 +367,7 @@ def test_the_lines_for_people_and_the_times_of_cycles_stand_next_to_the_steps(
     assert messages[0] == "link camera is down: no datagrams"
     assert "state: track" in messages
     assert messages_of[TIMING] == [
-        {"ipoc": 1, "arrival_ns": 8, "lead_ns": 0, "step_ns": 100, "turnaround_ns": 200,
+        {"counter": 1, "arrival_ns": 8, "lead_ns": 0, "step_ns": 100, "turnaround_ns": 200,
          "prepared": False, "state": "idle"}
     ]  # fmt: skip
 

@@ -18,7 +18,7 @@ from linemate.protocol.stamped_samples import DistanceSample
 
 
 def encoded(entry: LogEntry) -> bytes:
-    return encode(entry.ipoc, entry.state, entry.inputs, entry.outputs)
+    return encode(entry.counter, entry.state, entry.inputs, entry.outputs)
 
 
 def test_inputs_come_back_equal_and_of_their_own_types(entries: tuple[LogEntry, ...]) -> None:
@@ -26,9 +26,9 @@ def test_inputs_come_back_equal_and_of_their_own_types(entries: tuple[LogEntry, 
         record = decode(encoded(entry))
         assert record.inputs == entry.inputs
         assert type(record.inputs.order) is type(entry.inputs.order)
-        assert record.ipoc == entry.ipoc
+        assert record.counter == entry.counter
         assert record.state == "track"
-        assert encode(record.ipoc, record.state, record.inputs, entry.outputs) == encoded(entry)
+        assert encode(record.counter, record.state, record.inputs, entry.outputs) == encoded(entry)
 
 
 def test_outputs_of_the_same_step_show_no_difference(entries: tuple[LogEntry, ...]) -> None:
@@ -65,9 +65,18 @@ def test_any_float_and_any_stamp_come_back_exactly(number: float, stamp: int) ->
     assert sample.stamp_ns == stamp
 
 
-def test_an_ipoc_longer_than_64_bits_survives(entries: tuple[LogEntry, ...]) -> None:
+def test_a_counter_longer_than_64_bits_survives(entries: tuple[LogEntry, ...]) -> None:
     data = encode(10**30, "idle", entries[0].inputs, entries[0].outputs)
-    assert decode(data).ipoc == 10**30
+    assert decode(data).counter == 10**30
+
+
+def test_the_counter_is_read_under_its_former_name(entries: tuple[LogEntry, ...]) -> None:
+    entry = next(entry for entry in entries if entry.inputs.robot is not None)
+    names = step_codec.LAYOUT["RobotSample"]
+    former = tuple("ipoc" if name == "counter" else name for name in names)
+    assert former != names
+    record = decode(encoded(entry), {**step_codec.LAYOUT, "RobotSample": former})
+    assert record.inputs == entry.inputs
 
 
 def test_a_later_field_is_missing_in_an_earlier_recording_and_shows(

@@ -22,7 +22,7 @@ T = 12_000_000
 
 def test_a_prepared_cycle_is_accounted_for_with_its_parts(entries: tuple[LogEntry, ...]) -> None:
     timing = CycleTiming(Timing(T))
-    entry = structs.replace(entries[3], ipoc=36)
+    entry = structs.replace(entries[3], counter=36)
     timing.note_prepared(woken_late_ns=20_000, step_ns=300_000)
     lock = PhaseLock(T, 0, 500_000)
     lock.follow(entry.inputs.stamp_ns - 5_000 - T)
@@ -30,7 +30,7 @@ def test_a_prepared_cycle_is_accounted_for_with_its_parts(entries: tuple[LogEntr
     timing.close_cycle([entry], turnaround_ns=70_000)
     (times,) = timing.timing.last()
     assert times == CycleTimes(
-        ipoc=36, arrival_ns=entry.inputs.stamp_ns, expected_ns=entry.inputs.stamp_ns - 5_000,
+        counter=36, arrival_ns=entry.inputs.stamp_ns, expected_ns=entry.inputs.stamp_ns - 5_000,
         woken_late_ns=20_000, lead_ns=500_000, step_ns=300_000, turnaround_ns=70_000,
         prepared=True, state=entry.state,
     )  # fmt: skip
@@ -42,10 +42,10 @@ def test_a_prepared_cycle_is_accounted_for_with_its_parts(entries: tuple[LogEntr
 def test_what_was_of_one_cycle_is_not_of_the_next(entries: tuple[LogEntry, ...]) -> None:
     timing = CycleTiming(Timing(T))
     timing.note_prepared(woken_late_ns=20_000, step_ns=300_000)
-    timing.close_cycle([structs.replace(entries[0], ipoc=12)], turnaround_ns=70_000)
+    timing.close_cycle([structs.replace(entries[0], counter=12)], turnaround_ns=70_000)
     timing.note_step(900_000)
-    timing.close_cycle([structs.replace(entries[1], ipoc=24)], turnaround_ns=950_000)
-    timing.close_cycle([structs.replace(entries[2], ipoc=None)], turnaround_ns=950_000)
+    timing.close_cycle([structs.replace(entries[1], counter=24)], turnaround_ns=950_000)
+    timing.close_cycle([structs.replace(entries[2], counter=None)], turnaround_ns=950_000)
     first, second, third = timing.timing.last()
     assert (first.prepared, second.prepared, third.prepared) == (True, False, False)
     assert (second.woken_late_ns, second.step_ns) == (None, 900_000)
@@ -58,8 +58,8 @@ def test_after_a_stall_only_the_last_step_has_the_measured_times(
     timing = CycleTiming(Timing(T))
     timing.note_step(900_000)
     timing.close_cycle(
-        [structs.replace(e, ipoc=None) for e in entries[:3]]
-        + [structs.replace(entries[3], ipoc=48)],
+        [structs.replace(e, counter=None) for e in entries[:3]]
+        + [structs.replace(entries[3], counter=48)],
         5,
     )
     assert [times.step_ns for times in timing.timing.last()] == [None, None, None, 900_000]

@@ -229,7 +229,7 @@ def test_a_listening_daemon_records_the_same_inputs_as_one_that_makes_steps(site
     listened = commission_run.listen(setup, plan)
     file = commission_run.record(setup, plan, site / "steps.mcap")
     steps = read(file).steps
-    stepped = {step.ipoc: step.inputs for step in steps}
+    stepped = {step.counter: step.inputs for step in steps}
     moved = [s.inputs for s in steps if s.inputs.robot is not None]
     assert len(stepped) > 50
     assert [x.camera for x in listened if x.camera] == [x.camera for x in moved if x.camera]

@@ -68,7 +68,7 @@ def test_what_a_daemon_recorded_replays_to_the_bit(tmp_path: Path) -> None:
     (path,) = tmp_path.glob("linemate-*.mcap")
     recording = read(path)
     assert recording.whole
-    assert sum(step.ipoc is not None for step in recording.steps) >= 0.9 * answered > 0
+    assert sum(step.counter is not None for step in recording.steps) >= 0.9 * answered > 0
     assert tool.main(["replay", str(path)]) == 0
 
 

@@ -81,7 +81,7 @@ class CycleEstimate:
 
         Args:
             stamp_ns: of its arrival [ns].
-            cycles: since the telegram before, by their IPOCs.
+            cycles: since the telegram before, by their counters.
         """
         expected_ns = self.expected_ns(cycles)
         self._cycle += max(1, cycles)
@@ -128,8 +128,8 @@ class CycleEstimate:
         return (
             f"the controller's cycle is {self.period_ns * 1e-6:.3f} ms, "
             f"{100.0 * abs(deviation):.1f} % off the {self.nominal_ns * 1e-6:g} ms configured, "
-            f"limit {100.0 * TOLERANCE:g} %. Set rsi.cycle_ms and RSI_ON's cycle on the controller "
-            "to the same value."
+            f"limit {100.0 * TOLERANCE:g} %. Set the same cycle in the configuration "
+            "(rsi.cycle_ms, egm.cycle_ms, fanuc.cycle_ms) and on the controller."
         )
 
     @property
@@ -307,7 +307,7 @@ class PhaseLock:
         """Follow a telegram that was answered.
 
         Args:
-            cycles: since the telegram before, by their IPOCs.
+            cycles: since the telegram before, by their counters.
             restarts: it begins a session.
         """
         estimate = self.estimate
@@ -331,7 +331,7 @@ class PhaseLock:
 
         Args:
             stamp_ns: the telegram's arrival [ns].
-            cycles: since the telegram before, by their IPOCs.
+            cycles: since the telegram before, by their counters.
         """
         expected_ns = self.estimate.expected_ns(cycles)
         if expected_ns is None or not self.is_locked or self.estimate.refusal:

@@ -24,7 +24,7 @@ class CycleTimes(Struct, frozen=True):
     """One cycle. Times are [ns], None where there was no such thing.
 
     Attributes:
-        ipoc: of the telegram, None if it was missing.
+        counter: of the telegram, None if it was missing.
         arrival_ns: of the telegram, or the deadline that stood in for it.
         expected_ns: when the telegram was expected.
         woken_late_ns: the clock, for this cycle's step.
@@ -33,7 +33,7 @@ class CycleTimes(Struct, frozen=True):
         state: the operating state after it.
     """
 
-    ipoc: int | None
+    counter: int | None
     arrival_ns: int
     expected_ns: int | None
     woken_late_ns: int | None
@@ -106,7 +106,7 @@ class Timing:
             self.step.add(cycle.step_ns)
         if cycle.woken_late_ns is not None:
             self.lateness.add(cycle.woken_late_ns)
-        if cycle.ipoc is None:
+        if cycle.counter is None:
             self.missing += 1
         if cycle.turnaround_ns is not None:
             self.turnaround.add(cycle.turnaround_ns)

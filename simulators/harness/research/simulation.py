@@ -171,7 +171,7 @@ def _replayed(
 
 def _rows_of(steps: list[StepRecord]) -> Rows:
     """Return the rows of steps that answered a telegram, without a truth."""
-    answered = [step for step in steps if step.ipoc is not None]
+    answered = [step for step in steps if step.counter is not None]
     rows = columns.empty(len(answered))
     first_ns = answered[0].inputs.stamp_ns if answered else 0
     events = []

@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from linemate.daemon.cycle.correction_reference import (
+from linemate.daemon.cycle.session import Session
+from linemate.daemon.cycle.setpoint_reference import (
     PROVEN,
     Evidence,
     Known,
@@ -18,7 +19,6 @@ from linemate.daemon.cycle.correction_reference import (
     decide,
     start_seen,
 )
-from linemate.daemon.cycle.session import Session
 from linemate.protocol.exchange import Exchange, TelegramKind
 from linemate.protocol.exchange import ExchangeState as Running
 from linemate.protocol.stamped_samples import RobotSample
@@ -337,7 +337,7 @@ def test_a_daemon_that_was_restarted_in_motion_sends_bare_replies_only(event: st
     before = bench.controller.correction
     bench.run(200)
     assert bench.controller.correction == before
-    assert "Restart the KRL program" in str(bench.session.unproven)
+    assert "Restart the controller's program" in str(bench.session.unproven)
 
 
 # A stall directly after a jump of the counter or a restart of the daemon looks like a start.
@@ -363,4 +363,4 @@ def test_a_controller_that_was_stalled_in_motion_keeps_its_correction(
     before = bench.controller.correction
     bench.run(200)
     assert bench.controller.correction == before
-    assert "Restart the KRL program" in str(bench.session.unproven)
+    assert "Restart the controller's program" in str(bench.session.unproven)

@@ -1,13 +1,13 @@
 """Proof of which correction a robot controller has in force.
 
-An absolute correction counts from the axis position at which the KRL program started RSI, the
-reference. A reply that counts from another reference moves the robot by the difference within one
-cycle. So a reply carries corrections only with a proof. Without a proof it is bare (IPOC only),
-and the controller keeps the correction that it has (HOLDON=1).
+An offset counts from the reference: the axis position at which the controller's program started
+its exchange. A reply that counts from another reference moves the robot by the difference within
+one cycle. So a reply carries corrections only with a proof. Without a proof it is bare (counter
+only), and the controller keeps the correction that it has.
 
 Invariants:
-- A moved program is believed to go on only if counter and Delay account for the time that passed.
-- A start is believed only after silence in which a running program would have raised Delay.
+- A moved program is believed to go on only if counter and delay count account for the time.
+- A start is believed only after silence that a running program would have counted as delay.
 - A counter that goes on where it stopped shows no start, whatever time has passed.
 - A daemon that knows no program and heard no silence has no proof but the programmed position.
 - A programmed position that differs from the known reference refutes that the program goes on.
@@ -24,12 +24,12 @@ from linemate.protocol.stamped_samples import RobotSample
 Axes = tuple[float, ...]
 """A1..A6 [rad], and E1 [m] where the arm has it."""
 
-# A KRL program needs longer to leave RSI_MOVECORR, run RSI_OFF and RSI_ON, and come back [s].
+# A program needs longer to end its exchange, start it again, and come back [s].
 RESTART_S = 0.1
 # Time that the counter may leave unaccounted. Jitter and a controller that was stalled for a moment
 # do not refute a program that goes on; a restart does [s].
 UNACCOUNTED_S = ACCOUNTED_S
-# Silence in which a running program would have raised Delay visibly [cycles, s].
+# Silence in which a running program would have raised the delay count visibly [cycles, s].
 SILENT_CYCLES = 5
 SILENT_S = 0.05
 MARGIN = 2
@@ -58,13 +58,13 @@ class Known(StrEnum):
 class Start(StrEnum):
     """Whether a program has just started."""
 
-    NOT_SEEN = "telegrams were heard, or Delay is as great as the silence"
-    LIKELY = "silence, and Delay is less than the silence"
-    SEEN = "silence, and Delay has counted no cycle of it"
+    NOT_SEEN = "telegrams were heard, or the delay count is as great as the silence"
+    LIKELY = "silence, and the delay count is less than the silence"
+    SEEN = "silence, and the delay count has no cycle of it"
 
 
 class Programmed(StrEnum):
-    """The programmed position (ASPos, ESPos) against the actual one (AIPos, EIPos)."""
+    """The programmed position against the actual one."""
 
     ABSENT = "not in the telegram"
     EQUAL = "equal to the actual position"
@@ -74,7 +74,7 @@ class Programmed(StrEnum):
 class Proof(StrEnum):
     """Why the correction in force is known."""
 
-    CONTINUED = "the program goes on: counter and Delay account for the time since the last reply"
+    CONTINUED = "the program goes on: counter and delay count account for the time since its reply"
     STARTED = "the start of the program was seen: the correction is zero"
     UNMOVED = "this daemon has sent zero only: the correction is zero"
     COMPUTED = "the correction is the actual position less the programmed one"
@@ -92,7 +92,7 @@ class Evidence:
 
     Attributes:
         known: the program that was served last.
-        goes_on: there is one, and counter and Delay account for the time since its last reply.
+        goes_on: there is one, and counter and delay count account for the time since its reply.
         held: if so, it is known whether the controller applied that reply.
         start: whether a program has just started.
         confirmed: enough telegrams have agreed with a start that was likely.
@@ -142,7 +142,7 @@ class Program(NamedTuple):
         silence_s: longest silence since [s].
     """
 
-    ipoc: int
+    counter: int
     step: int | None
     stamp_ns: int
     delay: int | None
@@ -172,7 +172,7 @@ def continuation(program: Program, robot: RobotSample, cycle_s: float) -> Contin
     """Return how a program has gone on, None if it cannot be proven that it has.
 
     The counter tells the cycles that passed. Where it has jumped, the telegrams that came tell
-    them, if they came without a pause. Delay must have counted each of these cycles that got no
+    them, if they came without a pause. The delay count must hold each of these cycles that got no
     reply: a program that was restarted in between counts from zero.
 
     Args:
@@ -181,7 +181,7 @@ def continuation(program: Program, robot: RobotSample, cycle_s: float) -> Contin
         cycle_s: the controller's cycle [s].
     """
     passed_s = (robot.stamp_ns - program.stamp_ns) * 1e-9
-    by_counter = _cycles(program, robot.ipoc)
+    by_counter = _cycles(program, robot.counter)
     found = None
     if by_counter is not None and by_counter > 0:
         found = _accounted(program, robot.delay, by_counter, passed_s, cycle_s)
@@ -191,28 +191,28 @@ def continuation(program: Program, robot: RobotSample, cycle_s: float) -> Contin
     if abs(passed_s - by_telegrams * cycle_s) <= UNACCOUNTED_S:
         found = _accounted(program, robot.delay, by_telegrams, passed_s, cycle_s)
     if found is None and by_counter is not None and by_counter <= 0:
-        # A telegram of the past was delayed. Its Delay is of the past as well.
+        # A telegram of the past was delayed. Its delay count is of the past as well.
         is_delayed = abs(passed_s - by_counter * cycle_s) <= DELAYED_S
         found = Continuation(0, program.pending) if is_delayed else None
     return found
 
 
-def _cycles(program: Program, ipoc: int) -> int | None:
+def _cycles(program: Program, counter: int) -> int | None:
     """Return the cycles since the program's last telegram by its counter, None if it jumped."""
     if program.step is None:
         return None
-    cycles, rest = divmod(ipoc - program.ipoc, program.step)
+    cycles, rest = divmod(counter - program.counter, program.step)
     return None if rest else cycles
 
 
 def _accounted(
     program: Program, delay: int | None, cycles: int, passed_s: float, cycle_s: float
 ) -> Continuation | None:
-    """Return the continuation if Delay accounts for the cycles, None if it does not."""
+    """Return the continuation if the delay count accounts for the cycles, None if it does not."""
     if delay is None or program.delay is None:
         return None
     unserved = cycles - program.replies
-    # Delay is a running total on some controllers and counts cycles in a row on others.
+    # It is a running total on some controllers and counts cycles in a row on others.
     for bad in (delay - program.delay, delay):
         if max(0, unserved) <= bad <= cycles and passed_s - cycles * cycle_s <= UNACCOUNTED_S:
             return Continuation(cycles, _held(program, bad, cycles, unserved))
@@ -233,8 +233,8 @@ def start_seen(
 ) -> Start:
     """Return whether a program has started during a silence that no reply has followed.
 
-    A program that ran during the silence got no reply, so its Delay is at least the silence. Half
-    of it is asked for.
+    A program that ran during the silence got no reply, so its delay count is at least the
+    silence. Half of it is asked for.
 
     Args:
         delay: bad cycles that the controller has counted, None if not in the telegram.
@@ -264,7 +264,7 @@ def goes_on_after_stall(program: Program, robot: RobotSample, cycle_s: float) ->
         robot: the first telegram after a silence.
         cycle_s: the controller's cycle [s].
     """
-    cycles = _cycles(program, robot.ipoc)
+    cycles = _cycles(program, robot.counter)
     if cycles is None or cycles <= 0:
         return False
     passed_s, counted_s = (robot.stamp_ns - program.stamp_ns) * 1e-9, cycles * cycle_s
