@@ -52,14 +52,32 @@ class Rerun:
         self.asked.append(op)
         if op == "scene":
             return viewer_messages.scene(recording().texts, 0.012)
+        if op == "sensors":
+            return self.sensors()
         return self.status if op == "status" else {"refused": f"no {op} here"}
 
-    def telemetry(self) -> dict[str, Any]:
+    def sensors(self) -> dict[str, Any]:
+        shown: dict[str, Any] = {}
+        for step in self._steps[max(0, self._at() - 40) : self._at() + 1]:
+            for wrench in step.inputs.wrench:
+                shown["wrench"] = (*wrench.force, *wrench.torque)
+                shown["wrench_ns"] = wrench.stamp_ns
+            for distance in step.inputs.distance:
+                shown["distance"], shown["distance_ns"] = distance.position, distance.stamp_ns
+            for seen in step.inputs.camera:
+                shown["camera"] = (*seen.position, *seen.quaternion)
+                shown["camera_ns"], shown["camera_frame"] = seen.exposure_ns, seen.frame
+        return shown
+
+    def _at(self) -> int:
+        """The step that runs now."""
         first, last = (self._steps[at].inputs.stamp_ns * 1e-9 for at in (0, -1))
         passed_s = self.pace * (time.monotonic() - self._began)
         at_s = self.from_s + passed_s % (last - first - self.from_s)
-        n = min(len(self._steps) - 1, int(at_s / 0.012))
-        step = self._steps[n]
+        return min(len(self._steps) - 1, int(at_s / 0.012))
+
+    def telemetry(self) -> dict[str, Any]:
+        step = self._steps[self._at()]
         robot = step.inputs.robot
         telemetry = {name: step.outputs[name] for name in SHOWN_OUTPUTS}
         telemetry |= {"state": step.state, "k": step.inputs.k, "stamp_ns": step.inputs.stamp_ns}

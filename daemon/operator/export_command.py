@@ -110,7 +110,8 @@ def _main_channels(path: Path, out: Path) -> int:
     """Write a recording's standard channels, and name the layout that shows them."""
     check_output_file(out, "--foxglove")
     try:
-        from linemate.daemon.view.channels.channel_export import LAYOUT_FILE, export_channels
+        from linemate.daemon.view.channels.channel_export import export_channels
+        from linemate.daemon.view.channels.channel_messages import LAYOUT_FILE
     except ImportError as error:
         raise UsageError(
             f"{error.name} is not installed; pip install linemate[foxglove]"

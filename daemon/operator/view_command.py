@@ -22,7 +22,9 @@ def add_parser(commands: Any, common: argparse.ArgumentParser) -> None:
     """Add the command."""
     parser = commands.add_parser("view", parents=[common], help=HELP, description=ABOUT)
     parser.add_argument("files", nargs="*", type=Path, metavar="FILE", help="recordings to play")
-    parser.add_argument("--port", type=_port, default=0, help="of the page; any free one")
+    parser.add_argument(
+        "--port", type=_port, help="of the page, any free one; with --foxglove 8765"
+    )
     parser.add_argument(
         "--bind", type=_address, default="127.0.0.1", metavar="ADDRESS",
         help="listen there; beyond the loopback all who reach it can watch",
@@ -30,19 +32,25 @@ def add_parser(commands: Any, common: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-browser", action="store_true", help="print the address and open nothing"
     )
+    parser.add_argument(
+        "--foxglove", action="store_true",
+        help="no page, but standard channels of the daemon by WebSocket (extra 'foxglove')",
+    )  # fmt: skip
     parser.set_defaults(run=main)
 
 
 def main(args: argparse.Namespace) -> int:
     """Serve until a signal ends it."""
+    with contextlib.suppress(OSError):
+        os.nice(NICE)
+    if args.foxglove:
+        return _serve_channels(args)
     import asyncio
 
     from linemate.daemon.recording.format import UnreadableRecordingError
     from linemate.daemon.view import view_process
 
-    with contextlib.suppress(OSError):
-        os.nice(NICE)
-    where = view_process.Where(args.bind, args.port, not args.no_browser and has_display())
+    where = view_process.Where(args.bind, args.port or 0, not args.no_browser and has_display())
     try:
         if args.files:
             asyncio.run(view_process.play(args.files, where))
@@ -51,7 +59,26 @@ def main(args: argparse.Namespace) -> int:
     except UnreadableRecordingError as error:
         raise NegativeError(str(error)) from error
     except OSError as error:
-        raise UsageError(f"{args.bind}:{args.port}: {error.strerror or error}") from error
+        raise UsageError(f"{args.bind}:{args.port or 0}: {error.strerror or error}") from error
+    return OK
+
+
+def _serve_channels(args: argparse.Namespace) -> int:
+    """Serve a daemon's standard channels until a signal ends it."""
+    if args.files:
+        raise UsageError("--foxglove shows a daemon; `linemate export FILE --foxglove` a recording")
+    try:
+        from linemate.daemon.view.channels import channel_server
+    except ImportError as error:
+        raise UsageError(
+            f"{error.name} is not installed; pip install linemate[foxglove]"
+        ) from error
+    console.connect(args).close()  # reports an unreadable key at once
+    port = channel_server.PORT if args.port is None else args.port
+    try:
+        channel_server.serve(lambda: console.connect(args), args.bind, port)
+    except (OSError, RuntimeError) as error:
+        raise UsageError(f"{args.bind}:{port}: {error}") from error
     return OK
 
 

@@ -167,6 +167,7 @@ class App:
             "set": lambda params, who: self._parameters.set(params["values"], who),
             "save": lambda _params, who: self._parameters.save(who),
             "scene": lambda _params, _who: self._scene,
+            "sensors": lambda _params, _who: self._live.sensors(),
         }
         self._production = build_production(
             station,

@@ -38,7 +38,7 @@ class LiveTelemetry:
     _entry: LogEntry | None = None
     _joints: tuple[float, ...] | None = None
     _joints_ns: int = 0
-    _newest_ns: dict[str, int] = field(default_factory=dict)
+    _newest: dict[str, Any] = field(default_factory=dict)
 
     def record(self, entries: Iterable[LogEntry], times: Iterable[CycleTimes] = ()) -> None:
         """Record steps and the times of their cycles, oldest first."""
@@ -51,7 +51,7 @@ class LiveTelemetry:
             for name in ("distance", "camera", "wrench"):
                 samples = getattr(inputs, name)
                 if samples:
-                    self._newest_ns[name] = samples[-1].stamp_ns
+                    self._newest[name] = samples[-1]
             for what, how in entry.outputs.events:
                 self.add_event(inputs.stamp_ns, f"conveyor: {what} {how}")
         for cycle in times:
@@ -81,14 +81,33 @@ class LiveTelemetry:
             shown["measured"] = self._joints[: len(entry.outputs.command)]
             shown["measured_ns"] = self._joints_ns
         shown["ages_ms"] = {
-            name: round(max(0, now_ns - stamp_ns) / 1e6, 1)
-            for name, stamp_ns in self._newest_ns.items()
+            name: round(max(0, now_ns - sample.stamp_ns) / 1e6, 1)
+            for name, sample in self._newest.items()
         }
         horizon = entry.outputs.horizon
         if horizon is not None:
             last = len(horizon) - 1
             shown["foreseen"] = points_in_base(horizon, nominal)
             shown["foreseen_ms"] = round(last * self.cycle_ms)
+        return shown
+
+    def sensors(self) -> dict[str, Any]:
+        """Return the newest sample of each sensor as plain values, in SI units.
+
+        A stamp is on the daemon's monotonic clock [ns]; that of the camera is the exposure.
+        """
+        shown: dict[str, Any] = {}
+        wrench, distance = self._newest.get("wrench"), self._newest.get("distance")
+        camera = self._newest.get("camera")
+        if wrench is not None:
+            shown["wrench"] = (*wrench.force, *wrench.torque)
+            shown["wrench_ns"] = wrench.stamp_ns
+        if distance is not None:
+            shown["distance"] = distance.position
+            shown["distance_ns"] = distance.stamp_ns
+        if camera is not None:
+            shown["camera"] = (*camera.position, *camera.quaternion)
+            shown["camera_ns"], shown["camera_frame"] = camera.exposure_ns, camera.frame
         return shown
 
 

@@ -24,7 +24,7 @@ SOCKET_NAME: Final = "linemate/command.sock"
 DEFAULT_PORT: Final = 49160
 DEFAULT_TIMEOUT_S: Final = 0.5
 # Requests that may be repeated when they expired on their way: they change nothing.
-REPEATABLE: Final = frozenset({"status", "params", "get", "scene", "subscribe"})
+REPEATABLE: Final = frozenset({"status", "params", "get", "scene", "sensors", "subscribe"})
 MAX_REPEATS: Final = 3
 RESEND_S: Final = 0.1
 RENEW_S: Final = 20.0  # a server closes sessions that are idle for a minute

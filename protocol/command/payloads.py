@@ -16,7 +16,7 @@ from linemate.protocol.command.frame_codec import MAX_PAGES, MAX_RESULT_BYTES, C
 
 # Operations without parameters.
 BARE: Final = frozenset(
-    {"status", "scene", "save", "arm", "start", "ack", "home", "stop", "retreat"}
+    {"status", "scene", "sensors", "save", "arm", "start", "ack", "home", "stop", "retreat"}
     | {"queue", "next", "hold"}
 )
 

@@ -114,6 +114,7 @@ OPERATIONS: Final[Mapping[str, OperationRule]] = {
     "params": OperationRule(ParamsOf, Role.VIEW),
     "get": OperationRule(GetOf, Role.VIEW),
     "scene": OperationRule(Empty, Role.VIEW),
+    "sensors": OperationRule(Empty, Role.VIEW),
     "subscribe": OperationRule(SubscribeOf, Role.VIEW),
     "page": OperationRule(PageOf, Role.VIEW),
     "set": OperationRule(SetOf, Role.OPERATE, ordered=True),

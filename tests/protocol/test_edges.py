@@ -496,7 +496,8 @@ def test_only_stop_and_retreat_are_taken_in_any_order_and_without_the_lease() ->
         op: (str(rule.role), rule.lease, rule.ordered) for op, rule in requests.OPERATIONS.items()
     }
     viewing = dict.fromkeys(
-        ("status", "params", "get", "scene", "subscribe", "page", "queue"), ("view", False, False)
+        ("status", "params", "get", "scene", "sensors", "subscribe", "page", "queue"),
+        ("view", False, False),
     )
     setting = dict.fromkeys(("set", "save", "record", "announce", "skip"), ("operate", False, True))
     moving = dict.fromkeys(

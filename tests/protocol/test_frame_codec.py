@@ -411,7 +411,7 @@ def test_what_is_not_an_event_is_refused(message: object) -> None:
 
 def test_every_operation_of_the_interface_is_there() -> None:
     asked = {"status", "params", "get", "set", "save", "arm", "start", "stop", "retreat"}
-    asked |= {"ack", "home", "record", "subscribe", "page", "scene"}
+    asked |= {"ack", "home", "record", "subscribe", "page", "scene", "sensors"}
     asked |= {"announce", "skip", "next", "hold", "queue", "follow"}
     assert set(OPERATIONS) == asked
     operating = {op for op, rule in OPERATIONS.items() if rule.role is Role.OPERATE}

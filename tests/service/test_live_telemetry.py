@@ -60,6 +60,24 @@ def test_the_newest_of_everything_is_shown_as_plain_values(
     assert json.loads(json.dumps(shown)) is not None
 
 
+def test_the_newest_sample_of_each_sensor_is_shown_in_full(entries: tuple[LogEntry, ...]) -> None:
+    assert LiveTelemetry(12.0).sensors() == {}
+    shown = seen(entries).sensors()
+    inputs = [entry.inputs for entry in entries]
+    wrench, distance = inputs[-1].wrench[-1], inputs[-1].distance[-1]
+    camera = next(one.camera[-1] for one in reversed(inputs) if one.camera)
+    assert shown == {
+        "wrench": (*wrench.force, *wrench.torque),
+        "wrench_ns": wrench.stamp_ns,
+        "distance": distance.position,
+        "distance_ns": distance.stamp_ns,
+        "camera": (*camera.position, *camera.quaternion),
+        "camera_ns": camera.exposure_ns,
+        "camera_frame": "camera",
+    }
+    assert len(encode_result(shown)) <= PAYLOAD_BYTES // 2
+
+
 def test_foresight_begins_at_the_committed_pose_and_has_its_length(
     entries: tuple[LogEntry, ...], parameters: Parameters
 ) -> None:

@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from linemate.daemon.recording.format import DamageReport
     from linemate.daemon.recording.step_codec import StepRecord
 
-LAYOUT_FILE: Final = Path(__file__).parent / "data" / "linemate-foxglove.json"
 CHUNK_BYTES: Final = 1_048_576
 _DURATIONS: Final = ("turnaround", "step", "lead", "woken_late")
 

@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from foxglove import messages
@@ -21,6 +22,7 @@ from linemate.daemon.view.channels import channel_schemas
 from linemate.daemon.view.frames import Framer, Moment
 from linemate.protocol.stamped_samples import AXES
 
+LAYOUT_FILE: Final = Path(__file__).parent / "data" / "linemate-foxglove.json"
 TCP_MEASURED: Final = "tcp_measured"
 CAMERA: Final = "camera"
 SENSOR: Final = "force_torque"  # frame of the wrench

@@ -63,7 +63,6 @@ def encode_own(name: str, wall_ns: int, values: Mapping[str, Any]) -> bytes:
     """Encode a message.
 
     Args:
-        name: key of FIELDS.
         wall_ns: time since the epoch [ns].
         values: by field; a vector is a map of x, y and z. A number that is None is NaN.
 

@@ -21,8 +21,7 @@ from linemate.daemon.operator import main as tool
 from linemate.daemon.recording.format import Item, ItemKind
 from linemate.daemon.recording.step_file import StepFile
 from linemate.daemon.recording.step_items import StepItems, metadata_of
-from linemate.daemon.view.channels.channel_export import LAYOUT_FILE
-from linemate.daemon.view.channels.channel_messages import TOPICS
+from linemate.daemon.view.channels.channel_messages import LAYOUT_FILE, TOPICS
 
 WALL_NS = 10**18
 Decoded = dict[str, list[tuple[Any, Any]]]
