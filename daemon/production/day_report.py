@@ -52,13 +52,13 @@ h1{font-size:1.5rem;margin:0}h2{font-size:1.1rem;margin:2rem 0 .5rem}
 .tile b{display:block;font-size:1.6rem;font-variant-numeric:tabular-nums}.tile span{color:#5b6b7b}
 table{border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums}
 th,td{text-align:left;padding:.3rem .6rem;border-bottom:1px solid #e4eaf0;vertical-align:top}
-th{color:#5b6b7b;font-weight:600}td.n,th.n{text-align:right}td.w{white-space:nowrap}.bad{color:#b3261e}.ok{color:#1b7f4b}
-.plots{display:grid;grid-template-columns:repeat(auto-fill,minmax(27rem,1fr));gap:1rem}
+th{color:#5b6b7b;font-weight:600;white-space:nowrap}td.n,th.n{text-align:right}td.w{white-space:nowrap}.bad{color:#b3261e}.ok{color:#1b7f4b}
+.plots{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(27rem,100%),1fr));gap:1rem}
 figure{margin:0;border:1px solid #d5dde5;border-radius:8px;padding:.6rem .8rem}
-figcaption{display:flex;flex-wrap:wrap;justify-content:space-between;column-gap:1rem}
-figcaption span{color:#5b6b7b}
+figcaption b,figcaption span{display:block}figcaption span{color:#5b6b7b}
+figcaption span.bad{color:#b3261e}.scroll{overflow-x:auto}
 svg{width:100%;height:auto;display:block}.axis{stroke:#c3ced9}.dot{fill:#2a6fb0}.dot.no{fill:#b3261e}
-.line{stroke:#8aa4bd;stroke-dasharray:4 3}text{font:11px system-ui,sans-serif;fill:#5b6b7b}
+.line{stroke:#1c2733;stroke-width:1.5;stroke-dasharray:5 3}text{font:11px system-ui,sans-serif;fill:#5b6b7b}
 """
 
 
@@ -71,7 +71,7 @@ def page(records: Sequence[Record], day: str) -> str:
     """
     stations = ", ".join(sorted({str(record["station"]) for record in records})) or "no station"
     body = [
-        f"<h1>{_text(stations)}</h1><p class=sub>{_text(day)}, {len(records)} parts</p>",
+        f"<h1>{_text(stations)}</h1><p class=sub>{_text(day)}, {_counted(len(records))}</p>",
         _tiles(records),
         _variants(records),
         _causes(records),
@@ -112,6 +112,10 @@ def drift(values: Sequence[float]) -> tuple[float, float] | None:
 
 def _text(value: object) -> str:
     return html.escape(str(value))
+
+
+def _counted(count: int) -> str:
+    return f"{count} part{'' if count == 1 else 's'}"
 
 
 def _number(value: float | None, unit: str = "") -> str:
@@ -161,7 +165,7 @@ def _table(
         return "".join(f"<{tag}{m}>{c}</{tag}>" for m, c in zip(marks, row, strict=True))
 
     lines = "".join(f"<tr>{cells('td', row)}</tr>" for row in rows)
-    return f"<table><tr>{cells('th', head)}</tr>{lines}</table>"
+    return f"<div class=scroll><table><tr>{cells('th', head)}</tr>{lines}</table></div>"
 
 
 def _variants(records: Sequence[Record]) -> str:
@@ -221,7 +225,7 @@ def _plot(figure: TrendFigure, records: Sequence[Record]) -> str:
     )
     unit = f" [{figure.unit}]" if figure.unit else ""
     caption = f"<figcaption><b>{figure.title}{unit}</b>{note}</figcaption>"
-    svg = f"<svg viewBox='0 0 {WIDTH} {HEIGHT}' role=img>{axes}{trend}{dots}</svg>"
+    svg = f"<svg viewBox='0 0 {WIDTH} {HEIGHT}' role=img>{axes}{dots}{trend}</svg>"
     return f"<figure>{caption}{svg}</figure>"
 
 
@@ -236,7 +240,9 @@ def _trend(points: Sequence[tuple[int, float, bool]], place: Any, unit: str) -> 
     x1, y1 = place(good[0][0], mean - slope * centre)
     x2, y2 = place(good[-1][0], mean + slope * centre)
     line = f"<line class=line x1={x1:.1f} y1={y1:.1f} x2={x2:.1f} y2={y2:.1f} />"
-    is_sure = abs(slope) > DRIFT_SIGMAS * deviation and deviation > 0.0
+    if len({v for _, v in good}) == 1:
+        return line, "<span>constant</span>"
+    is_sure = abs(slope) > DRIFT_SIGMAS * deviation
     word = "drifts by" if is_sure else "no drift:"
     shown = f"{word} {_number(100.0 * slope, unit)} in 100 parts"
     mark = " class=bad" if is_sure else ""
@@ -268,15 +274,20 @@ def _link(record: Record) -> str:
     return f"<a href='{_text(name)}'>{_text(str(name).rpartition('/')[2])}</a>"
 
 
+def _time(at: object) -> str:
+    """Return the time of day of a stamp; the page's head has the day."""
+    return str(at).partition("T")[2].removesuffix("Z") or str(at)
+
+
 def _parts(records: Sequence[Record]) -> str:
     """Return each part that is not good."""
     rows = [
-        (_text(r["at"]), _text(r["part"]), _text(r["variant"]), _text(r["reason"]), _link(r))
+        (_text(_time(r["at"])), _text(r["part"]), _text(r["variant"]), _text(r["reason"]), _link(r))
         for r in records
         if not r["ok"]
     ]
     if not rows:
         return ""
     return "<h2>Parts that are not good</h2>" + _table(
-        ("at (UTC)", "part", "variant", "reason", "recording"), rows, whole=(0, 1, 2)
+        ("at (UTC)", "part", "variant", "reason", "recording"), rows, whole=(0, 1, 2, 4)
     )

@@ -68,6 +68,21 @@ def test_a_drift_is_marked_only_if_it_is_larger_than_its_deviation() -> None:
         assert word in note
 
 
+def test_values_that_are_all_equal_are_called_constant_and_have_no_rounding_error() -> None:
+    page = read([record(i, estimates={"sigma_mm": 0.2}) for i in range(12)])
+    assert "mm in 100 parts" not in page.text
+    assert page.text.count("constant\n") >= 2
+    rising = [record(i, estimates={"sigma_mm": 0.25 * i}) for i in range(12)]
+    assert "drifts by 25 mm in 100 parts" in read(rising).text
+
+
+def test_a_bad_part_has_its_time_of_day_and_a_stamp_of_another_form_stays() -> None:
+    late = record(1, ok=False, reason="overload", at="2026-11-23T09:32:10Z")
+    page = read([late, record(2, ok=False, reason="overload", at="unknown")])
+    assert "\n09:32:10\n" in page.text
+    assert "\nunknown\n" in page.text
+
+
 def test_the_slope_of_a_line_is_found_with_its_deviation() -> None:
     slope, deviation = day_report.drift([2.0 + 0.5 * i for i in range(10)]) or (0.0, 1.0)
     assert slope == pytest.approx(0.5)
@@ -93,6 +108,6 @@ def test_a_text_from_a_record_is_never_markup() -> None:
 def test_a_day_without_parts_and_records_without_figures_make_a_page() -> None:
     assert "0 parts" in read([]).text
     bare = record(1, estimates={}, force={"impact_n": None, "largest_n": None}, recording=None)
-    assert "1 parts" in read([bare]).text
+    assert "1 part\n" in read([bare]).text
     assert day_report.value({"a": {"b": float("nan")}}, ("a", "b")) is None
     assert day_report.value({"a": True}, ("a",)) is None
