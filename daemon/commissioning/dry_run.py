@@ -1,8 +1,10 @@
 """Errors of a run next to the line without contact: of the control, and of the prediction.
 
 Invariants:
-- Pure. The control error is what the arm lacks to its target. The prediction's error is what an
-  image shows of the object that the daemon had estimated at the time of the exposure.
+- Pure. The control error is what the arm lacks to its target of the time at which it was measured.
+  The prediction's error is what an image shows of the object that the daemon had estimated at the
+  time of the exposure.
+- The target is that of a tool that sags under its weight, the measured tcp that of a stiff one.
 """
 
 from collections.abc import Sequence
@@ -12,6 +14,7 @@ import numpy as np
 from linemate.daemon.commissioning.recorded_cell import RecordedCell
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.task import Phase
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal, ReportLine
 from linemate.daemon.recording.step_codec import StepRecord
 
@@ -27,7 +30,7 @@ def find_errors(steps: Sequence[StepRecord], cell: RecordedCell) -> list[ReportL
     refusal = _unfit(steps)
     if refusal is not None:
         return [ReportLine("dry run", "mm", 1e3, refusal)]
-    followed = [step for step in steps if step.state == TRACKED]
+    followed = [step for step in steps if _is_approach(step)]
     begin = followed[0].inputs.stamp_ns + round(SETTLED_S * 1e9)
     settled = [step for step in followed if step.inputs.stamp_ns >= begin]
     control = _control(settled, cell)
@@ -41,9 +44,13 @@ def find_errors(steps: Sequence[StepRecord], cell: RecordedCell) -> list[ReportL
 def _unfit(steps: Sequence[StepRecord]) -> Refusal | None:
     if any(step.outputs["contact"] for step in steps):
         return Refusal("the tool touched the object. Order retreat before contact")
-    if not any(step.state == TRACKED for step in steps):
+    if not any(map(_is_approach, steps)):
         return Refusal("the task was not started. Order arm and start while it records")
     return None
+
+
+def _is_approach(step: StepRecord) -> bool:
+    return step.state == TRACKED and step.outputs["phase"] == Phase.APPROACH
 
 
 def _judged(errors: Array, limit: float) -> Outcome:
@@ -61,14 +68,22 @@ def _judged(errors: Array, limit: float) -> Outcome:
 
 def _control(settled: Sequence[StepRecord], cell: RecordedCell) -> Array:
     """Return the distances (n,) of the measured tcp to its target of that time [m]."""
+    if len(settled) < 2:
+        return np.zeros(0)
+    epoch = settled[0].inputs.stamp_ns
+    times = np.array([step.inputs.stamp_ns - epoch for step in settled]) * 1e-9
+    targets = np.array([step.outputs["target"][:3] for step in settled])
     errors = []
     for step in settled:
         robot = step.inputs.robot
-        if robot is None:
+        # A prepared step has the robot's sample of the cycle before: 1.3 mm at 0.106 m/s.
+        if robot is None or robot.stamp_ns < epoch:
             continue
         joints = np.array((*robot.joints, *robot.external)[: cell.arm.axes])
         position, _ = cell.arm.tcp_in_base(joints)
-        errors.append(float(np.linalg.norm(position - np.array(step.outputs["target"][:3]))))
+        t = (robot.stamp_ns - epoch) * 1e-9
+        target = np.array([np.interp(t, times, column) for column in targets.T])
+        errors.append(float(np.linalg.norm(position - target)))
     return np.array(errors)
 
 

@@ -48,10 +48,11 @@ def page(state: SiteState, facts: PageFacts) -> str:
         "",
         f"Configuration `{facts.config}`, {facts.program}, {facts.when}.",
         "",
-        "| step | result | when | rests on |",
-        "|---|---|---|---|",
+        "| step | result | when | took | rests on |",
+        "|---|---|---|---|---|",
         *(_summary(step, state.of(step.name)) for step in _measured_steps()),
         "",
+        *_total(state),
         *_not_measured(state),
     ]
     for step in _measured_steps():
@@ -78,8 +79,23 @@ def _measured_steps() -> Iterator[WalkStep]:
 
 def _summary(step: WalkStep, record: StepRecordOfSite) -> str:
     rests = ", ".join(record.recordings) or "-"
-    cells = (step.name.value, _WORDS[record.outcome], record.when or "-", rests)
+    cells = (step.name.value, _WORDS[record.outcome], record.when or "-", _took(record), rests)
     return f"| {' | '.join(map(_cell, cells))} |"
+
+
+def _took(record: StepRecordOfSite) -> str:
+    """Return how long a step took as minutes and seconds."""
+    if not record.took_s:
+        return "-"
+    minutes, seconds = divmod(round(record.took_s), 60)
+    return f"{minutes} min {seconds} s" if minutes else f"{seconds} s"
+
+
+def _total(state: SiteState) -> Iterator[str]:
+    total_s = sum(state.of(step.name).took_s for step in _measured_steps())
+    if total_s:
+        yield f"All steps together took {total_s / 60.0:.0f} min, without what lies between them."
+        yield ""
 
 
 def _not_measured(state: SiteState) -> Iterator[str]:

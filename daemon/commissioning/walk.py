@@ -6,6 +6,7 @@ Invariants:
 """
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -69,8 +70,9 @@ STEPS: tuple[WalkStep, ...] = (
     WalkStep(
         StepName.SIGNS,
         "sign and size of each axis' motion for a command",
-        "Run the task that this step writes: each axis turns by 0.2 degrees and back.",
-        60.0,
+        "Run the task that this step writes: order home, arm and start. The linear axis moves by "
+        "30 mm on the way home. Then each other axis turns by 0.2 degrees and back.",
+        75.0,
         (StepName.LINKS,),
     ),
     WalkStep(
@@ -141,6 +143,7 @@ class StepRecordOfSite:
         overlay: name of the overlay file, None without one.
         recordings: names of the recordings that it rests on.
         reason: why it was refused or skipped.
+        took_s: from the begin of the step to its result, with what the engineer did [s].
     """
 
     outcome: StepOutcome = StepOutcome.DUE
@@ -149,6 +152,7 @@ class StepRecordOfSite:
     overlay: str | None = None
     recordings: tuple[str, ...] = ()
     reason: str = ""
+    took_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,6 +226,7 @@ def as_text(state: SiteState) -> str:
             "overlay": record.overlay,
             "recordings": list(record.recordings),
             "reason": record.reason,
+            "took_s": round(record.took_s, 1),
         }
         for name, record in state.steps.items()
     }
@@ -262,4 +267,12 @@ def _record(name: str, value: Any) -> StepRecordOfSite:
         overlay,
         tuple(str(each)[:MOST_TEXT] for each in value.get("recordings", ())),
         str(value.get("reason", ""))[:MOST_TEXT],
+        _seconds(name, value.get("took_s", 0.0)),
     )
+
+
+def _seconds(name: str, value: Any) -> float:
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not is_number or not 0.0 <= value < math.inf:
+        raise ValueError(f"steps.{name}.took_s should be a time in seconds")
+    return float(value)

@@ -58,7 +58,8 @@ figure{margin:0;border:1px solid #d5dde5;border-radius:8px;padding:.6rem .8rem}
 figcaption b,figcaption span{display:block}figcaption span{color:#5b6b7b}
 figcaption span.bad{color:#b3261e}.scroll{overflow-x:auto}
 svg{width:100%;height:auto;display:block}.axis{stroke:#c3ced9}.dot{fill:#2a6fb0}.dot.no{fill:#b3261e}
-.line{stroke:#1c2733;stroke-width:1.5;stroke-dasharray:5 3}text{font:11px system-ui,sans-serif;fill:#5b6b7b}
+.line{stroke:#1c2733;stroke-width:1.5;stroke-dasharray:5 3}
+text{font:11px system-ui,sans-serif;fill:#5b6b7b}
 """
 
 

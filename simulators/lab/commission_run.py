@@ -54,7 +54,7 @@ class CommissioningRun:
     Attributes:
         signs: of the axes as the controller counts.
         corrected: share of a correction by which each axis moves.
-        starts: an operator arms and starts the daemon's task.
+        starts: an operator orders home if arm asks for it, and arms and starts the daemon's task.
         cycle_ms: period of the controller [ms].
     """
 
@@ -159,6 +159,8 @@ def record(setup: Setup, plan: CommissioningRun, path: Path, seed: int = SEED) -
             order = {State.IDLE: "arm", State.ARMED: "start"}.get(cycle.machine.state)
             if order is not None and not started:
                 refused = cycle.order(order, "the engineer")
+                if refused is not None and "Order home" in refused:
+                    cycle.order("home", "the engineer")
                 if order == "start" and refused is None:
                     started.append(order)
         for entry in cycle.take_log():

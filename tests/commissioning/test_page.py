@@ -12,18 +12,27 @@ def test_the_page_has_every_figure_and_every_step_without_one() -> None:
     state = SiteState(
         {
             StepName.CAMERA: StepRecordOfSite(
-                StepOutcome.MEASURED, "2026-01-01", (FIGURE,), "camera.yaml", ("a.mcap",)
+                StepOutcome.MEASURED,
+                "2026-01-01",
+                (FIGURE,),
+                "camera.yaml",
+                ("a.mcap",),
+                took_s=154.6,
             ),
             StepName.FORCE: StepRecordOfSite(StepOutcome.SKIPPED, reason="no sensor"),
             StepName.CONVEYOR: StepRecordOfSite(
                 StepOutcome.REFUSED,
                 figures=({"name": "direction", "unit": "mrad", "refused": "too short"},),
                 reason="too short",
+                took_s=40.0,
             ),
         }
     )
     text = page(state, FACTS)
-    assert "| camera | measured | 2026-01-01 | a.mcap |" in text
+    assert "| camera | measured | 2026-01-01 | 2 min 35 s | a.mcap |" in text
+    assert "| conveyor | NOT measured: refused | - | 40 s | - |" in text
+    assert "| links | NOT measured | - | - | - |" in text
+    assert "All steps together took 3 min" in text
     assert "| camera x * | 100.12 | 0.06 | mm | 18 \\| postures |" in text
     assert "- **force** (frame, sign" in text
     assert "no sensor" in text
@@ -33,3 +42,4 @@ def test_the_page_has_every_figure_and_every_step_without_one() -> None:
             assert f"- **{name.value}** (" in text
     assert "| camera.yaml | `ab12` |" in text
     assert "| name | date | signature |" in text
+    assert "took" not in page(SiteState(), FACTS).replace("| took |", "")

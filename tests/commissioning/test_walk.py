@@ -17,6 +17,7 @@ DONE = StepRecordOfSite(
     ),
     "camera.yaml",
     ("a.mcap",),
+    took_s=61.5,
 )
 
 
@@ -56,11 +57,18 @@ def test_a_step_that_is_repeated_makes_those_due_that_build_on_it() -> None:
         '{"version": 1, "steps": {"camera": {}}}',
         '{"version": 1, "steps": {"camera": {"outcome": "measured", "overlay": "../x.yaml"}}}',
         '{"version": 1, "steps": {"camera": {"outcome": "measured", "figures": [1]}}}',
+        '{"version": 1, "steps": {"camera": {"outcome": "measured", "took_s": "long"}}}',
+        '{"version": 1, "steps": {"camera": {"outcome": "measured", "took_s": -1}}}',
     ],
 )
 def test_a_damaged_file_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match=r"state|JSON|steps"):
         walk.from_text(text)
+
+
+def test_a_file_of_an_earlier_version_has_no_times() -> None:
+    text = '{"version": 1, "steps": {"camera": {"outcome": "measured"}}}'
+    assert walk.from_text(text).of(StepName.CAMERA).took_s == 0.0
 
 
 def test_a_step_of_a_later_version_is_kept_out() -> None:

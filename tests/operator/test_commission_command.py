@@ -153,3 +153,4 @@ def test_the_daemon_records_for_a_step_and_its_file_is_read_when_it_is_whole(
     assert "0 postures with images, at least 15 are needed" in capsys.readouterr().err
     state = walk.from_text((site / "commission" / "progress.json").read_text())
     assert state.of(StepName.CAMERA).recordings == ("live.mcap",)
+    assert 0.01 < state.of(StepName.CAMERA).took_s < 60.0

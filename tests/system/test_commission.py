@@ -20,7 +20,7 @@ from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.operator import main as tool
 from linemate.daemon.operator.commissioning import motion_files, site_files
 from linemate.daemon.recording.reader import read
-from linemate.simulators.devices.guided_robot import PostureProgramme
+from linemate.simulators.devices.guided_robot import FORWARD, PostureProgramme
 from linemate.simulators.devices.rsi_controller import Seven
 from linemate.simulators.harness import lockstep
 from linemate.simulators.harness.identified_overlay import laid_over
@@ -37,6 +37,7 @@ SENSOR_ON_FLANGE = (-0.2, 0.0, -0.35)
 SENSOR_TURN = (0.0, 1.5, 0.6)
 MIRRORED: Seven = (1.0, 1.0, 1.0, 1.0, -1.0, 1.0, 1.0)
 MOVE_S, DWELL_S = 0.8, 1.6
+DRY_RUN_S = 5.6  # scenario time shortly before the tool meets the wheel
 
 
 @pytest.fixture
@@ -199,28 +200,77 @@ def test_a_conveyor_that_runs_10_mrad_off_is_found(site: Path) -> None:
 def test_a_correction_that_moves_an_axis_the_other_way_is_named_before_anything_is_tracked(
     site: Path,
 ) -> None:
-    """The daemon's own motion; two of the six axes, for each takes 6 s."""
-    opened = site_files.open_site(site, "linemated.yaml")
-    path = motion_files.write_motion(opened, walk.SiteState(), StepName.SIGNS)
-    station = config.load(path)
-    scenario = replace(commission_run.resting_scenario(), duration_s=15.0)
-    setup = Setup(
-        scenario, station.config.tracking, station.config.control, station.task.file,
-        station.task.urdf,
-    )  # fmt: skip
-    plan = CommissioningRun(
-        PostureProgramme((), 0.0), corrected=(-1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0), starts=True
-    )
-    file = commission_run.record(setup, plan, site / "signs.mcap")
+    """The daemon's own motion: the linear axis and two of the six, for each takes 6 s."""
+    file = signs_recorded(site, (-1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0), 19.0)
     assert commission(site, "signs", "--from", file) == 1
-    state = walk.from_text((site / "commission" / "progress.json").read_text())
-    figures = {figure["name"]: figure for figure in state.of(StepName.SIGNS).figures}
+    figures = signs_of(site)
     assert figures["A1 moved for commanded"]["refused"].startswith("A1 moves the other way: -1.0")
     assert figures["A2 moved for commanded"]["value"] == pytest.approx(1.0, abs=0.01)
+    assert figures["E1 moved for commanded"]["value"] == pytest.approx(1.0, abs=0.01)
     joints = np.array([s.inputs.robot.joints for s in read(file).steps if s.inputs.robot])
     moved = np.degrees(np.abs(joints - joints[0]).max(axis=0))
     assert moved[:2] == pytest.approx((0.2, 0.2), abs=0.02)
     assert moved.max() < 0.22
+
+
+def test_a_linear_axis_that_moves_the_other_way_is_named_before_the_task_is_armed(
+    site: Path,
+) -> None:
+    file = signs_recorded(site, (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0), 8.0)
+    assert commission(site, "signs", "--from", file) == 1
+    found = signs_of(site)["E1 moved for commanded"]["refused"]
+    assert found.startswith("E1 moves the other way: -1.0")
+    places = [s.inputs.robot.external[0] for s in read(file).steps if s.inputs.robot]
+    assert max(places) - min(places) < 0.031
+
+
+@pytest.mark.parametrize(
+    ("corrected", "refused"),
+    [
+        (FORWARD, None),
+        ((1.04, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0), "Check servos, camera and conveyor again"),
+    ],
+    ids=["whole", "4 % too much of A1"],
+)
+def test_a_dry_run_next_to_the_line_shows_both_errors_without_contact(
+    site: Path, corrected: Seven, refused: str | None
+) -> None:
+    """The shipped task until shortly before contact: 10 s of virtual time, 2 s each."""
+    shipped = make("wheel")
+    scenario = replace(shipped.scenario, duration_s=DRY_RUN_S)
+    plan = CommissioningRun(PostureProgramme((), 0.0), corrected=corrected, starts=True)
+    setup = replace(shipped, scenario=scenario)
+    file = commission_run.record(setup, plan, site / "dry-run.mcap")
+    assert not any(step.outputs["contact"] for step in read(file).steps)
+    assert commission(site, "dry-run", "--from", file) == (0 if refused is None else 1)
+    state = walk.from_text((site / "commission" / "progress.json").read_text())
+    record = state.of(StepName.DRY_RUN)
+    control, seen = record.figures
+    if refused is None:
+        assert 0.0 < control["value"] < 0.7  # 0.56 mm; 3.5 mm if the stamp is left out
+        assert 0.0 < seen["value"] < 2.0
+    else:
+        assert refused in record.reason
+        assert refused in control["refused"]
+
+
+def signs_of(site: Path) -> dict[str, Any]:
+    state = walk.from_text((site / "commission" / "progress.json").read_text())
+    return {figure["name"]: figure for figure in state.of(StepName.SIGNS).figures}
+
+
+def signs_recorded(site: Path, corrected: Seven, duration_s: float) -> Path:
+    """Record the motion of the step, with shares of the corrections by which each axis moves."""
+    opened = site_files.open_site(site, "linemated.yaml")
+    path = motion_files.write_motion(opened, walk.SiteState(), StepName.SIGNS)
+    station = config.load(path)
+    scenario = replace(commission_run.resting_scenario(), duration_s=duration_s)
+    setup = Setup(
+        scenario, station.config.tracking, station.config.control, station.task.file,
+        station.task.urdf,
+    )  # fmt: skip
+    plan = CommissioningRun(PostureProgramme((), 0.0), corrected=corrected, starts=True)
+    return commission_run.record(setup, plan, site / "signs.mcap")
 
 
 def test_a_listening_daemon_records_the_same_inputs_as_one_that_makes_steps(site: Path) -> None:

@@ -4,9 +4,11 @@
 
 Invariants:
 - Pure. Only stretches are used in which the command stands, so that no servo lag enters.
+- Only changes that the daemon drove count. At rest a command follows the robot, whatever its sign.
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -15,10 +17,11 @@ from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal, R
 from linemate.daemon.recording.step_codec import StepRecord
 from linemate.protocol.stamped_samples import AXES
 
-TURNING = 6  # axes that are tried; a linear axis stands
+DRIVEN = frozenset({"track", "home"})  # states in which the robot follows the command
+BRAKES_S = 1.0  # after such a state, in which the daemon brings the robot to rest
 STANDS_S = 0.8  # shortest rest of the command
 LATE_S = 0.4  # of it, at its end, in which the robot is read
-LEAST_MOVE = 1e-3  # commanded change of an axis that counts [rad]
+LEAST_MOVE = 1e-3  # commanded change of an axis that counts [rad, m]
 SIZE = 0.05  # largest error of an axis' own size
 CROSS = 0.10  # largest motion of another axis, as a share
 STILL = 1e-6  # of a standing command [rad]
@@ -28,10 +31,14 @@ def find_signs(steps: Sequence[StepRecord]) -> list[ReportLine]:
     """Return the size of each axis' motion for a commanded one, with its sign."""
     changes = _changes(steps)
     if changes is None:
-        return [_refused("the axes were not moved. Run the task of this step while it records")]
+        return [
+            _refused(
+                "the axes were not moved. Order home and run the task of this step while it records"
+            )
+        ]
     commanded, measured = changes
     lines = []
-    for axis in range(min(TURNING, commanded.shape[1])):
+    for axis in range(commanded.shape[1]):
         moved = np.abs(commanded[:, axis]) > LEAST_MOVE
         alone = moved & (np.delete(np.abs(commanded), axis, axis=1) < LEAST_MOVE).all(axis=1)
         if not alone.any():
@@ -88,13 +95,17 @@ def _changes(steps: Sequence[StepRecord]) -> tuple[Array, Array] | None:
     )
     moves = (np.abs(np.diff(command, axis=0)) > STILL).any(axis=1)
     edges = np.flatnonzero(np.diff(np.concatenate(([True], moves, [True])).astype(int)))
-    places = []
+    driven_s = np.where([step.state in DRIVEN for step in rows], times, -np.inf)
+    followed = (times - np.maximum.accumulate(driven_s) <= BRAKES_S)[1:] | ~moves
+    places, ends = [], []
     for begin, end in edges.reshape(-1, 2).tolist():
         if times[end] - times[begin] >= STANDS_S:
             late = (times >= times[end] - LATE_S) & (times <= times[end])
             places.append((command[end], joints[late].mean(axis=0)))
+            ends.append((begin, end))
     if len(places) < 2:
         return None
     commanded, measured = (np.diff(np.array(each), axis=0) for each in zip(*places, strict=True))
-    moved = (np.abs(commanded) > LEAST_MOVE).any(axis=1)
+    driven = [bool(followed[end:begin].all()) for (_, end), (begin, _) in pairwise(ends)]
+    moved = (np.abs(commanded) > LEAST_MOVE).any(axis=1) & np.array(driven)
     return (commanded[moved], measured[moved]) if moved.any() else None

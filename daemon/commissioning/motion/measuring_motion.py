@@ -1,8 +1,10 @@
 """Motions for commissioning, made from the arm, its limits and the task's first pose.
 
 The *exercise* goes briskly along and about every axis of the tcp and stands after each move. The
-*axis moves* turn one axis after another by 0.2 degrees and back, at creeping speed. Both are tasks
-that a daemon runs as any other: armed and started by an operator, through its one command limiter.
+*axis moves* turn one axis after another by 0.2 degrees and back, at creeping speed. They begin
+with the linear axis 30 mm away: the way home to their first pose moves it, and it alone. Both are
+tasks that a daemon runs as any other: armed and started by an operator, through its one command
+limiter.
 
 Invariants:
 - Pure. No move comes nearer to a limit of an axis than ``MARGIN``, and none is faster than
@@ -22,6 +24,7 @@ from linemate.daemon.core.control.kinematics import UnreachableError
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.parameters import Parameters
 
+LINEAR = 6  # index of the linear axis, behind the six that turn
 SHARE = 0.5  # of limits that a move may use
 MARGIN = 0.05  # to the position limits [rad, m]
 BRISK_S = 0.4  # shortest move
@@ -29,6 +32,8 @@ STAND_S = 1.3  # after a move: the tool rings down
 AXIS_ANGLE = math.radians(0.2)  # of an axis move [rad]
 CREEP_S = 2.0  # duration of an axis move
 CREEP_STAND_S = 1.2
+RAIL_MOVE = 0.03  # of the linear axis, more than a start allows without the way home [m]
+RAIL_SPEED = 0.02  # on that way [m/s]
 PEAK_SPEED = 1.875  # of a quintic of length 1 that lasts 1 s
 PEAK_ACCELERATION = 5.774
 NEVER_S = 3000.0  # the tool's signals are not ordered
@@ -68,15 +73,30 @@ def exercise_task(compiled: Parameters, task: Mapping[str, Any]) -> dict[str, An
 
 
 def axis_task(compiled: Parameters, task: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the moves of single axes as plain values of a task file; the linear axis stands.
+    """Return the moves of single axes as plain values of a task file.
+
+    The linear axis moves on the way home to the first pose, and stands in the task.
 
     Args:
         compiled: of the cell's task.
         task: plain values of that task.
     """
-    made = _task("axes", task, [*_axis_moves(compiled)], CREEP_STAND_S)
+    home = _beside(compiled)
+    made = _task("axes", task, [*_axis_moves(compiled, home)], CREEP_STAND_S)
     made["linear_axis"] = {"travel": 0.0}
+    made["home"] = {**(task.get("home") or {}), "speed": RAIL_SPEED}
     return made
+
+
+def _beside(compiled: Parameters) -> Array:
+    """Return the joints at rest with the linear axis moved, if its range allows."""
+    home = compiled.home
+    for way in (RAIL_MOVE, -RAIL_MOVE) if compiled.controller.arm.linear_axis else ():
+        joints = home.copy()
+        joints[LINEAR] += way
+        if _is_inside(compiled, joints):
+            return joints
+    return home
 
 
 def _exercise(compiled: Parameters) -> Iterator[_Stop]:
@@ -99,11 +119,11 @@ def _exercise(compiled: Parameters) -> Iterator[_Stop]:
                 break
 
 
-def _axis_moves(compiled: Parameters) -> Iterator[_Stop]:
-    """Yield the poses with one of the six axes turned, and home after each."""
-    arm, home = compiled.controller.arm, compiled.home
+def _axis_moves(compiled: Parameters, home: Array) -> Iterator[_Stop]:
+    """Yield the poses with one of the six axes turned, and home (axes,) after each."""
+    arm = compiled.controller.arm
     there = arm.tcp_in_base(home)
-    for axis in range(6):
+    for axis in range(LINEAR):
         joints = home.copy()
         joints[axis] += AXIS_ANGLE
         if not _is_inside(compiled, joints):

@@ -128,11 +128,13 @@ def _perform(
     for need in state.missing(step.name):
         console.complain(f"{step.name.value} builds on {need.value}, which has no result yet")
     when = datetime.now().astimezone().isoformat(timespec="seconds")
+    begin_s = time.monotonic()
     if args.skip is not None:
         record = StepRecordOfSite(StepOutcome.SKIPPED, when, reason=args.skip)
     else:
         result = _result(site, state, step, args)
         record = _kept(site, state, step, result, when)
+        record = replace(record, took_s=time.monotonic() - begin_s)
     state = state.with_result(step.name, record)
     site_files.write_state(site, state)
     if record.outcome is StepOutcome.REFUSED:
@@ -170,7 +172,7 @@ def _write_motion(site: "Site", state: "SiteState", step: "WalkStep") -> None:
         path = motion_files.write_motion(site, state, step.name)
     except FileError as error:
         raise NegativeError("\n".join(error.lines)) from error
-    print(f"  motion: linemated --config {path}, then arm and start. Stop it afterwards")
+    print(f"  motion: linemated --config {path}, then home, arm and start. Stop it afterwards")
 
 
 def _kept(site: "Site", state: "SiteState", step: "WalkStep", result: StepResult, when: str) -> Any:

@@ -13,7 +13,7 @@ from linemate.protocol.stamped_samples import RobotSample
 STEP = 0.0035
 
 
-def moved(gains: Array, moves: int = 6) -> dict[str, Outcome]:
+def moved(gains: Array, moves: int = 7, state: str = "track") -> dict[str, Outcome]:
     """Each axis turns and comes back; the robot answers 100 ms later, by gains (7, 7)."""
     rng = np.random.default_rng(1)
     commands = [np.zeros(7)] * 120
@@ -27,13 +27,14 @@ def moved(gains: Array, moves: int = 6) -> dict[str, Outcome]:
         answer = gains @ commands[max(0, k - 8)] + rng.normal(0.0, 1e-6, 7)
         robot = RobotSample(12_000_000 * k, k, tuple(answer[:6].tolist()), (float(answer[6]),))
         inputs = Inputs(k, 12_000_000 * k, robot)
-        records.append(StepRecord(k, "track", inputs, {"command": tuple(command.tolist())}))
+        records.append(StepRecord(k, state, inputs, {"command": tuple(command.tolist())}))
     return {line.name: line.outcome for line in find_signs(records)}
 
 
 def test_axes_that_move_as_commanded_have_the_size_one() -> None:
     lines = moved(np.eye(7))
-    assert len(lines) == 6
+    assert list(lines)[-1] == "E1 moved for commanded"
+    assert len(lines) == 7
     for outcome in lines.values():
         assert isinstance(outcome, Estimate)
         assert outcome.value == pytest.approx(1.0, abs=2e-3)
@@ -57,6 +58,20 @@ def test_degrees_instead_of_radians_and_a_dead_axis_are_refused() -> None:
         outcome = lines[f"{name} moved for commanded"]
         assert isinstance(outcome, Refusal)
         assert "should be 1 +-0.05" in outcome.reason
+
+
+def test_a_linear_axis_that_moves_the_other_way_is_named() -> None:
+    gains = np.eye(7)
+    gains[6, 6] = -1.0
+    outcome = moved(gains)["E1 moved for commanded"]
+    assert isinstance(outcome, Refusal)
+    assert outcome.reason.startswith("E1 moves the other way: -1.000 of its command")
+
+
+def test_a_command_that_follows_a_robot_moved_by_hand_proves_no_sign() -> None:
+    (line,) = moved(np.eye(7), state="idle").values()
+    assert isinstance(line, Refusal)
+    assert line.reason.startswith("the axes were not moved")
 
 
 def test_axes_that_are_exchanged_are_named() -> None:

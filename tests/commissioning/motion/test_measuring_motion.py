@@ -11,6 +11,8 @@ import yaml
 from linemate.daemon.commissioning.motion.measuring_motion import (
     AXIS_ANGLE,
     MARGIN,
+    RAIL_MOVE,
+    RAIL_SPEED,
     axis_task,
     exercise_task,
 )
@@ -21,6 +23,7 @@ from linemate.daemon.config.task_file import Task
 from linemate.daemon.core import rotations
 from linemate.daemon.core.control.settings import ControlSettings
 from linemate.daemon.core.parameters import Parameters, build
+from linemate.daemon.core.step import REST_DISTANCE
 from linemate.daemon.core.tracking.settings import TrackingSettings
 
 CELLS = Path(__file__).parents[3] / "simulators" / "harness" / "data" / "cells"
@@ -67,7 +70,7 @@ def test_each_axis_turns_alone_by_its_angle_and_comes_back(path: Path, tmp_path:
     made = loaded(tmp_path, task.urdf, axis_task(parameters, plain))
     assert made.file.linear_axis.travel == 0.0
     assert rehearse(compiled(made, task.urdf)).complaints == ()
-    arm, home = parameters.controller.arm, parameters.home
+    arm, home = parameters.controller.arm, compiled(made, task.urdf).home
     turned = []
     for point in made.file.waypoints:
         place, turn = np.array(point.pose.position), rotations.matrix(point.pose.quaternion)
@@ -76,6 +79,13 @@ def test_each_axis_turns_alone_by_its_angle_and_comes_back(path: Path, tmp_path:
     assert largest == pytest.approx(np.full(6, AXIS_ANGLE), rel=1e-3)
     alone = [np.sort(np.abs(each))[-2] for each in turned]
     assert max(alone) < 1e-5
+    away = home - parameters.home
+    assert np.abs(away[:6]).max() < 1e-9
+    if arm.linear_axis:
+        # More than an arm order allows, so that the way home moves it.
+        assert abs(away[6]) == pytest.approx(RAIL_MOVE)
+        assert RAIL_MOVE > REST_DISTANCE
+    assert made.file.home.speed == RAIL_SPEED
 
 
 def test_an_axis_at_its_end_turns_to_the_other_side() -> None:
