@@ -62,8 +62,7 @@ def through(knots: Array, values: Array, *, begins_at_rest: bool) -> CubicSpline
     The unknowns are the speeds at the knots. Continuous accelerations give a tridiagonal system.
 
     Args:
-        knots: (n,) ascending times [s], n >= 2.
-        values: (n, m).
+        knots: (n,) ascending times of the (n, m) values [s], n >= 2.
         begins_at_rest: the first speed is zero, else the first acceleration is.
 
     Raises:

@@ -153,6 +153,7 @@ class App:
         self._answers = Answers(self.cycle.operating, parameters.cycle_s)
         self._events = EventLog(self.cycle, self._recorder, self._live)
         self._cycled = asyncio.Event()
+        self._loop: asyncio.AbstractEventLoop | None = None
         self._end: asyncio.Event | None = None
         self._production: ProductionCell | None = None
         self._parameters = ParameterService(
@@ -190,7 +191,8 @@ class App:
         Raises:
             StartError: the robot's port or an endpoint cannot be opened.
         """
-        loop = asyncio.get_running_loop()
+        # Kept: each get_running_loop is a system call.
+        self._loop = loop = asyncio.get_running_loop()
         self._end = asyncio.Event()
         try:
             self._open()
@@ -376,8 +378,8 @@ class App:
         if self._after_waits:
             return
         self._after_waits = True
-        if not self._is_attending:
-            asyncio.get_running_loop().call_soon(self._after)
+        if not self._is_attending and self._loop is not None:
+            self._loop.call_soon(self._after)
 
     def _after(self) -> None:
         if not self._after_waits:
@@ -412,7 +414,7 @@ class App:
             self._learn(self._learner, entries)
         if self._production is not None:
             self._production.look(entries, now_ns)
-        self._serve_operators()
+        self._serve_operators(now_ns)
         if self._failing_ns is None:
             self._notifier.alive(now_ns)
         if now_ns - self._status_ns >= STATUS_EVERY_NS:
@@ -448,17 +450,18 @@ class App:
 
         work.add_done_callback(done)
 
-    def _serve_operators(self) -> None:
+    def _serve_operators(self, now_ns: int) -> None:
         """Handle operators' messages, and open a window until the next step is due."""
-        budget = self._station.config.command.budget
-        self._commands.poll(budget)
-        lock = self._timer.lock
+        budget, lock = self._station.config.command.budget, self._timer.lock
         if lock.is_locked:
             until_ns = lock.next_ns - lock.lead_ns - WINDOW_MARGIN_NS
         else:
             # Without a robot, operators delay no one.
-            until_ns = max(lock.wake_ns, time.monotonic_ns() + lock.period_ns)
-        self._commands.open_window(asyncio.get_running_loop(), until_ns, budget)
+            until_ns = max(lock.wake_ns, now_ns + lock.period_ns)
+        if until_ns <= now_ns or self._commands.has_to_poll:
+            self._commands.poll(budget)
+        if self._loop is not None:
+            self._commands.open_window(self._loop, until_ns, budget)
 
     def _note_parameters(
         self, parameters: Parameters, who: str, changed: Mapping[str, Any]

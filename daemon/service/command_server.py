@@ -2,7 +2,8 @@
 
 Invariants:
 - Only sockets are handled here. ``protocol.command`` decodes, authenticates and answers.
-- Nothing waits. ``poll`` handles a bounded number of messages after each reply to the robot.
+- Nothing waits. ``poll`` handles a bounded number of messages after a reply to the robot, the
+  window those that come between two cycles.
 - A handler that raises costs its request, never the daemon.
 """
 
@@ -138,8 +139,14 @@ class CommandPort:
     @property
     def is_watched(self) -> bool:
         """Whether anyone has subscribed to telemetry."""
-        connections = self._connections.values()
-        return bool(self._server.subscribed) or any(c.server.subscribed for c in connections)
+        if self._server.subscribed:
+            return True
+        return any(c.server.subscribed for c in self._connections.values())
+
+    @property
+    def has_to_poll(self) -> bool:
+        """Whether messages or telemetry may wait that the loop does not handle by itself."""
+        return self._window_loop is None or self.is_watched
 
     def open_window(self, loop: asyncio.AbstractEventLoop, until_ns: int, budget: int) -> None:
         """Let the loop handle messages between two cycles.

@@ -140,6 +140,26 @@ def test_telegrams_that_wait_are_taken_before_any_is_called_missing() -> None:
     run(main())
 
 
+def test_a_wake_that_only_waits_for_a_telegram_reads_none_before() -> None:
+    looks: list[int] = []
+    waits: list[int] = []
+    now_ns = time.monotonic_ns()
+    lock = PhaseLock(50 * T, now_ns, 20 * T)
+    lock.follow(now_ns - 50 * T + ATTEND_NS // 2)
+    timer = CycleTimer(
+        lambda _: None, raise_error, lambda: looks.append(1), lock, attend=waits.append
+    )
+    timer._timer = TimerFd()
+    timer._wake()
+    assert (len(looks), len(waits)) == (1, 1)
+    lock.follow(time.monotonic_ns() - 50 * T + ATTEND_NS)
+    lock.take_due(time.monotonic_ns())
+    timer.arm()
+    timer._wake()
+    assert (len(looks), len(waits)) == (1, 2)
+    timer._timer.close()
+
+
 def test_what_a_step_raises_is_reported_and_the_timer_goes_on() -> None:
     async def main() -> None:
         errors: list[Exception] = []

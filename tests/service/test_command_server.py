@@ -494,6 +494,34 @@ def test_the_kernel_filter_is_packed_as_the_kernel_wants_it() -> None:
     assert struct.calcsize("HBBI") == 8
 
 
+def test_a_cycle_polls_unless_the_loop_watches_and_no_one_subscribes(tmp_path: Path) -> None:
+    async def live() -> list[bool]:
+        with (
+            open_port(tmp_path) as port,
+            socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as link,
+        ):
+            loop = asyncio.get_running_loop()
+            polls = [port.has_to_poll]
+            port.open_window(loop, time.monotonic_ns() + 10**10, 2)
+            polls.append(port.has_to_poll)
+            port.open_window(loop, time.monotonic_ns() - 1, 2)
+            core = LocalClient()
+            link.connect(str(tmp_path / "command.sock"))
+            link.send(core.hello(time.monotonic_ns()))
+            await asyncio.sleep(0.02)  # the window is over: what comes waits for the cycle
+            polls.append(port.has_to_poll)
+            port.poll()
+            port.poll()
+            core.on_datagram(link.recv(65536), time.monotonic_ns())
+            port.open_window(loop, time.monotonic_ns() + 10**10, 2)
+            polls.append(port.has_to_poll)
+            link.send(core.request("subscribe", {"rate_hz": 10.0}, time.monotonic_ns()).frame)
+            await asyncio.sleep(0.02)
+            return [*polls, port.has_to_poll]
+
+    assert asyncio.run(live()) == [True, False, True, False, True]
+
+
 def test_what_comes_between_two_cycles_is_answered_there_within_its_budget(tmp_path: Path) -> None:
     async def live() -> tuple[list[str], int]:
         done: list[str] = []

@@ -1,7 +1,8 @@
-"""Histogram of durations: fixed size, percentiles within 9 %, about a microsecond a value.
+"""Histogram of durations: fixed size, percentiles within 9 %.
 
 Invariants:
 - Pure. A bucket is an eighth of an octave wide. The greatest value is exact.
+- A value is kept, and sorted into its bucket with others: in a cold cache each costs 4 us alone.
 """
 
 from dataclasses import dataclass, field
@@ -10,6 +11,8 @@ from typing import Any
 
 PER_OCTAVE = 8
 OCTAVES = 40  # of nanoseconds: up to 18 minutes
+TOGETHER = 32  # values that are sorted into buckets at once
+LAST = PER_OCTAVE * OCTAVES - 1  # bucket of all longer values
 EDGE_OCTAVES = range(14, 28)  # of a status' histograms: 16 us to 134 ms
 EDGES_NS = tuple(1 << octave for octave in EDGE_OCTAVES)
 
@@ -18,18 +21,47 @@ EDGES_NS = tuple(1 << octave for octave in EDGE_OCTAVES)
 class Histogram:
     """Durations, counted."""
 
-    count: int = 0
-    greatest_ns: int = 0
-    sum_ns: int = 0
+    _count: int = 0
+    _greatest_ns: int = 0
+    _sum_ns: int = 0
     _buckets: list[int] = field(default_factory=lambda: [0] * (PER_OCTAVE * OCTAVES))
+    _waiting: list[int] = field(default_factory=list)
 
     def add(self, duration_ns: int) -> None:
         """Count one; a negative one counts as 0."""
-        value = max(0, duration_ns)
-        self.count += 1
-        self.greatest_ns = max(self.greatest_ns, value)
-        self.sum_ns += value
-        self._buckets[min(_bucket(value), len(self._buckets) - 1)] += 1
+        self._waiting.append(duration_ns)
+        if len(self._waiting) >= TOGETHER:
+            self._sort()
+
+    @property
+    def count(self) -> int:
+        """Number of durations."""
+        self._sort()
+        return self._count
+
+    @property
+    def greatest_ns(self) -> int:
+        """Longest duration [ns], 0 without any."""
+        self._sort()
+        return self._greatest_ns
+
+    @property
+    def sum_ns(self) -> int:
+        """Sum of all durations [ns]."""
+        self._sort()
+        return self._sum_ns
+
+    def _sort(self) -> None:
+        """Sort the waiting values into their buckets."""
+        if not self._waiting:
+            return
+        values = [max(0, value) for value in self._waiting]
+        self._waiting.clear()
+        self._count += len(values)
+        self._sum_ns += sum(values)
+        self._greatest_ns = max(self._greatest_ns, *values)
+        for value in values:
+            self._buckets[min(_bucket(value), LAST)] += 1
 
     def percentile(self, share: float) -> float | None:
         """A duration that this share of all does not exceed.
@@ -39,36 +71,37 @@ class Histogram:
         """
         if not self.count:
             return None
-        wanted = share * self.count
+        wanted = share * self._count
         seen = 0
         for index, count in enumerate(self._buckets):
             seen += count
             if seen >= wanted and count:
-                return min(_edge(index + 1), self.greatest_ns) / 1e9
-        return self.greatest_ns / 1e9
+                return min(_edge(index + 1), self._greatest_ns) / 1e9
+        return self._greatest_ns / 1e9
 
     def cumulative(self) -> dict[str, Any]:
         """Return what a status has for histograms: ``count``, ``sum_s`` and ``buckets``.
 
         ``buckets`` counts the durations below each of ``EDGES_NS``.
         """
+        self._sort()
         counted = list(accumulate(self._buckets))
         below = [counted[octave * PER_OCTAVE - 1] for octave in EDGE_OCTAVES]
-        return {"count": self.count, "sum_s": self.sum_ns / 1e9, "buckets": below}
+        return {"count": self._count, "sum_s": self._sum_ns / 1e9, "buckets": below}
 
     def summary_us(self) -> dict[str, float | None]:
         """What a status shows [us]."""
         shares = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
         found = {name: self.percentile(share) for name, share in shares.items()}
-        found["max"] = self.greatest_ns / 1e9 if self.count else None
+        found["max"] = self._greatest_ns / 1e9 if self._count else None
         return {k: None if v is None else round(v * 1e6, 1) for k, v in found.items()}
 
 
 def _bucket(value: int) -> int:
-    octave = max(0, value.bit_length() - 1)
-    if octave < 3:
+    shift = value.bit_length() - 4
+    if shift < 0:
         return value  # fewer values than buckets
-    return octave * PER_OCTAVE + ((value >> (octave - 3)) & (PER_OCTAVE - 1))
+    return (shift + 2) * PER_OCTAVE + (value >> shift)
 
 
 def _edge(index: int) -> int:

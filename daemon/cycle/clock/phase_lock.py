@@ -359,6 +359,12 @@ class PhaseLock:
             return self.next_ns - ATTEND_NS
         return self.next_ns + self.grace_ns + self._rest_ns
 
+    def has_due(self, now_ns: int) -> bool:
+        """Return whether a step is due now [ns]."""
+        if self.next_ns + self.grace_ns <= now_ns:
+            return True
+        return self._can_prepare and self.next_ns - self.lead_ns <= now_ns
+
     def take_due(self, now_ns: int) -> tuple[Due, ...]:
         """Return the steps that are due now [ns], in order."""
         due: list[Due] = []
