@@ -54,7 +54,7 @@ def declared(*extras: str) -> set[str]:
 @pytest.mark.parametrize("folder", FOLDERS)
 def test_every_package_that_is_imported_is_declared(folder: str) -> None:
     extras = {
-        "daemon": ["fleet", "foxglove", "plc"],
+        "daemon": ["fleet", "foxglove", "plc", "ros2"],
         "simulators": ["cluster", "demo", "mujoco"],
     }.get(folder, [])
     known = declared(*extras)

@@ -153,6 +153,7 @@ COMMANDS: Final[dict[str, str | AddParser]] = {
     "view": "view_command",
     "metrics": "metrics_command",
     "bridge": "bridge_command",
+    "ros2": "ros2.ros2_command",
     "fleet": "fleet.fleet_command",
     "doctor": "doctor",
     "keygen": _add_keygen,

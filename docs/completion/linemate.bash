@@ -7,7 +7,7 @@
 
 _shtab_linemate_param_subparsers=(list get set save describe diff)
 _shtab_linemate_rsi_subparsers=(lint files)
-_shtab_linemate_subparsers=(status param arm start stop retreat ack home record announce skip next hold queue report plc plc-user identify commission replay export recover view metrics bridge fleet doctor keygen rsi)
+_shtab_linemate_subparsers=(status param arm start stop retreat ack home record announce skip next hold queue report plc plc-user identify commission replay export recover view metrics bridge ros2 fleet doctor keygen rsi)
 
 _shtab_linemate_status_option_strings=(-h --help --socket --udp --key --key-name --timeout --json --watch --all --interval --for)
 _shtab_linemate_param_list_option_strings=(-h --help --socket --udp --key --key-name --timeout --json)
@@ -40,6 +40,7 @@ _shtab_linemate_recover_option_strings=(-h --help --out)
 _shtab_linemate_view_option_strings=(-h --help --socket --udp --key --key-name --timeout --json --port --bind --no-browser --foxglove)
 _shtab_linemate_metrics_option_strings=(-h --help --listen --station --allow-remote --host --once)
 _shtab_linemate_bridge_option_strings=(-h --help --station --allow-remote --listen --connect --rate)
+_shtab_linemate_ros2_option_strings=(-h --help --socket --udp --key --key-name --timeout --json --connect --listen --domain --prefix --rate --camera --object --allow-remote)
 _shtab_linemate_fleet_option_strings=(-h --help --connect --json)
 _shtab_linemate_doctor_option_strings=(-h --help --json)
 _shtab_linemate_keygen_option_strings=(-h --help --out)
@@ -108,6 +109,8 @@ _shtab_linemate_recover___out_COMPGEN=_shtab_compgen_files
 _shtab_linemate_view_pos_0_COMPGEN=_shtab_compgen_files
 _shtab_linemate_view___socket_COMPGEN=_shtab_compgen_files
 _shtab_linemate_view___key_COMPGEN=_shtab_compgen_files
+_shtab_linemate_ros2___socket_COMPGEN=_shtab_compgen_files
+_shtab_linemate_ros2___key_COMPGEN=_shtab_compgen_files
 _shtab_linemate_keygen___out_COMPGEN=_shtab_compgen_files
 _shtab_linemate_rsi_lint_pos_0_COMPGEN=_shtab_compgen_files
 _shtab_linemate_rsi_lint___config_COMPGEN=_shtab_compgen_files
@@ -121,7 +124,7 @@ _shtab_linemate_commission___step_choices=(links signs limits force camera conve
 _shtab_linemate_keygen_pos_1_choices=(view operate)
 _shtab_linemate_rsi_files_pos_0_choices=(kss-8.2 kss-8.5 iiqka-os2)
 _shtab_linemate_rsi_pos_0_choices=(lint files)
-_shtab_linemate_pos_0_choices=(status param arm start stop retreat ack home record announce skip next hold queue report plc plc-user identify commission replay export recover view metrics bridge fleet doctor keygen rsi)
+_shtab_linemate_pos_0_choices=(status param arm start stop retreat ack home record announce skip next hold queue report plc plc-user identify commission replay export recover view metrics bridge ros2 fleet doctor keygen rsi)
 
 _shtab_linemate_status__h_nargs=0
 _shtab_linemate_status___help_nargs=0
@@ -224,6 +227,10 @@ _shtab_linemate_metrics___once_nargs=0
 _shtab_linemate_bridge__h_nargs=0
 _shtab_linemate_bridge___help_nargs=0
 _shtab_linemate_bridge___allow_remote_nargs=0
+_shtab_linemate_ros2__h_nargs=0
+_shtab_linemate_ros2___help_nargs=0
+_shtab_linemate_ros2___json_nargs=0
+_shtab_linemate_ros2___allow_remote_nargs=0
 _shtab_linemate_fleet__h_nargs=0
 _shtab_linemate_fleet___help_nargs=0
 _shtab_linemate_fleet___json_nargs=0

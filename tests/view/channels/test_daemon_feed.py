@@ -67,7 +67,7 @@ def test_scene_moments_and_samples_of_a_daemon_are_handed_over(tmp_path: Path) -
     assert not troubles
 
 
-def test_a_daemon_is_not_asked_for_samples_that_nobody_wants(tmp_path: Path) -> None:
+def test_a_daemon_is_not_asked_for_samples_that_no_client_wants(tmp_path: Path) -> None:
     rerunning = Rerun(1.0, 5.0)
     with rerun(tmp_path, rerunning):
         _, moments, samples, _ = fed(tmp_path, wanted=False)
