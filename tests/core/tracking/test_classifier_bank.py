@@ -229,6 +229,25 @@ def test_a_shorter_cycle_has_no_more_hypotheses_than_one_of_4_ms(dt: float) -> N
     assert odds == pytest.approx(math.log(len(bank)), abs=1e-6)
 
 
+@pytest.mark.parametrize("omegas", [(0.0,), (3.0, 9.0)])
+@pytest.mark.parametrize("dt", [0.001, 0.002, 0.004])
+def test_a_full_bank_leaves_out_old_onsets_and_keeps_their_weight(
+    dt: float, omegas: tuple[float, ...]
+) -> None:
+    onsets = onset_bank.begin(np.zeros(STATES), omegas)
+    bank, longest, most = onset_bank.empty(STATES), 1.5, 0
+    for _ in range(round(2.0 * longest / dt)):
+        bank = onset_bank.propagate(bank, onsets, np.eye(STATES), dt, longest)
+        most = max(most, len(bank))
+        ages = bank.age[:: len(omegas)]
+        assert (np.diff(ages) <= np.maximum(0.06 * len(omegas) * ages[1:], 0.0041)).all()
+    assert most == onset_bank.MOST // len(omegas) * len(omegas)
+    assert (bank.omega.reshape(-1, len(omegas)) == omegas).all()
+    assert 1.3 < ages[-1] <= longest
+    odds = onset_bank.posterior(bank, onset_bank.AmplitudePrior(1.0, 1e-12)).odds
+    assert odds == pytest.approx(math.log(len(omegas) * longest / 0.004), abs=0.15)
+
+
 def measured_row(value: float) -> list[PositionMeasurement]:
     return [PositionMeasurement(Source.DISTANCE, value, 0.0, DEVIATION**2, NEVER)]
 

@@ -7,6 +7,7 @@ onset and needs some 0.1 s. ``reject`` compares speeds after the declaration alo
 """
 
 import math
+from bisect import bisect_right
 from collections.abc import Sequence
 
 from msgspec import Struct
@@ -85,8 +86,8 @@ def update(
     new = [
         (age - each.delay, each.value) for each in measurements if each.source is Source.DISTANCE
     ]
-    readings = [reading for reading in (*check.readings, *new) if reading[0] > age - SPAN_S]
-    return replace(check, age=age, readings=tuple(readings))
+    first = bisect_right(check.readings, (age - SPAN_S, math.inf))
+    return replace(check, age=age, readings=(*check.readings[first:], *new))
 
 
 def deny(
@@ -129,23 +130,25 @@ def reject(
         cruise: speed at which a start ends [m/s].
         deviation: one sigma of a reading [m].
     """
-    if check is None:
+    if check is None or check.age < SPAN_S:
         return None
     readings = [reading for reading in check.readings if reading[0] >= 0.0]
     half = len(readings) // 2
     if 2 * half < LEAST_READINGS:
         return None
-    (early, here), (late, there) = _middle(readings[:half]), _middle(readings[half:])
-    span = late - early
-    if check.age < SPAN_S or span < 0.25 * SPAN_S:
+    early, late = _mean_time(readings[:half]), _mean_time(readings[half:])
+    span, time = late - early, 0.5 * (early + late)
+    if span < 0.25 * SPAN_S:
         return None
-    time, measured = 0.5 * (early + late), (there - here) / span
     started, other = _expected_speeds(check, conveyor, cruise, time)
     apart = started - other
     is_clear = (1.0 - SHARE) * apart * span > SIGMAS * deviation * _difference_sigma(half)
+    overdue = check.age > LONGEST * (cruise - check.speed) / conveyor.acceleration
+    if not (is_clear or overdue):
+        return None
+    measured = (_middle(readings[half:]) - _middle(readings[:half])) / span
     if is_clear and measured < other + SHARE * apart:
         return _class_before(check, conveyor, measured, check.age - time)
-    overdue = check.age > LONGEST * (cruise - check.speed) / conveyor.acceleration
     return StartRejection(Motion.RUNNING, measured) if overdue and started > 0.0 else None
 
 
@@ -169,12 +172,17 @@ def _class_before(
     return StartRejection(Motion.STANDING, 0.0)
 
 
-def _middle(readings: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Return the mean time and the interquartile mean of some readings: robust to outliers."""
-    values = sorted(value for _, value in readings)
+def _mean_time(readings: Sequence[tuple[float, float]]) -> float:
+    """Return the mean time of some readings."""
+    return sum([time for time, _ in readings]) / len(readings)
+
+
+def _middle(readings: Sequence[tuple[float, float]]) -> float:
+    """Return the interquartile mean of some readings: robust to outliers."""
+    values = sorted([value for _, value in readings])
     cut = len(values) // 4
     inner = values[cut : len(values) - cut]
-    return sum(time for time, _ in readings) / len(readings), sum(inner) / len(inner)
+    return sum(inner) / len(inner)
 
 
 def _difference_sigma(half: int) -> float:
