@@ -10,6 +10,8 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
 from linemate.daemon.core.horizon import Array
 
 
@@ -54,6 +56,20 @@ class Limits:
     jerk: Array
     names: tuple[str, ...]
     period: float
+
+    @cached_property
+    def free(self) -> tuple[Array, Array]:
+        """Where no axis is limited, and how far it may be from there (5 m,): all axes at once.
+
+        For an axis' acceleration, the next one, its change, the speed and the position. Within
+        these bounds ``acceleration_range`` allows the acceleration.
+        """
+        none = np.zeros(len(self.names))
+        rows = [(axis.acceleration, axis.acceleration, axis.change, axis.free_speed,
+                 0.5 * (axis.upper - axis.lower) - axis.braking_way - axis.speed * axis.period)
+                for axis in self.axes]  # fmt: skip
+        middle = np.concatenate((none, none, none, none, 0.5 * (self.lower + self.upper)))
+        return middle, np.array(rows).T.reshape(-1)
 
     @cached_property
     def axes(self) -> tuple[AxisBounds, ...]:

@@ -133,21 +133,26 @@ def _admit_axis(axis: _Axis, bounds: AxisBounds) -> tuple[float, bool]:
     return clip(_catch_up(axis, bounds), low, high), False
 
 
-def _is_free(p: float, v: float, a: float, wanted: float, bounds: AxisBounds) -> bool:
-    """Return whether an acceleration is allowed by acceleration and jerk, and nothing else limits.
+def _admit_free(state: LimiterState, desired: Array, limits: Limits) -> LimiterState | None:
+    """Return the state after a desired command that nothing limits, None if something may.
 
-    It is sufficient for ``_admit_axis`` to return it. With it ``admit`` takes 0.6 of the time.
+    All axes at once: it takes a third of the time of ``admit`` axis by axis.
     """
-    change, most, margin = bounds.change, bounds.acceleration, bounds.margin
-    period, way = bounds.period, bounds.braking_way
-    return (
-        -most <= a <= most
-        and a - change - margin <= wanted <= a + change + margin
-        and -most - margin <= wanted <= most + margin
-        and -bounds.free_speed < v < bounds.free_speed
-        and bounds.upper - p - max(v, 0.0) * period > way
-        and p - bounds.lower + min(v, 0.0) * period > way
-    )
+    # A difference of huge setpoints overflows. The maximum of a NaN may pass: it is not free below.
+    if state.position is not state.desired or not max(map(abs, desired.tolist())) < _FINITE:
+        return None
+    period = limits.period
+    desired_speed = (desired - state.position) / period
+    acceleration = (desired_speed - state.speed) / period
+    change = acceleration - state.acceleration
+    middle, reach = limits.free
+    values = (state.acceleration, acceleration, change, state.speed, state.position)
+    # Written so that a NaN is not free.
+    if not (np.abs(np.concatenate(values) - middle) < reach).all():
+        return None
+    speed = state.speed + acceleration * period
+    mean_speed = next_mean_speed(state, speed, period)
+    return LimiterState(desired, speed, acceleration, desired, desired_speed, mean_speed)
 
 
 def admit(state: LimiterState, desired: Array, limits: Limits) -> tuple[LimiterState, str | None]:
@@ -159,6 +164,9 @@ def admit(state: LimiterState, desired: Array, limits: Limits) -> tuple[LimiterS
     Returns:
         The new state, whose ``position`` is the command, and None or what was limited and why.
     """
+    free = _admit_free(state, desired, limits)
+    if free is not None:
+        return free, None
     period = limits.period
     positions, accelerations, desired_speeds = [], [], []
     speeds: list[float] = []
@@ -176,11 +184,8 @@ def admit(state: LimiterState, desired: Array, limits: Limits) -> tuple[LimiterS
     ):
         if not abs(wanted_position) < _FINITE:
             return brake(state, limits), "the command was not finite"
-        acceleration = ((wanted_position - p) / period - v) / period
-        is_reached = p == last and _is_free(p, v, a, acceleration, bounds)
-        if not is_reached:
-            axis = _Axis(p, v, a, last, last_speed, wanted_position)
-            acceleration, is_reached = _admit_axis(axis, bounds)
+        axis = _Axis(p, v, a, last, last_speed, wanted_position)
+        acceleration, is_reached = _admit_axis(axis, bounds)
         speed = v + acceleration * period
         positions.append(wanted_position if is_reached else p + speed * period)
         speeds.append(speed)

@@ -230,8 +230,12 @@ def smooth(controller: Controller, poses: Array, count: int) -> Array:
     return smoothed
 
 
-def damp(controller: Controller, smoothed: Array, free: Array, first: int = 0) -> Array:
+def damp(
+    controller: Controller, smoothed: Array, free: Array, first: int = 0
+) -> tuple[Array, Array | None]:
     """Return x_d (n_rob + 1 - first, 6) of x_s, by (11), damped where the tool hangs free.
+
+    And ``rotations.in_own_axes`` of the first of them, None if no pose is damped.
 
     Args:
         controller: with the taps, which act along and about the tool's axes.
@@ -245,14 +249,14 @@ def damp(controller: Controller, smoothed: Array, free: Array, first: int = 0) -
     share = free[first : first + count]
     shares = share.tolist()
     if not any(shares):
-        return here
+        return here, None
     into, back = rotations.in_own_axes_and_back(here[0, 3:])
     tool = np.dot(smoothed[first:], into)
     change = controller.damper[:, first:, first:] @ tool.T[:, :, None]
     if min(shares) < 1.0:
         change *= share[:, None]
     desired: Array = here + np.dot(change[:, :, 0].T, back)
-    return desired
+    return desired, into
 
 
 class DesiredCommand(Struct, frozen=True, eq=False):
@@ -280,14 +284,14 @@ def desire_command(controller: Controller, state: ControlState, horizon: Horizon
     reach = ahead + len(controller.smoothing) - 1
     kept = min(max(horizon.committed - reach + 1, 0), count - 1)
     smoothed = np.concatenate((state.past_poses, smooth(controller, horizon.poses, count + ahead)))
-    fresh = damp(controller, smoothed, horizon.free, kept)
+    fresh, into = damp(controller, smoothed, horizon.free, kept)
     before = np.concatenate((state.poses[kept + 1 :], state.poses[-1:]))
     last = state.joints
     guesses = np.concatenate((last[kept + 1 :], (2.0 * last[-1] - last[-2])[None]))
     if controller.arm.linear_axis:
         guesses[:, 6] = horizon.axis[kept:count]
     try:
-        solved = controller.arm.follow(guesses, fresh, horizon.nominal, before)
+        solved = controller.arm.follow(guesses, fresh, horizon.nominal, before, into)
     except UnreachableError as error:
         return DesiredCommand(state, None, str(error))
     window = motors = np.concatenate((state.past_joints, last[1 : kept + 1], solved))

@@ -164,6 +164,7 @@ class Arm:
         poses: Array,
         nominal: Array,
         before: Array | None = None,
+        into: Array | None = None,
         tolerance: float = 2e-5,
     ) -> Array:
         """Return the joints (m, axes) for m neighbouring poses: one Newton step from warm guesses.
@@ -178,6 +179,7 @@ class Arm:
             poses: (m, 6) of the tcp in a frame c, position [m] and rotation vector [rad].
             nominal: (3, 3) C, the axes of c in base.
             before: (m, 6) poses of which the guesses are the solutions, or None.
+            into: (6, 6) ``rotations.in_own_axes`` near these poses, if it is known.
             tolerance: of a pose that is solved by itself [m, rad].
 
         Raises:
@@ -185,7 +187,7 @@ class Arm:
         """
         base = pin.SE3(nominal, _ORIGIN)
         q, last = self._order(guesses), len(guesses) - 1
-        errors = np.empty((last + 1, 6)) if before is None else _moved(poses, before)
+        errors = np.empty((last + 1, 6)) if before is None else _moved(poses, before, into)
         computed = range(last + 1)
         if before is not None and _is_within(errors[:-1], LARGEST_CHANGE):
             computed = range(0, last + 1, max(1, last))
@@ -233,9 +235,10 @@ class Arm:
         return joints
 
 
-def _moved(poses: Array, before: Array) -> Array:
+def _moved(poses: Array, before: Array, into: Array | None) -> Array:
     """Return by how much poses (m, 6) have changed, as small twists (m, 6) of the tcp."""
-    moved: Array = np.dot(poses - before, rotations.in_own_axes(poses[0, 3:]))
+    into = rotations.in_own_axes(poses[0, 3:]) if into is None else into
+    moved: Array = np.dot(poses - before, into)
     return moved
 
 

@@ -180,7 +180,7 @@ def test_damping_acts_along_and_about_the_tools_axes() -> None:
     smoothed = np.empty((length, 6))
     smoothed[:, :3] = (R @ tool[:, :3].T).T
     smoothed[:, 3:] = [rotations.log(R @ rotations.exp(small)) for small in 0.01 * tool[:, 3:]]
-    desired = control.damp(controller, smoothed, np.ones(count))
+    desired, _ = control.damp(controller, smoothed, np.ones(count))
     for axis in range(3):
         known = np.correlate(tool[:, axis], controller.effector[:, axis], mode="valid")
         # The tool's axes are taken once, where the list begins: some tenths of a milliradian off.
