@@ -152,9 +152,14 @@ class Transverse:
         x, turn = self.fusion.position**2, self.fusion.angle**2
         return np.array((x, x, turn, turn, turn))
 
+    @cached_property
+    def _ones(self) -> tuple[float, ...]:
+        """Frequency factors by default."""
+        return (1.0,) * len(self.swing)
+
     def _with_factors(self, state: TransverseState) -> Iterable[tuple[_Swing, float]]:
         """Return each swing with its frequency factor, 1 by default."""
-        return zip(self._swings, state.frequency_factors or (1.0,) * len(self.swing), strict=True)
+        return zip(self._swings, state.frequency_factors or self._ones, strict=True)
 
     def initial(self, measurements: list[PoseMeasurement]) -> TransverseState:
         """Return the estimate from some measurements: their median, robust to outliers."""
@@ -359,12 +364,15 @@ class Transverse:
         x, P = state.x.copy(), state.P
         for where, prior in self._errors:
             error, rows = x[where], P[where]
-            factor, gain, failed = _solve(rows[:, where], rows)
+            # One factorisation for the gain's rows and for the error.
+            sides = np.concatenate((rows, error[:, None]), axis=1)
+            factor, solved, failed = _solve(rows[:, where], sides)
             if failed:
                 continue
+            gain = solved[:, :-1]
             shift, sigma = error.dot(gain), math.sqrt(prior)
             shares = math.prod([share / sigma for share in factor.diagonal().tolist()])
-            nothing = -0.5 * float(shift[where].dot(_solve(rows[:, where], error)[1]))
+            nothing = -0.5 * float(shift[where].dot(solved[:, -1]))
             odds = NONE_ODDS * math.exp(max(nothing, -50.0)) / shares
             none = odds / (1.0 + odds)
             x -= none * shift

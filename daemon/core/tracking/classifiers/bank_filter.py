@@ -184,7 +184,7 @@ def correct(
     its signature that F does not propagate.
     """
     changes, impulses, rejected = state.changes, state.impulses, state.rejected
-    count = len(changes)
+    count, has_impulses = len(changes), len(impulses) > 0
     middle = _FIRST + count
     J = np.concatenate((state.P, state.x[:, None], changes.error, impulses.error), axis=1)
     sums = np.concatenate((changes.sums, impulses.sums), axis=1)
@@ -202,7 +202,7 @@ def correct(
             ages, acted = changes.age[:later], float(h[ACCELERATION])
             way = model.acted_way(state, measurement.delay, ages, measurement.source)
             minus_rho[:later] += change * (acted - way)
-        if len(impulses) and measurement.source is not Source.DISTANCE:
+        if has_impulses and measurement.source is not Source.DISTANCE:
             minus_rho[count:] -= model.delayed_response(
                 impulses.age, measurement.delay, impulses.omega
             )
@@ -217,7 +217,7 @@ def correct(
             continue
         if rejected.get(measurement.source):
             rejected = {**rejected, measurement.source: 0}
-        J = J - (Ph / S)[:, None].dot(off[None])
+        J -= (Ph / S)[:, None].dot(off[None])
         weighted = minus_rho / S
         A += minus_rho * weighted
         B -= weighted * nu

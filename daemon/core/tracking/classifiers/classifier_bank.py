@@ -95,7 +95,7 @@ class BankClassifier(BankModel):
         now = bool(felt), is_keen, is_firm
         if now != (state.contact, state.is_keen, state.is_firm):
             state = replace(state, contact=now[0], is_keen=is_keen, is_firm=is_firm)
-        complied = sum(each.complied for each in measurements if each.source is Source.TACTILE)
+        complied = sum([each.complied for each in measurements]) if felt else 0.0
         changed = self._by_distance(state, complied, dt)
         state = _bound_tentative(changed or self._decide(state), before, dt)
         state = self._settle(self._check_start(before, state, measurements, dt), dt)

@@ -48,9 +48,10 @@ def keep(readings: Array, measurements: Sequence[PositionMeasurement], dt: float
     aged[1, :count] = readings[1]
     for i, reading in enumerate(new, count):
         aged[0, i], aged[1, i] = reading
-    if not (count and aged[0, 0] > SPAN_S):
-        return aged
-    return since(aged, SPAN_S)
+    first = 0
+    while first < count and aged[0, first] > SPAN_S:  # one or two a step
+        first += 1
+    return aged[:, first:] if first else aged
 
 
 def since(readings: Array, age: float) -> Array:

@@ -189,7 +189,7 @@ def posterior(
     Args:
         onset_odds: log odds (m,) of each onset before any reading; None without a difference.
     """
-    if not len(bank):
+    if not bank.sums.shape[1]:
         return NO_POSTERIOR
     ratios, amplitudes = likelihood_ratios(bank, prior)
     if bank.shares is not None:
