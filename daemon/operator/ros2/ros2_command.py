@@ -114,7 +114,7 @@ def open_session(endpoint: str, *, is_router: bool) -> "zenoh.Session":
     """Open a session with one endpoint, without multicast and gossip.
 
     Args:
-        endpoint: such as ``tcp/127.0.0.1:7447``.
+        endpoint: protocol, address and port, as in ``tcp/127.0.0.1:7447``.
         is_router: connect to a router there; listen for peers otherwise.
 
     Raises:

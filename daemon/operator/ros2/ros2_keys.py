@@ -28,7 +28,7 @@ class Topic(NamedTuple):
 
     Attributes:
         name: absolute, such as ``/tf``.
-        kind: such as ``tf2_msgs/msg/TFMessage``.
+        kind: package, folder and message, as in ``tf2_msgs/msg/TFMessage``.
         type_hash: ``RIHS01_...`` of the type's description (REP 2016).
     """
 
@@ -38,7 +38,7 @@ class Topic(NamedTuple):
 
 
 class Attachment(NamedTuple):
-    """What a publisher sends beside a message: its number, its time [ns], its own id."""
+    """What a publisher sends with a message: its number, its time [ns], its own id."""
 
     sequence: int
     stamp_ns: int
@@ -66,7 +66,7 @@ class Node:
 
         Args:
             number: of the endpoint, from 1.
-            kind: PUBLISHER or SUBSCRIPTION.
+            kind: whether it sends or receives, PUBLISHER or SUBSCRIPTION.
         """
         name = topic.name.replace("/", "%")
         typed = f"{dds_type(topic.kind)}/{topic.type_hash}/{QOS}"
