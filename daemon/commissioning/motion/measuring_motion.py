@@ -81,14 +81,14 @@ def axis_task(compiled: Parameters, task: Mapping[str, Any]) -> dict[str, Any]:
         compiled: of the cell's task.
         task: plain values of that task.
     """
-    home = _beside(compiled)
+    home = _moved_along_rail(compiled)
     made = _task("axes", task, [*_axis_moves(compiled, home)], CREEP_STAND_S)
     made["linear_axis"] = {"travel": 0.0}
     made["home"] = {**(task.get("home") or {}), "speed": RAIL_SPEED}
     return made
 
 
-def _beside(compiled: Parameters) -> Array:
+def _moved_along_rail(compiled: Parameters) -> Array:
     """Return the joints at rest with the linear axis moved, if its range allows."""
     home = compiled.home
     for way in (RAIL_MOVE, -RAIL_MOVE) if compiled.controller.arm.linear_axis else ():
