@@ -28,7 +28,7 @@ MAX_SEEDS = 100_000
 MAX_ROUND_S = 3600.0
 MAX_MINUTES = 1440.0
 BENCH_PARTS = ("turnaround", "wakeup", "step", "virtual")
-ALL_PARTS = (*BENCH_PARTS, "cpu")
+ALL_PARTS = (*BENCH_PARTS, "cpu", "start")
 MAX_HOURS = 10_000.0
 MODULES = {
     "demo": "harness.demo",
@@ -260,7 +260,8 @@ def _add_bench(commands: "Commands[CommandLine]") -> None:
         type=_parts,
         default=BENCH_PARTS,
         metavar="A,...",
-        help=", ".join(BENCH_PARTS) + "; cpu: an assembly at each cycle, by part",
+        help=", ".join(BENCH_PARTS)
+        + "; cpu: an assembly at each cycle, by part; start: the start and rest",
     )
     bench.add_argument(
         "--awake",

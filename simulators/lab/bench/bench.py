@@ -34,7 +34,13 @@ from linemate.simulators.harness.lockstep import Lockstep
 from linemate.simulators.harness.processes import ChildError, interruptible
 from linemate.simulators.judge import report_json
 from linemate.simulators.judge.table import DASH, aligned, number
-from linemate.simulators.lab.bench import bench_cpu, bench_floor, bench_trace, bench_turnaround
+from linemate.simulators.lab.bench import (
+    bench_cpu,
+    bench_floor,
+    bench_start,
+    bench_trace,
+    bench_turnaround,
+)
 from linemate.simulators.lab.bench.bench_trace import StationTrace
 from linemate.simulators.lab.bench.bench_turnaround import MOVING, Bench, Measured
 
@@ -201,6 +207,8 @@ def measure_all(options: Options) -> dict[str, Any]:
     figures = interleaved(jobs, options.rounds)
     if "cpu" in options.parts:
         result["cpu"] = bench_cpu.measure(options.cycles_ms)
+    if "start" in options.parts:
+        result["start"] = bench_start.measure()
     if "step" in options.parts:
         result["step_us"] = {str(n): round(figures[str(n)], 1) for n in HORIZONS}
     if "virtual" in options.parts:
@@ -291,6 +299,8 @@ def plain(result: Mapping[str, Any]) -> str:
     if "cpu" in result:
         lines += ["", "Processor time and memory of the daemon in a live assembly"]
         lines += aligned(bench_cpu.HEAD, list(bench_cpu.rows(result["cpu"])))
+    if "start" in result:
+        lines += ["", *aligned(bench_start.HEAD, list(bench_start.rows(result["start"])))]
     return "\n".join(lines)
 
 
