@@ -122,7 +122,7 @@ def build(
         control_settings, arm, cycle_s, task.conveyor.nominal_speed
     )
     longest = max(model.dead_time for model in control_settings.servos[: arm.axes])
-    longest += dead_time.bounds(control_settings)[1]
+    longest += dead_time.bounds(control_settings)[1] + controller.spreading_delay_s
     # The merge reads committed steps alone, also without dead time.
     stride = merge.spacing(cycle_s)
     commit = max(merge.commit_steps(longest, cycle_s), (merge.ORDER - 1) * stride + 1)

@@ -76,6 +76,11 @@ class Controller:
         """n_rob: steps of the future that (12) reads."""
         return len(self.servo) - 1 - self.servo_past
 
+    @property
+    def spreading_delay_s(self) -> float:
+        """Mean age of the commands that are sent as their mean [s]; 0 from 4 ms on."""
+        return 0.5 * (len(self.spreading) - 1) * self.cycle_s
+
 
 class ControlState(Struct, frozen=True, eq=False):
     """State of control.

@@ -20,15 +20,21 @@ ORDER = 5
 ALONG = 1  # column of a pose along the conveyor
 
 SPACING_S = 0.002  # least distance of the five steps that a merge reads [s]
+MARGIN_S = 0.004  # committed beyond the first effect of a command, or a cycle if it is longer [s]
 CORNER_S = 0.00566  # one sigma of the rounding of corners [s]: 1.4 steps of 4 ms, half of 12 ms
 
 
 def commit_steps(dead_time: float, cycle_s: float) -> int:
     """Return nc, the last step of the list that can no longer be changed.
 
-    The longest dead time, one cycle of interpolation, and one more. One step less costs 0.4 mm.
+    The dead time, one cycle of interpolation, and 4 ms or one more cycle. One cycle less costs
+    0.4 mm.
+
+    Args:
+        dead_time: longest one, with the delay by the spreading of the commands [s].
     """
-    return math.ceil((dead_time + cycle_s) / cycle_s - 1e-9) + 1
+    margin = max(1, round(MARGIN_S / cycle_s))
+    return math.ceil((dead_time + cycle_s) / cycle_s - 1e-9) + margin
 
 
 def spacing(cycle_s: float) -> int:

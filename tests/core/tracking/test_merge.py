@@ -37,9 +37,10 @@ def cubic(t: Array) -> Array:
 
 @pytest.mark.parametrize(
     ("dead_time", "cycle_s", "known"),
-    # By hand: ceil((D + T0) / T0) + 1.
-    [(0.036, 0.012, 5), (0.036, 0.004, 11), (0.0, 0.012, 2), (0.030, 0.012, 5), (0.024, 0.012, 4)],
-)
+    # By hand: ceil((D + T0) / T0) + 1; below 4 ms 4 ms instead of the last cycle.
+    [(0.036, 0.012, 5), (0.036, 0.004, 11), (0.0, 0.012, 2), (0.030, 0.012, 5), (0.024, 0.012, 4),
+     (0.039, 0.002, 23), (0.0405, 0.001, 46), (0.036, 0.008, 7), (0.036, 0.024, 4)],
+)  # fmt: skip
 def test_committed_is_dead_time_one_cycle_of_interpolation_and_one_more(
     dead_time: float, cycle_s: float, known: int
 ) -> None:
