@@ -68,6 +68,45 @@ def test_nor_does_one_whose_mode_is_a_twentieth_off(cycle_s: float) -> None:
         assert first_touch(cycle_s, list(forces), held=kick) is None
 
 
+def approached(cycle_s: float, share: float, pressed: float) -> int | None:
+    """The step after 3 s at which a press is felt, less than 0 for a touch before it is pressed.
+
+    The tool rings by 40 N, on a mount of that share of its stiffness, as it comes near the object
+    after 2 s.
+    """
+    frequency = math.sqrt(share) * FREQUENCY
+    amplitude = 40.0 * math.exp(2.0 * DAMPING * math.tau * frequency)
+    mode = tool_vibration(FREQUENCY, DAMPING, STIFFNESS, FORCE, cycle_s)
+    state, made = NO_CONTACT, round(3.0 / cycle_s)
+    for k in range(made + round(0.3 / cycle_s)):
+        force = rung(k * cycle_s, amplitude, frequency)
+        force -= min(pressed, max(0.0, (k - made) * cycle_s * 800.0))
+        distance = -0.05 if k * cycle_s < 2.0 else 0.0
+        state = record_force(state, mode, force, 0.0, held=False)
+        state = count_touches(state, mode, distance, NEAR)
+        if state.touches >= TOUCHES:
+            return k - made
+    return None
+
+
+@pytest.mark.parametrize("cycle_s", [0.012, 0.004])
+@pytest.mark.parametrize("share", [0.45, 0.57, 0.75, 1.4, 2.0])
+def test_a_tool_that_rings_on_a_mount_of_another_stiffness_does_not_touch(
+    cycle_s: float, share: float
+) -> None:
+    assert approached(cycle_s, share, 0.0) is None
+
+
+@pytest.mark.parametrize("cycle_s", [0.012, 0.004])
+@pytest.mark.parametrize("share", [0.57, 1.0, 1.4])
+def test_a_tool_that_rings_on_such_a_mount_feels_a_contact_that_grows(
+    cycle_s: float, share: float
+) -> None:
+    found = approached(cycle_s, share, 90.0)
+    assert found is not None
+    assert 0.0 < found * cycle_s <= 0.5 / FREQUENCY + 0.06
+
+
 @pytest.mark.parametrize("cycle_s", [0.012, 0.004])
 @pytest.mark.parametrize("amplitude", [0.0, 60.0])
 def test_a_contact_is_felt_within_two_steps_of_its_force_also_while_ringing(

@@ -5,6 +5,10 @@ hold of one cycle at 0.5 rad/s left 100 N. Half a period earlier that force was 
 of both is free of it. A constant force (gravity, bias) is the mean of the period before that. A
 contact shows in that sum at once and in full.
 
+A mount that is softer or stiffer than configured vibrates with another period: the sum has a
+vibration left then. That one changes its side, and a contact does not. So what was left to one
+side within the last periods is no contact to the other side.
+
 While replies are lost again and again, each lost one excites the tool. Then a contact is a force
 that stays on one side of the free tool's mean for a full period: a vibration changes its side twice
 in a period.
@@ -24,6 +28,9 @@ MARGIN = 0.003  # or this much before the approach is slow: an object that is ne
 # An object pushes a tool back. So many times the force the other way is a contact too: the sensor's
 # axis may be wrong, and the tool must not press on.
 PULL = 3.0
+
+LEFT_NOISE = 0.5  # share of a contact's force: less that is left is noise
+LEFT_HALVES = 3.0  # half periods over which a remaining vibration is observed: slower modes too
 
 
 def reach(clearance: float) -> float:
@@ -71,6 +78,11 @@ class ToolVibration:
         """Steps of a full period."""
         return math.ceil(2.0 * self.half)
 
+    @property
+    def observed(self) -> int:
+        """Steps over which a remaining vibration is observed."""
+        return math.ceil(LEFT_HALVES * self.half)
+
 
 def tool_vibration(
     frequency_hz: float, damping: float, stiffness: float, force: float, cycle_s: float
@@ -96,9 +108,11 @@ class ContactState(Struct, frozen=True):
         calm: steps since the robot last held against its command, as far as memory goes.
         touches: steps in a row with a contact's force; one in whose samples each shows it counts
             as a touch a sample.
-        free: mean force of the last full period before the tool came near the object [N]; None
+        free: smoothed mean force of a full period, before the tool came near the object [N]; None
             while less is known.
         samples: of the newest of ``forces``, off it [N].
+        left: least and largest force without the vibration, in each of the last steps [N]. Both
+            are 0 for a tool that vibrates as configured.
     """
 
     forces: tuple[float, ...] = ()
@@ -106,6 +120,7 @@ class ContactState(Struct, frozen=True):
     touches: int = 0
     free: float | None = None
     samples: tuple[float, ...] = ()
+    left: tuple[tuple[float, float], ...] = ()
 
 
 NO_CONTACT = ContactState()
@@ -136,7 +151,7 @@ def record_force(
     if newest is not None:
         forces = (*forces, newest)[-vibration.memory :]
     calm = 0 if held else min(state.calm + 1, vibration.memory)
-    return ContactState(forces, calm, state.touches, state.free, samples)
+    return replace(state, forces=forces, calm=calm, samples=samples)
 
 
 def is_observable(state: ContactState, vibration: ToolVibration) -> bool:
@@ -153,9 +168,16 @@ def is_contact(state: ContactState, vibration: ToolVibration, least: float | Non
         least: what counts as contact instead of the force in ``vibration`` [N].
     """
     least = vibration.force if least is None else least
-    forces = state.forces
     if not is_observable(state, vibration):
         return False
+    low, high = without_vibration(state, vibration)
+    push, pull = remaining(state, vibration)
+    return high < -least - pull or low > PULL * least + push
+
+
+def without_vibration(state: ContactState, vibration: ToolVibration) -> tuple[float, float]:
+    """Return the least and the largest force without the vibration, by each of the means [N]."""
+    forces = state.forces
     whole, part = divmod(vibration.half, 1.0)
     ago = -1 - int(whole)
     opposite = forces[ago] + part * (forces[ago - 1] - forces[ago])
@@ -164,8 +186,22 @@ def is_contact(state: ContactState, vibration: ToolVibration, least: float | Non
     # The mean of the period before is off for a tool that began to ring in it, and the mean of the
     # free tool for one that was kicked then. A contact shows against both.
     means = (before,) if state.free is None else (before, state.free)
-    pushes = [pair - (1.0 + vibration.kept) * mean for mean in means]
-    return max(pushes) < -least or min(pushes) > PULL * least
+    forces_left = [pair - (1.0 + vibration.kept) * mean for mean in means]
+    return min(forces_left), max(forces_left)
+
+
+def remaining(state: ContactState, vibration: ToolVibration) -> tuple[float, float]:
+    """Return how far a remaining vibration pushed and pulled of late [N].
+
+    Bounded, so that a contact is never missed by more: to ``PULL`` times the force of a contact.
+    """
+    if not state.left:
+        return 0.0, 0.0
+    bound = (PULL - 1.0) * vibration.force
+    noise = LEFT_NOISE * vibration.force
+    push = -min(low for low, _ in state.left) - noise
+    pull = max(high for _, high in state.left) - noise
+    return min(max(push, 0.0), bound), min(max(pull, 0.0), bound)
 
 
 def touches_felt(state: ContactState, vibration: ToolVibration) -> int:
@@ -200,12 +236,21 @@ def count_touches(
     """
     forces, free = state.forces, state.free
     # Beyond the estimated object too: the tool may search for it there.
-    if not -near < distance < math.inf:
-        if len(forces) >= vibration.period:
-            free = sum(forces[-vibration.period :]) / vibration.period
-        return replace(state, touches=0, free=free)
-    felt = touches_felt(state, vibration)
-    return replace(state, touches=state.touches + felt if felt else 0)
+    is_near = -near < distance < math.inf
+    if not is_near and len(forces) >= vibration.period:
+        mean = sum(forces[-vibration.period :]) / vibration.period
+        # Smoothed: over a configured period a mode of another one has a mean.
+        free = mean if free is None else free + (mean - free) / vibration.observed
+    felt = touches_felt(state, vibration) if is_near else 0
+    touches = state.touches + felt if felt else 0
+    return replace(state, touches=touches, free=free, left=_observed(state, vibration))
+
+
+def _observed(state: ContactState, vibration: ToolVibration) -> tuple[tuple[float, float], ...]:
+    """Return what was left of the vibration, with the newest step."""
+    if not is_observable(state, vibration):
+        return ()
+    return (*state.left, without_vibration(state, vibration))[-vibration.observed :]
 
 
 def assume_touch(state: ContactState, distance: float, *, is_due: bool) -> ContactState:
