@@ -46,6 +46,9 @@ FIRST_SPREAD = 0.015  # largest range of these readings: none is an outlier [m]
 # The offset of the compliance follows across; the screws turn the object by a milliradian at once.
 _SLOWER = np.array((4.0, 4.0, 4.0, 0.0625, 0.0625, 0.0625))
 _TRANSLATIONS = np.array((4.0, 4.0, 4.0, 0.0, 0.0, 0.0))
+DRIVEN_INFLATION = (
+    6.0  # times the sigma of a deflection that follows an oscillation which it drives
+)
 WRENCH_S = 0.05  # a wrench may be so old; health excludes an older one [s]
 SEATING_S = 0.012  # a clamp closes in 0.04 s; contact is detected 0.03 s after it or later [s]
 
@@ -241,10 +244,15 @@ def _felt_row(state: TrackerState, row: PositionMeasurement, more: float) -> Pos
     complied = state.compliance
     return replace(
         row,
-        variance=row.variance + more,
+        variance=_inflation(state) * row.variance + more,
         is_firm=complied.is_firm,
         complied=complied.offset[ALONG],
     )
+
+
+def _inflation(state: TrackerState) -> float:
+    """Return the factor of a deflection's variance: large in a contact that drives its object."""
+    return DRIVEN_INFLATION**2 if state.compliance.driven else 1.0
 
 
 def _yielding(
@@ -262,7 +270,8 @@ def _yielding(
     if state.compliance.is_firm:
         return replace(measured, position=position)
     factor = tracker.settings.tactile.compliance**2
-    variance = factor * (_SLOWER * measured.variance + _TRANSLATIONS * oscillation)
+    slower = _inflation(state) * _SLOWER
+    variance = factor * (slower * measured.variance + _TRANSLATIONS * oscillation)
     return replace(measured, position=position, variance=variance)
 
 

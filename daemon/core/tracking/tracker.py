@@ -128,7 +128,7 @@ def track(
     """
     if is_seated(state) and state.search is not guard.NO_SEARCH:
         state = _end_search(state)
-    was_soft = state.compliance.soft
+    was_soft = state.compliance.is_softened
     state, view, rejected, wrench = estimate(tracker, state, samples)
     if start and not state.started:
         state = replace(state, started=True)
@@ -347,7 +347,7 @@ def _with_oscillation(
     And with the begin of a wait for a calm contact, before the wheel is released.
     """
     events = report.events
-    if state.compliance.soft is not was_soft:
+    if state.compliance.is_softened is not was_soft:
         events = (*events, ("oscillation", "over" if was_soft else "perceived"))
     if state.oscillated is not None and 0.0 < state.oscillated < 1.5 * tracker.cycle_s:
         events = (*events, ("release", "delayed"))

@@ -103,6 +103,49 @@ def test_a_steady_oscillation_of_moderate_size_does_not_soften() -> None:
     assert not followed(5.0, 40.0, 0.0, frequency_hz=3.0).soft
 
 
+def grown(frequency_hz: float, a_second: float, seconds: float = 6.0) -> Compliance:
+    """The state after an oscillation that grows by a factor a second to 20 N."""
+    state = GIVES_WAY
+    for k in range(round(seconds / MODEL.dt)):
+        t = k * MODEL.dt
+        force = 20.0 * a_second ** (t - seconds) * math.sin(math.tau * frequency_hz * t)
+        state = compliance.advance(state, MODEL, (0.0, force, 0.0), (0.0, 0.0, 0.0), SEATED)
+    return state
+
+
+def test_a_quick_oscillation_that_grows_for_seconds_is_driven_until_the_contact_ends() -> None:
+    state = grown(3.5, 1.25)
+    assert state.driven
+    assert state.is_softened
+    assert followed(10.0, 0.0, 0.0, state=state).driven
+
+
+def test_a_driven_oscillation_that_grows_on_is_followed_again() -> None:
+    assert not followed(2.0, 120.0, 0.0, frequency_hz=3.5, state=grown(3.5, 1.25)).driven
+
+
+@pytest.mark.parametrize(("frequency_hz", "a_second"), [(3.5, 1.0), (3.5, 0.8), (1.0, 1.25)])
+def test_one_that_does_not_grow_or_is_slow_is_not_driven(
+    frequency_hz: float, a_second: float
+) -> None:
+    assert not grown(frequency_hz, a_second).driven
+
+
+@pytest.mark.parametrize("frequency_hz", [1.0, 3.5])
+def test_a_kick_is_not_driven(frequency_hz: float) -> None:
+    state = followed(2.5, 5.0, 0.0, frequency_hz=frequency_hz)
+    for seconds in (0.3, 0.7, 2.0):
+        kicked = followed(seconds, 45.0, 0.0, frequency_hz=frequency_hz, state=state)
+        assert not kicked.driven
+
+
+def test_a_driven_contact_follows_a_lasting_deviation_and_hardly_a_swing() -> None:
+    driven = Compliance(driven=True, press=(0.0, 0.0, 0.0), firmness=Firmness(is_firm=False))
+    assert followed(20.0, 0.0, 0.001, state=driven).offset[1] == pytest.approx(0.001, abs=1e-4)
+    swung = followed(5.0, 0.0, 0.001, frequency_hz=3.0, state=driven)
+    assert abs(swung.offset[1]) < 1e-5
+
+
 def test_a_softened_contact_moves_no_offset() -> None:
     before = Compliance(offset=(0.0, 0.001, 0.0), press=(0.0, 0.0, 0.0), power=3600.0, soft=True)
     after = compliance.advance(before, MODEL, (0.0, 0.0, 0.0), (0.0, 0.003, 0.0), SEATED)

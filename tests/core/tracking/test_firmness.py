@@ -62,3 +62,19 @@ def test_next_to_a_running_line_no_object_is_firm_and_one_that_gave_way_stays_so
     assert firmness.without_proof(FIRM).is_firm is None
     assert after(PROOF_S - 0.05, 0.0, 1.0, firmness.without_proof(FIRM)).is_firm is None
     assert firmness.without_proof(Firmness(is_firm=False)).is_firm is False
+
+
+def swung(seconds: float, frequency_hz: float, state: Firmness = UNKNOWN) -> Firmness:
+    """The state after a swing, where half a period below 0.2 s is quick."""
+    for k in range(round(seconds / DT)):
+        force = 2.0 * SWING_N * math.sin(math.tau * frequency_hz * k * DT)
+        state = firmness.advance(
+            state, (0.0, force, 0.0), DT, is_calm=False, gives_way=False, quick_s=0.2
+        )
+    return state
+
+
+def test_a_quick_swing_counts_for_as_long_as_it_lasts() -> None:
+    assert swung(3.0, 4.0).quick_s == pytest.approx(3.0, abs=0.3)
+    assert swung(3.0, 1.5).quick_s < 0.3
+    assert swung(1.0, 1.5, swung(3.0, 4.0)).quick_s < 0.3

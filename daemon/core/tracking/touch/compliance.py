@@ -20,6 +20,10 @@ That is proved on a conveyor at rest alone: a body that nothing excites is calm 
 Invariants:
 - The offset has no lead: it is constant over the horizon.
 - A growing oscillation stops it altogether until the oscillation is small again.
+- A quick oscillation that grows from second to second is driven by the contact. From then on a
+  deflection hardly moves the estimate in this contact, and the offset follows the mean deflection
+  alone: a line that is askew still moves it. One that is slow, falls, or grows on nonetheless is
+  damped by being followed.
 - An oscillation that is large and does not fall while the offset is stopped is `unending`: the
   contact itself drives it, and only an end of the contact ends it.
 """
@@ -59,6 +63,12 @@ GROWTH = 1.5  # this factor in a second
 CALM = 0.5  # share of these at which the softening ends
 FALLS = 0.9  # of its mean square: what is left more after a second does not fall
 UNENDING = 0.25  # share of the overload, as rms, from which an oscillation must fall
+DRIVEN_N = 8.0  # rms from which an oscillation may be driven [N]
+DRIVEN_LEAST_N = 3.0  # and rms from which it has grown; less is noise [N]
+DRIVEN_GROWTH = 1.15  # of its largest mean square, from each second to the next
+KICK = 8.0  # from one second to the next is no growth, but a kick of the object
+DRIVEN_SMOOTHING_S = 0.5  # time constant of the mean deviation that moves the offset then [s]
+DRIVEN_RATE = 0.3  # of the offset then [1/s]: a swing of 3 Hz moves it by 0.2 %
 SOFTENED_S = 1.0  # by then an oscillation that only the offset drives falls [s]
 
 
@@ -92,6 +102,7 @@ class Compliance(Struct, frozen=True):
         energy: that the offset has given [J].
         soft: the oscillation stops the offset.
         softened: for so long [s].
+        driven: the contact drives the oscillation; until the contact ends, or it grows too large.
         firmness: whether the object gives way.
     """
 
@@ -106,7 +117,13 @@ class Compliance(Struct, frozen=True):
     energy: float = 0.0
     soft: bool = False
     softened: float = 0.0
+    driven: bool = False
     firmness: Firmness = UNKNOWN
+
+    @property
+    def is_softened(self) -> bool:
+        """Whether an oscillation makes the contact soft."""
+        return self.soft or self.driven
 
     @property
     def is_firm(self) -> bool:
@@ -143,7 +160,7 @@ def advance(
     mean = _toward(state.mean, force, dt / QUICK_S)
     swung = _minus(force, mean)
     power, past, age, energy, soft = 0.0, state.past, state.age, 0.0, False
-    firm = state.firmness
+    firm, driven = state.firmness, state.driven
     if touching > SEATED_S:
         power = state.power + dt / MEMORY_S * (_dot(swung, swung) - state.power)
         age += dt
@@ -151,18 +168,28 @@ def advance(
             past, age = (*past, power)[-PAST:], 0.0
         soft = is_growing(power, past, was=state.soft)
         is_calm = power < QUIET_N**2
+        quick_s = 2.0 * max(model.delays) * dt
         firm = firmness.advance(
-            firm, swung, dt, is_calm=is_calm and is_at_rest, gives_way=soft or is_pushed
+            firm,
+            swung,
+            dt,
+            is_calm=is_calm and is_at_rest,
+            gives_way=soft or is_pushed,
+            quick_s=quick_s,
         )
+        # One that grows on nonetheless was damped by being followed: it is followed again.
+        driven = driven or (firm.quick_s > 2.0 * quick_s and is_driven(past))
+        driven = driven and power < LARGEST_N**2
         if not is_at_rest:
             firm = firmness.without_proof(firm)
         moved = _delayed(state.moves, model.delays)
         given = state.energy - _dot(_minus(force, press), moved) - LEAK_W * dt
         energy = max(given, 0.0)
-    smooth = _toward(state.smooth, _minus(off, state.offset), dt / SMOOTHING_S)
-    rate = RATE + SEATING_RATE * math.exp(-touching / SEATING_S)
+    smoothing_s = DRIVEN_SMOOTHING_S if driven else SMOOTHING_S
+    smooth = _toward(state.smooth, _minus(off, state.offset), dt / smoothing_s)
+    rate = DRIVEN_RATE if driven else RATE + SEATING_RATE * math.exp(-touching / SEATING_S)
     length = math.hypot(*smooth)
-    moves_on = length > DEAD_BAND and not soft and not firm.is_firm
+    moves_on = length > DEAD_BAND and (driven or not soft) and not firm.is_firm
     share = 1.0 - DEAD_BAND / length if moves_on else 0.0
     step = rate * dt * share * max(1.0 - energy / ENERGY_J, 0.0)
     x, y, z = (o + step * r for o, r in zip(state.offset, smooth, strict=True))
@@ -170,7 +197,19 @@ def advance(
     moves = (*state.moves, _minus(offset, state.offset))[-max(model.delays) :]
     softened = state.softened + dt if soft else 0.0
     return Compliance(
-        offset, smooth, press, mean, power, past, age, moves, energy, soft, softened, firm
+        offset=offset,
+        smooth=smooth,
+        press=press,
+        mean=mean,
+        power=power,
+        past=past,
+        age=age,
+        moves=moves,
+        energy=energy,
+        soft=soft,
+        driven=driven,
+        softened=softened,
+        firmness=firm,
     )
 
 
@@ -197,6 +236,21 @@ def is_growing(power: float, past: tuple[float, ...], *, was: bool) -> bool:
     recent = past[-SECOND:]
     has_grown = len(recent) == SECOND and power > GROWTH**2 * recent[0]
     return has_grown and power > GROWN_N**2 and all(a <= b for a, b in pairwise(recent))
+
+
+def is_driven(past: tuple[float, ...]) -> bool:
+    """Return whether an oscillation has grown for three seconds, each beyond that before.
+
+    One that was kicked is largest in its first second, and jumps there from less.
+
+    Args:
+        past: mean square of its force, oldest first [N^2].
+    """
+    if len(past) < 3 * SECOND:
+        return False
+    first, second, third = (max(past[-n * SECOND :][:SECOND]) for n in (3, 2, 1))
+    grows = all(DRIVEN_GROWTH * a < b < KICK * a for a, b in pairwise((first, second, third)))
+    return grows and first > DRIVEN_LEAST_N**2 and third > DRIVEN_N**2
 
 
 def unending(state: Compliance, overload: float) -> float | None:

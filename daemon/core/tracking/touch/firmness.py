@@ -13,9 +13,11 @@ Invariants:
 - An object is firm only after the tool has seated and the force has been calm for ``PROOF_S``.
 - An object that has given way is not firm again in the same contact.
 - Next to a conveyor that runs or stops no object is firm.
+- A swing is quick as long as each of its half periods is shorter than the given time.
 """
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from linemate.protocol.stamped_samples import Vector3
 
@@ -32,11 +34,13 @@ class Swing(Struct, frozen=True):
         side: of the last force beyond ``SWING_N``: 1 or -1, 0 before the first one.
         turns: changes of side in a row.
         age: since the last of them [s].
+        quick_s: for which it has changed its side again and again within the given time [s].
     """
 
     side: int = 0
     turns: int = 0
     age: float = 0.0
+    quick_s: float = 0.0
 
 
 STILL = Swing()
@@ -55,21 +59,37 @@ class Firmness(Struct, frozen=True):
     calm_s: float = 0.0
     swings: tuple[Swing, Swing, Swing] = (STILL, STILL, STILL)
 
+    @property
+    def quick_s(self) -> float:
+        """For how long the force along an axis has swung quickly [s]."""
+        x, y, z = self.swings
+        return max(x.quick_s, y.quick_s, z.quick_s)
+
 
 UNKNOWN = Firmness()
 
 
 def advance(
-    state: Firmness, swung: Vector3, dt: float, *, is_calm: bool, gives_way: bool
+    state: Firmness,
+    swung: Vector3,
+    dt: float,
+    *,
+    is_calm: bool,
+    gives_way: bool,
+    quick_s: float = 0.0,
 ) -> Firmness:
     """Return the state of a seated tool one step later.
 
     Args:
         swung: force off its mean, in c [N].
+        quick_s: half a period of a swing that is quick [s].
         is_calm: no force oscillates more than is normal in contact.
         gives_way: the object was pushed, or an oscillation grows.
     """
-    x, y, z = (_swung(swing, f, dt) for swing, f in zip(state.swings, swung, strict=True))
+    x, y, z = (
+        _lasting(swing, _swung(swing, f, dt), dt, quick_s)
+        for swing, f in zip(state.swings, swung, strict=True)
+    )
     if state.is_firm is False or gives_way or max(x.turns, y.turns, z.turns) >= TURNS:
         return Firmness(False, 0.0, (x, y, z))
     calm_s = state.calm_s + dt if is_calm else 0.0
@@ -97,3 +117,12 @@ def _swung(swing: Swing, force: float, dt: float) -> Swing:
     if side == swing.side:
         return Swing(side, swing.turns, age)
     return Swing(side, swing.turns + 1 if swing.side else 0, 0.0)
+
+
+def _lasting(before: Swing, swing: Swing, dt: float, quick_s: float) -> Swing:
+    """Return a swing with the time for which it has been quick."""
+    has_turned = swing.turns > before.turns
+    is_quick = swing.side != 0 and (before.age if has_turned else swing.age) < quick_s
+    if not is_quick and swing.quick_s == 0.0:
+        return swing
+    return replace(swing, quick_s=before.quick_s + dt if is_quick else 0.0)
