@@ -105,6 +105,9 @@ def samples(status: Mapping[str, Any] | None) -> Iterator[Sample]:
             yield from _number(name, "counter", what, ((label, key),), value)
     period_s = _scaled(_at(status, "clock.period_ms"), 1e-3)
     yield from _number("period_seconds", "gauge", "Measured cycle of the controller", (), period_s)
+    drift_s = _scaled(_at(status, "dead_time.drift_ms"), 1e-3)
+    what = "How much later the axes answer than identified"
+    yield from _number("dead_time_drift_seconds", "gauge", what, (), drift_s)
     for path, what in TIMES.items():
         yield from _times(status, path.removesuffix("_us"), what)
     yield from _sensors(status)

@@ -143,7 +143,9 @@ def _task(status: Status) -> Iterator[str]:
     if status.get("waiting"):
         yield f"waiting   {status['waiting']}"
     plan, gap = (_distance_mm(status, a, b) for a, b in (("target", "sensed"), ("target", "part")))
-    yield f"errors    plan {plan}   tool to part {gap}"
+    drift = _number((status.get("dead_time") or {}).get("drift_ms"), 1.0, "ms", 1)
+    drifted = "" if drift == "-" else f"   dead time drifted by {drift}"
+    yield f"errors    plan {plan}   tool to part {gap}{drifted}"
     turnaround = status.get("turnaround_us") or {}
     p99, longest = (_number(turnaround.get(key), 1e-3, "ms", 2) for key in ("p99", "max"))
     period = _number((status.get("clock") or {}).get("period_ms"), 1.0, "ms", 2)

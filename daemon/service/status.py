@@ -105,11 +105,28 @@ def status(snapshot: DaemonSnapshot) -> dict[str, Any]:
             "late_wakes": lateness.late,
             "worst_us": round(lateness.worst_ns / 1e3, 1),
         },
+        "dead_time": dead_time(snapshot.cycle),
         "recording": None if snapshot.recorder is None else asdict(snapshot.recorder),
         "commands": dict(snapshot.commands),
         "host": snapshot.refusals,
         "faults": snapshot.counters.get("faults", 0),
     }
+
+
+def dead_time(cycle: Cycle) -> dict[str, float] | None:
+    """Return the drift of the dead times and its bounds [ms]; None if they are fixed or unknown."""
+    model = cycle.parameters.controller.drift
+    if model is None or cycle.last is None or cycle.last.after.control.drift is None:
+        return None
+    least, most = model.bounds
+    drift = cycle.last.after.control.drift.drift
+    shown = {"drift_ms": drift, "least_ms": least, "most_ms": most}
+    return {name: round(seconds * 1e3, 3) for name, seconds in shown.items()}
+
+
+def _is_at_a_bound(drift_ms: float, least_ms: float, most_ms: float) -> bool:
+    """Return whether a drift may be larger than followed. One that may only grow begins at 0."""
+    return drift_ms >= most_ms or (least_ms < 0.0 and drift_ms <= least_ms)
 
 
 def covered(cycle: Cycle) -> frozenset[str]:
@@ -166,6 +183,12 @@ def _complaints(
     refusal = snapshot.timer.lock.estimate.refusal
     if refusal:
         yield refusal
+    drift = dead_time(snapshot.cycle)
+    if drift is not None and _is_at_a_bound(**drift):
+        yield (
+            f"the dead time has drifted by {drift['drift_ms']} ms, limit {drift['least_ms']} to "
+            f"{drift['most_ms']} ms. Identify the servos again, or widen control.drift."
+        )
     if snapshot.recorder is not None and snapshot.recorder.failure:
         yield f"recording ended: {snapshot.recorder.failure}"
     if snapshot.counters.get("faults"):

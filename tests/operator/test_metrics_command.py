@@ -279,6 +279,13 @@ def test_histograms_count_every_duration_once_and_never_fall() -> None:
     assert found["linemate_period_seconds", frozenset({west})] == pytest.approx(0.01198)
 
 
+def test_the_drift_of_the_dead_time_is_in_seconds() -> None:
+    drifted = {"dead_time": {"drift_ms": 32.5, "least_ms": 0.0, "most_ms": 110.0}}
+    found = parsed(metrics_page.text({"west": drifted}))
+    name = "linemate_dead_time_drift_seconds"
+    assert found[name, frozenset({("station", "west")})] == pytest.approx(0.0325)
+
+
 def test_the_tool_prints_a_page_and_refuses_to_be_reached_by_others(daemon: DaemonProcess) -> None:
     where = f"west={daemon.listening['command']['socket']}"
     once = subprocess.run(

@@ -34,7 +34,8 @@ STATUS: dict[str, Any] = {
     "links": dict.fromkeys(("robot", "distance", "camera", "force_torque"), LINK),
     "sensors": {"camera": {"out": "frozen: no change for 0.15 s", "since_s": 1.0}},
     "turnaround_us": {"p50": 300.0, "p99": 420.0, "p999": 700.0, "max": 1310.0},
-    "late": 2, "missing": 1, "clock": {"period_ms": 12.0012}, "host": ["a", "b"],
+    "late": 2, "missing": 1, "clock": {"period_ms": 12.0012},
+    "dead_time": {"drift_ms": 32.5, "least_ms": 0.0, "most_ms": 110.0}, "host": ["a", "b"],
     "recording": {"recording": True, "file": "/var/x/run.mcap", "written": 12, "dropped": 0},
     "phase": "approach", "task_time": 4.321, "ready": None, "scenario": "running",
     "scenario_state": "confirmed", "confidence": 4.25, "speed": 0.1063, "held": None,
@@ -52,6 +53,7 @@ def test_a_screen_has_the_head_of_the_view() -> None:
     for part in (
         "wheel", "up 1:02:03", "TRACK", "the part is in reach", "degraded", "approach", "4.32 s",
         "running confirmed", "106 mm/s", "plan 1.00 mm", "tool to part 200.00 mm", "late 2",
+        "dead time drifted by 32.5 ms",
         "max 1.31 ms of 12.00 ms", "83 Hz", "excluded: frozen", "run.mcap: 12 steps",
     ):  # fmt: skip
         assert part in text, part

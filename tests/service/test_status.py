@@ -3,12 +3,20 @@
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
+from msgspec import structs
 
 from linemate.daemon.config import config
+from linemate.daemon.core.control import dead_time
+from linemate.daemon.core.control.dead_time import compile_drift
+from linemate.daemon.core.control.settings import ControlSettings, DeadTimeDrift
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle.states import Link, Machine, Signals, State
+from linemate.daemon.service import status
 from linemate.daemon.service.app import App
 from linemate.daemon.service.host import realtime
 from linemate.daemon.service.host.notify import Notifier
@@ -47,9 +55,9 @@ def test_a_camera_that_the_tool_covers_in_contact_leaves_the_daemon_healthy(
 ) -> None:
     app.cycle.operating.machine = Machine(state)
     silence(app, "camera", 8.0)
-    status = app.status()
-    assert status["complaints"] == ()
-    assert status["health"] == "healthy"
+    found = app.status()
+    assert found["complaints"] == ()
+    assert found["health"] == "healthy"
 
 
 @pytest.mark.parametrize("state", [State.IDLE, State.ARMED, State.TRACK, State.HOLD])
@@ -81,3 +89,27 @@ def test_a_fault_is_reported_with_its_cause(app: App) -> None:
     assert status["complaints"] == ("fault: held too long: in hold for 60.1 s, limit 60.0 s",)
     assert status["cause"] == app.cycle.operating.cause
     assert status["health"] == "fault"
+
+
+@pytest.mark.parametrize(("drift_ms", "is_said"), [(0.0, False), (95.0, False), (110.0, True)])
+def test_a_dead_time_at_its_bound_is_a_complaint(
+    app: App, drift_ms: float, is_said: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = {"drift_ms": drift_ms, "least_ms": 0.0, "most_ms": 110.0}
+    monkeypatch.setattr(status, "dead_time", lambda _: shown)
+    found = app.status()
+    assert found["dead_time"] == shown
+    assert any("drifted by 110.0 ms" in text for text in found["complaints"]) is is_said
+
+
+def test_the_drift_of_the_dead_time_is_that_of_the_last_step() -> None:
+    model = compile_drift(ControlSettings(drift=DeadTimeDrift(longer=0.11)), 7, 0.012)
+    assert model is not None
+    state = structs.replace(dead_time.begin(model, np.zeros(7)), drift=0.0325)
+    after = SimpleNamespace(control=SimpleNamespace(drift=state))
+    controller = SimpleNamespace(drift=model)
+    parameters = SimpleNamespace(controller=controller)
+    cycle: Any = SimpleNamespace(parameters=parameters, last=SimpleNamespace(after=after))
+    assert status.dead_time(cycle) == {"drift_ms": 32.5, "least_ms": 0.0, "most_ms": 110.0}
+    cycle.parameters.controller.drift = None
+    assert status.dead_time(cycle) is None
