@@ -115,12 +115,12 @@ def status(snapshot: DaemonSnapshot) -> dict[str, Any]:
 
 def dead_time(cycle: Cycle) -> dict[str, float] | None:
     """Return the drift of the dead times and its bounds [ms]; None if they are fixed or unknown."""
-    model = cycle.parameters.controller.drift
-    if model is None or cycle.last is None or cycle.last.after.control.drift is None:
+    model, last = cycle.parameters.controller.drift, cycle.last
+    state = None if last is None or last.after is None else last.after.control.drift
+    if model is None or state is None:
         return None
     least, most = model.bounds
-    drift = cycle.last.after.control.drift.drift
-    shown = {"drift_ms": drift, "least_ms": least, "most_ms": most}
+    shown = {"drift_ms": state.drift, "least_ms": least, "most_ms": most}
     return {name: round(seconds * 1e3, 3) for name, seconds in shown.items()}
 
 

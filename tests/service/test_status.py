@@ -91,15 +91,15 @@ def test_a_fault_is_reported_with_its_cause(app: App) -> None:
     assert status["health"] == "fault"
 
 
-@pytest.mark.parametrize(("drift_ms", "is_said"), [(0.0, False), (95.0, False), (110.0, True)])
+@pytest.mark.parametrize(("drift_ms", "is_complaint"), [(0.0, False), (95.0, False), (110.0, True)])
 def test_a_dead_time_at_its_bound_is_a_complaint(
-    app: App, drift_ms: float, is_said: bool, monkeypatch: pytest.MonkeyPatch
+    app: App, drift_ms: float, is_complaint: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shown = {"drift_ms": drift_ms, "least_ms": 0.0, "most_ms": 110.0}
     monkeypatch.setattr(status, "dead_time", lambda _: shown)
     found = app.status()
     assert found["dead_time"] == shown
-    assert any("drifted by 110.0 ms" in text for text in found["complaints"]) is is_said
+    assert any("drifted by 110.0 ms" in text for text in found["complaints"]) is is_complaint
 
 
 def test_the_drift_of_the_dead_time_is_that_of_the_last_step() -> None:

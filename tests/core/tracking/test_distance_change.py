@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.classifiers import distance_change, distance_check
 from linemate.daemon.core.tracking.classifiers.classifier_bank import SURE_STOP, BankClassifier
-from linemate.daemon.core.tracking.classifiers.distance_check import NO_READINGS
+from linemate.daemon.core.tracking.classifiers.distance import distance_change, distance_check
+from linemate.daemon.core.tracking.classifiers.distance.distance_check import NO_READINGS
 from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, Source
 from linemate.daemon.core.tracking.settings import BankSettings, FusionSettings
 from linemate.daemon.core.tracking.task import ConveyorClasses

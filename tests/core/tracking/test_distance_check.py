@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.classifiers import distance_check
-from linemate.daemon.core.tracking.classifiers.distance_check import NO_READINGS, Ramp
+from linemate.daemon.core.tracking.classifiers.distance import distance_check
+from linemate.daemon.core.tracking.classifiers.distance.distance_check import NO_READINGS, Ramp
 from linemate.daemon.core.tracking.conveyor import PositionMeasurement, Source
 
 T0 = 0.012

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.classifiers import distance_step
+from linemate.daemon.core.tracking.classifiers.distance import distance_step
 from linemate.daemon.core.tracking.classifiers.onset_bank import AmplitudePrior
 
 T0, SIGMA, STOP, SPEED, UNIT = 0.012, 0.39e-3, -0.104, 0.106, 1e-3

@@ -5,8 +5,9 @@ import pytest
 from conveyor_truth import DEVIATION, NOMINAL, START, STOP, T0, row
 from msgspec import structs
 
-from linemate.daemon.core.tracking.classifiers import distance_check, start_check
-from linemate.daemon.core.tracking.classifiers.distance_check import NO_READINGS
+from linemate.daemon.core.tracking.classifiers import start_check
+from linemate.daemon.core.tracking.classifiers.distance import distance_check
+from linemate.daemon.core.tracking.classifiers.distance.distance_check import NO_READINGS
 from linemate.daemon.core.tracking.classifiers.start_check import StartCheck, StartRejection
 from linemate.daemon.core.tracking.conveyor import Motion
 from linemate.daemon.core.tracking.task import ConveyorClasses

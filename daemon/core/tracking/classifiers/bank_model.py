@@ -17,7 +17,7 @@ from msgspec import Struct
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.classifiers import onset_bank, sway_bank
-from linemate.daemon.core.tracking.classifiers.distance_check import NO_READINGS
+from linemate.daemon.core.tracking.classifiers.distance.distance_check import NO_READINGS
 from linemate.daemon.core.tracking.classifiers.onset_bank import (
     NO_POSTERIOR,
     AmplitudePrior,

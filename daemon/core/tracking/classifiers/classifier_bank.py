@@ -15,9 +15,6 @@ from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.classifiers import (
     bank_filter,
     bank_prediction,
-    distance_change,
-    distance_check,
-    distance_step,
     guide,
     onset_bank,
     start_check,
@@ -45,9 +42,14 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     V,
     Y,
 )
-from linemate.daemon.core.tracking.classifiers.distance_change import DistanceChange
-from linemate.daemon.core.tracking.classifiers.distance_check import Ramp
-from linemate.daemon.core.tracking.classifiers.distance_step import DistanceStep
+from linemate.daemon.core.tracking.classifiers.distance import (
+    distance_change,
+    distance_check,
+    distance_step,
+)
+from linemate.daemon.core.tracking.classifiers.distance.distance_change import DistanceChange
+from linemate.daemon.core.tracking.classifiers.distance.distance_check import Ramp
+from linemate.daemon.core.tracking.classifiers.distance.distance_step import DistanceStep
 from linemate.daemon.core.tracking.classifiers.onset_bank import AmplitudePrior
 from linemate.daemon.core.tracking.classifiers.start_check import StartCheck, StartRejection
 from linemate.daemon.core.tracking.conveyor import (

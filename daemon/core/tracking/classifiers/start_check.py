@@ -14,8 +14,8 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.classifiers import distance_check
-from linemate.daemon.core.tracking.classifiers.distance_check import Ramp
+from linemate.daemon.core.tracking.classifiers.distance import distance_check
+from linemate.daemon.core.tracking.classifiers.distance.distance_check import Ramp
 from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, Source
 from linemate.daemon.core.tracking.task import ConveyorClasses
 

@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Struct
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.classifiers.distance_check import (
+from linemate.daemon.core.tracking.classifiers.distance.distance_check import (
     LEAST_READINGS,
     LEVEL_DEVIATION,
     since,
