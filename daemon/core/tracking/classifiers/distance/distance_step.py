@@ -37,7 +37,7 @@ class DistanceStep(Struct, frozen=True):
     Attributes:
         odds: log odds of the step against the change.
         age: of the newest reading before it [s].
-        size: of it [m].
+        size: readings after it minus those before it [m].
         deviation: one sigma of the size [m].
     """
 
