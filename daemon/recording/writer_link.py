@@ -20,6 +20,7 @@ from linemate.daemon.recording.spawn import Spawned
 WRITER: Final = "linemate.daemon.recording.writer_process"
 SEND_BYTES: Final = 1_048_576
 RECEIVE_BYTES: Final = 65_536
+REAP_LOOKS: Final = 100  # at a closed socket, after which the process is given up without a code
 
 
 class WriterLink:
@@ -36,6 +37,7 @@ class WriterLink:
             OSError: it cannot be started.
         """
         self.lost = ""
+        self._closed = 0
         self._rest = b""
         self._unpacker = msgpack.Unpacker()
         self._packer = msgpack.Packer()
@@ -118,6 +120,9 @@ class WriterLink:
         if self.lost:
             return
         code = self._process.poll()
+        self._closed += 1
+        if code is None and self._closed < REAP_LOOKS:
+            return  # its socket closes a moment before it has an exit code
         how = "" if code is None else f" (exit {code})" if code >= 0 else f" (signal {-code})"
         why = f": {os.strerror(error.errno)}" if error is not None and error.errno else ""
         self.lost = f"the process that writes recordings has ended{how}{why}"

@@ -148,7 +148,8 @@ def test_a_silent_robot_ends_the_exchange() -> None:
 
 
 def test_a_collision_ends_the_run() -> None:
-    evidence = lockstep.run(setup.make("wheel", variant="no-feedforward"), 0)
+    off = "scenario.camera.effects.mount_offset=[0.03,0.0,0.0]"
+    evidence = lockstep.run(setup.make("wheel", (off,)), 0)
     assert evidence.collision is not None
     assert evidence.rows.t[-1] < 17.0
     assert judge(evidence)["outcome"] == "collision"

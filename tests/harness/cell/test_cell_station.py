@@ -80,7 +80,9 @@ def test_a_task_alone_runs_with_the_shipped_links(tmp_path: Path) -> None:
     station = station_of(tmp_path, cell)
     written = station.daemon_file()
     assert written["task"] == str(args.task.resolve())
-    assert emulated_of(tmp_path, cell).distance_mount == 1.0
+    start = cell.task.file.conveyor.start_position
+    assert start != KR10.task.file.conveyor.start_position
+    assert emulated_of(tmp_path, cell).distance_mount == start
 
 
 def test_an_own_task_goes_before_that_of_the_configuration(tmp_path: Path) -> None:
