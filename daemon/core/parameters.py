@@ -27,7 +27,7 @@ from linemate.daemon.core.tracking.reference import (
 from linemate.daemon.core.tracking.settings import ClassifierKind, TrackingSettings
 from linemate.daemon.core.tracking.task import Phase, TaskFile
 from linemate.daemon.core.tracking.touch import compliance, contact
-from linemate.daemon.core.tracking.touch.touch_profile import bolt_tips, lengthened, sighted, slowed
+from linemate.daemon.core.tracking.touch.touch_profile import bolt_tips, lengthened, sighted
 from linemate.daemon.core.tracking.tracker_state import Foresight, Tracker
 from linemate.daemon.core.tracking.transverse import Transverse
 from linemate.daemon.core.wrench_frame import WrenchFrame
@@ -133,7 +133,6 @@ def build(
     camera = task.arm.camera_in_tcp
     mount = tracking.tactile
     tips = bolt_tips(tracking.payload.bolts, mount.stiffness[TOOL_AXIS], mount.overload_force)
-    task = slowed(task, mount.stiffness[TOOL_AXIS], mount.overload_force)
     task = lengthened(sighted(task, tracking.camera.blind_below + SIGHT_MARGIN), tips)
     reference = compile_reference(task, tips)
     table = tabulated(reference, cycle_s, controller.steps)

@@ -368,10 +368,8 @@ def finish(
             held=not inputs.sent and inputs.pace is None,
             is_open=inputs.robot is None or bool(inputs.robot.digital_in & task_clock.CLAMP_OPEN),
         )
-    # A clamp may have closed unfelt: it is pulled as one that was felt.
-    clamped = state.tracker.contact or state.tracker.clamped
     after, held = control.limit_command(
-        parameters.controller, desired, delivered.control.limiter, clamped=clamped
+        parameters.controller, desired, delivered.control.limiter, clamped=state.tracker.contact
     )
     after = replace(after, drift=delivered.control.drift)
     state = StepState(

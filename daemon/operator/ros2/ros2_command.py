@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 ROUTER: Final = "tcp/127.0.0.1:7447"  # of rmw_zenoh
 NICE: Final = 10  # the robot's processes of this machine go first
 END_S: Final = 2.0  # for leaving the domain; the process ends then in any case
-AWAKE_S: Final = 0.5  # between two looks for a signal
+LOOK_S: Final = 0.5  # between two looks for a signal
 REPORT_S: Final = 10.0  # between two lines about refused poses
 DOMAIN: Final = "ROS_DOMAIN_ID"
 
@@ -101,7 +101,7 @@ def main(args: argparse.Namespace) -> int:
         print(f"/{args.prefix} in domain {domain} at {endpoint}", flush=True)
         feed.start()
         # A signal that one of zenoh's threads gets does not wake this one.
-        while not end.wait(AWAKE_S):
+        while not end.wait(LOOK_S):
             pass
         guard = threading.Timer(END_S, os._exit, (OK,))
         guard.daemon = True

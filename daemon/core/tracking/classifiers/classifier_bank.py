@@ -42,15 +42,9 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     V,
     Y,
 )
-from linemate.daemon.core.tracking.classifiers.distance import (
-    distance_change,
-    distance_check,
-    distance_step,
-)
+from linemate.daemon.core.tracking.classifiers.distance import distance_change, distance_check
 from linemate.daemon.core.tracking.classifiers.distance.distance_change import DistanceChange
 from linemate.daemon.core.tracking.classifiers.distance.distance_check import Ramp
-from linemate.daemon.core.tracking.classifiers.distance.distance_step import DistanceStep
-from linemate.daemon.core.tracking.classifiers.onset_bank import AmplitudePrior
 from linemate.daemon.core.tracking.classifiers.start_check import StartCheck, StartRejection
 from linemate.daemon.core.tracking.conveyor import (
     LONGEST_TENTATIVE_S,
@@ -71,7 +65,6 @@ ASKING_S = 0.012  # the distance sensor alone is asked for a change once in this
 SURE_STOP = 100.0  # log odds of a stop by the sensor alone; a chain's ripple looks like its begin
 LED_DEVIATION = 0.03  # one sigma of the guide's speed, which a stop has slowed already [m/s]
 HELD_DEVIATION = 0.001  # one sigma of where the tool holds an object that gives way [m]
-TAKEN = 0.5  # share of a step of the distance sensor that the position may have taken
 LEFT_S = 0.2  # in which the speed that is left when a stop ends dies out [s]
 
 
@@ -192,23 +185,6 @@ class BankClassifier(BankModel):
         )
         if self._asks_distance(state, limit):
             state = replace(state, distance_odds=self._distance_odds(state))
-        step = self._step(state) if change_odds > settings.perceived else None
-        if step is not None and step.is_certain:
-            return self._accept_step(state, step)
-        if step is not None:
-            # The prediction follows no stop either, as long as a step is likelier.
-            state = replace(state, distance_odds=-step.odds)
-        return self._declare(state, motion, limit)
-
-    def _declare(self, state: BankState, motion: Motion, limit: float) -> BankState:
-        """Return the state with a change declared as its odds say, or an impulse.
-
-        Args:
-            motion: class after the change.
-            limit: log odds from which the change is confirmed.
-        """
-        settings, event = self.bank, NEXT[state.motion][1]
-        change_odds, impulse_odds = state.change_odds, state.impulse_odds
         odds = state.distance_odds
         if change_odds > limit and (odds is None or odds > SUPPORT[event]):
             events = [*state.events, (event, "tentative"), (event, "confirmed")]
@@ -225,29 +201,6 @@ class BankClassifier(BankModel):
         if state.tentative and change_odds < CALM:
             return replace(state, tentative=False, events=(*state.events, (event, "cancelled")))
         return state
-
-    def _step(self, state: BankState) -> DistanceStep | None:
-        """Return the step of the distance sensor that looks like a stop; None without one."""
-        if state.motion is not Motion.RUNNING:
-            return None
-        stop = self.changes[Motion.RUNNING]
-        prior = AmplitudePrior(stop, (self.bank.amplitude_deviation * stop) ** 2)
-        return distance_step.find(
-            state.readings, prior, state.cruise, RUNNING_DEVIATION, self.distance_deviation
-        )
-
-    def _accept_step(self, state: BankState, step: DistanceStep) -> BankState:
-        """Return the state after a step of the distance sensor, the banks cleared.
-
-        The step is an offset from now on. What the filter has taken of it, later readings correct.
-        """
-        x, P = state.x.copy(), state.P.copy()
-        x[OFFSET] += step.size
-        P[OFFSET, OFFSET] += step.deviation**2
-        P[Y, Y] += (TAKEN * step.size) ** 2
-        events = (*state.events, ("stop", "cancelled")) if state.tentative else state.events
-        readings = distance_step.levelled(state.readings, step)
-        return replace(clear_banks(state), x=x, P=P, readings=readings, events=events)
 
     def _by_distance(self, state: BankState, complied: float, dt: float) -> BankState | None:
         """Return the state after a change that the distance sensor alone shows; None without one.
