@@ -22,10 +22,11 @@ from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle import states
 from linemate.daemon.cycle.in_sync import is_in_sync
+from linemate.daemon.cycle.resting import STILL, RestingStepper
 from linemate.daemon.cycle.session import Axes
 from linemate.daemon.cycle.setpoint_reference import RESTART_S, Proof
 from linemate.daemon.cycle.step_log import LogEntry
-from linemate.daemon.cycle.steps import PreparedStep, Stepper
+from linemate.daemon.cycle.steps import PreparedStep
 from linemate.protocol.controller_link import (
     ControllerError,
     ControllerLink,
@@ -57,7 +58,7 @@ _SHOWN = (
 )
 
 
-class Cycle(Stepper):
+class Cycle(RestingStepper):
     """Answers telegrams with steps.
 
     Attributes:
@@ -93,7 +94,7 @@ class Cycle(Stepper):
         self.ready_reply: ReadyReply | None = None
         self.refused = self.inline = self.prepared = 0
         self.last_refusal: str | None = None
-        self._is_running = self._was_preparing = self._owes_reply = False
+        self._is_running = self._was_preparing = False
         self._sent_ahead: Axes | None = None  # command of a reply that preceded on_telegram
         self._state_at_begin: stepping.StepState | None = None
         self._joints: Vector6 | None = None
@@ -109,9 +110,15 @@ class Cycle(Stepper):
         Returns:
             Its bytes. Empty: the telegram counts, and nothing is to be sent. None: it does not.
         """
+        sent = self.ready_reply if is_answered else None
         self._begin()
         if is_answered and self._ready is not None:
             self._sent_ahead = self._ready.entry.outputs.command
+        elif sent is not None and self._rest_now is not None:
+            self._sent_ahead = self._rest_now.command
+            if self._note_rested(stamp_ns, peer):
+                self._end()
+                return sent.data
         try:
             telegram = self._link.read(data, stamp_ns)
         except ControllerError as error:
@@ -139,7 +146,7 @@ class Cycle(Stepper):
 
     def prepare(self, stamp_ns: int) -> bool:
         """Make the step of a telegram that is expected at ``stamp_ns``; True if it is ready."""
-        if self._state is None or self._ready is not None:
+        if self._state is None or self._ready is not None or self.is_resting:
             return False
         self._begin(preparing=True)
         entry, plan = self._step(self._state, stamp_ns, telegram=True)
@@ -155,6 +162,7 @@ class Cycle(Stepper):
         """
         if self._has_failed_after_step(stamp_ns):
             return
+        self.end_rest()
         self.exchange.on_missing()
         if self._state is None or (may_rest and self._rest()):
             return
@@ -203,18 +211,24 @@ class Cycle(Stepper):
 
     def _predict(self) -> ReadyReply | None:
         """Return the ready reply and the telegram that would be the ordinary next one."""
-        ready = self._ready
-        if ready is None or self._joints is None or not ready.entry.inputs.sent:
+        ready, rest = self._ready, self._rest_now
+        if self._joints is None or (ready is None and rest is None):
+            return None
+        if ready is not None and not ready.entry.inputs.sent:
             return None
         foreseen = self.exchange.foreseen()
         if foreseen is None or self.session.is_interrupted:
             return None
         counter, peer = foreseen
-        expected = self._link.expect(counter, self.session.delay, self._joints, LONGEST_JUMP)
+        joints = self._joints if rest is None else rest.robot.joints
+        reach = LONGEST_JUMP if rest is None else STILL
+        expected = self._link.expect(counter, self.session.delay, joints, reach)
         if expected is None:
             return None
         pattern, echo = expected
-        reply = ready.reply.with_counter(echo)
+        held = rest or ready
+        assert held is not None  # noqa: S101 - as seen above
+        reply = held.reply.with_counter(echo)
         return ReadyReply(pattern, peer, self.session.accounted_until_ns, reply)
 
     def _decide(self, telegram: ControllerTelegram, peer: Hashable) -> bytes | None:
@@ -225,6 +239,7 @@ class Cycle(Stepper):
         self._owes_reply = decision.answer
         if not decision.answer:
             return None
+        self._end_rest_by(telegram, decision)
         self.session.cycles_since_command += decision.missed + 1
         if telegram.unready is not None:
             self.session.decline(telegram.unready, self._axes(robot), peer)
@@ -245,6 +260,26 @@ class Cycle(Stepper):
         self._joints = robot.joints
         self.session.remember(arrived, peer, self.exchange.settled_step)
         return reply
+
+    def _note_rested(self, stamp_ns: int, peer: Hashable) -> bool:
+        """Note a telegram of a rest that has got the ready reply; False: it must be read.
+
+        Its counter, its delay and its joints are those expected. The rest is read at each look.
+        """
+        rest, foreseen, robot = self._rest_now, self.exchange.foreseen(), self._robot
+        if rest is None or foreseen is None or robot is None or foreseen[1] != peer:
+            return False
+        if self.looks_at(stamp_ns) or stamp_ns > self.session.accounted_until_ns:
+            return False
+        if not self._is_quiet():
+            return False
+        self.session.hear(stamp_ns)
+        self.decision = self.exchange.on_telegram(foreseen[0], stamp_ns, peer)
+        robot = self._robot = replace(robot, counter=foreseen[0], stamp_ns=stamp_ns)
+        self.session.settle(robot.delay, 1, stamp_ns)
+        self._give_rested(rest)
+        self.session.remember(robot, peer, self.exchange.settled_step)
+        return True
 
     def _answer_unreadable(
         self, counter: tuple[int, bytes] | None, stamp_ns: int, peer: Hashable
@@ -304,6 +339,7 @@ class Cycle(Stepper):
 
     def _reply_bare(self, echo: bytes, stamp_ns: int, steps: int) -> bytes:
         """Return a reply without a setpoint: the controller keeps the one that it has."""
+        self.end_rest()
         ready, self._ready = self._ready, None
         if ready is not None:
             self._add_unsent(self._confirmed(ready))
@@ -324,6 +360,9 @@ class Cycle(Stepper):
         self, telegram: ControllerTelegram, stamp_ns: int, decision: TelegramDecision
     ) -> bytes:
         """Return the reply, after as many steps as the controller made cycles."""
+        held = self._answer_resting(telegram)
+        if held is not None:
+            return held
         session, last, steps = self.session, self.last, decision.steps
         if decision.missed:
             session.moves = False
@@ -368,12 +407,6 @@ class Cycle(Stepper):
         self._given = entry
         return reply.with_counter(telegram.echo)
 
-    def _axes(self, robot: RobotSample) -> Axes:
-        """Return a telegram's axes in the controller's order."""
-        if self.parameters.controller.arm.linear_axis:
-            return (*robot.joints, robot.external[0])
-        return robot.joints
-
     @property
     def is_unproven(self) -> bool:
         """Whether it is unknown which setpoint the controller has in force."""
@@ -397,6 +430,8 @@ class Cycle(Stepper):
             "prepared": self.prepared,
             "inline": self.inline,
             "repeated": self.repeated,
+            "rested": self.rested,
+            "settles_s": self.settles_s,
             "replies_lost": self.session.replies_lost,
             "astray": self.following.error,
             "correction": {

@@ -24,7 +24,7 @@ from linemate.daemon.cycle.following_error import FollowingCheck
 from linemate.daemon.cycle.handed_poses import HandedPoses
 from linemate.daemon.cycle.in_sync import is_in_sync
 from linemate.daemon.cycle.operating import Operating, Situation
-from linemate.daemon.cycle.samples import SensorQueues
+from linemate.daemon.cycle.samples import SensorQueues, StepSamples
 from linemate.daemon.cycle.sensor_health import Conditions
 from linemate.daemon.cycle.session import Axes, Session, standing
 from linemate.daemon.cycle.states import Machine, State
@@ -335,16 +335,7 @@ class Stepper:
         counter: int | None = None,
     ) -> tuple[LogEntry, stepping.StepPlan]:
         """Make one sampling step: operating state first, then the pure step."""
-        settings = self.parameters.tracker.settings
-        moving = self.machine.state in states.MOVING
-        conditions = Conditions(moving, settings.distance.deviation, self._in_last_approach)
-        weight = tare.carried(state.tracker.tare, settings.tactile)
-        if self.parameters.wrench_frame is not None:
-            weight = wrench_frame.force_in_sensor(self.parameters.wrench_frame, weight)
-        limit = settings.tactile.overload_force
-        if self.machine.state is State.TRACK:
-            limit = force_limit(settings.payload.bolts, state.tracker.distance, limit)
-        samples = self.samples.drain(conditions, limit, weight)
+        samples = self._drain_samples(state)
         if self._new_parameters is not None:
             self._apply_swap(self._new_parameters)
             state = self._opened()
@@ -378,6 +369,19 @@ class Stepper:
         entry = LogEntry(counter, shown, inputs, outputs, state, self._state, made_with)
         return entry, plan
 
+    def _drain_samples(self, state: stepping.StepState) -> StepSamples:
+        """Return the accepted samples since the last step; their force is judged by the way."""
+        settings = self.parameters.tracker.settings
+        moving = self.machine.state in states.MOVING
+        conditions = Conditions(moving, settings.distance.deviation, self._in_last_approach)
+        weight = tare.carried(state.tracker.tare, settings.tactile)
+        if self.parameters.wrench_frame is not None:
+            weight = wrench_frame.force_in_sensor(self.parameters.wrench_frame, weight)
+        limit = settings.tactile.overload_force
+        if self.machine.state is State.TRACK:
+            limit = force_limit(settings.payload.bolts, state.tracker.distance, limit)
+        return self.samples.drain(conditions, limit, weight)
+
     def _situation(self) -> Situation:
         """Return the robot and the task for a decision."""
         last = None if self.last is None else self.last.outputs
@@ -405,6 +409,12 @@ class Stepper:
         """Whether the tool has left the last waypoint from which the camera sees the object."""
         task_time = 0.0 if self.last is None else self.last.outputs.task_time or 0.0
         return task_time > self.parameters.tracker.sight_time
+
+    def _axes(self, robot: RobotSample) -> Axes:
+        """Return a telegram's axes in the controller's order."""
+        if self.parameters.controller.arm.linear_axis:
+            return (*robot.joints, robot.external[0])
+        return robot.joints
 
     def _reply(self, entry: LogEntry) -> PreparedReply:
         """Return the reply to a step without its counter."""

@@ -100,10 +100,15 @@ def main_export(args: argparse.Namespace) -> int:
         raise UsageError(f"{error.filename}: {error.strerror}") from error
     for name, rows in sorted(written.items()):
         print(f"{folder / name}  {rows} rows")
-    if damage is not None:
-        console.complain(f"{path}: {damage}")
-        return NO
-    return OK
+    return _code(path, damage)
+
+
+def _code(path: Path, damage: "DamageReport | None") -> int:
+    """Return the exit code; complain of a recording that is damaged."""
+    if damage is None:
+        return OK
+    console.complain(f"{path}: {damage}")
+    return NO
 
 
 def _main_channels(path: Path, out: Path) -> int:
@@ -125,10 +130,7 @@ def _main_channels(path: Path, out: Path) -> int:
     for topic, messages in sorted(written.items()):
         print(f"{topic}  {messages} messages")
     print(f"layout: {LAYOUT_FILE}")
-    if damage is not None:
-        console.complain(f"{path}: {damage}")
-        return NO
-    return OK
+    return _code(path, damage)
 
 
 def main_recover(args: argparse.Namespace) -> int:

@@ -144,6 +144,11 @@ class CommandPort:
         return any(c.server.subscribed for c in self._connections.values())
 
     @property
+    def is_used(self) -> bool:
+        """Whether anyone is connected."""
+        return bool(self._connections) or self._server.sessions > 0
+
+    @property
     def has_to_poll(self) -> bool:
         """Whether messages or telemetry may wait that the loop does not handle by itself."""
         return self._window_loop is None or self.is_watched

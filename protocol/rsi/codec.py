@@ -84,6 +84,9 @@ class RsiCodec:
         self._sensor_vectors = _Vectors(self._sensor.vectors)
         whole = (v for v in self._robot.vectors if v.name == "joints" and len(v.fields) == v.width)
         self._joints = next(whole, None)
+        # Of the last expected telegram: a robot at rest has the same ones in each cycle.
+        self._bounds: tuple[Vector6 | None, float, tuple[float, ...], tuple[float, ...]]
+        self._bounds = None, 0.0, (), ()
         self._robot_writer = TelegramWriter(self._robot, decimals)
         known = sensor_constants(config, self._sensor, constants or {})
         self._sensor_writer = TelegramWriter(self._sensor, decimals, known)
@@ -132,8 +135,11 @@ class RsiCodec:
         fields, texts = vector.fields, [b"%d" % ipoc]
         if delay is not None and position is not None:
             fields, texts = (*fields, position), [b"%d" % delay, *texts]
-        low = [(q - reach) / scale for q, scale in zip(joints, scales, strict=True)]
-        high = [(q + reach) / scale for q, scale in zip(joints, scales, strict=True)]
+        kept, kept_reach, low, high = self._bounds
+        if joints is not kept or reach != kept_reach:
+            low = tuple([(q - reach) / scale for q, scale in zip(joints, scales, strict=True)])
+            high = tuple([(q + reach) / scale for q, scale in zip(joints, scales, strict=True)])
+            self._bounds = joints, reach, low, high
         return ExpectedTelegram(reader.match, reader.groups(fields), texts, low, high)
 
     def parse_sensor(self, data: bytes) -> SensorTelegram:

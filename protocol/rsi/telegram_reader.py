@@ -98,7 +98,11 @@ class TelegramReader:
 
     def groups(self, fields: Sequence[int]) -> tuple[int, ...]:
         """Return the groups in :attr:`match` of positions in ``Layout.fields``, then the IPOC's."""
-        return tuple(1 + self._seen.index(n) for n in (*fields, len(self._layout.fields)))
+        key = tuple(fields)
+        if key not in self._groups:
+            whole = (*key, len(self._layout.fields))
+            self._groups[key] = tuple([1 + self._seen.index(n) for n in whole])
+        return self._groups[key]
 
     def _read_tolerantly(self, data: bytes) -> tuple[Texts, str]:
         self.tolerant += 1
@@ -170,6 +174,7 @@ class TelegramReader:
             end = span.end
         rest = re.escape(text[end:]) + r"[\0 \t\r\n]*"
         self._seen = [position for _, position in parts if position is not None]
+        self._groups: dict[tuple[int, ...], tuple[int, ...]] = {}
         whole = "".join(literal + self._group(position) for literal, position in parts) + rest
         self._pattern = re.compile(whole.encode("latin-1"), re.ASCII)
         self._order = _permutation(self._seen)

@@ -51,7 +51,7 @@ def test_a_telegram_to_no_one_is_not_answered() -> None:
 
 def test_each_figure_has_a_row() -> None:
     names = ("ready_s", "ready_cpu_s", "back_s", "back_cpu_s", "status_cpu_s")
-    shares = ("init_share", "idle_share", "gone_share")
+    shares = ("init_share", "stepped_share", "idle_share", "gone_share")
     measured = dict.fromkeys((*names, *shares), 0.25)
     rows = list(bench_start.rows(measured))
     assert len(rows) == len(measured)

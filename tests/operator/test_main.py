@@ -30,11 +30,22 @@ class Daemon:
         self.values: dict[str, Any] = {"approach.speed": 0.1, "swing.enabled": True}
         self.defaults = dict(self.values)
         self.done: list[str] = []
+        self.settles_s = 0.0
+        self.refuse_once: dict[str, str] = {}
+
+    def respond(self, op: str, params: dict[str, Any], role: str, who: str) -> dict[str, Any]:
+        answer, reason = self.handle(op, params, role, who), self.refuse_once.pop(op, None)
+        return answer if reason is None else {"refused": reason}
 
     def handle(self, op: str, params: dict[str, Any], role: str, who: str) -> dict[str, Any]:
         self.done.append(op)
         if op == "status":
-            return {"health": self.health, "state": "idle", "age": {"camera_s": math.nan}}
+            return {
+                "health": self.health,
+                "state": "idle",
+                **({"settles_s": self.settles_s} if self.settles_s else {}),
+                "age": {"camera_s": math.nan},
+            }
         if op == "params":
             return {"params": self.described(params.get("prefix", ""))}
         if op == "get":
@@ -83,7 +94,7 @@ def daemon() -> Daemon:
 @pytest.fixture
 def port(daemon: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[CommandPort]:
     monkeypatch.setenv("LINEMATE_SOCKET", str(tmp_path / "command.sock"))
-    with open_port(tmp_path, (ALICE,), daemon.handle) as port, served(port):
+    with open_port(tmp_path, (ALICE,), daemon.respond) as port, served(port):
         yield port
 
 
@@ -135,6 +146,18 @@ def test_operating_does_what_it_says(daemon: Daemon, op: str) -> None:
 def test_a_refusal_exits_1_with_the_reason(capsys: Out) -> None:
     assert main(["start"]) == 1
     assert capsys.readouterr().err == "linemate: refused: not armed\n"
+
+
+@pytest.mark.parametrize(("settles_s", "code"), [(0.05, 0), (0.0, 1)])
+def test_an_arm_that_meets_a_rest_is_ordered_again_after_it(
+    daemon: Daemon, capsys: Out, settles_s: float, code: int
+) -> None:
+    daemon.refuse_once["arm"] = "not settled"
+    daemon.settles_s = settles_s
+    assert main(["arm"]) == code
+    assert daemon.done == ["arm", "status", "arm"][: 2 + (code == 0)]
+    shown = capsys.readouterr().err
+    assert ("the daemon rested: waiting 0.1 s" in shown) == (code == 0)
 
 
 def test_recordings_are_begun_and_ended(daemon: Daemon, capsys: Out) -> None:
@@ -270,6 +293,24 @@ def test_a_status_imports_nothing_heavy(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1] == "set()"
     assert time.monotonic() - began < 10.0
+
+
+FROZEN = """
+import gc, sys
+from linemate.daemon.operator.main import main
+main(["status", "--socket", "/none"])
+kept = gc.get_freeze_count()
+sys.argv = ["linemate", "status", "--socket", "/none"]
+main()
+print(kept, gc.get_freeze_count() > 10_000)
+"""
+
+
+def test_a_program_that_ends_collects_no_modules() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", FROZEN], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "0 True\n"
 
 
 def test_a_table_of_nothing_is_empty() -> None:

@@ -296,6 +296,52 @@ def test_a_viewer_keeps_the_daemon_at_full_rate_without_a_robot(
 
 
 @repeated_when_delayed
+def test_a_robot_that_stands_idle_is_answered_without_steps_until_someone_connects(
+    serve: Serve, task: Task, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(app_module, "REST_AFTER_S", 0.1)
+
+    async def main() -> None:
+        async with serve() as running:
+            controller, app = running.controller(task), running.app
+            # After the healthy link, 0.1 s of IDLE, and a measured period.
+            await controller.cycles(140)
+            await controller.answers(140)
+            assert app.cycle.is_resting
+            steps, wakes = app.cycle.steps, app._timer.lateness.wakes
+            await controller.cycles(60)
+            await controller.answers(200)
+            assert [reply.ipoc for reply in controller.replies] == controller.sent
+            assert app.cycle.steps == steps
+            assert app._timer.lateness.wakes - wakes < 30
+            asked = asyncio.create_task(running.ask("status"))
+            await controller.cycles(20)
+            status = await asked
+            assert 1.5 < status["settles_s"] < 2.0 + CYCLE_S
+            assert status["rested"] >= 60
+            assert app.cycle.steps > steps + 10
+            assert status["replies_lost"] == 0
+
+    run(main())
+
+
+def test_a_daemon_that_someone_is_connected_to_does_not_rest(
+    serve: Serve, task: Task, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(app_module, "REST_AFTER_S", 0.1)
+    monkeypatch.setattr(CommandPort, "is_used", True)
+
+    async def main() -> None:
+        async with serve() as running:
+            controller = running.controller(task)
+            await controller.cycles(180)
+            assert not running.app.cycle.is_resting
+            assert running.app.cycle.rested == 0
+
+    run(main())
+
+
+@repeated_when_delayed
 def test_a_missing_telegram_makes_its_step_and_the_next_one_is_answered(
     serve: Serve, task: Task
 ) -> None:

@@ -105,6 +105,41 @@ def test_memory_is_locked_and_faulted_in_but_for_large_reserves() -> None:
     assert (reserve, small, used, later) == (0.0, 1.0, 1.0, 1.0)
 
 
+MAPPED_LATER = """
+import json, threading
+from pathlib import Path
+import numpy as np
+from linemate.daemon.core import lapack
+from linemate.daemon.service.host.realtime import request_all
+from linemate.daemon.config.settings import RealtimeSettings
+def locked_mib():
+    words = Path("/proc/self/status").read_text().split()
+    return int(words[words.index("VmRSS:") + 1]) / 1024
+granted = request_all(RealtimeSettings(lock_memory=True)).outcomes[0].granted
+before = locked_mib()
+a = np.eye(200)
+a @ a, np.linalg.solve(a, a), np.linalg.inv(a), lapack.dgesv(a, a), lapack.dposv(a, a)
+algebra, go_on = locked_mib() - before, threading.Event()
+threads = [threading.Thread(target=go_on.wait) for _ in range(4)]
+for thread in threads:
+    thread.start()
+print(json.dumps([granted, algebra, locked_mib() - before - algebra]))
+go_on.set()
+"""
+
+
+def test_neither_algebra_nor_threads_lock_much_memory_later() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", MAPPED_LATER], capture_output=True, text=True, check=True
+    )
+    granted, algebra, threads = json.loads(done.stdout)
+    if not granted:
+        pytest.skip("this host grants no locked memory")
+    # A buffer of BLAS has 32 MiB, the stack of a thread 8 MiB unless it is made smaller.
+    assert algebra < 8.0
+    assert threads < 10.0
+
+
 SMAPS = """\
 1000-2000 r-xp 00000000 08:01 7 /lib/libopenblas.so
 Rss:                   4 kB

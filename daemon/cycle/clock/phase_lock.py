@@ -300,7 +300,7 @@ class PhaseLock:
         self.lead_ns = lead_ns
         self.next_ns = now_ns + period_ns
         self.is_locked = self._is_prepared = self._is_attended = False
-        self.skipped = self._rest_ns = 0
+        self.skipped = self._rest_ns = self._slow_ns = 0
         self._set_period(period_ns)
 
     def follow(self, stamp_ns: int, cycles: int = 1, *, restarts: bool = False) -> None:
@@ -351,13 +351,26 @@ class PhaseLock:
         self._set_period(self.estimate.nominal_ns)
 
     @property
+    def is_slow(self) -> bool:
+        """Whether nothing is prepared, because telegrams are answered without steps."""
+        return self._slow_ns > 0
+
+    def set_slow(self, rest_s: float) -> None:
+        """Prepare nothing, and let the clock notice a missing telegram later, or as ever with 0.
+
+        Args:
+            rest_s: by how much later [s], bounded as in ``run_free``.
+        """
+        self._slow_ns = min(round(rest_s * 1e9), (MAX_STEPS_AT_ONCE - 5) * self.period_ns)
+
+    @property
     def wake_ns(self) -> int:
         """When something is due next [ns]."""
         if self._can_prepare:
             return self.next_ns - self.lead_ns
         if self._can_attend:
             return self.next_ns - ATTEND_NS
-        return self.next_ns + self.grace_ns + self._rest_ns
+        return self.next_ns + self.grace_ns + max(self._rest_ns, self._slow_ns)
 
     def has_due(self, now_ns: int) -> bool:
         """Return whether a step is due now [ns]."""
@@ -399,7 +412,9 @@ class PhaseLock:
 
     @property
     def _can_prepare(self) -> bool:
-        """Nothing is prepared for a robot that is not there."""
+        """Nothing is prepared for a robot that is not there, or gets no steps."""
+        if self._slow_ns:
+            return False
         return self.is_locked and not self._is_prepared and self.lead_ns > 0
 
     def _set_period(self, period_ns: int) -> None:

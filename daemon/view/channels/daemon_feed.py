@@ -14,11 +14,10 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from linemate.daemon.transport.client import Client
+from linemate.daemon.view.client_threads import ClientThreads
 
 RATE_HZ: Final = 25.0
-RETRY_S: Final = 0.5
 TIMEOUT_S: Final = 1.0
-END_S: Final = 0.5  # the threads end with the process: waiting for them is a courtesy
 OFFSETS: Final = 250  # newest differences of two clocks, of which the smallest counts
 
 Values = Mapping[str, Any]
@@ -68,33 +67,23 @@ class DaemonFeed:
     rate_hz: float = RATE_HZ
     _clock: WallClock = field(default_factory=WallClock)
     _lock: threading.Lock = field(default_factory=threading.Lock)
-    _end: threading.Event = field(default_factory=threading.Event)
-    _threads: list[threading.Thread] = field(default_factory=list)
+    _threads: ClientThreads = field(init=False)
+
+    def __post_init__(self) -> None:
+        loops = (self._subscribe, self._ask_sensors)
+        self._threads = ClientThreads(self.connect, loops, self._report_trouble)
 
     def start(self) -> None:
         """Start the threads."""
-        for loop in (self._subscribe, self._ask_sensors):
-            thread = threading.Thread(target=self._repeat, args=(loop,), daemon=True)
-            self._threads.append(thread)
-            thread.start()
+        self._threads.start()
 
     def end(self) -> None:
-        """Ask the threads to end, and wait END_S for them."""
-        self._end.set()
-        until = time.monotonic() + END_S
-        for thread in self._threads:
-            thread.join(max(0.0, until - time.monotonic()))
+        """Ask the threads to end, and wait a moment for them."""
+        self._threads.end()
 
-    def _repeat(self, loop: Callable[[Client], None]) -> None:
-        while not self._end.is_set():
-            try:
-                with self.connect() as client:
-                    loop(client)
-            except Exception as error:  # noqa: BLE001 - any failure is reported, and tried again
-                with self._lock:
-                    if not self._end.is_set():
-                        self.on_trouble(str(error) or type(error).__name__)
-            self._end.wait(RETRY_S)
+    def _report_trouble(self, reason: str) -> None:
+        with self._lock:
+            self.on_trouble(reason)
 
     def _subscribe(self, client: Client) -> None:
         scene = client.call("scene", timeout_s=TIMEOUT_S)
@@ -106,13 +95,13 @@ class DaemonFeed:
                 with self._lock:
                     self._clock.update(stamp_ns, time.time_ns())
                     self.on_moment(telemetry, self._clock.wall(stamp_ns) or 0)
-            if self._end.is_set():
+            if self._threads.is_ending:
                 return
 
     def _ask_sensors(self, client: Client) -> None:
-        while not self._end.is_set():
+        while not self._threads.is_ending:
             if self.is_wanted():
                 answer = client.call("sensors", timeout_s=TIMEOUT_S)
                 with self._lock:
                     self.on_sensors(answer, self._clock)
-            self._end.wait(1.0 / self.rate_hz)
+            self._threads.pause(1.0 / self.rate_hz)
