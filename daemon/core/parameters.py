@@ -27,7 +27,7 @@ from linemate.daemon.core.tracking.reference import (
 from linemate.daemon.core.tracking.settings import ClassifierKind, TrackingSettings
 from linemate.daemon.core.tracking.task import Phase, TaskFile
 from linemate.daemon.core.tracking.touch import compliance, contact
-from linemate.daemon.core.tracking.touch.touch_profile import bolt_tips, lengthened, sighted
+from linemate.daemon.core.tracking.touch.touch_profile import bolt_tips, lengthened, sighted, slowed
 from linemate.daemon.core.tracking.tracker_state import Foresight, Tracker
 from linemate.daemon.core.tracking.transverse import Transverse
 from linemate.daemon.core.wrench_frame import WrenchFrame
@@ -114,6 +114,7 @@ def build(
         np.array(tool.position),
         rotations.matrix(tool.quaternion),
         linear_axis=task.arm.linear_axis,
+        loads=control_settings.bend.loads,
     )
     control_settings = urdf_limits.completed(
         control_settings, urdf_text, task.arm.flange, linear_axis=task.arm.linear_axis
@@ -123,16 +124,18 @@ def build(
     )
     longest = max(model.dead_time for model in control_settings.servos[: arm.axes])
     longest += dead_time.bounds(control_settings)[1] + controller.spreading_delay_s
-    # The merge reads committed steps alone, also without dead time.
-    stride = merge.spacing(cycle_s)
-    commit = max(merge.commit_steps(longest, cycle_s), (merge.ORDER - 1) * stride + 1)
-    along = merge.merge_matrix(tracking.merge.along, cycle_s, controller.steps - commit)
-    across = merge.merge_matrix(tracking.merge.across, cycle_s, controller.steps - commit)
-    matrices = np.stack([along if axis == merge.ALONG else across for axis in range(6)])
-    delay_along, delay_across = (commit + merge.delay(rows) for rows in (along, across))
+    # (11) reads whole cycles: at 8 ms 16 ms instead of 12.
+    longest += controller.effector_future_s - control_settings.filters.effector_future_s
+    clamped, free = (
+        merge.compile_merge(tracking.merge, longest, cycle_s, controller.steps, later=later)
+        for later in (False, True)
+    )
+    along, across = (clamped.matrices[axis] for axis in (merge.ALONG, 0))
+    delay_along, delay_across = (clamped.commit + merge.delay(rows) for rows in (along, across))
     camera = task.arm.camera_in_tcp
     mount = tracking.tactile
     tips = bolt_tips(tracking.payload.bolts, mount.stiffness[TOOL_AXIS], mount.overload_force)
+    task = slowed(task, mount.stiffness[TOOL_AXIS], mount.overload_force)
     task = lengthened(sighted(task, tracking.camera.blind_below + SIGHT_MARGIN), tips)
     reference = compile_reference(task, tips)
     table = tabulated(reference, cycle_s, controller.steps)
@@ -153,10 +156,9 @@ def build(
         camera=(np.array(camera.position), rotations.matrix(camera.quaternion)),
         cycle_s=cycle_s,
         steps=controller.steps,
-        commit=commit,
-        matrices=matrices,
-        merge_stride=stride,
-        corner=merge.rounding(cycle_s, commit),
+        merge_free=free,
+        merge_clamped=clamped,
+        corner=merge.rounding(cycle_s, clamped.commit),
         history_length=math.ceil(HISTORY_S / cycle_s),
         span=span,
         axis_steps=controller.preview,

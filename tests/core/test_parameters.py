@@ -41,7 +41,10 @@ def test_the_horizon_is_half_a_second_and_everything_in_it_fits(cycle_s: float) 
     assert made.cycle_s == tracker.cycle_s == controller.cycle_s == cycle_s
     assert tracker.steps == controller.steps
     assert tracker.steps * cycle_s == pytest.approx(0.49, abs=0.01)
-    assert tracker.matrices.shape == (6, tracker.steps - tracker.commit, ORDER)
+    free, clamped = tracker.merge_free, tracker.merge_clamped
+    assert tracker.commit == free.commit
+    assert clamped.matrices.shape == (6, tracker.steps - clamped.commit, ORDER)
+    assert free.matrices.shape == (6, tracker.steps - free.commit, ORDER)
     assert np.allclose(tracker.span, np.arange(tracker.steps + 1) * cycle_s)
 
 
@@ -49,9 +52,15 @@ def test_the_horizon_is_half_a_second_and_everything_in_it_fits(cycle_s: float) 
 def test_the_longest_dead_time_is_committed(cycle_s: float) -> None:
     slow = replace(ControlSettings().servos[2], dead_time=0.05)
     servos = (*ControlSettings().servos[:2], slow, *ControlSettings().servos[3:])
-    assert built(cycle_s=cycle_s).tracker.commit * cycle_s >= 0.036 + 2 * cycle_s - 1e-9
+    assert built(cycle_s=cycle_s).tracker.merge_clamped.committed_s >= 0.036 + 2 * cycle_s - 1e-9
     longer = built(replace(ControlSettings(), servos=servos), cycle_s=cycle_s)
-    assert longer.tracker.commit * cycle_s >= 0.05 + 2 * cycle_s - 1e-9
+    assert longer.tracker.merge_clamped.committed_s >= 0.05 + 2 * cycle_s - 1e-9
+
+
+def test_what_the_damping_reads_beyond_its_setting_is_committed_too() -> None:
+    """(11) reads 12 ms ahead; at 8 ms that is two cycles."""
+    committed = [built(cycle_s=c).tracker.merge_clamped.committed_s for c in (0.004, 0.008)]
+    assert committed == pytest.approx([0.036 + 0.004 + 0.004, 0.036 + 0.008 + 0.008 + 0.004])
 
 
 @pytest.mark.parametrize("cycle_s", CYCLES)
@@ -59,7 +68,8 @@ def test_a_robot_without_dead_time_is_driven_all_the_same(cycle_s: float) -> Non
     servos = tuple(replace(model, dead_time=0.0) for model in ControlSettings().servos)
     made = built(replace(ControlSettings(), servos=servos), cycle_s=cycle_s)
     assert made.tracker.commit >= ORDER
-    assert made.tracker.matrices.shape[1] == made.tracker.steps - made.tracker.commit
+    for plan in (made.tracker.merge_free, made.tracker.merge_clamped):
+        assert plan.matrices.shape[1] == made.tracker.steps - plan.commit
     world = World(made)
     world.run(0.3)
     world.step(MotionOrder.TRACK, start=True)

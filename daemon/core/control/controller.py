@@ -15,6 +15,7 @@ from linemate.daemon.core import rotations
 from linemate.daemon.core.control import (
     command_limiter,
     dead_time,
+    gravity_bend,
     inverse_filter,
     tcp_limit,
     windup,
@@ -22,6 +23,7 @@ from linemate.daemon.core.control import (
 from linemate.daemon.core.control.axis_limits import Limits
 from linemate.daemon.core.control.command_limiter import LimiterState
 from linemate.daemon.core.control.dead_time import DriftModel, DriftState
+from linemate.daemon.core.control.gravity_bend import BentArm
 from linemate.daemon.core.control.kinematics import Arm, UnreachableError
 from linemate.daemon.core.control.settings import BrakeSettings, ControlSettings
 from linemate.daemon.core.control.smoothing import smoothing_taps
@@ -47,6 +49,7 @@ class Controller:
         servo_past: steps of (12) in the past.
         spreading: (m,) weights of the last commands, newest first; one of them from 4 ms on.
         windup: of the axes, None for an arm whose links are where its motors are.
+        bend: of the gears under weight, None for stiff ones.
         drift: of the dead times; None if they are fixed.
         limits: of the command limiter.
         gentle: with which a hold comes to rest.
@@ -68,6 +71,7 @@ class Controller:
     steps: int
     contact_steps: int
     windup: Windup | None = None
+    bend: BentArm | None = None
     drift: DriftModel | None = None
     spreading: Array = field(default_factory=lambda: np.ones(1))
 
@@ -75,6 +79,11 @@ class Controller:
     def preview(self) -> int:
         """n_rob: steps of the future that (12) reads."""
         return len(self.servo) - 1 - self.servo_past
+
+    @property
+    def effector_future_s(self) -> float:
+        """How far (11) reads into the future, in whole cycles [s]."""
+        return (len(self.effector) - 1 - self.effector_past) * self.cycle_s
 
     @property
     def spreading_delay_s(self) -> float:
@@ -166,6 +175,7 @@ def compile_controller(
         steps=max(needed, math.ceil(settings.horizon_s / cycle_s)),
         contact_steps=max(round(filters.contact_blend / cycle_s), 1),
         windup=windup.compile_windup(settings.windup, arm.axes),
+        bend=gravity_bend.compile_bend(settings.bend, arm),
         drift=dead_time.compile_drift(settings, arm.axes, cycle_s),
         spreading=inverse_filter.spreading(cycle_s) if settings.feed_forward else np.ones(1),
     )
@@ -208,9 +218,7 @@ def at_rest(
         wound: windup there, None without.
         drift: of the dead times, as far as it is known; None at first.
     """
-    placed = joints
-    if controller.windup is not None and wound is not None:
-        placed = windup.links(controller.windup, wound, joints)
+    placed = links_of(controller, joints, wound)
     if controller.drift is not None:
         drift = dead_time.begin(controller.drift, joints, 0.0 if drift is None else drift.drift)
     return ControlState(
@@ -223,6 +231,18 @@ def at_rest(
         commands=np.tile(joints, (len(controller.spreading) - 1, 1)),
         drift=drift,
     )
+
+
+def links_of(controller: Controller, joints: Array, wound: WindupState | None) -> Array:
+    """Return the positions (axes,) of the links for those of the motors.
+
+    Args:
+        wound: windup there, None without.
+    """
+    placed = joints
+    if controller.windup is not None and wound is not None:
+        placed = windup.links(controller.windup, wound, joints)
+    return placed if controller.bend is None else gravity_bend.links(controller.bend, placed)
 
 
 def smooth(controller: Controller, poses: Array, count: int) -> Array:
@@ -300,9 +320,11 @@ def desire_command(controller: Controller, state: ControlState, horizon: Horizon
     except UnreachableError as error:
         return DesiredCommand(state, None, str(error))
     window = motors = np.concatenate((state.past_joints, last[1 : kept + 1], solved))
+    if controller.bend is not None:
+        motors = gravity_bend.motors(controller.bend, window)
     wound = state.windup
     if controller.windup is not None and wound is not None:
-        motors, wound = windup.motors(controller.windup, wound, window)
+        motors, wound = windup.motors(controller.windup, wound, motors)
     taps = controller.servo
     if controller.drift is not None and state.drift is not None:
         taps = dead_time.servo_taps(controller.drift, state.drift)

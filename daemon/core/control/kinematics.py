@@ -7,6 +7,7 @@ Invariants:
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from linemate.daemon.core import rotations
+from linemate.daemon.core.control.settings import AxisLoad
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.lapack import dgesv as _solve
 
@@ -88,6 +90,12 @@ class Arm:
         q = self._order(joints)
         J: Array = pin.computeFrameJacobian(self.model, self.data, q, self.tcp, _LOCAL)[:3]
         return J.take(_RAIL_LAST, axis=1) if self.linear_axis else J
+
+    def gravity(self, joints: Array) -> Array:
+        """Return the moments (axes,) that the motors hold against the loads' weight [Nm], [N]."""
+        q = self._order(joints)
+        moments: Array = pin.computeGeneralizedGravity(self.model, self.data, q)
+        return moments.take(_RAIL_LAST) if self.linear_axis else moments.copy()
 
     def tcp_in(self, nominal: Array, joints: Array) -> Array:
         """Return the undeflected tcp (6,), position and rotation vector, in a frame c.
@@ -250,7 +258,15 @@ def _is_within(errors: Array, bound: float) -> bool:
     return bool(np.vdot(errors, errors) < bound * bound or np.abs(errors).max() < bound)
 
 
-def load(urdf: str, flange: str, position: Array, rotation: Array, *, linear_axis: bool) -> Arm:
+def load(
+    urdf: str,
+    flange: str,
+    position: Array,
+    rotation: Array,
+    *,
+    linear_axis: bool,
+    loads: Sequence[AxisLoad] = (),
+) -> Arm:
     """Return the arm of a URDF text with its tool.
 
     Args:
@@ -259,6 +275,7 @@ def load(urdf: str, flange: str, position: Array, rotation: Array, *, linear_axi
         position: of the undeflected tcp in the flange (3,) [m].
         rotation: of the undeflected tcp in the flange (3, 3).
         linear_axis: the first joint is prismatic and is E1.
+        loads: weights; those of the URDF do not count.
 
     Raises:
         KinematicsError: no URDF, no such frame, or not six revolute joints.
@@ -282,6 +299,11 @@ def load(urdf: str, flange: str, position: Array, rotation: Array, *, linear_axi
     if linear_axis:
         lower, upper, levers = (row.take(_RAIL_LAST) for row in (lower, upper, levers))
         levers[6] = 1.0
+    for body in range(len(model.inertias)):
+        model.inertias[body] = pin.Inertia.Zero()
+    for part in loads:
+        weight = pin.Inertia(part.mass, np.array(part.centre), np.zeros((3, 3)))
+        model.appendBodyToJoint(part.axis + int(linear_axis), weight, pin.SE3.Identity())
     data = model.createData()
     return Arm(model, data, at, tcp, linear_axis, np.array(lower), np.array(upper), levers)
 

@@ -64,6 +64,36 @@ class AxisWindup:
 
 
 @dataclass(frozen=True, slots=True)
+class AxisLoad:
+    """Weight that turns with an axis: a part of the arm, or the tool with what it carries.
+
+    Attributes:
+        axis: the last axis that turns it, 1 to 6.
+        mass: of the part [kg].
+        centre: of mass, in the URDF's frame of that axis [m].
+    """
+
+    axis: Annotated[int, Ge(1), Le(6)]
+    mass: Annotated[float, Gt(0.0), Le(5000.0)]
+    centre: tuple[Place, Place, Place] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class GravityBend:
+    """Bend of the gears under the weight of arm, tool and load, which encoders do not see.
+
+    Attributes:
+        compliance: of the gears of A1..A6 [rad/Nm], by the tcp under a known weight. None: stiff.
+        loads: weights of the arm, the tool and its load; none: the gears count as stiff.
+        balanced: share of the moment about A2 that a counterbalance takes.
+    """
+
+    compliance: Annotated[tuple[Annotated[float, Ge(0.0), Le(1e-4)], ...], Len(0, 6)] = ()
+    loads: Annotated[tuple[AxisLoad, ...], Len(0, 12)] = ()
+    balanced: Annotated[float, Ge(0.0), Le(1.0)] = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class EffectorMode:
     """One elastic mode of the tool's suspension along or about a tcp axis.
 
@@ -171,6 +201,7 @@ class ControlSettings:
     Attributes:
         drift: of the dead times; left out: they are fixed.
         windup: of each axis; left out: the links are where the motors are.
+        bend: of the gears under weight.
         limits: of each axis, within those of the URDF; left out: those of the URDF.
         tcp_speed: limit of the tcp's speed relative to the object; the conveyor's nominal speed
             comes on top of it [m/s].
@@ -183,6 +214,7 @@ class ControlSettings:
     effector: Annotated[tuple[EffectorMode, ...], Len(6, 6)] = _MODES
     drift: DeadTimeDrift = DeadTimeDrift()
     windup: Annotated[tuple[AxisWindup, ...], Len(0, 7)] = ()
+    bend: GravityBend = GravityBend()
     limits: Annotated[tuple[AxisLimits, ...], Len(0, 7)] = ()
     smoothing: SmoothingSettings = SmoothingSettings()
     brake: BrakeSettings = BrakeSettings()

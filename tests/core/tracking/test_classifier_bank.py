@@ -512,25 +512,38 @@ def test_a_conveyor_that_has_stood_keeps_its_learnt_ripple_frequency() -> None:
     assert state.P[FREQUENCY, FREQUENCY] < RippleSettings().spread ** 2
 
 
-def widened_after(reading: Callable[[float], float], seconds: float = 0.6) -> float | None:
-    """Time after 2 s until a filter whose readings then change is widened [s]; None if never."""
+def widened_after(
+    reading: Callable[[float], float], seconds: float = 0.6, *, touch: bool = False
+) -> float | None:
+    """Time after 2 s until a filter whose readings then change is widened [s]; None if never.
+
+    Args:
+        touch: the object is felt from 1 s on.
+    """
     bank = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), DEVIATION)
     rng = np.random.default_rng(2)
     state, begun = bank.initial(0.0), 2.0
     for k in range(round((begun + seconds) / T0)):
         t = k * T0
         value = NOMINAL * t + rng.normal(0.0, 2e-4) if t < begun else reading(t - begun)
-        row = PositionMeasurement(Source.DISTANCE, value, 0.001, DEVIATION**2, 4.0)
-        later = bank.advance(state, [row], T0)
+        rows = [PositionMeasurement(Source.DISTANCE, value, 0.001, DEVIATION**2, 4.0)]
+        if touch and t > 1.0:
+            felt = NOMINAL * t + rng.normal(0.0, 1e-5)
+            rows.append(PositionMeasurement(Source.TACTILE, felt, 0.001, 25e-10, 20.0))
+        later = bank.advance(state, rows, T0)
         if later.age < state.age:
             return t - begun
         state = later
     return None
 
 
-def test_a_frozen_sensor_widens_no_filter_before_its_health_excludes_it() -> None:
-    """The widened filter braked a tool that was about to touch: 239 N at the clamp."""
-    lasting = widened_after(lambda _: NOMINAL * 2.0)
+@pytest.mark.parametrize("touch", [False, True])
+def test_a_frozen_sensor_widens_no_filter_before_its_health_excludes_it(touch: bool) -> None:
+    """The widened filter braked a tool that was about to touch: 239 N at the clamp.
+
+    In contact it detected no stop for 0.6 s: 202 N.
+    """
+    lasting = widened_after(lambda _: NOMINAL * 2.0, touch=touch)
     assert lasting is not None
     assert 0.2 < lasting < 0.4
 
@@ -665,3 +678,18 @@ def test_a_wheel_that_slips_is_learnt_from_the_camera_while_the_conveyor_runs(sl
     assert abs(bank.estimate(state).position - float(truth.at(times[-1]))) < 0.5e-3
     # Taken for the conveyor's, the slip would be 0.85 mm/s of speed.
     assert state.x[1] == pytest.approx(NOMINAL, abs=0.5e-3)
+
+
+def test_a_contact_lasts_from_one_deflection_to_the_next_and_ends_without() -> None:
+    """The force-torque sensor has 250 Hz, and the controller 500: every second step is felt."""
+    dt, state = 0.002, BANK.initial(0.0)
+    touch = PositionMeasurement(
+        Source.TACTILE, 0.0, 0.001, 1e-10, NEVER, is_firm=True, complied=0.0003
+    )
+    seen = []
+    for k in range(40):
+        state = BANK.advance(state, [touch] if 10 <= k < 30 and k % 2 == 0 else [], dt)
+        seen.append((state.contact, state.is_keen, state.is_firm, state.complied))
+    touched, free = (True, True, True, 0.0003), (False, False, False, 0.0)
+    # The last deflection came in step 28; 8 ms later there is no contact any more.
+    assert seen == [free] * 10 + [touched] * 22 + [free] * 8

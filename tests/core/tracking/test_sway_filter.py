@@ -172,3 +172,49 @@ def test_the_sway_that_is_not_known_follows_from_the_deviation_of_the_gain(
     response = gain * (1.0 - np.cos(omega * times)) / omega**2
     known = sway.is_on and sway.frequency_hz > 0.0
     assert unknown == pytest.approx(response.max(), rel=0.01 if known else 1e-3)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.15])
+def test_a_sway_that_the_tools_force_changes_is_no_push(late_s: float) -> None:
+    """A touch drags at a body that sways: its amplitude changes by a third within 0.2 s."""
+    truth = Truth(9.0, (), ripple=1e-5)
+    sway = sway_of(truth, 1.2, 0.0, 0.0015)
+    touches = 5.0
+    h = float(truth.times[1] - truth.times[0])
+    dragged, w = np.zeros(len(sway)), math.tau * 1.2
+    force = np.abs(truth.times - touches - 0.1 - late_s) < 0.1
+    z = 0j
+    for i, on in enumerate(force):
+        z = np.exp(complex(-0.01, 1.0) * w * h) * z - 1j * (30.0 / 900.0 if on else 0.0) * h / w
+        dragged[i] = z.real
+    known = SwaySettings(frequency_hz=1.2, gain=1.0, gain_deviation=0.05)
+    for driven, expected in ((known.driven, []), (0.0, ["push"])):
+        bank = replace(BANK, sway=replace(known, driven=driven))
+        _, events, _ = run(truth, sway + dragged, 8.0, bank=bank, contact_from=touches)
+        assert confirmed(events)[:1] == expected
+
+
+def test_a_sway_seen_before_the_first_stop_is_predicted_as_the_stop_excites_it() -> None:
+    """How strongly a stop excites it is not known yet: what is carried sways as a pendulum does."""
+    truth = Truth(9.0, ((5.0, -STOP),), ripple=1e-5)
+    sway = sway_of(truth, 1.2, 1.0, 0.002)
+    rng, state, worst = np.random.default_rng(7), None, 0.0
+    readings = Sensor(seed=3).read(truth, np.arange(round(7.4 / T0)) * T0 - 2.0)
+    for k, reading in enumerate(readings):
+        t = -2.0 + k * T0
+        if state is None:
+            state = BANK.initial(float(reading))
+            continue
+        rows = [PositionMeasurement(Source.DISTANCE, float(reading), 0.001, DEVIATION**2, 4.0)]
+        if k % 2:
+            body = float(np.interp(t - DELAY, truth.times, truth.positions + sway))
+            value = body + rng.normal(0.0, 3e-4)
+            rows.append(PositionMeasurement(Source.CAMERA, value, DELAY, 9e-8, 5.0))
+        state = BANK.advance(state, rows, T0)
+        if t > 5.0 and state.motion is Motion.STOPPING:
+            later = float(BANK.predict_positions(state, np.array([0.25]))[0])
+            true = float(np.interp(t + 0.25, truth.times, truth.positions + sway))
+            worst = max(worst, abs(later - true))
+    assert state is not None
+    assert state.sway_omega == pytest.approx(math.tau * 1.2, rel=0.05)
+    assert worst < 0.002

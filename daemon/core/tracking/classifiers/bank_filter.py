@@ -241,12 +241,12 @@ def _is_frozen(state: BankState, measurement: PositionMeasurement) -> bool:
     """Return whether the distance sensor repeats itself while the conveyor runs.
 
     No conveyor stands from one reading to the next. The sensor's health needs longer to exclude it
-    than the filter to be widened, which then brakes a tool that is about to touch. In contact a
-    guide leads the target in that time.
+    than the filter to be widened, which then brakes a tool that is about to touch, and detects no
+    stop in contact until it has settled again.
     """
     ages, values = state.readings
     speed = float(state.x[V])
-    if measurement.source is not Source.DISTANCE or state.contact:
+    if measurement.source is not Source.DISTANCE:
         return False
     since = float(ages[values != measurement.value].min(initial=math.inf))
     return abs(speed) * since > FROZEN_WAY and since < FROZEN_S

@@ -105,10 +105,12 @@ class BankState(Struct, frozen=True, eq=False):
         tentative_s: how long it has been tentative [s].
         is_expired: it was cancelled for its duration, and its odds have not been calm since.
         start_check: of a start against the readings, or None.
-        contact: the force-torque sensor took part in the last step.
+        contact: the force-torque sensor takes part.
         is_keen: it measured the object better than the distance sensor: nothing oscillates.
         is_firm: the object in contact does not give way.
-        unfelt_s: time since the last deflection [s].
+        unfelt_s: time without contact [s].
+        felt_s: time since the last deflection [s].
+        complied: offset of the target from its estimate along the conveyor with it [m].
         guide: leads the target in contact; None without contact.
         announced_s: time since the line announced a stop [s].
         events: of the last step.
@@ -142,6 +144,8 @@ class BankState(Struct, frozen=True, eq=False):
     is_keen: bool = False
     is_firm: bool = False
     unfelt_s: float = math.inf
+    felt_s: float = math.inf
+    complied: float = 0.0
     guide: Guide | None = None
     announced_s: float = math.inf
     events: tuple[tuple[str, str], ...] = ()
@@ -245,14 +249,18 @@ class BankModel:
             amplitude = (self.ripple.walk * share) ** 2 * dt
             frequency = (self.ripple.pace * share) ** 2 * dt
         offset = fusion.offset**2 * dt
-        walk = pace = 0.0
+        walk = pace = driven = 0.0
         if state.sway_omega:
             sway, quadrature = float(state.x[SWAY]), float(state.x[SWAY_QUADRATURE])
             size = self.sway.least + math.hypot(sway, quadrature)
             walk, pace = (self.sway.walk * size) ** 2 * dt, self.sway.pace**2 * dt
+            if state.contact:
+                driven = self.sway.driven**2 * dt
         known = [1e-12, speed**2 * dt, ripple, offset, rate, 0.0, 0.0]
         slip = (fusion.slip_walk * share) ** 2 * dt
-        return np.array([*known, amplitude, amplitude, frequency, slip, walk, walk, pace, 0.0])
+        return np.array(
+            [*known, amplitude, amplitude, frequency, slip, walk, walk + driven, pace, 0.0]
+        )
 
     def _ramp_walk(self, state: BankState) -> float:
         """Return the random walk of a ramp's acceleration, as a share [1/sqrt(s)]."""

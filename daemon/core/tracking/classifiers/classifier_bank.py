@@ -42,9 +42,15 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     V,
     Y,
 )
-from linemate.daemon.core.tracking.classifiers.distance import distance_change, distance_check
+from linemate.daemon.core.tracking.classifiers.distance import (
+    distance_change,
+    distance_check,
+    distance_step,
+)
 from linemate.daemon.core.tracking.classifiers.distance.distance_change import DistanceChange
 from linemate.daemon.core.tracking.classifiers.distance.distance_check import Ramp
+from linemate.daemon.core.tracking.classifiers.distance.distance_step import DistanceStep
+from linemate.daemon.core.tracking.classifiers.onset_bank import AmplitudePrior
 from linemate.daemon.core.tracking.classifiers.start_check import StartCheck, StartRejection
 from linemate.daemon.core.tracking.conveyor import (
     LONGEST_TENTATIVE_S,
@@ -65,6 +71,8 @@ ASKING_S = 0.012  # the distance sensor alone is asked for a change once in this
 SURE_STOP = 100.0  # log odds of a stop by the sensor alone; a chain's ripple looks like its begin
 LED_DEVIATION = 0.03  # one sigma of the guide's speed, which a stop has slowed already [m/s]
 HELD_DEVIATION = 0.001  # one sigma of where the tool holds an object that gives way [m]
+TAKEN = 0.5  # share of a step of the distance sensor that the position may have taken
+FELT_S = 0.008  # a contact is known for so long after a deflection: two samples of 250 Hz [s]
 LEFT_S = 0.2  # in which the speed that is left when a stop ends dies out [s]
 
 
@@ -81,25 +89,42 @@ class BankClassifier(BankModel):
         """Return the estimate ``dt`` seconds later, its class decided."""
         before = state
         state = sway_filter.predict(self, bank_filter.predict(self, state, dt), dt)
-        felt = [each.variance for each in measurements if each.source is Source.TACTILE]
+        felt = [each for each in measurements if each.source is Source.TACTILE]
         if felt and not state.contact:
             state = sway_filter.touched(state)
         predicted = state
         if measurements:
             state = bank_filter.correct(self, state, measurements)
         readings = distance_check.keep(state.readings, measurements, dt)
-        is_keen = bool(felt) and min(felt) < self.distance_deviation**2
-        state = replace(state, readings=readings)
-        is_firm = is_keen and any(each.is_firm for each in measurements)
-        now = bool(felt), is_keen, is_firm
-        if now != (state.contact, state.is_keen, state.is_firm):
-            state = replace(state, contact=now[0], is_keen=is_keen, is_firm=is_firm)
-        complied = sum([each.complied for each in measurements]) if felt else 0.0
-        changed = self._by_distance(state, complied, dt)
+        state = self._in_contact(replace(state, readings=readings), felt, dt)
+        changed = self._by_distance(state, state.complied, dt)
         state = _bound_tentative(changed or self._decide(state), before, dt)
         state = self._settle(self._check_start(before, state, measurements, dt), dt)
         state = sway_filter.follow(self, predicted, state, measurements)
         return guide.advance(self, before, state, measurements, dt)
+
+    def _in_contact(
+        self, state: BankState, felt: Sequence[PositionMeasurement], dt: float
+    ) -> BankState:
+        """Return the state with what the force-torque sensor showed.
+
+        A sensor that is slower than the cycle shows it in some steps: until then it holds.
+
+        Args:
+            felt: deflections of this step.
+        """
+        felt_s = 0.0 if felt else state.felt_s + dt
+        if not felt and felt_s < FELT_S:
+            return replace(state, felt_s=felt_s)
+        is_keen = bool(felt) and min([e.variance for e in felt]) < self.distance_deviation**2
+        is_firm = is_keen and any(each.is_firm for each in felt)
+        now = bool(felt), is_keen, is_firm
+        if now != (state.contact, state.is_keen, state.is_firm):
+            state = replace(state, contact=now[0], is_keen=is_keen, is_firm=is_firm)
+        complied = sum([each.complied for each in felt])
+        if (felt_s, complied) != (state.felt_s, state.complied):
+            state = replace(state, felt_s=felt_s, complied=complied)
+        return state
 
     def announce_stop(self, state: BankState) -> BankState:
         """Return the state as the line announces a stop."""
@@ -185,6 +210,23 @@ class BankClassifier(BankModel):
         )
         if self._asks_distance(state, limit):
             state = replace(state, distance_odds=self._distance_odds(state))
+        step = self._step(state) if change_odds > settings.perceived else None
+        if step is not None and step.is_certain:
+            return self._accept_step(state, step)
+        if step is not None:
+            # The prediction follows no stop either, as long as a step is likelier.
+            state = replace(state, distance_odds=-step.odds)
+        return self._declare(state, motion, limit)
+
+    def _declare(self, state: BankState, motion: Motion, limit: float) -> BankState:
+        """Return the state with a change declared as its odds say, or an impulse.
+
+        Args:
+            motion: class after the change.
+            limit: log odds from which the change is confirmed.
+        """
+        settings, event = self.bank, NEXT[state.motion][1]
+        change_odds, impulse_odds = state.change_odds, state.impulse_odds
         odds = state.distance_odds
         if change_odds > limit and (odds is None or odds > SUPPORT[event]):
             events = [*state.events, (event, "tentative"), (event, "confirmed")]
@@ -201,6 +243,29 @@ class BankClassifier(BankModel):
         if state.tentative and change_odds < CALM:
             return replace(state, tentative=False, events=(*state.events, (event, "cancelled")))
         return state
+
+    def _step(self, state: BankState) -> DistanceStep | None:
+        """Return the step of the distance sensor that looks like a stop; None without one."""
+        if state.motion is not Motion.RUNNING:
+            return None
+        stop = self.changes[Motion.RUNNING]
+        prior = AmplitudePrior(stop, (self.bank.amplitude_deviation * stop) ** 2)
+        return distance_step.find(
+            state.readings, prior, state.cruise, RUNNING_DEVIATION, self.distance_deviation
+        )
+
+    def _accept_step(self, state: BankState, step: DistanceStep) -> BankState:
+        """Return the state after a step of the distance sensor, the banks cleared.
+
+        The step is an offset from now on. What the filter has taken of it, later readings correct.
+        """
+        x, P = state.x.copy(), state.P.copy()
+        x[OFFSET] += step.size
+        P[OFFSET, OFFSET] += step.deviation**2
+        P[Y, Y] += (TAKEN * step.size) ** 2
+        events = (*state.events, ("stop", "cancelled")) if state.tentative else state.events
+        readings = distance_step.levelled(state.readings, step)
+        return replace(clear_banks(state), x=x, P=P, readings=readings, events=events)
 
     def _by_distance(self, state: BankState, complied: float, dt: float) -> BankState | None:
         """Return the state after a change that the distance sensor alone shows; None without one.
@@ -276,11 +341,12 @@ class BankClassifier(BankModel):
     def _distance_odds(self, state: BankState) -> float | None:
         """Return the log odds of a change by the distance sensor alone, None if it has no say."""
         weights, readings, ramp = state.change.weights, state.readings, None
-        deviation = RUNNING_DEVIATION
+        deviation, speed = RUNNING_DEVIATION, state.cruise
         if state.motion in RAMPS:
             ramp = Ramp(state.class_age, float(state.x[ACCELERATION]))
         elif state.motion is Motion.STANDING:
             # The stop before is no steady motion, and what is left of its speed dies out.
+            speed = 0.0
             readings = distance_check.since(readings, state.class_age)
             left = REST_DEVIATION * math.exp(-state.class_age / LEFT_S)
             deviation = math.hypot(STANDING_DEVIATION, left)
@@ -291,6 +357,7 @@ class BankClassifier(BankModel):
             deviation,
             self.distance_deviation,
             ramp,
+            speed,
         )
 
     def _accept_change(self, state: BankState, motion: Motion) -> BankState:
