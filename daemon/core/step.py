@@ -131,9 +131,8 @@ def _joints(parameters: Parameters, robot: RobotSample) -> Array:
 
 def _tcp(parameters: Parameters, joints: Array, wound: WindupState | None = None) -> Array:
     """Return the undeflected tcp (6,) in c for the motors' positions and their windup."""
-    if parameters.controller.windup is not None and wound is not None:
-        joints = windup.links(parameters.controller.windup, wound, joints)
-    return parameters.controller.arm.tcp_in(parameters.tracker.reference.nominal, joints)
+    placed = control.links_of(parameters.controller, joints, wound)
+    return parameters.controller.arm.tcp_in(parameters.tracker.reference.nominal, placed)
 
 
 def _wound(
@@ -368,8 +367,10 @@ def finish(
             held=not inputs.sent and inputs.pace is None,
             is_open=inputs.robot is None or bool(inputs.robot.digital_in & task_clock.CLAMP_OPEN),
         )
+    # A clamp may have closed unfelt: it is pulled as one that was felt.
+    clamped = state.tracker.contact or state.tracker.clamped
     after, held = control.limit_command(
-        parameters.controller, desired, delivered.control.limiter, clamped=state.tracker.contact
+        parameters.controller, desired, delivered.control.limiter, clamped=clamped
     )
     after = replace(after, drift=delivered.control.drift)
     state = StepState(

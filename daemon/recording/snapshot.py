@@ -39,6 +39,7 @@ _PARTS = {
     "tracking.contact:Feeling": "tracking.touch.contact:ContactState",
     "tracking.conveyor:Motion": "tracking.conveyor:Motion",
     "tracking.conveyor:Source": "tracking.conveyor:Source",
+    "tracking.go_no_go:ClockRamp": "tracking.go_no_go.clock_ramp:ClockRamp",
     "tracking.go_no_go:GoState": "tracking.go_no_go.decision:GoState",
     "tracking.go_no_go:LeadMonitor": "tracking.go_no_go.prediction_error:LeadMonitor",
     "tracking.go_no_go:Order": "tracking.go_no_go.decision:GoOrder",

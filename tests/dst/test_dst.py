@@ -223,7 +223,7 @@ def test_a_clock_that_races_is_a_violation(ahead: int, is_blamed: bool) -> None:
 @pytest.mark.parametrize(
     ("end_s", "state"),
     [
-        (0.7, "hold stopped"),
+        (0.15, "hold stopped"),
         (0.95, "retreat stopped in contact"),
     ],
 )

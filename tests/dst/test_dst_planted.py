@@ -26,7 +26,7 @@ PLANS: dict[str, FaultPlan] = {
         4, duration_s=3.0, faults=(Fault(HELD_S, "force_torque", "silence", 0.4),)
     ),
     "wrench-crc-unchecked": FaultPlan(4, faults=(Fault(0.6, "force_torque", "flip", 0.6, 1.0, 2),)),
-    "following-error-never": FaultPlan(4, faults=(Fault(0.5, "robot", "drives_off", 0.9),)),
+    "following-error-never": FaultPlan(4, faults=(Fault(-0.05, "robot", "drives_off", 0.9),)),
     "screws-anywhere": FaultPlan(4, duration_s=1.8),
 }
 

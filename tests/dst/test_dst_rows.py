@@ -25,9 +25,9 @@ def open_case(*values: Any, reason: str) -> Any:
     return pytest.param(*values, marks=pytest.mark.xfail(reason=reason, strict=False))
 
 
-FREE_S, TOUCH_S, HELD_S = 0.6, 1.05, 1.45
-"""In the approach, at the touch, in contact: scenario time [s]."""
-ALWAYS = (-0.4, 2.6)
+FREE_S, SLOW_S, TOUCH_S, HELD_S = 0.15, 0.6, 1.05, 1.45
+"""Before the last approach, at its touch speed, at the touch, in contact: scenario time [s]."""
+ALWAYS = (-1.4, 3.6)
 NO_FORCE = "no-force"
 STOP, START = 0.104, 0.013
 
@@ -91,32 +91,25 @@ def test_x8_telegrams_lost_in_contact_cost_no_mount(lasting_s: float, cycle_ms: 
     lived(Fault(HELD_S, "robot", "silence", lasting_s), cycle_ms=cycle_ms)
 
 
-RINGING = "the tool rings at the stand-off and passes the hub's plane"
-CAUGHT = "the clamp catches the hub in a silence as long as the bound of what is avoidable"
-
-
 CLOSE = [
+    (0.35, 0.12),
+    (0.45, 0.07),
     (0.8, 0.07),
     (0.8, 0.25),
     (0.85, 0.12),
     (0.9, 0.07),
     (0.9, 0.12),
     (0.9, 0.25),
+    (0.95, 0.07),
     (0.95, 0.12),
     (1.0, 0.1),
+    (1.0, 0.12),
+    (1.06, 0.1),
 ]
 
 
-@pytest.mark.parametrize(
-    ("at_s", "lasting_s", "lead_ms"),
-    [
-        *((at_s, lasting_s, lead_ms) for at_s, lasting_s in CLOSE for lead_ms in (0.0, 5.0)),
-        (0.95, 0.07, 0.0),
-        open_case(0.95, 0.07, 5.0, reason=RINGING),
-        open_case(1.0, 0.12, 0.0, reason=CAUGHT),
-        open_case(1.0, 0.12, 5.0, reason=CAUGHT),
-    ],
-)
+@pytest.mark.parametrize("lead_ms", [0.0, 5.0])
+@pytest.mark.parametrize(("at_s", "lasting_s"), CLOSE)
 def test_x8_telegrams_lost_close_to_the_hub_lead_the_tool_past_no_hub(
     at_s: float, lasting_s: float, lead_ms: float
 ) -> None:
@@ -176,7 +169,8 @@ def test_x12_a_camera_that_is_covered_or_wrong_before_contact_leads_into_no_coll
         ("offset", 0.03, FREE_S),
         ("offset", 0.03, TOUCH_S),
         ("delay", 0.02, FREE_S),
-        open_case("delay", 0.02, TOUCH_S, reason="276 N: a jump of the distance is a stop"),
+        ("delay", 0.02, SLOW_S),
+        ("delay", 0.02, TOUCH_S),
         ("stuck", 0.0, FREE_S),
         ("stuck", 0.0, TOUCH_S),
     ],
@@ -201,20 +195,7 @@ def test_x14_a_wrench_that_is_wrong_costs_no_mount(kind: str, value: float) -> N
     lived(Fault(TOUCH_S, "force_torque", kind, 0.6, value, 1), duration_s=2.6)
 
 
-UNSLOWED = "touched at 0.14 m/s: the way of the dead time alone makes 225 N"
-
-
-@pytest.mark.parametrize(
-    "off_m",
-    [
-        -0.01,
-        -0.005,
-        -0.002,
-        0.002,
-        open_case(0.005, reason=UNSLOWED),
-        open_case(0.01, reason=UNSLOWED),
-    ],
-)
+@pytest.mark.parametrize("off_m", [-0.01, -0.005, -0.002, 0.002, 0.005, 0.01])
 def test_x15_an_object_that_is_nearer_or_farther_than_seen_is_touched_gently(off_m: float) -> None:
     lived(Fault(ALWAYS[0], "camera", "offset", 4.0, off_m, 3), duration_s=2.6)
 

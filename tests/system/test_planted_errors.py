@@ -42,7 +42,7 @@ CALLED: tuple[tuple[Any, str], ...] = (
     (stepping, "finish"),
 )
 SAFE = {"hold", "retreat", "fault", "idle", "init"}
-FREE_S, CONTACT_S = 0.5, 1.3
+FREE_S, CONTACT_S = -0.05, 1.3
 
 
 class PlantedError(Exception):

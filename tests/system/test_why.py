@@ -15,6 +15,8 @@ from linemate.simulators.lab.faults.dst_run import Simulation
 from linemate.simulators.plants.scenario import Fault
 
 Line = tuple[int, str, str]
+FREE_S = -0.05
+"""Before the last approach, in which a clamp may have closed: scenario time [s]."""
 
 
 class Lines(logging.Handler):
@@ -68,16 +70,16 @@ def test_arm_and_start_answer_the_state_after_the_order(monkeypatch: pytest.Monk
     ("faults", "cause"),
     [
         (
-            (Fault(0.3, "camera", "silence", 3.0), Fault(0.3, "distance", "silence", 3.0)),
+            (Fault(FREE_S, "camera", "silence", 3.0), Fault(FREE_S, "distance", "silence", 3.0)),
             r"track -> hold: no fresh position: distance silent for 0\.3\d s, camera silent for "
             r"0\.3\d s \(limit 0\.30 s\)\. Check the link of distance and camera\.",
         ),
         (
-            (Fault(0.5, "force_torque", "silence", 3.0),),
+            (Fault(FREE_S, "force_torque", "silence", 3.0),),
             r"track -> hold: no fresh force: force_torque silent for 0\.1\d s \(limit 0\.1\d s\)",
         ),
         (
-            (Fault(0.5, "robot", "silence", 0.5),),
+            (Fault(FREE_S, "robot", "silence", 0.5),),
             r"track -> hold: telegrams missing: no answered telegram for 0\.\d\d s, limit 0\.\d\d s"
             r"|track -> fault: robot link lost in motion: no answered telegram for 0\.\d\d s",
         ),

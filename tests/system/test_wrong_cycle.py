@@ -67,7 +67,7 @@ def test_a_controller_within_5_per_cent_is_armed(share: float) -> None:
 def test_a_motion_at_a_wrong_cycle_is_held(monkeypatch: pytest.MonkeyPatch) -> None:
     """The controller is 4 % off; from the middle of the approach on, 3 % is the limit."""
     run = Mismatched(planned(1.04))
-    middle_ns = EPOCH_NS + round((dst_run.LEAD_IN_S + 0.6) * 1e9)
+    middle_ns = EPOCH_NS + round((dst_run.LEAD_IN_S + 0.1) * 1e9)
     run._time.at(middle_ns, lambda: monkeypatch.setattr(phase_lock, "TOLERANCE", 0.03))
     run.live()
     assert {"track", "hold"} <= set(run.oracle.states)

@@ -46,9 +46,8 @@ FIRST_SPREAD = 0.015  # largest range of these readings: none is an outlier [m]
 # The offset of the compliance follows across; the screws turn the object by a milliradian at once.
 _SLOWER = np.array((4.0, 4.0, 4.0, 0.0625, 0.0625, 0.0625))
 _TRANSLATIONS = np.array((4.0, 4.0, 4.0, 0.0, 0.0, 0.0))
-DRIVEN_INFLATION = (
-    6.0  # times the sigma of a deflection that follows an oscillation which it drives
-)
+# Times the sigma of a deflection that follows an oscillation which it drives.
+DRIVEN_INFLATION = 6.0
 WRENCH_S = 0.05  # a wrench may be so old; health excludes an older one [s]
 SEATING_S = 0.012  # a clamp closes in 0.04 s; contact is detected 0.03 s after it or later [s]
 
@@ -290,6 +289,8 @@ def comply(
         part: (6,) the object now in c, as the target has it without the compliance's offset.
     """
     history = state.history
+    if wrench is None and state.compliance.press is not None:
+        return replace(state, compliance=compliance.waiting(state.compliance))
     if wrench is None or history is None or not is_force_used(tracker, state, wrench):
         return state
     tcp = pose_at(history, wrench.stamp_ns, 2.5 * tracker.cycle_s)

@@ -5,36 +5,89 @@ quadratic regulator. It is of fifth order: servo and elastic mode together need 
 derivative.
 
 Invariants:
-- Committed steps are kept bit for bit.
+- Committed steps are kept bit for bit. The next step may be committed by a share.
 - Matrices are computed at start-up; a merge is one product.
 """
 
 import cmath
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.settings import MergeSettings
 
 ORDER = 5
 ALONG = 1  # column of a pose along the conveyor
 
 SPACING_S = 0.002  # least distance of the five steps that a merge reads [s]
 MARGIN_S = 0.004  # committed beyond the first effect of a command, or a cycle if it is longer [s]
+LATER_FROM_S = 0.012  # cycle from which a tool that hangs free is committed for longer [s]
+LATER_PACE = 1.5  # by this share of what the cycle is longer
+LATER_CYCLES = 0.5  # at most so many cycles
+DELAY_PER_TAU = 1.0 / math.sin(math.pi / 10.0)  # mean delay of the closed loop over tau
 CORNER_S = 0.00566  # one sigma of the rounding of corners [s]: 1.4 steps of 4 ms, half of 12 ms
 
 
-def commit_steps(dead_time: float, cycle_s: float) -> int:
-    """Return nc, the last step of the list that can no longer be changed.
+@dataclass(frozen=True, slots=True, eq=False)
+class MergePlan:
+    """Compiled parameters of a merge.
 
-    The dead time, one cycle of interpolation, and 4 ms or one more cycle. One cycle less costs
-    0.4 mm.
+    Attributes:
+        commit: nc, the last step that is kept as it is.
+        committed_s: for which the list stands, with the share of step nc + 1 that is kept [s].
+        matrices: (6, n - nc, 5 or 6), one merge matrix a column.
+        stride: ``spacing`` of the steps that they read.
+    """
+
+    commit: int
+    committed_s: float
+    matrices: Array
+    stride: int
+
+
+def compile_merge(
+    settings: MergeSettings, dead_time: float, cycle_s: float, steps: int, *, later: bool
+) -> MergePlan:
+    """Return the parameters of a merge.
 
     Args:
-        dead_time: longest one, with the delay by the spreading of the commands [s].
+        dead_time: longest one, with all that (11) and (12) read beyond it [s].
+        steps: n, length of the list.
+        later: commit a tool that hangs free for longer where cycles are long. The merge is
+            quicker by as much, so that a new goal is taken up no later in the mean.
     """
-    margin = max(1, round(MARGIN_S / cycle_s))
-    return math.ceil((dead_time + cycle_s) / cycle_s - 1e-9) + margin
+    extra = LATER_PACE * (cycle_s - LATER_FROM_S) if later else 0.0
+    extra = min(max(extra, 0.0), LATER_CYCLES * cycle_s)
+    commit, share = commit_steps(dead_time + extra, cycle_s)
+    quicker = (commit + share - sum(commit_steps(dead_time, cycle_s))) * cycle_s / DELAY_PER_TAU
+    along, across = (
+        merge_matrix(tau - quicker, cycle_s, steps - commit, share)
+        for tau in (settings.along, settings.across)
+    )
+    matrices = np.stack([along if axis == ALONG else across for axis in range(6)])
+    return MergePlan(commit, (commit + share) * cycle_s, matrices, spacing(cycle_s))
+
+
+def commit_steps(dead_time: float, cycle_s: float) -> tuple[int, float]:
+    """Return nc, the last step that is kept as it is, and the share s of the next one.
+
+    ``nc + s`` cycles are committed: the dead time, one cycle of interpolation, and 4 ms or one
+    more cycle. Rounding them up made a dead time of 120 ms worse than one of 180 ms. Where a merge
+    reads every second step they are rounded up, by less than 1 ms.
+
+    Args:
+        dead_time: longest one, with all that (11) and (12) read beyond it [s].
+    """
+    cycles = (dead_time + cycle_s + max(MARGIN_S, cycle_s)) / cycle_s
+    stride = spacing(cycle_s)
+    least = (ORDER - 1) * stride + 1  # A merge reads committed steps alone.
+    if cycles <= least or stride > 1:
+        return max(math.ceil(cycles - 1e-6), least), 0.0
+    commit = math.floor(cycles + 1e-6)
+    share = cycles - commit
+    return commit, share if share > 1e-6 else 0.0
 
 
 def spacing(cycle_s: float) -> int:
@@ -51,13 +104,22 @@ def first_read(commit: int, cycle_s: float) -> int:
     return commit - (ORDER - 1) * spacing(cycle_s)
 
 
-def merge_matrix(tau: float, cycle_s: float, steps: int) -> Array:
+def merge_matrix(tau: float, cycle_s: float, steps: int, share: float = 0.0) -> Array:
     """Return M (steps, 5): the deviation after the commit point from five before it.
 
     Row i is e at nc + 1 + i for the history ``e(nc), e(nc-p), ..., e(nc-4p)``, p = ``spacing``.
     Between steps of p a spline of fifth degree keeps the fourth derivative continuous.
+
+    With a share s of step nc + 1 that is kept, M is (steps, 6), and the history begins with the
+    e'(nc+1) of the last list: ``e(nc+1) = s e'(nc+1) + (1 - s) a e(nc..nc-4)``, a the first row of
+    the closed loop, which goes on from there.
+
+    Args:
+        share: of step nc + 1 that is kept, 0 to 1; 0 if p is more than a step.
     """
     stride = spacing(cycle_s)
+    if share > 0.0:
+        return _partly_committed(_closed_loop(tau, cycle_s, steps), share)
     if stride == 1:
         return _closed_loop(tau, cycle_s, steps)
     from scipy.interpolate import make_interp_spline  # 0.2 s: not before it is needed
@@ -68,6 +130,14 @@ def merge_matrix(tau: float, cycle_s: float, steps: int) -> Array:
     spline = make_interp_spline(np.arange(1 - ORDER, len(coarse) + 1), known, k=ORDER)
     rows: Array = spline(np.arange(1, steps + 1) / stride)
     return rows
+
+
+def _partly_committed(rows: Array, share: float) -> Array:
+    """Return M (steps, 6) with a share of the first step kept, of M (steps, 5) without."""
+    first = np.concatenate(((share,), (1.0 - share) * rows[0]))
+    later = np.outer(rows[:-1, 0], first)
+    later[:, 1:ORDER] += rows[:-1, 1:]
+    return np.vstack((first, later))
 
 
 def _closed_loop(tau: float, step_s: float, steps: int) -> Array:
@@ -136,20 +206,21 @@ def rounded(goal: Array, kernel: Array) -> Array:
     return smooth
 
 
-def merge(old: Array, goal: Array, matrices: Array, commit: int, stride: int = 1) -> Array:
+def merge(old: Array, goal: Array, plan: MergePlan) -> Array:
     """Return the new list x_t (n+1, d) from the old one and the goal x_f.
 
     Args:
         old: last step's list (n+1, d).
         goal: where the list should be (n+1, d).
-        matrices: (d, n - commit, 5), one merge matrix a column.
-        commit: nc; steps 0..nc are the old list's 1..nc+1, unchanged.
-        stride: ``spacing`` of the steps that the matrices read.
+        plan: its matrices are of the d columns.
     """
+    commit, stride, matrices = plan.commit, plan.stride, plan.matrices
     merged = np.empty_like(goal)
     merged[: commit + 1] = old[1 : commit + 2]
     read = slice(commit - (ORDER - 1) * stride, commit + 1, stride)
     history = (merged[read] - goal[read])[::-1]  # (5, d)
+    if matrices.shape[2] > ORDER:
+        history = np.vstack((old[commit + 2] - goal[commit + 1], history))
     # In order in memory the product costs a quarter less.
     late = matrices @ np.ascontiguousarray(history.T)[:, :, None]
     np.add(goal[commit + 1 :], late[:, :, 0].T, out=merged[commit + 1 :])

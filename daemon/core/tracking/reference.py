@@ -261,17 +261,17 @@ class ReferenceTable:
         times = np.arange(first, last + 1) * self.cycle_s
         return self.reference.poses(np.minimum(times, limit))
 
-    def behind(self, time: float, floor: float, steps: int) -> tuple[Array, Array]:
-        """Return x_r and (x_o^nom)^-1 x_r (steps + 1, 6) of a clock that goes back from ``time``.
+    def between(self, times: Array) -> tuple[Array, Array]:
+        """Return x_r and (x_o^nom)^-1 x_r (m, 6) at times (m,) of the task's clock [steps].
 
-        Args:
-            time: of the task's clock, a multiple of T0 [s].
-            floor: at which the clock stands [s].
+        Between two steps they are interpolated linearly.
         """
-        first = round(time / self.cycle_s)
-        lowest = round(last_step(floor, self.cycle_s) / self.cycle_s)
-        held = np.maximum(np.arange(first, first - steps - 1, -1), lowest)
-        return self.poses[held], self.relative[held]
+        inside = np.clip(times, 0.0, len(self.poses) - 1.0)
+        first = np.minimum(inside.astype(int), len(self.poses) - 2)
+        share = (inside - first)[:, None]
+        poses = self.poses[first] + share * (self.poses[first + 1] - self.poses[first])
+        relative = self.relative[first]
+        return poses, relative + share * (self.relative[first + 1] - relative)
 
 
 def tabulated(reference: Reference, cycle_s: float, steps: int) -> ReferenceTable:

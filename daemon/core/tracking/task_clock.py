@@ -2,11 +2,15 @@
 
 import math
 
+import numpy as np
 from msgspec.structs import replace
 
+from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.conveyor import (
     ConveyorEstimate,
 )
+from linemate.daemon.core.tracking.go_no_go import clock_ramp
+from linemate.daemon.core.tracking.go_no_go.clock_ramp import ClockRamp
 from linemate.daemon.core.tracking.go_no_go.decision import GoOrder
 from linemate.daemon.core.tracking.reference import barrier, last_step
 from linemate.daemon.core.tracking.task import Gate
@@ -32,9 +36,69 @@ def standing_time(tracker: Tracker, state: TrackerState, retreat: bool) -> float
     return last_step(closed, tracker.cycle_s)
 
 
-def is_backing_off(state: TrackerState, retreat: bool) -> bool:
-    """Return whether the task's clock goes back to the far gate."""
-    return state.go.order is GoOrder.BACK and not retreat and is_before_contact(state)
+def programme_times(tracker: Tracker, state: TrackerState, retreat: bool) -> Array | None:
+    """Return the times (n+1,) of a clock that does not simply run over the horizon [steps].
+
+    None for a clock that runs up to its gate.
+    """
+    if state.ramp == clock_ramp.RUNNING or retreat or not is_before_contact(state):
+        return None
+    T0 = tracker.cycle_s
+    times = clock_ramp.times_ahead(state.ramp, state.time / T0, tracker.steps)
+    low, high = _bounds(tracker, state)
+    return np.clip(times, low, high)
+
+
+def _bounds(tracker: Tracker, state: TrackerState) -> tuple[float, float]:
+    """Return the least and the greatest time of a clock near its last approach [steps]."""
+    T0 = tracker.cycle_s
+    low = round(last_step(tracker.sight_time, T0) / T0)
+    high = last_step(barrier(tracker.reference, state.time, state.passed), T0) / T0
+    return low, high
+
+
+def _next_time(tracker: Tracker, state: TrackerState, retreat: bool) -> tuple[float, ClockRamp]:
+    """Return the clock's time of this step [s] and how it goes on.
+
+    Args:
+        state: of the last step, with the gates that are open now.
+    """
+    # Counted in steps: a sum of many periods is no multiple of one.
+    T0 = tracker.cycle_s
+    now, ramp = state.time / T0, state.ramp
+    is_ramped = ramp != clock_ramp.RUNNING or state.go.order is not GoOrder.GO
+    if retreat or not is_ramped or not is_before_contact(state):
+        state = replace(state, time=last_step(state.time, T0) if ramp.planned else state.time)
+        stand = standing_time(tracker, state, retreat)
+        return min((round(state.time / T0) + 1) * T0, stand), clock_ramp.RUNNING
+    low, high = _bounds(tracker, state)
+    rate = clock_ramp.RATES[state.go.order]
+    if now <= low and rate < 1:
+        # The programme rests there: the clock stands at once.
+        ramp = clock_ramp.RUNNING if now < low else clock_ramp.STANDING
+        return min(round(now) + ramp.rate, low) * T0, ramp
+    if len(ramp.planned) <= 1 and rate != ramp.rate:
+        ramp = _changed_ramp(tracker, ramp, round(now), rate)
+    ramp = clock_ramp.advanced(ramp)
+    time = ramp.planned[0] if ramp.planned else round(now) + ramp.rate
+    if ramp.rate == 1 and not ramp.planned:
+        ramp = clock_ramp.RUNNING
+    return min(max(time, low), high) * T0, ramp
+
+
+def _changed_ramp(tracker: Tracker, ramp: ClockRamp, now: int, rate: int) -> ClockRamp:
+    """Return the ramp of a clock that changes its rate behind what is committed.
+
+    Args:
+        now: time of the clock [steps].
+    """
+    T0 = tracker.cycle_s
+    delay = tracker.commit + 1
+    last = now + delay + math.ceil(clock_ramp.LONGEST_S / T0)
+    way = np.diff(tracker.table.relative[max(now - delay, 0) : last, :3], axis=0)
+    speed = math.sqrt(float((way * way).sum(axis=1).max(initial=0.0))) / T0
+    length = clock_ramp.ramp_steps(speed, rate - ramp.rate, T0)
+    return clock_ramp.changed(ramp, now, rate, delay, length)
 
 
 def is_before_contact(state: TrackerState) -> bool:
@@ -67,13 +131,8 @@ def advance_clock(
         )
     if not state.started:
         return state
-    # Counted in steps: a sum of many periods is no multiple of one.
     state = replace(state, oscillated=_oscillated(tracker, state, retreat))
-    steps = round(state.time / T0) + 1
-    stand = standing_time(tracker, replace(state, passed=passed), retreat)
-    time = min(steps * T0, stand)
-    if is_backing_off(state, retreat):
-        time = max((steps - 2) * T0, last_step(tracker.sight_time, T0))
+    time, ramp = _next_time(tracker, replace(state, passed=passed), retreat)
     blended = state.blended
     if blended is not None:
         blended += T0
@@ -85,6 +144,7 @@ def advance_clock(
         state,
         passed=passed,
         time=time,
+        ramp=ramp,
         blended=blended,
         fixing=elapsed(state.fixing, screwing, T0),
         releasing=state.releasing if retreat else elapsed(state.releasing, releasing, T0),

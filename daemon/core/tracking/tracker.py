@@ -25,6 +25,7 @@ from linemate.daemon.core.tracking.estimation import (
     sagging,
 )
 from linemate.daemon.core.tracking.go_no_go import prediction_error, target_shift
+from linemate.daemon.core.tracking.go_no_go.clock_ramp import RUNNING
 from linemate.daemon.core.tracking.go_no_go.decision import GO
 from linemate.daemon.core.tracking.go_no_go.evidence import decide, is_certain, note
 from linemate.daemon.core.tracking.observation import (
@@ -36,9 +37,9 @@ from linemate.daemon.core.tracking.task_clock import (
     LARGEST_BEND,
     advance_clock,
     elapsed,
-    is_backing_off,
     is_before_contact,
     open_gates,
+    programme_times,
     standing_time,
 )
 from linemate.daemon.core.tracking.touch import compliance, contact, guard, release, tare
@@ -102,6 +103,7 @@ def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> Tra
         distance=math.inf,
         stood=0.0,
         go=GO,
+        ramp=RUNNING,
         compliance=compliance.NO_COMPLIANCE,
         tare=tare.NO_TARE,
     )
@@ -170,11 +172,12 @@ def track(
         s = approach.smoothstep((state.withdrawn + span) / WITHDRAW_S)
         goal = approach.withdraw(goal, WITHDRAW_WAY * s)
     goal = merge.rounded(goal, tracker.corner)
-    poses = merge.merge(state.poses, goal, tracker.matrices, tracker.commit, tracker.merge_stride)
+    plan = tracker.merge_plan(in_contact=state.contact)
+    poses = merge.merge(state.poses, goal, plan)
     state = _advance_axis(tracker, state, view, along)
     state = replace(state, poses=poses, distance=float(relative[0, 2]))
     free = free_shares(tracker, damping_time(tracker, state), limit)
-    horizon = Horizon(poses, state.axis.positions, free, tracker.reference.nominal, tracker.commit)
+    horizon = Horizon(poses, state.axis.positions, free, tracker.reference.nominal, plan.commit)
     outcome = report(tracker, state, view, wrench, rejected, target, part)
     return state, horizon, _with_oscillation(tracker, outcome, was_soft=was_soft, state=state)
 
@@ -187,8 +190,9 @@ def _programmed_poses(
     Args:
         limit: task time at which the clock stops [s].
     """
-    if is_backing_off(state, retreat):
-        return tracker.table.behind(state.time, tracker.sight_time, tracker.steps)
+    times = programme_times(tracker, state, retreat)
+    if times is not None:
+        return tracker.table.between(times)
     goal, relative = tracker.table.ahead(state.time, limit, tracker.steps)
     if state.contact:
         relative = _pressing_poses(tracker, state, relative)
@@ -198,7 +202,7 @@ def _programmed_poses(
 def _pressing_poses(tracker: Tracker, state: TrackerState, relative: Array) -> Array:
     """Return the programmed tcp in the object (m, 6) of a tool in contact."""
     before = math.ceil((tracker.search_time - state.time) / tracker.cycle_s - 1e-6)
-    commanded = tracker.commit * tracker.cycle_s
+    commanded = tracker.merge_free.committed_s
     times = state.touching + tracker.span, commanded
     relative = guard.pressing(relative, tracker.press, before, times, state.touched)
     if state.releasing is None:
@@ -568,8 +572,9 @@ def _touched_programme(
     """
     search = after.search
     speed = tracker.task.guard.speed if search.lasted > 0.0 else 0.0
-    # What is commanded already leads the tool on for so many steps.
-    led = after.distance + tracker.commit * (after.distance - before.distance) - reach
+    # What is commanded already leads the tool on for so many cycles.
+    cycles = tracker.merge_free.committed_s / tracker.cycle_s
+    led = after.distance + cycles * (after.distance - before.distance) - reach
     duration = guard.pressing_time(led - tracker.press)
     return guard.TouchedProgramme(search.reach - reach, speed, duration)
 

@@ -13,12 +13,14 @@ from linemate.daemon.core.tracking.conveyor import (
     Classifier,
     Motion,
 )
+from linemate.daemon.core.tracking.go_no_go.clock_ramp import RUNNING, ClockRamp
 from linemate.daemon.core.tracking.go_no_go.decision import GO, GoState
 from linemate.daemon.core.tracking.go_no_go.prediction_error import (
     NO_PREDICTIONS,
     PredictionMonitor,
 )
 from linemate.daemon.core.tracking.go_no_go.target_shift import NO_SHIFT, TargetShift
+from linemate.daemon.core.tracking.merge import MergePlan
 from linemate.daemon.core.tracking.observation import (
     History,
     PoseMeasurement,
@@ -47,9 +49,8 @@ class Tracker:
         table: the reference at every step of the task's clock.
         camera: position (3,) and rotation (3, 3) of the camera in the tcp.
         steps: n, length of the horizon.
-        commit: nc, the last step that a merge keeps.
-        matrices: (6, n - nc, 5) of the merge.
-        merge_stride: distance of the steps that the merge reads [steps].
+        merge_free: of a tool that hangs free.
+        merge_clamped: of a tool in contact: it has no elastic mode to damp, and answers earlier.
         corner: (2 h + 1,) kernel that rounds the goal's corners along the conveyor.
         history_length: number of robot poses in the history.
         span: (n+1,) times of the horizon from now [s].
@@ -80,9 +81,8 @@ class Tracker:
     camera: tuple[Array, Array]
     cycle_s: float
     steps: int
-    commit: int
-    matrices: Array
-    merge_stride: int
+    merge_free: MergePlan
+    merge_clamped: MergePlan
     corner: Array
     history_length: int
     span: Array
@@ -100,6 +100,15 @@ class Tracker:
     press: float
     damped_until: float
     foresight: Foresight | None = None
+
+    @property
+    def commit(self) -> int:
+        """The last step that no list changes."""
+        return self.merge_free.commit
+
+    def merge_plan(self, *, in_contact: bool) -> MergePlan:
+        """Return the parameters of the merge."""
+        return self.merge_clamped if in_contact else self.merge_free
 
 
 class TrackerState(Struct, frozen=True, eq=False):
@@ -160,6 +169,7 @@ class TrackerState(Struct, frozen=True, eq=False):
         accelerations: planned along the tool's axis, one a step, newest last [m/s^2].
         acceleration: of them as the last wrench was measured [m/s^2].
         sampled: forces of its samples along the tool's axis, off their mean [N].
+        ramp: how the task's clock goes on before contact.
     """
 
     history: History | None
@@ -209,6 +219,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     accelerations: tuple[float, ...] = ()
     acceleration: float = 0.0
     sampled: tuple[float, ...] = ()
+    ramp: ClockRamp = RUNNING
 
 
 class Report(Struct, frozen=True, eq=False):

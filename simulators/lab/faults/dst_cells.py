@@ -29,8 +29,11 @@ from linemate.simulators.plants.scenario import (
 )
 
 TASKS = Path(harness.__path__[0]) / "data" / "tasks"
-LEAD_IN_S = 1.2
+LEAD_IN_S = 2.6
 """The camera sees the object so long before the start: the last gate needs checked predictions."""
+MOUNT_M = 1.0
+"""Reading of the distance sensor with the object at its place in the plant. The task's clock starts
+before, so that the tool touches at about 1.1 s of scenario time [m]."""
 SCREWS_S = 0.2
 """The screws are quicker than the shipped tool's, its clamp is not [s]."""
 

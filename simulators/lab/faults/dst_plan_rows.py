@@ -17,7 +17,7 @@ TOUCH_S = 1.1
 """About when the tool touches in a run without trouble, scenario time [s]."""
 FROM_S, UNTIL_S = 0.3, 2.1
 """Interval in which the robot is led [s]."""
-BEGIN_S = -0.4
+BEGIN_S = -1.4
 FIVE_S = 5.0
 JITTERS_S = (0.001, 0.003, 0.006, 0.012)
 OFFSETS_M = (0.002, 0.005, 0.010)
@@ -61,7 +61,7 @@ def _x6(chance: random.Random, _: float) -> Changes:
 
 
 def _x7(chance: random.Random, _: float) -> Changes:
-    at_s, lasting_s = chance.choice(((_when(chance), 1.0), (BEGIN_S, 2.6)))
+    at_s, lasting_s = chance.choice(((_when(chance), 1.0), (BEGIN_S, 3.6)))
     return _one(at_s, "robot", "jitter", lasting_s, chance.choice(JITTERS_S))
 
 
@@ -165,7 +165,7 @@ def _x14(chance: random.Random, _: float) -> Changes:
 
 def _x15(chance: random.Random, _: float) -> Changes:
     off = chance.choice(OFFSETS_M) * chance.choice((1.0, -1.0))
-    return _one(BEGIN_S, "camera", "offset", 3.0, off, 3)
+    return _one(BEGIN_S, "camera", "offset", 4.0, off, 3)
 
 
 def _x16(chance: random.Random, _: float) -> Changes:
@@ -179,7 +179,7 @@ def _x17(chance: random.Random, _: float) -> Changes:
     kind, value = chance.choice(
         (("exponent", 1.0), ("exponent", 0.3), ("unreadable", 0.05), ("unreadable", 1.0))
     )
-    lasting_s = 2.6 if kind == "exponent" else round(chance.uniform(0.1, 1.0), 3)
+    lasting_s = 3.6 if kind == "exponent" else round(chance.uniform(0.1, 1.0), 3)
     return _one(BEGIN_S if kind == "exponent" else _when(chance), "robot", kind, lasting_s, value)
 
 

@@ -36,6 +36,7 @@ from linemate.simulators.lab.faults.dst_actors import Operator, Programme
 from linemate.simulators.lab.faults.dst_cells import (
     CELLS,
     LEAD_IN_S,
+    MOUNT_M,
     axis_limits,
     compiled,
     scenario_of,
@@ -60,6 +61,8 @@ moves on it before its dead time is over [s]."""
 TIMEOUT_S = 5.0
 """After the last fault the operator must be able to track again within this time [s]."""
 LAST_TIMEOUT_S = 12.0
+DRIFTS_FROM_S = -1.2
+"""Scenario time from which a cycle that drifts does [s]."""
 MOST_BREAKS = 3
 """Upper bounds: time that the program drives, and restarts of the exchange."""
 LONGEST_S = 60.0
@@ -142,7 +145,7 @@ class Simulation:
         self._emitters = Emitters(
             self.world,
             Faults(scenario.faults),
-            files.task.file.conveyor.start_position,
+            MOUNT_M,
             _ns,
             DistanceEncoder(message=cell.message, signal=cell.signal),
             cell.force_torque,
@@ -426,7 +429,7 @@ class Simulation:
         The clock that drifts is the daemon's. Sensors drift with the controller.
         """
         if self.plan.cycle_drift:
-            rate = self.plan.cycle_drift * (self.now_s + LEAD_IN_S)
+            rate = self.plan.cycle_drift * max(self.now_s - DRIFTS_FROM_S, 0.0)
             self._time.set_rate(min(max(rate, -MOST_DRIFT), MOST_DRIFT))
 
     def _stall(self) -> None:

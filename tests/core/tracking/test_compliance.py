@@ -218,3 +218,39 @@ def test_an_oscillation_that_is_small_or_falls_or_is_young_is_not_unending(
     amplitudes: list[float],
 ) -> None:
     assert compliance.unending(swung(amplitudes), OVERLOAD_N) is None
+
+
+def test_a_force_in_every_second_cycle_counts_as_one_in_every_cycle_of_twice_the_length() -> None:
+    coarse = ComplianceModel(stiffness=50e3, delays=(12, 10, 12), dt=0.004)
+    fine = ComplianceModel(stiffness=50e3, delays=(24, 20, 24), dt=0.002)
+    ends = []
+    for model, every in ((coarse, 1), (fine, 2)):
+        state = NO_COMPLIANCE
+        for k in range(every * 500):
+            if k % every != every - 1:
+                state = compliance.waiting(state)
+                continue
+            t = (k + 1) * model.dt
+            force = 20.0 * math.sin(math.tau * 1.5 * t)
+            off = -5e-3 * math.sin(math.tau * 1.5 * (t + 0.04))
+            state = compliance.advance(
+                state, model, (0.0, force, 0.0), (0.0, off, 0.0), SEATED, is_at_rest=True
+            )
+        ends.append(state)
+    slow, quick = ends
+    assert quick.offset == pytest.approx(slow.offset, rel=1e-9)
+    assert quick.power == pytest.approx(slow.power, rel=1e-9)
+    assert quick.energy == pytest.approx(slow.energy, rel=1e-6)
+    assert quick.energy > 0.0
+    assert quick.past == pytest.approx(slow.past)
+    assert quick.firmness == slow.firmness
+
+
+def test_a_force_sensor_that_was_silent_proves_nothing_for_that_time() -> None:
+    calm = followed(0.5, 0.0, 0.0, state=NO_COMPLIANCE)
+    silent = calm
+    for _ in range(200):
+        silent = compliance.waiting(silent)
+    after = followed(MODEL.dt, 0.0, 0.0, state=silent)
+    assert after.firmness.calm_s == pytest.approx(calm.firmness.calm_s + MODEL.dt)
+    assert not after.is_firm

@@ -27,8 +27,10 @@ def readings(acceleration: float, moved_s: float, seed: int, speed: float = 0.0)
     return kept
 
 
-def odds(kept: Array, onset: float, change: float, speed_deviation: float = 3e-4) -> float:
-    found = distance_check.log_odds(kept, onset, change, speed_deviation, SIGMA)
+def odds(
+    kept: Array, onset: float, change: float, speed_deviation: float = 3e-4, speed: float = 0.0
+) -> float:
+    found = distance_check.log_odds(kept, onset, change, speed_deviation, SIGMA, speed=speed)
     assert found is not None
     return found
 
@@ -57,6 +59,23 @@ def test_the_odds_are_those_of_two_likelihoods() -> None:
     inverse = np.linalg.inv(cov)
     ratio = float(shift @ inverse @ way - 0.5 * shift @ inverse @ shift)
     assert odds(kept, 0.3, START) == pytest.approx(ratio, rel=1e-3, abs=1e-3)
+
+
+def test_a_stop_after_a_silence_is_found_by_the_speed_that_was_known() -> None:
+    """Few readings: a steady speed that is expected to be 0 denied stops."""
+
+    def after_silence(acceleration: float, seed: int) -> Array:
+        kept = readings(acceleration, 0.2, seed, 0.106)
+        ages = kept[0]
+        return kept[:, (ages < 0.05) | ((ages > 0.2) & (ages < 0.4))]
+
+    def all_odds(acceleration: float, speed: float) -> list[float]:
+        kept = (after_silence(acceleration, seed) for seed in range(40))
+        return [odds(each, 0.2, -0.1, 0.003, speed) for each in kept]
+
+    assert np.mean(all_odds(-0.1, 0.106)) > 5.0
+    assert np.mean(all_odds(0.0, 0.106)) < -5.0
+    assert np.mean(all_odds(-0.1, 0.0)) < np.mean(all_odds(-0.1, 0.106)) - 3.0
 
 
 def test_an_outlier_of_100_mm_does_not_speak() -> None:

@@ -12,6 +12,7 @@ from scipy.linalg import solve_discrete_are
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking import merge
 from linemate.daemon.core.tracking.merge import ORDER
+from linemate.daemon.core.tracking.settings import MergeSettings
 
 CYCLES = (0.012, 0.004)
 COMMIT, STEPS = 5, 41
@@ -30,6 +31,11 @@ def matrices(cycle_s: float = 0.012, commit: int = COMMIT, steps: int = STEPS) -
 MATRICES = matrices()
 
 
+def merge_once(old: Array, goal: Array, M: Array, commit: int) -> Array:
+    """Return the list after one merge by matrices that read every step."""
+    return merge.merge(old, goal, merge.MergePlan(commit, commit * 0.012, M, 1))
+
+
 def cubic(t: Array) -> Array:
     """A motion (m, 6) without a jump."""
     return np.outer(t, np.arange(1.0, 7.0)) * 0.01 + np.outer(np.sin(t), np.ones(6)) * 0.02
@@ -37,20 +43,108 @@ def cubic(t: Array) -> Array:
 
 @pytest.mark.parametrize(
     ("dead_time", "cycle_s", "known"),
-    # By hand: ceil((D + T0) / T0) + 1; below 4 ms 4 ms instead of the last cycle.
-    [(0.036, 0.012, 5), (0.036, 0.004, 11), (0.0, 0.012, 2), (0.030, 0.012, 5), (0.024, 0.012, 4),
-     (0.039, 0.002, 23), (0.0405, 0.001, 46), (0.036, 0.008, 7), (0.036, 0.024, 4)],
+    # By hand: (D + T0 + max(4 ms, T0)) / T0.
+    [(0.036, 0.012, 5.0), (0.036, 0.004, 11.0), (0.048, 0.012, 6.0), (0.042, 0.012, 5.5),
+     (0.039, 0.002, 22.5), (0.040, 0.008, 7.0), (0.124, 0.008, 17.5), (0.184, 0.008, 25.0),
+     (0.084, 0.024, 5.5),
+     # At least as many as a merge reads; whole ones where it reads every second step.
+     (0.0, 0.012, 5.0), (0.030, 0.012, 5.0), (0.036, 0.024, 5.0), (0.0405, 0.001, 46.0)],
 )  # fmt: skip
 def test_committed_is_dead_time_one_cycle_of_interpolation_and_one_more(
-    dead_time: float, cycle_s: float, known: int
+    dead_time: float, cycle_s: float, known: float
 ) -> None:
-    assert merge.commit_steps(dead_time, cycle_s) == known
+    commit, share = merge.commit_steps(dead_time, cycle_s)
+    assert 0.0 <= share < 1.0
+    assert commit + share == pytest.approx(known, abs=1e-5)
+
+
+def taken_up(plan: merge.MergePlan, cycle_s: float) -> float:
+    """Return when a merge takes up a goal that jumps, in the mean [s]."""
+    steps = plan.matrices.shape[1] + plan.commit
+    poses, goal, late = np.zeros((steps + 1, 6)), np.ones((steps + 1, 6)), 0.0
+    for _ in range(round(2.0 / cycle_s)):
+        late += (1.0 - poses[0, merge.ALONG]) * cycle_s
+        poses = merge.merge(poses, goal, plan)
+    return late
+
+
+@pytest.mark.parametrize(
+    ("cycle_s", "dead_time", "later_s"),
+    # By hand: 1.5 times what the cycle is longer than 12 ms, at most half a cycle.
+    [(0.004, 0.036, 0.0), (0.008, 0.120, 0.0), (0.012, 0.036, 0.0), (0.016, 0.084, 0.006),
+     (0.024, 0.084, 0.012), (0.024, 0.036, 0.0)],
+)  # fmt: skip
+def test_a_free_tool_is_committed_for_longer_and_takes_a_goal_up_no_later(
+    cycle_s: float, dead_time: float, later_s: float
+) -> None:
+    steps = math.ceil(0.6 / cycle_s)
+    free, clamped = (
+        merge.compile_merge(MergeSettings(), dead_time, cycle_s, steps, later=later)
+        for later in (True, False)
+    )
+    assert free.committed_s - clamped.committed_s == pytest.approx(later_s, abs=1e-8)
+    assert taken_up(free, cycle_s) == pytest.approx(taken_up(clamped, cycle_s), abs=0.1 * cycle_s)
+
+
+@pytest.mark.parametrize("cycle_s", [0.002, 0.004, 0.008, 0.012])
+def test_the_commitment_grows_with_the_dead_time_and_never_by_a_jump(cycle_s: float) -> None:
+    dead_times = np.arange(0.06, 0.2, 0.0005)
+    committed = [sum(merge.commit_steps(each, cycle_s)) * cycle_s for each in dead_times]
+    assert np.diff(committed) == pytest.approx(0.0005, abs=1e-8)
+
+
+def continued(share: float, cycle_s: float, jump: Array) -> Array:
+    """Return the plan (n, 6), step by step, of a goal that jumps once behind a long rest."""
+    steps = math.ceil(0.492 / cycle_s)
+    M = np.stack([merge.merge_matrix(0.027, cycle_s, steps - COMMIT, share)] * 6)
+    poses, plan = np.zeros((steps + 1, 6)), []
+    goal = np.tile(jump, (steps + 1, 1))
+    for _ in range(round(2.0 / cycle_s)):
+        poses = merge_once(poses, goal, M, COMMIT)
+        plan.append(poses[0])
+    return np.array(plan)
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.8])
+def test_a_share_of_a_step_delays_a_plan_by_that_share_of_a_cycle(share: float) -> None:
+    T0, jump = 0.012, np.arange(1.0, 7.0) * 1e-3
+    whole, partly = continued(0.0, T0, jump), continued(share, T0, jump)
+    assert partly[-1] == pytest.approx(jump, abs=1e-6)
+    late = (whole - partly).sum(axis=0) / jump
+    assert late == pytest.approx(share, abs=0.01)
+
+
+@settings(max_examples=30, deadline=None)
+@given(lists, lists, st.floats(0.05, 0.95))
+def test_committed_steps_are_kept_with_one_that_is_kept_by_a_share(
+    old: Array, goal: Array, share: float
+) -> None:
+    M = np.stack([merge.merge_matrix(0.027, 0.012, STEPS - COMMIT, share)] * 6)
+    bare = merge_once(old, goal, MATRICES, COMMIT)
+    merged = merge_once(old, goal, M, COMMIT)
+    assert np.array_equal(merged[: COMMIT + 1], bare[: COMMIT + 1])
+    kept = COMMIT + 1
+    row = merge.merge_matrix(0.027, 0.012, 1)[0]
+    free = goal[kept] + row @ (merged[COMMIT - 4 : kept] - goal[COMMIT - 4 : kept])[::-1]
+    assert np.allclose(merged[kept], share * old[kept + 1] + (1.0 - share) * free, atol=1e-9)
+    # Behind it the closed loop goes on from what is planned.
+    loop = np.stack([merge.merge_matrix(0.027, 0.012, STEPS - kept)] * 6)
+    later = merge_once(np.vstack((merged[:1], merged[:-1])), goal, loop, kept)
+    assert np.allclose(merged[kept:], later[kept:], atol=1e-9)
+
+
+@settings(max_examples=30, deadline=None)
+@given(lists)
+def test_an_unchanged_goal_changes_nothing_with_a_share(old: Array) -> None:
+    M = np.stack([merge.merge_matrix(0.027, 0.012, STEPS - COMMIT, 0.5)] * 6)
+    goal = np.vstack((old[1:], old[-1:] + 0.3))
+    assert np.allclose(merge_once(old, goal, M, COMMIT), goal, atol=1e-12)
 
 
 @settings(max_examples=50, deadline=None)
 @given(lists, lists)
 def test_committed_steps_are_kept_bit_for_bit(old: Array, goal: Array) -> None:
-    merged = merge.merge(old, goal, MATRICES, COMMIT)
+    merged = merge_once(old, goal, MATRICES, COMMIT)
     assert np.array_equal(merged[: COMMIT + 1], old[1 : COMMIT + 2])
     assert merged.shape == goal.shape
 
@@ -58,10 +152,10 @@ def test_committed_steps_are_kept_bit_for_bit(old: Array, goal: Array) -> None:
 @settings(max_examples=30, deadline=None)
 @given(lists, lists, st.integers(0, 5))
 def test_each_axis_is_merged_for_itself(old: Array, goal: Array, axis: int) -> None:
-    merged = merge.merge(old, goal, MATRICES, COMMIT)
+    merged = merge_once(old, goal, MATRICES, COMMIT)
     other = goal.copy()
     other[:, axis] += 1.0
-    changed = merge.merge(old, other, MATRICES, COMMIT)
+    changed = merge_once(old, other, MATRICES, COMMIT)
     rest = [i for i in range(6) if i != axis]
     assert np.array_equal(merged[:, rest], changed[:, rest])
 
@@ -69,10 +163,10 @@ def test_each_axis_is_merged_for_itself(old: Array, goal: Array, axis: int) -> N
 @settings(max_examples=30, deadline=None)
 @given(lists, lists, lists)
 def test_the_merge_is_linear(old: Array, goal: Array, shift: Array) -> None:
-    plain = merge.merge(old, goal, MATRICES, COMMIT)
+    plain = merge_once(old, goal, MATRICES, COMMIT)
     # A motion that both lists share, seen a step earlier by the older one.
     moved = np.vstack((np.zeros((1, 6)), shift[:-1]))
-    both = merge.merge(old + moved, goal + shift, MATRICES, COMMIT)
+    both = merge_once(old + moved, goal + shift, MATRICES, COMMIT)
     assert np.allclose(both, plain + shift, atol=1e-9)
 
 
@@ -81,7 +175,7 @@ def test_the_merge_is_linear(old: Array, goal: Array, shift: Array) -> None:
 def test_an_unchanged_goal_changes_nothing(old: Array) -> None:
     """The old list is the goal already: the merge carries on with the goal, and with nothing."""
     goal = np.vstack((old[1:], old[-1:] + 0.3))
-    assert np.allclose(merge.merge(old, goal, MATRICES, COMMIT), goal, atol=1e-12)
+    assert np.allclose(merge_once(old, goal, MATRICES, COMMIT), goal, atol=1e-12)
 
 
 @pytest.mark.parametrize("cycle_s", CYCLES)
@@ -150,11 +244,11 @@ def test_merging_again_under_the_same_goal_goes_on_along_the_closed_loop() -> No
     span = np.arange(STEPS + 1) * T0
     old = cubic(span - T0)
     offset = np.array((0.004, -0.02, 0.003, 0.01, 0.0, -0.02))
-    first = merge.merge(old, cubic(span) + offset, MATRICES, COMMIT)
+    first = merge_once(old, cubic(span) + offset, MATRICES, COMMIT)
     lists = [first]
     for k in range(1, 25):
         goal = cubic(span + k * T0) + offset
-        lists.append(merge.merge(lists[-1], goal, MATRICES, COMMIT))
+        lists.append(merge_once(lists[-1], goal, MATRICES, COMMIT))
     for before, after in pairwise(lists):
         assert np.allclose(after[:-1], before[1:], atol=1e-9)
 
@@ -162,12 +256,12 @@ def test_merging_again_under_the_same_goal_goes_on_along_the_closed_loop() -> No
 @pytest.mark.parametrize("cycle_s", CYCLES)
 def test_a_constant_goal_is_reached_and_kept(cycle_s: float) -> None:
     steps = math.ceil(0.492 / cycle_s)
-    commit = merge.commit_steps(0.036, cycle_s)
+    commit, _ = merge.commit_steps(0.036, cycle_s)
     M = matrices(cycle_s, commit, steps)
     goal = np.tile((0.01, -0.05, 0.02, 0.05, -0.02, 0.4), (steps + 1, 1))
     poses = np.zeros((steps + 1, 6))
     for _ in range(round(3.0 / cycle_s)):
-        poses = merge.merge(poses, goal, M, commit)
+        poses = merge_once(poses, goal, M, commit)
     assert np.allclose(poses, goal, atol=1e-8)
 
 
@@ -179,7 +273,7 @@ def ramp(t: Array) -> Array:
 def swung(cycle_s: float, kernel: Array) -> float:
     """By how much a plan without corners swings out at most where a ramp ends [m]."""
     steps = math.ceil(0.492 / cycle_s)
-    commit = merge.commit_steps(0.036, cycle_s)
+    commit, _ = merge.commit_steps(0.036, cycle_s)
     M = matrices(cycle_s, commit, steps)
     span = np.arange(steps + 1) * cycle_s
     offsets = np.linspace(-0.06, 0.06, 241)
@@ -189,13 +283,13 @@ def swung(cycle_s: float, kernel: Array) -> float:
         truth = np.outer(ramp(span - end_s), np.eye(6)[1])
         times = span[:, None] - cycle_s - end_s + offsets
         old = np.outer(ramp(times) @ weight / weight.sum(), np.eye(6)[1])
-        plan = merge.merge(old, merge.rounded(truth, kernel), M, commit)
+        plan = merge_once(old, merge.rounded(truth, kernel), M, commit)
         worst = max(worst, float(np.abs(plan - truth)[:, 1].max()))
     return worst
 
 
 def test_the_end_of_a_ramp_among_the_five_known_steps_throws_no_plan_off_at_4_ms() -> None:
-    commit = merge.commit_steps(0.036, 0.004)
+    commit, _ = merge.commit_steps(0.036, 0.004)
     bare, kernel = np.ones(1), merge.rounding(0.004, commit)
     assert swung(0.004, bare) > 5.0 * swung(0.004, kernel)
     assert swung(0.004, kernel) < 3e-4
@@ -204,7 +298,7 @@ def test_the_end_of_a_ramp_among_the_five_known_steps_throws_no_plan_off_at_4_ms
 def test_nothing_is_rounded_at_12_ms_and_never_among_the_steps_that_a_merge_reads_first() -> None:
     assert merge.rounding(0.012, 5).tolist() == [1.0]
     for cycle_s in (0.004, 0.002, 0.001):
-        commit = merge.commit_steps(0.036, cycle_s)
+        commit, _ = merge.commit_steps(0.036, cycle_s)
         kernel = merge.rounding(cycle_s, commit)
         assert kernel.sum() == pytest.approx(1.0)
         assert len(kernel) // 2 <= commit + 1 - ORDER
@@ -223,7 +317,7 @@ def test_a_goal_that_flickers_every_step_is_followed_without_growing() -> None:
     largest = 0.0
     for _ in range(400):
         goal = np.tile(rng.choice((-0.001, 0.001), 6), (STEPS + 1, 1))
-        poses = merge.merge(poses, goal, MATRICES, COMMIT)
+        poses = merge_once(poses, goal, MATRICES, COMMIT)
         largest = max(largest, float(np.abs(poses[: COMMIT + 1]).max()))
     assert largest < 0.003
 
@@ -254,7 +348,7 @@ def test_below_2_ms_every_second_step_is_read_and_the_rest_lies_between() -> Non
 
 @pytest.mark.parametrize("cycle_s", [0.001, 0.002, 0.004, 0.012])
 def test_a_corner_is_rounded_alike_and_never_where_the_merge_reads(cycle_s: float) -> None:
-    commit = max(merge.commit_steps(0.036, cycle_s), ORDER)
+    commit, _ = merge.commit_steps(0.036, cycle_s)
     kernel = merge.rounding(cycle_s, commit)
     half = len(kernel) // 2
     assert kernel.sum() == pytest.approx(1.0)

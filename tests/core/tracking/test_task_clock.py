@@ -1,4 +1,4 @@
-"""Task clock: the release of the wheel waits for a calm contact."""
+"""Task clock: its ramps before contact, and the wait for a calm contact before the release."""
 
 from functools import cache
 
@@ -7,7 +7,11 @@ import pytest
 from msgspec.structs import replace
 
 from linemate.daemon.core import parameters
+from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking import task_clock
+from linemate.daemon.core.tracking.go_no_go import clock_ramp, evidence
+from linemate.daemon.core.tracking.go_no_go.decision import GoOrder, GoState, Zone
+from linemate.daemon.core.tracking.reference import barrier, last_step
 from linemate.daemon.core.tracking.task import Gate
 from linemate.daemon.core.tracking.touch import release
 from linemate.daemon.core.tracking.tracker import at_rest
@@ -73,3 +77,109 @@ def test_the_wait_for_a_calm_contact_ends() -> None:
 def test_a_retreat_does_not_wait_for_a_calm_contact() -> None:
     state = later(on_the_object(0.3), 1.0, SWINGS)
     assert later(state, 0.024, SWINGS, retreat=True).releasing is not None
+
+
+SIGHT = frozenset({Gate.OBJECT_CLOSE, Gate.OBJECT_SEEN})
+
+
+@cache
+def of_cycle(cycle_s: float) -> Tracker:
+    cell = setup.make("wheel")
+    return parameters.build(cell.task, cell.urdf, cell.tracking, cell.control, cycle_s).tracker
+
+
+def on_the_way(tracker: Tracker, after_s: float) -> TrackerState:
+    """The state of a tool that left the far gate some time ago."""
+    steps = round((tracker.sight_time + after_s) / tracker.cycle_s)
+    state = at_rest(tracker, np.zeros(6), 0.0)
+    return replace(
+        state, started=True, passed=SIGHT, blended=10.0, time=steps * tracker.cycle_s, distance=-1.0
+    )
+
+
+def ordered(
+    tracker: Tracker, state: TrackerState, order: GoOrder, seconds: float
+) -> list[TrackerState]:
+    """The states of each step with an order."""
+    states = [state]
+    for _ in range(round(seconds / tracker.cycle_s)):
+        state = replace(states[-1], go=GoState(order))
+        states.append(task_clock.advance_clock(tracker, state, None, SAMPLES, False))
+    return states[1:]
+
+
+def ways(tracker: Tracker, states: list[TrackerState]) -> Array:
+    """The programmed tcp along the object's axis at each step [m]."""
+    times = np.array([state.time / tracker.cycle_s for state in states])
+    return tracker.table.between(times)[1][:, 2]
+
+
+@pytest.mark.parametrize("cycle_s", [0.004, 0.012])
+@pytest.mark.parametrize("order", [GoOrder.STAND, GoOrder.BACK])
+def test_a_no_go_on_the_way_slows_the_tool_down_with_a_bounded_acceleration(
+    cycle_s: float, order: GoOrder
+) -> None:
+    tracker = of_cycle(cycle_s)
+    before = ordered(tracker, on_the_way(tracker, 0.2), GoOrder.GO, 0.2)
+    after = ordered(tracker, before[-1], order, 2.0)
+    way = ways(tracker, before + after)
+    acceleration = np.diff(way, 2) / cycle_s**2
+    # The programme has an acceleration of its own, at either rate.
+    own = np.abs(np.diff(tracker.table.relative[:, 2], 2)).max() / cycle_s**2
+    assert np.abs(acceleration).max() <= clock_ramp.ACCELERATION + own
+    end = tracker.sight_time if order is GoOrder.BACK else after[-1].time
+    assert after[-1].time == pytest.approx(last_step(end, cycle_s))
+    assert after[-1].time < before[-1].time + 0.5
+
+
+def test_the_ramp_takes_as_long_at_every_cycle() -> None:
+    ends = []
+    for cycle_s in (0.002, 0.004, 0.012):
+        tracker = of_cycle(cycle_s)
+        states = ordered(tracker, on_the_way(tracker, 0.4), GoOrder.STAND, 1.0)
+        committed = (tracker.commit + 1) * cycle_s
+        ends.append(states[-1].time - states[0].time - committed)
+    assert max(ends) - min(ends) < 0.03
+
+
+@pytest.mark.parametrize("order", [GoOrder.STAND, GoOrder.BACK])
+def test_what_is_committed_stays_on_the_programme_as_the_clock_changes(order: GoOrder) -> None:
+    tracker = compiled()
+    before = ordered(tracker, on_the_way(tracker, 0.3), GoOrder.GO, 0.1)[-1]
+    state = ordered(tracker, before, order, tracker.cycle_s)[0]
+    times = task_clock.programme_times(tracker, state, False)
+    assert times is not None
+    steady = round(before.time / tracker.cycle_s) + 1 + np.arange(tracker.commit + 1)
+    assert times[: tracker.commit + 1] == pytest.approx(steady)
+
+
+def test_a_clock_that_stood_goes_on_and_ends_at_the_gate() -> None:
+    tracker = compiled()
+    stood = ordered(tracker, on_the_way(tracker, 0.3), GoOrder.STAND, 1.0)[-1]
+    states = ordered(tracker, stood, GoOrder.GO, 12.0)
+    assert states[-1].ramp == clock_ramp.RUNNING
+    closed = barrier(tracker.reference, stood.time, stood.passed)
+    assert states[-1].time == pytest.approx(last_step(closed, tracker.cycle_s))
+
+
+@pytest.mark.parametrize(("retreat", "contact"), [(True, False), (False, True)])
+def test_a_retreat_or_a_contact_ends_the_ramp_at_a_whole_step(retreat: bool, contact: bool) -> None:
+    tracker = compiled()
+    ramped = ordered(tracker, on_the_way(tracker, 0.3), GoOrder.BACK, 0.15)[-1]
+    assert ramped.ramp.planned
+    state = replace(ramped, contact=contact)
+    state = task_clock.advance_clock(tracker, state, None, SAMPLES, retreat)
+    assert state.ramp == clock_ramp.RUNNING
+    assert task_clock.programme_times(tracker, state, retreat) is None
+    steps = state.time / tracker.cycle_s
+    assert steps == pytest.approx(round(steps))
+    assert state.time <= ramped.time + tracker.cycle_s
+
+
+def test_a_clock_that_stands_behind_the_last_step_is_still_judged() -> None:
+    tracker = compiled()
+    state = on_the_way(tracker, 0.3)
+    state = replace(state, time=tracker.final_time + 3 * tracker.cycle_s)
+    assert evidence.zone(tracker, state) is Zone.FINAL
+    stands = replace(state, go=GoState(GoOrder.STAND))
+    assert evidence.zone(tracker, stands) is Zone.LAST

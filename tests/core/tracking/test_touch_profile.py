@@ -145,3 +145,24 @@ def test_less_force_withdraws_a_tool_that_only_tips_can_stop(
     length: float, distance: float, limit: float
 ) -> None:
     assert touch_profile.force_limit(length, distance, 350.0) == limit
+
+
+STIFFNESS, OVERLOAD = 50e3, 350.0
+DEAD_TIME_S = 0.15  # in which a touch is felt and the tool stops
+
+
+@pytest.mark.parametrize(
+    ("clearance", "speed"), [(0.0, 0.009), (0.0, 0.1), (0.02, 0.1), (0.02, 0.03)]
+)
+def test_no_task_touches_faster_than_its_mount_bears(clearance: float, speed: float) -> None:
+    guard = replace(TASK.guard, clearance=clearance, touch_speed=speed)
+    slowed = touch_profile.slowed(replace(TASK, guard=guard), STIFFNESS, OVERLOAD)
+    assert slowed.guard.touch_speed * DEAD_TIME_S * STIFFNESS <= 0.5 * OVERLOAD * 1.001
+    assert slowed.guard.clearance == (clearance or 0.011)
+    z, reached = distances(slowed)
+    near = z >= -slowed.guard.clearance
+    assert float(reached[near].max()) <= slowed.guard.touch_speed * 1.01 + ROUNDING
+
+
+def test_a_task_that_touches_gently_is_not_slowed() -> None:
+    assert touch_profile.slowed(TASK, STIFFNESS, OVERLOAD) is TASK

@@ -36,7 +36,9 @@ def zone(tracker: Tracker, state: TrackerState) -> Zone:
         or state.withdrawn is not None
         or tracker.foresight is not None
     )
-    if is_over or not time <= tracker.final_time:
+    # A clock that stands for a no-go does so behind what is committed: it may get there.
+    goes = state.go.order is GoOrder.GO
+    if is_over or (goes and not time <= tracker.final_time):
         return Zone.FINAL
     if time <= tracker.sight_time:
         return Zone.FAR

@@ -52,6 +52,7 @@ GRAIN_S = 0.1  # its past is kept in such steps [s]
 PAST = 30  # and so many of them
 SECOND = 10  # steps of the past in a second
 REACH = 0.015  # largest offset [m]
+LONGEST_GAP_S = 0.012  # between two forces that counts as time; a longer one is a sensor's fault
 
 ENERGY_J = 0.005  # that the offset may give: 0.5 mm of a body of 100 kg at 3.5 Hz
 LEAK_W = 0.001  # and so much a second, which the least damping of a body takes
@@ -104,6 +105,7 @@ class Compliance(Struct, frozen=True):
         softened: for so long [s].
         driven: the contact drives the oscillation; until the contact ends, or it grows too large.
         firmness: whether the object gives way.
+        waited: steps without a force since the last one.
     """
 
     offset: Vector3 = (0.0, 0.0, 0.0)
@@ -119,6 +121,7 @@ class Compliance(Struct, frozen=True):
     softened: float = 0.0
     driven: bool = False
     firmness: Firmness = UNKNOWN
+    waited: int = 0
 
     @property
     def is_softened(self) -> bool:
@@ -132,6 +135,7 @@ class Compliance(Struct, frozen=True):
 
 
 NO_COMPLIANCE = Compliance()
+_ZERO: Vector3 = (0.0, 0.0, 0.0)
 
 
 def advance(
@@ -144,7 +148,7 @@ def advance(
     is_pushed: bool = False,
     is_at_rest: bool = False,
 ) -> Compliance:
-    """Return the state one step later.
+    """Return the state one step later, or several: with the next force.
 
     Args:
         force: on the clamped tool, in c [N].
@@ -153,7 +157,8 @@ def advance(
         is_pushed: an impulse disturbance of the object was confirmed.
         is_at_rest: the conveyor stands or starts: an object can be proved firm.
     """
-    dt = model.dt
+    cycles = _cycles(state, model)
+    dt = cycles * model.dt
     if state.press is None:
         state = replace(state, press=force, mean=force)
     press = _toward(state.press or force, force, dt / SLOW_S)
@@ -168,7 +173,7 @@ def advance(
             past, age = (*past, power)[-PAST:], 0.0
         soft = is_growing(power, past, was=state.soft)
         is_calm = power < QUIET_N**2
-        quick_s = 2.0 * max(model.delays) * dt
+        quick_s = 2.0 * max(model.delays) * model.dt
         firm = firmness.advance(
             firm,
             swung,
@@ -182,7 +187,7 @@ def advance(
         driven = driven and power < LARGEST_N**2
         if not is_at_rest:
             firm = firmness.without_proof(firm)
-        moved = _delayed(state.moves, model.delays)
+        moved = _delayed(state.moves, model.delays, cycles)
         given = state.energy - _dot(_minus(force, press), moved) - LEAK_W * dt
         energy = max(given, 0.0)
     smoothing_s = DRIVEN_SMOOTHING_S if driven else SMOOTHING_S
@@ -194,7 +199,8 @@ def advance(
     step = rate * dt * share * max(1.0 - energy / ENERGY_J, 0.0)
     x, y, z = (o + step * r for o, r in zip(state.offset, smooth, strict=True))
     offset = _bounded((x, y, z))
-    moves = (*state.moves, _minus(offset, state.offset))[-max(model.delays) :]
+    still = (_ZERO,) * (cycles - 1)
+    moves = (*state.moves, *still, _minus(offset, state.offset))[-max(model.delays) :]
     softened = state.softened + dt if soft else 0.0
     return Compliance(
         offset=offset,
@@ -213,10 +219,25 @@ def advance(
     )
 
 
-def _delayed(moves: tuple[Vector3, ...], delays: tuple[int, int, int]) -> Vector3:
-    """Return the offset's move that the tool makes now, component by component [m]."""
+def waiting(state: Compliance) -> Compliance:
+    """Return the state after a step without a force: the sensor is slower than the cycle."""
+    return replace(state, waited=state.waited + 1)
+
+
+def _cycles(state: Compliance, model: ComplianceModel) -> int:
+    """Return the steps since the last force, this one included."""
+    most = max(round(LONGEST_GAP_S / model.dt), 1)
+    return min(state.waited + 1, most)
+
+
+def _delayed(moves: tuple[Vector3, ...], delays: tuple[int, int, int], cycles: int = 1) -> Vector3:
+    """Return the offset's moves that the tool makes in so many steps, by component [m]."""
+    count = len(moves)
     x, y, z = (
-        moves[-delay][axis] if len(moves) >= delay else 0.0 for axis, delay in enumerate(delays)
+        sum([moves[at][axis] for at in range(count - delay, count - delay + cycles) if at >= 0])
+        if count >= delay - cycles + 1
+        else 0.0
+        for axis, delay in enumerate(delays)
     )
     return (x, y, z)
 

@@ -26,9 +26,8 @@ PULLING = 3.0  # times the force of a contact, as a mean: only a closed clamp fe
 CALM_N = 60.0  # rms of a force with which the clamp may open: 1.7 mm of swing on 50 N/mm
 LATERAL_N = 30.0  # mean force across the tool's axis with which it may: the object springs back
 LONGEST_WAIT_S = 10.0  # for both; the object may leave the robot's reach
-UNLOADING_S = (
-    0.3  # in which the press goes, once the clamp is ordered to open: it needs as long [s]
-)
+# The press goes in this time once the clamp is ordered to open: it needs as long [s].
+UNLOADING_S = 0.3
 PULL_S = 0.2  # time constant of that mean [s]; an open tool rings at 4 Hz or more
 
 

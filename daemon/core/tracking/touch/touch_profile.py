@@ -4,7 +4,7 @@ Bolts that stand out farther than the clearance meet the tool first. From before
 comes at a speed at which a bolt that does not enter its hole stops it without an overload.
 
 Invariants:
-    * Within the clearance the speed never exceeds the touch speed.
+    * Within the clearance the speed never exceeds the touch speed, nor what the mount bears.
     * Within reach of the bolts' tips it never exceeds theirs.
     * The profile rests at both ends and never goes back.
 """
@@ -16,10 +16,13 @@ import numpy as np
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.task import GuardedApproach, Phase, TaskFile, WaypointFrame
+from linemate.daemon.core.tracking.touch.guard import GOES_ON_S
 
 BRAKING_S = 0.16  # duration of the last part, from the touch speed to rest [s]
 ACCELERATION = 0.85  # largest one of the first part, from which its shortest time follows [m/s^2]
 PEAK = 5.78  # largest acceleration of a quintic from rest to rest over 1 m in 1 s [1/s^2]
+HUB_ERROR = 0.011  # of an estimated object along the tool's axis, for a task that names none [m]
+BORNE_SHARE = 0.5  # of the overload's force, which the mount gets before the tool reacts to a touch
 TIPS_RESERVE = 0.005  # before the bolts' tips, for the error of the estimate [m]
 LED_S = 0.2  # for which the motion goes on after the tips touch, until the tool withdraws [s]
 TIPS_SHARE = 0.3  # of the overload's force that the mount gets in that time
@@ -40,6 +43,24 @@ class BoltTips:
 
 
 NO_TIPS = BoltTips()
+
+
+def slowed(task: TaskFile, stiffness: float, overload: float) -> TaskFile:
+    """Return the task with a speed at every touch that the mount bears.
+
+    A task without a clearance of its own gets one: the estimate of an object is never exact.
+
+    Args:
+        stiffness: of the mount along the tool's axis [N/m].
+        overload: force beyond which the tool is withdrawn [N].
+    """
+    guard = task.guard
+    most = BORNE_SHARE * overload / (stiffness * GOES_ON_S)
+    if guard.clearance > 0.0 and guard.touch_speed <= most:
+        return task
+    speed = min(guard.touch_speed, most) if guard.clearance > 0.0 else most
+    clearance = guard.clearance or HUB_ERROR
+    return replace(task, guard=replace(guard, clearance=clearance, touch_speed=speed))
 
 
 def bolt_tips(length: float, stiffness: float, overload: float) -> BoltTips:

@@ -68,6 +68,7 @@ def log_odds(
     speed_deviation: float,
     deviation: float,
     ramp: Ramp | None = None,
+    speed: float = 0.0,
 ) -> float | None:
     """Return the log odds of a change against none, or None if the sensor has no say.
 
@@ -78,11 +79,13 @@ def log_odds(
         speed_deviation: one sigma of the steady speed before any reading [m/s].
         deviation: one sigma of a reading [m].
         ramp: on which the conveyor was; None if its motion was steady.
+        speed: steady one before any reading [m/s].
     """
     ages, values = readings
     if not _has_say(readings):
         return None
-    times, way = onset - ages, values - values[-1]
+    times = onset - ages
+    way = values - values[-1] - speed * times
     begun = np.maximum(times, 0.0)
     changed = 0.5 * change * begun * begun
     if abs(float(changed[-1])) < LEAST_WAY:
