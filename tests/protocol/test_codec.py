@@ -871,6 +871,17 @@ def test_only_a_telegram_with_the_next_counter_and_joints_in_reach_is_expected()
         assert expected.matches(codec.format_robot(telegram)) is matches
 
 
+def test_a_robot_at_rest_is_expected_where_it_is_with_each_further_counter() -> None:
+    codec = RsiCodec(config("DEF_AIPos DOUBLE INTERNAL"))
+    joints = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
+    for ipoc, reach in ((12, 0.05), (24, 0.05), (36, 0.01)):
+        expected = codec.expect_robot(ipoc, None, joints, reach)
+        assert expected is not None
+        for moved in (0.04, 0.06):
+            telegram = RobotTelegram(ipoc, joints=(moved, *joints[1:]))
+            assert expected.matches(codec.format_robot(telegram)) is (moved < reach)
+
+
 def test_nothing_is_expected_without_joints_in_the_telegram() -> None:
     codec = RsiCodec(config("DEF_Delay LONG INTERNAL"))
     assert codec.expect_robot(12, 0, (0.0,) * 6, 0.05) is None
