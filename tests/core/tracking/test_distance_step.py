@@ -55,6 +55,18 @@ def test_a_stop_is_no_step(since_s: float, seed: int) -> None:
     assert step is None or not step.is_certain
 
 
+@pytest.mark.parametrize("since_s", [0.16, 0.2, 0.3])
+@pytest.mark.parametrize("at", [-2, -3, -4])
+def test_an_outlier_next_to_a_stop_is_no_step(at: int, since_s: float) -> None:
+    certain = 0
+    for seed in range(20):
+        kept = stopping(since_s, seed)
+        kept[1, at] -= 20e-3
+        step = find(kept)
+        certain += step is not None and step.is_certain
+    assert certain <= 1
+
+
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("silent_s", [0.04, 0.07, 0.1])
 def test_a_stop_behind_a_silence_is_no_step(silent_s: float, seed: int) -> None:

@@ -16,6 +16,7 @@ from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.classifiers.distance.distance_check import (
     LEAST_READINGS,
     LEVEL_DEVIATION,
+    OUTLIER_SIGMAS,
     since,
 )
 from linemate.daemon.core.tracking.classifiers.onset_bank import AmplitudePrior
@@ -68,7 +69,9 @@ def find(
         speed_deviation: one sigma of it [m/s].
         deviation: one sigma of a reading [m].
     """
-    ages, values = since(readings, SPAN_S)
+    heard = since(readings, SPAN_S)
+    fits = _has_a_neighbour(heard, speed, deviation)
+    ages, values = heard[:, fits]
     if len(ages) < LEAST_READINGS + LEAST_AFTER:
         return None
     places = np.flatnonzero(ages <= LATEST_S)
@@ -89,9 +92,10 @@ def find(
     count = len(places)
     steps, sizes = _ratios(power[:count], shown[:count], AmplitudePrior(0.0, STEP_DEVIATION**2))
     changes, _ = _ratios(power[count:], shown[count:], change)
-    gaps = -np.diff(ages)
+    # An outlier is no silence.
+    gaps = -np.diff(heard[0], prepend=heard[0, :1])[fits]
     usual = float(np.median(gaps))
-    missing = gaps[places - 1] - usual
+    missing = gaps[places] - usual
     late = AmplitudePrior(-speed * missing, (speed * usual) ** 2)
     lates, late_sizes = _ratios(power[:count], shown[:count], late)
     lates = np.where(missing > (MISSING - 1.0) * usual, lates + LATE, NONE)
@@ -103,6 +107,20 @@ def find(
         return None
     age = float(ages[places[best] - 1])
     return DistanceStep(odds, age, float(sizes[best]), float(power[best]) ** -0.5)
+
+
+def _has_a_neighbour(readings: Array, speed: float, deviation: float) -> Array:
+    """Return which of the readings (2, m) do not stand alone, away from both neighbours.
+
+    An outlier next to a stop looks like a step back and forth. A step has a neighbour on its side.
+    """
+    ages, values = readings
+    if len(ages) < LEAST_READINGS:
+        return np.ones(len(ages), dtype=bool)
+    way = values + speed * ages
+    near = np.median(np.stack((way[:-2], way[1:-1], way[2:])), axis=0)
+    off = way - np.concatenate((near[:1], near, near[-1:]))
+    return np.asarray(np.abs(off) < OUTLIER_SIGMAS * deviation)
 
 
 def levelled(readings: Array, step: DistanceStep) -> Array:
