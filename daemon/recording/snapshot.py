@@ -49,6 +49,7 @@ _PARTS = {
     "tracking.firmness:Firmness": "tracking.touch.firmness:Firmness",
     "tracking.firmness:Swing": "tracking.touch.firmness:Swing",
     "tracking.guide:Guide": "tracking.classifiers.bank_model:Guide",
+    "tracking.force_sign:ForceSign": "tracking.touch.force_sign:ForceSign",
     "tracking.guard:Search": "tracking.touch.guard:ContactSearch",
     "tracking.guard:TouchedProgramme": "tracking.touch.guard:TouchedProgramme",
     "tracking.hypotheses:Bank": "tracking.classifiers.onset_bank:OnsetBank",

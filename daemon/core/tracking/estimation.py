@@ -34,7 +34,7 @@ from linemate.daemon.core.tracking.observation import (
     remember,
 )
 from linemate.daemon.core.tracking.task import Gate
-from linemate.daemon.core.tracking.touch import compliance, contact, release, tare
+from linemate.daemon.core.tracking.touch import compliance, contact, force_sign, release, tare
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
 from linemate.daemon.core.tracking.transverse import TransverseState
 from linemate.protocol.stamped_samples import DistanceSample
@@ -71,6 +71,7 @@ def estimate(
     state = _weighed(tracker, state, raw)
     wrench = tare.tared(state.tare, raw, tracker.settings.tactile)
     pull = release.averaged(state.pull, wrench, tracker.cycle_s) if state.contact else state.pull
+    state = _with_sign(tracker, state, wrench)
     felt = wrench if is_force_used(tracker, state, wrench) else None
     felt = tare.bending(state.tare, felt, tracker.settings.tactile)
     first_poses = _pose_measurements(tracker, history, samples, felt)
@@ -430,12 +431,23 @@ def is_force_used(tracker: Tracker, state: TrackerState, wrench: Wrench | None) 
     A clamp that was ordered to open may be open without reporting it. A tool that hangs free would
     measure the object at its own position, and would follow itself.
     """
-    if not is_seated(state) or _is_overload(tracker, wrench):
+    if not is_seated(state) or _is_overload(tracker, wrench) or state.force_sign.is_doubted:
         return False
     if state.releasing is None:
         return state.contact
     pulling = release.PULLING * tracker.settings.tactile.contact_force
     return state.contact and math.hypot(*state.pull) > pulling
+
+
+def _with_sign(tracker: Tracker, state: TrackerState, wrench: Wrench | None) -> TrackerState:
+    """Return the state with what a force on the clamped tool says of its sign."""
+    if wrench is None or not is_seated(state) or state.history is None:
+        return state
+    axis = rotations.exp(state.history.poses[-1][3:])[:, 2]
+    offset = float(axis @ state.compliance.offset)
+    least = tracker.settings.tactile.contact_force
+    sign = force_sign.advanced(state.force_sign, float(wrench.force[2]), offset, least)
+    return state if sign == state.force_sign else replace(state, force_sign=sign)
 
 
 def _is_overload(tracker: Tracker, wrench: Wrench | None) -> bool:

@@ -42,7 +42,14 @@ from linemate.daemon.core.tracking.task_clock import (
     programme_times,
     standing_time,
 )
-from linemate.daemon.core.tracking.touch import compliance, contact, guard, release, tare
+from linemate.daemon.core.tracking.touch import (
+    compliance,
+    contact,
+    force_sign,
+    guard,
+    release,
+    tare,
+)
 from linemate.daemon.core.tracking.tracker_state import Report, StepSamples, Tracker, TrackerState
 from linemate.daemon.core.tracking.transverse import TransverseState
 
@@ -526,13 +533,14 @@ def update_contact(
         contact_state = contact.assume_touch(contact_state, before.distance, is_due=is_due)
     made = contact_state.touches >= contact.TOUCHES
     assumed = made and not contact_state.forces
-    search, touched = after.search, guard.UNTOUCHED
+    search, touched, sign = after.search, guard.UNTOUCHED, force_sign.UNDOUBTED
     if made and force is not None and report.part is not None and after.history is not None:
         reach = _touched_reach(tracker, after, after.history, report.part, force)
         bolts = tracker.settings.payload.bolts
         made = not contact.may_rub(reach, bolts) or _is_face(tracker, contact_state)
         if made:
             touched = _touched_programme(tracker, before, after, reach)
+            sign = force_sign.at_touch(force, tracker.vibration.force)
             search = guard.ContactSearch(reach, search.lasted)
     return replace(
         after,
@@ -542,6 +550,7 @@ def update_contact(
         touching=0.0,
         touched=touched,
         search=search,
+        force_sign=sign,
     )
 
 
@@ -559,7 +568,7 @@ def _touched_reach(
     guarded, stiffness = tracker.task.guard, tracker.settings.tactile.stiffness[2]
     limit = max(guarded.clearance, guarded.overrun, contact.NEAR)
     tcp = elastic(state, history.poses[-1])
-    return guard.touched_reach(tcp, part, force, stiffness, limit)
+    return guard.touched_reach(tcp, part, force_sign.nearer(force), stiffness, limit)
 
 
 def _touched_programme(

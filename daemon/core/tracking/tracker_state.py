@@ -34,6 +34,7 @@ from linemate.daemon.core.tracking.touch.compliance import (
     Compliance,
     ComplianceModel,
 )
+from linemate.daemon.core.tracking.touch.force_sign import UNDOUBTED, ForceSign
 from linemate.daemon.core.tracking.touch.tare import NO_TARE, Tare
 from linemate.daemon.core.tracking.transverse import Transverse, TransverseState
 from linemate.protocol.stamped_samples import CameraSample, DistanceSample, Vector3, WrenchSample
@@ -170,6 +171,7 @@ class TrackerState(Struct, frozen=True, eq=False):
         acceleration: of them as the last wrench was measured [m/s^2].
         sampled: forces of its samples along the tool's axis, off their mean [N].
         ramp: how the task's clock goes on before contact.
+        force_sign: whether the force on the clamped tool measures the object.
     """
 
     history: History | None
@@ -220,6 +222,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     acceleration: float = 0.0
     sampled: tuple[float, ...] = ()
     ramp: ClockRamp = RUNNING
+    force_sign: ForceSign = UNDOUBTED
 
 
 class Report(Struct, frozen=True, eq=False):
