@@ -1,6 +1,7 @@
 """Guide: it takes a deflection slowly, and a class at once."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -155,6 +156,23 @@ def test_a_sway_that_was_known_before_the_contact_leads_the_target() -> None:
     led = guide.advance(BANK, state, state, (), DT)
     assert led.guide is not None
     assert led.guide.x[SWAY] == 0.003
+
+
+def test_a_known_sway_fades_when_another_is_found_in_contact() -> None:
+    before, _ = in_contact(3.0, 0.0)
+    known = swaying(structs.replace(before, guide=None))
+    led = guide.advance(BANK, known, known, (), DT)
+    found = structs.replace(led, sway_omega=math.tau * 2.2)
+    sizes = [0.003]
+    last = guide.advance(BANK, led, found, (), DT)
+    for _ in range(round(2.0 / DT)):
+        assert last.guide is not None
+        assert not last.guide.sways
+        sizes.append(float(np.hypot(*last.guide.x[SWAY : SWAY + 2])))
+        last = guide.advance(BANK, last, last, (), DT)
+    assert max(a - b for a, b in pairwise(sizes)) < 0.0001
+    assert sizes == sorted(sizes, reverse=True)
+    assert sizes[-1] < 0.0001
 
 
 def stuck_distance(state: BankState, seconds: float) -> tuple[BankState, list[float]]:

@@ -12,7 +12,8 @@ Invariants:
 - A null filter that was widened moves it only once that knows the speed again. Until then readings
   of a wrong sensor, which widened it, would lead the target.
 - An impulse disturbance does not move it; of the sways a slow one that was known before the contact
-  does. One that is found in contact may be what the clamped tool itself drives.
+  does. One that is found in contact may be what the clamped tool itself drives: then the one that
+  was known before fades.
 """
 
 import math
@@ -47,6 +48,7 @@ from linemate.daemon.core.tracking.conveyor import (
 _SWING = slice(IMPULSE, RIPPLE)
 _SWAY = slice(SWAY, STATES)
 KNOWN = 0.003  # deviation of a speed that is known again [m/s]
+FADE_S = 0.5  # time constant of a sway whose frequency has changed in contact [s]
 HELD_S = 1.5  # for which it leads on without a deflection: a retreat needs 1 s [s]
 FASTEST = 2.0 * math.pi * 2.5  # sway that is led [rad/s]: a faster one would be driven by its delay
 
@@ -79,10 +81,11 @@ def advance(
     led = _predicted(model, state, guide, dt)
     for measurement in measurements:
         led = _corrected(model, led, measurement)
+    led_sway = led.x[_SWAY].copy()
     if state.motion is not before.motion:
         led = _in_class(model, state, led)
     sways = guide.sways and not sway_filter.has_taken_over(before, state)
-    led = led if sways else _without_sway(led)
+    led = led if sways else _fading(led, led_sway, dt)
     return replace(state, guide=Guide(led.x, led.P, led.ripple_factor, sways, waits))
 
 
@@ -142,10 +145,18 @@ def _corrected(model: BankModel, led: BankState, measurement: PositionMeasuremen
     return replace(led, x=x, P=led.P - K[:, None].dot(Ph[None]), ripple_factor=factor)
 
 
-def _without_sway(led: BankState) -> BankState:
-    """Return the guide without a sway."""
+def _fading(led: BankState, sway: Array, dt: float) -> BankState:
+    """Return the guide with the sway that it led so far: that fades, and nothing excites it.
+
+    The mount stiffens what the body hangs on, so another frequency is found in contact while the
+    body swings on. Dropped within a step, the sway moved the target by its whole size.
+
+    Args:
+        sway: of the guide before the class was decided, (4,).
+    """
     x, P = led.x.copy(), led.P.copy()
-    x[_SWAY] = 0.0
+    x[_SWAY] = sway * math.exp(-dt / FADE_S)
+    x[PACE] = x[GAIN] = 0.0
     P[_SWAY, :] = P[:, _SWAY] = 0.0
     return replace(led, x=x, P=P)
 
