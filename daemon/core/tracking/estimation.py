@@ -431,7 +431,7 @@ def is_force_used(tracker: Tracker, state: TrackerState, wrench: Wrench | None) 
     A clamp that was ordered to open may be open without reporting it. A tool that hangs free would
     measure the object at its own position, and would follow itself.
     """
-    if not is_seated(state) or _is_overload(tracker, wrench) or state.force_sign.is_doubted:
+    if not is_seated(state) or _is_overload(tracker, wrench) or state.force_sign.is_suspect:
         return False
     if state.releasing is None:
         return state.contact

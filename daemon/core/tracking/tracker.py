@@ -533,7 +533,7 @@ def update_contact(
         contact_state = contact.assume_touch(contact_state, before.distance, is_due=is_due)
     made = contact_state.touches >= contact.TOUCHES
     assumed = made and not contact_state.forces
-    search, touched, sign = after.search, guard.UNTOUCHED, force_sign.UNDOUBTED
+    search, touched, sign = after.search, guard.UNTOUCHED, force_sign.TRUSTED
     if made and force is not None and report.part is not None and after.history is not None:
         reach = _touched_reach(tracker, after, after.history, report.part, force)
         bolts = tracker.settings.payload.bolts

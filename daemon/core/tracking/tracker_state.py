@@ -34,7 +34,7 @@ from linemate.daemon.core.tracking.touch.compliance import (
     Compliance,
     ComplianceModel,
 )
-from linemate.daemon.core.tracking.touch.force_sign import UNDOUBTED, ForceSign
+from linemate.daemon.core.tracking.touch.force_sign import TRUSTED, ForceSign
 from linemate.daemon.core.tracking.touch.tare import NO_TARE, Tare
 from linemate.daemon.core.tracking.transverse import Transverse, TransverseState
 from linemate.protocol.stamped_samples import CameraSample, DistanceSample, Vector3, WrenchSample
@@ -222,7 +222,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     acceleration: float = 0.0
     sampled: tuple[float, ...] = ()
     ramp: ClockRamp = RUNNING
-    force_sign: ForceSign = UNDOUBTED
+    force_sign: ForceSign = TRUSTED
 
 
 class Report(Struct, frozen=True, eq=False):

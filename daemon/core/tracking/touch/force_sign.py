@@ -5,10 +5,10 @@ advances. With a right sensor the pull falls then. With a sensor of the wrong si
 every advance, and the tool presses deeper into the object.
 
 Invariants:
-- A force in doubt moves neither the estimate nor the target: the robot keeps what it has.
-- A contact that was felt by a pull is in doubt from its beginning.
-- A pull that does not fall while the target advances is in doubt.
-- A push of a contact's force ends the doubt.
+- A suspect force moves neither the estimate nor the target: the robot keeps what it has.
+- A contact that was felt by a pull is suspect from its beginning.
+- A pull that does not fall while the target advances is suspect.
+- A push of a contact's force clears it.
 """
 
 from msgspec import Struct
@@ -20,17 +20,17 @@ class ForceSign(Struct, frozen=True):
     """What is known of the sign of the force in one contact.
 
     Attributes:
-        is_doubted: the force does not measure the object.
+        is_suspect: the force does not measure the object.
         pull: force as the pull began [N]; None while the object does not pull.
         offset: along the tool's axis at that time [m].
     """
 
-    is_doubted: bool = False
+    is_suspect: bool = False
     pull: float | None = None
     offset: float = 0.0
 
 
-UNDOUBTED = ForceSign()
+TRUSTED = ForceSign()
 
 
 def at_touch(force: float, least: float) -> ForceSign:
@@ -40,7 +40,7 @@ def at_touch(force: float, least: float) -> ForceSign:
         force: along the tool's axis, less than 0 if it pushes the tool back [N].
         least: force of a contact [N].
     """
-    return ForceSign(is_doubted=force > least)
+    return ForceSign(is_suspect=force > least)
 
 
 def advanced(sign: ForceSign, force: float, offset: float, least: float) -> ForceSign:
@@ -52,15 +52,15 @@ def advanced(sign: ForceSign, force: float, offset: float, least: float) -> Forc
         least: force of a contact [N].
     """
     if force < -least:
-        return UNDOUBTED
-    if sign.is_doubted:
+        return TRUSTED
+    if sign.is_suspect:
         return sign
     if force <= least:
-        return UNDOUBTED
+        return TRUSTED
     if sign.pull is None:
         return ForceSign(pull=force, offset=offset)
     grows = offset - sign.offset > ADVANCE_M and force >= sign.pull
-    return ForceSign(is_doubted=grows, pull=sign.pull, offset=sign.offset)
+    return ForceSign(is_suspect=grows, pull=sign.pull, offset=sign.offset)
 
 
 def nearer(force: float) -> float:
