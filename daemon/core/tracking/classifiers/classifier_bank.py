@@ -245,8 +245,11 @@ class BankClassifier(BankModel):
         return state
 
     def _step(self, state: BankState) -> DistanceStep | None:
-        """Return the step of the distance sensor that looks like a stop; None without one."""
-        if state.motion is not Motion.RUNNING:
+        """Return the step of the distance sensor that looks like a stop; None without one.
+
+        A step of the readings moves no force: what the clamped tool measures well is a stop.
+        """
+        if state.motion is not Motion.RUNNING or (state.contact and state.is_keen):
             return None
         stop = self.changes[Motion.RUNNING]
         prior = AmplitudePrior(stop, (self.bank.amplitude_deviation * stop) ** 2)
