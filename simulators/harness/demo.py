@@ -257,13 +257,11 @@ def main(args: Namespace) -> int:
         FileError: what is wrong with the scenario's file.
         SetupError: a cycle that the controller does not have.
     """
-    cell = cell_files.chosen(args)
     if args.cars > 1:
-        if cell is not None:
-            raise SetupError("--cars has the variants of the shipped cell: leave --cell out")
         from linemate.simulators.harness.line import demo_line
 
         return demo_line.main(args)
+    cell = cell_files.chosen(args)
     require(args.world)
     controller, cycle_ms = exchange(cell, args.controller, args.cycle_ms)
     cycle_ms = cycle_ms or families.CYCLE_MS[controller]

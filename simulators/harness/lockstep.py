@@ -142,7 +142,7 @@ class Lockstep:
             oracle = Oracle(self.world, compiled.tracker.reference.nominal, scenario.cycle_s)
             compiled = with_foresight(compiled, oracle)
         compiled = _changed(compiled, change)
-        links = cell_links.of(setup)
+        links = cell_links.of(setup.station)
         self.controller, link = cell_links.pair(setup, self._plant, compiled)
         self.cycle = Cycle(compiled, link, links.watch, wrench_expected=links.device is not None)
         self.cycle.listen(0)

@@ -290,7 +290,11 @@ def _add_demo(commands: "Commands[CommandLine]") -> None:
     )  # fmt: skip
     demo.add_argument("--seed", type=int, default=0, metavar="N")
     demo.add_argument(
-        "--cars", type=_count, default=1, metavar="N", help="car after car, of five variants; 1"
+        "--cars",
+        type=_count,
+        default=1,
+        metavar="N",
+        help="car after car, of the station's variants; 1",
     )
     demo.add_argument("--strict", action="store_true", help="end with 1 if a single reply was late")
     demo.add_argument("--view", action="store_true", help="show it in the browser as it goes")
@@ -336,6 +340,10 @@ def _add_scheduler(parser: argparse.ArgumentParser) -> None:
 def _add_shift(commands: "Commands[CommandLine]") -> None:
     shift = commands.add_parser("shift", help="car after car in virtual time, by a PLC's requests")
     shift.add_argument("--cars", type=_count, default=20, metavar="N", help="20")
+    shift.add_argument(
+        "--cell", metavar="NAME|DIR",
+        help="a shipped cell, or a folder with station.yaml; the shipped wheel in five variants",
+    )  # fmt: skip
     shift.add_argument("--seed", type=int, default=0, metavar="N")
     shift.add_argument(
         "--takt", type=_seconds, default=57.6, metavar="S", help="from car to car at least; 57.6"

@@ -7,18 +7,21 @@ from pathlib import Path
 
 import pytest
 
+from linemate.daemon.config import config
 from linemate.daemon.operator.render import as_json
 from linemate.protocol.sensors.distance import DistanceDecoder, DistanceEncoder, DistanceError
 from linemate.simulators import harness
 from linemate.simulators.devices.line.cars import Car, CarFault, CarTruth
+from linemate.simulators.harness.line import line_station
+from linemate.simulators.harness.line.line_station import LineStation
 from linemate.simulators.lab.shift import plan, shift
-from linemate.simulators.lab.shift.run import ShiftOutcome, ShiftStation, run, shipped_station
+from linemate.simulators.lab.shift.run import ShiftOutcome, run
 from linemate.simulators.plants.conveyor_plan import Conveyor, ConveyorEvent
 from linemate.simulators.plants.scenario import Body, Contact, Robot, Scenario, Swing
 
 TASK = Path(harness.__path__[0]) / "data" / "tasks" / "dst.yaml"
 REST = (0.0, -1.3829204815564327, 1.5925020939891852, 0.0, 1.3612147143621445, 0.0, 0.0)
-ENTRY_S = 1.5
+ENTRY_S, TAKT_S = 1.5, 7.0
 HUBS = {"low": 1.09, "high": 1.11}
 STATION = f"""
 task: low.yaml
@@ -44,7 +47,7 @@ CARS = (
 GOOD = ("P1", "P5")
 
 
-def station(folder: Path) -> ShiftStation:
+def station(folder: Path) -> LineStation:
     text = TASK.read_text().replace("start_position: 0.0", "start_position: 1.0")
     for name, height in HUBS.items():
         placed = text.replace(
@@ -63,7 +66,7 @@ def station(folder: Path) -> ShiftStation:
         robot=Robot(start=REST),
         contact=Contact(nutrunner_s=0.2),
     )
-    return ShiftStation(folder / "station.yaml", scenario, 7.0)
+    return LineStation(config.load(folder / "station.yaml"), scenario)
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +75,7 @@ def outcome(tmp_path_factory: pytest.TempPathFactory) -> ShiftOutcome:
     folder = tmp_path_factory.mktemp("shift")
     records = folder / "records"
     records.mkdir()
-    return run(station(folder), CARS, records)
+    return run(station(folder), CARS, TAKT_S, records)
 
 
 def test_every_good_car_is_mounted_and_every_other_one_reported_with_its_cause(
@@ -156,7 +159,7 @@ def test_the_memory_of_a_shift_is_measured(outcome: ShiftOutcome) -> None:
 
 
 def test_a_split_has_each_car_once_in_order_and_no_empty_share() -> None:
-    cars = plan.draw(7, 3, ("a",))
+    cars = plan.draw(7, 3, line_station.station())
     shares = shift.split(cars, 3, 57.6)
     assert [len(share.cars) for share in shares] == [2, 2, 3]
     assert [car for share in shares for car in share.cars] == cars
@@ -165,7 +168,7 @@ def test_a_split_has_each_car_once_in_order_and_no_empty_share() -> None:
 
 def test_a_shift_whose_time_is_over_ends_with_its_present_car(tmp_path: Path) -> None:
     (tmp_path / "records").mkdir()
-    ended = run(station(tmp_path), CARS, tmp_path / "records", longest_s=0.0)
+    ended = run(station(tmp_path), CARS, TAKT_S, tmp_path / "records", longest_s=0.0)
     result = shift.judge([ended], 1)
     assert result["good"], as_json(result)
     assert [row["id"] for row in result["cars"]] == ["P1"]
@@ -180,18 +183,20 @@ def test_a_split_shift_is_judged_as_one(outcome: ShiftOutcome) -> None:
 
 
 def test_a_plan_has_its_share_of_faults_and_is_the_same_for_a_seed() -> None:
-    drawn = plan.draw(400, 3, ("a", "b"))
-    assert drawn == plan.draw(400, 3, ("a", "b"))
+    shipped = line_station.station()
+    drawn = plan.draw(400, 3, shipped)
+    assert drawn == plan.draw(400, 3, shipped)
     faults = [car.fault for car in drawn if car.fault is not None]
     assert len(faults) == 8
     assert {faults.count(kind) for kind in CarFault} == {2}
     assert len({car.part for car in drawn}) == 400
-    assert drawn != plan.draw(400, 4, ("a", "b"))
+    assert drawn != plan.draw(400, 4, shipped)
 
 
-def test_the_encoder_of_the_shipped_station_counts_for_a_whole_shift() -> None:
-    shipped = shipped_station(57.6)
-    text = shipped.loaded().dbc
+@pytest.mark.parametrize("cell", [None, "kr10"])
+def test_the_encoder_of_a_shipped_station_counts_for_a_whole_shift(cell: str | None) -> None:
+    shipped = line_station.station(cell)
+    text = shipped.files.dbc
     assert text is not None
     way_m = 8 * 3600 * shipped.scenario.conveyor.nominal_speed
     can_id, data = DistanceEncoder(text).encode(way_m)

@@ -73,9 +73,9 @@ def chosen(args: Namespace) -> CellFiles | None:
     """
     scenario, file, task = None, args.config, args.task
     if args.cell is not None:
-        folder = _folder(args.cell)
-        file = folder / CONFIG if file is None else file
-        truth = folder / SCENARIO
+        place = folder(args.cell)
+        file = place / CONFIG if file is None else file
+        truth = place / SCENARIO
         scenario = str(truth) if truth.is_file() else None
     station = None if file is None else config.load(file)
     if task is None:
@@ -93,12 +93,17 @@ def scenario(named: str | None, cell: CellFiles | None) -> str:
     return named or (None if cell is None else cell.scenario) or DEFAULT_SCENARIO
 
 
-def _folder(name: str) -> Path:
-    folder = DATA / name if name in shipped() else Path(name)
-    if not (folder / CONFIG).is_file():
+def folder(name: str) -> Path:
+    """Return the folder of a shipped cell, or the one of that path.
+
+    Raises:
+        SetupError: no such cell.
+    """
+    found = DATA / name if name in shipped() else Path(name)
+    if not (found / CONFIG).is_file():
         near = near_names(name, shipped()) or f"; there are {', '.join(shipped())}"
         raise SetupError(f"--cell {name}: neither a shipped cell nor a folder with {CONFIG}{near}")
-    return folder
+    return found
 
 
 def _refuse_missing_axis(station: LoadedConfig) -> None:

@@ -30,15 +30,15 @@ from linemate.simulators.harness.setup import Setup
 from linemate.simulators.harness.variants import SetupError
 
 
-def of(setup: Setup) -> SensorEnds:
-    """Return both ends of the sensors' links.
+def of(station: LoadedConfig | None) -> SensorEnds:
+    """Return both ends of the sensors' links; None: those of the shipped cell.
 
     Raises:
         SetupError: a sensor that a run needs is not configured.
     """
-    if setup.station is None:
+    if station is None:
         return SensorEnds()
-    config, dbc = setup.station.config, setup.station.dbc
+    config, dbc = station.config, station.dbc
     distance, camera, wrench = config.distance, config.camera, config.force_torque
     if distance is None or dbc is None or camera is None:
         name = "camera" if camera is None else "distance"

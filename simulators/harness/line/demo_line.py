@@ -23,6 +23,7 @@ from linemate.daemon.operator.production import report_command
 from linemate.daemon.production import day_report
 from linemate.daemon.transport.client import Client, NoAnswerError, RefusedError
 from linemate.simulators.devices.line.cars import Car, LinePlan
+from linemate.simulators.devices.worlds import OWN
 from linemate.simulators.harness import host, scenario_file
 from linemate.simulators.harness.demo import (
     EX_UNAVAILABLE,
@@ -33,6 +34,7 @@ from linemate.simulators.harness.demo import (
     sim_command,
 )
 from linemate.simulators.harness.line import line_station
+from linemate.simulators.harness.line.line_station import LineStation
 from linemate.simulators.harness.processes import (
     START_S,
     ChildError,
@@ -41,6 +43,7 @@ from linemate.simulators.harness.processes import (
     start_daemon,
     wait_until,
 )
+from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.judge import report_json
 from linemate.simulators.plants.scenario import Scenario
 
@@ -65,19 +68,21 @@ def main(args: Namespace) -> int:
     """Run the demonstration.
 
     Args:
-        args: cars, seed, out, json.
+        args: cars, cell, seed, out, json.
 
     Returns:
         0 if every car was mounted and reported so; 1 if not; 69 if it could not be brought to its
         end.
     """
+    _refuse_others(args)
+    station = line_station.station(args.cell)
     out = args.out or Path("out/demo")
     refused = host.missing_rights()
     if refused is not None:
         print(f"linemate-sim demo: without real-time rights ({refused})", file=sys.stderr)
     try:
         with interruptible():
-            result = perform(args.cars, args.seed, out)
+            result = perform(station, args.cars, args.seed, out)
     except (DemoError, ChildError, TimeoutError, NoAnswerError, RefusedError) as error:
         print(f"linemate-sim demo: {error}", file=sys.stderr)
         return EX_UNAVAILABLE
@@ -85,22 +90,37 @@ def main(args: Namespace) -> int:
     return 0 if result["good"] else 1
 
 
-def perform(cars: int, seed: int, out: Path) -> dict[str, Any]:
+def _refuse_others(args: Namespace) -> None:
+    """Refuse options that a line of cars does not have.
+
+    Raises:
+        SetupError: one is given.
+    """
+    names = ("config", "task", "scenario", "controller", "cycle_ms")
+    given = [name for name in names if getattr(args, name) is not None]
+    given += ["world"] if args.world != OWN else []
+    given += [name for name in ("strict", "view") if getattr(args, name)]
+    if given:
+        name = given[0].replace("_", "-")
+        raise SetupError(f"--cars takes the cell's {line_station.STATION}: leave --{name} out")
+
+
+def perform(line: LineStation, cars: int, seed: int, out: Path) -> dict[str, Any]:
     """Bring cars through the cell, and leave the records and their page.
 
     Raises:
         ChildError: a process ended early.
         DemoError, NoAnswerError, RefusedError, TimeoutError: what else went wrong.
     """
-    plain = scenario_file.load("wheel")
-    scenario = replace(plain, seed=seed, conveyor=replace(plain.conveyor, events=()))
-    plan = line_station.plan(cars, seed, TAKT_S)
+    scenario = replace(line.scenario, seed=seed, lead_in_s=line.entry_s)
+    plan = line_station.plan(line, cars, seed, TAKT_S)
     with tempfile.TemporaryDirectory(prefix="linemate-") as name:
         folder = Path(name)
         (folder / "records").mkdir()
         cores = host.shared_out() if host.missing_rights() is None else ((), ())
-        station = DemoStation(folder, scenario, cores)
-        log, telegrams = _run(station, plan)
+        station = DemoStation(folder, scenario, cores, cell=line.cell())
+        sections = line.daemon_sections(str(folder / "records"))
+        log, telegrams = _run(station, sections, plan)
         out.mkdir(parents=True, exist_ok=True)
         lines: list[str] = []
         for path in sorted((folder / "records").iterdir()):
@@ -112,10 +132,16 @@ def perform(cars: int, seed: int, out: Path) -> dict[str, Any]:
     return _judged(plan.cars, log, records, telegrams)
 
 
-def _run(station: DemoStation, plan: LinePlan) -> tuple[LineLog, dict[str, int]]:
-    """Start both processes, bring the cars, end both."""
+def _run(
+    station: DemoStation, sections: Mapping[str, Any], plan: LinePlan
+) -> tuple[LineLog, dict[str, int]]:
+    """Start both processes, bring the cars, end both.
+
+    Args:
+        sections: of the daemon's file, next to those of one car.
+    """
     folder = station.folder
-    daemon_file = station.daemon_file() | line_station.daemon_sections(str(folder / "records"))
+    daemon_file = station.daemon_file() | dict(sections)
     with Children() as children:
         file = station.write("daemon", daemon_file)
         daemon, listening = start_daemon(children, file, folder / "daemon.log")

@@ -1,66 +1,146 @@
-"""The station of a shift: five variants of the shipped task, and cars without a fault.
+"""Station of a line: a cell's production, and cars without a fault.
 
 Invariants:
+- A cell's folder has ``station.yaml``, the daemon's configuration with the section ``production``.
 - The daemon's sections have the variants' files and where a car is announced, and nothing else of
   the plant.
 """
 
+import json
 import random
+from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
-from linemate.daemon.config import task_file
+from linemate.daemon.config import config, files
+from linemate.daemon.config.config import LoadedConfig
+from linemate.daemon.config.files import DAEMON_DATA
+from linemate.daemon.config.settings import ControllerKind, ProductionSettings
 from linemate.simulators import harness
 from linemate.simulators.devices.line.cars import Car, LinePlan
+from linemate.simulators.harness import scenario_file
+from linemate.simulators.harness.cell import cell_files
+from linemate.simulators.harness.cell.cell_files import CellFiles
+from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.plants.conveyor_plan import ConveyorEvent
-from linemate.simulators.plants.scenario import Vector3
+from linemate.simulators.plants.scenario import Scenario, Vector3
 
-FOLDER: Final = Path(harness.__path__[0]) / "data" / "shift"
-STATION: Final = FOLDER / "station.yaml"
-VARIANTS: Final = ("sedan", "coupe", "wagon", "suv", "van")
-ENTRY_S: Final = 6.0  # a car enters this long before the start position [s]
-SPEED: Final = 0.106  # of the line [m/s]
+SHIPPED: Final = Path(harness.__path__[0]) / "data" / "shift"
+STATION: Final = "station.yaml"
+
+
+@dataclass(frozen=True, slots=True)
+class LineStation:
+    """Where car after car comes.
+
+    Attributes:
+        files: the daemon's configuration, with variants.
+        scenario: what the cars have in common; of its stops only how quickly the line's drive
+            stops and starts.
+    """
+
+    files: LoadedConfig = field(repr=False)
+    scenario: Scenario
+
+    @property
+    def production(self) -> ProductionSettings:
+        """The section ``production``."""
+        found = self.files.config.production
+        assert found is not None  # noqa: S101 - ``station`` refuses a file without it
+        return found
+
+    @property
+    def variants(self) -> tuple[str, ...]:
+        """Names of the variants."""
+        return tuple(self.files.variants)
+
+    @property
+    def hubs(self) -> dict[str, Vector3]:
+        """Nominal place of each variant in base [m]."""
+        tasks = self.files.variants.items()
+        return {name: task.file.object.nominal.position for name, task in tasks}
+
+    @property
+    def entry_s(self) -> float:
+        """A car is announced, and enters, this long before the start position [s]."""
+        way = -self.production.announced_at
+        return round(way / self.scenario.conveyor.nominal_speed, 6)
+
+    @property
+    def duration_s(self) -> float:
+        """Duration of the longest task while the line runs [s]."""
+        return max(task.file.waypoints[-1].time for task in self.files.variants.values())
+
+    def stop(self, at_s: float, standing_s: float) -> tuple[ConveyorEvent, ...]:
+        """Return a stop of the line, as the truth's drive stops and starts.
+
+        Args:
+            standing_s: from the onset of the stop to that of the start [s].
+        """
+        drive = {event.kind: event for event in self.scenario.conveyor.events}
+        if not {"stop", "start"} <= drive.keys():
+            return ()
+        start_s = round(at_s + standing_s, 3)
+        return replace(drive["stop"], onset_s=at_s), replace(drive["start"], onset_s=start_s)
+
+    def cell(self) -> CellFiles:
+        """Return the station as the cell of a run."""
+        return CellFiles(self.files.task, self.files)
+
+    def daemon_sections(self, records: str) -> dict[str, Any]:
+        """Return the section of the daemon's file that makes it a production.
+
+        Args:
+            records: directory of the quality records.
+        """
+        base = self.files.path.parent
+        section: dict[str, Any] = json.loads(json.dumps(asdict(self.production)))
+        variants = {
+            name: str(files.find(file, base, DAEMON_DATA).resolve())
+            for name, file in self.production.variants.items()
+        }
+        return {"production": section | {"variants": variants, "records": records}}
 
 
 @cache
-def hubs() -> dict[str, Vector3]:
-    """Return the nominal hub of each variant in base [m]."""
-    tasks = {name: task_file.load(FOLDER / f"{name}.yaml") for name in VARIANTS}
-    return {name: task.file.object.nominal.position for name, task in tasks.items()}
+def station(cell: str | None = None) -> LineStation:
+    """Return the station of a shipped cell or of a folder; None: of the shipped wheel.
 
-
-def daemon_sections(records: str) -> dict[str, Any]:
-    """Return the sections of the daemon's file.
-
-    Args:
-        records: directory of the quality records.
+    Raises:
+        FileError: every error of the files at once.
+        SetupError: no such cell, or no production in it.
     """
-    return {
-        "task": str(FOLDER / "sedan.yaml"),
-        "production": {
-            "variants": {name: str(FOLDER / f"{name}.yaml") for name in VARIANTS},
-            "window": {"start": -0.6, "latest_start": -0.05, "abort": 2.6},
-            "announced_at": -ENTRY_S * SPEED,
-            "records": records,
-        },
-    }
+    folder = SHIPPED if cell is None else cell_files.folder(cell)
+    file = folder / STATION
+    if not file.is_file():
+        raise SetupError(
+            f"--cell {cell}: no {STATION} in {folder}. Write one: the cell's "
+            f"{cell_files.CONFIG} with a section production."
+        )
+    loaded = config.load(file)
+    if loaded.config.production is None:
+        raise SetupError(f"{file}: has no section production")
+    if loaded.config.controller.kind is not ControllerKind.RSI:
+        raise SetupError(f"{file}: car after car is emulated behind RSI alone")
+    truth = folder / cell_files.SCENARIO
+    name = str(truth) if truth.is_file() else scenario_file.DEFAULT
+    scenario = scenario_file.load(name, loaded.task)
+    return LineStation(loaded, replace(scenario, cycle_s=loaded.cycle_s))
 
 
-def plan(cars: int, seed: int, takt_s: float) -> LinePlan:
+def plan(station: LineStation, cars: int, seed: int, takt_s: float) -> LinePlan:
     """Return cars of all variants; every second one has a stop of the line.
 
     Args:
         takt_s: from one car to the next at least [s].
     """
     chance = random.Random(seed)  # noqa: S311 - a plan, not a secret
-    drawn = []
+    names, drawn = station.variants, []
     for number in range(cars):
         events: tuple[ConveyorEvent, ...] = ()
         if number % 2:
-            stop_s = round(chance.uniform(2.0, 10.0), 3)
-            start = ConveyorEvent("start", round(stop_s + 3.0, 3), 0.013)
-            events = (ConveyorEvent("stop", stop_s, 0.104), start)
-        variant = VARIANTS[(number + seed) % len(VARIANTS)]
+            events = station.stop(round(chance.uniform(2.0, 10.0), 3), 3.0)
+        variant = names[(number + seed) % len(names)]
         drawn.append(Car(f"D{seed}-{number + 1:03d}", variant, chance.randrange(2**31), events))
-    return LinePlan(tuple(drawn), hubs(), takt_s, ENTRY_S, first_s=3.0, last_s=30.0)
+    return LinePlan(tuple(drawn), station.hubs, takt_s, station.entry_s, first_s=3.0, last_s=30.0)

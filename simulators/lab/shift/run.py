@@ -14,45 +14,48 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from linemate.daemon.config import config
 from linemate.daemon.config.config import LoadedConfig
+from linemate.daemon.config.settings import CommandSettings, RealtimeSettings
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.service.app import App
 from linemate.daemon.service.host import realtime
 from linemate.daemon.service.host.notify import Notifier
 from linemate.drivers.udp.datagrams import Address
-from linemate.protocol.sensors.distance import DistanceEncoder
-from linemate.simulators import harness
 from linemate.simulators.devices.faults import Faults
 from linemate.simulators.devices.line.car_feeder import CarFeeder
 from linemate.simulators.devices.line.cars import Car, CarFault, CarTruth, LinePlan
 from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.devices.rsi_controller import ControllerConfig, RsiController
-from linemate.simulators.harness import host, scenario_file
+from linemate.simulators.harness import host
+from linemate.simulators.harness.cell import cell_links, cell_truth
+from linemate.simulators.harness.line.line_station import LineStation
 from linemate.simulators.harness.lockstep import parameters
 from linemate.simulators.harness.sensor_links import Emitters
 from linemate.simulators.harness.virtual.inhabited import inhabited
 from linemate.simulators.harness.virtual.virtual_loop import VirtualLoop
 from linemate.simulators.harness.virtual.virtual_time import EPOCH_NS, VirtualTime
-from linemate.simulators.harness.virtual.virtual_wires import RSI_PORT, TRANSIT_NS, VirtualWires
+from linemate.simulators.harness.virtual.virtual_wires import (
+    CAMERA_PORT,
+    RSI_PORT,
+    TRANSIT_NS,
+    VirtualWires,
+)
 from linemate.simulators.lab.faults.dst_oracles import weigh
 from linemate.simulators.lab.shift.line_controller import LineController
-from linemate.simulators.plants.scenario import Scenario
 
-STATION = Path(harness.__path__[0]) / "data" / "shift" / "station.yaml"
-ENTRY_S = 6.0  # a car enters this long before the start position [s]
 LISTENING_NS = 300_000_000  # the daemon listens so long before the robot's program starts [ns]
 AHEAD_S = 1e-6
 FIRST_CAR_S = 2.0  # from the beginning to the first car [s]
 PAUSE_S = 0.5  # from the end of a robot program to its restart [s]
 LAST_CAR_S = 45.0  # from the last car's entry to the end of the shift [s]
 
-ROBOT: Address = ("127.0.0.1", 50_001)
+LOOPBACK = "127.0.0.1"
+ROBOT: Address = (LOOPBACK, 50_001)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,47 +84,31 @@ class ShiftOutcome:
     planned: int
 
 
-@dataclass(frozen=True, slots=True)
-class ShiftStation:
-    """Where a shift is run.
-
-    Attributes:
-        file: configuration of the daemon.
-        scenario: what the cars have in common: the plant, without stops.
-        takt_s: from one car to the next at least [s].
-    """
-
-    file: Path
-    scenario: Scenario
-    takt_s: float
-
-    def loaded(self) -> LoadedConfig:
-        """Return the daemon's configuration."""
-        return _loaded(self.file)
-
-    def variants(self) -> tuple[str, ...]:
-        """Return the names of the variants."""
-        return tuple(self.loaded().variants)
-
-
-def shipped_station(takt_s: float) -> ShiftStation:
-    """Return the station of the shipped cell, with five variants."""
-    plain = scenario_file.load("wheel")
-    conveyor = replace(plain.conveyor, events=())
-    scenario = replace(plain, conveyor=conveyor, cycle_s=0.012, lead_in_s=ENTRY_S)
-    return ShiftStation(STATION, scenario, takt_s)
-
-
-@cache
-def _loaded(file: Path) -> LoadedConfig:
-    return config.load(file)
+def _virtual(station: LineStation, records: Path) -> LoadedConfig:
+    """Return a daemon's configuration with links in memory, and nothing else changed."""
+    files = station.files
+    config = files.config
+    assert config.distance is not None  # noqa: S101 - ``cell_links.of`` refuses it
+    assert config.camera is not None  # noqa: S101 - ``cell_links.of`` refuses it
+    wrench = config.force_torque
+    linked = replace(
+        config,
+        rsi=replace(config.rsi, port=RSI_PORT, bind=LOOPBACK, peer=None),
+        distance=replace(config.distance, can={"interface": "virtual"}),
+        camera=replace(config.camera, port=CAMERA_PORT, bind=LOOPBACK, peer=None),
+        force_torque=None if wrench is None else replace(wrench, url="virtual"),
+        command=CommandSettings(),
+        recording=None,
+        realtime=RealtimeSettings(freeze_collector=False),
+        production=replace(station.production, records=str(records)),
+    )
+    return replace(files, config=linked, keys=(), state=None)
 
 
 def _compiled(files: LoadedConfig, task: Task) -> Parameters:
     """Return the parameters of a variant's task, compiled once a process."""
-    settings = files.config
-    cycle_s = settings.rsi.cycle_ms * 1e-3
-    return parameters(task.file, task.urdf, settings.tracking, settings.control, cycle_s)
+    tracking, control = files.config.tracking, files.config.control
+    return parameters(task.file, task.urdf, tracking, control, files.cycle_s)
 
 
 class ShiftRun:
@@ -129,8 +116,9 @@ class ShiftRun:
 
     def __init__(
         self,
-        station: ShiftStation,
+        station: LineStation,
         cars: Sequence[Car],
+        takt_s: float,
         folder: Path,
         on_car: Callable[[Car, CarTruth], None] = lambda _car, _truth: None,
         longest_s: float = math.inf,
@@ -138,30 +126,26 @@ class ShiftRun:
         """Stand ready before the first cycle.
 
         Args:
+            takt_s: from one car to the next at least [s].
             folder: for the record files.
             on_car: called with each car that has left.
             longest_s: time of the host after which no further car enters [s].
         """
-        files = station.loaded()
-        production = files.config.production
-        assert production is not None  # noqa: S101 - the shipped file
-        assert files.rsi is not None  # noqa: S101 - the shipped file
-        self._station = replace(
-            files, config=replace(files.config, production=replace(production, records=str(folder)))
-        )
-        hubs = {n: task.file.object.nominal.position for n, task in files.variants.items()}
-        entry_s = station.scenario.lead_in_s
-        line_plan = LinePlan(tuple(cars), hubs, station.takt_s, entry_s, FIRST_CAR_S, LAST_CAR_S)
+        ends = cell_links.of(station.files)
+        files = self._station = _virtual(station, folder)
+        assert files.rsi is not None  # noqa: S101 - ``line_station.station`` refuses others
+        hubs, entry_s = station.hubs, station.entry_s
+        line_plan = LinePlan(tuple(cars), hubs, takt_s, entry_s, FIRST_CAR_S, LAST_CAR_S)
         self._feeder = CarFeeder(station.scenario, line_plan)
         self.line = self._feeder.line
         self.plant = RobotPlant(self.line)
-        self.controller = RsiController(
-            files.rsi, self.plant.read, self.plant.start, ControllerConfig(timeout_rule="row")
-        )
-        assert files.dbc is not None  # noqa: S101 - the shipped file
+        limits = cell_truth.axis_limits(files.task.urdf, files.task.file)
+        rsi = ControllerConfig(files.cycle_s, timeout_rule="row", limits=limits)
+        self.controller = RsiController(files.rsi, self.plant.read, self.plant.start, rsi)
         mount = files.task.file.conveyor.start_position
-        encoder = DistanceEncoder(files.dbc)
-        self._emitters = Emitters(self.line, Faults(()), mount, _ns, encoder)
+        self._emitters = Emitters(
+            self.line, Faults(()), mount, _ns, ends.encoder, ends.device, ends.sender
+        )
         self.plc = LineController()
         self._planned, self._last_entry_s = len(cars), time.monotonic() + longest_s
         self._folder, self._on_car = folder, on_car
@@ -327,8 +311,9 @@ class ShiftRun:
 
 
 def run(
-    station: ShiftStation,
+    station: LineStation,
     cars: Sequence[Car],
+    takt_s: float,
     folder: Path | None = None,
     on_car: Callable[[Car, CarTruth], None] = lambda _car, _truth: None,
     longest_s: float = math.inf,
@@ -336,14 +321,15 @@ def run(
     """Run a shift.
 
     Args:
+        takt_s: from one car to the next at least [s].
         folder: for the record files; None: a temporary one.
         on_car: called with each car that has left.
         longest_s: time of the host after which no further car enters [s].
     """
     if folder is not None:
-        return ShiftRun(station, cars, folder, on_car, longest_s).run()
+        return ShiftRun(station, cars, takt_s, folder, on_car, longest_s).run()
     with tempfile.TemporaryDirectory(prefix="linemate-") as name:
-        return ShiftRun(station, cars, Path(name), on_car, longest_s).run()
+        return ShiftRun(station, cars, takt_s, Path(name), on_car, longest_s).run()
 
 
 def _ns(time_s: float) -> int:

@@ -14,10 +14,11 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from linemate.simulators.devices.line.cars import Car, CarFault, CarTruth
+from linemate.simulators.harness.line import line_station
 from linemate.simulators.judge import report_json
 from linemate.simulators.lab import campaign
 from linemate.simulators.lab.shift import plan
-from linemate.simulators.lab.shift.run import ShiftOutcome, run, shipped_station
+from linemate.simulators.lab.shift.run import ShiftOutcome, run
 
 VERSION: Final = 1
 CAUSES: Final[Mapping[CarFault, tuple[str, ...]]] = {
@@ -39,26 +40,28 @@ class ShiftShare:
 
     Attributes:
         longest_s: time of the host after which no further car enters [s].
+        cell: a shipped one or a folder that the worker can read; None: the shipped wheel.
     """
 
     takt_s: float
     cars: tuple[Car, ...]
     longest_s: float = math.inf
+    cell: str | None = None
 
 
 def main(args: Namespace) -> int:
     """Run a shift and print what became of it.
 
     Args:
-        args: cars, seed, takt, faulty, workers, minutes, scheduler, json.
+        args: cars, cell, seed, takt, faulty, workers, minutes, scheduler, json.
 
     Returns:
         0 if every good car was mounted and every other one reported with its cause; else 1.
     """
-    station = shipped_station(args.takt)
-    cars = plan.draw(args.cars, args.seed, station.variants(), args.faulty)
+    station = line_station.station(args.cell)
+    cars = plan.draw(args.cars, args.seed, station, args.faulty)
     longest_s = math.inf if args.minutes is None else 60.0 * args.minutes
-    shares = split(cars, args.workers or 1, args.takt, longest_s)
+    shares = split(cars, args.workers or 1, args.takt, longest_s, args.cell)
     outcomes = campaign.spread(perform, shares, len(shares), scheduler=args.scheduler)
     result = judge(outcomes, args.seed)
     print(report_json.text(result) if args.json else table(result))
@@ -66,18 +69,24 @@ def main(args: Namespace) -> int:
 
 
 def split(
-    cars: Sequence[Car], count: int, takt_s: float, longest_s: float = math.inf
+    cars: Sequence[Car],
+    count: int,
+    takt_s: float,
+    longest_s: float = math.inf,
+    cell: str | None = None,
 ) -> list[ShiftShare]:
     """Return shares of consecutive cars, as many as asked for, none of them empty."""
     count = min(count, len(cars))
     ends = [i * len(cars) // count for i in range(count + 1)]
-    return [ShiftShare(takt_s, tuple(cars[a:b]), longest_s) for a, b in itertools.pairwise(ends)]
+    return [
+        ShiftShare(takt_s, tuple(cars[a:b]), longest_s, cell) for a, b in itertools.pairwise(ends)
+    ]
 
 
 def perform(share: ShiftShare) -> ShiftOutcome:
-    """Run a share in this process, at the station that is shipped with it."""
-    station = shipped_station(share.takt_s)
-    return run(station, share.cars, on_car=_tell, longest_s=share.longest_s)
+    """Run a share in this process."""
+    station = line_station.station(share.cell)
+    return run(station, share.cars, share.takt_s, on_car=_tell, longest_s=share.longest_s)
 
 
 def _tell(car: Car, truth: CarTruth) -> None:

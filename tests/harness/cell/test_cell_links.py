@@ -34,13 +34,16 @@ def test_a_six_axis_arm_assembles_behind_each_controller(controller: str, cycle_
 
 
 def test_a_configuration_without_a_force_sensor_has_none_in_the_run() -> None:
-    links = cell_links.of(made("dst_no_force.yaml"))
+    links = cell_links.of(made("dst_no_force.yaml").station)
     assert links.device is None
 
 
 def test_the_device_and_the_message_are_those_of_the_configuration() -> None:
-    assert cell_links.of(made("dst_ft300.yaml")).device == "robotiq-ft300"
-    plain, other = cell_links.of(made("dst_daemon.yaml")), cell_links.of(made("dst_tf03.yaml"))
+    assert cell_links.of(made("dst_ft300.yaml").station).device == "robotiq-ft300"
+    plain, other = (
+        cell_links.of(made("dst_daemon.yaml").station),
+        cell_links.of(made("dst_tf03.yaml").station),
+    )
     assert plain.encoder.can_id != other.encoder.can_id
 
 
@@ -49,7 +52,7 @@ def test_the_camera_sends_the_names_that_are_expected() -> None:
     assert made_setup.station is not None
     config = replace(made_setup.station.config, camera=CameraSettings(object="panel", source="c2"))
     station = replace(made_setup.station, config=config)
-    sender = cell_links.of(replace(made_setup, station=station)).sender
+    sender = cell_links.of(station).sender
     assert (sender.source, sender.frame, sender.object_id) == ("c2", "camera", "panel")
 
 
@@ -59,7 +62,7 @@ def test_a_sensor_that_the_cell_needs_is_named() -> None:
     config = replace(made_setup.station.config, camera=None)
     station = replace(made_setup.station, config=config)
     with pytest.raises(SetupError, match="no section camera"):
-        cell_links.of(replace(made_setup, station=station))
+        cell_links.of(station)
 
 
 def test_a_relative_configuration_has_a_relative_controller() -> None:
