@@ -183,7 +183,6 @@ def readme() -> str:
     """Return the table of figures of README.md."""
     run, real = load("campaign"), load("demo")
     default, fast = run["default"], load("campaign-4ms")["default"]
-    timed = load("bench")
     crowd = load("demo-busy")["runs"]
     loads = [each["load_1min"] for each in crowd]
     sent, answered = real["telegrams"]["sent"], real["telegrams"]["answered"]
@@ -215,14 +214,6 @@ def readme() -> str:
             f"{of(fast)} assembled; control error {control_fast} mm at most; total error after"
             f" a stop {median(fast, STOP)} mm",
             "campaign-4ms",
-        ),
-        (
-            "one step, horizon 42; a run in virtual time",
-            f"{number(timed['step_us']['42'] / 1000)} ms;"
-            f" {number(timed['virtual_times_realtime'])} times real time"
-            f" ({timed['machine']['processor']}, {timed['machine']['cores']} cores,"
-            f" load {number(timed['machine']['load_1min'])})",
-            "bench",
         ),
     )  # fmt: skip
     first = world_results.readme(load, is_stored)
