@@ -145,7 +145,7 @@ def _weighed(tracker: Tracker, state: TrackerState, raw: Wrench | None) -> Track
         raw: wrench of the sensor.
     """
     if Gate.WHEEL_RELEASED in state.passed:
-        later = tare.released(state.tare, tracker.cycle_s)
+        later = tare.released(state.tare, raw, tracker.cycle_s)
         return state if later is state.tare else replace(state, tare=later)
     if state.contact and release.is_held_by_hub(tracker.reference.gated, state.passed, state.time):
         delay = tracker.compliance.delays[0] * tracker.cycle_s

@@ -73,11 +73,11 @@ def test_a_small_tare_is_left_alone() -> None:
 def test_a_released_wheel_weighs_nothing_any_more() -> None:
     state = hung(wrench(WEIGHT))
     for _ in range(20):
-        state = tare.released(state, DT)
+        state = tare.released(state, None, DT)
     assert state.wrench is None
     assert state.sag is not None
     for _ in range(600):
-        state = tare.released(state, DT)
+        state = tare.released(state, None, DT)
     assert state.sag is None
 
 
@@ -85,7 +85,28 @@ def test_only_a_known_weight_is_carried_and_none_without_the_wheel() -> None:
     state = hung(wrench(WEIGHT, 3.0))
     assert tare.carried(state, MOUNT) == pytest.approx((WEIGHT, 3.0, 0.0), abs=1e-6)
     assert tare.carried(hung(wrench(-60.0)), MOUNT) == (0.0, 0.0, 0.0)
-    assert tare.carried(tare.released(state, DT), MOUNT) == (0.0, 0.0, 0.0)
+    assert tare.carried(tare.released(state, None, DT), MOUNT) == (0.0, 0.0, 0.0)
+
+
+def test_a_tool_that_springs_up_is_overloaded_by_no_more_than_the_wheel_weighed() -> None:
+    """A sensor zeroed with a wheel of 25 kg on read 490 N after the release: an overload."""
+    state, off = NO_TARE, 0.0
+    for step in range(200):
+        swing = np.exp(-step * DT) * np.cos(2.0 * np.pi * 5.0 * step * DT)
+        read = wrench(WEIGHT * (swing - 1.0))
+        off = max(off, abs(read.force[0] - tare.carried(state, MOUNT)[0]))
+        state = tare.released(state, read, DT)
+    assert off < 1.2 * WEIGHT
+    assert tare.carried(state, MOUNT)[0] == pytest.approx(-WEIGHT, rel=0.05)
+
+
+def test_what_pulls_at_the_empty_tool_later_is_an_overload() -> None:
+    state = NO_TARE
+    for _ in range(100):
+        state = tare.released(state, wrench(-WEIGHT), DT)
+    for _ in range(100):
+        state = tare.released(state, wrench(-WEIGHT, 400.0), DT)
+    assert tare.carried(state, MOUNT) == pytest.approx((-WEIGHT, 0.0, 0.0), abs=1e-6)
 
 
 HEAVY = 294.0
@@ -131,7 +152,7 @@ def test_a_small_weight_stays_on_the_mount_and_a_released_one_goes_on_from_there
     for _ in range(60):
         state = tare.unloaded(state, DT, 0.1)
     assert state.sag is not None
-    off = tare.released(state, DT)
+    off = tare.released(state, None, DT)
     assert off.sag is not None
     step = state.share * state.sag - off.share * off.sag
     assert float(np.abs(step).max()) < 0.05 * tare.LARGEST_SPRING

@@ -8,6 +8,8 @@ Invariants:
 - Without a configured payload a wrench that is no bias is a weight: it is along gravity and large.
 - What the wheel weighed is gone when it is released. A hub that holds it takes over what would bend
   the mount by more than ``LARGEST_SPRING``: a tool springs up by twice the sag as a clamp opens.
+- After the release the reading of the empty tool is not known: a sensor that was zeroed with the
+  wheel on shows its weight with the other sign then. An overload counts from the mean since.
 - A wrench that no free tool has does not enter.
 """
 
@@ -33,6 +35,7 @@ LARGEST_SAG = 0.1  # of the mount under a free tool: more is no weight [m, rad]
 UNLOADING_S = 0.4  # in which the hub takes weight over from the mount [s]
 LARGEST_SPRING = 0.004  # sag with which the clamp may open: the tool springs up by twice that [m]
 RELEASED_S = 0.5  # time constant with which a released wheel's sag leaves the target [s]
+SPRUNG_S = 1.0  # over which the reading of the empty tool is averaged: several swings of 4 Hz [s]
 
 
 class Tare(Struct, frozen=True, eq=False):
@@ -44,6 +47,8 @@ class Tare(Struct, frozen=True, eq=False):
         unloading: time since the hub began to take the weight over [s]; None before.
         share: of the sag that the target still has.
         borne: share of the weight that the mount still carries; the motion is late.
+        empty: (3,) mean force of the tool since it released the wheel [N], None before.
+        emptied: time since then [s].
     """
 
     wrench: Array | None = None
@@ -51,6 +56,8 @@ class Tare(Struct, frozen=True, eq=False):
     unloading: float | None = None
     share: float = 1.0
     borne: float = 1.0
+    empty: Array | None = None
+    emptied: float = 0.0
 
 
 NO_TARE = Tare()
@@ -98,7 +105,14 @@ def _sag(
 
 
 def carried(tare: Tare, mount: TactileNoise) -> Vector3:
-    """Return the weight that the mount carries, in the tcp [N]; nothing while it is not known."""
+    """Return the weight that the mount carries, in the tcp [N]; nothing while it is not known.
+
+    Of a tool that released its wheel it is the mean reading. A tool that springs up swings about it
+    by what the wheel weighed, so this counts as no more than the wheel did.
+    """
+    if tare.empty is not None:
+        x, y, z = tare.empty.tolist()
+        return (x, y, z)
     if tare.wrench is None or tare.sag is None:
         return (0.0, 0.0, 0.0)
     bent = (tare.borne * tare.sag[:3]).tolist()
@@ -124,12 +138,24 @@ def unloaded(tare: Tare, dt: float, delay: float) -> Tare:
     return replace(tare, unloading=lasted, share=share, borne=borne)
 
 
-def released(tare: Tare, dt: float) -> Tare:
-    """Return the tare of a tool without its wheel: the sag leaves the target slowly."""
-    if tare.sag is None:
-        return tare if tare.wrench is None else NO_TARE
-    sag = (1.0 - dt / RELEASED_S) * tare.share * tare.sag
-    return Tare(None, sag if float(np.abs(sag).max()) > 1e-6 else None)
+def released(tare: Tare, wrench: Wrench | None, dt: float) -> Tare:
+    """Return the tare of a tool without its wheel: the sag leaves the target slowly.
+
+    Args:
+        wrench: raw, of this step.
+    """
+    sag = None
+    if tare.sag is not None:
+        left = (1.0 - dt / RELEASED_S) * tare.share * tare.sag
+        sag = left if float(np.abs(left).max()) > 1e-6 else None
+    empty, emptied = tare.empty, tare.emptied
+    if wrench is not None and emptied < SPRUNG_S:
+        emptied += dt
+        before = wrench.force if empty is None else empty
+        empty = before + (dt / emptied) * (wrench.force - before)
+    if sag is None and tare.sag is None and tare.wrench is None and empty is tare.empty:
+        return tare
+    return Tare(None, sag, empty=empty, emptied=emptied)
 
 
 def tared(tare: Tare, wrench: Wrench | None, mount: TactileNoise) -> Wrench | None:
