@@ -39,7 +39,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/cycle/test_watch.py",
         "tests/cycle/test_states_transcript.py",
     ),
-    "daemon/cycle/sensor_health.py": (
+    "daemon/cycle/sensing/sensor_health.py": (
         "tests/cycle/test_sensor_transcript.py",
         "tests/cycle/test_sensor_health.py",
     ),
@@ -256,7 +256,7 @@ EQUIVALENT: dict[str, dict[tuple[str, str], str]] = {
         (f"self.{name} = 0", "0 -> 1"): FIRST_POSE
         for name in ("reset", "t_tx", "arrival_ns", "candidates", "jumps")
     },
-    "daemon/cycle/sensor_health.py": {
+    "daemon/cycle/sensing/sensor_health.py": {
         ("self._same = 0", "0 -> 1"): "no pose and no wrench is like none: the first one counts 1",
         ("self._changed_ns = 0", "0 -> 1"): "the first distance differs from none and sets it",
     },

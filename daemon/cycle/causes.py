@@ -15,7 +15,7 @@ from msgspec import Struct
 
 from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.cycle import watch
-from linemate.daemon.cycle.samples import SensorFact
+from linemate.daemon.cycle.sensing.samples import SensorFact
 from linemate.daemon.cycle.states import Link, Machine, Row, Signals, State, deciding_row
 
 Explanation = tuple[str, str]

@@ -17,7 +17,7 @@ from linemate.daemon.core.step import Outputs
 from linemate.daemon.core.tracking.task import Phase
 from linemate.daemon.cycle import causes, following_error, states, watch
 from linemate.daemon.cycle.causes import Change, Evidence
-from linemate.daemon.cycle.samples import SensorQueues
+from linemate.daemon.cycle.sensing.samples import SensorQueues
 from linemate.daemon.cycle.states import Machine, Signals, State
 
 OnTransition = Callable[[Machine, Signals, Machine], None]

@@ -24,8 +24,8 @@ from linemate.daemon.cycle.following_error import FollowingCheck
 from linemate.daemon.cycle.handed_poses import HandedPoses
 from linemate.daemon.cycle.in_sync import is_in_sync
 from linemate.daemon.cycle.operating import Operating, Situation
-from linemate.daemon.cycle.samples import SensorQueues, StepSamples
-from linemate.daemon.cycle.sensor_health import Conditions
+from linemate.daemon.cycle.sensing.samples import SensorQueues, StepSamples
+from linemate.daemon.cycle.sensing.sensor_health import Conditions
 from linemate.daemon.cycle.session import Axes, Session, standing
 from linemate.daemon.cycle.states import Machine, State
 from linemate.daemon.cycle.step_log import LogEntry, StepLog

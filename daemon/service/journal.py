@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Final
 
-from linemate.daemon.cycle.samples import SensorFact
+from linemate.daemon.cycle.sensing.samples import SensorFact
 
 SECOND_NS: Final = 1_000_000_000
 WAITING: Final = 8  # texts that wait; further ones are counted only

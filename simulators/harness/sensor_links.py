@@ -16,7 +16,7 @@ from operator import itemgetter
 from typing import Protocol
 
 from linemate.daemon.config.watch_settings import WatchSettings
-from linemate.daemon.cycle.samples import SensorQueues
+from linemate.daemon.cycle.sensing.samples import SensorQueues
 from linemate.protocol.errors import ProtocolError
 from linemate.protocol.sensors.camera_codec import CameraDecoder
 from linemate.protocol.sensors.distance import DistanceDecoder, DistanceEncoder

@@ -20,8 +20,8 @@ from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.core.step import Outputs
 from linemate.daemon.core.tracking.task import Phase
 from linemate.daemon.cycle.cycle import Cycle
-from linemate.daemon.cycle.samples import SensorQueues
-from linemate.daemon.cycle.sensor_health import Conditions
+from linemate.daemon.cycle.sensing.samples import SensorQueues
+from linemate.daemon.cycle.sensing.sensor_health import Conditions
 from linemate.daemon.cycle.states import State
 from linemate.daemon.recording.step_codec import encode
 from linemate.daemon.recording.step_file import StepFile

@@ -15,7 +15,7 @@ from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle import causes, watch
 from linemate.daemon.cycle.operating import Situation
-from linemate.daemon.cycle.samples import SensorQueues
+from linemate.daemon.cycle.sensing.samples import SensorQueues
 from linemate.daemon.cycle.states import TABLE, Link, Machine, Row, Signals, State, deciding_row
 from linemate.daemon.cycle.watch import Watch
 from linemate.daemon.service.app import App

@@ -3,8 +3,8 @@
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linemate.daemon.cycle.samples import SampleQueue, SensorQueues
-from linemate.daemon.cycle.sensor_health import Conditions, Health
+from linemate.daemon.cycle.sensing.samples import SampleQueue, SensorQueues
+from linemate.daemon.cycle.sensing.sensor_health import Conditions, Health
 from linemate.protocol.stamped_samples import DistanceSample, WrenchSample
 
 CONDITIONS = Conditions(moving=False, deviation=0.0)

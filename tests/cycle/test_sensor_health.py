@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from linemate.daemon.cycle.samples import SensorQueues
-from linemate.daemon.cycle.sensor_health import (
+from linemate.daemon.cycle.sensing.samples import SensorQueues
+from linemate.daemon.cycle.sensing.sensor_health import (
     BAD,
     CONTRADICTIONS,
     GOOD,

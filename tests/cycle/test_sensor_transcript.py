@@ -7,7 +7,7 @@ sides; ``cycle/test_sensor_health.py`` has them on sensors that measure. See ``t
 import pytest
 from transcripts import Chance, Transcript
 
-from linemate.daemon.cycle.sensor_health import (
+from linemate.daemon.cycle.sensing.sensor_health import (
     CameraHealth,
     Conditions,
     DistanceHealth,

@@ -1,6 +1,6 @@
 """The journal is bounded, and says how much it left out; sensors come and go by their names."""
 
-from linemate.daemon.cycle.samples import SensorFact
+from linemate.daemon.cycle.sensing.samples import SensorFact
 from linemate.daemon.service.journal import Journal, SensorChanges
 
 MS = 1_000_000

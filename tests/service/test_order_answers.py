@@ -9,7 +9,7 @@ from loops import run
 from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.cycle import watch
 from linemate.daemon.cycle.operating import Operating, Situation
-from linemate.daemon.cycle.samples import SensorQueues
+from linemate.daemon.cycle.sensing.samples import SensorQueues
 from linemate.daemon.cycle.states import Link, Machine, Signals, State
 from linemate.daemon.service.order_answers import CYCLES, Answers
 

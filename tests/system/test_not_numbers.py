@@ -11,8 +11,8 @@ import msgpack
 import pytest
 from fastcrc import crc16
 
-from linemate.daemon.cycle.samples import SensorQueues
-from linemate.daemon.cycle.sensor_health import Conditions
+from linemate.daemon.cycle.sensing.samples import SensorQueues
+from linemate.daemon.cycle.sensing.sensor_health import Conditions
 from linemate.protocol.rsi.codec import (
     RobotTelegram,
     RsiCodec,

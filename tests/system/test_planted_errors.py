@@ -13,7 +13,7 @@ from linemate.daemon.core import step as stepping
 from linemate.daemon.cycle import following_error, states, watch
 from linemate.daemon.cycle.following_error import FollowingCheck
 from linemate.daemon.cycle.operating import Operating
-from linemate.daemon.cycle.samples import SensorQueues
+from linemate.daemon.cycle.sensing.samples import SensorQueues
 from linemate.daemon.cycle.session import Session
 from linemate.daemon.cycle.step_log import StepLog
 from linemate.protocol.exchange import Exchange

@@ -21,8 +21,8 @@ from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.tracking import task_clock
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
 from linemate.daemon.cycle import states, watch
-from linemate.daemon.cycle.samples import SensorQueues, StepSamples
-from linemate.daemon.cycle.sensor_health import CameraHealth, DistanceHealth, WrenchHealth
+from linemate.daemon.cycle.sensing.samples import SensorQueues, StepSamples
+from linemate.daemon.cycle.sensing.sensor_health import CameraHealth, DistanceHealth, WrenchHealth
 from linemate.daemon.cycle.session import Session
 from linemate.daemon.cycle.states import Link, Machine, State
 from linemate.daemon.cycle.watch import Facts

@@ -14,7 +14,7 @@ from typing import Any, Generic
 from msgspec import Struct
 from msgspec.structs import replace
 
-from linemate.daemon.cycle.sensor_health import (
+from linemate.daemon.cycle.sensing.sensor_health import (
     CameraHealth,
     Conditions,
     DistanceHealth,

@@ -1,0 +1,1 @@
+"""Sensor samples of a cycle: their queues, and the health of the sensors."""
