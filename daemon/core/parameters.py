@@ -122,31 +122,38 @@ def build(
     controller = control.compile_controller(
         control_settings, arm, cycle_s, task.conveyor.nominal_speed
     )
-    longest = max(model.dead_time for model in control_settings.servos[: arm.axes])
-    longest += dead_time.bounds(control_settings)[1] + controller.spreading_delay_s
-    # (11) reads whole cycles: at 8 ms 16 ms instead of 12.
-    longest += controller.effector_future_s - control_settings.filters.effector_future_s
-    clamped, free = (
-        merge.compile_merge(tracking.merge, longest, cycle_s, controller.steps, later=later)
-        for later in (False, True)
-    )
-    along, across = (clamped.matrices[axis] for axis in (merge.ALONG, 0))
-    delay_along, delay_across = (clamped.commit + merge.delay(rows) for rows in (along, across))
-    camera = task.arm.camera_in_tcp
     mount = tracking.tactile
     tips = bolt_tips(tracking.payload.bolts, mount.stiffness[TOOL_AXIS], mount.overload_force)
     task = slowed(task, mount.stiffness[TOOL_AXIS], mount.overload_force)
     task = lengthened(sighted(task, tracking.camera.blind_below + SIGHT_MARGIN), tips)
     reference = compile_reference(task, tips)
+    tracker = _tracker(task, tracking, control_settings, controller, reference, cycle_s)
+    home, _, _ = joints_at_rest(arm, task, reference)
+    frame = wrench_frame.of_arm(task.arm)
+    return Parameters(tracker, controller, cycle_s, control_settings, home, frame)
+
+
+def _tracker(
+    task: TaskFile,
+    tracking: TrackingSettings,
+    control_settings: ControlSettings,
+    controller: control.Controller,
+    reference: Reference,
+    cycle_s: float,
+) -> Tracker:
+    """Return the parameters of tracking, for a task as it is planned."""
+    delay_s = _longest_delay(control_settings, controller)
+    clamped, free = (
+        merge.compile_merge(tracking.merge, delay_s, cycle_s, controller.steps, later=later)
+        for later in (False, True)
+    )
     table = tabulated(reference, cycle_s, controller.steps)
-    clock = np.arange(len(table.poses)) * cycle_s
-    leave = reference.time_of(Phase.RETREAT)
-    along_tool = control_settings.effector[TOOL_AXIS]
     span = np.arange(controller.steps + 1) * cycle_s
     lag = linear_axis.delay(task.linear_axis.ramp, cycle_s)
     leads = prediction_error.lead_times(reference.contact_time - reference.sight_time)
-    ahead = np.append(span, (controller.preview * cycle_s + lag, *leads))
-    tracker = Tracker(
+    blend = control_settings.filters.contact_blend
+    camera, along_tool = task.arm.camera_in_tcp, control_settings.effector[TOOL_AXIS]
+    return Tracker(
         task=task,
         settings=tracking,
         reference=reference,
@@ -163,9 +170,14 @@ def build(
         span=span,
         axis_steps=controller.preview,
         axis_range=_axis_range(controller),
-        ahead=ahead,
+        ahead=np.append(span, (controller.preview * cycle_s + lag, *leads)),
         leads=leads,
-        free=free_table(reference, leave, control_settings.filters.contact_blend, clock),
+        free=free_table(
+            reference,
+            reference.time_of(Phase.RETREAT),
+            blend,
+            np.arange(len(table.poses)) * cycle_s,
+        ),
         vibration=contact.tool_vibration(
             along_tool.frequency_hz,
             along_tool.damping,
@@ -173,21 +185,35 @@ def build(
             tracking.tactile.contact_force,
             cycle_s,
         ),
-        compliance=compliance.ComplianceModel(
-            stiffness=min(tracking.tactile.stiffness),
-            delays=(delay_across, delay_along, delay_across),
-            dt=cycle_s,
-        ),
+        compliance=_compliance(tracking, clamped, cycle_s),
         sight_time=reference.sight_time,
         near_time=reference.time_before(max(task.guard.clearance, NEAR_GATE)),
         final_time=last_step(reference.contact_time - FINAL_S, cycle_s),
         search_time=reference.time_of(Phase.CONTACT, Phase.SCREWS),
         press=reference.press,
-        damped_until=damped_until(reference, control_settings.filters.contact_blend),
+        damped_until=damped_until(reference, blend),
     )
-    home, _, _ = joints_at_rest(arm, task, reference)
-    frame = wrench_frame.of_arm(task.arm)
-    return Parameters(tracker, controller, cycle_s, control_settings, home, frame)
+
+
+def _longest_delay(settings: ControlSettings, controller: control.Controller) -> float:
+    """Return the longest time from a desired pose to the pose of an axis [s]."""
+    longest = max(model.dead_time for model in settings.servos[: controller.arm.axes])
+    longest += dead_time.bounds(settings)[1] + controller.spreading_delay_s
+    # (11) reads whole cycles: at 8 ms 16 ms instead of 12.
+    longest += controller.effector_future_s - settings.filters.effector_future_s
+    return longest
+
+
+def _compliance(
+    tracking: TrackingSettings, clamped: merge.MergePlan, cycle_s: float
+) -> compliance.ComplianceModel:
+    """Return the model of the clamped tool: its softest axis, with the delay of the merge."""
+    along, across = (
+        clamped.commit + merge.delay(clamped.matrices[axis]) for axis in (merge.ALONG, 0)
+    )
+    return compliance.ComplianceModel(
+        stiffness=min(tracking.tactile.stiffness), delays=(across, along, across), dt=cycle_s
+    )
 
 
 def joints_at_rest(

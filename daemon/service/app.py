@@ -127,15 +127,7 @@ class App:
         self._live = LiveTelemetry(round(parameters.cycle_s * 1e3, 6))
         self._scene = viewer_messages.scene(station.texts, parameters.cycle_s)
         period_ns = round(parameters.cycle_s * 1e9)
-        lead_ms = config.realtime.lead_ms
-        lead_ns = None if lead_ms is None else round(lead_ms * 1e6)
-        self._timer = CycleTimer(
-            self._on_due,
-            self._failed,
-            self._look,
-            PhaseLock(period_ns, time.monotonic_ns(), lead_ns),
-            attend=self._attend,
-        )
+        self._timer = self._cycle_timer(period_ns)
         self.cycle.date = self._date
         self._collector = realtime.Collector()
         self._helpers = realtime.HelperThreads(realtime.is_fifo())
@@ -161,7 +153,40 @@ class App:
         self._parameters = ParameterService(
             station, self.cycle, self._note_parameters, self._events.add
         )
-        self._operations: dict[str, Handler] = {
+        self._production = build_production(
+            station,
+            self.cycle,
+            variants or {},
+            self._parameters,
+            self._events,
+            self._recorder,
+            lambda op: self._period_refusal() if op == "arm" else None,
+        )
+        self._operations = self._own_operations()
+        if self._production is not None:
+            self._operations |= self._production.operations
+        self._rest = IdleRest(
+            self.cycle,
+            self._timer,
+            lambda: self._production is not None or self._commands.is_used,
+            REST_AFTER_S,
+        )
+
+    def _cycle_timer(self, period_ns: int) -> CycleTimer:
+        """Return the timer of the steps, with the lead of the configuration."""
+        lead_ms = self._station.config.realtime.lead_ms
+        lead_ns = None if lead_ms is None else round(lead_ms * 1e6)
+        return CycleTimer(
+            self._on_due,
+            self._failed,
+            self._look,
+            PhaseLock(period_ns, time.monotonic_ns(), lead_ns),
+            attend=self._attend,
+        )
+
+    def _own_operations(self) -> dict[str, Handler]:
+        """Return the operations of the command protocol but those of production."""
+        return {
             "status": lambda _params, _who: self.status(),
             "params": lambda params, _who: self._parameters.describe(params),
             "get": lambda params, _who: self._parameters.get(params),
@@ -172,23 +197,6 @@ class App:
             "scene": lambda _params, _who: self._scene,
             "sensors": lambda _params, _who: self._live.sensors(),
         }
-        self._production = build_production(
-            station,
-            self.cycle,
-            variants or {},
-            self._parameters,
-            self._events,
-            self._recorder,
-            lambda op: self._period_refusal() if op == "arm" else None,
-        )
-        if self._production is not None:
-            self._operations |= self._production.operations
-        self._rest = IdleRest(
-            self.cycle,
-            self._timer,
-            lambda: self._production is not None or self._commands.is_used,
-            REST_AFTER_S,
-        )
 
     async def run(self, on_ready: Callable[[dict[str, Any]], None] = lambda _: None) -> None:
         """Open everything, serve until SIGTERM, bring the robot to rest, close everything.
