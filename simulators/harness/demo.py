@@ -257,10 +257,6 @@ def main(args: Namespace) -> int:
         FileError: what is wrong with the scenario's file.
         SetupError: a cycle that the controller does not have.
     """
-    if args.cars > 1:
-        from linemate.simulators.harness.line import demo_line
-
-        return demo_line.main(args)
     cell = cell_files.chosen(args)
     require(args.world)
     controller, cycle_ms = exchange(cell, args.controller, args.cycle_ms)

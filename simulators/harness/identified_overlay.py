@@ -6,7 +6,6 @@ Invariants:
     A list replaces the whole old list.
 """
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,8 +15,6 @@ from linemate.daemon.config.documents import FileError
 from linemate.daemon.config.files import UnreadableError
 from linemate.simulators.devices.worlds import MUJOCO, OWN
 from linemate.simulators.harness.families import EGM
-from linemate.simulators.harness.setup import Setup, override
-from linemate.simulators.harness.variants import SetupError
 
 _FOLDER = Path(__file__).with_name("data") / "parameters"
 SHIPPED = {OWN: _FOLDER / "identified.yaml", MUJOCO: _FOLDER / "mujoco.yaml"}
@@ -46,18 +43,6 @@ def load(path: Path = SHIPPED[OWN]) -> dict[str, Any]:
     if lines:
         raise FileError(lines)
     return value
-
-
-def laid_over(setup: Setup, overlay: Mapping[str, Any]) -> Setup:
-    """Return a run whose daemon believes an overlay.
-
-    Raises:
-        SetupError: the overlay does not fit.
-    """
-    strange = [key for key in overlay if key not in SECTIONS]
-    if strange:
-        raise SetupError(f"an overlay has no section {', '.join(strange)}")
-    return override(setup, [f"{path}={json.dumps(value)}" for path, value in leaves(overlay)])
 
 
 def leaves(overlay: Mapping[str, Any], path: str = "") -> list[tuple[str, Any]]:

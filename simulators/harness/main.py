@@ -40,6 +40,7 @@ MODULES = {
     "bench": "lab.bench.bench",
 }
 """Module of each command, below ``linemate.simulators``; its ``main(args) -> int`` runs it."""
+DEMO_OF_CARS = "harness.line.demo_line"  # of demo with several cars
 EXTRAS = {"matplotlib": "demo", "rich": "demo", "mujoco": "mujoco"}
 """The extra that a package comes with."""
 
@@ -69,7 +70,7 @@ def _dispatch(args: argparse.Namespace) -> int:
 
     try:
         with command_line.killed_by_ctrl_c():
-            module = import_module(f"linemate.simulators.{MODULES[args.command]}")
+            module = import_module(f"linemate.simulators.{_module(args)}")
         return int(module.main(args))
     except FileError as error:
         print(error, file=sys.stderr)
@@ -84,6 +85,12 @@ def _dispatch(args: argparse.Namespace) -> int:
             f"package {package} is missing. Install the extra: "
             f"pip install 'linemate[{EXTRAS[package]}]'"
         ) from error
+
+
+def _module(args: argparse.Namespace) -> str:
+    if args.command == "demo" and args.cars > 1:
+        return DEMO_OF_CARS
+    return MODULES[args.command]
 
 
 def _check_outputs(args: argparse.Namespace) -> None:

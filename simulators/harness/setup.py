@@ -7,7 +7,7 @@ Invariants:
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
@@ -24,6 +24,7 @@ from linemate.daemon.core.tracking.task import TaskFile
 from linemate.daemon.near_names import near_names
 from linemate.simulators.devices.worlds import OWN, UNUSED
 from linemate.simulators.harness import families, scenario_file, variants
+from linemate.simulators.harness import identified_overlay as overlays
 from linemate.simulators.harness.cell.cell_files import CellFiles
 from linemate.simulators.harness.cell.cell_truth import shipped_task
 from linemate.simulators.harness.variants import SetupError
@@ -206,28 +207,35 @@ def _refuse_unused(scenario: Scenario, overrides: Sequence[str]) -> None:
 def identified(world: str = OWN) -> Setup:
     """Settings of the shipped cell of a world, as ``linemate identify`` found them.
 
-    The plant's own numbers never reach a run; see ``overlay.SHIPPED``.
+    The plant's own numbers never reach a run; see ``identified_overlay.SHIPPED``.
     """
-    from linemate.simulators.harness import identified_overlay as overlay
-
     whole = Setup(scenario_file.load(scenario_file.DEFAULT), world=world)
-    return overlay.laid_over(whole, overlay.load(overlay.SHIPPED[world]))
+    return laid_over(whole, overlays.load(overlays.SHIPPED[world]))
 
 
 def _commissioned(scenario: str) -> Setup:
     """Settings of the cell of a scenario: those identified, and what its commissioning adds."""
-    from linemate.simulators.harness import identified_overlay as overlay
-
     known, own = identified(), world_rows.daemon_settings(scenario)
-    return overlay.laid_over(known, own) if own else known
+    return laid_over(known, own) if own else known
 
 
 def _behind(controller: str, known: Setup) -> Setup:
     """Return settings with what was identified of the servos behind a family's controller."""
-    from linemate.simulators.harness import identified_overlay as overlay
+    servos = overlays.BEHIND.get(controller)
+    return known if servos is None else laid_over(known, overlays.load(servos))
 
-    servos = overlay.BEHIND.get(controller)
-    return known if servos is None else overlay.laid_over(known, overlay.load(servos))
+
+def laid_over(setup: Setup, overlay: Mapping[str, Any]) -> Setup:
+    """Return a run whose daemon has the settings of an overlay.
+
+    Raises:
+        SetupError: the overlay does not fit.
+    """
+    strange = [key for key in overlay if key not in overlays.SECTIONS]
+    if strange:
+        raise SetupError(f"an overlay has no section {', '.join(strange)}")
+    leaves = overlays.leaves(overlay)
+    return override(setup, [f"{path}={json.dumps(value)}" for path, value in leaves])
 
 
 def override(setup: Setup, overrides: Sequence[str]) -> Setup:

@@ -144,7 +144,8 @@ def groups(case: Case, most: int) -> dict[str, Sequence[int]]:
 
 def _made(setup: Setup, seeds: Sequence[int], where: WorkPlace) -> list[dict[str, Any]]:
     from linemate.simulators.judge.statistics import figures
-    from linemate.simulators.lab.campaign import CampaignJob, execute, progress_bar
+    from linemate.simulators.lab.campaign import CampaignJob, execute
+    from linemate.simulators.lab.worker_pool import progress_bar
 
     jobs = [CampaignJob(setup, seed) for seed in seeds]
     with progress_bar(len(jobs), f"{setup.variant} {setup.scenario.name}") as progress:
@@ -162,7 +163,7 @@ def _made(setup: Setup, seeds: Sequence[int], where: WorkPlace) -> list[dict[str
 
 def _detected(plan: AccuracyPlan, source: str, where: WorkPlace) -> dict[str, Any]:
     from linemate.simulators.lab import detection
-    from linemate.simulators.lab.campaign import progress_bar
+    from linemate.simulators.lab.worker_pool import progress_bar
 
     cycle, variant = source.split()
     setup = Case(source, variant=variant, cycle_ms=float(cycle)).setup(plan.overlay)

@@ -69,7 +69,7 @@ class Case:
         """
         made = setup.make(self.scenario, cycle_ms=self.cycle_ms)
         if overlay:
-            from linemate.simulators.harness.identified_overlay import laid_over
+            from linemate.simulators.harness.setup import laid_over
 
             made = laid_over(made, overlay)
         tracking, control = variants.apply(self.variant, made.tracking, made.control)

@@ -18,6 +18,7 @@ from linemate.simulators.harness.setup import Setup
 from linemate.simulators.judge.statistics import CONFIDENCE, describe, interval_text, share
 from linemate.simulators.lab import detection_runs
 from linemate.simulators.lab.detection_runs import DetectionRun, Kind, Tally
+from linemate.simulators.lab.worker_pool import progress_bar, spread
 
 STRETCH_S = 900.0
 """Length of one run: short enough that all cores have work."""
@@ -66,7 +67,6 @@ def main(args: Namespace) -> int:
     from linemate.simulators.harness import setup
     from linemate.simulators.harness.cell import cell_files
     from linemate.simulators.judge import report_json
-    from linemate.simulators.lab.campaign import progress_bar
 
     cell = cell_files.chosen(args)
     scenario = cell_files.scenario(args.scenario, cell)
@@ -94,8 +94,6 @@ def execute(
     Returns:
         ``{"version": 1, "detection": {variant: {kind: figures}}}``.
     """
-    from linemate.simulators.lab.campaign import spread
-
     jobs = list(plan.runs())
     tallies = spread(detection_runs.run, jobs, workers, progress, scheduler)
     found: dict[str, dict[str, Tally]] = {}

@@ -30,8 +30,7 @@ from linemate.simulators.harness import families, lockstep, scenario_file
 from linemate.simulators.harness.cell import cell_files
 from linemate.simulators.harness.cell.cell_files import CellFiles
 from linemate.simulators.harness.cell.cell_truth import shipped_task
-from linemate.simulators.harness.identified_overlay import laid_over
-from linemate.simulators.harness.setup import Setup, override
+from linemate.simulators.harness.setup import Setup, laid_over, override
 from linemate.simulators.lab import exercise
 from linemate.simulators.plants.scenario import Scenario
 

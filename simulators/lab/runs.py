@@ -13,7 +13,8 @@ from linemate.simulators.harness.cell import cell_files
 from linemate.simulators.harness.setup import make
 from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.judge import report_json
-from linemate.simulators.lab.campaign import CampaignJob, collect, execute, progress_bar
+from linemate.simulators.lab.campaign import CampaignJob, collect, execute
+from linemate.simulators.lab.worker_pool import progress_bar
 
 
 def main(args: Namespace) -> int:

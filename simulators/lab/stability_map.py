@@ -21,7 +21,6 @@ import numpy as np
 
 from linemate.daemon.core.horizon import Array
 from linemate.simulators.judge.table import aligned
-from linemate.simulators.lab.campaign import progress_bar, spread
 from linemate.simulators.lab.two_bodies import (
     CarMode,
     ContactTrace,
@@ -30,6 +29,7 @@ from linemate.simulators.lab.two_bodies import (
     approached,
     kicked,
 )
+from linemate.simulators.lab.worker_pool import progress_bar, spread
 
 MASSES = (100.0, 300.0, 1000.0, 2000.0)  # modal [kg]
 FREQUENCIES_HZ = (0.5, 1.0, 2.0, 3.0, 4.7, 6.0, 8.0, 10.0)  # of the body without the tool

@@ -16,7 +16,7 @@ def test_values_and_lists_reach_the_settings_and_leave_the_rest() -> None:
         "tracking": {"distance": {"deviation": 0.0005}, "swing": []},
         "task": {"arm": {"camera_in_tcp": {"position": [0.1, 0.2, 0.3]}}},
     }
-    made = overlay.laid_over(plain, laid)
+    made = setup.laid_over(plain, laid)
     assert made.tracking.distance.deviation == 0.0005
     assert made.tracking.distance.gate == plain.tracking.distance.gate
     assert made.tracking.swing == ()
@@ -36,7 +36,7 @@ def test_values_and_lists_reach_the_settings_and_leave_the_rest() -> None:
 )
 def test_what_does_not_fit_is_refused(laid: dict[str, object], what: str) -> None:
     with pytest.raises(SetupError, match=what):
-        overlay.laid_over(setup.make("wheel"), laid)
+        setup.laid_over(setup.make("wheel"), laid)
 
 
 def test_a_file_is_read_strictly(tmp_path: Path) -> None:
@@ -51,7 +51,7 @@ def test_a_file_is_read_strictly(tmp_path: Path) -> None:
 
 
 def test_the_shipped_overlay_fits_the_default_cell_and_is_close_to_its_truth() -> None:
-    made = overlay.laid_over(setup.make("wheel"), overlay.load())
+    made = setup.laid_over(setup.make("wheel"), overlay.load())
     for model, axis in zip(made.control.servos, made.scenario.robot.axes, strict=True):
         assert model.frequency_hz == pytest.approx(axis.frequency_hz, rel=0.01)
         assert model.frequency_hz != axis.frequency_hz

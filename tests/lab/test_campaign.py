@@ -37,8 +37,8 @@ def children_of(parent: int) -> set[int]:
 
 def test_workers_do_not_outlive_a_campaign_that_is_killed() -> None:
     program = (
-        "import time, sys; from linemate.simulators.lab import campaign\n"
-        "if __name__ == '__main__': campaign.spread(time.sleep, [600, 600], 2)\n"
+        "import time, sys; from linemate.simulators.lab import worker_pool\n"
+        "if __name__ == '__main__': worker_pool.spread(time.sleep, [600, 600], 2)\n"
     )
     with subprocess.Popen([sys.executable, "-c", program]) as parent:
         workers: set[int] = set()

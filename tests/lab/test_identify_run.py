@@ -11,7 +11,6 @@ from linemate.daemon.config.files import DAEMON_DATA
 from linemate.daemon.identification.outcome import Estimate, Refusal
 from linemate.daemon.identification.pipeline import Identified
 from linemate.daemon.operator import identify_command
-from linemate.simulators.harness import identified_overlay as overlay
 from linemate.simulators.harness import setup
 from linemate.simulators.lab import exercise, identify_run
 from linemate.simulators.lab.identify_run import IdentificationPlan
@@ -74,7 +73,7 @@ def test_the_overlay_is_what_the_command_line_writes_and_a_run_accepts(
     identify_command.write(path, text)
     read = yaml.safe_load(path.read_text())
     assert read == found.overlay
-    made = overlay.laid_over(setup.make("wheel"), read)
+    made = setup.laid_over(setup.make("wheel"), read)
     assert made.control.servos[0].frequency_hz == read["control"]["servos"][0]["frequency_hz"]
     assert made.tracking.swing[0].levers == tuple(read["tracking"]["swing"][0]["levers"])
     assert made.scenario == setup.make("wheel").scenario

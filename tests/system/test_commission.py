@@ -23,8 +23,7 @@ from linemate.daemon.recording.reader import read
 from linemate.simulators.devices.guided_robot import FORWARD, PostureProgramme
 from linemate.simulators.devices.rsi_controller import Seven
 from linemate.simulators.harness import lockstep
-from linemate.simulators.harness.identified_overlay import laid_over
-from linemate.simulators.harness.setup import Setup, make
+from linemate.simulators.harness.setup import Setup, laid_over, make
 from linemate.simulators.judge.judge import RunEvidence, judge
 from linemate.simulators.lab import commission_run
 from linemate.simulators.lab.commission_run import CommissioningRun

@@ -73,6 +73,9 @@ def main(args: Namespace) -> int:
     Returns:
         0 if every car was mounted and reported so; 1 if not; 69 if it could not be brought to its
         end.
+
+    Raises:
+        SetupError: an option that a line of cars does not have, or a cell without a line.
     """
     _refuse_others(args)
     station = line_station.station(args.cell)

@@ -16,7 +16,7 @@ from typing import Any, Final
 from linemate.simulators.devices.line.cars import Car, CarFault, CarTruth
 from linemate.simulators.harness.line import line_station
 from linemate.simulators.judge import report_json
-from linemate.simulators.lab import campaign
+from linemate.simulators.lab import worker_pool
 from linemate.simulators.lab.shift import plan
 from linemate.simulators.lab.shift.run import ShiftOutcome, run
 
@@ -62,7 +62,7 @@ def main(args: Namespace) -> int:
     cars = plan.draw(args.cars, args.seed, station, args.faulty)
     longest_s = math.inf if args.minutes is None else 60.0 * args.minutes
     shares = split(cars, args.workers or 1, args.takt, longest_s, args.cell)
-    outcomes = campaign.spread(perform, shares, len(shares), scheduler=args.scheduler)
+    outcomes = worker_pool.spread(perform, shares, len(shares), scheduler=args.scheduler)
     result = judge(outcomes, args.seed)
     print(report_json.text(result) if args.json else table(result))
     return 0 if result["good"] else 1

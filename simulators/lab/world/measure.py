@@ -23,7 +23,7 @@ from linemate.simulators.harness.setup import Setup
 from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.harness.world import world_rows
 from linemate.simulators.judge import report_json
-from linemate.simulators.lab.campaign import progress_bar, spread
+from linemate.simulators.lab.worker_pool import progress_bar, spread
 from linemate.simulators.lab.world import world_table
 from linemate.simulators.lab.world.mujoco_rows import MUJOCO_ROWS, prepared
 

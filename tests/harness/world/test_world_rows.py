@@ -3,7 +3,7 @@
 import pytest
 
 from linemate.simulators.harness import scenario_file, setup
-from linemate.simulators.harness.identified_overlay import laid_over
+from linemate.simulators.harness.setup import laid_over
 from linemate.simulators.harness.world import world_rows
 from linemate.simulators.plants.scenario import Scenario
 from linemate.simulators.plants.scenario_draw import sample
