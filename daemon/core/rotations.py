@@ -25,8 +25,8 @@ Rows = tuple[float, float, float, float, float, float, float, float, float]
 """Matrix (3, 3) as plain floats, row by row."""
 
 
-def _combined(x: float, y: float, z: float, one: float, cross: float, outer: float) -> Rows:
-    """Return ``one I + cross skew(r) + outer r r'``, the form of all functions here.
+def _combined(x: float, y: float, z: float, identity: float, cross: float, outer: float) -> Rows:
+    """Return ``identity I + cross skew(r) + outer r r'``, the form of all functions here.
 
     Plain floats cost a third of small arrays; a flat tuple becomes an array twice as fast.
     """
@@ -34,9 +34,9 @@ def _combined(x: float, y: float, z: float, one: float, cross: float, outer: flo
     xy, xz, yz = ox * y, ox * z, oy * z
     cx, cy, cz = cross * x, cross * y, cross * z
     return (
-        one + ox * x, xy - cz, xz + cy,
-        xy + cz, one + oy * y, yz - cx,
-        xz - cy, yz + cx, one + oz * z,
+        identity + ox * x, xy - cz, xz + cy,
+        xy + cz, identity + oy * y, yz - cx,
+        xz - cy, yz + cx, identity + oz * z,
     )  # fmt: skip
 
 

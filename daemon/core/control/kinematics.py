@@ -105,10 +105,10 @@ class Arm:
         """
         pose = self._placed(self._order(joints))
         seen = np.dot(nominal.T, pose.homogeneous[:3])
-        found = np.empty(6)
-        found[:3] = seen[:, 3]
-        found[3:] = pin.log3(seen[:, :3])
-        return found
+        vector = np.empty(6)
+        vector[:3] = seen[:, 3]
+        vector[3:] = pin.log3(seen[:, :3])
+        return vector
 
     def _placed(self, q: Array) -> Any:
         """Return the tcp's placement; the next call overwrites it."""

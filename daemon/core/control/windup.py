@@ -45,13 +45,13 @@ class WindupState(Struct, frozen=True):
 
 def compile_windup(settings: Sequence[AxisWindup], axes: int) -> Windup | None:
     """Return the axes that wind up, None if there are none."""
-    found = [(i, each) for i, each in enumerate(settings[:axes]) if each.depth > 0.0]
-    if not found:
+    wound = [(i, each) for i, each in enumerate(settings[:axes]) if each.depth > 0.0]
+    if not wound:
         return None
     return Windup(
-        tuple(i for i, _ in found),
-        tuple(each.depth for _, each in found),
-        tuple(each.travel for _, each in found),
+        tuple(i for i, _ in wound),
+        tuple(each.depth for _, each in wound),
+        tuple(each.travel for _, each in wound),
     )
 
 

@@ -48,14 +48,14 @@ def sensed(
         turned: the programme turns the tcp against the object.
     """
     series = _series(tuple(modes))
-    one, along, swing, square = series.places
+    at_rest, along, swing, square = series.places
     R = part.rotation
     base = rotations.log(R)
     terms, adds = np.empty((len(series.adds), len(relative))), series.adds.copy()
     terms[:3], adds[:3, :3] = relative[:, :3].T, R.T
-    terms[one], terms[along], now = 1.0, part.along, float(part.along[0])
+    terms[at_rest], terms[along], now = 1.0, part.along, float(part.along[0])
     (x_slope, z_slope), (x, z) = part.slopes, (part.x, part.z)
-    adds[one] = (x - x_slope * now, 0.0, z - z_slope * now, *base.tolist())
+    adds[at_rest] = (x - x_slope * now, 0.0, z - z_slope * now, *base.tolist())
     adds[along, :3] = x_slope, 1.0, z_slope
     if modes:
         inverse = rotations.left_jacobian_inverse(base)
@@ -67,7 +67,7 @@ def sensed(
         adds[turned_arm, :3] = series.generators[m].dot(R).T
         adds[swing + m, 3:] = inverse[:, mode.axis]
     tcp = terms.T.dot(adds)
-    now_in_c = terms[one:, 0].dot(adds[one:])
+    now_in_c = terms[at_rest:, 0].dot(adds[at_rest:])
     programmed = relative[:, 3:]
     if turned and bool(np.abs(programmed).max() > 0.0):
         own = rotations.exp_many(tcp[:, 3:]) @ rotations.exp_many(programmed)
@@ -94,15 +94,15 @@ class _Series(Struct, frozen=True, eq=False):
 def _series(modes: tuple[SwingMode, ...]) -> _Series:
     """Return the series of some modes: their levers [m/rad] and the sagitta [m/rad^2] in it."""
     count = len(modes)
-    one = 3 + 3 * count
-    along, swing, square = one + 1, one + 2, one + 2 + count
+    at_rest = 3 + 3 * count
+    along, swing, square = at_rest + 1, at_rest + 2, at_rest + 2 + count
     adds = np.zeros((square + count, 6))
     generators = tuple(rotations.skew(np.eye(3)[mode.axis]) for mode in modes)
     for m, (mode, generator) in enumerate(zip(modes, generators, strict=True)):
         adds[swing + m, :3] = mode.levers
         adds[square + m, :3] = 0.5 * (generator @ np.array(mode.levers))
     adds.setflags(write=False)
-    return _Series(adds, (one, along, swing, square), generators)
+    return _Series(adds, (at_rest, along, swing, square), generators)
 
 
 def known(

@@ -531,21 +531,21 @@ def update_contact(
         # With a force sensor the watch ends TRACK long before: there is none in this cell.
         is_due = before.time >= tracker.search_time and not is_open
         contact_state = contact.assume_touch(contact_state, before.distance, is_due=is_due)
-    made = contact_state.touches >= contact.TOUCHES
-    assumed = made and not contact_state.forces
+    has_contact = contact_state.touches >= contact.TOUCHES
+    assumed = has_contact and not contact_state.forces
     search, touched, sign = after.search, guard.UNTOUCHED, force_sign.TRUSTED
-    if made and force is not None and report.part is not None and after.history is not None:
+    if has_contact and force is not None and report.part is not None and after.history is not None:
         reach = _touched_reach(tracker, after, after.history, report.part, force)
         bolts = tracker.settings.payload.bolts
-        made = not contact.may_rub(reach, bolts) or _is_face(tracker, contact_state)
-        if made:
+        has_contact = not contact.may_rub(reach, bolts) or _is_face(tracker, contact_state)
+        if has_contact:
             touched = _touched_programme(tracker, before, after, reach)
             sign = force_sign.at_touch(force, tracker.vibration.force)
             search = guard.ContactSearch(reach, search.lasted)
     return replace(
         after,
         contact_state=contact_state,
-        contact=made,
+        contact=has_contact,
         assumed=assumed,
         touching=0.0,
         touched=touched,

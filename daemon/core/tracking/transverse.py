@@ -131,13 +131,13 @@ class Transverse:
     @cached_property
     def _swings(self) -> tuple[_Swing, ...]:
         """Each swing with its indices in x."""
-        found, j = [], self._first_factor
+        swings, j = [], self._first_factor
         for m, mode in enumerate(self.swing):
             has_factor = mode.spread > 0.0
             i, omega = STATIC + 2 * m, 2.0 * math.pi * mode.frequency_hz
-            found.append(_Swing(mode, omega, i, j if has_factor else -1))
+            swings.append(_Swing(mode, omega, i, j if has_factor else -1))
             j += has_factor
-        return tuple(found)
+        return tuple(swings)
 
     @cached_property
     def _still(self) -> Array:
@@ -233,11 +233,11 @@ class Transverse:
 
     def _matrices(self, dt: float, seating: bool) -> tuple[Array, Array]:
         """Return A of (5) at the identified frequencies, and Q."""
-        found = self._compiled.get((dt, seating))
-        if found is None:
+        compiled = self._compiled.get((dt, seating))
+        if compiled is None:
             # Settings as a key of a common cache would be hashed in each step.
-            found = self._compiled[dt, seating] = self._make_matrices(dt, seating)
-        return found
+            compiled = self._compiled[dt, seating] = self._make_matrices(dt, seating)
+        return compiled
 
     def _make_matrices(self, dt: float, seating: bool) -> tuple[Array, Array]:
         turning = self.fusion.seating if seating else self.fusion.angle
@@ -348,11 +348,11 @@ class Transverse:
     def _errors(self) -> tuple[tuple[slice, float], ...]:
         """Errors that may not be there: where they are in x, and the prior variance of each."""
         k, c = self._slope, self._camera
-        found = [(slice(k, k + 2), self.fusion.askew**2)]
+        errors = [(slice(k, k + 2), self.fusion.askew**2)]
         if self.camera is not None:
-            found.append((slice(c, c + 1), self.camera.stamp_offset**2))
-            found.append((slice(c + 1, c + 4), self.camera.bias**2))
-        return tuple([each for each in found if each[1] > 0.0])
+            errors.append((slice(c, c + 1), self.camera.stamp_offset**2))
+            errors.append((slice(c + 1, c + 4), self.camera.bias**2))
+        return tuple([each for each in errors if each[1] > 0.0])
 
     def doubted(self, state: TransverseState) -> TransverseState:
         """Return the estimate with the errors weighed against none.

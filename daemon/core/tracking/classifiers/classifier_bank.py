@@ -284,7 +284,7 @@ class BankClassifier(BankModel):
         stands = state.motion is Motion.STANDING
         left = REST_DEVIATION * math.exp(-state.class_age / LEFT_S)
         # Readings of the class before show a change that was decided already.
-        found = distance_change.find(
+        change = distance_change.find(
             distance_check.since(state.readings, state.class_age),
             self.changes[state.motion],
             0.0 if stands else float(state.guide.x[V]),
@@ -292,26 +292,26 @@ class BankClassifier(BankModel):
             self.distance_deviation,
         )
         limit = self.bank.start_confirmed if stands else SURE_STOP
-        if found is None or found.odds <= limit:
+        if change is None or change.odds <= limit:
             return None
-        return self._accept_by_distance(state, found, state.guide, complied)
+        return self._accept_by_distance(state, change, state.guide, complied)
 
     def _accept_by_distance(
-        self, state: BankState, found: DistanceChange, led: Guide, complied: float
+        self, state: BankState, declared: DistanceChange, led: Guide, complied: float
     ) -> BankState:
         """Return the state in the class that the distance sensor shows, the banks cleared.
 
         The object is where the tool holds it. What the conveyor has moved against it is an offset.
         """
         motion, event = NEXT[state.motion]
-        change, onset = found.share * self.changes[state.motion], found.onset
+        change, onset = declared.share * self.changes[state.motion], declared.onset
         events = [*state.events, (event, "tentative"), (event, "confirmed")]
         if state.tentative:
             events.remove((event, "tentative"))
         x, P = state.x.copy(), state.P.copy()
-        x[Y], x[V] = float(led.x[Y]) + complied, max(found.speed + change * onset, 0.0)
+        x[Y], x[V] = float(led.x[Y]) + complied, max(declared.speed + change * onset, 0.0)
         x[RANDOM], x[ACCELERATION] = 0.0, change
-        x[OFFSET] = found.reading - float(x[Y])
+        x[OFFSET] = declared.reading - float(x[Y])
         known = [Y, V, RANDOM, OFFSET, ACCELERATION]
         P[known, :] = P[:, known] = 0.0
         unsure = self.bank.amplitude_deviation * change
