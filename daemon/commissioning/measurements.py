@@ -204,44 +204,44 @@ def _frames(data: _Data) -> list[ReportLine]:
 
 
 def _force(data: _Data, options: StatedFacts) -> Measurement:
-    found = sensor_mount.find_sensor(data.all_postures())
-    if isinstance(found, Refusal):
-        return Measurement((ReportLine("sensor in the tcp", "mrad", 1e3, found),), {}, found.reason)
+    mount = sensor_mount.find_sensor(data.all_postures())
+    if isinstance(mount, Refusal):
+        return Measurement((ReportLine("sensor in the tcp", "mrad", 1e3, mount),), {}, mount.reason)
     configured = data.cell.task.arm.sensor_in_tcp
     place = configured.position if options.sensor_place is None else options.sensor_place
-    arm: dict[str, Any] = {"sensor_in_tcp": _pose(np.array(place), found.rotation)}
-    arm["sensor_sign"] = found.sign
-    lines = _sensor_lines(found, np.array(place), stated=options.sensor_place is not None)
-    off = rotations.log(rotations.matrix(configured.quaternion).T @ found.rotation)
+    arm: dict[str, Any] = {"sensor_in_tcp": _pose(np.array(place), mount.rotation)}
+    arm["sensor_sign"] = mount.sign
+    lines = _sensor_lines(mount, np.array(place), stated=options.sensor_place is not None)
+    off = rotations.log(rotations.matrix(configured.quaternion).T @ mount.rotation)
     lines.append(ReportLine("sensor off its configured turn", "deg", math.degrees(1.0), _norm(off)))
-    centre = np.array(place) + found.rotation @ found.centre
+    centre = np.array(place) + mount.rotation @ mount.centre
     payload = {
-        "mass": float(f"{found.mass:.6g}"),
+        "mass": float(f"{mount.mass:.6g}"),
         "centre": [float(f"{value:.6g}") for value in centre.tolist()],
     }
     overlay = {"tracking": {"payload": payload}, "task": {"arm": arm}}
     return Measurement(tuple(lines), overlay)
 
 
-def _sensor_lines(found: SensorMount, place: Array, *, stated: bool) -> list[ReportLine]:
-    basis = f"{found.postures} postures, residual {found.misfit[0]:.2f} N, {found.misfit[1]:.3f} Nm"
-    d = found.deviations.tolist()
-    turn = rotations.log(found.rotation)
-    in_tcp = place + found.rotation @ found.centre
+def _sensor_lines(mount: SensorMount, place: Array, *, stated: bool) -> list[ReportLine]:
+    basis = f"{mount.postures} postures, residual {mount.misfit[0]:.2f} N, {mount.misfit[1]:.3f} Nm"
+    d = mount.deviations.tolist()
+    turn = rotations.log(mount.rotation)
+    in_tcp = place + mount.rotation @ mount.centre
     values: list[tuple[str, str, float, Sequence[float], Sequence[float], bool]] = [
         ("sensor r", "mrad", 1e3, turn.tolist(), d[:3], True),
-        ("centre of gravity in the sensor ", "mm", 1e3, found.centre.tolist(), d[4:7], False),
+        ("centre of gravity in the sensor ", "mm", 1e3, mount.centre.tolist(), d[4:7], False),
         ("centre of gravity in the tcp ", "mm", 1e3, in_tcp.tolist(), d[4:7], True),
-        ("force bias ", "N", 1.0, found.force_bias.tolist(), d[7:10], False),
-        ("torque bias ", "Nm", 1.0, found.torque_bias.tolist(), d[10:], False),
+        ("force bias ", "N", 1.0, mount.force_bias.tolist(), d[7:10], False),
+        ("torque bias ", "Nm", 1.0, mount.torque_bias.tolist(), d[10:], False),
     ]
     lines = [
         ReportLine(f"{name}{axis}", unit, scale, Estimate(value, sigma, basis), kept)
         for name, unit, scale, vector, sigmas, kept in values
         for axis, value, sigma in zip("xyz", vector, sigmas, strict=True)
     ]
-    lines.insert(3, ReportLine("sensor sign", "", 1.0, Estimate(found.sign, 0.0, basis), True))
-    lines.insert(4, ReportLine("payload mass", "kg", 1.0, Estimate(found.mass, d[3], basis), True))
+    lines.insert(3, ReportLine("sensor sign", "", 1.0, Estimate(mount.sign, 0.0, basis), True))
+    lines.insert(4, ReportLine("payload mass", "kg", 1.0, Estimate(mount.mass, d[3], basis), True))
     origin = "as stated" if stated else "as configured: postures do not show it"
     where = Estimate(float(np.linalg.norm(place)), 0.0, origin)
     return [*lines, ReportLine("sensor distance from the tcp", "mm", 1e3, where, True)]
@@ -266,7 +266,7 @@ def _conveyor(data: _Data, _: StatedFacts) -> Measurement:
         line = ReportLine("conveyor direction", "mrad", 1e3, Refusal(reasons[0]))
         return Measurement((line, *ramps), {}, reasons[0])
     frame = min(frames, key=lambda each: each.deviation)
-    found: dict[str, Any] = {"axis": [round(part, 9) for part in frame.axis.tolist()]}
+    settings: dict[str, Any] = {"axis": [round(part, 9) for part in frame.axis.tolist()]}
     lines = [*_conveyor_lines(frame, np.array(task.conveyor.axis)), *ramps]
     wrong = abs(frame.scale - 1.0) > max(SCALE_ERROR, 4.0 * frame.scale_deviation)
     refused = None
@@ -276,13 +276,13 @@ def _conveyor(data: _Data, _: StatedFacts) -> Measurement:
             f"+-{SCALE_ERROR:.3f}. Multiply distance.step_m by {frame.scale:.4f} and record again"
         )
     elif frame.speed > 0.001:
-        found["nominal_speed"] = round(frame.speed, 5)
+        settings["nominal_speed"] = round(frame.speed, 5)
     for line in ramps:
         key = {"conveyor stop deceleration": "deceleration",
                "conveyor start acceleration": "acceleration"}.get(line.name)  # fmt: skip
         if key is not None and line.in_overlay and isinstance(line.outcome, Estimate):
-            found[key] = round(line.outcome.value, 5)
-    overlay = {} if refused else {"task": {"conveyor": found}}
+            settings[key] = round(line.outcome.value, 5)
+    overlay = {} if refused else {"task": {"conveyor": settings}}
     return Measurement(tuple(lines), overlay, refused)
 
 
@@ -330,13 +330,13 @@ def _ramps(data: _Data, delay: float) -> list[ReportLine]:
     if stops < LEAST_STOPS:
         reason = f"{stops} stops recorded, at least {LEAST_STOPS} are needed for the ramps"
         return [ReportLine("conveyor stop deceleration", "m/s^2", 1.0, Refusal(reason))]
-    found = conveyor_ramps.findings(conveyor_ramps.identify_ramps(traces, delay))
-    names = [line.name for line in found]
+    findings = conveyor_ramps.findings(conveyor_ramps.identify_ramps(traces, delay))
+    names = [line.name for line in findings]
     return [
         ReportLine(line.name, line.unit, line.scale, line.outcome, names.count(line.name) == 1)
         if line.name.endswith("eleration")
         else line
-        for line in found
+        for line in findings
     ]
 
 
@@ -374,8 +374,8 @@ def _object(data: _Data, _: StatedFacts) -> Measurement:
 
 def _object_overlay(overlay: Mapping[str, Any]) -> dict[str, Any]:
     tracking = overlay.get("tracking", {})
-    found = {name: tracking[name] for name in ("swing", "sway", "camera") if name in tracking}
-    return {"tracking": found} if found else {}
+    sections = {name: tracking[name] for name in ("swing", "sway", "camera") if name in tracking}
+    return {"tracking": sections} if sections else {}
 
 
 def _only(overlay: Mapping[str, Any], section: str) -> dict[str, Any]:
@@ -387,12 +387,12 @@ def _identified(
 ) -> Measurement:
     """Return the part of ``linemate identify`` that a step asks for."""
     try:
-        found = pipeline.identify(data.recordings)
+        identified = pipeline.identify(data.recordings)
     except IdentifyError as error:
         raise CellError(str(error)) from error
-    lines = tuple(line for line in found.findings if line.name.startswith(names))
+    lines = tuple(line for line in identified.findings if line.name.startswith(names))
     if any(isinstance(line.outcome, Estimate) for line in lines):
-        return Measurement(lines, kept(found.overlay))
+        return Measurement(lines, kept(identified.overlay))
     reason = "no value could be identified"
     refusals = [line.outcome.reason for line in lines if isinstance(line.outcome, Refusal)]
     return Measurement(lines, {}, f"{reason}: {refusals[0]}" if refusals else reason)

@@ -306,10 +306,10 @@ class Cycle(RestingStepper):
         session, axes = self.session, self._axes(robot)
         opens = decision.kind in _OPENS
         is_resumed = opens or session.is_interrupted or decision.missed > 0
-        found = session.prove(robot, axes, telegram.programmed, peer)
-        if found is None:
+        proof = session.prove(robot, axes, telegram.programmed, peer)
+        if proof is None:
             return False
-        reference, held = found
+        reference, held = proof
         # After an unnoticed stall of this process, its estimate of the object is too old.
         is_old = session.stalled_s >= RESTART_S or self._state is None
         if session.proof is not Proof.CONTINUED or is_old:

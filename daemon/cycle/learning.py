@@ -80,7 +80,7 @@ class Learner:
         Args:
             motion: as ``motion`` returned it.
         """
-        axes, found = len(self._identified), self.learned
+        axes, estimates = len(self._identified), self.learned
         size = max(math.ceil(self._settings.window_s / self._cycle_s), 1)
         for begin in range(0, len(motion) - size + 1, size):
             rows = motion[begin : begin + size]
@@ -90,25 +90,25 @@ class Learner:
                 if answer is not None:
                     row[:] = answer[:axes]
             window = adaptation.ServoWindow(commands, answers)
-            found = adaptation.update(
+            estimates = adaptation.update(
                 self._settings,
                 self._identified,
-                found,
+                estimates,
                 window,
                 self._cycle_s,
                 self._settings.window_s,
             )
-        return found
+        return estimates
 
-    def keep(self, found: ServoEstimates, present: Sequence[ServoModel]) -> dict[str, float]:
+    def keep(self, estimates: ServoEstimates, present: Sequence[ServoModel]) -> dict[str, float]:
         """Keep what was learned and return the parameters that it changes, by name.
 
         Args:
             present: the models in force.
         """
-        self.learned = found
+        self.learned = estimates
         return {
             f"control.servos.{axis}.frequency_hz": float(f"{model.frequency_hz:.6g}")
-            for axis, (model, now) in enumerate(zip(found.models, present, strict=False))
+            for axis, (model, now) in enumerate(zip(estimates.models, present, strict=False))
             if abs(model.frequency_hz / now.frequency_hz - 1.0) > WORTH
         }

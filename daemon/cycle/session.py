@@ -209,22 +209,22 @@ class Session:
             return axes, axes
         if self._rules.setpoints is SetpointKind.POSITIONS:
             return self._prove_position(axes, peer)
-        program, found = self._program, None
+        program, continued = self._program, None
         if program is not None and not self._is_refuted:
             program = program._replace(heard=self._telegrams - 1, silence_s=self._longest_s)
-            found = proving.continuation(program, robot, self._cycle_s)
-        evidence = self._evidence(robot, axes, programmed, peer, found)
+            continued = proving.continuation(program, robot, self._cycle_s)
+        evidence = self._evidence(robot, axes, programmed, peer, continued)
         self.proof = proving.decide(evidence)
         if not self.is_proven:
-            self._refuse_proof(robot, peer, goes_on=found is not None)
+            self._refuse_proof(robot, peer, goes_on=continued is not None)
             return None
         self.unproven, self._candidate = None, None
         self._lately.clear()
         if self.proof is Proof.CONTINUED:
-            assert program is not None and found is not None  # noqa: PT018, S101 - as decided
+            assert program is not None and continued is not None  # noqa: PT018, S101 - as decided
             passed_s = (robot.stamp_ns - program.stamp_ns) * 1e-9
-            self.stalled_s = max(0.0, found.cycles * self._cycle_s - passed_s)
-            return program.reference, axes if found.held is None else found.held
+            self.stalled_s = max(0.0, continued.cycles * self._cycle_s - passed_s)
+            return program.reference, axes if continued.held is None else continued.held
         if self.proof is Proof.COMPUTED:
             assert programmed is not None  # noqa: S101 - as decided
             return programmed, axes
@@ -236,7 +236,7 @@ class Session:
         axes: Axes,
         programmed: Axes | None,
         peer: Hashable,
-        found: Continuation | None,
+        continued: Continuation | None,
     ) -> Evidence:
         program, known = self._program, Known.NONE
         if program is not None and program.moved:
@@ -256,8 +256,8 @@ class Session:
         self._lately.append(axes)
         return Evidence(
             known=known,
-            goes_on=found is not None,
-            held=found is not None and found.held is not None,
+            goes_on=continued is not None,
+            held=continued is not None and continued.held is not None,
             start=Start.LIKELY if start is Start.NOT_SEEN and confirmations else start,
             confirmed=confirmations >= CONFIRMATIONS,
             programmed=proving.compare(axes, programmed),

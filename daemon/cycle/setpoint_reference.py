@@ -182,19 +182,19 @@ def continuation(program: Program, robot: RobotSample, cycle_s: float) -> Contin
     """
     passed_s = (robot.stamp_ns - program.stamp_ns) * 1e-9
     by_counter = _cycles(program, robot.counter)
-    found = None
+    continued = None
     if by_counter is not None and by_counter > 0:
-        found = _accounted(program, robot.delay, by_counter, passed_s, cycle_s)
-    if found is not None or program.silence_s > UNACCOUNTED_S:
-        return found
+        continued = _accounted(program, robot.delay, by_counter, passed_s, cycle_s)
+    if continued is not None or program.silence_s > UNACCOUNTED_S:
+        return continued
     by_telegrams = program.heard + 1
     if abs(passed_s - by_telegrams * cycle_s) <= UNACCOUNTED_S:
-        found = _accounted(program, robot.delay, by_telegrams, passed_s, cycle_s)
-    if found is None and by_counter is not None and by_counter <= 0:
+        continued = _accounted(program, robot.delay, by_telegrams, passed_s, cycle_s)
+    if continued is None and by_counter is not None and by_counter <= 0:
         # A telegram of the past was delayed. Its delay count is of the past as well.
         is_delayed = abs(passed_s - by_counter * cycle_s) <= DELAYED_S
-        found = Continuation(0, program.pending) if is_delayed else None
-    return found
+        continued = Continuation(0, program.pending) if is_delayed else None
+    return continued
 
 
 def _cycles(program: Program, counter: int) -> int | None:
@@ -283,5 +283,5 @@ def refutes(program: Program, programmed: Axes | None) -> bool:
     return programmed is not None and _differ(program.reference, programmed)
 
 
-def _differ(one: Axes, other: Axes) -> bool:
-    return any(abs(a - b) > APART for a, b in zip(one, other, strict=True))
+def _differ(first: Axes, other: Axes) -> bool:
+    return any(abs(a - b) > APART for a, b in zip(first, other, strict=True))

@@ -120,8 +120,8 @@ def _judged(axes: Sequence[AxisWindup], depths: Array, deviations: Array, images
             outcomes.append(Refusal(f"its depth is known only to +-{1e3 * deviation:.2g} mrad"))
         is_there = depth > max(SIGNIFICANT * deviation, LEAST_DEPTH)
         kept.append(each if is_known and is_there else AxisWindup())
-    found = tuple(kept) if any(each.depth > 0.0 for each in kept) else ()
-    return ArmWindup(found, tuple(outcomes))
+    windups = tuple(kept) if any(each.depth > 0.0 for each in kept) else ()
+    return ArmWindup(windups, tuple(outcomes))
 
 
 def _slopes(trace: Trace, count: int, kinematics: Kinematics, nominal: Array) -> Array:

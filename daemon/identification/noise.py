@@ -146,7 +146,7 @@ def _windows(times: Array, values: Array, window: float, order: int) -> list[tup
 
     Residuals are scaled for the degrees of freedom of the polynomial.
     """
-    found = []
+    windows = []
     begin = 0
     while begin < len(times):
         end = int(np.searchsorted(times, times[begin] + window))
@@ -158,8 +158,8 @@ def _windows(times: Array, values: Array, window: float, order: int) -> list[tup
         A = np.vander((t - t.mean()) / window, order + 1)
         smooth = A @ np.linalg.lstsq(A, y, rcond=None)[0]
         scale = math.sqrt(len(t) / free)
-        found.append(((y - smooth) * scale, float(np.ptp(smooth[:, 0]))))
-    return found
+        windows.append(((y - smooth) * scale, float(np.ptp(smooth[:, 0]))))
+    return windows
 
 
 def camera_noise(

@@ -126,8 +126,8 @@ def identify(recordings: Sequence[Recorded]) -> Identified:
     )
     overlay, kept = _overlay(cell, servos, modes, swings, vision, noise)
     if swayed.settings:
-        found = {name: _digits(value) for name, value in swayed.settings.items()}
-        overlay.setdefault("tracking", {})["sway"] = found
+        settings = {name: _digits(value) for name, value in swayed.settings.items()}
+        overlay.setdefault("tracking", {})["sway"] = settings
     if windup.axes:
         overlay.setdefault("control", {})["windup"] = [_plain(axis) for axis in windup.axes]
     findings = (

@@ -74,32 +74,32 @@ def stretches(trace: Trace) -> list[Stretch]:
     still = (rates[:, :3].max(axis=1) < STILL[0]) & (rates[:, 3:].max(axis=1) < STILL[1])
     still &= path.known(times) & ~trace.in_contact(times, AFTER_CONTACT)
     edges = np.flatnonzero(np.diff(np.concatenate(((False,), still, (False,)))))
-    found = []
+    ringing = []
     for begin, end in pairwise(edges):
         if not still[begin] or times[end - 1] - times[begin] < SHORTEST:
             continue
         rows = slice(begin, begin + int(np.searchsorted(times[begin:end] - times[begin], LONGEST)))
-        found.append(Stretch(times[rows] - times[begin], trace.wrenches[rows, 1:]))
-    return found
+        ringing.append(Stretch(times[rows] - times[begin], trace.wrenches[rows, 1:]))
+    return ringing
 
 
 def identify_modes(traces: Sequence[Trace]) -> tuple[ModeResult, ...]:
     """Return the elastic mode of each of the tool's six axes."""
-    found = [stretch for trace in traces for stretch in stretches(trace)]
-    rate_hz = reading_rate(found)
-    if found and rate_hz < LEAST_RATE_HZ:
+    ringing = [stretch for trace in traces for stretch in stretches(trace)]
+    rate_hz = reading_rate(ringing)
+    if ringing and rate_hz < LEAST_RATE_HZ:
         reason = (
             f"readings come at {rate_hz:.1f} Hz, at least {LEAST_RATE_HZ:.0f} Hz are needed: a "
             f"mode above {0.5 * rate_hz:.1f} Hz would appear as a slower one. Raise the sensor's "
             "rate"
         )
         return tuple(_refused(axis, reason) for axis in range(6))
-    return tuple(_mode(axis, found, rate_hz) for axis in range(6))
+    return tuple(_mode(axis, ringing, rate_hz) for axis in range(6))
 
 
-def reading_rate(found: Sequence[Stretch]) -> float:
+def reading_rate(ringing: Sequence[Stretch]) -> float:
     """Return the usual rate of readings with stamps of their own [Hz], 0 without any."""
-    gaps = np.concatenate([np.diff(stretch.times) for stretch in found] or [np.zeros(0)])
+    gaps = np.concatenate([np.diff(stretch.times) for stretch in ringing] or [np.zeros(0)])
     gaps = gaps[gaps > 0.0]
     return 1.0 / float(np.median(gaps)) if len(gaps) else 0.0
 
@@ -109,23 +109,23 @@ def _refused(axis: int, reason: str) -> ModeResult:
     return ModeResult(axis, None, refusal, refusal, None)
 
 
-def _mode(axis: int, found: list[Stretch], rate_hz: float) -> ModeResult:
-    if not found:
+def _mode(axis: int, ringing: list[Stretch], rate_hz: float) -> ModeResult:
+    if not ringing:
         return _refused(axis, "the robot never stands still in free space while a wrench is read")
-    fitted = _fit(axis, found, _search(axis, found))
+    fitted = _fit(axis, ringing, _search(axis, ringing))
     f, z = fitted.frequency_hz, fitted.damping
     if fitted.clear < CLEAR:
         return _refused(
             axis, f"not enough excitation: what rings is {fitted.clear:.1f} times its deviation"
         )
-    longest = max(float(stretch.times[-1]) for stretch in found)
+    longest = max(float(stretch.times[-1]) for stretch in ringing)
     if longest * f < PERIODS:
         return _refused(axis, f"too short: {longest:.1f} s of rest for {f:.1f} Hz")
     if not fitted.deviations[0] < FREQUENCY_SHARE * f:
         return _refused(axis, f"its frequency is known only to +-{fitted.deviations[0]:.2g} Hz")
     if not fitted.deviations[1] < DAMPING_DEVIATION or not DAMPING[0] < z < 0.95 * DAMPING[1]:
         return _refused(axis, f"its damping is known only to +-{fitted.deviations[1]:.2g}")
-    basis = f"{len(found)} stretches of rest, ringing {fitted.clear:.0f} times its deviation, "
+    basis = f"{len(ringing)} stretches of rest, ringing {fitted.clear:.0f} times its deviation, "
     basis += f"{rate_hz:.0f} readings a second"
     return ModeResult(
         axis,
@@ -154,22 +154,22 @@ def _basis(t: Array, frequency_hz: float, damping: float) -> Array:
     return np.column_stack(columns)
 
 
-def _left(axis: int, found: list[Stretch], frequency_hz: float, damping: float) -> Array:
+def _left(axis: int, ringing: list[Stretch], frequency_hz: float, damping: float) -> Array:
     """Return the residuals of all stretches (n,)."""
     rest = []
-    for stretch in found:
+    for stretch in ringing:
         A = _basis(stretch.times, frequency_hz, damping)
         y = stretch.values[:, axis]
         rest.append(y - A @ np.linalg.lstsq(A, y, rcond=None)[0])
     return np.concatenate(rest)
 
 
-def _search(axis: int, found: list[Stretch]) -> tuple[float, float]:
+def _search(axis: int, ringing: list[Stretch]) -> tuple[float, float]:
     """Return frequency and damping at the highest peak of the summed spectra."""
-    longest = max(float(stretch.times[-1]) for stretch in found)
+    longest = max(float(stretch.times[-1]) for stretch in ringing)
     grid = np.arange(SEARCH_HZ[0], SEARCH_HZ[1], 0.2 / longest)
     power = np.zeros(len(grid))
-    for stretch in found:
+    for stretch in ringing:
         A = _basis(stretch.times, 1.0, 0.0)[:, 2:]
         y = stretch.values[:, axis]
         rest = y - A @ np.linalg.lstsq(A, y, rcond=None)[0]
@@ -177,14 +177,14 @@ def _search(axis: int, found: list[Stretch]) -> tuple[float, float]:
         power += np.abs(turns @ rest) ** 2 / len(rest)
     peak = float(grid[int(np.argmax(power))])
     near = [(peak + shift, z) for shift in (-0.1, 0.0, 0.1) for z in (0.005, 0.02, 0.08)]
-    return min(near, key=lambda pair: float(np.sum(_left(axis, found, *pair) ** 2)))
+    return min(near, key=lambda pair: float(np.sum(_left(axis, ringing, *pair) ** 2)))
 
 
-def _fit(axis: int, found: list[Stretch], start: tuple[float, float]) -> _Fitted:
+def _fit(axis: int, ringing: list[Stretch], start: tuple[float, float]) -> _Fitted:
     """Return the best frequency and damping near ``start``."""
 
     def residuals(theta: Array) -> Array:
-        return _left(axis, found, math.exp(theta[0]), math.exp(theta[1]))
+        return _left(axis, ringing, math.exp(theta[0]), math.exp(theta[1]))
 
     solved = least_squares(
         residuals,
@@ -198,24 +198,24 @@ def _fit(axis: int, found: list[Stretch], start: tuple[float, float]) -> _Fitted
     )
     f, z = math.exp(solved.x[0]), math.exp(solved.x[1])
     e = solved.fun
-    free = max(len(e) - 4 * len(found) - 2, 1)
+    free = max(len(e) - 4 * len(ringing) - 2, 1)
     variance = float(e @ e) / free
     slope: Array = np.asarray(solved.jac, dtype=float)
     inverse = np.linalg.pinv(slope.T @ slope, hermitian=True)
     deviations = np.sqrt(np.maximum(inverse.diagonal() * variance, 0.0)) * (f, z)
     return _Fitted(
         f, z, (float(deviations[0]), float(deviations[1])), math.sqrt(variance),
-        _clear(axis, found, f, z, variance),
+        _clear(axis, ringing, f, z, variance),
     )  # fmt: skip
 
 
 def _clear(
-    axis: int, found: list[Stretch], frequency_hz: float, damping: float, variance: float
+    axis: int, ringing: list[Stretch], frequency_hz: float, damping: float, variance: float
 ) -> float:
     """Return the amplitude of the oscillation over all stretches, in its deviations."""
-    with_mode = float(np.sum(_left(axis, found, frequency_hz, damping) ** 2))
+    with_mode = float(np.sum(_left(axis, ringing, frequency_hz, damping) ** 2))
     without = 0.0
-    for stretch in found:
+    for stretch in ringing:
         A = _basis(stretch.times, frequency_hz, damping)[:, 2:]
         y = stretch.values[:, axis]
         rest = y - A @ np.linalg.lstsq(A, y, rcond=None)[0]

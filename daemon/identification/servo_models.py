@@ -63,14 +63,14 @@ def identify_servos(traces: Sequence[Trace]) -> tuple[ServoResult, ...]:
     )
 
 
-def _judged(axis: int, found: ServoFit | None) -> ServoResult:
-    refusal = _refusal(found)
-    if refusal is not None or found is None:
+def _judged(axis: int, fit: ServoFit | None) -> ServoResult:
+    refusal = _refusal(fit)
+    if refusal is not None or fit is None:
         refusal = refusal or Refusal("too few answers in the recording")
         return ServoResult(axis, None, refusal, refusal, refusal)
-    deviations = _deviations(found)
-    basis = f"{found.rows} answers, {found.residual:.1e} left of {found.motion:.1e}"
-    model = found.model
+    deviations = _deviations(fit)
+    basis = f"{fit.rows} answers, {fit.residual:.1e} left of {fit.motion:.1e}"
+    model = fit.model
     return ServoResult(
         axis,
         model,
@@ -80,17 +80,17 @@ def _judged(axis: int, found: ServoFit | None) -> ServoResult:
     )
 
 
-def _refusal(found: ServoFit | None) -> Refusal | None:
+def _refusal(fit: ServoFit | None) -> Refusal | None:
     """Return why a fit is refused, None if it is accepted."""
-    if found is None:
+    if fit is None:
         return Refusal("too few answers in the recording")
-    if found.motion < LEAST_LAG:
-        return Refusal(f"the axis hardly moved: it lags {found.motion:.1e} rad or m behind")
-    if not found.converged:
+    if fit.motion < LEAST_LAG:
+        return Refusal(f"the axis hardly moved: it lags {fit.motion:.1e} rad or m behind")
+    if not fit.converged:
         return Refusal("no second-order servo within reason explains the answers")
-    deviations = _deviations(found)
+    deviations = _deviations(fit)
     shares = (
-        ("frequency", deviations[0] / found.model.frequency_hz, FREQUENCY_SHARE, "%", 100.0),
+        ("frequency", deviations[0] / fit.model.frequency_hz, FREQUENCY_SHARE, "%", 100.0),
         ("damping", deviations[1], DAMPING_DEVIATION, "", 1.0),
         ("dead time", deviations[2], DEAD_TIME_DEVIATION, "ms", 1e3),
     )
@@ -98,14 +98,14 @@ def _refusal(found: ServoFit | None) -> Refusal | None:
         if not deviation <= limit:
             known = f"+-{scale * deviation:.2g} {unit}".rstrip()
             return Refusal(f"not enough excitation: its {name} is known only to {known}")
-    if found.residual > MISFIT * found.motion:
-        share = found.residual / found.motion
+    if fit.residual > MISFIT * fit.motion:
+        share = fit.residual / fit.motion
         return Refusal(f"a second-order servo leaves {100.0 * share:.0f} % of the lag unexplained")
     return None
 
 
-def _deviations(found: ServoFit) -> Array:
+def _deviations(fit: ServoFit) -> Array:
     """Return the deviations (3,) of frequency [Hz], damping and dead time [s]."""
-    misfit = max(LEAST_MISFIT / max(found.residual, 1e-15), 1.0)
-    deviations: Array = misfit * np.sqrt(np.maximum(found.covariance.diagonal(), 0.0))
+    misfit = max(LEAST_MISFIT / max(fit.residual, 1e-15), 1.0)
+    deviations: Array = misfit * np.sqrt(np.maximum(fit.covariance.diagonal(), 0.0))
     return deviations

@@ -221,18 +221,18 @@ def _wrenches(rows: list[TraceStep], epoch: int, frame: WrenchFrame | None) -> A
 
 
 def _contacts(rows: list[TraceStep], epoch: int) -> Array:
-    found: list[tuple[float, float]] = []
+    contacts: list[tuple[float, float]] = []
     begin: float | None = None
     for step in rows:
         now = (step.inputs.stamp_ns - epoch) * 1e-9
         if step.contact and begin is None:
             begin = now
         elif not step.contact and begin is not None:
-            found.append((begin, now))
+            contacts.append((begin, now))
             begin = None
     if begin is not None:
-        found.append((begin, (rows[-1].inputs.stamp_ns - epoch) * 1e-9))
-    return np.array(found).reshape(-1, 2)
+        contacts.append((begin, (rows[-1].inputs.stamp_ns - epoch) * 1e-9))
+    return np.array(contacts).reshape(-1, 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

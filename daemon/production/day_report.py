@@ -87,12 +87,12 @@ def page(records: Sequence[Record], day: str) -> str:
 
 def value(record: Record, path: tuple[str, ...]) -> float | None:
     """Return a figure of a record, None if it has none."""
-    found: Any = record
+    entry: Any = record
     for key in path:
-        found = found.get(key) if isinstance(found, Mapping) else None
-    if isinstance(found, bool) or not isinstance(found, (int, float)) or not math.isfinite(found):
+        entry = entry.get(key) if isinstance(entry, Mapping) else None
+    if isinstance(entry, bool) or not isinstance(entry, (int, float)) or not math.isfinite(entry):
         return None
-    return float(found)
+    return float(entry)
 
 
 def drift(values: Sequence[float]) -> tuple[float, float] | None:
@@ -233,10 +233,10 @@ def _plot(figure: TrendFigure, records: Sequence[Record]) -> str:
 def _trend(points: Sequence[tuple[int, float, bool]], place: Any, unit: str) -> tuple[str, str]:
     """Return the line of the good parts' drift, and a note about it."""
     good = [(i, v) for i, v, ok in points if ok]
-    found = drift([v for _, v in good])
-    if found is None:
+    drifted = drift([v for _, v in good])
+    if drifted is None:
         return "", "<span>too few good parts for a drift</span>"
-    slope, deviation = found
+    slope, deviation = drifted
     mean, centre = sum(v for _, v in good) / len(good), (len(good) - 1) / 2.0
     x1, y1 = place(good[0][0], mean - slope * centre)
     x2, y2 = place(good[-1][0], mean + slope * centre)

@@ -167,15 +167,17 @@ class PartRecord:
 
 def _latencies(events: list[tuple[float, str, str]]) -> list[dict[str, Any]]:
     """Return for each confirmed change how long it was tentative before [s]."""
-    found, tentative = [], {}
+    confirmed, tentative = [], {}
     for at_s, kind, what in events:
         if what == "tentative":
             tentative[kind] = at_s
         elif what == "confirmed":
-            found.append({"event": kind, "tentative_s": round(at_s - tentative.pop(kind, at_s), 3)})
+            confirmed.append(
+                {"event": kind, "tentative_s": round(at_s - tentative.pop(kind, at_s), 3)}
+            )
         elif what == "cancelled":
             tentative.pop(kind, None)
-    return found
+    return confirmed
 
 
 def missed(part: AnnouncedPart, at: str, station: str, reason: str) -> dict[str, Any]:

@@ -85,18 +85,20 @@ def _report_ready(listening: dict[str, Any], ready_fd: int | None) -> None:
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = CommandLine(prog="linemated", description="The linemate daemon.")
-    made.add_argument("--version", action=Version)
-    what = made.add_mutually_exclusive_group(required=True)
+    command_parser = CommandLine(prog="linemated", description="The linemate daemon.")
+    command_parser.add_argument("--version", action=Version)
+    what = command_parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--config", type=Path, metavar="FILE", help="YAML, see linemated.yaml(5)")
     what.add_argument("--schema", action="store_true", help="print the JSON schema of FILE and end")
-    made.add_argument("--check", action="store_true", help="validate every file and end")
-    made.add_argument(
+    command_parser.add_argument("--check", action="store_true", help="validate every file and end")
+    command_parser.add_argument(
         "--ready-fd", type=int, metavar="N", help="write a line of JSON with the ports here"
     )
     levels = ("debug", "info", "warning", "error")
-    made.add_argument("--log", choices=levels, default="info", help="what is logged; info")
-    return made
+    command_parser.add_argument(
+        "--log", choices=levels, default="info", help="what is logged; info"
+    )
+    return command_parser
 
 
 if __name__ == "__main__":

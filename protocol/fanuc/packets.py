@@ -195,9 +195,9 @@ def read_short(data: bytes, kind: PacketKind) -> int:
         FanucError: it is none.
     """
     require_size(data, _COMMON, kind.name)
-    found, version = _COMMON.unpack(data)
-    if found != kind:
-        raise FanucError(f"packet type {found}, not {kind.value} ({kind.name})")
+    sent_kind, version = _COMMON.unpack(data)
+    if sent_kind != kind:
+        raise FanucError(f"packet type {sent_kind}, not {kind.value} ({kind.name})")
     return int(version)
 
 

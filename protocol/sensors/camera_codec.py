@@ -269,8 +269,8 @@ class CameraDecoder:
         return None if source is None else source.clock.offset_ns
 
     def _check_expected(self, message: CameraMessage, data: bytes) -> None:
-        got = (message.frame, message.obj, message.src)
-        for expected, name in zip(self._expected, got, strict=True):
+        received = (message.frame, message.obj, message.src)
+        for expected, name in zip(self._expected, received, strict=True):
             if expected is not None and expected != name:
                 raise CameraError("unexpected", f"{name!r} instead of {expected!r}", data)
 

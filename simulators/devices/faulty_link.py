@@ -155,20 +155,20 @@ def _spoilt(fault: Fault, chance: random.Random, data: bytes) -> bytes:
     if fault.kind == "truncate":
         return data[: chance.randrange(len(data))] if data else data
     if fault.kind == "ipoc_flip":
-        return _IPOC.sub(lambda found: found[1] + _flipped_number(found[2], chance), data, count=1)
+        return _IPOC.sub(lambda match: match[1] + _flipped_number(match[2], chance), data, count=1)
     if fault.kind == "unreadable":
         return _unreadable(data, chance)
     if fault.kind == "exponent":
-        return _NUMBER.sub(lambda found: b"%.12e" % float(found[0]), data)
+        return _NUMBER.sub(lambda match: b"%.12e" % float(match[0]), data)
     return flipped(data, max(1, fault.count), chance)
 
 
 def _unreadable(data: bytes, chance: random.Random) -> bytes:
     """Write one value of a telegram so that it is no number; the counter stays."""
-    found = list(_NUMBER.finditer(data))
-    if not found:
+    numbers = list(_NUMBER.finditer(data))
+    if not numbers:
         return data
-    begin, end = chance.choice(found).span()
+    begin, end = chance.choice(numbers).span()
     return data[:begin] + chance.choice(NO_NUMBERS) + data[end:]
 
 
@@ -187,7 +187,7 @@ def flipped(data: bytes, count: int, chance: random.Random) -> bytes:
         The spoilt piece.
     """
     spoilt = bytearray(data)
-    spared = {i for found in _DELAY.finditer(data) for i in range(*found.span())}
+    spared = {i for match in _DELAY.finditer(data) for i in range(*match.span())}
     for _ in range(count if len(spoilt) > len(spared) else 0):
         place = chance.randrange(len(spoilt))
         while place in spared:

@@ -188,31 +188,31 @@ class LimitJudge:
         self._depths.clear()
         past = np.zeros((3, positions.shape[1])) if self._past is None else self._past
         fresh = depths > 0
-        found = np.empty((len(past) + 1, *positions.shape))  # kind, cycle, axis
-        found[0] = positions
+        excesses = np.empty((len(past) + 1, *positions.shape))  # kind, cycle, axis
+        excesses[0] = positions
         for order, before in enumerate(past):
-            slope = found[order + 1]
-            slope[0] = found[order, 0] - before
-            np.subtract(found[order, 1:], found[order, :-1], out=slope[1:])
+            slope = excesses[order + 1]
+            slope[0] = excesses[order, 0] - before
+            np.subtract(excesses[order, 1:], excesses[order, :-1], out=slope[1:])
             slope /= self.cycle_s
             slope[~fresh] = 0.0
-        counted = fresh & (np.arange(len(found))[:, np.newaxis] <= depths)
-        self._note(found, counted[:, :, np.newaxis])
-        self._past = found[:3, -1].copy()
+        counted = fresh & (np.arange(len(excesses))[:, np.newaxis] <= depths)
+        self._note(excesses, counted[:, :, np.newaxis])
+        self._past = excesses[:3, -1].copy()
         self._cycle += len(depths)
 
-    def _note(self, found: Floats, counted: Flags) -> None:
+    def _note(self, excesses: Floats, counted: Flags) -> None:
         low, high, limit = self._bounds
         if counted.any():
-            greatest = np.where(counted, np.abs(found), 0.0).max(axis=1, keepdims=True)
+            greatest = np.where(counted, np.abs(excesses), 0.0).max(axis=1, keepdims=True)
             shares = (greatest / limit).max(axis=(1, 2))
             for name, share in zip(KINDS[1:], shares[1:].tolist(), strict=True):
                 self._worst[name] = max(self._worst.get(name, 0.0), share)
-        beyond = counted & ~((low <= found) & (found <= high))
+        beyond = counted & ~((low <= excesses) & (excesses <= high))
         if not beyond.any():
             return
         for cycle, axis, kind in np.argwhere(beyond.transpose(1, 2, 0)).tolist():
-            name, value = KINDS[kind], float(found[kind, cycle, axis])
+            name, value = KINDS[kind], float(excesses[kind, cycle, axis])
             self._counts[name] += 1
             if len(self._evidence) < self.keep:
                 self._evidence.append(
@@ -231,10 +231,10 @@ class LimitJudge:
 def _bounds(limits: tuple[AxisLimit, ...], period: float) -> tuple[Floats, Floats, Floats]:
     """The least and the greatest value, and the limit, of each kind and axis, (4, 1, axes)."""
     low, high, limit = (np.zeros((4, 1, len(limits))) for _ in range(3))
-    for axis, one in enumerate(limits):
+    for axis, axis_limit in enumerate(limits):
         quantum = 0.5 * 10.0**-WIRE_DECIMALS * _UNITS[axis]
-        low[0, 0, axis], high[0, 0, axis] = one.low - quantum, one.high + quantum
-        limit[:, 0, axis] = math.inf, one.speed, one.acceleration, one.jerk
+        low[0, 0, axis], high[0, 0, axis] = axis_limit.low - quantum, axis_limit.high + quantum
+        limit[:, 0, axis] = math.inf, axis_limit.speed, axis_limit.acceleration, axis_limit.jerk
         for order in (1, 2, 3):
             grace = 2.0**order * quantum / period**order
             high[order, 0, axis] = limit[order, 0, axis] * (1.0 + _HAIR) + grace

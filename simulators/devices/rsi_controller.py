@@ -199,9 +199,9 @@ class RsiController:
         self.messages: deque[str] = deque(maxlen=MESSAGES)
         self._read = read
         receives = tuple(map(_receive, rsi.receive))
-        self._plan = tuple((one.tag, one.place, one.holdon) for one in receives)
+        self._plan = tuple((receive.tag, receive.place, receive.holdon) for receive in receives)
         self._corrections = tuple(
-            (n, one.axis) for n, one in enumerate(receives) if one.axis is not None
+            (n, receive.axis) for n, receive in enumerate(receives) if receive.axis is not None
         )
         tags = [element.tag for element in rsi.receive]
         self._stop = tags.index("Stop") if "Stop" in tags else None

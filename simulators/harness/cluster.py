@@ -117,7 +117,7 @@ def _require_same_sources(client: Any, address: str) -> None:
         theirs: dict[str, str] = client.run(digest)
     except ImportError as error:
         raise ClusterError(f"a worker of {address} lacks linemate: {error}") from error
-    other = sorted(worker for worker, found in theirs.items() if found != own)
+    other = sorted(worker for worker, theirs_digest in theirs.items() if theirs_digest != own)
     if other:
         names = ", ".join(other[:5])
         raise ClusterError(f"other sources of linemate than here on workers of {address}: {names}")

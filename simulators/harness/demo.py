@@ -554,10 +554,10 @@ def _cost(refused: str) -> str:
 
 
 def _only_recording(folder: Path) -> Path:
-    found = sorted(folder.glob("*.mcap"))
-    if len(found) != 1:
-        raise DemoError(f"{len(found)} recordings of the daemon where there should be one")
-    return found[0]
+    recordings = sorted(folder.glob("*.mcap"))
+    if len(recordings) != 1:
+        raise DemoError(f"{len(recordings)} recordings of the daemon where there should be one")
+    return recordings[0]
 
 
 def _summary(result: dict[str, Any], out: Path) -> str:

@@ -27,10 +27,10 @@ EX_BROKEN = 1
 EX_UNAVAILABLE = 69
 
 
-def _default(one: "Field[Any]") -> Any:
-    if one.default_factory is not MISSING:
-        return field(default_factory=one.default_factory)
-    return field(default=one.default)
+def _default(entry: "Field[Any]") -> Any:
+    if entry.default_factory is not MISSING:
+        return field(default_factory=entry.default_factory)
+    return field(default=entry.default)
 
 
 EmulatorFile = make_dataclass(

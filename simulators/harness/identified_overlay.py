@@ -47,8 +47,8 @@ def load(path: Path = SHIPPED[OWN]) -> dict[str, Any]:
 
 def leaves(overlay: Mapping[str, Any], path: str = "") -> list[tuple[str, Any]]:
     """Return an overlay's values by path; a list is one value."""
-    found: list[tuple[str, Any]] = []
+    values: list[tuple[str, Any]] = []
     for key, value in overlay.items():
         here = f"{path}.{key}" if path else str(key)
-        found += leaves(value, here) if isinstance(value, Mapping) else [(here, value)]
-    return found
+        values += leaves(value, here) if isinstance(value, Mapping) else [(here, value)]
+    return values

@@ -341,8 +341,8 @@ _STATES = {name: i for i, name in enumerate(columns.STATES)}
 
 def _joined(truth: TruthLog, daemon: _DaemonLog) -> Rows:
     """Truth and the daemon's word side by side."""
-    found = truth.columns()
-    shared: dict[str, Any] = {name: found[name] for name in columns.TRUTH}
+    true_columns = truth.columns()
+    shared: dict[str, Any] = {name: true_columns[name] for name in columns.TRUTH}
     daemon_columns = daemon.columns(len(truth))
     return Rows(events=tuple(daemon.events), **shared, **daemon_columns)
 

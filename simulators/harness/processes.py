@@ -225,7 +225,7 @@ def _interrupts_later() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield  # no handler is ever called here
         return
-    came: list[int] = []
+    signals: list[int] = []
     before = {
         number: handler
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -233,13 +233,13 @@ def _interrupts_later() -> Iterator[None]:
     }
     try:
         for number in before:
-            signal.signal(number, lambda number, _frame: came.append(number))
+            signal.signal(number, lambda number, _frame: signals.append(number))
         yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-        if came:
-            signal.raise_signal(came[0])
+        if signals:
+            signal.raise_signal(signals[0])
 
 
 def die_with(parent: int) -> None:

@@ -90,7 +90,7 @@ class Hearing:
                     self.true_s = max(self.true_s, at_s)
                 if not is_frozen:
                     self.moved_s = max(self.moved_s, at_s)
-        self._coming = [one for one in self._coming if one[0] > now_s]
+        self._coming = [arrival for arrival in self._coming if arrival[0] > now_s]
 
 
 class Emitters:
@@ -345,16 +345,16 @@ class SensorLinks:
     def _distance(self, data: bytes, stamp_ns: int) -> None:
         # An adapter drops junk on its line; what reaches a decoder is a frame, good or bad.
         can_id, extended = self.emitters.frame
-        found = self._can_decoder.decode(can_id, data, stamp_ns, extended)
-        if found is not None:
-            self._cycle.samples.distance.push(found)
+        sample = self._can_decoder.decode(can_id, data, stamp_ns, extended)
+        if sample is not None:
+            self._cycle.samples.distance.push(sample)
 
     def _pose(self, data: bytes, stamp_ns: int) -> None:
         self._cycle.samples.camera.push(self._camera_decoder.feed(data, stamp_ns))
 
     def _stream(self, data: bytes, stamp_ns: int) -> None:
-        for found in self._wrench_decoder.feed(data, stamp_ns):
-            self._cycle.samples.wrench.push(found)
+        for sample in self._wrench_decoder.feed(data, stamp_ns):
+            self._cycle.samples.wrench.push(sample)
 
 
 def _talk(sensor: ForceTorqueSensor) -> None:

@@ -318,10 +318,10 @@ def _paths(value: Any, path: Path = ()) -> list[Path]:
         items = list(value.items())
     elif isinstance(value, list):
         items = list(enumerate(value))
-    found = [path] if path else []
+    paths = [path] if path else []
     for key, item in items:
-        found += _paths(item, (*path, key))
-    return found
+        paths += _paths(item, (*path, key))
+    return paths
 
 
 def _put(plain: dict[str, Any], path: Path, value: Any) -> None:

@@ -174,8 +174,10 @@ def picture(title: str, glimpse: Glimpse, events: list[str]) -> RenderableType:
     links = Table(box=None, pad_edge=False, header_style="dim")
     for name, side in (("link", "left"), ("samples", "right"), ("age ms", "right"), ("", "left")):
         links.add_column(name, justify="right" if side == "right" else "left")
-    for one in glimpse.links:
-        links.add_row(one.name, *map(_number, (one.samples, one.age_ms)), Text(one.trouble, "red"))
+    for link in glimpse.links:
+        links.add_row(
+            link.name, *map(_number, (link.samples, link.age_ms)), Text(link.trouble, "red")
+        )
     return Group(head, "", facts, "", links, "", *(Text(event, style="dim") for event in events))
 
 

@@ -65,9 +65,9 @@ def read_changes(path: Path) -> Iterator[StateChange]:
                 raise RecordingError(f"{path}: damaged: {record.reason}")
             if isinstance(record, Message) and topics[record.channel_id] == LOG:
                 line = json.loads(record.data)
-                found = _CHANGE.fullmatch(line["message"])
-                if line["name"] == STATE_LOG and found is not None:
-                    yield StateChange(*found.groups())
+                match = _CHANGE.fullmatch(line["message"])
+                if line["name"] == STATE_LOG and match is not None:
+                    yield StateChange(*match.groups())
 
 
 def evidence(truth_file: Path, recording_file: Path, scenario: Scenario) -> RunEvidence:
@@ -80,10 +80,10 @@ def evidence(truth_file: Path, recording_file: Path, scenario: Scenario) -> RunE
         OSError: a file that cannot be read.
         ValueError: a file that is not what it should be.
     """
-    found, facts = truth.load(truth_file)
+    columns, facts = truth.load(truth_file)
     collision = facts["collision"]
     return RunEvidence(
-        rows=join(found, read_steps(recording_file)),
+        rows=join(columns, read_steps(recording_file)),
         scenario=scenario.name,
         seed=scenario.seed,
         cycle_s=scenario.cycle_s,
@@ -99,28 +99,28 @@ def evidence(truth_file: Path, recording_file: Path, scenario: Scenario) -> RunE
     )
 
 
-def join(found: Mapping[str, Any], steps: Iterator[StepRecord]) -> Rows:
+def join(true_columns: Mapping[str, Any], steps: Iterator[StepRecord]) -> Rows:
     """Join the truth's columns and recorded steps.
 
     Args:
         steps: in order; those of telegrams that the truth does not have are left out.
     """
-    n = len(found["t"])
+    n = len(true_columns["t"])
     rows = columns.empty(n)
-    row_of = {int(ipoc): i for i, ipoc in enumerate(found["ipoc"])}
+    row_of = {int(ipoc): i for i, ipoc in enumerate(true_columns["ipoc"])}
     events: list[DaemonEvent] = []
     last: tuple[float, int] | None = None
     for record in steps:
         row = None if record.counter is None else row_of.get(record.counter)
         stamp_ns = record.inputs.stamp_ns
         if row is not None:
-            last = (float(found["t"][row]), stamp_ns)
+            last = (float(true_columns["t"][row]), stamp_ns)
             fill_row(rows, row, record)
         if last is not None:
             t = last[0] + (stamp_ns - last[1]) * 1e-9
             events += [DaemonEvent(t, kind, what) for kind, what in record.outputs["events"]]
     joined = replace(rows, events=tuple(events))
-    return replace(joined, **{name: found[name] for name in columns.TRUTH})
+    return replace(joined, **{name: true_columns[name] for name in columns.TRUTH})
 
 
 def fill_row(rows: Rows, row: int, record: StepRecord) -> None:

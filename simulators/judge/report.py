@@ -78,7 +78,7 @@ def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
             f'<figure><img alt="{html.escape(name)}" src="data:image/png;base64,{source}">'
             f"<figcaption>{caption}</figcaption></figure>"
         )
-    parts += [_table(one) for one in table.tables(result)]
+    parts += [_table(result_table) for result_table in table.tables(result)]
     if table.notes(result):
         items = "".join(f"<li>{html.escape(note)}</li>" for note in table.notes(result))
         parts.append(f'<h2>Notes</h2><ul class="notes">{items}</ul>')
@@ -114,8 +114,11 @@ def write(out_dir: Path, result: Mapping[str, Any], rows: Rows) -> tuple[Path, .
     return tuple(written)
 
 
-def _table(one: table.ResultTable) -> str:
-    numeric = [all(table.is_figure(row[i]) for row in one.rows) for i in range(len(one.head))]
+def _table(result_table: table.ResultTable) -> str:
+    numeric = [
+        all(table.is_figure(row[i]) for row in result_table.rows)
+        for i in range(len(result_table.head))
+    ]
 
     def line(tag: str, cells: tuple[str, ...]) -> str:
         inner = "".join(
@@ -124,5 +127,6 @@ def _table(one: table.ResultTable) -> str:
         )
         return f"<tr>{inner}</tr>"
 
-    body = "".join(line("td", row) for row in one.rows)
-    return f"<h2>{html.escape(one.title)}</h2><table>{line('th', one.head)}{body}</table>"
+    body = "".join(line("td", row) for row in result_table.rows)
+    head = line("th", result_table.head)
+    return f"<h2>{html.escape(result_table.title)}</h2><table>{head}{body}</table>"

@@ -53,15 +53,15 @@ def summarise(results: Sequence[Mapping[str, Any]]) -> dict[str, Figure]:
 
     ``assembled`` and ``within_limits`` are shares; their worst is 0 if any run failed.
     """
-    found: dict[str, list[float]] = {}
+    by_figure: dict[str, list[float]] = {}
     for result in results:
         for name, value in figures(result):
-            found.setdefault(name, []).append(math.inf if value is None else value)
+            by_figure.setdefault(name, []).append(math.inf if value is None else value)
     summary = {
         name: share([bool(result[name]) for result in results])
         for name in ("assembled", "within_limits")
     }
-    return summary | {name: describe(values) for name, values in sorted(found.items())}
+    return summary | {name: describe(values) for name, values in sorted(by_figure.items())}
 
 
 def describe(values: Sequence[float]) -> Figure:

@@ -64,7 +64,7 @@ def tables(result: Mapping[str, Any]) -> tuple[ResultTable, ...]:
     )
     telegrams = result.get("telegrams") or {}
     alarms = result.get("false_alarms") or {}
-    found = [
+    result_tables = [
         ResultTable(
             "Errors",
             ("error", "window", "max mm", "rms mm", "max mrad", "rms mrad"),
@@ -87,7 +87,7 @@ def tables(result: Mapping[str, Any]) -> tuple[ResultTable, ...]:
         ),
         ResultTable("Times", ("what", "p50 us", "p99 us", "p99.9 us", "max us"), time_rows(result)),
     ]
-    return tuple(table for table in found if table.rows)
+    return tuple(table for table in result_tables if table.rows)
 
 
 def time_rows(result: Mapping[str, Any]) -> tuple[tuple[str, ...], ...]:

@@ -174,8 +174,8 @@ def _detected(plan: AccuracyPlan, source: str, where: WorkPlace) -> dict[str, An
         label = f"detection {source} {kind}"
         with progress_bar(len(list(detection_plan.runs())), label) as progress:
             whole = detection.execute(detection_plan, where.workers, progress, where.scheduler)
-        found: dict[str, Any] = whole["detection"][variant][kind]
-        return found
+        figures: dict[str, Any] = whole["detection"][variant][kind]
+        return figures
 
     name = f"detection-{source.replace(' ', 'ms-')}"
     return {
@@ -195,11 +195,11 @@ def _piece(where: WorkPlace, name: str, asked: object, make: Callable[[], Any]) 
     except (OSError, ValueError, KeyError, TypeError):
         pass  # missing or half written: run it again
     # By way of JSON either way, so that a kept piece and a fresh one are the same to the byte.
-    made = json.loads(report_json.text(make()))
+    result = json.loads(report_json.text(make()))
     if digest() != where.sources:
         raise ChangedError(f"sources changed while {name} was made; run it in a clone of its own")
-    report_json.write(path, {"mark": mark, "made": made})
-    return made
+    report_json.write(path, {"mark": mark, "made": result})
+    return result
 
 
 # The page
@@ -282,7 +282,7 @@ def _amounts(each: Mapping[str, float | None]) -> dict[str, float]:
 
 def _known(what: str, text: str, known: Mapping[str, object]) -> dict[str, float | None]:
     """Read ``A,B:N``: names, each with a number of its own or None."""
-    found: dict[str, float | None] = {}
+    figures: dict[str, float | None] = {}
     for part in filter(None, (part.strip() for part in text.split(","))):
         name, _, number = part.partition(":")
         if name not in known:
@@ -293,8 +293,8 @@ def _known(what: str, text: str, known: Mapping[str, object]) -> dict[str, float
             raise SetupError(f"{part!r}: no number") from None
         if own is not None and not 0.0 < own < math.inf:
             raise SetupError(f"{part!r} are none")
-        found[name] = own
-    return found
+        figures[name] = own
+    return figures
 
 
 def _overlay(path: Path) -> Mapping[str, Any]:

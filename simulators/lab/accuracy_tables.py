@@ -162,11 +162,11 @@ def value(run: Run, name: str) -> float:
     if kind in {"control", "total"}:
         if not run["assembled"]:
             return math.inf
-        found = [run.get(f"{kind}_error.{window}.{measure}") for window in CONTROLLED]
-        known = [float(one) for one in found if one is not None]
+        maxima = [run.get(f"{kind}_error.{window}.{measure}") for window in CONTROLLED]
+        known = [float(maximum) for maximum in maxima if maximum is not None]
         return max(known, default=math.inf)
-    one = run.get(name)
-    return math.inf if one is None else float(one)
+    maximum = run.get(name)
+    return math.inf if maximum is None else float(maximum)
 
 
 def _described(runs: Sequence[Run], figure: str) -> dict[str, Any]:
@@ -202,14 +202,14 @@ def tables(runs: Runs, detection: Detection) -> str:
 
 def bars_met(runs: Runs, detection: Detection) -> list[tuple[str, bool]]:
     """Return every bar that has been measured, and whether it holds."""
-    found = [
+    bars = [
         (claim.label, claim.bar.holds(_described(_judging(runs, claim.case), claim.figure)))
         for claim in CLAIMS
         if claim.bar.text() and _judging(runs, claim.case)
     ]
-    measured = ((one, _found(detection, one)) for one in ASKED)
-    found += [(one.label, _holds(one, figure)) for one, figure in measured if figure is not None]
-    return found + [
+    measured = ((bar, _figures_of(detection, bar)) for bar in ASKED)
+    bars += [(bar.label, _holds(bar, figure)) for bar, figure in measured if figure is not None]
+    return bars + [
         (WRONG[case].label, _ratio_holds(runs, case)) for case in WRONG if _comparable(runs, case)
     ]
 
@@ -221,7 +221,10 @@ def claims(runs: Runs) -> str:
         groups = [_runs(runs, claim.case, group) for group in GROUPS]
         if not any(groups):
             continue
-        cells = [cell(_described(found, claim.figure)) if found else "–" for found in groups]
+        cells = [
+            cell(_described(runs_of_group, claim.figure)) if runs_of_group else "–"
+            for runs_of_group in groups
+        ]
         met = ""
         if claim.bar.text() and groups[1]:
             met = _word(claim.bar.holds(_described(groups[1], claim.figure)))
@@ -252,41 +255,41 @@ def assembled(runs: Runs) -> str:
 def asked(detection: Detection) -> str:
     """Detection of the default classifier next to its bars."""
     rows = []
-    for one in ASKED:
-        found = _found(detection, one)
-        if found is None:
+    for bar in ASKED:
+        figures = _figures_of(detection, bar)
+        if figures is None:
             continue
-        sign = "≤" if one.sense == "most" else "≥"
-        met = _word(_holds(one, found))
-        rows.append((one.label, _figure(found), f"{sign} {one.bar:g}", one.aim, met))
+        sign = "≤" if bar.sense == "most" else "≥"
+        met = _word(_holds(bar, figures))
+        rows.append((bar.label, _figure(figures), f"{sign} {bar.bar:g}", bar.aim, met))
     return markdown(("figure", "found", "bar", "aim", "met"), rows)
 
 
-def _found(detection: Detection, one: Asked) -> Mapping[str, Any] | None:
-    found: Any = detection.get(one.source, {}).get(one.kind)
-    if found is None:
+def _figures_of(detection: Detection, bar: Asked) -> Mapping[str, Any] | None:
+    figures: Any = detection.get(bar.source, {}).get(bar.kind)
+    if figures is None:
         return None
-    for part in one.path[:-1] if one.path[-1] == "share" else one.path:
-        found = found.get(part)
-        if found is None:
+    for part in bar.path[:-1] if bar.path[-1] == "share" else bar.path:
+        figures = figures.get(part)
+        if figures is None:
             return None
-    figure: Mapping[str, Any] = found
+    figure: Mapping[str, Any] = figures
     return figure
 
 
-def _holds(one: Asked, found: Mapping[str, Any]) -> bool:
-    number = next(found[name] for name in ("share", "rate", "median") if name in found)
+def _holds(bar: Asked, figures: Mapping[str, Any]) -> bool:
+    number = next(figures[name] for name in ("share", "rate", "median") if name in figures)
     if number is None:
         return False
-    return bool(number <= one.bar if one.sense == "most" else number >= one.bar)
+    return bool(number <= bar.bar if bar.sense == "most" else number >= bar.bar)
 
 
-def _figure(found: Mapping[str, Any]) -> str:
+def _figure(figures: Mapping[str, Any]) -> str:
     from linemate.simulators.lab.detection import latency_cell, rate_cell
 
-    if "share" in found:
-        return f"{found['share']:.3f}{interval_text(found['ci95'], '{:.3f}'.format)}"
-    return rate_cell(found) if "rate" in found else latency_cell(found)
+    if "share" in figures:
+        return f"{figures['share']:.3f}{interval_text(figures['ci95'], '{:.3f}'.format)}"
+    return rate_cell(figures) if "rate" in figures else latency_cell(figures)
 
 
 def classifiers(detection: Detection) -> str:
@@ -295,7 +298,7 @@ def classifiers(detection: Detection) -> str:
 
     rows: list[tuple[str, ...]] = []
     for kind, label in LABELS.items():
-        columns = [dict(cells(found.get(kind, {}))) for found in detection.values()]
+        columns = [dict(cells(kinds.get(kind, {}))) for kinds in detection.values()]
         names = dict.fromkeys(name for column in columns for name in column)
         rows += [(f"{label}: {name}", *(each.get(name, "–") for each in columns)) for name in names]
     if not rows:
@@ -317,10 +320,10 @@ def wrong(runs: Runs) -> str:
     """Medians of the cases with a wrong model, and their ratio to nominal on the same seeds."""
     rows = []
     for case in WRONG:
-        found = _judging(runs, case)
-        if not found:
+        judged = _judging(runs, case)
+        if not judged:
             continue
-        figures = [_described(found, name) for _, name in RATIOS]
+        figures = [_described(judged, name) for _, name in RATIOS]
         comparable = _comparable(runs, case)
         ratios = _ratios(runs, case) if comparable else [None] * len(RATIOS)
         texts = [
@@ -344,8 +347,8 @@ def _nominal(runs: Runs, case: str) -> Sequence[Run]:
 
 
 def _comparable(runs: Runs, case: str) -> bool:
-    found = _judging(runs, case)
-    return bool(found) and len(_nominal(runs, case)) == len(found)
+    judged = _judging(runs, case)
+    return bool(judged) and len(_nominal(runs, case)) == len(judged)
 
 
 def _ratios(runs: Runs, case: str) -> list[float | None]:
@@ -368,12 +371,12 @@ def _ratio_holds(runs: Runs, case: str) -> bool:
 
 def apart(runs: Runs) -> str:
     """The four errors of the default scenario, window by window."""
-    found = _judging(runs, NOMINAL)
-    if not found:
+    judged = _judging(runs, NOMINAL)
+    if not judged:
         return ""
     windows = ("approach", "stop", "impact", "contact", "restart")
     rows = [
-        (kind, measure, *(_apart(found, f"{kind}_error.{w}.max_{measure}") for w in windows))
+        (kind, measure, *(_apart(judged, f"{kind}_error.{w}.max_{measure}") for w in windows))
         for kind in ("control", "plan", "prediction", "total")
         for measure in ("mm", "mrad")
     ]
@@ -395,10 +398,10 @@ def ablations(runs: Runs) -> str:
     )
     rows = []
     for case in (NOMINAL, "oracle", "rule", *ABLATIONS):
-        found = _judging(runs, case)
-        if found:
-            done = f"{sum(bool(run['assembled']) for run in found)} of {len(found)}"
-            figures = (cell(_described(found, name)) for _, name in names)
+        judged = _judging(runs, case)
+        if judged:
+            done = f"{sum(bool(run['assembled']) for run in judged)} of {len(judged)}"
+            figures = (cell(_described(judged, name)) for _, name in names)
             rows.append((CASES[case].label, done, *figures))
     if len(rows) < 2:
         return ""
@@ -420,9 +423,9 @@ def cell(figure: Mapping[str, Any]) -> str:
     return f"{number(figure['median'])}{interval} ({number(figure['worst'])})"
 
 
-def number(one: float | None) -> str:
+def number(value: float | None) -> str:
     """Print three significant digits, a dash for None."""
-    return "–" if one is None else f"{one:.3g}"
+    return "–" if value is None else f"{value:.3g}"
 
 
 def _word(held: bool) -> str:

@@ -108,8 +108,8 @@ def main(args: Namespace) -> int:
     cell = cell_files.chosen(args)
     scenario = cell_files.scenario(args.scenario, cell)
     jobs = [
-        CampaignJob(made, seed)
-        for made in (
+        CampaignJob(run_setup, seed)
+        for run_setup in (
             setup.make(
                 scenario,
                 args.overrides,

@@ -67,14 +67,14 @@ class Case:
         Raises:
             SetupError: something does not fit.
         """
-        made = setup.make(self.scenario, cycle_ms=self.cycle_ms)
+        run_setup = setup.make(self.scenario, cycle_ms=self.cycle_ms)
         if overlay:
             from linemate.simulators.harness.setup import laid_over
 
-            made = laid_over(made, overlay)
-        tracking, control = variants.apply(self.variant, made.tracking, made.control)
-        made = replace(made, tracking=tracking, control=control, variant=self.variant)
-        return setup.override(made, self.overrides())
+            run_setup = laid_over(run_setup, overlay)
+        tracking, control = variants.apply(self.variant, run_setup.tracking, run_setup.control)
+        run_setup = replace(run_setup, tracking=tracking, control=control, variant=self.variant)
+        return setup.override(run_setup, self.overrides())
 
     def command(self) -> str:
         """What one types to run it."""

@@ -96,15 +96,15 @@ def execute(
     """
     jobs = list(plan.runs())
     tallies = spread(detection_runs.run, jobs, workers, progress, scheduler)
-    found: dict[str, dict[str, Tally]] = {}
+    tallied: dict[str, dict[str, Tally]] = {}
     for job, tally in zip(jobs, tallies, strict=True):
-        kinds = found.setdefault(job.setup.variant, {})
+        kinds = tallied.setdefault(job.setup.variant, {})
         kinds.setdefault(job.kind, Tally()).add(tally)
     return {
         "version": 1,
         "detection": {
             variant: {kind: figures(kind, tally) for kind, tally in kinds.items()}
-            for variant, kinds in found.items()
+            for variant, kinds in tallied.items()
         },
     }
 
@@ -116,49 +116,49 @@ def figures(kind: str, tally: Tally) -> dict[str, Any]:
     """Figures of one kind of run, ready for JSON."""
     if kind in {"jerk", "push"}:
         return {"made": tally.pushed["made"], **_confusion(tally.pushed)}
-    found: dict[str, Any] = {
+    result: dict[str, Any] = {
         "hours": {name: round(tally.seconds[name] / 3600.0, 4) for name in ("running", "standing")}
     }
     for event in ("stop", "start"):
         if tally.perceived[event]:
-            found[event] = {
+            result[event] = {
                 "perceived_s": latencies(tally.perceived[event]),
                 "confirmed_s": latencies(tally.confirmed[event]),
             }
     if kind != "restart":
-        found["false_per_hour"] = {
+        result["false_per_hour"] = {
             event: {
                 what: rate(tally.false[event, what], tally.seconds[state] / 3600.0)
                 for what in ("tentative", "confirmed")
             }
             for event, state in (("stop", "running"), ("start", "standing"))
         }
-        found["corrections"] = tally.corrections
-    return found
+        result["corrections"] = tally.corrections
+    return result
 
 
 def _confusion(pushed: Mapping[str, int]) -> dict[str, Any]:
-    made = pushed["made"]
-    if not made:
+    pushes = pushed["made"]
+    if not pushes:
         return {}
     shares = {}
     for name, word in (("not_suspected", "suspected"), ("not_taken", "taken")):
-        hits = made - pushed[word]
-        found = share([i < hits for i in range(made)])
-        shares[name] = {"share": found["median"], "ci95": found["ci95"]}
+        hits = pushes - pushed[word]
+        detected = share([i < hits for i in range(pushes)])
+        shares[name] = {"share": detected["median"], "ci95": detected["ci95"]}
     return shares
 
 
 def latencies(values: Sequence[float]) -> dict[str, Any]:
     """Median with its interval, tail, worst, how many there were and how many were missed."""
-    found = describe(values)
+    description = describe(values)
     ordered = sorted(values)
     tail = ordered[math.ceil(TAIL * len(ordered)) - 1]
     return {
-        "median": found["median"],
-        "ci95": found["ci95"],
+        "median": description["median"],
+        "ci95": description["ci95"],
         "p95": round(tail, 6) if math.isfinite(tail) else None,
-        "worst": found["worst"],
+        "worst": description["worst"],
         "n": len(values),
         "missed": sum(math.isinf(value) for value in values),
     }
@@ -206,31 +206,31 @@ def table(whole: Mapping[str, Any]) -> str:
     lines: list[str] = []
     for kind, label in LABELS.items():
         measured = {name: kinds[kind] for name, kinds in variants.items() if kind in kinds}
-        columns = {name: dict(cells(found)) for name, found in measured.items()}
-        names = list(dict.fromkeys(name for found in columns.values() for name in found))
-        rows = [(name, *(found.get(name, "-") for found in columns.values())) for name in names]
+        columns = {name: dict(cells(column)) for name, column in measured.items()}
+        names = list(dict.fromkeys(name for column in columns.values() for name in column))
+        rows = [(name, *(column.get(name, "-") for column in columns.values())) for name in names]
         if rows:
             lines += [*aligned((label, *columns), rows), ""]
     return "\n".join([*lines, LEGEND])
 
 
-def cells(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+def cells(kinds: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Name and print every figure of one kind of run."""
-    if "hours" in found:
-        hours = found["hours"]
+    if "hours" in kinds:
+        hours = kinds["hours"]
         yield "hours running, standing", f"{hours['running']:.2f}, {hours['standing']:.2f}"
     for event in ("stop", "start"):
-        for name, value in found.get(event, {}).items():
+        for name, value in kinds.get(event, {}).items():
             yield f"{event} {name.removesuffix('_s')} s", latency_cell(value)
-    for event, rates in found.get("false_per_hour", {}).items():
+    for event, rates in kinds.get("false_per_hour", {}).items():
         for what, value in rates.items():
             yield f"false {event}s {what} /h", rate_cell(value)
-    if "made" in found:
-        yield "made", str(found["made"])
+    if "made" in kinds:
+        yield "made", str(kinds["made"])
     for name in ("not_suspected", "not_taken"):
-        if name in found:
-            interval = interval_text(found[name]["ci95"], _percent)
-            shown = f"{_percent(found[name]['share'])}{interval}"
+        if name in kinds:
+            interval = interval_text(kinds[name]["ci95"], _percent)
+            shown = f"{_percent(kinds[name]['share'])}{interval}"
             yield f"{name.replace('_', ' ')} for a stop %", shown
 
 

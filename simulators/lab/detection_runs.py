@@ -215,32 +215,32 @@ class _Station:
         clock = self._distance.clock
         while clock.next_s < now_s + _TINY:
             self._distance.measure(self._conveyor.at(clock.next_s)[0])
-        found = []
+        collected = []
         noise, due = self._tracking.distance, self._distance.due
         while due and due[0].time_s <= now_s + _TINY:
             seen = due.popleft()
             delay = now_s - seen.time_s + noise.delay
             variance = noise.deviation**2
-            found.append(
+            collected.append(
                 PositionMeasurement(Source.DISTANCE, seen.position, delay, variance, noise.gate)
             )
-        return found + self._touch(now_s) if self._touched else found
+        return collected + self._touch(now_s) if self._touched else collected
 
     def _touch(self, now_s: float) -> list[PositionMeasurement]:
         clock = self._force.clock
         while clock.next_s < now_s + _TINY:
             y = self._conveyor.at(clock.next_s)[0] + self._pushed(clock.next_s)
             self._force.measure((0.0, y, 0.0, 0.0, 0.0, 0.0))
-        found = []
+        touches = []
         variance, gate = self._tracking.tactile.deflection**2, self._tracking.camera.gate
         due = self._force.due
         while due and due[0].time_s <= now_s + _TINY:
             felt = due.popleft()
             y = felt.force[1] / self._stiffness
-            found.append(
+            touches.append(
                 PositionMeasurement(Source.TACTILE, y, now_s - felt.time_s, variance, gate)
             )
-        return found
+        return touches
 
     def _pushed(self, t: float) -> float:
         while self._next < len(self._pushes) and self._pushes[self._next].onset_s <= t:
@@ -283,9 +283,9 @@ def _tally(
     events_seen = [event for event in events_seen if event.t >= 0.0]
     entries, idle = attribute(events_seen, events)
     for entry in entries:
-        for name, found in (("perceived_s", tally.perceived), ("confirmed_s", tally.confirmed)):
+        for name, onsets in (("perceived_s", tally.perceived), ("confirmed_s", tally.confirmed)):
             value = entry[name]
-            found[entry["event"]].append(math.inf if value is None else value)
+            onsets[entry["event"]].append(math.inf if value is None else value)
     edges = [0.0, *(event.onset_s for event in events), duration_s]
     for i, (begin, end) in enumerate(pairwise(edges)):
         tally.seconds["standing" if i % 2 else "running"] += end - begin

@@ -78,10 +78,10 @@ def identified(plan: IdentificationPlan, folder: Path) -> Identified:
         record(_exercise(plan), plan.seed + i, folder / f"exercise-{i}.mcap")
         for i in range(plan.exercises)
     ]
-    found = identify_command.from_files(files)
+    outcome = identify_command.from_files(files)
     if not plan.wheels:
-        return found
-    wheel = laid_over(_initial_setup(plan, "wheel"), found.overlay)
+        return outcome
+    wheel = laid_over(_initial_setup(plan, "wheel"), outcome.overlay)
     files += [
         record(wheel, plan.seed + 100 + i, folder / f"wheel-{i}.mcap") for i in range(plan.wheels)
     ]
@@ -222,14 +222,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         args.controller,
         args.cell,
     )
-    found = identified(plan, args.out)
-    print(identify_command.table(found.findings))
-    if not found.overlay:
+    outcome = identified(plan, args.out)
+    print(identify_command.table(outcome.findings))
+    if not outcome.overlay:
         print("nothing could be identified", file=sys.stderr)
         return 1
     path = args.overlay or args.out / "identified.yaml"
     names = sorted(file.name for file in args.out.glob("*.mcap"))
-    identify_command.write(path, identify_command.overlay_text(found, names))
+    identify_command.write(path, identify_command.overlay_text(outcome, names))
     print(f"\noverlay: {path}")
     return 0
 

@@ -51,25 +51,25 @@ def lagging(lag_s: float, growth_s: float = 0.0) -> Setup:
             f"scenario.robot.effects.warming.growth_s={growth_s}",
             f"control.drift.longer={growth_s + DRIFT_MARGIN_S}",
         ]
-    made = setup.make("wheel", changes, controller=families.FANUC)
-    robot = made.scenario.robot
+    run_setup = setup.make("wheel", changes, controller=families.FANUC)
+    robot = run_setup.scenario.robot
     later = lag_s - max(axis.dead_time_s for axis in robot.axes)
     first, *others = [replace(axis, dead_time_s=axis.dead_time_s + later) for axis in robot.axes]
     two, three, four, five, six, seven = others
     axes = (first, two, three, four, five, six, seven)
     servos = tuple(
-        replace(servo, dead_time=servo.dead_time + later) for servo in made.control.servos
+        replace(servo, dead_time=servo.dead_time + later) for servo in run_setup.control.servos
     )
     return replace(
-        made,
-        scenario=replace(made.scenario, robot=replace(robot, axes=axes)),
-        control=replace(made.control, servos=servos),
+        run_setup,
+        scenario=replace(run_setup.scenario, robot=replace(robot, axes=axes)),
+        control=replace(run_setup.control, servos=servos),
     )
 
 
-def measured(made: Setup, seeds: Sequence[int]) -> dict[str, Any]:
+def measured(run_setup: Setup, seeds: Sequence[int]) -> dict[str, Any]:
     """Return how many assemblies succeeded, and the figures over the seeds."""
-    runs = execute([CampaignJob(made, seed) for seed in seeds], 1)
+    runs = execute([CampaignJob(run_setup, seed) for seed in seeds], 1)
     figures = summarise(runs)
     counts = {"runs": len(runs), "assembled": sum(run["assembled"] for run in runs)}
     return counts | {name: figures[name] for name in FIGURES if name in figures}

@@ -151,7 +151,7 @@ def growth(case: Mapping[str, Any]) -> float:
 
 def text(whole: Mapping[str, Any]) -> str:
     """Print a line for each mount and damping, and below it each case that is not stable."""
-    found = whole["cases"]
+    cases = whole["cases"]
     head = ("mount N/mm", "damping %", "cases", GROWS, RISES, "growth", "force N", "energy J")
     lines = [
         (
@@ -163,17 +163,17 @@ def text(whole: Mapping[str, Any]) -> str:
             f"{max(case['force_n'] for case in part):.0f}",
             f"{max(case['energy_j'] for case in part):.3f}",
         )
-        for (mount, damping), part in grouped(found)
+        for (mount, damping), part in grouped(cases)
     ]
-    return "\n".join([*aligned(head, lines), "", *map(line, filter(is_unstable, found))])
+    return "\n".join([*aligned(head, lines), "", *map(line, filter(is_unstable, cases))])
 
 
 def grouped(
-    found: Iterable[Mapping[str, Any]],
+    cases: Iterable[Mapping[str, Any]],
 ) -> list[tuple[tuple[float, float], list[Mapping[str, Any]]]]:
     """Return the cases of each mount and damping."""
     groups: dict[tuple[float, float], list[Mapping[str, Any]]] = {}
-    for case in found:
+    for case in cases:
         groups.setdefault((case["mount"], case["damping"]), []).append(case)
     return list(groups.items())
 
@@ -227,7 +227,7 @@ def main(words: Sequence[str] | None = None) -> int:
         (args.speed, args.calm_s),
     )
     with progress_bar(len(chosen), "cases") as progress:
-        found = spread(measured, chosen, args.workers, progress)
+        measured_cases = spread(measured, chosen, args.workers, progress)
     whole = {
         "cycle_ms": args.cycle_ms,
         "dead_time_ms": args.dead_time_ms,
@@ -235,7 +235,7 @@ def main(words: Sequence[str] | None = None) -> int:
         "speed": args.speed,
         "calm_s": args.calm_s,
         "window_s": WINDOW_S,
-        "cases": found,
+        "cases": measured_cases,
     }
     print(json.dumps(whole, indent=1) if args.json else text(whole))
     return 0

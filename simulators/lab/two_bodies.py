@@ -97,16 +97,18 @@ class ContactTrace:
     calm: int = 0
 
 
-def _parameters(cell: TwoBodyCell, made: Setup) -> Parameters:
+def _parameters(cell: TwoBodyCell, run_setup: Setup) -> Parameters:
     """Return the parameters of a cell: servos and mount as the daemon has them configured."""
     stiffness = (cell.configured * cell.mount,) * 3
-    tracking = replace(made.tracking, tactile=replace(made.tracking.tactile, stiffness=stiffness))
-    servos = tuple(replace(servo, dead_time=cell.dead_time) for servo in made.control.servos)
-    filters = made.control.filters
+    tracking = replace(
+        run_setup.tracking, tactile=replace(run_setup.tracking.tactile, stiffness=stiffness)
+    )
+    servos = tuple(replace(servo, dead_time=cell.dead_time) for servo in run_setup.control.servos)
+    filters = run_setup.control.filters
     ahead = max(filters.servo_future_s, cell.dead_time + 0.06)
     filters = replace(filters, servo_future_s=ahead)
-    control = replace(made.control, servos=servos, filters=filters)
-    return build(_held(made.task), made.urdf, tracking, control, cell.cycle_s)
+    control = replace(run_setup.control, servos=servos, filters=filters)
+    return build(_held(run_setup.task), run_setup.urdf, tracking, control, cell.cycle_s)
 
 
 def _held(task: TaskFile) -> TaskFile:

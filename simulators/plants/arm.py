@@ -133,14 +133,14 @@ def _turned(a: Values, b: Values, c: float, s: float) -> tuple[Values, Values]:
 
 def _named(lines: list[str], name: str, values: list[Number]) -> list[Number]:
     """Give what has to be computed names of its own, a line each."""
-    found: list[Number] = []
+    numbers: list[Number] = []
     for axis, value in zip("xyz", values, strict=True):
         if isinstance(value, str) and not value.isidentifier():
             lines.append(f"{name}{axis} = {value}")
-            found.append(f"{name}{axis}")
+            numbers.append(f"{name}{axis}")
         else:
-            found.append(value)
-    return found
+            numbers.append(value)
+    return numbers
 
 
 def _mixed(*parts: tuple[Number, list[Number]]) -> list[Number]:

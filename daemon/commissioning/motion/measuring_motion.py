@@ -82,10 +82,10 @@ def axis_task(compiled: Parameters, task: Mapping[str, Any]) -> dict[str, Any]:
         task: plain values of that task.
     """
     home = _moved_along_rail(compiled)
-    made = _task("axes", task, [*_axis_moves(compiled, home)], CREEP_STAND_S)
-    made["linear_axis"] = {"travel": 0.0}
-    made["home"] = {**(task.get("home") or {}), "speed": RAIL_SPEED}
-    return made
+    motion = _task("axes", task, [*_axis_moves(compiled, home)], CREEP_STAND_S)
+    motion["linear_axis"] = {"travel": 0.0}
+    motion["home"] = {**(task.get("home") or {}), "speed": RAIL_SPEED}
+    return motion
 
 
 def _moved_along_rail(compiled: Parameters) -> Array:

@@ -52,7 +52,7 @@ def lint(
         task: whose arm and gates the file has to serve; None: an arm of six axes.
     """
     # Blank comments keep the place of every byte behind them.
-    shown = _COMMENT.sub(lambda found: re.sub(rb"[^\n]", b" ", found[0]), xml)
+    shown = _COMMENT.sub(lambda match: re.sub(rb"[^\n]", b" ", match[0]), xml)
     text = shown.decode("latin-1")
     try:
         rsi = parse_config(shown)
@@ -67,8 +67,8 @@ def lint(
         whats.append(f"the arm needs {', '.join(missing)}")
     if task is not None:
         whats += rsi_check.gate_errors(rsi, task)
-    found = [LintFinding(_line_of(text, what), what) for what in whats]
-    return sorted(found, key=lambda finding: finding.line or 0)
+    findings = [LintFinding(_line_of(text, what), what) for what in whats]
+    return sorted(findings, key=lambda finding: finding.line or 0)
 
 
 def _line_of_error(text: str, error: RsiError) -> int | None:
@@ -80,9 +80,9 @@ def _line_of_error(text: str, error: RsiError) -> int | None:
     names = [error.element or ""] if error.element else []
     names = [part for name in names for part in (name.split("/@")[0], name)]
     for name in [*_QUOTED.findall(error.reason), *names]:
-        found = [*_places(text, name)]
-        if found:
-            return _line(text, found[-1] if twice else found[0])
+        places = [*_places(text, name)]
+        if places:
+            return _line(text, places[-1] if twice else places[0])
     return None
 
 
@@ -106,9 +106,9 @@ def _places(text: str, name: str) -> Iterator[int]:
         rf"[\"'>]\s*{word}\s*[\"'<]",
         rf"<{word}[\s>/]",
     ):
-        found = [match.start() for match in re.finditer(pattern, text, re.IGNORECASE)]
-        if found:
-            yield from found
+        places = [match.start() for match in re.finditer(pattern, text, re.IGNORECASE)]
+        if places:
+            yield from places
             return
 
 

@@ -92,9 +92,9 @@ class Histogram:
     def summary_us(self) -> dict[str, float | None]:
         """What a status shows [us]."""
         shares = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
-        found = {name: self.percentile(share) for name, share in shares.items()}
-        found["max"] = self._greatest_ns / 1e9 if self._count else None
-        return {k: None if v is None else round(v * 1e6, 1) for k, v in found.items()}
+        summary = {name: self.percentile(share) for name, share in shares.items()}
+        summary["max"] = self._greatest_ns / 1e9 if self._count else None
+        return {k: None if v is None else round(v * 1e6, 1) for k, v in summary.items()}
 
 
 def _bucket(value: int) -> int:

@@ -224,9 +224,9 @@ class DistanceHealth(Health[DistanceSample]):
         return (last - first) / ((last_ns - first_ns) * 1e-9)
 
 
-def _middle(one: Trusted, two: Trusted, three: Trusted) -> Trusted:
+def _middle(first: Trusted, second: Trusted, third: Trusted) -> Trusted:
     """Return stamp [ns] and median [m] of three in a row."""
-    return two[0], sorted((one[1], two[1], three[1]))[1]
+    return second[0], sorted((first[1], second[1], third[1]))[1]
 
 
 class CameraHealth(Health[CameraSample]):

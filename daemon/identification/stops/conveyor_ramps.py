@@ -101,7 +101,7 @@ def find_ramps(moved: UnitMotion) -> list[FittedRamp]:
         return []
     level = moved.speeds / running
     fast = level > MIDDLE
-    found = []
+    ramps = []
     for k in np.flatnonzero(fast[1:] != fast[:-1]) + 1:
         starts = bool(fast[k])
         was = level[:k] < LOW if starts else level[:k] > HIGH
@@ -111,8 +111,8 @@ def find_ramps(moved: UnitMotion) -> list[FittedRamp]:
             end = k + int(np.flatnonzero(comes)[0])
             # The thresholds cut off a share of the ramp at either end.
             more = (moved.times[end] - moved.times[begin]) * LOW / (HIGH - LOW)
-            found.append(FittedRamp(starts, moved.times[begin] - more, moved.times[end] + more))
-    return [ramp for i, ramp in enumerate(found) if not i or ramp.begin > found[i - 1].begin]
+            ramps.append(FittedRamp(starts, moved.times[begin] - more, moved.times[end] + more))
+    return [ramp for i, ramp in enumerate(ramps) if not i or ramp.begin > ramps[i - 1].begin]
 
 
 def identify_ramps(traces: Sequence[Trace], delay: float) -> tuple[RampClass, ...]:
@@ -150,7 +150,7 @@ def _classes(
     fitted: Sequence[tuple[bool, Array, Array]],
 ) -> list[list[tuple[bool, Array, Array]]]:
     groups: list[list[tuple[bool, Array, Array]]] = []
-    for each in sorted(fitted, key=lambda one: (one[0], -one[1][0])):
+    for each in sorted(fitted, key=lambda pair: (pair[0], -pair[1][0])):
         last = groups[-1][0] if groups else None
         near = last is not None and each[1][0] > (1.0 - SAME) * last[1][0]
         if last is not None and last[0] == each[0] and near:

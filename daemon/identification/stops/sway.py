@@ -166,12 +166,12 @@ def _windows(scene: SceneFit, view: Views, moved: UnitMotion, camera: Camera) ->
             spans[-1] = (spans[-1][0], end)
         else:
             spans.append((begin, end))
-    found = []
+    windows = []
     for begin, end in spans:
         inside = (t > max(begin, moved.times[0])) & (t < min(end, moved.times[-1]))
         if inside.sum() >= LEAST_IMAGES:
-            found.append(_Window(t[inside], body[inside], sigma[inside], moved))
-    return found
+            windows.append(_Window(t[inside], body[inside], sigma[inside], moved))
+    return windows
 
 
 def _part(window: _Window, kept: Any) -> _Window:
@@ -366,6 +366,6 @@ def _none(windows: Sequence[_Window], lowest_hz: float) -> SwayResult:
         return _refused("neither a sway nor its absence: the stops are too gentle for the camera")
     stops = f"{len(windows)} stops and starts"
     none = Refusal(f"none from {lowest_hz:.2g} to {SEARCH_HZ[1]:.2g} Hz in {stops}")
-    found = Estimate(0.0, hidden, f"{stops}: at {lowest_hz:.2g} Hz, or as far if faster")
+    unseen = Estimate(0.0, hidden, f"{stops}: at {lowest_hz:.2g} Hz, or as far if faster")
     settings = {"frequency_hz": 0.0, "gain": 0.0, "gain_deviation": max(hidden, LEAST)}
-    return SwayResult(settings, none, found, none)
+    return SwayResult(settings, none, unseen, none)

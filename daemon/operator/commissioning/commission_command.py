@@ -211,11 +211,11 @@ def _limits(site: "Site", state: "SiteState") -> StepResult:
     from linemate.daemon.operator.commissioning import site_files
 
     try:
-        found = site_files.checked(site, state)
+        report = site_files.checked(site, state)
     except FileError as error:
         return StepResult(refused="; ".join(error.lines))
     return StepResult(
-        tuple(margin_lines(found)),
+        tuple(margin_lines(report)),
         notes=("The controller's own limits are not on the wire: compare them on the pendant.",),
     )
 
@@ -249,10 +249,10 @@ def _measured(site: "Site", step: "WalkStep", args: argparse.Namespace) -> StepR
     recordings = read_recordings(files)
     names = tuple(path.name for path in files)
     try:
-        found = measurements.measure(step.name, recordings, _options(recordings, args, site))
+        measured = measurements.measure(step.name, recordings, _options(recordings, args, site))
     except CellError as error:
         return StepResult(recordings=names, refused=str(error))
-    return StepResult(found.lines, dict(found.overlay), names, found.refused)
+    return StepResult(measured.lines, dict(measured.overlay), names, measured.refused)
 
 
 def _options(recordings: "Sequence[Recorded]", args: argparse.Namespace, site: "Site") -> Any:

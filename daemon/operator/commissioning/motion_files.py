@@ -29,13 +29,13 @@ def write_motion(site: Site, state: SiteState, name: StepName) -> Path:
         FileError: the site's configuration is refused, or the motion in it.
         OSError: a file cannot be written.
     """
-    found = checked(site, state)
-    plain = documents.read(found.station.task.text.encode(), "task").value
+    report = checked(site, state)
+    plain = documents.read(report.station.task.text.encode(), "task").value
     make = axis_task if name is StepName.SIGNS else exercise_task
     motion = MOTIONS[name]
-    _write(site.folder / "arm.urdf", found.station.task.urdf)
+    _write(site.folder / "arm.urdf", report.station.task.urdf)
     task = site.folder / f"{motion}-task.yaml"
-    _write(task, HEAD.format(name=name.value) + _yaml(make(found.parameters, plain)))
+    _write(task, HEAD.format(name=name.value) + _yaml(make(report.parameters, plain)))
     config = documents.read(site.config.read_bytes(), str(site.config)).value
     text = HEAD.format(name=name.value) + _yaml(_config(config, state, task.name))
     path = site.directory / f"commission-{motion}.yaml"

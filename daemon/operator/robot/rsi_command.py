@@ -47,15 +47,19 @@ def _lint(args: argparse.Namespace) -> int:
         raise UsageError(str(error)) from error
     except documents.FileError as error:
         raise NegativeError(str(error)) from error
-    found = rsi_lint.lint(xml, corrections, constants, task)
+    findings = rsi_lint.lint(xml, corrections, constants, task)
     if args.json:
-        print(render.as_json([{"line": one.line, "what": one.what} for one in found]))
+        print(
+            render.as_json([{"line": finding.line, "what": finding.what} for finding in findings])
+        )
     else:
-        for one in found:
-            print(f"{args.file}:{'' if one.line is None else f'{one.line}:'} {one.what}")
-        if not found:
+        for finding in findings:
+            print(
+                f"{args.file}:{'' if finding.line is None else f'{finding.line}:'} {finding.what}"
+            )
+        if not findings:
             print(f"{args.file}: good")
-    return NO if found else OK
+    return NO if findings else OK
 
 
 def _configured(path: Path) -> tuple[Corrections, dict[str, Any], TaskFile]:

@@ -192,7 +192,7 @@ def without_reserves(smaps: str) -> list[tuple[int, int]]:
 
     A reserve is a nameless mapping of 16 MiB or more, of which less than an eighth is in use.
     """
-    found: list[tuple[int, int]] = []
+    reserves: list[tuple[int, int]] = []
     is_anonymous = False
     for line in smaps.splitlines():
         words = line.split()
@@ -201,12 +201,12 @@ def without_reserves(smaps: str) -> list[tuple[int, int]]:
             is_anonymous = len(words) == 5
             # The kernel's own pages and guard pages cannot be locked.
             if "r" in words[1] and not words[-1].startswith("[v"):
-                found.append((begin, end))
-        elif words[0] == "Rss:" and is_anonymous and found and found[-1] == (begin, end):
+                reserves.append((begin, end))
+        elif words[0] == "Rss:" and is_anonymous and reserves and reserves[-1] == (begin, end):
             size = end - begin
             if size >= LEAST_RESERVE and int(words[1]) * 1024 * MOST_USED < size:
-                found.pop()
-    return found
+                reserves.pop()
+    return reserves
 
 
 def _may_lock_all() -> bool:

@@ -59,9 +59,9 @@ def named(cell: str) -> CellFiles:
     Raises:
         FileError, SetupError: as ``chosen``.
     """
-    found = chosen(Namespace(cell=cell, config=None, task=None))
-    assert found is not None  # noqa: S101 - it has a configuration
-    return found
+    cell_files = chosen(Namespace(cell=cell, config=None, task=None))
+    assert cell_files is not None  # noqa: S101 - it has a configuration
+    return cell_files
 
 
 def chosen(args: Namespace) -> CellFiles | None:

@@ -76,19 +76,19 @@ def emulator_file(cell: CellFiles, family: str, folder: Path) -> dict[str, Any]:
     """
     file = cell.task.file
     limits = [asdict(limit) for limit in cell_truth.axis_limits(cell.task.urdf, file)]
-    found: dict[str, Any] = {"distance_mount": file.conveyor.start_position}
-    found[{families.RSI: "controller"}.get(family, family)] = {"limits": limits}
+    content: dict[str, Any] = {"distance_mount": file.conveyor.start_position}
+    content[{families.RSI: "controller"}.get(family, family)] = {"limits": limits}
     if family == families.FANUC:
-        found["fanuc"]["has_rail"] = file.arm.linear_axis
+        content["fanuc"]["has_rail"] = file.arm.linear_axis
     station = cell.station
     if station is None:
-        return found
+        return content
     if station.rsi is not None and family == families.RSI:
         (folder / "rsi.xml").write_text(station.texts["rsi"], encoding="utf-8")
-        found["rsi_xml"] = str(folder / "rsi.xml")
+        content["rsi_xml"] = str(folder / "rsi.xml")
         if station.config.rsi.corrections is Corrections.RELATIVE:
-            found["controller"]["mode"] = "relative"
-    return found | _sensors(cell, folder)
+            content["controller"]["mode"] = "relative"
+    return content | _sensors(cell, folder)
 
 
 def _sensors(cell: CellFiles, folder: Path) -> dict[str, Any]:
@@ -104,16 +104,16 @@ def _sensors(cell: CellFiles, folder: Path) -> dict[str, Any]:
             "distance.can_id and distance.step_m are not emulated. Write them into the DBC."
         )
     (folder / "distance.dbc").write_text(dbc, encoding="latin-1")
-    found: dict[str, Any] = {
+    links: dict[str, Any] = {
         "dbc": str(folder / "distance.dbc"),
         "dbc_message": distance.message,
         "dbc_signal": distance.signal,
     }
     names = {"source": camera.source, "frame": camera.frame, "object": camera.object}
-    found |= {f"camera_{key}": name for key, name in names.items() if name is not None}
+    links |= {f"camera_{key}": name for key, name in names.items() if name is not None}
     if wrench is not None:
-        found["force_torque_device"] = wrench.device
-    return found
+        links["force_torque_device"] = wrench.device
+    return links
 
 
 def _absolute(path: Path | None) -> str:

@@ -233,8 +233,8 @@ def _judged(
 
 def _plain(plan: LinePlan) -> dict[str, Any]:
     """Return a plan as a file has it."""
-    found: dict[str, Any] = json.loads(json.dumps(asdict(plan)))
-    return found
+    plain: dict[str, Any] = json.loads(json.dumps(asdict(plan)))
+    return plain
 
 
 def _is_ready(emulated: Emulated) -> bool:

@@ -121,9 +121,9 @@ def changed_by(factory: Any) -> Change:
     """
 
     def change(parameters: Parameters) -> Parameters:
-        made = _made(factory, parameters)
-        by = classified_by if hasattr(made, "advance") else predicted_by
-        return by(lambda _conveyor, _settings: made)(parameters)
+        plugin = _made(factory, parameters)
+        by = classified_by if hasattr(plugin, "advance") else predicted_by
+        return by(lambda _conveyor, _settings: plugin)(parameters)
 
     return change
 

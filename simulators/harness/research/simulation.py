@@ -71,7 +71,7 @@ def simulate(
             task=None if task is None else Path(task),
         )
     )
-    made = setup.make(
+    run_setup = setup.make(
         cell_files.scenario(scenario, files),
         _assignments(parameters),
         variant=variant,
@@ -82,9 +82,9 @@ def simulate(
     )
     if record is not None:
         path = Path(record)
-        evidence, result = truth_recording.record(made, seed, path, change=change)
+        evidence, result = truth_recording.record(run_setup, seed, path, change=change)
         return Run(evidence.rows, result=_named(result, classifier), recording=path)
-    run = lockstep.Lockstep(made, seed, change=change)
+    run = lockstep.Lockstep(run_setup, seed, change=change)
     while run.turn():
         pass
     evidence = run.evidence()
@@ -164,9 +164,9 @@ def _replayed(
     outputs: Iterable[tuple[StepRecord, Outputs, Parameters]], differ: list[bool]
 ) -> Iterator[StepRecord]:
     """Yield the steps with their replayed outputs; note whether each differs from the recorded."""
-    for record, made, _ in islice(outputs, reader.MOST_STEPS):
-        differ.append(bool(step_codec.differences(record, made)))
-        yield replace(record, outputs=step_codec.plain(made))
+    for record, outputs_again, _ in islice(outputs, reader.MOST_STEPS):
+        differ.append(bool(step_codec.differences(record, outputs_again)))
+        yield replace(record, outputs=step_codec.plain(outputs_again))
 
 
 def _rows_of(steps: list[StepRecord]) -> Rows:

@@ -47,10 +47,10 @@ def inhabited(world: VirtualTime) -> Iterator[None]:
         timeout: Any = None,
     ) -> tuple[list[Any], list[Any], list[Any]]:
         watched = list(readable)
-        ports = [world.ports[one] for one in watched if one in world.ports]
+        ports = [world.ports[descriptor] for descriptor in watched if descriptor in world.ports]
         if not ports:
-            found = select(watched, list(writable), list(strange), timeout)
-            return found[0], found[1], found[2]
+            ready = select(watched, list(writable), list(strange), timeout)
+            return ready[0], ready[1], ready[2]
         end_ns = world.now_ns + math.ceil(max(0.0, timeout) * 1e9)
         while not any(port.is_ready for port in ports):
             next_ns = world.next_ns

@@ -54,16 +54,16 @@ def rows() -> dict[str, WorldRow]:
     document = documents.read(ROWS.read_bytes(), str(ROWS))
     lines = document.lines(document.complaints)
     base, listed = document.value["base"], document.value["rows"]
-    found: dict[str, WorldRow] = {}
+    by_name: dict[str, WorldRow] = {}
     for name, row in listed.items():
         lines += [f"{ROWS}:1:1: rows.{name}.{key}: unknown key" for key in row if key not in _KEYS]
         below = _read(row["base"]) if "base" in row else base
         truth = laid_over(below, row.get(TRUTH) or {})
         commissioned = row.get(COMMISSIONED, document.value[COMMISSIONED])
-        found[name] = WorldRow(name, row["what"], truth, commissioned, row.get(DAEMON) or {})
+        by_name[name] = WorldRow(name, row["what"], truth, commissioned, row.get(DAEMON) or {})
     if lines:
         raise FileError(lines)
-    return found
+    return by_name
 
 
 def names() -> tuple[str, ...]:

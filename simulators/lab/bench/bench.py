@@ -115,16 +115,16 @@ def record(horizon: int, cycle_s: float) -> StepTrace:
     Args:
         horizon: steps that control looks ahead.
     """
-    made = setup.make("wheel", cycle_ms=1e3 * cycle_s)
-    control = replace(made.control, horizon_s=horizon * cycle_s)
+    run_setup = setup.make("wheel", cycle_ms=1e3 * cycle_s)
+    control = replace(run_setup.control, horizon_s=horizon * cycle_s)
     scenario = replace(
-        made.scenario,
+        run_setup.scenario,
         lead_in_s=max(1.0, LEAD_IN_CYCLES * cycle_s),
         duration_s=BEGIN_S + max(1.0, LEAST_STEPS * cycle_s),
     )
     entries: list[LogEntry] = []
     run = Lockstep(
-        replace(made, scenario=scenario, control=control), seed=0, on_step=entries.append
+        replace(run_setup, scenario=scenario, control=control), seed=0, on_step=entries.append
     )
     while run.turn():
         pass
@@ -157,10 +157,10 @@ def step_job(horizon: int, cycle_s: float) -> BenchJob:
 
 def virtual_job(name: str) -> BenchJob:
     """Make a job that gives virtual time as a multiple of real time: one whole run, 12 ms."""
-    made = setup.make("wheel", cycle_ms=12.0)
+    run_setup = setup.make("wheel", cycle_ms=12.0)
 
     def measure() -> float:
-        run = Lockstep(made, seed=0)
+        run = Lockstep(run_setup, seed=0)
         before_s, before_ns = run.world.time_s, time.perf_counter_ns()
         while run.turn():
             pass
@@ -269,12 +269,12 @@ def record_trace(measured_s: float) -> StationTrace:
     Args:
         measured_s: all rounds of one mode [s]; what is longer than the assembly plays it again.
     """
-    made = setup.make("wheel", cycle_ms=12.0)
-    longest = made.scenario.duration_s
+    run_setup = setup.make("wheel", cycle_ms=12.0)
+    longest = run_setup.scenario.duration_s
     duration = min(longest, 2.0 * measured_s + SETTLE_S)
-    scenario = replace(made.scenario, lead_in_s=LEAD_IN_S, duration_s=duration)
+    scenario = replace(run_setup.scenario, lead_in_s=LEAD_IN_S, duration_s=duration)
     entries: list[LogEntry] = []
-    run = Lockstep(replace(made, scenario=scenario), seed=0, on_step=entries.append)
+    run = Lockstep(replace(run_setup, scenario=scenario), seed=0, on_step=entries.append)
     while run.turn():
         pass
     return bench_trace.from_entries(entries)

@@ -36,10 +36,12 @@ async def run(period_ns: int) -> None:
         late_ns.append(timer.lateness.last_ns)
 
     def print_lateness() -> None:
-        found, count = sorted(late_ns), len(late_ns)
+        in_order, count = sorted(late_ns), len(late_ns)
         late_ns.clear()
         times = (
-            (found[count // 2], found[count - 1 - count // 100], found[-1]) if found else (0,) * 3
+            (in_order[count // 2], in_order[count - 1 - count // 100], in_order[-1])
+            if in_order
+            else (0,) * 3
         )
         print("late", count, *times, flush=True)
 

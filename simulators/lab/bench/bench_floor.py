@@ -103,10 +103,10 @@ def compiled(folder: Path) -> Path | None:
     out = folder / "bench_floor"
     source = files("linemate.simulators.lab.bench").joinpath("data", "bench_floor.c")
     with as_file(source) as path:
-        made = subprocess.run(  # noqa: S603 -- a compiler from PATH, our own source
+        compilation = subprocess.run(  # noqa: S603 -- a compiler from PATH, our own source
             [compiler, "-O2", "-o", str(out), str(path)], capture_output=True, check=False
         )
-    return out if made.returncode == 0 and out.exists() else None
+    return out if compilation.returncode == 0 and out.exists() else None
 
 
 class Words:
@@ -128,14 +128,14 @@ class Words:
 
     def await_line(self, head: str, children: Children) -> list[str]:
         """Wait for a line that begins with a word, and return its words; others are lost."""
-        found: list[list[str]] = []
+        lines: list[list[str]] = []
 
         def there() -> bool:
-            found.extend(words for words in self.new() if words[:1] == [head])
-            return bool(found)
+            lines.extend(words for words in self.new() if words[:1] == [head])
+            return bool(lines)
 
         wait_until(there, children, TIMEOUT_S, f"{self.child.name}: {head}", poll_s=0.005)
-        return found[-1]
+        return lines[-1]
 
 
 def start_echo(children: Children, program: Path | None, folder: Path, place: Place) -> int:
@@ -164,7 +164,7 @@ class TimerProgram:
 
     def lateness(self) -> WakeLateness:
         """Of the wakes since the last call."""
-        found: list[list[str]] = []
+        lines: list[list[str]] = []
         self._child.process.send_signal(signal.SIGUSR1)
 
         def has_answered() -> bool:
@@ -172,11 +172,11 @@ class TimerProgram:
                 if words[0] == "spike":
                     self.spikes.append(Spike(int(words[1]), int(words[2])))
                 elif words[0] == "late":
-                    found.append(words)
-            return bool(found)
+                    lines.append(words)
+            return bool(lines)
 
         wait_until(has_answered, self._children, TIMEOUT_S, self._child.name, poll_s=0.005)
-        count, *times = map(int, found[-1][1:])
+        count, *times = map(int, lines[-1][1:])
         return WakeLateness(count, *(times or (0, 0, 0)))
 
 

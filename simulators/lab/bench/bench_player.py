@@ -316,8 +316,8 @@ class Player:
 
     def _sorted(self, trace: StationTrace) -> list[Action]:
         """Everything the sensors say, as bytes, in the order of its instants."""
-        found = [*self._distances(trace), *self._poses(trace), *self._wrenches(trace)]
-        return sorted(found, key=lambda action: action[0])
+        emissions = [*self._distances(trace), *self._poses(trace), *self._wrenches(trace)]
+        return sorted(emissions, key=lambda action: action[0])
 
     def _distances(self, trace: StationTrace) -> Iterator[Action]:
         sensor = CanSensor(DistanceEncoder())

@@ -83,13 +83,13 @@ class Controller:
         self._due_s = max(self._due_s + CYCLE_S, time.monotonic())
         try:
             self._link.send(self._codec.format_robot(telegram))
-            came = self._reply()
+            is_answered = self._reply()
         except OSError:  # nothing listens
-            came = False
+            is_answered = False
         self.asked += 1
-        self.answered += came
+        self.answered += is_answered
         time.sleep(max(0.0, self._due_s - time.monotonic()))
-        return came
+        return is_answered
 
     def _reply(self) -> bool:
         wanted = b"<IPOC>%d</IPOC>" % self._counter

@@ -64,14 +64,14 @@ class StationTrace:
     def thinned(self, cycle_ns: int) -> list[Row]:
         """The distance sensor's readings: one a cycle, but no faster than the sensor is."""
         period, rows = max(cycle_ns, DISTANCE_NS), self.distance
-        found: list[Row] = []
+        thinned_rows: list[Row] = []
         for old, new in itertools.pairwise(rows):
             at = -(-old[0] // period) * period
             while at < new[0]:
                 share = (at - old[0]) / (new[0] - old[0])
-                found.append((at, old[1] + share * (new[1] - old[1])))
+                thinned_rows.append((at, old[1] + share * (new[1] - old[1])))
                 at += period
-        return found
+        return thinned_rows
 
     def write(self, path: Path) -> None:
         """Keep it in a file."""
@@ -93,7 +93,7 @@ def from_entries(entries: Iterable[LogEntry]) -> StationTrace:
         ValueError: there is no telegram among them.
     """
     inputs = [entry.inputs for entry in entries]
-    robots = [one.robot for one in inputs if one.robot is not None]
+    robots = [step_inputs.robot for step_inputs in inputs if step_inputs.robot is not None]
     if not robots:
         raise ValueError("a run without telegrams cannot be played")
     begin = robots[0].stamp_ns
@@ -102,11 +102,17 @@ def from_entries(entries: Iterable[LogEntry]) -> StationTrace:
             (r.stamp_ns - begin, *r.joints, r.external[0] if r.external else 0.0, r.digital_in)
             for r in robots
         ],
-        distance=[(d.stamp_ns - begin, d.position) for one in inputs for d in one.distance],
+        distance=[
+            (d.stamp_ns - begin, d.position) for step_inputs in inputs for d in step_inputs.distance
+        ],
         camera=[
             (c.stamp_ns - begin, c.exposure_ns - begin, c.position, c.quaternion, c.covariance)
-            for one in inputs
-            for c in one.camera
+            for step_inputs in inputs
+            for c in step_inputs.camera
         ],
-        wrench=[(w.stamp_ns - begin, w.force, w.torque) for one in inputs for w in one.wrench],
+        wrench=[
+            (w.stamp_ns - begin, w.force, w.torque)
+            for step_inputs in inputs
+            for w in step_inputs.wrench
+        ],
     )

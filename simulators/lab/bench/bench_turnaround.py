@@ -141,29 +141,31 @@ def figures(rounds: Sequence[Round], cycle_ns: int, spikes: Sequence[Spike]) -> 
     """What the rounds of one mode come to, keys as in the bench's JSON."""
     figures: dict[str, Any] = {}
     for name, share in (("p50", 0.5), ("p99", 0.99)):
-        daemon = [percentile(one.daemon_ns, share) for one in rounds]
-        echo = [percentile(one.echo_ns, share) for one in rounds]
+        daemon = [percentile(run.daemon_ns, share) for run in rounds]
+        echo = [percentile(run.echo_ns, share) for run in rounds]
         figures[f"{name}_us"] = _finite(median(daemon) * 1e-3, 1)
         figures[f"echo_{name}_us"] = _finite(median(echo) * 1e-3, 1)
         figures[f"{name}_ratio"] = _finite(
             median(a / b if b < float("inf") else 1.0 for a, b in zip(daemon, echo, strict=True)), 3
         )
     late = [
-        (sent, took)
-        for one in rounds
-        for sent, took in zip(one.sent_ns, one.daemon_ns, strict=True)
-        if took < 0 or took > cycle_ns
+        (sent, turnaround_ns)
+        for run in rounds
+        for sent, turnaround_ns in zip(run.sent_ns, run.daemon_ns, strict=True)
+        if turnaround_ns < 0 or turnaround_ns > cycle_ns
     ]
-    shares = [one.prepared for one in rounds if one.prepared is not None]
+    shares = [run.prepared for run in rounds if run.prepared is not None]
     figures["late"] = len(late)
     # What a program without any work of its own, one priority above, does no better.
     figures["echo_late"] = sum(
-        took < 0 or took > cycle_ns for one in rounds for took in one.echo_ns
+        turnaround_ns < 0 or turnaround_ns > cycle_ns
+        for run in rounds
+        for turnaround_ns in run.echo_ns
     )
     figures["late_unexplained"] = sum(
-        not is_explained(sent, took, cycle_ns, spikes) for sent, took in late
+        not is_explained(sent, turnaround_ns, cycle_ns, spikes) for sent, turnaround_ns in late
     )
-    figures["cycles"] = sum(len(one.sent_ns) for one in rounds)
+    figures["cycles"] = sum(len(run.sent_ns) for run in rounds)
     figures["prepared"] = round(median(shares), 4) if shares else None
     return figures
 
@@ -215,9 +217,9 @@ def wakeup(bench: Bench) -> dict[str, float] | None:
             for timer in timers:
                 timer.lateness()
             time.sleep(max(1.0, bench.round_s))
-            found = [timer.lateness() for timer in timers]
+            lateness = [timer.lateness() for timer in timers]
             if number >= 0:
-                rounds.append(found)
+                rounds.append(lateness)
     return {
         "p50_us": round(median(clock.p50_ns for clock, _ in rounds) * 1e-3, 1),
         "c_p50_us": round(median(timer.p50_ns for _, timer in rounds) * 1e-3, 1),
@@ -269,10 +271,11 @@ class _Run:
             probe.lateness()
         spikes = [spike for probe in self._probes for spike in probe.spikes]
         record = {
-            mode: figures(found, 1000 * self._cycle_us, spikes) for mode, found in rounds.items()
+            mode: figures(rounds_of_mode, 1000 * self._cycle_us, spikes)
+            for mode, rounds_of_mode in rounds.items()
         }
         first = rounds[modes[0]]
-        spent = median(one.cpu_ns / max(1, len(one.sent_ns)) for one in first)
+        spent = median(run.cpu_ns / max(1, len(run.sent_ns)) for run in first)
         cpu_us = round(spent * 1e-3, 1)
         return Measured(record, cpu_us, self.start_s, state, self._status())
 

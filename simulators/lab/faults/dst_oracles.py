@@ -132,10 +132,10 @@ class FaultOracle:
 
     def judge(self, judge: LimitJudge) -> None:
         """Look at what was applied, when the run is over."""
-        for found in judge.evidence[:2]:
+        for violation in judge.evidence[:2]:
             self.blame(
-                f"limits: {found.kind} of axis {found.axis} is {found.value:.6g}, limit"
-                f" {found.limit:.6g}, in cycle {found.cycle}; {judge.violations} in all"
+                f"limits: {violation.kind} of axis {violation.axis} is {violation.value:.6g}, limit"
+                f" {violation.limit:.6g}, in cycle {violation.cycle}; {judge.violations} in all"
             )
         worst = max(self._notable.values(), default=0)
         if worst > NOTABLE_A_SECOND:
@@ -175,8 +175,8 @@ class FaultOracle:
         A robot that stood although it was sent on, for no reply reached it, has all of the way
         before it in the cycle in which it hears again.
         """
-        went = zip(self._held, self.holds(), strict=False)
-        applied = [abs(new - old) / self._cycle_s for old, new in went]
+        joints = zip(self._held, self.holds(), strict=False)
+        applied = [abs(new - old) / self._cycle_s for old, new in joints]
         applied += [0.0] * (len(self._speeds) - len(applied))
         return tuple(max(abs(v), w) for v, w in zip(self._speeds, applied, strict=False))
 
@@ -281,7 +281,7 @@ def weigh(value: Any, depth: int = 0) -> int:
         return _weigh_all(value, depth) + 8
     kind: Any = type(value)
     parts = [getattr(value, name, None) for name in _slots(kind)]
-    parts += [one for name, one in getattr(value, "__dict__", {}).items() if name not in _SKIPPED]
+    parts += [part for name, part in getattr(value, "__dict__", {}).items() if name not in _SKIPPED]
     return _weigh_all(parts, depth) + 8
 
 
@@ -291,4 +291,4 @@ def _slots(kind: type) -> tuple[str, ...]:
 
 
 def _weigh_all(values: Iterable[Any], depth: int) -> int:
-    return sum([8 if type(one) in _BARE else weigh(one, depth + 1) for one in values])
+    return sum([8 if type(value) in _BARE else weigh(value, depth + 1) for value in values])

@@ -82,11 +82,11 @@ class CommandWire:
         replies = list(received.replies)
         if received.request is not None:
             replies += _carried_out(app, server, received.request, now_ns)
-        found = None
+        answer = None
         for reply in replies:
             event = client.on_datagram(reply, now_ns)
-            found = event if isinstance(event, Answer) else found
-        return found
+            answer = event if isinstance(event, Answer) else answer
+        return answer
 
 
 def _carried_out(app: App, server: Any, request: Incoming, now_ns: int) -> list[bytes]:

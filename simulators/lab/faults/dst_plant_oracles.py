@@ -214,7 +214,7 @@ class PlantOracle:
         if what in self._reported:
             return
         self._reported.add(what)
-        loss = excuse(harm, at_s, (*self._losses, *(one.loss for one in self._open.values())))
+        loss = excuse(harm, at_s, (*self._losses, *(span.loss for span in self._open.values())))
         if loss is None:
             self._blame(f"{what}: {figures}")
         else:

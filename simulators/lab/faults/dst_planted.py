@@ -352,9 +352,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     seeds = range(args.first, args.first + args.runs)
     missed = 0
     for name in args.names or ERRORS:
-        found = hunt(name, seeds, args.cycle_ms)
-        missed += found.violation is None
-        print(f"{name}: {found.runs} runs: {found.violation or 'not found'}", flush=True)
+        hunted = hunt(name, seeds, args.cycle_ms)
+        missed += hunted.violation is None
+        print(f"{name}: {hunted.runs} runs: {hunted.violation or 'not found'}", flush=True)
     print(f"{missed} not found within {args.runs} runs")
     return 1 if missed else 0
 

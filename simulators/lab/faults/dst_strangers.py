@@ -69,10 +69,10 @@ class Strangers:
 
     def forge(self, fault: Fault, telegram: bytes, send: Send) -> None:
         """Send copies of a telegram that count on their own, in the controller's name."""
-        found = _IPOC.search(telegram)
-        if found is None:
+        match = _IPOC.search(telegram)
+        if match is None:
             return
-        begin = int(found[0]) + (int(fault.value) or FORGED_AHEAD) * self._step
+        begin = int(match[0]) + (int(fault.value) or FORGED_AHEAD) * self._step
         for number in range(fault.count):
             ipoc = b"%d" % (begin + number * self._step)
             self._forged.append(ipoc)
@@ -85,15 +85,15 @@ class Strangers:
 
     def passed(self, telegram: bytes) -> None:
         """Note a telegram of the controller's own: its counter is no longer a forged one."""
-        found = _IPOC.search(telegram) if self._forged else None
-        if found is not None and found[0] in self._forged:
-            self._forged.remove(found[0])
+        match = _IPOC.search(telegram) if self._forged else None
+        if match is not None and match[0] in self._forged:
+            self._forged.remove(match[0])
 
     def moved_by(self, reply: bytes) -> str | None:
         """Return what is wrong with a reply that answers a forged telegram, None if nothing is."""
-        found = _IPOC.search(reply) if self._forged else None
-        if found is None or found[0] not in self._forged:
+        match = _IPOC.search(reply) if self._forged else None
+        if match is None or match[0] not in self._forged:
             return None
         if any(begin in reply for begin in _MOTION):
-            return f"forged: telegram {found[0].decode()} was answered with a correction"
+            return f"forged: telegram {match[0].decode()} was answered with a correction"
         return None

@@ -162,16 +162,16 @@ def _rows(outcome: ShiftOutcome) -> list[dict[str, Any]]:
 def _growth(outcome: ShiftOutcome) -> list[str]:
     """Return where memory or files grew beyond their bounds."""
     first, last = outcome.growth
-    found = []
+    sizes = []
     if last > GROWTH * first:
-        found.append(f"the daemon remembers {last} bytes at the end, {first} after the first car")
+        sizes.append(f"the daemon remembers {last} bytes at the end, {first} after the first car")
     grown = outcome.resident[1] - outcome.resident[0]
     if grown > RESIDENT_GROWTH:
-        found.append(f"the process has grown by {grown} bytes, limit {RESIDENT_GROWTH}")
+        sizes.append(f"the process has grown by {grown} bytes, limit {RESIDENT_GROWTH}")
     most = BYTES_A_CAR * len(outcome.cars)
     if outcome.files > most:
-        found.append(f"the record files have {outcome.files} bytes, limit {most}")
-    return found
+        sizes.append(f"the record files have {outcome.files} bytes, limit {most}")
+    return sizes
 
 
 def table(result: Mapping[str, Any]) -> str:

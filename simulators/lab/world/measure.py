@@ -89,14 +89,14 @@ def chosen(text: str | None, world: str = OWN) -> tuple[str, ...]:
     every = known() if world == OWN else tuple(MUJOCO_ROWS)
     if text is None:
         return every
-    found: list[str] = []
+    names: list[str] = []
     for name in filter(None, (part.strip() for part in text.split(","))):
         begin = name.removesuffix("*")
         matches = [row for row in every if row == name or (begin != name and row.startswith(begin))]
         if not matches:
             raise SetupError(f"no row {name!r}{near_names(name, every)}")
-        found += matches
-    return tuple(dict.fromkeys(found))
+        names += matches
+    return tuple(dict.fromkeys(names))
 
 
 def what(name: str) -> str:
@@ -116,7 +116,7 @@ def prepare(
 ) -> list[WorldJob]:
     """Make the jobs of rows and seeds."""
     listed, sources = world_rows.rows(), digest()
-    made = {
+    by_row = {
         name: prepared(name, tuple(overrides), cycle_ms)
         if name in MUJOCO_ROWS
         else setup.make(
@@ -124,7 +124,7 @@ def prepare(
         )
         for name in names
     }
-    return [WorldJob(name, made[name], seed, kept, sources) for name in names for seed in seeds]
+    return [WorldJob(name, by_row[name], seed, kept, sources) for name in names for seed in seeds]
 
 
 def measured(job: WorldJob) -> dict[str, Any]:
@@ -139,11 +139,11 @@ def measured(job: WorldJob) -> dict[str, Any]:
         kept = {}
     if kept:
         return kept
-    found: dict[str, Any] = json.loads(report_json.text(perform(job)))
+    result: dict[str, Any] = json.loads(report_json.text(perform(job)))
     if digest() != job.sources:
         raise SetupError(f"sources changed while {job.row} was measured; use a clone of its own")
-    report_json.write(path, found)
-    return found
+    report_json.write(path, result)
+    return result
 
 
 def perform(job: WorldJob) -> dict[str, Any]:
