@@ -1,7 +1,7 @@
 """Cyclic exchange, controller's side: number the telegrams and judge the replies.
 
 Invariants:
-    A late reply, a wrong IPOC and an unreadable reply are the same as no reply.
+    A late reply, a wrong counter and an unreadable reply are the same as no reply.
     Stamps and deadlines are arguments.
 """
 
@@ -18,7 +18,7 @@ class Judgement(StrEnum):
     ACCEPTED = "accepted"
     LATE = "late"
     DUPLICATE = "duplicate"
-    WRONG_IPOC = "wrong_ipoc"
+    WRONG_COUNTER = "wrong_counter"
     REFUSED = "refused"
     MISSING = "missing"
 
@@ -38,12 +38,12 @@ class ReplyEvent(StrEnum):
     OPEN = "a cycle begins"
     CLOSE = "a cycle ends"
     BREAK = "the time-out is exceeded"
-    GOOD = "the open cycle's IPOC in time"
-    OVERDUE = "the open cycle's IPOC past the deadline"
-    OLD = "an earlier cycle's IPOC, that cycle unanswered"
-    REPEATED = "the IPOC of a cycle that has its reply"
-    WRONG = "an IPOC never sent"
-    UNREADABLE = "malformed, or of another SENTYPE"
+    GOOD = "the open cycle's counter in time"
+    OVERDUE = "the open cycle's counter past the deadline"
+    OLD = "an earlier cycle's counter, that cycle unanswered"
+    REPEATED = "the counter of a cycle that has its reply"
+    WRONG = "a counter never sent"
+    UNREADABLE = "malformed, or of another sender"
 
 
 _REPLIES = (ReplyEvent.OLD, ReplyEvent.REPEATED, ReplyEvent.WRONG, ReplyEvent.UNREADABLE)
@@ -78,7 +78,7 @@ JUDGEMENTS: dict[ReplyEvent, Judgement] = {
     ReplyEvent.OVERDUE: Judgement.LATE,
     ReplyEvent.OLD: Judgement.LATE,
     ReplyEvent.REPEATED: Judgement.DUPLICATE,
-    ReplyEvent.WRONG: Judgement.WRONG_IPOC,
+    ReplyEvent.WRONG: Judgement.WRONG_COUNTER,
     ReplyEvent.UNREADABLE: Judgement.REFUSED,
 }
 
@@ -95,10 +95,10 @@ class ControllerCounts:
         sent: telegrams, the open cycle's included.
         answered: cycles with a good reply.
         late: cycles whose reply came after its time.
-        refused: cycles that only got a wrong IPOC, a wrong SENTYPE or something malformed.
+        refused: cycles that only got a wrong counter, a wrong sender or something malformed.
         lost: cycles that got nothing.
-        wrong_ipoc: replies with an IPOC never sent.
-        unreadable: replies malformed or of another SENTYPE.
+        wrong_counter: replies with a counter never sent.
+        unreadable: replies malformed or of another sender.
         duplicate: replies to a cycle that had one.
     """
 
@@ -107,7 +107,7 @@ class ControllerCounts:
     late: int = 0
     refused: int = 0
     lost: int = 0
-    wrong_ipoc: int = 0
+    wrong_counter: int = 0
     unreadable: int = 0
     duplicate: int = 0
 
@@ -125,10 +125,10 @@ class ControllerExchange:
 
     Example::
 
-        ipoc = exchange.next_ipoc()            # send the telegram
-        exchange.on_reply(reply.ipoc, stamp_ns, deadline_ns)
-        if exchange.close_cycle() is not Judgement.ACCEPTED: ...   # HOLDON
-        if exchange.broken: ...                # RSITimeout
+        counter = exchange.next_counter()            # send the telegram
+        exchange.on_reply(reply.counter, stamp_ns, deadline_ns)
+        if exchange.close_cycle() is not Judgement.ACCEPTED: ...   # the setpoint holds
+        if exchange.broken: ...                # the controller breaks off
     """
 
     def __init__(
@@ -137,35 +137,35 @@ class ControllerExchange:
         timeout: int = 100,
         rule: Literal["total", "row"] = "total",
         *,
-        first_ipoc: int = 0,
+        first_counter: int = 0,
         patient: bool = False,
     ) -> None:
         """Begin before the first cycle.
 
         Args:
-            step: what the IPOC grows by each cycle (milliseconds on a real controller).
+            step: what the counter grows by each cycle (milliseconds on a real controller).
             timeout: faulty cycles that are tolerated.
             rule: whether they count in total or in a row. The manual does not say.
-            first_ipoc: the first cycle's IPOC.
+            first_counter: the first cycle's counter.
             patient: do not charge cycles before the first good reply. A real controller does.
 
         Raises:
-            ValueError: a step that is not positive, a negative time-out or IPOC, another rule.
+            ValueError: a step that is not positive, a negative time-out or counter, another rule.
         """
-        if step < 1 or timeout < 0 or first_ipoc < 0 or rule not in {"total", "row"}:
-            raise ValueError(f"{step=} {timeout=} {rule=} {first_ipoc=}")
+        if step < 1 or timeout < 0 or first_counter < 0 or rule not in {"total", "row"}:
+            raise ValueError(f"{step=} {timeout=} {rule=} {first_counter=}")
         self._step = step
         self._timeout = timeout
         self._rule = rule
         self._patient = patient
         self._counts = ControllerCounts()
         self._delay = 0
-        self.restart(first_ipoc)
+        self.restart(first_counter)
 
-    def restart(self, first_ipoc: int) -> None:
+    def restart(self, first_counter: int) -> None:
         """Begin a new session, as after a restart of the program; the counts stay."""
         self._state = ControllerState.BETWEEN
-        self._first = self._next = first_ipoc
+        self._first = self._next = first_counter
         self._delay = 0
         self._row = 0
         self._was_answered = False
@@ -183,7 +183,7 @@ class ControllerExchange:
 
     @property
     def delay(self) -> int:
-        """Value of Delay/@D: faulty cycles of this session."""
+        """Faulty cycles of this session."""
         return self._delay
 
     @property
@@ -196,23 +196,25 @@ class ControllerExchange:
         """The counters; read only."""
         return self._counts
 
-    def next_ipoc(self) -> int:
-        """Close the open cycle, open the next one and return its IPOC.
+    def next_counter(self) -> int:
+        """Close the open cycle, open the next one and return its counter.
 
-        After :attr:`broken` it returns the last IPOC: check before sending.
+        After :attr:`broken` it returns the last counter: check before sending.
         """
         self.close_cycle()
         if self.broken:
             return self._next - self._step
         self._move(ReplyEvent.OPEN)
-        ipoc = self._next
+        counter = self._next
         self._next += self._step
         self._counts.sent += 1
-        self._cycles[ipoc] = _Cycle()
-        self._cycles.pop(ipoc - HISTORY * self._step, None)
-        return ipoc
+        self._cycles[counter] = _Cycle()
+        self._cycles.pop(counter - HISTORY * self._step, None)
+        return counter
 
-    def on_reply(self, ipoc: int, stamp_ns: int = 0, deadline_ns: int | None = None) -> Judgement:
+    def on_reply(
+        self, counter: int, stamp_ns: int = 0, deadline_ns: int | None = None
+    ) -> Judgement:
         """Judge a readable reply that arrived at ``stamp_ns``.
 
         Args:
@@ -220,13 +222,13 @@ class ControllerExchange:
                 the caller closes the cycle in time.
         """
         overdue = deadline_ns is not None and stamp_ns >= deadline_ns
-        event = self._classify(ipoc, overdue=overdue)
+        event = self._classify(counter, overdue=overdue)
         self._move(event)
-        self._count(event, ipoc)
+        self._count(event, counter)
         return JUDGEMENTS[event]
 
     def on_unreadable(self) -> Judgement:
-        """Judge a reply that is malformed or of another SENTYPE."""
+        """Judge a reply that is malformed or of another sender."""
         self._move(ReplyEvent.UNREADABLE)
         self._counts.unreadable += 1
         self._blame()
@@ -254,36 +256,36 @@ class ControllerExchange:
     def _move(self, event: ReplyEvent) -> None:
         self._state = TABLE[self._state][event]
 
-    def _classify(self, ipoc: int, *, overdue: bool) -> ReplyEvent:
-        behind = self._next - self._step - ipoc
-        if behind < 0 or behind % self._step or ipoc < self._first:
+    def _classify(self, counter: int, *, overdue: bool) -> ReplyEvent:
+        behind = self._next - self._step - counter
+        if behind < 0 or behind % self._step or counter < self._first:
             return ReplyEvent.WRONG
-        cycle = self._cycles.get(ipoc)
+        cycle = self._cycles.get(counter)
         if cycle is not None and cycle.outcome in _REPLIED:
             return ReplyEvent.REPEATED
         if behind or self._state is not ControllerState.WAITING:
             return ReplyEvent.OLD
         return ReplyEvent.OVERDUE if overdue else ReplyEvent.GOOD
 
-    def _count(self, event: ReplyEvent, ipoc: int) -> None:
+    def _count(self, event: ReplyEvent, counter: int) -> None:
         """Note a reply in its cycle, or in the open one."""
         match event:
             case ReplyEvent.GOOD:
                 self._was_answered = True
-                self._cycles[ipoc].outcome = Judgement.ACCEPTED
+                self._cycles[counter].outcome = Judgement.ACCEPTED
             case ReplyEvent.OVERDUE:
-                self._cycles[ipoc].outcome = Judgement.LATE
+                self._cycles[counter].outcome = Judgement.LATE
             case ReplyEvent.OLD:
-                self._count_old(ipoc)
+                self._count_old(counter)
             case ReplyEvent.REPEATED:
                 self._counts.duplicate += 1
             case _:
-                self._counts.wrong_ipoc += 1
+                self._counts.wrong_counter += 1
                 self._blame()
 
-    def _count_old(self, ipoc: int) -> None:
+    def _count_old(self, counter: int) -> None:
         """Count a closed cycle as late: its reply has come."""
-        cycle = self._cycles.get(ipoc)
+        cycle = self._cycles.get(counter)
         if cycle is not None:
             self._tally(cycle.outcome, -1)
             cycle.outcome = Judgement.LATE

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from linemate.daemon.config import documents, files, overlays
+from linemate.daemon.config.controllers.controller_section import ControllerFile, default_port
 from linemate.daemon.config.documents import Complaint, FileError, YamlDocument
 from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.named_files import NamedFiles
@@ -26,7 +27,6 @@ from linemate.daemon.config.settings_tree import Settings
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.core.control import urdf_limits
 from linemate.protocol.command.preshared_keys import PresharedKey
-from linemate.protocol.rsi.ethernet_config import RsiConfig
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,10 +49,10 @@ class LoadedConfig:
 
     Attributes:
         path: path of the configuration file.
-        rsi: the controller's own configuration, None without RSI.
+        controller_file: the controller's own configuration, None for a family without one.
         dbc: text of the distance sensor's DBC, None without that sensor.
         keys: pre-shared keys of the command port.
-        texts: files for recordings, by name: config, task, urdf, rsi, dbc.
+        texts: files for recordings, by name: config, task, urdf, dbc, and the controller's family.
         written: the parameters without what operators saved.
         state: directory for what operators save, None if there is none.
         variants: tasks of the production's variants, by name.
@@ -61,7 +61,7 @@ class LoadedConfig:
     path: Path
     config: Config
     task: Task
-    rsi: RsiConfig | None
+    controller_file: ControllerFile | None
     dbc: str | None
     keys: tuple[PresharedKey, ...]
     texts: dict[str, str] = field(repr=False)
@@ -80,7 +80,7 @@ class LoadedConfig:
         link = self._link
         port = link.port
         if port is None:
-            port = 0 if self.rsi is None else self.rsi.port
+            port = default_port(self.config.controller.kind, self.controller_file) or 0
         return RobotEndpoint(link.bind, port, link.peer)
 
     @property
@@ -114,8 +114,8 @@ def load(path: Path, extra_overlays: Sequence[Path] = ()) -> LoadedConfig:
         config = documents.fill(document, Config, named.complaints)
     except FileError as error:
         raise FileError([*error.lines, *named.lines]) from error
-    lacks_rsi = config.controller.kind is ControllerKind.RSI and named.rsi is None
-    if named.lines or named.task is None or lacks_rsi:
+    lacks_file = config.controller.kind is ControllerKind.RSI and named.controller is None
+    if named.lines or named.task is None or lacks_file:
         raise FileError(named.lines)
     _refuse_disordered_window(document, config)
     texts = {"config": data.decode("utf-8-sig"), **named.texts}
@@ -136,7 +136,7 @@ def load(path: Path, extra_overlays: Sequence[Path] = ()) -> LoadedConfig:
         path,
         config,
         task,
-        named.rsi,
+        named.controller,
         named.dbc,
         named.keys,
         texts,

@@ -9,39 +9,34 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from linemate.daemon.config import files, rsi_check, section_checks, task_file, timeouts
-from linemate.daemon.config.controllers import fanuc_check
+from linemate.daemon.config import files, section_checks, task_file, timeouts
+from linemate.daemon.config.controllers import controller_section
+from linemate.daemon.config.controllers.controller_section import ControllerFile
 from linemate.daemon.config.documents import Complaint, FileError
 from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.key_file import key_path, read_keys
 from linemate.daemon.config.section_checks import PlainValues
-from linemate.daemon.config.settings import EGM_PORT, ControllerKind, Corrections
 from linemate.daemon.config.task_file import Task
 from linemate.protocol.command.preshared_keys import PresharedKey
-from linemate.protocol.rsi.codec import RsiCodec
-from linemate.protocol.rsi.ethernet_config import RsiConfig, parse_config
-from linemate.protocol.rsi.xml_scan import RsiError
-from linemate.protocol.sensors.distance import DistanceDecoder, DistanceError, message_names
+from linemate.protocol.errors import ProtocolError
+from linemate.protocol.sensors.distance import DistanceDecoder, message_names
 
 MAX_LINK_BYTES = 1_048_576
-DEFAULT_RSI = "rsi_joints.xml"
-
-_PORTS = {ControllerKind.EGM.value: EGM_PORT, ControllerKind.FANUC.value: 0}
 
 
 class NamedFiles:
     """The files that a configuration names, and what is wrong with them.
 
     Attributes:
-        task, rsi, dbc, keys: contents, None or empty where a file is absent or wrong.
-        texts: files for recordings, by name: task, urdf, rsi, dbc.
+        task, controller, dbc, keys: contents, None or empty where a file is absent or wrong.
+        texts: files for recordings, by name: task, urdf, dbc, and the controller's family.
         variants: tasks of the production's variants, by name.
         lines: errors of the task files, as ``file:line:col: key: what``.
     """
 
     def __init__(self, base: Path, value: Any) -> None:
         self.task: Task | None = None
-        self.rsi: RsiConfig | None = None
+        self.controller: ControllerFile | None = None
         self.dbc: str | None = None
         self.keys: tuple[PresharedKey, ...] = ()
         self.texts: dict[str, str] = {}
@@ -50,16 +45,13 @@ class NamedFiles:
         self._decoder: tuple[str, str, str] | None = None
         self._base = base
         self._values = PlainValues(value)
-        kind = self._values.get("controller", "kind", kind=str, default=ControllerKind.RSI.value)
-        self._kind = kind if kind in list(ControllerKind) else ControllerKind.RSI.value
+        self._kind = controller_section.kind_of(self._values)
 
     def complaints(self, _: Any) -> Iterator[Complaint]:
         """Read all files and check them against the configuration."""
         for path, read in (
             (("task",), self._read_task),
-            (("rsi", "config"), self._read_rsi),
-            (("rsi", "config"), self._check_axes),
-            ((self._kind, "linear_axes"), self._check_linear_axes),
+            ((self._kind, "config"), self._read_controller),
             (("distance", "dbc"), self._read_dbc),
             (("distance", "message"), self._check_message),
             (("distance", "strength"), self._check_strength),
@@ -67,15 +59,9 @@ class NamedFiles:
         ):
             yield from self._attempt(path, read)
         yield from self._variant_complaints()
-        yield from self._rsi_complaints()
         task = None if self.task is None else self.task.file
-        if self._kind == ControllerKind.EGM and task is not None:
-            yield from section_checks.egm_complaints(self._values, task)
-        if self._kind == ControllerKind.FANUC:
-            yield from fanuc_check.complaints(self._values, task)
-        port = _PORTS.get(self._kind)
-        if self.rsi is not None:
-            port = self.rsi.port
+        yield from controller_section.complaints(self._kind, self._values, self.controller, task)
+        port = controller_section.default_port(self._kind, self.controller)
         yield from section_checks.complaints(self._values, self._base, (self._kind, port))
         yield from timeouts.complaints(self._values.value)
 
@@ -84,7 +70,7 @@ class NamedFiles:
             read()
         except FileError as error:
             self.lines.extend(error.lines)
-        except (UnreadableError, RsiError, DistanceError, ValueError) as error:
+        except (UnreadableError, ProtocolError, ValueError) as error:
             for what in str(error).splitlines():  # a key file has one for each bad line
                 yield Complaint(path, what)
 
@@ -108,51 +94,10 @@ class NamedFiles:
             raise ValueError(f"{name}: its arm differs from that of the configured task")
         self.variants[variant] = task
 
-    def _read_rsi(self) -> None:
-        if self._kind != ControllerKind.RSI:
-            return
-        name = self._values.get("rsi", "config", kind=str, default=DEFAULT_RSI)
-        if not self._values.has("rsi"):
-            name = DEFAULT_RSI
-        if name:
-            data = files.read(files.find(name, self._base, files.PROTOCOL_DATA), MAX_LINK_BYTES)
-            self.rsi = parse_config(data)
-            RsiCodec(self.rsi)
-            self.texts["rsi"] = data.decode("utf-8", errors="replace")
-
-    def _check_axes(self) -> None:
-        """Refuse a controller file without the position and correction of an axis."""
-        if self.rsi is None or self.task is None:
-            return
-        arm = self.task.file.arm
-        missing = rsi_check.missing_axes(self.rsi, linear_axis=arm.linear_axis)
-        if missing:
-            raise ValueError(f"the task's arm needs {', '.join(missing)}")
-
-    def _rsi_complaints(self) -> Iterator[Complaint]:
-        """Yield what the controller's file must not hold, or lacks."""
-        if self.rsi is None:
-            return
-        values = self._values
-        corrections = values.get("rsi", "corrections", kind=str, default=Corrections.ABSOLUTE.value)
-        constants: dict[str, Any] = values.get("rsi", "constants", kind=dict, default={}) or {}
-        errors = [*rsi_check.unfilled(self.rsi, constants)]
-        if corrections in list(Corrections):
-            errors = [*rsi_check.exchange_errors(self.rsi, Corrections(corrections)), *errors]
-        if self.task is not None:
-            errors += rsi_check.gate_errors(self.rsi, self.task.file)
-        for what in errors:
-            yield Complaint(("rsi", "config"), what)
-        for tag, what in rsi_check.constant_errors(self.rsi, constants):
-            yield Complaint(("rsi", "constants", tag), what)
-
-    def _check_linear_axes(self) -> None:
-        """Refuse a rotating E1: millimetres would be read as degrees."""
-        linear = self._values.get(self._kind, "linear_axes", kind=list)
-        if linear is None or self.task is None or not self.task.file.arm.linear_axis:
-            return
-        if "E1" not in linear:
-            raise ValueError("the task's arm stands on E1, which is linear")
+    def _read_controller(self) -> None:
+        found = controller_section.read_file(self._kind, self._values, self._base)
+        if found is not None:
+            self.controller, self.texts[self._kind.value] = found
 
     def _read_dbc(self) -> None:
         if not self._values.has("distance"):

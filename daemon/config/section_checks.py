@@ -13,9 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from linemate.daemon.config.controllers.signal_gates import waiting_gates
 from linemate.daemon.config.documents import Complaint
-from linemate.daemon.core.tracking.task import TaskFile
 from linemate.protocol.numeric_peer import parse_peer
 
 T = TypeVar("T")
@@ -61,19 +59,6 @@ class PlainValues:
     def has(self, *section: str) -> bool:
         """Return whether a section is given."""
         return self.get(*section, kind=dict) is not None
-
-
-def egm_complaints(values: PlainValues, task: TaskFile) -> Iterator[Complaint]:
-    """Yield gates that wait for a signal which an ABB controller does not carry."""
-    robotware = values.get("egm", "robotware", kind=int, default=7)
-    carries = values.get("egm", "signals", kind=bool, default=True)
-    if robotware != 6 and carries:
-        return
-    for waits, key in waiting_gates(task):
-        yield Complaint(
-            ("egm", "robotware" if carries else "signals"),
-            f"{waits}: signals need RobotWare 7 and signals: true. Set them, or set {key}.",
-        )
 
 
 def complaints(

@@ -320,8 +320,8 @@ class ProductionSettings:
             ``conveyor.start_position`` [m].
         records: directory of the quality records. It must exist. None keeps none.
         days: days whose records are kept.
-        goes_home: the daemon brings the robot home after each part. Off for a KRL program that
-            drives home by itself.
+        goes_home: the daemon brings the robot home after each part. Off for a robot program
+            that drives home by itself.
         name: of the station, for the records.
     """
 

@@ -45,9 +45,9 @@ def cycle_ms(whole: dict[str, Any]) -> Any:
     Args:
         whole: plain values of a configuration file.
     """
-    kind = str(_section(whole, "controller").get("kind", "rsi"))
+    kind = str(_section(whole, "controller").get("kind", ControllerKind.RSI))
     written = _section(whole, kind).get("cycle_ms")
-    return _CYCLES_MS.get(kind, _CYCLES_MS["rsi"]) if written is None else written
+    return _CYCLES_MS.get(kind, _CYCLES_MS[ControllerKind.RSI]) if written is None else written
 
 
 def _section(whole: dict[str, Any], name: str) -> dict[str, Any]:

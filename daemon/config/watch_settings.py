@@ -48,7 +48,7 @@ class WatchSettings:
         longest_home_s: longest way home before a fault [s].
         in_sync_tolerance: largest distance of the commanded tcp from the sensed one at which the
             cell is in sync [m].
-        in_sync_bit: bit of the tool's signals (DiO of RSI) that reports it, 2..7; bits 0 and 1 are
+        in_sync_bit: bit of the tool's signals that reports it, 2..7; bits 0 and 1 are
             the tool's. None: no bit.
     """
 

@@ -20,7 +20,7 @@ MOST_EVENTS: Final = 64
 COURSE: Final = 120  # forces of the course in contact
 COURSE_S: Final = 0.1  # time between two of them [s]
 IMPACT_S: Final = 0.3  # time from the first contact in which the largest force is the impact [s]
-SCREWS_FIXED: Final = 1  # bit of DiL
+SCREWS_FIXED: Final = 1  # bit of the controller's signals
 CLAMP_OPEN: Final = 2
 
 COLUMNS: Final = (

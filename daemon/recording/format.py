@@ -55,7 +55,7 @@ class Item(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class CellTexts:
-    """Texts of the cell by name: config, task, urdf, rsi, dbc, program, layout."""
+    """Texts of the cell by name: config, task, urdf, dbc, controller's family, program, layout."""
 
     texts: Mapping[str, str]
 

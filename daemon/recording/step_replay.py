@@ -17,6 +17,7 @@ import numpy as np
 from linemate.daemon.config import documents, task_file, timeouts
 from linemate.daemon.config import settings_tree as tree
 from linemate.daemon.config.documents import FileError
+from linemate.daemon.config.settings import ControllerKind
 from linemate.daemon.config.settings_tree import SettingError, Settings
 from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core import parameters as compiling
@@ -313,7 +314,7 @@ class _Replayer:
         except (FileError, SettingError) as error:
             raise ReplayError(str(error)) from error
         self._cell = (task, texts["urdf"])
-        if "task" in value or isinstance(value.get("rsi"), dict):
+        if "task" in value or any(isinstance(value.get(kind), dict) for kind in ControllerKind):
             self._build({"cycle_s": 1e-3 * timeouts.cycle_ms(value)})
 
     def _build(self, recorded: Mapping[str, Any]) -> None:

@@ -44,7 +44,7 @@ def build_link(station: LoadedConfig, parameters: Parameters) -> ControllerLink:
             on_rail=on_rail,
             signals_byte=fanuc.signals_byte,
         )
-    settings, file = station.config.rsi, station.rsi
+    settings, file = station.config.rsi, station.controller_file
     assert file is not None  # noqa: S101 - ``config.load`` refuses RSI without its file
     return RsiLink(
         RsiCodec(file, settings.linear_axes, constants=settings.constants),

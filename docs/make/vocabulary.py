@@ -4,6 +4,7 @@
 with 1 if there is one. Folders limit the files that are read.
 
 Invariants:
+    Words of one family of controllers stay where ``FAMILY_PLACES`` has them.
     A word counts in text and as a part of an identifier: ``told_by`` has the word ``told``.
     ``ALLOWED`` names the words that a file may use, with the reason.
 """
@@ -149,6 +150,28 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "docs/commissioning.md": ("astray",),
 }
 
+# Words of one family of controllers, and where they belong.
+FAMILY_WORD = re.compile(
+    r"\b(aipos|akorr|asipos|aspos|dil|dio|eipos|ekorr|holdon|ipoc|krl|rist|rsi|rsol|sentype)\b",
+    re.IGNORECASE,
+)
+FAMILY_PLACES = (
+    "protocol/rsi/",
+    "daemon/config/controllers/",
+    # The section `rsi` of the configuration, the kinds of controllers and the command `rsi`.
+    "daemon/config/config.py",
+    "daemon/config/section_checks.py",
+    "daemon/config/settings.py",
+    "daemon/config/timeouts.py",
+    "daemon/operator/main.py",
+    "daemon/operator/robot/rsi_command.py",
+    "daemon/service/assembly.py",
+    "protocol/controller_family.py",
+    # Names in older recordings.
+    "daemon/operator/export_command.py",
+    "daemon/recording/step_codec.py",
+)
+
 SHORTEST_ENTRY = 4  # words of an Args or Attributes entry
 CLASSES_USED_TWICE = 8
 
@@ -197,6 +220,11 @@ def is_below(path: str, folders: list[str]) -> bool:
 def check(path: str, text: str) -> Iterator[tuple[str, int, str]]:
     """Yield the words and the short entries of a file as (path, line, what)."""
     allowed = ALLOWED.get(path, ())
+    is_neutral = path.startswith(("daemon/", "drivers/", "protocol/")) and path.endswith(".py")
+    if is_neutral and not path.startswith(FAMILY_PLACES):
+        for found in FAMILY_WORD.finditer(text):
+            line = text.count("\n", 0, found.start()) + 1
+            yield path, line, f"{found[0]}: a word of one family, in neutral code"
     plain = _CAMEL.sub(" ", text).replace("_", " ").lower()
     for word, instead in WORDS.items():
         if word in allowed:

@@ -214,7 +214,7 @@ class RsiController:
             config.ipoc_step,
             config.timeout,
             config.timeout_rule,
-            first_ipoc=config.first_ipoc,
+            first_counter=config.first_ipoc,
             patient=config.patient or rsi.onlysend,
         )
         self._session = self._new_session()
@@ -279,7 +279,7 @@ class RsiController:
             config.ipoc_step,
             config.timeout,
             config.timeout_rule,
-            first_ipoc=config.first_ipoc if following is None else following,
+            first_counter=config.first_ipoc if following is None else following,
             patient=config.patient or self.codec.config.onlysend,
         )
         self._session.cycle = -1
@@ -296,7 +296,7 @@ class RsiController:
         session.reply = None
         if self.broken is not None:
             return None
-        session.ipoc = self._exchange.next_ipoc()
+        session.ipoc = self._exchange.next_counter()
         ipoc = session.ipoc + self._ipoc_shift
         return self.codec.format_robot(self._describe(ipoc, self._read()))
 

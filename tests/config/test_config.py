@@ -39,8 +39,8 @@ def test_the_shortest_file_names_a_task_and_takes_every_default(write: Write) ->
     station = config.load(write("task: wheel.yaml\n"))
     assert station.task.file.name == "wheel"
     assert station.config.rsi.corrections is Corrections.ABSOLUTE
-    assert station.rsi is not None
-    assert station.robot.port == station.rsi.port == 49152
+    assert station.controller_file is not None
+    assert station.robot.port == station.controller_file.port == 49152
     assert station.config.tracking == TrackingSettings()
     assert station.config.control == shipped_control()
     assert station.dbc is None
@@ -316,7 +316,7 @@ def test_limits_wider_than_the_urdfs_are_reported_at_their_place(write: Write) -
 
 def test_an_abb_controller_needs_no_file_and_has_its_own_period_and_port(write: Write) -> None:
     loaded = config.load(write("task: wheel.yaml\ncontroller: {kind: egm}\n"))
-    assert loaded.rsi is None
+    assert loaded.controller_file is None
     assert loaded.cycle_s == 0.004
     assert (loaded.robot.bind, loaded.robot.port, loaded.robot.peer) == ("127.0.0.1", 6510, None)
     assert "rsi" not in loaded.texts

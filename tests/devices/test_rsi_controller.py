@@ -134,7 +134,7 @@ def test_a_wrong_counter_is_refused_and_reported_in_delay() -> None:
     peer.cycle()
     ipoc = 4_208_163_634 + 12
     data = peer.reply(_step(DEG)).replace(b"%d" % ipoc, b"%d" % (ipoc + 1))
-    assert controller.on_reply(data) is Judgement.WRONG_IPOC
+    assert controller.on_reply(data) is Judgement.WRONG_COUNTER
     applied = controller.end_of_cycle()
     assert not applied.answered
     assert applied.setpoints == START

@@ -489,13 +489,13 @@ def test_every_state_knows_every_event_that_can_reach_it() -> None:
 
 
 def controller(**settings_: object) -> ControllerExchange:
-    return ControllerExchange(**({"step": 4, "timeout": 3, "first_ipoc": 1000} | settings_))
+    return ControllerExchange(**({"step": 4, "timeout": 3, "first_counter": 1000} | settings_))
 
 
 def test_a_reply_in_time_with_its_ipoc_is_accepted() -> None:
     exchange = controller()
     for n in range(5):
-        ipoc = exchange.next_ipoc()
+        ipoc = exchange.next_counter()
         assert ipoc == 1000 + 4 * n
         assert exchange.on_reply(ipoc, stamp_ns=3, deadline_ns=4) is Judgement.ACCEPTED
         assert exchange.state is ControllerState.ANSWERED
@@ -507,7 +507,7 @@ def test_a_reply_in_time_with_its_ipoc_is_accepted() -> None:
 
 def test_a_reply_at_the_deadline_is_late_and_its_cycle_is_charged() -> None:
     exchange = controller()
-    ipoc = exchange.next_ipoc()
+    ipoc = exchange.next_counter()
     assert exchange.on_reply(ipoc, stamp_ns=4, deadline_ns=4) is Judgement.LATE
     assert exchange.on_reply(ipoc, stamp_ns=3, deadline_ns=4) is Judgement.DUPLICATE
     assert exchange.close_cycle() is Judgement.LATE
@@ -518,8 +518,8 @@ def test_a_reply_at_the_deadline_is_late_and_its_cycle_is_charged() -> None:
 
 def test_a_reply_in_the_next_cycle_is_late_and_charged_once() -> None:
     exchange = controller()
-    old = exchange.next_ipoc()
-    new = exchange.next_ipoc()
+    old = exchange.next_counter()
+    new = exchange.next_counter()
     assert (exchange.delay, exchange.counts.lost) == (1, 1)
     assert exchange.on_reply(old) is Judgement.LATE
     assert (exchange.delay, exchange.counts.lost, exchange.counts.late) == (1, 0, 1)
@@ -532,14 +532,14 @@ def test_a_reply_in_the_next_cycle_is_late_and_charged_once() -> None:
 
 def test_a_reply_between_cycles_is_late() -> None:
     exchange = controller()
-    ipoc = exchange.next_ipoc()
+    ipoc = exchange.next_counter()
     assert exchange.close_cycle() is Judgement.MISSING
     assert exchange.on_reply(ipoc) is Judgement.LATE
 
 
 def test_a_second_reply_is_a_duplicate_and_costs_nothing() -> None:
     exchange = controller()
-    ipoc = exchange.next_ipoc()
+    ipoc = exchange.next_counter()
     exchange.on_reply(ipoc)
     assert exchange.on_reply(ipoc) is Judgement.DUPLICATE
     assert exchange.close_cycle() is Judgement.ACCEPTED
@@ -550,18 +550,18 @@ def test_a_second_reply_is_a_duplicate_and_costs_nothing() -> None:
 @pytest.mark.parametrize("wrong", [1004, 1001, 996, 0, 10**9, -4])
 def test_an_ipoc_never_sent_is_wrong_and_the_same_as_no_answer(wrong: int) -> None:
     exchange = controller()
-    assert exchange.on_reply(wrong) is Judgement.WRONG_IPOC
+    assert exchange.on_reply(wrong) is Judgement.WRONG_COUNTER
     assert exchange.delay == 0
-    exchange.next_ipoc()
-    assert exchange.on_reply(wrong) is Judgement.WRONG_IPOC
+    exchange.next_counter()
+    assert exchange.on_reply(wrong) is Judgement.WRONG_COUNTER
     assert exchange.close_cycle() is Judgement.REFUSED
     assert (exchange.delay, exchange.counts.refused, exchange.counts.lost) == (1, 1, 0)
-    assert exchange.counts.wrong_ipoc == 2
+    assert exchange.counts.wrong_counter == 2
 
 
 def test_an_unreadable_reply_is_the_same_as_no_answer() -> None:
     exchange = controller()
-    exchange.next_ipoc()
+    exchange.next_counter()
     assert exchange.on_unreadable() is Judgement.REFUSED
     assert exchange.on_unreadable() is Judgement.REFUSED
     assert exchange.close_cycle() is Judgement.REFUSED
@@ -571,7 +571,7 @@ def test_an_unreadable_reply_is_the_same_as_no_answer() -> None:
 def test_a_bad_reply_after_a_good_one_is_charged_and_the_cycle_is_answered() -> None:
     exchange = controller()
     for first_bad in (True, False):
-        ipoc = exchange.next_ipoc()
+        ipoc = exchange.next_counter()
         if first_bad:
             exchange.on_unreadable()
         assert exchange.on_reply(ipoc) is Judgement.ACCEPTED
@@ -584,7 +584,7 @@ def test_a_bad_reply_after_a_good_one_is_charged_and_the_cycle_is_answered() -> 
 def run(exchange: ControllerExchange, pattern: str) -> int:
     """Cycles that the pattern of answers (``.``) and silences (``x``) lasts."""
     for n, answer in enumerate(pattern):
-        ipoc = exchange.next_ipoc()
+        ipoc = exchange.next_counter()
         if exchange.broken:
             return n
         if answer == ".":
@@ -612,19 +612,19 @@ def test_the_timeout_breaks_off_by_its_rule(rule: str, pattern: str, lasts: int)
 
 def test_a_broken_exchange_stays_so_until_it_is_started_again() -> None:
     exchange = controller(timeout=0)
-    last = exchange.next_ipoc()
-    assert exchange.next_ipoc() == last
+    last = exchange.next_counter()
+    assert exchange.next_counter() == last
     assert exchange.broken
-    assert exchange.next_ipoc() == last
+    assert exchange.next_counter() == last
     assert exchange.on_reply(last) is Judgement.LATE
     assert exchange.on_reply(last) is Judgement.DUPLICATE
-    assert exchange.on_reply(last + 4) is Judgement.WRONG_IPOC
+    assert exchange.on_reply(last + 4) is Judgement.WRONG_COUNTER
     assert exchange.on_unreadable() is Judgement.REFUSED
     assert exchange.broken
     assert (exchange.counts.sent, exchange.delay) == (1, 1)
     exchange.restart(8)
     assert not exchange.broken
-    assert (exchange.next_ipoc(), exchange.delay, exchange.row) == (8, 0, 0)
+    assert (exchange.next_counter(), exchange.delay, exchange.row) == (8, 0, 0)
     assert exchange.counts.sent == 2
 
 
@@ -638,15 +638,15 @@ def test_a_patient_controller_charges_nothing_before_the_first_answer() -> None:
 
 def test_a_very_old_reply_is_late_and_forgotten() -> None:
     exchange = controller(timeout=1000)
-    first = exchange.next_ipoc()
+    first = exchange.next_counter()
     for _ in range(HISTORY + 5):
-        exchange.next_ipoc()
+        exchange.next_counter()
     assert exchange.on_reply(first) is Judgement.LATE
     assert (exchange.counts.late, exchange.counts.lost) == (0, HISTORY + 5)
 
 
 @pytest.mark.parametrize(
-    "bad", [{"step": 0}, {"timeout": -1}, {"first_ipoc": -1}, {"rule": "sometimes"}]
+    "bad", [{"step": 0}, {"timeout": -1}, {"first_counter": -1}, {"rule": "sometimes"}]
 )
 def test_a_controller_that_cannot_be_is_refused(bad: dict[str, object]) -> None:
     with pytest.raises(ValueError, match="="):
@@ -669,7 +669,7 @@ def test_every_closed_cycle_is_counted_exactly_once(
     for call in calls:
         match call:
             case "next":
-                exchange.next_ipoc()
+                exchange.next_counter()
             case "close":
                 exchange.close_cycle()
             case "unreadable":
@@ -717,13 +717,13 @@ class ExchangePair:
     delayed: dict[str, list[bytes]] = field(default_factory=lambda: {"down": [], "up": []})
 
     def __post_init__(self) -> None:
-        self.controller = ControllerExchange(self.step, 10_000, first_ipoc=FIRST)
+        self.controller = ControllerExchange(self.step, 10_000, first_counter=FIRST)
         self.daemon = Exchange(0.004)
 
     def cycle(self, down: str = "ok", up: str = "ok") -> None:
         self.now_ns += 4_000_000
         telegram = RobotTelegram(
-            self.controller.next_ipoc(),
+            self.controller.next_counter(),
             joints=(0.1,) * 6,
             external=(0.0,) * 6,
             tcp=(0.0,) * 6,
@@ -827,7 +827,7 @@ def test_what_the_link_does_is_seen_at_both_ends() -> None:
     counts = pair.controller.counts
     assert (counts.sent, counts.answered, counts.late) == (15, 7, 2)
     assert (counts.lost, counts.refused, counts.duplicate) == (4, 2, 1)
-    assert (counts.wrong_ipoc, counts.unreadable) == (1, 1)
+    assert (counts.wrong_counter, counts.unreadable) == (1, 1)
     assert pair.controller.delay == 8
 
 
@@ -861,4 +861,4 @@ def test_after_any_link_has_come_to_its_senses_the_exchange_goes_on(
     # Charged: every cycle without a good reply, and those with a bad one after the good one.
     counts = pair.controller.counts
     unanswered = counts.sent - counts.answered
-    assert 0 <= pair.controller.delay - unanswered <= counts.wrong_ipoc + counts.unreadable
+    assert 0 <= pair.controller.delay - unanswered <= counts.wrong_counter + counts.unreadable

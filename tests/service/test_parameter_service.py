@@ -36,8 +36,8 @@ class Standing:
         if not self.path.exists():
             self.path.write_text(TEXT)
         self.station = config.load(self.path)
-        assert self.station.rsi is not None
-        self._codec = RsiCodec(self.station.rsi)
+        assert self.station.controller_file is not None
+        self._codec = RsiCodec(self.station.controller_file)
         self.cycle = Cycle(parameters, RsiLink(self._codec, on_rail=True))
         self.cycle.listen(0)
         self.changes: list[tuple[Parameters, str, Any]] = []

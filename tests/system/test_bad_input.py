@@ -371,7 +371,7 @@ def test_telegrams_with_a_wrong_counter_are_counted_and_not_answered(station: St
             station.until_counted(
                 partial(station.emulator.link.put, unreadable), "telegrams", "unreadable"
             )
-        assert controller.counts.wrong_ipoc == before.counts.wrong_ipoc
+        assert controller.counts.wrong_counter == before.counts.wrong_counter
     assert station.shown("telegrams", "new_session") == before.status["telegrams"]["new_session"]
 
 
@@ -559,7 +559,7 @@ def test_wrong_replies_are_counted_by_the_controller_and_move_nothing(
             lambda: link.controller.refusals["malformed"] >= old.get("malformed", 0) + len(JUNK)
         )
     refusals = link.controller.refusals
-    assert refusals["wrong_ipoc"] == old.get("wrong_ipoc", 0) + 1
+    assert refusals["wrong_counter"] == old.get("wrong_counter", 0) + 1
     assert refusals["sentype"] == old.get("sentype", 0) + 1
     # The telegrams' Delay has reported it to the daemon, which goes on.
     assert station.shown("state") == "idle"

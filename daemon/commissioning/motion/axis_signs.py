@@ -61,7 +61,7 @@ def _judged(axis: int, gains: Array) -> Outcome:
     """Return the size of an axis' motion from gains (n, axes) of its moves, or what is wrong."""
     name, mean = AXES[axis], gains.mean(axis=0)
     own, others = float(mean[axis]), np.abs(np.delete(mean, axis))
-    stop = "Do not arm. Check the controller's correction object and the RSI file"
+    stop = "Do not arm. Check how the controller reads commands of its axes: signs, order"
     if float(others.max()) > CROSS:
         other = [n for n in range(len(mean)) if n != axis][int(others.argmax())]
         return Refusal(

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from linemate.daemon.config import rsi_check
+from linemate.daemon.config.controllers import rsi_check
 from linemate.daemon.config.settings import Corrections
 from linemate.daemon.core.tracking.task import TaskFile
 from linemate.protocol.rsi.codec import RsiCodec

@@ -85,7 +85,7 @@ class StopInput:
     is stuck, late or false does no lasting harm. Edges less than 1 s apart count once.
 
     Attributes:
-        bit: of ``DiL``; bits 0 and 1 are the tool's. None: the line announces nothing.
+        bit: of the controller's signals; bits 0 and 1 are the tool's. None: nothing is announced.
         before: the stop begins this long before the edge at the earliest [s].
         after: the stop begins this long after the edge at the latest [s].
         weight: log odds that an edge gives a stop, in the prediction alone.

@@ -129,7 +129,7 @@ class CycleEstimate:
             f"the controller's cycle is {self.period_ns * 1e-6:.3f} ms, "
             f"{100.0 * abs(deviation):.1f} % off the {self.nominal_ns * 1e-6:g} ms configured, "
             f"limit {100.0 * TOLERANCE:g} %. Set the same cycle in the configuration "
-            "(rsi.cycle_ms, egm.cycle_ms, fanuc.cycle_ms) and on the controller."
+            "(cycle_ms of the controller's section) and on the controller."
         )
 
     @property

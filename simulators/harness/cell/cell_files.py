@@ -112,8 +112,8 @@ def _refuse_missing_axis(station: LoadedConfig) -> None:
     Raises:
         SetupError: the axis is missing.
     """
-    if station.rsi is None or station.config.controller.kind is not ControllerKind.RSI:
+    if station.controller_file is None or station.config.controller.kind is not ControllerKind.RSI:
         return
-    tags = {element.tag for element in station.rsi.receive}
+    tags = {element.tag for element in station.controller_file.receive}
     if station.task.file.arm.linear_axis and not tags & {"EK.E1", "EKorr.E1"}:
         raise SetupError("--task: its arm has a linear axis, and rsi.config has no EK.E1")

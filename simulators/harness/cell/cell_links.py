@@ -95,7 +95,7 @@ def _controller(
     if config.controller.kind is ControllerKind.EGM:
         guided = EgmConfig(cycle_s, robotware=config.egm.robotware, limits=limits)
         return EgmController(plant.read, plant.start, guided)
-    assert station.rsi is not None  # noqa: S101 - ``config.load`` refuses RSI without its file
+    assert station.controller_file is not None  # noqa: S101 - ``config.load`` refuses RSI without its file
     relative = config.rsi.corrections is Corrections.RELATIVE
     rsi = ControllerConfig(cycle_s, mode="relative" if relative else "absolute", limits=limits)
-    return RsiController(station.rsi, plant.read, plant.start, rsi)
+    return RsiController(station.controller_file, plant.read, plant.start, rsi)

@@ -83,7 +83,7 @@ def emulator_file(cell: CellFiles, family: str, folder: Path) -> dict[str, Any]:
     station = cell.station
     if station is None:
         return content
-    if station.rsi is not None and family == families.RSI:
+    if station.controller_file is not None and family == families.RSI:
         (folder / "rsi.xml").write_text(station.texts["rsi"], encoding="utf-8")
         content["rsi_xml"] = str(folder / "rsi.xml")
         if station.config.rsi.corrections is Corrections.RELATIVE:

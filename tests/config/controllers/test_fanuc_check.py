@@ -40,7 +40,7 @@ def test_a_good_section_says_where_the_controller_is_and_its_period(tmp_path: Pa
         0,
         "192.0.2.5",
     )
-    assert station.rsi is None
+    assert station.controller_file is None
     assert "rsi" not in station.texts
 
 

@@ -45,7 +45,7 @@ def test_the_daemon_believes_its_own_files_and_has_the_links_of_this_host(tmp_pa
     assert loaded.config.tracking == own.config.tracking
     assert loaded.config.control == own.config.control
     assert loaded.task.file == own.task.file
-    assert loaded.rsi == own.rsi
+    assert loaded.controller_file == own.controller_file
     assert (loaded.robot.bind, loaded.robot.port) == ("127.0.0.1", 0)
     assert loaded.config.camera is not None
     assert (loaded.config.camera.object, loaded.config.camera.port) == ("panel", 0)
