@@ -23,9 +23,8 @@ ALONG = 1  # column of a pose along the conveyor
 
 SPACING_S = 0.002  # least distance of the five steps that a merge reads [s]
 MARGIN_S = 0.004  # committed beyond the first effect of a command, or a cycle if it is longer [s]
-LATER_FROM_S = 0.012  # cycle from which a tool that hangs free is committed for longer [s]
-LATER_PACE = 1.5  # by this share of what the cycle is longer
-LATER_CYCLES = 0.5  # at most so many cycles
+LATER_FROM_S = 0.008  # cycle from which a tool that hangs free is committed for longer [s]
+LATER_CYCLES = 0.5  # by so many cycles
 DELAY_PER_TAU = 1.0 / math.sin(math.pi / 10.0)  # mean delay of the closed loop over tau
 CORNER_S = 0.00566  # one sigma of the rounding of corners [s]: 1.4 steps of 4 ms, half of 12 ms
 
@@ -58,8 +57,7 @@ def compile_merge(
         later: commit a tool that hangs free for longer where cycles are long. The merge is
             quicker by as much, so that a new goal is taken up no later in the mean.
     """
-    extra = LATER_PACE * (cycle_s - LATER_FROM_S) if later else 0.0
-    extra = min(max(extra, 0.0), LATER_CYCLES * cycle_s)
+    extra = LATER_CYCLES * cycle_s if later and cycle_s >= LATER_FROM_S else 0.0
     commit, share = commit_steps(dead_time + extra, cycle_s)
     quicker = (commit + share - sum(commit_steps(dead_time, cycle_s))) * cycle_s / DELAY_PER_TAU
     along, across = (

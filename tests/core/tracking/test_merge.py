@@ -70,8 +70,8 @@ def taken_up(plan: merge.MergePlan, cycle_s: float) -> float:
 
 @pytest.mark.parametrize(
     ("cycle_s", "dead_time", "later_s"),
-    # By hand: 1.5 times what the cycle is longer than 12 ms, at most half a cycle.
-    [(0.004, 0.036, 0.0), (0.008, 0.120, 0.0), (0.012, 0.036, 0.0), (0.016, 0.084, 0.006),
+    # By hand: half a cycle from 8 ms on; at 24 and 36 ms five cycles are the least anyway.
+    [(0.004, 0.036, 0.0), (0.008, 0.120, 0.004), (0.012, 0.036, 0.006), (0.016, 0.084, 0.008),
      (0.024, 0.084, 0.012), (0.024, 0.036, 0.0)],
 )  # fmt: skip
 def test_a_free_tool_is_committed_for_longer_and_takes_a_goal_up_no_later(
