@@ -33,7 +33,7 @@ def test_what_can_be_drawn_is_what_there_is() -> None:
 
 
 def test_the_second_layout_tells_set_positions() -> None:
-    tags = {element.tag for element in station("second-layout").rsi.send}
+    tags = {element.tag for element in station("second-layout").controller_file.send}
     assert {"DEF_RIst", "DEF_RSol", "DEF_AIPos", "DEF_ASPos", "DEF_Delay"} <= tags
 
 

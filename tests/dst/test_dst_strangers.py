@@ -27,7 +27,7 @@ class Wire:
 
 
 def strangers() -> Strangers:
-    return Strangers(station().rsi, rest_pose(), 0.012, 12)
+    return Strangers(station().controller_file, rest_pose(), 0.012, 12)
 
 
 def test_forged_telegrams_count_on_their_own_in_the_controllers_name() -> None:

@@ -31,8 +31,11 @@ def refusals(file: TaskFile) -> list[str]:
 
 def test_the_cell_has_six_axes_and_no_other_file_than_its_own() -> None:
     assert not CELL.task.file.arm.linear_axis
-    assert station().rsi is not None
-    assert {e.tag for e in station().rsi.receive} == {*(f"AK.A{i}" for i in range(1, 7)), "DiO"}
+    assert station().controller_file is not None
+    assert {e.tag for e in station().controller_file.receive} == {
+        *(f"AK.A{i}" for i in range(1, 7)),
+        "DiO",
+    }
     assert CELL.task.file.object.nominal.position == (1.05, -0.22, 0.65)
     assert len(station().config.control.limits) == 6
 

@@ -116,13 +116,13 @@ class Simulation:
         """Begin at the lead-in, daemon and controller just started."""
         self.plan = plan
         scenario, files = scenario_of(plan), station(plan.cell)
-        if files.rsi is None:
+        if files.controller_file is None:
             raise ValueError(f"the fault campaign runs over RSI: {plan.cell} has none")
         cell = CELLS[plan.cell]
         self.world = World(scenario)
         self.plant = RobotPlant(self.world)
         self.controller = RsiController(
-            files.rsi,
+            files.controller_file,
             self.plant.read,
             self.plant.start,
             ControllerConfig(
@@ -162,7 +162,7 @@ class Simulation:
         )
         self._ready_s = float("-inf")
         self._strangers = Strangers(
-            files.rsi, self.plant.start, plan.cycle_s, self.controller.config.ipoc_step
+            files.controller_file, self.plant.start, plan.cycle_s, self.controller.config.ipoc_step
         )
         self._telegram = b""
         self._cycle = 0

@@ -133,7 +133,7 @@ class ShiftRun:
         """
         ends = cell_links.of(station.files)
         files = self._station = _virtual(station, folder)
-        assert files.rsi is not None  # noqa: S101 - ``line_station.station`` refuses others
+        assert files.controller_file is not None  # noqa: S101 - ``line_station.station`` refuses others
         hubs, entry_s = station.hubs, station.entry_s
         line_plan = LinePlan(tuple(cars), hubs, takt_s, entry_s, FIRST_CAR_S, LAST_CAR_S)
         self._feeder = CarFeeder(station.scenario, line_plan)
@@ -141,7 +141,9 @@ class ShiftRun:
         self.plant = RobotPlant(self.line)
         limits = cell_truth.axis_limits(files.task.urdf, files.task.file)
         rsi = ControllerConfig(files.cycle_s, timeout_rule="row", limits=limits)
-        self.controller = RsiController(files.rsi, self.plant.read, self.plant.start, rsi)
+        self.controller = RsiController(
+            files.controller_file, self.plant.read, self.plant.start, rsi
+        )
         mount = files.task.file.conveyor.start_position
         self._emitters = Emitters(
             self.line, Faults(()), mount, _ns, ends.encoder, ends.device, ends.sender
