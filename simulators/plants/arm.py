@@ -12,7 +12,7 @@ from collections.abc import Callable
 from functools import lru_cache
 
 from linemate.simulators.plants import rotation
-from linemate.simulators.plants.rotation import Pose
+from linemate.simulators.plants.rotation import Pose, Vec
 from linemate.simulators.plants.scenario import DenavitHartenbergLink, Robot
 
 _BARE: Pose = ((0.0, 0.0, 0.0), rotation.IDENTITY)
@@ -96,9 +96,7 @@ def _chain(links: tuple[DenavitHartenbergLink, ...], tool: Pose, root: Pose) -> 
     return [*lines, f"return ({', '.join(map(str, place))}), ({rows})"]
 
 
-def frames(
-    links: tuple[DenavitHartenbergLink, ...], joints: Values
-) -> tuple[list[Values], list[Values]]:
+def frames(links: tuple[DenavitHartenbergLink, ...], joints: Values) -> tuple[list[Vec], list[Vec]]:
     """Compute where the axes are, in Craig's form.
 
     Args:
@@ -107,27 +105,35 @@ def frames(
     Returns:
         Origins of the axes and of the flange in the arm's root [m], and the axes' directions.
     """
-    place: Values = (0.0, 0.0, 0.0)
-    x: Values = (1.0, 0.0, 0.0)
-    y: Values = (0.0, 1.0, 0.0)
-    z: Values = (0.0, 0.0, 1.0)
-    origins, axes = [], []
-    for n, link in enumerate(links):
-        ca, sa = math.cos(link.alpha), math.sin(link.alpha)
-        place = tuple(p + link.a * e for p, e in zip(place, x, strict=True))
-        y, z = _turned(y, z, ca, sa)
-        origins.append(place)
-        axes.append(z)
-        place = tuple(p + link.d * e for p, e in zip(place, z, strict=True))
-        angle = joints[n] + link.theta
-        x, y = _turned(x, y, math.cos(angle), math.sin(angle))
-    return [*origins, place], axes
+    px = py = pz = 0.0
+    x0, x1, x2 = 1.0, 0.0, 0.0
+    y0, y1, y2 = 0.0, 1.0, 0.0
+    z0, z1, z2 = 0.0, 0.0, 1.0
+    origins: list[Vec] = []
+    axes: list[Vec] = []
+    for (ca, sa, a, d, theta), joint in zip(_constants(links), joints, strict=False):
+        px, py, pz = px + a * x0, py + a * x1, pz + a * x2
+        y0, z0 = ca * y0 + sa * z0, ca * z0 - sa * y0
+        y1, z1 = ca * y1 + sa * z1, ca * z1 - sa * y1
+        y2, z2 = ca * y2 + sa * z2, ca * z2 - sa * y2
+        origins.append((px, py, pz))
+        axes.append((z0, z1, z2))
+        px, py, pz = px + d * z0, py + d * z1, pz + d * z2
+        angle = joint + theta
+        c, s = math.cos(angle), math.sin(angle)
+        x0, y0 = c * x0 + s * y0, c * y0 - s * x0
+        x1, y1 = c * x1 + s * y1, c * y1 - s * x1
+        x2, y2 = c * x2 + s * y2, c * y2 - s * x2
+    return [*origins, (px, py, pz)], axes
 
 
-def _turned(a: Values, b: Values, c: float, s: float) -> tuple[Values, Values]:
-    return (
-        tuple(c * u + s * v for u, v in zip(a, b, strict=True)),
-        tuple(c * v - s * u for u, v in zip(a, b, strict=True)),
+@lru_cache(maxsize=16)
+def _constants(
+    links: tuple[DenavitHartenbergLink, ...],
+) -> tuple[tuple[float, float, float, float, float], ...]:
+    """Cosine and sine of alpha, a, d and theta of each link."""
+    return tuple(
+        (math.cos(link.alpha), math.sin(link.alpha), link.a, link.d, link.theta) for link in links
     )
 
 

@@ -38,6 +38,7 @@ class ConveyorPlant:
         self._segments = _segments(conveyor)
         self._onsets = [segment[0] for segment in self._segments[1:]]
         self._table = np.array(self._segments)
+        self._changes = np.array(self._onsets)
         self._effects = effects = conveyor.effects
         self._signal = conveyor.stop_signal
         self._announced = _announced(conveyor)
@@ -90,8 +91,14 @@ class ConveyorPlant:
         """
         if self._shaped is not None:
             return self._shaped.motion(times)
-        row = self._table[np.searchsorted(np.array(self._onsets), times, side="right")]
-        return (*self._nominals(times), row[:, 3])
+        index = self._changes.searchsorted(times, side="right")
+        onset, position, speed, acceleration = self._table[index].T
+        age = times - onset
+        return (
+            position + (speed + 0.5 * acceleration * age) * age,
+            speed + acceleration * age,
+            acceleration,
+        )
 
     def signals(self, t: float) -> int:
         """What the line's controller sends at scenario time t: the bit of an announced stop."""
@@ -130,10 +137,10 @@ class ConveyorPlant:
         Returns:
             Positions [m] and speeds [m/s], shape (n,) each.
         """
-        position, speed = self._nominals(times)
-        drive_speed = speed
+        position, drive_speed, acceleration = self.drive(times)
+        speed = drive_speed
         if self._chain is not None:
-            deviation, rate = self._chain.deviation(times, *self.drive(times))
+            deviation, rate = self._chain.deviation(times, position, drive_speed, acceleration)
             position, speed = position + deviation, speed + rate
         self._cell(float(times[-1]))
         cells = np.maximum((times - self._start) / RIPPLE_STEP_S, 0.0)
@@ -162,16 +169,6 @@ class ConveyorPlant:
         phase = float(stream(seed, "conveyor.sprocket").uniform())
         return ChainErrors(effects, [(t, self.nominal(t)[0]) for t in starts], phase)
 
-    def _nominals(self, times: Array) -> tuple[Array, Array]:
-        if self._shaped is not None:
-            return self._shaped.motion(times)[:2]
-        row = self._table[np.searchsorted(np.array(self._onsets), times, side="right")]
-        age = times - row[:, 0]
-        return (
-            row[:, 1] + (row[:, 2] + 0.5 * row[:, 3] * age) * age,
-            row[:, 2] + row[:, 3] * age,
-        )
-
     def _cell(self, t: float) -> tuple[int, float]:
         cells = (t - self._start) / RIPPLE_STEP_S
         if cells < -1e-6:
@@ -190,7 +187,7 @@ class ConveyorPlant:
         self._free = free[-1]
         count = len(self._speeds)
         times = self._start + RIPPLE_STEP_S * np.arange(count, count + _BLOCK, dtype=np.float64)
-        speeds = np.array(free) * self._nominals(times)[1] / self._nominal
+        speeds = np.array(free) * self.drive(times)[1] / self._nominal
         before = np.concatenate(([self._speeds[-1]], speeds[:-1]))
         steps = 0.5 * RIPPLE_STEP_S * (before + speeds)
         self._positions += (self._positions[-1] + np.cumsum(steps)).tolist()

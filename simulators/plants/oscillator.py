@@ -7,11 +7,13 @@ Invariants:
 
 import cmath
 import math
+from functools import lru_cache
 
 Transition = tuple[float, float, float, float]
 """Row by row: [x, x'](t + dt) = Phi(dt) [x, x'](t)."""
 
 
+@lru_cache(maxsize=4096)
 def transition(omega: float, zeta: float, dt: float) -> Transition:
     """The matrix exponential of the oscillator.
 

@@ -305,7 +305,6 @@ def _table(lags: tuple[_Lag, ...], reach: int, cycle_s: float) -> _Table:
 
 def _lag(axis: Axis, step: float, substeps: int) -> _Lag:
     omega = math.tau * axis.frequency_hz
-    plan = tuple(_pieces(axis, omega, step, substeps, part) for part in range(substeps))
     return _Lag(
         omega=omega,
         zeta=axis.damping,
@@ -314,33 +313,36 @@ def _lag(axis: Axis, step: float, substeps: int) -> _Lag:
         shift=2.0 * axis.damping / omega,
         limit=axis.acceleration_limit,
         dead_time=axis.dead_time_s,
-        plan=plan,
+        plan=_plan(axis, omega, step, substeps),
     )
 
 
-def _pieces(axis: Axis, omega: float, step: float, substeps: int, part: int) -> tuple[_Piece, ...]:
-    """Cut one substep, seen one dead time ago, at the node that may lie in it.
+def _plan(axis: Axis, omega: float, step: float, substeps: int) -> tuple[tuple[_Piece, ...], ...]:
+    """Cut each substep, seen one dead time ago, at the node that may lie in it.
 
     Args:
         axis: with its dead time.
         step: length of a substep [s].
-        part: which substep of the cycle.
 
     Returns:
-        One or two pieces.
+        One or two pieces a substep of the cycle.
     """
     whole = int(axis.dead_time_s / step + _TINY)
     rest = axis.dead_time_s - whole * step
     if rest < _TINY:
         rest = 0.0
-    cycle, offset = divmod(part - whole, substeps)
-
-    def piece(back: int, since: float, length: float) -> _Piece:
-        return _Piece(back, since, length, transition(omega, axis.damping, length))
-
-    if rest and offset == 0:
-        return piece(1 - cycle, substeps * step - rest, rest), piece(-cycle, 0.0, step - rest)
-    return (piece(-cycle, offset * step - rest, step),)
+    phi = transition(omega, axis.damping, step)
+    plan: list[tuple[_Piece, ...]] = []
+    for part in range(substeps):
+        cycle, offset = divmod(part - whole, substeps)
+        if rest and offset == 0:
+            left = step - rest
+            before, behind = (transition(omega, axis.damping, t) for t in (rest, left))
+            first = _Piece(1 - cycle, substeps * step - rest, rest, before)
+            plan.append((first, _Piece(-cycle, 0.0, left, behind)))
+        else:
+            plan.append((_Piece(-cycle, offset * step - rest, step, phi),))
+    return tuple(plan)
 
 
 def _shortened(lag: _Lag, piece: _Piece, length: float) -> _Piece:

@@ -338,7 +338,7 @@ class World:
         if not scenario.body.carrier:
             return None
         parts = self._start, self._h, self._contact, self._effector
-        return CarriedBody(scenario, self.unit_speed, *parts)
+        return CarriedBody(scenario, lambda times: self.unit_motion(times)[1], *parts)
 
     def _age(self) -> float:
         return self._now - self.cycle_start(self.cycle)

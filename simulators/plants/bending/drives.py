@@ -7,7 +7,6 @@ Invariants:
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from operator import add
 
 from linemate.simulators.plants.arm import Values, frames
@@ -99,10 +98,12 @@ def _varied(robot: Robot) -> Callable[[float, Values], tuple[Axis, ...]]:
         warm = min(max((time_s - warming.begin_s) / warming.duration_s, 0.0), 1.0)
         later = posture.dead_time_amplitude * sine + warming.growth_s * warm
         return tuple(
-            replace(
-                axis,
-                frequency_hz=share * axis.frequency_hz,
-                dead_time_s=axis.dead_time_s + later,
+            Axis(
+                share * axis.frequency_hz,
+                axis.damping,
+                axis.dead_time_s + later,
+                axis.acceleration_limit,
+                axis.encoder_sigma,
             )
             for axis in robot.axes
         )

@@ -17,6 +17,8 @@ from linemate.simulators.plants.streams import stream
 
 _GRAVITY = 9.81
 _AXES = 6
+_ELBOW = 3
+"""Axes that carry the forearm; the upper arm hangs on one less."""
 
 
 class LinkSide:
@@ -93,35 +95,32 @@ class _Weights:
     """Moments that the gears carry: weights of upper arm, forearm and hand."""
 
     def __init__(self, robot: Robot) -> None:
-        self._robot = robot
-        self._elasticity = robot.effects.elasticity
+        self._links = robot.links
+        self._masses = robot.effects.elasticity.masses
+        self._unbalanced = 1.0 - robot.effects.elasticity.balanced
 
     def moments(self, joints: Values) -> Values:
         """Moment of the weights about each axis, in its sense of rotation [Nm].
 
         A moment is positive where the motor has to hold the arm by a positive torque.
         """
-        origins, axes = frames(self._robot.links, joints)
-        upper, fore, hand = self._elasticity.masses
-        weights = (
-            (2, upper, _middle(origins[1], origins[2])),
-            (3, fore, _middle(origins[2], origins[4])),
-            (_AXES, hand, origins[_AXES]),
-        )
+        origins, axes = frames(self._links, joints)
+        _, (x1, y1, _), (x2, y2, _), _, (x4, y4, _), _, (hand_x, hand_y, _) = origins
+        upper_x, upper_y = 0.5 * (x1 + x2), 0.5 * (y1 + y2)
+        fore_x, fore_y = 0.5 * (x2 + x4), 0.5 * (y2 + y4)
+        upper, fore, hand = self._masses
         moments = []
-        for i in range(_AXES):
-            (px, py, _), (ax, ay, _) = origins[i], axes[i]
+        for joint, ((px, py, _), (ax, ay, _)) in enumerate(zip(origins, axes, strict=False)):
             # The weight m g acts along -z: its moment about the axis is -(r x e_z) . a m g.
-            arms = [
-                m * ((y - py) * ax - (x - px) * ay) for joint, m, (x, y, _) in weights if joint > i
-            ]
-            moments.append(_GRAVITY * sum(arms))
-        moments[1] *= 1.0 - self._elasticity.balanced
+            moment = 0.0
+            if joint < _ELBOW - 1:
+                moment += upper * ((upper_y - py) * ax - (upper_x - px) * ay)
+            if joint < _ELBOW:
+                moment += fore * ((fore_y - py) * ax - (fore_x - px) * ay)
+            moment += hand * ((hand_y - py) * ax - (hand_x - px) * ay)
+            moments.append(_GRAVITY * moment)
+        moments[1] *= self._unbalanced
         return tuple(moments)
-
-
-def _middle(a: Values, b: Values) -> Values:
-    return tuple(0.5 * (x + y) for x, y in zip(a, b, strict=True))
 
 
 def link_side(robot: Robot, seed: int) -> LinkSide | None:

@@ -108,10 +108,9 @@ class ShapedRamps:
         if not self._average_s:
             _, position, speed, acceleration = self._plain(times)
             return position, speed, acceleration
-        now, before = self._plain(times), self._plain(times - self._average_s)
-        total, position, speed = (
-            (a - b) / self._average_s for a, b in zip(now[:3], before[:3], strict=True)
-        )
+        both = self._plain(np.concatenate((times, times - self._average_s)))
+        n = len(times)
+        total, position, speed = ((sum_[:n] - sum_[n:]) / self._average_s for sum_ in both[:3])
         # The average lags by half its length; the unit still passes 0 at t = 0.
         return total + 0.5 * self._nominal * self._average_s, position, speed
 
@@ -154,8 +153,7 @@ class ShapedRamps:
 
     def _plain(self, times: Array) -> tuple[Array, Array, Array, Array]:
         """Integral of the position, position, speed, acceleration before averaging."""
-        onsets = self._table[1:, 0]
-        index = np.searchsorted(onsets, times, side="right")
+        index = self._table[1:, 0].searchsorted(times, side="right")
         onset, position, speed, acceleration, coasting = self._table[index].T
         age, tau = times - onset, self._tau
         gone = np.where(coasting > 0.0, -np.expm1(-age / tau), 0.0)

@@ -29,7 +29,7 @@ class CarriedBody:
     def __init__(
         self,
         scenario: Scenario,
-        speed: Callable[[float], float],
+        speeds: Callable[[Array], Array],
         start_s: float,
         step_s: float,
         contact: ContactPlant,
@@ -38,9 +38,9 @@ class CarriedBody:
         """Take the parts of a world.
 
         Args:
-            speed: of the conveyor at a scenario time [m/s].
+            speeds: of the conveyor at ascending scenario times, (n,) [m/s].
         """
-        self._carrier = CarrierPlant(scenario.body.carrier, speed, start_s, step_s)
+        self._carrier = CarrierPlant(scenario.body.carrier, speeds, start_s, step_s)
         self._contact, self._effector, self._h = contact, effector, step_s
         self._close_s = scenario.contact.close_s
         stiffness = np.array(scenario.effector.stiffness)
@@ -76,7 +76,7 @@ class CarriedBody:
         hub = swayed(unmoved, self._carrier.sway)
         mating = self._contact.mating
         if mating is not None and self._carrier.yields:
-            mating.touch.give_way = self._carrier.inverse_mass(_to_c(hub))
+            mating.touch.give_way = lambda: self._carrier.inverse_mass(_to_c(hub))
         return hub
 
     def hub_within(self, t: float, rigid: Pose, unmoved: Pose) -> Pose:
@@ -111,7 +111,8 @@ class CarriedBody:
         elif self._closing is not None and self._mount is not None and self._is_closed(t):
             carrier.push(self._mount, self._closing)
             self._closing = None
-        carrier.begin_pull(np.subtract(self._effector.deflection, self._effector.sag(rigid)))
+        if carrier.held:
+            carrier.begin_pull(np.subtract(self._effector.deflection, self._effector.sag(rigid)))
         return hub
 
     def _strike(self, t: float, hub: Pose, unmoved: Pose) -> Pose:

@@ -29,6 +29,9 @@ UNMOVED_KG = 1e12
 _KEPT = 64
 """Steps of other lengths that are kept: instants of the sensors between grid points."""
 
+_BLOCK = 256
+"""Steps for which the conveyor's speed is computed at once: it depends on time alone."""
+
 _C_IN_BASE = np.array(C_IN_BASE).reshape(3, 3)
 _TRAVEL = np.array((0.0, 1.0, 0.0, 0.0, 0.0, 0.0))
 
@@ -65,14 +68,14 @@ class CarrierPlant:
     def __init__(
         self,
         modes: Sequence[CarrierMode],
-        speed: Callable[[float], float],
+        speeds: Callable[[Array], Array],
         start_s: float,
         step_s: float,
     ) -> None:
         """Start at rest.
 
         Args:
-            speed: of the conveyor at a scenario time [m/s].
+            speeds: of the conveyor at ascending scenario times, (n,) [m/s].
         """
         self._shape = np.array([(*mode.direction, *mode.turn) for mode in modes]).T
         omega = np.array([2.0 * np.pi * mode.frequency_hz for mode in modes])
@@ -82,7 +85,10 @@ class CarrierPlant:
         self._damping = np.diag(2.0 * zeta * omega * mass)
         self._stiffness = np.diag(omega**2 * mass)
         self._drive = mass * np.array([mode.drive for mode in modes])
-        self._speed, self._start, self._h = speed, start_s, step_s
+        self._speeds, self._start, self._h = speeds, start_s, step_s
+        # Of the conveyor in each step of the grid: speed at its begin, mean acceleration.
+        self._begins: list[float] = []
+        self._means: list[float] = []
         self._count = len(modes)
         self.yields = any(mode.mass for mode in modes)
         self._mount: Mount | None = None
@@ -122,8 +128,8 @@ class CarrierPlant:
             pull: while held, the deflection that the mount would have there if the modes stood
                 still from now on, along and about the axes of the rigid tcp, (6,).
         """
-        before, t = self._state, self._now()
-        self._state = self._after(self._h, t, pull)
+        before = self._state
+        self._state = self._after(self._h, self._mean(), pull)
         self._history.append(self._state)
         self._ahead.clear()
         if self._mount is not None and pull is not None:
@@ -135,9 +141,13 @@ class CarrierPlant:
         Args:
             pull: as for ``advance``, at t.
         """
-        dt = max(t - self._now(), 0.0)
-        state = self._after(dt, self._now(), pull) if dt > 0.0 else self._state
-        return np.asarray(self._shape @ state[: self._count])
+        now = self._now()
+        dt = max(t - now, 0.0)
+        if dt <= 0.0:
+            return self.sway
+        self._mean()
+        rise = float(self._speeds(np.array((now + dt,)))[0]) - self._begins[self._index]
+        return np.asarray(self._shape @ self._after(dt, rise / dt, pull)[: self._count])
 
     def at(self, t: float) -> Array:
         """Displacement and rotation of the hub in c at any time, (6,).
@@ -214,16 +224,30 @@ class CarrierPlant:
         q, v = self.coordinates, self.speeds
         return float(0.5 * (v @ self._mass @ v + q @ self._stiffness @ q))
 
-    def _now(self) -> float:
-        return self._start + (len(self._history) - 1) * self._h
+    @property
+    def _index(self) -> int:
+        return len(self._history) - 1
 
-    def _after(self, dt: float, t: float, pull: Array | None) -> Array:
+    def _now(self) -> float:
+        return self._start + self._index * self._h
+
+    def _mean(self) -> float:
+        """Mean acceleration of the conveyor in the step that comes next."""
+        index, known = self._index, len(self._means)
+        if index >= known:
+            times = self._start + self._h * np.arange(known, known + _BLOCK, dtype=np.float64)
+            begins = self._speeds(times)
+            self._begins += begins.tolist()
+            self._means += ((self._speeds(times + self._h) - begins) / self._h).tolist()
+        return self._means[index]
+
+    def _after(self, dt: float, mean: float, pull: Array | None) -> Array:
+        """State after dt in which the conveyor has this mean acceleration."""
         step = self._steps.get(round(dt, 9)) or self._new_step(dt)
-        mean = (self._speed(t + dt) - self._speed(t)) / dt
         mount = self._mount
         if mount is None or pull is None:
             force = self._expected - self._drive * mean
-            return np.asarray(step.state @ self._state + (step.start + step.end) @ force)
+            return np.asarray(step.state @ self._state + step.steady @ force)
         first, last = self._left(mount, pull)
         force = -(self._drive + self._shape.T @ mount.mass @ _TRAVEL) * mean
         force = force - self._shape.T @ mount.damping @ (last - first) / dt
@@ -267,9 +291,10 @@ class CarrierPlant:
     def _forecast(self) -> None:
         index = len(self._history) + len(self._ahead)
         t = self._start + index * self._h
-        mean = (self._speed(t) - self._speed(t - self._h)) / self._h
+        before, now = self._speeds(np.array((t - self._h, t))).tolist()
+        mean = (now - before) / self._h
         step, last = self._free_step, self._known(index - 1)
-        self._ahead.append(step.state @ last - (step.start + step.end) @ (self._drive * mean))
+        self._ahead.append(step.state @ last - step.steady @ (self._drive * mean))
 
 
 def swayed(hub: Pose, sway: Array) -> Pose:

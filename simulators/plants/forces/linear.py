@@ -17,11 +17,16 @@ _TERMS = 14
 
 
 class Step(NamedTuple):
-    """x(t + dt) = state x(t) + start u(t) + end u(t + dt)."""
+    """x(t + dt) = state x(t) + start u(t) + end u(t + dt).
+
+    Attributes:
+        steady: start + end, for an input that does not change.
+    """
 
     state: Array
     start: Array
     end: Array
+    steady: Array
 
 
 def step(mass: Array, damping: Array, stiffness: Array, dt: float) -> Step:
@@ -32,7 +37,7 @@ def step(mass: Array, damping: Array, stiffness: Array, dt: float) -> Step:
         dt: length of the step [s], not negative.
 
     Returns:
-        The matrices (2n, 2n), (2n, n) and (2n, n).
+        The matrices (2n, 2n), and (2n, n) each.
     """
     n = len(mass)
     whole = np.zeros((4 * n, 4 * n))
@@ -44,7 +49,8 @@ def step(mass: Array, damping: Array, stiffness: Array, dt: float) -> Step:
     grown = exponential(whole * dt)[: 2 * n]
     # The last block belongs to the input's rise u(t + dt) - u(t).
     end = grown[:, 3 * n :]
-    return Step(grown[:, : 2 * n], grown[:, 2 * n : 3 * n] - end, end)
+    start = grown[:, 2 * n : 3 * n] - end
+    return Step(grown[:, : 2 * n], start, end, start + end)
 
 
 def exponential(matrix: Array) -> Array:

@@ -38,7 +38,7 @@ class MatingPlant:
     @property
     def touching(self) -> bool:
         """Something touched in the last step."""
-        return bool(self.touch.force.any())
+        return self.touch.touching
 
     @property
     def seated(self) -> bool:

@@ -10,6 +10,7 @@ Invariants:
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,7 @@ Six = tuple[float, float, float, float, float, float]
 MICRO_S = 0.0002
 """Longest step while something may touch [s]; the stiffest contact has a period of 20 ms."""
 
+_NOTHING = np.zeros(6)
 _RIM_POINTS = 8
 _SLIDING = 1e-3
 """Friction is proportional to the speed below this [m/s]."""
@@ -74,7 +76,9 @@ class Touch:
         impulse: of all contact on the hub in the last step, in its axes [Ns, Nms], (6,).
         impulse_time: integral of that impulse over the step, (6,).
         expected: mean force on the hub in the step before; the hub's motion has it already, (6,).
-        give_way: inverse mass of the hub in its axes, (6, 6); zeros for a hub that stands.
+        touching: something touched in the last step.
+        give_way: returns the inverse mass of the hub in its axes, (6, 6); zeros for a hub that
+            stands.
     """
 
     def __init__(self, mating: Mating, suspension: Suspension) -> None:
@@ -89,13 +93,15 @@ class Touch:
         mass = float(suspension.mass[:3].min())
         self._damper = 2.0 * mating.contact_damping * math.sqrt(mating.elasticity * mass)
         self.entered = False
-        self.force = self.impulse = self.impulse_time = self.expected = np.zeros(6)
-        self.give_way = np.zeros((6, 6))
+        self.touching = False
+        self.force = self.impulse = self.impulse_time = self.expected = _NOTHING
+        self.give_way: Callable[[], Array] = lambda: np.zeros((6, 6))
 
     def begin(self, step_s: float) -> None:
         """Begin a step, in which nothing touches so far."""
-        self.expected = self.impulse / step_s
-        self.force = self.impulse = self.impulse_time = np.zeros(6)
+        self.expected = self.impulse / step_s if self.touching else _NOTHING
+        self.force = self.impulse = self.impulse_time = _NOTHING
+        self.touching = False
 
     def leave(self, tool: Pose) -> None:
         """Note that the tool is out of reach, seen from the hub."""
@@ -135,19 +141,22 @@ class Touch:
         d, w, rest = np.array(deflection), np.array(velocity), np.array(sag)
         moved, speed = np.zeros(6), np.zeros(6)
         total, lasting = np.zeros(6), np.zeros(6)
+        give_way, expected = h * self.give_way(), self.expected
+        seen = axes.T @ drift
         for k in range(count):
             tool = first + drift * (k * h) + axes @ d - moved
             wrench = self._wrench(tool, axes @ w - speed)
-            pull = -held.stiffness * (d - rest) - held.damping * (w - axes.T @ drift)
+            pull = -held.stiffness * (d - rest) - held.damping * (w - seen)
             w = w + h * (pull + axes.T @ wrench) / held.mass
-            d = d + h * (w - axes.T @ drift)
-            speed = speed - h * self.give_way @ (wrench + self.expected)
+            d = d + h * (w - seen)
+            speed = speed - give_way @ (wrench + expected)
             moved = moved + h * speed
             total = total + h * wrench
             lasting = lasting + h * (total - 0.5 * h * wrench)
             self._enter(tool)
         self.force, self.impulse = total / step_s, -total
         self.impulse_time = -lasting
+        self.touching = bool(total.any())
         return _six(d), _six(w)
 
     def _enter(self, tool: Array) -> None:

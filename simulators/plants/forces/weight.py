@@ -42,7 +42,8 @@ class Weight:
             rigid: rigid tcp in base.
         """
         # Gravity in the tcp is minus the last row of its orientation.
-        gx, gy, gz = (-GRAVITY * share for share in rigid[1][6:])
+        _, (*_, x, y, z) = rigid
+        gx, gy, gz = -GRAVITY * x, -GRAVITY * y, -GRAVITY * z
         mx, my, mz = self._moment
         k0, k1, k2, k3, k4, k5 = self._stiffness
         return (

@@ -40,7 +40,7 @@ class Cell:
         self.contact = ContactPlant(scenario.contact, scenario.effector)
         self.effector = EffectorPlant(scenario.effector, STEP)
         parts = self.contact, self.effector
-        self.carried = CarriedBody(scenario, lambda _: 0.0, 0.0, STEP, *parts)
+        self.carried = CarriedBody(scenario, np.zeros_like, 0.0, STEP, *parts)
         self.t, self.lateral = 0.0, lateral
         self.rigid = self.at(-0.035 if scenario.contact.mating.bolts else -0.002)
 
