@@ -67,6 +67,15 @@ def test_an_outlier_next_to_a_stop_is_no_step(at: int, since_s: float) -> None:
     assert certain <= 1
 
 
+def test_less_than_a_late_sensor_shows_is_no_step() -> None:
+    """A stop of which less than a unit of the sensor showed was held for a step: 258 N."""
+    for seed in range(20):
+        ages = steady_ages()
+        way = np.where(ages < 0.06, -0.9e-3, 0.0)
+        step = find(readings(way, ages, seed))
+        assert step is None or abs(step.size) > 1.4e-3
+
+
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("silent_s", [0.04, 0.07, 0.1])
 def test_a_stop_behind_a_silence_is_no_step(silent_s: float, seed: int) -> None:

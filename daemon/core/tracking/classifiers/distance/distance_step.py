@@ -25,6 +25,7 @@ SPAN_S = 0.5  # of the readings that are fitted
 LATEST_S = 0.16  # age of the oldest step that is looked for [s]
 LEAST_AFTER = 2  # readings after a step, so that one outlier is none
 STEP_DEVIATION = 0.005  # of a step before any reading [m]
+LEAST_SIZE = 0.0015  # of a step: a smaller one costs less than a stop that is taken for it [m]
 ONSETS = np.linspace(0.04, 0.48, 23)  # time since a change began [s]
 CERTAIN = 2.0  # log odds of a step against a change from which it is one
 MISSING = 1.5  # times the usual time between readings, from which one is missing
@@ -100,7 +101,8 @@ def find(
     lates, late_sizes = _ratios(power[:count], shown[:count], late)
     lates = np.where(missing > (MISSING - 1.0) * usual, lates + LATE, NONE)
     sizes = np.where(lates > steps, late_sizes, sizes)
-    steps = np.where(sizes * change.mean > 0.0, np.maximum(lates, steps), NONE)
+    is_step = sizes * math.copysign(1.0, change.mean) > LEAST_SIZE
+    steps = np.where(is_step, np.maximum(lates, steps), NONE)
     odds = _total(steps) - _total(changes)
     best = int(steps.argmax())
     if odds < 0.0 or float(steps[best]) < CERTAIN:
