@@ -51,7 +51,7 @@ from linemate.daemon.core.tracking.classifiers.distance.distance_change import D
 from linemate.daemon.core.tracking.classifiers.distance.distance_check import Ramp
 from linemate.daemon.core.tracking.classifiers.distance.distance_step import DistanceStep
 from linemate.daemon.core.tracking.classifiers.onset_bank import AmplitudePrior
-from linemate.daemon.core.tracking.classifiers.start_check import StartCheck, StartRejection
+from linemate.daemon.core.tracking.classifiers.start_check import StartRejection
 from linemate.daemon.core.tracking.conveyor import (
     LONGEST_TENTATIVE_S,
     ConveyorEstimate,
@@ -160,7 +160,9 @@ class BankClassifier(BankModel):
         )
         sigma = self.distance_deviation
         if check is not None and state.start_check is None:
-            check = _with_ramps(check, before, state)
+            check = replace(check, acceleration=float(state.x[ACCELERATION]))
+            if before.motion is Motion.STOPPING:
+                check = replace(check, braking=self._ramp(before), braked=before.class_age)
         rejection = start_check.reject(check, self.conveyor, state.cruise, sigma)
         if rejection is None:
             rejection = start_check.deny(
@@ -344,9 +346,10 @@ class BankClassifier(BankModel):
     def _distance_odds(self, state: BankState) -> float | None:
         """Return the log odds of a change by the distance sensor alone, None if it has no say."""
         weights, readings, ramp = state.change.weights, state.readings, None
+        change = self.changes[state.motion] * float(weights.dot(state.change.amplitudes))
         deviation, speed = RUNNING_DEVIATION, state.cruise
         if state.motion in RAMPS:
-            ramp = Ramp(state.class_age, float(state.x[ACCELERATION]))
+            ramp = Ramp(state.class_age, self._ramp(state))
         elif state.motion is Motion.STANDING:
             # The stop before is no steady motion, and what is left of its speed dies out.
             speed = 0.0
@@ -356,12 +359,22 @@ class BankClassifier(BankModel):
         return distance_check.log_odds(
             readings,
             float(weights.dot(state.changes.age)),
-            self.changes[state.motion] * float(weights.dot(state.change.amplitudes)),
+            change,
             deviation,
             self.distance_deviation,
             ramp,
             speed,
         )
+
+    def _ramp(self, state: BankState) -> float:
+        """Return the acceleration of the class in force before the change that is tested [m/s^2].
+
+        The null filter has taken a part of the change for another acceleration.
+        """
+        shares = state.change.weights * state.change.amplitudes
+        taken = float(shares.dot(state.changes.error[ACCELERATION]))
+        change = self.changes[state.motion] * float(shares.sum())
+        return float(state.x[ACCELERATION]) - taken - change
 
     def _accept_change(self, state: BankState, motion: Motion) -> BankState:
         """Return the state in its new class, the banks cleared."""
@@ -421,20 +434,6 @@ def _bound_tentative(state: BankState, before: BankState, dt: float) -> BankStat
     return replace(
         state, tentative=False, is_expired=True, tentative_s=0.0, events=(*state.events, event)
     )
-
-
-def _with_ramps(check: StartCheck, before: BankState, state: BankState) -> StartCheck:
-    """Return the check of a start declared in this step, with the ramps it is compared with.
-
-    Args:
-        before: of the step before.
-        state: in the declared start.
-    """
-    acceleration = float(state.x[ACCELERATION])
-    if before.motion is not Motion.STOPPING:
-        return replace(check, acceleration=acceleration)
-    braking = float(before.x[ACCELERATION])
-    return replace(check, acceleration=acceleration, braking=braking, braked=before.class_age)
 
 
 def _softplus(value: float) -> float:
