@@ -26,6 +26,7 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     SLIP,
     STATES,
     BankState,
+    V,
 )
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
 from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, Source
@@ -554,6 +555,26 @@ def test_readings_that_have_jumped_and_go_on_widen_the_filter_at_once() -> None:
     assert lasting < 0.15
 
 
+@pytest.mark.parametrize(("share", "least", "most"), [(1.0, 0.0, 0.01), (0.5, 0.03, 0.06)])
+def test_readings_that_have_jumped_and_go_on_at_their_speed_leave_it_known(
+    share: float, least: float, most: float
+) -> None:
+    """A sensor late by 33 ms made the speed unknown: the tool was led 11 mm off the hub."""
+    bank = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), DEVIATION)
+    rng, state, age = np.random.default_rng(4), bank.initial(0.0), 0.0
+    for t in np.arange(0.0, 2.6, T0):
+        value = NOMINAL * t if t < 2.0 else NOMINAL * (2.0 + share * (t - 2.0)) - 0.0035
+        value += rng.normal(0.0, 2e-4)
+        row = PositionMeasurement(Source.DISTANCE, value, 0.0, DEVIATION**2, 4.0)
+        state = bank.advance(state, [row], T0)
+        if state.age < age:
+            break
+        age = state.age
+    else:
+        pytest.fail("it was never widened")
+    assert least <= math.sqrt(float(state.P[V, V])) < most
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_frozen_distance_sensor_is_not_predicted_as_a_stop(seed: int) -> None:
     bank = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), DEVIATION)
@@ -647,6 +668,16 @@ def test_a_body_pushed_while_the_conveyor_brakes_is_no_start(
     assert ("stop", "confirmed") in asked
     assert ("start", "confirmed") not in asked
     assert ("start", "confirmed") in pushed_on(-math.inf, monkeypatch), "else nothing is tested"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_distance_sensor_supports_a_start_while_the_conveyor_brakes(seed: int) -> None:
+    """The null filter follows a felt start: the ramp before it had no deceleration left, 174 N."""
+    truth = Truth(1.5, ((0.2, -STOP), (0.6, START)), seed=seed)
+    events = in_contact(truth, lambda _: 0.0, 1.0, seed)
+    confirmed = [t for t, kind, what in events if (kind, what) == ("start", "confirmed")]
+    assert len(confirmed) == 1
+    assert 0.6 < confirmed[0] < 0.6 + 0.25
 
 
 def test_a_speed_that_is_left_when_a_stop_ends_dies_out() -> None:

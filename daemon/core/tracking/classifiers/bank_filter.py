@@ -33,6 +33,7 @@ from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, 
 SWAY_DEVIATION = 0.001  # of the amplitude of a known sway when the estimate begins [m]
 OFFSET_DEVIATION = 0.1  # of x10 before anything but the distance sensor saw the object [m]
 SETTLING = 0.6  # the banks are empty until the speed is estimated [s]
+LEAST_SPREAD_S = 0.05  # root of the rejected readings' squared times: a speed to 8 mm/s [s]
 MOST_REJECTED = 8  # measurements of one sensor rejected in a row, after which the filter widens
 FROZEN_WAY = 0.004  # that a running conveyor makes while a frozen sensor repeats itself [m]
 FROZEN_S = 0.25  # in which the sensor's health excludes a frozen sensor [s]
@@ -265,10 +266,25 @@ def _widened(model: BankModel, state: BankState, nu: float, source: Source) -> B
         P[Y, OFFSET] -= nu * nu
         P[OFFSET, Y] -= nu * nu
         return replace(state, P=P, rejected={})
-    P[V, V] += (0.5 * model.conveyor.nominal_speed) ** 2
+    P[V, V] += _speed_variance(model, state)
     # A ripple that was estimated by a wrong filter would be predicted for seconds.
     state = reset_ripple(model, clear_banks(replace(state, P=P)))
     return replace(state, age=0.0, rejected={})
+
+
+def _speed_variance(model: BankModel, state: BankState) -> float:
+    """Return how wrong the speed of a wrong filter may be, as a variance [m^2/s^2].
+
+    The rejected readings show it: those of a sensor that became late run on at the right speed.
+    """
+    ages, values = state.readings[:, 1 - MOST_REJECTED :]
+    unknown = (0.5 * model.conveyor.nominal_speed) ** 2
+    times = ages.mean() - ages if len(ages) else ages
+    spread = float(times @ times)
+    if len(ages) < MOST_REJECTED - 1 or spread < LEAST_SPREAD_S**2:
+        return unknown
+    off = float(times @ values) / spread - float(state.x[V])
+    return min(max(off * off - model.distance_deviation**2 / spread, 0.0), unknown)
 
 
 def _is_plausible(model: BankModel, state: BankState, nu: float, rho: Array, gate: float) -> bool:
