@@ -12,6 +12,7 @@ from linemate.daemon.cycle.sensing.sensor_health import (
     CONTRADICTIONS,
     GOOD,
     OUTVOTING,
+    REPEATED,
     SAME_POSES,
     SAME_WRENCHES,
     SMALL_JUMP,
@@ -214,10 +215,18 @@ def wrench(k: int, force: float, torque: float = 0.0) -> WrenchSample:
 def test_a_wrench_that_is_stuck_is_out_within_100_ms_of_motion() -> None:
     health = WrenchHealth()
     alike = [health.accepts(wrench(k, 7.0), MOVING) for k in range(SAME_WRENCHES)]
-    assert alike == [True] * (SAME_WRENCHES - 1) + [False]
+    assert alike == [True] * REPEATED + [False] * (SAME_WRENCHES - REPEATED)
     assert "alike" in str(health.reason)
     assert SAME_WRENCHES * 0.004 <= 0.1
     assert all(WrenchHealth().accepts(wrench(k, 7.0), RESTING) for k in range(100))
+
+
+def test_a_wrench_that_repeats_itself_for_a_moment_is_used_again_at_once() -> None:
+    health = WrenchHealth()
+    used = [health.accepts(wrench(k, 7.0), MOVING) for k in range(SAME_WRENCHES - 1)]
+    assert used.count(True) == REPEATED
+    assert health.reason is None
+    assert health.accepts(wrench(SAME_WRENCHES, 7.01), MOVING)
 
 
 @pytest.mark.parametrize(("force", "torque"), [(1e30, 0.0), (-3e5, 0.0), (0.0, 1e300)])

@@ -46,6 +46,7 @@ CONTRADICTIONS = 8
 
 SAME_POSES = 4  # identical poses while something moves: frozen
 SAME_WRENCHES = 25  # identical wrenches while the tool moves: frozen
+REPEATED = 3  # identical wrenches from which the next ones are no measurement: noise changes each
 
 MAX_FORCE = 1e5  # beyond this nothing is a measurement [N]
 MAX_TORQUE = 1e5  # [Nm]
@@ -283,4 +284,7 @@ class WrenchHealth(Health[WrenchSample]):
         elif self._same >= SAME_WRENCHES:
             fault = f"{self._same} wrenches alike"
             self.exclude(sample.stamp_ns, fault)
+        elif self._same > REPEATED:
+            self.refused += 1
+            return False
         return self.judge(sample.stamp_ns, fault)
