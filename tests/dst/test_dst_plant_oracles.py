@@ -137,6 +137,39 @@ def test_a_force_of_a_plan_that_took_the_commands_away_at_the_hub_is_excused() -
     assert run.oracle.excused[0].endswith("commands lost since 0.108 s")
 
 
+@pytest.mark.parametrize(("readable", "kinds"), [(False, []), (True, ["force"])])
+def test_bare_replies_are_a_loss_of_commands_only_to_telegrams_that_cannot_be_read(
+    readable: bool, kinds: list[str]
+) -> None:
+    run = Run(State.CONTACT)
+    run.go(0.1)
+    run.go(0.1, readable=readable)
+    run.plant.bent = (0.006, 0.0, 0.0, 0.0, 0.0, 0.0)
+    assert run.go(0.05) == kinds
+
+
+def test_telegrams_that_cannot_be_read_excuse_no_robot_that_was_moved() -> None:
+    run = Run(State.CONTACT)
+    run.go(0.1)
+    for cycle in range(8):
+        run.go(T0, readable=False, sent=tuple(0.001 * cycle for _ in STILL))
+    run.plant.bent = (0.006, 0.0, 0.0, 0.0, 0.0, 0.0)
+    assert run.go(0.05, readable=True) == ["force"]
+
+
+@pytest.mark.parametrize(("mm", "kinds"), [(4.0, []), (30.0, ["collision"])])
+def test_a_daemon_that_died_at_the_hub_may_not_move_a_robot_that_the_hub_runs_into(
+    mm: float, kinds: list[str]
+) -> None:
+    run = Run()
+    run.plant.tool = (0.0, 0.0, -1e-3 * mm)
+    run.go(0.1)
+    run.go(0.2, state=None)
+    run.go(0.3, state=State.INIT)
+    run.plant.collision = Collision(0.6, "missed the hub: 62.0 mm")
+    assert run.go(0.02) == kinds
+
+
 def test_a_force_long_after_the_commands_came_back_is_not_excused() -> None:
     run = Run(State.CONTACT)
     run.go(0.1)

@@ -84,13 +84,14 @@ class Seen:
         now_s: scenario time at its end [s].
         state: the daemon's, None while there is no daemon.
         because: why it is in that state.
-        answered: a reply moved the robot in this cycle.
+        answered: a reply was taken in this cycle.
         programme: the controller's programme runs and its drives are on.
         busy_s: until when the daemon was stalled or not yet started [s].
         sent: where the controller was sent last, A1..A6 [rad], E1 [m].
         stands: where the axes are held while the drives are off, None while they are on.
         screws: the tool is ordered to fix the screws.
         is_heard: the links to and from the daemon carry telegrams whose counter can be read.
+        readable: the values of this cycle's telegram can be read. Else its reply must be bare.
     """
 
     now_s: float
@@ -103,6 +104,7 @@ class Seen:
     stands: tuple[float, ...] | None
     screws: bool
     is_heard: bool = True
+    readable: bool = True
 
 
 class PlantOracle:
@@ -164,7 +166,8 @@ class PlantOracle:
         self._forces.append(force)
         if seen.answered:
             self._answered_s = seen.now_s
-        self._track_losses(seen, hub[0], at_hub=at_hub, clamped=clamped)
+        held = clamped or depth > -AT_HUB_M
+        self._track_losses(seen, hub[0], at_hub=at_hub, held=held)
         self._judge_contact(seen, force if clamped else 0.0)
         self._judge_place(seen, lateral, depth, clamped=clamped)
         self._judge_silence(seen, clamped=clamped)
@@ -177,23 +180,25 @@ class PlantOracle:
     # What was taken away.
 
     def _track_losses(
-        self, seen: Seen, hub: tuple[float, float, float], *, at_hub: bool, clamped: bool
+        self, seen: Seen, hub: tuple[float, float, float], *, at_hub: bool, held: bool
     ) -> None:
+        """Keep what is missing and since when.
+
+        Args:
+            held: the tool is not off the hub: clamped, or not 20 mm before the hub plane.
+        """
         now_s = seen.now_s
-        was_moved = (
-            seen.answered
-            and seen.programme
-            and any(abs(a - b) > STILL for a, b in zip(seen.sent, self._sent, strict=False))
-        )
+        moved = any(abs(a - b) > STILL for a, b in zip(seen.sent, self._sent, strict=False))
+        was_moved = seen.answered and seen.programme and moved
         self._sent = seen.sent
         position_s = max(self._emitters.true_s("distance"), self._emitters.true_s("camera"))
         lost = {
-            "commands": not seen.answered,
+            "commands": not seen.answered or not (seen.readable or moved),
             "position": now_s - position_s > 2.0 * self._cycle_s,
             # It lasts until the tool is off the hub, whatever comes back before.
             "programme": not seen.programme
             or seen.state is None
-            or ("programme" in self._open and clamped),
+            or ("programme" in self._open and held),
         }
         for what, is_lost in lost.items():
             opened = self._open.get(what)

@@ -165,6 +165,7 @@ class Simulation:
             files.controller_file, self.plant.start, plan.cycle_s, self.controller.config.ipoc_step
         )
         self._telegram = b""
+        self._is_readable = True
         self._cycle = 0
         self._cycle_ns = round(plan.real_cycle_s * 1e9)
         self._is_over = False
@@ -326,7 +327,10 @@ class Simulation:
             self._hash.update(data)
             self._telegram = data
             self._strangers.passed(data)
-            for at_s, piece in self._there.carry(data, now_s):
+            spoilt = self._there.suffered["unreadable"]
+            pieces = self._there.carry(data, now_s)
+            self._is_readable = self._there.suffered["unreadable"] == spoilt
+            for at_s, piece in pieces:
                 self._wires.send(_ns(at_s) + TRANSIT_NS, piece, self._strangers.source, RSI_PORT)
         is_there = self._faults.in_force("robot", "second", now_s) is not None
         self._strangers.second(now_s, is_there=is_there, send=self._send_to_robot_port)
@@ -357,6 +361,7 @@ class Simulation:
                 stands=self.robot.stands,
                 screws=bool(self.robot.orders & FIX_SCREWS),
                 is_heard=self._is_heard(now_s),
+                readable=self._is_readable,
             )
         )
         if app is not None:
